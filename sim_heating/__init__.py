@@ -1,0 +1,1 @@
+"""Aerodynamic heating beside a flight simulator: temperatures from a trajectory, heating from temperatures."""

@@ -1,0 +1,128 @@
+"""Effects that a declared model may lack: one file each, picked up by its being there.
+
+A file of this folder, or of a folder named in SIM_HEATING_EFFECTS (a path list), defines EFFECT = Effect(...). Its kernel
+
+    f(B, c, p, wall_K) -> float
+
+reads the flight conditions from B[c] on and its own parameters from B[p] on (layout.py names the places), takes the wall
+temperature [K], and gives what is added to the heating ratio or what the ratio is multiplied by.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import os
+import pkgutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Literal
+
+from sim_heating.errors import InputError
+from sim_heating.layout import EFFECT_SLOTS, EFFECT_WIDTH
+from sim_heating.parameters import Parameter
+from sim_heating.files import nearest
+
+__all__ = ["Effect", "EffectUse", "effect", "effects", "use"]
+
+FOLDERS_VARIABLE = "SIM_HEATING_EFFECTS"
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect on the heating ratio.
+
+    name       : as in a closure report
+    mode       : "add" to the ratio, or "multiply" it (what multiplies comes last)
+    parameters : in the order in which the kernel reads them; EFFECT_WIDTH at most
+    kernel     : compiled f(B, c, p, wall_K)
+    needs_wall : whether the kernel's value depends on the wall temperature
+    physics    : what it is, in a line
+    source     : where that is from
+    """
+
+    name: str
+    mode: Literal["add", "multiply"]
+    parameters: tuple[Parameter, ...]
+    kernel: Callable[..., float] = field(compare=False)
+    needs_wall: bool = False
+    physics: str = ""
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        if len(self.parameters) > EFFECT_WIDTH:
+            raise InputError(f"effect {self.name}: {len(self.parameters)} parameters; {EFFECT_WIDTH} at most")
+
+
+@dataclass(frozen=True)
+class EffectUse:
+    """An effect with the values of its parameters, in the order of the effect."""
+
+    effect: Effect
+    values: tuple[float, ...]
+
+
+def _from_file(path: Path) -> Effect | None:
+    spec = importlib.util.spec_from_file_location(f"sim_heating_user_effects.{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise InputError(f"{path}: is not a Python file; an effect is one")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return getattr(module, "EFFECT", None)
+
+
+def _built_in() -> list[Effect]:
+    names = [m.name for m in pkgutil.iter_modules(__path__) if m.name != "chain"]
+    modules = [importlib.import_module(f"{__name__}.{name}") for name in sorted(names)]
+    return [m.EFFECT for m in modules if hasattr(m, "EFFECT")]
+
+
+@cache
+def _all(folders: str) -> Mapping[str, Effect]:
+    found = {e.name: e for e in _built_in()}
+    for folder in filter(None, folders.split(os.pathsep)):
+        for path in sorted(Path(folder).glob("*.py")):
+            own = _from_file(path)
+            if own is not None:
+                found[own.name] = own
+    return found
+
+
+def effects() -> Mapping[str, Effect]:
+    """All effects by name: the package's and those of the folders in SIM_HEATING_EFFECTS."""
+    return _all(os.environ.get(FOLDERS_VARIABLE, ""))
+
+
+def effect(name: str) -> Effect:
+    """The effect of a name; InputError with the nearest where there is none."""
+    known = effects()
+    if name not in known:
+        near = nearest(name, known)
+        hint = f"Nearest: `{near}`." if near else f"Known: {', '.join(sorted(known))}."
+        raise InputError(f"effect `{name}` is not known. {hint}")
+    return known[name]
+
+
+def use(name: str, values: Mapping[str, float] | None = None) -> EffectUse:
+    """An effect with some of its parameters set and the rest nominal.
+
+    raises : InputError naming a parameter that the effect does not have, or a value outside its bounds
+    """
+    found, given = effect(name), dict(values or {})
+    known = [p.name for p in found.parameters]
+    for key in given:
+        if key not in known:
+            raise InputError(f"effect {name}: no parameter `{key}`. It has: {', '.join(known)}.")
+    chosen = tuple(float(given.get(p.name, p.value)) for p in found.parameters)
+    for p, value in zip(found.parameters, chosen, strict=True):
+        if not p.lower <= value <= p.upper:
+            raise InputError(f"effect {name}, {p.name}: {value:g} is outside its bounds {p.lower:g} to {p.upper:g}")
+    return EffectUse(found, chosen)
+
+
+def check_count(uses: tuple[EffectUse, ...], where: str) -> None:
+    """raises : InputError where one control point has more effects than the kernel holds."""
+    if len(uses) > EFFECT_SLOTS:
+        raise InputError(f"{where}: {len(uses)} effects; {EFFECT_SLOTS} at most at one control point")

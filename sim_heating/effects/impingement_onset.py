@@ -1,0 +1,30 @@
+"""Flow impingement above an onset angle of attack, as on the side of the OMS pod."""
+
+from __future__ import annotations
+
+from sim_heating.conditions import FloatArray
+from sim_heating.effects import Effect
+from sim_heating.jit import njit
+from sim_heating.layout import ALPHA
+from sim_heating.parameters import Parameter
+
+ONSET, SLOPE = range(2)
+
+
+@njit
+def impingement(B: FloatArray, c: int, p: int, wall_K: float) -> float:
+    """slope max(0, alpha - alpha_onset) [-], added to the ratio."""
+    return B[p + SLOPE] * max(0.0, B[c + ALPHA] - B[p + ONSET])
+
+
+EFFECT = Effect(
+    name="impingement-onset",
+    mode="add",
+    parameters=(
+        Parameter("alpha_onset_deg", "deg", 37.0, 4.0, 0.0, 60.0, "angle of attack at which the flow reaches the point"),
+        Parameter("slope", "1/deg", 0.002, 0.002, -0.1, 0.1, "rise of the ratio above it"),
+    ),
+    kernel=impingement,
+    physics="Above an angle of attack the flow impinges on the point and the ratio rises with angle of attack.",
+    source="OMS pod of STS-2 in 'Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers', fig. 14",
+)

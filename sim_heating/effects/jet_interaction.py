@@ -1,0 +1,27 @@
+"""Reaction-jet firings: heating, or the density derived from a disturbed air-data reading, follows the jets."""
+
+from __future__ import annotations
+
+from sim_heating.conditions import FloatArray
+from sim_heating.effects import Effect
+from sim_heating.jit import njit
+from sim_heating.layout import JETS
+from sim_heating.parameters import Parameter
+
+GAIN = 0
+
+
+@njit
+def jet_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
+    """1 + jet_gain jets [-], jets from 0 (off) to 1 (firing)."""
+    return 1.0 + B[p + GAIN] * B[c + JETS]
+
+
+EFFECT = Effect(
+    name="jet-interaction",
+    mode="multiply",
+    parameters=(Parameter("jet_gain", "1", 0.1, 0.2, -1.0, 5.0, "relative rise of the ratio while a jet fires"),),
+    kernel=jet_factor,
+    physics="A firing jet disturbs the flow at the point, or the density that was derived from dynamic pressure.",
+    source="Pitch-jet spikes of STS-2 in 'Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers'",
+)

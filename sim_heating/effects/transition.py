@@ -1,0 +1,35 @@
+"""Boundary-layer transition: past a Reynolds number, which falls with angle of attack, heating turns turbulent."""
+
+from __future__ import annotations
+
+from sim_heating.arithmetic import logistic
+from sim_heating.conditions import FloatArray
+from sim_heating.effects import Effect
+from sim_heating.jit import njit
+from sim_heating.layout import ALPHA, LOG10_RE
+from sim_heating.parameters import Parameter
+
+ONSET, ALPHA_SENSITIVITY, WIDTH, FACTOR, ALPHA_0 = range(5)
+
+
+@njit
+def transition_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
+    """1 + (factor - 1) / (1 + exp(-(log10_re - onset + alpha_sens (alpha - alpha_0)) / width)) [-]."""
+    past = B[c + LOG10_RE] - B[p + ONSET] + B[p + ALPHA_SENSITIVITY] * (B[c + ALPHA] - B[p + ALPHA_0])
+    return 1.0 + (B[p + FACTOR] - 1.0) * logistic(past / B[p + WIDTH])
+
+
+EFFECT = Effect(
+    name="transition",
+    mode="multiply",
+    parameters=(
+        Parameter("log10_re_onset", "1", 6.7, 0.4, 4.0, 9.0, "log10 Re at which half the rise has come, at alpha_0"),
+        Parameter("alpha_sens", "1/deg", 0.0, 0.05, -0.5, 0.5, "fall of the onset log10 Re with angle of attack"),
+        Parameter("width", "1", 0.03, 0.03, 1e-4, 1.0, "width of the rise in log10 Re"),
+        Parameter("factor", "1", 3.5, 1.0, 1.0, 20.0, "turbulent over laminar heating ratio"),
+        Parameter("alpha_0_deg", "deg", 40.0, 0.0, -90.0, 90.0, "angle of attack of the onset"),
+    ),
+    kernel=transition_factor,
+    physics="The boundary layer turns turbulent past a Reynolds number, earlier at higher angle of attack.",
+    source="STS-4 Mach 12 manoeuvre in 'Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers'",
+)

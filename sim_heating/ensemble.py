@@ -1,0 +1,420 @@
+"""Control points packed for the compiled march: the one model, whether stepped beside a host or marched through a flight.
+
+A PointModel says what a control point is: construction, sensors, ratio table, parameters, effects. An Ensemble holds many,
+of one flight or of many, in groups of LANES with equal node count, and is all the state there is: a snapshot of it is a copy
+of one array.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sim_heating.conditions import RATIO_VARIABLES, Conditions
+from sim_heating.effects import Effect, EffectUse, check_count
+from sim_heating.effects.chain import compiled_chain
+from sim_heating.errors import InputError, RunError
+from sim_heating.files import nearest
+from sim_heating.heating_ratio.kernel import pack_table
+from sim_heating.heating_ratio.table import RatioTable
+from sim_heating.layout import (
+    BACK_EPS,
+    BACK_H,
+    BACK_T,
+    BASE,
+    COLUMN,
+    CONDITION_COLUMNS,
+    CURVED,
+    EFFECT_CODES,
+    EFFECT_PARAMETERS,
+    EFFECT_SLOTS,
+    EFFECT_WIDTH,
+    FACTOR_EPS,
+    FAILED,
+    HEAD_ROWS,
+    INTS_PER_NODE,
+    LANES,
+    M_LEFT,
+    M_RIGHT,
+    N_ADDING,
+    N_EFFECTS,
+    N_NODES,
+    N_PRESSURES,
+    NO_TABLE,
+    NODE_INTS,
+    NODE_ROWS,
+    NOWHERE,
+    OUTSIDE,
+    NEGATIVE,
+    RATIO_TABLE,
+    REFERENCE,
+    SURFACE_TABLE,
+    SURROUNDINGS4,
+    WALL_EFFECTS,
+    G,
+    T,
+    block_size,
+    integers_size,
+    node_row,
+    parameters_at,
+    scalar_row,
+)
+from sim_heating.march import BLOCK_END, BLOCK_START, INTS_END, INTS_START, advance_groups, begin_groups, march_group
+from sim_heating.parameters import MODEL, RATIO, SECOND_ORDER
+from sim_heating.thermal.declare import BackFace, Construction, Material
+from sim_heating.thermal.mesh import Mesh
+from sim_heating.thermal.tables import PropertyTables, WallEnthalpy, tabulate
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+CONTACT = Material(density_kg_m3=1.0, specific_heat_J_kgK=[[300.0, 1.0]], conductivity_W_mK=[[300.0, 1.0]])
+"""What a contact resistance is made of: an element without mass whose "length" is the resistance."""
+THREADED_POINT_STEPS = 20_000
+"""Below this many point-steps a march is not worth a second thread."""
+
+
+@dataclass(frozen=True)
+class PointModel:
+    """One control point as the kernels take it.
+
+    name          : for messages and columns
+    construction  : stack and materials
+    depths_m      : depths of the sensors; each gets a node
+    ratio         : declared table, or None for ratio.d0 alone
+    wall_enthalpy : constant cp [J/(kg K)] or the name of a gas model
+    nodes         : number of nodes, or None to have it chosen
+    parameters    : dotted name -> value, where not nominal (parameters.MODEL)
+    reference     : values of the five ratio variables that derivatives are about
+    effects       : effects with their parameters
+    """
+
+    name: str
+    construction: Construction
+    depths_m: tuple[float, ...] = ()
+    ratio: RatioTable | None = None
+    wall_enthalpy: WallEnthalpy = 1004.5
+    nodes: int | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    reference: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    effects: tuple[EffectUse, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_count(self.effects, self.name)
+        for key, value in self.parameters.items():
+            if key not in MODEL:
+                near = nearest(key, MODEL)
+                raise InputError(f"{self.name}: there is no parameter `{key}`." + (f" Nearest: `{near}`." if near else ""))
+            if not MODEL[key].lower <= value <= MODEL[key].upper:
+                lower, upper = MODEL[key].lower, MODEL[key].upper
+                raise InputError(f"{self.name}, {key}: {value:g} is outside its bounds {lower:g} to {upper:g}")
+        if self.ratio is not None and self.parameters.get("ratio.d0", 0.0) != 0.0:
+            raise InputError(f"{self.name}: ratio.d0 is 0 where there is a ratio table; use ratio.scale")
+
+    def with_parameters(self, **changes: float) -> PointModel:
+        """The same point with parameters changed; dots in names are written as in a mapping: with_parameters(**{...})."""
+        return replace(self, parameters={**self.parameters, **changes})
+
+    def value(self, name: str) -> float:
+        """A parameter's value, nominal where it is not set."""
+        return float(self.parameters.get(name, MODEL[name].value))
+
+
+def condition_history(conditions: Conditions) -> FloatArray:
+    """(time, condition) what the kernels read of a flight; columns that a flight may lack are 0."""
+    columns = [conditions[c] if c in conditions else np.zeros(len(conditions)) for c in CONDITION_COLUMNS]
+    return np.ascontiguousarray(np.column_stack(columns))
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where a model stands: group, lane, and the first number of the group's block."""
+
+    group: int
+    lane: int
+    start: int
+
+    def temperature(self, node: int) -> int:
+        return self.start + (HEAD_ROWS + node * NODE_ROWS + T) * LANES + self.lane
+
+    def scalar(self, row: int) -> int:
+        return self.start + row * LANES + self.lane
+
+
+class Ensemble:
+    """Control points in lanes, with their temperatures.
+
+    models : the control points; results keep their order
+    meshes : the mesh of each (resolution.pack chooses them)
+    step_s : the longest time step [s] that a march takes
+
+    Attributes: `meshes`, `tables`, and `state`, the flat array that holds everything which changes.
+    """
+
+    def __init__(self, models: Sequence[PointModel], meshes: Sequence[Mesh], step_s: float = 1.0) -> None:
+        if not models:
+            raise InputError("there is no control point; give at least one")
+        self.models = tuple(models)
+        self.step_s = step_s
+        self.meshes = tuple(meshes)
+        self._effects = _distinct_effects(self.models)
+        self.chain = compiled_chain(self._effects)
+        self.tables = self._tabulate()
+        self._ratio_offsets, self.table = self._add_ratio_tables()
+        self._arrange()
+        self.reset()
+
+    # Packing ---------------------------------------------------------------------------------------------------------
+
+    def _tabulate(self) -> PropertyTables:
+        materials = [material for m in self.models for material in m.construction.layer_materials()]
+        surfaces = [(m.construction.layer_materials()[0], m.wall_enthalpy) for m in self.models]
+        return tabulate([*materials, CONTACT], surfaces)
+
+    def _add_ratio_tables(self) -> tuple[dict[int, int], FloatArray]:
+        offsets, parts, end = {}, [self.tables.values], len(self.tables.values)
+        for model in self.models:
+            if model.ratio is not None and id(model.ratio) not in offsets:
+                packed = pack_table(model.ratio)
+                offsets[id(model.ratio)] = end
+                parts.append(packed)
+                end += len(packed)
+        return offsets, np.concatenate(parts)
+
+    def _arrange(self) -> None:
+        """Put models with equal node counts into groups of LANES, the last one of a group filling it up."""
+        order = sorted(range(len(self.models)), key=lambda i: (self.meshes[i].nodes, i))
+        members: list[list[int]] = []
+        for i in order:
+            full = not members or len(members[-1]) == LANES
+            if full or self.meshes[members[-1][0]].nodes != self.meshes[i].nodes:
+                members.append([])
+            members[-1].append(i)
+        nodes = [self.meshes[group[0]].nodes for group in members]
+        blocks = np.concatenate(([0], np.cumsum([block_size(n) for n in nodes])))
+        integers = np.concatenate(([0], np.cumsum([integers_size(n) for n in nodes])))
+        self.groups = np.column_stack([blocks[:-1], blocks[1:], integers[:-1], integers[1:]]).astype(np.int64)
+        self.state = np.zeros(blocks[-1])
+        self.ints = np.zeros(integers[-1], dtype=np.int64)
+        self.lanes = np.array([group + [group[-1]] * (LANES - len(group)) for group in members]).ravel()
+        self.places = [_Place(0, 0, 0)] * len(self.models)
+        for g, group in enumerate(members):
+            for lane, i in enumerate(group):
+                self.places[i] = _Place(g, lane, int(blocks[g]))
+            self._pack_group(g)
+
+    def block(self, group: int) -> FloatArray:
+        """The numbers of a group (a view)."""
+        return self.state[self.groups[group, BLOCK_START] : self.groups[group, BLOCK_END]]
+
+    def integers(self, group: int) -> IntArray:
+        """The integers of a group (a view)."""
+        return self.ints[self.groups[group, INTS_START] : self.groups[group, INTS_END]]
+
+    def _pack_group(self, g: int) -> None:
+        B, J = self.block(g), self.integers(g)
+        members = self.lanes[g * LANES : (g + 1) * LANES]
+        J[N_NODES], J[N_PRESSURES] = self.meshes[members[0]].nodes, len(self.tables.log10_p)
+        for lane, i in enumerate(members):
+            self._pack_stack(B, J, lane, self.models[i], self.meshes[i])
+            self._pack_heating(B, J, lane, self.models[i])
+        for node in range(1, J[N_NODES] - 1):
+            here = NODE_INTS + node * INTS_PER_NODE
+            left, right = J[here + 1 - INTS_PER_NODE : here + 1 - INTS_PER_NODE + LANES], J[here + 1 : here + 1 + LANES]
+            J[here] = int(np.any(left != right))
+
+    def _pack_stack(self, B: FloatArray, J: IntArray, lane: int, model: PointModel, mesh: Mesh) -> None:
+        materials = model.construction.layer_materials()
+        length, conductivity, capacity = _factors(model, mesh)
+        for e, layer in enumerate(mesh.layer):
+            material = CONTACT if layer < 0 else materials[layer]
+            half = 0.0 if layer < 0 else 0.5 * material.density_kg_m3 * length[e] * capacity[e]
+            B[node_row(e, G)][lane] = conductivity[e] / length[e]
+            B[node_row(e, M_RIGHT)][lane] = half
+            B[node_row(e + 1, M_LEFT)][lane] = half
+            J[NODE_INTS + e * INTS_PER_NODE + 1 + lane] = self.tables.material_offset[id(material)]
+        last = NODE_INTS + len(mesh.layer) * INTS_PER_NODE + 1 + lane
+        J[last] = J[last - INTS_PER_NODE]
+        J[SURFACE_TABLE + lane] = self.tables.surface_offset[id(materials[0]), model.wall_enthalpy]
+        stack = model.construction.stack
+        B[scalar_row(SURROUNDINGS4)][lane] = stack.surroundings_K**4
+        B[scalar_row(FACTOR_EPS)][lane] = model.value("stack.emissivity_factor")
+        back = stack.back if isinstance(stack.back, BackFace) else None
+        for row, name, declared in (
+            (BACK_H, "back.h_W_m2K", back.h_W_m2K if back else None),
+            (BACK_T, "back.T_K", back.T_K if back else None),
+            (BACK_EPS, "back.emissivity", back.emissivity if back else None),
+        ):
+            nominal = MODEL[name].value if declared is None else declared
+            B[scalar_row(row)][lane] = model.parameters.get(name, nominal)
+
+    def _pack_heating(self, B: FloatArray, J: IntArray, lane: int, model: PointModel) -> None:
+        p = parameters_at(lane)
+        values = [model.value(parameter.name) for parameter in RATIO]
+        B[p : p + len(values)] = values
+        B[p + REFERENCE : p + REFERENCE + len(RATIO_VARIABLES)] = model.reference
+        B[p + CURVED] = float(any(values[-len(SECOND_ORDER) :]))
+        J[RATIO_TABLE + lane] = NO_TABLE if model.ratio is None else self._ratio_offsets[id(model.ratio)]
+        uses = sorted(model.effects, key=lambda u: u.effect.mode != "add")
+        J[N_ADDING + lane] = sum(u.effect.mode == "add" for u in uses)
+        J[N_EFFECTS + lane] = len(uses)
+        J[WALL_EFFECTS + lane] = int(any(u.effect.needs_wall for u in uses))
+        for k, used in enumerate(uses):
+            J[EFFECT_CODES + lane * EFFECT_SLOTS + k] = self._effects.index(used.effect)
+            first = p + EFFECT_PARAMETERS + k * EFFECT_WIDTH
+            B[first : first + len(used.values)] = used.values
+
+    # State -----------------------------------------------------------------------------------------------------------
+
+    def reset(self) -> None:
+        """Put every point back to the initial temperatures of its stack."""
+        for g in range(len(self.groups)):
+            B = self.block(g)
+            B[: HEAD_ROWS * LANES].reshape(-1, LANES)[FAILED] = 0.0
+            for row in (OUTSIDE, NEGATIVE):
+                B[scalar_row(row)] = 0.0
+            B[scalar_row(COLUMN)] = -1.0
+            for lane, i in enumerate(self.lanes[g * LANES : (g + 1) * LANES]):
+                self._set_profile(B, lane, initial_temperatures(self.models[i].construction, self.meshes[i]))
+
+    def _set_profile(self, B: FloatArray, lane: int, temperature_K: FloatArray) -> None:
+        nodes = B[HEAD_ROWS * LANES :].reshape(-1, NODE_ROWS, LANES)[:-1]
+        nodes[:, T, lane] = temperature_K
+        nodes[:, T + 1, lane] = 0.0
+        nodes[:, BASE, lane] = NOWHERE
+
+    def set_profile(self, model: int, temperature_K: ArrayLike) -> None:
+        """Set all node temperatures [K] of one point."""
+        place = self.places[model]
+        temperature = np.asarray(temperature_K, dtype=float)
+        if temperature.shape != (self.meshes[model].nodes,) or not np.all(temperature > 0.0):
+            raise InputError(f"{self.models[model].name}: give {self.meshes[model].nodes} temperatures above 0 K")
+        self._set_profile(self.block(place.group), place.lane, temperature)
+
+    def snapshot(self) -> FloatArray:
+        """Everything that changes, as one array; `restore` takes it back."""
+        return self.state.copy()
+
+    def restore(self, snapshot: FloatArray) -> None:
+        """Go back to a snapshot of this ensemble."""
+        if snapshot.shape != self.state.shape:
+            raise InputError(f"snapshot: {snapshot.size} numbers, this model has {self.state.size}; it is of another model")
+        self.state[:] = snapshot
+
+    # Reading ---------------------------------------------------------------------------------------------------------
+
+    def node_temperatures(self, model: int) -> FloatArray:
+        """(node,) temperatures of a point [K], outermost first."""
+        place = self.places[model]
+        nodes = self.block(place.group)[HEAD_ROWS * LANES :].reshape(-1, NODE_ROWS, LANES)
+        return nodes[:-1, T, place.lane].copy()
+
+    def outputs(self) -> IntArray:
+        """Places in `state` of surface, bondline and each sensor of each point, in this order."""
+        at = []
+        for mesh, place in zip(self.meshes, self.places, strict=True):
+            at += [place.temperature(node) for node in (0, mesh.bondline, *mesh.sensors)]
+        return np.array(at, dtype=np.int64)
+
+    def scalars(self, row: int) -> FloatArray:
+        """(point,) one scalar row of the block, such as layout.ENERGY_IN."""
+        return np.array([self.state[place.scalar(row)] for place in self.places])
+
+    # Moving ----------------------------------------------------------------------------------------------------------
+
+    def spread(self, vectors: FloatArray) -> FloatArray:
+        """(group * LANES, condition) from one condition vector a point."""
+        return vectors[self.lanes]
+
+    def begin(self, now: FloatArray) -> None:
+        """Set the conditions that hold now, one vector (layout.CONDITION_COLUMNS) a point."""
+        begin_groups(self.state, self.ints, self.table, self.chain, self.groups, self.spread(now))
+
+    def advance(self, then: FloatArray, dt: float) -> None:
+        """One frame of dt [s] to new conditions, linear between."""
+        advance_groups(self.state, self.ints, self.table, self.chain, self.groups, self.spread(then), dt)
+
+    def march(
+        self,
+        time_s: FloatArray,
+        histories: FloatArray,
+        which: Sequence[int] | None = None,
+        *,
+        longest_step_s: float | None = None,
+        keep: IntArray | None = None,
+    ) -> FloatArray:
+        """March all points through their flights from the present temperatures.
+
+        time_s    : (time,) samples [s], common to all flights
+        histories : (flight, time, condition) as condition_history gives them
+        which     : flight of each point; by default the flights are one for each point, or one for all
+        keep      : places in `state` to keep at each sample, `outputs()` by default; an empty array keeps nothing
+        returns   : (time, kept)
+        raises    : RunError where the step of a point did not converge
+        """
+        if which is None:
+            which = [0] * len(self.models) if len(histories) == 1 else list(range(len(self.models)))
+        kept = self.outputs() if keep is None else keep
+        out = np.empty((len(time_s), len(kept)) if len(kept) else (0, 0))
+        flights = np.asarray(which, dtype=np.int64)[self.lanes].reshape(-1, LANES)
+        step = self.step_s if longest_step_s is None else longest_step_s
+        time_s, histories = np.ascontiguousarray(time_s, dtype=float), np.ascontiguousarray(histories, dtype=float)
+
+        def one(g: int) -> None:
+            start, end = self.groups[g, BLOCK_START], self.groups[g, BLOCK_END]
+            mine = np.flatnonzero((kept >= start) & (kept < end))
+            part = np.empty((len(out), len(mine)))
+            march_group(
+                self.block(g), self.integers(g), self.table, self.chain, time_s, histories,
+                flights[g], step, kept[mine] - start, part,
+            )  # fmt: skip
+            if len(out):
+                out[:, mine] = part
+
+        groups = range(len(self.groups))
+        if len(groups) > 1 and len(time_s) * len(self.models) > THREADED_POINT_STEPS:
+            with ThreadPoolExecutor(min(len(groups), os.cpu_count() or 1)) as pool:
+                list(pool.map(one, groups))
+        else:
+            for g in groups:
+                one(g)
+        self.check()
+        return out
+
+    def check(self) -> None:
+        """raises : RunError naming the points whose step did not converge, or whose temperature is not a number."""
+        failed = self.scalars(FAILED)
+        surface = np.array([self.state[place.temperature(0)] for place in self.places])
+        bad = [m.name for m, f, s in zip(self.models, failed, surface, strict=True) if f > 0 or not np.isfinite(s)]
+        if bad:
+            raise RunError(f"{', '.join(bad)}: the thermal step did not converge; look at the conditions at that time")
+
+
+def _distinct_effects(models: Sequence[PointModel]) -> tuple[Effect, ...]:
+    return tuple(dict.fromkeys(u.effect for m in models for u in m.effects))
+
+
+def _factors(model: PointModel, mesh: Mesh) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Length, conductivity factor and heat-capacity factor of each element, the parameters of coating and RSI applied."""
+    coating, rsi = mesh.layer == 0, mesh.layer == 1
+    length = np.where(coating, model.value("stack.coating.thickness_factor") * mesh.length_m, mesh.length_m)
+    conductivity = np.ones_like(length)
+    capacity = np.ones_like(length)
+    for mask, layer in ((coating, "coating"), (rsi, "rsi")):
+        conductivity[mask] = model.value(f"stack.{layer}.conductivity_factor")
+        capacity[mask] = model.value(f"stack.{layer}.heat_capacity_factor")
+    return length, conductivity, capacity
+
+
+def initial_temperatures(construction: Construction, mesh: Mesh) -> FloatArray:
+    """(node,) initial temperatures [K] as the stack declares them, a profile linear between its points."""
+    stack = construction.stack
+    if stack.initial_profile is not None:
+        x, temperature = np.array(stack.initial_profile).T
+        return np.interp(mesh.depth_m, x, temperature)
+    return np.full(mesh.nodes, float(stack.initial_K or 0.0))

@@ -1,0 +1,19 @@
+"""What can go wrong, as a caller may want to catch it."""
+
+from __future__ import annotations
+
+
+class InputError(ValueError):
+    """A file, an argument or a flight condition that cannot be used.
+
+    problems : one line each: what, where, and what to do. All problems of a file are given at once;
+               the first stands alone as the message of a one-line report.
+    """
+
+    def __init__(self, *problems: str) -> None:
+        self.problems = problems
+        super().__init__("\n".join(problems))
+
+
+class RunError(RuntimeError):
+    """A run whose input was good and that failed all the same (no convergence, a host that stopped)."""

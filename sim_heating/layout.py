@@ -1,0 +1,97 @@
+"""Where everything stands in the flat float64 block of one lane group, and in the integers beside it.
+
+A group holds LANES control points (of one flight or of many) with equal node count. Its block is made of rows of LANES
+numbers: SCALAR_ROWS rows, one ghost node, the nodes, one ghost node, NODE_ROWS rows a node. The last of the scalar rows
+are taken lane by lane instead: a vector of flight conditions at the start, at the middle stage and at the end of a step, and
+a vector of heating parameters.
+"""
+
+from __future__ import annotations
+
+LANES = 8
+
+# Flight conditions of a lane, in contract units (conditions.py); the first five are the variables of a ratio table.
+ALPHA, BETA, LOG10_RE, ELEVON, BODYFLAP = 0, 1, 2, 3, 4
+P_SURFACE, H_REF, RECOVERY_ENTHALPY, Q_ADD, JETS, MACH, TIME = 5, 6, 7, 8, 9, 10, 11
+N_CONDITIONS = 12
+CONDITION_COLUMNS = (
+    "alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg",
+    "p_surface_Pa", "h_ref_kg_m2_s", "H_r_J_kg", "q_add_W_m2", "jets", "mach", "time_s",
+)  # fmt: skip
+
+# Heating parameters of a lane: the linear model about a reference condition, then the parameters of its effects.
+SCALE, D0, FIRST, SECOND, REFERENCE, CURVED = 0, 1, 2, 7, 22, 27
+EFFECT_PARAMETERS = 28
+EFFECT_SLOTS, EFFECT_WIDTH = 4, 10
+N_PARAMETERS = EFFECT_PARAMETERS + EFFECT_SLOTS * EFFECT_WIDTH
+
+# Scalar rows. The first six hold one row a stage: at t_n, t_n + gamma dt, t_n + dt.
+FILM, RECOVERY, ADDED, PCOL, PFRAC, R_BASE = 0, 3, 6, 9, 12, 15
+SURROUNDINGS4, BACK_H, BACK_T, BACK_EPS = 18, 19, 20, 21
+ACTIVE, FAILED, ITERATIONS = 22, 23, 24
+SURFACE_FLUX, SURFACE_SLOPE, BACK_FLUX, BACK_SLOPE = 25, 26, 27, 28
+STAGE_IN, STAGE_OUT, ENERGY_IN, ENERGY_OUT = 29, 30, 31, 32
+FACTOR_EPS, COLUMN, OUTSIDE, NEGATIVE = 33, 34, 35, 36
+C_STAGES = 37
+PARAMETERS = C_STAGES + 3 * N_CONDITIONS
+SCALAR_ROWS = PARAMETERS + N_PARAMETERS
+
+# Rows of a node.
+T, RATE, T_START, M_LEFT, M_RIGHT, G = 0, 1, 2, 3, 4, 5
+E, C, THETA_LEFT, K_LEFT, THETA_RIGHT, K_RIGHT = 6, 7, 8, 9, 10, 11
+E_START, E_STAGE, E_STAR, UPPER, DELTA = 12, 13, 14, 15, 16
+FRACTION, MOVES, LARGEST = 17, 18, 19
+BASE, POLYNOMIAL, POLYNOMIAL_LEFT = 20, 21, 30
+NODE_ROWS = 39
+HEAD_ROWS = SCALAR_ROWS + NODE_ROWS
+"""A ghost node before the first and one behind the last end the recurrences along the nodes."""
+NOWHERE = -1e30
+"""A BASE that no temperature is near: the polynomials have to be gathered."""
+
+# Integers of a group: node count, pressure columns; one a lane: offsets of its surface and ratio tables, how many of its
+# effects add and how many it has, whether any of them asks for the wall temperature, and the code of each. Then for each
+# node a flag, 1 where its two elements differ in material in any lane, and the material-table offset of the element to its
+# right in each lane.
+N_NODES, N_PRESSURES = 0, 1
+SURFACE_TABLE = 2
+RATIO_TABLE = SURFACE_TABLE + LANES
+N_ADDING = RATIO_TABLE + LANES
+N_EFFECTS = N_ADDING + LANES
+WALL_EFFECTS = N_EFFECTS + LANES
+EFFECT_CODES = WALL_EFFECTS + LANES
+NODE_INTS = EFFECT_CODES + EFFECT_SLOTS * LANES
+INTS_PER_NODE = 1 + LANES
+
+NO_TABLE = -1
+"""Ratio-table offset of a lane without one: its tabulated ratio is 0."""
+
+
+def block_size(nodes: int) -> int:
+    """Numbers in the block of a group of so many nodes."""
+    return (HEAD_ROWS + (nodes + 1) * NODE_ROWS) * LANES
+
+
+def integers_size(nodes: int) -> int:
+    """Integers of a group of so many nodes."""
+    return NODE_INTS + nodes * INTS_PER_NODE
+
+
+def conditions_at(stage: int, lane: int) -> int:
+    """First number of a lane's condition vector at a stage."""
+    return C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
+
+
+def parameters_at(lane: int) -> int:
+    """First number of a lane's parameter vector."""
+    return PARAMETERS * LANES + lane * N_PARAMETERS
+
+
+def node_row(node: int, row: int) -> slice:
+    """The numbers of one row of a node, all lanes."""
+    first = (HEAD_ROWS + node * NODE_ROWS + row) * LANES
+    return slice(first, first + LANES)
+
+
+def scalar_row(row: int) -> slice:
+    """The numbers of one scalar row, all lanes."""
+    return slice(row * LANES, (row + 1) * LANES)

@@ -1,0 +1,80 @@
+"""The compiled loops over frames: one frame of all groups, and the whole history of one group."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.jit import njit, raw
+from sim_heating.layout import C_STAGES, LANES, N_CONDITIONS
+from sim_heating.thermal.kernel import advance, begin, hold
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+BLOCK_START, BLOCK_END, INTS_START, INTS_END = range(4)
+"""Columns of the group array: where a group's numbers and integers stand."""
+END_STAGE = C_STAGES * LANES + 2 * LANES * N_CONDITIONS
+"""First of a group's condition vectors at the end of a frame."""
+
+
+@njit
+def begin_groups(state: FloatArray, ints: IntArray, table: FloatArray, chain, groups: IntArray, now: FloatArray) -> None:  # type: ignore[no-untyped-def]
+    """Set the conditions that hold now, (group * LANES, condition), without moving in time."""
+    for g in range(len(groups)):
+        B = state[groups[g, BLOCK_START] : groups[g, BLOCK_END]]
+        J = ints[groups[g, INTS_START] : groups[g, INTS_END]]
+        for lane in range(LANES):
+            for c in range(N_CONDITIONS):
+                B[END_STAGE + lane * N_CONDITIONS + c] = now[g * LANES + lane, c]
+        begin(raw(B), raw(J), raw(table), chain)
+
+
+@njit
+def advance_groups(
+    state: FloatArray, ints: IntArray, table: FloatArray, chain, groups: IntArray, then: FloatArray, dt: float  # type: ignore[no-untyped-def]
+) -> None:
+    """One frame of dt [s] of all groups, to the conditions `then` (group * LANES, condition), linear between."""
+    for g in range(len(groups)):
+        B = state[groups[g, BLOCK_START] : groups[g, BLOCK_END]]
+        J = ints[groups[g, INTS_START] : groups[g, INTS_END]]
+        hold(raw(B))
+        for lane in range(LANES):
+            for c in range(N_CONDITIONS):
+                B[END_STAGE + lane * N_CONDITIONS + c] = then[g * LANES + lane, c]
+        advance(raw(B), raw(J), raw(table), chain, dt)
+
+
+@njit
+def march_group(
+    B: FloatArray, J: IntArray, table: FloatArray, chain, time_s: FloatArray, histories: FloatArray,  # type: ignore[no-untyped-def]
+    which: IntArray, longest_step_s: float, kept: IntArray, out: FloatArray,
+) -> None:  # fmt: skip
+    """March one group through its flights; conditions are linear between samples.
+
+    histories : (flight, time, condition)
+    which     : (LANES,) the flight of each lane
+    kept      : (m,) places in the block whose numbers are kept at every sample
+    out       : (time, m), or no rows where no history is kept
+    """
+    b, j, t = raw(B), raw(J), raw(table)
+    keep = len(out) > 0
+    for lane in range(LANES):
+        for c in range(N_CONDITIONS):
+            B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], 0, c]
+    begin(b, j, t, chain)
+    for m in range(len(kept) if keep else 0):
+        out[0, m] = B[kept[m]]
+    for k in range(1, len(time_s)):
+        span = time_s[k] - time_s[k - 1]
+        steps = int(np.ceil(span / longest_step_s - 1e-9))
+        for s in range(1, steps + 1):
+            hold(b)
+            f = s / steps
+            for lane in range(LANES):
+                for c in range(N_CONDITIONS):
+                    now, then = histories[which[lane], k - 1, c], histories[which[lane], k, c]
+                    B[END_STAGE + lane * N_CONDITIONS + c] = then if s == steps else now + f * (then - now)
+            advance(b, j, t, chain, span / steps)
+        for m in range(len(kept) if keep else 0):
+            out[k, m] = B[kept[m]]

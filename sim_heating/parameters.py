@@ -1,0 +1,77 @@
+"""What can be estimated, altered or exported: a dotted name, a unit, a prior, bounds, and one line of what it is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from sim_heating.conditions import RATIO_VARIABLES
+
+SHORT = ("alpha", "beta", "logre", "elevon", "bodyflap")
+"""The ratio variables as they stand in parameter names."""
+UNITS = ("deg", "deg", "1", "deg", "deg")
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter.
+
+    name  : dotted name for a model (`ratio.d_alpha`), plain within an effect (`log10_re_onset`)
+    unit  : contract unit, "1" where it has none
+    value : nominal value, and mean of the prior
+    sigma : standard deviation of the prior; infinite for a flat one
+    lower, upper : bounds
+    text  : what it is, in a line
+    """
+
+    name: str
+    unit: str
+    value: float
+    sigma: float = math.inf
+    lower: float = -math.inf
+    upper: float = math.inf
+    text: str = ""
+
+
+def _per(*units: str) -> str:
+    """Unit of a derivative against variables of these units: 1/deg, 1/deg2, 1."""
+    angles = sum(u == "deg" for u in units)
+    return {0: "1", 1: "1/deg", 2: "1/deg2"}[angles]
+
+
+def _second_order_name(i: int, j: int) -> str:
+    return f"ratio.d_{SHORT[i]}2" if i == j else f"ratio.d_{SHORT[i]}_{SHORT[j]}"
+
+
+SECOND_ORDER = tuple((i, j) for i in range(len(SHORT)) for j in range(i, len(SHORT)))
+"""Pairs of variables of the second-order terms, in the order of the kernel."""
+
+RATIO = (
+    Parameter("ratio.scale", "1", 0.0, text="relative error of the tabulated ratio"),
+    Parameter("ratio.d0", "1", 0.0, text="ratio at the reference condition where there is no table"),
+    *(
+        Parameter(f"ratio.d_{s}", _per(u), 0.0, text=f"derivative of the ratio against {v}")
+        for s, u, v in zip(SHORT, UNITS, RATIO_VARIABLES, strict=True)
+    ),
+    *(
+        Parameter(_second_order_name(i, j), _per(UNITS[i], UNITS[j]), 0.0, text="second-order term, no factor 1/2")
+        for i, j in SECOND_ORDER
+    ),
+)
+"""Parameters of the linear heating model, in the order of the kernel's parameter vector."""
+
+STACK = (
+    Parameter("stack.coating.thickness_factor", "1", 1.0, 0.3, 0.0, 10.0, "first layer, over the declared thickness"),
+    Parameter("stack.coating.conductivity_factor", "1", 1.0, 0.3, 0.0, 10.0, "first layer, over the declared table"),
+    Parameter("stack.coating.heat_capacity_factor", "1", 1.0, 0.3, 0.0, 10.0, "first layer, over the declared table"),
+    Parameter("stack.rsi.conductivity_factor", "1", 1.0, 0.18, 0.0, 10.0, "second layer, over the declared table"),
+    Parameter("stack.rsi.heat_capacity_factor", "1", 1.0, 0.1, 0.0, 10.0, "second layer, over the declared table"),
+    Parameter("stack.emissivity_factor", "1", 1.0, 0.035, 0.0, 1.5, "surface emittance over the declared table"),
+    Parameter("back.h_W_m2K", "W/(m2 K)", 0.0, 10.0, 0.0, 1e4, "film coefficient behind the wall"),
+    Parameter("back.T_K", "K", 300.0, 30.0, 1.0, 2000.0, "temperature behind the wall"),
+    Parameter("back.emissivity", "1", 0.0, 0.3, 0.0, 1.0, "effective emittance behind the wall"),
+)
+"""Parameters of the thermal model; `back.*` start from what the stack declares."""
+
+MODEL = {p.name: p for p in (*RATIO, *STACK)}
+"""Every parameter of a control point's model by its name, effects left out."""

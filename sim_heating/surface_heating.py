@@ -1,0 +1,96 @@
+"""From flight conditions to the heating of a wall, compiled: film coefficient, recovery enthalpy, pressure of each stage.
+
+    film = r h_ref,    r = ratio of the linear model, then effects that add, then effects that multiply.
+
+Conditions are linear in time between samples; the ratio is evaluated at the conditions of each stage of the time step, not
+interpolated itself.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.heating_ratio.kernel import axes_outside, linear_ratio
+from sim_heating.jit import njit
+from sim_heating.layout import (
+    ADDED,
+    C_STAGES,
+    EFFECT_CODES,
+    EFFECT_PARAMETERS,
+    EFFECT_SLOTS,
+    EFFECT_WIDTH,
+    FILM,
+    H_REF,
+    LANES,
+    N_ADDING,
+    N_CONDITIONS,
+    N_EFFECTS,
+    N_PARAMETERS,
+    N_PRESSURES,
+    NEGATIVE,
+    OUTSIDE,
+    P_SURFACE,
+    PARAMETERS,
+    PCOL,
+    PFRAC,
+    Q_ADD,
+    R_BASE,
+    RATIO_TABLE,
+    RECOVERY,
+    RECOVERY_ENTHALPY,
+)
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+LOWEST_PRESSURE_PA = 1e-30
+"""Keeps the logarithm of a vacuum finite; every table has ended long before."""
+
+
+@njit
+def with_effects(B: FloatArray, J: IntArray, chain, lane: int, stage: int, r: float, wall_K: float) -> float:  # type: ignore[no-untyped-def]
+    """The ratio r [-] of a lane with its effects, at a wall temperature [K]."""
+    c = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
+    p = PARAMETERS * LANES + lane * N_PARAMETERS + EFFECT_PARAMETERS
+    adding = J[N_ADDING + lane]
+    for k in range(J[N_EFFECTS + lane]):
+        value = chain(J[EFFECT_CODES + lane * EFFECT_SLOTS + k], B, c, p + k * EFFECT_WIDTH, wall_K)
+        r = r + value if k < adding else r * value
+    return r
+
+
+@njit
+def _pressure_column(B: FloatArray, J: IntArray, table: FloatArray, lane: int, stage: int, p_Pa: float) -> None:
+    """Column of the property tables left of a pressure, and the fraction of the way to the next in log10(p)."""
+    last = J[N_PRESSURES] - 1
+    x = math.log10(max(p_Pa, LOWEST_PRESSURE_PA))
+    column, fraction = 0, 0.0
+    if x >= table[last]:
+        column, fraction = last - 1, 1.0
+    elif x > table[0]:
+        while x >= table[column + 1]:
+            column += 1
+        fraction = (x - table[column]) / (table[column + 1] - table[column])
+    B[(PCOL + stage) * LANES + lane] = float(column)
+    B[(PFRAC + stage) * LANES + lane] = fraction
+
+
+@njit
+def heat_lane(B: FloatArray, J: IntArray, table: FloatArray, chain, lane: int, stage: int, wall_K: float) -> None:  # type: ignore[no-untyped-def]
+    """Turn the conditions of one lane at one stage into what its surface balance takes."""
+    c = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
+    p = PARAMETERS * LANES + lane * N_PARAMETERS
+    r = linear_ratio(B, p, c, table, J[RATIO_TABLE + lane])
+    B[(R_BASE + stage) * LANES + lane] = r
+    if J[N_EFFECTS + lane] > 0:
+        r = with_effects(B, J, chain, lane, stage, r, wall_K)
+    B[(FILM + stage) * LANES + lane] = r * B[c + H_REF]
+    B[(RECOVERY + stage) * LANES + lane] = B[c + RECOVERY_ENTHALPY]
+    B[(ADDED + stage) * LANES + lane] = B[c + Q_ADD]
+    _pressure_column(B, J, table, lane, stage, B[c + P_SURFACE])
+    if stage == 2:
+        B[NEGATIVE * LANES + lane] += 1.0 if r < 0.0 else 0.0
+        B[OUTSIDE * LANES + lane] += 1.0 if axes_outside(table, J[RATIO_TABLE + lane], B, c) > 0 else 0.0

@@ -1,0 +1,354 @@
+"""Longitudinal aerodynamics of a vehicle: tables over Mach, alpha and control deflection, and the trim they imply.
+
+Forces and moment are those of the body axes of the tables, normal force up and axial force aft,
+
+    CN = CN0(M, alpha) + dCN(M, alpha, elevon) + dCN(M, alpha, bodyflap)       CA, Cm likewise
+    CL = CN cos(alpha) - CA sin(alpha)         CD = CN sin(alpha) + CA cos(alpha)
+    Cm_cg = Cm + shift(M) + CN (x_cg - x_ref) / c
+
+linear between the points of the tables and constant beyond their ends. The 3-DOF entry and the JSBSim model
+are both made from these tables.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from sim_heating.errors import InputError
+from sim_heating.files import CsvTable, read_csv_columns, read_toml, shown
+from sim_heating.jit import njit
+
+FloatArray = NDArray[np.float64]
+Positive = Annotated[float, Field(gt=0.0)]
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+Span = tuple[float, float]
+
+COEFFICIENTS = ("CN", "CA", "Cm")
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Reference(_Strict):
+    """Reference quantities of the coefficients; the moment reference is a fraction of the length, from the nose."""
+
+    area_m2: Positive
+    chord_m: Positive
+    span_m: Positive
+    length_m: Positive
+    moment_reference_fraction: Fraction
+
+
+class Mass(_Strict):
+    """Mass, centre of gravity (fraction of the length from the nose) and inertia, which scales with mass."""
+
+    mass_kg: Positive
+    cg_fraction: Fraction
+    cg_range: tuple[Fraction, Fraction]
+    inertia_at_kg: Positive
+    Ixx_kg_m2: Positive
+    Iyy_kg_m2: Positive
+    Izz_kg_m2: Positive
+    Ixz_kg_m2: float = 0.0
+
+
+class TableFiles(_Strict):
+    """File names of the tables; a vehicle without elevon or body flap leaves them out."""
+
+    longitudinal: str
+    elevon: str | None = None
+    bodyflap: str | None = None
+
+
+class Surface(_Strict):
+    """Travel and rate of a control surface, trailing edge down positive.
+
+    schedule_deg : deflection that the other surface is trimmed for [deg]; of the elevon, for the body flap
+    """
+
+    range_deg: Span = (0.0, 0.0)
+    rate_deg_s: Positive = 1.0
+    schedule_deg: float = 0.0
+
+
+class CmShift(_Strict):
+    """Pitching-moment increment that flights showed: nothing below mach[0], linear, whole above mach[1]."""
+
+    Cm: float = 0.0
+    mach: tuple[Positive, Positive] = (5.0, 12.0)
+
+
+class Lateral(_Strict):
+    """Sideslip derivatives, constant."""
+
+    Cl_beta_deg: float = 0.0
+    Cn_beta_deg: float = 0.0
+    CY_beta_rad: float = 0.0
+
+
+class Damping(_Strict):
+    """Rate derivatives per radian of q c / 2V, p b / 2V and r b / 2V."""
+
+    Cmq: float = 0.0
+    Clp: float = 0.0
+    Cnr: float = 0.0
+
+
+class AeroFile(_Strict):
+    """Contents of aero.toml."""
+
+    format: Literal["aero/1"]
+    title: str
+    source: str
+    confidence: str
+    reference: Reference
+    mass: Mass
+    tables: TableFiles
+    elevon: Surface = Surface()
+    bodyflap: Surface = Surface()
+    cm_shift: CmShift = CmShift()
+    lateral: Lateral = Lateral()
+    damping: Damping = Damping()
+
+
+class Grid(NamedTuple):
+    """A table on a full grid: values (mach, alpha, deflection, 3) of CN, CA, Cm."""
+
+    mach: FloatArray
+    alpha_deg: FloatArray
+    deflection_deg: FloatArray
+    values: FloatArray
+
+
+    def packed(self) -> FloatArray:
+        """The whole table as one block for the kernels: three sizes, three axes, values."""
+        sizes = np.array(self.values.shape[:3], dtype=float)
+        return np.concatenate((sizes, self.mach, self.alpha_deg, self.deflection_deg, self.values.ravel()))
+
+
+@njit
+def bracket(axis: FloatArray, x: float) -> tuple[int, float]:
+    """Interval of x on a rising axis and its place 0..1 within; held at the ends, also for an axis of one point."""
+    last = axis.shape[0] - 1
+    if last == 0 or x <= axis[0]:
+        return 0, 0.0
+    if x >= axis[last]:
+        return last - 1, 1.0
+    i = 0
+    while axis[i + 1] <= x:
+        i += 1
+    return i, (x - axis[i]) / (axis[i + 1] - axis[i])
+
+
+@njit
+def grid_kernel(mach: float, alpha_deg: float, deflection_deg: float, table: FloatArray) -> tuple[float, float, float]:
+    """CN, CA, Cm of one packed table, trilinear, constant beyond the ends."""
+    n, m, p = int(table[0]), int(table[1]), int(table[2])
+    i, u = bracket(table[3 : 3 + n], mach)
+    j, v = bracket(table[3 + n : 3 + n + m], alpha_deg)
+    k, w = bracket(table[3 + n + m : 3 + n + m + p], deflection_deg)
+    values = 3 + n + m + p
+    cn = ca = cm = 0.0
+    for corner in range(8):
+        a, b, c = corner & 1, (corner >> 1) & 1, corner >> 2
+        weight = (u if a else 1.0 - u) * (v if b else 1.0 - v) * (w if c else 1.0 - w)
+        if weight != 0.0:
+            at = values + 3 * (((i + a) * m + j + b) * p + k + c)
+            cn += weight * table[at]
+            ca += weight * table[at + 1]
+            cm += weight * table[at + 2]
+    return cn, ca, cm
+
+
+@njit
+def body_kernel(
+    mach: float,
+    alpha_deg: float,
+    elevon_deg: float,
+    bodyflap_deg: float,
+    basic: FloatArray,
+    elevon: FloatArray,
+    bodyflap: FloatArray,
+) -> tuple[float, float, float]:
+    """CN, CA, Cm about the moment reference from packed tables, controls included, flight shift not."""
+    cn, ca, cm = grid_kernel(mach, alpha_deg, 0.0, basic)
+    dn, da, dm = grid_kernel(mach, alpha_deg, elevon_deg, elevon)
+    fn, fa, fm = grid_kernel(mach, alpha_deg, bodyflap_deg, bodyflap)
+    return cn + dn + fn, ca + da + fa, cm + dm + fm
+
+
+@dataclass(frozen=True)
+class Aero:
+    """Aerodynamics and mass of one vehicle as flown: the file, its tables, and what a scenario changed.
+
+    mass_kg     : mass [kg]
+    cg_fraction : centre of gravity from the nose over the reference length [-]
+    cm_shift    : pitching moment added above the shift's upper Mach number [-], 0 where the data book is flown
+    """
+
+    file: AeroFile
+    basic: Grid
+    elevon: Grid
+    bodyflap: Grid
+    mass_kg: float
+    cg_fraction: float
+    cm_shift: float = 0.0
+
+    @cached_property
+    def packed(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The three tables as `body_kernel` takes them."""
+        return self.basic.packed(), self.elevon.packed(), self.bodyflap.packed()
+
+    @property
+    def arm(self) -> float:
+        """(x_cg - x_ref) / c: what CN adds to the moment about the centre of gravity."""
+        ref = self.file.reference
+        return (self.cg_fraction - ref.moment_reference_fraction) * ref.length_m / ref.chord_m
+
+    def shift(self, mach: float) -> float:
+        """Flight-found pitching moment at a Mach number."""
+        low, high = self.file.cm_shift.mach
+        return self.cm_shift * min(max((mach - low) / (high - low), 0.0), 1.0)
+
+    def body_coefficients(
+        self, mach: float, alpha_deg: float, elevon_deg: float = 0.0, bodyflap_deg: float = 0.0
+    ) -> tuple[float, float, float]:
+        """CN (up), CA (aft) and Cm about the moment reference, the flight shift included."""
+        cn, ca, cm = body_kernel(mach, alpha_deg, elevon_deg, bodyflap_deg, *self.packed)
+        return cn, ca, cm + self.shift(mach)
+
+    def coefficients(
+        self, mach: float, alpha_deg: float, elevon_deg: float = 0.0, bodyflap_deg: float = 0.0
+    ) -> tuple[float, float, float]:
+        """CL, CD and Cm about the centre of gravity."""
+        cn, ca, cm = self.body_coefficients(mach, alpha_deg, elevon_deg, bodyflap_deg)
+        s, c = math.sin(math.radians(alpha_deg)), math.cos(math.radians(alpha_deg))
+        return cn * c - ca * s, cn * s + ca * c, cm + cn * self.arm
+
+    def trim_elevon_deg(self, mach: float, alpha_deg: float, bodyflap_deg: float = 0.0) -> float:
+        """Elevon for no moment about the centre of gravity; the end of its travel where that cannot be had."""
+        nodes = _within(self.elevon.deflection_deg, self.file.elevon.range_deg)
+        return _zero(nodes, [self.coefficients(mach, alpha_deg, float(d), bodyflap_deg)[2] for d in nodes])
+
+    def trim_bodyflap_deg(self, mach: float, alpha_deg: float, elevon_deg: float = 0.0) -> float:
+        """Body flap for no moment about the centre of gravity; the end of its travel where that cannot be had."""
+        nodes = _within(self.bodyflap.deflection_deg, self.file.bodyflap.range_deg)
+        return _zero(nodes, [self.coefficients(mach, alpha_deg, elevon_deg, float(d))[2] for d in nodes])
+
+    def bodyflap_schedule(self, alpha_deg: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
+        """Body flap [(mach, deg), ...] that keeps the elevon at its scheduled deflection in trim.
+
+        alpha_deg : angle-of-attack schedule [(mach, deg), ...]
+        """
+        x, y = np.array(sorted(alpha_deg), dtype=float).T
+        mach = np.unique(np.concatenate((self.basic.mach, x, self.file.cm_shift.mach)))
+        elevon = self.file.elevon.schedule_deg
+        return tuple((float(m), self.trim_bodyflap_deg(float(m), float(np.interp(m, x, y)), elevon)) for m in mach)
+
+    def with_changes(
+        self, *, mass_kg: float | None = None, cg_fraction: float | None = None, cm_shift: bool | float = False
+    ) -> Aero:
+        """The vehicle with another mass [kg], centre of gravity, or flight-found pitching moment.
+
+        cm_shift : True for the vehicle's own value, False for the data book, or a number
+        raises   : InputError where the mass is not above 0 or the centre of gravity lies outside the vehicle's range
+        """
+        mass = self.mass_kg if mass_kg is None else mass_kg
+        cg = self.cg_fraction if cg_fraction is None else cg_fraction
+        low, high = self.file.mass.cg_range
+        if not (math.isfinite(mass) and mass > 0.0):
+            raise InputError(f"mass_kg: {mass} is not a mass (must be above 0)")
+        if not low <= cg <= high:
+            raise InputError(f"cg_fraction: {cg} is outside {low} to {high} of the reference length")
+        shift = float(cm_shift) * self.file.cm_shift.Cm if isinstance(cm_shift, bool) else float(cm_shift)
+        return replace(self, mass_kg=mass, cg_fraction=cg, cm_shift=shift)
+
+
+def load_aero(vehicle_dir: Path) -> Aero:
+    """Read `<vehicle_dir>/aero/aero.toml` and its tables.
+
+    raises : InputError where a file is missing, a value cannot be used or a table has a hole
+    """
+    folder = Path(vehicle_dir) / "aero"
+    file = read_toml(folder / "aero.toml", AeroFile)
+    return Aero(
+        file=file,
+        basic=_read_grid(folder / file.tables.longitudinal, deflected=False),
+        elevon=_read_control(folder, file.tables.elevon),
+        bodyflap=_read_control(folder, file.tables.bodyflap),
+        mass_kg=file.mass.mass_kg,
+        cg_fraction=file.mass.cg_fraction,
+    )
+
+
+def _read_control(folder: Path, name: str | None) -> Grid:
+    if name is not None:
+        return _read_grid(folder / name, deflected=True)
+    point = np.zeros(1)
+    return Grid(point, point, point, np.zeros((1, 1, 1, 3)))
+
+
+def _read_grid(path: Path, *, deflected: bool) -> Grid:
+    axes = ("mach", "alpha_deg", "deflection_deg") if deflected else ("mach", "alpha_deg")
+    table = read_csv_columns(path, (*axes, *COEFFICIENTS), keep_other=False)
+    points = [table[a] for a in axes] if deflected else [*(table[a] for a in axes), np.zeros(len(table))]
+    mach, alpha, deflection = (np.unique(p) for p in points)
+    values = np.full((mach.size, alpha.size, deflection.size, 3), np.nan)
+    where = tuple(np.searchsorted(axis, p) for axis, p in zip((mach, alpha, deflection), points, strict=True))
+    _refuse_repeats(table, where, values.shape[:3])
+    values[where] = np.stack([table[c] for c in COEFFICIENTS], axis=-1)
+    return Grid(mach, alpha, deflection, _continued_in_alpha(path, mach, alpha, values))
+
+
+def _refuse_repeats(table: CsvTable, where: Sequence[NDArray[np.intp]], shape: tuple[int, ...]) -> None:
+    flat = np.ravel_multi_index(tuple(where), shape)
+    seen, first = np.unique(flat, return_index=True)
+    if seen.size != flat.size:
+        row = int(table.lines[np.setdiff1d(np.arange(flat.size), first)[0]])
+        raise InputError(f"{shown(table.path)}, row {row}: this point of the grid was given before; keep one")
+
+
+def _continued_in_alpha(path: Path, mach: FloatArray, alpha: FloatArray, values: FloatArray) -> FloatArray:
+    """Fill the alphas that a Mach number was not tested at.
+
+    The data book stops at lower alpha for lower Mach. Beyond, the change with alpha of the next higher Mach number is
+    taken, so that the tables stay continuous; the schedule does not fly there. Between points alpha is linear.
+    """
+    full = values.copy()
+    for m in range(mach.size - 1, -1, -1):
+        known = np.flatnonzero(np.all(np.isfinite(values[m]), axis=(1, 2)))
+        if known.size == 0 or (m == mach.size - 1 and known[-1] != alpha.size - 1) or known[0] != 0:
+            raise InputError(f"{shown(path)}: Mach {mach[m]:g} lacks alphas or deflections; fill the hole in the table")
+        for index in np.ndindex(values.shape[2:]):
+            line = values[(m, known, *index)]
+            full[(m, slice(None), *index)] = np.interp(alpha, alpha[known], line)
+        if m < mach.size - 1:
+            beyond = slice(known[-1] + 1, None)
+            full[m, beyond] = full[m, known[-1]] + full[m + 1, beyond] - full[m + 1, known[-1]]
+    return full
+
+
+def _within(nodes: FloatArray, travel: Span) -> FloatArray:
+    inside = nodes[(nodes > travel[0]) & (nodes < travel[1])]
+    return np.unique(np.concatenate(([travel[0]], inside, [travel[1]])))
+
+
+def _zero(x: FloatArray, moment: Sequence[float]) -> float:
+    """Where a falling, piecewise linear moment crosses zero; exact, since tables are linear between these points."""
+    cm = np.asarray(moment)
+    if cm[0] <= 0.0:
+        return float(x[0])
+    if cm[-1] >= 0.0:
+        return float(x[-1])
+    i = int(np.flatnonzero(cm <= 0.0)[0])
+    return float(x[i - 1] + (x[i] - x[i - 1]) * cm[i - 1] / (cm[i - 1] - cm[i]))

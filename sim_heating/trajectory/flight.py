@@ -1,0 +1,121 @@
+"""A flown trajectory, and the one way in which a source's frames become flight conditions."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.atmosphere import derive
+from sim_heating.conditions import FRAME, STATE, Conditions
+from sim_heating.errors import InputError
+
+FloatArray = NDArray[np.float64]
+OnFrame = Callable[[FloatArray], None]
+Progress = Callable[[float, str], None]
+
+EXTRAS = ("bank_deg", "gamma_deg", "heading_deg", "latitude_deg", "longitude_deg", "axial_accel_g")
+"""What a source adds to FRAME in each row. `axial_accel_g`: sensed acceleration along the body axis, positive aft,
+CA qbar S / (m g0). Bank, path angle and heading are those of the velocity relative to the air."""
+
+ROW = FRAME + EXTRAS
+"""Columns of one row as given to Sampler.add."""
+
+TURNING = tuple(ROW.index(name) for name in ("bank_deg", "heading_deg", "longitude_deg"))
+_TOLERANCE_S = 1e-7  # a host that adds up its frame time is 1e-9 s off after 1000 s
+
+
+@dataclass(frozen=True)
+class Window:
+    """When a manoeuvre was flown [s]."""
+
+    kind: str
+    start_s: float
+    end_s: float
+
+
+@dataclass(frozen=True)
+class Flight:
+    """Sampled flight conditions, what happened when, and the manoeuvres' windows."""
+
+    conditions: Conditions
+    events: list[tuple[float, str]] = field(default_factory=list)
+    windows: list[Window] = field(default_factory=list)
+
+
+def reference_length_m(vehicle_dir: Path) -> float:
+    """Reference length of a vehicle [m], for its Reynolds number; from vehicle.toml."""
+    path = Path(vehicle_dir) / "vehicle.toml"
+    try:
+        length = tomllib.loads(path.read_text(encoding="utf-8")).get("reference_length_m")
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); name a vehicle's directory") from error
+    if isinstance(length, bool) or not isinstance(length, int | float) or not length > 0.0:
+        raise InputError(f"{path}: reference_length_m is {length!r}; give a length above 0 m")
+    return float(length)
+
+
+def conditions_from_rows(rows: FloatArray, length_m: float) -> Conditions:
+    """Conditions in the contract's columns from (time, len(ROW)) rows.
+
+    Temperature, pressure, Mach and Reynolds number come from sim_heating.atmosphere; bank, heading and longitude
+    are made continuous, so that a value between two samples can be taken linearly (they may pass 180 deg).
+    """
+    given = {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(ROW)}
+    for i in TURNING:
+        given[ROW[i]] = np.unwrap(given[ROW[i]], period=360.0)
+    given |= derive(given["altitude_m"], given["velocity_m_s"], given["rho_kg_m3"], length_m)
+    given["qbar_Pa"] = 0.5 * given["rho_kg_m3"] * given["velocity_m_s"] ** 2
+    order = STATE + tuple(name for name in given if name not in STATE)
+    return Conditions({name: given[name] for name in order})
+
+
+class Sampler:
+    """Keeps a source's rows at 0, sample_s, 2 sample_s, ... after its first row, linear between frames.
+
+    Give every frame to `add` as a float64 array in the order of ROW (it is copied where it is needed).
+    """
+
+    def __init__(self, sample_s: float, length_m: float) -> None:
+        self.sample_s = sample_s
+        self.length_m = length_m
+        self._rows: list[FloatArray] = []
+        self._before = np.empty(len(ROW))
+        self._next_s = -np.inf
+
+    def add(self, row: FloatArray) -> None:
+        """One frame. Frames must come in the order of time."""
+        if row[0] >= self._next_s - _TOLERANCE_S:
+            self._keep(row)
+        self._before[:] = row
+
+    def _keep(self, row: FloatArray) -> None:
+        if not self._rows:
+            self._start_s = float(row[0])
+            self._rows.append(row.copy())
+        else:
+            while self._next_s <= row[0] + _TOLERANCE_S:
+                self._rows.append(_between(self._before, row, self._next_s))
+                self._next_s = self._start_s + len(self._rows) * self.sample_s
+        self._next_s = self._start_s + len(self._rows) * self.sample_s
+
+    def conditions(self) -> Conditions:
+        """All samples so far."""
+        if not self._rows:
+            raise InputError("trajectory: no frame was flown; the flight stops where it starts")
+        return conditions_from_rows(np.array(self._rows), self.length_m)
+
+
+def _between(before: FloatArray, after: FloatArray, time_s: float) -> FloatArray:
+    """Row at a time between two frames; angles that turn go the short way round."""
+    share = min((time_s - before[0]) / (after[0] - before[0]), 1.0)
+    step = after - before
+    for i in TURNING:
+        step[i] = (step[i] + 180.0) % 360.0 - 180.0
+    row = before + share * step
+    row[0] = time_s
+    return row

@@ -1,0 +1,323 @@
+"""Entry guidance, one for every source: angle of attack from a schedule, bank from drag and altitude rate.
+
+Drag tracking, after the constant-drag and equilibrium-glide phases of the Shuttle's entry guidance (Harpold and Graves,
+"Shuttle Entry Guidance", J. Astronautical Sciences 27 (1979) 239-268), with the altitude-rate law
+
+    altitude error   e       = Hs ln(D_ref / D)
+    rate of D_ref    hdot_r  = -Hs (Ddot_ref / D_ref + 2 D / V - CDdot / CD)     Ddot_ref = -D dD_ref/dV
+    command          hddot_c = -2 zeta w (hdot - hdot_r) - w^2 e
+    bank             cos(bank) = (hddot_c + g - V_i^2 / r + D sin(gamma)) / (L cos(gamma))
+
+where hdot_r is lowered by an integral of e that takes out what the constant scale height Hs leaves, and
+with CDdot / CD of the falling angle-of-attack schedule, see `drag_coefficient_rate`.
+Above the highest velocity of the drag reference there is no e, and hdot_r is that of an equilibrium glide,
+D proportional to g - V^2/r. Its sign changes at given velocities, or where the heading error to a target leaves the
+deadband. Below `approach.below_mach` the same law with e = Hs ln(q_ref / q) is solved for the angle of attack (lift taken
+proportional to it), and below `flare_altitude_m` the altitude rate falls exponentially to touch-down.
+
+Inputs are what a navigation system measures; outputs are limited in magnitude and rate, so they are continuous.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.errors import InputError
+from sim_heating.files import read_toml
+from sim_heating.jit import njit
+from sim_heating.trajectory.schedules import pack, schedule_slope, scheduled
+from sim_heating.trajectory.spec import Approach, Guidance, GuidanceChanges
+
+FloatArray = NDArray[np.float64]
+
+TOUCHDOWN_RATE_M_S = 1.0
+"""Sink rate that the flare ends with."""
+
+(
+    TIME, ALTITUDE, SPEED, MACH, CLIMB, DRAG, LIFT, NET_GRAVITY, QBAR, ALPHA_NOW, HEADING, LATITUDE, LONGITUDE,
+) = range(13)  # fmt: skip
+OBSERVED = 13
+
+(
+    ALPHA_AXIS, ALPHA_LOW, ALPHA_HIGH, ALPHA_RATE, START_DRAG, FIRST_BANK, BANK_LOW, BANK_HIGH, BANK_RATE, FIRST_SIGN,
+    FREQUENCY, DAMPING, SCALE_HEIGHT, HAS_TARGET, TARGET_LATITUDE, TARGET_LONGITUDE, DEADBAND,
+    APPROACH_MACH, APPROACH_LOW, APPROACH_HIGH, APPROACH_BANK, APPROACH_FREQUENCY, APPROACH_DAMPING,
+    FLARE_ALTITUDE, FLARE_TIME,
+) = range(25)  # fmt: skip
+ALPHA_SCHEDULE, DRAG_SCHEDULE, REVERSALS, APPROACH_QBAR = 25, 27, 29, 31
+
+ALPHA_COMMAND, BANK_COMMAND, SIGN, PHASE, CLIMB_BIAS = range(5)
+MEMORY = 5
+
+INTEGRAL = 0.4
+"""Gain of the integral of the altitude error over w^3; the cubic s^3 + 2 zeta w s^2 + w^2 s + 0.4 w^3 is stable to zeta 0.2."""
+LARGEST_BIAS_M_S = 30.0
+
+COAST, GLIDE, TRACK, APPROACHING, FLARE = range(5)
+PHASE_NAMES = ("coast", "equilibrium glide", "drag tracking", "approach", "flare")
+
+
+class Observed(NamedTuple):
+    """What guidance measures in one frame.
+
+    altitude_rate_m_s : of the geodetic altitude, up positive
+    drag_m_s2, lift_m_s2 : aerodynamic acceleration along and across the velocity relative to the air
+    net_gravity_m_s2  : g - V_i^2 / r with V_i the horizontal inertial speed and r the distance from the Earth's centre
+    heading_deg       : of the velocity relative to the air, from north, east positive
+    """
+
+    time_s: float
+    altitude_m: float
+    velocity_m_s: float
+    mach: float
+    altitude_rate_m_s: float
+    drag_m_s2: float
+    lift_m_s2: float
+    net_gravity_m_s2: float
+    qbar_Pa: float
+    alpha_deg: float
+    heading_deg: float = 0.0
+    latitude_deg: float = 0.0
+    longitude_deg: float = 0.0
+
+
+def resolve_guidance(changes: GuidanceChanges, vehicle_dir: Path) -> Guidance:
+    """Guidance of a flight: <vehicle_dir>/guidance.toml with the scenario's keys in place of its own.
+
+    raises : InputError where the file is damaged, or absent and the scenario does not give all that is needed
+    """
+    path = Path(vehicle_dir) / "guidance.toml"
+    own = read_toml(path, GuidanceFile).model_dump(exclude={"format", "source", "confidence"}) if path.exists() else {}
+    given = changes.model_dump(exclude_none=True)
+    if "target" in given or "reversals_m_s" in given:
+        own = {k: v for k, v in own.items() if k not in ("target", "reversals_m_s")}
+    merged = own | given
+    missing = [k for k in ("alpha_deg", "drag_m_s2") if merged.get(k) is None]
+    if missing:
+        raise InputError(f"{path}: there is no such file; give {' and '.join(missing)} in [trajectory.guidance]")
+    return Guidance.model_validate(merged)
+
+
+class GuidanceFile(Guidance):
+    """Contents of a vehicle's guidance.toml."""
+
+    format: str
+    source: str
+    confidence: str
+
+
+def guidance_block(g: Guidance, first_bank_deg: float = 0.0) -> FloatArray:
+    """The flat block that `guidance_kernel` reads, see `schedules`."""
+    a = g.approach or Approach(below_mach=1e-9, qbar_Pa=((0.0, 1.0),))
+    target = (1.0, g.target.latitude_deg, g.target.longitude_deg, g.target.deadband_deg) if g.target else (0.0,) * 4
+    scalars = (
+        0.0 if g.alpha_against == "mach" else 1.0, *g.alpha_limits_deg, g.alpha_rate_deg_s,
+        g.start_drag_m_s2, first_bank_deg, *g.bank_limits_deg, g.bank_rate_deg_s, 1.0 if g.first_bank == "right" else -1.0,
+        g.frequency_rad_s, g.damping, g.scale_height_m, *target,
+        a.below_mach, *a.alpha_limits_deg, a.bank_deg, a.frequency_rad_s, a.damping, a.flare_altitude_m, a.flare_time_s,
+    )  # fmt: skip
+    reversals = [(v, 0.0) for v in sorted(g.reversals_m_s)]
+    return pack(scalars, [g.alpha_deg, g.drag_m_s2, reversals, a.qbar_Pa])
+
+
+def first_memory(block: FloatArray, mach: float, velocity_m_s: float) -> FloatArray:
+    """Memory of guidance at the start of a flight: on the schedule's angle of attack and the first bank."""
+    alpha = scheduled(block, ALPHA_SCHEDULE, mach if block[ALPHA_AXIS] == 0.0 else velocity_m_s)
+    return np.array([alpha, block[FIRST_BANK], block[FIRST_SIGN], COAST, 0.0], dtype=float)
+
+
+@njit
+def clipped(x: float, low: float, high: float) -> float:
+    """x within [low, high]."""
+    return min(max(x, low), high)
+
+
+@njit
+def heading_error_deg(block: FloatArray, seen: FloatArray) -> float:
+    """Heading minus the great-circle azimuth to the target, -180 to 180 deg; positive where it lies to the left."""
+    lat, there = math.radians(seen[LATITUDE]), math.radians(block[TARGET_LATITUDE])
+    east = math.radians(block[TARGET_LONGITUDE] - seen[LONGITUDE])
+    x = math.cos(lat) * math.sin(there) - math.sin(lat) * math.cos(there) * math.cos(east)
+    azimuth = math.degrees(math.atan2(math.sin(east) * math.cos(there), x))
+    return (seen[HEADING] - azimuth + 180.0) % 360.0 - 180.0
+
+
+@njit
+def bank_sign(block: FloatArray, seen: FloatArray, sign: float) -> float:
+    """Side to bank to: the first one, changed at each reversal velocity or when the heading leaves the deadband."""
+    if block[HAS_TARGET] != 0.0:
+        error = heading_error_deg(block, seen)
+        return -math.copysign(1.0, error) if abs(error) > block[DEADBAND] else sign
+    start, points = int(block[REVERSALS]), int(block[REVERSALS + 1])
+    passed = 0
+    for i in range(points):
+        if seen[SPEED] < block[start + i]:
+            passed += 1
+    return -block[FIRST_SIGN] if passed % 2 else block[FIRST_SIGN]
+
+
+@njit
+def vertical_lift(block: FloatArray, seen: FloatArray, climb_ref: float, error: float, w: float, zeta: float) -> float:
+    """Vertical component of lift over mass [m/s2] that brings altitude rate and altitude error to zero."""
+    demand = -2.0 * zeta * w * (seen[CLIMB] - climb_ref) - w * w * error
+    sine = clipped(seen[CLIMB] / max(seen[SPEED], 1.0), -0.9, 0.9)
+    return (demand + seen[NET_GRAVITY] + seen[DRAG] * sine) / math.sqrt(1.0 - sine * sine)
+
+
+@njit
+def glide_lift(block: FloatArray, seen: FloatArray) -> float:
+    """Vertical lift above the drag reference: the altitude rate of an equilibrium glide, no altitude error."""
+    V, D = max(seen[SPEED], 1.0), seen[DRAG]
+    support = max(seen[NET_GRAVITY], 0.5)
+    curvature = (9.8 - seen[NET_GRAVITY]) / support
+    climb_ref = -block[SCALE_HEIGHT] * 2.0 * D / V * (1.0 + curvature)
+    return vertical_lift(block, seen, max(climb_ref, -150.0), 0.0, block[FREQUENCY], block[DAMPING])
+
+
+@njit
+def drag_coefficient_rate(block: FloatArray, seen: FloatArray) -> float:
+    """CDdot / CD [1/s] from the angle-of-attack schedule at the present deceleration.
+
+    CD = CN sin(alpha) + CA cos(alpha) with CN going with sin(alpha) and CA constant, CA / CN = tan(atan(D / L) - alpha)
+    """
+    on_mach = block[ALPHA_AXIS] == 0.0
+    x = seen[MACH] if on_mach else seen[SPEED]
+    alpha = math.radians(max(scheduled(block, ALPHA_SCHEDULE, x), 5.0))
+    axial = max(math.tan(math.atan2(seen[DRAG], max(seen[LIFT], 1e-6)) - alpha), 0.0)
+    normal_share = math.tan(alpha) / (math.tan(alpha) + axial)
+    rate = -seen[DRAG] * (seen[MACH] / max(seen[SPEED], 1.0) if on_mach else 1.0)
+    return 2.0 * normal_share / math.tan(alpha) * math.radians(schedule_slope(block, ALPHA_SCHEDULE, x)) * rate
+
+
+@njit
+def track_lift(block: FloatArray, memory: FloatArray, seen: FloatArray, dt_s: float) -> float:
+    """Vertical lift that follows the reference drag; moves the integral on while the lift is enough to follow."""
+    V, D = max(seen[SPEED], 1.0), seen[DRAG]
+    D_ref = scheduled(block, DRAG_SCHEDULE, V)
+    slope = schedule_slope(block, DRAG_SCHEDULE, V)
+    Hs, w, zeta = block[SCALE_HEIGHT], block[FREQUENCY], block[DAMPING]
+    climb_ref = -Hs * (2.0 * D / V - D * slope / D_ref - drag_coefficient_rate(block, seen)) + memory[CLIMB_BIAS]
+    error = Hs * math.log(D_ref / D)
+    lift = vertical_lift(block, seen, climb_ref, error, w, zeta)
+    if abs(lift) < seen[LIFT]:
+        bias = memory[CLIMB_BIAS] - INTEGRAL * w * w / (2.0 * zeta) * error * dt_s
+        memory[CLIMB_BIAS] = clipped(bias, -LARGEST_BIAS_M_S, LARGEST_BIAS_M_S)
+    return lift
+
+
+@njit
+def approach_lift(block: FloatArray, seen: FloatArray) -> float:
+    """Vertical lift that follows the reference dynamic pressure, and flares near the ground.
+
+    At constant qbar the density rises as V falls, -hdot / Hs = -2 Vdot / V with Vdot = -D - g hdot / V, hence
+    hdot = -2 Hs D V / (V^2 + 2 Hs g).
+    """
+    V, Hs = max(seen[SPEED], 1.0), block[SCALE_HEIGHT]
+    w, zeta = block[APPROACH_FREQUENCY], block[APPROACH_DAMPING]
+    if seen[ALTITUDE] < block[FLARE_ALTITUDE]:
+        climb_ref = -TOUCHDOWN_RATE_M_S - max(seen[ALTITUDE], 0.0) / block[FLARE_TIME]
+        return vertical_lift(block, seen, max(climb_ref, min(seen[CLIMB], -TOUCHDOWN_RATE_M_S)), 0.0, 2.0 * w, zeta)
+    climb_ref = -2.0 * Hs * seen[DRAG] * V / (V * V + 2.0 * Hs * max(seen[NET_GRAVITY], 0.0))
+    error = Hs * math.log(scheduled(block, APPROACH_QBAR, seen[MACH]) / max(seen[QBAR], 1e-3))
+    return vertical_lift(block, seen, climb_ref, error, w, zeta)
+
+
+@njit
+def phase_of(block: FloatArray, seen: FloatArray, phase: int) -> int:
+    """Phase of guidance; it only goes forward, so that a gust cannot undo it."""
+    now = COAST
+    if seen[MACH] < block[APPROACH_MACH]:
+        now = FLARE if seen[ALTITUDE] < block[FLARE_ALTITUDE] else APPROACHING
+    elif seen[DRAG] > block[START_DRAG]:
+        start, points = int(block[DRAG_SCHEDULE]), int(block[DRAG_SCHEDULE + 1])
+        now = GLIDE if seen[SPEED] > block[start + points - 1] else TRACK
+    return max(now, phase)
+
+
+@njit
+def entry_target(
+    block: FloatArray, memory: FloatArray, seen: FloatArray, phase: int, sign: float, dt_s: float
+) -> tuple[float, float]:
+    """Angle of attack [deg] from the schedule and bank [deg] from the vertical lift, before rate limits."""
+    alpha = scheduled(block, ALPHA_SCHEDULE, seen[MACH] if block[ALPHA_AXIS] == 0.0 else seen[SPEED])
+    if phase == COAST:
+        return alpha, block[FIRST_BANK]
+    lift = glide_lift(block, seen) if phase == GLIDE else track_lift(block, memory, seen, dt_s)
+    cosine = clipped(lift / max(seen[LIFT], 1e-6), -1.0, 1.0)
+    return alpha, sign * clipped(math.degrees(math.acos(cosine)), block[BANK_LOW], block[BANK_HIGH])
+
+
+@njit
+def approach_target(block: FloatArray, seen: FloatArray, sign: float) -> tuple[float, float]:
+    """Angle of attack [deg] for the vertical lift, and bank [deg], before rate limits."""
+    bank = sign * block[APPROACH_BANK]
+    if block[HAS_TARGET] != 0.0:
+        bank = clipped(-2.0 * heading_error_deg(block, seen), -block[APPROACH_BANK], block[APPROACH_BANK])
+    wanted = approach_lift(block, seen) / math.cos(math.radians(bank))
+    alpha = max(seen[ALPHA_NOW], 1.0) * wanted / max(seen[LIFT], 0.1)
+    return clipped(alpha, block[APPROACH_LOW], block[APPROACH_HIGH]), bank
+
+
+@njit
+def guidance_kernel(block: FloatArray, memory: FloatArray, seen: FloatArray, dt_s: float) -> None:
+    """One step of guidance: memory (MEMORY,) holds the commands and is moved on by at most rate * dt_s.
+
+    seen : (OBSERVED,) in the order of Observed
+    """
+    phase = phase_of(block, seen, int(memory[PHASE]))
+    sign = bank_sign(block, seen, memory[SIGN])
+    if phase >= APPROACHING:
+        alpha, bank = approach_target(block, seen, sign)
+    else:
+        alpha, bank = entry_target(block, memory, seen, phase, sign, dt_s)
+    alpha = clipped(alpha, block[ALPHA_LOW], block[ALPHA_HIGH])
+    most = block[ALPHA_RATE] * dt_s
+    memory[ALPHA_COMMAND] += clipped(alpha - memory[ALPHA_COMMAND], -most, most)
+    most = block[BANK_RATE] * dt_s
+    memory[BANK_COMMAND] += clipped(bank - memory[BANK_COMMAND], -most, most)
+    memory[SIGN] = sign
+    memory[PHASE] = phase
+
+
+class EntryGuidance:
+    """Guidance of one flight, for a host that asks frame by frame.
+
+    events : (time, text) of phases entered and reversals commanded
+    """
+
+    def __init__(self, guidance: Guidance, first_bank_deg: float = 0.0) -> None:
+        self.block = guidance_block(guidance, first_bank_deg)
+        self.events: list[tuple[float, str]] = []
+        self._memory: FloatArray | None = None
+        self._seen = np.zeros(OBSERVED)
+
+    def command(self, seen: Observed) -> tuple[float, float]:
+        """Angle of attack [deg] and bank about the velocity [deg], right positive, to be flown from this frame on.
+
+        The rate limits act over the time since the last call; the first call returns the schedule and the first bank.
+        """
+        if self._memory is None:
+            self._memory = first_memory(self.block, seen.mach, seen.velocity_m_s)
+            self._seen[TIME] = seen.time_s
+        dt_s = seen.time_s - self._seen[TIME]
+        sign, phase = self._memory[SIGN], self._memory[PHASE]
+        self._seen[:] = seen
+        guidance_kernel(self.block, self._memory, self._seen, dt_s)
+        if sign != self._memory[SIGN] or phase != self._memory[PHASE]:
+            self.events += guidance_events(seen.time_s, sign, phase, self._memory)
+        return float(self._memory[ALPHA_COMMAND]), float(self._memory[BANK_COMMAND])
+
+
+def guidance_events(time_s: float, sign: float, phase: float, memory: FloatArray) -> list[tuple[float, str]]:
+    """What changed in guidance between two steps, in words."""
+    found = []
+    if phase != memory[PHASE]:
+        found.append((time_s, PHASE_NAMES[int(memory[PHASE])]))
+    if sign != memory[SIGN]:
+        found.append((time_s, f"bank reversal to the {'right' if memory[SIGN] > 0.0 else 'left'}"))
+    return found

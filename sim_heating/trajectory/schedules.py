@@ -1,0 +1,56 @@
+"""Numbers and schedules of one flight in one flat float64 block, as compiled steps and exported models want them.
+
+A block holds `scalars`, then for each schedule where its points start and how many they are, then the points:
+
+    [ scalars..., (start, points) of each schedule..., x..., value..., x..., value..., ... ]
+
+One block belongs to one flight; ten thousand dispersed flights are ten thousand blocks and one compiled step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.jit import njit
+
+FloatArray = NDArray[np.float64]
+
+
+def pack(scalars: Sequence[float], schedules: Sequence[Sequence[tuple[float, float]]]) -> FloatArray:
+    """Block of scalars and schedules [(x, value), ...] with x rising; an empty schedule reads as 0 everywhere."""
+    tables = [np.array(s, dtype=float).reshape(-1, 2) for s in schedules]
+    start = len(scalars) + 2 * len(tables)
+    parts: list[float] = list(scalars)
+    for table in tables:
+        parts += [start, len(table)]
+        start += table.size
+    return np.concatenate([np.array(parts, dtype=float), *(t.T.ravel() for t in tables)])
+
+
+@njit
+def scheduled(block: FloatArray, place: int, x: float) -> float:
+    """Value at x of the schedule whose (start, points) stand at `place`; constant beyond its ends."""
+    start, points = int(block[place]), int(block[place + 1])
+    if points == 0:
+        return 0.0
+    if x <= block[start]:
+        return block[start + points]
+    for i in range(start + 1, start + points):
+        if x < block[i]:
+            share = (x - block[i - 1]) / (block[i] - block[i - 1])
+            low = block[i - 1 + points]
+            return low + share * (block[i + points] - low)
+    return block[start + 2 * points - 1]
+
+
+@njit
+def schedule_slope(block: FloatArray, place: int, x: float) -> float:
+    """Derivative at x of a schedule, from the right at a point; 0 beyond its ends."""
+    start, points = int(block[place]), int(block[place + 1])
+    for i in range(start + 1, start + points):
+        if block[i - 1] <= x < block[i]:
+            return (block[i + points] - block[i - 1 + points]) / (block[i] - block[i - 1])
+    return 0.0

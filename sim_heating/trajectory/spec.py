@@ -1,0 +1,337 @@
+"""What a scenario's [trajectory] table may say: source, start, stop, vehicle state, guidance, dispersions, manoeuvres.
+
+Every angle is in degrees, every velocity is relative to the air unless said otherwise, and 'mach' is the
+true Mach number, V over the local speed of sound ('Mach 20' of the Shuttle's papers is 20,000 ft/s: use
+`at_velocity_m_s = 6096`). A schedule is a list of [x, value] pairs, linear between them and constant outside.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+Axis = Literal["mach", "velocity_m_s"]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+
+
+def _sorted_schedule(pairs: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+    if not pairs:
+        raise ValueError("a schedule needs at least one [x, value] pair")
+    x = np.array([p[0] for p in pairs])
+    if np.any(np.diff(x) <= 0.0) and np.any(np.diff(x) >= 0.0):
+        raise ValueError("a schedule's first numbers must all rise or all fall")
+    return tuple(sorted(pairs))
+
+
+Schedule = Annotated[tuple[tuple[Finite, Finite], ...], AfterValidator(_sorted_schedule)]
+"""[[x, value], ...] with x rising or falling throughout; held sorted by rising x."""
+
+
+def _limits(pair: tuple[float, float]) -> tuple[float, float]:
+    if pair[0] >= pair[1]:
+        raise ValueError(f"the lower limit {pair[0]} must be below the upper limit {pair[1]}")
+    return pair
+
+
+Limits = Annotated[tuple[Finite, Finite], AfterValidator(_limits)]
+
+
+def as_arrays(schedule: Schedule) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """x and value of a schedule, each (points,)."""
+    table = np.array(schedule, dtype=float)
+    return np.ascontiguousarray(table[:, 0]), np.ascontiguousarray(table[:, 1])
+
+
+class Table(BaseModel):
+    """A TOML table in which an unknown key is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Initial(Table):
+    """State at time 0: position on the WGS84 ellipsoid, velocity relative to the air (wind is added to it)."""
+
+    altitude_m: Positive
+    velocity_m_s: Positive
+    gamma_deg: float = Field(ge=-90.0, le=90.0)
+    heading_deg: Finite
+    latitude_deg: float = Field(ge=-90.0, le=90.0)
+    longitude_deg: Finite = 0.0
+    bank_deg: float = Field(default=0.0, ge=-180.0, le=180.0)
+
+
+class Stop(Table):
+    """The flight ends at the first of these, each passed from above (time from below)."""
+
+    mach: Positive | None = None
+    velocity_m_s: Positive | None = None
+    altitude_m: Finite | None = None
+    time_s: Positive = 3000.0
+
+
+class VehicleState(Table):
+    """The vehicle as flown; what is left out is the vehicle's own default.
+
+    cg_fraction : centre of gravity from the nose over the reference length
+    bodyflap_deg: body flap [[mach or velocity_m_s, deg]]
+    cm_shift    : flight-derived hypersonic pitching-moment shift: true for the vehicle's own value, or a number
+    """
+
+    mass_kg: Positive | None = None
+    cg_fraction: float | None = Field(default=None, gt=0.0, lt=1.0)
+    bodyflap_deg: Schedule | None = None
+    bodyflap_against: Axis = "mach"
+    cm_shift: bool | Finite = True
+
+
+class Approach(Table):
+    """Below `below_mach`: angle of attack flies a reference dynamic pressure, bank is small, then a flare.
+
+    qbar_Pa : reference dynamic pressure [[mach, Pa]]
+    bank_deg: bank magnitude (a turn that ends where the heading error is zero, or steady where there is no target)
+    """
+
+    below_mach: Positive = 2.5
+    qbar_Pa: Schedule
+    alpha_limits_deg: Limits = (0.0, 20.0)
+    bank_deg: float = Field(default=0.0, ge=0.0, le=60.0)
+    frequency_rad_s: Positive = 0.08
+    damping: Positive = 0.8
+    flare_altitude_m: float = Field(default=600.0, ge=0.0)
+    flare_time_s: Positive = 9.0
+
+
+class Target(Table):
+    """Where a heading error is measured to; bank reverses when the error leaves the deadband."""
+
+    latitude_deg: float = Field(ge=-90.0, le=90.0)
+    longitude_deg: Finite
+    deadband_deg: Positive = 12.0
+
+
+class Guidance(Table):
+    """Entry guidance; a vehicle's guidance.toml gives the defaults, a scenario replaces single keys.
+
+    alpha_deg       : angle-of-attack schedule [[x, deg]] with x as in alpha_against
+    drag_m_s2       : reference drag acceleration [[velocity_m_s, m/s2]]
+    start_drag_m_s2 : bank is `initial.bank_deg` below this drag
+    reversals_m_s   : velocities at which bank changes sign (or `target`, on heading error)
+    bank_limits_deg : magnitude of bank, smallest and largest
+    frequency_rad_s, damping, scale_height_m : the altitude-rate law of `guidance.py`
+    """
+
+    alpha_deg: Schedule
+    alpha_against: Axis = "mach"
+    alpha_limits_deg: Limits = (0.0, 50.0)
+    alpha_rate_deg_s: Positive = 2.0
+    drag_m_s2: Schedule
+    start_drag_m_s2: Positive = 0.05
+    bank_limits_deg: Limits = (0.0, 110.0)
+    bank_rate_deg_s: Positive = 5.0
+    first_bank: Literal["right", "left"] = "right"
+    reversals_m_s: tuple[Positive, ...] = ()
+    target: Target | None = None
+    frequency_rad_s: Positive = 0.025
+    damping: Positive = 0.9
+    scale_height_m: Positive = 7000.0
+    approach: Approach | None = None
+
+    @model_validator(mode="after")
+    def _reverses_in_one_way(self) -> Guidance:
+        if self.reversals_m_s and self.target is not None:
+            raise ValueError("bank reverses at reversals_m_s or towards a target, not both: remove one")
+        return self
+
+
+class GuidanceChanges(Table):
+    """The keys of Guidance that a scenario replaces; all optional."""
+
+    alpha_deg: Schedule | None = None
+    alpha_against: Axis | None = None
+    alpha_limits_deg: Limits | None = None
+    alpha_rate_deg_s: Positive | None = None
+    drag_m_s2: Schedule | None = None
+    start_drag_m_s2: Positive | None = None
+    bank_limits_deg: Limits | None = None
+    bank_rate_deg_s: Positive | None = None
+    first_bank: Literal["right", "left"] | None = None
+    reversals_m_s: tuple[Positive, ...] | None = None
+    target: Target | None = None
+    frequency_rad_s: Positive | None = None
+    damping: Positive | None = None
+    scale_height_m: Positive | None = None
+    approach: Approach | None = None
+
+
+class Dispersions(Table):
+    """What the real atmosphere does beside US76: density times a factor, steady wind over altitude."""
+
+    density_factor: tuple[tuple[Finite, Positive], ...] | None = None
+    wind_north_m_s: Schedule | None = None
+    wind_east_m_s: Schedule | None = None
+
+    @model_validator(mode="after")
+    def _sorts_the_density(self) -> Dispersions:
+        if self.density_factor is not None:
+            object.__setattr__(self, "density_factor", _sorted_schedule(self.density_factor))
+        return self
+
+
+class _Triggered(Table):
+    """A manoeuvre starts when speed or Mach falls through a value, or at a time: exactly one of the three."""
+
+    at_velocity_m_s: Positive | None = None
+    at_mach: Positive | None = None
+    at_time_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None = None
+
+    @model_validator(mode="after")
+    def _has_one_trigger(self) -> _Triggered:
+        given = [k for k in ("at_velocity_m_s", "at_mach", "at_time_s") if getattr(self, k) is not None]
+        if len(given) != 1:
+            raise ValueError(
+                "give exactly one of at_velocity_m_s, at_mach, at_time_s, not " + (" and ".join(given) or "none")
+            )
+        return self
+
+
+Hold = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Amplitude = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+
+
+class Popu(_Triggered):
+    """Pushover-pullup: angle of attack down, up and back, relative to the scheduled one.
+
+    first  : "down" (STS-2) or "up" (STS-4: the pull-up first)
+    hold_s : time at the pushed-over and at the pulled-up angle; `hold_down_s`, `hold_up_s` replace it for one of them
+    """
+
+    kind: Literal["popu"]
+    down_deg: Amplitude = 5.0
+    up_deg: Amplitude = 5.0
+    rate_deg_s: Positive = 1.0
+    hold_s: Hold = 2.0
+    hold_down_s: Hold | None = None
+    hold_up_s: Hold | None = None
+    first: Literal["down", "up"] = "down"
+
+
+class _SurfacePulse(_Triggered):
+    """A control surface goes by `amplitude_deg` (sign kept), holds, returns, `count` times with `pause_s` between."""
+
+    amplitude_deg: Finite
+    rate_deg_s: Positive
+    hold_s: Hold = 4.0
+    pause_s: Hold = 4.0
+    count: int = Field(default=1, ge=1, le=100)
+    alternate: bool = False
+    alpha: Literal["held", "free"] = "held"
+
+
+class ElevonPulse(_SurfacePulse):
+    """Elevon pulse about the trimmed value; `alpha = "held"`: jets hold the angle, "free": the pitch loop is open."""
+
+    kind: Literal["elevon-pulse"]
+    rate_deg_s: Positive = 10.0
+
+
+class BodyflapPulse(_SurfacePulse):
+    """Body-flap pulse about the scheduled value; with `alpha = "held"` the elevon takes up the moment."""
+
+    kind: Literal["bodyflap-pulse"]
+    rate_deg_s: Positive = 1.5
+
+
+class _SurfaceSweep(_Triggered):
+    """A control surface goes to `from_deg`, sweeps to `to_deg` at `rate_deg_s`, holds, and returns; all relative."""
+
+    from_deg: Finite = 0.0
+    to_deg: Finite
+    rate_deg_s: Positive
+    hold_s: Hold = 0.0
+    alpha: Literal["held", "free"] = "held"
+
+
+class ElevonSweep(_SurfaceSweep):
+    """Slow elevon sweep about the trimmed value, jets holding the angle of attack."""
+
+    kind: Literal["elevon-sweep"]
+    rate_deg_s: Positive = 1.0
+
+
+class BodyflapSweep(_SurfaceSweep):
+    """Slow body-flap sweep about the scheduled value, the elevon following in trim."""
+
+    kind: Literal["bodyflap-sweep"]
+    rate_deg_s: Positive = 1.0
+
+
+class SideslipDoublet(_Triggered):
+    """Sideslip to +amplitude, hold, to -amplitude, hold, and back."""
+
+    kind: Literal["sideslip-doublet"]
+    amplitude_deg: Finite = 2.0
+    rate_deg_s: Positive = 0.5
+    hold_s: Hold = 4.0
+
+
+class JetFiring(_Triggered):
+    """Reaction jets on at `level` (0 to 1) for `on_s`, `count` times with `off_s` between; `rise_s` to full thrust."""
+
+    kind: Literal["jet-firing"]
+    level: float = Field(default=1.0, gt=0.0, le=1.0)
+    on_s: Positive = 2.0
+    off_s: Positive = 2.0
+    count: int = Field(default=1, ge=1, le=1000)
+    rise_s: Positive = 0.1
+
+
+Manoeuvre = Annotated[
+    Popu | ElevonPulse | ElevonSweep | BodyflapPulse | BodyflapSweep | SideslipDoublet | JetFiring,
+    Field(discriminator="kind"),
+]
+
+
+class TrajectorySpec(Table):
+    """The [trajectory] table of a scenario.
+
+    rate_hz : integration frames a second; 60, or 4 for the 3-DOF entry, where it is not given
+    sample_s: interval of the conditions kept
+    file    : recorded CSV, relative to the scenario's directory (source = "recorded")
+    """
+
+    source: Literal["jsbsim", "entry-3dof", "recorded"]
+    rate_hz: float = Field(default=60.0, gt=0.0, le=2000.0)
+    sample_s: Positive = 1.0
+    file: str | None = None
+    initial: Initial | None = None
+    stop: Stop = Stop()
+    vehicle: VehicleState = VehicleState()
+    guidance: GuidanceChanges = GuidanceChanges()
+    dispersions: Dispersions = Dispersions()
+    manoeuvre: tuple[Manoeuvre, ...] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _takes_the_frame_rate_of_its_source(cls, data: object) -> object:
+        if isinstance(data, dict) and data.get("source") == "entry-3dof":
+            return {"rate_hz": 4.0} | data
+        return data
+
+    @model_validator(mode="after")
+    def _has_what_its_source_needs(self) -> TrajectorySpec:
+        if self.source == "recorded":
+            if self.file is None:
+                raise ValueError('source = "recorded" needs `file`, a CSV of flight conditions')
+            if self.manoeuvre or self.initial is not None:
+                raise ValueError("a recorded flight is what it is: remove `initial` and the manoeuvres")
+        elif self.initial is None:
+            raise ValueError(f'source = "{self.source}" needs [trajectory.initial]')
+        elif self.file is not None:
+            raise ValueError(f'source = "{self.source}" flies by itself: remove `file`')
+        if self.source != "recorded" and self.sample_s < 1.0 / self.rate_hz - 1e-9:
+            raise ValueError(f"sample_s = {self.sample_s} is shorter than one frame, {1.0 / self.rate_hz:.4g} s")
+        return self
