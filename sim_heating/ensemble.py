@@ -45,12 +45,12 @@ from sim_heating.layout import (
     N_EFFECTS,
     N_NODES,
     N_PRESSURES,
+    NEGATIVE,
     NO_TABLE,
     NODE_INTS,
     NODE_ROWS,
     NOWHERE,
     OUTSIDE,
-    NEGATIVE,
     RATIO_TABLE,
     REFERENCE,
     SURFACE_TABLE,
@@ -163,7 +163,8 @@ class Ensemble:
         self.step_s = step_s
         self.meshes = tuple(meshes)
         self._effects = _distinct_effects(self.models)
-        self.chain = compiled_chain(self._effects)
+        self._chain = compiled_chain(self._effects)
+        self.chain = self._chain.handle
         self.tables = self._tabulate()
         self._ratio_offsets, self.table = self._add_ratio_tables()
         self._arrange()

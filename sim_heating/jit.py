@@ -2,35 +2,55 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import shutil
 import tempfile
 from collections.abc import Callable
+from pathlib import Path
 from typing import TypeVar
 
+import llvmlite.ir
 import numba
 import numba.extending
 
 F = TypeVar("F", bound=Callable[..., object])
 
+PACKAGE = Path(__file__).resolve().parent
+CACHES_KEPT = 4
+"""Caches of other versions of the package that are left in place."""
 
-def _cache_is_writable(folder: str) -> bool:
+
+def _source_digest() -> str:
+    """Digest of everything that compiled kernels are made of.
+
+    numba keys its cache by the file of a function alone: a kernel that calls another, or holds a table as a constant, would
+    keep what it was compiled with when that changes in another file.
+    """
+    digest = hashlib.sha256(numba.__version__.encode())
+    for path in sorted([*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.csv")]):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _cache_folder() -> str:
+    """A writable folder for compiled kernels of just this version: in the user's cache, else temporary."""
+    home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "sim_heating"
+    folder = home / f"kernels-{_source_digest()}"
     try:
+        folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
-            return True
+            folder.touch()
+        others = sorted(home.glob("kernels-*"), key=lambda f: f.stat().st_mtime, reverse=True)
+        for old in others[CACHES_KEPT:]:
+            shutil.rmtree(old, ignore_errors=True)
+        return str(folder)
     except OSError:
-        return False
+        return tempfile.mkdtemp(prefix="sim_heating_kernels_")
 
 
-def _ensure_cache_folder() -> None:
-    """numba refuses to decorate with cache=True where no cache folder can be written; give it a temporary one."""
-    package = os.path.dirname(os.path.abspath(__file__))
-    home = os.path.expanduser("~")
-    if "NUMBA_CACHE_DIR" in os.environ or _cache_is_writable(package) or _cache_is_writable(home):
-        return
-    numba.config.CACHE_DIR = tempfile.mkdtemp(prefix="sim_heating_numba_")
-
-
-_ensure_cache_folder()
+if "NUMBA_CACHE_DIR" not in os.environ:
+    numba.config.CACHE_DIR = _cache_folder()
 
 # Loops over a few lanes are unrolled before the loop vectoriser sees them; this pass packs them back into vectors. It
 # reorders no arithmetic: results keep their bits.
@@ -53,7 +73,7 @@ def _data_pointer(_typing_context: object, array: numba.types.Array):  # type: i
 
 
 def raw(array):  # type: ignore[no-untyped-def]
-    """The data of a contiguous array as a kernel takes it: a bare C pointer when compiled, the array itself interpreted.
+    """The data of a contiguous array as a kernel takes it: a bare C pointer compiled, the array itself interpreted.
 
     A pointer is what an exported library hands over as well, and its index arithmetic knows no negative indices, which
     an array's does: kernels on pointers vectorise across lanes and kernels on arrays do not.
@@ -65,4 +85,31 @@ def raw(array):  # type: ignore[no-untyped-def]
 def _raw_compiled(array):  # type: ignore[no-untyped-def]
     if isinstance(array, numba.types.Array):
         return lambda array: _data_pointer(array)
+    return None
+
+
+@numba.extending.intrinsic
+def _call_address(_typing_context, address, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
+    signature = numba.types.float64(address, code, B, c, p, wall_K)
+
+    def codegen(context, builder, sig, args):  # type: ignore[no-untyped-def]
+        kinds = [context.get_value_type(t) for t in sig.args[1:]]
+        function = llvmlite.ir.FunctionType(context.get_value_type(sig.return_type), kinds)
+        return builder.call(builder.inttoptr(args[0], function.as_pointer()), args[1:])
+
+    return signature, codegen
+
+
+def call_chain(chain, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
+    """chain(code, B, c, p, wall_K) -> float, the chain being its address when compiled, a function interpreted.
+
+    An address is passed to a kernel for nothing, where handing over a function object costs 35 us a call.
+    """
+    return chain(code, B, c, p, wall_K)
+
+
+@numba.extending.overload(call_chain, inline="always")
+def _call_chain_compiled(chain, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
+    if isinstance(chain, numba.types.Integer):
+        return lambda chain, code, B, c, p, wall_K: _call_address(chain, code, B, c, p, wall_K)
     return None

@@ -27,24 +27,26 @@ N_PARAMETERS = EFFECT_PARAMETERS + EFFECT_SLOTS * EFFECT_WIDTH
 
 # Scalar rows. The first six hold one row a stage: at t_n, t_n + gamma dt, t_n + dt.
 FILM, RECOVERY, ADDED, PCOL, PFRAC, R_BASE = 0, 3, 6, 9, 12, 15
-SURROUNDINGS4, BACK_H, BACK_T, BACK_EPS = 18, 19, 20, 21
-ACTIVE, FAILED, ITERATIONS = 22, 23, 24
-SURFACE_FLUX, SURFACE_SLOPE, BACK_FLUX, BACK_SLOPE = 25, 26, 27, 28
+SURROUNDINGS4, BACK_H, BACK_T, BACK_EPS, FACTOR_EPS = 18, 19, 20, 21, 22
+ACTIVE, FAILED, ITERATIONS, COLUMN, OUTSIDE, NEGATIVE = 23, 24, 25, 26, 27, 28
 STAGE_IN, STAGE_OUT, ENERGY_IN, ENERGY_OUT = 29, 30, 31, 32
-FACTOR_EPS, COLUMN, OUTSIDE, NEGATIVE = 33, 34, 35, 36
-C_STAGES = 37
+C_STAGES = 33
 PARAMETERS = C_STAGES + 3 * N_CONDITIONS
 SCALAR_ROWS = PARAMETERS + N_PARAMETERS
 
-# Rows of a node.
+# Rows of a node: what it is and where it stands in time ...
 T, RATE, T_START, M_LEFT, M_RIGHT, G = 0, 1, 2, 3, 4, 5
-E, C, THETA_LEFT, K_LEFT, THETA_RIGHT, K_RIGHT = 6, 7, 8, 9, 10, 11
-E_START, E_STAGE, E_STAR, UPPER, DELTA = 12, 13, 14, 15, 16
-FRACTION, MOVES, LARGEST = 17, 18, 19
-BASE, POLYNOMIAL, POLYNOMIAL_LEFT = 20, 21, 30
-NODE_ROWS = 39
+# ... its properties for the element on either side, and the heat that enters from outside ...
+E_LEFT, E_RIGHT, C_LEFT, C_RIGHT = 6, 7, 8, 9
+THETA_LEFT, THETA_RIGHT, K_LEFT, K_RIGHT, SOURCE, SLOPE = 10, 11, 12, 13, 14, 15
+# ... the time step at work on it ...
+E_START, E_STAR, STAGE_LEFT, STAGE_RIGHT, UPPER, DELTA, FRACTION, MOVES, LARGEST = 16, 17, 18, 19, 20, 21, 22, 23, 24
+# ... and the property polynomials about its temperature: foot of the bin, then h, c, its slope and theta, k, its slope in two
+# pressure columns, for the element to the right and to the left.
+BASE, POLYNOMIAL, POLYNOMIAL_LEFT = 25, 26, 35
+NODE_ROWS = 44
 HEAD_ROWS = SCALAR_ROWS + NODE_ROWS
-"""A ghost node before the first and one behind the last end the recurrences along the nodes."""
+"""A ghost node of zeros before the first and one behind the last end the recurrences along the nodes."""
 NOWHERE = -1e30
 """A BASE that no temperature is near: the polynomials have to be gathered."""
 

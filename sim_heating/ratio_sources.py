@@ -8,8 +8,8 @@ more control points,
     ratio(alpha, beta, log10_re, elevon, bodyflap) = base(alpha, log10_re) * factor_1 * factor_2 * ...
     (sigma / ratio)^2 = relative_sigma^2 + sum of the sigma curves^2
 
-and, where it has [scaling], how the product is taken from the wind tunnel to flight (heating_ratio/scaling.py). The format
-is told in docs/vehicle_format.md. The same description always gives the same bytes.
+and, where it has [scaling], how the product is taken from the wind tunnel to flight (heating_ratio/scaling.py). The
+format is told in docs/vehicle_format.md. The same description always gives the same bytes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from sim_heating.errors import InputError
 from sim_heating.files import Declared, LocatedError, read_csv_columns, read_toml, shown
 from sim_heating.heating_ratio.scaling import REFERENCE, Scaling, deflection_factor, scale_table, windward_trend
 from sim_heating.heating_ratio.table import RatioTable, write_ratio_table
-from sim_heating.vehicle import ControlPointFile, VehicleFile, vehicle_directory
+from sim_heating.vehicle import vehicle_directory
+from sim_heating.vehicle_files import ControlPointFile, VehicleFile
 
 Variable = Literal["alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg"]
 Points = list[list[float]]
@@ -187,7 +188,7 @@ def _base(
 
 
 def _from_file(base: FileBase, path: Path, alpha_deg: FloatArray, log10_re: FloatArray) -> FloatArray:
-    """The file's ratio, bilinear in alpha and log10_re and held beyond its ends; windward trend below its lowest alpha."""
+    """The file's ratio, bilinear in alpha and log10_re, held beyond its ends; windward trend below its lowest alpha."""
     table = read_csv_columns(path, ("alpha_deg", "log10_re", base.column))
     a, re = np.unique(table["alpha_deg"]), np.unique(table["log10_re"])
     values = np.full((len(a), len(re)), np.nan)

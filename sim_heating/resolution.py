@@ -21,9 +21,9 @@ from sim_heating.thermal.mesh import Mesh, build_mesh, fewest_nodes, refined
 
 FloatArray = NDArray[np.float64]
 
-TOLERANCE_K = 0.1
+TOLERANCE_K = 0.15
 """Error estimate that the automatic mesh keeps at surface, bondline and sensors [K]."""
-LADDER = (14, 16, 20, 24, 32, 40, 48, 64, 80, 100)
+LADDER = (14, 16, 20, 24, 28, 32, 40, 48, 64, 80, 100)
 """Node counts tried; few different ones, so that points share lane groups."""
 PULSE_TIME_S = np.array([0.0, 300.0, 440.0, 450.0, 460.0, 470.0, 600.0, 900.0, 1200.0])
 PULSE_SHAPE = np.array([0.0, 1.0, 1.0, 0.85, 1.15, 1.0, 0.9, 0.1, 0.0])

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.heating_ratio.kernel import axes_outside, linear_ratio
-from sim_heating.jit import njit
+from sim_heating.jit import call_chain, njit
 from sim_heating.layout import (
     ADDED,
     C_STAGES,
@@ -57,7 +57,7 @@ def with_effects(B: FloatArray, J: IntArray, chain, lane: int, stage: int, r: fl
     p = PARAMETERS * LANES + lane * N_PARAMETERS + EFFECT_PARAMETERS
     adding = J[N_ADDING + lane]
     for k in range(J[N_EFFECTS + lane]):
-        value = chain(J[EFFECT_CODES + lane * EFFECT_SLOTS + k], B, c, p + k * EFFECT_WIDTH, wall_K)
+        value = call_chain(chain, J[EFFECT_CODES + lane * EFFECT_SLOTS + k], B, c, p + k * EFFECT_WIDTH, wall_K)
         r = r + value if k < adding else r * value
     return r
 

@@ -13,8 +13,8 @@ pressure (at most 70 % of p_inf in the limit of high Mach numbers) is not modell
 Sign of the inclination: the slope of the local surface against the vehicle's x axis, positive where it meets the flow
 more steeply at positive alpha (a lower surface that faces forward; a nose stagnation point has 90 - alpha).
 
-Holds within some 10 % on windward surfaces above Mach 3; elsewhere it is a guess with the right limits. Conductivity goes
-with about the fifth root of pressure, so 10 % of pressure is 2 % of conductivity.
+Holds within some 10 % on windward surfaces above Mach 3; elsewhere it is a guess with the right limits. Conductivity
+goes with about the fifth root of pressure, so 10 % of pressure is 2 % of conductivity.
 Sources: Lees, "Hypersonic flow", 1955 (modified Newtonian); NACA Report 1135, eq. 100 (Rayleigh pitot formula).
 """
 

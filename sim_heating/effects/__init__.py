@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Literal
 
 from sim_heating.errors import InputError
+from sim_heating.files import nearest
 from sim_heating.layout import EFFECT_SLOTS, EFFECT_WIDTH
 from sim_heating.parameters import Parameter
-from sim_heating.files import nearest
 
 __all__ = ["Effect", "EffectUse", "effect", "effects", "use"]
 

@@ -6,6 +6,7 @@ The kernels are compiled once for any effects: what changes with them is this fu
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -19,7 +20,17 @@ SIGNATURE = types.float64(
 )
 """value = chain(code, B, c, p, wall_K)"""
 
-Chain = Callable[..., float]
+
+@dataclass(frozen=True)
+class Chain:
+    """The compiled effects: `handle` is what kernels take, `function` keeps it alive."""
+
+    function: Callable[..., float]
+
+    @property
+    def handle(self) -> Any:
+        """Address of the compiled function; the function itself where nothing is compiled."""
+        return getattr(self.function, "address", self.function)
 
 
 def _nothing(code: int, B: Any, c: int, p: int, wall_K: float) -> float:
@@ -44,17 +55,9 @@ def _join(kernels: Sequence[Any]) -> Callable[..., float]:
 
 
 @cache
-def no_effects() -> Chain:
-    """The chain of an ensemble that has none."""
-    if numba.config.DISABLE_JIT:
-        return _nothing
-    return numba.cfunc(SIGNATURE, cache=True)(_nothing)
-
-
-@cache
 def compiled_chain(effects: tuple[Effect, ...]) -> Chain:
     """The chain of these effects; the code of an effect is its place among them."""
-    if not effects:
-        return no_effects()
-    joined = _join([e.kernel for e in effects])
-    return joined if numba.config.DISABLE_JIT else numba.cfunc(SIGNATURE, error_model="numpy")(joined)
+    function = _join([e.kernel for e in effects]) if effects else _nothing
+    if numba.config.DISABLE_JIT:
+        return Chain(function)
+    return Chain(numba.cfunc(SIGNATURE, cache=not effects, error_model="numpy")(function))

@@ -4,27 +4,28 @@ A ratio is measured at one flow state on a model, h / h_ref on the model's own r
 
     r_flight = r_tunnel * theory(flight) / theory(tunnel)
 
-with theory the film coefficient of Eckert's flat plate, at the local pressure and edge velocity of a windward surface, over
-that of Fay and Riddell's sphere:
+with theory the film coefficient of Eckert's flat plate, at the local pressure and edge speed of a windward surface,
+over that of Fay and Riddell's sphere:
 
     theory_laminar   ~ Re_L^0     both go with Re^-1/2: real-gas and edge properties remain
     theory_turbulent ~ Re_L^0.3   Re^-1/5 over the laminar Re^-1/2 of the sphere
 
 Transitional flow is a blend by intermittency,
 
-    r = r_laminar (1 + gamma (f - 1)),   gamma = 1 / (1 + exp(-(log10_re - onset) / width)),  f = turbulent / laminar theory,
+    r = r_laminar (1 + gamma (f - 1)),   gamma = 1 / (1 + exp(-(log10_re - onset) / width)),
 
-divided out in the tunnel and put back in flight with an onset of its own. A node of the flight table at log10_re takes the
-tunnel's ratio at the same Reynolds number, or at the nearest one that the tunnel reached.
+with f turbulent over laminar theory; it is divided out in the tunnel and put back in flight with an onset of its own.
+A node of the flight table at log10_re takes the tunnel's ratio at the same Reynolds number, or at the nearest one that
+the tunnel reached.
 
-Assumptions: model and vehicle are similar and the reference sphere is scaled with them; modified Newtonian pressure and edge
-speed V cos(angle) in both; equilibrium air and a fully catalytic wall in flight; one wall temperature each.
-Sigma, as a fraction of the ratio, grows in quadrature by `method_sigma` (the method as such), by `correction_sigma` of the
-logarithm of the correction, and for transitional flow by what `onset_sigma` decades of the two onsets are worth.
+Assumptions: model and vehicle are similar and the reference sphere is scaled with them; modified Newtonian pressure and
+edge speed V cos(angle) in both; equilibrium air and a fully catalytic wall in flight; one wall temperature each.
+Sigma, as a fraction of the ratio, grows in quadrature by `method_sigma` (the method as such), by `correction_sigma`
+times the logarithm of the correction, and for transitional flow by what `onset_sigma` decades of both onsets are worth.
 
 Holds for attached windward flow. Leeside and impingement regions have no better theory; let their method_sigma say so.
-Sources: Eckert, Trans. ASME 78 (1956) 1273; Fay & Riddell, J. Aero. Sci. 25 (1958) 73; that the wind-tunnel data must be scaled,
-transitional flow above all: Hodge, Phillips & Audley, NASA CP-2283 (1983). Method: engineering practice, not a published one.
+Sources: Eckert, Trans. ASME 78 (1956) 1273; Fay & Riddell, J. Aero. Sci. 25 (1958) 73; that wind-tunnel data must be
+scaled, transitional flow above all: Hodge, Phillips & Audley, NASA CP-2283 (1983). The method is engineering practice.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ class FlowState(Declared):
 
 
 class Transition(Declared):
-    """Onset of transition on the place in question, as log10 of the free-stream Reynolds number on the body's length."""
+    """Onset of transition at the place in question, as log10 of the free-stream Reynolds number on the body."""
 
     onset_log10_re: float
     width: float = Field(gt=0.0, description="decades, above 0")
@@ -202,9 +203,10 @@ def _at_nodes(values: FloatArray, axis: FloatArray, nodes: FloatArray) -> FloatA
 
 def _header(table: RatioTable, scaling: Scaling, added: FloatArray) -> dict[str, str]:
     """The table's header with what was assumed."""
+    angle = "alpha" if scaling.fixed_angle_deg is None else f"{scaling.fixed_angle_deg:g} deg"
     told = (
-        f"{scaling.regime}, tunnel {_told(scaling.tunnel)} to flight {_told(scaling.flight)}, at x/L {scaling.x_over_L:g}, "
-        + ("surface at alpha" if scaling.fixed_angle_deg is None else f"surface at {scaling.fixed_angle_deg:g} deg")
+        f"{scaling.regime}, tunnel {_told(scaling.tunnel)} to flight {_told(scaling.flight)}, "
+        f"at x/L {scaling.x_over_L:g}, surface at {angle}"
     )
     ends = (("tunnel", scaling.tunnel_transition), ("flight", scaling.flight_transition))
     onsets = [f"{name} {t.onset_log10_re:g} (width {t.width:g})" for name, t in ends if t is not None]
@@ -221,8 +223,8 @@ def _told(state: FlowState) -> str:
 def windward_trend(alpha_deg: FloatArray) -> FloatArray:
     """Laminar windward film coefficient against alpha, up to a constant: sin(alpha) sqrt(cos(alpha)).
 
-    From h ~ sqrt(p_e u_e) with Newtonian p_e ~ sin^2 and u_e ~ cos; angles below 3 deg count as 3. Accuracy: 5 % between 25 and
-    40 deg against the flat plate with real gas; for continuing a table downward, not for making one.
+    From h ~ sqrt(p_e u_e) with Newtonian p_e ~ sin^2 and u_e ~ cos; angles below 3 deg count as 3. Within 5 % of the
+    flat plate with real gas between 25 and 40 deg; for continuing a table downward, not for making one.
     """
     angle = np.radians(np.maximum(np.asarray(alpha_deg, dtype=float), SHALLOWEST_DEG))
     return np.sin(angle) * np.sqrt(np.cos(angle))
@@ -233,7 +235,8 @@ def deflection_factor(alpha_deg: FloatArray, deflection_deg: FloatArray, pressur
 
         (sin^2(alpha + deflection) / sin^2(alpha))^n,  n = 0.5 laminar, 0.8 turbulent
 
-    Attached flow, no separation ahead of the hinge; angles below 3 deg count as 3. h ~ p^n: the flat plate at given edge speed.
+    Attached flow, no separation ahead of the hinge; angles below 3 deg count as 3. h ~ p^n is the flat plate at given
+    edge speed.
     """
     flat = np.radians(np.maximum(np.asarray(alpha_deg, dtype=float), SHALLOWEST_DEG))
     turned = np.radians(np.maximum(np.asarray(alpha_deg, dtype=float) + deflection_deg, SHALLOWEST_DEG))

@@ -1,26 +1,32 @@
 """The compiled time step of the thermal model, for eight control points (lanes) at once.
 
-In each layer rho c(T) dT/dt = d/dx( k(T, p) dT/dx ), finite volumes about nodes (linear elements, lumped heat content):
+In each layer rho c(T) dT/dt = d/dx( k(T, p) dT/dx ), linear elements in the heat content and in Kirchhoff's variable
+theta = int k dT [W/m], which makes the flux through an element exact for k(T):
 
-    d/dt E_i(T_i) = q_(i-1) - q_i,      q_i = g_i (theta_i(T_i) - theta_i(T_(i+1)))
+    d/dt E_i = q_(i-1) - q_i + source_i,      q_i = g_i (theta_i(T_i) - theta_i(T_(i+1))),     g_i = 1 / dx_i
 
-with E_i [J/m2] the heat content of the two half elements at node i, theta = int k dT [W/m] (Kirchhoff's variable, so the
-element flux is exact for k(T)) and g_i = (conductivity factor) / dx_i [1/m]. At the surface
+The heat content [J/m2] of an element is shared between its nodes by the mean of the lumped and the consistent mass matrix,
 
-    q_(-1) = film (H_r - H_w(T_0)) + q_add - eps(T_0) sigma (T_0^4 - T_sur^4),
+    E_i = M_L h(T_i) + M_R h(T_i) + SHARE [M_R (h(T_(i+1)) - h(T_i)) - M_L (h(T_i) - h(T_(i-1)))],    M = rho dx / 2,
 
-at the back q_(n-1) = h_b (T - T_b) + eps_b sigma (T^4 - T_b^4). One step is TR-BDF2 with gamma = 2 - sqrt(2) (Bank et al.,
-IEEE Trans. CAD 4 (1985) 436; Hosea & Shampine, Appl. Numer. Math. 20 (1996) 21): one-step, L-stable, second order, here
-written for E so that energy is conserved to the residual of the Newton iteration:
+whose second-order errors cancel where elements are equal (Goudreau & Taylor, Comp. Meth. Appl. Mech. Eng. 2 (1973) 69);
+the sum over the nodes is the heat in the stack all the same. At the surface and at the back
 
-    E(Y1)  = E_n + d dt (F_n + F(Y1)),                      at t_n + gamma dt,   d = gamma / 2
-    E(Y2)  = E_n + (w/d) (E(Y1) - E_n) + d dt F(Y2),        at t_n + dt,         w = sqrt(2) / 4
+    source_0     = film (H_r - H_w(T)) + q_add - eps(T) sigma (T^4 - T_sur^4),
+    source_(n-1) = -h_b (T - T_b) - eps_b sigma (T^4 - T_b^4).
+
+One step is TR-BDF2 with gamma = 2 - sqrt(2) (Bank et al., IEEE Trans. CAD 4 (1985) 436; Hosea & Shampine, Appl. Numer.
+Math. 20 (1996) 21): one-step, L-stable, second order, here written for E so that energy is conserved to rounding:
+
+    E(Y1) = E_n + d dt (F_n + F(Y1)),                      at t_n + gamma dt,   d = gamma / 2
+    E(Y2) = E_n + (w/d) (E(Y1) - E_n) + d dt F(Y2),        at t_n + dt,         w = sqrt(2) / 4
 
 A lane stops iterating when its own update is below NEWTON_TOLERANCE_K, so that its bits do not depend on its neighbours.
 
-Everything lives in one flat float64 block, row after row of LANES numbers: HEAD_ROWS rows of scalars, then NODE_ROWS rows
-a node. Loops over lanes touch rows of one node and its neighbours only, at constant distances: that is what lets the compiler
-vectorise them without alias checks. What all nodes of a lane share is handed on from node to node (FRACTION, MOVES, LARGEST). Plain Python on floats: interpreted (NUMBA_DISABLE_JIT=1) it is its own slow reference.
+Everything lives in one flat float64 block (layout.py). Loops over lanes touch rows of one node and its neighbours only, at
+constant distances: that is what lets the compiler vectorise them without alias checks. What all nodes of a lane share is
+handed on from node to node (FRACTION, MOVES, LARGEST). Plain Python on floats: interpreted (NUMBA_DISABLE_JIT=1) it is
+its own slow reference.
 """
 
 from __future__ import annotations
@@ -35,15 +41,16 @@ from sim_heating.layout import (
     ACTIVE,
     ADDED,
     BACK_EPS,
-    BACK_FLUX,
     BACK_H,
-    BACK_SLOPE,
     BACK_T,
     BASE,
+    C_LEFT,
+    C_RIGHT,
     C_STAGES,
     COLUMN,
     DELTA,
-    E_STAGE,
+    E_LEFT,
+    E_RIGHT,
     E_STAR,
     E_START,
     ENERGY_IN,
@@ -77,10 +84,12 @@ from sim_heating.layout import (
     RATE,
     RECOVERY,
     SCALAR_ROWS,
+    SLOPE,
+    SOURCE,
     STAGE_IN,
+    STAGE_LEFT,
     STAGE_OUT,
-    SURFACE_FLUX,
-    SURFACE_SLOPE,
+    STAGE_RIGHT,
     SURFACE_TABLE,
     SURROUNDINGS4,
     T_START,
@@ -88,8 +97,6 @@ from sim_heating.layout import (
     THETA_RIGHT,
     UPPER,
     WALL_EFFECTS,
-    C,
-    E,
     G,
     T,
 )
@@ -106,13 +113,16 @@ STAGE_WEIGHT = GAMMA / 2.0
 EXPLICIT_WEIGHT = math.sqrt(2.0) / 4.0
 BDF_WEIGHT = EXPLICIT_WEIGHT / STAGE_WEIGHT
 
+SHARE = 1.0 / 6.0
+"""0 gives the lumped mass matrix, 1/3 the consistent one."""
+
 NEWTON_TOLERANCE_K = 1e-4
 """Largest update at which a lane stops; convergence is quadratic, so what is left is below 1e-9 K."""
 NEWTON_LIMIT = 25
 WALL_DIFFERENCE_K = 0.5
 """Half the step over which an effect's dependence on the wall temperature is differenced, for Newton's matrix only."""
 COLDEST_K = 1.0
-"""No iterate goes below this; a converged temperature there is a failure that the caller sees."""
+"""No iterate goes below this."""
 
 STAGED = (FILM, RECOVERY, ADDED, PCOL, PFRAC, R_BASE)
 """Rows that hold one value a stage."""
@@ -125,7 +135,7 @@ BINS = 600
 
 @njit
 def _bin(temperature: float) -> int:
-    """Property-table bin of a temperature [K]; the first where it is not a number (the step then reports its failure)."""
+    """Property-table bin of a temperature [K]; the first where it is not a number (the step then reports a failure)."""
     scaled = temperature * (1.0 / BIN_K)
     if not scaled > 0.0:
         return 0
@@ -170,32 +180,6 @@ def _refresh(B: FloatArray, J: IntArray, table: FloatArray, i: int) -> None:
 
 
 @njit
-def evaluate_nodes(B: FloatArray, J: IntArray, table: FloatArray) -> None:
-    """Heat contents, capacities, Kirchhoff variables and conductivities of all nodes at their present temperatures."""
-    for i in range(J[N_NODES]):
-        a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-        _refresh(B, J, table, i)
-        left = a - NODE_ROWS * LANES
-        for lane in range(LANES):
-            f = B[left + FRACTION * LANES + lane]
-            B[a + FRACTION * LANES + lane] = f
-            t = B[a + T * LANES + lane] - B[a + BASE * LANES + lane]
-            x = a + POLYNOMIAL * LANES + lane
-            c0, c1 = B[x + LANES], B[x + 2 * LANES]
-            theta0, k0, k1 = _between(B, x, f)
-            mass = B[a + M_RIGHT * LANES + lane] + B[a + M_LEFT * LANES + lane]
-            theta, k = _integral(theta0, k0, k1, t), k0 + k1 * t
-            B[a + E * LANES + lane] = mass * _integral(B[x], c0, c1, t)
-            B[a + C * LANES + lane] = mass * (c0 + c1 * t)
-            B[a + THETA_RIGHT * LANES + lane] = theta
-            B[a + K_RIGHT * LANES + lane] = k
-            B[a + THETA_LEFT * LANES + lane] = theta
-            B[a + K_LEFT * LANES + lane] = k
-        if J[NODE_INTS + i * INTS_PER_NODE] == 1:
-            _evaluate_interface(B, a)
-
-
-@njit
 def _between(B: FloatArray, x: int, f: float) -> tuple[float, float, float]:
     """theta, k and its slope at the foot of a bin, a fraction f of the way between two pressure columns."""
     theta_a, k_a, slope_a = B[x + 3 * LANES], B[x + 4 * LANES], B[x + 5 * LANES]
@@ -204,20 +188,45 @@ def _between(B: FloatArray, x: int, f: float) -> tuple[float, float, float]:
 
 
 @njit
-def _evaluate_interface(B: FloatArray, a: int) -> None:
-    """The same for a node between two materials, whose right half is there already."""
+def evaluate_nodes(B: FloatArray, J: IntArray, table: FloatArray) -> None:
+    """Heat contents, capacities, Kirchhoff variables and conductivities of all nodes at their present temperatures."""
+    for i in range(J[N_NODES]):
+        a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+        left = a - NODE_ROWS * LANES
+        _refresh(B, J, table, i)
+        for lane in range(LANES):
+            f = B[left + FRACTION * LANES + lane]
+            B[a + FRACTION * LANES + lane] = f
+            t = B[a + T * LANES + lane] - B[a + BASE * LANES + lane]
+            x = a + POLYNOMIAL * LANES + lane
+            c0, c1 = B[x + LANES], B[x + 2 * LANES]
+            h, c = _integral(B[x], c0, c1, t), c0 + c1 * t
+            theta0, k0, k1 = _between(B, x, f)
+            theta, k = _integral(theta0, k0, k1, t), k0 + k1 * t
+            m_left, m_right = B[a + M_LEFT * LANES + lane], B[a + M_RIGHT * LANES + lane]
+            B[a + E_LEFT * LANES + lane] = m_left * h
+            B[a + C_LEFT * LANES + lane] = m_left * c
+            B[a + E_RIGHT * LANES + lane] = m_right * h
+            B[a + C_RIGHT * LANES + lane] = m_right * c
+            B[a + THETA_RIGHT * LANES + lane] = theta
+            B[a + K_RIGHT * LANES + lane] = k
+            B[a + THETA_LEFT * LANES + lane] = theta
+            B[a + K_LEFT * LANES + lane] = k
+        if J[NODE_INTS + i * INTS_PER_NODE] == 1:
+            _evaluate_left(B, a)
+
+
+@njit
+def _evaluate_left(B: FloatArray, a: int) -> None:
+    """The same for the element to the left, at a node between two materials."""
     for lane in range(LANES):
         t = B[a + T * LANES + lane] - B[a + BASE * LANES + lane]
-        x = a + POLYNOMIAL * LANES + lane
-        y = a + POLYNOMIAL_LEFT * LANES + lane
-        m_left, m_right = B[a + M_LEFT * LANES + lane], B[a + M_RIGHT * LANES + lane]
-        h_left = _integral(B[y], B[y + LANES], B[y + 2 * LANES], t)
-        h_right = _integral(B[x], B[x + LANES], B[x + 2 * LANES], t)
-        B[a + E * LANES + lane] = m_left * h_left + m_right * h_right
-        c_left = B[y + LANES] + B[y + 2 * LANES] * t
-        c_right = B[x + LANES] + B[x + 2 * LANES] * t
-        B[a + C * LANES + lane] = m_left * c_left + m_right * c_right
-        theta0, k0, k1 = _between(B, y, B[a + FRACTION * LANES + lane])
+        x = a + POLYNOMIAL_LEFT * LANES + lane
+        c0, c1 = B[x + LANES], B[x + 2 * LANES]
+        m_left = B[a + M_LEFT * LANES + lane]
+        theta0, k0, k1 = _between(B, x, B[a + FRACTION * LANES + lane])
+        B[a + E_LEFT * LANES + lane] = m_left * _integral(B[x], c0, c1, t)
+        B[a + C_LEFT * LANES + lane] = m_left * (c0 + c1 * t)
         B[a + THETA_LEFT * LANES + lane] = _integral(theta0, k0, k1, t)
         B[a + K_LEFT * LANES + lane] = k0 + k1 * t
 
@@ -239,8 +248,8 @@ def _select_pressure(B: FloatArray, J: IntArray, stage: int) -> None:
 
 @njit
 def _film(B: FloatArray, J: IntArray, chain, lane: int, stage: int, wall: float) -> tuple[float, float]:  # type: ignore[no-untyped-def]
-    """Film coefficient of a lane whose effects ask for the wall temperature, and its slope against it, by difference."""
-    h_ref = B[(C_STAGES + stage * N_CONDITIONS) * LANES + lane * N_CONDITIONS + H_REF]
+    """Film coefficient of a lane whose effects ask for the wall temperature, and its slope against it."""
+    h_ref = B[C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS + H_REF]
     r = B[(R_BASE + stage) * LANES + lane]
     above = with_effects(B, J, chain, lane, stage, r, wall + WALL_DIFFERENCE_K)
     below = with_effects(B, J, chain, lane, stage, r, wall - WALL_DIFFERENCE_K)
@@ -249,11 +258,12 @@ def _film(B: FloatArray, J: IntArray, chain, lane: int, stage: int, wall: float)
 
 
 @njit
-def evaluate_faces(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int) -> None:  # type: ignore[no-untyped-def]
-    """Flux into the surface and out of the back [W/m2] and their slopes against the face temperatures [W/(m2 K)]."""
+def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int) -> None:  # type: ignore[no-untyped-def]
+    """Heat that enters at the surface [W/m2] and its slope against the surface temperature [W/(m2 K)]."""
     width = 2 + 3 * J[N_PRESSURES]
+    a = HEAD_ROWS * LANES
     for lane in range(LANES):
-        wall = B[(HEAD_ROWS + T) * LANES + lane]
+        wall = B[a + T * LANES + lane]
         j = _bin(wall)
         t = wall - BIN_K * j
         row = J[SURFACE_TABLE + lane] + j * width
@@ -269,42 +279,42 @@ def evaluate_faces(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: 
         driving = B[(RECOVERY + stage) * LANES + lane] - H_w
         cube = wall * wall * wall
         excess = cube * wall - B[SURROUNDINGS4 * LANES + lane]
-        B[SURFACE_FLUX * LANES + lane] = film * driving + B[(ADDED + stage) * LANES + lane] - eps * SIGMA * excess
-        slope = film_slope * driving - film * cp_w - SIGMA * (4.0 * eps * cube + eps_slope * excess)
-        B[SURFACE_SLOPE * LANES + lane] = slope
-    _evaluate_back(B, J[N_NODES])
+        B[a + SOURCE * LANES + lane] = film * driving + B[(ADDED + stage) * LANES + lane] - eps * SIGMA * excess
+        radiated = SIGMA * (4.0 * eps * cube + eps_slope * excess)
+        B[a + SLOPE * LANES + lane] = film_slope * driving - film * cp_w - radiated
 
 
 @njit
-def _evaluate_back(B: FloatArray, n: int) -> None:
-    back = (HEAD_ROWS + (n - 1) * NODE_ROWS + T) * LANES
+def evaluate_back(B: FloatArray, n: int) -> None:
+    """Heat that enters at the back face [W/m2] and its slope against the temperature there [W/(m2 K)]."""
+    a = (HEAD_ROWS + (n - 1) * NODE_ROWS) * LANES
     for lane in range(LANES):
-        inner, ambient = B[back + lane], B[BACK_T * LANES + lane]
+        inner, ambient = B[a + T * LANES + lane], B[BACK_T * LANES + lane]
         emitted = SIGMA * B[BACK_EPS * LANES + lane]
         h_b = B[BACK_H * LANES + lane]
         cube, square = inner * inner * inner, ambient * ambient
-        B[BACK_FLUX * LANES + lane] = h_b * (inner - ambient) + emitted * (cube * inner - square * square)
-        B[BACK_SLOPE * LANES + lane] = h_b + 4.0 * emitted * cube
+        B[a + SOURCE * LANES + lane] = -h_b * (inner - ambient) - emitted * (cube * inner - square * square)
+        B[a + SLOPE * LANES + lane] = -h_b - 4.0 * emitted * cube
 
 
 @njit
-def _keep_face_fluxes(B: FloatArray, n: int) -> None:
-    """Face fluxes of the lanes that have just moved, linearised over that move as the balance of the stage has them."""
-    back = (HEAD_ROWS + (n - 1) * NODE_ROWS + DELTA) * LANES
-    front = (HEAD_ROWS + DELTA) * LANES
+def _keep_face_heat(B: FloatArray, n: int) -> None:
+    """Heat at the faces of the lanes that have just moved, linearised over the move as the balance of the stage has it."""
+    front = HEAD_ROWS * LANES
+    back = front + (n - 1) * NODE_ROWS * LANES
     for lane in range(LANES):
         if B[ACTIVE * LANES + lane] > 0.0:
-            moved = B[SURFACE_SLOPE * LANES + lane] * B[front + lane]
-            B[STAGE_IN * LANES + lane] = B[SURFACE_FLUX * LANES + lane] + moved
-            moved = B[BACK_SLOPE * LANES + lane] * B[back + lane]
-            B[STAGE_OUT * LANES + lane] = B[BACK_FLUX * LANES + lane] + moved
+            moved = B[front + SLOPE * LANES + lane] * B[front + DELTA * LANES + lane]
+            B[STAGE_IN * LANES + lane] = B[front + SOURCE * LANES + lane] + moved
+            moved = B[back + SLOPE * LANES + lane] * B[back + DELTA * LANES + lane]
+            B[STAGE_OUT * LANES + lane] = -B[back + SOURCE * LANES + lane] - moved
 
 
 @njit
-def _add_energy(B: FloatArray, weight: float, into: int, out: int) -> None:
+def _add_energy(B: FloatArray, weight: float) -> None:
     for lane in range(LANES):
-        B[ENERGY_IN * LANES + lane] += weight * B[into * LANES + lane]
-        B[ENERGY_OUT * LANES + lane] += weight * B[out * LANES + lane]
+        B[ENERGY_IN * LANES + lane] += weight * B[STAGE_IN * LANES + lane]
+        B[ENERGY_OUT * LANES + lane] += weight * B[STAGE_OUT * LANES + lane]
 
 
 @njit
@@ -313,95 +323,61 @@ def _start(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> N
     n = J[N_NODES]
     _select_pressure(B, J, 0)
     evaluate_nodes(B, J, table)
-    evaluate_faces(B, J, table, chain, 0)
-    _add_energy(B, EXPLICIT_WEIGHT * dt, SURFACE_FLUX, BACK_FLUX)
+    evaluate_surface(B, J, table, chain, 0)
+    evaluate_back(B, n)
+    for lane in range(LANES):
+        B[STAGE_IN * LANES + lane] = B[(HEAD_ROWS + SOURCE) * LANES + lane]
+        B[STAGE_OUT * LANES + lane] = -B[(HEAD_ROWS + (n - 1) * NODE_ROWS + SOURCE) * LANES + lane]
+    _add_energy(B, EXPLICIT_WEIGHT * dt)
     for i in range(n):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-        left = a - NODE_ROWS * LANES
+        left, right = a - NODE_ROWS * LANES, a + NODE_ROWS * LANES
         for lane in range(LANES):
-            net = 0.0
-            if i > 0:
-                net = B[left + G * LANES + lane] * (B[left + THETA_RIGHT * LANES + lane] - B[a + THETA_LEFT * LANES + lane])
-            else:
-                net = B[SURFACE_FLUX * LANES + lane]
-            if i < n - 1:
-                right = a + NODE_ROWS * LANES
-                net -= B[a + G * LANES + lane] * (B[a + THETA_RIGHT * LANES + lane] - B[right + THETA_LEFT * LANES + lane])
-            else:
-                net -= B[BACK_FLUX * LANES + lane]
-            e = B[a + E * LANES + lane]
+            hot, cold = B[left + THETA_RIGHT * LANES + lane], B[a + THETA_LEFT * LANES + lane]
+            net = B[a + SOURCE * LANES + lane] + B[left + G * LANES + lane] * (hot - cold)
+            hot, cold = B[a + THETA_RIGHT * LANES + lane], B[right + THETA_LEFT * LANES + lane]
+            net -= B[a + G * LANES + lane] * (hot - cold)
+            own_left, own_right = B[a + E_LEFT * LANES + lane], B[a + E_RIGHT * LANES + lane]
+            shared = B[right + E_LEFT * LANES + lane] - own_right - own_left + B[left + E_RIGHT * LANES + lane]
+            content = own_left + own_right + SHARE * shared
             temperature = B[a + T * LANES + lane]
-            B[a + E_START * LANES + lane] = e
-            B[a + E_STAR * LANES + lane] = e + STAGE_WEIGHT * dt * net
+            B[a + E_START * LANES + lane] = content
+            B[a + E_STAR * LANES + lane] = content + STAGE_WEIGHT * dt * net
             B[a + T_START * LANES + lane] = temperature
             B[a + T * LANES + lane] = temperature + GAMMA * dt * B[a + RATE * LANES + lane]
 
 
 @njit
 def _eliminate(B: FloatArray, n: int, ddt: float) -> None:
-    """Forward sweep: residual E - E* - d dt F and its tridiagonal matrix, row by row, reduced as it is built."""
+    """Forward sweep: residual E - E* - d dt F and its tridiagonal matrix, row by row, reduced as it is built.
+
+    What crosses an element, heat conducted in d dt and heat content shared, is taken together.
+    """
     for i in range(n):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-        left = a - NODE_ROWS * LANES
-        right = a + NODE_ROWS * LANES
-        if i == 0:
-            for lane in range(LANES):
-                g = ddt * B[a + G * LANES + lane]
-                out = g * (B[a + THETA_RIGHT * LANES + lane] - B[right + THETA_LEFT * LANES + lane])
-                residual = (
-                    B[a + E * LANES + lane]
-                    - B[a + E_STAR * LANES + lane]
-                    + out
-                    - ddt * B[SURFACE_FLUX * LANES + lane]
-                )
-                diagonal = (
-                    B[a + C * LANES + lane]
-                    + g * B[a + K_RIGHT * LANES + lane]
-                    - ddt * B[SURFACE_SLOPE * LANES + lane]
-                )
-                pivot = 1.0 / diagonal
-                B[a + UPPER * LANES + lane] = -g * B[right + K_LEFT * LANES + lane] * pivot
-                B[a + DELTA * LANES + lane] = -residual * pivot
-        elif i < n - 1:
-            for lane in range(LANES):
-                g_left = ddt * B[left + G * LANES + lane]
-                g = ddt * B[a + G * LANES + lane]
-                into = g_left * (B[left + THETA_RIGHT * LANES + lane] - B[a + THETA_LEFT * LANES + lane])
-                out = g * (B[a + THETA_RIGHT * LANES + lane] - B[right + THETA_LEFT * LANES + lane])
-                residual = B[a + E * LANES + lane] - B[a + E_STAR * LANES + lane] + out - into
-                lower = -g_left * B[left + K_RIGHT * LANES + lane]
-                diagonal = (
-                    B[a + C * LANES + lane]
-                    + g_left * B[a + K_LEFT * LANES + lane]
-                    + g * B[a + K_RIGHT * LANES + lane]
-                    - lower * B[left + UPPER * LANES + lane]
-                )
-                pivot = 1.0 / diagonal
-                B[a + UPPER * LANES + lane] = -g * B[right + K_LEFT * LANES + lane] * pivot
-                B[a + DELTA * LANES + lane] = -(residual + lower * B[left + DELTA * LANES + lane]) * pivot
-        else:
-            for lane in range(LANES):
-                g_left = ddt * B[left + G * LANES + lane]
-                into = g_left * (B[left + THETA_RIGHT * LANES + lane] - B[a + THETA_LEFT * LANES + lane])
-                residual = (
-                    B[a + E * LANES + lane]
-                    - B[a + E_STAR * LANES + lane]
-                    + ddt * B[BACK_FLUX * LANES + lane]
-                    - into
-                )
-                lower = -g_left * B[left + K_RIGHT * LANES + lane]
-                diagonal = (
-                    B[a + C * LANES + lane]
-                    + g_left * B[a + K_LEFT * LANES + lane]
-                    + ddt * B[BACK_SLOPE * LANES + lane]
-                    - lower * B[left + UPPER * LANES + lane]
-                )
-                B[a + DELTA * LANES + lane] = -(residual + lower * B[left + DELTA * LANES + lane]) / diagonal
+        left, right = a - NODE_ROWS * LANES, a + NODE_ROWS * LANES
+        for lane in range(LANES):
+            g_left, g = ddt * B[left + G * LANES + lane], ddt * B[a + G * LANES + lane]
+            own_left, own_right = B[a + E_LEFT * LANES + lane], B[a + E_RIGHT * LANES + lane]
+            into = g_left * (B[left + THETA_RIGHT * LANES + lane] - B[a + THETA_LEFT * LANES + lane])
+            into += SHARE * (own_left - B[left + E_RIGHT * LANES + lane])
+            out = g * (B[a + THETA_RIGHT * LANES + lane] - B[right + THETA_LEFT * LANES + lane])
+            out += SHARE * (B[right + E_LEFT * LANES + lane] - own_right)
+            residual = own_left + own_right - B[a + E_STAR * LANES + lane] + out - into
+            residual -= ddt * B[a + SOURCE * LANES + lane]
+            lower = SHARE * B[left + C_RIGHT * LANES + lane] - g_left * B[left + K_RIGHT * LANES + lane]
+            upper = SHARE * B[right + C_LEFT * LANES + lane] - g * B[right + K_LEFT * LANES + lane]
+            diagonal = (1.0 - SHARE) * (B[a + C_LEFT * LANES + lane] + B[a + C_RIGHT * LANES + lane])
+            diagonal += g_left * B[a + K_LEFT * LANES + lane] + g * B[a + K_RIGHT * LANES + lane]
+            diagonal -= ddt * B[a + SLOPE * LANES + lane]
+            pivot = 1.0 / (diagonal - lower * B[left + UPPER * LANES + lane])
+            B[a + UPPER * LANES + lane] = upper * pivot
+            B[a + DELTA * LANES + lane] = -(residual + lower * B[left + DELTA * LANES + lane]) * pivot
 
 
 @njit
 def _update(B: FloatArray, n: int) -> None:
-    """Back substitution; lanes that are active move, and their heat content with them."""
+    """Back substitution; lanes that are active move, and their heat contents with them."""
     for i in range(n - 1, -1, -1):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
         right = a + NODE_ROWS * LANES
@@ -411,12 +387,16 @@ def _update(B: FloatArray, n: int) -> None:
             moves = B[right + MOVES * LANES + lane]
             B[a + MOVES * LANES + lane] = moves
             active = moves > 0.0
-            cold, content = B[a + T * LANES + lane], B[a + E_STAGE * LANES + lane]
-            moved = cold + delta
-            moved = moved if moved > COLDEST_K else COLDEST_K
-            B[a + T * LANES + lane] = moved if active else cold
-            moved = B[a + E * LANES + lane] + B[a + C * LANES + lane] * delta
-            B[a + E_STAGE * LANES + lane] = moved if active else content
+            before = B[a + T * LANES + lane]
+            after = before + delta
+            after = after if after > COLDEST_K else COLDEST_K
+            B[a + T * LANES + lane] = after if active else before
+            before = B[a + STAGE_LEFT * LANES + lane]
+            after = B[a + E_LEFT * LANES + lane] + B[a + C_LEFT * LANES + lane] * delta
+            B[a + STAGE_LEFT * LANES + lane] = after if active else before
+            before = B[a + STAGE_RIGHT * LANES + lane]
+            after = B[a + E_RIGHT * LANES + lane] + B[a + C_RIGHT * LANES + lane] * delta
+            B[a + STAGE_RIGHT * LANES + lane] = after if active else before
             largest, size = B[right + LARGEST * LANES + lane], abs(delta)
             B[a + LARGEST * LANES + lane] = largest if size <= largest else size
 
@@ -445,13 +425,14 @@ def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: in
         B[ACTIVE * LANES + lane] = 1.0
     for _ in range(NEWTON_LIMIT):
         evaluate_nodes(B, J, table)
-        evaluate_faces(B, J, table, chain, stage)
+        evaluate_surface(B, J, table, chain, stage)
+        evaluate_back(B, n)
         _eliminate(B, n, STAGE_WEIGHT * dt)
         for lane in range(LANES):
             B[behind + MOVES * LANES + lane] = B[ACTIVE * LANES + lane]
             B[behind + LARGEST * LANES + lane] = 0.0
         _update(B, n)
-        _keep_face_fluxes(B, n)
+        _keep_face_heat(B, n)
         if _retire(B) == 0:
             return
     for lane in range(LANES):
@@ -460,11 +441,15 @@ def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: in
 
 @njit
 def _start_second_stage(B: FloatArray, n: int) -> None:
+    """E* = E_n + (w/d) (E(Y1) - E_n), and a first guess along the first stage."""
     for i in range(n):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+        left, right = a - NODE_ROWS * LANES, a + NODE_ROWS * LANES
         for lane in range(LANES):
+            own_left, own_right = B[a + STAGE_LEFT * LANES + lane], B[a + STAGE_RIGHT * LANES + lane]
+            shared = B[right + STAGE_LEFT * LANES + lane] - own_right - own_left + B[left + STAGE_RIGHT * LANES + lane]
             start = B[a + E_START * LANES + lane]
-            B[a + E_STAR * LANES + lane] = start + BDF_WEIGHT * (B[a + E_STAGE * LANES + lane] - start)
+            B[a + E_STAR * LANES + lane] = start + BDF_WEIGHT * (own_left + own_right + SHARE * shared - start)
             cold = B[a + T_START * LANES + lane]
             B[a + T * LANES + lane] = cold + (B[a + T * LANES + lane] - cold) * (1.0 / GAMMA)
 
@@ -481,10 +466,10 @@ def step(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> Non
     n = J[N_NODES]
     _start(B, J, table, chain, dt)
     _solve_stage(B, J, table, chain, 1, dt)
-    _add_energy(B, EXPLICIT_WEIGHT * dt, STAGE_IN, STAGE_OUT)
+    _add_energy(B, EXPLICIT_WEIGHT * dt)
     _start_second_stage(B, n)
     _solve_stage(B, J, table, chain, 2, dt)
-    _add_energy(B, STAGE_WEIGHT * dt, STAGE_IN, STAGE_OUT)
+    _add_energy(B, STAGE_WEIGHT * dt)
     for i in range(n):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
         for lane in range(LANES):

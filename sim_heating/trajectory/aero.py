@@ -34,6 +34,9 @@ Span = tuple[float, float]
 
 COEFFICIENTS = ("CN", "CA", "Cm")
 
+SCHEDULE_SOUND_M_S = 300.0
+"""Speed of sound with which an alpha schedule over velocity is read as one over Mach, for the body flap alone."""
+
 
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -128,7 +131,6 @@ class Grid(NamedTuple):
     alpha_deg: FloatArray
     deflection_deg: FloatArray
     values: FloatArray
-
 
     def packed(self) -> FloatArray:
         """The whole table as one block for the kernels: three sizes, three axes, values."""
@@ -245,15 +247,23 @@ class Aero:
         nodes = _within(self.bodyflap.deflection_deg, self.file.bodyflap.range_deg)
         return _zero(nodes, [self.coefficients(mach, alpha_deg, elevon_deg, float(d))[2] for d in nodes])
 
-    def bodyflap_schedule(self, alpha_deg: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
+    def bodyflap_schedule(
+        self, alpha_deg: Sequence[tuple[float, float]], against: str = "mach"
+    ) -> tuple[tuple[float, float], ...]:
         """Body flap [(mach, deg), ...] that keeps the elevon at its scheduled deflection in trim.
 
-        alpha_deg : angle-of-attack schedule [(mach, deg), ...]
+        alpha_deg : angle-of-attack schedule [(x, deg), ...]
+        against   : what x is, "mach" or "velocity_m_s"; a velocity counts as Mach with 300 m/s, and the elevon
+                    takes up the small rest
         """
+        scale = 1.0 if against == "mach" else 1.0 / SCHEDULE_SOUND_M_S
         x, y = np.array(sorted(alpha_deg), dtype=float).T
-        mach = np.unique(np.concatenate((self.basic.mach, x, self.file.cm_shift.mach)))
+        mach = np.unique(np.concatenate((self.basic.mach, x * scale, self.file.cm_shift.mach)))
+        alpha = np.interp(mach, x * scale, y)
         elevon = self.file.elevon.schedule_deg
-        return tuple((float(m), self.trim_bodyflap_deg(float(m), float(np.interp(m, x, y)), elevon)) for m in mach)
+        return tuple(
+            (m, self.trim_bodyflap_deg(m, a, elevon)) for m, a in zip(mach.tolist(), alpha.tolist(), strict=True)
+        )
 
     def with_changes(
         self, *, mass_kg: float | None = None, cg_fraction: float | None = None, cm_shift: bool | float = False

@@ -12,8 +12,8 @@ where hdot_r is lowered by an integral of e that takes out what the constant sca
 with CDdot / CD of the falling angle-of-attack schedule, see `drag_coefficient_rate`.
 Above the highest velocity of the drag reference there is no e, and hdot_r is that of an equilibrium glide,
 D proportional to g - V^2/r. Its sign changes at given velocities, or where the heading error to a target leaves the
-deadband. Below `approach.below_mach` the same law with e = Hs ln(q_ref / q) is solved for the angle of attack (lift taken
-proportional to it), and below `flare_altitude_m` the altitude rate falls exponentially to touch-down.
+deadband. Below `approach.below_mach` the same law with e = Hs ln(q_ref / q) is solved for the angle of attack (lift
+taken proportional to it), and below `flare_altitude_m` the altitude rate falls exponentially to touch-down.
 
 Inputs are what a navigation system measures; outputs are limited in magnitude and rate, so they are continuous.
 """
@@ -55,7 +55,7 @@ ALPHA_COMMAND, BANK_COMMAND, SIGN, PHASE, CLIMB_BIAS = range(5)
 MEMORY = 5
 
 INTEGRAL = 0.4
-"""Gain of the integral of the altitude error over w^3; the cubic s^3 + 2 zeta w s^2 + w^2 s + 0.4 w^3 is stable to zeta 0.2."""
+"""Gain of the integral of the altitude error over w^3; s^3 + 2 zeta w s^2 + w^2 s + 0.4 w^3 is stable for zeta above 0.2."""
 LARGEST_BIAS_M_S = 30.0
 
 COAST, GLIDE, TRACK, APPROACHING, FLARE = range(5)
@@ -117,8 +117,8 @@ def guidance_block(g: Guidance, first_bank_deg: float = 0.0) -> FloatArray:
     target = (1.0, g.target.latitude_deg, g.target.longitude_deg, g.target.deadband_deg) if g.target else (0.0,) * 4
     scalars = (
         0.0 if g.alpha_against == "mach" else 1.0, *g.alpha_limits_deg, g.alpha_rate_deg_s,
-        g.start_drag_m_s2, first_bank_deg, *g.bank_limits_deg, g.bank_rate_deg_s, 1.0 if g.first_bank == "right" else -1.0,
-        g.frequency_rad_s, g.damping, g.scale_height_m, *target,
+        g.start_drag_m_s2, first_bank_deg, *g.bank_limits_deg, g.bank_rate_deg_s,
+        1.0 if g.first_bank == "right" else -1.0, g.frequency_rad_s, g.damping, g.scale_height_m, *target,
         a.below_mach, *a.alpha_limits_deg, a.bank_deg, a.frequency_rad_s, a.damping, a.flare_altitude_m, a.flare_time_s,
     )  # fmt: skip
     reversals = [(v, 0.0) for v in sorted(g.reversals_m_s)]

@@ -1,7 +1,8 @@
 """Entry in JSBSim with six degrees of freedom: guidance and manoeuvres command, JSBSim flies, samples are kept.
 
-Each frame is one JSBSim frame. Commands are renewed COMMAND_HZ times a second: guidance, the same as the 3-DOF entry's, gives
-angle of attack and bank, the manoeuvres add their offsets, and the vehicle's attitude control does the rest.
+Each frame is one JSBSim frame. Commands are renewed COMMAND_HZ times a second: guidance, the same as the 3-DOF
+entry's, gives angle of attack and bank, the manoeuvres add their offsets, and the vehicle's attitude control does the
+rest.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from sim_heating.trajectory.guidance import (
 from sim_heating.trajectory.jsbsim_host import InitialState, open_vehicle
 from sim_heating.trajectory.jsbsim_pilot import Commands, Observer
 from sim_heating.trajectory.manoeuvres import ManoeuvreScript
-from sim_heating.trajectory.spec import Initial, TrajectorySpec
+from sim_heating.trajectory.spec import TrajectorySpec
 
 COMMAND_HZ = 10.0
 """Commands a second at most; they pass lags of 0.3 s and more in the attitude control, so that steps do not show."""
@@ -45,7 +46,7 @@ def fly(
 ) -> Flight:
     """Fly a scenario's trajectory in JSBSim.
 
-    on_frame : called at the start and after each frame with its values in the order of conditions.FRAME; the array is reused
+    on_frame : called at the start and after each frame with the values of conditions.FRAME; the array is reused
     progress : called every 20 s of flight with the fraction of the flight done and a line of text
     raises   : InputError for a scenario or vehicle that cannot be flown; RunError with time and state where the
                vehicle goes out of control, skips out, hits the ground, or is no number

@@ -1,8 +1,8 @@
 """JSBSim as a host: one fresh executive, named properties, the standard atmosphere injected, one frame at a time.
 
-JSBSim's own atmosphere is frozen at 187 K above 86 km and up to a quarter too thin, so density, temperature and pressure of
-US76 (times a dispersion) and the wind are written before each frame, for the altitude that the frame leads to. All that is
-read after a frame belongs to that frame.
+JSBSim's own atmosphere is frozen at 187 K above 86 km and up to a quarter too thin, so density, temperature and
+pressure of US76 (times a dispersion) and the wind are written before each frame, for the altitude that the frame leads
+to. All that is read after a frame belongs to that frame.
 """
 
 from __future__ import annotations
@@ -61,9 +61,7 @@ VEHICLE_READS: Mapping[str, Read] = MappingProxyType({
     "rho_kg_m3": Read("atmosphere/rho-slugs_ft3", SLUG_FT3_KG_M3),
     "jets": Read("control/jet-firing"),
 })  # fmt: skip
-"""Where the columns of conditions.FRAME stand in the models that this package makes; another aircraft has other names."""
-
-
+"""Where the columns of conditions.FRAME stand in this package's models; another aircraft has other names."""
 
 
 class InitialState(NamedTuple):
@@ -84,8 +82,8 @@ def air_kernel(altitude_m: float, dispersions: FloatArray) -> tuple[float, float
     """Temperature [K], pressure [Pa], density [kg/m3] and wind to north and east [m/s] at an altitude."""
     T, p, rho = us76_kernel(altitude_m)
     factor = scheduled(dispersions, DENSITY_FACTOR, altitude_m)
-    wind_north, wind_east = scheduled(dispersions, WIND_NORTH, altitude_m), scheduled(dispersions, WIND_EAST, altitude_m)
-    return T, factor * p, factor * rho, wind_north, wind_east
+    north, east = scheduled(dispersions, WIND_NORTH, altitude_m), scheduled(dispersions, WIND_EAST, altitude_m)
+    return T, factor * p, factor * rho, north, east
 
 
 def dispersion_block(d: Dispersions) -> FloatArray:
@@ -102,7 +100,7 @@ class JSBSimHost:
     dispersions   : of the injected US76 atmosphere; None leaves JSBSim its own atmosphere and wind
     raises        : InputError where the aircraft does not load or lacks a property that is to be read
 
-    Use: `start(state)`, then `step()` and `read_frame(buffer)` in turn. Two hosts in one process do not disturb each other.
+    Use: `start(state)`, then `step()` and `read_frame(buffer)` in turn. Hosts in one process do not disturb each other.
     """
 
     def __init__(
@@ -151,7 +149,7 @@ class JSBSimHost:
         """
         created = self.fdm.get_property_manager().get_node(name, True) if _is_name(name) else None
         if created is None:
-            raise InputError(f"{name}: not a JSBSim property name (letters, digits, . _ -; a part begins with a letter)")
+            raise InputError(f"{name}: not a JSBSim property name (letters, digits, . _ -; parts begin with a letter)")
         return created
 
     def start(self, state: InitialState) -> None:
@@ -169,7 +167,7 @@ class JSBSimHost:
         """
         altitude_m = (self._altitude_ft() + self._climb_fps() / self.rate_hz) * FT_M
         if not LOWEST_M < altitude_m < HIGHEST_M:
-            raise RunError(f"JSBSim: the vehicle is outside the atmosphere's table or below ground; {self.describe()}")
+            raise RunError(f"JSBSim: the state {_what_is_wrong(altitude_m)} {self.describe()}")
         if self._air is not None:
             self._air.write(altitude_m)
         if not self._guarded(self._run):
@@ -188,7 +186,7 @@ class JSBSimHost:
         """Time and state in words, for a report."""
         f = dict(zip(FRAME, self.read_frame(np.zeros(len(FRAME))).tolist(), strict=True))
         return (
-            f"at {f['time_s']:.2f} s: altitude {f['altitude_m'] / 1000.0:.2f} km, velocity {f['velocity_m_s']:.0f} m/s, "
+            f"at {f['time_s']:.2f} s: altitude {f['altitude_m'] / 1e3:.2f} km, velocity {f['velocity_m_s']:.0f} m/s, "
             f"alpha {f['alpha_deg']:.1f} deg, beta {f['beta_deg']:.1f} deg"
         )
 
@@ -205,7 +203,8 @@ class _AirInjection:
     def __init__(self, host: JSBSimHost, dispersions: Dispersions) -> None:
         self._block = dispersion_block(dispersions)
         self._setters = [
-            host.publish(f"atmosphere/override/{name}").set_double_value for name in ("temperature", "pressure", "density")
+            host.publish(f"atmosphere/override/{name}").set_double_value
+            for name in ("temperature", "pressure", "density")
         ]
         self._has_wind = bool(dispersions.wind_north_m_s or dispersions.wind_east_m_s)
         self._winds = [host.node(f"atmosphere/wind-{d}-fps").set_double_value for d in ("north", "east")]
@@ -261,6 +260,12 @@ def _properties(fdm: jsbsim.FGFDMExec) -> list[str]:
     return [line.split(" (")[0] for line in fdm.query_property_catalog("").splitlines() if line]
 
 
+def _what_is_wrong(altitude_m: float) -> str:
+    if math.isnan(altitude_m):
+        return "is not a number"
+    return "is below ground" if altitude_m <= LOWEST_M else "is above the atmosphere's table"
+
+
 def _is_name(name: str) -> bool:
     parts = name.split("/")
     return all(p and p[0].isalpha() and all(c.isalnum() or c in "._-[]" for c in p) and p.isascii() for p in parts)
@@ -295,9 +300,7 @@ def _velocity_over_ground(state: InitialState, wind: tuple[float, float]) -> tup
     )
 
 
-def euler_angles(
-    alpha_deg: float, bank_deg: float, gamma_deg: float, heading_deg: float
-) -> tuple[float, float, float]:
+def euler_angles(alpha_deg: float, bank_deg: float, gamma_deg: float, heading_deg: float) -> tuple[float, float, float]:
     """Roll, pitch and yaw [rad] of a body without sideslip: R_y(alpha) R_x(bank) R_y(gamma) R_z(heading)."""
     R = _about_y(alpha_deg) @ _about_x(bank_deg) @ _about_y(gamma_deg) @ _about_z(heading_deg)
     return math.atan2(R[1, 2], R[2, 2]), -math.asin(min(max(R[0, 2], -1.0), 1.0)), math.atan2(R[0, 1], R[0, 0])

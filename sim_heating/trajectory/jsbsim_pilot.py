@@ -20,9 +20,6 @@ FloatArray = NDArray[np.float64]
 
 G0_FT_S2 = 9.80665 / FT_M
 
-SCHEDULE_SOUND_M_S = 300.0
-"""Speed of sound with which an alpha schedule over velocity is read as one over Mach, for the body flap alone."""
-
 
 class Observer:
     """Reads the state that guidance and the samples need, after a frame."""
@@ -34,7 +31,8 @@ class Observer:
         self._drag, self._lift = host.getter("forces/fwx-aero-lbs"), host.getter("forces/fwz-aero-lbs")
         self._axial = host.getter("forces/fbx-aero-lbs"), host.getter("forces/fbx-external-lbs")
         self._mass = host.getter("inertia/mass-slugs")
-        self._gravity, self._radius = host.getter("accelerations/gravity-ft_sec2"), host.getter("position/radius-to-vehicle-ft")
+        self._gravity = host.getter("accelerations/gravity-ft_sec2")
+        self._radius = host.getter("position/radius-to-vehicle-ft")
         self._inertial = host.getter("velocities/eci-velocity-mag-fps")
         self._speed, self._altitude = host.getter("velocities/vt-fps"), host.getter("position/h-sl-ft")
         self._mach, self._qbar = host.getter("velocities/mach"), host.getter("aero/qbar-psf")
@@ -105,7 +103,8 @@ class Commands:
         self._frozen_deg: float | None = None
         self._alpha_limits = guidance.alpha_limits_deg
         self._against_mach = state.bodyflap_deg is None or state.bodyflap_against == "mach"
-        self._bodyflap = pack((), [state.bodyflap_deg or trim_schedule(aero, guidance)])
+        trimmed = aero.bodyflap_schedule(guidance.alpha_deg, guidance.alpha_against)
+        self._bodyflap = pack((), [state.bodyflap_deg or trimmed])
 
     def write(self, alpha_deg: float, bank_deg: float, offsets: Offsets, mach: float, velocity_m_s: float) -> None:
         """Commands from now on; the angle of attack is kept within guidance's limits."""
@@ -141,9 +140,3 @@ class Commands:
             self._set["elevon-direct"](1.0)
         self._set["pitch-open"](1.0 if offsets.pitch == OPEN else 0.0)
         self._set["elevon-direct-deg"](self._frozen_deg + offsets.elevon_deg)
-
-
-def trim_schedule(aero: Aero, guidance: Guidance) -> tuple[tuple[float, float], ...]:
-    """Body flap over Mach that keeps the elevon on its schedule along guidance's angle of attack."""
-    scale = 1.0 if guidance.alpha_against == "mach" else 1.0 / SCHEDULE_SOUND_M_S
-    return aero.bodyflap_schedule([(x * scale, alpha) for x, alpha in guidance.alpha_deg])

@@ -16,7 +16,14 @@ from numpy.typing import NDArray
 from sim_heating.jit import njit
 from sim_heating.trajectory.flight import Window
 from sim_heating.trajectory.spec import (
-    BodyflapPulse, BodyflapSweep, ElevonPulse, ElevonSweep, JetFiring, Manoeuvre, Popu, SideslipDoublet,
+    BodyflapPulse,
+    BodyflapSweep,
+    ElevonPulse,
+    ElevonSweep,
+    JetFiring,
+    Manoeuvre,
+    Popu,
+    SideslipDoublet,
 )  # fmt: skip
 
 FloatArray = NDArray[np.float64]

@@ -1,0 +1,312 @@
+"""A point mass over the rotating WGS84 ellipsoid, gravity with J2: the compiled step of the 3-DOF entry.
+
+State in Earth-fixed Cartesian axes r, v (no singular pole), with w the Earth's rotation:
+
+    dr/dt = v
+    dv/dt = g(r) - 2 w x v - w x (w x r) + (L - D + Y) / m            fourth-order Runge-Kutta, fixed step
+    D = q S CD along the air-relative velocity u = v - wind;   L = q S CL across it, turned by the bank angle
+
+Angle of attack, bank and control offsets are linear within a step, so they are continuous. Guidance acts once a step.
+
+Everything is in flat float64 arrays and `step_kernel` allocates nothing: ten thousand flights are ten thousand states
+and blocks, and the step can be exported.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.atmosphere import speed_of_sound_kernel, us76_kernel
+from sim_heating.jit import njit, raw
+from sim_heating.trajectory import guidance as gd
+from sim_heating.trajectory import manoeuvres as mv
+from sim_heating.trajectory.guidance import clipped, guidance_kernel
+from sim_heating.trajectory.manoeuvres import Script, offsets_kernel, trigger_kernel
+from sim_heating.trajectory.schedules import scheduled
+from sim_heating.trajectory.trimmed_aero import lift_drag_kernel
+
+FloatArray = NDArray[np.float64]
+
+WGS84_MU_M3_S2 = 3.986004418e14
+WGS84_RADIUS_M = 6378137.0
+WGS84_FLATTENING = 1.0 / 298.257223563
+WGS84_ROTATION_RAD_S = 7.292115e-5
+WGS84_J2 = 1.08262982e-3
+"""NIMA TR8350.2, third edition, tables 3.1 and 3.3 (J2 from the normalised C20)."""
+G0_M_S2 = 9.80665
+
+(
+    MU, J2, ROTATION, RADIUS, FLATTENING, MASS, AREA, FLAP_LOW, FLAP_HIGH, FLAP_AXIS, CY_BETA,
+    STOP_TIME, STOP_MACH, STOP_SPEED, STOP_ALTITUDE,
+) = range(6, 21)  # fmt: skip
+DENSITY, WIND_NORTH, WIND_EAST, FLAP_SCHEDULE = 21, 23, 25, 27
+"""Places in the block of a flight: scalars after those of `trimmed_aero`, then schedules."""
+
+MACH_COUNTS_BELOW_M = 90.0e3
+"""Mach ends a flight below this altitude only: in the hot air above it is low."""
+
+(
+    T, X, Y, Z, VX, VY, VZ, ALPHA, BANK, BETA, D_ELEVON, D_FLAP, JETS, LAST_SPEED, LAST_MACH,
+    EXPECTED_TIME, EXPECTED_SPEED, EXPECTED_MACH, MEMORY,
+) = range(19)  # fmt: skip
+STARTED = MEMORY + gd.MEMORY
+"""Places in a flight's state; guidance memory from MEMORY, start times of manoeuvres from STARTED."""
+
+K1 = gd.OBSERVED
+OFFSETS = K1 + 3
+NEXT = OFFSETS + 6
+WORK = NEXT + 3
+"""The scratch array of a step: what guidance sees, acceleration, offsets of manoeuvres, triggers at the step's end."""
+
+
+class Air(NamedTuple):
+    """The air about the vehicle and the directions in it."""
+
+    altitude_m: float
+    up: tuple[float, float, float]
+    wind: tuple[float, float, float]
+    u: tuple[float, float, float]
+    speed_m_s: float
+    rho_kg_m3: float
+    mach: float
+
+
+@njit
+def dot(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
+    """Scalar product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit
+def cross(a: tuple[float, float, float], b: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Vector product."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@njit
+def geodetic(
+    x: float, y: float, z: float, radius: float, flattening: float
+) -> tuple[float, tuple[float, float, float]]:
+    """Geodetic altitude [m] and the outward normal of the ellipsoid at a point.
+
+    Bowring, Survey Review 23 (1976) 323-327, one step, in sines and cosines without an angle; below 1e-6 m to 200 km.
+    """
+    e2 = flattening * (2.0 - flattening)
+    b = radius * (1.0 - flattening)
+    p = math.sqrt(x * x + y * y)
+    r = math.sqrt(p * p + z * z)
+    s, c = z * (1.0 - flattening) * (1.0 + e2 / (1.0 - e2) * b / r), p * (1.0 - flattening) ** 2
+    n = math.sqrt(s * s + c * c)
+    s, c = s / n, c / n
+    sine, cosine = z + e2 / (1.0 - e2) * b * s * s * s, p - e2 * radius * c * c * c
+    n = math.sqrt(sine * sine + cosine * cosine)
+    sine, cosine = sine / n, cosine / n
+    altitude = p * cosine + z * sine - radius * math.sqrt(1.0 - e2 * sine * sine)
+    east = max(p, 1e-9)
+    return altitude, (cosine * x / east, cosine * y / east, sine)
+
+
+@njit
+def gravity(x: float, y: float, z: float, flight: FloatArray) -> tuple[float, float, float]:
+    """Gravitation of an oblate Earth [m/s2], without the centrifugal part; central and J2 terms."""
+    r2 = x * x + y * y + z * z
+    k = -flight[MU] / (r2 * math.sqrt(r2))
+    j = 1.5 * flight[J2] * flight[RADIUS] ** 2 / r2
+    q = 5.0 * z * z / r2
+    return k * x * (1.0 + j * (1.0 - q)), k * y * (1.0 + j * (1.0 - q)), k * z * (1.0 + j * (3.0 - q))
+
+
+@njit
+def air_at(x: float, y: float, z: float, vx: float, vy: float, vz: float, flight: FloatArray) -> Air:
+    """Altitude, wind, air-relative velocity, density and Mach."""
+    altitude, up = geodetic(x, y, z, flight[RADIUS], flight[FLATTENING])
+    p = max(math.sqrt(x * x + y * y), 1e-9)
+    north, east = scheduled(flight, WIND_NORTH, altitude), scheduled(flight, WIND_EAST, altitude)
+    ce, se, cp = x / p, y / p, math.sqrt(up[0] * up[0] + up[1] * up[1])
+    wind = (-se * east - up[2] * ce * north, ce * east - up[2] * se * north, cp * north)
+    u = (vx - wind[0], vy - wind[1], vz - wind[2])
+    speed = max(math.sqrt(dot(u, u)), 1e-6)
+    temperature, _, rho = us76_kernel(altitude)
+    rho *= scheduled(flight, DENSITY, altitude)
+    return Air(altitude, up, wind, u, speed, rho, speed / speed_of_sound_kernel(temperature))
+
+
+@njit
+def flap_kernel(flight: FloatArray, mach: float, speed: float, d_flap_deg: float) -> float:
+    """Body flap [deg]: schedule plus offset, within its travel."""
+    base = scheduled(flight, FLAP_SCHEDULE, mach if flight[FLAP_AXIS] == 0.0 else speed)
+    return clipped(base + d_flap_deg, flight[FLAP_LOW], flight[FLAP_HIGH])
+
+
+class Forces(NamedTuple):
+    """Air, aerodynamics in trim, and dv/dt in rotating Earth-fixed axes [m/s2]."""
+
+    air: Air
+    cl: float
+    cd: float
+    ca: float
+    elevon_deg: float
+    bodyflap_deg: float
+    acceleration_m_s2: tuple[float, float, float]
+
+
+@njit
+def forces_kernel(
+    x: float, y: float, z: float, vx: float, vy: float, vz: float,
+    alpha_deg: float, bank_deg: float, beta_deg: float, d_elevon_deg: float, d_flap_deg: float,
+    flight: FloatArray, aero: FloatArray,
+) -> Forces:  # fmt: skip
+    """Everything that acts on the vehicle at a position and velocity."""
+    air = air_at(x, y, z, vx, vy, vz, flight)
+    gx, gy, gz = gravity(x, y, z, flight)
+    w = flight[ROTATION]
+    gx += w * (2.0 * vy + w * x)
+    gy += w * (w * y - 2.0 * vx)
+    V = air.speed_m_s
+    flap = flap_kernel(flight, air.mach, V, d_flap_deg)
+    cl, cd, ca, elevon = lift_drag_kernel(air.mach, alpha_deg, flap, d_elevon_deg, flight, aero)
+    pressure = 0.5 * air.rho_kg_m3 * V * V * flight[AREA] / flight[MASS]
+    e = (air.u[0] / V, air.u[1] / V, air.u[2] / V)
+    side = cross(e, air.up)
+    n = max(math.sqrt(dot(side, side)), 1e-9)
+    lift = cross(side, e)
+    s, c = math.sin(math.radians(bank_deg)), math.cos(math.radians(bank_deg))
+    cy = flight[CY_BETA] * math.radians(beta_deg)
+    up_force, side_force, drag = pressure * (cl * c - cy * s) / n, pressure * (cl * s + cy * c) / n, pressure * cd
+    ax = gx - drag * e[0] + up_force * lift[0] + side_force * side[0]
+    ay = gy - drag * e[1] + up_force * lift[1] + side_force * side[1]
+    az = gz - drag * e[2] + up_force * lift[2] + side_force * side[2]
+    return Forces(air, cl, cd, ca, elevon, flap, (ax, ay, az))
+
+
+@njit
+def observe_kernel(state: FloatArray, flight: FloatArray, aero: FloatArray, work: FloatArray, row: FloatArray) -> None:
+    """Fill what guidance sees and the acceleration, work[:K1 + 3], and the frame's row (flight.ROW) at a state."""
+    x, y, z, vx, vy, vz = state[X], state[Y], state[Z], state[VX], state[VY], state[VZ]
+    f = forces_kernel(
+        x, y, z, vx, vy, vz, state[ALPHA], state[BANK], state[BETA], state[D_ELEVON], state[D_FLAP], flight, aero
+    )
+    air, V, seen = f.air, f.air.speed_m_s, work[: gd.OBSERVED]
+    work[K1], work[K1 + 1], work[K1 + 2] = f.acceleration_m_s2
+    qbar = 0.5 * air.rho_kg_m3 * V * V
+    per_mass = qbar * flight[AREA] / flight[MASS]
+    p = max(math.sqrt(x * x + y * y), 1e-9)
+    east = (air.u[1] * x - air.u[0] * y) / p
+    north = (air.u[2] - dot(air.u, air.up) * air.up[2]) / max(math.sqrt(1.0 - air.up[2] ** 2), 1e-9)
+    climb = air.up[0] * vx + air.up[1] * vy + air.up[2] * vz
+    seen[gd.TIME], seen[gd.ALTITUDE], seen[gd.SPEED], seen[gd.MACH] = state[T], air.altitude_m, V, air.mach
+    seen[gd.CLIMB], seen[gd.DRAG], seen[gd.LIFT] = climb, per_mass * f.cd, per_mass * f.cl
+    seen[gd.NET_GRAVITY] = net_gravity(x, y, z, vx, vy, vz, climb, flight)
+    seen[gd.QBAR], seen[gd.ALPHA_NOW] = qbar, state[ALPHA]
+    seen[gd.HEADING] = math.degrees(math.atan2(east, north))
+    seen[gd.LATITUDE], seen[gd.LONGITUDE] = math.degrees(math.asin(air.up[2])), math.degrees(math.atan2(y, x))
+    row[0], row[1], row[2], row[3], row[4] = state[T], air.altitude_m, V, state[ALPHA], state[BETA]
+    row[5], row[6], row[7], row[8], row[9] = f.elevon_deg, f.bodyflap_deg, air.rho_kg_m3, state[JETS], state[BANK]
+    row[10] = math.degrees(math.asin(clipped(dot(air.u, air.up) / V, -1.0, 1.0)))
+    row[11], row[12], row[13] = seen[gd.HEADING], seen[gd.LATITUDE], seen[gd.LONGITUDE]
+    row[14] = per_mass * f.ca / G0_M_S2
+
+
+@njit
+def net_gravity(
+    x: float, y: float, z: float, vx: float, vy: float, vz: float, climb: float, flight: FloatArray
+) -> float:
+    """g - V_i^2 / r [m/s2], V_i the horizontal inertial speed."""
+    r2 = x * x + y * y + z * z
+    ix, iy = vx - flight[ROTATION] * y, vy + flight[ROTATION] * x
+    horizontal2 = max(ix * ix + iy * iy + vz * vz - climb * climb, 0.0)
+    return flight[MU] / r2 - horizontal2 / math.sqrt(r2)
+
+
+@njit
+def command_kernel(
+    state: FloatArray, flight: FloatArray, block: FloatArray, script: Script, work: FloatArray, dt_s: float
+) -> tuple[float, float, float, float, float]:
+    """Alpha, bank, beta, elevon and body-flap offsets to be reached at the end of a step; starts manoeuvres.
+
+    Speed and Mach at the end of the step are extrapolated, so that a manoeuvre starts inside the step in which its
+    trigger is passed and not after it.
+    """
+    seen, out, now = work[: gd.OBSERVED], work[OFFSETS:NEXT], work[NEXT:]
+    guidance_kernel(block, state[MEMORY:STARTED], seen, dt_s)
+    now[0] = state[T] + dt_s
+    now[1] = 2.0 * seen[gd.SPEED] - state[LAST_SPEED]
+    now[2] = 2.0 * seen[gd.MACH] - state[LAST_MACH]
+    state[LAST_SPEED], state[LAST_MACH] = seen[gd.SPEED], seen[gd.MACH]
+    trigger_kernel(script, state[STARTED:], state[EXPECTED_TIME : EXPECTED_MACH + 1], now)
+    state[EXPECTED_TIME : EXPECTED_MACH + 1] = now
+    offsets_kernel(script, state[STARTED:], now[0], out)
+    state[JETS] = clipped(out[mv.JETS], 0.0, 1.0)
+    alpha = clipped(state[MEMORY + gd.ALPHA_COMMAND] + out[mv.ALPHA], block[gd.ALPHA_LOW], block[gd.ALPHA_HIGH])
+    return alpha, state[MEMORY + gd.BANK_COMMAND], out[mv.BETA], out[mv.ELEVON], out[mv.BODYFLAP]
+
+
+@njit
+def runge_kutta_step(
+    state: FloatArray, flight: FloatArray, aero: FloatArray, dt_s: float, k1: FloatArray,
+    alpha: float, bank: float, beta: float, d_elevon: float, d_flap: float,
+) -> None:  # fmt: skip
+    """Classical fourth-order step of position and velocity, controls linear from the state's to the given ones.
+
+    k1 : (3,) acceleration at the beginning of the step, as observe_kernel left it
+    """
+    x, y, z, vx, vy, vz = state[X], state[Y], state[Z], state[VX], state[VY], state[VZ]
+    kx, ky, kz, lx, ly, lz = vx, vy, vz, k1[0], k1[1], k1[2]
+    sx, sy, sz, ax, ay, az = kx / 6.0, ky / 6.0, kz / 6.0, lx / 6.0, ly / 6.0, lz / 6.0
+    for stage in range(1, 4):
+        share, weight = (1.0, 1.0 / 6.0) if stage == 3 else (0.5, 1.0 / 3.0)
+        h = share * dt_s
+        px, py, pz = x + h * kx, y + h * ky, z + h * kz
+        kx, ky, kz = vx + h * lx, vy + h * ly, vz + h * lz
+        lx, ly, lz = forces_kernel(
+            px, py, pz, kx, ky, kz,
+            state[ALPHA] + share * (alpha - state[ALPHA]), state[BANK] + share * (bank - state[BANK]),
+            state[BETA] + share * (beta - state[BETA]), state[D_ELEVON] + share * (d_elevon - state[D_ELEVON]),
+            state[D_FLAP] + share * (d_flap - state[D_FLAP]), flight, aero,
+        ).acceleration_m_s2  # fmt: skip
+        sx, sy, sz = sx + weight * kx, sy + weight * ky, sz + weight * kz
+        ax, ay, az = ax + weight * lx, ay + weight * ly, az + weight * lz
+    state[X], state[Y], state[Z] = x + dt_s * sx, y + dt_s * sy, z + dt_s * sz
+    state[VX], state[VY], state[VZ] = vx + dt_s * ax, vy + dt_s * ay, vz + dt_s * az
+    state[ALPHA], state[BANK], state[BETA], state[D_ELEVON], state[D_FLAP] = alpha, bank, beta, d_elevon, d_flap
+    state[T] += dt_s
+
+
+@njit
+def step_kernel(
+    state: FloatArray, flight: FloatArray, block: FloatArray, script: Script, aero: FloatArray, dt_s: float,
+    work: FloatArray, row: FloatArray,
+) -> bool:  # fmt: skip
+    """One step of one flight; row is the frame at its beginning. False, and no step, where the flight ends there.
+
+    state : (STARTED + manoeuvres,) as made by `entry3dof.first_state`, moved on by dt_s
+    flight: block of `entry3dof.flight_block`;  block: of `guidance.guidance_block`;  work: (WORK,);  row: (len(ROW),)
+    """
+    tables, own, seen = raw(aero), raw(flight), work[: gd.OBSERVED]
+    observe_kernel(state, own, tables, work, row)
+    if (
+        state[T] >= flight[STOP_TIME] - 1e-9
+        or seen[gd.ALTITUDE] <= flight[STOP_ALTITUDE]
+        or seen[gd.SPEED] <= flight[STOP_SPEED]
+        or (seen[gd.MACH] <= flight[STOP_MACH] and seen[gd.ALTITUDE] < MACH_COUNTS_BELOW_M)
+    ):
+        return False
+    alpha, bank, beta, d_elevon, d_flap = command_kernel(state, flight, block, script, work, dt_s)
+    runge_kutta_step(state, own, tables, dt_s, work[K1:OFFSETS], alpha, bank, beta, d_elevon, d_flap)
+    return True
+
+
+@njit
+def run_kernel(
+    state: FloatArray, flight: FloatArray, block: FloatArray, script: Script, aero: FloatArray, dt_s: float,
+    work: FloatArray, rows: FloatArray,
+) -> tuple[int, bool]:  # fmt: skip
+    """Steps until the flight ends or rows (frames, len(ROW)) are full; how many were filled, and whether it ended."""
+    for k in range(rows.shape[0]):
+        if not step_kernel(state, flight, block, script, aero, dt_s, work, rows[k]):
+            return k + 1, True
+    return rows.shape[0], False

@@ -1,0 +1,82 @@
+"""A flight as it was recorded: conditions from a CSV file in the contract's columns.
+
+What a host would give must be there; temperature, pressure, Mach and Reynolds number are taken as recorded, and derived
+by sim_heating.atmosphere where a column is absent. Further columns of numbers are kept.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.atmosphere import HIGHEST_M, LOWEST_M, derive
+from sim_heating.conditions import FRAME, HEATING, STATE, Conditions
+from sim_heating.errors import InputError
+from sim_heating.files import CsvTable, raise_problems, read_csv_columns
+from sim_heating.trajectory.flight import EXTRAS, Flight, OnFrame, Progress, reference_length_m
+from sim_heating.trajectory.spec import TrajectorySpec
+
+FloatArray = NDArray[np.float64]
+
+DERIVED = ("T_inf_K", "p_inf_Pa", "mach", "log10_re")
+REQUIRED = tuple(name for name in STATE if name not in DERIVED)
+OPTIONAL = (*DERIVED, "jets", "qbar_Pa", "q_add_W_m2", *EXTRAS, *HEATING)
+
+
+def fly(
+    spec: TrajectorySpec, vehicle_dir: Path, *, on_frame: OnFrame | None = None, progress: Progress | None = None
+) -> Flight:
+    """The recorded flight of spec.file, one frame a row; nothing is resampled and there are no events.
+
+    spec.file : path, as the caller has made it (a scenario's is relative to the scenario)
+    on_frame  : called for each row with its values in the order of conditions.FRAME; the array is reused
+    raises    : InputError naming file, row and column
+    """
+    if spec.file is None:
+        raise InputError('trajectory: source = "recorded" needs `file`, a CSV of flight conditions')
+    conditions = read_conditions(Path(spec.file), reference_length_m(vehicle_dir))
+    if on_frame is not None:
+        _give_frames(conditions, on_frame)
+    if progress is not None:
+        progress(1.0, f"{len(conditions)} recorded samples")
+    return Flight(conditions)
+
+
+def read_conditions(path: Path, length_m: float) -> Conditions:
+    """Conditions of a CSV file; length_m [m] is the reference length of a derived Reynolds number.
+
+    raises : InputError naming file, row and column
+    """
+    table = read_csv_columns(path, REQUIRED, OPTIONAL)
+    raise_problems(_problems(table))
+    given = dict(table.columns)
+    derived = derive(given["altitude_m"], given["velocity_m_s"], given["rho_kg_m3"], length_m)
+    columns = derived | {"qbar_Pa": 0.5 * given["rho_kg_m3"] * given["velocity_m_s"] ** 2} | given
+    order = STATE + tuple(name for name in columns if name not in STATE)
+    return Conditions({name: columns[name] for name in order})
+
+
+def _problems(table: CsvTable) -> list[str]:
+    z = table["altitude_m"]
+    problems = [
+        *table.not_increasing(),
+        *table.where_not("altitude_m", (z >= LOWEST_M) & (z <= HIGHEST_M), "is outside the atmosphere's table"),
+        *table.where_not("velocity_m_s", table["velocity_m_s"] >= 0.0, "is not a speed (must not be negative)"),
+        *table.where_not("rho_kg_m3", table["rho_kg_m3"] > 0.0, "is not a density (must be above 0)"),
+        *table.where_not("alpha_deg", np.abs(table["alpha_deg"]) <= 180.0, "is not an angle in degrees"),
+        *table.where_not("beta_deg", np.abs(table["beta_deg"]) <= 90.0, "is not an angle of sideslip in degrees"),
+    ]
+    if "T_inf_K" in table.columns:
+        problems += table.not_kelvin("T_inf_K")
+    for name in ("p_inf_Pa", "mach"):
+        if name in table.columns:
+            problems += table.where_not(name, table[name] > 0.0, "must be above 0")
+    return problems
+
+
+def _give_frames(conditions: Conditions, on_frame: OnFrame) -> None:
+    with_jets = conditions if "jets" in conditions else conditions.with_columns(jets=0.0)
+    for row in np.column_stack([with_jets[name] for name in FRAME]):
+        on_frame(row)
