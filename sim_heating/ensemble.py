@@ -1,7 +1,7 @@
 """Control points packed for the compiled march: the one model, whether stepped beside a host or marched through a flight.
 
 A PointModel says what a control point is: construction, sensors, ratio table, parameters, effects. An Ensemble holds many,
-of one flight or of many, in groups of LANES with equal node count, and is all the state there is: a snapshot of it is a copy
+of one flight or of many, in groups of LANES, and is all the state there is: a snapshot of it is a copy
 of one array.
 """
 
@@ -22,9 +22,11 @@ from sim_heating.errors import InputError, RunError
 from sim_heating.files import nearest
 from sim_heating.heating_ratio.kernel import pack_table
 from sim_heating.heating_ratio.table import RatioTable
+from sim_heating.jit import handle
 from sim_heating.layout import (
     BACK_EPS,
     BACK_H,
+    BACK_NODE,
     BACK_T,
     BASE,
     COLUMN,
@@ -51,6 +53,7 @@ from sim_heating.layout import (
     NODE_ROWS,
     NOWHERE,
     OUTSIDE,
+    RATE,
     RATIO_TABLE,
     REFERENCE,
     SURFACE_TABLE,
@@ -67,6 +70,7 @@ from sim_heating.layout import (
 from sim_heating.march import BLOCK_END, BLOCK_START, INTS_END, INTS_START, advance_groups, begin_groups, march_group
 from sim_heating.parameters import MODEL, RATIO, SECOND_ORDER
 from sim_heating.thermal.declare import BackFace, Construction, Material
+from sim_heating.thermal.kernel import compiled
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.tables import PropertyTables, WallEnthalpy, tabulate
 
@@ -165,6 +169,7 @@ class Ensemble:
         self._effects = _distinct_effects(self.models)
         self._chain = compiled_chain(self._effects)
         self.chain = self._chain.handle
+        self.begin_handle, self.advance_handle = (handle(f) for f in compiled())
         self.tables = self._tabulate()
         self._ratio_offsets, self.table = self._add_ratio_tables()
         self._arrange()
@@ -188,14 +193,9 @@ class Ensemble:
         return offsets, np.concatenate(parts)
 
     def _arrange(self) -> None:
-        """Put models with equal node counts into groups of LANES, the last one of a group filling it up."""
-        order = sorted(range(len(self.models)), key=lambda i: (self.meshes[i].nodes, i))
-        members: list[list[int]] = []
-        for i in order:
-            full = not members or len(members[-1]) == LANES
-            if full or self.meshes[members[-1][0]].nodes != self.meshes[i].nodes:
-                members.append([])
-            members[-1].append(i)
+        """Put models of like node counts into groups of LANES; the last one of a group fills it up."""
+        order = sorted(range(len(self.models)), key=lambda i: (-self.meshes[i].nodes, i))
+        members = [order[k : k + LANES] for k in range(0, len(order), LANES)]
         nodes = [self.meshes[group[0]].nodes for group in members]
         blocks = np.concatenate(([0], np.cumsum([block_size(n) for n in nodes])))
         integers = np.concatenate(([0], np.cumsum([integers_size(n) for n in nodes])))
@@ -239,8 +239,11 @@ class Ensemble:
             B[node_row(e, M_RIGHT)][lane] = half
             B[node_row(e + 1, M_LEFT)][lane] = half
             J[NODE_INTS + e * INTS_PER_NODE + 1 + lane] = self.tables.material_offset[id(material)]
+        J[BACK_NODE + lane] = mesh.nodes - 1
         last = NODE_INTS + len(mesh.layer) * INTS_PER_NODE + 1 + lane
-        J[last] = J[last - INTS_PER_NODE]
+        J[last :: INTS_PER_NODE] = J[last - INTS_PER_NODE]
+        for node in range(mesh.nodes, J[N_NODES]):
+            B[node_row(node, M_RIGHT)][lane] = 1.0
         J[SURFACE_TABLE + lane] = self.tables.surface_offset[id(materials[0]), model.wall_enthalpy]
         stack = model.construction.stack
         B[scalar_row(SURROUNDINGS4)][lane] = stack.surroundings_K**4
@@ -285,12 +288,13 @@ class Ensemble:
 
     def _set_profile(self, B: FloatArray, lane: int, temperature_K: FloatArray) -> None:
         nodes = B[HEAD_ROWS * LANES :].reshape(-1, NODE_ROWS, LANES)[:-1]
-        nodes[:, T, lane] = temperature_K
-        nodes[:, T + 1, lane] = 0.0
+        nodes[:, T, lane] = temperature_K[-1]
+        nodes[: len(temperature_K), T, lane] = temperature_K
+        nodes[:, RATE, lane] = 0.0
         nodes[:, BASE, lane] = NOWHERE
 
     def set_profile(self, model: int, temperature_K: ArrayLike) -> None:
-        """Set all node temperatures [K] of one point."""
+        """Set all node temperatures [K] of one point; the next march begins with them, a step needs `begin` first."""
         place = self.places[model]
         temperature = np.asarray(temperature_K, dtype=float)
         if temperature.shape != (self.meshes[model].nodes,) or not np.all(temperature > 0.0):
@@ -313,7 +317,7 @@ class Ensemble:
         """(node,) temperatures of a point [K], outermost first."""
         place = self.places[model]
         nodes = self.block(place.group)[HEAD_ROWS * LANES :].reshape(-1, NODE_ROWS, LANES)
-        return nodes[:-1, T, place.lane].copy()
+        return nodes[: self.meshes[model].nodes, T, place.lane].copy()
 
     def outputs(self) -> IntArray:
         """Places in `state` of surface, bondline and each sensor of each point, in this order."""
@@ -334,11 +338,13 @@ class Ensemble:
 
     def begin(self, now: FloatArray) -> None:
         """Set the conditions that hold now, one vector (layout.CONDITION_COLUMNS) a point."""
-        begin_groups(self.state, self.ints, self.table, self.chain, self.groups, self.spread(now))
+        vectors = self.spread(now)
+        begin_groups(self.state, self.ints, self.table, self.chain, self.begin_handle, self.groups, vectors)
 
     def advance(self, then: FloatArray, dt: float) -> None:
-        """One frame of dt [s] to new conditions, linear between."""
-        advance_groups(self.state, self.ints, self.table, self.chain, self.groups, self.spread(then), dt)
+        """One frame of dt [s] to new conditions, linear between, in one step."""
+        vectors = self.spread(then)
+        advance_groups(self.state, self.ints, self.table, self.chain, self.advance_handle, self.groups, vectors, dt, 1)
 
     def march(
         self,
@@ -371,8 +377,8 @@ class Ensemble:
             mine = np.flatnonzero((kept >= start) & (kept < end))
             part = np.empty((len(out), len(mine)))
             march_group(
-                self.block(g), self.integers(g), self.table, self.chain, time_s, histories,
-                flights[g], step, kept[mine] - start, part,
+                self.block(g), self.integers(g), self.table, self.chain, self.begin_handle, self.advance_handle,
+                time_s, histories, flights[g], step, kept[mine] - start, part,
             )  # fmt: skip
             if len(out):
                 out[:, mine] = part

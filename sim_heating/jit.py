@@ -113,3 +113,53 @@ def _call_chain_compiled(chain, code, B, c, p, wall_K):  # type: ignore[no-untyp
     if isinstance(chain, numba.types.Integer):
         return lambda chain, code, B, c, p, wall_K: _call_address(chain, code, B, c, p, wall_K)
     return None
+
+
+@numba.extending.intrinsic
+def _call_step(_typing_context, address, B, J, table, chain, dt):  # type: ignore[no-untyped-def]
+    signature = numba.types.void(address, B, J, table, chain, dt)
+
+    def codegen(context, builder, sig, args):  # type: ignore[no-untyped-def]
+        kinds = [context.get_value_type(t) for t in sig.args[1:]]
+        function = llvmlite.ir.FunctionType(llvmlite.ir.VoidType(), kinds)
+        builder.call(builder.inttoptr(args[0], function.as_pointer()), args[1:])
+        return context.get_dummy_value()
+
+    return signature, codegen
+
+
+def call_step(step, B, J, table, chain, dt):  # type: ignore[no-untyped-def]
+    """step(B, J, table, chain, dt), the step being its address when compiled, a function interpreted.
+
+    The large compiled step is made once this way; a loop that called it by name would compile it into itself anew.
+    """
+    step(B, J, table, chain, dt)
+
+
+@numba.extending.overload(call_step, inline="always")
+def _call_step_compiled(step, B, J, table, chain, dt):  # type: ignore[no-untyped-def]
+    if isinstance(step, numba.types.Integer):
+        return lambda step, B, J, table, chain, dt: _call_step(step, B, J, table, chain, dt)
+    return None
+
+
+STEP_SIGNATURE = numba.types.void(
+    numba.types.CPointer(numba.types.float64),
+    numba.types.CPointer(numba.types.int64),
+    numba.types.CPointer(numba.types.float64),
+    numba.types.int64,
+    numba.types.float64,
+)
+"""step(B, J, table, chain, dt): what a host's C sees of a compiled step."""
+
+
+def compiled_step(function):  # type: ignore[no-untyped-def]
+    """A step as a C function with a fixed address; interpreted, the function itself."""
+    if numba.config.DISABLE_JIT:
+        return function
+    return numba.cfunc(STEP_SIGNATURE, cache=True, error_model="numpy")(function)
+
+
+def handle(function):  # type: ignore[no-untyped-def]
+    """What a kernel takes for a function that it calls: the address of a compiled one, else the function itself."""
+    return getattr(function, "address", function)

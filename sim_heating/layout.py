@@ -1,6 +1,6 @@
 """Where everything stands in the flat float64 block of one lane group, and in the integers beside it.
 
-A group holds LANES control points (of one flight or of many) with equal node count. Its block is made of rows of LANES
+A group holds LANES control points (of one flight or of many). Its block is made of rows of LANES
 numbers: SCALAR_ROWS rows, one ghost node, the nodes, one ghost node, NODE_ROWS rows a node. The last of the scalar rows
 are taken lane by lane instead: a vector of flight conditions at the start, at the middle stage and at the end of a step, and
 a vector of heating parameters.
@@ -40,18 +40,19 @@ T, RATE, T_START, M_LEFT, M_RIGHT, G = 0, 1, 2, 3, 4, 5
 E_LEFT, E_RIGHT, C_LEFT, C_RIGHT = 6, 7, 8, 9
 THETA_LEFT, THETA_RIGHT, K_LEFT, K_RIGHT, SOURCE, SLOPE = 10, 11, 12, 13, 14, 15
 # ... the time step at work on it ...
-E_START, E_STAR, STAGE_LEFT, STAGE_RIGHT, UPPER, DELTA, FRACTION, MOVES, LARGEST = 16, 17, 18, 19, 20, 21, 22, 23, 24
+E_START, E_STAR, STAGE_LEFT, STAGE_RIGHT, UPPER, DELTA, FRACTION, MOVES, LARGEST, NET = 16, 17, 18, 19, 20, 21, 22, 23, 24, 25
 # ... and the property polynomials about its temperature: foot of the bin, then h, c, its slope and theta, k, its slope in two
 # pressure columns, for the element to the right and to the left.
-BASE, POLYNOMIAL, POLYNOMIAL_LEFT = 25, 26, 35
-NODE_ROWS = 44
+BASE, POLYNOMIAL, POLYNOMIAL_LEFT = 26, 27, 36
+NODE_ROWS = 45
 HEAD_ROWS = SCALAR_ROWS + NODE_ROWS
 """A ghost node of zeros before the first and one behind the last end the recurrences along the nodes."""
 NOWHERE = -1e30
 """A BASE that no temperature is near: the polynomials have to be gathered."""
 
 # Integers of a group: node count, pressure columns; one a lane: offsets of its surface and ratio tables, how many of its
-# effects add and how many it has, whether any of them asks for the wall temperature, and the code of each. Then for each
+# effects add and how many it has, whether any of them asks for the wall temperature, the code of each, and the node at the
+# back face (nodes behind it are padding, to the node count of the group: they hold heat and exchange none). Then for each
 # node a flag, 1 where its two elements differ in material in any lane, and the material-table offset of the element to its
 # right in each lane.
 N_NODES, N_PRESSURES = 0, 1
@@ -61,7 +62,8 @@ N_ADDING = RATIO_TABLE + LANES
 N_EFFECTS = N_ADDING + LANES
 WALL_EFFECTS = N_EFFECTS + LANES
 EFFECT_CODES = WALL_EFFECTS + LANES
-NODE_INTS = EFFECT_CODES + EFFECT_SLOTS * LANES
+BACK_NODE = EFFECT_CODES + EFFECT_SLOTS * LANES
+NODE_INTS = BACK_NODE + LANES
 INTS_PER_NODE = 1 + LANES
 
 NO_TABLE = -1

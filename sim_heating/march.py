@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.jit import njit, raw
+from sim_heating.jit import call_step, njit, raw
 from sim_heating.layout import C_STAGES, LANES, N_CONDITIONS
-from sim_heating.thermal.kernel import advance, begin, hold
+from sim_heating.thermal.kernel import hold
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -19,51 +19,59 @@ END_STAGE = C_STAGES * LANES + 2 * LANES * N_CONDITIONS
 
 
 @njit
-def begin_groups(state: FloatArray, ints: IntArray, table: FloatArray, chain, groups: IntArray, now: FloatArray) -> None:  # type: ignore[no-untyped-def]
+def set_conditions(B: FloatArray, vectors: FloatArray, first: int, share: float) -> None:
+    """Move a group's conditions a share of the way to the vectors (lane, condition) from row `first` on."""
+    for lane in range(LANES):
+        for c in range(N_CONDITIONS):
+            at = END_STAGE + lane * N_CONDITIONS + c
+            then = vectors[first + lane, c]
+            B[at] = then if share >= 1.0 else B[at] + share * (then - B[at])
+
+
+@njit
+def begin_groups(state: FloatArray, ints: IntArray, table: FloatArray, chain, begin, groups: IntArray, now: FloatArray) -> None:  # type: ignore[no-untyped-def]
     """Set the conditions that hold now, (group * LANES, condition), without moving in time."""
     for g in range(len(groups)):
         B = state[groups[g, BLOCK_START] : groups[g, BLOCK_END]]
-        J = ints[groups[g, INTS_START] : groups[g, INTS_END]]
-        for lane in range(LANES):
-            for c in range(N_CONDITIONS):
-                B[END_STAGE + lane * N_CONDITIONS + c] = now[g * LANES + lane, c]
-        begin(raw(B), raw(J), raw(table), chain)
+        set_conditions(B, now, g * LANES, 1.0)
+        call_step(begin, raw(B), raw(ints[groups[g, INTS_START] : groups[g, INTS_END]]), raw(table), chain, 0.0)
 
 
 @njit
 def advance_groups(
-    state: FloatArray, ints: IntArray, table: FloatArray, chain, groups: IntArray, then: FloatArray, dt: float  # type: ignore[no-untyped-def]
-) -> None:
-    """One frame of dt [s] of all groups, to the conditions `then` (group * LANES, condition), linear between."""
+    state: FloatArray, ints: IntArray, table: FloatArray, chain, advance, groups: IntArray, then: FloatArray,  # type: ignore[no-untyped-def]
+    dt: float, steps: int,
+) -> None:  # fmt: skip
+    """A frame of dt [s] in equal steps for all groups, to the conditions `then` (group * LANES, condition), linear between."""
     for g in range(len(groups)):
         B = state[groups[g, BLOCK_START] : groups[g, BLOCK_END]]
-        J = ints[groups[g, INTS_START] : groups[g, INTS_END]]
-        hold(raw(B))
-        for lane in range(LANES):
-            for c in range(N_CONDITIONS):
-                B[END_STAGE + lane * N_CONDITIONS + c] = then[g * LANES + lane, c]
-        advance(raw(B), raw(J), raw(table), chain, dt)
+        b, j, t = raw(B), raw(ints[groups[g, INTS_START] : groups[g, INTS_END]]), raw(table)
+        for s in range(steps):
+            hold(b)
+            set_conditions(B, then, g * LANES, 1.0 / (steps - s))
+            call_step(advance, b, j, t, chain, dt / steps)
 
 
 @njit
 def march_group(
-    B: FloatArray, J: IntArray, table: FloatArray, chain, time_s: FloatArray, histories: FloatArray,  # type: ignore[no-untyped-def]
+    B: FloatArray, J: IntArray, table: FloatArray, chain, begin, advance, time_s: FloatArray, histories: FloatArray,  # type: ignore[no-untyped-def]
     which: IntArray, longest_step_s: float, kept: IntArray, out: FloatArray,
 ) -> None:  # fmt: skip
     """March one group through its flights; conditions are linear between samples.
 
+    begin, advance : handles of the compiled steps
     histories : (flight, time, condition)
     which     : (LANES,) the flight of each lane
     kept      : (m,) places in the block whose numbers are kept at every sample
     out       : (time, m), or no rows where no history is kept
     """
     b, j, t = raw(B), raw(J), raw(table)
-    keep = len(out) > 0
+    m_kept = len(kept) if len(out) > 0 else 0
     for lane in range(LANES):
         for c in range(N_CONDITIONS):
             B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], 0, c]
-    begin(b, j, t, chain)
-    for m in range(len(kept) if keep else 0):
+    call_step(begin, b, j, t, chain, 0.0)
+    for m in range(m_kept):
         out[0, m] = B[kept[m]]
     for k in range(1, len(time_s)):
         span = time_s[k] - time_s[k - 1]
@@ -75,6 +83,6 @@ def march_group(
                 for c in range(N_CONDITIONS):
                     now, then = histories[which[lane], k - 1, c], histories[which[lane], k, c]
                     B[END_STAGE + lane * N_CONDITIONS + c] = then if s == steps else now + f * (then - now)
-            advance(b, j, t, chain, span / steps)
-        for m in range(len(kept) if keep else 0):
+            call_step(advance, b, j, t, chain, span / steps)
+        for m in range(m_kept):
             out[k, m] = B[kept[m]]

@@ -61,11 +61,11 @@ RATIO = (
 """Parameters of the linear heating model, in the order of the kernel's parameter vector."""
 
 STACK = (
-    Parameter("stack.coating.thickness_factor", "1", 1.0, 0.3, 0.0, 10.0, "first layer, over the declared thickness"),
-    Parameter("stack.coating.conductivity_factor", "1", 1.0, 0.3, 0.0, 10.0, "first layer, over the declared table"),
-    Parameter("stack.coating.heat_capacity_factor", "1", 1.0, 0.3, 0.0, 10.0, "first layer, over the declared table"),
-    Parameter("stack.rsi.conductivity_factor", "1", 1.0, 0.18, 0.0, 10.0, "second layer, over the declared table"),
-    Parameter("stack.rsi.heat_capacity_factor", "1", 1.0, 0.1, 0.0, 10.0, "second layer, over the declared table"),
+    Parameter("stack.coating.thickness_factor", "1", 1.0, 0.3, 1e-3, 10.0, "first layer, over the declared thickness"),
+    Parameter("stack.coating.conductivity_factor", "1", 1.0, 0.3, 1e-3, 10.0, "first layer, over the declared table"),
+    Parameter("stack.coating.heat_capacity_factor", "1", 1.0, 0.3, 1e-3, 10.0, "first layer, over the declared table"),
+    Parameter("stack.rsi.conductivity_factor", "1", 1.0, 0.18, 1e-3, 10.0, "second layer, over the declared table"),
+    Parameter("stack.rsi.heat_capacity_factor", "1", 1.0, 0.1, 1e-3, 10.0, "second layer, over the declared table"),
     Parameter("stack.emissivity_factor", "1", 1.0, 0.035, 0.0, 1.5, "surface emittance over the declared table"),
     Parameter("back.h_W_m2K", "W/(m2 K)", 0.0, 10.0, 0.0, 1e4, "film coefficient behind the wall"),
     Parameter("back.T_K", "K", 300.0, 30.0, 1.0, 2000.0, "temperature behind the wall"),

@@ -7,22 +7,24 @@ second-order method, estimates the error of the coarser mesh; the coarsest mesh 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.ensemble import Ensemble, PointModel
 from sim_heating.layout import CONDITION_COLUMNS, P_SURFACE, Q_ADD
-from sim_heating.thermal.declare import Construction, pairs
+from sim_heating.thermal.declare import pairs
 from sim_heating.thermal.kernel import SIGMA
 from sim_heating.thermal.mesh import Mesh, build_mesh, fewest_nodes, refined
 
 FloatArray = NDArray[np.float64]
 
-TOLERANCE_K = 0.15
-"""Error estimate that the automatic mesh keeps at surface, bondline and sensors [K]."""
+TOLERANCE_K = 0.3
+"""Error estimate that the automatic mesh keeps at surface, bondline and sensors [K], on a pulse to the highest temperature
+of use; a flight that heats less has less."""
 LADDER = (14, 16, 20, 24, 28, 32, 40, 48, 64, 80, 100)
 """Node counts tried; few different ones, so that points share lane groups."""
 PULSE_TIME_S = np.array([0.0, 300.0, 440.0, 450.0, 460.0, 470.0, 600.0, 900.0, 1200.0])
@@ -34,52 +36,74 @@ NOMINAL_SURFACE_K = 1300.0
 
 def pack(models: Sequence[PointModel], step_s: float = 1.0) -> Ensemble:
     """An ensemble of these points on meshes chosen for them; step_s is the longest time step [s] to come."""
-    return Ensemble(models, [choose_mesh(m.construction, m.depths_m, m.nodes, step_s) for m in models], step_s)
+    return Ensemble(models, [mesh for mesh, _ in choose_meshes(models, step_s)], step_s)
 
 
-def choose_mesh(
-    construction: Construction, depths_m: tuple[float, ...], nodes: int | None = None, step_s: float = 1.0
-) -> Mesh:
-    """The mesh of a stack: of so many nodes where that is said, else the coarsest whose error estimate is small."""
-    depths = np.array(depths_m, dtype=float)
-    if nodes is not None:
-        return build_mesh(construction, depths, max(nodes, fewest_nodes(construction, depths)), step_s)
-    return _chosen(construction.model_dump_json(), depths_m, step_s)[0]
+def choose_meshes(models: Sequence[PointModel], step_s: float = 1.0) -> list[tuple[Mesh, float | None]]:
+    """Mesh of each point and its error estimate [K] on the pulse; no estimate where the point names its node count.
+
+    The estimate of a stack is made once and remembered.
+    """
+    automatic = {_key(m, step_s): m for m in models if m.nodes is None}
+    new = {key: m for key, m in automatic.items() if key not in _KNOWN}
+    _KNOWN.update(_climb(new, step_s))
+    return [_KNOWN[_key(m, step_s)] if m.nodes is None else (_asked_for(m, step_s), None) for m in models]
 
 
-def mesh_error_K(construction: Construction, depths_m: tuple[float, ...], step_s: float = 1.0) -> tuple[Mesh, float]:
-    """The automatic mesh and its error estimate [K] on the pulse."""
-    return _chosen(construction.model_dump_json(), depths_m, step_s)
+_KNOWN: dict[tuple[str, tuple[float, ...], float], tuple[Mesh, float | None]] = {}
 
 
-@lru_cache(maxsize=1024)
-def _chosen(construction_json: str, depths_m: tuple[float, ...], step_s: float) -> tuple[Mesh, float]:
-    construction = Construction.model_validate_json(construction_json)
-    depths = np.array(depths_m, dtype=float)
-    model = PointModel("mesh", construction, depths_m)
-    fewest = fewest_nodes(construction, depths)
-    ladder = [n for n in LADDER if n >= fewest] or [fewest]
-    for nodes in ladder:
-        mesh = build_mesh(construction, depths, nodes, step_s)
-        error = _estimate(model, mesh, step_s)
-        if error < TOLERANCE_K:
-            break
-    return mesh, error
+def _key(model: PointModel, step_s: float) -> tuple[str, tuple[float, ...], float]:
+    return model.construction.model_dump_json(), model.depths_m, step_s
 
 
-def _estimate(model: PointModel, mesh: Mesh, step_s: float) -> float:
+def _asked_for(model: PointModel, step_s: float) -> Mesh:
+    depths = np.array(model.depths_m, dtype=float)
+    nodes = max(model.nodes or 0, fewest_nodes(model.construction, depths))
+    return build_mesh(model.construction, depths, nodes, step_s)
+
+
+Key = TypeVar("Key")
+
+
+def _climb(models: Mapping[Key, PointModel], step_s: float) -> dict[Key, tuple[Mesh, float | None]]:
+    """Take all models up the ladder together, eight in a lane group, until the error of each is small."""
+    bare = {key: PointModel(m.name, m.construction, m.depths_m) for key, m in models.items()}
+    fewest = {key: fewest_nodes(m.construction, np.array(m.depths_m)) for key, m in bare.items()}
+    done: dict[Key, tuple[Mesh, float | None]] = {}
+    for nodes in LADDER:
+        trying = [key for key in bare if key not in done and (fewest[key] <= nodes or nodes == LADDER[-1])]
+        if not trying:
+            continue
+        points = [bare[key] for key in trying]
+        meshes = [_asked_for(replace(point, nodes=nodes), step_s) for point in points]
+        errors = _estimate(points, meshes, step_s)
+        for key, mesh, error in zip(trying, meshes, errors, strict=True):
+            if error < TOLERANCE_K or nodes == LADDER[-1]:
+                done[key] = (mesh, error)
+    return done
+
+
+def _estimate(points: Sequence[PointModel], meshes: Sequence[Mesh], step_s: float) -> list[float]:
     """Largest change of surface, bondline and sensor temperatures when every element is halved, times 4/3 [K]."""
-    coarse, fine = (_pulse(model, m, step_s) for m in (mesh, refined(mesh)))
-    return float(4.0 / 3.0 * np.max(np.abs(coarse - fine)))
+    coarse = _pulse(points, meshes, step_s)
+    fine = _pulse(points, [refined(mesh) for mesh in meshes], step_s)
+    change = np.max(np.abs(coarse - fine), axis=0)
+    ends = np.cumsum([2 + len(point.depths_m) for point in points])
+    return [float(4.0 / 3.0 * np.max(part)) for part in np.split(change, ends[:-1])]
 
 
-def _pulse(model: PointModel, mesh: Mesh, step_s: float) -> FloatArray:
-    outer = model.construction.layer_materials()[0]
+def _pulse_flux(point: PointModel) -> float:
+    """Flux [W/m2] that the surface radiates at its highest temperature of use."""
+    outer = point.construction.layer_materials()[0]
     hottest = outer.max_use_K or NOMINAL_SURFACE_K
-    emissivity = np.interp(hottest, *pairs(outer.emissivity or [[hottest, 1.0]]))
+    return float(np.interp(hottest, *pairs(outer.emissivity or [[hottest, 1.0]])) * SIGMA * hottest**4)
+
+
+def _pulse(points: Sequence[PointModel], meshes: Sequence[Mesh], step_s: float) -> FloatArray:
     step = max(step_s, 1.0)
     time = np.linspace(0.0, PULSE_TIME_S[-1], int(np.ceil(PULSE_TIME_S[-1] / step)) + 1)
-    history = np.zeros((1, len(time), len(CONDITION_COLUMNS)))
-    history[0, :, Q_ADD] = emissivity * SIGMA * hottest**4 * np.interp(time, PULSE_TIME_S, PULSE_SHAPE)
-    history[0, :, P_SURFACE] = PULSE_PRESSURE_PA
-    return Ensemble([model], [mesh], step).march(time, history, longest_step_s=step)
+    history = np.zeros((len(points), len(time), len(CONDITION_COLUMNS)))
+    history[:, :, Q_ADD] = np.outer([_pulse_flux(p) for p in points], np.interp(time, PULSE_TIME_S, PULSE_SHAPE))
+    history[:, :, P_SURFACE] = PULSE_PRESSURE_PA
+    return Ensemble(points, meshes, step).march(time, history, range(len(points)), longest_step_s=step)

@@ -14,6 +14,7 @@ import numba
 from numba import types
 
 from sim_heating.effects import Effect
+from sim_heating.jit import handle
 
 SIGNATURE = types.float64(
     types.int64, types.CPointer(types.float64), types.int64, types.int64, types.float64
@@ -30,7 +31,7 @@ class Chain:
     @property
     def handle(self) -> Any:
         """Address of the compiled function; the function itself where nothing is compiled."""
-        return getattr(self.function, "address", self.function)
+        return handle(self.function)
 
 
 def _nothing(code: int, B: Any, c: int, p: int, wall_K: float) -> float:

@@ -32,16 +32,19 @@ its own slow reference.
 from __future__ import annotations
 
 import math
+from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.jit import njit
+from sim_heating.jit import compiled_step, njit
 from sim_heating.layout import (
     ACTIVE,
     ADDED,
     BACK_EPS,
     BACK_H,
+    BACK_NODE,
     BACK_T,
     BASE,
     C_LEFT,
@@ -73,6 +76,7 @@ from sim_heating.layout import (
     N_CONDITIONS,
     N_NODES,
     N_PRESSURES,
+    NET,
     NODE_INTS,
     NODE_ROWS,
     NOWHERE,
@@ -285,10 +289,10 @@ def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, chain, stage
 
 
 @njit
-def evaluate_back(B: FloatArray, n: int) -> None:
+def evaluate_back(B: FloatArray, J: IntArray) -> None:
     """Heat that enters at the back face [W/m2] and its slope against the temperature there [W/(m2 K)]."""
-    a = (HEAD_ROWS + (n - 1) * NODE_ROWS) * LANES
     for lane in range(LANES):
+        a = (HEAD_ROWS + J[BACK_NODE + lane] * NODE_ROWS) * LANES
         inner, ambient = B[a + T * LANES + lane], B[BACK_T * LANES + lane]
         emitted = SIGMA * B[BACK_EPS * LANES + lane]
         h_b = B[BACK_H * LANES + lane]
@@ -298,14 +302,14 @@ def evaluate_back(B: FloatArray, n: int) -> None:
 
 
 @njit
-def _keep_face_heat(B: FloatArray, n: int) -> None:
+def _keep_face_heat(B: FloatArray, J: IntArray) -> None:
     """Heat at the faces of the lanes that have just moved, linearised over the move as the balance of the stage has it."""
     front = HEAD_ROWS * LANES
-    back = front + (n - 1) * NODE_ROWS * LANES
     for lane in range(LANES):
         if B[ACTIVE * LANES + lane] > 0.0:
             moved = B[front + SLOPE * LANES + lane] * B[front + DELTA * LANES + lane]
             B[STAGE_IN * LANES + lane] = B[front + SOURCE * LANES + lane] + moved
+            back = (HEAD_ROWS + J[BACK_NODE + lane] * NODE_ROWS) * LANES
             moved = B[back + SLOPE * LANES + lane] * B[back + DELTA * LANES + lane]
             B[STAGE_OUT * LANES + lane] = -B[back + SOURCE * LANES + lane] - moved
 
@@ -318,17 +322,17 @@ def _add_energy(B: FloatArray, weight: float) -> None:
 
 
 @njit
-def _start(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> None:  # type: ignore[no-untyped-def]
-    """Explicit part of the first stage: E_n, E* = E_n + d dt F_n, and a first guess from the last rate of change."""
+def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, chain) -> None:  # type: ignore[no-untyped-def]
+    """Heat contents and net heat of all nodes with the conditions of stage 2, as a step leaves them."""
     n = J[N_NODES]
-    _select_pressure(B, J, 0)
+    _select_pressure(B, J, 2)
     evaluate_nodes(B, J, table)
-    evaluate_surface(B, J, table, chain, 0)
-    evaluate_back(B, n)
+    evaluate_surface(B, J, table, chain, 2)
+    evaluate_back(B, J)
     for lane in range(LANES):
         B[STAGE_IN * LANES + lane] = B[(HEAD_ROWS + SOURCE) * LANES + lane]
-        B[STAGE_OUT * LANES + lane] = -B[(HEAD_ROWS + (n - 1) * NODE_ROWS + SOURCE) * LANES + lane]
-    _add_energy(B, EXPLICIT_WEIGHT * dt)
+        back = (HEAD_ROWS + J[BACK_NODE + lane] * NODE_ROWS) * LANES
+        B[STAGE_OUT * LANES + lane] = -B[back + SOURCE * LANES + lane]
     for i in range(n):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
         left, right = a - NODE_ROWS * LANES, a + NODE_ROWS * LANES
@@ -336,15 +340,38 @@ def _start(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> N
             hot, cold = B[left + THETA_RIGHT * LANES + lane], B[a + THETA_LEFT * LANES + lane]
             net = B[a + SOURCE * LANES + lane] + B[left + G * LANES + lane] * (hot - cold)
             hot, cold = B[a + THETA_RIGHT * LANES + lane], B[right + THETA_LEFT * LANES + lane]
-            net -= B[a + G * LANES + lane] * (hot - cold)
+            B[a + NET * LANES + lane] = net - B[a + G * LANES + lane] * (hot - cold)
             own_left, own_right = B[a + E_LEFT * LANES + lane], B[a + E_RIGHT * LANES + lane]
             shared = B[right + E_LEFT * LANES + lane] - own_right - own_left + B[left + E_RIGHT * LANES + lane]
-            content = own_left + own_right + SHARE * shared
-            temperature = B[a + T * LANES + lane]
-            B[a + E_START * LANES + lane] = content
+            B[a + E_START * LANES + lane] = own_left + own_right + SHARE * shared
+
+
+@njit
+def _start(B: FloatArray, n: int, dt: float) -> None:
+    """First stage: E* = E_n + d dt F_n with the F_n that the last step has left, and a guess from its rate of change."""
+    for i in range(n):
+        a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+        for lane in range(LANES):
+            content, net = B[a + E_START * LANES + lane], B[a + NET * LANES + lane]
             B[a + E_STAR * LANES + lane] = content + STAGE_WEIGHT * dt * net
+            temperature = B[a + T * LANES + lane]
             B[a + T_START * LANES + lane] = temperature
             B[a + T * LANES + lane] = temperature + GAMMA * dt * B[a + RATE * LANES + lane]
+
+
+@njit
+def _finish(B: FloatArray, n: int, dt: float) -> None:
+    """E_(n+1), F_(n+1) = (E_(n+1) - E*) / (d dt) of the implicit stage, and the rate of change."""
+    for i in range(n):
+        a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+        left, right = a - NODE_ROWS * LANES, a + NODE_ROWS * LANES
+        for lane in range(LANES):
+            own_left, own_right = B[a + STAGE_LEFT * LANES + lane], B[a + STAGE_RIGHT * LANES + lane]
+            shared = B[right + STAGE_LEFT * LANES + lane] - own_right - own_left + B[left + STAGE_RIGHT * LANES + lane]
+            content = own_left + own_right + SHARE * shared
+            B[a + NET * LANES + lane] = (content - B[a + E_STAR * LANES + lane]) * (1.0 / (STAGE_WEIGHT * dt))
+            B[a + E_START * LANES + lane] = content
+            B[a + RATE * LANES + lane] = (B[a + T * LANES + lane] - B[a + T_START * LANES + lane]) * (1.0 / dt)
 
 
 @njit
@@ -426,13 +453,13 @@ def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: in
     for _ in range(NEWTON_LIMIT):
         evaluate_nodes(B, J, table)
         evaluate_surface(B, J, table, chain, stage)
-        evaluate_back(B, n)
+        evaluate_back(B, J)
         _eliminate(B, n, STAGE_WEIGHT * dt)
         for lane in range(LANES):
             B[behind + MOVES * LANES + lane] = B[ACTIVE * LANES + lane]
             B[behind + LARGEST * LANES + lane] = 0.0
         _update(B, n)
-        _keep_face_heat(B, n)
+        _keep_face_heat(B, J)
         if _retire(B) == 0:
             return
     for lane in range(LANES):
@@ -462,29 +489,32 @@ def step(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> Non
     J     : its integers
     table : property and ratio tables
     chain : the compiled effects (effects/chain.py)
+
+    Heat contents and net heat at the start are those that the last step left (the method's last stage is its end): after a
+    change of temperatures, parameters or conditions from outside, `begin` evaluates them anew.
     """
     n = J[N_NODES]
-    _start(B, J, table, chain, dt)
+    _add_energy(B, EXPLICIT_WEIGHT * dt)
+    _start(B, n, dt)
     _solve_stage(B, J, table, chain, 1, dt)
     _add_energy(B, EXPLICIT_WEIGHT * dt)
     _start_second_stage(B, n)
     _solve_stage(B, J, table, chain, 2, dt)
     _add_energy(B, STAGE_WEIGHT * dt)
-    for i in range(n):
-        a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-        for lane in range(LANES):
-            B[a + RATE * LANES + lane] = (B[a + T * LANES + lane] - B[a + T_START * LANES + lane]) * (1.0 / dt)
+    _finish(B, n, dt)
 
 
-@njit
-def begin(B: FloatArray, J: IntArray, table: FloatArray, chain) -> None:  # type: ignore[no-untyped-def]
-    """Take the condition vectors of stage 2 as those that hold now: after a reset, or when parameters have changed."""
+def begin(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> None:  # type: ignore[no-untyped-def]
+    """Take the condition vectors of stage 2 as those that hold now: at the start, and after any change from outside.
+
+    dt is not used; it makes the signature that of a step.
+    """
     wall = (HEAD_ROWS + T) * LANES
     for lane in range(LANES):
         heat_lane(B, J, table, chain, lane, 2, B[wall + lane])
+    evaluate_start(B, J, table, chain)
 
 
-@njit
 def advance(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> None:  # type: ignore[no-untyped-def]
     """One frame: from the conditions that held to those in the vectors of stage 0 (now) and 2 (then), linear between.
 
@@ -512,3 +542,9 @@ def hold(B: FloatArray) -> None:
     first = C_STAGES * LANES
     for k in range(span):
         B[first + k] = B[first + 2 * span + k]
+
+
+@cache
+def compiled() -> tuple[Any, Any]:
+    """`begin` and `advance`, compiled when first asked for; jit.handle gives what a kernel takes of them."""
+    return compiled_step(begin), compiled_step(advance)

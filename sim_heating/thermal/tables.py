@@ -63,7 +63,8 @@ def _material_table(material: Material, log10_p: FloatArray) -> FloatArray:
 def _enthalpy_at_edges(wall_enthalpy: WallEnthalpy, log10_p: FloatArray) -> FloatArray:
     """(BINS + 1, P) enthalpy of air at the wall temperature [J/kg], zero at 0 K."""
     if isinstance(wall_enthalpy, str):
-        return wall_enthalpy_grid(wall_enthalpy, EDGES_K, 10.0**log10_p)
+        above_zero = wall_enthalpy_grid(wall_enthalpy, EDGES_K[1:], 10.0**log10_p)
+        return np.vstack([np.zeros(len(log10_p)), above_zero])
     return np.repeat((wall_enthalpy * EDGES_K)[:, np.newaxis], len(log10_p), axis=1)
 
 

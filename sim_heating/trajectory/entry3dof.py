@@ -1,6 +1,6 @@
-"""Built-in 3-DOF entry: a scenario flown with the point mass of `point_mass` and the trimmed tables of `trimmed_aero`.
+"""Built-in 3-DOF entry: a scenario flown with the point mass of `point_mass` and the tables of `trimmed_aero`.
 
-Attitude has no dynamics here: angle of attack, bank and sideslip are as commanded, and a manoeuvre with `alpha = "free"`
+Attitude has no dynamics here: angle of attack, bank and sideslip are as commanded; a manoeuvre with `alpha = "free"`
 keeps its scripted deflection while the angle holds. Continuum lift and drag throughout; above 95 km (Knudsen number on
 the length above 0.003) drag is low. Against the 6-DOF flight of the same guidance altitude agrees within 100 m.
 """
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.atmosphere import HIGHEST_M, LOWEST_M
+from sim_heating.atmosphere import HIGHEST_M, LOWEST_M, speed_of_sound_kernel, us76_kernel
 from sim_heating.conditions import FRAME
 from sim_heating.errors import InputError, RunError
 from sim_heating.trajectory import guidance as gd
@@ -61,12 +61,13 @@ def first_state(initial: Initial, flight: FloatArray, block: FloatArray, manoeuv
     state = np.zeros(pm.STARTED + manoeuvres)
     state[pm.X : pm.VX] = cartesian_m(initial, flight)
     state[pm.VX : pm.VX + 3] = velocity_m_s(initial, flight)
-    air = pm.air_at(*state[pm.X : pm.VX + 3], flight)
-    state[pm.MEMORY:pm.STARTED] = gd.first_memory(block, air.mach, air.speed_m_s)
+    speed = initial.velocity_m_s
+    mach = speed / speed_of_sound_kernel(us76_kernel(initial.altitude_m)[0])
+    state[pm.MEMORY : pm.STARTED] = gd.first_memory(block, mach, speed)
     state[pm.ALPHA], state[pm.BANK] = state[pm.MEMORY + gd.ALPHA_COMMAND], state[pm.MEMORY + gd.BANK_COMMAND]
-    state[pm.LAST_SPEED] = state[pm.EXPECTED_SPEED] = air.speed_m_s
-    state[pm.LAST_MACH] = state[pm.EXPECTED_MACH] = air.mach
-    state[pm.STARTED:] = -1.0
+    state[pm.LAST_SPEED] = state[pm.EXPECTED_SPEED] = speed
+    state[pm.LAST_MACH] = state[pm.EXPECTED_MACH] = mach
+    state[pm.STARTED :] = -1.0
     return state
 
 
@@ -136,19 +137,20 @@ def fly(
     events: list[tuple[float, str]] = []
     first_speed, frames, ended = float(entry.state[pm.LAST_SPEED]), max(round(spec.rate_hz), 1), False
     while not ended:
-        memory = entry.state[pm.MEMORY:pm.STARTED].copy()
+        memory = entry.state[pm.MEMORY : pm.STARTED].copy()
         rows, ended = entry.run(frames)
         _refuse_nonsense(rows)
         for row in rows:
             sampler.add(row)
             if on_frame is not None:
                 on_frame(row[:FRAME_LENGTH])
-        events += gd.guidance_events(float(rows[-1, 0]), memory[gd.SIGN], memory[gd.PHASE], entry.state[pm.MEMORY:pm.STARTED])
+        now = entry.state[pm.MEMORY : pm.STARTED]
+        events += gd.guidance_events(float(rows[-1, 0]), memory[gd.SIGN], memory[gd.PHASE], now)
         if progress is not None and rows[-1, 0] % REPORT_S < 1.0:
             progress(_done(rows[-1], first_speed, spec), f"{rows[-1, 1] / 1e3:.1f} km, {rows[-1, 2]:.0f} m/s")
     end_s = float(rows[-1, 0])
-    windows = mv.windows(spec.manoeuvre, entry.script, entry.state[pm.STARTED:], end_s)
-    events += mv.events(spec.manoeuvre, entry.state[pm.STARTED:], end_s)
+    windows = mv.windows(spec.manoeuvre, entry.state[pm.STARTED :], end_s)
+    events += mv.events(spec.manoeuvre, entry.state[pm.STARTED :], end_s)
     return Flight(sampler.conditions(), sorted(events, key=lambda e: e[0]), windows)
 
 

@@ -29,14 +29,16 @@ from numpy.typing import NDArray
 
 from sim_heating.errors import InputError
 from sim_heating.files import read_toml
-from sim_heating.jit import njit
-from sim_heating.trajectory.schedules import pack, schedule_slope, scheduled
+from sim_heating.jit import njit, raw
+from sim_heating.trajectory.schedules import pack, places, schedule_slope, scheduled
 from sim_heating.trajectory.spec import Approach, Guidance, GuidanceChanges
 
 FloatArray = NDArray[np.float64]
 
 TOUCHDOWN_RATE_M_S = 1.0
 """Sink rate that the flare ends with."""
+FLARE_GAIN = 4.0
+"""Frequency of the flare over that of the approach: the altitude rate follows within 2 s."""
 
 (
     TIME, ALTITUDE, SPEED, MACH, CLIMB, DRAG, LIFT, NET_GRAVITY, QBAR, ALPHA_NOW, HEADING, LATITUDE, LONGITUDE,
@@ -49,13 +51,13 @@ OBSERVED = 13
     APPROACH_MACH, APPROACH_LOW, APPROACH_HIGH, APPROACH_BANK, APPROACH_FREQUENCY, APPROACH_DAMPING,
     FLARE_ALTITUDE, FLARE_TIME,
 ) = range(25)  # fmt: skip
-ALPHA_SCHEDULE, DRAG_SCHEDULE, REVERSALS, APPROACH_QBAR = 25, 27, 29, 31
+ALPHA_SCHEDULE, DRAG_SCHEDULE, REVERSALS, APPROACH_QBAR = places(25, 4)
 
 ALPHA_COMMAND, BANK_COMMAND, SIGN, PHASE, CLIMB_BIAS = range(5)
 MEMORY = 5
 
 INTEGRAL = 0.4
-"""Gain of the integral of the altitude error over w^3; s^3 + 2 zeta w s^2 + w^2 s + 0.4 w^3 is stable for zeta above 0.2."""
+"""Gain of the integral of the altitude error over w^3; s^3 + 2 zeta w s^2 + w^2 s + 0.4 w^3 is stable if zeta > 0.2."""
 LARGEST_BIAS_M_S = 30.0
 
 COAST, GLIDE, TRACK, APPROACHING, FLARE = range(5)
@@ -195,18 +197,19 @@ def drag_coefficient_rate(block: FloatArray, seen: FloatArray) -> float:
 
 
 @njit
-def track_lift(block: FloatArray, memory: FloatArray, seen: FloatArray, dt_s: float) -> float:
+def track_lift(block: FloatArray, state: FloatArray, memory: int, seen: FloatArray, dt_s: float) -> float:
     """Vertical lift that follows the reference drag; moves the integral on while the lift is enough to follow."""
     V, D = max(seen[SPEED], 1.0), seen[DRAG]
     D_ref = scheduled(block, DRAG_SCHEDULE, V)
     slope = schedule_slope(block, DRAG_SCHEDULE, V)
     Hs, w, zeta = block[SCALE_HEIGHT], block[FREQUENCY], block[DAMPING]
-    climb_ref = -Hs * (2.0 * D / V - D * slope / D_ref - drag_coefficient_rate(block, seen)) + memory[CLIMB_BIAS]
+    climb_ref = -Hs * (2.0 * D / V - D * slope / D_ref - drag_coefficient_rate(block, seen))
+    climb_ref += state[memory + CLIMB_BIAS]
     error = Hs * math.log(D_ref / D)
     lift = vertical_lift(block, seen, climb_ref, error, w, zeta)
     if abs(lift) < seen[LIFT]:
-        bias = memory[CLIMB_BIAS] - INTEGRAL * w * w / (2.0 * zeta) * error * dt_s
-        memory[CLIMB_BIAS] = clipped(bias, -LARGEST_BIAS_M_S, LARGEST_BIAS_M_S)
+        bias = state[memory + CLIMB_BIAS] - INTEGRAL * w * w / (2.0 * zeta) * error * dt_s
+        state[memory + CLIMB_BIAS] = clipped(bias, -LARGEST_BIAS_M_S, LARGEST_BIAS_M_S)
     return lift
 
 
@@ -221,7 +224,9 @@ def approach_lift(block: FloatArray, seen: FloatArray) -> float:
     w, zeta = block[APPROACH_FREQUENCY], block[APPROACH_DAMPING]
     if seen[ALTITUDE] < block[FLARE_ALTITUDE]:
         climb_ref = -TOUCHDOWN_RATE_M_S - max(seen[ALTITUDE], 0.0) / block[FLARE_TIME]
-        return vertical_lift(block, seen, max(climb_ref, min(seen[CLIMB], -TOUCHDOWN_RATE_M_S)), 0.0, 2.0 * w, zeta)
+        return vertical_lift(
+            block, seen, max(climb_ref, min(seen[CLIMB], -TOUCHDOWN_RATE_M_S)), 0.0, FLARE_GAIN * w, zeta
+        )
     climb_ref = -2.0 * Hs * seen[DRAG] * V / (V * V + 2.0 * Hs * max(seen[NET_GRAVITY], 0.0))
     error = Hs * math.log(scheduled(block, APPROACH_QBAR, seen[MACH]) / max(seen[QBAR], 1e-3))
     return vertical_lift(block, seen, climb_ref, error, w, zeta)
@@ -241,13 +246,13 @@ def phase_of(block: FloatArray, seen: FloatArray, phase: int) -> int:
 
 @njit
 def entry_target(
-    block: FloatArray, memory: FloatArray, seen: FloatArray, phase: int, sign: float, dt_s: float
+    block: FloatArray, state: FloatArray, memory: int, seen: FloatArray, phase: int, sign: float, dt_s: float
 ) -> tuple[float, float]:
     """Angle of attack [deg] from the schedule and bank [deg] from the vertical lift, before rate limits."""
     alpha = scheduled(block, ALPHA_SCHEDULE, seen[MACH] if block[ALPHA_AXIS] == 0.0 else seen[SPEED])
     if phase == COAST:
         return alpha, block[FIRST_BANK]
-    lift = glide_lift(block, seen) if phase == GLIDE else track_lift(block, memory, seen, dt_s)
+    lift = glide_lift(block, seen) if phase == GLIDE else track_lift(block, state, memory, seen, dt_s)
     cosine = clipped(lift / max(seen[LIFT], 1e-6), -1.0, 1.0)
     return alpha, sign * clipped(math.degrees(math.acos(cosine)), block[BANK_LOW], block[BANK_HIGH])
 
@@ -264,24 +269,29 @@ def approach_target(block: FloatArray, seen: FloatArray, sign: float) -> tuple[f
 
 
 @njit
-def guidance_kernel(block: FloatArray, memory: FloatArray, seen: FloatArray, dt_s: float) -> None:
-    """One step of guidance: memory (MEMORY,) holds the commands and is moved on by at most rate * dt_s.
+def guidance_kernel(block: FloatArray, state: FloatArray, memory: int, seen: FloatArray, dt_s: float) -> None:
+    """One step of guidance: the commands, MEMORY numbers of state from place `memory`, move by at most rate * dt_s.
 
     seen : (OBSERVED,) in the order of Observed
     """
-    phase = phase_of(block, seen, int(memory[PHASE]))
-    sign = bank_sign(block, seen, memory[SIGN])
+    phase = phase_of(block, seen, int(state[memory + PHASE]))
+    sign = bank_sign(block, seen, state[memory + SIGN])
     if phase >= APPROACHING:
         alpha, bank = approach_target(block, seen, sign)
     else:
-        alpha, bank = entry_target(block, memory, seen, phase, sign, dt_s)
+        alpha, bank = entry_target(block, state, memory, seen, phase, sign, dt_s)
     alpha = clipped(alpha, block[ALPHA_LOW], block[ALPHA_HIGH])
-    most = block[ALPHA_RATE] * dt_s
-    memory[ALPHA_COMMAND] += clipped(alpha - memory[ALPHA_COMMAND], -most, most)
-    most = block[BANK_RATE] * dt_s
-    memory[BANK_COMMAND] += clipped(bank - memory[BANK_COMMAND], -most, most)
-    memory[SIGN] = sign
-    memory[PHASE] = phase
+    a, b = memory + ALPHA_COMMAND, memory + BANK_COMMAND
+    state[a] += clipped(alpha - state[a], -block[ALPHA_RATE] * dt_s, block[ALPHA_RATE] * dt_s)
+    state[b] += clipped(bank - state[b], -block[BANK_RATE] * dt_s, block[BANK_RATE] * dt_s)
+    state[memory + SIGN] = sign
+    state[memory + PHASE] = phase
+
+
+@njit
+def guide(block: FloatArray, memory: FloatArray, seen: FloatArray, dt_s: float) -> None:
+    """`guidance_kernel` for a host's arrays; memory (MEMORY,)."""
+    guidance_kernel(raw(block), raw(memory), 0, raw(seen), dt_s)
 
 
 class EntryGuidance:
@@ -307,7 +317,7 @@ class EntryGuidance:
         dt_s = seen.time_s - self._seen[TIME]
         sign, phase = self._memory[SIGN], self._memory[PHASE]
         self._seen[:] = seen
-        guidance_kernel(self.block, self._memory, self._seen, dt_s)
+        guide(self.block, self._memory, self._seen, dt_s)
         if sign != self._memory[SIGN] or phase != self._memory[PHASE]:
             self.events += guidance_events(seen.time_s, sign, phase, self._memory)
         return float(self._memory[ALPHA_COMMAND]), float(self._memory[BANK_COMMAND])

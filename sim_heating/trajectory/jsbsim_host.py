@@ -35,8 +35,6 @@ FT_M = 0.3048
 PSF_PA = 47.88025898
 SLUG_FT3_KG_M3 = 515.3788184
 RANKINE_K = 1.0 / 1.8
-LBF_N = 4.4482216153
-SLUG_KG = 14.59390294
 
 LOWEST_M = -1000.0
 """A vehicle below this has flown into the ground."""

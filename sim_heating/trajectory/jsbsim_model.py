@@ -62,8 +62,8 @@ def with_low_speed(aero: Aero, low_speed: FloatArray) -> Aero:
     if len(low_speed) == 0:
         return aero
     basic = _polar_below(_finer_in_alpha(aero.basic), low_speed)
-    controls = (_forceless_below(grid, float(low_speed[-1, 0])) for grid in (aero.elevon, aero.bodyflap))
-    return replace(aero, basic=basic, **dict(zip(("elevon", "bodyflap"), controls, strict=True)))
+    elevon, bodyflap = (_forceless_below(grid, float(low_speed[-1, 0])) for grid in (aero.elevon, aero.bodyflap))
+    return replace(aero, basic=basic, elevon=elevon, bodyflap=bodyflap)
 
 
 def _finer_in_alpha(grid: Grid) -> Grid:

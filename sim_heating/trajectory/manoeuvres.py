@@ -35,6 +35,9 @@ ALPHA, BETA, ELEVON, BODYFLAP, JETS, PITCH = range(6)
 CLOSED, JETS_HOLD, OPEN = 0.0, 1.0, 2.0
 """Pitch axis: trimmed with the elevon; elevon frozen at its value and the jets hold alpha; nothing holds alpha."""
 
+SMALLEST = 1e-9
+"""Degrees and seconds that do not count."""
+
 _TRIGGERS = ("at_time_s", "at_velocity_m_s", "at_mach")
 
 
@@ -54,20 +57,17 @@ class Offsets(NamedTuple):
 
 
 def through(values: Iterable[tuple[float, float]], rate: float) -> Polygon:
-    """Polygon from 0 through (value, hold_s) at a rate and back to 0."""
+    """Polygon from 0 through (value, hold_s) at a rate and back to 0; a move below SMALLEST is none."""
     time, last, points = 0.0, 0.0, [(0.0, 0.0)]
     for value, hold_s in (*values, (0.0, 0.0)):
-        time += abs(value - last) / rate
-        points.append((time, value))
-        if hold_s > 0.0:
-            time += hold_s
+        value = 0.0 if abs(value) < SMALLEST else value
+        if abs(value - last) >= SMALLEST:
+            time, last = time + abs(value - last) / rate, value
             points.append((time, value))
-        last = value
-    return _without_repeats(points)
-
-
-def _without_repeats(points: Polygon) -> Polygon:
-    return [p for i, p in enumerate(points) if i == 0 or p[0] > points[i - 1][0]]
+        if hold_s > SMALLEST:
+            time += hold_s
+            points.append((time, last))
+    return points
 
 
 def _popu(m: Popu) -> Polygon:
@@ -115,67 +115,78 @@ def _pitch(manoeuvre: Manoeuvre) -> float:
     return JETS_HOLD if manoeuvre.kind.startswith("elevon") else CLOSED
 
 
-class Script(NamedTuple):
-    """Manoeuvres as arrays: plan (manoeuvres, 6) of trigger, its value, channel, pitch, first and last point;
-    points (points, 2) of time and offset."""
+COUNT, PLAN, ENTRY = 0, 1, 6
+"""A script's block: the number of manoeuvres, ENTRY numbers for each from PLAN on, then points of (time, offset)."""
 
-    plan: FloatArray
-    points: FloatArray
+TRIGGER, VALUE, CHANNEL, PITCH_MODE, FIRST, LAST = range(6)
+"""Numbers of one manoeuvre: what triggers it and at what value, what it moves, where its first and last point stand."""
 
 
-def compile_script(manoeuvres: Sequence[Manoeuvre]) -> Script:
-    """Arrays of a list of manoeuvres, in its order."""
-    plan, points = [], []
+def compile_script(manoeuvres: Sequence[Manoeuvre]) -> FloatArray:
+    """A list of manoeuvres as one flat block, in its order."""
+    plan: list[float] = [len(manoeuvres)]
+    points: list[float] = []
     for m in manoeuvres:
         trigger = next(i for i, key in enumerate(_TRIGGERS) if getattr(m, key) is not None)
         shape = polygon(m)
-        first, last = len(points), len(points) + len(shape) - 1
-        plan.append([trigger, getattr(m, _TRIGGERS[trigger]), _SHAPES[m.kind][0], _pitch(m), first, last])
-        points += shape
-    return Script(np.array(plan, dtype=float).reshape(-1, 6), np.array(points, dtype=float).reshape(-1, 2))
+        first = PLAN + ENTRY * len(manoeuvres) + len(points)
+        last = first + 2 * (len(shape) - 1)
+        plan += [trigger, getattr(m, _TRIGGERS[trigger]), _SHAPES[m.kind][0], _pitch(m), first, last]
+        points += [number for point in shape for number in point]
+    return np.array(plan + points, dtype=float)
 
 
 @njit
-def trigger_kernel(script: Script, started_s: FloatArray, before: FloatArray, now: FloatArray) -> None:
+def trigger_kernel(script: FloatArray, state: FloatArray, started: int, before: int, now: FloatArray, at: int) -> None:
     """Set the start times of manoeuvres whose trigger lies between two frames; -1 stands for 'not started'.
 
-    before, now : (3,) time [s], velocity [m/s], Mach [-]; the crossing is linear between them. Speed and Mach trigger
-                  when they fall through the value, time when it passes it.
+    state  : start times [s] from place `started`; time [s], velocity [m/s], Mach [-] of the frame before from `before`,
+             which are then replaced by those of now
+    now    : the same three of this frame, from place `at`; the crossing is linear between the two frames. Speed and
+             Mach trigger when they fall through the value, time when it passes it.
     """
-    plan = script.plan
-    for m in range(plan.shape[0]):
-        if started_s[m] >= 0.0:
-            continue
-        which, value = int(plan[m, 0]), plan[m, 1]
-        a, b = before[which], now[which]
-        if which == 0 and b >= value:
-            start = value
-        elif which != 0 and a > value and b <= value:
-            start = before[0] + (now[0] - before[0]) * (a - value) / (a - b)
-        else:
-            continue
-        for other in range(plan.shape[0]):
-            if started_s[other] >= 0.0 and plan[other, 2] == plan[m, 2]:
-                start = max(start, started_s[other] + script.points[int(plan[other, 5]), 0])
-        started_s[m] = start
+    for m in range(int(script[COUNT])):
+        entry = PLAN + ENTRY * m
+        which, value = int(script[entry + TRIGGER]), script[entry + VALUE]
+        a, b = state[before + which], now[at + which]
+        passed = b >= value if which == 0 else a > value >= b
+        if passed and state[started + m] < 0.0:
+            share = 0.0 if which == 0 else (a - value) / (a - b)
+            start = value if which == 0 else state[before] + (now[at] - state[before]) * share
+            state[started + m] = when_free(script, state, started, script[entry + CHANNEL], start)
+    for i in range(3):
+        state[before + i] = now[at + i]
 
 
 @njit
-def offsets_kernel(script: Script, started_s: FloatArray, time_s: float, out: FloatArray) -> None:
-    """Write the offsets of all running manoeuvres at a time into out (6,)."""
-    out[:] = 0.0
-    plan, points = script.plan, script.points
-    for m in range(plan.shape[0]):
-        since = time_s - started_s[m]
-        first, last = int(plan[m, 4]), int(plan[m, 5])
-        if started_s[m] < 0.0 or since < 0.0 or since > points[last, 0]:
+def when_free(script: FloatArray, state: FloatArray, started: int, channel: float, start_s: float) -> float:
+    """The given start, or the end of the last manoeuvre on the same channel where that is later."""
+    for m in range(int(script[COUNT])):
+        entry = PLAN + ENTRY * m
+        if state[started + m] >= 0.0 and script[entry + CHANNEL] == channel:
+            start_s = max(start_s, state[started + m] + script[int(script[entry + LAST])])
+    return start_s
+
+
+@njit
+def offsets_kernel(
+    script: FloatArray, state: FloatArray, started: int, time_s: float, out: FloatArray, at: int
+) -> None:
+    """Write the offsets of all running manoeuvres at a time into out, six numbers from place `at`."""
+    for i in range(6):
+        out[at + i] = 0.0
+    for m in range(int(script[COUNT])):
+        entry = PLAN + ENTRY * m
+        since = time_s - state[started + m]
+        point, last = int(script[entry + FIRST]), int(script[entry + LAST])
+        if state[started + m] < 0.0 or since < 0.0 or since > script[last] or point == last:
             continue
-        out[PITCH] = max(out[PITCH], plan[m, 3])
-        for i in range(first + 1, last + 1):
-            if since <= points[i, 0]:
-                share = (since - points[i - 1, 0]) / (points[i, 0] - points[i - 1, 0])
-                out[int(plan[m, 2])] += points[i - 1, 1] + share * (points[i, 1] - points[i - 1, 1])
-                break
+        while since > script[point + 2]:
+            point += 2
+        share = (since - script[point]) / (script[point + 2] - script[point])
+        value = script[point + 1] + share * (script[point + 3] - script[point + 1])
+        out[at + int(script[entry + CHANNEL])] += value
+        out[at + PITCH] = max(out[at + PITCH], script[entry + PITCH_MODE])
 
 
 class ManoeuvreScript:
@@ -184,8 +195,7 @@ class ManoeuvreScript:
     def __init__(self, manoeuvres: Sequence[Manoeuvre]) -> None:
         self.manoeuvres = tuple(manoeuvres)
         self.script = compile_script(self.manoeuvres)
-        self.started_s = np.full(len(self.manoeuvres), -1.0)
-        self._before = np.full(3, np.nan)
+        self._state = np.concatenate([np.full(len(self.manoeuvres), -1.0), np.full(3, np.nan)])
         self._now = np.empty(3)
         self._out = np.zeros(6)
         self._none = Offsets()
@@ -195,36 +205,35 @@ class ManoeuvreScript:
         if not self.manoeuvres:
             return self._none
         self._now[:] = time_s, velocity_m_s, mach
-        trigger_kernel(self.script, self.started_s, self._before, self._now)
-        self._before[:] = self._now
-        offsets_kernel(self.script, self.started_s, time_s, self._out)
+        trigger_kernel(self.script, self._state, 0, len(self.manoeuvres), self._now, 0)
+        offsets_kernel(self.script, self._state, 0, time_s, self._out, 0)
         return Offsets(*self._out.tolist())
+
+    @property
+    def started_s(self) -> FloatArray:
+        """Start time of each manoeuvre [s], -1 where it has not begun."""
+        return self._state[: len(self.manoeuvres)]
 
     def windows(self, until_s: float = np.inf) -> list[Window]:
         """When manoeuvres were flown, in the order of time; one that the end of the flight cut short ends there."""
-        return windows(self.manoeuvres, self.script, self.started_s, until_s)
+        return windows(self.manoeuvres, self.started_s, until_s)
 
     def events(self, until_s: float = np.inf) -> list[tuple[float, str]]:
         """Start of each manoeuvre, and at the end of the flight those that were never reached."""
         return events(self.manoeuvres, self.started_s, until_s)
 
 
-def windows(
-    manoeuvres: Sequence[Manoeuvre], script: Script, started_s: FloatArray, until_s: float = np.inf
-) -> list[Window]:
+def windows(manoeuvres: Sequence[Manoeuvre], started_s: FloatArray, until_s: float = np.inf) -> list[Window]:
     """Windows of the started manoeuvres, by their start."""
-    lengths = script.points[script.plan[:, 5].astype(int), 0]
     flown = [
-        Window(m.kind, float(s), float(min(s + length, until_s)))
-        for m, s, length in zip(manoeuvres, started_s, lengths, strict=True)
+        Window(m.kind, float(s), float(min(s + polygon(m)[-1][0], until_s)))
+        for m, s in zip(manoeuvres, started_s, strict=True)
         if 0.0 <= s < until_s
     ]
     return sorted(flown, key=lambda w: w.start_s)
 
 
-def events(
-    manoeuvres: Sequence[Manoeuvre], started_s: FloatArray, until_s: float = np.inf
-) -> list[tuple[float, str]]:
+def events(manoeuvres: Sequence[Manoeuvre], started_s: FloatArray, until_s: float = np.inf) -> list[tuple[float, str]]:
     """(time, text) of manoeuvres begun, and of those whose trigger was not reached."""
     found = []
     for m, s in zip(manoeuvres, started_s, strict=True):

@@ -25,8 +25,8 @@ from sim_heating.jit import njit, raw
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import manoeuvres as mv
 from sim_heating.trajectory.guidance import clipped, guidance_kernel
-from sim_heating.trajectory.manoeuvres import Script, offsets_kernel, trigger_kernel
-from sim_heating.trajectory.schedules import scheduled
+from sim_heating.trajectory.manoeuvres import offsets_kernel, trigger_kernel
+from sim_heating.trajectory.schedules import places, scheduled
 from sim_heating.trajectory.trimmed_aero import lift_drag_kernel
 
 FloatArray = NDArray[np.float64]
@@ -43,7 +43,7 @@ G0_M_S2 = 9.80665
     MU, J2, ROTATION, RADIUS, FLATTENING, MASS, AREA, FLAP_LOW, FLAP_HIGH, FLAP_AXIS, CY_BETA,
     STOP_TIME, STOP_MACH, STOP_SPEED, STOP_ALTITUDE,
 ) = range(6, 21)  # fmt: skip
-DENSITY, WIND_NORTH, WIND_EAST, FLAP_SCHEDULE = 21, 23, 25, 27
+DENSITY, WIND_NORTH, WIND_EAST, FLAP_SCHEDULE = places(21, 4)
 """Places in the block of a flight: scalars after those of `trimmed_aero`, then schedules."""
 
 MACH_COUNTS_BELOW_M = 90.0e3
@@ -99,7 +99,7 @@ def geodetic(
     b = radius * (1.0 - flattening)
     p = math.sqrt(x * x + y * y)
     r = math.sqrt(p * p + z * z)
-    s, c = z * (1.0 - flattening) * (1.0 + e2 / (1.0 - e2) * b / r), p * (1.0 - flattening) ** 2
+    s, c = z * (1.0 - flattening) * (1.0 + e2 / (1.0 - e2) * b / r), p
     n = math.sqrt(s * s + c * c)
     s, c = s / n, c / n
     sine, cosine = z + e2 / (1.0 - e2) * b * s * s * s, p - e2 * radius * c * c * c
@@ -190,7 +190,7 @@ def observe_kernel(state: FloatArray, flight: FloatArray, aero: FloatArray, work
     f = forces_kernel(
         x, y, z, vx, vy, vz, state[ALPHA], state[BANK], state[BETA], state[D_ELEVON], state[D_FLAP], flight, aero
     )
-    air, V, seen = f.air, f.air.speed_m_s, work[: gd.OBSERVED]
+    air, V, seen = f.air, f.air.speed_m_s, work
     work[K1], work[K1 + 1], work[K1 + 2] = f.acceleration_m_s2
     qbar = 0.5 * air.rho_kg_m3 * V * V
     per_mass = qbar * flight[AREA] / flight[MASS]
@@ -224,38 +224,37 @@ def net_gravity(
 
 @njit
 def command_kernel(
-    state: FloatArray, flight: FloatArray, block: FloatArray, script: Script, work: FloatArray, dt_s: float
+    state: FloatArray, flight: FloatArray, block: FloatArray, script: FloatArray, work: FloatArray, dt_s: float
 ) -> tuple[float, float, float, float, float]:
     """Alpha, bank, beta, elevon and body-flap offsets to be reached at the end of a step; starts manoeuvres.
 
     Speed and Mach at the end of the step are extrapolated, so that a manoeuvre starts inside the step in which its
     trigger is passed and not after it.
     """
-    seen, out, now = work[: gd.OBSERVED], work[OFFSETS:NEXT], work[NEXT:]
-    guidance_kernel(block, state[MEMORY:STARTED], seen, dt_s)
-    now[0] = state[T] + dt_s
-    now[1] = 2.0 * seen[gd.SPEED] - state[LAST_SPEED]
-    now[2] = 2.0 * seen[gd.MACH] - state[LAST_MACH]
-    state[LAST_SPEED], state[LAST_MACH] = seen[gd.SPEED], seen[gd.MACH]
-    trigger_kernel(script, state[STARTED:], state[EXPECTED_TIME : EXPECTED_MACH + 1], now)
-    state[EXPECTED_TIME : EXPECTED_MACH + 1] = now
-    offsets_kernel(script, state[STARTED:], now[0], out)
-    state[JETS] = clipped(out[mv.JETS], 0.0, 1.0)
-    alpha = clipped(state[MEMORY + gd.ALPHA_COMMAND] + out[mv.ALPHA], block[gd.ALPHA_LOW], block[gd.ALPHA_HIGH])
-    return alpha, state[MEMORY + gd.BANK_COMMAND], out[mv.BETA], out[mv.ELEVON], out[mv.BODYFLAP]
+    guidance_kernel(block, state, MEMORY, work, dt_s)
+    work[NEXT] = state[T] + dt_s
+    work[NEXT + 1] = 2.0 * work[gd.SPEED] - state[LAST_SPEED]
+    work[NEXT + 2] = 2.0 * work[gd.MACH] - state[LAST_MACH]
+    state[LAST_SPEED], state[LAST_MACH] = work[gd.SPEED], work[gd.MACH]
+    trigger_kernel(script, state, STARTED, EXPECTED_TIME, work, NEXT)
+    offsets_kernel(script, state, STARTED, work[NEXT], work, OFFSETS)
+    state[JETS] = clipped(work[OFFSETS + mv.JETS], 0.0, 1.0)
+    alpha, bank = state[MEMORY + gd.ALPHA_COMMAND] + work[OFFSETS + mv.ALPHA], state[MEMORY + gd.BANK_COMMAND]
+    beta, elevon, flap = work[OFFSETS + mv.BETA], work[OFFSETS + mv.ELEVON], work[OFFSETS + mv.BODYFLAP]
+    return clipped(alpha, block[gd.ALPHA_LOW], block[gd.ALPHA_HIGH]), bank, beta, elevon, flap
 
 
 @njit
 def runge_kutta_step(
-    state: FloatArray, flight: FloatArray, aero: FloatArray, dt_s: float, k1: FloatArray,
+    state: FloatArray, flight: FloatArray, aero: FloatArray, work: FloatArray, dt_s: float,
     alpha: float, bank: float, beta: float, d_elevon: float, d_flap: float,
 ) -> None:  # fmt: skip
     """Classical fourth-order step of position and velocity, controls linear from the state's to the given ones.
 
-    k1 : (3,) acceleration at the beginning of the step, as observe_kernel left it
+    work : holds the acceleration at the beginning of the step, as observe_kernel left it
     """
     x, y, z, vx, vy, vz = state[X], state[Y], state[Z], state[VX], state[VY], state[VZ]
-    kx, ky, kz, lx, ly, lz = vx, vy, vz, k1[0], k1[1], k1[2]
+    kx, ky, kz, lx, ly, lz = vx, vy, vz, work[K1], work[K1 + 1], work[K1 + 2]
     sx, sy, sz, ax, ay, az = kx / 6.0, ky / 6.0, kz / 6.0, lx / 6.0, ly / 6.0, lz / 6.0
     for stage in range(1, 4):
         share, weight = (1.0, 1.0 / 6.0) if stage == 3 else (0.5, 1.0 / 3.0)
@@ -278,7 +277,7 @@ def runge_kutta_step(
 
 @njit
 def step_kernel(
-    state: FloatArray, flight: FloatArray, block: FloatArray, script: Script, aero: FloatArray, dt_s: float,
+    state: FloatArray, flight: FloatArray, block: FloatArray, script: FloatArray, aero: FloatArray, dt_s: float,
     work: FloatArray, row: FloatArray,
 ) -> bool:  # fmt: skip
     """One step of one flight; row is the frame at its beginning. False, and no step, where the flight ends there.
@@ -286,27 +285,26 @@ def step_kernel(
     state : (STARTED + manoeuvres,) as made by `entry3dof.first_state`, moved on by dt_s
     flight: block of `entry3dof.flight_block`;  block: of `guidance.guidance_block`;  work: (WORK,);  row: (len(ROW),)
     """
-    tables, own, seen = raw(aero), raw(flight), work[: gd.OBSERVED]
-    observe_kernel(state, own, tables, work, row)
+    observe_kernel(state, flight, aero, work, row)
     if (
         state[T] >= flight[STOP_TIME] - 1e-9
-        or seen[gd.ALTITUDE] <= flight[STOP_ALTITUDE]
-        or seen[gd.SPEED] <= flight[STOP_SPEED]
-        or (seen[gd.MACH] <= flight[STOP_MACH] and seen[gd.ALTITUDE] < MACH_COUNTS_BELOW_M)
+        or work[gd.ALTITUDE] <= flight[STOP_ALTITUDE]
+        or work[gd.SPEED] <= flight[STOP_SPEED]
+        or (work[gd.MACH] <= flight[STOP_MACH] and work[gd.ALTITUDE] < MACH_COUNTS_BELOW_M)
     ):
         return False
     alpha, bank, beta, d_elevon, d_flap = command_kernel(state, flight, block, script, work, dt_s)
-    runge_kutta_step(state, own, tables, dt_s, work[K1:OFFSETS], alpha, bank, beta, d_elevon, d_flap)
+    runge_kutta_step(state, flight, aero, work, dt_s, alpha, bank, beta, d_elevon, d_flap)
     return True
 
 
 @njit
 def run_kernel(
-    state: FloatArray, flight: FloatArray, block: FloatArray, script: Script, aero: FloatArray, dt_s: float,
+    state: FloatArray, flight: FloatArray, block: FloatArray, script: FloatArray, aero: FloatArray, dt_s: float,
     work: FloatArray, rows: FloatArray,
 ) -> tuple[int, bool]:  # fmt: skip
     """Steps until the flight ends or rows (frames, len(ROW)) are full; how many were filled, and whether it ended."""
     for k in range(rows.shape[0]):
-        if not step_kernel(state, flight, block, script, aero, dt_s, work, rows[k]):
+        if not step_kernel(raw(state), raw(flight), raw(block), raw(script), raw(aero), dt_s, raw(work), raw(rows[k])):
             return k + 1, True
     return rows.shape[0], False

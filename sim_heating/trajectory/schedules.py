@@ -30,6 +30,14 @@ def pack(scalars: Sequence[float], schedules: Sequence[Sequence[tuple[float, flo
     return np.concatenate([np.array(parts, dtype=float), *(t.T.ravel() for t in tables)])
 
 
+def places(first: int, schedules: int) -> Sequence[int]:
+    """Where (start, points) of a block's schedules stand, the first at place `first`.
+
+    They are numpy's integers, because numba would compile `scheduled` anew for each value of a Python integer.
+    """
+    return list(np.arange(first, first + 2 * schedules, 2))
+
+
 @njit
 def scheduled(block: FloatArray, place: int, x: float) -> float:
     """Value at x of the schedule whose (start, points) stand at `place`; constant beyond its ends."""

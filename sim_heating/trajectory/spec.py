@@ -65,7 +65,7 @@ class Initial(Table):
 
 
 class Stop(Table):
-    """The flight ends at the first of these, each passed from above (time from below)."""
+    """The flight ends at the first of these, each passed from above (time from below); Mach counts below 90 km."""
 
     mach: Positive | None = None
     velocity_m_s: Positive | None = None
@@ -77,7 +77,8 @@ class VehicleState(Table):
     """The vehicle as flown; what is left out is the vehicle's own default.
 
     cg_fraction : centre of gravity from the nose over the reference length
-    bodyflap_deg: body flap [[mach or velocity_m_s, deg]]
+    bodyflap_deg: body flap [[mach or velocity_m_s, deg]]; by default the one that trims the vehicle along the
+                  angle-of-attack schedule with the elevon at its own scheduled deflection
     cm_shift    : flight-derived hypersonic pitching-moment shift: true for the vehicle's own value, or a number
     """
 
@@ -101,8 +102,8 @@ class Approach(Table):
     bank_deg: float = Field(default=0.0, ge=0.0, le=60.0)
     frequency_rad_s: Positive = 0.08
     damping: Positive = 0.8
-    flare_altitude_m: float = Field(default=600.0, ge=0.0)
-    flare_time_s: Positive = 9.0
+    flare_altitude_m: float = Field(default=700.0, ge=0.0)
+    flare_time_s: Positive = 10.0
 
 
 class Target(Table):
@@ -300,7 +301,7 @@ class TrajectorySpec(Table):
 
     rate_hz : integration frames a second; 60, or 4 for the 3-DOF entry, where it is not given
     sample_s: interval of the conditions kept
-    file    : recorded CSV, relative to the scenario's directory (source = "recorded")
+    file    : recorded CSV (source = "recorded"); the reader of a scenario makes it relative to the scenario
     """
 
     source: Literal["jsbsim", "entry-3dof", "recorded"]

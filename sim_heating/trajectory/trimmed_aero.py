@@ -24,7 +24,7 @@ from sim_heating.trajectory.guidance import clipped
 FloatArray = NDArray[np.float64]
 
 ARM, CM_SHIFT, SHIFT_LOW, SHIFT_HIGH, ELEVON_LOW, ELEVON_HIGH = range(6)
-"""The first numbers in a flight's block: (x_cg - x_ref) / c, flight-found Cm and its Mach numbers, elevon travel [deg]."""
+"""First numbers of a flight's block: (x_cg - x_ref) / c, flight-found Cm, its Mach numbers, elevon travel [deg]."""
 
 (
     MACHS, ALPHAS, FLAPS, ELEVONS, LOWS, AT_ALPHA, AT_FLAP, AT_ELEVON, AT_LOW, AT_CELLS, AT_MACH,

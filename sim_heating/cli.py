@@ -1,0 +1,211 @@
+"""The command `sim-heating`: what it reads, what it writes, and one clear line where it cannot."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from sim_heating.errors import InputError, RunError
+
+CONSOLE = Console()
+ERRORS = Console(stderr=True, soft_wrap=True, highlight=False)
+OUT = click.option("--out", required=True, type=click.Path(path_type=Path), help="directory for the results")
+PATH = click.Path(path_type=Path)
+
+
+@contextmanager
+def _progress(title: str) -> Iterator[Callable[[float, str], None]]:
+    """A progress line on the terminal; its text lines alone where the output is no terminal."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[text]}"), TimeElapsedColumn())
+    with Progress(*columns, console=ERRORS, transient=True) as bar:
+        task = bar.add_task(title, total=1.0, text="starting")
+        last = [""]
+
+        def tell(fraction: float, text: str) -> None:
+            bar.update(task, completed=fraction, text=text)
+            stage = text.split(":")[0]
+            if not ERRORS.is_terminal and stage != last[0]:
+                last[0] = stage
+                ERRORS.print(f"{title}: {stage} ...")
+
+        yield tell
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(package_name="sim-heating")
+def cli() -> None:
+    """Aerodynamic heating beside a flight simulator: temperatures from a trajectory, and back."""
+
+
+@cli.command()
+@click.argument("scenario", type=PATH)
+@OUT
+def run(scenario: Path, out: Path) -> None:
+    """Fly a scenario: trajectory, heating, temperatures, plots."""
+    from sim_heating.run import compare, run_scenario, summary, write_run
+    from sim_heating.scenario import load_scenario
+
+    loaded = load_scenario(scenario)
+    with _progress(loaded.title) as progress:
+        result = run_scenario(loaded, progress=progress)
+        names = write_run(result, out, progress=progress)
+    rmse = {c.measured.control_point: float(c.statistics["rmse_K"]) for c in compare(result)}
+    CONSOLE.print(_run_table(loaded.title, summary(result), rmse))
+    _tell_oddities(summary(result))
+    _tell_files(out, names)
+
+
+def _run_table(title: str, found: dict[str, Any], rmse: dict[str, float]) -> Table:
+    table = Table(title=title, title_justify="left")
+    heads = ("control point", "peak surface", "at", "margin", "peak bondline", "margin")
+    for head in (*heads, *(("RMSE, measured",) if rmse else ())):
+        table.add_column(head, justify="left" if head == heads[0] else "right", no_wrap=True)
+    for name, point in found["control_points"].items():
+        cells = [
+            name,
+            f"{point['peak_surface_K']:.0f} K",
+            f"{point['peak_surface_s']:.0f} s",
+            _margin(point["surface_margin_K"]),
+            f"{point['peak_bondline_K']:.0f} K",
+            _margin(point["bondline_margin_K"]),
+        ]
+        table.add_row(*cells, *([f"{rmse[name]:.1f} K" if name in rmse else ""] if rmse else []))
+    return table
+
+
+def _margin(kelvin: float | None) -> str:
+    if kelvin is None:
+        return "-"
+    return f"{kelvin:+.0f} K" if kelvin >= 0.0 else f"[red]{kelvin:+.0f} K[/red]"
+
+
+def _tell_oddities(found: dict[str, Any]) -> None:
+    """Conditions outside tables, negative ratios, and how far the plug-in was from the march."""
+    outside: dict[str, list[str]] = {}
+    for name, point in found["control_points"].items():
+        for o in point["outside_table"]:
+            outside.setdefault(o["variable"], []).append(name)
+        if point["negative_ratio_s"] > 0.0:
+            CONSOLE.print(f"{name}: the heating ratio was negative for {point['negative_ratio_s']:.0f} s")
+    for variable, names in outside.items():
+        every = [o for n in names for o in found["control_points"][n]["outside_table"] if o["variable"] == variable]
+        longest, farthest = max(o["duration_s"] for o in every), max(o["farthest"] for o in every)
+        CONSOLE.print(
+            f"{variable} lay outside the ratio tables of {len(names)} points, up to {longest:.0f} s and {farthest:.3g} "
+            "beyond; the edge value was held (details in summary.json)"
+        )
+    apart = found["plugin_apart_K"]
+    if apart:
+        CONSOLE.print(f"Plug-in beside the host against the march: {max(apart.values()):.2f} K apart at most")
+
+
+def _tell_files(out: Path, names: list[str]) -> None:
+    pictures = [n for n in names if n.endswith(".png")]
+    files = [n for n in names if not n.endswith(".png")]
+    shown = files if len(files) <= 6 else [*files[:6], f"... {len(files)} files in all"]
+    CONSOLE.print(f"Wrote {out}: {', '.join(shown)}", highlight=False)
+    if pictures:
+        CONSOLE.print(f"Plots: {', '.join(pictures)}", highlight=False)
+
+
+@cli.command()
+@click.argument("scenario", type=PATH)
+@OUT
+def synthesize(scenario: Path, out: Path) -> None:
+    """Fly a scenario and write it as flight records, with the sensor model applied."""
+    from sim_heating.scenario import load_scenario
+    from sim_heating.synthesize import synthesize as fly_and_measure
+    from sim_heating.synthesize import write_records
+
+    loaded = load_scenario(scenario)
+    with _progress(loaded.title) as progress:
+        records = fly_and_measure(loaded, progress=progress)
+        if not records:
+            raise InputError(f"{scenario}: none of its control points has a sensor; choose one that has")
+        names = write_records(loaded, records, out)
+    samples = sum(len(r.time_s) * len(r.sensors) for r in records.values())
+    CONSOLE.print(f"{len(records)} records, {samples} readings, seed {loaded.declared.measurements.seed}")
+    _tell_files(out, names)
+
+
+@cli.command()
+@click.argument("records", type=PATH, nargs=-1, required=True)
+@OUT
+def predict(records: tuple[Path, ...], out: Path) -> None:
+    """Predict the temperatures of flight records with their declared models, nothing fitted."""
+    from sim_heating.predict import predict as predict_record
+    from sim_heating.predict import summary, write_prediction
+    from sim_heating.record import load_record
+
+    loaded = [load_record(path) for path in records]
+    names = [record.name for record in loaded]
+    if len(set(names)) < len(names):
+        raise InputError(f"records: two of them are named {max(set(names), key=names.count)}; rename one")
+    table = Table(title="Declared model against measurement", title_justify="left")
+    for head in ("record", "control point", "RMSE, fit", "RMSE, holdout", "noise floor"):
+        table.add_column(head, justify="left" if head in ("record", "control point") else "right")
+    with _progress("predict") as progress:
+        for i, record in enumerate(loaded):
+            progress(i / len(loaded), f"marching {record.name}")
+            prediction = predict_record(record)
+            found = summary(prediction)
+            write_prediction(prediction, out if len(loaded) == 1 else out / record.name)
+            table.add_row(record.name, record.declared.control_point, *_errors(found))
+    CONSOLE.print(table)
+    CONSOLE.print(f"Wrote {out}: temperatures.csv, summary.json, prediction.png for each record", highlight=False)
+
+
+def _errors(found: dict[str, Any]) -> list[str]:
+    cells = [f"{found[k]['rmse_K']:.2f} K" if found[k] else "-" for k in ("fit", "holdout")]
+    floor = found["noise_floor_K"]
+    return [*cells, "-" if floor is None else f"{floor:.2f} K"]
+
+
+@cli.command()
+@click.argument("paths", type=PATH, nargs=-1, required=True)
+def validate(paths: tuple[Path, ...]) -> None:
+    """Check records, scenarios, tables or vehicles; say what is wrong."""
+    from sim_heating.validate import validate as check
+
+    for path in paths:
+        found = check(path)
+        CONSOLE.print(f"{path}: good. {found.summary}", highlight=False, soft_wrap=True)
+
+
+def _stop(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; 0 done, 1 a run that failed or was interrupted, 2 bad usage or input."""
+    signal.signal(signal.SIGTERM, _stop)
+    try:
+        cli.main(arguments, prog_name="sim-heating", standalone_mode=False)
+    except click.exceptions.Exit as stop:
+        return stop.exit_code
+    except click.ClickException as error:
+        ERRORS.print(f"error: {error.format_message()}", markup=False)
+        return 2
+    except InputError as error:
+        ERRORS.print(f"error: {error}", markup=False)
+        return 2
+    except RunError as error:
+        ERRORS.print(f"failed: {error}", markup=False)
+        return 1
+    except (KeyboardInterrupt, click.Abort):
+        ERRORS.print("interrupted: nothing was left half-written", markup=False)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,61 @@
+"""The plug-in in JSBSim: temperatures as properties that its scripts, functions and outputs can read.
+
+After each frame `heating/<control point>/surface-K` and `bondline-K` hold the temperatures [K] at the end of that frame, with
+`sensors=True` also `heating/<control point>/<sensor>-K`; JSBSim's own systems see them in the next frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from sim_heating.conditions import FloatArray
+from sim_heating.ensemble import Ensemble
+from sim_heating.plugin import HeatingPlugin
+from sim_heating.trajectory.jsbsim_host import JSBSimHost
+
+ROOT = "heating"
+
+
+class JSBSimHeating:
+    """A plug-in that publishes into a JSBSim host.
+
+    Use as the `on_frame` of a flight, or call `frame()` after each `host.step()`.
+    """
+
+    def __init__(self, host: JSBSimHost, plugin: HeatingPlugin, *, sensors: bool = False) -> None:
+        self.host = host
+        self.plugin = plugin
+        self._writers = [
+            (host.publish(f"{ROOT}/{point}/{what}-K").set_double_value, place)
+            for point, what, place in _published(plugin.names, plugin.ensemble, sensors)
+        ]
+        self._started = False
+
+    def __call__(self, frame: FloatArray) -> None:
+        """Advance to a frame of the host (conditions.FRAME) and publish."""
+        if self._started:
+            self.plugin.step(frame)
+        else:
+            self.plugin.reset(frame)
+            self._started = True
+        item = self.plugin.ensemble.state.item
+        for write, place in self._writers:
+            write(item(place))
+
+    def frame(self) -> None:
+        """Read the host's last frame, advance to it and publish."""
+        self(self.host.read_frame())
+
+
+def _published(names: Iterable[str], ensemble: Ensemble, sensors: bool) -> list[tuple[str, str, int]]:
+    """(control point, quantity, place in the state) of everything that is published."""
+    out = []
+    for name, model, mesh, place in zip(names, ensemble.models, ensemble.meshes, ensemble.places, strict=True):
+        out += [(name, "surface", place.temperature(0)), (name, "bondline", place.temperature(mesh.bondline))]
+        if sensors:
+            depths = enumerate(zip(model.depths_m, mesh.sensors, strict=True))
+            out += [(name, f"sensor{i}", place.temperature(node)) for i, (_, node) in depths]
+    return out
+
+
+Publisher = Callable[[float], None]

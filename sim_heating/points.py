@@ -1,0 +1,104 @@
+"""From a vehicle or a record to the models that the kernels take, and from a flight to their conditions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from sim_heating.conditions import RATIO_VARIABLES, Conditions, FloatArray
+from sim_heating.effects import EffectUse
+from sim_heating.ensemble import PointModel, condition_history
+from sim_heating.record import ConstantHeat, Record
+from sim_heating.reference_heating.models import reference_heating
+from sim_heating.thermal.tables import WallEnthalpy
+from sim_heating.vehicle import ControlPoint, Vehicle
+
+
+def wall_enthalpy_of(declared: ConstantHeat | str) -> WallEnthalpy:
+    """A declared wall enthalpy as the property tables take it: cp [J/(kg K)] or the name of a gas model."""
+    return declared if isinstance(declared, str) else declared.cp_J_kgK
+
+
+def mean_condition(conditions: Conditions) -> tuple[float, ...]:
+    """Means of the five ratio variables over all samples."""
+    return tuple(float(np.mean(conditions[v])) for v in RATIO_VARIABLES)
+
+
+def point_of_vehicle(
+    vehicle: Vehicle,
+    point: ControlPoint,
+    parameters: Mapping[str, float] | None = None,
+    effects: Sequence[EffectUse] = (),
+    reference: tuple[float, ...] = (0.0,) * len(RATIO_VARIABLES),
+) -> PointModel:
+    """The model of a vehicle's control point, with parameters and effects beside its own."""
+    return PointModel(
+        name=point.name,
+        construction=point.construction,
+        depths_m=tuple(s.depth_m for s in point.sensors),
+        ratio=point.ratio,
+        wall_enthalpy=wall_enthalpy_of(vehicle.heating.wall_enthalpy),
+        nodes=point.construction.stack.nodes,
+        parameters=dict(parameters or {}),
+        reference=reference,
+        effects=(*point.effects, *effects),
+    )
+
+
+def conditions_at_point(vehicle: Vehicle, point: ControlPoint, flown: Conditions) -> Conditions:
+    """A flight's conditions with surface pressure and reference heating of one control point."""
+    h_ref, H_r = reference_heating(
+        vehicle.heating.reference,
+        flown,
+        nose_radius_m=vehicle.heating.nose_radius_m or 1.0,
+        running_length_m=point.running_length_m,
+    )
+    return flown.with_columns(p_surface_Pa=point.surface_pressure(flown), h_ref_kg_m2_s=h_ref, H_r_J_kg=H_r)
+
+
+def reference_of_record(record: Record) -> tuple[float, ...]:
+    """The condition that a record's derivatives are about: as declared, else means over the fit segments."""
+    fitted = record.fit_mask(record.conditions.time_s)
+    declared = record.declared.reference_condition
+    chosen = fitted if np.any(fitted) else np.ones(len(record.conditions), dtype=bool)
+    return tuple(
+        float(np.mean(record.conditions[v][chosen]))
+        if declared is None or getattr(declared, v) is None
+        else float(getattr(declared, v))
+        for v in RATIO_VARIABLES
+    )
+
+
+def point_of_record(
+    record: Record, parameters: Mapping[str, float] | None = None, effects: Sequence[EffectUse] = ()
+) -> PointModel:
+    """The declared model of a record."""
+    return PointModel(
+        name=record.declared.control_point,
+        construction=record.construction,
+        depths_m=tuple(s.depth_m for s in record.sensors),
+        ratio=record.ratio_table,
+        wall_enthalpy=wall_enthalpy_of(record.declared.heating.wall_enthalpy),
+        nodes=record.declared.stack.nodes,
+        parameters=dict(parameters or {}),
+        reference=reference_of_record(record),
+        effects=tuple(effects),
+    )
+
+
+def conditions_of_record(record: Record) -> Conditions:
+    """A record's conditions with its reference heating as columns."""
+    heating = record.declared.heating
+    h_ref, H_r = reference_heating(
+        heating.reference,
+        record.conditions,
+        nose_radius_m=heating.nose_radius_m or 1.0,
+        running_length_m=heating.running_length_m,
+    )
+    return record.conditions.with_columns(h_ref_kg_m2_s=h_ref, H_r_J_kg=H_r)
+
+
+def histories(flights: Sequence[Conditions]) -> FloatArray:
+    """(flight, time, condition) of flights on common times, as a march takes them."""
+    return np.stack([condition_history(flight) for flight in flights])

@@ -1,0 +1,209 @@
+"""A scenario: which vehicle flies what, what is looked at, how it is measured, and where the truth differs from the tables.
+
+    format = "scenario/1"
+    title = "..."
+    vehicle = "orbiter"                 # a vehicle's name, or its directory relative to the scenario
+    control_points = ["V09T9527"]       # all where absent
+    [trajectory]                        # trajectory/spec.py, with [[trajectory.manoeuvre]]
+    [heating]                           # longest_step_s, alongside
+    [[effect]]                          # declared beside those of the vehicle: name, control_points, parameters
+    [measurements]                      # seed, clock_skew_s, lost samples, gaps, errors of sensors
+    [truth]                             # what `synthesize` alters and does not tell: parameters, [[truth.effect]]
+    [[compare]]                         # measured histories to hold the prediction against
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from sim_heating.effects import EffectUse, use
+from sim_heating.errors import InputError
+from sim_heating.files import Declared, nearest, raise_problems, read_csv_columns, read_toml, shown
+from sim_heating.parameters import MODEL
+from sim_heating.trajectory.spec import TrajectorySpec
+from sim_heating.vehicle import Vehicle, load_vehicle
+
+
+class HeatingRun(Declared):
+    """How heating is computed along the flight."""
+
+    longest_step_s: float = Field(default=1.0, gt=0.0, le=60.0, description="longest thermal step in s")
+    alongside: bool = Field(default=False, description="step the plug-in beside the host and compare")
+
+
+class ScenarioEffect(Declared):
+    """An effect at some control points, at all where none is named."""
+
+    name: str
+    control_points: list[str] | None = None
+    parameters: dict[str, float] = Field(default={})
+
+
+class SensorFault(Declared):
+    """A sensor's offset and gain error."""
+
+    sensor: str
+    bias_K: float = 0.0
+    gain: float = Field(default=1.0, gt=0.0, description="gain, above 0")
+
+
+class Measurements(Declared):
+    """How `synthesize` measures."""
+
+    seed: int = 1
+    rate_hz: float | None = Field(default=None, gt=0.0, description="samples a second; the sensors' own where absent")
+    sample_offset_s: float = Field(default=0.0, description="time of the first sample after the start in s")
+    clock_skew_s: float = Field(default=0.0, description="recorded T(t) = true T(t - skew) in s")
+    lost_fraction: float = Field(default=0.0, ge=0.0, lt=1.0, description="fraction of samples lost at random")
+    gaps_s: list[list[float]] = Field(default=[], description="[[start_s, end_s], ...] without telemetry")
+    fault: list[SensorFault] = Field(default=[])
+
+    @field_validator("gaps_s")
+    @classmethod
+    def _check_gaps(cls, gaps: list[list[float]]) -> list[list[float]]:
+        for gap in gaps:
+            if len(gap) != 2 or gap[0] > gap[1]:
+                raise ValueError(f"{gap} is not a gap; give [start_s, end_s] with start before end")
+        return gaps
+
+
+class Truth(Declared):
+    """Where the truth differs from the declared tables; goes to truth.toml, not into the record."""
+
+    parameters: dict[str, float] = Field(default={}, description="dotted model parameters by name")
+    effect: list[ScenarioEffect] = Field(default=[])
+
+    @field_validator("parameters")
+    @classmethod
+    def _check_parameters(cls, parameters: dict[str, float]) -> dict[str, float]:
+        for name in parameters:
+            if name not in MODEL:
+                near = nearest(name, MODEL)
+                raise ValueError(f"there is no parameter `{name}`." + (f" Nearest: `{near}`." if near else ""))
+        return parameters
+
+
+class Compare(Declared):
+    """A measured surface-temperature history of a control point: CSV with time_s, temperature_K and sigma_K."""
+
+    control_point: str
+    file: str = Field(description="CSV relative to the vehicle's directory")
+    label: str
+    until_s: float | None = Field(default=None, description="end of the comparison in s, all where absent")
+
+
+class ScenarioFile(Declared):
+    """Contents of a scenario file."""
+
+    format: str = Field(pattern="^scenario/1$", description='"scenario/1"')
+    title: str
+    vehicle: str
+    note: str = ""
+    control_points: list[str] | None = None
+    trajectory: TrajectorySpec
+    heating: HeatingRun = HeatingRun()
+    effect: list[ScenarioEffect] = Field(default=[])
+    measurements: Measurements = Measurements()
+    truth: Truth = Truth()
+    compare: list[Compare] = Field(default=[])
+
+
+@dataclass(frozen=True)
+class MeasuredHistory:
+    """A measured history to compare with: (sample,) times [s] and temperatures [K] with their sigma [K]."""
+
+    control_point: str
+    label: str
+    time_s: np.ndarray
+    temperature_K: np.ndarray
+    sigma_K: np.ndarray
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A checked scenario with its vehicle.
+
+    names    : control points looked at, in order
+    compare  : measured histories
+    """
+
+    path: Path
+    declared: ScenarioFile
+    vehicle: Vehicle
+    names: tuple[str, ...]
+    compare: tuple[MeasuredHistory, ...]
+
+    @property
+    def title(self) -> str:
+        """Title of the scenario."""
+        return self.declared.title
+
+    def effects(self, point: str, *, truth: bool = False) -> tuple[EffectUse, ...]:
+        """Effects of a control point beside its vehicle's: the scenario's, and with `truth` the undeclared ones too."""
+        chosen = [*self.declared.effect, *(self.declared.truth.effect if truth else [])]
+        return tuple(
+            use(e.name, e.parameters) for e in chosen if e.control_points is None or point in e.control_points
+        )
+
+
+def load_scenario(path: str | os.PathLike[str]) -> Scenario:
+    """Read and check a scenario and everything that it names.
+
+    raises : InputError with one line a problem
+    """
+    place = Path(path)
+    declared = read_toml(place, ScenarioFile)
+    beside = place.parent / declared.vehicle
+    vehicle = load_vehicle(beside if (beside / "vehicle.toml").is_file() else declared.vehicle)
+    file = declared.trajectory.file
+    if file is not None:
+        declared = declared.model_copy(
+            update={"trajectory": declared.trajectory.model_copy(update={"file": str(place.parent / file)})}
+        )
+    raise_problems([f"{shown(place)}: {line}" for line in _problems(declared, vehicle)])
+    names = tuple(declared.control_points or vehicle.control_points)
+    compare = tuple(_measured_history(vehicle, c) for c in declared.compare if c.control_point in names)
+    return Scenario(place, declared, vehicle, names, compare)
+
+
+def _problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
+    """Control points, effects and sensors that are named and do not exist."""
+    named = [*(declared.control_points or []), *(c.control_point for c in declared.compare)]
+    uses = [*declared.effect, *declared.truth.effect]
+    named += [p for e in uses for p in e.control_points or []]
+    sensors = {s.name for p in vehicle.control_points.values() for s in p.sensors}
+    return [
+        *_attempts(lambda name: vehicle.control_point(name), named),
+        *_attempts(lambda e: use(e.name, e.parameters), uses),
+        *(
+            f"[measurements], fault: no sensor `{f.sensor}`. Nearest: `{nearest(f.sensor, sensors, 0.0)}`."
+            for f in declared.measurements.fault
+            if f.sensor not in sensors
+        ),
+        *(["control_points: the list is empty; leave it out for all"] if declared.control_points == [] else []),
+    ]
+
+
+def _attempts(call, items) -> list[str]:  # type: ignore[no-untyped-def]
+    lines = []
+    for item in items:
+        try:
+            call(item)
+        except InputError as error:
+            lines += error.problems
+    return lines
+
+
+def _measured_history(vehicle: Vehicle, compare: Compare) -> MeasuredHistory:
+    table = read_csv_columns(vehicle.directory / compare.file, ("time_s", "temperature_K", "sigma_K"))
+    raise_problems([*table.not_increasing(), *table.not_kelvin("temperature_K")])
+    time = table["time_s"]
+    until = np.inf if compare.until_s is None else compare.until_s
+    held = time <= until
+    columns = (table[name][held] for name in ("time_s", "temperature_K", "sigma_K"))
+    return MeasuredHistory(compare.control_point, compare.label, *columns)

@@ -1,0 +1,121 @@
+"""A flown scenario as flight records: the truth marched, the sensor model applied, the declared tables told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim_heating.conditions import Conditions, FloatArray
+from sim_heating.files import check, output_directory, toml_text, write_text_atomic
+from sim_heating.record import Record, RecordFile, make_record, write_record
+from sim_heating.run import Progress, _quiet, fly_scenario, models_of
+from sim_heating.scenario import Scenario
+from sim_heating.sensors import SensorErrors, lost_samples, measured, sample_times
+from sim_heating.temperatures import PointHistory, at_times, march_points
+from sim_heating.vehicle import ControlPoint
+
+RECORD_FORMATS = {"time_s": ".10g"}
+TRUTH = "truth.toml"
+
+
+def synthesize(scenario: Scenario, *, progress: Progress = _quiet) -> dict[str, Record]:
+    """Fly a scenario with its truth and measure it: one record a control point that has sensors.
+
+    What a flight crew would have is in the records: declared tables and stacks, and nothing of the truth.
+    """
+    flight = fly_scenario(scenario, progress=lambda f, text: progress(0.7 * f, f"flying: {text}"))
+    progress(0.7, "marching the truth")
+    flown = flight.conditions
+    models, flights = models_of(scenario, flown, truth=True)
+    wanted = scenario.declared.measurements
+    points = [scenario.vehicle.control_point(name) for name in scenario.names]
+    measurable = [(p, m, c) for p, m, c in zip(points, models, flights, strict=True) if p.sensors]
+    clocks = [_clock(scenario, p, flown) for p, _, _ in measurable]
+    true_times = [_within(clock - wanted.clock_skew_s, flown) for clock in clocks]
+    histories = march_points(
+        [m for _, m, _ in measurable],
+        [c for _, _, c in measurable],
+        extra_times_s=np.unique(np.concatenate(true_times)),
+        longest_step_s=scenario.declared.heating.longest_step_s,
+    )
+    progress(0.9, "measuring")
+    return {
+        p.name: _record(scenario, p, c, h, clock)
+        for (p, _, c), h, clock in zip(measurable, histories, clocks, strict=True)
+    }
+
+
+def _clock(scenario: Scenario, point: ControlPoint, flown: Conditions) -> FloatArray:
+    wanted = scenario.declared.measurements
+    start, end = flown.time_s[0], flown.time_s[-1]
+    return sample_times(point.sensors, start, end, rate_hz=wanted.rate_hz, offset_s=wanted.sample_offset_s)
+
+
+def _within(time_s: FloatArray, flown: Conditions) -> FloatArray:
+    return time_s[(time_s >= flown.time_s[0]) & (time_s <= flown.time_s[-1])]
+
+
+def _record(
+    scenario: Scenario, point: ControlPoint, conditions: Conditions, history: PointHistory, clock: FloatArray
+) -> Record:
+    wanted = scenario.declared.measurements
+    rng = np.random.default_rng([wanted.seed, *point.name.encode()])
+    faults = {f.sensor: SensorErrors(f.bias_K, f.gain) for f in wanted.fault}
+    true = at_times(history.time_s, history.sensors_K, clock - wanted.clock_skew_s)
+    columns: dict[str, FloatArray] = {"time_s": clock}
+    for sensor, temperature in zip(point.sensors, true, strict=True):
+        lost = lost_samples(clock, rng, wanted.lost_fraction, wanted.gaps_s) | np.isnan(temperature)
+        known = np.where(np.isnan(temperature), 0.0, temperature)
+        columns[sensor.column] = measured(sensor, known, rng, faults.get(sensor.name), lost)
+    return make_record(_declaration(scenario, point), conditions, columns, point.ratio, point.name)
+
+
+def _declaration(scenario: Scenario, point: ControlPoint) -> RecordFile:
+    heating = scenario.vehicle.heating
+    data: dict[str, Any] = {
+        "format": "flight-record/1",
+        "title": f"{scenario.title}: {point.title}",
+        "vehicle": scenario.vehicle.name,
+        "control_point": point.name,
+        "measured": False,
+        "conditions": {"file": "conditions.csv"},
+        "thermocouples": {
+            "file": "thermocouples.csv",
+            "sensor": [s.model_dump(exclude_unset=True, exclude={"rate_hz", "sample_offset_s"}) for s in point.sensors],
+        },
+        "stack": point.construction.stack.model_dump(exclude_unset=True),
+        "materials": {n: m.model_dump(exclude_unset=True) for n, m in point.construction.materials.items()},
+        "heating": {
+            "reference": "columns",
+            "nose_radius_m": heating.nose_radius_m,
+            "wall_enthalpy": heating.model_dump()["wall_enthalpy"],
+            "ratio_table": "ratio_table.csv",
+        },
+    }
+    data["heating"] = {k: v for k, v in data["heating"].items() if v is not None}
+    return check(data, RecordFile, f"record of {point.name}")
+
+
+def write_records(scenario: Scenario, records: dict[str, Record], out: Path) -> list[str]:
+    """Write the records, in `out` itself where there is one, and beside them what the truth was; names of what was made."""
+    comment = f"Synthetic: {scenario.title}. Made by sim-heating synthesize."
+    with output_directory(out) as folder:
+        for name, record in records.items():
+            write_record(record, folder if len(records) == 1 else folder / name, comment=comment)
+        write_text_atomic(folder / TRUTH, _truth_text(scenario))
+        return sorted(p.name for p in folder.iterdir() if not p.name.startswith("."))
+
+
+def _truth_text(scenario: Scenario) -> str:
+    truth, wanted = scenario.declared.truth, scenario.declared.measurements
+    data = {
+        "scenario": scenario.title,
+        "parameters": dict(truth.parameters),
+        "effect": [e.model_dump(exclude_none=True) for e in truth.effect],
+        "measurements": wanted.model_dump(exclude_none=True),
+    }
+    return toml_text(data, "What the records were made with beyond what they declare.")
+
+
