@@ -16,7 +16,9 @@ from rich.table import Table
 
 from sim_heating.errors import InputError, RunError
 
-CONSOLE = Console()
+PLAIN_WIDTH = 110
+"""Columns of a table where the output is no terminal."""
+CONSOLE = Console(width=None if sys.stdout.isatty() else PLAIN_WIDTH)
 ERRORS = Console(stderr=True, soft_wrap=True, highlight=False)
 OUT = click.option("--out", required=True, type=click.Path(path_type=Path), help="directory for the results")
 PATH = click.Path(path_type=Path)
@@ -67,7 +69,7 @@ def run(scenario: Path, out: Path) -> None:
 def _run_table(title: str, found: dict[str, Any], rmse: dict[str, float]) -> Table:
     table = Table(title=title, title_justify="left")
     heads = ("control point", "peak surface", "at", "margin", "peak bondline", "margin")
-    for head in (*heads, *(("RMSE, measured",) if rmse else ())):
+    for head in (*heads, *(("RMSE against measured",) if rmse else ())):
         table.add_column(head, justify="left" if head == heads[0] else "right", no_wrap=True)
     for name, point in found["control_points"].items():
         cells = [
@@ -135,6 +137,37 @@ def synthesize(scenario: Path, out: Path) -> None:
     samples = sum(len(r.time_s) * len(r.sensors) for r in records.values())
     CONSOLE.print(f"{len(records)} records, {samples} readings, seed {loaded.declared.measurements.seed}")
     _tell_files(out, names)
+
+
+@cli.command()
+@OUT
+def demo(out: Path) -> None:
+    """The main job: a JSBSim entry through a Mach-20 POPU, its thermocouple data, and a comparison with STS-96."""
+    from sim_heating.run import compare, run_scenario, summary, write_run
+    from sim_heating.scenario import load_scenario
+    from sim_heating.synthesize import synthesize as fly_and_measure
+    from sim_heating.synthesize import write_records
+
+    popu, sts96 = (load_scenario(_scenario_folder() / f"{name}.toml") for name in ("popu_mach20", "sts96"))
+    with _progress("demo") as progress:
+        flown = run_scenario(popu, progress=lambda f, text: progress(0.5 * f, f"POPU {text}"))
+        names = [f"popu/{n}" for n in write_run(flown, out / "popu")]
+        records = fly_and_measure(popu, progress=lambda f, text: progress(0.5 + 0.2 * f, f"measuring {text}"))
+        names += [f"records/{n}" for n in write_records(popu, records, out / "records")]
+        measured = run_scenario(sts96, progress=lambda f, text: progress(0.7 + 0.2 * f, f"STS-96 {text}"))
+        names += [f"sts96/{n}" for n in write_run(measured, out / "sts96")]
+    rmse = {c.measured.control_point: float(c.statistics["rmse_K"]) for c in compare(measured)}
+    CONSOLE.print(_run_table(f"{popu.title}; RMSE of '{sts96.title}'", summary(flown), rmse))
+    _tell_oddities(summary(flown))
+    _tell_files(out, names)
+
+
+def _scenario_folder() -> Path:
+    """The project's scenarios: beside the package in a checkout, else in the present directory."""
+    for folder in (Path(__file__).resolve().parent.parent / "scenarios", Path("scenarios")):
+        if (folder / "popu_mach20.toml").is_file():
+            return folder
+    raise InputError("scenarios: not found here; run the demo in a checkout of the project")
 
 
 @cli.command()

@@ -28,7 +28,6 @@ from sim_heating.layout import (
     BACK_H,
     BACK_NODE,
     BACK_T,
-    BASE,
     COLUMN,
     CONDITION_COLUMNS,
     CURVED,
@@ -39,10 +38,14 @@ from sim_heating.layout import (
     FACTOR_EPS,
     FAILED,
     HEAD_ROWS,
+    HIGH,
     INTS_PER_NODE,
+    IS_FACE,
+    IS_INTERFACE,
     LANES,
     M_LEFT,
     M_RIGHT,
+    MATERIAL_TABLE,
     N_ADDING,
     N_EFFECTS,
     N_NODES,
@@ -79,6 +82,8 @@ IntArray = NDArray[np.int64]
 
 CONTACT = Material(density_kg_m3=1.0, specific_heat_J_kgK=[[300.0, 1.0]], conductivity_W_mK=[[300.0, 1.0]])
 """What a contact resistance is made of: an element without mass whose "length" is the resistance."""
+CACHE_LINE = 64
+"""Bytes."""
 THREADED_POINT_STEPS = 20_000
 """Below this many point-steps a march is not worth a second thread."""
 
@@ -200,7 +205,7 @@ class Ensemble:
         blocks = np.concatenate(([0], np.cumsum([block_size(n) for n in nodes])))
         integers = np.concatenate(([0], np.cumsum([integers_size(n) for n in nodes])))
         self.groups = np.column_stack([blocks[:-1], blocks[1:], integers[:-1], integers[1:]]).astype(np.int64)
-        self.state = np.zeros(blocks[-1])
+        self.state = aligned_zeros(int(blocks[-1]))
         self.ints = np.zeros(integers[-1], dtype=np.int64)
         self.lanes = np.array([group + [group[-1]] * (LANES - len(group)) for group in members]).ravel()
         self.places = [_Place(0, 0, 0)] * len(self.models)
@@ -226,8 +231,9 @@ class Ensemble:
             self._pack_heating(B, J, lane, self.models[i])
         for node in range(1, J[N_NODES] - 1):
             here = NODE_INTS + node * INTS_PER_NODE
-            left, right = J[here + 1 - INTS_PER_NODE : here + 1 - INTS_PER_NODE + LANES], J[here + 1 : here + 1 + LANES]
-            J[here] = int(np.any(left != right))
+            right = J[here + MATERIAL_TABLE : here + MATERIAL_TABLE + LANES]
+            left = J[here - INTS_PER_NODE + MATERIAL_TABLE : here - INTS_PER_NODE + MATERIAL_TABLE + LANES]
+            J[here + IS_INTERFACE] = int(np.any(left != right))
 
     def _pack_stack(self, B: FloatArray, J: IntArray, lane: int, model: PointModel, mesh: Mesh) -> None:
         materials = model.construction.layer_materials()
@@ -238,9 +244,11 @@ class Ensemble:
             B[node_row(e, G)][lane] = conductivity[e] / length[e]
             B[node_row(e, M_RIGHT)][lane] = half
             B[node_row(e + 1, M_LEFT)][lane] = half
-            J[NODE_INTS + e * INTS_PER_NODE + 1 + lane] = self.tables.material_offset[id(material)]
+            J[NODE_INTS + e * INTS_PER_NODE + MATERIAL_TABLE + lane] = self.tables.material_offset[id(material)]
         J[BACK_NODE + lane] = mesh.nodes - 1
-        last = NODE_INTS + len(mesh.layer) * INTS_PER_NODE + 1 + lane
+        for node in (0, mesh.nodes - 1):
+            J[NODE_INTS + node * INTS_PER_NODE + IS_FACE] = 1
+        last = NODE_INTS + len(mesh.layer) * INTS_PER_NODE + MATERIAL_TABLE + lane
         J[last :: INTS_PER_NODE] = J[last - INTS_PER_NODE]
         for node in range(mesh.nodes, J[N_NODES]):
             B[node_row(node, M_RIGHT)][lane] = 1.0
@@ -291,7 +299,7 @@ class Ensemble:
         nodes[:, T, lane] = temperature_K[-1]
         nodes[: len(temperature_K), T, lane] = temperature_K
         nodes[:, RATE, lane] = 0.0
-        nodes[:, BASE, lane] = NOWHERE
+        nodes[:, HIGH, lane] = NOWHERE
 
     def set_profile(self, model: int, temperature_K: ArrayLike) -> None:
         """Set all node temperatures [K] of one point; the next march begins with them, a step needs `begin` first."""
@@ -400,6 +408,13 @@ class Ensemble:
         bad = [m.name for m, f, s in zip(self.models, failed, surface, strict=True) if f > 0 or not np.isfinite(s)]
         if bad:
             raise RunError(f"{', '.join(bad)}: the thermal step did not converge; look at the conditions at that time")
+
+
+def aligned_zeros(count: int) -> FloatArray:
+    """Zeros that begin on a cache line: where every second vector load splits a line, a step takes a fifth longer."""
+    memory = np.zeros(count + CACHE_LINE // 8)
+    first = (-memory.ctypes.data % CACHE_LINE) // 8
+    return memory[first : first + count]
 
 
 def _distinct_effects(models: Sequence[PointModel]) -> tuple[Effect, ...]:

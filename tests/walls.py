@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,7 @@ def flight(time_s: ArrayLike, **columns: ArrayLike) -> FloatArray:
     return condition_history(Conditions({"time_s": time} | full))[np.newaxis]
 
 
+@cache
 def practice_record(name: str) -> tuple[Record, dict[str, Any]]:
     """A practice record and what its generator put into it."""
     with open(PRACTICE / name / "truth.toml", "rb") as file:

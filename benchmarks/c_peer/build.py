@@ -22,9 +22,11 @@ from sim_heating.layout import (
     FACTOR_EPS,
     FIRST,
     INTS_PER_NODE,
+    IS_INTERFACE,
     LANES,
     M_LEFT,
     M_RIGHT,
+    MATERIAL_TABLE,
     N_NODES,
     NODE_INTS,
     RATIO_TABLE,
@@ -117,8 +119,9 @@ class Peer:
         B, J = ensemble.block(g), ensemble.integers(g)
         nodes = int(J[N_NODES])
         rows = np.array([[B[node_row(i, r)] for r in (T, M_LEFT, M_RIGHT, G)] for i in range(nodes)])
-        which = J[NODE_INTS:].reshape(nodes, INTS_PER_NODE).copy()
-        which[:, 1:] = np.vectorize(index.__getitem__)(which[:, 1:])
+        of_nodes = J[NODE_INTS:].reshape(nodes, INTS_PER_NODE)
+        materials = of_nodes[:, MATERIAL_TABLE : MATERIAL_TABLE + LANES]
+        which = np.column_stack([of_nodes[:, IS_INTERFACE], np.vectorize(index.__getitem__)(materials)])
         parameters = np.array([B[parameters_at(k) : parameters_at(k) + REFERENCE + VARIABLES] for k in range(LANES)]).T
         scalars = np.concatenate(
             [

@@ -40,38 +40,46 @@ from numpy.typing import NDArray
 
 from sim_heating.jit import compiled_step, njit
 from sim_heating.layout import (
+    ACROSS,
     ACTIVE,
     ADDED,
     BACK_EPS,
     BACK_H,
     BACK_NODE,
     BACK_T,
-    BASE,
     C_LEFT,
     C_RIGHT,
     C_STAGES,
     COLUMN,
     DELTA,
+    DIAGONAL,
     E_LEFT,
     E_RIGHT,
     E_STAR,
     E_START,
     ENERGY_IN,
     ENERGY_OUT,
+    ENTRY,
     FACTOR_EPS,
     FAILED,
     FILM,
+    FOOT,
+    FOOT_LEFT,
     FRACTION,
     H_REF,
     HEAD_ROWS,
+    HIGH,
     INTS_PER_NODE,
+    IS_FACE,
+    IS_INTERFACE,
     ITERATIONS,
-    K_LEFT,
-    K_RIGHT,
     LANES,
     LARGEST,
+    LOW,
+    LOWER,
     M_LEFT,
     M_RIGHT,
+    MATERIAL_TABLE,
     MOVES,
     N_CONDITIONS,
     N_NODES,
@@ -82,11 +90,10 @@ from sim_heating.layout import (
     NOWHERE,
     PCOL,
     PFRAC,
-    POLYNOMIAL,
-    POLYNOMIAL_LEFT,
     R_BASE,
     RATE,
     RECOVERY,
+    RESIDUAL,
     SCALAR_ROWS,
     SLOPE,
     SOURCE,
@@ -97,7 +104,6 @@ from sim_heating.layout import (
     SURFACE_TABLE,
     SURROUNDINGS4,
     T_START,
-    THETA_LEFT,
     THETA_RIGHT,
     UPPER,
     WALL_EFFECTS,
@@ -126,7 +132,9 @@ NEWTON_LIMIT = 25
 WALL_DIFFERENCE_K = 0.5
 """Half the step over which an effect's dependence on the wall temperature is differenced, for Newton's matrix only."""
 COLDEST_K = 1.0
-"""No iterate goes below this."""
+"""No iterate goes below this, and one that is no number becomes this: a failure, for its update is no number either."""
+FAR = 1e300
+"""Bound of a bin that goes on for ever."""
 
 STAGED = (FILM, RECOVERY, ADDED, PCOL, PFRAC, R_BASE)
 """Rows that hold one value a stage."""
@@ -153,86 +161,105 @@ def _integral(value: float, first: float, slope: float, t: float) -> float:
 
 
 @njit
-def _gather(B: FloatArray, J: IntArray, table: FloatArray, i: int, offsets: int, into: int) -> None:
-    """Copy the property polynomials about the present temperatures of node i beside it, for one of its two elements."""
-    width = 3 + 3 * J[N_PRESSURES]
-    a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-    for lane in range(LANES):
-        j = _bin(B[a + T * LANES + lane])
-        row = J[offsets + lane] + j * width
-        B[a + BASE * LANES + lane] = BIN_K * j
-        for k in range(3):
-            B[a + (into + k) * LANES + lane] = table[row + k]
-        row += 3 + 3 * int(B[COLUMN * LANES + lane])
-        for k in range(6):
-            B[a + (into + 3 + k) * LANES + lane] = table[row + k]
+def _gather(B: FloatArray, J: IntArray, table: FloatArray, a: int, lane: int, offset: int, into: int) -> int:
+    """Copy the property polynomials about the temperature of a node beside it, for one of its elements; gives the bin."""
+    j = _bin(B[a + T * LANES + lane])
+    row = offset + j * (3 + 3 * J[N_PRESSURES])
+    B[a + into * LANES + lane] = BIN_K * j
+    for k in range(3):
+        B[a + (into + 1 + k) * LANES + lane] = table[row + k]
+    row += 3 + 3 * int(B[COLUMN * LANES + lane])
+    for k in range(6):
+        B[a + (into + 4 + k) * LANES + lane] = table[row + k]
+    return j
 
 
 @njit
 def _refresh(B: FloatArray, J: IntArray, table: FloatArray, i: int) -> None:
-    """Gather the polynomials of node i anew where one of its lanes has left the bin that they hold for."""
+    """Gather the polynomials of node i anew in the lanes that have left the bin that they hold for."""
     a = (HEAD_ROWS + i * NODE_ROWS) * LANES
     outside = 0
     for lane in range(LANES):
-        t = B[a + T * LANES + lane] - B[a + BASE * LANES + lane]
-        outside += 0 if (t >= 0.0 and t < BIN_K) else 1
-    if outside > 0:
-        node = NODE_INTS + i * INTS_PER_NODE
-        if J[node] == 1:
-            _gather(B, J, table, i, node - INTS_PER_NODE + 1, POLYNOMIAL_LEFT)
-        _gather(B, J, table, i, node + 1, POLYNOMIAL)
+        t = B[a + T * LANES + lane]
+        outside += 0 if (t >= B[a + LOW * LANES + lane] and t < B[a + HIGH * LANES + lane]) else 1
+    if outside == 0:
+        return
+    node = NODE_INTS + i * INTS_PER_NODE
+    for lane in range(LANES):
+        t = B[a + T * LANES + lane]
+        if not (t >= B[a + LOW * LANES + lane] and t < B[a + HIGH * LANES + lane]):
+            if J[node + IS_INTERFACE] == 1:
+                _gather(B, J, table, a, lane, J[node - INTS_PER_NODE + MATERIAL_TABLE + lane], FOOT_LEFT)
+            j = _gather(B, J, table, a, lane, J[node + MATERIAL_TABLE + lane], FOOT)
+            B[a + LOW * LANES + lane] = BIN_K * j if j > 0 else -FAR
+            B[a + HIGH * LANES + lane] = BIN_K * (j + 1) if j < BINS - 1 else FAR
 
 
 @njit
-def _between(B: FloatArray, x: int, f: float) -> tuple[float, float, float]:
-    """theta, k and its slope at the foot of a bin, a fraction f of the way between two pressure columns."""
+def _properties(B: FloatArray, a: int, lane: int, foot: int, f: float) -> tuple[float, float, float, float]:
+    """Enthalpy, specific heat, theta and k at the node's temperature, a fraction f between two pressure columns."""
+    t = B[a + T * LANES + lane] - B[a + foot * LANES + lane]
+    x = a + (foot + 1) * LANES + lane
+    c0, c1 = B[x + LANES], B[x + 2 * LANES]
     theta_a, k_a, slope_a = B[x + 3 * LANES], B[x + 4 * LANES], B[x + 5 * LANES]
-    theta_b, k_b, slope_b = B[x + 6 * LANES], B[x + 7 * LANES], B[x + 8 * LANES]
-    return theta_a + f * (theta_b - theta_a), k_a + f * (k_b - k_a), slope_a + f * (slope_b - slope_a)
+    theta0 = theta_a + f * (B[x + 6 * LANES] - theta_a)
+    k0 = k_a + f * (B[x + 7 * LANES] - k_a)
+    k1 = slope_a + f * (B[x + 8 * LANES] - slope_a)
+    return _integral(B[x], c0, c1, t), c0 + c1 * t, _integral(theta0, k0, k1, t), k0 + k1 * t
 
 
 @njit
-def evaluate_nodes(B: FloatArray, J: IntArray, table: FloatArray) -> None:
-    """Heat contents, capacities, Kirchhoff variables and conductivities of all nodes at their present temperatures."""
-    for i in range(J[N_NODES]):
-        a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-        left = a - NODE_ROWS * LANES
-        _refresh(B, J, table, i)
+def _write_row(
+    B: FloatArray, a: int, lane: int, ddt: float,
+    h_left: float, c_left: float, theta_left: float, k_left: float, h: float, c: float, theta: float, k: float,
+) -> None:  # fmt: skip
+    """Row of a node with its properties on either side; what its right neighbour adds is in that one's ACROSS and ENTRY.
+
+    What crosses an element, heat conducted in d dt and heat content shared, is taken together.
+    """
+    left = a - NODE_ROWS * LANES
+    m_left, m_right = B[a + M_LEFT * LANES + lane], B[a + M_RIGHT * LANES + lane]
+    e_left, cap_left, e_right, cap_right = m_left * h_left, m_left * c_left, m_right * h, m_right * c
+    g_left = ddt * B[left + G * LANES + lane]
+    across = g_left * (B[left + THETA_RIGHT * LANES + lane] - theta_left)
+    across += SHARE * (e_left - B[left + E_RIGHT * LANES + lane])
+    entry = SHARE * cap_left - g_left * k_left
+    lower = SHARE * cap_right - ddt * B[a + G * LANES + lane] * k
+    B[a + E_LEFT * LANES + lane] = e_left
+    B[a + C_LEFT * LANES + lane] = cap_left
+    B[a + E_RIGHT * LANES + lane] = e_right
+    B[a + C_RIGHT * LANES + lane] = cap_right
+    B[a + THETA_RIGHT * LANES + lane] = theta
+    B[a + ACROSS * LANES + lane] = across
+    B[a + ENTRY * LANES + lane] = entry
+    B[a + LOWER * LANES + lane] = lower
+    B[a + DIAGONAL * LANES + lane] = cap_left + cap_right - entry - lower
+    B[a + RESIDUAL * LANES + lane] = e_left + e_right - B[a + E_STAR * LANES + lane] - across
+
+
+@njit
+def _assemble(B: FloatArray, J: IntArray, table: FloatArray, i: int, ddt: float) -> None:
+    """Row of node i at its present temperatures, heat from outside included."""
+    a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+    left = a - NODE_ROWS * LANES
+    _refresh(B, J, table, i)
+    if J[NODE_INTS + i * INTS_PER_NODE + IS_INTERFACE] == 1:
         for lane in range(LANES):
             f = B[left + FRACTION * LANES + lane]
             B[a + FRACTION * LANES + lane] = f
-            t = B[a + T * LANES + lane] - B[a + BASE * LANES + lane]
-            x = a + POLYNOMIAL * LANES + lane
-            c0, c1 = B[x + LANES], B[x + 2 * LANES]
-            h, c = _integral(B[x], c0, c1, t), c0 + c1 * t
-            theta0, k0, k1 = _between(B, x, f)
-            theta, k = _integral(theta0, k0, k1, t), k0 + k1 * t
-            m_left, m_right = B[a + M_LEFT * LANES + lane], B[a + M_RIGHT * LANES + lane]
-            B[a + E_LEFT * LANES + lane] = m_left * h
-            B[a + C_LEFT * LANES + lane] = m_left * c
-            B[a + E_RIGHT * LANES + lane] = m_right * h
-            B[a + C_RIGHT * LANES + lane] = m_right * c
-            B[a + THETA_RIGHT * LANES + lane] = theta
-            B[a + K_RIGHT * LANES + lane] = k
-            B[a + THETA_LEFT * LANES + lane] = theta
-            B[a + K_LEFT * LANES + lane] = k
-        if J[NODE_INTS + i * INTS_PER_NODE] == 1:
-            _evaluate_left(B, a)
-
-
-@njit
-def _evaluate_left(B: FloatArray, a: int) -> None:
-    """The same for the element to the left, at a node between two materials."""
-    for lane in range(LANES):
-        t = B[a + T * LANES + lane] - B[a + BASE * LANES + lane]
-        x = a + POLYNOMIAL_LEFT * LANES + lane
-        c0, c1 = B[x + LANES], B[x + 2 * LANES]
-        m_left = B[a + M_LEFT * LANES + lane]
-        theta0, k0, k1 = _between(B, x, B[a + FRACTION * LANES + lane])
-        B[a + E_LEFT * LANES + lane] = m_left * _integral(B[x], c0, c1, t)
-        B[a + C_LEFT * LANES + lane] = m_left * (c0 + c1 * t)
-        B[a + THETA_LEFT * LANES + lane] = _integral(theta0, k0, k1, t)
-        B[a + K_LEFT * LANES + lane] = k0 + k1 * t
+            h_left, c_left, theta_left, k_left = _properties(B, a, lane, FOOT_LEFT, f)
+            h, c, theta, k = _properties(B, a, lane, FOOT, f)
+            _write_row(B, a, lane, ddt, h_left, c_left, theta_left, k_left, h, c, theta, k)
+    else:
+        for lane in range(LANES):
+            f = B[left + FRACTION * LANES + lane]
+            B[a + FRACTION * LANES + lane] = f
+            h, c, theta, k = _properties(B, a, lane, FOOT, f)
+            _write_row(B, a, lane, ddt, h, c, theta, k, h, c, theta, k)
+    if J[NODE_INTS + i * INTS_PER_NODE + IS_FACE] == 1:
+        for lane in range(LANES):
+            B[a + RESIDUAL * LANES + lane] -= ddt * B[a + SOURCE * LANES + lane]
+            B[a + DIAGONAL * LANES + lane] -= ddt * B[a + SLOPE * LANES + lane]
 
 
 @njit
@@ -247,7 +274,7 @@ def _select_pressure(B: FloatArray, J: IntArray, stage: int) -> None:
     if changed > 0:
         for i in range(J[N_NODES]):
             for lane in range(LANES):
-                B[(HEAD_ROWS + i * NODE_ROWS + BASE) * LANES + lane] = NOWHERE
+                B[(HEAD_ROWS + i * NODE_ROWS + HIGH) * LANES + lane] = NOWHERE
 
 
 @njit
@@ -326,7 +353,6 @@ def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, chain) -> None
     """Heat contents and net heat of all nodes with the conditions of stage 2, as a step leaves them."""
     n = J[N_NODES]
     _select_pressure(B, J, 2)
-    evaluate_nodes(B, J, table)
     evaluate_surface(B, J, table, chain, 2)
     evaluate_back(B, J)
     for lane in range(LANES):
@@ -334,16 +360,22 @@ def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, chain) -> None
         back = (HEAD_ROWS + J[BACK_NODE + lane] * NODE_ROWS) * LANES
         B[STAGE_OUT * LANES + lane] = -B[back + SOURCE * LANES + lane]
     for i in range(n):
+        _assemble(B, J, table, i, 0.0)
+    _assemble_behind(B, n)
+    for i in range(n):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-        left, right = a - NODE_ROWS * LANES, a + NODE_ROWS * LANES
+        right = a + NODE_ROWS * LANES
         for lane in range(LANES):
-            hot, cold = B[left + THETA_RIGHT * LANES + lane], B[a + THETA_LEFT * LANES + lane]
-            net = B[a + SOURCE * LANES + lane] + B[left + G * LANES + lane] * (hot - cold)
-            hot, cold = B[a + THETA_RIGHT * LANES + lane], B[right + THETA_LEFT * LANES + lane]
-            B[a + NET * LANES + lane] = net - B[a + G * LANES + lane] * (hot - cold)
-            own_left, own_right = B[a + E_LEFT * LANES + lane], B[a + E_RIGHT * LANES + lane]
-            shared = B[right + E_LEFT * LANES + lane] - own_right - own_left + B[left + E_RIGHT * LANES + lane]
-            B[a + E_START * LANES + lane] = own_left + own_right + SHARE * shared
+            shared = B[right + ACROSS * LANES + lane] - B[a + ACROSS * LANES + lane]
+            B[a + E_START * LANES + lane] = B[a + E_LEFT * LANES + lane] + B[a + E_RIGHT * LANES + lane] + shared
+            B[a + NET * LANES + lane] = B[a + SOURCE * LANES + lane] + shared
+    for i in range(n):
+        _assemble(B, J, table, i, 1.0)
+    for i in range(n):
+        a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+        right = a + NODE_ROWS * LANES
+        for lane in range(LANES):
+            B[a + NET * LANES + lane] += B[a + ACROSS * LANES + lane] - B[right + ACROSS * LANES + lane]
 
 
 @njit
@@ -375,36 +407,44 @@ def _finish(B: FloatArray, n: int, dt: float) -> None:
 
 
 @njit
-def _eliminate(B: FloatArray, n: int, ddt: float) -> None:
-    """Forward sweep: residual E - E* - d dt F and its tridiagonal matrix, row by row, reduced as it is built.
+def _reduce(B: FloatArray, i: int) -> None:
+    """Eliminate row i, whose right neighbour is assembled."""
+    a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+    left, right = a - NODE_ROWS * LANES, a + NODE_ROWS * LANES
+    for lane in range(LANES):
+        lower = B[left + LOWER * LANES + lane]
+        pivot = 1.0 / (B[a + DIAGONAL * LANES + lane] - lower * B[left + UPPER * LANES + lane])
+        residual = B[a + RESIDUAL * LANES + lane] + B[right + ACROSS * LANES + lane]
+        B[a + UPPER * LANES + lane] = B[right + ENTRY * LANES + lane] * pivot
+        B[a + DELTA * LANES + lane] = -(residual + lower * B[left + DELTA * LANES + lane]) * pivot
 
-    What crosses an element, heat conducted in d dt and heat content shared, is taken together.
-    """
-    for i in range(n):
-        a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-        left, right = a - NODE_ROWS * LANES, a + NODE_ROWS * LANES
-        for lane in range(LANES):
-            g_left, g = ddt * B[left + G * LANES + lane], ddt * B[a + G * LANES + lane]
-            own_left, own_right = B[a + E_LEFT * LANES + lane], B[a + E_RIGHT * LANES + lane]
-            into = g_left * (B[left + THETA_RIGHT * LANES + lane] - B[a + THETA_LEFT * LANES + lane])
-            into += SHARE * (own_left - B[left + E_RIGHT * LANES + lane])
-            out = g * (B[a + THETA_RIGHT * LANES + lane] - B[right + THETA_LEFT * LANES + lane])
-            out += SHARE * (B[right + E_LEFT * LANES + lane] - own_right)
-            residual = own_left + own_right - B[a + E_STAR * LANES + lane] + out - into
-            residual -= ddt * B[a + SOURCE * LANES + lane]
-            lower = SHARE * B[left + C_RIGHT * LANES + lane] - g_left * B[left + K_RIGHT * LANES + lane]
-            upper = SHARE * B[right + C_LEFT * LANES + lane] - g * B[right + K_LEFT * LANES + lane]
-            diagonal = (1.0 - SHARE) * (B[a + C_LEFT * LANES + lane] + B[a + C_RIGHT * LANES + lane])
-            diagonal += g_left * B[a + K_LEFT * LANES + lane] + g * B[a + K_RIGHT * LANES + lane]
-            diagonal -= ddt * B[a + SLOPE * LANES + lane]
-            pivot = 1.0 / (diagonal - lower * B[left + UPPER * LANES + lane])
-            B[a + UPPER * LANES + lane] = upper * pivot
-            B[a + DELTA * LANES + lane] = -(residual + lower * B[left + DELTA * LANES + lane]) * pivot
+
+@njit
+def _assemble_behind(B: FloatArray, n: int) -> None:
+    """What crosses to the ghost behind the last node: content that padding shares with it, nothing where there is none."""
+    last = (HEAD_ROWS + (n - 1) * NODE_ROWS) * LANES
+    for lane in range(LANES):
+        B[last + (NODE_ROWS + ACROSS) * LANES + lane] = -SHARE * B[last + E_RIGHT * LANES + lane]
+
+
+@njit
+def _eliminate(B: FloatArray, J: IntArray, table: FloatArray, ddt: float) -> None:
+    """Residual E - E* - d dt F and its tridiagonal matrix, each row reduced while its neighbour is being assembled."""
+    n = J[N_NODES]
+    _assemble(B, J, table, 0, ddt)
+    for i in range(1, n):
+        _assemble(B, J, table, i, ddt)
+        _reduce(B, i - 1)
+    _assemble_behind(B, n)
+    _reduce(B, n - 1)
 
 
 @njit
 def _update(B: FloatArray, n: int) -> None:
-    """Back substitution; lanes that are active move, and their heat contents with them."""
+    """Back substitution; lanes that are active (MOVES is 1, else 0) move, and their heat contents with them.
+
+    The choice is arithmetic, exact for 1 and 0: a masked store would cost more than all the rest.
+    """
     for i in range(n - 1, -1, -1):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
         right = a + NODE_ROWS * LANES
@@ -412,18 +452,14 @@ def _update(B: FloatArray, n: int) -> None:
             delta = B[a + DELTA * LANES + lane] - B[a + UPPER * LANES + lane] * B[right + DELTA * LANES + lane]
             B[a + DELTA * LANES + lane] = delta
             moves = B[right + MOVES * LANES + lane]
+            stays = 1.0 - moves
             B[a + MOVES * LANES + lane] = moves
-            active = moves > 0.0
-            before = B[a + T * LANES + lane]
-            after = before + delta
-            after = after if after > COLDEST_K else COLDEST_K
-            B[a + T * LANES + lane] = after if active else before
-            before = B[a + STAGE_LEFT * LANES + lane]
+            after = B[a + T * LANES + lane] + moves * delta
+            B[a + T * LANES + lane] = after if after > COLDEST_K else COLDEST_K
             after = B[a + E_LEFT * LANES + lane] + B[a + C_LEFT * LANES + lane] * delta
-            B[a + STAGE_LEFT * LANES + lane] = after if active else before
-            before = B[a + STAGE_RIGHT * LANES + lane]
+            B[a + STAGE_LEFT * LANES + lane] = moves * after + stays * B[a + STAGE_LEFT * LANES + lane]
             after = B[a + E_RIGHT * LANES + lane] + B[a + C_RIGHT * LANES + lane] * delta
-            B[a + STAGE_RIGHT * LANES + lane] = after if active else before
+            B[a + STAGE_RIGHT * LANES + lane] = moves * after + stays * B[a + STAGE_RIGHT * LANES + lane]
             largest, size = B[right + LARGEST * LANES + lane], abs(delta)
             B[a + LARGEST * LANES + lane] = largest if size <= largest else size
 
@@ -451,10 +487,9 @@ def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: in
     for lane in range(LANES):
         B[ACTIVE * LANES + lane] = 1.0
     for _ in range(NEWTON_LIMIT):
-        evaluate_nodes(B, J, table)
         evaluate_surface(B, J, table, chain, stage)
         evaluate_back(B, J)
-        _eliminate(B, n, STAGE_WEIGHT * dt)
+        _eliminate(B, J, table, STAGE_WEIGHT * dt)
         for lane in range(LANES):
             B[behind + MOVES * LANES + lane] = B[ACTIVE * LANES + lane]
             B[behind + LARGEST * LANES + lane] = 0.0

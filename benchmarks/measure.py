@@ -1,0 +1,107 @@
+"""Timing on a noisy machine: what is compared runs in turn, round by round, and is judged by best and by median ratio."""
+
+from __future__ import annotations
+
+import json
+import platform
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sim_heating import ensemble
+
+RESULTS = Path(__file__).with_name("results")
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One line of the table; `target` is a bound on `value`, below it or (at_least) above it; None where none is set."""
+
+    what: str
+    value: float
+    unit: str
+    target: float | None = None
+    at_least: bool = False
+    note: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """Whether the bound is kept."""
+        if self.target is None:
+            return ""
+        kept = self.value >= self.target if self.at_least else self.value <= self.target
+        return "yes" if kept else "NO"
+
+
+@dataclass(frozen=True)
+class Times:
+    """Seconds of each round, by name, rounds in the same order."""
+
+    seconds: Mapping[str, list[float]]
+
+    def best(self, name: str) -> float:
+        """Shortest of all rounds [s]."""
+        return min(self.seconds[name])
+
+    def ratio(self, name: str, over: str) -> float:
+        """Median over the rounds of the ratio of two that ran side by side."""
+        return float(np.median(np.array(self.seconds[name]) / np.array(self.seconds[over])))
+
+
+Task = Callable[[], object]
+
+
+def in_turn(tasks: Mapping[str, Task], rounds: int, prepare: Mapping[str, Task] | None = None) -> Times:
+    """Run all tasks one after the other, `rounds` times; what prepares a task is not timed."""
+    seconds: dict[str, list[float]] = {name: [] for name in tasks}
+    for _ in range(rounds):
+        for name, task in tasks.items():
+            if prepare and name in prepare:
+                prepare[name]()
+            start = time.perf_counter()
+            task()
+            seconds[name].append(time.perf_counter() - start)
+    return Times(seconds)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Marches of an ensemble take one thread, however large."""
+    before = ensemble.THREADED_POINT_STEPS
+    ensemble.THREADED_POINT_STEPS = 10**18
+    try:
+        yield
+    finally:
+        ensemble.THREADED_POINT_STEPS = before
+
+
+def table(figures: list[Figure]) -> str:
+    """The figures as text, one a line."""
+    lines = []
+    for f in figures:
+        bound = "" if f.target is None else f"{'>=' if f.at_least else '<='} {f.target:g}"
+        lines.append(f"{f.what:<66}{f.value:>10.4g} {f.unit:<9}{bound:<9}{f.verdict:<4} {f.note}".rstrip())
+    return "\n".join(lines)
+
+
+def save(name: str, figures: list[Figure], more: Mapping[str, object] | None = None) -> Path:
+    """Write the figures of a benchmark, and what else it found, to results/<name>.json."""
+    RESULTS.mkdir(exist_ok=True)
+    path = RESULTS / f"{name}.json"
+    content = {
+        "machine": f"{platform.machine()}, {_processor()}",
+        "figures": [{**asdict(f), "verdict": f.verdict} for f in figures],
+        **(more or {}),
+    }
+    path.write_text(json.dumps(content, indent=1) + "\n")
+    return path
+
+
+def _processor() -> str:
+    info = Path("/proc/cpuinfo")
+    names = [line.split(":")[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")] if info.exists() else []
+    return f"{len(names)} x {names[0]}" if names else platform.processor()
