@@ -13,7 +13,7 @@ from benchmarks.measure import Figure, in_turn, one_thread, save
 from benchmarks.problems import NOTHING, ensemble_of, entry, points
 from sim_heating.ensemble import Ensemble
 from sim_heating.jit import njit, raw
-from sim_heating.layout import ADDED, FILM, LANES, PCOL, PFRAC, R_BASE, RECOVERY
+from sim_heating.layout import ADDED, FILM, LANES, PCOL, PFRAC, RECOVERY
 from sim_heating.march import BLOCK_END, BLOCK_START, INTS_END, INTS_START
 from sim_heating.thermal.kernel import step
 
@@ -40,14 +40,10 @@ def march_heated(B, J, table, chain, time_s, heating) -> None:  # type: ignore[n
 
 
 def _heating(ensemble: Ensemble, time_s: FloatArray, history: FloatArray) -> FloatArray:
-    """(time, 2, 5, LANES) heating of the first group."""
-    places = [
-        ensemble.places[i].scalar(row + stage) for stage in (1, 2) for row in HEATED for i in range(LANES)
-    ]
+    """(time, 2, 5, LANES) heating of the first group; that of all others is the same."""
+    rows = [row + stage for stage in (1, 2) for row in HEATED]
+    kept = np.array([ensemble.places[lane].scalar(row) for row in rows for lane in range(LANES)])
     ensemble.reset()
-    kept = np.array([int(p) for p in places])
-    first = int(ensemble.groups[0, BLOCK_START])
-    kept += first - int(ensemble.places[0].start)
     return ensemble.march(time_s, history, keep=kept).reshape(len(time_s), 2, len(HEATED), LANES).copy()
 
 
@@ -127,20 +123,11 @@ def _heated_start(ensemble: Ensemble, time_s: FloatArray, history: FloatArray) -
     """State before the first step of the entry, its conditions set."""
     ensemble.reset()
     ensemble.begin(np.repeat(history[0, :1], len(ensemble.models), axis=0))
-    first = _rows(ensemble, 0)
-    for g in range(len(ensemble.groups)):
-        _rows(ensemble, g)[:] = first
     return ensemble.snapshot()
-
-
-def _rows(ensemble: Ensemble, g: int) -> FloatArray:
-    """The staged scalar rows of a group (a view)."""
-    return ensemble.block(g)[min(*HEATED, R_BASE) * LANES : (max(*HEATED, R_BASE) + 3) * LANES]
 
 
 def _check_heated(ensemble: Ensemble, peer: Peer, start: FloatArray, time_s: FloatArray, heating: FloatArray) -> None:
     """Both programs still agree where the heating is given."""
-    heating[0] = 0.0
     for r, row in enumerate(HEATED):
         heating[0, 1, r] = ensemble.block(0)[(row + 2) * LANES : (row + 3) * LANES]
     ensemble.restore(start)

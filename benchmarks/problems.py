@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.ensemble import Ensemble, PointModel, condition_history
-from sim_heating.layout import CONDITION_COLUMNS, H_REF, TIME
+from sim_heating.layout import CONDITION_COLUMNS, FILM, H_REF, LANES, TIME
 from sim_heating.points import conditions_of_record, point_of_record
 from sim_heating.record import load_record
 from sim_heating.thermal.mesh import Mesh, build_mesh
@@ -42,15 +42,15 @@ def entry(step_s: float, end_s: float = ENTRY_S) -> tuple[FloatArray, FloatArray
 
 
 def points(count: int) -> list[PointModel]:
-    """Control points that differ in ratio, coating and emittance, all of one construction."""
+    """Control points that differ in coating and emittance, and with period LANES in ratio, all of one construction."""
     base = plug()
     return [
         replace(
             base,
             name=f"{base.name}_{i}",
             parameters={
-                "ratio.scale": 0.1 * np.sin(i),
-                "ratio.d_alpha": 3e-4 * np.cos(i),
+                "ratio.scale": 0.1 * np.sin(i % LANES),
+                "ratio.d_alpha": 3e-4 * np.cos(i % LANES),
                 "stack.coating.thickness_factor": 1.0 + 0.1 * np.sin(2.0 * i),
                 "stack.emissivity_factor": 1.0 + 0.02 * np.cos(3.0 * i),
             },
@@ -75,17 +75,8 @@ def prescribed(history: FloatArray, model: PointModel) -> tuple[PointModel, Floa
     Every integrator then reads the same few functions of time, and none is charged for the ratio table.
     """
     time_s = history[0, :, TIME]
-    table = model.ratio
-    if table is None:
-        raise ValueError("the model has no ratio table")
     out = history.copy()
     ensemble = Ensemble([model], [mesh_of(model, 24)], 1.0)
-    film = ensemble.march(time_s, history, keep=_film_place(ensemble))
+    film = ensemble.march(time_s, history, keep=np.array([ensemble.places[0].scalar(FILM + 2)]))
     out[0, :, H_REF] = film[:, 0]
     return replace(model, ratio=None, parameters={"ratio.d0": 1.0}), out
-
-
-def _film_place(ensemble: Ensemble) -> NDArray[np.int64]:
-    from sim_heating.layout import FILM
-
-    return np.array([ensemble.places[0].scalar(FILM + 2)])

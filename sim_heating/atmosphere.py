@@ -110,6 +110,22 @@ def _layer_bases(base: FloatArray, gradient: FloatArray) -> tuple[FloatArray, Fl
     return T, p
 
 
+@njit
+def cell(x: FloatArray, at: float) -> tuple[int, float]:
+    """Cell of an increasing table that holds a value, and the fraction of the way through it; beyond the end, the end.
+
+    A plain search: numpy's, compiled, would take seconds to compile.
+    """
+    low, high = 0, len(x) - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if at >= x[middle]:
+            low = middle
+        else:
+            high = middle
+    return low, min((at - x[low]) / (x[low + 1] - x[low]), 1.0)
+
+
 def _make_lower_kernel() -> Callable[[float], tuple[float, float, float]]:
     layers = read_package_table("sim_heating", "data/us76_layers.csv")
     masses = read_package_table("sim_heating", "data/us76_molar_mass_80_86km.csv")
@@ -125,7 +141,10 @@ def _make_lower_kernel() -> Callable[[float], tuple[float, float, float]]:
             i += 1
         T_molecular = T_base[i] + gradient[i] * (h - base[i])
         p = _layer_pressure(p_base[i], T_base[i], gradient[i], h - base[i])
-        ratio = np.interp(altitude_m, z_mass, mass_ratio) if altitude_m > z_mass[0] else 1.0
+        ratio = 1.0
+        if altitude_m > z_mass[0]:
+            k, f = cell(z_mass, altitude_m)
+            ratio = mass_ratio[k] + f * (mass_ratio[k + 1] - mass_ratio[k])
         return T_molecular * ratio, p, p * MOLAR_MASS / (MOLAR_GAS_CONSTANT * T_molecular)
 
     return lower
@@ -166,9 +185,8 @@ def _make_upper_kernel() -> Callable[[float], tuple[float, float, float]]:
 
     @njit
     def upper(altitude_m: float) -> tuple[float, float, float]:
-        i = min(max(int(np.searchsorted(z, altitude_m)) - 1, 0), len(z) - 2)
+        i, s = cell(z, altitude_m)
         step = z[i + 1] - z[i]
-        s = (altitude_m - z[i]) / step
         p = math.exp(_hermite(s, step, ln_p[i], ln_p[i + 1], slope_p[i], slope_p[i + 1]))
         rho = math.exp(_hermite(s, step, ln_rho[i], ln_rho[i + 1], slope_rho[i], slope_rho[i + 1]))
         return upper_temperature(altitude_m), p, rho

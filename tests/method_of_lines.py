@@ -1,4 +1,4 @@
-"""An independent solution of a flight record's physics: finite volumes in space, a stiff solver of scipy in time.
+"""An independent solution of a flight record's physics: finite volumes in space, scipy's Radau in time.
 
 Nothing of the package's numerics is in it: its own mesh, its own fluxes (conductivity at the mean temperature of two
 neighbours, no Kirchhoff variable), lumped volumes, properties by np.interp from the declared tables.
@@ -6,7 +6,7 @@ neighbours, no Kirchhoff variable), lumped volumes, properties by np.interp from
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,6 +63,7 @@ def conductivity(m: Material, temperature_K: FloatArray, p_Pa: float) -> FloatAr
 
 def film(model: PointModel, conditions: Conditions) -> FloatArray:
     """Film coefficient r h_ref [kg/(m2 s)]: the contract's linear model about a table, looked up by scipy."""
+    assert model.ratio is not None
     x = np.column_stack([conditions[name] for name in RATIO_VARIABLES])
     axes = [np.asarray(a) if len(a) > 1 else np.array([a[0], a[0] + 1.0]) for a in model.ratio.axes]
     values = model.ratio.ratio
@@ -75,10 +76,6 @@ def film(model: PointModel, conditions: Conditions) -> FloatArray:
     return ratio * conditions["h_ref_kg_m2_s"]
 
 
-Material_k = Callable[[Material, FloatArray, float], FloatArray]
-Material_c = Callable[[Material, FloatArray], FloatArray]
-
-
 def specific_heat(m: Material, temperature_K: FloatArray) -> FloatArray:
     """c(T) [J/(kg K)] as declared."""
     return np.interp(temperature_K, *np.array(m.specific_heat_J_kgK).T)
@@ -88,12 +85,9 @@ def solve(
     model: PointModel,
     conditions: Conditions,
     on: Grid,
-    method: str = "LSODA",
-    rtol: float = 1e-7,
-    k: Material_k = conductivity,
-    c: Material_c = specific_heat,
+    rtol: float = 1e-6,
 ) -> FloatArray:
-    """(time, node) temperatures [K] at the samples of the conditions, insulated back, constant-cp wall enthalpy."""
+    """(time, node) temperatures [K] at the samples of the conditions; insulated back, wall enthalpy cp T."""
     forcing = _forcing(model, conditions)
     materials = model.construction.layer_materials()
     of = [np.flatnonzero(on.layer == i) for i in range(len(materials))]
@@ -104,11 +98,12 @@ def solve(
     def rate(t: float, T: FloatArray) -> FloatArray:
         h, recovery, q_add, log_p = (np.interp(t, forcing[0], row) for row in forcing[1:])
         flux, capacity = np.zeros(len(T) + 1), np.zeros(len(T))
-        flux[0] = h * (recovery - cp * T[0]) + q_add - np.interp(T[0], *emissivity) * SIGMA * (T[0] ** 4 - surroundings4)
+        radiated = np.interp(T[0], *emissivity) * SIGMA * (T[0] ** 4 - surroundings4)
+        flux[0] = h * (recovery - cp * T[0]) + q_add - radiated
         for m, e in zip(materials, of, strict=True):
             hot, cold = T[e], T[e + 1]
-            flux[e + 1] = k(m, 0.5 * (hot + cold), 10.0**log_p) * (hot - cold) / on.length_m[e]
-            ends = c(m, T[e[0] : e[-1] + 2])
+            flux[e + 1] = conductivity(m, 0.5 * (hot + cold), 10.0**log_p) * (hot - cold) / on.length_m[e]
+            ends = specific_heat(m, T[e[0] : e[-1] + 2])
             capacity[e] += half[e] * ends[:-1]
             capacity[e + 1] += half[e] * ends[1:]
         return -np.diff(flux) / capacity
@@ -116,9 +111,9 @@ def solve(
     n = len(on.depth_m)
     start = np.full(n, model.construction.stack.initial_K)
     time = conditions.time_s
-    banded = {"lband": 1, "uband": 1} if method == "LSODA" else {"jac_sparsity": diags([1.0, 1.0, 1.0], [-1, 0, 1], (n, n))}
-    options = {"rtol": rtol, "atol": 1e-4, "max_step": 5.0} | banded
-    solution = solve_ivp(rate, (time[0], time[-1]), start, method, t_eval=time, **options)
+    tridiagonal = diags([1.0, 1.0, 1.0], [-1, 0, 1], (n, n))
+    options = {"rtol": rtol, "atol": 1e-4, "max_step": 5.0, "jac_sparsity": tridiagonal}
+    solution = solve_ivp(rate, (time[0], time[-1]), start, "Radau", t_eval=time, **options)
     assert solution.success, solution.message
     return solution.y.T
 

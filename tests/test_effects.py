@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -88,7 +89,7 @@ def test_one_effect_twice_acts_twice():
 
 def test_effects_of_one_point_do_not_reach_its_neighbour():
     model = PointModel("p", wall((material(), 0.01)), nodes=14, parameters={"ratio.d0": 0.5})
-    with_jets = PointModel("q", model.construction, nodes=14, parameters=model.parameters, effects=(use("jet-interaction"),))
+    with_jets = replace(model, name="q", effects=(use("jet-interaction"),))
     ensemble = pack([model, with_jets])
     ensemble.begin(np.repeat(flight([0.0], h_ref_kg_m2_s=0.1, jets=1.0)[:, 0], 2, axis=0))
     assert ensemble.scalars(FILM + 2).tolist() == pytest.approx([0.05, 0.055])

@@ -21,10 +21,11 @@ FEW_STEPS_S = np.array([0.0, 0.5, 1.7, 2.7, 2.8])
 
 
 def everything() -> Ensemble:
-    """Three points with a table, effects, pressure columns, two gas models, a contact and a cooled back between them."""
+    """Three points that have a table, effects, pressure columns, two gas models, a contact and a cooled back in all."""
     catalytic = (use("catalysis"), use("transition", {"log10_re_onset": 5.0}))
     pushed = (use("impingement-onset"), use("jet-interaction"))
-    cooled = wall((material(emissivity=0.8), 0.01), (material(2.0), 0.01), contact=1e-3, back={"h_W_m2K": 9.0, "T_K": 280.0})
+    outer, back = material(emissivity=0.8), {"h_W_m2K": 9.0, "T_K": 280.0}
+    cooled = wall((outer, 0.01), (material(2.0), 0.01), contact=1e-3, back=back)
     curved = {"ratio.d0": 0.4, "ratio.d_alpha2": 1e-4, "ratio.d_alpha_elevon": -2e-4}
     return pack(
         [

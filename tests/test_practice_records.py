@@ -32,13 +32,14 @@ def rmse_K(name: str, model: PointModel) -> dict[str, Any]:
     """Pooled errors over the fit and the holdout segments."""
     record, _ = practice_record(name)
     residual = residual_K(name, model)
-    return {"fit": pooled_rmse_K(residual, record.fit_mask()), "holdout": pooled_rmse_K(residual, record.holdout_mask())}
+    masks = {"fit": record.fit_mask(), "holdout": record.holdout_mask()}
+    return {segments: pooled_rmse_K(residual, mask) for segments, mask in masks.items()}
 
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("segments", ["fit", "holdout"])
 def test_with_the_true_scale_and_derivatives_the_error_is_the_noise_floor(name, segments):
-    # p06 1.47 and 1.41 K against 1.45, p07 1.40 and 1.51 against 1.42: an RMSE of n samples scatters by floor / sqrt(2 n)
+    # p06 1.47 and 1.41 K against 1.45, p07 1.40 and 1.51 against 1.42: it scatters by floor / sqrt(2 n) for n samples
     record, _ = practice_record(name)
     mask = record.fit_mask() if segments == "fit" else record.holdout_mask()
     found, floor = rmse_K(name, practice_model(name))[segments], record.noise_floor_K(mask)
@@ -76,7 +77,7 @@ def stiff_reference() -> dict[str, np.ndarray]:
     """
     model, conditions = practice_model("p06"), practice_record("p06")[0].conditions
     grid = method_of_lines.grid(model, (8, 120, 2, 16, 2, 4))
-    T = method_of_lines.solve(model, conditions, grid, method="Radau", rtol=1e-6)
+    T = method_of_lines.solve(model, conditions, grid, rtol=1e-6)
     depths = (0.0, model.construction.stack.bondline_m, *model.depths_m)
     return {f"{d * 1e3:.2f} mm": T[:, grid.node(d)] for d in depths}
 

@@ -1,4 +1,4 @@
-"""The heating ratio as the kernel computes it: the table inside and outside its grid, and the linear model about a point."""
+"""The heating ratio as the kernel computes it: the table in and beyond its grid, the linear model about a point."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from hypothesis.extra import numpy as hnp
 from scipy.interpolate import RegularGridInterpolator
 from walls import practice_record
 
+from sim_heating.conditions import RATIO_VARIABLES
 from sim_heating.heating_ratio.kernel import axes_outside, linear_ratio, pack_table, table_ratio
 from sim_heating.heating_ratio.table import RatioTable
 from sim_heating.layout import CURVED, D0, FIRST, N_CONDITIONS, N_PARAMETERS, NO_TABLE, REFERENCE, SCALE, SECOND
@@ -82,7 +83,7 @@ def test_variables_outside_are_counted_save_those_of_a_single_value(table, fract
 def test_declared_table_of_a_record_equals_scipy_along_its_flight():
     record, _ = practice_record("p06")
     table, packed = record.ratio_table, pack_table(record.ratio_table)
-    x = np.column_stack([record.conditions[c] for c in ("alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg")])
+    x = np.column_stack([record.conditions[name] for name in RATIO_VARIABLES])
     x = np.clip(x, [a[0] for a in table.axes], [a[-1] for a in table.axes])
     ours = [table_ratio(packed, 0, row, 0) for row in x]
     np.testing.assert_allclose(ours, RegularGridInterpolator(table.axes, table.ratio)(x), rtol=1e-12)

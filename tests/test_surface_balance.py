@@ -37,8 +37,8 @@ def test_surroundings_warm_a_wall_that_nothing_else_heats():
 
 
 def test_flux_adds_to_what_the_surroundings_radiate():
-    T = settled(q_add_W_m2=1e4, stack={"surroundings_K": 500.0})
-    assert T == pytest.approx(radiation_equilibrium(1e4, EPS, 500.0), abs=1e-6)
+    settled_K = settled(q_add_W_m2=1e4, stack={"surroundings_K": 500.0})
+    assert settled_K == pytest.approx(radiation_equilibrium(1e4, EPS, 500.0), abs=1e-6)
 
 
 def test_film_and_radiation_balance_at_equilibrium():
@@ -55,8 +55,8 @@ def test_film_and_radiation_balance_with_the_enthalpy_of_equilibrium_air():
 
 
 def test_without_radiation_the_wall_takes_the_recovery_temperature():
-    T = settled(h_ref_kg_m2_s=0.1, H_r_J_kg=CP_J_KGK * 1500.0, emissivity=1e-9)
-    assert T == pytest.approx(1500.0, abs=1e-5)
+    settled_K = settled(h_ref_kg_m2_s=0.1, H_r_J_kg=CP_J_KGK * 1500.0, emissivity=1e-9)
+    assert settled_K == pytest.approx(1500.0, abs=1e-5)
 
 
 def test_emissivity_in_temperature_is_taken_at_the_wall_temperature():

@@ -41,7 +41,7 @@ def wall(*layers: tuple[Material, float], contact: float = 0.0, **stack: Any) ->
         Layer(material=f"m{i}", thickness_m=thickness, contact_m2K_W=contact if i == 0 else 0.0)
         for i, (_, thickness) in enumerate(layers)
     ]
-    whole = {"initial_K": 300.0, "back": "adiabatic"} | stack
+    whole: dict[str, Any] = {"initial_K": 300.0, "back": "adiabatic"} | stack
     return Construction(stack=Stack(layer=declared, **whole), materials={f"m{i}": m for i, (m, _) in enumerate(layers)})
 
 
@@ -62,12 +62,14 @@ def practice_record(name: str) -> tuple[Record, dict[str, Any]]:
 def practice_model(name: str, true: bool = True, **changes: Any) -> PointModel:
     """The control point of a practice record, as declared or with the true scale and derivatives."""
     record, truth = practice_record(name)
+    enthalpy_of_air = record.declared.heating.wall_enthalpy
+    assert not isinstance(enthalpy_of_air, str)
     model = PointModel(
         name,
         record.construction,
         depths_m=tuple(s.depth_m for s in record.sensors),
         ratio=record.ratio_table,
-        wall_enthalpy=record.declared.heating.wall_enthalpy.cp_J_kgK,
+        wall_enthalpy=enthalpy_of_air.cp_J_kgK,
         parameters=truth["parameters"] if true else {},
         reference=tuple(truth["reference_condition"].values()),
     )

@@ -45,7 +45,8 @@ from sim_heating.thermal.kernel import BIN_K, BINS
 FloatArray = NDArray[np.float64]
 
 SOURCE = Path(__file__).with_name("march.c")
-STRICT = ("-O3", "-march=native", "-fopenmp-simd", "-ffp-contract=off")
+STRICT = ("-O3", "-march=native", "-fopenmp-simd", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math")
+"""IEEE values to the bit; errno and traps, which the other side has not either, are let go."""
 FAST = ("-Ofast", "-march=native", "-fopenmp-simd")
 SAME_POLYNOMIAL = 1e-9
 """Neighbouring bins whose slopes agree to this, relatively, are one segment."""

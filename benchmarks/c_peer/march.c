@@ -248,11 +248,12 @@ static void update(group *G) {
         LANES {
             double delta = x->delta[l] - x->upper[l] * next[l];
             next[l] = delta;
-            double after = x->t[l] + delta, active = G->active[l];
-            after = after > COLDEST_K ? after : COLDEST_K;
-            x->t[l] = active > 0.0 ? after : x->t[l];
-            x->stage_left[l] = active > 0.0 ? x->e_left[l] + x->c_left[l] * delta : x->stage_left[l];
-            x->stage_right[l] = active > 0.0 ? x->e_right[l] + x->c_right[l] * delta : x->stage_right[l];
+            /* Arithmetic with 1 or 0, exact, instead of a choice: gcc would store through a mask, which is slow. */
+            double moves = G->active[l], stays = 1.0 - moves;
+            double after = x->t[l] + moves * delta;
+            x->t[l] = after > COLDEST_K ? after : COLDEST_K;
+            x->stage_left[l] = moves * (x->e_left[l] + x->c_left[l] * delta) + stays * x->stage_left[l];
+            x->stage_right[l] = moves * (x->e_right[l] + x->c_right[l] * delta) + stays * x->stage_right[l];
             double size = fabs(delta);
             largest[l] = size <= largest[l] ? largest[l] : size;
         }

@@ -359,23 +359,22 @@ def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, chain) -> None
         B[STAGE_IN * LANES + lane] = B[(HEAD_ROWS + SOURCE) * LANES + lane]
         back = (HEAD_ROWS + J[BACK_NODE + lane] * NODE_ROWS) * LANES
         B[STAGE_OUT * LANES + lane] = -B[back + SOURCE * LANES + lane]
-    for i in range(n):
-        _assemble(B, J, table, i, 0.0)
-    _assemble_behind(B, n)
-    for i in range(n):
-        a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-        right = a + NODE_ROWS * LANES
-        for lane in range(LANES):
-            shared = B[right + ACROSS * LANES + lane] - B[a + ACROSS * LANES + lane]
-            B[a + E_START * LANES + lane] = B[a + E_LEFT * LANES + lane] + B[a + E_RIGHT * LANES + lane] + shared
-            B[a + NET * LANES + lane] = B[a + SOURCE * LANES + lane] + shared
-    for i in range(n):
-        _assemble(B, J, table, i, 1.0)
-    for i in range(n):
-        a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-        right = a + NODE_ROWS * LANES
-        for lane in range(LANES):
-            B[a + NET * LANES + lane] += B[a + ACROSS * LANES + lane] - B[right + ACROSS * LANES + lane]
+    for ddt in range(2):  # what crosses an element in no time is heat content shared, in a second conducted heat besides
+        for i in range(n):
+            _assemble(B, J, table, i, float(ddt))
+        _assemble_behind(B, n)
+        for i in range(n):
+            a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+            right = a + NODE_ROWS * LANES
+            for lane in range(LANES):
+                crossing = B[right + ACROSS * LANES + lane] - B[a + ACROSS * LANES + lane]
+                if ddt == 0:
+                    own = B[a + E_LEFT * LANES + lane] + B[a + E_RIGHT * LANES + lane]
+                    B[a + E_START * LANES + lane] = own + crossing
+                    B[a + NET * LANES + lane] = crossing
+                else:
+                    conducted = B[a + NET * LANES + lane] - crossing
+                    B[a + NET * LANES + lane] = conducted + B[a + SOURCE * LANES + lane]
 
 
 @njit
@@ -431,12 +430,13 @@ def _assemble_behind(B: FloatArray, n: int) -> None:
 def _eliminate(B: FloatArray, J: IntArray, table: FloatArray, ddt: float) -> None:
     """Residual E - E* - d dt F and its tridiagonal matrix, each row reduced while its neighbour is being assembled."""
     n = J[N_NODES]
-    _assemble(B, J, table, 0, ddt)
-    for i in range(1, n):
-        _assemble(B, J, table, i, ddt)
-        _reduce(B, i - 1)
-    _assemble_behind(B, n)
-    _reduce(B, n - 1)
+    for i in range(n + 1):
+        if i < n:
+            _assemble(B, J, table, i, ddt)
+        else:
+            _assemble_behind(B, n)
+        if i > 0:
+            _reduce(B, i - 1)
 
 
 @njit
@@ -531,11 +531,11 @@ def step(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> Non
     n = J[N_NODES]
     _add_energy(B, EXPLICIT_WEIGHT * dt)
     _start(B, n, dt)
-    _solve_stage(B, J, table, chain, 1, dt)
-    _add_energy(B, EXPLICIT_WEIGHT * dt)
-    _start_second_stage(B, n)
-    _solve_stage(B, J, table, chain, 2, dt)
-    _add_energy(B, STAGE_WEIGHT * dt)
+    for stage in range(1, 3):
+        if stage == 2:
+            _start_second_stage(B, n)
+        _solve_stage(B, J, table, chain, stage, dt)
+        _add_energy(B, (EXPLICIT_WEIGHT if stage == 1 else STAGE_WEIGHT) * dt)
     _finish(B, n, dt)
 
 
@@ -565,8 +565,8 @@ def advance(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> 
         for lane in range(LANES):
             B[row * LANES + lane] = B[(row + 2) * LANES + lane]
     for lane in range(LANES):
-        heat_lane(B, J, table, chain, lane, 1, B[wall + lane])
-        heat_lane(B, J, table, chain, lane, 2, B[wall + lane])
+        for stage in range(1, 3):
+            heat_lane(B, J, table, chain, lane, stage, B[wall + lane])
     step(B, J, table, chain, dt)
 
 
