@@ -90,4 +90,6 @@ class Conditions:
         first, last = self.time_s[0], self.time_s[-1]
         if np.any(t < first) or np.any(t > last):
             raise InputError(f"conditions: asked for {t.min()} to {t.max()} s, sampled from {first} to {last} s")
-        return Conditions({"time_s": t} | {n: np.interp(t, self.time_s, v) for n, v in self.columns.items() if n != "time_s"})
+        return Conditions(
+            {"time_s": t} | {n: np.interp(t, self.time_s, v) for n, v in self.columns.items() if n != "time_s"}
+        )

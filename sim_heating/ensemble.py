@@ -1,7 +1,8 @@
-"""Control points packed for the compiled march: the one model, whether stepped beside a host or marched through a flight.
+"""Control points packed for the compiled march: the one model, whether stepped beside a host or marched through a
+flight.
 
-A PointModel says what a control point is: construction, sensors, ratio table, parameters, effects. An Ensemble holds many,
-of one flight or of many, in groups of LANES, and is all the state there is: a snapshot of it is a copy
+A PointModel says what a control point is: construction, sensors, ratio table, parameters, effects. An Ensemble holds
+many, of one flight or of many, in groups of LANES, and is all the state there is: a snapshot of it is a copy
 of one array.
 """
 
@@ -118,7 +119,9 @@ class PointModel:
         for key, value in self.parameters.items():
             if key not in MODEL:
                 near = nearest(key, MODEL)
-                raise InputError(f"{self.name}: there is no parameter `{key}`." + (f" Nearest: `{near}`." if near else ""))
+                raise InputError(
+                    f"{self.name}: there is no parameter `{key}`." + (f" Nearest: `{near}`." if near else "")
+                )
             if not MODEL[key].lower <= value <= MODEL[key].upper:
                 lower, upper = MODEL[key].lower, MODEL[key].upper
                 raise InputError(f"{self.name}, {key}: {value:g} is outside its bounds {lower:g} to {upper:g}")
@@ -126,7 +129,8 @@ class PointModel:
             raise InputError(f"{self.name}: ratio.d0 is 0 where there is a ratio table; use ratio.scale")
 
     def with_parameters(self, **changes: float) -> PointModel:
-        """The same point with parameters changed; dots in names are written as in a mapping: with_parameters(**{...})."""
+        """The same point with parameters changed; dots in names are written as in a mapping:
+        with_parameters(**{...})."""
         return replace(self, parameters={**self.parameters, **changes})
 
     def value(self, name: str) -> float:
@@ -249,7 +253,7 @@ class Ensemble:
         for node in (0, mesh.nodes - 1):
             J[NODE_INTS + node * INTS_PER_NODE + IS_FACE] = 1
         last = NODE_INTS + len(mesh.layer) * INTS_PER_NODE + MATERIAL_TABLE + lane
-        J[last :: INTS_PER_NODE] = J[last - INTS_PER_NODE]
+        J[last::INTS_PER_NODE] = J[last - INTS_PER_NODE]
         for node in range(mesh.nodes, J[N_NODES]):
             B[node_row(node, M_RIGHT)][lane] = 1.0
         J[SURFACE_TABLE + lane] = self.tables.surface_offset[id(materials[0]), model.wall_enthalpy]
@@ -316,7 +320,9 @@ class Ensemble:
     def restore(self, snapshot: FloatArray) -> None:
         """Go back to a snapshot of this ensemble."""
         if snapshot.shape != self.state.shape:
-            raise InputError(f"snapshot: {snapshot.size} numbers, this model has {self.state.size}; it is of another model")
+            raise InputError(
+                f"snapshot: {snapshot.size} numbers, this model has {self.state.size}; it is of another model"
+            )
         self.state[:] = snapshot
 
     # Reading ---------------------------------------------------------------------------------------------------------
@@ -422,7 +428,8 @@ def _distinct_effects(models: Sequence[PointModel]) -> tuple[Effect, ...]:
 
 
 def _factors(model: PointModel, mesh: Mesh) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Length, conductivity factor and heat-capacity factor of each element, the parameters of coating and RSI applied."""
+    """Length, conductivity factor and heat-capacity factor of each element, the parameters of coating and RSI
+    applied."""
     coating, rsi = mesh.layer == 0, mesh.layer == 1
     length = np.where(coating, model.value("stack.coating.thickness_factor") * mesh.length_m, mesh.length_m)
     conductivity = np.ones_like(length)

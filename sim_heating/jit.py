@@ -8,7 +8,7 @@ import shutil
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import llvmlite.ir
 import numba
@@ -24,8 +24,8 @@ CACHES_KEPT = 4
 def _source_digest() -> str:
     """Digest of everything that compiled kernels are made of.
 
-    numba keys its cache by the file of a function alone: a kernel that calls another, or holds a table as a constant, would
-    keep what it was compiled with when that changes in another file.
+    numba keys its cache by the file of a function alone: a kernel that calls another, or holds a table as a
+    constant, would keep what it was compiled with when that changes in another file.
     """
     digest = hashlib.sha256(numba.__version__.encode())
     for path in sorted([*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.csv")]):
@@ -50,16 +50,17 @@ def _cache_folder() -> str:
 
 
 if "NUMBA_CACHE_DIR" not in os.environ:
-    numba.config.CACHE_DIR = _cache_folder()
+    numba.config.CACHE_DIR = _cache_folder()  # type: ignore[attr-defined]
 
 # Loops over a few lanes are unrolled before the loop vectoriser sees them; this pass packs them back into vectors. It
 # reorders no arithmetic: results keep their bits.
-numba.config.SLP_VECTORIZE = 1
+numba.config.SLP_VECTORIZE = 1  # type: ignore[attr-defined]
 
 
 def njit(function: F) -> F:
     """Compile a kernel: no fastmath (bit-equal interpreted, jitted and exported), numpy division, GIL released."""
-    return numba.njit(cache=True, fastmath=False, error_model="numpy", nogil=True)(function)
+    compiled = numba.njit(cache=True, fastmath=False, error_model="numpy", nogil=True)(function)
+    return cast(F, compiled)
 
 
 @numba.extending.intrinsic

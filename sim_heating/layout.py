@@ -2,8 +2,8 @@
 
 A group holds LANES control points (of one flight or of many). Its block is made of rows of LANES
 numbers: SCALAR_ROWS rows, one ghost node, the nodes, one ghost node, NODE_ROWS rows a node. The last of the scalar rows
-are taken lane by lane instead: a vector of flight conditions at the start, at the middle stage and at the end of a step, and
-a vector of heating parameters.
+are taken lane by lane instead: a vector of flight conditions at the start, at the middle stage and at the end of a
+step, and a vector of heating parameters.
 """
 
 from __future__ import annotations
@@ -36,15 +36,28 @@ SCALAR_ROWS = PARAMETERS + N_PARAMETERS
 
 # Rows of a node: what it is and where it stands in time ...
 T, RATE, T_START, M_LEFT, M_RIGHT, G = 0, 1, 2, 3, 4, 5
-# ... heat content and capacity of the half elements on either side, Kirchhoff's variable, heat that enters from outside ...
+# ... heat content and capacity of the half elements on either side, Kirchhoff's variable, heat that enters from
+# outside ...
 E_LEFT, E_RIGHT, C_LEFT, C_RIGHT, THETA_RIGHT, SOURCE, SLOPE = 6, 7, 8, 9, 10, 11, 12
-# ... the time step at work on it: heat content and net heat at its start, the explicit part, contents of a converged stage ...
+# ... the time step at work on it: heat content and net heat at its start, the explicit part, contents of a converged
+# stage ...
 E_START, NET, E_STAR, STAGE_LEFT, STAGE_RIGHT = 13, 14, 15, 16, 17
-# ... its row of the linear system: what crosses the element to its left and how that grows with its own temperature, how
-# what crosses the element to its right does, diagonal and residual; the reduced row, and what is handed along ...
-ACROSS, ENTRY, LOWER, DIAGONAL, RESIDUAL, UPPER, DELTA, FRACTION, MOVES, LARGEST = 18, 19, 20, 21, 22, 23, 24, 25, 26, 27
-# ... and the property polynomials about its temperature, which hold from LOW to HIGH: foot of the bin, then h, c, its slope and
-# theta, k, its slope in two pressure columns, for the element to the right and to the left.
+# ... its row of the linear system: what crosses the element to its left and how that grows with its own temperature,
+# how what crosses the element to its right does, diagonal and residual; the reduced row, and what is handed along ...
+ACROSS, ENTRY, LOWER, DIAGONAL, RESIDUAL, UPPER, DELTA, FRACTION, MOVES, LARGEST = (
+    18,
+    19,
+    20,
+    21,
+    22,
+    23,
+    24,
+    25,
+    26,
+    27,
+)
+# ... and the property polynomials about its temperature, which hold from LOW to HIGH: foot of the bin, then h, c,
+# its slope and theta, k, its slope in two pressure columns, for the element to the right and to the left.
 LOW, HIGH, FOOT, FOOT_LEFT = 28, 29, 30, 40
 NODE_ROWS = 50
 HEAD_ROWS = SCALAR_ROWS + NODE_ROWS
@@ -52,11 +65,11 @@ HEAD_ROWS = SCALAR_ROWS + NODE_ROWS
 NOWHERE = -1e30
 """A HIGH that no temperature is below: the polynomials have to be gathered."""
 
-# Integers of a group: node count, pressure columns; one a lane: offsets of its surface and ratio tables, how many of its
-# effects add and how many it has, whether any of them asks for the wall temperature, the code of each, and the node at the
-# back face (nodes behind it are padding, to the node count of the group: they hold heat and exchange none). Then for each
-# node two flags, whether its two elements differ in material in any lane and whether it is a face of the stack in any lane,
-# and the material-table offset of the element to its right in each lane.
+# Integers of a group: node count, pressure columns; one a lane: offsets of its surface and ratio tables, how many of
+# its effects add and how many it has, whether any of them asks for the wall temperature, the code of each, and the
+# node at the back face (nodes behind it are padding, to the node count of the group: they hold heat and exchange
+# none). Then for each node two flags, whether its two elements differ in material in any lane and whether it is a
+# face of the stack in any lane, and the material-table offset of the element to its right in each lane.
 N_NODES, N_PRESSURES = 0, 1
 SURFACE_TABLE = 2
 RATIO_TABLE = SURFACE_TABLE + LANES

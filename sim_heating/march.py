@@ -29,7 +29,9 @@ def set_conditions(B: FloatArray, vectors: FloatArray, first: int, share: float)
 
 
 @njit
-def begin_groups(state: FloatArray, ints: IntArray, table: FloatArray, chain, begin, groups: IntArray, now: FloatArray) -> None:  # type: ignore[no-untyped-def]
+def begin_groups(
+    state: FloatArray, ints: IntArray, table: FloatArray, chain, begin, groups: IntArray, now: FloatArray
+) -> None:  # type: ignore[no-untyped-def]
     """Set the conditions that hold now, (group * LANES, condition), without moving in time."""
     for g in range(len(groups)):
         B = state[groups[g, BLOCK_START] : groups[g, BLOCK_END]]
@@ -42,7 +44,8 @@ def advance_groups(
     state: FloatArray, ints: IntArray, table: FloatArray, chain, advance, groups: IntArray, then: FloatArray,  # type: ignore[no-untyped-def]
     dt: float, steps: int,
 ) -> None:  # fmt: skip
-    """A frame of dt [s] in equal steps for all groups, to the conditions `then` (group * LANES, condition), linear between."""
+    """A frame of dt [s] in equal steps for all groups, to the conditions `then` (group * LANES, condition), linear
+    between."""
     for g in range(len(groups)):
         B = state[groups[g, BLOCK_START] : groups[g, BLOCK_END]]
         b, j, t = raw(B), raw(ints[groups[g, INTS_START] : groups[g, INTS_END]]), raw(table)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -17,16 +20,45 @@ from sim_heating.trajectory.flight import Window
 DPI = 110
 BEFORE_S, AFTER_S = 15.0, 25.0
 """How much of the flight around a manoeuvre is drawn."""
-MEASURED = {"color": "0.35", "marker": "o", "markersize": 2.2, "linestyle": "none"}
+SHUTTLE_MACH_M_S = 304.8
+"""1000 ft/s, the 'Mach' of the Shuttle's literature."""
+HOT_STRUCTURE = 0.95
+"""A point whose bondline comes this close to its surface's peak has no insulation over it; it is left out of bondlines."""
+MOVES_DEG = 0.3
+"""An angle that moves less during a manoeuvre is not drawn beside the one that is flown."""
+ANGLES = {
+    "alpha_deg": ("angle of attack", "tab:blue"),
+    "elevon_deg": ("elevon", "tab:green"),
+    "bodyflap_deg": ("body flap", "tab:purple"),
+    "beta_deg": ("sideslip", "tab:orange"),
+}
+NAMES = {
+    "popu": "pushover-pullup",
+    "elevon-pulse": "elevon pulses",
+    "elevon-sweep": "elevon sweep",
+    "bodyflap-pulse": "body-flap pulses",
+    "bodyflap-sweep": "flap manoeuvre",
+    "sideslip-doublet": "sideslip doublet",
+    "jet-firing": "jet firing",
+}
+MEASURED: dict[str, Any] = {"color": "0.35", "marker": "o", "markersize": 2.2, "linestyle": "none"}
+SURFACE: dict[str, Any] = {"color": "tab:red", "label": "surface, predicted"}
+THERMOCOUPLE: dict[str, Any] = {
+    "color": "0.15", "marker": "o", "markersize": 3.0, "linewidth": 0.8, "label": "outermost thermocouple, predicted",
+}  # fmt: skip
 
 
-def _figure(width: float, height: float, rows: int, columns: int = 1, **keys: object) -> tuple[Figure, np.ndarray]:
+def _figure(width: float, height: float, rows: int, columns: int = 1, **keys: Any) -> tuple[Figure, np.ndarray]:
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure, np.atleast_1d(figure.subplots(rows, columns, **keys))
 
 
-def _save(figure: Figure, path: Path) -> None:
+def _save(figure: Figure, path: Path, title: str, axes: np.ndarray) -> None:
+    for a in axes.ravel():
+        a.grid(alpha=0.3)
+        a.set_axisbelow(True)
+    figure.suptitle(textwrap.fill(title, int(figure.get_figwidth() * 9.0)), fontsize=12)
     figure.savefig(path, dpi=DPI)
 
 
@@ -35,78 +67,129 @@ def _shade(axes: Axes, windows: Sequence[Window]) -> None:
         axes.axvspan(window.start_s, window.end_s, color="tab:orange", alpha=0.18, linewidth=0)
 
 
+def _name_windows(axes: Axes, windows: Sequence[Window]) -> None:
+    """What was flown in each shaded span, above it."""
+    for window in windows:
+        place = (0.5 * (window.start_s + window.end_s), 1.02)
+        axes.annotate(
+            NAMES.get(window.kind, window.kind), place, xycoords=("data", "axes fraction"), rotation=30, fontsize=7.5
+        )
+
+
+def _twin(axes: Axes, x: FloatArray, y: FloatArray, label: str, color: str) -> None:
+    """A second quantity on the right, its axis in the colour of its line."""
+    other = axes.twinx()
+    other.plot(x, y, color=color)
+    other.set_ylabel(label, color=color)
+    other.tick_params(axis="y", colors=color)
+
+
 def draw_trajectory(path: Path, title: str, flown: Conditions, windows: Sequence[Window]) -> None:
-    """Altitude, velocity, angles and dynamic pressure against time, manoeuvres shaded."""
-    figure, axes = _figure(9.0, 9.0, 4, sharex=True)
+    """Altitude, velocity, angles and dynamic pressure against time, manoeuvres shaded and named."""
+    figure, axes = _figure(9.0, 9.5, 4, sharex=True)
     t = flown.time_s
     axes[0].plot(t, flown["altitude_m"] / 1e3, color="tab:blue")
-    axes[0].set_ylabel("altitude, km")
-    twin = axes[0].twinx()
-    twin.plot(t, flown["velocity_m_s"] / 1e3, color="tab:red")
-    twin.set_ylabel("velocity, km/s", color="tab:red")
-    for name, label in (("alpha_deg", "angle of attack"), ("beta_deg", "sideslip"), ("bank_deg", "bank")):
-        if name in flown:
-            target = axes[1] if name != "bank_deg" else axes[2]
-            target.plot(t, flown[name], label=label)
-    for name, label in (("elevon_deg", "elevon"), ("bodyflap_deg", "body flap")):
-        axes[3].plot(t, flown[name], label=label)
-    axes[1].set_ylabel("deg")
-    axes[2].set_ylabel("deg")
+    axes[0].set_ylabel("altitude, km", color="tab:blue")
+    axes[0].tick_params(axis="y", colors="tab:blue")
+    _twin(axes[0], t, flown["velocity_m_s"] / 1e3, "velocity, km/s", "tab:red")
+    _plot_angles(axes[1], flown, ("alpha_deg", "beta_deg"))
+    if "bank_deg" in flown:
+        axes[2].plot(t, flown["bank_deg"], color="tab:blue")
+    axes[2].set_ylabel("bank, deg", color="tab:blue")
+    axes[2].tick_params(axis="y", colors="tab:blue")
+    _twin(axes[2], t, flown["qbar_Pa"] / 1e3 if "qbar_Pa" in flown else np.full(len(t), np.nan), "q, kPa", "tab:red")
+    _plot_angles(axes[3], flown, ("elevon_deg", "bodyflap_deg"))
     axes[3].set_ylabel("deg, trailing edge down +")
     for a in axes:
         _shade(a, windows)
-        a.grid(alpha=0.3)
-    for a in axes[1:]:
-        if a.get_legend_handles_labels()[0]:
-            a.legend(loc="best", fontsize=8)
+    _name_windows(axes[0], windows)
     axes[-1].set_xlabel("time, s")
-    figure.suptitle(f"{title}: trajectory" + (" (manoeuvres shaded)" if windows else ""))
-    _save(figure, path)
+    _save(figure, path, f"{title}: trajectory", axes)
+
+
+def _plot_angles(axes: Axes, flown: Conditions, names: Sequence[str]) -> None:
+    for name in names:
+        label, color = ANGLES[name]
+        axes.plot(flown.time_s, flown[name], color=color, label=label)
+    axes.set_ylabel("deg")
+    axes.legend(loc="best", fontsize=8)
 
 
 def draw_temperatures(path: Path, title: str, points: Sequence[PointHistory], windows: Sequence[Window]) -> None:
-    """Surface and bondline temperatures of all control points against time."""
-    figure, axes = _figure(9.0, 8.0, 2, sharex=True)
-    ordered = sorted(points, key=lambda p: -float(np.max(p.surface_K)))
-    for i, point in enumerate(ordered):
-        style = {"color": f"C{i % 10}", "linestyle": ("-", "--", ":")[i // 10 % 3], "linewidth": 1.3}
-        axes[0].plot(point.time_s, point.surface_K, label=point.name, **style)
-        axes[1].plot(point.time_s, point.bondline_K, **style)
-    axes[0].set_ylabel("surface temperature, K")
-    axes[1].set_ylabel("bondline temperature, K")
+    """Surface and bondline temperatures of all control points against time, each panel's legend in order of its peaks."""
+    figure, axes = _figure(10.0, 9.0, 2, sharex=True)
+    hottest = sorted(points, key=lambda p: -float(np.max(p.surface_K)))
+    colors = mpl.colormaps["turbo"](np.linspace(0.95, 0.05, len(hottest)))
+    style = {
+        p.name: {"color": colors[i], "linestyle": ("-", "--", "-.")[i % 3], "linewidth": 1.4}
+        for i, p in enumerate(hottest)
+    }
+    _plot_by_peak(axes[0], {p.name: (p.time_s, p.surface_K) for p in hottest}, style, "surface")
+    insulated = [p for p in hottest if np.max(p.bondline_K) < HOT_STRUCTURE * np.max(p.surface_K)]
+    _plot_by_peak(axes[1], {p.name: (p.time_s, p.bondline_K) for p in insulated}, style, "bondline")
     axes[1].set_xlabel("time, s")
     for a in axes:
         _shade(a, windows)
-        a.grid(alpha=0.3)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right center", fontsize=8)
-    figure.suptitle(title + (" (manoeuvres shaded)" if windows else ""))
-    _save(figure, path)
+    _name_windows(axes[0], windows)
+    left_out = [p.name for p in hottest if p not in insulated]
+    if left_out:
+        axes[1].set_title(f"hot structure, no bondline: {', '.join(left_out)}", fontsize=8, loc="left")
+    _save(figure, path, title, axes)
+
+
+def _plot_by_peak(
+    axes: Axes, lines: Mapping[str, tuple[FloatArray, FloatArray]], style: Mapping[str, dict[str, Any]], what: str
+) -> None:
+    for name in sorted(lines, key=lambda n: -float(np.max(lines[n][1]))):
+        t, T = lines[name]
+        axes.plot(t, T, label=f"{name}  {np.max(T):.0f} K", **style[name])
+    axes.set_ylabel(f"{what} temperature, K")
+    if lines:
+        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=7.5, title="peak", title_fontsize=8)
 
 
 def draw_manoeuvre(
     path: Path, title: str, flown: Conditions, points: Sequence[PointHistory], window: Window, variable: str
 ) -> None:
-    """Surface and thermocouple temperatures above, the manoeuvred variable below, about one manoeuvre."""
-    figure, axes = _figure(8.0, 2.2 * len(points) + 2.2, len(points) + 1, sharex=True)
+    """Thermocouple and surface temperatures above, the manoeuvred angle and what moves with it below, about one manoeuvre.
+
+    As figures 5, 10 and 13 of the founding paper.
+    """
+    figure, axes = _figure(8.0, 2.1 * len(points) + 3.2, len(points) + 1, sharex=True)
     shown = (flown.time_s >= window.start_s - BEFORE_S) & (flown.time_s <= window.end_s + AFTER_S)
     t = flown.time_s[shown]
     for a, point in zip(axes[:-1], points, strict=True):
-        a.plot(t, point.surface_K[shown], color="tab:red", label="surface")
+        a.plot(t, point.surface_K[shown], **SURFACE)
         if len(point.sensors_K):
-            a.plot(t, point.sensors_K[0][shown], color="0.2", marker=".", markersize=4, label="surface thermocouple")
+            a.plot(t, point.sensors_K[0][shown], **THERMOCOUPLE)
         a.set_ylabel(f"{point.name}\ntemperature, K")
-        a.legend(loc="best", fontsize=8)
-    for name, label in ((variable, variable.replace("_deg", "")), ("alpha_deg", "alpha")):
-        if name == variable or variable != "alpha_deg":
-            axes[-1].plot(t, flown[name][shown], label=label)
-    axes[-1].set_ylabel("deg")
-    axes[-1].legend(loc="best", fontsize=8)
+    axes[0].legend(loc="best", fontsize=8)
+    _plot_moving(axes[-1], flown, shown, variable)
     axes[-1].set_xlabel("time, s")
     for a in axes:
         _shade(a, [window])
-        a.grid(alpha=0.3)
-    figure.suptitle(f"{title}: {window.kind}")
-    _save(figure, path)
+    figure.align_ylabels(axes)
+    _save(figure, path, f"{_speed(flown, window)}\n{title}", axes)
+
+
+def _plot_moving(axes: Axes, flown: Conditions, shown: np.ndarray, variable: str) -> None:
+    """The manoeuvred variable, and thinner the other angles that move meanwhile."""
+    t = flown.time_s[shown]
+    label, color = ANGLES.get(variable, ("reaction jets, 0 to 1", "tab:red"))
+    axes.plot(t, flown[variable][shown], color=color, linewidth=2.2, label=label)
+    for name, (label, color) in ANGLES.items():
+        if name != variable and np.ptp(flown[name][shown]) > MOVES_DEG:
+            axes.plot(t, flown[name][shown], color=color, linewidth=1.1, linestyle="--", label=label)
+    axes.set_ylabel("deg" if variable in ANGLES else "jets; angles in deg")
+    axes.legend(loc="best", fontsize=8, ncols=2)
+
+
+def _speed(flown: Conditions, window: Window) -> str:
+    """What was flown at which speed, in both ways of counting Mach."""
+    begin = flown.at([window.start_s])
+    V, mach = float(begin["velocity_m_s"][0]), float(begin["mach"][0])
+    what = NAMES.get(window.kind, window.kind)
+    return f"{what[0].upper()}{what[1:]} at {V:.0f} m/s (Shuttle 'Mach' {V / SHUTTLE_MACH_M_S:.1f}, V/a {mach:.1f})"
 
 
 def draw_comparison(
@@ -120,38 +203,35 @@ def draw_comparison(
     """
     columns = 2 if len(panels) > 1 else 1
     rows = -(-len(panels) // columns)
-    figure, axes = _figure(5.2 * columns, 3.6 * rows, rows, columns, sharex=True, sharey=True, squeeze=False)
+    figure, axes = _figure(5.2 * columns, 3.5 * rows + 0.6, rows, columns, sharex=True, sharey=True, squeeze=False)
     for a, (label, point, time_s, temperature_K, sigma_K, rmse_K) in zip(axes.ravel(), panels, strict=False):
-        a.fill_between(time_s, temperature_K - 2 * sigma_K, temperature_K + 2 * sigma_K, color="0.85", linewidth=0)
-        a.plot(time_s, temperature_K, label="measured (band: 2 sigma)", **MEASURED)
-        a.plot(point.time_s, point.surface_K, color="tab:red", label="predicted, laminar tables")
+        low, high = temperature_K - 2 * sigma_K, temperature_K + 2 * sigma_K
+        a.fill_between(time_s, low, high, color="0.82", linewidth=0, label="2 sigma of the digitised figure")
+        a.plot(time_s, temperature_K, label="measured in flight", **MEASURED)
+        a.plot(point.time_s, point.surface_K, color="tab:red", label="predicted, declared model")
         a.set_title(f"{label}: RMSE {rmse_K:.0f} K", fontsize=10)
-        a.grid(alpha=0.3)
-        a.legend(fontsize=8, loc="lower center")
     for a in axes.ravel()[len(panels) :]:
         a.set_visible(False)
     for a in axes[-1]:
         a.set_xlabel("time from entry interface, s")
     for a in axes[:, 0]:
         a.set_ylabel("surface temperature, K")
-    figure.suptitle(title)
-    _save(figure, path)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=9)
+    _save(figure, path, title, axes)
 
 
 def draw_prediction(
     path: Path, title: str, time_s: FloatArray, names: Sequence[str], measured_K: FloatArray, predicted_K: FloatArray
 ) -> None:
     """Each sensor of a record, measured and predicted, with the residual below."""
-    figure, axes = _figure(9.0, 7.0, 2, sharex=True, height_ratios=[2, 1])
+    figure, axes = _figure(9.5, 7.0, 2, sharex=True, height_ratios=[2, 1])
     for i, name in enumerate(names):
-        axes[0].plot(time_s, measured_K[i], ".", color=f"C{i}", markersize=2, alpha=0.6)
+        axes[0].plot(time_s, measured_K[i], ".", color=f"C{i}", markersize=2.5, alpha=0.5)
         axes[0].plot(time_s, predicted_K[i], color=f"C{i}", linewidth=1.2, label=name)
-        axes[1].plot(time_s, measured_K[i] - predicted_K[i], color=f"C{i}", linewidth=0.8)
-    axes[0].set_ylabel("temperature, K")
-    axes[0].legend(title="line: predicted, dots: measured", fontsize=8, title_fontsize=8)
+        axes[1].plot(time_s, measured_K[i] - predicted_K[i], ".", color=f"C{i}", markersize=2.5)
+    axes[0].set_ylabel("temperature at the sensor, K")
+    axes[0].legend(title="line: predicted\ndots: measured", fontsize=8, title_fontsize=8)
+    axes[1].axhline(0.0, color="0.3", linewidth=0.8)
     axes[1].set_ylabel("measured - predicted, K")
     axes[1].set_xlabel("time, s")
-    for a in axes:
-        a.grid(alpha=0.3)
-    figure.suptitle(title)
-    _save(figure, path)
+    _save(figure, path, title, axes)

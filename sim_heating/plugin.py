@@ -1,8 +1,8 @@
 """The heating plug-in: a vehicle's control points stepped frame by frame beside a flight simulator.
 
-A host gives what it knows well, the columns of conditions.FRAME; temperature, Mach and Reynolds number, reference heating
-and surface pressures are derived here, in the same compiled call that advances all points. Within a frame the conditions run
-linearly from the last frame's values to this one's: a frame's values are those at its end.
+A host gives what it knows well, the columns of conditions.FRAME; temperature, Mach and Reynolds number, reference
+heating and surface pressures are derived here, in the same compiled call that advances all points. Within a frame
+the conditions run linearly from the last frame's values to this one's: a frame's values are those at its end.
 
     plugin = HeatingPlugin(load_vehicle("orbiter"))
     plugin.reset(frame)                    # temperatures of the stacks, conditions of the first frame
@@ -52,8 +52,8 @@ IntArray = np.ndarray
 
 F_TIME, F_ALTITUDE, F_VELOCITY, F_ALPHA, F_BETA, F_ELEVON, F_BODYFLAP, F_RHO, F_JETS = range(len(FRAME))
 CODE, LENGTH, RADIUS, LONGEST_STEP, STARTED, SPIKES, LAST_SPIKE, LAST = range(8)
-"""Places in the host array: reference model, reference length [m], nose radius [m], longest thermal step [s], whether there
-was a frame before, what is counted, and from LAST on that frame."""
+"""Places in the host array: reference model, reference length [m], nose radius [m], longest thermal step [s],
+whether there was a frame before, what is counted, and from LAST on that frame."""
 PRESSURE_WIDTH = 4
 """Numbers of a pressure model; a lane's array holds them and its running length [m]."""
 
@@ -75,7 +75,8 @@ GOOD, CLOCK = -1, -2
 LONGEST_FRAME_S = 60.0
 """A longer step forward is a jump of the host's clock, not a frame."""
 SPIKE = 0.5
-"""Change of ln(rho) from frame to frame, over that which the change of altitude explains, that is flagged as a spike."""
+"""Change of ln(rho) from frame to frame, over that which the change of altitude explains, that is flagged as a
+spike."""
 SCALE_HEIGHT_M = 5000.0
 """Smallest scale height of the atmosphere below 120 km, for the density change that altitude explains."""
 
@@ -139,7 +140,7 @@ def plugin_frame(
         _count_spike(frame, host)
     _derive_conditions(frame, host, lanes, then)
     if host[STARTED] > 0.0:
-        steps = int(math.ceil(dt / host[LONGEST_STEP] - 1e-9))
+        steps = math.ceil(dt / host[LONGEST_STEP] - 1e-9)
         advance_groups(state, ints, table, chain, advance, groups, then, dt, max(steps, 1))
     else:
         begin_groups(state, ints, table, chain, begin, groups, then)
@@ -297,7 +298,8 @@ class HeatingPlugin:
 
     @property
     def frames_outside(self) -> dict[str, int]:
-        """Frames in which a point's conditions lay outside its ratio table, since the reset; points with none left out."""
+        """Frames in which a point's conditions lay outside its ratio table, since the reset; points with none left
+        out."""
         return _counted(self.names, self.ensemble.scalars(OUTSIDE))
 
     @property

@@ -1,15 +1,12 @@
 """The plug-in in JSBSim: temperatures as properties that its scripts, functions and outputs can read.
 
-After each frame `heating/<control point>/surface-K` and `bondline-K` hold the temperatures [K] at the end of that frame, with
-`sensors=True` also `heating/<control point>/<sensor>-K`; JSBSim's own systems see them in the next frame.
+After each frame `heating/<control point>/surface-K` and `bondline-K` hold the temperatures [K] at the end of that
+frame, with `sensors=True` also `heating/<control point>/<sensor>-K`; JSBSim's own systems see them in the next frame.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-
 from sim_heating.conditions import FloatArray
-from sim_heating.ensemble import Ensemble
 from sim_heating.plugin import HeatingPlugin
 from sim_heating.trajectory.jsbsim_host import JSBSimHost
 
@@ -27,7 +24,7 @@ class JSBSimHeating:
         self.plugin = plugin
         self._writers = [
             (host.publish(f"{ROOT}/{point}/{what}-K").set_double_value, place)
-            for point, what, place in _published(plugin.names, plugin.ensemble, sensors)
+            for point, what, place in _published(plugin, sensors)
         ]
         self._started = False
 
@@ -47,15 +44,13 @@ class JSBSimHeating:
         self(self.host.read_frame())
 
 
-def _published(names: Iterable[str], ensemble: Ensemble, sensors: bool) -> list[tuple[str, str, int]]:
+def _published(plugin: HeatingPlugin, sensors: bool) -> list[tuple[str, str, int]]:
     """(control point, quantity, place in the state) of everything that is published."""
     out = []
-    for name, model, mesh, place in zip(names, ensemble.models, ensemble.meshes, ensemble.places, strict=True):
-        out += [(name, "surface", place.temperature(0)), (name, "bondline", place.temperature(mesh.bondline))]
+    ensemble = plugin.ensemble
+    for point, mesh, place in zip(plugin.points, ensemble.meshes, ensemble.places, strict=True):
+        out += [(point.name, "surface", place.temperature(0)), (point.name, "bondline", place.temperature(mesh.bondline))]
         if sensors:
-            depths = enumerate(zip(model.depths_m, mesh.sensors, strict=True))
-            out += [(name, f"sensor{i}", place.temperature(node)) for i, (_, node) in depths]
+            pairs = zip(point.sensors, mesh.sensors, strict=True)
+            out += [(point.name, sensor.name, place.temperature(node)) for sensor, node in pairs]
     return out
-
-
-Publisher = Callable[[float], None]

@@ -1,8 +1,9 @@
 """How many nodes a stack needs: the same heating pulse on a mesh and on its refinement.
 
-The pulse is an entry in small: the surface is driven towards a radiation equilibrium near its highest use temperature in
-300 s, held there with a doublet of 15 % in flux, and left to cool. What halving every element changes, times 4/3 for a
-second-order method, estimates the error of the coarser mesh; the coarsest mesh below the tolerance is taken.
+The pulse is an entry in small: the surface is driven towards a radiation equilibrium near its highest use
+temperature in 300 s, held there with a doublet of 15 % in flux, and left to cool. What halving every element
+changes, times 4/3 for a second-order method, estimates the error of the coarser mesh; the coarsest mesh below the
+tolerance is taken.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ from sim_heating.thermal.mesh import Mesh, build_mesh, fewest_nodes, refined
 FloatArray = NDArray[np.float64]
 
 TOLERANCE_K = 0.3
-"""Error estimate that the automatic mesh keeps at surface, bondline and sensors [K], on a pulse to the highest temperature
-of use; a flight that heats less has less."""
+"""Error estimate that the automatic mesh keeps at surface, bondline and sensors [K], on a pulse to the highest
+temperature of use; a flight that heats less has less."""
 LADDER = (14, 16, 20, 24, 28, 32, 40, 48, 64, 80, 100)
 """Node counts tried; few different ones, so that points share lane groups."""
 PULSE_TIME_S = np.array([0.0, 300.0, 440.0, 450.0, 460.0, 470.0, 600.0, 900.0, 1200.0])

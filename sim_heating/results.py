@@ -1,7 +1,8 @@
 """Results as files: one self-describing NetCDF file, CSV for everybody, and a summary in JSON.
 
-NetCDF (through xarray) because time histories of many points and sensors share their axes, carry units and long names, and
-are opened by MATLAB, Julia, Panoply, ncdump and spreadsheets with a plug-in; a table format would repeat or split them.
+NetCDF (through xarray) because time histories of many points and sensors share their axes, carry units and long
+names, and are opened by MATLAB, Julia, Panoply, ncdump and spreadsheets with a plug-in; a table format would repeat
+or split them.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ def package_version() -> str:
 
 
 def write_temperatures_csv(path: Path, time_s: FloatArray, history: PointHistory, sensors: Sequence[Sensor]) -> None:
-    """temperatures.csv of one control point: time_s, surface_K, bondline_K, then each sensor under its column's name."""
+    """temperatures.csv of one control point: time_s, surface_K, bondline_K, then each sensor under its column's
+    name."""
     columns = {"time_s": time_s, "surface_K": history.surface_K, "bondline_K": history.bondline_K}
     columns |= {s.column: values for s, values in zip(sensors, history.sensors_K, strict=True)}
     write_csv(path, columns, {"time_s": ".10g"} | {name: ".4f" for name in columns if name != "time_s"})

@@ -53,7 +53,8 @@ class RunResult:
     """A flown scenario.
 
     points         : by control point, in the scenario's order
-    plugin_apart_K : largest difference of surface temperature between the plug-in beside the host and the march, by point
+    plugin_apart_K : largest difference of surface temperature between the plug-in beside the host and the march, by
+    point
     """
 
     scenario: Scenario
@@ -142,9 +143,7 @@ class _Beside:
         self.plugin.check()
         beside = np.array(self._surface)
         count = min(len(beside), len(histories[0].time_s))
-        return {
-            h.name: float(np.max(np.abs(h.surface_K[:count] - beside[:count, i]))) for i, h in enumerate(histories)
-        }
+        return {h.name: float(np.max(np.abs(h.surface_K[:count] - beside[:count, i]))) for i, h in enumerate(histories)}
 
 
 def compare(result: RunResult) -> list[Comparison]:

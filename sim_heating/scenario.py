@@ -1,22 +1,25 @@
-"""A scenario: which vehicle flies what, what is looked at, how it is measured, and where the truth differs from the tables.
+"""A scenario: which vehicle flies what, what is looked at, how it is measured, and where the truth differs from the
+tables.
 
-    format = "scenario/1"
-    title = "..."
-    vehicle = "orbiter"                 # a vehicle's name, or its directory relative to the scenario
-    control_points = ["V09T9527"]       # all where absent
-    [trajectory]                        # trajectory/spec.py, with [[trajectory.manoeuvre]]
-    [heating]                           # longest_step_s, alongside
-    [[effect]]                          # declared beside those of the vehicle: name, control_points, parameters
-    [measurements]                      # seed, clock_skew_s, lost samples, gaps, errors of sensors
-    [truth]                             # what `synthesize` alters and does not tell: parameters, [[truth.effect]]
-    [[compare]]                         # measured histories to hold the prediction against
+format = "scenario/1"
+title = "..."
+vehicle = "orbiter"                 # a vehicle's name, or its directory relative to the scenario
+control_points = ["V09T9527"]       # all where absent
+[trajectory]                        # trajectory/spec.py, with [[trajectory.manoeuvre]]
+[heating]                           # longest_step_s, alongside
+[[effect]]                          # declared beside those of the vehicle: name, control_points, parameters
+[measurements]                      # seed, clock_skew_s, lost samples, gaps, errors of sensors
+[truth]                             # what `synthesize` alters and does not tell: parameters, [[truth.effect]]
+[[compare]]                         # measured histories to hold the prediction against
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -146,9 +149,7 @@ class Scenario:
     def effects(self, point: str, *, truth: bool = False) -> tuple[EffectUse, ...]:
         """Effects of a control point beside its vehicle's: the scenario's, and with `truth` the undeclared ones too."""
         chosen = [*self.declared.effect, *(self.declared.truth.effect if truth else [])]
-        return tuple(
-            use(e.name, e.parameters) for e in chosen if e.control_points is None or point in e.control_points
-        )
+        return tuple(use(e.name, e.parameters) for e in chosen if e.control_points is None or point in e.control_points)
 
 
 def load_scenario(path: str | os.PathLike[str]) -> Scenario:
@@ -189,8 +190,8 @@ def _problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
     ]
 
 
-def _attempts(call, items) -> list[str]:  # type: ignore[no-untyped-def]
-    lines = []
+def _attempts(call: Callable[[Any], object], items: Iterable[Any]) -> list[str]:
+    lines: list[str] = []
     for item in items:
         try:
             call(item)

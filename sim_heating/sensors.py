@@ -31,7 +31,8 @@ def calibrated(sensor: Sensor, temperature_K: FloatArray, errors: SensorErrors |
     """Indicated temperature [K] before noise and quantisation."""
     wrong = errors or SensorErrors()
     true = wrong.gain * temperature_K + wrong.bias_K
-    return np.polynomial.polynomial.polyval(true, sensor.calibration or [0.0, 1.0])
+    indicated = np.polynomial.polynomial.polyval(true, sensor.calibration or [0.0, 1.0])
+    return np.asarray(indicated, dtype=np.float64)
 
 
 def quantised(sensor: Sensor, indicated_K: FloatArray) -> FloatArray:
@@ -79,7 +80,8 @@ def measured(
 def lost_samples(
     time_s: FloatArray, rng: np.random.Generator, fraction: float, gaps_s: Sequence[Sequence[float]]
 ) -> NDArray[np.bool_]:
-    """Which samples are lost: a random fraction, and all within the telemetry gaps [[start, end], ...], ends included."""
+    """Which samples are lost: a random fraction, and all within the telemetry gaps [[start, end], ...], ends
+    included."""
     lost = rng.random(len(time_s)) < fraction
     for start, end in gaps_s:
         lost |= (time_s >= start) & (time_s <= end)

@@ -1,9 +1,10 @@
-"""From flight conditions to the heating of a wall, compiled: film coefficient, recovery enthalpy, pressure of each stage.
+"""From flight conditions to the heating of a wall, compiled: film coefficient, recovery enthalpy, pressure of each
+stage.
 
     film = r h_ref,    r = ratio of the linear model, then effects that add, then effects that multiply.
 
-Conditions are linear in time between samples; the ratio is evaluated at the conditions of each stage of the time step, not
-interpolated itself.
+Conditions are linear in time between samples; the ratio is evaluated at the conditions of each stage of the time
+step, not interpolated itself.
 """
 
 from __future__ import annotations

@@ -99,7 +99,8 @@ def _declaration(scenario: Scenario, point: ControlPoint) -> RecordFile:
 
 
 def write_records(scenario: Scenario, records: dict[str, Record], out: Path) -> list[str]:
-    """Write the records, in `out` itself where there is one, and beside them what the truth was; names of what was made."""
+    """Write the records, in `out` itself where there is one, and beside them what the truth was; names of what was
+    made."""
     comment = f"Synthetic: {scenario.title}. Made by sim-heating synthesize."
     with output_directory(out) as folder:
         for name, record in records.items():
@@ -117,5 +118,3 @@ def _truth_text(scenario: Scenario) -> str:
         "measurements": wanted.model_dump(exclude_none=True),
     }
     return toml_text(data, "What the records were made with beyond what they declare.")
-
-

@@ -1,11 +1,12 @@
 """Effects that a declared model may lack: one file each, picked up by its being there.
 
-A file of this folder, or of a folder named in SIM_HEATING_EFFECTS (a path list), defines EFFECT = Effect(...). Its kernel
+A file of this folder, or of a folder named in SIM_HEATING_EFFECTS (a path list), defines EFFECT = Effect(...). Its
+kernel
 
     f(B, c, p, wall_K) -> float
 
-reads the flight conditions from B[c] on and its own parameters from B[p] on (layout.py names the places), takes the wall
-temperature [K], and gives what is added to the heating ratio or what the ratio is multiplied by.
+reads the flight conditions from B[c] on and its own parameters from B[p] on (layout.py names the places), takes the
+wall temperature [K], and gives what is added to the heating ratio or what the ratio is multiplied by.
 """
 
 from __future__ import annotations

@@ -16,9 +16,7 @@ from numba import types
 from sim_heating.effects import Effect
 from sim_heating.jit import handle
 
-SIGNATURE = types.float64(
-    types.int64, types.CPointer(types.float64), types.int64, types.int64, types.float64
-)
+SIGNATURE = types.float64(types.int64, types.CPointer(types.float64), types.int64, types.int64, types.float64)
 """value = chain(code, B, c, p, wall_K)"""
 
 
@@ -59,6 +57,6 @@ def _join(kernels: Sequence[Any]) -> Callable[..., float]:
 def compiled_chain(effects: tuple[Effect, ...]) -> Chain:
     """The chain of these effects; the code of an effect is its place among them."""
     function = _join([e.kernel for e in effects]) if effects else _nothing
-    if numba.config.DISABLE_JIT:
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         return Chain(function)
     return Chain(numba.cfunc(SIGNATURE, cache=not effects, error_model="numpy")(function))

@@ -21,7 +21,9 @@ EFFECT = Effect(
     name="impingement-onset",
     mode="add",
     parameters=(
-        Parameter("alpha_onset_deg", "deg", 37.0, 4.0, 0.0, 60.0, "angle of attack at which the flow reaches the point"),
+        Parameter(
+            "alpha_onset_deg", "deg", 37.0, 4.0, 0.0, 60.0, "angle of attack at which the flow reaches the point"
+        ),
         Parameter("slope", "1/deg", 0.002, 0.002, -0.1, 0.1, "rise of the ratio above it"),
     ),
     kernel=impingement,

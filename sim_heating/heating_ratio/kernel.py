@@ -2,8 +2,8 @@
 
     r = r_table(x) (1 + scale) + d0 + sum_i d_i (x_i - x_i0) + sum_(i<=j) d_ij (x_i - x_i0) (x_j - x_j0)
 
-with x = alpha, beta [deg], log10 Re, elevon, body flap [deg]; no factor 1/2. Source: "Trends in Shuttle Entry Heating from
-the Correlation of Flight Test Maneuvers", eq. 2, and its second-order terms.
+with x = alpha, beta [deg], log10 Re, elevon, body flap [deg]; no factor 1/2. Source: "Trends in Shuttle Entry
+Heating from the Correlation of Flight Test Maneuvers", eq. 2, and its second-order terms.
 
 A table is stored as five axis lengths, the axes one after the other, and the ratios with the last variable fastest.
 """

@@ -5,7 +5,8 @@ theta = int k dT [W/m], which makes the flux through an element exact for k(T):
 
     d/dt E_i = q_(i-1) - q_i + source_i,      q_i = g_i (theta_i(T_i) - theta_i(T_(i+1))),     g_i = 1 / dx_i
 
-The heat content [J/m2] of an element is shared between its nodes by the mean of the lumped and the consistent mass matrix,
+The heat content [J/m2] of an element is shared between its nodes by the mean of the lumped and the consistent mass
+matrix,
 
     E_i = M_L h(T_i) + M_R h(T_i) + SHARE [M_R (h(T_(i+1)) - h(T_i)) - M_L (h(T_i) - h(T_(i-1)))],    M = rho dx / 2,
 
@@ -21,12 +22,13 @@ Math. 20 (1996) 21): one-step, L-stable, second order, here written for E so tha
     E(Y1) = E_n + d dt (F_n + F(Y1)),                      at t_n + gamma dt,   d = gamma / 2
     E(Y2) = E_n + (w/d) (E(Y1) - E_n) + d dt F(Y2),        at t_n + dt,         w = sqrt(2) / 4
 
-A lane stops iterating when its own update is below NEWTON_TOLERANCE_K, so that its bits do not depend on its neighbours.
+A lane stops iterating when its own update is below NEWTON_TOLERANCE_K, so that its bits do not depend on its
+neighbours.
 
-Everything lives in one flat float64 block (layout.py). Loops over lanes touch rows of one node and its neighbours only, at
-constant distances: that is what lets the compiler vectorise them without alias checks. What all nodes of a lane share is
-handed on from node to node (FRACTION, MOVES, LARGEST). Plain Python on floats: interpreted (NUMBA_DISABLE_JIT=1) it is
-its own slow reference.
+Everything lives in one flat float64 block (layout.py). Loops over lanes touch rows of one node and its neighbours
+only, at constant distances: that is what lets the compiler vectorise them without alias checks. What all nodes of a
+lane share is handed on from node to node (FRACTION, MOVES, LARGEST). Plain Python on floats: interpreted
+(NUMBA_DISABLE_JIT=1) it is its own slow reference.
 """
 
 from __future__ import annotations
@@ -162,7 +164,8 @@ def _integral(value: float, first: float, slope: float, t: float) -> float:
 
 @njit
 def _gather(B: FloatArray, J: IntArray, table: FloatArray, a: int, lane: int, offset: int, into: int) -> int:
-    """Copy the property polynomials about the temperature of a node beside it, for one of its elements; gives the bin."""
+    """Copy the property polynomials about the temperature of a node beside it, for one of its elements; gives the
+    bin."""
     j = _bin(B[a + T * LANES + lane])
     row = offset + j * (3 + 3 * J[N_PRESSURES])
     B[a + into * LANES + lane] = BIN_K * j
@@ -213,7 +216,8 @@ def _write_row(
     B: FloatArray, a: int, lane: int, ddt: float,
     h_left: float, c_left: float, theta_left: float, k_left: float, h: float, c: float, theta: float, k: float,
 ) -> None:  # fmt: skip
-    """Row of a node with its properties on either side; what its right neighbour adds is in that one's ACROSS and ENTRY.
+    """Row of a node with its properties on either side; what its right neighbour adds is in that one's ACROSS and
+    ENTRY.
 
     What crosses an element, heat conducted in d dt and heat content shared, is taken together.
     """
@@ -330,7 +334,8 @@ def evaluate_back(B: FloatArray, J: IntArray) -> None:
 
 @njit
 def _keep_face_heat(B: FloatArray, J: IntArray) -> None:
-    """Heat at the faces of the lanes that have just moved, linearised over the move as the balance of the stage has it."""
+    """Heat at the faces of the lanes that have just moved, linearised over the move as the balance of the stage has
+    it."""
     front = HEAD_ROWS * LANES
     for lane in range(LANES):
         if B[ACTIVE * LANES + lane] > 0.0:
@@ -359,7 +364,9 @@ def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, chain) -> None
         B[STAGE_IN * LANES + lane] = B[(HEAD_ROWS + SOURCE) * LANES + lane]
         back = (HEAD_ROWS + J[BACK_NODE + lane] * NODE_ROWS) * LANES
         B[STAGE_OUT * LANES + lane] = -B[back + SOURCE * LANES + lane]
-    for ddt in range(2):  # what crosses an element in no time is heat content shared, in a second conducted heat besides
+    for ddt in range(
+        2
+    ):  # what crosses an element in no time is heat content shared, in a second conducted heat besides
         for i in range(n):
             _assemble(B, J, table, i, float(ddt))
         _assemble_behind(B, n)
@@ -379,7 +386,8 @@ def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, chain) -> None
 
 @njit
 def _start(B: FloatArray, n: int, dt: float) -> None:
-    """First stage: E* = E_n + d dt F_n with the F_n that the last step has left, and a guess from its rate of change."""
+    """First stage: E* = E_n + d dt F_n with the F_n that the last step has left, and a guess from its rate of
+    change."""
     for i in range(n):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
         for lane in range(LANES):
@@ -420,7 +428,8 @@ def _reduce(B: FloatArray, i: int) -> None:
 
 @njit
 def _assemble_behind(B: FloatArray, n: int) -> None:
-    """What crosses to the ghost behind the last node: content that padding shares with it, nothing where there is none."""
+    """What crosses to the ghost behind the last node: content that padding shares with it, nothing where there is
+    none."""
     last = (HEAD_ROWS + (n - 1) * NODE_ROWS) * LANES
     for lane in range(LANES):
         B[last + (NODE_ROWS + ACROSS) * LANES + lane] = -SHARE * B[last + E_RIGHT * LANES + lane]
@@ -525,8 +534,8 @@ def step(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> Non
     table : property and ratio tables
     chain : the compiled effects (effects/chain.py)
 
-    Heat contents and net heat at the start are those that the last step left (the method's last stage is its end): after a
-    change of temperatures, parameters or conditions from outside, `begin` evaluates them anew.
+    Heat contents and net heat at the start are those that the last step left (the method's last stage is its end):
+    after a change of temperatures, parameters or conditions from outside, `begin` evaluates them anew.
     """
     n = J[N_NODES]
     _add_energy(B, EXPLICIT_WEIGHT * dt)

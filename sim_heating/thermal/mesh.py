@@ -5,9 +5,9 @@ same for all materials. The density of nodes in s is
 
     1 / (s_0 + GROWTH s)  +  UNIFORM / S,      s_0 = sqrt(max(dt, 1 s)),
 
-S chosen so that UNIFORM is the share of evenly spaced nodes to graded ones: the graded part serves the surface, the even
-one the steep gradients in depth. Halving every element keeps the grading, which makes the difference of two such meshes an
-estimate of the error (resolution.py).
+S chosen so that UNIFORM is the share of evenly spaced nodes to graded ones: the graded part serves the surface, the
+even one the steep gradients in depth. Halving every element keeps the grading, which makes the difference of two
+such meshes an estimate of the error (resolution.py).
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from sim_heating.thermal.declare import Construction, pairs
 FloatArray = NDArray[np.float64]
 
 GROWTH, UNIFORM = 0.6, 0.5
-"""Of 15 pairs tried (growth 0.35 to 1, uniform 0 to 4) on entries of HRSI, FRSI and the five-thermocouple plug with 24 to
-48 nodes, the one whose largest error at surface, bondline and sensors was least or near it in all."""
+"""Of 15 pairs tried (growth 0.35 to 1, uniform 0 to 4) on entries of HRSI, FRSI and the five-thermocouple plug with
+24 to 48 nodes, the one whose largest error at surface, bondline and sensors was least or near it in all."""
 CURVE_POINTS = 400
 """Points at which the node density is integrated in each piece of a layer; lengths are made to sum up exactly."""
 DIFFUSIVITY_AT_K, DIFFUSIVITY_AT_PA = 700.0, 1000.0
@@ -136,9 +136,7 @@ def build_mesh(construction: Construction, depths_m: FloatArray, nodes: int, ste
     return _finish(construction, np.concatenate(lengths), np.concatenate(layers), depths_m)
 
 
-def _finish(
-    construction: Construction, length_m: FloatArray, layer: NDArray[np.int64], depths_m: FloatArray
-) -> Mesh:
+def _finish(construction: Construction, length_m: FloatArray, layer: NDArray[np.int64], depths_m: FloatArray) -> Mesh:
     depth = np.concatenate(([0.0], np.cumsum(np.where(layer < 0, 0.0, length_m))))
     sensors = tuple(int(np.argmin(np.abs(depth - d))) for d in depths_m)
     last = len(construction.stack.layer) - 1

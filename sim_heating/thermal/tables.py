@@ -91,9 +91,7 @@ def _pressure_columns(materials: Sequence[Material], enthalpies: Sequence[WallEn
     return np.unique(np.round(np.concatenate(points), 12))
 
 
-def tabulate(
-    materials: Sequence[Material], surfaces: Sequence[tuple[Material, WallEnthalpy]]
-) -> PropertyTables:
+def tabulate(materials: Sequence[Material], surfaces: Sequence[tuple[Material, WallEnthalpy]]) -> PropertyTables:
     """Tables of all materials and surfaces; offsets are found by the identity of a material."""
     log10_p = _pressure_columns(materials, [e for _, e in surfaces])
     parts: list[FloatArray] = [log10_p]
