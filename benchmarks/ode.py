@@ -21,35 +21,31 @@ from sim_heating.thermal.mesh import Mesh
 
 FloatArray = NDArray[np.float64]
 
-GRID_K = np.arange(0.0, 3005.0, 5.0)
-
-
 @dataclass(frozen=True)
 class Kinked:
-    """A property linear between points: value at 0 K, slope there, and the kinks (temperature, change of slope)."""
+    """A property linear between points, constant outside: value at 0 K, and the kinks (temperature, change of slope)."""
 
     value: FloatArray
-    slope: FloatArray
     kink_K: FloatArray
     bend: FloatArray
 
     @staticmethod
     def of(T_K: FloatArray, rows: FloatArray) -> Kinked:
-        """Rows (column, point) of a property at common temperatures; constant outside, as its file has it."""
+        """Rows (column, point) of a property at common temperatures."""
         slopes = np.diff(rows, axis=1) / np.diff(T_K)
         bend = np.diff(np.pad(slopes, ((0, 0), (1, 1))), axis=1)
-        return Kinked(rows[:, 0], np.zeros(len(rows)), T_K, bend)
+        return Kinked(rows[:, 0], T_K, bend)
 
 
 @dataclass(frozen=True)
 class System:
     """One control point on one mesh, and its entry.
 
-    material         : (element,) which of the materials
-    density, length  : (element,)
-    heat_capacity, conductivity : of each material, against temperature and, for the conductivity, log10 of pressure
-    emissivity       : of the surface
-    time_s, film, recovery, log_p... : the entry, (time,)
+    material  : (element,) which of the materials
+    half, g   : (element,) half its mass [kg/m2], reciprocal of its length [1/m]
+    heat_capacity, conductivity, emissivity : of each material, against temperature; the conductivity also against log10_p
+    start_K   : (node,)
+    time_s, film, recovery, pressure : the entry, (time,)
     """
 
     material: NDArray[np.int64]
@@ -137,8 +133,9 @@ def _linear(time_s, values, t):  # type: ignore[no-untyped-def]
 
 
 @njit
-def rate(t, T, material, half, g, c_value, c_kink, c_bend, k_value, k_kink, k_bend, count, eps, log10_p, cp, entry):  # type: ignore[no-untyped-def]
-    """dT/dt [K/s] of all nodes: fluxes, then the tridiagonal mass matrix by elimination."""
+def rate(t, T, given):  # type: ignore[no-untyped-def]
+    """dT/dt [K/s] of all nodes: fluxes, then the tridiagonal mass matrix by elimination; given is what `arguments` gives."""
+    material, half, g, c_value, c_kink, c_bend, k_value, k_kink, k_bend, count, eps, log10_p, cp, mixing, entry = given
     n = len(T)
     out = np.empty(n)
     film, recovery = _linear(entry[0], entry[1], t), _linear(entry[0], entry[2], t)
@@ -152,8 +149,7 @@ def rate(t, T, material, half, g, c_value, c_kink, c_bend, k_value, k_kink, k_be
             j += 1
         f = (x - log10_p[j]) / (log10_p[j + 1] - log10_p[j])
     diagonal, upper, lower = np.zeros(n), np.zeros(n), np.zeros(n)
-    for i in range(n):
-        out[i] = 0.0
+    out[:] = 0.0
     wall = T[0]
     e = eps[0, 0]
     for m in range(eps.shape[1] - 1):
@@ -171,10 +167,10 @@ def rate(t, T, material, half, g, c_value, c_kink, c_bend, k_value, k_kink, k_be
             q += share * g[i] * (th_a - th_b)
         out[i] -= q
         out[i + 1] += q
-        diagonal[i] += (1.0 - SHARE) * half[i] * c_a
-        diagonal[i + 1] += (1.0 - SHARE) * half[i] * c_b
-        upper[i] = SHARE * half[i] * c_b
-        lower[i + 1] = SHARE * half[i] * c_a
+        diagonal[i] += (1.0 - mixing) * half[i] * c_a
+        diagonal[i + 1] += (1.0 - mixing) * half[i] * c_b
+        upper[i] = mixing * half[i] * c_b
+        lower[i + 1] = mixing * half[i] * c_a
     for i in range(1, n):
         w = lower[i] / diagonal[i - 1]
         diagonal[i] -= w * upper[i - 1]
@@ -185,8 +181,8 @@ def rate(t, T, material, half, g, c_value, c_kink, c_bend, k_value, k_kink, k_be
     return out
 
 
-def arguments(s: System) -> tuple[np.ndarray | float, ...]:
-    """What `rate` takes after t and T."""
+def arguments(s: System, mixing: float = SHARE) -> tuple[np.ndarray | float, ...]:
+    """What `rate` takes beside t and T; mixing is the part of the mass matrix that is shared, 0 makes it diagonal."""
     c, k = s.heat_capacity, s.conductivity
     most = max(len(p.kink_K) for p in (*c, *k))
     columns = len(s.log10_p)
@@ -195,7 +191,6 @@ def arguments(s: System) -> tuple[np.ndarray | float, ...]:
         return np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, most - values.shape[-1])], constant_values=fill)
 
     count = np.array([[len(a.kink_K), len(b.kink_K)] for a, b in zip(c, k, strict=True)])
-    eps = np.array([np.append(s.emissivity.value[0], s.emissivity.kink_K), np.append(s.emissivity.kink_K, 0.0)])
     width = len(s.emissivity.kink_K) + 1
     eps = np.zeros((3, width))
     eps[0, 0] = s.emissivity.value[0]
@@ -206,24 +201,20 @@ def arguments(s: System) -> tuple[np.ndarray | float, ...]:
         np.array([padded(p.bend[0], 0.0) for p in c]),
         np.array([np.broadcast_to(p.value, (columns,)) for p in k]), np.array([padded(p.kink_K, 1e9) for p in k]),
         np.array([padded(p.bend, 0.0) for p in k]),
-        count, eps, s.log10_p, s.cp_wall, np.array([s.time_s, s.film, s.recovery, s.pressure]),
+        count, eps, s.log10_p, s.cp_wall, mixing, np.array([s.time_s, s.film, s.recovery, s.pressure]),
     )  # fmt: skip
 
 
 @njit
-def jacobian(t, T, material, half, g, c_value, c_kink, c_bend, k_value, k_kink, k_bend, count, eps, log10_p, cp, entry):  # type: ignore[no-untyped-def]
+def jacobian(t, T, given):  # type: ignore[no-untyped-def]
     """(n, n) matrix of `rate`, by differences of 1e-6 T."""
     n = len(T)
     J = np.empty((n, n))
-    base = rate(t, T, material, half, g, c_value, c_kink, c_bend, k_value, k_kink, k_bend, count, eps, log10_p, cp, entry)
+    base = rate(t, T, given)
     moved = T.copy()
     for i in range(n):
         d = 1e-6 * T[i]
         moved[i] = T[i] + d
-        there = rate(
-            t, moved, material, half, g, c_value, c_kink, c_bend, k_value, k_kink, k_bend, count, eps, log10_p, cp, entry
-        )
+        J[:, i] = (rate(t, moved, given) - base) / d
         moved[i] = T[i]
-        for j in range(n):
-            J[j, i] = (there[j] - base[j]) / d
     return J

@@ -36,6 +36,10 @@ from sim_heating.layout import (
     EFFECT_PARAMETERS,
     EFFECT_SLOTS,
     EFFECT_WIDTH,
+    EMISSIVITY_TABLE,
+    ENERGY_IN,
+    ENERGY_OUT,
+    ENTHALPY_TABLE,
     FACTOR_EPS,
     FAILED,
     HEAD_ROWS,
@@ -43,11 +47,13 @@ from sim_heating.layout import (
     INTS_PER_NODE,
     IS_FACE,
     IS_INTERFACE,
+    ITERATIONS,
     LANES,
     M_LEFT,
     M_RIGHT,
     MATERIAL_TABLE,
     N_ADDING,
+    N_CONDITIONS,
     N_EFFECTS,
     N_NODES,
     N_PRESSURES,
@@ -57,10 +63,10 @@ from sim_heating.layout import (
     NODE_ROWS,
     NOWHERE,
     OUTSIDE,
+    PRESSURE_TABLE,
     RATE,
     RATIO_TABLE,
     REFERENCE,
-    SURFACE_TABLE,
     SURROUNDINGS4,
     WALL_EFFECTS,
     G,
@@ -76,7 +82,7 @@ from sim_heating.parameters import MODEL, RATIO, SECOND_ORDER
 from sim_heating.thermal.declare import BackFace, Construction, Material
 from sim_heating.thermal.kernel import compiled
 from sim_heating.thermal.mesh import Mesh
-from sim_heating.thermal.tables import PropertyTables, WallEnthalpy, tabulate
+from sim_heating.thermal.tables import PointTables, TableStore, WallEnthalpy
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -125,6 +131,13 @@ class PointModel:
             if not MODEL[key].lower <= value <= MODEL[key].upper:
                 lower, upper = MODEL[key].lower, MODEL[key].upper
                 raise InputError(f"{self.name}, {key}: {value:g} is outside its bounds {lower:g} to {upper:g}")
+        stack = self.construction.stack
+        for depth in self.depths_m:
+            if not stack.holds(depth):
+                thickness = stack.thickness_m
+                raise InputError(f"{self.name}: a sensor at {depth:g} m is outside the stack (0 to {thickness:g} m)")
+        if not isinstance(self.wall_enthalpy, str) and not 0.0 < self.wall_enthalpy < np.inf:
+            raise InputError(f"{self.name}, wall_enthalpy: cp {self.wall_enthalpy:g} J/(kg K) must be above 0")
         if self.ratio is not None and self.parameters.get("ratio.d0", 0.0) != 0.0:
             raise InputError(f"{self.name}: ratio.d0 is 0 where there is a ratio table; use ratio.scale")
 
@@ -166,7 +179,7 @@ class Ensemble:
     meshes : the mesh of each (resolution.pack chooses them)
     step_s : the longest time step [s] that a march takes
 
-    Attributes: `meshes`, `tables`, and `state`, the flat array that holds everything which changes.
+    Attributes: `meshes`, `table` with all property and ratio tables, and `state`, which holds everything that changes.
     """
 
     def __init__(self, models: Sequence[PointModel], meshes: Sequence[Mesh], step_s: float = 1.0) -> None:
@@ -179,27 +192,19 @@ class Ensemble:
         self._chain = compiled_chain(self._effects)
         self.chain = self._chain.handle
         self.begin_handle, self.advance_handle = (handle(f) for f in compiled())
-        self.tables = self._tabulate()
-        self._ratio_offsets, self.table = self._add_ratio_tables()
+        self._tables = TableStore()
         self._arrange()
+        self.table = self._tables.values
         self.reset()
 
     # Packing ---------------------------------------------------------------------------------------------------------
 
-    def _tabulate(self) -> PropertyTables:
-        materials = [material for m in self.models for material in m.construction.layer_materials()]
-        surfaces = [(m.construction.layer_materials()[0], m.wall_enthalpy) for m in self.models]
-        return tabulate([*materials, CONTACT], surfaces)
+    def point_tables(self, model: PointModel) -> PointTables:
+        """Where the property tables of a point stand in `table`."""
+        return self._tables.add_point(model.construction.layer_materials(), CONTACT, model.wall_enthalpy)
 
-    def _add_ratio_tables(self) -> tuple[dict[int, int], FloatArray]:
-        offsets, parts, end = {}, [self.tables.values], len(self.tables.values)
-        for model in self.models:
-            if model.ratio is not None and id(model.ratio) not in offsets:
-                packed = pack_table(model.ratio)
-                offsets[id(model.ratio)] = end
-                parts.append(packed)
-                end += len(packed)
-        return offsets, np.concatenate(parts)
+    def _add_ratio_table(self, table: RatioTable | None) -> int:
+        return NO_TABLE if table is None else self._tables.place(("ratio", id(table)), lambda: pack_table(table))
 
     def _arrange(self) -> None:
         """Put models of like node counts into groups of LANES; the last one of a group fills it up."""
@@ -229,7 +234,7 @@ class Ensemble:
     def _pack_group(self, g: int) -> None:
         B, J = self.block(g), self.integers(g)
         members = self.lanes[g * LANES : (g + 1) * LANES]
-        J[N_NODES], J[N_PRESSURES] = self.meshes[members[0]].nodes, len(self.tables.log10_p)
+        J[N_NODES] = self.meshes[members[0]].nodes
         for lane, i in enumerate(members):
             self._pack_stack(B, J, lane, self.models[i], self.meshes[i])
             self._pack_heating(B, J, lane, self.models[i])
@@ -241,6 +246,7 @@ class Ensemble:
 
     def _pack_stack(self, B: FloatArray, J: IntArray, lane: int, model: PointModel, mesh: Mesh) -> None:
         materials = model.construction.layer_materials()
+        tables = self.point_tables(model)
         length, conductivity, capacity = _factors(model, mesh)
         for e, layer in enumerate(mesh.layer):
             material = CONTACT if layer < 0 else materials[layer]
@@ -248,7 +254,7 @@ class Ensemble:
             B[node_row(e, G)][lane] = conductivity[e] / length[e]
             B[node_row(e, M_RIGHT)][lane] = half
             B[node_row(e + 1, M_LEFT)][lane] = half
-            J[NODE_INTS + e * INTS_PER_NODE + MATERIAL_TABLE + lane] = self.tables.material_offset[id(material)]
+            J[NODE_INTS + e * INTS_PER_NODE + MATERIAL_TABLE + lane] = tables.materials[layer]
         J[BACK_NODE + lane] = mesh.nodes - 1
         for node in (0, mesh.nodes - 1):
             J[NODE_INTS + node * INTS_PER_NODE + IS_FACE] = 1
@@ -256,7 +262,8 @@ class Ensemble:
         J[last::INTS_PER_NODE] = J[last - INTS_PER_NODE]
         for node in range(mesh.nodes, J[N_NODES]):
             B[node_row(node, M_RIGHT)][lane] = 1.0
-        J[SURFACE_TABLE + lane] = self.tables.surface_offset[id(materials[0]), model.wall_enthalpy]
+        J[N_PRESSURES + lane], J[PRESSURE_TABLE + lane] = tables.columns, tables.pressures
+        J[EMISSIVITY_TABLE + lane], J[ENTHALPY_TABLE + lane] = tables.emissivity, tables.enthalpy
         stack = model.construction.stack
         B[scalar_row(SURROUNDINGS4)][lane] = stack.surroundings_K**4
         B[scalar_row(FACTOR_EPS)][lane] = model.value("stack.emissivity_factor")
@@ -275,7 +282,7 @@ class Ensemble:
         B[p : p + len(values)] = values
         B[p + REFERENCE : p + REFERENCE + len(RATIO_VARIABLES)] = model.reference
         B[p + CURVED] = float(any(values[-len(SECOND_ORDER) :]))
-        J[RATIO_TABLE + lane] = NO_TABLE if model.ratio is None else self._ratio_offsets[id(model.ratio)]
+        J[RATIO_TABLE + lane] = self._add_ratio_table(model.ratio)
         uses = sorted(model.effects, key=lambda u: u.effect.mode != "add")
         J[N_ADDING + lane] = sum(u.effect.mode == "add" for u in uses)
         J[N_EFFECTS + lane] = len(uses)
@@ -291,8 +298,7 @@ class Ensemble:
         """Put every point back to the initial temperatures of its stack."""
         for g in range(len(self.groups)):
             B = self.block(g)
-            B[: HEAD_ROWS * LANES].reshape(-1, LANES)[FAILED] = 0.0
-            for row in (OUTSIDE, NEGATIVE):
+            for row in (FAILED, ITERATIONS, OUTSIDE, NEGATIVE, ENERGY_IN, ENERGY_OUT):
                 B[scalar_row(row)] = 0.0
             B[scalar_row(COLUMN)] = -1.0
             for lane, i in enumerate(self.lanes[g * LANES : (g + 1) * LANES]):
@@ -309,7 +315,7 @@ class Ensemble:
         """Set all node temperatures [K] of one point; the next march begins with them, a step needs `begin` first."""
         place = self.places[model]
         temperature = np.asarray(temperature_K, dtype=float)
-        if temperature.shape != (self.meshes[model].nodes,) or not np.all(temperature > 0.0):
+        if temperature.shape != (self.meshes[model].nodes,) or not np.all((temperature > 0.0) & (temperature < np.inf)):
             raise InputError(f"{self.models[model].name}: give {self.meshes[model].nodes} temperatures above 0 K")
         self._set_profile(self.block(place.group), place.lane, temperature)
 
@@ -356,7 +362,12 @@ class Ensemble:
         begin_groups(self.state, self.ints, self.table, self.chain, self.begin_handle, self.groups, vectors)
 
     def advance(self, then: FloatArray, dt: float) -> None:
-        """One frame of dt [s] to new conditions, linear between, in one step."""
+        """One frame of dt [s] to new conditions, linear between, in one step.
+
+        raises : InputError where dt is not above 0; `check` says whether the step converged
+        """
+        if not 0.0 < dt < np.inf:
+            raise InputError(f"advance: dt is {dt:g} s; it must be above 0")
         vectors = self.spread(then)
         advance_groups(self.state, self.ints, self.table, self.chain, self.advance_handle, self.groups, vectors, dt, 1)
 
@@ -376,10 +387,12 @@ class Ensemble:
         which     : flight of each point; by default the flights are one for each point, or one for all
         keep      : places in `state` to keep at each sample, `outputs()` by default; an empty array keeps nothing
         returns   : (time, kept)
-        raises    : RunError where the step of a point did not converge
+        raises    : InputError for times or histories that are not of this form or hold values that are no numbers;
+                    RunError where the step of a point did not converge
         """
         if which is None:
             which = [0] * len(self.models) if len(histories) == 1 else list(range(len(self.models)))
+        self._check_march(time_s, histories, which, longest_step_s)
         kept = self.outputs() if keep is None else keep
         out = np.empty((len(time_s), len(kept)) if len(kept) else (0, 0))
         flights = np.asarray(which, dtype=np.int64)[self.lanes].reshape(-1, LANES)
@@ -407,13 +420,31 @@ class Ensemble:
         self.check()
         return out
 
+    def _check_march(
+        self, time_s: FloatArray, histories: FloatArray, which: Sequence[int], longest_step_s: float | None
+    ) -> None:
+        shape = np.shape(histories)
+        if np.ndim(time_s) != 1 or len(shape) != 3 or shape[1:] != (len(time_s), N_CONDITIONS):
+            wanted = f"(flight, {len(time_s)} times, {N_CONDITIONS} conditions)"
+            raise InputError(f"march: histories are {shape}; they must be {wanted}")
+        if len(time_s) == 0 or not np.all(np.isfinite(time_s)) or np.any(np.diff(time_s) <= 0.0):
+            raise InputError("march: time_s must be finite and increase from sample to sample")
+        if len(which) != len(self.models) or not all(0 <= w < shape[0] for w in which):
+            raise InputError(f"march: {shape[0]} flights for {len(self.models)} points; name the flight of each point")
+        if longest_step_s is not None and not longest_step_s > 0.0:
+            raise InputError(f"march: longest_step_s is {longest_step_s:g}; it must be above 0")
+        if not np.all(np.isfinite(histories)):
+            flight, sample, column = np.argwhere(~np.isfinite(histories))[0]
+            name, time = CONDITION_COLUMNS[column], np.asarray(time_s)[sample]
+            raise InputError(f"march, flight {flight}, time_s {time:g}: {name} is not a finite number")
+
     def check(self) -> None:
         """raises : RunError naming the points whose step did not converge, or whose temperature is not a number."""
         failed = self.scalars(FAILED)
         surface = np.array([self.state[place.temperature(0)] for place in self.places])
         bad = [m.name for m, f, s in zip(self.models, failed, surface, strict=True) if f > 0 or not np.isfinite(s)]
         if bad:
-            raise RunError(f"{', '.join(bad)}: the thermal step did not converge; look at the conditions at that time")
+            raise RunError(f"{', '.join(bad)}: the thermal step did not converge; try a smaller longest_step_s")
 
 
 def aligned_zeros(count: int) -> FloatArray:

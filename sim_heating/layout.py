@@ -44,18 +44,8 @@ E_LEFT, E_RIGHT, C_LEFT, C_RIGHT, THETA_RIGHT, SOURCE, SLOPE = 6, 7, 8, 9, 10, 1
 E_START, NET, E_STAR, STAGE_LEFT, STAGE_RIGHT = 13, 14, 15, 16, 17
 # ... its row of the linear system: what crosses the element to its left and how that grows with its own temperature,
 # how what crosses the element to its right does, diagonal and residual; the reduced row, and what is handed along ...
-ACROSS, ENTRY, LOWER, DIAGONAL, RESIDUAL, UPPER, DELTA, FRACTION, MOVES, LARGEST = (
-    18,
-    19,
-    20,
-    21,
-    22,
-    23,
-    24,
-    25,
-    26,
-    27,
-)
+ACROSS, ENTRY, LOWER, DIAGONAL, RESIDUAL = 18, 19, 20, 21, 22
+UPPER, DELTA, FRACTION, MOVES, LARGEST = 23, 24, 25, 26, 27
 # ... and the property polynomials about its temperature, which hold from LOW to HIGH: foot of the bin, then h, c,
 # its slope and theta, k, its slope in two pressure columns, for the element to the right and to the left.
 LOW, HIGH, FOOT, FOOT_LEFT = 28, 29, 30, 40
@@ -65,14 +55,18 @@ HEAD_ROWS = SCALAR_ROWS + NODE_ROWS
 NOWHERE = -1e30
 """A HIGH that no temperature is below: the polynomials have to be gathered."""
 
-# Integers of a group: node count, pressure columns; one a lane: offsets of its surface and ratio tables, how many of
-# its effects add and how many it has, whether any of them asks for the wall temperature, the code of each, and the
-# node at the back face (nodes behind it are padding, to the node count of the group: they hold heat and exchange
-# none). Then for each node two flags, whether its two elements differ in material in any lane and whether it is a
-# face of the stack in any lane, and the material-table offset of the element to its right in each lane.
-N_NODES, N_PRESSURES = 0, 1
-SURFACE_TABLE = 2
-RATIO_TABLE = SURFACE_TABLE + LANES
+# Integers of a group: node count; one a lane: number of pressure columns of its property tables, offsets of their
+# pressures, of its emissivity, wall-enthalpy and ratio tables, how many of its effects add and how many it has,
+# whether any of them asks for the wall temperature, the code of each, and the node at the back face (nodes behind it
+# are padding, to the node count of the group: they hold heat and exchange none). Then for each node two flags,
+# whether its two elements differ in material in any lane and whether it is a face of the stack in any lane, and the
+# material-table offset of the element to its right in each lane.
+N_NODES = 0
+N_PRESSURES = 1
+PRESSURE_TABLE = N_PRESSURES + LANES
+EMISSIVITY_TABLE = PRESSURE_TABLE + LANES
+ENTHALPY_TABLE = EMISSIVITY_TABLE + LANES
+RATIO_TABLE = ENTHALPY_TABLE + LANES
 N_ADDING = RATIO_TABLE + LANES
 N_EFFECTS = N_ADDING + LANES
 WALL_EFFECTS = N_EFFECTS + LANES

@@ -24,7 +24,7 @@ SHUTTLE_MACH_M_S = 304.8
 """1000 ft/s, the 'Mach' of the Shuttle's literature."""
 HOT_STRUCTURE = 0.95
 """A point whose bondline comes this close to its surface's peak has no insulation over it; it is left out of bondlines."""
-MOVES_DEG = 0.3
+MOVES_DEG = 0.5
 """An angle that moves less during a manoeuvre is not drawn beside the one that is flown."""
 ANGLES = {
     "alpha_deg": ("angle of attack", "tab:blue"),
@@ -58,7 +58,8 @@ def _save(figure: Figure, path: Path, title: str, axes: np.ndarray) -> None:
     for a in axes.ravel():
         a.grid(alpha=0.3)
         a.set_axisbelow(True)
-    figure.suptitle(textwrap.fill(title, int(figure.get_figwidth() * 9.0)), fontsize=12)
+    width = int(figure.get_figwidth() * 9.0)
+    figure.suptitle("\n".join(textwrap.fill(line, width) for line in title.splitlines()), fontsize=12)
     figure.savefig(path, dpi=DPI)
 
 
@@ -173,15 +174,20 @@ def draw_manoeuvre(
 
 
 def _plot_moving(axes: Axes, flown: Conditions, shown: np.ndarray, variable: str) -> None:
-    """The manoeuvred variable, and thinner the other angles that move meanwhile."""
+    """The manoeuvred variable, and dashed on the right the other angles that move meanwhile."""
     t = flown.time_s[shown]
     label, color = ANGLES.get(variable, ("reaction jets, 0 to 1", "tab:red"))
-    axes.plot(t, flown[variable][shown], color=color, linewidth=2.2, label=label)
-    for name, (label, color) in ANGLES.items():
-        if name != variable and np.ptp(flown[name][shown]) > MOVES_DEG:
-            axes.plot(t, flown[name][shown], color=color, linewidth=1.1, linestyle="--", label=label)
-    axes.set_ylabel("deg" if variable in ANGLES else "jets; angles in deg")
-    axes.legend(loc="best", fontsize=8, ncols=2)
+    lines = axes.plot(t, flown[variable][shown], color=color, linewidth=2.2, label=label)
+    axes.set_ylabel(f"{label}{', deg' if variable in ANGLES else ''}", color=color)
+    axes.tick_params(axis="y", colors=color)
+    moving = [n for n in ANGLES if n != variable and np.ptp(flown[n][shown]) > MOVES_DEG]
+    if moving:
+        other = axes.twinx()
+        for name in moving:
+            label, color = ANGLES[name]
+            lines += other.plot(t, flown[name][shown], color=color, linewidth=1.1, linestyle="--", label=label)
+        other.set_ylabel("deg (dashed)")
+    axes.legend(handles=lines, loc="best", fontsize=8)
 
 
 def _speed(flown: Conditions, window: Window) -> str:

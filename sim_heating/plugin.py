@@ -31,6 +31,7 @@ from sim_heating.layout import (
     FAILED,
     H_REF,
     JETS,
+    LANES,
     LOG10_RE,
     MACH,
     N_CONDITIONS,
@@ -40,7 +41,7 @@ from sim_heating.layout import (
     RECOVERY_ENTHALPY,
     TIME,
 )
-from sim_heating.march import advance_groups, begin_groups
+from sim_heating.march import BLOCK_START, advance_groups, begin_groups
 from sim_heating.points import point_of_vehicle
 from sim_heating.reference_heating.models import reference_kernel, reference_model
 from sim_heating.reference_heating.stagnation import COLD_WALL_K
@@ -70,7 +71,7 @@ PLAUSIBLE = {
 """Ranges outside which a host's value is refused."""
 _LOWEST = np.array([-1e300] + [PLAUSIBLE[n][0] for n in FRAME[1:]])
 _HIGHEST = np.array([1e300] + [PLAUSIBLE[n][1] for n in FRAME[1:]])
-GOOD, CLOCK = -1, -2
+GOOD, CLOCK, STUCK = -1, -2, -3
 """Outcomes of a frame; 0 and above name the column that cannot be."""
 LONGEST_FRAME_S = 60.0
 """A longer step forward is a jump of the host's clock, not a frame."""
@@ -147,7 +148,11 @@ def plugin_frame(
     host[STARTED] = 1.0
     for i in range(len(frame)):
         host[LAST + i] = frame[i]
-    return GOOD
+    failed = 0.0
+    for g in range(len(groups)):
+        for lane in range(LANES):
+            failed += state[groups[g, BLOCK_START] + FAILED * LANES + lane]
+    return GOOD if failed == 0.0 else STUCK
 
 
 @dataclass(frozen=True)
@@ -227,12 +232,14 @@ class HeatingPlugin:
 
         frame  : values in the order of conditions.FRAME (the fast way), or by name
         raises : InputError for a value that is no number or out of range, and for a clock that goes back or jumps;
-                 the state stays as it was
+                 the state stays as it was; RunError where a step did not converge: reset or restore
         """
         values = _values(frame)
         if self._host[STARTED] == 0.0:
             raise InputError("plug-in: step before reset; call reset with the first frame")
         outcome = plugin_frame(*self._arguments, values)
+        if outcome == STUCK:
+            self.check()
         if outcome != GOOD:
             raise InputError(self._problem(values, outcome))
 

@@ -49,7 +49,8 @@ def _published(plugin: HeatingPlugin, sensors: bool) -> list[tuple[str, str, int
     out = []
     ensemble = plugin.ensemble
     for point, mesh, place in zip(plugin.points, ensemble.meshes, ensemble.places, strict=True):
-        out += [(point.name, "surface", place.temperature(0)), (point.name, "bondline", place.temperature(mesh.bondline))]
+        out.append((point.name, "surface", place.temperature(0)))
+        out.append((point.name, "bondline", place.temperature(mesh.bondline)))
         if sensors:
             pairs = zip(point.sensors, mesh.sensors, strict=True)
             out += [(point.name, sensor.name, place.temperature(node)) for sensor, node in pairs]

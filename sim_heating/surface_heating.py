@@ -37,6 +37,7 @@ from sim_heating.layout import (
     PARAMETERS,
     PCOL,
     PFRAC,
+    PRESSURE_TABLE,
     Q_ADD,
     R_BASE,
     RATIO_TABLE,
@@ -66,15 +67,16 @@ def with_effects(B: FloatArray, J: IntArray, chain, lane: int, stage: int, r: fl
 @njit
 def _pressure_column(B: FloatArray, J: IntArray, table: FloatArray, lane: int, stage: int, p_Pa: float) -> None:
     """Column of the property tables left of a pressure, and the fraction of the way to the next in log10(p)."""
-    last = J[N_PRESSURES] - 1
+    first = J[PRESSURE_TABLE + lane]
+    last = J[N_PRESSURES + lane] - 1
     x = math.log10(max(p_Pa, LOWEST_PRESSURE_PA))
     column, fraction = 0, 0.0
-    if x >= table[last]:
+    if x >= table[first + last]:
         column, fraction = last - 1, 1.0
-    elif x > table[0]:
-        while x >= table[column + 1]:
+    elif x > table[first]:
+        while x >= table[first + column + 1]:
             column += 1
-        fraction = (x - table[column]) / (table[column + 1] - table[column])
+        fraction = (x - table[first + column]) / (table[first + column + 1] - table[first + column])
     B[(PCOL + stage) * LANES + lane] = float(column)
     B[(PFRAC + stage) * LANES + lane] = fraction
 

@@ -38,7 +38,7 @@ from sim_heating.resolution import pack
 from sim_heating.thermal.declare import Material
 from sim_heating.thermal.kernel import BIN_K, BINS
 from sim_heating.thermal.mesh import build_mesh, refined
-from sim_heating.thermal.tables import tabulate
+from sim_heating.thermal.tables import TableStore
 
 K, A = 1.0, 1e-6
 """Conductivity [W/(m K)] and diffusivity [m2/s] of the default material."""
@@ -237,10 +237,11 @@ def test_entry_with_its_property_tables_is_second_order_in_space(entry):
 
 def tabulated(m: Material, T: np.ndarray, column: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """c and k as the kernel reads them, at temperatures [K] and a pressure column."""
-    tables = tabulate([m], [(m, CP_J_KGK)])
+    store = TableStore()
+    tables = store.add_point([m], m, CP_J_KGK)
     j = np.minimum((T / BIN_K).astype(int), BINS - 1)
-    width = 3 + 3 * len(tables.log10_p)
-    rows = tables.values[tables.material_offset[id(m)] :][: BINS * width].reshape(BINS, width)[j]
+    width = 3 + 3 * tables.columns
+    rows = store.values[tables.materials[0] :][: BINS * width].reshape(BINS, width)[j]
     t, k = T - BIN_K * j, 4 + 3 * column
     return rows[:, 1] + t * rows[:, 2], rows[:, k] + t * rows[:, k + 1]
 

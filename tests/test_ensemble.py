@@ -70,7 +70,7 @@ def test_neighbour_that_fails_does_not_touch_the_others(entry):
     time, history = entry
     good, broken = practice_model("p06", nodes=24), practice_model("p07", nodes=24)
     both = np.concatenate([history, history])
-    both[1, 250:, CONDITION_COLUMNS.index("H_r_J_kg")] = np.nan
+    both[1, 250:, CONDITION_COLUMNS.index("q_add_W_m2")] = 1e200
     ensemble = pack([good, broken])
     with pytest.raises(RunError, match="p07"):
         ensemble.march(time, both)

@@ -28,5 +28,5 @@ EFFECT = Effect(
     ),
     kernel=impingement,
     physics="Above an angle of attack the flow impinges on the point and the ratio rises with angle of attack.",
-    source="OMS pod of STS-2 in 'Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers', fig. 14",
+    source="OMS pod of STS-2, fig. 14 of 'Trends in Shuttle Entry Heating from the Correlation of Flight Test ...'",
 )

@@ -23,5 +23,5 @@ EFFECT = Effect(
     parameters=(Parameter("jet_gain", "1", 0.1, 0.2, -1.0, 5.0, "relative rise of the ratio while a jet fires"),),
     kernel=jet_factor,
     physics="A firing jet disturbs the flow at the point, or the density that was derived from dynamic pressure.",
-    source="Pitch-jet spikes of STS-2 in 'Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers'",
+    source="Pitch-jet spikes of STS-2 in 'Trends in Shuttle Entry Heating from the Correlation of Flight Test ...'",
 )

@@ -59,8 +59,10 @@ from sim_heating.layout import (
     E_RIGHT,
     E_STAR,
     E_START,
+    EMISSIVITY_TABLE,
     ENERGY_IN,
     ENERGY_OUT,
+    ENTHALPY_TABLE,
     ENTRY,
     FACTOR_EPS,
     FAILED,
@@ -103,7 +105,6 @@ from sim_heating.layout import (
     STAGE_LEFT,
     STAGE_OUT,
     STAGE_RIGHT,
-    SURFACE_TABLE,
     SURROUNDINGS4,
     T_START,
     THETA_RIGHT,
@@ -167,7 +168,7 @@ def _gather(B: FloatArray, J: IntArray, table: FloatArray, a: int, lane: int, of
     """Copy the property polynomials about the temperature of a node beside it, for one of its elements; gives the
     bin."""
     j = _bin(B[a + T * LANES + lane])
-    row = offset + j * (3 + 3 * J[N_PRESSURES])
+    row = offset + j * (3 + 3 * J[N_PRESSURES + lane])
     B[a + into * LANES + lane] = BIN_K * j
     for k in range(3):
         B[a + (into + 1 + k) * LANES + lane] = table[row + k]
@@ -293,29 +294,46 @@ def _film(B: FloatArray, J: IntArray, chain, lane: int, stage: int, wall: float)
 
 
 @njit
+def _emissivity(table: FloatArray, first: int, wall: float) -> tuple[float, float]:
+    """Emittance and its slope [1/K]: linear between the points of the table, constant beyond its ends.
+
+    The points are kept as they are, without bins: radiation feels a corner that is cut.
+    """
+    n = int(table[first])
+    T_K, eps = first + 1, first + 1 + n
+    if n == 1 or not wall > table[T_K]:
+        return table[eps], 0.0
+    if wall >= table[T_K + n - 1]:
+        return table[eps + n - 1], 0.0
+    i = 0
+    while wall >= table[T_K + i + 1]:
+        i += 1
+    slope = (table[eps + i + 1] - table[eps + i]) / (table[T_K + i + 1] - table[T_K + i])
+    return table[eps + i] + slope * (wall - table[T_K + i]), slope
+
+
+@njit
 def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int) -> None:  # type: ignore[no-untyped-def]
     """Heat that enters at the surface [W/m2] and its slope against the surface temperature [W/(m2 K)]."""
-    width = 2 + 3 * J[N_PRESSURES]
     a = HEAD_ROWS * LANES
     for lane in range(LANES):
         wall = B[a + T * LANES + lane]
+        factor = B[FACTOR_EPS * LANES + lane]
+        eps, eps_slope = _emissivity(table, J[EMISSIVITY_TABLE + lane], wall)
         j = _bin(wall)
-        t = wall - BIN_K * j
-        row = J[SURFACE_TABLE + lane] + j * width
-        eps = B[FACTOR_EPS * LANES + lane] * (table[row] + t * table[row + 1])
-        eps_slope = B[FACTOR_EPS * LANES + lane] * table[row + 1]
         f = B[(PFRAC + stage) * LANES + lane]
-        row += 2 + 3 * int(B[(PCOL + stage) * LANES + lane])
-        cp_w = table[row + 1] + f * (table[row + 4] - table[row + 1])
-        H_w = table[row] + f * (table[row + 3] - table[row]) + t * cp_w
+        row = J[ENTHALPY_TABLE + lane] + 2 * (j * J[N_PRESSURES + lane] + int(B[(PCOL + stage) * LANES + lane]))
+        cp_w = table[row + 1] + f * (table[row + 3] - table[row + 1])
+        H_w = table[row] + f * (table[row + 2] - table[row]) + (wall - BIN_K * j) * cp_w
         film, film_slope = B[(FILM + stage) * LANES + lane], 0.0
         if J[WALL_EFFECTS + lane] > 0:
             film, film_slope = _film(B, J, chain, lane, stage, wall)
         driving = B[(RECOVERY + stage) * LANES + lane] - H_w
         cube = wall * wall * wall
         excess = cube * wall - B[SURROUNDINGS4 * LANES + lane]
-        B[a + SOURCE * LANES + lane] = film * driving + B[(ADDED + stage) * LANES + lane] - eps * SIGMA * excess
-        radiated = SIGMA * (4.0 * eps * cube + eps_slope * excess)
+        radiated = factor * eps * SIGMA * excess
+        B[a + SOURCE * LANES + lane] = film * driving + B[(ADDED + stage) * LANES + lane] - radiated
+        radiated = factor * SIGMA * (4.0 * eps * cube + eps_slope * excess)
         B[a + SLOPE * LANES + lane] = film_slope * driving - film * cp_w - radiated
 
 

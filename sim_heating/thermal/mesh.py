@@ -121,7 +121,8 @@ def build_mesh(construction: Construction, depths_m: FloatArray, nodes: int, ste
     share = np.diff(measure)
     counts = _allocate(share, nodes - 1 - sum(r > 0.0 for r in contacts))
     if counts[0] < 2:
-        counts[0], counts[np.argmax(counts)] = 2, counts[np.argmax(counts)] - 1
+        counts[np.argmax(counts)] -= 1
+        counts[0] += 1
     lengths, layers = [], []
     for i, segment in enumerate(segments):
         at = np.linspace(measure[i], measure[i + 1], counts[i] + 1)

@@ -7,7 +7,7 @@ file itself; otherwise a corner is cut within the 5 K bin that holds it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,17 +27,66 @@ WallEnthalpy = float | str
 
 
 @dataclass(frozen=True)
-class PropertyTables:
-    """All tables of an ensemble in one array, with the offsets at which the kernel finds them.
+class PointTables:
+    """Offsets of one point's tables in the flat array.
 
-    log10_p : (P,) pressures of the columns, two or more
-    values  : flat array that the kernel reads, log10_p first
+    pressures : log10 of the pressures [Pa] of the columns, `columns` of them, two or more
+    materials : one a layer;  emissivity, enthalpy : of the surface
     """
 
-    log10_p: FloatArray
-    values: FloatArray
-    material_offset: dict[int, int]
-    surface_offset: dict[tuple[int, WallEnthalpy], int]
+    columns: int
+    pressures: int
+    materials: tuple[int, ...]
+    emissivity: int
+    enthalpy: int
+
+
+class TableStore:
+    """Tables of many points in one flat array, each made once.
+
+    A point's tables have columns at the pressures of its own materials, so that they do not depend on its neighbours.
+    """
+
+    def __init__(self) -> None:
+        self._parts: list[FloatArray] = []
+        self._end = 0
+        self._offsets: dict[Hashable, int] = {}
+
+    @property
+    def values(self) -> FloatArray:
+        """The flat array that the kernel reads."""
+        return np.concatenate(self._parts)
+
+    def place(self, key: Hashable, make: Callable[[], FloatArray]) -> int:
+        """Offset of the table of a key, made where it is not there yet."""
+        if key not in self._offsets:
+            table = np.ascontiguousarray(make()).ravel()
+            self._offsets[key] = self._end
+            self._parts.append(table)
+            self._end += len(table)
+        return self._offsets[key]
+
+    def add_point(self, layers: Sequence[Material], contact: Material, wall_enthalpy: WallEnthalpy) -> PointTables:
+        """Tables of a point; materials are known by identity, the contact's offset comes last."""
+        log10_p = _pressure_columns(layers, wall_enthalpy)
+        grid = log10_p.tobytes()
+        outer = layers[0].emissivity or [[0.0, 1.0]]
+        return PointTables(
+            len(log10_p),
+            self.place(("pressures", grid), lambda: log10_p),
+            tuple(
+                self.place((id(m), grid), lambda m=m: _material_table(m, log10_p))  # type: ignore[misc]
+                for m in (*layers, contact)
+            ),
+            self.place(("emissivity", str(outer)), lambda: _point_table(outer)),
+            self.place(("enthalpy", wall_enthalpy, grid), lambda: _enthalpy_table(wall_enthalpy, log10_p)),
+        )
+
+
+def _point_table(table: list[list[float]]) -> FloatArray:
+    """Number of points, their temperatures, their values."""
+    T_K, values = pairs(table)
+    return np.concatenate([[float(len(T_K))], T_K, values])
 
 
 def _pieces(at_edges: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -62,56 +111,26 @@ def _material_table(material: Material, log10_p: FloatArray) -> FloatArray:
 
 def _enthalpy_at_edges(wall_enthalpy: WallEnthalpy, log10_p: FloatArray) -> FloatArray:
     """(BINS + 1, P) enthalpy of air at the wall temperature [J/kg], zero at 0 K."""
-    if isinstance(wall_enthalpy, str):
-        above_zero = wall_enthalpy_grid(wall_enthalpy, EDGES_K[1:], 10.0**log10_p)
-        return np.vstack([np.zeros(len(log10_p)), above_zero])
-    return np.repeat((wall_enthalpy * EDGES_K)[:, np.newaxis], len(log10_p), axis=1)
+    if not isinstance(wall_enthalpy, str):
+        return np.repeat((wall_enthalpy * EDGES_K)[:, np.newaxis], len(log10_p), axis=1)
+    above_zero = wall_enthalpy_grid(wall_enthalpy, EDGES_K[1:], ENTHALPY_PRESSURES_PA)
+    given = np.log10(ENTHALPY_PRESSURES_PA)
+    at_p = np.array([np.interp(log10_p, given, row) for row in above_zero])
+    return np.vstack([np.zeros(len(log10_p)), at_p])
 
 
-def _surface_table(material: Material, wall_enthalpy: WallEnthalpy, log10_p: FloatArray) -> FloatArray:
-    """(BINS, 2 + 3 P): emittance and its slope; then H_w, cp and 0 for each pressure."""
-    table = np.zeros((BINS, 2 + 3 * len(log10_p)))
-    emissivity = material.emissivity or [[0.0, 1.0]]
-    _, table[:, 0], table[:, 1] = _pieces(np.interp(EDGES_K, *pairs(emissivity)))
+def _enthalpy_table(wall_enthalpy: WallEnthalpy, log10_p: FloatArray) -> FloatArray:
+    """(BINS, P, 2): H_w at the foot of a bin and cp within it, for each pressure."""
     enthalpy = _enthalpy_at_edges(wall_enthalpy, log10_p)
-    for j in range(len(log10_p)):
-        table[:, 2 + 3 * j] = enthalpy[:-1, j]
-        table[:, 3 + 3 * j] = np.diff(enthalpy[:, j]) / BIN_K
-    return table
+    return np.stack([enthalpy[:-1], np.diff(enthalpy, axis=0) / BIN_K], axis=2)
 
 
-def _pressure_columns(materials: Sequence[Material], enthalpies: Sequence[WallEnthalpy]) -> FloatArray:
-    """All pressures at which any property has a point; every property is linear in log10(p) between them."""
+def _pressure_columns(materials: Sequence[Material], wall_enthalpy: WallEnthalpy) -> FloatArray:
+    """log10 of all pressures at which any property has a point; every property is linear between them."""
     grids = [m.conductivity_grid()[0] for m in materials]
     points = [np.log10(p) for p in grids if len(p) > 1]
-    if any(isinstance(e, str) for e in enthalpies):
+    if isinstance(wall_enthalpy, str):
         points.append(np.log10(ENTHALPY_PRESSURES_PA))
     if not points:
         return np.array([0.0, 1.0])
     return np.unique(np.round(np.concatenate(points), 12))
-
-
-def tabulate(materials: Sequence[Material], surfaces: Sequence[tuple[Material, WallEnthalpy]]) -> PropertyTables:
-    """Tables of all materials and surfaces; offsets are found by the identity of a material."""
-    log10_p = _pressure_columns(materials, [e for _, e in surfaces])
-    parts: list[FloatArray] = [log10_p]
-    place = _placer(parts)
-    material_offset = {id(m): place(_material_table(m, log10_p)) for m in _distinct(materials)}
-    surface_offset: dict[tuple[int, WallEnthalpy], int] = {}
-    for material, enthalpy in surfaces:
-        if (id(material), enthalpy) not in surface_offset:
-            surface_offset[id(material), enthalpy] = place(_surface_table(material, enthalpy, log10_p))
-    return PropertyTables(log10_p, np.concatenate(parts), material_offset, surface_offset)
-
-
-def _distinct(materials: Sequence[Material]) -> list[Material]:
-    return list({id(m): m for m in materials}.values())
-
-
-def _placer(parts: list[FloatArray]) -> Callable[[FloatArray], int]:
-    def place(table: FloatArray) -> int:
-        offset = sum(len(p) for p in parts)
-        parts.append(np.ascontiguousarray(table).ravel())
-        return offset
-
-    return place

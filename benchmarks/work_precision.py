@@ -1,0 +1,188 @@
+"""Error against time for one control point through the entry: this scheme, CasADi's CVODES, scipy's BDF, Radau and LSODA."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from benchmarks import cvodes
+from benchmarks.measure import RESULTS, Figure, one_thread, save
+from benchmarks.ode import FloatArray, System, arguments, jacobian, rate, system_of
+from benchmarks.problems import entry, mesh_of, plug, prescribed
+from sim_heating.ensemble import Ensemble, PointModel
+from sim_heating.thermal.kernel import SHARE
+from sim_heating.thermal.mesh import Mesh
+
+NODES = 24
+OUTPUT_S = 20.0
+STEPS_S = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)
+DEFAULT_STEP_S = 1.0
+MESHES, FINE_NODES = (14, 20, 28, 40, 64), 200
+CVODES_TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
+SCIPY_TOLERANCES = {"BDF": (1e-3, 1e-4, 1e-5, 1e-6), "Radau": (1e-3, 1e-4, 1e-5), "LSODA": (1e-3, 1e-4, 1e-5, 1e-6)}
+REFERENCE_TOLERANCE = 1e-10
+OWN = "TR-BDF2 (this)"
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of one method: its setting, largest error at any node and output time [K], shortest time taken [s]."""
+
+    setting: float
+    error_K: float
+    time_s: float
+
+
+def _timed(call: Callable[[], FloatArray], repeats: int) -> tuple[FloatArray, float]:
+    best, result = np.inf, call()
+    for _ in range(repeats):
+        begun = time.perf_counter()
+        result = call()
+        best = min(best, time.perf_counter() - begun)
+    return result, best
+
+
+def _march(
+    model: PointModel, mesh: Mesh, history: FloatArray, time_s: FloatArray, step_s: float, nodes: list[int] | None = None
+) -> tuple[Callable[[], FloatArray], int]:
+    """The march of one point at a step, and how many of its samples lie between outputs."""
+    thin = max(round(step_s / (time_s[1] - time_s[0])), 1)
+    ensemble = Ensemble([model], [mesh], step_s)
+    keep = np.array([ensemble.places[0].temperature(i) for i in (nodes or range(mesh.nodes))])
+    samples, driving = time_s[::thin].copy(), history[:, ::thin].copy()
+
+    def run() -> FloatArray:
+        ensemble.reset()
+        return ensemble.march(samples, driving, keep=keep)
+
+    return run, round(OUTPUT_S / (samples[1] - samples[0]))
+
+
+def _scipy(system: System, method: str, tolerance: float, outputs_s: FloatArray) -> FloatArray:
+    given = arguments(system)
+    implicit = {} if method == "LSODA" else {"jac": lambda t, T: jacobian(t, T, given)}
+    solution = solve_ivp(
+        lambda t, T: rate(t, T, given), (0.0, outputs_s[-1]), system.start_K, method, outputs_s,
+        rtol=tolerance, atol=tolerance, **implicit,
+    )  # fmt: skip
+    return solution.y.T
+
+
+def _equal_error(runs: list[Run], error_K: float) -> float:
+    """Time that a method takes for an error [s], linear in logarithms between its runs; beyond them its nearest run's."""
+    found = sorted(runs, key=lambda r: r.error_K)
+    log_error, log_time = np.log([r.error_K for r in found]), np.log([r.time_s for r in found])
+    return float(np.exp(np.interp(np.log(error_K), log_error, np.minimum.accumulate(log_time))))
+
+
+def _in_time() -> tuple[dict[str, list[Run]], float]:
+    """Errors of time integration alone, all methods on one system; and how far two references are apart [K]."""
+    time_s, history = entry(1.0)
+    model, driven = prescribed(history, plug())
+    mesh = mesh_of(model, NODES)
+    system = system_of(model, mesh, driven)
+    outputs_s = np.arange(1, round(time_s[-1] / OUTPUT_S) + 1) * OUTPUT_S
+    reference = _scipy(system, "LSODA", REFERENCE_TOLERANCE, outputs_s)
+    again = _scipy(system, "BDF", 1e-8, outputs_s)
+    runs: dict[str, list[Run]] = {OWN: []}
+    for step_s in STEPS_S:
+        march, every = _march(model, mesh, driven, time_s, step_s)
+        out, seconds = _timed(march, 30)
+        runs[OWN].append(Run(step_s, float(np.max(np.abs(out[every::every] - reference))), seconds))
+    for method, tolerances in SCIPY_TOLERANCES.items():
+        runs[f"scipy {method}"] = []
+        for tolerance in tolerances:
+            out, seconds = _timed(lambda m=method, t=tolerance: _scipy(system, m, t, outputs_s), 1)
+            runs[f"scipy {method}"].append(Run(tolerance, float(np.max(np.abs(out - reference))), seconds))
+    if cvodes.casadi is not None:
+        runs |= _cvodes(system, outputs_s, reference)
+    return runs, float(np.max(np.abs(again - reference)))
+
+
+def _cvodes(system: System, outputs_s: FloatArray, reference: FloatArray) -> dict[str, list[Run]]:
+    """CVODES on the same system, and on the one with a diagonal mass matrix, which suits it better, against its own reference."""
+    runs: dict[str, list[Run]] = {}
+    for name, mixing in (("CVODES", SHARE), ("CVODES, lumped mass", 0.0)):
+        solve = cvodes.solver(system, mixing, outputs_s)
+        exact = reference if mixing else solve(REFERENCE_TOLERANCE)
+        runs[name] = []
+        for tolerance in CVODES_TOLERANCES:
+            out, seconds = _timed(lambda s=solve, t=tolerance: s(t), 3)
+            runs[name].append(Run(tolerance, float(np.max(np.abs(out - exact))), seconds))
+    return runs
+
+
+def _in_space_and_time() -> dict[str, list[Run]]:
+    """Errors of this scheme at surface and sensors, space and time together, against a fine mesh at fine steps."""
+    time_s, history = entry(1.0)
+    model, driven = prescribed(history, plug())
+
+    def at_depths(nodes: int, step_s: float) -> tuple[Callable[[], FloatArray], int]:
+        mesh = mesh_of(model, nodes)
+        return _march(model, mesh, driven, time_s, step_s, [0, mesh.bondline, *mesh.sensors])
+
+    fine, every = at_depths(FINE_NODES, 1.0 / 16.0)
+    reference = fine()[every::every]
+    runs: dict[str, list[Run]] = {}
+    for nodes in MESHES:
+        runs[f"{nodes} nodes"] = []
+        for step_s in STEPS_S:
+            march, every = at_depths(nodes, step_s)
+            out, seconds = _timed(march, 10)
+            runs[f"{nodes} nodes"].append(Run(step_s, float(np.max(np.abs(out[every::every] - reference))), seconds))
+    return runs
+
+
+def _draw(in_time: dict[str, list[Run]], in_both: dict[str, list[Run]]) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, (left, right) = pyplot.subplots(1, 2, figsize=(11, 4.6), sharey=True, layout="constrained")
+    for axes, all_runs, title in (
+        (left, in_time, f"time integration alone, {NODES} nodes"),
+        (right, in_both, "this scheme, space and time, at surface, bondline and sensors"),
+    ):
+        for name, runs in all_runs.items():
+            axes.loglog([r.time_s * 1e3 for r in runs], [r.error_K for r in runs], "o-", label=name)
+        axes.set(title=title, xlabel="time for one entry of 1500 s [ms]")
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize=8)
+    left.set_ylabel("largest error [K]")
+    for run in in_time[OWN]:
+        left.annotate(f"{run.setting:g} s", (run.time_s * 1e3, run.error_K), fontsize=7, xytext=(4, 3), textcoords="offset points")
+    figure.savefig(RESULTS / "work_precision.png", dpi=130)
+
+
+def run() -> list[Figure]:
+    """Work against precision, and the ratios of times at the error of this scheme's default step."""
+    RESULTS.mkdir(exist_ok=True)
+    with one_thread():
+        in_time, apart = _in_time()
+        in_both = _in_space_and_time()
+    own = next(r for r in in_time[OWN] if r.setting == DEFAULT_STEP_S)
+    figures = [
+        Figure("two references (LSODA 1e-10, BDF 1e-8) apart", apart, "K", 0.01),
+        Figure(f"this scheme at {DEFAULT_STEP_S:g} s: error of time integration", own.error_K, "K", 0.2),
+        Figure(f"this scheme at {DEFAULT_STEP_S:g} s: one point, a whole entry", own.time_s * 1e3, "ms"),
+    ]
+    ratios = {name: _equal_error(runs, own.error_K) / own.time_s for name, runs in in_time.items() if name != OWN}
+    peers = [ratios[name] for name in ratios if name.startswith("CVODES")]
+    figures += [Figure(f"{name} / this scheme, at that error", r, "x") for name, r in ratios.items()]
+    if peers:
+        figures.append(Figure("the faster CVODES / this scheme, at that error", min(peers), "x", 8.0, True))
+    else:
+        figures.append(Figure("CVODES: casadi is not installed, skipped", float("nan"), ""))
+    figures.append(Figure("scipy BDF / this scheme, at that error", ratios["scipy BDF"], "x", 100.0, True))
+    _draw(in_time, in_both)
+    as_lists = {
+        key: {name: [vars(r) for r in runs] for name, runs in found.items()}
+        for key, found in (("time", in_time), ("space_and_time", in_both))
+    }
+    save("work_precision", figures, {"runs": as_lists})
+    return figures
