@@ -1,4 +1,4 @@
-"""The compiled march against a hand-written C loop of the same scheme: 512 control points of 24 nodes, 1500 s at 1 s steps."""
+"""The compiled march against hand-written C of the same scheme: 512 control points of 24 nodes, 1500 s in 1 s steps."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ HEATED = (FILM, RECOVERY, ADDED, PCOL, PFRAC)
 
 @njit
 def march_heated(B, J, table, chain, time_s, heating) -> None:  # type: ignore[no-untyped-def]
-    """A group through an entry, what the surface takes given: (time, 2, 5, LANES) at stages 1 and 2 of the step to a time."""
+    """A group through an entry with its heating given, (time, 2, 5, LANES): stages 1 and 2 of the step to a time."""
     b, j, t = raw(B), raw(J), raw(table)
     for k in range(1, len(time_s)):
         for r in range(5):

@@ -19,7 +19,7 @@ MOST_STEPS = 10_000_000
 
 
 def _property(ca: Any, T: Any, p: Kinked, fractions: list[Any]) -> tuple[Any, Any]:
-    """Property and its integral from 0 K, between pressure columns by the fractions of the way from each to the next."""
+    """Property and its integral from 0 K; fractions are those of the way from each pressure column to the next."""
 
     def at_pressure(columns: FloatArray) -> Any:
         value = columns[0]
@@ -47,9 +47,8 @@ def _heating_rate(ca: Any, s: System, mixing: float) -> Any:
     for i in range(n - 1):
         m = s.material[i]
         c_a, c_b = (_property(ca, T[i + k], s.heat_capacity[m], [])[0] for k in (0, 1))
-        q = s.g[i] * (
-            _property(ca, T[i], s.conductivity[m], fractions)[1] - _property(ca, T[i + 1], s.conductivity[m], fractions)[1]
-        )
+        theta_a, theta_b = (_property(ca, T[i + k], s.conductivity[m], fractions)[1] for k in (0, 1))
+        q = s.g[i] * (theta_a - theta_b)
         net[i], net[i + 1] = net[i] - q, net[i + 1] + q
         diagonal[i] += (1.0 - mixing) * s.half[i] * c_a
         diagonal[i + 1] += (1.0 - mixing) * s.half[i] * c_b

@@ -1,4 +1,4 @@
-"""Timing on a noisy machine: what is compared runs in turn, round by round, and is judged by best and by median ratio."""
+"""Timing on a noisy machine: what is compared runs in turn, round by round; best times and median ratios count."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RESULTS = Path(__file__).with_name("results")
 
 @dataclass(frozen=True)
 class Figure:
-    """One line of the table; `target` is a bound on `value`, below it or (at_least) above it; None where none is set."""
+    """One line of the table; `target` is a bound on `value`, from above or (at_least) from below, or None."""
 
     what: str
     value: float
@@ -103,5 +103,6 @@ def save(name: str, figures: list[Figure], more: Mapping[str, object] | None = N
 
 def _processor() -> str:
     info = Path("/proc/cpuinfo")
-    names = [line.split(":")[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")] if info.exists() else []
+    lines = info.read_text().splitlines() if info.exists() else []
+    names = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
     return f"{len(names)} x {names[0]}" if names else platform.processor()

@@ -1,16 +1,18 @@
 """The semi-discrete heat equation of a control point, M(T) dT/dt = F(T, t), as other integrators take it.
 
-It is the very system that the march steps through: same mesh, same property tables, same sharing of mass between nodes, and
-conditions linear between the samples of the entry. It is written down here a second time, from the equations at the head of
-thermal/kernel.py; what the integrators have in common is therefore checked too.
+It is the very system that the march steps through: same mesh, same property tables, same sharing of mass between nodes,
+and conditions linear between the samples of the entry. It is written down here a second time, from the equations at the
+head of thermal/kernel.py; what the integrators have in common is therefore checked too.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_banded
 
 from sim_heating.ensemble import PointModel
 from sim_heating.jit import njit
@@ -23,7 +25,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Kinked:
-    """A property linear between points, constant outside: value at 0 K, and the kinks (temperature, change of slope)."""
+    """A property linear between points, constant outside: value at 0 K, kinks (temperature, change of slope)."""
 
     value: FloatArray
     kink_K: FloatArray
@@ -43,7 +45,8 @@ class System:
 
     material  : (element,) which of the materials
     half, g   : (element,) half its mass [kg/m2], reciprocal of its length [1/m]
-    heat_capacity, conductivity, emissivity : of each material, against temperature; the conductivity also against log10_p
+    heat_capacity, conductivity : of each material; the conductivity a column for each of log10_p
+    emissivity : of the surface
     start_K   : (node,)
     time_s, film, recovery, pressure : the entry, (time,)
     """
@@ -69,7 +72,7 @@ class System:
 
 
 def system_of(model: PointModel, mesh: Mesh, history: FloatArray) -> System:
-    """The system of a point whose stack has no contact resistance and an adiabatic back; history as `prescribed` gives it."""
+    """The system of a point without contact resistance, its back adiabatic; history as `prescribed` gives it."""
     stack = model.construction.stack
     layers = model.construction.layer_materials()
     distinct = list({id(m): m for m in layers}.values())
@@ -109,7 +112,7 @@ def _conductivity(material: Material, log10_p: FloatArray) -> Kinked:
     return Kinked.of(np.array(T_K, dtype=float), np.array(columns))
 
 
-# Compiled, for the solvers of scipy ----------------------------------------------------------------------------------------
+# Compiled, for the solvers of scipy ---------------------------------------------------------------------------------
 
 
 @njit
@@ -134,7 +137,7 @@ def _linear(time_s, values, t):  # type: ignore[no-untyped-def]
 
 @njit
 def rate(t, T, given):  # type: ignore[no-untyped-def]
-    """dT/dt [K/s] of all nodes: fluxes, then the tridiagonal mass matrix by elimination; given is what `arguments` gives."""
+    """dT/dt [K/s] of all nodes: fluxes, then the mass matrix by elimination; given is what `arguments` gives."""
     material, half, g, c_value, c_kink, c_bend, k_value, k_kink, k_bend, count, eps, log10_p, cp, mixing, entry = given
     n = len(T)
     out = np.empty(n)
@@ -218,3 +221,37 @@ def jacobian(t, T, given):  # type: ignore[no-untyped-def]
         J[:, i] = (rate(t, moved, given) - base) / d
         moved[i] = T[i]
     return J
+
+
+# In numpy, as one writes it without a compiler ----------------------------------------------------------------------
+
+
+def rate_in_numpy(s: System) -> Callable[[float, FloatArray], FloatArray]:
+    """The same dT/dt as `rate`, vectorised over the nodes."""
+    elements = [np.flatnonzero(s.material == m) for m in range(len(s.heat_capacity))]
+
+    def function(t: float, T: FloatArray) -> FloatArray:
+        film, recovery, pressure = (np.interp(t, s.time_s, v) for v in (s.film, s.recovery, s.pressure))
+        place = np.interp(np.log10(max(pressure, 1e-30)), s.log10_p, np.arange(len(s.log10_p)))
+        net, q, capacity = np.zeros(s.nodes), np.empty(s.nodes - 1), np.empty((2, s.nodes - 1))
+        for of_material, c, k in zip(elements, s.heat_capacity, s.conductivity, strict=True):
+            ends = T[np.array([of_material, of_material + 1])]
+            capacity[:, of_material] = c.value[0] + np.maximum(0.0, ends[..., np.newaxis] - c.kink_K) @ c.bend[0]
+            column = min(int(place), len(k.value) - 1)
+            f = place - column if column + 1 < len(k.value) else 0.0
+            after = min(column + 1, len(k.value) - 1)
+            value = k.value[column] + f * (k.value[after] - k.value[column])
+            bend = k.bend[column] + f * (k.bend[after] - k.bend[column])
+            theta = value * ends + 0.5 * np.maximum(0.0, ends[..., np.newaxis] - k.kink_K) ** 2 @ bend
+            q[of_material] = s.g[of_material] * (theta[0] - theta[1])
+        emissivity = s.emissivity.value[0] + np.maximum(0.0, T[0] - s.emissivity.kink_K) @ s.emissivity.bend[0]
+        net[0] = film * (recovery - s.cp_wall * T[0]) - emissivity * SIGMA * T[0] ** 4
+        net[:-1] -= q
+        net[1:] += q
+        mass = np.zeros((3, s.nodes))
+        mass[1, :-1] += (1.0 - SHARE) * s.half * capacity[0]
+        mass[1, 1:] += (1.0 - SHARE) * s.half * capacity[1]
+        mass[0, 1:], mass[2, :-1] = SHARE * s.half * capacity[1], SHARE * s.half * capacity[0]
+        return solve_banded((1, 1), mass, net, check_finite=False)
+
+    return function

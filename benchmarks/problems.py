@@ -1,6 +1,6 @@
-"""What is timed: the Orbiter's lower-surface plug (coating, tile, strain isolator, structure) through an entry with manoeuvres.
+"""What is timed: the Orbiter's lower-surface plug (coating, tile, strain isolator, structure) through an entry.
 
-Conditions are those of the practice record p06 under tests/data, stretched to 1500 s.
+Conditions, manoeuvres among them, are those of the practice record p06 under tests/data, stretched to 1500 s.
 """
 
 from __future__ import annotations

@@ -32,7 +32,13 @@ ACTIVE, FAILED, ITERATIONS, COLUMN, OUTSIDE, NEGATIVE = 23, 24, 25, 26, 27, 28
 STAGE_IN, STAGE_OUT, ENERGY_IN, ENERGY_OUT = 29, 30, 31, 32
 C_STAGES = 33
 PARAMETERS = C_STAGES + 3 * N_CONDITIONS
-SCALAR_ROWS = PARAMETERS + N_PARAMETERS
+# The table cell that each lane is in, for the five variables: the variables, where the cell ends (for ever at the edges
+# of the table), its foot and the reciprocal of its width, the ratio at its 32 corners, and what is left of them.
+CELL_X = PARAMETERS + N_PARAMETERS
+CELL_LOW, CELL_HIGH, CELL_FOOT, CELL_INVERSE = CELL_X + 5, CELL_X + 10, CELL_X + 15, CELL_X + 20
+CORNERS = CELL_X + 25
+CELL_WORK = CORNERS + 32
+SCALAR_ROWS = CELL_WORK + 24
 
 # Rows of a node: what it is and where it stands in time ...
 T, RATE, T_START, M_LEFT, M_RIGHT, G = 0, 1, 2, 3, 4, 5

@@ -14,9 +14,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim_heating.atmosphere import derive_kernel
 from sim_heating.conditions import FRAME, FloatArray
@@ -46,17 +47,17 @@ from sim_heating.points import point_of_vehicle
 from sim_heating.reference_heating.models import reference_kernel, reference_model
 from sim_heating.reference_heating.stagnation import COLD_WALL_K
 from sim_heating.resolution import pack
-from sim_heating.surface_pressure import surface_pressure_kernel
+from sim_heating.surface_pressure import pressure_below_rise, stagnation_pressure_coefficient
 from sim_heating.vehicle import Vehicle
 
-IntArray = np.ndarray
+IntArray = NDArray[np.int64]
 
 F_TIME, F_ALTITUDE, F_VELOCITY, F_ALPHA, F_BETA, F_ELEVON, F_BODYFLAP, F_RHO, F_JETS = range(len(FRAME))
 CODE, LENGTH, RADIUS, LONGEST_STEP, STARTED, SPIKES, LAST_SPIKE, LAST = range(8)
 """Places in the host array: reference model, reference length [m], nose radius [m], longest thermal step [s],
 whether there was a frame before, what is counted, and from LAST on that frame."""
 PRESSURE_WIDTH = 4
-"""Numbers of a pressure model; a lane's array holds them and its running length [m]."""
+"""Numbers of a pressure model; a point's array holds them and its running length [m]."""
 
 PLAUSIBLE = {
     "altitude_m": (-5e3, 2e6),
@@ -83,24 +84,34 @@ SCALE_HEIGHT_M = 5000.0
 
 
 @njit
-def _derive_conditions(frame: FloatArray, host: FloatArray, lanes: FloatArray, then: FloatArray) -> None:
-    """Condition vectors of all lanes (lane, condition) from one frame of the host."""
-    rho, V, z, alpha = frame[F_RHO], frame[F_VELOCITY], frame[F_ALTITUDE], frame[F_ALPHA]
+def _derive_conditions(
+    frame: FloatArray, host: FloatArray, points: FloatArray, lanes: IntArray, then: FloatArray
+) -> None:
+    """Condition vectors of all lanes (lane, condition) from one frame of the host.
+
+    points : (point, PRESSURE_WIDTH + 1) pressure model and running length of each point
+    lanes  : the point in each lane; a lane that fills a group up repeats the one before it
+    """
+    rho, V, alpha, beta = frame[F_RHO], frame[F_VELOCITY], frame[F_ALPHA], frame[F_BETA]
     code = int(host[CODE])
-    T_inf, p_inf, mach, log10_re = derive_kernel(z, V, rho, host[LENGTH])
-    radius = host[RADIUS]
-    h_ref, H_r = reference_kernel(code, rho, V, T_inf, alpha, radius, lanes[0, PRESSURE_WIDTH], COLD_WALL_K)
-    q_inf = 0.5 * rho * V * V
+    T_inf, p_inf, mach, log10_re = derive_kernel(frame[F_ALTITUDE], V, rho, host[LENGTH])
+    radius, length = host[RADIUS], -1.0
+    h_ref, H_r = 0.0, 0.0
+    rise = 0.5 * rho * V * V * stagnation_pressure_coefficient(mach)
     for i in range(len(lanes)):
-        if lanes[i, PRESSURE_WIDTH] != lanes[0, PRESSURE_WIDTH]:
-            length = lanes[i, PRESSURE_WIDTH]
+        if i > 0 and lanes[i] == lanes[i - 1]:
+            for c in range(N_CONDITIONS):
+                then[i, c] = then[i - 1, c]
+            continue
+        point = points[lanes[i]]
+        if point[PRESSURE_WIDTH] != length:
+            length = point[PRESSURE_WIDTH]
             h_ref, H_r = reference_kernel(code, rho, V, T_inf, alpha, radius, length, COLD_WALL_K)
-        then[i, ALPHA], then[i, BETA], then[i, LOG10_RE] = alpha, frame[F_BETA], log10_re
+        then[i, ALPHA], then[i, BETA], then[i, LOG10_RE] = alpha, beta, log10_re
         then[i, ELEVON], then[i, BODYFLAP] = frame[F_ELEVON], frame[F_BODYFLAP]
-        then[i, P_SURFACE] = surface_pressure_kernel(
-            p_inf, q_inf, mach, alpha, frame[F_BETA], frame[F_ELEVON], frame[F_BODYFLAP],
-            lanes[i, 0], lanes[i, 1], lanes[i, 2], lanes[i, 3],
-        )  # fmt: skip
+        then[i, P_SURFACE] = pressure_below_rise(
+            p_inf, rise, alpha, beta, frame[F_ELEVON], frame[F_BODYFLAP], point[0], point[1], point[2], point[3]
+        )
         then[i, H_REF], then[i, RECOVERY_ENTHALPY] = h_ref, H_r
         then[i, JETS], then[i, MACH], then[i, TIME] = frame[F_JETS], mach, frame[F_TIME]
 
@@ -126,7 +137,7 @@ def _count_spike(frame: FloatArray, host: FloatArray) -> None:
 @njit
 def plugin_frame(
     state: FloatArray, ints: IntArray, table: FloatArray, chain, begin, advance, groups: IntArray,  # type: ignore[no-untyped-def]
-    lanes: FloatArray, then: FloatArray, host: FloatArray, frame: FloatArray,
+    points: FloatArray, lanes: IntArray, then: FloatArray, host: FloatArray, frame: FloatArray,
 ) -> int:  # fmt: skip
     """Check a frame, derive its conditions and advance all groups to them, or begin with them where it is the first."""
     bad = _implausible(frame)
@@ -139,7 +150,7 @@ def plugin_frame(
         if not 0.0 < dt <= LONGEST_FRAME_S:
             return CLOCK
         _count_spike(frame, host)
-    _derive_conditions(frame, host, lanes, then)
+    _derive_conditions(frame, host, points, lanes, then)
     if host[STARTED] > 0.0:
         steps = math.ceil(dt / host[LONGEST_STEP] - 1e-9)
         advance_groups(state, ints, table, chain, advance, groups, then, dt, max(steps, 1))
@@ -181,6 +192,8 @@ class HeatingPlugin:
 
     control_points : names; all of the vehicle's by default
     longest_step_s : longest thermal step [s]; a longer frame is divided
+    nodes          : nodes of each point at least; chosen for accuracy (resolution.py) where not given. A frame's cost
+                     goes with them: 24 are within half a kelvin on an entry, and cost half of the automatic 40
     parameters     : dotted model parameters, the same for all points
     effects        : effects by control point, beside those that the vehicle declares
     """
@@ -191,6 +204,7 @@ class HeatingPlugin:
         control_points: Sequence[str] | None = None,
         *,
         longest_step_s: float = 1.0,
+        nodes: int | None = None,
         parameters: Mapping[str, float] | None = None,
         effects: Mapping[str, Sequence[EffectUse]] | None = None,
     ) -> None:
@@ -199,18 +213,19 @@ class HeatingPlugin:
         self.names = tuple(names)
         self.longest_step_s = longest_step_s
         models = [point_of_vehicle(vehicle, p, parameters, (effects or {}).get(p.name, ())) for p in self.points]
+        if nodes is not None:
+            models = [replace(model, nodes=nodes) for model in models]
         self.ensemble = e = pack(models, longest_step_s)
         model = reference_model(vehicle.heating.reference)
-        lanes = [[*p.pressure.parameters(), p.running_length_m or 1.0 if model.on_plate else 1.0] for p in self.points]
-        self._lanes = e.spread(np.array(lanes, dtype=float))
-        self._then = np.zeros((len(self._lanes), N_CONDITIONS))
+        lengths = [p.running_length_m or 1.0 if model.on_plate else 1.0 for p in self.points]
+        table = [[*p.pressure.parameters(), length] for p, length in zip(self.points, lengths, strict=True)]
         self._host = np.zeros(LAST + len(FRAME))
         self._host[:STARTED] = (
             model.code, vehicle.reference_length_m, vehicle.heating.nose_radius_m or 1.0, longest_step_s,
         )  # fmt: skip
         self._arguments = (
             e.state, e.ints, e.table, e.chain, e.begin_handle, e.advance_handle, e.groups,
-            self._lanes, self._then, self._host,
+            np.array(table, dtype=float), e.lanes, np.zeros((len(e.lanes), N_CONDITIONS)), self._host,
         )  # fmt: skip
         self._surface = np.array([p.temperature(0) for p in e.places])
         self._bondline = np.array([p.temperature(m.bondline) for p, m in zip(e.places, e.meshes, strict=True)])

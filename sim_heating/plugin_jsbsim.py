@@ -6,6 +6,8 @@ frame, with `sensors=True` also `heating/<control point>/<sensor>-K`; JSBSim's o
 
 from __future__ import annotations
 
+import numpy as np
+
 from sim_heating.conditions import FloatArray
 from sim_heating.plugin import HeatingPlugin
 from sim_heating.trajectory.jsbsim_host import JSBSimHost
@@ -22,10 +24,9 @@ class JSBSimHeating:
     def __init__(self, host: JSBSimHost, plugin: HeatingPlugin, *, sensors: bool = False) -> None:
         self.host = host
         self.plugin = plugin
-        self._writers = [
-            (host.publish(f"{ROOT}/{point}/{what}-K").set_double_value, place)
-            for point, what, place in _published(plugin, sensors)
-        ]
+        published = _published(plugin, sensors)
+        self._writers = [host.publish(f"{ROOT}/{point}/{what}-K").set_double_value for point, what, _ in published]
+        self._places = np.array([place for _, _, place in published])
         self._started = False
 
     def __call__(self, frame: FloatArray) -> None:
@@ -35,9 +36,9 @@ class JSBSimHeating:
         else:
             self.plugin.reset(frame)
             self._started = True
-        item = self.plugin.ensemble.state.item
-        for write, place in self._writers:
-            write(item(place))
+        values = self.plugin.ensemble.state[self._places].tolist()
+        for write, value in zip(self._writers, values, strict=True):
+            write(value)
 
     def frame(self) -> None:
         """Read the host's last frame, advance to it and publish."""

@@ -14,17 +14,19 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.heating_ratio.kernel import axes_outside, linear_ratio
+from sim_heating.heating_ratio.kernel import axes_outside, linear_ratio, table_ratios
 from sim_heating.jit import call_chain, njit
 from sim_heating.layout import (
     ADDED,
     C_STAGES,
+    CELL_WORK,
     EFFECT_CODES,
     EFFECT_PARAMETERS,
     EFFECT_SLOTS,
     EFFECT_WIDTH,
     FILM,
     H_REF,
+    HEAD_ROWS,
     LANES,
     N_ADDING,
     N_CONDITIONS,
@@ -43,6 +45,7 @@ from sim_heating.layout import (
     RATIO_TABLE,
     RECOVERY,
     RECOVERY_ENTHALPY,
+    T,
 )
 
 FloatArray = NDArray[np.float64]
@@ -82,18 +85,21 @@ def _pressure_column(B: FloatArray, J: IntArray, table: FloatArray, lane: int, s
 
 
 @njit
-def heat_lane(B: FloatArray, J: IntArray, table: FloatArray, chain, lane: int, stage: int, wall_K: float) -> None:  # type: ignore[no-untyped-def]
-    """Turn the conditions of one lane at one stage into what its surface balance takes."""
-    c = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
-    p = PARAMETERS * LANES + lane * N_PARAMETERS
-    r = linear_ratio(B, p, c, table, J[RATIO_TABLE + lane])
-    B[(R_BASE + stage) * LANES + lane] = r
-    if J[N_EFFECTS + lane] > 0:
-        r = with_effects(B, J, chain, lane, stage, r, wall_K)
-    B[(FILM + stage) * LANES + lane] = r * B[c + H_REF]
-    B[(RECOVERY + stage) * LANES + lane] = B[c + RECOVERY_ENTHALPY]
-    B[(ADDED + stage) * LANES + lane] = B[c + Q_ADD]
-    _pressure_column(B, J, table, lane, stage, B[c + P_SURFACE])
-    if stage == 2:
-        B[NEGATIVE * LANES + lane] += 1.0 if r < 0.0 else 0.0
-        B[OUTSIDE * LANES + lane] += 1.0 if axes_outside(table, J[RATIO_TABLE + lane], B, c) > 0 else 0.0
+def heat_lanes(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int) -> None:  # type: ignore[no-untyped-def]
+    """Turn the conditions of all lanes at one stage into what their surface balances take."""
+    table_ratios(B, J, table, stage)
+    for lane in range(LANES):
+        c = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
+        p = PARAMETERS * LANES + lane * N_PARAMETERS
+        r = linear_ratio(B, p, c, B[CELL_WORK * LANES + lane])
+        B[(R_BASE + stage) * LANES + lane] = r
+        if J[N_EFFECTS + lane] > 0:
+            r = with_effects(B, J, chain, lane, stage, r, B[(HEAD_ROWS + T) * LANES + lane])
+        B[(FILM + stage) * LANES + lane] = r * B[c + H_REF]
+        B[(RECOVERY + stage) * LANES + lane] = B[c + RECOVERY_ENTHALPY]
+        B[(ADDED + stage) * LANES + lane] = B[c + Q_ADD]
+        _pressure_column(B, J, table, lane, stage, B[c + P_SURFACE])
+        if stage == 2:
+            B[NEGATIVE * LANES + lane] += 1.0 if r < 0.0 else 0.0
+            outside = axes_outside(table, J[RATIO_TABLE + lane], B, c)
+            B[OUTSIDE * LANES + lane] += 1.0 if outside > 0 else 0.0

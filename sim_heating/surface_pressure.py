@@ -93,6 +93,17 @@ def surface_pressure_kernel(
     kind, first, elevon_factor, bodyflap_factor : a pressure model's `parameters()`
     """
     rise = q_inf * stagnation_pressure_coefficient(mach)
+    return pressure_below_rise(
+        p_inf, rise, alpha_deg, beta_deg, elevon_deg, bodyflap_deg, kind, first, elevon_factor, bodyflap_factor
+    )
+
+
+@njit
+def pressure_below_rise(
+    p_inf: float, rise: float, alpha_deg: float, beta_deg: float, elevon_deg: float, bodyflap_deg: float,
+    kind: float, first: float, elevon_factor: float, bodyflap_factor: float,
+) -> float:  # fmt: skip
+    """The same from the pressure rise at the stagnation point [Pa], which all points of a vehicle share."""
     if kind == FRACTION:
         return p_inf + first * rise
     angle = alpha_deg + first + elevon_factor * elevon_deg + bodyflap_factor * bodyflap_deg

@@ -36,7 +36,7 @@ from sim_heating.ensemble import Ensemble, PointModel, condition_history
 from sim_heating.layout import RECOVERY_ENTHALPY
 from sim_heating.resolution import pack
 from sim_heating.thermal.declare import Material
-from sim_heating.thermal.kernel import BIN_K, BINS
+from sim_heating.thermal.kernel import BIN_K, BINS, PIECE_HEAD
 from sim_heating.thermal.mesh import build_mesh, refined
 from sim_heating.thermal.tables import TableStore
 
@@ -238,12 +238,13 @@ def test_entry_with_its_property_tables_is_second_order_in_space(entry):
 def tabulated(m: Material, T: np.ndarray, column: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """c and k as the kernel reads them, at temperatures [K] and a pressure column."""
     store = TableStore()
-    tables = store.add_point([m], m, CP_J_KGK)
-    j = np.minimum((T / BIN_K).astype(int), BINS - 1)
-    width = 3 + 3 * tables.columns
-    rows = store.values[tables.materials[0] :][: BINS * width].reshape(BINS, width)[j]
-    t, k = T - BIN_K * j, 4 + 3 * column
-    return rows[:, 1] + t * rows[:, 2], rows[:, k] + t * rows[:, k + 1]
+    point = store.add_point([m], m, CP_J_KGK)
+    table = store.values[point.materials[0] :]
+    width = PIECE_HEAD + 3 + 3 * point.columns
+    piece = table[np.minimum((T / BIN_K).astype(int), BINS - 1)].astype(int)
+    rows = np.array([table[BINS + i * width : BINS + (i + 1) * width] for i in piece])
+    t, k = T - rows[:, 2], PIECE_HEAD + 4 + 3 * column
+    return rows[:, PIECE_HEAD + 1] + t * rows[:, PIECE_HEAD + 2], rows[:, k] + t * rows[:, k + 1]
 
 
 def declared(m: Material, T: np.ndarray, column: int = 0) -> tuple[np.ndarray, np.ndarray]:

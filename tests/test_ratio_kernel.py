@@ -11,9 +11,33 @@ from scipy.interpolate import RegularGridInterpolator
 from walls import practice_record
 
 from sim_heating.conditions import RATIO_VARIABLES
-from sim_heating.heating_ratio.kernel import axes_outside, linear_ratio, pack_table, table_ratio
+from sim_heating.heating_ratio.kernel import (
+    axes_outside,
+    forget_cells,
+    linear_ratio,
+    pack_table,
+    table_ratio,
+    table_ratios,
+)
 from sim_heating.heating_ratio.table import RatioTable
-from sim_heating.layout import CURVED, D0, FIRST, N_CONDITIONS, N_PARAMETERS, NO_TABLE, REFERENCE, SCALE, SECOND
+from sim_heating.layout import (
+    CELL_WORK,
+    CURVED,
+    D0,
+    FIRST,
+    LANES,
+    N_CONDITIONS,
+    N_PARAMETERS,
+    NO_TABLE,
+    RATIO_TABLE,
+    REFERENCE,
+    SCALE,
+    SECOND,
+    block_size,
+    conditions_at,
+    integers_size,
+    scalar_row,
+)
 from sim_heating.parameters import SECOND_ORDER
 
 compiling = settings(deadline=None)  # the first example waits for the compiler
@@ -89,6 +113,31 @@ def test_declared_table_of_a_record_equals_scipy_along_its_flight():
     np.testing.assert_allclose(ours, RegularGridInterpolator(table.axes, table.ratio)(x), rtol=1e-12)
 
 
+@compiling
+@given(tables(), st.lists(points, min_size=1, max_size=6))
+def test_lanes_look_up_what_one_point_looks_up_also_outside_the_table(table, places):
+    packed, J = pack_table(table), np.zeros(integers_size(2), dtype=np.int64)
+    B = np.zeros(block_size(2))
+    forget_cells(B)
+    J[RATIO_TABLE : RATIO_TABLE + LANES] = 0
+    for fractions in places:  # one after the other, so that cells are left and entered
+        x = within(table, fractions)
+        for lane in range(LANES):
+            B[conditions_at(1, lane) :][:5] = x + 0.1 * lane * (x - x[::-1])
+        table_ratios(B, J, packed, 1)
+        for lane in range(LANES):
+            alone = table_ratio(packed, 0, B, conditions_at(1, lane))
+            assert B[scalar_row(CELL_WORK)][lane] == pytest.approx(alone, rel=1e-12, abs=1e-12)
+
+
+def test_lane_without_a_table_has_tabulated_ratio_zero():
+    J, B = np.zeros(integers_size(2), dtype=np.int64), np.ones(block_size(2))
+    forget_cells(B)
+    J[RATIO_TABLE : RATIO_TABLE + LANES] = NO_TABLE
+    table_ratios(B, J, np.zeros(1), 0)
+    assert np.all(B[scalar_row(CELL_WORK)] == 0.0)
+
+
 # The linear model ----------------------------------------------------------------------------------------------------
 
 CONDITIONS_FIRST = N_PARAMETERS
@@ -103,8 +152,7 @@ def model_ratio(x: np.ndarray, about: np.ndarray, table: RatioTable | None = Non
     B[REFERENCE : REFERENCE + 5] = about
     B[CURVED] = float(np.any(B[SECOND:REFERENCE]))
     B[CONDITIONS_FIRST : CONDITIONS_FIRST + 5] = x
-    packed = np.zeros(1) if table is None else pack_table(table)
-    return linear_ratio(B, 0, CONDITIONS_FIRST, packed, NO_TABLE if table is None else 0)
+    return linear_ratio(B, 0, CONDITIONS_FIRST, 0.0 if table is None else lookup(table, x))
 
 
 five = hnp.arrays(np.float64, 5, elements=st.floats(-10.0, 10.0))

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.ensemble import Ensemble
-from sim_heating.heating_ratio.kernel import VARIABLES
+from sim_heating.ensemble import Ensemble, PointModel
+from sim_heating.heating_ratio.kernel import VARIABLES, pack_table
 from sim_heating.layout import (
     BACK_EPS,
     BACK_H,
@@ -21,18 +21,11 @@ from sim_heating.layout import (
     D0,
     FACTOR_EPS,
     FIRST,
-    INTS_PER_NODE,
-    IS_INTERFACE,
     LANES,
     M_LEFT,
     M_RIGHT,
-    MATERIAL_TABLE,
-    N_NODES,
-    NODE_INTS,
-    RATIO_TABLE,
     REFERENCE,
     SCALE,
-    SURFACE_TABLE,
     SURROUNDINGS4,
     G,
     T,
@@ -40,7 +33,7 @@ from sim_heating.layout import (
     parameters_at,
     scalar_row,
 )
-from sim_heating.thermal.kernel import BIN_K, BINS
+from sim_heating.thermal.declare import Material, pairs
 
 FloatArray = NDArray[np.float64]
 
@@ -48,8 +41,9 @@ SOURCE = Path(__file__).with_name("march.c")
 STRICT = ("-O3", "-march=native", "-fopenmp-simd", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math")
 """IEEE values to the bit; errno and traps, which the other side has not either, are let go."""
 FAST = ("-Ofast", "-march=native", "-fopenmp-simd")
-SAME_POLYNOMIAL = 1e-9
-"""Neighbouring bins whose slopes agree to this, relatively, are one segment."""
+BIN_K, BINS = 5.0, 600
+"""Bins by which march.c finds a segment."""
+EDGES_K = BIN_K * np.arange(BINS + 1)
 
 
 def compiler() -> str | None:
@@ -71,16 +65,37 @@ class _Material(ctypes.Structure):
     _fields_ = (("segments", ctypes.c_void_p), ("of_bin", ctypes.c_void_p))
 
 
-def _segments(bins: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
-    """(segment, 2 + polynomials) with foot and top [K], and the segment of each bin, from the bins of a material table."""
-    slopes = bins[:, 2::3]
-    scale = np.abs(slopes).max(axis=0) + 1e-300
-    new = np.any(np.abs(np.diff(slopes, axis=0)) > SAME_POLYNOMIAL * scale, axis=1)
-    first = np.concatenate(([0], np.flatnonzero(new) + 1))
-    foot = BIN_K * first
-    top = np.append(foot[1:], np.inf)
-    of_bin = np.repeat(np.arange(len(first)), np.diff(np.append(first, BINS)))
-    return np.column_stack([foot, top, bins[first]]), of_bin.astype(np.int64)
+def _integrals(T_K: FloatArray, values: FloatArray) -> FloatArray:
+    """(3, segment): integral from 0 K, value and slope at the foot of each segment between temperatures, the first 0 K."""
+    integral = np.concatenate(([0.0], np.cumsum(0.5 * np.diff(T_K) * (values[1:] + values[:-1]))))
+    slope = np.append(np.diff(values) / np.diff(T_K), 0.0)
+    return np.array([integral, values, slope])
+
+
+def _segments(material: Material, log10_p: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
+    """(segment, 5 + 3 P) foot, top [K], then h, c, c' and for each pressure theta, k, k'; and the segment of each bin."""
+    p_Pa, at_K, k = material.conductivity_grid()
+    c_at_K, c = pairs(material.specific_heat_J_kgK)
+    foot = np.unique(np.concatenate([[0.0], at_K, c_at_K]))
+    if np.any(foot % BIN_K != 0.0):
+        raise ValueError("the C peer takes materials whose temperatures are multiples of a bin")
+    columns = [foot, np.append(foot[1:], np.inf), *_integrals(foot, np.interp(foot, c_at_K, c))]
+    for x in log10_p:
+        at_p = [np.interp(x, np.log10(p_Pa), row) for row in k]
+        columns.extend(_integrals(foot, np.interp(foot, at_K, at_p)))
+    of_bin = np.searchsorted(foot, EDGES_K[:-1], side="right") - 1
+    return np.ascontiguousarray(np.column_stack(columns)), of_bin.astype(np.int64)
+
+
+def _surface(material: Material, cp_J_kgK: float, pressures: int) -> FloatArray:
+    """(bin, 2 + 3 P) emittance, its slope, and H_w, cp, 0 for each pressure."""
+    _, eps, slope = _integrals(EDGES_K, np.interp(EDGES_K, *pairs(material.emissivity or [[0.0, 1.0]])))
+    wall = [cp_J_kgK * EDGES_K[:-1], np.full(BINS, cp_J_kgK), np.zeros(BINS)]
+    return np.column_stack([eps[:-1], slope[:-1], *(wall * pressures)])
+
+
+def _porous(material: Material) -> bool:
+    return len(material.conductivity_grid()[0]) > 1
 
 
 def _address(array: np.ndarray) -> int:
@@ -96,34 +111,45 @@ class _Packed:
 class Peer:
     """The groups of an ensemble, packed for the C library; `reset` puts them at the ensemble's present temperatures.
 
-    Constant parameters only: first derivatives of the ratio, no second-order terms and no effects.
+    It makes its own tables from the declared materials, and takes what the benchmark needs: points of one construction without
+    contact resistance, a constant cp at the wall, first derivatives of the ratio, no effects.
     """
 
     def __init__(self, library: ctypes.CDLL, ensemble: Ensemble) -> None:
-        self._library, self._table = library, np.ascontiguousarray(ensemble.table)
-        self._pressures = len(ensemble.tables.log10_p)
-        offsets = sorted(set(ensemble.tables.material_offset.values()))
-        self._materials = self._pack_materials(offsets)
-        index = {offset: i for i, offset in enumerate(offsets)}
-        self._packed = [self._pack(ensemble, g, index) for g in range(len(ensemble.groups))]
+        self._library = library
+        layers = ensemble.models[0].construction.layer_materials()
+        if any(m.construction is not ensemble.models[0].construction for m in ensemble.models):
+            raise ValueError("the C peer takes points of one construction")
+        self._log10_p = np.unique(np.concatenate([np.log10(m.conductivity_grid()[0]) for m in layers if _porous(m)]))
+        distinct = list({id(m): m for m in layers}.values())
+        self._segment_arrays = [_segments(m, self._log10_p) for m in distinct]
+        pairs_ = [_Material(_address(s), _address(b)) for s, b in self._segment_arrays]
+        self._materials = (_Material * len(pairs_))(*pairs_)
+        index = [next(k for k, m in enumerate(distinct) if m is layer) for layer in layers]
+        self._lay_table(ensemble.models[0])
+        self._packed = [self._pack(ensemble, g, np.array(index)) for g in range(len(ensemble.groups))]
         self._groups = [_aligned(library.group_size(ctypes.c_long(p.nodes))) for p in self._packed]
         self.reset()
 
-    def _pack_materials(self, offsets: list[int]) -> ctypes.Array:
-        width = 3 + 3 * self._pressures
-        bins = [self._table[o : o + BINS * width].reshape(BINS, width) for o in offsets]
-        self._segment_arrays = [_segments(b) for b in bins]
-        pairs = [_Material(_address(s), _address(b)) for s, b in self._segment_arrays]
-        return (_Material * len(pairs))(*pairs)
+    def _lay_table(self, model: PointModel) -> None:
+        """Pressures, surface and ratio table in one array."""
+        outer = model.construction.layer_materials()[0]
+        if model.ratio is None or isinstance(model.wall_enthalpy, str):
+            raise ValueError("the C peer takes points with a ratio table and a constant cp")
+        surface = _surface(outer, model.wall_enthalpy, len(self._log10_p)).ravel()
+        self._surface_at = len(self._log10_p)
+        self._ratio_at = self._surface_at + len(surface)
+        self._table = np.concatenate([self._log10_p, surface, pack_table(model.ratio)])
 
-    def _pack(self, ensemble: Ensemble, g: int, index: dict[int, int]) -> _Packed:
-        B, J = ensemble.block(g), ensemble.integers(g)
-        nodes = int(J[N_NODES])
-        rows = np.array([[B[node_row(i, r)] for r in (T, M_LEFT, M_RIGHT, G)] for i in range(nodes)])
-        of_nodes = J[NODE_INTS:].reshape(nodes, INTS_PER_NODE)
-        materials = of_nodes[:, MATERIAL_TABLE : MATERIAL_TABLE + LANES]
-        which = np.column_stack([of_nodes[:, IS_INTERFACE], np.vectorize(index.__getitem__)(materials)])
-        parameters = np.array([B[parameters_at(k) : parameters_at(k) + REFERENCE + VARIABLES] for k in range(LANES)]).T
+    def _pack(self, ensemble: Ensemble, g: int, index: NDArray[np.int64]) -> _Packed:
+        B = ensemble.block(g)
+        mesh = ensemble.meshes[ensemble.lanes[g * LANES]]
+        rows = np.array([[B[node_row(i, r)] for r in (T, M_LEFT, M_RIGHT, G)] for i in range(mesh.nodes)])
+        right = index[np.append(mesh.layer, mesh.layer[-1])]
+        interface = np.append(0, np.diff(right) != 0)
+        which = np.column_stack([interface, *([right] * LANES)]).astype(np.int64)
+        first = [parameters_at(lane) for lane in range(LANES)]
+        parameters = np.array([B[p : p + REFERENCE + VARIABLES] for p in first]).T
         scalars = np.concatenate(
             [
                 [B[scalar_row(r)] for r in (SURROUNDINGS4, BACK_H, BACK_T, BACK_EPS, FACTOR_EPS)],
@@ -132,14 +158,14 @@ class Peer:
                 parameters[REFERENCE : REFERENCE + VARIABLES],
             ]
         )
-        tables = np.concatenate([J[RATIO_TABLE : RATIO_TABLE + LANES], J[SURFACE_TABLE : SURFACE_TABLE + LANES]])
-        return _Packed(nodes, (rows, which, scalars, tables))
+        tables = np.repeat([self._ratio_at, self._surface_at], LANES).astype(np.int64)
+        return _Packed(mesh.nodes, (rows, which, scalars, tables))
 
     def reset(self) -> None:
         """Every group at the temperatures that the ensemble had."""
         for group, packed in zip(self._groups, self._packed, strict=True):
             self._library.set_up(
-                ctypes.c_void_p(group[1]), ctypes.c_long(packed.nodes), ctypes.c_long(self._pressures),
+                ctypes.c_void_p(group[1]), ctypes.c_long(packed.nodes), ctypes.c_long(len(self._log10_p)),
                 ctypes.c_void_p(_address(self._table)), ctypes.byref(self._materials),
                 *(ctypes.c_void_p(_address(a)) for a in packed.arguments),
             )  # fmt: skip

@@ -34,13 +34,14 @@ static const int BINS = 600;
 typedef double row[L] __attribute__((aligned(32)));
 
 /* A material: segments of one polynomial each, (foot, top, h, c, c', then theta, k, k' a pressure column), and the segment of
- * each bin. A surface: bins of (eps, eps', then H_w, cp, 0 a pressure column), as sim_heating tabulates it. */
+ * each bin. A surface: bins of (eps, eps', then H_w, cp, 0 a pressure column). */
 typedef struct {
     const double *segments;
     const long *of_bin;
 } material;
 
-/* A ratio table: axis lengths, axes, ratios with the last variable fastest. */
+/* The cell of the ratio table that each lane is in: where it ends (for ever at the edges of the table), foot, reciprocal width,
+ * corners. A table is axis lengths, axes, ratios with the last variable fastest. */
 typedef struct {
     row low[VARIABLES], high[VARIABLES], foot[VARIABLES], inverse[VARIABLES];
     row corner[CORNERS];

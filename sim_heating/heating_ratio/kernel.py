@@ -15,10 +15,32 @@ from numpy.typing import NDArray
 
 from sim_heating.heating_ratio.table import RatioTable
 from sim_heating.jit import njit
-from sim_heating.layout import CURVED, D0, FIRST, NO_TABLE, REFERENCE, SCALE, SECOND
+from sim_heating.layout import (
+    C_STAGES,
+    CELL_FOOT,
+    CELL_HIGH,
+    CELL_INVERSE,
+    CELL_LOW,
+    CELL_WORK,
+    CELL_X,
+    CORNERS,
+    CURVED,
+    D0,
+    FIRST,
+    LANES,
+    N_CONDITIONS,
+    NO_TABLE,
+    RATIO_TABLE,
+    REFERENCE,
+    SCALE,
+    SECOND,
+)
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 VARIABLES = 5
+FAR = 1e300
+"""End of a cell that goes on for ever."""
 
 
 def pack_table(table: RatioTable) -> FloatArray:
@@ -105,12 +127,9 @@ def axes_outside(table: FloatArray, offset: int, x: FloatArray, at: int) -> int:
 
 
 @njit
-def linear_ratio(B: FloatArray, p: int, c: int, table: FloatArray, offset: int) -> float:
-    """Ratio [-] before effects; parameters from B[p] on, conditions from B[c] on (layout.py)."""
-    r = 0.0
-    if offset != NO_TABLE:
-        r = table_ratio(table, offset, B, c) * (1.0 + B[p + SCALE])
-    r += B[p + D0]
+def linear_ratio(B: FloatArray, p: int, c: int, tabulated: float) -> float:
+    """Ratio [-] before effects from the tabulated one; parameters from B[p] on, conditions from B[c] on (layout.py)."""
+    r = tabulated * (1.0 + B[p + SCALE]) + B[p + D0]
     for i in range(VARIABLES):
         r += B[p + FIRST + i] * (B[c + i] - B[p + REFERENCE + i])
     if B[p + CURVED] != 0.0:
@@ -120,3 +139,86 @@ def linear_ratio(B: FloatArray, p: int, c: int, table: FloatArray, offset: int) 
                 r += B[k] * (B[c + i] - B[p + REFERENCE + i]) * (B[c + j] - B[p + REFERENCE + j])
                 k += 1
     return r
+
+
+@njit
+def forget_cells(B: FloatArray) -> None:
+    """Make every lane find its table cell anew: tables or temperatures of a group have been set from outside."""
+    for a in range(VARIABLES):
+        for lane in range(LANES):
+            B[(CELL_LOW + a) * LANES + lane] = FAR
+            B[(CELL_HIGH + a) * LANES + lane] = -FAR
+
+
+@njit
+def _keep_axis(B: FloatArray, table: FloatArray, lane: int, a: int, first: int, n: int) -> int:
+    """Keep the cell of one axis that holds the lane's variable; gives its number, 0 where there is one value."""
+    x, i, low, high, foot, inverse = B[(CELL_X + a) * LANES + lane], 0, -FAR, FAR, 0.0, 0.0
+    if n > 1:
+        while i < n - 2 and x >= table[first + i + 1]:
+            i += 1
+        foot = table[first + i]
+        inverse = 1.0 / (table[first + i + 1] - foot)
+        low = foot if i > 0 else -FAR
+        high = table[first + i + 1] if i < n - 2 else FAR
+    B[(CELL_LOW + a) * LANES + lane] = low
+    B[(CELL_HIGH + a) * LANES + lane] = high
+    B[(CELL_FOOT + a) * LANES + lane] = foot
+    B[(CELL_INVERSE + a) * LANES + lane] = inverse
+    return i
+
+
+@njit
+def _keep_cell(B: FloatArray, table: FloatArray, offset: int, lane: int) -> None:
+    """Keep the cell that holds a lane's variables, and the ratio at its corners; a lane without a table has ratio 0."""
+    first, node = offset + VARIABLES, 0
+    for a in range(VARIABLES):
+        n = 1 if offset == NO_TABLE else int(table[offset + a])
+        node = node * n + _keep_axis(B, table, lane, a, first, n)
+        first += n
+    for corner in range(32):
+        at, stride = first + node, 1
+        for a in range(VARIABLES - 1, -1, -1):
+            n = 1 if offset == NO_TABLE else int(table[offset + a])
+            at += stride if (corner >> a) & 1 == 1 and n > 1 else 0
+            stride *= n
+        B[(CORNERS + corner) * LANES + lane] = 0.0 if offset == NO_TABLE else table[at]
+
+
+@njit
+def _halve(B: FloatArray, corners: int, into: int, half: int, a: int) -> None:
+    """Interpolate corners along variable a, whose fraction stands in its row: half of them are left."""
+    for c in range(half):
+        for lane in range(LANES):
+            low = B[(corners + c) * LANES + lane]
+            f = B[(CELL_X + a) * LANES + lane]
+            B[(into + c) * LANES + lane] = low + f * (B[(corners + half + c) * LANES + lane] - low)
+
+
+@njit
+def table_ratios(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> None:
+    """Tabulated ratio of all lanes at a stage, into the first row of CELL_WORK: `table_ratio` for many at once.
+
+    The corners of a lane's cell stay beside it until it leaves the cell.
+    """
+    left = 0
+    for a in range(VARIABLES):
+        for lane in range(LANES):
+            x = B[C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS + a]
+            B[(CELL_X + a) * LANES + lane] = x
+            left += 0 if x >= B[(CELL_LOW + a) * LANES + lane] and x < B[(CELL_HIGH + a) * LANES + lane] else 1
+    if left > 0:
+        for lane in range(LANES):
+            _keep_cell(B, table, J[RATIO_TABLE + lane], lane)
+    for a in range(VARIABLES):
+        for lane in range(LANES):
+            f = (B[(CELL_X + a) * LANES + lane] - B[(CELL_FOOT + a) * LANES + lane]) * B[
+                (CELL_INVERSE + a) * LANES + lane
+            ]
+            f = f if f > 0.0 else 0.0
+            B[(CELL_X + a) * LANES + lane] = f if f < 1.0 else 1.0
+    _halve(B, CORNERS, CELL_WORK + 8, 16, 4)
+    _halve(B, CELL_WORK + 8, CELL_WORK, 8, 3)
+    _halve(B, CELL_WORK, CELL_WORK, 4, 2)
+    _halve(B, CELL_WORK, CELL_WORK, 2, 1)
+    _halve(B, CELL_WORK, CELL_WORK, 1, 0)

@@ -40,6 +40,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_heating.heating_ratio.kernel import forget_cells
 from sim_heating.jit import compiled_step, njit
 from sim_heating.layout import (
     ACROSS,
@@ -113,7 +114,7 @@ from sim_heating.layout import (
     G,
     T,
 )
-from sim_heating.surface_heating import heat_lane, with_effects
+from sim_heating.surface_heating import heat_lanes, with_effects
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -146,6 +147,8 @@ BIN_K = 5.0
 """Width of a property-table bin [K]."""
 BINS = 600
 """Bins of a property table; the last one goes on for ever."""
+PIECE_HEAD = 3
+"""Numbers before the polynomials of a piece: where it begins and ends, and its foot [K]."""
 
 
 @njit
@@ -165,22 +168,21 @@ def _integral(value: float, first: float, slope: float, t: float) -> float:
 
 @njit
 def _gather(B: FloatArray, J: IntArray, table: FloatArray, a: int, lane: int, offset: int, into: int) -> int:
-    """Copy the property polynomials about the temperature of a node beside it, for one of its elements; gives the
-    bin."""
-    j = _bin(B[a + T * LANES + lane])
-    row = offset + j * (3 + 3 * J[N_PRESSURES + lane])
-    B[a + into * LANES + lane] = BIN_K * j
+    """Copy the property polynomials about the temperature of a node beside it, for one element; gives their place."""
+    piece = int(table[offset + _bin(B[a + T * LANES + lane])])
+    row = offset + BINS + piece * (PIECE_HEAD + 3 + 3 * J[N_PRESSURES + lane])
+    B[a + into * LANES + lane] = table[row + 2]
     for k in range(3):
-        B[a + (into + 1 + k) * LANES + lane] = table[row + k]
-    row += 3 + 3 * int(B[COLUMN * LANES + lane])
+        B[a + (into + 1 + k) * LANES + lane] = table[row + PIECE_HEAD + k]
+    column = row + PIECE_HEAD + 3 + 3 * int(B[COLUMN * LANES + lane])
     for k in range(6):
-        B[a + (into + 4 + k) * LANES + lane] = table[row + k]
-    return j
+        B[a + (into + 4 + k) * LANES + lane] = table[column + k]
+    return row
 
 
 @njit
 def _refresh(B: FloatArray, J: IntArray, table: FloatArray, i: int) -> None:
-    """Gather the polynomials of node i anew in the lanes that have left the bin that they hold for."""
+    """Gather the polynomials of node i anew in the lanes that have left the piece that they hold for."""
     a = (HEAD_ROWS + i * NODE_ROWS) * LANES
     outside = 0
     for lane in range(LANES):
@@ -192,11 +194,13 @@ def _refresh(B: FloatArray, J: IntArray, table: FloatArray, i: int) -> None:
     for lane in range(LANES):
         t = B[a + T * LANES + lane]
         if not (t >= B[a + LOW * LANES + lane] and t < B[a + HIGH * LANES + lane]):
+            row = _gather(B, J, table, a, lane, J[node + MATERIAL_TABLE + lane], FOOT)
+            low, high = table[row], table[row + 1]
             if J[node + IS_INTERFACE] == 1:
-                _gather(B, J, table, a, lane, J[node - INTS_PER_NODE + MATERIAL_TABLE + lane], FOOT_LEFT)
-            j = _gather(B, J, table, a, lane, J[node + MATERIAL_TABLE + lane], FOOT)
-            B[a + LOW * LANES + lane] = BIN_K * j if j > 0 else -FAR
-            B[a + HIGH * LANES + lane] = BIN_K * (j + 1) if j < BINS - 1 else FAR
+                row = _gather(B, J, table, a, lane, J[node - INTS_PER_NODE + MATERIAL_TABLE + lane], FOOT_LEFT)
+                low, high = max(low, table[row]), min(high, table[row + 1])
+            B[a + LOW * LANES + lane] = low
+            B[a + HIGH * LANES + lane] = high
 
 
 @njit
@@ -571,9 +575,8 @@ def begin(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> No
 
     dt is not used; it makes the signature that of a step.
     """
-    wall = (HEAD_ROWS + T) * LANES
-    for lane in range(LANES):
-        heat_lane(B, J, table, chain, lane, 2, B[wall + lane])
+    forget_cells(B)
+    heat_lanes(B, J, table, chain, 2)
     evaluate_start(B, J, table, chain)
 
 
@@ -582,7 +585,6 @@ def advance(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> 
 
     The caller has moved the vectors of stage 2 to stage 0 and written new ones (`hold` does the moving).
     """
-    wall = (HEAD_ROWS + T) * LANES
     span = LANES * N_CONDITIONS
     first = C_STAGES * LANES
     for k in range(span):
@@ -591,9 +593,8 @@ def advance(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> 
     for row in STAGED:
         for lane in range(LANES):
             B[row * LANES + lane] = B[(row + 2) * LANES + lane]
-    for lane in range(LANES):
-        for stage in range(1, 3):
-            heat_lane(B, J, table, chain, lane, stage, B[wall + lane])
+    for stage in range(1, 3):
+        heat_lanes(B, J, table, chain, stage)
     step(B, J, table, chain, dt)
 
 

@@ -1,8 +1,9 @@
 """Property tables as the kernel reads them: bins of BIN_K kelvin, columns of pressure, one flat float64 array.
 
-A property that is linear between the points of its file is resampled at the bin edges and is linear between those, its
-integral (heat content, Kirchhoff's variable) exact for the resampled property. With the points on bin edges that is the
-file itself; otherwise a corner is cut within the 5 K bin that holds it.
+A property that is linear between the points of its file is resampled at the bin edges and is linear between those,
+its integral (heat content, Kirchhoff's variable) exact for the resampled property. With the points on bin edges that
+is the file itself; otherwise a corner is cut within the 5 K bin that holds it. Neighbouring bins in which all
+properties of a material go on straight are one piece with one polynomial.
 """
 
 from __future__ import annotations
@@ -15,10 +16,12 @@ from numpy.typing import NDArray
 
 from sim_heating.reference_heating.gas import wall_enthalpy_grid
 from sim_heating.thermal.declare import Material, pairs
-from sim_heating.thermal.kernel import BIN_K, BINS
+from sim_heating.thermal.kernel import BIN_K, BINS, FAR
 
 FloatArray = NDArray[np.float64]
 EDGES_K = BIN_K * np.arange(BINS + 1)
+STRAIGHT = 1e-11
+"""A property goes on straight where its change over a bin differs by less than this part of its value."""
 ENTHALPY_PRESSURES_PA = np.logspace(0.0, 6.0, 7)
 """Pressures at which the enthalpy of equilibrium air is tabulated."""
 
@@ -98,7 +101,10 @@ def _pieces(at_edges: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _material_table(material: Material, log10_p: FloatArray) -> FloatArray:
-    """(BINS, 3 + 3 P): enthalpy, c, its slope; then theta, k, its slope for each pressure."""
+    """Piece of each bin, then for each piece its ends, its foot; h, c, its slope; theta, k, its slope at each pressure.
+
+    Values hold at the foot of the piece.
+    """
     table = np.empty((BINS, 3 + 3 * len(log10_p)))
     table[:, 0], table[:, 1], table[:, 2] = _pieces(np.interp(EDGES_K, *pairs(material.specific_heat_J_kgK)))
     p_Pa, T_K, k = material.conductivity_grid()
@@ -106,7 +112,17 @@ def _material_table(material: Material, log10_p: FloatArray) -> FloatArray:
         at_p = np.array([np.interp(x, np.log10(p_Pa), row) for row in k])
         columns = slice(3 + 3 * j, 6 + 3 * j)
         table[:, columns] = np.column_stack(_pieces(np.interp(EDGES_K, T_K, at_p)))
-    return table
+    first = _first_of_pieces(table[:, 1::3], table[:, 2::3])
+    piece = np.cumsum(np.isin(np.arange(BINS), first)) - 1.0
+    low = np.where(first == 0, -FAR, BIN_K * first)
+    high = np.append(BIN_K * first[1:], FAR)
+    return np.concatenate([piece, np.column_stack([low, high, BIN_K * first, table[first]]).ravel()])
+
+
+def _first_of_pieces(values: FloatArray, slopes: FloatArray) -> NDArray[np.int64]:
+    """First bins of the pieces: those where a slope is another than in the bin before."""
+    bent = np.abs(np.diff(slopes, axis=0)) * BIN_K > STRAIGHT * np.abs(values[1:])
+    return np.concatenate(([0], np.flatnonzero(np.any(bent, axis=1)) + 1))
 
 
 def _enthalpy_at_edges(wall_enthalpy: WallEnthalpy, log10_p: FloatArray) -> FloatArray:

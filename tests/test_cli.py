@@ -1,0 +1,219 @@
+"""The command as a person uses it: what it writes, its exit status, and one line where it cannot."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from sim_heating.cli import main
+
+ROOT = Path(__file__).resolve().parent.parent
+TILE = Path(__file__).parent / "data" / "records" / "tile"
+
+SHORT = """
+format = "scenario/1"
+title = "A minute of gliding"
+vehicle = "orbiter"
+control_points = ["V09T9527"]
+[trajectory]
+source = "entry-3dof"
+[trajectory.initial]
+altitude_m = 75000.0
+velocity_m_s = 6800.0
+gamma_deg = -0.1
+heading_deg = 60.0
+latitude_deg = 10.0
+[trajectory.stop]
+time_s = 60.0
+"""
+POPU = '[[trajectory.manoeuvre]]\nkind = "popu"\n'
+
+
+@pytest.fixture
+def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working directory with one good scenario in it, the vehicles found by name."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("SIM_HEATING_AIRCRAFT_DATA", str(ROOT / "aircraft_data"))
+    (tmp_path / "short.toml").write_text(SHORT)
+    return tmp_path
+
+
+def only_line(capsys: pytest.CaptureFixture[str]) -> str:
+    """The one line that an error is told in; progress lines end in dots."""
+    err = [line for line in capsys.readouterr().err.splitlines() if line.strip() and not line.endswith("...")]
+    assert len(err) == 1, err
+    assert "Traceback" not in err[0]
+    return err[0]
+
+
+# What a good run leaves ----------------------------------------------------------------------------------------------
+
+
+def test_run_writes_tables_pictures_and_a_summary(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "short.toml", "--out", "out"]) == 0
+    made = {p.name for p in (desk / "out").iterdir()}
+    assert made >= {"temperatures.csv", "conditions.csv", "flight.nc", "summary.json", "trajectory.png"}
+    said = capsys.readouterr().out
+    assert "V09T9527" in said
+    assert "temperatures.png" in said
+    point = json.loads((desk / "out" / "summary.json").read_text())["control_points"]["V09T9527"]
+    assert 900.0 < point["peak_surface_K"] < 1300.0
+
+
+def test_a_second_run_replaces_the_first_and_keeps_what_is_not_ours(desk: Path) -> None:
+    assert main(["run", "short.toml", "--out", "out"]) == 0
+    (desk / "out" / "notes.txt").write_text("mine")
+    assert main(["run", "short.toml", "--out", "out"]) == 0
+    assert (desk / "out" / "notes.txt").read_text() == "mine"
+
+
+def test_a_synthetic_record_is_valid_and_can_be_predicted(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["synthesize", "short.toml", "--out", "record"]) == 0
+    assert main(["validate", "record", "short.toml"]) == 0
+    assert main(["predict", "record", "--out", "predicted"]) == 0
+    fit = json.loads((desk / "predicted" / "summary.json").read_text())["fit"]
+    floor = json.loads((desk / "predicted" / "summary.json").read_text())["noise_floor_K"]
+    assert fit["rmse_K"] == pytest.approx(floor, rel=0.15)  # 305 samples: 3 sigma of an RMSE is 12 %
+    assert "good" in capsys.readouterr().out
+
+
+def test_several_records_are_predicted_each_in_its_own_directory(desk: Path) -> None:
+    assert main(["synthesize", "short.toml", "--out", "one"]) == 0
+    assert main(["synthesize", "short.toml", "--out", "two"]) == 0
+    assert main(["predict", "one", "two", "--out", "predicted"]) == 0
+    assert {p.name for p in (desk / "predicted").iterdir()} == {"one", "two"}
+
+
+def test_validate_recognises_a_vehicle_a_table_and_a_record(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    capsule = ROOT / "aircraft_data" / "capsule"
+    assert main(["validate", str(capsule), str(capsule / "ratio_tables" / "FACE.csv"), str(TILE)]) == 0
+    assert capsys.readouterr().out.count("good") == 3
+
+
+# What is refused, with one line and status 2 -------------------------------------------------------------------------
+
+DAMAGED = {
+    "unknown key": (SHORT.replace("title =", 'titel = "x"\ntitle ='), "Nearest: `title`"),
+    "unknown control point": (SHORT.replace("V09T9527", "V09T9257"), "Nearest: `V09T9527`"),
+    "unknown vehicle": (SHORT.replace('"orbiter"', '"orbitr"'), "Nearest: `orbiter`"),
+    "no control points": (SHORT.replace('["V09T9527"]', "[]"), "the list is empty"),
+    "missing key": (SHORT.replace("altitude_m = 75000.0", ""), "`altitude_m` is missing"),
+    "text for a number": (SHORT.replace("75000.0", '"75 km"'), "is not a number"),
+    "NaN": (SHORT.replace("75000.0", "nan"), "not a finite number"),
+    "no trigger": (SHORT + POPU, "exactly one of"),
+    "two triggers": (SHORT + POPU + "at_mach = 20.0\nat_time_s = 3.0\n", "exactly one of"),
+    "unknown manoeuvre": (SHORT + '[[trajectory.manoeuvre]]\nkind = "popo"\nat_time_s = 3.0\n', "popu"),
+    "manoeuvre backwards": (SHORT + POPU + "at_time_s = 3.0\nrate_deg_s = -1.0\n", "must be above 0"),
+    "unknown effect": (SHORT + '[[effect]]\nname = "transitoin"\n', "Nearest: `transition`"),
+    "effect out of bounds": (
+        SHORT + '[[effect]]\nname = "transition"\nparameters = { factor = 50.0 }\n', "1 to 20"
+    ),
+    "unknown truth": (SHORT + '[truth]\nparameters = { "ratio.sclae" = 0.1 }\n', "Nearest: `ratio.scale`"),
+    "fault of no sensor": (SHORT + '[[measurements.fault]]\nsensor = "V09T9528"\n', "Nearest: `V09T9527`"),
+    "gap backwards": (SHORT + "[measurements]\ngaps_s = [[20.0, 10.0]]\n", "start before end"),
+    "no measured file": (
+        SHORT + '[[compare]]\ncontrol_point = "V09T9527"\nfile = "none.csv"\nlabel = "x"\n', "no such file"
+    ),
+    "recorded without a file": (SHORT.replace("entry-3dof", "recorded"), "needs `file`"),
+    "empty": ("", "empty"),
+    "cut off": (SHORT[: SHORT.index("75000") + 2].replace("altitude_m = 75", "altitude_m = ["), "cut off"),
+    "another format": (SHORT.replace("scenario/1", "scenario/9"), "format"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_a_damaged_scenario_is_refused_in_one_line(
+    name: str, desk: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text, hint = DAMAGED[name]
+    (desk / "bad.toml").write_text(text)
+    assert main(["run", "bad.toml", "--out", "out/here"]) == 2
+    assert hint in only_line(capsys)
+    assert not (desk / "out").exists()
+
+
+def test_a_binary_scenario_is_refused(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (desk / "bad.toml").write_bytes(bytes(range(256)))
+    assert main(["synthesize", "bad.toml", "--out", "out"]) == 2
+    assert "binary" in only_line(capsys)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "hint"),
+    [
+        (["run", "short.toml"], "--out"),
+        (["run", "nothing.toml", "--out", "out"], "no such file"),
+        (["rum", "short.toml", "--out", "out"], "run"),
+        (["predict", "--out", "out"], "RECORDS"),
+        (["predict", ".", "--out", "out"], "record.toml"),
+        (["validate", "."], "neither a record"),
+        (["validate", "nowhere"], "no such file"),
+        (["run", "short.toml", "--out", "short.toml"], "is a file"),
+        (["run", "short.toml", "--out", "short.toml/x"], "cannot be written"),
+    ],
+    ids=lambda v: " ".join(v) if isinstance(v, list) else None,
+)
+def test_wrong_usage_is_told_in_one_line(
+    arguments: list[str], hint: str, desk: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    assert hint in only_line(capsys)
+    assert not (desk / "out").exists()
+
+
+def test_two_records_of_one_name_are_refused(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["predict", str(TILE), str(TILE), "--out", "out"]) == 2
+    assert "rename" in only_line(capsys)
+
+
+def test_a_damaged_record_leaves_no_directory(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["synthesize", "short.toml", "--out", "record"])
+    capsys.readouterr()
+    file = desk / "record" / "thermocouples.csv"
+    file.write_text(file.read_text().replace("V09T9527_K", "V09T9527_C"))
+    assert main(["predict", "record", "--out", "out"]) == 2
+    assert "V09T9527_K" in only_line(capsys)
+    assert not (desk / "out").exists()
+
+
+def test_a_file_of_someone_else_is_never_overwritten(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (desk / "out").mkdir()
+    (desk / "out" / "summary.json").write_text("mine")
+    assert main(["run", "short.toml", "--out", "out"]) == 2
+    assert "summary.json" in only_line(capsys)
+    assert [p.name for p in (desk / "out").iterdir()] == ["summary.json"]
+
+
+# What fails while it runs, with status 1 -----------------------------------------------------------------------------
+
+
+def test_a_flight_out_of_the_atmosphere_fails_with_status_1(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    up = SHORT.replace("6800.0", "12000.0").replace("-0.1", "20.0").replace("time_s = 60.0", "time_s = 900.0")
+    (desk / "up.toml").write_text(up)
+    assert main(["run", "up.toml", "--out", "out"]) == 1
+    assert "outside the atmosphere" in only_line(capsys)
+    assert not (desk / "out").exists()
+
+
+def test_an_interrupted_run_leaves_nothing_behind(desk: Path) -> None:
+    long = SHORT.replace("entry-3dof", "jsbsim").replace("time_s = 60.0", "time_s = 1000.0")
+    (desk / "long.toml").write_text(long.replace('source = "jsbsim"', 'source = "jsbsim"\nrate_hz = 1000.0'))
+    command = [sys.executable, "-m", "sim_heating", "run", "long.toml", "--out", "out"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(command, cwd=desk, env=environment, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        while "flying" not in process.stderr.readline():
+            time.sleep(0.01)
+        process.send_signal(signal.SIGTERM)
+        said = process.stderr.read()
+        assert process.wait(timeout=60) == 1
+    assert "interrupted" in said
+    assert "Traceback" not in said
+    assert sorted(p.name for p in desk.iterdir()) == ["long.toml", "short.toml"]
