@@ -168,7 +168,7 @@ def demo(out: Path) -> None:
 
 
 def _run_and_write(scenario: Path, out: Path) -> tuple[dict[str, float], list[str]]:
-    """Run a scenario and write its files; RMSE [K] against measured histories by control point, and the files' names."""
+    """Run a scenario, write its files; RMSE [K] against measured histories by control point, and names of files."""
     from sim_heating.run import compare, run_scenario, write_run
     from sim_heating.scenario import load_scenario
 

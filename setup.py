@@ -1,0 +1,28 @@
+"""Puts the vehicles and scenarios into a built package; everything else is in pyproject.toml.
+
+They stand beside the package in a checkout, where people edit them; an installed package carries copies of its own.
+"""
+
+import shutil
+from pathlib import Path
+
+from setuptools import setup
+from setuptools.command.build_py import build_py
+
+DATA = ("aircraft_data", "scenarios")
+
+
+class BuildWithData(build_py):
+    """build_py that copies the data folders into the package."""
+
+    def run(self) -> None:
+        super().run()
+        if self.editable_mode:
+            return
+        for name in DATA:
+            target = Path(self.build_lib) / "sim_heating" / name
+            shutil.rmtree(target, ignore_errors=True)
+            shutil.copytree(name, target, ignore=shutil.ignore_patterns("__pycache__"))
+
+
+setup(cmdclass={"build_py": BuildWithData})
