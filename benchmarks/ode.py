@@ -23,6 +23,7 @@ from sim_heating.thermal.mesh import Mesh
 
 FloatArray = NDArray[np.float64]
 
+
 @dataclass(frozen=True)
 class Kinked:
     """A property linear between points, constant outside: value at 0 K, kinks (temperature, change of slope)."""

@@ -127,7 +127,7 @@ def _cvodes(system: System, outputs_s: FloatArray, reference: FloatArray) -> dic
 
 def _in_space_and_time() -> dict[str, list[Run]]:
     """Errors of this scheme at surface and sensors, space and time together, against a fine mesh at fine steps."""
-    time_s, history = entry(1.0)
+    _, history = entry(1.0)
     model, driven = prescribed(history, plug())
 
     def at_depths(nodes: int, step_s: float) -> tuple[Callable[[], FloatArray], int]:
@@ -155,7 +155,7 @@ def _draw(in_time: dict[str, list[Run]], in_both: dict[str, list[Run]]) -> None:
     figure, (left, right) = pyplot.subplots(1, 2, figsize=(11, 4.6), sharey=True, layout="constrained")
     for axes, all_runs, title in (
         (left, in_time, f"time integration alone, {NODES} nodes"),
-        (right, in_both, "this scheme, space and time, at surface, bondline and sensors"),
+        (right, in_both, "this scheme, space and time"),
     ):
         for name, runs in all_runs.items():
             axes.loglog([r.time_s * 1e3 for r in runs], [r.error_K for r in runs], "o-", label=name)
@@ -163,6 +163,7 @@ def _draw(in_time: dict[str, list[Run]], in_both: dict[str, list[Run]]) -> None:
         axes.grid(alpha=0.3)
         axes.legend(fontsize=8)
     left.set_ylabel("largest error [K]")
+    left.set_ylim(top=2e3)
     for run in in_time[OWN]:
         at = (run.time_s * 1e3, run.error_K)
         left.annotate(f"{run.setting:g} s", at, fontsize=7, xytext=(4, 3), textcoords="offset points")

@@ -19,7 +19,7 @@ from sim_heating.errors import InputError, RunError
 from sim_heating.trajectory import entry3dof, jsbsim, recorded
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import point_mass as pm
-from sim_heating.trajectory.aero import Grid, load_aero
+from sim_heating.trajectory.aero import Grid, flown_aero, load_aero
 from sim_heating.trajectory.entry3dof import Entry
 from sim_heating.trajectory.flight import EXTRAS, ROW, Sampler
 from sim_heating.trajectory.guidance import EntryGuidance, Observed, resolve_guidance
@@ -173,7 +173,7 @@ def test_an_equilibrium_glide_has_the_range_of_saenger():
 @given(st.floats(1.5, 27.0), st.floats(0.0, 50.0), st.floats(-11.7, 22.5), st.floats(0.65, 0.675), st.booleans())
 def test_the_compiled_trim_is_that_of_the_tables(mach, alpha, flap, cg, shift):
     s = spec(vehicle={"cg_fraction": cg, "cm_shift": shift})
-    aero = entry3dof.flown_aero(s, ORBITER)
+    aero = flown_aero(s, ORBITER)
     flight = entry3dof.flight_block(s, aero, resolve_guidance(s.guidance, ORBITER))
     cn, ca, elevon = trimmed_kernel(mach, alpha, flap, 0.0, flight, aero_block(aero, np.zeros((0, 5))))
     assert elevon == pytest.approx(aero.trim_elevon_deg(mach, alpha, flap), abs=1e-9)

@@ -501,7 +501,7 @@ def test_an_entry_above_circular_speed_skips_out() -> None:
 def test_a_flight_into_the_ground_is_an_error() -> None:
     dive = {**ENTRY_INTERFACE, "altitude_m": 20e3, "velocity_m_s": 800.0, "gamma_deg": -80.0}
     with pytest.raises(RunError, match=r"hit the ground at \d+\.\d\d s"):
-        jsbsim.fly(entry(initial=dive, stop={"time_s": 300.0}), ORBITER)
+        jsbsim.fly(entry(initial=dive, stop={"time_s": 400.0}), ORBITER)
 
 
 def test_a_state_that_is_not_a_number_is_an_error() -> None:

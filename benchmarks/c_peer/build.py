@@ -66,14 +66,14 @@ class _Material(ctypes.Structure):
 
 
 def _integrals(T_K: FloatArray, values: FloatArray) -> FloatArray:
-    """(3, segment): integral from 0 K, value and slope at the foot of each segment between temperatures, the first 0 K."""
+    """(3, segment): integral from 0 K, value and slope at the foot of each segment; the first temperature is 0 K."""
     integral = np.concatenate(([0.0], np.cumsum(0.5 * np.diff(T_K) * (values[1:] + values[:-1]))))
     slope = np.append(np.diff(values) / np.diff(T_K), 0.0)
     return np.array([integral, values, slope])
 
 
 def _segments(material: Material, log10_p: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
-    """(segment, 5 + 3 P) foot, top [K], then h, c, c' and for each pressure theta, k, k'; and the segment of each bin."""
+    """(segment, 5 + 3 P) foot, top [K], h, c, c' and for each pressure theta, k, k'; the segment of each bin."""
     p_Pa, at_K, k = material.conductivity_grid()
     c_at_K, c = pairs(material.specific_heat_J_kgK)
     foot = np.unique(np.concatenate([[0.0], at_K, c_at_K]))
@@ -111,8 +111,8 @@ class _Packed:
 class Peer:
     """The groups of an ensemble, packed for the C library; `reset` puts them at the ensemble's present temperatures.
 
-    It makes its own tables from the declared materials, and takes what the benchmark needs: points of one construction without
-    contact resistance, a constant cp at the wall, first derivatives of the ratio, no effects.
+    It makes its own tables from the declared materials, and takes what the benchmark needs: points of one construction
+    without contact resistance, a constant cp at the wall, first derivatives of the ratio, no effects.
     """
 
     def __init__(self, library: ctypes.CDLL, ensemble: Ensemble) -> None:

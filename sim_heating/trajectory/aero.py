@@ -26,6 +26,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from sim_heating.errors import InputError
 from sim_heating.files import CsvTable, read_csv_columns, read_toml, shown
 from sim_heating.jit import njit
+from sim_heating.trajectory.spec import TrajectorySpec
 
 FloatArray = NDArray[np.float64]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -298,6 +299,14 @@ def load_aero(vehicle_dir: Path) -> Aero:
         bodyflap=_read_control(folder, file.tables.bodyflap),
         mass_kg=file.mass.mass_kg,
         cg_fraction=file.mass.cg_fraction,
+    )
+
+
+def flown_aero(spec: TrajectorySpec, vehicle_dir: Path) -> Aero:
+    """A vehicle's aerodynamics with the mass, centre of gravity and pitching-moment shift that a scenario flies."""
+    state = spec.vehicle
+    return load_aero(vehicle_dir).with_changes(
+        mass_kg=state.mass_kg, cg_fraction=state.cg_fraction, cm_shift=state.cm_shift
     )
 
 

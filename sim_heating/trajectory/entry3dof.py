@@ -19,7 +19,7 @@ from sim_heating.errors import InputError, RunError
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import manoeuvres as mv
 from sim_heating.trajectory import point_mass as pm
-from sim_heating.trajectory.aero import Aero, load_aero
+from sim_heating.trajectory.aero import Aero, flown_aero
 from sim_heating.trajectory.flight import ROW, Flight, OnFrame, Progress, Sampler, reference_length_m
 from sim_heating.trajectory.schedules import pack, scheduled
 from sim_heating.trajectory.spec import Guidance, Initial, TrajectorySpec
@@ -30,14 +30,6 @@ FloatArray = NDArray[np.float64]
 REPORT_S = 20.0
 """Seconds of flight between two words on progress; events are known to the second."""
 FRAME_LENGTH = len(FRAME)
-
-
-def flown_aero(spec: TrajectorySpec, vehicle_dir: Path) -> Aero:
-    """A vehicle's aerodynamics with the mass, centre of gravity and pitching-moment shift that a scenario flies."""
-    state = spec.vehicle
-    return load_aero(vehicle_dir).with_changes(
-        mass_kg=state.mass_kg, cg_fraction=state.cg_fraction, cm_shift=state.cm_shift
-    )
 
 
 def flight_block(spec: TrajectorySpec, aero: Aero, guidance: Guidance) -> FloatArray:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from sim_heating.atmosphere import speed_of_sound_kernel, us76_kernel
 from sim_heating.errors import InputError, RunError
-from sim_heating.trajectory.aero import Aero, load_aero
+from sim_heating.trajectory.aero import Aero, flown_aero
 from sim_heating.trajectory.flight import Flight, OnFrame, Progress, Sampler, reference_length_m
 from sim_heating.trajectory.guidance import (
     ALPHA_COMMAND,
@@ -63,14 +63,6 @@ def fly(
             progress(entry.done(), f"{entry.seen.altitude_m / 1e3:.1f} km, {entry.seen.velocity_m_s:.0f} m/s")
             next_report_s += REPORT_S
     return entry.flight()
-
-
-def flown_aero(spec: TrajectorySpec, vehicle_dir: Path) -> Aero:
-    """A vehicle's aerodynamics with the mass, centre of gravity and moment shift of a scenario."""
-    state = spec.vehicle
-    return load_aero(vehicle_dir).with_changes(
-        mass_kg=state.mass_kg, cg_fraction=state.cg_fraction, cm_shift=state.cm_shift
-    )
 
 
 class JSBSimEntry:

@@ -19,7 +19,7 @@ import numpy as np
 
 from sim_heating.errors import InputError
 from sim_heating.trajectory.aero import COEFFICIENTS, Aero, Damping, FloatArray, Grid, Lateral, Surface
-from sim_heating.trajectory.entry3dof import low_speed_rows
+from sim_heating.trajectory.trimmed_aero import low_speed_rows
 
 MODEL = "vehicle"
 POLAR_ALPHA_DEG = 20.0
