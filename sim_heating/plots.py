@@ -23,7 +23,7 @@ BEFORE_S, AFTER_S = 15.0, 25.0
 SHUTTLE_MACH_M_S = 304.8
 """1000 ft/s, the 'Mach' of the Shuttle's literature."""
 HOT_STRUCTURE = 0.95
-"""A point whose bondline comes this close to its surface's peak has no insulation over it; it is left out of bondlines."""
+"""A point whose bondline comes this close to its surface's peak is not insulated; it is left out of bondlines."""
 MOVES_DEG = 0.5
 """An angle that moves less during a manoeuvre is not drawn beside the one that is flown."""
 ANGLES = {
@@ -117,7 +117,7 @@ def _plot_angles(axes: Axes, flown: Conditions, names: Sequence[str]) -> None:
 
 
 def draw_temperatures(path: Path, title: str, points: Sequence[PointHistory], windows: Sequence[Window]) -> None:
-    """Surface and bondline temperatures of all control points against time, each panel's legend in order of its peaks."""
+    """Surface and bondline temperatures of all control points against time, legends in the order of the peaks."""
     figure, axes = _figure(10.0, 9.0, 2, sharex=True)
     hottest = sorted(points, key=lambda p: -float(np.max(p.surface_K)))
     colors = mpl.colormaps["turbo"](np.linspace(0.95, 0.05, len(hottest)))
@@ -152,7 +152,7 @@ def _plot_by_peak(
 def draw_manoeuvre(
     path: Path, title: str, flown: Conditions, points: Sequence[PointHistory], window: Window, variable: str
 ) -> None:
-    """Thermocouple and surface temperatures above, the manoeuvred angle and what moves with it below, about one manoeuvre.
+    """Thermocouple and surface temperatures about one manoeuvre; below, the angle that is flown and what moves with it.
 
     As figures 5, 10 and 13 of the founding paper.
     """

@@ -53,9 +53,10 @@ from sim_heating.vehicle import Vehicle
 IntArray = NDArray[np.int64]
 
 F_TIME, F_ALTITUDE, F_VELOCITY, F_ALPHA, F_BETA, F_ELEVON, F_BODYFLAP, F_RHO, F_JETS = range(len(FRAME))
-CODE, LENGTH, RADIUS, LONGEST_STEP, STARTED, SPIKES, LAST_SPIKE, LAST = range(8)
-"""Places in the host array: reference model, reference length [m], nose radius [m], longest thermal step [s],
-whether there was a frame before, what is counted, and from LAST on that frame."""
+CODE, LENGTH, RADIUS, LONGEST_STEP, SHORTEST_STEP, STARTED, SPIKES, LAST_SPIKE, NOW, RHO_NOW, Z_NOW, LAST = range(12)
+"""Places in the host array: reference model, reference length [m], nose radius [m], longest and shortest thermal step
+[s], whether there was a frame before, what is counted, time, density and altitude of the last frame, and from LAST on
+the frame that the temperatures are at."""
 PRESSURE_WIDTH = 4
 """Numbers of a pressure model; a point's array holds them and its running length [m]."""
 
@@ -127,8 +128,8 @@ def _implausible(frame: FloatArray) -> int:
 
 @njit
 def _count_spike(frame: FloatArray, host: FloatArray) -> None:
-    change = abs(math.log(frame[F_RHO] / host[LAST + F_RHO]))
-    explained = abs(frame[F_ALTITUDE] - host[LAST + F_ALTITUDE]) / SCALE_HEIGHT_M
+    change = abs(math.log(frame[F_RHO] / host[RHO_NOW]))
+    explained = abs(frame[F_ALTITUDE] - host[Z_NOW]) / SCALE_HEIGHT_M
     if change > SPIKE + explained:
         host[SPIKES] += 1.0
         host[LAST_SPIKE] = frame[F_TIME]
@@ -143,20 +144,24 @@ def plugin_frame(
     bad = _implausible(frame)
     if bad != GOOD:
         return bad
-    dt = frame[F_TIME] - host[LAST + F_TIME]
-    if host[STARTED] > 0.0:
-        if dt == 0.0:
+    started = host[STARTED] > 0.0
+    if started:
+        passed = frame[F_TIME] - host[NOW]
+        if passed == 0.0:
             return GOOD
-        if not 0.0 < dt <= LONGEST_FRAME_S:
+        if not 0.0 < passed <= LONGEST_FRAME_S:
             return CLOCK
         _count_spike(frame, host)
+    host[STARTED], host[NOW], host[RHO_NOW], host[Z_NOW] = 1.0, frame[F_TIME], frame[F_RHO], frame[F_ALTITUDE]
+    dt = frame[F_TIME] - host[LAST + F_TIME]
+    if started and dt < host[SHORTEST_STEP]:
+        return GOOD
     _derive_conditions(frame, host, points, lanes, then)
-    if host[STARTED] > 0.0:
+    if started:
         steps = math.ceil(dt / host[LONGEST_STEP] - 1e-9)
         advance_groups(state, ints, table, chain, advance, groups, then, dt, max(steps, 1))
     else:
         begin_groups(state, ints, table, chain, begin, groups, then)
-    host[STARTED] = 1.0
     for i in range(len(frame)):
         host[LAST + i] = frame[i]
     failed = 0.0
@@ -192,6 +197,8 @@ class HeatingPlugin:
 
     control_points : names; all of the vehicle's by default
     longest_step_s : longest thermal step [s]; a longer frame is divided
+    shortest_step_s: 0 steps with every frame; 0.05 makes a 60 Hz host wait for every third frame, conditions linear
+                     over the three, and temperatures stand until then (`heated_s`): a third of the cost
     nodes          : nodes of each point at least; chosen for accuracy (resolution.py) where not given. A frame's cost
                      goes with them: 24 are within half a kelvin on an entry, and cost half of the automatic 40
     parameters     : dotted model parameters, the same for all points
@@ -204,6 +211,7 @@ class HeatingPlugin:
         control_points: Sequence[str] | None = None,
         *,
         longest_step_s: float = 1.0,
+        shortest_step_s: float = 0.0,
         nodes: int | None = None,
         parameters: Mapping[str, float] | None = None,
         effects: Mapping[str, Sequence[EffectUse]] | None = None,
@@ -221,7 +229,8 @@ class HeatingPlugin:
         table = [[*p.pressure.parameters(), length] for p, length in zip(self.points, lengths, strict=True)]
         self._host = np.zeros(LAST + len(FRAME))
         self._host[:STARTED] = (
-            model.code, vehicle.reference_length_m, vehicle.heating.nose_radius_m or 1.0, longest_step_s,
+            model.code, vehicle.reference_length_m, vehicle.heating.nose_radius_m or 1.0,
+            longest_step_s, shortest_step_s,
         )  # fmt: skip
         self._arguments = (
             e.state, e.ints, e.table, e.chain, e.begin_handle, e.advance_handle, e.groups,
@@ -261,6 +270,11 @@ class HeatingPlugin:
     @property
     def time_s(self) -> float:
         """Time of the last frame [s]; not a number before the first."""
+        return float(self._host[NOW]) if self._host[STARTED] else float("nan")
+
+    @property
+    def heated_s(self) -> float:
+        """Time that the temperatures are at [s]: that of the last frame, or up to shortest_step_s before it."""
         return float(self._host[LAST + F_TIME]) if self._host[STARTED] else float("nan")
 
     @property

@@ -1,7 +1,8 @@
 """The plug-in in JSBSim: temperatures as properties that its scripts, functions and outputs can read.
 
 After each frame `heating/<control point>/surface-K` and `bondline-K` hold the temperatures [K] at the end of that
-frame, with `sensors=True` also `heating/<control point>/<sensor>-K`; JSBSim's own systems see them in the next frame.
+frame, with `sensors=True` also `heating/<control point>/<sensor>-K`; JSBSim's own systems see them in the next frame. A
+plug-in with `shortest_step_s` publishes when it has stepped.
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ class JSBSimHeating:
         else:
             self.plugin.reset(frame)
             self._started = True
+        if self.plugin.heated_s < frame[0]:
+            return
         values = self.plugin.ensemble.state[self._places].tolist()
         for write, value in zip(self._writers, values, strict=True):
             write(value)

@@ -1,13 +1,8 @@
-"""What all tests share: a hypothesis profile, since the first call of a compiled kernel takes seconds; the project's folders."""
+"""What all tests share: a hypothesis profile without a deadline, as the first call of a kernel compiles it."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 from hypothesis import HealthCheck, settings
 
 settings.register_profile("compiled", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("compiled")
-
-ROOT = Path(__file__).resolve().parent.parent
-SCENARIOS = ROOT / "scenarios"

@@ -1,4 +1,4 @@
-"""The plug-in beside a host: what a host may do to it, what it is told, and that it computes what the march computes."""
+"""The plug-in beside a host: what a host may do, what it is told, and that frames give what the march gives."""
 
 from __future__ import annotations
 

@@ -89,7 +89,8 @@ def test_the_declared_fraction_of_samples_is_lost() -> None:
 
 
 def test_samples_begin_at_the_offset_and_go_to_the_end() -> None:
-    np.testing.assert_allclose(sample_times([sensor(rate_hz=2.0, sample_offset_s=0.25)], 10.0, 11.3), [10.25, 10.75, 11.25])
+    late = sensor(rate_hz=2.0, sample_offset_s=0.25)
+    np.testing.assert_allclose(sample_times([late], 10.0, 11.3), [10.25, 10.75, 11.25])
     np.testing.assert_allclose(sample_times([sensor()], 0.0, 3.0), [0.0, 1.0, 2.0, 3.0])
     np.testing.assert_allclose(sample_times([sensor()], 0.0, 1.0, rate_hz=4.0, offset_s=0.5), [0.5, 0.75, 1.0])
     assert len(sample_times([sensor(sample_offset_s=9.0)], 0.0, 3.0)) == 0
