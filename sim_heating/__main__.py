@@ -4,4 +4,5 @@ import sys
 
 from sim_heating.cli import main
 
-sys.exit(main())
+if __name__ == "__main__":  # a process started beside this one imports it again
+    sys.exit(main())

@@ -12,17 +12,31 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from sim_heating.errors import InputError, RunError
+from sim_heating.results import package_version
 
 PLAIN_WIDTH = 110
 """Columns of a table where the output is no terminal."""
 CONSOLE = Console(width=None if sys.stdout.isatty() else PLAIN_WIDTH)
 ERRORS = Console(stderr=True, soft_wrap=True, highlight=False)
-OUT = click.option("--out", required=True, type=click.Path(path_type=Path), help="directory for the results")
+
+
+def _directory(_: click.Context, __: click.Parameter, value: str) -> Path:
+    """The directory of results, refused before any work where it cannot be one."""
+    if not value.strip():
+        raise InputError("--out: is empty; name a directory for the results")
+    path = Path(value)
+    if path.exists() and not path.is_dir():
+        raise InputError(f"--out {value}: is a file; name a directory for the results")
+    return path
+
+
+OUT = click.option("--out", required=True, callback=_directory, help="directory for the results")
 PATH = click.Path(path_type=Path)
 
 
@@ -45,7 +59,7 @@ def _progress(title: str) -> Iterator[Callable[[float, str], None]]:
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
-@click.version_option(package_name="sim-heating")
+@click.version_option(package_version(), prog_name="sim-heating")
 def cli() -> None:
     """Aerodynamic heating beside a flight simulator: temperatures from a trajectory, and back."""
 
@@ -103,9 +117,10 @@ def _tell_oddities(found: dict[str, Any]) -> None:
     for variable, names in outside.items():
         every = [o for n in names for o in found["control_points"][n]["outside_table"] if o["variable"] == variable]
         longest, farthest = max(o["duration_s"] for o in every), max(o["farthest"] for o in every)
+        where = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
         CONSOLE.print(
-            f"{variable} lay outside the ratio tables of {len(names)} points, up to {longest:.0f} s and {farthest:.3g} "
-            "beyond; the edge value was held (details in summary.json)"
+            f"{variable} lay outside the ratio tables of {where}, up to {longest:.0f} s and {farthest:.3g} beyond; the "
+            "edge value was held (details in summary.json)"
         )
     apart = found["plugin_apart_K"]
     if apart:
@@ -136,7 +151,7 @@ def synthesize(scenario: Path, out: Path) -> None:
         if not records:
             raise InputError(f"{scenario}: none of its control points has a sensor; choose one that has")
         names = write_records(loaded, records, out)
-    samples = sum(len(r.time_s) * len(r.sensors) for r in records.values())
+    samples = sum(int(np.sum(np.isfinite(r.temperatures_K()))) for r in records.values())
     CONSOLE.print(f"{len(records)} records, {samples} readings, seed {loaded.declared.measurements.seed}")
     _tell_files(out, names)
 
@@ -156,7 +171,8 @@ def demo(out: Path) -> None:
         compared = beside.submit(_run_and_write, sts96.path, out / "sts96")
         flown = run_scenario(popu, progress=lambda f, text: progress(0.6 * f, f"POPU {text}"))
         names = [f"popu/{n}" for n in write_run(flown, out / "popu")]
-        records = fly_and_measure(popu, progress=lambda f, text: progress(0.6 + 0.2 * f, f"measuring {text}"))
+        progress(0.6, "measuring the same flight")
+        records = fly_and_measure(popu, flight=flown.flight)
         names += [f"records/{n}" for n in write_records(popu, records, out / "records")]
         progress(0.8, "STS-96 entry to landing, in another process")
         rmse, more = compared.result()
@@ -178,8 +194,9 @@ def _run_and_write(scenario: Path, out: Path) -> tuple[dict[str, float], list[st
 
 
 def _scenario_folder() -> Path:
-    """The project's scenarios: beside the package in a checkout, else in the present directory."""
-    for folder in (Path(__file__).resolve().parent.parent / "scenarios", Path("scenarios")):
+    """The project's scenarios: beside the package in a checkout, within it when installed, else in this directory."""
+    package = Path(__file__).resolve().parent
+    for folder in (package.parent / "scenarios", package / "scenarios", Path("scenarios")):
         if (folder / "popu_mach20.toml").is_file():
             return folder
     raise InputError("scenarios: not found here; run the demo in a checkout of the project")

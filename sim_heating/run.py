@@ -37,6 +37,8 @@ MANOEUVRED = {
 """Column that a manoeuvre moves."""
 PLOTTED_POINTS = 3
 """Control points drawn for one manoeuvre: those whose surface answers it most."""
+PLOTTED_MOVE_K = 2.0
+"""A surface that moves less about its trend is drawn only where none moves more."""
 
 
 @dataclass(frozen=True)
@@ -241,4 +243,5 @@ def _most_moved(histories: list[PointHistory], window: Window) -> list[PointHist
         t, surface = history.time_s[held], history.surface_K[held]
         return float(np.ptp(surface - np.interp(t, t[[0, -1]], surface[[0, -1]]))) if len(t) > 2 else 0.0
 
-    return sorted(histories, key=moved, reverse=True)[:PLOTTED_POINTS]
+    ordered = sorted(histories, key=moved, reverse=True)
+    return [h for h in ordered[:PLOTTED_POINTS] if moved(h) > PLOTTED_MOVE_K] or ordered[:1]

@@ -163,6 +163,8 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
     vehicle = load_vehicle(beside if (beside / "vehicle.toml").is_file() else declared.vehicle)
     file = declared.trajectory.file
     if file is not None:
+        if not (place.parent / file).is_file():
+            raise InputError(f"{shown(place)}, [trajectory]: `file`: there is no {shown(place.parent / file)}")
         declared = declared.model_copy(
             update={"trajectory": declared.trajectory.model_copy(update={"file": str(place.parent / file)})}
         )

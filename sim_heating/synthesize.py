@@ -14,18 +14,23 @@ from sim_heating.run import Progress, _quiet, fly_scenario, models_of
 from sim_heating.scenario import Scenario
 from sim_heating.sensors import SensorErrors, lost_samples, measured, sample_times
 from sim_heating.temperatures import PointHistory, at_times, march_points
+from sim_heating.trajectory.flight import Flight
 from sim_heating.vehicle import ControlPoint
 
 RECORD_FORMATS = {"time_s": ".10g"}
 TRUTH = "truth.toml"
 
 
-def synthesize(scenario: Scenario, *, progress: Progress = _quiet) -> dict[str, Record]:
+def synthesize(
+    scenario: Scenario, *, flight: Flight | None = None, progress: Progress = _quiet
+) -> dict[str, Record]:
     """Fly a scenario with its truth and measure it: one record a control point that has sensors.
 
     What a flight crew would have is in the records: declared tables and stacks, and nothing of the truth.
+    flight : the scenario's flight where it has been flown already
     """
-    flight = fly_scenario(scenario, progress=lambda f, text: progress(0.7 * f, f"flying: {text}"))
+    if flight is None:
+        flight = fly_scenario(scenario, progress=lambda f, text: progress(0.7 * f, f"flying: {text}"))
     progress(0.7, "marching the truth")
     flown = flight.conditions
     models, flights = models_of(scenario, flown, truth=True)

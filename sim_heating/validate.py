@@ -33,6 +33,8 @@ def validate(path: str | os.PathLike[str]) -> Validated:
     """
     place = Path(path)
     if not os.path.lexists(place):
+        if place.name == str(path) and place.name in _vehicle_names():
+            return _vehicle(place)
         read_text(place)
     if place.is_dir():
         return _directory(place)
@@ -87,6 +89,12 @@ def _csv(place: Path) -> Validated:
 
 # The two loaders stand later in the data's way than this module's other needs; they are imported where they are used,
 # so that a record is checked without them.
+
+
+def _vehicle_names() -> list[str]:
+    from sim_heating.vehicle import vehicle_names
+
+    return vehicle_names()
 
 
 def _vehicle(place: Path) -> Validated:

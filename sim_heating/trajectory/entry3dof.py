@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.atmosphere import HIGHEST_M, LOWEST_M, speed_of_sound_kernel, us76_kernel
+from sim_heating.atmosphere import HIGHEST_M, speed_of_sound_kernel, us76_kernel
 from sim_heating.conditions import FRAME
 from sim_heating.errors import InputError, RunError
 from sim_heating.trajectory import guidance as gd
@@ -27,6 +27,8 @@ from sim_heating.trajectory.trimmed_aero import aero_block, low_speed_rows
 
 FloatArray = NDArray[np.float64]
 
+DEEPEST_M = -20.0
+"""A vehicle below this has flown into the ground; one that stops at 0 m has passed it by less within a frame."""
 REPORT_S = 20.0
 """Seconds of flight between two words on progress; events are known to the second."""
 FRAME_LENGTH = len(FRAME)
@@ -148,12 +150,12 @@ def fly(
 
 def _refuse_nonsense(rows: FloatArray) -> None:
     """A flight that left the model, or is no number, ends with an error and never with a silent value."""
-    bad = ~np.all(np.isfinite(rows), axis=1) | (rows[:, 1] > HIGHEST_M) | (rows[:, 1] < LOWEST_M)
+    bad = ~np.all(np.isfinite(rows), axis=1) | (rows[:, 1] > HIGHEST_M) | (rows[:, 1] < DEEPEST_M)
     if np.any(bad):
         row = rows[int(np.flatnonzero(bad)[0])]
         raise RunError(
             f"3-DOF entry: at {row[0]:.1f} s the vehicle is at {row[1]:.0f} m with {row[2]:.0f} m/s, outside the "
-            f"atmosphere ({LOWEST_M:.0f} to {HIGHEST_M:.0f} m); check the initial speed and path angle, and give a stop"
+            f"air (0 to {HIGHEST_M:.0f} m); check the initial speed and path angle, and give a stop"
         )
 
 
