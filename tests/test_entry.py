@@ -456,3 +456,9 @@ def test_a_damaged_recording_is_refused_with_file_row_and_column(nominal, tmp_pa
     with pytest.raises(InputError, match=r"c\.csv") as refused:
         recorded_flight(tmp_path / "c.csv")
     assert said in refused.value.problems[0]
+
+
+def test_a_flight_into_the_ground_is_an_error() -> None:
+    dive = {**STS107, "altitude_m": 20e3, "velocity_m_s": 800.0, "gamma_deg": -85.0}
+    with pytest.raises(RunError, match=r"is at -\d+ m with \d+ m/s, outside the atmosphere \(0 to"):
+        entry3dof.fly(spec(initial=dive, stop={"time_s": 900.0}), ORBITER)

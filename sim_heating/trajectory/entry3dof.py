@@ -155,7 +155,7 @@ def _refuse_nonsense(rows: FloatArray) -> None:
         row = rows[int(np.flatnonzero(bad)[0])]
         raise RunError(
             f"3-DOF entry: at {row[0]:.1f} s the vehicle is at {row[1]:.0f} m with {row[2]:.0f} m/s, outside the "
-            f"air (0 to {HIGHEST_M:.0f} m); check the initial speed and path angle, and give a stop"
+            f"atmosphere (0 to {HIGHEST_M:.0f} m); check the initial speed and path angle, and give a stop"
         )
 
 
