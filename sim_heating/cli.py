@@ -78,7 +78,7 @@ def run(scenario: Path, out: Path) -> None:
         names = write_run(result, out, progress=progress)
     rmse = {c.measured.control_point: float(c.statistics["rmse_K"]) for c in compare(result)}
     CONSOLE.print(_run_table(loaded.title, summary(result), rmse))
-    _tell_oddities(summary(result))
+    _tell_run(summary(result))
     _tell_files(out, names)
 
 
@@ -106,25 +106,33 @@ def _margin(kelvin: float | None) -> str:
     return f"{kelvin:+.0f} K" if kelvin >= 0.0 else f"[red]{kelvin:+.0f} K[/red]"
 
 
-def _tell_oddities(found: dict[str, Any]) -> None:
-    """Conditions outside tables, negative ratios, and how far the plug-in was from the march."""
+def _tell_run(found: dict[str, Any]) -> None:
+    """What was odd about a run: manoeuvres not flown, tables left, the plug-in apart from the march."""
+    for event in found["events"]:
+        if event["what"].endswith("was not reached"):
+            CONSOLE.print(f"[red]{event['what']}[/red]: it was not flown")
+    _tell_oddities(found["control_points"])
+    apart = found["plugin_apart_K"]
+    if apart:
+        CONSOLE.print(f"Plug-in beside the host against the march: {max(apart.values()):.2f} K apart at most")
+
+
+def _tell_oddities(points: dict[str, Any]) -> None:
+    """Conditions outside tables and negative ratios, by control point or record."""
     outside: dict[str, list[str]] = {}
-    for name, point in found["control_points"].items():
+    for name, point in points.items():
         for o in point["outside_table"]:
             outside.setdefault(o["variable"], []).append(name)
         if point["negative_ratio_s"] > 0.0:
             CONSOLE.print(f"{name}: the heating ratio was negative for {point['negative_ratio_s']:.0f} s")
     for variable, names in outside.items():
-        every = [o for n in names for o in found["control_points"][n]["outside_table"] if o["variable"] == variable]
+        every = [o for n in names for o in points[n]["outside_table"] if o["variable"] == variable]
         longest, farthest = max(o["duration_s"] for o in every), max(o["farthest"] for o in every)
         where = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
         CONSOLE.print(
             f"{variable} lay outside the ratio tables of {where}, up to {longest:.0f} s and {farthest:.3g} beyond; the "
             "edge value was held (details in summary.json)"
         )
-    apart = found["plugin_apart_K"]
-    if apart:
-        CONSOLE.print(f"Plug-in beside the host against the march: {max(apart.values()):.2f} K apart at most")
 
 
 def _tell_files(out: Path, names: list[str]) -> None:
@@ -179,7 +187,7 @@ def demo(out: Path) -> None:
     names += [f"sts96/{n}" for n in more]
     found = summary(flown)
     CONSOLE.print(_run_table(f"{popu.title}; RMSE of '{sts96.title}'", found, rmse))
-    _tell_oddities(found)
+    _tell_run(found)
     _tell_files(out, names)
 
 
@@ -218,14 +226,18 @@ def predict(records: tuple[Path, ...], out: Path) -> None:
     table = Table(title="Declared model against measurement", title_justify="left")
     for head in ("record", "control point", "RMSE, fit", "RMSE, holdout", "noise floor"):
         table.add_column(head, justify="left" if head in ("record", "control point") else "right")
+    predictions = []
     with _progress("predict") as progress:
         for i, record in enumerate(loaded):
             progress(i / len(loaded), f"marching {record.name}")
-            prediction = predict_record(record)
-            found = summary(prediction)
-            write_prediction(prediction, out if len(loaded) == 1 else out / record.name)
-            table.add_row(record.name, record.declared.control_point, *_errors(found))
+            predictions.append(predict_record(record))
+        for prediction in predictions:
+            write_prediction(prediction, out if len(loaded) == 1 else out / prediction.record.name)
+    summaries = {p.record.name: summary(p) for p in predictions}
+    for record in loaded:
+        table.add_row(record.name, record.declared.control_point, *_errors(summaries[record.name]))
     CONSOLE.print(table)
+    _tell_oddities(summaries)
     CONSOLE.print(f"Wrote {out}: temperatures.csv, summary.json, prediction.png for each record", highlight=False)
 
 

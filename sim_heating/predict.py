@@ -15,7 +15,14 @@ from sim_heating.points import conditions_of_record, point_of_record
 from sim_heating.record import Record, pooled_rmse_K
 from sim_heating.results import package_version, write_temperatures_csv
 from sim_heating.sensors import calibrated
-from sim_heating.temperatures import Outside, PointHistory, at_times, march_points, outside_table
+from sim_heating.temperatures import (
+    Outside,
+    PointHistory,
+    at_times,
+    march_points,
+    negative_ratio_s,
+    outside_table,
+)
 
 
 @dataclass(frozen=True)
@@ -88,6 +95,7 @@ def summary(prediction: Prediction) -> dict[str, object]:
         "noise_floor_K": None if floor is None or not np.isfinite(floor) else floor,
         "sensors": by_sensor,
         "outside_table": [vars(o) for o in prediction.outside],
+        "negative_ratio_s": negative_ratio_s(prediction.history),
     }
 
 

@@ -192,7 +192,7 @@ def write_run(result: RunResult, out: Path, *, progress: Progress = _quiet) -> l
     with output_directory(out) as folder:
         write_json(folder / "summary.json", summary(result))
         flown = result.flight.conditions
-        write_csv(folder / "conditions.csv", flown.columns, "12g")
+        write_csv(folder / "conditions.csv", flown.columns, ".12g")
         _write_histories(result, folder)
         progress(0.92, "drawing")
         draw_run(result, folder)
@@ -224,7 +224,8 @@ def draw_run(result: RunResult, folder: Path) -> None:
     for i, window in enumerate(windows, start=1):
         chosen = _most_moved(histories, window)
         path = folder / f"manoeuvre_{i}_{window.kind}.png"
-        plots.draw_manoeuvre(path, title, flown, chosen, window, MANOEUVRED[window.kind])
+        drawn = [_outermost_sensor(result.points[h.name]) for h in chosen]
+        plots.draw_manoeuvre(path, title, flown, drawn, window, MANOEUVRED[window.kind])
     compared = compare(result)
     if compared:
         panels = [
@@ -233,6 +234,14 @@ def draw_run(result: RunResult, folder: Path) -> None:
             for c in compared
         ]  # fmt: skip
         plots.draw_comparison(folder / "compared.png", title, panels)
+
+
+def _outermost_sensor(point: PointResult) -> PointHistory:
+    """The history of a point with its outermost thermocouple alone."""
+    if not point.model.depths_m:
+        return point.history
+    outermost = int(np.argmin(point.model.depths_m))
+    return replace(point.history, sensors_K=point.history.sensors_K[[outermost]])
 
 
 def _most_moved(histories: list[PointHistory], window: Window) -> list[PointHistory]:

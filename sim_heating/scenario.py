@@ -58,8 +58,10 @@ class SensorFault(Declared):
 class Measurements(Declared):
     """How `synthesize` measures."""
 
-    seed: int = 1
-    rate_hz: float | None = Field(default=None, gt=0.0, description="samples a second; the sensors' own where absent")
+    seed: int = Field(default=1, ge=0, description="a whole number, 0 or above")
+    rate_hz: float | None = Field(
+        default=None, gt=0.0, le=1000.0, description="samples a second, up to 1000; the sensors' own where absent"
+    )
     sample_offset_s: float = Field(default=0.0, description="time of the first sample after the start in s")
     clock_skew_s: float = Field(default=0.0, description="recorded T(t) = true T(t - skew) in s")
     lost_fraction: float = Field(default=0.0, ge=0.0, lt=1.0, description="fraction of samples lost at random")
@@ -189,7 +191,22 @@ def _problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
             if f.sensor not in sensors
         ),
         *(["control_points: the list is empty; leave it out for all"] if declared.control_points == [] else []),
+        *_not_looked_at(declared, vehicle),
     ]
+
+
+def _not_looked_at(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
+    """Control points named twice, and what is asked of one that is not looked at."""
+    chosen = declared.control_points
+    if not chosen:
+        return []
+    twice = [f"control_points: `{name}` stands twice; name it once" for name in chosen if chosen.count(name) > 1]
+    asked = [c.control_point for c in declared.compare]
+    asked += [p for e in (*declared.effect, *declared.truth.effect) for p in e.control_points or []]
+    owner = {s.name: p.name for p in vehicle.control_points.values() for s in p.sensors}
+    asked += [owner[f.sensor] for f in declared.measurements.fault if f.sensor in owner]
+    absent = [name for name in dict.fromkeys(asked) if name in vehicle.control_points and name not in chosen]
+    return twice[:1] + [f"`{name}` is asked for and not among control_points; add it" for name in absent]
 
 
 def _attempts(call: Callable[[Any], object], items: Iterable[Any]) -> list[str]:

@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from sim_heating.conditions import Conditions, FloatArray
+from sim_heating.conditions import RATIO_VARIABLES, Conditions, FloatArray
+from sim_heating.errors import InputError
 from sim_heating.files import check, output_directory, toml_text, write_text_atomic
+from sim_heating.points import mean_condition
 from sim_heating.record import Record, RecordFile, make_record, write_record
 from sim_heating.run import Progress, _quiet, fly_scenario, models_of
 from sim_heating.scenario import Scenario
@@ -17,7 +19,6 @@ from sim_heating.temperatures import PointHistory, at_times, march_points
 from sim_heating.trajectory.flight import Flight
 from sim_heating.vehicle import ControlPoint
 
-RECORD_FORMATS = {"time_s": ".10g"}
 TRUTH = "truth.toml"
 
 
@@ -74,6 +75,12 @@ def _record(
         lost = lost_samples(clock, rng, wanted.lost_fraction, wanted.gaps_s) | np.isnan(temperature)
         known = np.where(np.isnan(temperature), 0.0, temperature)
         columns[sensor.column] = measured(sensor, known, rng, faults.get(sensor.name), lost)
+        if np.all(np.isnan(columns[sensor.column])):
+            span = f"{conditions.time_s[0]:g} to {conditions.time_s[-1]:g} s"
+            raise InputError(
+                f"{scenario.path}, [measurements]: skew, offset, gaps and losses leave no sample of {sensor.name} "
+                f"within the flight ({span}); change them"
+            )
     return make_record(_declaration(scenario, point), conditions, columns, point.ratio, point.name)
 
 
@@ -110,16 +117,18 @@ def write_records(scenario: Scenario, records: dict[str, Record], out: Path) -> 
     with output_directory(out) as folder:
         for name, record in records.items():
             write_record(record, folder if len(records) == 1 else folder / name, comment=comment)
-        write_text_atomic(folder / TRUTH, _truth_text(scenario))
+        flown = next(iter(records.values())).conditions
+        write_text_atomic(folder / TRUTH, _truth_text(scenario, flown))
         return sorted(p.name for p in folder.iterdir() if not p.name.startswith("."))
 
 
-def _truth_text(scenario: Scenario) -> str:
+def _truth_text(scenario: Scenario, flown: Conditions) -> str:
     truth, wanted = scenario.declared.truth, scenario.declared.measurements
     data = {
         "scenario": scenario.title,
         "parameters": dict(truth.parameters),
-        "effect": [e.model_dump(exclude_none=True) for e in truth.effect],
+        "reference_condition": dict(zip(RATIO_VARIABLES, mean_condition(flown), strict=True)),
+        "effect": [e.model_dump(exclude_none=True) for e in (*truth.effect, *scenario.declared.effect)],
         "measurements": wanted.model_dump(exclude_none=True),
     }
     return toml_text(data, "What the records were made with beyond what they declare.")

@@ -217,3 +217,74 @@ def test_an_interrupted_run_leaves_nothing_behind(desk: Path) -> None:
     assert "interrupted" in said
     assert "Traceback" not in said
     assert sorted(p.name for p in desk.iterdir()) == ["long.toml", "short.toml"]
+
+
+# What would otherwise be quiet ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ("[measurements]\nseed = -1\n", "`seed`: -1"),
+        ("[measurements]\nrate_hz = 1e9\n", "`rate_hz`: "),
+        ("[measurements]\nclock_skew_s = 9999.0\n", "[measurements]: skew, offset, gaps and losses leave no sample"),
+    ],
+)
+def test_measurements_that_cannot_be_made_are_one_line(
+    desk: Path, capsys: pytest.CaptureFixture[str], more: str, said: str
+) -> None:
+    (desk / "odd.toml").write_text(SHORT + more)
+    assert main(["synthesize", "odd.toml", "--out", "out"]) == 2
+    assert said in only_line(capsys)
+    assert not (desk / "out").exists()
+
+
+def test_a_control_point_named_twice_is_refused(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (desk / "twice.toml").write_text(SHORT.replace('["V09T9527"]', '["V09T9527", "V09T9527"]'))
+    assert main(["validate", "twice.toml"]) == 2
+    assert "`V09T9527` stands twice" in only_line(capsys)
+
+
+def test_a_manoeuvre_whose_speed_is_never_reached_is_told(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (desk / "fast.toml").write_text(SHORT + POPU + "at_velocity_m_s = 20000.0\n")
+    assert main(["run", "fast.toml", "--out", "out"]) == 0
+    assert "was not reached" in capsys.readouterr().out
+
+
+def test_a_flight_of_its_own_is_read_back_from_its_conditions(desk: Path) -> None:
+    assert main(["run", "short.toml", "--out", "first"]) == 0
+    head = SHORT[: SHORT.index("[trajectory]")]
+    (desk / "again.toml").write_text(head + '[trajectory]\nsource = "recorded"\nfile = "first/conditions.csv"\n')
+    assert main(["run", "again.toml", "--out", "second"]) == 0
+    last = [(desk / d / "temperatures.csv").read_text().splitlines()[-1] for d in ("first", "second")]
+    first, second = (line.split(",") for line in last)
+    assert [float(x) for x in second] == pytest.approx([float(x) for x in first], abs=0.001)
+
+
+@pytest.mark.parametrize(("column", "factor"), [("velocity_m_s", 1.0 / 0.3048), ("altitude_m", 1e-3)])
+def test_a_recorded_flight_in_another_unit_is_refused(
+    desk: Path, capsys: pytest.CaptureFixture[str], column: str, factor: float
+) -> None:
+    assert main(["run", "short.toml", "--out", "first"]) == 0
+    header, *rows = (desk / "first" / "conditions.csv").read_text().splitlines()
+    place = header.split(",").index(column)
+    cells = [row.split(",") for row in rows]
+    damaged = [",".join([*c[:place], repr(float(c[place]) * factor), *c[place + 1 :]]) for c in cells]
+    (desk / "odd.csv").write_text("\n".join([header, *damaged]))
+    head = SHORT[: SHORT.index("[trajectory]")]
+    (desk / "odd.toml").write_text(head + '[trajectory]\nsource = "recorded"\nfile = "odd.csv"\n')
+    capsys.readouterr()
+    assert main(["run", "odd.toml", "--out", "out"]) == 2
+    assert f"column {column}" in only_line(capsys)
+
+
+def test_predict_tells_of_a_negative_heating_ratio(desk: Path) -> None:
+    assert main(["synthesize", "short.toml", "--out", "record"]) == 0
+    header, *rows = [x for x in (desk / "record" / "ratio_table.csv").read_text().splitlines() if x[0] != "#"]
+    place = header.split(",").index("ratio")
+    cells = [row.split(",") for row in rows]
+    (desk / "record" / "ratio_table.csv").write_text(
+        "\n".join([header, *(",".join([*c[:place], "-0.0001", *c[place + 1 :]]) for c in cells)])
+    )
+    assert main(["predict", "record", "--out", "out"]) == 0
+    assert json.loads((desk / "out" / "summary.json").read_text())["negative_ratio_s"] > 50.0

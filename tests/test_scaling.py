@@ -213,3 +213,10 @@ def test_windward_trend_agrees_with_the_plate_from_25_to_40_deg():
 def test_trends_stay_positive_at_any_angle(alpha, deflection):
     assert deflection_factor(np.array(alpha), np.array(deflection), 0.5) > 0.0
     assert 0.0 < windward_trend(np.array([min(alpha, 89.0)]))[0] < 1.0
+
+
+def test_a_ratio_of_zero_keeps_its_sigma():
+    zero = table(0.0, 0.01)
+    scaled = scale_table(zero, scaling("laminar"))
+    assert np.all(np.isfinite(scaled.sigma))
+    assert np.all(scaled.sigma > 0.0)

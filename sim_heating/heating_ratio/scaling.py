@@ -142,10 +142,11 @@ def scale_table(table: RatioTable, scaling: Scaling, log10_re: FloatArray | None
     factor, added = _corrections(scaling, table.axes[ALPHA], at_tunnel, nodes)
     shape = (factor.shape[0], 1, factor.shape[1], 1, 1)
     ratio = _at_nodes(table.ratio, table.axes[LOG10_RE], at_tunnel)
-    relative = np.hypot(_at_nodes(table.sigma, table.axes[LOG10_RE], at_tunnel) / ratio, added.reshape(shape))
     ratio = ratio * factor.reshape(shape)
+    measured = _at_nodes(table.sigma, table.axes[LOG10_RE], at_tunnel) * factor.reshape(shape)
+    sigma = np.hypot(measured, added.reshape(shape) * ratio)
     axes = (*table.axes[:LOG10_RE], nodes, *table.axes[LOG10_RE + 1 :])
-    return replace(table, axes=axes, ratio=ratio, sigma=relative * np.abs(ratio), header=_header(table, scaling, added))
+    return replace(table, axes=axes, ratio=ratio, sigma=sigma, header=_header(table, scaling, added))
 
 
 def _corrections(

@@ -15,6 +15,7 @@ from sim_heating.atmosphere import HIGHEST_M, LOWEST_M, derive
 from sim_heating.conditions import FRAME, HEATING, STATE, Conditions
 from sim_heating.errors import InputError
 from sim_heating.files import CsvTable, raise_problems, read_csv_columns
+from sim_heating.plausible import implausible
 from sim_heating.trajectory.flight import EXTRAS, Flight, OnFrame, Progress, reference_length_m
 from sim_heating.trajectory.spec import TrajectorySpec
 
@@ -60,20 +61,9 @@ def read_conditions(path: Path, length_m: float) -> Conditions:
 
 def _problems(table: CsvTable) -> list[str]:
     z = table["altitude_m"]
-    problems = [
-        *table.not_increasing(),
-        *table.where_not("altitude_m", (z >= LOWEST_M) & (z <= HIGHEST_M), "is outside the atmosphere's table"),
-        *table.where_not("velocity_m_s", table["velocity_m_s"] >= 0.0, "is not a speed (must not be negative)"),
-        *table.where_not("rho_kg_m3", table["rho_kg_m3"] > 0.0, "is not a density (must be above 0)"),
-        *table.where_not("alpha_deg", np.abs(table["alpha_deg"]) <= 180.0, "is not an angle in degrees"),
-        *table.where_not("beta_deg", np.abs(table["beta_deg"]) <= 90.0, "is not an angle of sideslip in degrees"),
-    ]
-    if "T_inf_K" in table.columns:
-        problems += table.not_kelvin("T_inf_K")
-    for name in ("p_inf_Pa", "mach"):
-        if name in table.columns:
-            problems += table.where_not(name, table[name] > 0.0, "must be above 0")
-    return problems
+    inside = (z >= LOWEST_M) & (z <= HIGHEST_M)
+    outside = table.where_not("altitude_m", inside, "is outside the atmosphere's table")
+    return [*table.not_increasing(), *outside, *implausible(table)]
 
 
 def _give_frames(conditions: Conditions, on_frame: OnFrame) -> None:

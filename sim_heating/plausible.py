@@ -1,0 +1,51 @@
+"""Which values flight conditions in a file can have: limits that catch another unit, and what is said beyond them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sim_heating.files import CsvTable
+from sim_heating.thermal.declare import HOTTEST_K
+
+FASTEST_M_S = 20_000.0
+
+LIMITS: dict[str, tuple[float, float, str]] = {
+    "time_s": (-1e9, 1e9, "is not a time in seconds of a flight"),
+    "altitude_m": (-1e8, 1e8, "is not an altitude in m"),
+    "T_inf_K": (0.0, HOTTEST_K, "is not a temperature of air"),
+    "q_add_W_m2": (-1e10, 1e10, "is not a heat flux in W/m2"),
+    "velocity_m_s": (0.0, FASTEST_M_S, "is not a speed in m/s (0 to 20000); a larger one looks like ft/s"),
+    "mach": (0.0, 1e3, "is not a Mach number (0 to 1000)"),
+    "alpha_deg": (-180.0, 180.0, "is not an angle of attack in degrees"),
+    "beta_deg": (-180.0, 180.0, "is not a sideslip angle in degrees"),
+    "log10_re": (-10.0, 20.0, "is not the base-10 logarithm of a Reynolds number (-10 to 20)"),
+    "elevon_deg": (-90.0, 90.0, "is not a deflection in degrees (-90 to 90)"),
+    "bodyflap_deg": (-90.0, 90.0, "is not a deflection in degrees (-90 to 90)"),
+    "rho_kg_m3": (1e-300, 1e4, "is not a density of air (must be above 0)"),
+    "p_inf_Pa": (0.0, 1e10, "is not a pressure (0 or above)"),
+    "p_surface_Pa": (0.0, 1e10, "is not a pressure (0 or above)"),
+    "h_ref_kg_m2_s": (0.0, 1e4, "is not a film coefficient (0 or above)"),
+    "H_r_J_kg": (0.0, 1e11, "is not a recovery enthalpy (0 or above; enthalpies are zero at 0 K)"),
+    "jets": (0.0, 1.0, "is not a share of jets firing (0 to 1)"),
+}
+"""Column -> lowest and highest value, and what is said of another."""
+
+
+def implausible(table: CsvTable) -> list[str]:
+    """One line for each column of conditions that holds a value that cannot be, or is in another unit."""
+    problems = table.not_kelvin("T_inf_K") if "T_inf_K" in table.columns else []
+    for name, (lowest, highest, rule) in LIMITS.items():
+        if name in table.columns:
+            problems += table.where_not(name, (table[name] >= lowest) & (table[name] <= highest), rule)
+    return problems + _energy_problems(table)
+
+
+def _energy_problems(table: CsvTable) -> list[str]:
+    """A fast flight of little enthalpy or little height: kJ/kg and km."""
+    speed = table["velocity_m_s"]
+    rule = "is below a hundredth of V^2/2 and looks like kJ/kg; give J/kg"
+    problems: list[str] = []
+    if "H_r_J_kg" in table.columns:
+        problems += table.where_not("H_r_J_kg", (speed < 1000.0) | (table["H_r_J_kg"] >= 0.005 * speed**2), rule)
+    rule = "is too low for its speed and looks like km; give m"
+    return problems + table.where_not("altitude_m", (speed < 3000.0) | (np.abs(table["altitude_m"]) >= 1000.0), rule)
