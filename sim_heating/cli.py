@@ -69,16 +69,16 @@ def cli() -> None:
 @OUT
 def run(scenario: Path, out: Path) -> None:
     """Fly a scenario: trajectory, heating, temperatures, plots."""
-    from sim_heating.run import compare, run_scenario, summary, write_run
+    from sim_heating.run import rmse_by_point, run_scenario, summary, write_run
     from sim_heating.scenario import load_scenario
 
     loaded = load_scenario(scenario)
     with _progress(loaded.title) as progress:
         result = run_scenario(loaded, progress=progress)
         names = write_run(result, out, progress=progress)
-    rmse = {c.measured.control_point: float(c.statistics["rmse_K"]) for c in compare(result)}
-    CONSOLE.print(_run_table(loaded.title, summary(result), rmse))
-    _tell_run(summary(result))
+    found = summary(result)
+    CONSOLE.print(_run_table(loaded.title, found, rmse_by_point(result)))
+    _tell_run(found)
     _tell_files(out, names)
 
 
@@ -193,12 +193,11 @@ def demo(out: Path) -> None:
 
 def _run_and_write(scenario: Path, out: Path) -> tuple[dict[str, float], list[str]]:
     """Run a scenario, write its files; RMSE [K] against measured histories by control point, and names of files."""
-    from sim_heating.run import compare, run_scenario, write_run
+    from sim_heating.run import rmse_by_point, run_scenario, write_run
     from sim_heating.scenario import load_scenario
 
     result = run_scenario(load_scenario(scenario))
-    rmse = {c.measured.control_point: float(c.statistics["rmse_K"]) for c in compare(result)}
-    return rmse, write_run(result, out)
+    return rmse_by_point(result), write_run(result, out)
 
 
 def _scenario_folder() -> Path:

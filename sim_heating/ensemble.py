@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -140,11 +140,6 @@ class PointModel:
             raise InputError(f"{self.name}, wall_enthalpy: cp {self.wall_enthalpy:g} J/(kg K) must be above 0")
         if self.ratio is not None and self.parameters.get("ratio.d0", 0.0) != 0.0:
             raise InputError(f"{self.name}: ratio.d0 is 0 where there is a ratio table; use ratio.scale")
-
-    def with_parameters(self, **changes: float) -> PointModel:
-        """The same point with parameters changed; dots in names are written as in a mapping:
-        with_parameters(**{...})."""
-        return replace(self, parameters={**self.parameters, **changes})
 
     def value(self, name: str) -> float:
         """A parameter's value, nominal where it is not set."""

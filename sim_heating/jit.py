@@ -89,16 +89,19 @@ def _raw_compiled(array):  # type: ignore[no-untyped-def]
     return None
 
 
+def _call_through_address(context, builder, signature, args):  # type: ignore[no-untyped-def]
+    """Code of a call whose first argument is the address of the function, the others its own."""
+    void = signature.return_type == numba.types.void
+    result = llvmlite.ir.VoidType() if void else context.get_value_type(signature.return_type)
+    kinds = [context.get_value_type(t) for t in signature.args[1:]]
+    function = llvmlite.ir.FunctionType(result, kinds).as_pointer()
+    returned = builder.call(builder.inttoptr(args[0], function), args[1:])
+    return context.get_dummy_value() if void else returned
+
+
 @numba.extending.intrinsic
-def _call_address(_typing_context, address, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
-    signature = numba.types.float64(address, code, B, c, p, wall_K)
-
-    def codegen(context, builder, sig, args):  # type: ignore[no-untyped-def]
-        kinds = [context.get_value_type(t) for t in sig.args[1:]]
-        function = llvmlite.ir.FunctionType(context.get_value_type(sig.return_type), kinds)
-        return builder.call(builder.inttoptr(args[0], function.as_pointer()), args[1:])
-
-    return signature, codegen
+def _call_chain(_typing_context, address, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
+    return numba.types.float64(address, code, B, c, p, wall_K), _call_through_address
 
 
 def call_chain(chain, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
@@ -112,21 +115,13 @@ def call_chain(chain, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
 @numba.extending.overload(call_chain, inline="always")
 def _call_chain_compiled(chain, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
     if isinstance(chain, numba.types.Integer):
-        return lambda chain, code, B, c, p, wall_K: _call_address(chain, code, B, c, p, wall_K)
+        return lambda chain, code, B, c, p, wall_K: _call_chain(chain, code, B, c, p, wall_K)
     return None
 
 
 @numba.extending.intrinsic
 def _call_step(_typing_context, address, B, J, table, chain, dt):  # type: ignore[no-untyped-def]
-    signature = numba.types.void(address, B, J, table, chain, dt)
-
-    def codegen(context, builder, sig, args):  # type: ignore[no-untyped-def]
-        kinds = [context.get_value_type(t) for t in sig.args[1:]]
-        function = llvmlite.ir.FunctionType(llvmlite.ir.VoidType(), kinds)
-        builder.call(builder.inttoptr(args[0], function.as_pointer()), args[1:])
-        return context.get_dummy_value()
-
-    return signature, codegen
+    return numba.types.void(address, B, J, table, chain, dt), _call_through_address
 
 
 def call_step(step, B, J, table, chain, dt):  # type: ignore[no-untyped-def]

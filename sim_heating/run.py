@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,12 +17,9 @@ from sim_heating.results import package_version, write_netcdf, write_temperature
 from sim_heating.scenario import MeasuredHistory, Scenario
 from sim_heating.temperatures import PointHistory, march_points, outside_table, summary_of
 from sim_heating.trajectory import entry3dof, jsbsim, recorded
-from sim_heating.trajectory.flight import Flight, OnFrame, Window
+from sim_heating.trajectory.flight import Flight, OnFrame, Progress, Window
 
 SOURCES = {"jsbsim": jsbsim.fly, "entry-3dof": entry3dof.fly, "recorded": recorded.fly}
-
-Progress = Callable[[float, str], None]
-"""Called now and then with the fraction of the work done and what it is at."""
 
 MANOEUVRED = {
     "popu": "alpha_deg",
@@ -80,11 +76,11 @@ class Comparison:
         return {"rmse_K": float("nan"), "max_abs_K": float("nan"), "n": 0} if found is None else found
 
 
-def _quiet(_: float, __: str) -> None:
-    return
+def quiet(_: float, __: str) -> None:
+    """Progress that nobody is told of."""
 
 
-def fly_scenario(scenario: Scenario, *, progress: Progress = _quiet, on_frame: OnFrame | None = None) -> Flight:
+def fly_scenario(scenario: Scenario, *, progress: Progress = quiet, on_frame: OnFrame | None = None) -> Flight:
     """The trajectory of a scenario from its source."""
     spec = scenario.declared.trajectory
     return SOURCES[spec.source](spec, scenario.vehicle.directory, on_frame=on_frame, progress=progress)
@@ -104,7 +100,7 @@ def models_of(
     return models, [conditions_at_point(scenario.vehicle, p, flown) for p in points]
 
 
-def run_scenario(scenario: Scenario, *, progress: Progress = _quiet) -> RunResult:
+def run_scenario(scenario: Scenario, *, progress: Progress = quiet) -> RunResult:
     """Fly a scenario and march its control points along the flight.
 
     progress : called with fractions from 0 to 1
@@ -163,6 +159,11 @@ def compare(result: RunResult) -> list[Comparison]:
     return comparisons
 
 
+def rmse_by_point(result: RunResult) -> dict[str, float]:
+    """RMSE [K] of a run against its measured histories, by control point."""
+    return {c.measured.control_point: float(c.statistics["rmse_K"]) for c in compare(result)}
+
+
 def summary(result: RunResult) -> dict[str, object]:
     """What a run found, as summary.json holds it."""
     scenario, flown = result.scenario, result.flight.conditions
@@ -187,7 +188,7 @@ def summary(result: RunResult) -> dict[str, object]:
     }
 
 
-def write_run(result: RunResult, out: Path, *, progress: Progress = _quiet) -> list[str]:
+def write_run(result: RunResult, out: Path, *, progress: Progress = quiet) -> list[str]:
     """Write all files of a run, all together or not at all; returns their names within the directory."""
     with output_directory(out) as folder:
         write_json(folder / "summary.json", summary(result))

@@ -12,18 +12,18 @@ from sim_heating.errors import InputError
 from sim_heating.files import check, output_directory, toml_text, write_text_atomic
 from sim_heating.points import mean_condition
 from sim_heating.record import Record, RecordFile, make_record, write_record
-from sim_heating.run import Progress, _quiet, fly_scenario, models_of
+from sim_heating.run import fly_scenario, models_of, quiet
 from sim_heating.scenario import Scenario
 from sim_heating.sensors import SensorErrors, lost_samples, measured, sample_times
 from sim_heating.temperatures import PointHistory, at_times, march_points
-from sim_heating.trajectory.flight import Flight
+from sim_heating.trajectory.flight import Flight, Progress
 from sim_heating.vehicle import ControlPoint
 
 TRUTH = "truth.toml"
 
 
 def synthesize(
-    scenario: Scenario, *, flight: Flight | None = None, progress: Progress = _quiet
+    scenario: Scenario, *, flight: Flight | None = None, progress: Progress = quiet
 ) -> dict[str, Record]:
     """Fly a scenario with its truth and measure it: one record a control point that has sensors.
 

@@ -365,3 +365,18 @@ def test_a_vehicle_is_not_touched_by_its_plug_in(orbiter: Vehicle, plugin: Heati
     before = replace(orbiter)
     plugin.step(frame(5.0))
     assert orbiter == before
+
+
+def test_a_plug_in_that_heats_with_every_third_frame_of_60_hz_says_when_and_stays_close(orbiter: Vehicle) -> None:
+    every, third = (HeatingPlugin(orbiter, ["V09T9527"], shortest_step_s=s) for s in (0.0, 0.05))
+    heated = set()
+    for plugin in (every, third):
+        plugin.reset(frame(0.0))
+    for i in range(1, 601):
+        now = frame(i / 60.0, alpha_deg=40.0 + 0.005 * i)
+        every.step(now)
+        third.step(now)
+        assert third.time_s == now[0]
+        heated.add(round(60.0 * third.heated_s))
+    assert heated == set(range(0, 601, 3))
+    assert third.surface_K["V09T9527"] == pytest.approx(every.surface_K["V09T9527"], abs=1e-3)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 Axis = Literal["mach", "velocity_m_s"]
@@ -38,12 +37,6 @@ def _limits(pair: tuple[float, float]) -> tuple[float, float]:
 
 
 Limits = Annotated[tuple[Finite, Finite], AfterValidator(_limits)]
-
-
-def as_arrays(schedule: Schedule) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """x and value of a schedule, each (points,)."""
-    table = np.array(schedule, dtype=float)
-    return np.ascontiguousarray(table[:, 0]), np.ascontiguousarray(table[:, 1])
 
 
 class Table(BaseModel):
