@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Callable
@@ -21,14 +22,34 @@ CACHES_KEPT = 4
 """Caches of other versions of the package that are left in place."""
 
 
+_IMPORT = re.compile(r"^\s*(?:from|import) sim_heating\.([\w.]+)(?: import (?:\(([^)]*)\)|(.*)))?", re.MULTILINE)
+
+
+def _imported(path: Path) -> set[Path]:
+    """Modules of the package that a module imports, by their absolute names."""
+    found = set()
+    for module, several, one in _IMPORT.findall(path.read_text()):
+        base = PACKAGE.joinpath(*module.split("."))
+        found |= {base, *(base / name for name in re.findall(r"\w+", several + one))}
+    return {p for base in found for p in (base.with_suffix(".py"), base / "__init__.py") if p.is_file()}
+
+
 def _source_digest() -> str:
-    """Digest of everything that compiled kernels are made of.
+    """Digest of everything that compiled kernels are made of: modules that import this one, what those import, data.
 
     numba keys its cache by the file of a function alone: a kernel that calls another, or holds a table as a
     constant, would keep what it was compiled with when that changes in another file.
     """
+    imports = {path: _imported(path) for path in PACKAGE.rglob("*.py")}
+    waiting = [path for path, found in imports.items() if Path(__file__).resolve() in found]
+    sources: set[Path] = set()
+    while waiting:
+        path = waiting.pop()
+        if path not in sources:
+            sources.add(path)
+            waiting += imports[path]
     digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted([*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.csv")]):
+    for path in sorted([*sources, *PACKAGE.rglob("*.csv")]):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 
