@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.ode import FloatArray, Kinked, System
-from sim_heating.thermal.kernel import SIGMA
+from sim_heating.thermal.faces import SIGMA
 
 try:
     import casadi

@@ -15,7 +15,7 @@ from benchmarks.ode import FloatArray, System, arguments, jacobian, rate, rate_i
 from benchmarks.problems import entry, mesh_of, plug, prescribed
 from sim_heating.ensemble import Ensemble, PointModel
 from sim_heating.layout import TIME
-from sim_heating.thermal.kernel import SHARE
+from sim_heating.thermal.assembly import SHARE
 from sim_heating.thermal.mesh import Mesh
 
 NODES = 24

@@ -55,7 +55,9 @@ UPPER, DELTA, FRACTION, MOVES, LARGEST = 23, 24, 25, 26, 27
 # ... and the property polynomials about its temperature, which hold from LOW to HIGH: foot of the bin, then h, c,
 # its slope and theta, k, its slope in two pressure columns, for the element to the right and to the left.
 LOW, HIGH, FOOT, FOOT_LEFT = 28, 29, 30, 40
-NODE_ROWS = 50
+# and the temperature at the middle stage of the last step.
+T_STAGE = 50
+NODE_ROWS = 51
 HEAD_ROWS = SCALAR_ROWS + NODE_ROWS
 """A ghost node of zeros before the first and one behind the last end the recurrences along the nodes."""
 NOWHERE = -1e30

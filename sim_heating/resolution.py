@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from sim_heating.ensemble import Ensemble, PointModel
 from sim_heating.layout import CONDITION_COLUMNS, P_SURFACE, Q_ADD
 from sim_heating.thermal.declare import pairs
-from sim_heating.thermal.kernel import SIGMA
+from sim_heating.thermal.faces import SIGMA
 from sim_heating.thermal.mesh import Mesh, build_mesh, fewest_nodes, refined
 
 FloatArray = NDArray[np.float64]

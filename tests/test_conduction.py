@@ -35,8 +35,8 @@ from walls import (
 from sim_heating.ensemble import Ensemble, PointModel, condition_history
 from sim_heating.layout import RECOVERY_ENTHALPY
 from sim_heating.resolution import pack
+from sim_heating.thermal.assembly import BIN_K, BINS, PIECE_HEAD
 from sim_heating.thermal.declare import Material
-from sim_heating.thermal.kernel import BIN_K, BINS, PIECE_HEAD
 from sim_heating.thermal.mesh import build_mesh, refined
 from sim_heating.thermal.tables import TableStore
 

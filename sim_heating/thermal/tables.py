@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.reference_heating.gas import wall_enthalpy_grid
+from sim_heating.thermal.assembly import BIN_K, BINS, FAR
 from sim_heating.thermal.declare import Material, pairs
-from sim_heating.thermal.kernel import BIN_K, BINS, FAR
 
 FloatArray = NDArray[np.float64]
 EDGES_K = BIN_K * np.arange(BINS + 1)

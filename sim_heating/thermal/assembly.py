@@ -1,0 +1,223 @@
+"""Rows of the thermal model's linear system, for eight control points (lanes) at once; compiled.
+
+In each layer rho c(T) dT/dt = d/dx( k(T, p) dT/dx ), linear elements in the heat content and in Kirchhoff's variable
+theta = int k dT [W/m], which makes the flux through an element exact for k(T):
+
+    d/dt E_i = q_(i-1) - q_i + source_i,      q_i = g_i (theta_i(T_i) - theta_i(T_(i+1))),     g_i = 1 / dx_i
+
+The heat content [J/m2] of an element is shared between its nodes by the mean of the lumped and the consistent mass
+matrix,
+
+    E_i = M_L h(T_i) + M_R h(T_i) + SHARE [M_R (h(T_(i+1)) - h(T_i)) - M_L (h(T_i) - h(T_(i-1)))],    M = rho dx / 2,
+
+whose second-order errors cancel where elements are equal (Goudreau & Taylor, Comp. Meth. Appl. Mech. Eng. 2 (1973) 69);
+the sum over the nodes is the heat in the stack all the same.
+
+Everything lives in one flat float64 block (layout.py). Loops over lanes touch rows of one node and its neighbours
+only, at constant distances: that is what lets the compiler vectorise them without alias checks. What all nodes of a
+lane share is handed on from node to node (FRACTION, MOVES, LARGEST).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.jit import njit
+from sim_heating.layout import (
+    ACROSS,
+    C_LEFT,
+    C_RIGHT,
+    COLUMN,
+    DIAGONAL,
+    E_LEFT,
+    E_RIGHT,
+    E_STAR,
+    ENTRY,
+    FOOT,
+    FOOT_LEFT,
+    FRACTION,
+    HEAD_ROWS,
+    HIGH,
+    INTS_PER_NODE,
+    IS_FACE,
+    IS_INTERFACE,
+    LANES,
+    LOW,
+    LOWER,
+    M_LEFT,
+    M_RIGHT,
+    MATERIAL_TABLE,
+    N_NODES,
+    N_PRESSURES,
+    NODE_INTS,
+    NODE_ROWS,
+    NOWHERE,
+    PCOL,
+    PFRAC,
+    RESIDUAL,
+    SCALAR_ROWS,
+    SLOPE,
+    SOURCE,
+    THETA_RIGHT,
+    G,
+    T,
+)
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+SHARE = 1.0 / 6.0
+"""0 gives the lumped mass matrix, 1/3 the consistent one."""
+FAR = 1e300
+"""Bound of a bin that goes on for ever."""
+BIN_K = 5.0
+"""Width of a property-table bin [K]."""
+BINS = 600
+"""Bins of a property table; the last one goes on for ever."""
+PIECE_HEAD = 3
+"""Numbers before the polynomials of a piece: where it begins and ends, and its foot [K]."""
+
+
+@njit
+def property_bin(temperature: float) -> int:
+    """Property-table bin of a temperature [K]; the first where it is not a number (the step then reports a failure)."""
+    scaled = temperature * (1.0 / BIN_K)
+    if not scaled > 0.0:
+        return 0
+    return int(scaled) if scaled < BINS else BINS - 1
+
+
+@njit
+def _integral(value: float, first: float, slope: float, t: float) -> float:
+    """value + integral from 0 to t of (first + slope t)."""
+    return value + t * (first + 0.5 * slope * t)
+
+
+@njit
+def _gather(B: FloatArray, J: IntArray, table: FloatArray, a: int, lane: int, offset: int, into: int) -> int:
+    """Copy the property polynomials about the temperature of a node beside it, for one element; gives their place."""
+    piece = int(table[offset + property_bin(B[a + T * LANES + lane])])
+    row = offset + BINS + piece * (PIECE_HEAD + 3 + 3 * J[N_PRESSURES + lane])
+    B[a + into * LANES + lane] = table[row + 2]
+    for k in range(3):
+        B[a + (into + 1 + k) * LANES + lane] = table[row + PIECE_HEAD + k]
+    column = row + PIECE_HEAD + 3 + 3 * int(B[COLUMN * LANES + lane])
+    for k in range(6):
+        B[a + (into + 4 + k) * LANES + lane] = table[column + k]
+    return row
+
+
+@njit
+def _refresh(B: FloatArray, J: IntArray, table: FloatArray, i: int) -> None:
+    """Gather the polynomials of node i anew in the lanes that have left the piece that they hold for."""
+    a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+    outside = 0
+    for lane in range(LANES):
+        t = B[a + T * LANES + lane]
+        outside += 0 if (t >= B[a + LOW * LANES + lane] and t < B[a + HIGH * LANES + lane]) else 1
+    if outside == 0:
+        return
+    node = NODE_INTS + i * INTS_PER_NODE
+    for lane in range(LANES):
+        t = B[a + T * LANES + lane]
+        if not (t >= B[a + LOW * LANES + lane] and t < B[a + HIGH * LANES + lane]):
+            row = _gather(B, J, table, a, lane, J[node + MATERIAL_TABLE + lane], FOOT)
+            low, high = table[row], table[row + 1]
+            if J[node + IS_INTERFACE] == 1:
+                row = _gather(B, J, table, a, lane, J[node - INTS_PER_NODE + MATERIAL_TABLE + lane], FOOT_LEFT)
+                low, high = max(low, table[row]), min(high, table[row + 1])
+            B[a + LOW * LANES + lane] = low
+            B[a + HIGH * LANES + lane] = high
+
+
+@njit
+def _properties(B: FloatArray, a: int, lane: int, foot: int, f: float) -> tuple[float, float, float, float]:
+    """Enthalpy, specific heat, theta and k at the node's temperature, a fraction f between two pressure columns."""
+    t = B[a + T * LANES + lane] - B[a + foot * LANES + lane]
+    x = a + (foot + 1) * LANES + lane
+    c0, c1 = B[x + LANES], B[x + 2 * LANES]
+    theta_a, k_a, slope_a = B[x + 3 * LANES], B[x + 4 * LANES], B[x + 5 * LANES]
+    theta0 = theta_a + f * (B[x + 6 * LANES] - theta_a)
+    k0 = k_a + f * (B[x + 7 * LANES] - k_a)
+    k1 = slope_a + f * (B[x + 8 * LANES] - slope_a)
+    return _integral(B[x], c0, c1, t), c0 + c1 * t, _integral(theta0, k0, k1, t), k0 + k1 * t
+
+
+@njit
+def _write_row(
+    B: FloatArray, a: int, lane: int, ddt: float,
+    h_left: float, c_left: float, theta_left: float, k_left: float, h: float, c: float, theta: float, k: float,
+) -> None:  # fmt: skip
+    """Row of a node with its properties on either side; what its right neighbour adds is in that one's ACROSS and
+    ENTRY.
+
+    What crosses an element, heat conducted in d dt and heat content shared, is taken together.
+    """
+    left = a - NODE_ROWS * LANES
+    m_left, m_right = B[a + M_LEFT * LANES + lane], B[a + M_RIGHT * LANES + lane]
+    e_left, cap_left, e_right, cap_right = m_left * h_left, m_left * c_left, m_right * h, m_right * c
+    g_left = ddt * B[left + G * LANES + lane]
+    across = g_left * (B[left + THETA_RIGHT * LANES + lane] - theta_left)
+    across += SHARE * (e_left - B[left + E_RIGHT * LANES + lane])
+    entry = SHARE * cap_left - g_left * k_left
+    lower = SHARE * cap_right - ddt * B[a + G * LANES + lane] * k
+    B[a + E_LEFT * LANES + lane] = e_left
+    B[a + C_LEFT * LANES + lane] = cap_left
+    B[a + E_RIGHT * LANES + lane] = e_right
+    B[a + C_RIGHT * LANES + lane] = cap_right
+    B[a + THETA_RIGHT * LANES + lane] = theta
+    B[a + ACROSS * LANES + lane] = across
+    B[a + ENTRY * LANES + lane] = entry
+    B[a + LOWER * LANES + lane] = lower
+    B[a + DIAGONAL * LANES + lane] = cap_left + cap_right - entry - lower
+    B[a + RESIDUAL * LANES + lane] = e_left + e_right - B[a + E_STAR * LANES + lane] - across
+
+
+@njit
+def assemble(B: FloatArray, J: IntArray, table: FloatArray, i: int, ddt: float) -> None:
+    """Row of node i at its present temperatures, heat from outside included."""
+    a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+    left = a - NODE_ROWS * LANES
+    _refresh(B, J, table, i)
+    if J[NODE_INTS + i * INTS_PER_NODE + IS_INTERFACE] == 1:
+        for lane in range(LANES):
+            f = B[left + FRACTION * LANES + lane]
+            B[a + FRACTION * LANES + lane] = f
+            h_left, c_left, theta_left, k_left = _properties(B, a, lane, FOOT_LEFT, f)
+            h, c, theta, k = _properties(B, a, lane, FOOT, f)
+            _write_row(B, a, lane, ddt, h_left, c_left, theta_left, k_left, h, c, theta, k)
+    else:
+        for lane in range(LANES):
+            f = B[left + FRACTION * LANES + lane]
+            B[a + FRACTION * LANES + lane] = f
+            h, c, theta, k = _properties(B, a, lane, FOOT, f)
+            _write_row(B, a, lane, ddt, h, c, theta, k, h, c, theta, k)
+    if J[NODE_INTS + i * INTS_PER_NODE + IS_FACE] == 1:
+        for lane in range(LANES):
+            B[a + RESIDUAL * LANES + lane] -= ddt * B[a + SOURCE * LANES + lane]
+            B[a + DIAGONAL * LANES + lane] -= ddt * B[a + SLOPE * LANES + lane]
+
+
+@njit
+def assemble_behind(B: FloatArray, n: int) -> None:
+    """What crosses to the ghost behind the last node: content that padding shares with it, nothing where there is
+    none."""
+    last = (HEAD_ROWS + (n - 1) * NODE_ROWS) * LANES
+    for lane in range(LANES):
+        B[last + (NODE_ROWS + ACROSS) * LANES + lane] = -SHARE * B[last + E_RIGHT * LANES + lane]
+
+
+@njit
+def select_pressure(B: FloatArray, J: IntArray, stage: int) -> None:
+    """Set the pressure of a stage; where a lane's moved to another pair of columns, drop the polynomials gathered."""
+    changed = 0
+    for lane in range(LANES):
+        B[(SCALAR_ROWS + FRACTION) * LANES + lane] = B[(PFRAC + stage) * LANES + lane]
+        if B[COLUMN * LANES + lane] != B[(PCOL + stage) * LANES + lane]:
+            changed += 1
+            B[COLUMN * LANES + lane] = B[(PCOL + stage) * LANES + lane]
+    if changed > 0:
+        for i in range(J[N_NODES]):
+            for lane in range(LANES):
+                B[(HEAD_ROWS + i * NODE_ROWS + HIGH) * LANES + lane] = NOWHERE

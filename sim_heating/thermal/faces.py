@@ -1,0 +1,117 @@
+"""Heat that enters the wall from outside, at its surface and at its back, for eight lanes at once; compiled.
+
+source_0     = film (H_r - H_w(T)) + q_add - eps(T) sigma (T^4 - T_sur^4),
+source_(n-1) = -h_b (T - T_b) - eps_b sigma (T^4 - T_b^4).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.jit import njit
+from sim_heating.layout import (
+    ADDED,
+    BACK_EPS,
+    BACK_H,
+    BACK_NODE,
+    BACK_T,
+    C_STAGES,
+    EMISSIVITY_TABLE,
+    ENTHALPY_TABLE,
+    FACTOR_EPS,
+    FILM,
+    H_REF,
+    HEAD_ROWS,
+    LANES,
+    N_CONDITIONS,
+    N_PRESSURES,
+    NODE_ROWS,
+    PCOL,
+    PFRAC,
+    R_BASE,
+    RECOVERY,
+    SLOPE,
+    SOURCE,
+    SURROUNDINGS4,
+    WALL_EFFECTS,
+    T,
+)
+from sim_heating.surface_heating import with_effects
+from sim_heating.thermal.assembly import BIN_K, property_bin
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+SIGMA = 5.670374419e-8
+"""Stefan-Boltzmann constant [W/(m2 K4)], CODATA 2018."""
+WALL_DIFFERENCE_K = 0.5
+"""Half the step over which an effect's dependence on the wall temperature is differenced, for Newton's matrix only."""
+
+
+@njit
+def _film(B: FloatArray, J: IntArray, chain, lane: int, stage: int, wall: float) -> tuple[float, float]:  # type: ignore[no-untyped-def]
+    """Film coefficient of a lane whose effects ask for the wall temperature, and its slope against it."""
+    h_ref = B[C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS + H_REF]
+    r = B[(R_BASE + stage) * LANES + lane]
+    above = with_effects(B, J, chain, lane, stage, r, wall + WALL_DIFFERENCE_K)
+    below = with_effects(B, J, chain, lane, stage, r, wall - WALL_DIFFERENCE_K)
+    slope = (above - below) * (0.5 / WALL_DIFFERENCE_K)
+    return h_ref * with_effects(B, J, chain, lane, stage, r, wall), h_ref * slope
+
+
+@njit
+def _emissivity(table: FloatArray, first: int, wall: float) -> tuple[float, float]:
+    """Emittance and its slope [1/K]: linear between the points of the table, constant beyond its ends.
+
+    The points are kept as they are, without bins: radiation feels a corner that is cut.
+    """
+    n = int(table[first])
+    T_K, eps = first + 1, first + 1 + n
+    if n == 1 or not wall > table[T_K]:
+        return table[eps], 0.0
+    if wall >= table[T_K + n - 1]:
+        return table[eps + n - 1], 0.0
+    i = 0
+    while wall >= table[T_K + i + 1]:
+        i += 1
+    slope = (table[eps + i + 1] - table[eps + i]) / (table[T_K + i + 1] - table[T_K + i])
+    return table[eps + i] + slope * (wall - table[T_K + i]), slope
+
+
+@njit
+def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int) -> None:  # type: ignore[no-untyped-def]
+    """Heat that enters at the surface [W/m2] and its slope against the surface temperature [W/(m2 K)]."""
+    a = HEAD_ROWS * LANES
+    for lane in range(LANES):
+        wall = B[a + T * LANES + lane]
+        factor = B[FACTOR_EPS * LANES + lane]
+        eps, eps_slope = _emissivity(table, J[EMISSIVITY_TABLE + lane], wall)
+        j = property_bin(wall)
+        f = B[(PFRAC + stage) * LANES + lane]
+        row = J[ENTHALPY_TABLE + lane] + 2 * (j * J[N_PRESSURES + lane] + int(B[(PCOL + stage) * LANES + lane]))
+        cp_w = table[row + 1] + f * (table[row + 3] - table[row + 1])
+        H_w = table[row] + f * (table[row + 2] - table[row]) + (wall - BIN_K * j) * cp_w
+        film, film_slope = B[(FILM + stage) * LANES + lane], 0.0
+        if J[WALL_EFFECTS + lane] > 0:
+            film, film_slope = _film(B, J, chain, lane, stage, wall)
+        driving = B[(RECOVERY + stage) * LANES + lane] - H_w
+        cube = wall * wall * wall
+        excess = cube * wall - B[SURROUNDINGS4 * LANES + lane]
+        radiated = factor * eps * SIGMA * excess
+        B[a + SOURCE * LANES + lane] = film * driving + B[(ADDED + stage) * LANES + lane] - radiated
+        radiated = factor * SIGMA * (4.0 * eps * cube + eps_slope * excess)
+        B[a + SLOPE * LANES + lane] = film_slope * driving - film * cp_w - radiated
+
+
+@njit
+def evaluate_back(B: FloatArray, J: IntArray) -> None:
+    """Heat that enters at the back face [W/m2] and its slope against the temperature there [W/(m2 K)]."""
+    for lane in range(LANES):
+        a = (HEAD_ROWS + J[BACK_NODE + lane] * NODE_ROWS) * LANES
+        inner, ambient = B[a + T * LANES + lane], B[BACK_T * LANES + lane]
+        emitted = SIGMA * B[BACK_EPS * LANES + lane]
+        h_b = B[BACK_H * LANES + lane]
+        cube, square = inner * inner * inner, ambient * ambient
+        B[a + SOURCE * LANES + lane] = -h_b * (inner - ambient) - emitted * (cube * inner - square * square)
+        B[a + SLOPE * LANES + lane] = -h_b - 4.0 * emitted * cube
