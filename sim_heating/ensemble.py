@@ -8,10 +8,11 @@ of one array.
 
 from __future__ import annotations
 
+import copy
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -74,11 +75,12 @@ from sim_heating.layout import (
     block_size,
     integers_size,
     node_row,
+    node_rows,
     parameters_at,
     scalar_row,
 )
 from sim_heating.march import BLOCK_END, BLOCK_START, INTS_END, INTS_START, advance_groups, begin_groups, march_group
-from sim_heating.parameters import MODEL, RATIO, SECOND_ORDER
+from sim_heating.parameters import EFFECT_PREFIX, MODEL, RATIO, SECOND_ORDER, Parameter
 from sim_heating.thermal.declare import BackFace, Construction, Material
 from sim_heating.thermal.kernel import compiled
 from sim_heating.thermal.mesh import Mesh
@@ -89,10 +91,16 @@ IntArray = NDArray[np.int64]
 
 CONTACT = Material(density_kg_m3=1.0, specific_heat_J_kgK=[[300.0, 1.0]], conductivity_W_mK=[[300.0, 1.0]])
 """What a contact resistance is made of: an element without mass whose "length" is the resistance."""
+BACK = ("back.h_W_m2K", "back.T_K", "back.emissivity")
 CACHE_LINE = 64
 """Bytes."""
 THREADED_POINT_STEPS = 20_000
 """Below this many point-steps a march is not worth a second thread."""
+
+
+def _unknown(point: str, name: str, known: Iterable[str]) -> str:
+    near = nearest(name, known)
+    return f"{point}: there is no parameter `{name}`." + (f" Nearest: `{near}`." if near else "")
 
 
 @dataclass(frozen=True)
@@ -124,10 +132,7 @@ class PointModel:
         check_count(self.effects, self.name)
         for key, value in self.parameters.items():
             if key not in MODEL:
-                near = nearest(key, MODEL)
-                raise InputError(
-                    f"{self.name}: there is no parameter `{key}`." + (f" Nearest: `{near}`." if near else "")
-                )
+                raise InputError(_unknown(self.name, key, MODEL))
             if not MODEL[key].lower <= value <= MODEL[key].upper:
                 lower, upper = MODEL[key].lower, MODEL[key].upper
                 raise InputError(f"{self.name}, {key}: {value:g} is outside its bounds {lower:g} to {upper:g}")
@@ -142,8 +147,57 @@ class PointModel:
             raise InputError(f"{self.name}: ratio.d0 is 0 where there is a ratio table; use ratio.scale")
 
     def value(self, name: str) -> float:
-        """A parameter's value, nominal where it is not set."""
+        """A parameter's value, nominal where it is not set; `effect.NAME.PARAMETER` as well."""
+        if name.startswith(EFFECT_PREFIX):
+            use, k = self._effect_place(name)
+            return float(self.effects[use].values[k])
+        if name in BACK and name not in self.parameters:
+            return self._declared_back(name)
         return float(self.parameters.get(name, MODEL[name].value))
+
+    def _declared_back(self, name: str) -> float:
+        back = self.construction.stack.back
+        declared = getattr(back, name.removeprefix("back.")) if isinstance(back, BackFace) else None
+        return float(MODEL[name].value if declared is None else declared)
+
+    def definition(self, name: str) -> Parameter:
+        """What a dotted name stands for in this model.
+
+        raises : InputError with the nearest name where the model has no such parameter
+        """
+        if name.startswith(EFFECT_PREFIX):
+            use, k = self._effect_place(name)
+            return self.effects[use].effect.parameters[k]
+        if name not in MODEL:
+            raise InputError(_unknown(self.name, name, MODEL))
+        return MODEL[name]
+
+    def _effect_place(self, name: str) -> tuple[int, int]:
+        known = {
+            f"{EFFECT_PREFIX}{use.effect.name}.{p.name}": (i, k)
+            for i, use in enumerate(self.effects)
+            for k, p in enumerate(use.effect.parameters)
+        }
+        if name not in known:
+            raise InputError(_unknown(self.name, name, known))
+        return known[name]
+
+    def altered(self, values: Mapping[str, float]) -> PointModel:
+        """The same point with parameters set by their dotted names, within their bounds or beyond: nothing is checked
+        but the names."""
+        parameters, effects = dict(self.parameters), [list(use.values) for use in self.effects]
+        for name, value in values.items():
+            if name.startswith(EFFECT_PREFIX):
+                use, k = self._effect_place(name)
+                effects[use][k] = value
+            else:
+                self.definition(name)
+                parameters[name] = value
+        other = copy.copy(self)
+        used = tuple(replace(u, values=tuple(v)) for u, v in zip(self.effects, effects, strict=True))
+        object.__setattr__(other, "parameters", parameters)
+        object.__setattr__(other, "effects", used)
+        return other
 
 
 def condition_history(conditions: Conditions) -> FloatArray:
@@ -173,11 +227,18 @@ class Ensemble:
     models : the control points; results keep their order
     meshes : the mesh of each (resolution.pack chooses them)
     step_s : the longest time step [s] that a march takes
+    beside : an ensemble of points with the same tables and effects, whose tables this one shares
 
     Attributes: `meshes`, `table` with all property and ratio tables, and `state`, which holds everything that changes.
     """
 
-    def __init__(self, models: Sequence[PointModel], meshes: Sequence[Mesh], step_s: float = 1.0) -> None:
+    def __init__(
+        self,
+        models: Sequence[PointModel],
+        meshes: Sequence[Mesh],
+        step_s: float = 1.0,
+        beside: Ensemble | None = None,
+    ) -> None:
         if not models:
             raise InputError("there is no control point; give at least one")
         self.models = tuple(models)
@@ -187,7 +248,7 @@ class Ensemble:
         self._chain = compiled_chain(self._effects)
         self.chain = self._chain.handle
         self.begin_handle, self.advance_handle = (handle(f) for f in compiled())
-        self._tables = TableStore()
+        self._tables = TableStore() if beside is None else beside._tables
         self._arrange()
         self.table = self._tables.values
         self.reset()
@@ -240,15 +301,8 @@ class Ensemble:
             J[here + IS_INTERFACE] = int(np.any(left != right))
 
     def _pack_stack(self, B: FloatArray, J: IntArray, lane: int, model: PointModel, mesh: Mesh) -> None:
-        materials = model.construction.layer_materials()
         tables = self.point_tables(model)
-        length, conductivity, capacity = _factors(model, mesh)
         for e, layer in enumerate(mesh.layer):
-            material = CONTACT if layer < 0 else materials[layer]
-            half = 0.0 if layer < 0 else 0.5 * material.density_kg_m3 * length[e] * capacity[e]
-            B[node_row(e, G)][lane] = conductivity[e] / length[e]
-            B[node_row(e, M_RIGHT)][lane] = half
-            B[node_row(e + 1, M_LEFT)][lane] = half
             J[NODE_INTS + e * INTS_PER_NODE + MATERIAL_TABLE + lane] = tables.materials[layer]
         J[BACK_NODE + lane] = mesh.nodes - 1
         for node in (0, mesh.nodes - 1):
@@ -259,17 +313,21 @@ class Ensemble:
             B[node_row(node, M_RIGHT)][lane] = 1.0
         J[N_PRESSURES + lane], J[PRESSURE_TABLE + lane] = tables.columns, tables.pressures
         J[EMISSIVITY_TABLE + lane], J[ENTHALPY_TABLE + lane] = tables.emissivity, tables.enthalpy
-        stack = model.construction.stack
-        B[scalar_row(SURROUNDINGS4)][lane] = stack.surroundings_K**4
+        B[scalar_row(SURROUNDINGS4)][lane] = model.construction.stack.surroundings_K**4
+        self._pack_factors(B, lane, model, mesh)
+
+    def _pack_factors(self, B: FloatArray, lane: int, model: PointModel, mesh: Mesh) -> None:
+        """What the thermal parameters of a point change in the block."""
+        densities = [m.density_kg_m3 for m in model.construction.layer_materials()]
+        length, conductivity, capacity = _factors(model, mesh)
+        half = 0.5 * np.array([*densities, 0.0])[mesh.layer] * length * capacity
+        nodes, elements = node_rows(B), len(half)
+        nodes[:elements, G, lane] = conductivity / length
+        nodes[:elements, M_RIGHT, lane] = half
+        nodes[1 : elements + 1, M_LEFT, lane] = half
         B[scalar_row(FACTOR_EPS)][lane] = model.value("stack.emissivity_factor")
-        back = stack.back if isinstance(stack.back, BackFace) else None
-        for row, name, declared in (
-            (BACK_H, "back.h_W_m2K", back.h_W_m2K if back else None),
-            (BACK_T, "back.T_K", back.T_K if back else None),
-            (BACK_EPS, "back.emissivity", back.emissivity if back else None),
-        ):
-            nominal = MODEL[name].value if declared is None else declared
-            B[scalar_row(row)][lane] = model.parameters.get(name, nominal)
+        for row, name in ((BACK_H, "back.h_W_m2K"), (BACK_T, "back.T_K"), (BACK_EPS, "back.emissivity")):
+            B[scalar_row(row)][lane] = model.value(name)
 
     def _pack_heating(self, B: FloatArray, J: IntArray, lane: int, model: PointModel) -> None:
         p = parameters_at(lane)
@@ -287,6 +345,19 @@ class Ensemble:
             first = p + EFFECT_PARAMETERS + k * EFFECT_WIDTH
             B[first : first + len(used.values)] = used.values
 
+    def set_model(self, model: int, altered: PointModel) -> None:
+        """Give a point other parameters: `altered` is its present model but for their values (PointModel.altered).
+
+        A march then begins with `reset` or `set_profile`.
+        """
+        place, mesh = self.places[model], self.meshes[model]
+        self.models = (*self.models[:model], altered, *self.models[model + 1 :])
+        B, J = self.block(place.group), self.integers(place.group)
+        for lane, i in enumerate(self.lanes[place.group * LANES : (place.group + 1) * LANES]):
+            if i == model:
+                self._pack_factors(B, lane, altered, mesh)
+                self._pack_heating(B, J, lane, altered)
+
     # State -----------------------------------------------------------------------------------------------------------
 
     def reset(self) -> None:
@@ -300,7 +371,7 @@ class Ensemble:
                 self._set_profile(B, lane, initial_temperatures(self.models[i].construction, self.meshes[i]))
 
     def _set_profile(self, B: FloatArray, lane: int, temperature_K: FloatArray) -> None:
-        nodes = B[HEAD_ROWS * LANES :].reshape(-1, NODE_ROWS, LANES)[:-1]
+        nodes = node_rows(B)
         nodes[:, T, lane] = temperature_K[-1]
         nodes[: len(temperature_K), T, lane] = temperature_K
         nodes[:, RATE, lane] = 0.0
@@ -331,7 +402,7 @@ class Ensemble:
     def node_temperatures(self, model: int) -> FloatArray:
         """(node,) temperatures of a point [K], outermost first."""
         place = self.places[model]
-        nodes = self.block(place.group)[HEAD_ROWS * LANES :].reshape(-1, NODE_ROWS, LANES)
+        nodes = node_rows(self.block(place.group))
         return nodes[: self.meshes[model].nodes, T, place.lane].copy()
 
     def outputs(self) -> IntArray:
@@ -458,6 +529,7 @@ def _factors(model: PointModel, mesh: Mesh) -> tuple[FloatArray, FloatArray, Flo
     applied."""
     coating, rsi = mesh.layer == 0, mesh.layer == 1
     length = np.where(coating, model.value("stack.coating.thickness_factor") * mesh.length_m, mesh.length_m)
+    length = np.where(mesh.layer < 0, model.value("stack.contact_factor") * length, length)
     conductivity = np.ones_like(length)
     capacity = np.ones_like(length)
     for mask, layer in ((coating, "coating"), (rsi, "rsi")):

@@ -8,6 +8,9 @@ step, and a vector of heating parameters.
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 LANES = 8
 
 # Flight conditions of a lane, in contract units (conditions.py); the first five are the variables of a ratio table.
@@ -112,6 +115,11 @@ def node_row(node: int, row: int) -> slice:
     """The numbers of one row of a node, all lanes."""
     first = (HEAD_ROWS + node * NODE_ROWS + row) * LANES
     return slice(first, first + LANES)
+
+
+def node_rows(B: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(node, row, lane) all rows of the nodes of a block, padding included, as a view."""
+    return B[HEAD_ROWS * LANES :].reshape(-1, NODE_ROWS, LANES)[:-1]
 
 
 def scalar_row(row: int) -> slice:

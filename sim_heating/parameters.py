@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 from sim_heating.conditions import RATIO_VARIABLES
 
+EFFECT_PREFIX = "effect."
+"""Parameters of effects are named `effect.NAME.PARAMETER`."""
 SHORT = ("alpha", "beta", "logre", "elevon", "bodyflap")
 """The ratio variables as they stand in parameter names."""
 UNITS = ("deg", "deg", "1", "deg", "deg")
@@ -67,11 +69,15 @@ STACK = (
     Parameter("stack.rsi.conductivity_factor", "1", 1.0, 0.18, 1e-3, 10.0, "second layer, over the declared table"),
     Parameter("stack.rsi.heat_capacity_factor", "1", 1.0, 0.1, 1e-3, 10.0, "second layer, over the declared table"),
     Parameter("stack.emissivity_factor", "1", 1.0, 0.035, 0.0, 1.5, "surface emittance over the declared table"),
+    Parameter("stack.contact_factor", "1", 1.0, 0.5, 1e-3, 100.0, "contact resistances, over the declared ones"),
     Parameter("back.h_W_m2K", "W/(m2 K)", 0.0, 10.0, 0.0, 1e4, "film coefficient behind the wall"),
     Parameter("back.T_K", "K", 300.0, 30.0, 1.0, 2000.0, "temperature behind the wall"),
     Parameter("back.emissivity", "1", 0.0, 0.3, 0.0, 1.0, "effective emittance behind the wall"),
 )
 """Parameters of the thermal model; `back.*` start from what the stack declares."""
+
+CURVED = ("stack.coating.thickness_factor", "stack.contact_factor", "back.T_K")
+"""Parameters in which the heat balance at given temperatures is not affine; no parameter of an effect need be."""
 
 MODEL = {p.name: p for p in (*RATIO, *STACK)}
 """Every parameter of a control point's model by its name, effects left out."""

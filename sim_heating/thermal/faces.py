@@ -45,8 +45,9 @@ IntArray = NDArray[np.int64]
 
 SIGMA = 5.670374419e-8
 """Stefan-Boltzmann constant [W/(m2 K4)], CODATA 2018."""
-WALL_DIFFERENCE_K = 0.5
-"""Half the step over which an effect's dependence on the wall temperature is differenced, for Newton's matrix only."""
+WALL_DIFFERENCE_K = 0.01
+"""Half the step over which an effect's dependence on the wall temperature is differenced, for the matrix only: a
+sensitivity to 1e-9 wants it small against the width of any effect."""
 
 
 @njit

@@ -1,0 +1,214 @@
+"""The time step differentiated: sensitivity of every node temperature to any parameters, from the step's own matrix.
+
+With G(T; p) = E(T; p) - d dt F(T; p) the two stages of a step (kernel.py) are G(Y1) = E_n + d dt F_n and
+G(Y2) = E_n + (w/d) (E(Y1) - E_n), so that for S = dT/dp, e = dE/dp and f = dF/dp, all total,
+
+    A1 S1 = e_n + d dt f_n             - G_p(Y1),      A = dG/dT at the converged stage,
+    A2 S2 = e_n + (w/d) (e(Y1) - e_n)  - G_p(Y2),      e = E_T S + E_p,
+    f_(n+1) = (e(Y2) - e_n - (w/d) (e(Y1) - e_n)) / (d dt)
+
+which is exact for the discrete model (implicit function theorem). A is assembled once at the temperatures of the stage;
+every parameter costs one more right-hand side. G_p and E_p come from the model itself: beside the base stand shadows of
+it, one lane for each parameter with that parameter moved (two, to either side, where G is not affine in it), at
+the temperatures of the base. Their rows are the model's own, so that no equation has a second, differentiated form;
+for affine parameters the difference is exact to rounding.
+
+Arrays of a lane: (node, parameter), parameters contiguous.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.heating_ratio.kernel import forget_cells
+from sim_heating.jit import call_step, compiled_step, njit, raw
+from sim_heating.layout import (
+    ACROSS,
+    C_LEFT,
+    C_RIGHT,
+    C_STAGES,
+    DIAGONAL,
+    E_LEFT,
+    E_RIGHT,
+    ENTRY,
+    HEAD_ROWS,
+    LANES,
+    LOWER,
+    N_CONDITIONS,
+    N_NODES,
+    NODE_ROWS,
+    RESIDUAL,
+    T,
+)
+from sim_heating.surface_heating import heat_lanes
+from sim_heating.thermal.assembly import SHARE, assemble, assemble_behind, select_pressure
+from sim_heating.thermal.faces import evaluate_back, evaluate_surface
+from sim_heating.thermal.kernel import BDF_WEIGHT, STAGE_WEIGHT
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+NODE = NODE_ROWS * LANES
+"""Numbers from a node to the next."""
+
+
+def rows_at(B: FloatArray, J: IntArray, table: FloatArray, chain, ddt: float) -> None:  # type: ignore[no-untyped-def]
+    """Rows of G = E - ddt F at the temperatures present, with the conditions of stage 2; ddt [s] stands for dt."""
+    n = J[N_NODES]
+    forget_cells(B)
+    heat_lanes(B, J, table, chain, 2)
+    select_pressure(B, J, 2)
+    evaluate_surface(B, J, table, chain, 2)
+    evaluate_back(B, J)
+    for i in range(n):
+        assemble(B, J, table, i, ddt)
+    assemble_behind(B, n)
+
+
+@cache
+def compiled_rows() -> Any:
+    """`rows_at`, compiled when first asked for."""
+    return compiled_step(rows_at)
+
+
+@njit
+def assemble_shadows(
+    B: FloatArray, X: FloatArray, J: IntArray, table: FloatArray, chain, rows, groups: IntArray, source: IntArray,  # type: ignore[no-untyped-def]
+    nodes: IntArray, row: int, stage: int, ddt: float,
+) -> None:  # fmt: skip
+    """Put the shadows at the temperatures and conditions that their bases have at a stage, and assemble their rows.
+
+    B      : block of the bases;  row, stage : where their temperatures and conditions of the stage stand
+    X, J   : blocks and integers of the shadow groups, `groups` as in march.py
+    source : (group * LANES,) lane of the base of each shadow;  nodes : (LANES,) node count of each base
+    """
+    for g in range(len(groups)):
+        start = groups[g, 0]
+        for s in range(LANES):
+            lane = source[g * LANES + s]
+            for i in range(nodes[lane]):
+                X[start + (HEAD_ROWS + i * NODE_ROWS + T) * LANES + s] = B[
+                    (HEAD_ROWS + i * NODE_ROWS + row) * LANES + lane
+                ]
+            to = start + C_STAGES * LANES + (2 * LANES + s) * N_CONDITIONS
+            given = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
+            for c in range(N_CONDITIONS):
+                X[to + c] = B[given + c]
+        call_step(rows, raw(X[start : groups[g, 1]]), raw(J[groups[g, 2] : groups[g, 3]]), raw(table), chain, ddt)
+
+
+@njit
+def _content(X: FloatArray, a: int) -> float:
+    """Heat content of a node [J/m2] whose first number is X[a]."""
+    left, right = X[a + E_LEFT * LANES], X[a + E_RIGHT * LANES]
+    shared = X[a + NODE + E_LEFT * LANES] - right - left + X[a - NODE + E_RIGHT * LANES]
+    return left + right + SHARE * shared
+
+
+@njit
+def _residual(X: FloatArray, a: int) -> float:
+    """G of a node [J/m2] whose first number is X[a]."""
+    return X[a + RESIDUAL * LANES] + X[a + NODE + ACROSS * LANES]
+
+
+@njit
+def content_columns(
+    X: FloatArray, at: int, plus: IntArray, minus: IntArray, inverse: FloatArray, n: int, S: FloatArray, e: FloatArray
+) -> None:
+    """e = E_T S + E_p of a lane whose base stands at X[at]; columns beyond those of `plus` have no E_p."""
+    m = S.shape[1]
+    for i in range(n):
+        a = at + i * NODE
+        own = (1.0 - SHARE) * (X[a + C_LEFT * LANES] + X[a + C_RIGHT * LANES])
+        left, right = SHARE * X[a - NODE + C_RIGHT * LANES], SHARE * X[a + NODE + C_LEFT * LANES]
+        for k in range(m):
+            e[i, k] = own * S[i, k]
+        if i > 0:
+            for k in range(m):
+                e[i, k] += left * S[i - 1, k]
+        if i < n - 1:
+            for k in range(m):
+                e[i, k] += right * S[i + 1, k]
+        for k in range(len(plus)):
+            if inverse[k] != 0.0:
+                e[i, k] += (_content(X, plus[k] + i * NODE) - _content(X, minus[k] + i * NODE)) * inverse[k]
+
+
+@njit
+def begin_columns(
+    X: FloatArray, at: int, plus: IntArray, minus: IntArray, inverse: FloatArray, n: int,
+    S: FloatArray, e: FloatArray, f: FloatArray,
+) -> None:  # fmt: skip
+    """e and f from S, the shadows being assembled with ddt = 1 s: after a start, or a change of S from outside."""
+    m = S.shape[1]
+    content_columns(X, at, plus, minus, inverse, n, S, e)
+    for i in range(n):
+        a = at + i * NODE
+        diagonal, lower, entry = X[a + DIAGONAL * LANES], X[a - NODE + LOWER * LANES], X[a + NODE + ENTRY * LANES]
+        for k in range(m):
+            f[i, k] = e[i, k] - diagonal * S[i, k]
+        if i > 0:
+            for k in range(m):
+                f[i, k] -= lower * S[i - 1, k]
+        if i < n - 1:
+            for k in range(m):
+                f[i, k] -= entry * S[i + 1, k]
+        for k in range(len(plus)):
+            if inverse[k] != 0.0:
+                f[i, k] -= (_residual(X, plus[k] + i * NODE) - _residual(X, minus[k] + i * NODE)) * inverse[k]
+
+
+@njit
+def solve_columns(
+    X: FloatArray, at: int, plus: IntArray, minus: IntArray, inverse: FloatArray, n: int,
+    star: FloatArray, S: FloatArray, reduced: FloatArray,
+) -> None:  # fmt: skip
+    """S from A S = star - G_p, A and G_p as the shadows have been assembled; `reduced` (node,) is work."""
+    m = S.shape[1]
+    for i in range(n):
+        a = at + i * NODE
+        for k in range(m):
+            S[i, k] = star[i, k]
+        for k in range(len(plus)):
+            if inverse[k] != 0.0:
+                S[i, k] -= (_residual(X, plus[k] + i * NODE) - _residual(X, minus[k] + i * NODE)) * inverse[k]
+        lower = X[a - NODE + LOWER * LANES] if i > 0 else 0.0
+        pivot = 1.0 / (X[a + DIAGONAL * LANES] - (lower * reduced[i - 1] if i > 0 else 0.0))
+        reduced[i] = X[a + NODE + ENTRY * LANES] * pivot
+        if i > 0:
+            for k in range(m):
+                S[i, k] = (S[i, k] - lower * S[i - 1, k]) * pivot
+        else:
+            for k in range(m):
+                S[i, k] *= pivot
+    for i in range(n - 2, -1, -1):
+        for k in range(m):
+            S[i, k] -= reduced[i] * S[i + 1, k]
+
+
+@njit
+def first_star(e: FloatArray, f: FloatArray, dt: float, star: FloatArray) -> None:
+    """Right-hand side of the first stage."""
+    for i in range(e.shape[0]):
+        for k in range(e.shape[1]):
+            star[i, k] = e[i, k] + STAGE_WEIGHT * dt * f[i, k]
+
+
+@njit
+def second_star(e: FloatArray, middle: FloatArray, star: FloatArray) -> None:
+    """Right-hand side of the second stage; `middle` is e at the first."""
+    for i in range(e.shape[0]):
+        for k in range(e.shape[1]):
+            star[i, k] = e[i, k] + BDF_WEIGHT * (middle[i, k] - e[i, k])
+
+
+@njit
+def net_columns(e: FloatArray, star: FloatArray, dt: float, f: FloatArray) -> None:
+    """f at the end of the step."""
+    for i in range(e.shape[0]):
+        for k in range(e.shape[1]):
+            f[i, k] = (e[i, k] - star[i, k]) * (1.0 / (STAGE_WEIGHT * dt))
