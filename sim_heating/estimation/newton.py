@@ -1,0 +1,320 @@
+"""Newton-Raphson on a log posterior: the most probable parameters within their bounds, and why where there are none.
+
+With log likelihood L(p), gradient g and information M (Gauss-Newton, or observed), priors N(value, sigma^2):
+
+    (M + P) step = g + P (value - p),   P = diag(1 / sigma^2),   0 for a flat prior
+
+on the parameters that are not held by a bound; the step is shortened until the posterior grows and is cut off at the
+bounds (Bertsekas, "Projected Newton Methods for Optimization Problems with Simple Constraints", SIAM J. Control Optim.
+20 (1982)). All lengths of a step are asked for in one call. Levenberg damping where M + P is singular, more where
+no length helps. Done when a full step promises a gain below `gain` and moves nothing by more than `step` of its sigma.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sim_heating.errors import InputError
+from sim_heating.estimation.identifiability import (
+    ROUNDING,
+    SINGULAR,
+    Direction,
+    covariance,
+    directions,
+    scale,
+    scaled_eigenvectors,
+)
+from sim_heating.parameters import Parameter
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+FIRST_DAMPING = 1e-3
+LARGEST_DAMPING = 1e6
+MORE, LESS = 10.0, 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """The log likelihood at one parameter vector.
+
+    log_likelihood : its value; not finite where the model cannot be evaluated
+    gradient       : (parameter,) d/dp
+    information    : (parameter, parameter) -d2/dp2 or what Gauss-Newton takes for it, positive semidefinite
+    """
+
+    log_likelihood: float
+    gradient: FloatArray
+    information: FloatArray
+
+
+Evaluate = Callable[[FloatArray], Evaluation]
+"""(parameter,) -> Evaluation."""
+LogLikelihoods = Callable[[FloatArray], FloatArray]
+"""(candidate, parameter) -> (candidate,) log likelihoods, not finite where the model cannot be evaluated."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """When to stop, and which lengths of a step are tried at once.
+
+    gain       : gain in log posterior that a full step must promise for another iteration
+    step       : change of a parameter over its sigma that a full step must make for another iteration
+    iterations : number of steps at most
+    lengths    : fractions of the full step, the best of which is taken
+    """
+
+    gain: float = 1e-6
+    step: float = 1e-3
+    iterations: int = 50
+    lengths: tuple[float, ...] = tuple(0.5**k for k in range(8))
+
+
+class Status(Enum):
+    """How an iteration ended."""
+
+    CONVERGED = "converged"
+    ITERATIONS = "not converged within the iterations allowed; start nearer or allow more"
+    STALLED = "diverged: no step, however short, raises the likelihood; its gradient or the model is not smooth here"
+    NO_START = "diverged: the model cannot be evaluated at the start"
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The most probable parameters.
+
+    names         : (parameter,)
+    values        : (parameter,)
+    covariance    : (parameter, parameter) Cramer-Rao bound, inverse of information and prior on the parameters that
+                    no bound holds; 0 for those held, infinite for those that the data do not tell
+    log_likelihood, log_posterior : at the values; the posterior without its constant
+    information   : (parameter, parameter) of the data alone
+    prior_information : (parameter,) 1 / sigma^2
+    on_bound      : (parameter,) which parameters are held by a bound
+    singular      : directions that data and priors together do not tell
+    iterations    : steps taken
+    history       : (iteration + 1, parameter) values, the start first
+    """
+
+    names: tuple[str, ...]
+    values: FloatArray
+    covariance: FloatArray
+    log_likelihood: float
+    log_posterior: float
+    information: FloatArray
+    prior_information: FloatArray
+    on_bound: BoolArray
+    singular: tuple[Direction, ...]
+    status: Status
+    iterations: int
+    history: FloatArray
+
+    @property
+    def converged(self) -> bool:
+        """Whether the posterior has its maximum here, be it on a bound or along a direction that is not told."""
+        return self.status is Status.CONVERGED
+
+    @property
+    def sigma(self) -> FloatArray:
+        """(parameter,) square root of the covariance's diagonal."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def words(self) -> list[str]:
+        """One line a fact: the status, parameters on their bounds, directions that cannot be told."""
+        held = zip(self.names, self.values, self.on_bound, strict=True)
+        return [
+            self.status.value,
+            *(f"{name} is on its bound, {value:g}" for name, value, on in held if on),
+            *(direction.words() for direction in self.singular),
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Posterior:
+    """Priors and bounds as arrays, and what they add to a likelihood."""
+
+    mean: FloatArray
+    information: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+    @classmethod
+    def of(cls, parameters: Sequence[Parameter]) -> _Posterior:
+        _check(parameters)
+        sigma = np.array([p.sigma for p in parameters], dtype=float)
+        return cls(
+            np.array([p.value for p in parameters], dtype=float),
+            1.0 / sigma**2,
+            np.array([p.lower for p in parameters], dtype=float),
+            np.array([p.upper for p in parameters], dtype=float),
+        )
+
+    def log_prior(self, values: FloatArray) -> FloatArray:
+        """Of (..., parameter) values, without its constant."""
+        return np.asarray(-0.5 * np.sum(self.information * (values - self.mean) ** 2, axis=-1))
+
+    def added_to(self, at: FloatArray, found: Evaluation) -> Evaluation:
+        """The evaluation of the posterior."""
+        return Evaluation(
+            found.log_likelihood + float(self.log_prior(at)),
+            found.gradient + self.information * (self.mean - at),
+            found.information + np.diag(self.information),
+        )
+
+    def held(self, at: FloatArray, gradient: FloatArray) -> BoolArray:
+        """Parameters on a bound that the gradient would push beyond it."""
+        return ((at <= self.lower) & (gradient <= 0.0)) | ((at >= self.upper) & (gradient >= 0.0))
+
+
+def _check(parameters: Sequence[Parameter]) -> None:
+    problems = []
+    for p in parameters:
+        if not (math.isfinite(p.value) and p.sigma > 0.0):
+            problems.append(f"{p.name}: prior {p.value:g} +- {p.sigma:g}; give a finite value and a sigma above 0")
+        elif not p.lower < p.upper:
+            problems.append(f"{p.name}: bounds {p.lower:g} to {p.upper:g}; give the lower one first")
+        elif not p.lower <= p.value <= p.upper:
+            problems.append(f"{p.name}: prior value {p.value:g} is outside its bounds {p.lower:g} to {p.upper:g}")
+    if not parameters:
+        problems.append("there is no parameter to estimate; name one at least")
+    if problems:
+        raise InputError(*problems)
+
+
+def maximise(
+    evaluate: Evaluate,
+    parameters: Sequence[Parameter],
+    start: ArrayLike | None = None,
+    log_likelihoods: LogLikelihoods | None = None,
+    settings: Settings | None = None,
+) -> Fit:
+    """The most probable values of parameters with priors and bounds.
+
+    evaluate        : log likelihood, gradient and information at a parameter vector
+    start           : (parameter,) first values; by default those of the priors
+    log_likelihoods : log likelihood of several parameter vectors at once; by default `evaluate` one after another
+    raises          : InputError for a prior or bounds that cannot be
+    """
+    posterior = _Posterior.of(parameters)
+    several = log_likelihoods or (lambda values: np.array([evaluate(v).log_likelihood for v in values]))
+    at = np.clip(posterior.mean if start is None else np.asarray(start, dtype=float), posterior.lower, posterior.upper)
+    search = _Search(evaluate, several, posterior, settings or Settings(), at)
+    status = search.run()
+    return search.fit(tuple(p.name for p in parameters), status)
+
+
+class _Search:
+    """The state of an iteration: where it is, what it found there, how strongly it is damped."""
+
+    def __init__(
+        self, evaluate: Evaluate, several: LogLikelihoods, posterior: _Posterior, settings: Settings, at: FloatArray
+    ) -> None:
+        self.evaluate, self.several, self.posterior, self.settings = evaluate, several, posterior, settings
+        self.damping = 0.0
+        self.history = [at]
+        self.move_to(at)
+
+    def move_to(self, at: FloatArray) -> None:
+        self.at = at
+        self.likelihood = self.evaluate(at)
+        self.found = self.posterior.added_to(at, self.likelihood)
+        self.held = self.posterior.held(at, self.found.gradient)
+
+    def run(self) -> Status:
+        if not _finite(self.found):
+            return Status.NO_START
+        for _ in range(self.settings.iterations):
+            step = self.step(self.damping)
+            if self.done(step):
+                return Status.CONVERGED
+            better = self.along(step)
+            while better is None and self.damping < LARGEST_DAMPING:
+                self.damping = max(FIRST_DAMPING, MORE * self.damping)
+                step = self.step(self.damping)
+                better = self.along(step)
+            if better is None:
+                return Status.CONVERGED if self.within_rounding() else Status.STALLED
+            self.history.append(better)
+            self.move_to(better)
+            if not _finite(self.found):
+                return Status.STALLED
+            self.damping *= LESS if self.damping > FIRST_DAMPING else 0.0
+        return Status.CONVERGED if self.done(self.step(self.damping)) else Status.ITERATIONS
+
+    def step(self, damping: float) -> FloatArray:
+        """The damped step of the parameters that no bound holds."""
+        free = ~self.held
+        step = np.zeros_like(self.at)
+        if not free.any():
+            return step
+        information = self.found.information[np.ix_(free, free)]
+        values, vectors = scaled_eigenvectors(information)
+        s = scale(information)
+        along = vectors.T @ (s * self.found.gradient[free])
+        lifted = np.where(values > ROUNDING, values, 1.0)  # a singular direction goes uphill as far as one sigma alone
+        step[free] = s * (vectors @ (along / (lifted + damping)))
+        return step
+
+    def done(self, step: FloatArray) -> bool:
+        """Whether the undamped step promises no gain worth it, and is a small part of each sigma."""
+        if self.damping > 0.0:
+            step = self.step(0.0)
+        promised = 0.5 * float(self.found.gradient @ step)
+        sigma = np.sqrt(np.diag(self.covariance()))
+        moved = np.abs(step) <= self.settings.step * np.where(self.held, np.inf, sigma)
+        return promised < self.settings.gain and bool(np.all(moved))
+
+    def along(self, step: FloatArray) -> FloatArray | None:
+        """The best of the lengths of a step, cut off at the bounds; None where none raises the posterior."""
+        lengths = np.array(self.settings.lengths)[:, None]
+        candidates = np.clip(self.at + lengths * step, self.posterior.lower, self.posterior.upper)
+        reached = np.asarray(self.several(candidates), dtype=float) + self.posterior.log_prior(candidates)
+        reached = np.where(np.isfinite(reached), reached, -np.inf)
+        best = int(np.argmax(reached))
+        return candidates[best] if reached[best] > self.found.log_likelihood else None
+
+    def within_rounding(self) -> bool:
+        """Whether what an undamped step promises is below the rounding of the log posterior."""
+        promised = 0.5 * float(self.found.gradient @ self.step(0.0))
+        return promised < max(self.settings.gain, 1e-12 * abs(self.found.log_likelihood))
+
+    def covariance(self) -> FloatArray:
+        """Of the parameters that no bound holds; 0 for the others."""
+        free = np.ix_(~self.held, ~self.held)
+        whole = np.zeros_like(self.found.information)
+        whole[free] = covariance(self.found.information[free])
+        return whole
+
+    def fit(self, names: tuple[str, ...], status: Status) -> Fit:
+        broken = status is Status.NO_START or not _finite(self.found)
+        free = np.flatnonzero(~self.held)
+        known = self.found.information[np.ix_(free, free)]
+        singular = [] if broken else directions(known, [names[i] for i in free], SINGULAR)
+        return Fit(
+            names=names,
+            values=self.at,
+            covariance=np.full_like(self.found.information, np.nan) if broken else self.covariance(),
+            log_likelihood=self.likelihood.log_likelihood,
+            log_posterior=self.found.log_likelihood,
+            information=self.likelihood.information,
+            prior_information=self.posterior.information,
+            on_bound=self.held,
+            singular=tuple(singular),
+            status=status,
+            iterations=len(self.history) - 1,
+            history=np.array(self.history),
+        )
+
+
+def _finite(found: Evaluation) -> bool:
+    return bool(
+        np.isfinite(found.log_likelihood)
+        and np.all(np.isfinite(found.gradient))
+        and np.all(np.isfinite(found.information))
+    )
