@@ -248,7 +248,7 @@ class Ensemble:
         self._chain = compiled_chain(self._effects)
         self.chain = self._chain.handle
         self.begin_handle, self.advance_handle = (handle(f) for f in compiled())
-        self._tables = TableStore() if beside is None else beside._tables
+        self._tables: TableStore = TableStore() if beside is None else beside._tables
         self._arrange()
         self.table = self._tables.values
         self.reset()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,10 +117,6 @@ class LinearMarch:
         self.tracks = tuple(tracks)
         self.time_s = np.ascontiguousarray(time_s, dtype=float)
         self.histories = np.ascontiguousarray(histories, dtype=float)
-        for track in self.tracks:
-            outside = (track.sample_s < self.time_s[0]) | (track.sample_s > self.time_s[-1])
-            if np.any(outside):
-                raise InputError(f"{track.model.name}: {np.sum(outside)} samples lie outside the march; leave them out")
         self.base = Ensemble([t.model for t in self.tracks], [t.mesh for t in self.tracks])
         self._moves = [[moved(t.model, name) for name in t.names] for t in self.tracks]
         self._owner = [i for i, moves in enumerate(self._moves) for _ in range(1 + sum(1 + both for _, both in moves))]
@@ -181,21 +178,31 @@ class LinearMarch:
                 self.shadows.set_model(k, altered)
                 k += 1
 
-    def march(self) -> list[Linearised]:
+    def march(
+        self, shifts_s: Sequence[float] | None = None, initial_K: Sequence[FloatArray | None] | None = None
+    ) -> list[Linearised]:
         """March all tracks from their initial temperatures.
 
-        raises : RunError where the step of a point did not converge
+        shifts_s  : what is added to the sample times of each track [s]; nothing by default
+        initial_K : temperatures at the start in place of those of each track
+        raises   : InputError where a shifted sample lies outside the march, RunError where a step did not converge
         """
+        shifts = [0.0] * len(self.tracks) if shifts_s is None else list(shifts_s)
+        times = [track.sample_s + shift for track, shift in zip(self.tracks, shifts, strict=True)]
+        for track, t in zip(self.tracks, times, strict=True):
+            outside = np.count_nonzero((t < self.time_s[0]) | (t > self.time_s[-1]))
+            if outside:
+                raise InputError(f"{track.model.name}: {outside} samples lie outside the march; leave them out")
         self.base.reset()
         self.shadows.reset()
-        for i, track in enumerate(self.tracks):
-            if track.initial_K is not None:
-                self.base.set_profile(i, track.initial_K)
+        for i, profile in enumerate([t.initial_K for t in self.tracks] if initial_K is None else initial_K):
+            if profile is not None:
+                self.base.set_profile(i, profile)
         m = max(track.columns for track in self.tracks)
         n = int(self._nodes.max())
         count = max(len(track.sample_s) for track in self.tracks)
         reads = max(len(track.read_nodes) for track in self.tracks)
-        per_lane = self._per_lane(n, m, count, reads)
+        per_lane = self._per_lane(times, n, m, count, reads)
         out = np.full((LANES, reads, count, 2 + m), np.nan)
         march_linear(
             self.base.block(0), self.base.integers(0), self.base.table, self.base.chain,
@@ -206,7 +213,9 @@ class LinearMarch:
         self.base.check()
         return [self._result(i, out) for i in range(len(self.tracks))]
 
-    def _per_lane(self, n: int, m: int, count: int, reads: int) -> tuple[NDArray[np.generic], ...]:
+    def _per_lane(
+        self, times: Sequence[FloatArray], n: int, m: int, count: int, reads: int
+    ) -> tuple[Any, ...]:
         """Arrays over the lanes; a lane without a track has no samples and no columns."""
         at = np.zeros(LANES, dtype=np.int64)
         plus, minus = np.zeros((2, LANES, m), dtype=np.int64)
@@ -220,7 +229,7 @@ class LinearMarch:
             at[lane], columns[lane], samples[lane] = place.base, own, len(track.sample_s)
             plus[lane, :own], minus[lane, :own], inverse[lane, :own] = place.plus, place.minus, place.inverse
             plus[lane, own:] = minus[lane, own:] = place.base
-            sample_s[lane, : len(track.sample_s)] = track.sample_s
+            sample_s[lane, : len(track.sample_s)] = times[i]
             read[lane] = len(track.read_nodes)
             nodes[lane, : len(track.read_nodes)] = track.read_nodes
             if track.initial_columns is not None:

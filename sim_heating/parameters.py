@@ -79,5 +79,15 @@ STACK = (
 CURVED = ("stack.coating.thickness_factor", "stack.contact_factor", "back.T_K")
 """Parameters in which the heat balance at given temperatures is not affine; no parameter of an effect need be."""
 
+CLOCK_SKEW = Parameter("clock.skew", "s", 0.0, 0.5, -10.0, 10.0, "recorded T(t) = true T(t - skew): above 0, it lags")
+"""The one parameter of a record's clocks."""
+
+SENSOR_PREFIX = "sensor."
+SENSOR = {
+    "bias": Parameter("bias", "K", 0.0, 5.0, -500.0, 500.0, "what a thermocouple reads too much"),
+    "gain": Parameter("gain", "1", 1.0, 0.01, 0.2, 5.0, "indicated over true temperature"),
+}
+"""Parameters of a thermocouple, `sensor.NAME.bias` and `sensor.NAME.gain`."""
+
 MODEL = {p.name: p for p in (*RATIO, *STACK)}
 """Every parameter of a control point's model by its name, effects left out."""

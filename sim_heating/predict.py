@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from sim_heating.files import output_directory, write_json
 from sim_heating.points import conditions_of_record, point_of_record
 from sim_heating.record import Record, pooled_rmse_K
 from sim_heating.results import package_version, write_temperatures_csv
-from sim_heating.sensors import calibrated
+from sim_heating.sensors import SensorErrors, calibrated
 from sim_heating.temperatures import (
     Outside,
     PointHistory,
@@ -41,21 +42,29 @@ class Prediction:
     outside: tuple[Outside, ...]
 
 
-def predict(record: Record, model: PointModel | None = None) -> Prediction:
+def predict(
+    record: Record,
+    model: PointModel | None = None,
+    *,
+    skew_s: float = 0.0,
+    errors: Mapping[str, SensorErrors] | None = None,
+) -> Prediction:
     """Predict a record; `model` is its declared one unless given.
 
+    skew_s : by how much the thermocouples' clock lags [s];  errors : what is wrong with sensors, by name
     raises : InputError where no sample lies within the conditions, RunError where a step did not converge
     """
     model = point_of_record(record) if model is None else model
     conditions = conditions_of_record(record)
-    t, span = record.time_s, conditions.time_s[[0, -1]]
+    t, span = record.time_s - skew_s, conditions.time_s[[0, -1]]
     within = t[(t >= span[0]) & (t <= span[1])]
     if len(within) == 0:
         raise InputError(f"{record.name}: no measurement lies within the conditions ({span[0]:g} to {span[1]:g} s)")
     marched = march_points([model], [conditions], extra_times_s=within)[0]
-    history = _resampled(marched, t)
+    history = replace(_resampled(marched, t), time_s=record.time_s)
     pairs = zip(record.sensors, history.sensors_K, strict=True)
-    indicated = np.array([calibrated(sensor, values) for sensor, values in pairs])
+    wrong = errors or {}
+    indicated = np.array([calibrated(sensor, values, wrong.get(sensor.name)) for sensor, values in pairs])
     residual = record.temperatures_K() - indicated
     return Prediction(record, history, indicated, residual, tuple(outside_table(model, conditions)))
 

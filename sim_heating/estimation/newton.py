@@ -6,8 +6,8 @@ With log likelihood L(p), gradient g and information M (Gauss-Newton, or observe
 
 on the parameters that are not held by a bound; the step is shortened until the posterior grows and is cut off at the
 bounds (Bertsekas, "Projected Newton Methods for Optimization Problems with Simple Constraints", SIAM J. Control Optim.
-20 (1982)). All lengths of a step are asked for in one call. Levenberg damping where M + P is singular, more where
-no length helps. Done when a full step promises a gain below `gain` and moves nothing by more than `step` of its sigma.
+20 (1982)). The whole step is tried first, then all lengths of it in one call. Levenberg damping where M + P is
+singular, more where no length helps. Done when a full step promises a gain below `gain` and moves nothing by more than `step` of its sigma.
 """
 
 from __future__ import annotations
@@ -58,6 +58,9 @@ Evaluate = Callable[[FloatArray], Evaluation]
 """(parameter,) -> Evaluation."""
 LogLikelihoods = Callable[[FloatArray], FloatArray]
 """(candidate, parameter) -> (candidate,) log likelihoods, not finite where the model cannot be evaluated."""
+
+Told = Callable[[FloatArray, float], None]
+"""(parameter,) values and log posterior after a step."""
 
 
 @dataclass(frozen=True)
@@ -193,18 +196,20 @@ def maximise(
     start: ArrayLike | None = None,
     log_likelihoods: LogLikelihoods | None = None,
     settings: Settings | None = None,
+    told: Told = lambda at, log_posterior: None,
 ) -> Fit:
     """The most probable values of parameters with priors and bounds.
 
     evaluate        : log likelihood, gradient and information at a parameter vector
     start           : (parameter,) first values; by default those of the priors
     log_likelihoods : log likelihood of several parameter vectors at once; by default `evaluate` one after another
+    told            : called with values and log posterior after every step
     raises          : InputError for a prior or bounds that cannot be
     """
     posterior = _Posterior.of(parameters)
     several = log_likelihoods or (lambda values: np.array([evaluate(v).log_likelihood for v in values]))
     at = np.clip(posterior.mean if start is None else np.asarray(start, dtype=float), posterior.lower, posterior.upper)
-    search = _Search(evaluate, several, posterior, settings or Settings(), at)
+    search = _Search(evaluate, several, posterior, settings or Settings(), at, told)
     status = search.run()
     return search.fit(tuple(p.name for p in parameters), status)
 
@@ -213,16 +218,23 @@ class _Search:
     """The state of an iteration: where it is, what it found there, how strongly it is damped."""
 
     def __init__(
-        self, evaluate: Evaluate, several: LogLikelihoods, posterior: _Posterior, settings: Settings, at: FloatArray
+        self,
+        evaluate: Evaluate,
+        several: LogLikelihoods,
+        posterior: _Posterior,
+        settings: Settings,
+        at: FloatArray,
+        told: Told,
     ) -> None:
         self.evaluate, self.several, self.posterior, self.settings = evaluate, several, posterior, settings
+        self.told = told
         self.damping = 0.0
         self.history = [at]
         self.move_to(at)
 
-    def move_to(self, at: FloatArray) -> None:
+    def move_to(self, at: FloatArray, likelihood: Evaluation | None = None) -> None:
         self.at = at
-        self.likelihood = self.evaluate(at)
+        self.likelihood = self.evaluate(at) if likelihood is None else likelihood
         self.found = self.posterior.added_to(at, self.likelihood)
         self.held = self.posterior.held(at, self.found.gradient)
 
@@ -233,15 +245,14 @@ class _Search:
             step = self.step(self.damping)
             if self.done(step):
                 return Status.CONVERGED
-            better = self.along(step)
-            while better is None and self.damping < LARGEST_DAMPING:
+            moved = self.whole(step) or self.along(step)
+            while not moved and self.damping < LARGEST_DAMPING:
                 self.damping = max(FIRST_DAMPING, MORE * self.damping)
-                step = self.step(self.damping)
-                better = self.along(step)
-            if better is None:
+                moved = self.along(self.step(self.damping))
+            if not moved:
                 return Status.CONVERGED if self.within_rounding() else Status.STALLED
-            self.history.append(better)
-            self.move_to(better)
+            self.history.append(self.at)
+            self.told(self.at, self.found.log_likelihood)
             if not _finite(self.found):
                 return Status.STALLED
             self.damping *= LESS if self.damping > FIRST_DAMPING else 0.0
@@ -270,14 +281,27 @@ class _Search:
         moved = np.abs(step) <= self.settings.step * np.where(self.held, np.inf, sigma)
         return promised < self.settings.gain and bool(np.all(moved))
 
-    def along(self, step: FloatArray) -> FloatArray | None:
-        """The best of the lengths of a step, cut off at the bounds; None where none raises the posterior."""
+    def whole(self, step: FloatArray) -> bool:
+        """Take a whole step, cut off at the bounds, where it raises the posterior: what Newton's step mostly does."""
+        candidate = np.clip(self.at + step, self.posterior.lower, self.posterior.upper)
+        likelihood = self.evaluate(candidate)
+        reached = likelihood.log_likelihood + float(self.posterior.log_prior(candidate))
+        raised = bool(reached > self.found.log_likelihood)
+        if raised:
+            self.move_to(candidate, likelihood)
+        return raised
+
+    def along(self, step: FloatArray) -> bool:
+        """Go the best of the lengths of a step, cut off at the bounds; False where none raises the posterior."""
         lengths = np.array(self.settings.lengths)[:, None]
         candidates = np.clip(self.at + lengths * step, self.posterior.lower, self.posterior.upper)
         reached = np.asarray(self.several(candidates), dtype=float) + self.posterior.log_prior(candidates)
         reached = np.where(np.isfinite(reached), reached, -np.inf)
         best = int(np.argmax(reached))
-        return candidates[best] if reached[best] > self.found.log_likelihood else None
+        raised = bool(reached[best] > self.found.log_likelihood)
+        if raised:
+            self.move_to(candidates[best])
+        return raised
 
     def within_rounding(self) -> bool:
         """Whether what an undamped step promises is below the rounding of the log posterior."""

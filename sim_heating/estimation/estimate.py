@@ -1,0 +1,221 @@
+"""The fit of heating and thermal parameters to flight records, from the records to values with honest bounds.
+
+Magnitude and derivatives of the heating ratio, and whatever else is named, are those that make the measured samples
+most likely (problem.py, newton.py). What the data cannot tell is left out and said; the noise of sensors that declare
+none is estimated beside; bounds are corrected for coloured residuals; errors are those of the plain march at the values
+found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.effects import EffectUse, use
+from sim_heating.errors import InputError, RunError
+from sim_heating.estimation.coloured import Bounds, bounds
+from sim_heating.estimation.coloured import Channel as Residuals
+from sim_heating.estimation.identifiability import correlation
+from sim_heating.estimation.informed import default_names, mean_ratio, still, untold
+from sim_heating.estimation.likelihood import likelihood
+from sim_heating.estimation.newton import Fit, Status, maximise
+from sim_heating.estimation.observation import definition, errors_of
+from sim_heating.estimation.problem import Part, Problem, Samples, Start, joint_reference
+from sim_heating.parameters import CLOCK_SKEW, EFFECT_PREFIX, Parameter
+from sim_heating.predict import Prediction
+from sim_heating.predict import predict as predict_record
+from sim_heating.record import Record
+
+FloatArray = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+NOISE_ROUNDS = 4
+NOISE_CHANGE = 0.01
+"""Noise is settled where it changes by less than this part."""
+MAGNITUDES_TRIED = np.geomspace(0.002, 2.0, 8)
+"""Ratios tried as the start of a fit that has no table to start from."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """What a fit found.
+
+    problem       : what was fitted to what;  fit : the most probable values
+    bounds        : covariance corrected for coloured residuals, and without that correction
+    not_estimated : parameters left out, and why
+    before, after : each record predicted by the declared model, and at the values found
+    warnings      : what a person should know, a line each
+    """
+
+    problem: Problem
+    fit: Fit
+    bounds: Bounds
+    not_estimated: dict[str, str]
+    before: tuple[Prediction, ...]
+    after: tuple[Prediction, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the estimated parameters."""
+        return tuple(u.label for u in self.problem.unknowns)
+
+    @property
+    def correlation(self) -> FloatArray:
+        """(parameter, parameter)."""
+        return correlation(self.bounds.covariance)
+
+    def samples(self) -> list[Samples]:
+        """The fitted channels at the values found."""
+        return self.problem.samples(self.fit.values)
+
+
+def estimate(
+    records: Sequence[Record],
+    names: Sequence[str] | None = None,
+    *,
+    reference: Mapping[str, float] | None = None,
+    effects: Sequence[EffectUse] = (),
+    priors: Mapping[str, Parameter] | None = None,
+    starts: Sequence[Start | None] | None = None,
+    progress: Progress = lambda fraction, text: None,
+) -> Fitted:
+    """Fit parameters to records, jointly.
+
+    names     : dotted names; by default magnitude and five derivatives, as far as the records tell of them
+    reference : values of ratio variables that derivatives are about, where not the records' own
+    raises    : InputError where nothing can be estimated, RunError where the fit diverged
+    """
+    _check_records(records)
+    wanted = tuple(names) if names is not None else default_names(records)
+    effects = (*effects, *effects_of(wanted, effects))
+    about = joint_reference(records, reference)
+    out = still(wanted, records)
+    left = [n for n in wanted if n not in out]
+    if not left:
+        raise InputError(f"{records[0].name}: nothing to estimate: {'; '.join(out.values())}")
+    problem = Problem(records, left, about, effects=effects, priors=priors, starts=starts)
+    first = _first_values(problem)
+    while True:
+        worst = untold(
+            [u.label for u in problem.unknowns], _information(problem, first), _ratio(problem, first), records
+        )
+        if not worst:
+            break
+        out |= worst
+        left = [n for n in left if n not in {label.partition("@")[0] for label in worst}]
+        problem = Problem(records, left, about, effects=effects, priors=priors, starts=starts)
+        first = _first_values(problem)
+    fit = _fit(problem, first, progress)
+    return _finished(problem, fit, out)
+
+
+def effects_of(names: Sequence[str], given: Sequence[EffectUse] = ()) -> list[EffectUse]:
+    """The effects that parameters name and that are not given, at their nominal values."""
+    known = {u.effect.name for u in given}
+    wanted = dict.fromkeys(n.split(".")[1] for n in names if n.startswith(EFFECT_PREFIX) and n.count(".") >= 2)
+    return [use(name) for name in wanted if name not in known]
+
+
+def _check_records(records: Sequence[Record]) -> None:
+    if not records:
+        raise InputError("estimate: there is no record; give at least one")
+    names = [r.name for r in records]
+    if len(set(names)) < len(names):
+        raise InputError(f"records: two of them are named {max(set(names), key=names.count)}; rename one")
+    models = {r.declared.heating.reference for r in records}
+    if len(models) > 1:
+        raise InputError(f"records: ratios over different reference heatings ({', '.join(sorted(models))}) are not one")
+
+
+def _first_values(problem: Problem) -> FloatArray:
+    """Where the fit starts: prior means, and for a ratio without a table the likeliest of some magnitudes."""
+    first = np.array([p.value for p in problem.parameters])
+    bare = [k for k, u in enumerate(problem.unknowns) if u.parameter.name == "ratio.d0" and first[k] == 0.0]
+    for k in bare:
+        tried = np.tile(first, (len(MAGNITUDES_TRIED), 1))
+        tried[:, k] = MAGNITUDES_TRIED
+        first = tried[int(np.nanargmax(problem.log_likelihoods(tried)))]
+    return first
+
+
+def _information(problem: Problem, values: FloatArray) -> FloatArray:
+    found = problem.evaluate(values)
+    if not np.isfinite(found.log_likelihood):
+        raise RunError("estimate: the declared model cannot be marched along the record; see `sim-heating predict`")
+    return found.information + np.diag([p.sigma**-2.0 for p in problem.parameters])
+
+
+def _ratio(problem: Problem, values: FloatArray) -> float:
+    """A typical heating ratio of the fit: the declared one, or d0."""
+    d0 = [abs(v) for u, v in zip(problem.unknowns, values, strict=True) if u.parameter.name == "ratio.d0"]
+    declared = [mean_ratio(part.record) for part in problem.parts]
+    return float(np.mean(d0)) if d0 else float(np.nanmean(declared))
+
+
+def _fit(problem: Problem, first: FloatArray, progress: Progress) -> Fit:
+    """Newton's iteration, and around it the noise of the sensors that declare none."""
+    steps = [0]
+
+    def told(at: FloatArray, log_posterior: float) -> None:
+        steps[0] += 1
+        progress(min(0.9, 0.1 * steps[0]), f"iteration {steps[0]}: log posterior {log_posterior:.2f}")
+
+    unknown_noise = any(c.sensor.noise_sigma_K is None for part in problem.parts for c in part.channels)
+    if unknown_noise:
+        problem.estimate_noise(first)
+    fit = maximise(problem.evaluate, problem.parameters, first, problem.log_likelihoods, told=told)
+    for _ in range(NOISE_ROUNDS if unknown_noise else 0):
+        if fit.status is not Status.CONVERGED or problem.estimate_noise(fit.values) < NOISE_CHANGE:
+            break
+        fit = maximise(problem.evaluate, problem.parameters, fit.values, problem.log_likelihoods, told=told)
+    return replace(fit, iterations=steps[0])
+
+
+def _finished(problem: Problem, fit: Fit, out: dict[str, str]) -> Fitted:
+    if fit.status is Status.NO_START:
+        raise RunError(f"estimate: {fit.words()[0]}")
+    after = tuple(predict_at(part, fit.values) for part in problem.parts)
+    before = tuple(predict_record(part.record) for part in problem.parts)
+    return Fitted(problem, fit, coloured_bounds(problem, fit), out, before, after, tuple(warnings(problem, fit)))
+
+
+def predict_at(part: Part, values: FloatArray) -> Prediction:
+    """The plain march of a record at a parameter vector, no measurement assimilated."""
+    own = part.values(values)
+    wrong = {s.name: errors_of(s, own) for s in part.record.sensors}
+    return predict_record(part.record, part.altered(values), skew_s=-part.shift_s(values), errors=wrong)
+
+
+def coloured_bounds(problem: Problem, fit: Fit) -> Bounds:
+    """Bounds of the values found; those held by a parameter's bound are zero."""
+    channels = []
+    for s in problem.samples(fit.values):
+        found = likelihood(s.channel.observed, s.mean_K, s.sigma_K)
+        name = f"{s.part.record.name}/{s.channel.sensor.name}"
+        channels.append(Residuals(name, s.time_s, found.score, found.information, s.jacobian[:, ~fit.on_bound]))
+    free = bounds(channels, fit.prior_information[~fit.on_bound])
+    place = np.ix_(~fit.on_bound, ~fit.on_bound)
+    whole, white = np.zeros_like(fit.covariance), np.zeros_like(fit.covariance)
+    whole[place], white[place] = free.covariance, free.white
+    return replace(free, covariance=whole, white=white)
+
+
+def warnings(problem: Problem, fit: Fit) -> list[str]:
+    """What a person should know of a fit: no convergence, bounds, directions, a coating that is a clock."""
+    found = [] if fit.status is Status.CONVERGED else [fit.status.value]
+    for u, value, on in zip(problem.unknowns, fit.values, fit.on_bound, strict=True):
+        if on:
+            found.append(f"{u.label} is on its bound, {value:g}")
+        if on and u.parameter.name == "stack.coating.thickness_factor" and value < 1.0:
+            found.append(
+                "a coating that would have to be thinner than none is mostly a clock: the thermocouples lead the "
+                f"flight conditions; estimate {CLOCK_SKEW.name} as well"
+            )
+    return found + [f"{d.words()}: their bounds are wide" for d in fit.singular]
+
+
+__all__ = ["Fitted", "coloured_bounds", "definition", "estimate", "predict_at"]

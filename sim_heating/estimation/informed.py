@@ -1,0 +1,107 @@
+"""Which parameters a record can tell of, and in words why not the others.
+
+A derivative is told where its variable moves over the fit segments, where no other parameter does the same to all
+samples, and where its bound over the variable's own excursion is below the heating ratio itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.conditions import RATIO_VARIABLES
+from sim_heating.estimation.identifiability import SINGULAR, covariance, directions
+from sim_heating.heating_ratio.kernel import pack_table, table_ratio
+from sim_heating.parameters import SHORT
+from sim_heating.record import Record
+
+FloatArray = NDArray[np.float64]
+
+STILL = {"alpha_deg": 0.05, "beta_deg": 0.02, "log10_re": 0.01, "elevon_deg": 0.05, "bodyflap_deg": 0.05}
+"""A variable whose standard deviation over the fit segments is below this does not move."""
+MAGNITUDES = ("ratio.scale", "ratio.d0")
+DERIVATIVES = tuple(f"ratio.d_{short}" for short in SHORT)
+
+
+def default_names(records: Sequence[Record]) -> tuple[str, ...]:
+    """Magnitude and the five derivatives: what is estimated where no parameters are named."""
+    with_table = all(r.ratio_table is not None for r in records)
+    return (MAGNITUDES[0] if with_table else MAGNITUDES[1], *DERIVATIVES)
+
+
+def deviations(records: Sequence[Record]) -> FloatArray:
+    """(5,) standard deviation of each ratio variable over the fit segments of all records."""
+    rows = [np.column_stack([r.conditions[v] for v in RATIO_VARIABLES])[_fitted(r)] for r in records]
+    every = np.concatenate(rows)
+    return np.std(every, axis=0) if len(every) else np.zeros(len(RATIO_VARIABLES))
+
+
+def _fitted(record: Record) -> NDArray[np.bool_]:
+    """(row of the conditions,) within the span of the fit segments that has samples."""
+    t, mask = record.conditions.time_s, record.fit_mask(record.conditions.time_s)
+    samples = record.time_s[record.fit_mask()]
+    return mask & (t >= samples.min(initial=np.inf)) & (t <= samples.max(initial=-np.inf))
+
+
+def variables_of(name: str) -> tuple[int, ...]:
+    """Numbers of the ratio variables that a derivative is against; none for any other parameter."""
+    stem = name.partition("@")[0]
+    if not stem.startswith("ratio.d_"):
+        return ()
+    parts = stem.removeprefix("ratio.d_").split("_")
+    return tuple(SHORT.index(p.removesuffix("2")) for p in parts)
+
+
+def still(names: Sequence[str], records: Sequence[Record]) -> dict[str, str]:
+    """Derivatives against variables that do not move, and why they are left out."""
+    moved = deviations(records)
+    found = {}
+    for name in names:
+        for i in variables_of(name):
+            if moved[i] < STILL[RATIO_VARIABLES[i]]:
+                found[name] = (
+                    f"{RATIO_VARIABLES[i]} does not move over the fit segments (standard deviation {moved[i]:.2g}); "
+                    "a manoeuvre in it would tell"
+                )
+    return found
+
+
+def mean_ratio(record: Record) -> float:
+    """Mean of the declared ratio over the fit segments [-]; NaN where the record has no table."""
+    if record.ratio_table is None:
+        return float("nan")
+    packed = pack_table(record.ratio_table)
+    x = np.column_stack([record.conditions[v] for v in RATIO_VARIABLES])[_fitted(record)]
+    return float(np.mean([table_ratio(packed, 0, row, 0) for row in x])) if len(x) else float("nan")
+
+
+def untold(labels: Sequence[str], information: FloatArray, ratio: float, records: Sequence[Record]) -> dict[str, str]:
+    """The derivative that the data tell least, and why, where it should be left out; nothing where all are told.
+
+    information : (parameter, parameter) of data and priors;  ratio : typical heating ratio [-]
+    """
+    singular = directions(information, list(labels), SINGULAR)
+    sigma = np.sqrt(np.abs(np.diag(covariance(information))))
+    moved = deviations(records)
+    worst, name, reason = 1.0, "", ""
+    for k, label in enumerate(labels):
+        variables = variables_of(label)
+        if not variables:
+            continue
+        bound = float(sigma[k] * np.prod(moved[list(variables)]))
+        if not np.isfinite(bound):
+            bound = np.inf
+        if bound > worst * ratio:
+            worst, name = bound / ratio, label
+            excursion = " x ".join(f"{moved[i]:.2g} of {RATIO_VARIABLES[i]}" for i in variables)
+            reason = f"its bound over the excursion flown ({excursion}) is {bound / ratio:.1f} times the ratio itself"
+            if singular:
+                reason = f"{reason}; {singular[0].words()}"
+    return {name: reason} if name else {}
+
+
+def reasons_by_name(reasons: Mapping[str, str]) -> dict[str, str]:
+    """Reasons in the order of the parameters' names."""
+    return {name: reasons[name] for name in sorted(reasons)}

@@ -1,0 +1,384 @@
+"""What is fitted to what: records, their unknown parameters, and the likelihood of all samples as a function of them.
+
+Every record is marched with its sensitivities (linear_march.py), its samples are compared with what its sensors should
+show (observation.py), and log likelihood, gradient and information add up over the records. Parameters of heating and
+stack are those of a control point, shared by all its records; those of clocks, sensors and initial profiles belong to
+one record. Records on common times are marched side by side, others in threads.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.conditions import RATIO_VARIABLES, Conditions
+from sim_heating.effects import EffectUse
+from sim_heating.ensemble import PointModel, condition_history, initial_temperatures
+from sim_heating.errors import InputError, RunError
+from sim_heating.estimation.likelihood import estimate_sigma, likelihood, log_likelihood
+from sim_heating.estimation.newton import Evaluation
+from sim_heating.estimation.observation import Channel, channels, definition, indicated, least_sigma_K
+from sim_heating.layout import LANES
+from sim_heating.linear_march import Linearised, LinearMarch, Track
+from sim_heating.parameters import CLOCK_SKEW, Parameter
+from sim_heating.points import conditions_of_record, point_of_record
+from sim_heating.record import Record
+from sim_heating.resolution import choose_meshes
+from sim_heating.thermal.mesh import Mesh
+
+FloatArray = NDArray[np.float64]
+
+LONGEST_STEP_S = 1.0
+SKEW_SPAN_S = 5.0
+"""How far an estimated skew may go [s]; samples so near the ends of the conditions are left out then."""
+AT = "@"
+"""Between a parameter and the record or control point that it belongs to, where there are several."""
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Where a march begins if not at the first row of the conditions with the declared temperatures.
+
+    time_s   : time [s]
+    profile  : (node,) temperatures [K]
+    columns  : (node, k) how they change with k unknowns [K over their units], `unknowns` saying what those are
+    """
+
+    time_s: float
+    profile: FloatArray
+    columns: FloatArray
+    unknowns: tuple[Parameter, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """One channel at one parameter vector, for statistics and pictures.
+
+    part, channel : whose;  time_s : (sample,) recorded times
+    mean_K        : (sample,) indication that the model gives
+    jacobian      : (sample, unknown) its sensitivities
+    sigma_K       : noise that is taken
+    """
+
+    part: Part
+    channel: Channel
+    time_s: FloatArray
+    mean_K: FloatArray
+    jacobian: FloatArray
+    sigma_K: float
+
+
+@dataclass(eq=False)
+class Part:
+    """One record in a fit.
+
+    model      : the point at the values that are not estimated;  mesh : its mesh
+    marched, other : dotted names of the unknowns of the march, and of clock and sensors
+    index      : (unknown of the part,) place of each in the parameter vector: marched, start, other
+    time_s     : (step,) the march;  sample_s : (sample,) times that are read
+    """
+
+    record: Record
+    model: PointModel
+    mesh: Mesh
+    start: Start | None
+    conditions: Conditions
+    marched: tuple[str, ...]
+    other: tuple[str, ...]
+    index: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    time_s: FloatArray = field(default_factory=lambda: np.zeros(0))
+    sample_s: FloatArray = field(default_factory=lambda: np.zeros(0))
+    channels: list[Channel] = field(default_factory=list)
+    sigma_K: dict[int, float] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All unknowns of the part in the order of `index`."""
+        return (*self.marched, *(p.name for p in (self.start.unknowns if self.start else ())), *self.other)
+
+    @property
+    def read(self) -> int:
+        """How many of the unknowns are columns of the march."""
+        return len(self.names) - len(self.other)
+
+    def values(self, vector: FloatArray) -> dict[str, float]:
+        """The part's own values by their dotted names."""
+        return dict(zip(self.names, vector[self.index], strict=True))
+
+    def altered(self, vector: FloatArray) -> PointModel:
+        """The model at a parameter vector."""
+        return self.model.altered(dict(zip(self.marched, vector[self.index], strict=False)))
+
+    def shift_s(self, vector: FloatArray) -> float:
+        """What is added to the recorded times: T(t) = true T(t - skew)."""
+        return -self.values(vector).get(CLOCK_SKEW.name, 0.0)
+
+    def track(self, names: tuple[str, ...], vector: FloatArray | None = None) -> Track:
+        """The part as the march takes it; with a vector, from the initial temperatures that it says."""
+        if self.start is None:
+            return Track(self.model, self.mesh, names, self.sample_s)
+        columns = self.start.columns if names else None
+        return Track(self.model, self.mesh, names, self.sample_s, None, self.initial_K(vector), columns)
+
+    def initial_K(self, vector: FloatArray | None) -> FloatArray | None:
+        """(node,) temperatures [K] at the start; None for those that the stack declares."""
+        if self.start is None:
+            return None
+        if vector is None or not self.start.unknowns:
+            return self.start.profile
+        at = self.index[len(self.marched) : self.read]
+        return self.start.profile + self.start.columns @ vector[at]
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One estimated parameter: its label in results, what it is with prior and bounds, and the records that have it."""
+
+    label: str
+    parameter: Parameter
+    parts: tuple[int, ...]
+
+
+class Problem:
+    """The fit of some parameters to some records.
+
+    records   : what was measured
+    names     : dotted names of the parameters
+    reference : the condition that derivatives are about;  effects : on top of the declared model
+    fixed     : values of parameters that are not estimated but differ from the declared ones
+    priors    : dotted name -> Parameter with another prior or other bounds
+    starts    : where the march of each record begins, or None
+    chosen    : (sample,) of each record, which of its samples are fitted; by default those of the fit segments
+    raises    : InputError where nothing is left to fit, or a parameter is none of the model
+    """
+
+    def __init__(
+        self,
+        records: Sequence[Record],
+        names: Sequence[str],
+        reference: tuple[float, ...],
+        *,
+        effects: Sequence[EffectUse] = (),
+        fixed: Mapping[str, float] | None = None,
+        priors: Mapping[str, Parameter] | None = None,
+        starts: Sequence[Start | None] | None = None,
+        chosen: Sequence[NDArray[np.bool_]] | None = None,
+    ) -> None:
+        self.reference = reference
+        self.priors = dict(priors or {})
+        models = [replace(point_of_record(r, fixed, effects), reference=reference) for r in records]
+        meshes = [mesh for mesh, _ in choose_meshes(models, LONGEST_STEP_S)]
+        begin = list(starts) if starts is not None else [None] * len(records)
+        self.parts = [
+            self._part(record, model, mesh, start, names)
+            for record, model, mesh, start in zip(records, models, meshes, begin, strict=True)
+        ]
+        self.unknowns = self._number()
+        for i, part in enumerate(self.parts):
+            self._choose_samples(part, None if chosen is None else chosen[i])
+        self._group()
+
+    # What is unknown -------------------------------------------------------------------------------------------------
+
+    @staticmethod
+    def _part(record: Record, model: PointModel, mesh: Mesh, start: Start | None, names: Sequence[str]) -> Part:
+        other = tuple(n for n in names if definition(record, n) is not None)
+        marched = tuple(n for n in names if n not in other)
+        for name in marched:
+            model.definition(name)
+        return Part(record, model, mesh, start, conditions_of_record(record), marched, other)
+
+    def _number(self) -> list[Unknown]:
+        """Place every part's unknowns in the parameter vector, shared where they are of one control point."""
+        points = {part.record.declared.control_point for part in self.parts}
+        found: dict[tuple[str, str], tuple[str, Parameter, list[int]]] = {}
+        for i, part in enumerate(self.parts):
+            for k, name in enumerate(part.names):
+                own = k >= len(part.marched)
+                owner = part.record.name if own else part.record.declared.control_point
+                several = len(self.parts) > 1 if own else len(points) > 1
+                label = f"{name}{AT}{owner}" if several else name
+                found.setdefault((name, owner), (label, self._parameter(part, name), []))[2].append(i)
+        keys = list(found)
+        for part in self.parts:
+            owners = [part.record.declared.control_point] * len(part.marched)
+            owners += [part.record.name] * (len(part.names) - len(part.marched))
+            index = [keys.index((name, owner)) for name, owner in zip(part.names, owners, strict=True)]
+            part.index = np.array(index, dtype=np.int64)
+        return [Unknown(label, parameter, tuple(parts)) for label, parameter, parts in found.values()]
+
+    def _parameter(self, part: Part, name: str) -> Parameter:
+        """What an unknown of a part is; its value is where the fit starts, and the mean of its prior."""
+        for own in part.start.unknowns if part.start else ():
+            if own.name == name:
+                return own
+        known = definition(part.record, name)
+        if known is None:
+            known = part.model.definition(name)
+            known = replace(known, value=part.model.value(name))
+        if name == CLOCK_SKEW.name:
+            known = replace(known, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)
+        return replace(self.priors.get(name, known), name=name)
+
+    @property
+    def parameters(self) -> list[Parameter]:
+        """The unknowns as newton.maximise takes them, by their labels."""
+        return [replace(u.parameter, name=u.label) for u in self.unknowns]
+
+    # What is fitted --------------------------------------------------------------------------------------------------
+
+    def _choose_samples(self, part: Part, chosen: NDArray[np.bool_] | None) -> None:
+        record, flown = part.record, part.conditions.time_s
+        begin = flown[0] if part.start is None else part.start.time_s
+        slack = SKEW_SPAN_S if CLOCK_SKEW.name in part.names else 0.0
+        t = record.time_s
+        mask = record.fit_mask() if chosen is None else chosen
+        mask = mask & ((t >= begin + slack) & (t <= flown[-1] - slack) if slack else (t >= begin) & (t <= flown[-1]))
+        read = np.isfinite(record.temperatures_K(record.used_sensors)).any(axis=0) & mask
+        if not np.any(read):
+            raise InputError(
+                f"{record.name}: no sample of a used sensor lies in the fit segments and within the conditions "
+                f"({begin:g} to {flown[-1]:g} s); nothing can be estimated"
+            )
+        part.sample_s = t[read]
+        part.channels = channels(record, part.sample_s, read)
+        part.sigma_K = {c.number: max(c.sensor.noise_sigma_K or 1.0, least_sigma_K(c.sensor)) for c in part.channels}
+        part.time_s = march_times(part.conditions, begin, float(part.sample_s[-1]) + slack)
+
+    def _group(self) -> None:
+        """Parts on common times go side by side, LANES at most."""
+        alike: dict[tuple[bytes, int], list[Part]] = {}
+        for part in self.parts:
+            alike.setdefault((part.time_s.tobytes(), part.mesh.nodes), []).append(part)
+        self.groups = [parts[k : k + LANES] for parts in alike.values() for k in range(0, len(parts), LANES)]
+        self._marches = [self._march_of(group) for group in self.groups]
+
+    @staticmethod
+    def _march_of(group: Sequence[Part]) -> LinearMarch:
+        tracks = [replace(part.track(part.marched), flight=i) for i, part in enumerate(group)]
+        time = group[0].time_s
+        return LinearMarch(tracks, time, np.stack([condition_history(part.conditions.at(time)) for part in group]))
+
+    # Likelihood ------------------------------------------------------------------------------------------------------
+
+    def evaluate(self, vector: FloatArray) -> Evaluation:
+        """Log likelihood of all samples, its gradient, and Gauss-Newton's information; NaN where a march failed."""
+        m = len(self.unknowns)
+        total, gradient, information = 0.0, np.zeros(m), np.zeros((m, m))
+        try:
+            everything = self.samples(vector)
+        except RunError:
+            return Evaluation(np.nan, gradient, information)
+        for s in everything:
+            found = likelihood(s.channel.observed, s.mean_K, s.sigma_K)
+            total += float(np.sum(found.log_likelihood))
+            gradient += s.jacobian.T @ found.score
+            information += (s.jacobian * found.information[:, np.newaxis]).T @ s.jacobian
+        return Evaluation(total, gradient, information)
+
+    def samples(self, vector: FloatArray) -> list[Samples]:
+        """All channels at a parameter vector.
+
+        raises : RunError where a march failed
+        """
+
+        def one(k: int) -> list[Linearised]:
+            group, march = self.groups[k], self._marches[k]
+            march.set_models([part.altered(vector) for part in group])
+            return march.march([part.shift_s(vector) for part in group], [part.initial_K(vector) for part in group])
+
+        marched = in_threads(one, len(self.groups))
+        return [
+            self._of_channel(part, channel, found, vector)
+            for group, results in zip(self.groups, marched, strict=True)
+            for part, found in zip(group, results, strict=True)
+            for channel in part.channels
+        ]
+
+    def _of_channel(self, part: Part, channel: Channel, found: Linearised, vector: FloatArray) -> Samples:
+        mean, own = indicated(channel, found, part.names, part.values(vector), part.read)
+        jacobian = np.zeros((len(mean), len(self.unknowns)))
+        jacobian[:, part.index] = own
+        time = part.sample_s[channel.samples]
+        return Samples(part, channel, time, mean, jacobian, part.sigma_K[channel.number])
+
+    def log_likelihoods(self, vectors: FloatArray) -> FloatArray:
+        """(candidate,) log likelihoods of several parameter vectors, marched side by side."""
+        return np.concatenate([self._several(vectors[k : k + LANES]) for k in range(0, len(vectors), LANES)])
+
+    def _several(self, vectors: FloatArray) -> FloatArray:
+        def one(k: int) -> FloatArray:
+            part = self.parts[k]
+            tracks = [replace(part.track((), v), model=part.altered(v)) for v in vectors]
+            march = LinearMarch(tracks, part.time_s, condition_history(part.conditions.at(part.time_s))[np.newaxis])
+            try:
+                marched = march.march([part.shift_s(v) for v in vectors])
+            except RunError:
+                return np.full(len(vectors), np.nan)
+            total = np.zeros(len(vectors))
+            for i, (v, found) in enumerate(zip(vectors, marched, strict=True)):
+                for c in part.channels:
+                    mean, _ = indicated(c, found, (), part.values(v), 0)
+                    total[i] += np.sum(log_likelihood(c.observed, mean, part.sigma_K[c.number]))
+            return total
+
+        return np.asarray(np.sum(in_threads(one, len(self.parts)), axis=0))
+
+    # Noise -----------------------------------------------------------------------------------------------------------
+
+    def estimate_noise(self, vector: FloatArray) -> float:
+        """Set the noise of sensors that declare none to its most likely value; gives the largest relative change."""
+        change = 0.0
+        for s in self.samples(vector):
+            if s.channel.sensor.noise_sigma_K is None:
+                least = least_sigma_K(s.channel.sensor)
+                sigma = max(estimate_sigma(s.channel.observed, s.mean_K, least).sigma_K, least)
+                change = max(change, abs(sigma / s.sigma_K - 1.0))
+                s.part.sigma_K[s.channel.number] = sigma
+        return change
+
+
+def march_times(conditions: Conditions, begin_s: float, end_s: float) -> FloatArray:
+    """Steps from begin_s to the first sample of the conditions at or after end_s, none longer than LONGEST_STEP_S."""
+    flown = conditions.time_s
+    last = min(int(np.searchsorted(flown, end_s)), len(flown) - 1)
+    knots = np.union1d(flown[(flown >= begin_s) & (flown <= flown[last])], [begin_s])
+    pieces = np.ceil(np.diff(knots) / LONGEST_STEP_S - 1e-9).astype(int)
+    parts = [np.linspace(a, b, n + 1)[:-1] for a, b, n in zip(knots, knots[1:], pieces, strict=False)]
+    return np.concatenate([*parts, knots[-1:]])
+
+
+R = TypeVar("R")
+
+
+def in_threads(one: Callable[[int], R], count: int) -> list[R]:
+    """one(0), ..., one(count - 1), in threads where there are several."""
+    if count == 1:
+        return [one(0)]
+    with ThreadPoolExecutor(min(count, os.cpu_count() or 1)) as pool:
+        return list(pool.map(one, range(count)))
+
+
+def joint_reference(records: Sequence[Record], given: Mapping[str, float] | None = None) -> tuple[float, ...]:
+    """The condition that the derivatives are about: as given, else as the first record declares it, else the means
+    over all fit segments."""
+    declared = records[0].declared.reference_condition
+    fitted = [(r, r.fit_mask(r.conditions.time_s)) for r in records]
+    values = []
+    for variable in RATIO_VARIABLES:
+        own = None if declared is None else getattr(declared, variable)
+        rows = np.concatenate([r.conditions[variable][mask] for r, mask in fitted])
+        mean = np.mean(rows) if len(rows) else np.mean(records[0].conditions[variable])
+        values.append(float((given or {}).get(variable, mean if own is None else own)))
+    return tuple(values)
+
+
+def declared_profile(part: Part) -> FloatArray:
+    """(node,) temperatures [K] that the stack of a part declares."""
+    return initial_temperatures(part.model.construction, part.mesh)
