@@ -1,4 +1,4 @@
-"""Results: JSON, and a directory that holds either all files of a run or none of them."""
+"""JSON in and out, and a directory that holds either all files of a run or none of them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from sim_heating.errors import InputError, RunError
-from sim_heating.files.text import plain, reason, shown, umask, write_text_atomic
+from sim_heating.files.text import brief, plain, read_text, reason, shown, umask, write_text_atomic
 
 MARKER = ".sim_heating.json"
 """Name of the list, in an output directory, of the files that this program wrote there."""
@@ -35,6 +35,31 @@ def json_text(data: Any) -> str:
 def write_json(path: str | os.PathLike[str], data: Any) -> None:
     """Write data as JSON, whole or not at all; NaN is refused, None is null."""
     write_text_atomic(path, json_text(data))
+
+
+def read_json(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read a JSON file that holds an object.
+
+    raises : InputError, one line, where it is not JSON, holds NaN or an infinity, or is not an object
+    """
+    text, name = read_text(path), shown(path)
+    try:
+        data = json.loads(text, parse_constant=_no_constant)
+    except json.JSONDecodeError as error:
+        at_end = error.pos >= len(text.rstrip()) or error.msg.startswith("Unterminated string")
+        cut = "; the file may have been cut off" if at_end else ""
+        raise InputError(f"{name}, line {error.lineno}: {error.msg} (column {error.colno}); is not JSON{cut}") from None
+    except RecursionError:
+        raise InputError(f"{name}: objects or lists are nested too deeply") from None
+    except ValueError as error:
+        raise InputError(f"{name}: {error}") from None
+    if not isinstance(data, dict):
+        raise InputError(f"{name}: holds {brief(data)}; it must be an object {{...}}")
+    return data
+
+
+def _no_constant(name: str) -> float:
+    raise ValueError(f"holds {name}, which is not a number in JSON")
 
 
 def _plain_or_fail(value: Any) -> Any:
