@@ -36,6 +36,10 @@ def _directory(_: click.Context, __: click.Parameter, value: str) -> Path:
     return path
 
 
+def _optional_directory(context: click.Context, parameter: click.Parameter, value: str | None) -> Path | None:
+    return None if value is None else _directory(context, parameter, value)
+
+
 OUT = click.option("--out", required=True, callback=_directory, help="directory for the results")
 PATH = click.Path(path_type=Path)
 
@@ -244,6 +248,65 @@ def _errors(found: dict[str, Any]) -> list[str]:
     cells = [f"{found[k]['rmse_K']:.2f} K" if found[k] else "-" for k in ("fit", "holdout")]
     floor = found["noise_floor_K"]
     return [*cells, "-" if floor is None else f"{floor:.2f} K"]
+
+
+@cli.command("update-tables")
+@click.argument("fit", type=PATH, required=False)
+@click.option("--vehicle", required=True, help="name or directory of the vehicle whose table is revised")
+@click.option("--out", callback=_optional_directory, help="put a copy of the vehicle there and revise that")
+@click.option(
+    "--record", "records", type=PATH, multiple=True, help="the estimate's records, where it does not find them"
+)
+@click.option("--check", "checked", type=PATH, multiple=True, help="another record to predict before and after")
+@click.option("--dry-run", is_flag=True, help="show what would change and write nothing")
+@click.option("--revert", metavar="POINT", help="put the table of this control point back to its parent revision")
+def update_tables(
+    fit: Path | None,
+    vehicle: str,
+    out: Path | None,
+    records: tuple[Path, ...],
+    checked: tuple[Path, ...],
+    dry_run: bool,
+    revert: str | None,
+) -> None:
+    """Write the derivatives of an estimate (FIT: an estimate.json or its directory) into the vehicle's ratio table."""
+    from sim_heating.record import load_record
+    from sim_heating.table_update.report import report
+    from sim_heating.table_update.revisions import revision_path
+    from sim_heating.table_update.update import check_place, errors_before_and_after, prepare, write_update
+
+    if not dry_run:
+        check_place(vehicle, out)
+    if fit is None:
+        _revert_table(vehicle, revert, out is not None or dry_run)
+        return
+    if revert is not None:
+        raise InputError(f"--revert {revert}: stands alone; leave out {fit}")
+    update = prepare(fit, vehicle, records)
+    every = {r.name: r for r in (*update.records, *(load_record(path) for path in checked))}
+    with _progress("update-tables") as progress:
+        progress(0.1, "predicting with the table before and after")
+        errors = errors_before_and_after(update, list(every.values()))
+    for part in report(update, errors):
+        CONSOLE.print(part, highlight=False)
+    if dry_run:
+        CONSOLE.print("Dry run: nothing was written")
+        return
+    place, made = write_update(update, out, errors)
+    told = f"revision {made.revision}; why: {revision_path(place, made.control_point, made.revision, 'json')} and .png"
+    CONSOLE.print(f"Wrote {place / made.table}, {told}", highlight=False, soft_wrap=True)
+
+
+def _revert_table(vehicle: str, point: str | None, more: bool) -> None:
+    from sim_heating.table_update.revisions import revert
+    from sim_heating.vehicle import load_vehicle
+
+    if point is None:
+        raise InputError("update-tables: give FIT, an estimate.json or its directory, or --revert POINT")
+    if more:
+        raise InputError(f"--revert {point}: stands alone; leave out --out and --dry-run")
+    undone, now = revert(load_vehicle(vehicle), point)
+    CONSOLE.print(f"{point}: revision {undone} undone, revision {now} is in force, byte for byte", highlight=False)
 
 
 @cli.command()

@@ -48,13 +48,15 @@ THERMOCOUPLE: dict[str, Any] = {
 }  # fmt: skip
 
 
-def _figure(width: float, height: float, rows: int, columns: int = 1, **keys: Any) -> tuple[Figure, np.ndarray]:
+def new_figure(width: float, height: float, rows: int, columns: int = 1, **keys: Any) -> tuple[Figure, np.ndarray]:
+    """A figure of this size in inches and its axes, at least one."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure, np.atleast_1d(figure.subplots(rows, columns, **keys))
 
 
-def _save(figure: Figure, path: Path, title: str, axes: np.ndarray) -> None:
+def save_figure(figure: Figure, path: Path, title: str, axes: np.ndarray) -> None:
+    """Grid, title and file of every picture."""
     for a in axes.ravel():
         a.grid(alpha=0.3)
         a.set_axisbelow(True)
@@ -87,7 +89,7 @@ def _twin(axes: Axes, x: FloatArray, y: FloatArray, label: str, color: str) -> N
 
 def draw_trajectory(path: Path, title: str, flown: Conditions, windows: Sequence[Window]) -> None:
     """Altitude, velocity, angles and dynamic pressure against time, manoeuvres shaded and named."""
-    figure, axes = _figure(9.0, 9.5, 4, sharex=True)
+    figure, axes = new_figure(9.0, 9.5, 4, sharex=True)
     t = flown.time_s
     axes[0].plot(t, flown["altitude_m"] / 1e3, color="tab:blue")
     axes[0].set_ylabel("altitude, km", color="tab:blue")
@@ -105,7 +107,7 @@ def draw_trajectory(path: Path, title: str, flown: Conditions, windows: Sequence
         _shade(a, windows)
     _name_windows(axes[0], windows)
     axes[-1].set_xlabel("time, s")
-    _save(figure, path, f"{title}: trajectory", axes)
+    save_figure(figure, path, f"{title}: trajectory", axes)
 
 
 def _plot_angles(axes: Axes, flown: Conditions, names: Sequence[str]) -> None:
@@ -118,7 +120,7 @@ def _plot_angles(axes: Axes, flown: Conditions, names: Sequence[str]) -> None:
 
 def draw_temperatures(path: Path, title: str, points: Sequence[PointHistory], windows: Sequence[Window]) -> None:
     """Surface and bondline temperatures of all control points against time, legends in the order of the peaks."""
-    figure, axes = _figure(10.0, 9.0, 2, sharex=True)
+    figure, axes = new_figure(10.0, 9.0, 2, sharex=True)
     hottest = sorted(points, key=lambda p: -float(np.max(p.surface_K)))
     colors = mpl.colormaps["turbo"](np.linspace(0.95, 0.05, len(hottest)))
     style = {
@@ -135,7 +137,7 @@ def draw_temperatures(path: Path, title: str, points: Sequence[PointHistory], wi
     left_out = [p.name for p in hottest if p not in insulated]
     if left_out:
         axes[1].set_title(f"hot structure, no bondline: {', '.join(left_out)}", fontsize=8, loc="left")
-    _save(figure, path, title, axes)
+    save_figure(figure, path, title, axes)
 
 
 def _plot_by_peak(
@@ -156,7 +158,7 @@ def draw_manoeuvre(
 
     As figures 5, 10 and 13 of the founding paper.
     """
-    figure, axes = _figure(8.0, 2.1 * len(points) + 3.2, len(points) + 1, sharex=True)
+    figure, axes = new_figure(8.0, 2.1 * len(points) + 3.2, len(points) + 1, sharex=True)
     shown = (flown.time_s >= window.start_s - BEFORE_S) & (flown.time_s <= window.end_s + AFTER_S)
     t = flown.time_s[shown]
     for a, point in zip(axes[:-1], points, strict=True):
@@ -170,7 +172,7 @@ def draw_manoeuvre(
     for a in axes:
         _shade(a, [window])
     figure.align_ylabels(axes)
-    _save(figure, path, f"{_speed(flown, window)}\n{title}", axes)
+    save_figure(figure, path, f"{_speed(flown, window)}\n{title}", axes)
 
 
 def _plot_moving(axes: Axes, flown: Conditions, shown: np.ndarray, variable: str) -> None:
@@ -209,7 +211,7 @@ def draw_comparison(
     """
     columns = 2 if len(panels) > 1 else 1
     rows = -(-len(panels) // columns)
-    figure, axes = _figure(5.2 * columns, 3.5 * rows + 0.6, rows, columns, sharex=True, sharey=True, squeeze=False)
+    figure, axes = new_figure(5.2 * columns, 3.5 * rows + 0.6, rows, columns, sharex=True, sharey=True, squeeze=False)
     for a, (label, point, time_s, temperature_K, sigma_K, rmse_K) in zip(axes.ravel(), panels, strict=False):
         low, high = temperature_K - 2 * sigma_K, temperature_K + 2 * sigma_K
         a.fill_between(time_s, low, high, color="0.82", linewidth=0, label="2 sigma of the digitised figure")
@@ -223,14 +225,14 @@ def draw_comparison(
     for a in axes[:, 0]:
         a.set_ylabel("surface temperature, K")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=9)
-    _save(figure, path, title, axes)
+    save_figure(figure, path, title, axes)
 
 
 def draw_prediction(
     path: Path, title: str, time_s: FloatArray, names: Sequence[str], measured_K: FloatArray, predicted_K: FloatArray
 ) -> None:
     """Each sensor of a record, measured and predicted, with the residual below."""
-    figure, axes = _figure(9.5, 7.0, 2, sharex=True, height_ratios=[2, 1])
+    figure, axes = new_figure(9.5, 7.0, 2, sharex=True, height_ratios=[2, 1])
     for i, name in enumerate(names):
         axes[0].plot(time_s, measured_K[i], ".", color=f"C{i}", markersize=2.5, alpha=0.5)
         axes[0].plot(time_s, predicted_K[i], color=f"C{i}", linewidth=1.2, label=name)
@@ -240,4 +242,4 @@ def draw_prediction(
     axes[1].axhline(0.0, color="0.3", linewidth=0.8)
     axes[1].set_ylabel("measured - predicted, K")
     axes[1].set_xlabel("time, s")
-    _save(figure, path, title, axes)
+    save_figure(figure, path, title, axes)

@@ -26,7 +26,7 @@ from sim_heating.conditions import RATIO_VARIABLES, FloatArray
 from sim_heating.errors import InputError
 from sim_heating.files import Declared, LocatedError, read_csv_columns, read_toml, shown
 from sim_heating.heating_ratio.scaling import REFERENCE, Scaling, deflection_factor, scale_table, windward_trend
-from sim_heating.heating_ratio.table import RatioTable, write_ratio_table
+from sim_heating.heating_ratio.table import RatioTable, read_ratio_table, write_ratio_table
 from sim_heating.vehicle import vehicle_directory
 from sim_heating.vehicle_files import ControlPointFile, VehicleFile
 
@@ -145,13 +145,27 @@ def build_tables(vehicle: str | os.PathLike[str]) -> dict[str, RatioTable]:
 
 
 def write_tables(vehicle: str | os.PathLike[str]) -> list[Path]:
-    """Build all tables of a vehicle and write them where its control points look for them; the files written."""
+    """Build all tables of a vehicle and write them where its control points look for them; the files written.
+
+    raises : InputError where one of them has been revised from flight data; nothing is written
+    """
     directory = vehicle_directory(vehicle)
-    written = []
-    for name, table in build_tables(directory).items():
+    tables, written = build_tables(directory), []
+    for name in tables:
+        _refuse_flown(directory / "ratio_tables" / f"{name}.csv")
+    for name, table in tables.items():
         written.append(directory / "ratio_tables" / f"{name}.csv")
         write_ratio_table(written[-1], table, FORMATS)
     return written
+
+
+def _refuse_flown(path: Path) -> None:
+    """Refuse to replace a table that flight data have revised."""
+    if path.is_file() and "parent_revision" in (header := read_ratio_table(path).header):
+        raise InputError(
+            f"{shown(path)}: is revision {header.get('revision')}, from flight data; revert it, or take its control "
+            "point out of the ratio source"
+        )
 
 
 def _build(source: RatioSource, path: Path, point: ControlPointFile, vehicle: VehicleFile) -> RatioTable:

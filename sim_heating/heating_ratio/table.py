@@ -19,7 +19,15 @@ from numpy.typing import NDArray
 
 from sim_heating.conditions import RATIO_VARIABLES
 from sim_heating.errors import InputError
-from sim_heating.files import CsvTable, raise_problems, read_csv_columns, shown, suggestion, write_csv
+from sim_heating.files import (
+    CsvTable,
+    csv_text,
+    raise_problems,
+    read_csv_columns,
+    shown,
+    suggestion,
+    write_text_atomic,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -73,12 +81,17 @@ def read_ratio_table(path: str | os.PathLike[str]) -> RatioTable:
 def write_ratio_table(
     path: str | os.PathLike[str], table: RatioTable, formats: Mapping[str, str] | None = None
 ) -> None:
-    """Write a ratio table in long form, last variable fastest; without formats it reads back equal."""
+    """Write a ratio table in long form, whole or not at all; see ratio_table_text."""
+    write_text_atomic(path, ratio_table_text(table, formats))
+
+
+def ratio_table_text(table: RatioTable, formats: Mapping[str, str] | None = None) -> str:
+    """A ratio table in long form, last variable fastest; without formats it reads back equal."""
     grid = np.meshgrid(*table.axes, indexing="ij")
     columns = {name: g.ravel() for name, g in zip(RATIO_VARIABLES, grid, strict=True)} | {"ratio": table.ratio.ravel()}
     if table.sigma is not None:
         columns["sigma"] = table.sigma.ravel()
-    write_csv(path, columns, formats, table.header)
+    return csv_text(columns, formats, table.header)
 
 
 def _column_problems(table: CsvTable) -> list[str]:

@@ -1,0 +1,225 @@
+"""From an estimate and the records it was made from to evidence on the nodes of a control point's ratio table.
+
+The estimate says that along the flown path the ratio is
+
+    r(x_t) = r_declared(x_t) + sum_k b_k(x_t) theta_k,   theta = theta_hat +- C
+    b = r_declared for ratio.scale, 1 for ratio.d0, dx_i, dx_i dx_j for the derivatives
+
+and the table's own ratio along it is W n (multilinear weights). Both are compared as functions of the same few
+parameters: W n - r_declared projected on b by least squares, weights O = (h_ref H_r)^2 as heat flux, gives what the
+table says theta is, P (W n - r_declared) with P = (B' O B)^-1 B' O. So H = P W, y = theta_hat + P r_declared, and the
+rank of the evidence is the number of parameters, however many samples the path has: nothing is counted twice.
+
+A parameter that the table cannot hold (the derivative against a variable with one node, the curvature within one cell)
+and one that is no ratio's is averaged over: its row and column of C are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.conditions import RATIO_VARIABLES, FloatArray
+from sim_heating.errors import InputError
+from sim_heating.estimation.result import Estimate
+from sim_heating.heating_ratio.table import RatioTable
+from sim_heating.parameters import RATIO, SECOND_ORDER
+from sim_heating.points import conditions_at_point, conditions_of_record, wall_enthalpy_of
+from sim_heating.record import ConstantHeat, Record, in_segments
+from sim_heating.table_update.posterior import Evidence, node_weights, prior_covariance
+from sim_heating.vehicle import ControlPoint, Vehicle
+
+BoolArray = NDArray[np.bool_]
+
+HEATING_APART = 0.01
+"""Relative difference at which two reference heatings are not the same one."""
+OUTSIDE_SHARE = 0.1
+"""Share of the fitted samples outside a table's axes above which it is not updated."""
+SINGULAR = 1e-6
+"""Singular value of the scaled basis below which two parameters cannot be told apart along the path."""
+HELD = 1e-6
+"""Least effect of the nodes on a parameter, over that on the ratio itself, for the table to hold it."""
+
+
+@dataclass(frozen=True)
+class Path:
+    """The samples that were fitted.
+
+    x        : (sample, 5) ratio variables
+    weight   : (sample,) weight in the projection
+    declared : (sample,) ratio of the record's own table, 0 without one
+    """
+
+    x: FloatArray
+    weight: FloatArray
+    declared: FloatArray
+
+    def only(self, chosen: BoolArray) -> Path:
+        """Some of the samples."""
+        return Path(self.x[chosen], self.weight[chosen], self.declared[chosen])
+
+
+@dataclass(frozen=True)
+class Informed:
+    """An estimate as evidence.
+
+    evidence    : on the nodes of the table
+    path        : the samples behind it, those inside the table
+    rows        : (k, node) what the evidence's parameters are of the nodes, less `at_zero`
+    at_zero     : (k,) what they would be of a ratio of 0
+    left_out    : how many samples lay outside the table
+    not_written : parameter -> why it is not in the table
+    """
+
+    evidence: Evidence
+    rows: FloatArray
+    at_zero: FloatArray
+    path: Path
+    left_out: int
+    not_written: dict[str, str]
+
+
+def basis(names: Sequence[str], x: FloatArray, reference: FloatArray, declared: FloatArray) -> FloatArray:
+    """(sample, k) what each ratio parameter is multiplied with along a path; see heating_ratio/kernel.py."""
+    dx = x - reference
+    second = [dx[:, i] * dx[:, j] for i, j in SECOND_ORDER]
+    columns = dict(zip((p.name for p in RATIO), (declared, np.ones(len(x)), *dx.T, *second), strict=True))
+    return np.stack([columns[name] for name in names], axis=1)
+
+
+def ratio_names(estimate: Estimate) -> tuple[str, ...]:
+    """The estimated parameters of the linear heating model, in the model's order."""
+    return tuple(p.name for p in RATIO if p.name in estimate.parameters)
+
+
+def evidence_of(estimate: Estimate, records: Sequence[Record], vehicle: Vehicle, point: ControlPoint) -> Informed:
+    """What an estimate says of the nodes of a control point's table.
+
+    raises : InputError where the ratio is over another reference heating, the path leaves the table, or the records
+             are not those of the estimate
+    """
+    if not estimate.converged:
+        raise InputError("the estimate did not converge; nothing of it is written into a table")
+    if point.ratio.sigma is None:
+        raise InputError(f"{point.declared.ratio_table}: has no sigma column to weigh the flight against; add one")
+    names = ratio_names(estimate)
+    if not names:
+        raise InputError("the estimate holds no ratio parameter, so it says nothing of a ratio table")
+    for record in records:
+        check_reference(record, vehicle, point)
+    path, left_out = _inside(_path(estimate, records), point)
+    H, at_zero = _projection(names, path, estimate.reference_condition.values(), point.ratio)
+    held = _held(names, H, path, estimate.reference_condition.values(), point.ratio)
+    kept = tuple(n for n, h in zip(names, held, strict=True) if h)
+    if not kept:
+        raise InputError(
+            f"the table of {point.name} can hold none of {', '.join(names)}; give it nodes or a sigma there"
+        )
+    rows = H[held]
+    nodes = np.flatnonzero(np.any(rows != 0.0, axis=0))
+    value = estimate.values(kept) + at_zero[held]
+    evidence = Evidence(kept, nodes, rows[:, nodes], value, estimate.covariance(kept))
+    not_written = dict.fromkeys(set(names) - set(kept), "the nodes of the table cannot hold it")
+    # An effect that was fitted belongs into the control point's [[effect]], not into its table.
+    not_written |= dict.fromkeys(set(estimate.parameters) - set(names), "is not of the ratio table")
+    return Informed(evidence, rows, at_zero[held], path, left_out, dict(sorted(not_written.items())))
+
+
+def check_reference(record: Record, vehicle: Vehicle, point: ControlPoint) -> None:
+    """Refuse a record whose ratio is over another reference heating than the vehicle's tables.
+
+    raises : InputError naming both, by name where the record has one, else by value
+    """
+    heating, wanted = record.declared.heating, vehicle.heating
+    named: str = heating.reference
+    if named == "columns":
+        named = (record.ratio_table.reference if record.ratio_table is not None else None) or wanted.reference
+    if named != wanted.reference:
+        raise InputError(
+            f"{record.name}: its ratio is over `{named}`, the tables of {vehicle.name} over `{wanted.reference}`; "
+            "fit the record over the vehicle's reference heating"
+        )
+    if wall_enthalpy_of(heating.wall_enthalpy) != wall_enthalpy_of(wanted.wall_enthalpy):
+        raise InputError(
+            f"{record.name}: its wall enthalpy is {_enthalpy(heating.wall_enthalpy)}, that of {vehicle.name} "
+            f"{_enthalpy(wanted.wall_enthalpy)}; the ratios are not of one kind"
+        )
+    flown, ours = conditions_of_record(record), conditions_at_point(vehicle, point, record.conditions)
+    weight = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
+    for column in ("h_ref_kg_m2_s", "H_r_J_kg"):
+        apart = float(np.sum(weight * np.abs(flown[column] / ours[column] - 1.0)) / np.sum(weight))
+        if not apart < HEATING_APART:
+            raise InputError(
+                f"{record.name}: its {column} is {apart:.1%} from that of `{wanted.reference}` on {vehicle.name}; "
+                "a ratio over one is not a ratio over the other"
+            )
+
+
+def _enthalpy(declared: ConstantHeat | str) -> str:
+    value = wall_enthalpy_of(declared)
+    return value if isinstance(value, str) else f"cp = {value:g} J/(kg K)"
+
+
+def _path(estimate: Estimate, records: Sequence[Record]) -> Path:
+    """The fitted samples of all records."""
+    segments = estimate.segments
+    parts = [_record_path(r, None if segments is None else segments[i]) for i, r in enumerate(records)]
+    return Path(*(np.concatenate([getattr(p, key) for p in parts]) for key in ("x", "weight", "declared")))
+
+
+def _record_path(record: Record, segments: Sequence[Sequence[float]] | None) -> Path:
+    t = record.time_s
+    fitted = record.fit_mask() if segments is None else in_segments(t, segments) & ~record.holdout_mask()
+    fitted &= np.any(np.isfinite(record.temperatures_K(record.used_sensors)), axis=0)
+    span = record.conditions.time_s[[0, -1]]
+    t = t[fitted & (t >= span[0]) & (t <= span[1])]
+    if len(t) == 0:
+        raise InputError(f"{record.name}: no sample lies in the segments of the estimate; is it the record of the fit?")
+    flown = conditions_of_record(record).at(t)
+    x = np.stack([flown[v] for v in RATIO_VARIABLES], axis=1)
+    table = record.ratio_table
+    declared = np.zeros(len(t)) if table is None else node_weights(table.axes, x) @ table.ratio.ravel()
+    return Path(x, (flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]) ** 2, declared)
+
+
+def _inside(path: Path, point: ControlPoint) -> tuple[Path, int]:
+    """The samples inside the table's axes (an axis of one value has no outside), and how many are not."""
+    out = np.zeros(len(path.x), dtype=bool)
+    for name, axis, x in zip(RATIO_VARIABLES, point.ratio.axes, path.x.T, strict=True):
+        beyond = (len(axis) > 1) & ((x < axis[0]) | (x > axis[-1]))
+        if np.mean(beyond) > OUTSIDE_SHARE:
+            raise InputError(
+                f"{point.declared.ratio_table}: {name} lay outside its {axis[0]:g} to {axis[-1]:g} for "
+                f"{np.mean(beyond):.0%} of the fitted samples ({x.min():.4g} to {x.max():.4g}); extend the table first"
+            )
+        out |= beyond
+    return path.only(~out), int(np.count_nonzero(out))
+
+
+def _projection(
+    names: Sequence[str], path: Path, reference: FloatArray, table: RatioTable
+) -> tuple[FloatArray, FloatArray]:
+    """(k, node) H = P W, and (k,) P r_declared."""
+    B = basis(names, path.x, reference, path.declared)
+    root = np.sqrt(path.weight / np.sum(path.weight))
+    scale = np.sqrt(np.sum((B * root[:, None]) ** 2, axis=0))
+    U, s, V = np.linalg.svd(B * root[:, None] / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
+    if len(B) < len(names) or s[-1] < SINGULAR:
+        least = V[-1] if len(s) else np.ones(len(names))
+        alike = " and ".join(n for n, v in zip(names, least, strict=True) if abs(v) > 0.3)
+        raise InputError(f"the fitted samples do not tell {alike} apart; are the records those of the estimate?")
+    P = (V.T / s) @ U.T * root / scale[:, None]
+    W = node_weights(table.axes, path.x)
+    return np.asarray((W.T @ P.T).T), P @ path.declared
+
+
+def _held(names: Sequence[str], H: FloatArray, path: Path, reference: FloatArray, table: RatioTable) -> BoolArray:
+    """(k,) whether the nodes can hold each parameter: whether their errors reach it."""
+    nodes = np.flatnonzero(np.any(H != 0.0, axis=0))
+    K = prior_covariance(table, nodes, nodes)
+    reach = np.sqrt(np.maximum(np.einsum("km,mn,kn->k", H[:, nodes], K, H[:, nodes]), 0.0))
+    size = np.sqrt(np.mean(basis(names, path.x, reference, path.declared) ** 2, axis=0))
+    return reach * size > HELD * np.sqrt(np.max(np.diag(K)))

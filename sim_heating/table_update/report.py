@@ -1,0 +1,82 @@
+"""A table update as a person reads it: the difference node by node, each parameter before and after, and errors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from sim_heating.conditions import RATIO_VARIABLES
+from sim_heating.parameters import SHORT
+from sim_heating.table_update.update import SURPRISING, TableUpdate, changed_nodes
+
+ROWS = 16
+"""Nodes that are shown; the revision's file holds all."""
+
+
+def report(update: TableUpdate, errors: dict[str, dict[str, Any]]) -> Iterator[Table | str]:
+    """What is printed of an update, one after the other."""
+    yield _difference(update)
+    yield _parameters(update)
+    yield _errors(errors)
+    yield from _oddities(update)
+
+
+def _difference(update: TableUpdate) -> Table:
+    """The nodes that move most, by their sigma before."""
+    nodes = {name: np.array(values) for name, values in changed_nodes(update).items()}
+    moved = np.abs(nodes["ratio_after"] - nodes["ratio_before"]) / np.maximum(nodes["sigma_before"], 1e-300)
+    shown = np.sort(np.argsort(-moved, kind="stable")[:ROWS])
+    many = f"{len(moved)} of {update.table.ratio.size} nodes change"
+    some = f", the {len(shown)} that move most by their sigma" if len(shown) < len(moved) else ""
+    old = update.history.revision
+    table = Table(title=f"{update.point.name}, revision {old} to {old + 1}: {many}{some}", title_justify="left")
+    for head in (*SHORT, "ratio before", "after", "", "sigma before", "after"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for i in shown:
+        before, after = nodes["ratio_before"][i], nodes["ratio_after"][i]
+        at = (f"{nodes[v][i]:g}" for v in RATIO_VARIABLES)
+        change = f"{after / before - 1.0:+.1%}" if before > 0.0 else f"{after - before:+.3g}"
+        sigma = (f"{nodes[f'sigma_{w}'][i]:.3g}" for w in ("before", "after"))
+        table.add_row(*at, f"{before:.5g}", f"{after:.5g}", change, *sigma)
+    return table
+
+
+def _parameters(update: TableUpdate) -> Table:
+    table = Table(title="Each parameter: as estimated, and as the table has it", title_justify="left")
+    table.add_column("parameter")
+    for head in ("estimate", "table before", "table after"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for name, *pairs in update.parameter_views():
+        table.add_row(name, *(f"{v:.4g} +- {s:.2g}" for v, s in zip(pairs[::2], pairs[1::2], strict=True)))
+    return table
+
+
+def _errors(errors: dict[str, dict[str, Any]]) -> Table:
+    table = Table(title="RMSE of plain predictions with the table before and after", title_justify="left")
+    table.add_column("record")
+    for head in ("fit, before", "after", "holdout, before", "after"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for name, parts in errors.items():
+        every = (parts[part][when] for part in ("fit", "holdout") for when in ("before", "after"))
+        table.add_row(name, *("-" if e is None else f"{e['rmse_K']:.2f} K" for e in every))
+    return table
+
+
+def _oddities(update: TableUpdate) -> Iterator[str]:
+    """What a person should know before trusting the revision."""
+    for name, why in update.informed.not_written.items():
+        yield f"{name}: not written, {why}"
+    if update.informed.left_out:
+        yield f"{update.informed.left_out} fitted samples lay outside the table and were left out"
+    if update.after.surprise < SURPRISING:
+        n = len(update.after.innovation)
+        yield (
+            f"The flight is farther from the table than its sigma allows (chi-square {update.after.chi_square:.1f} on {n}, "
+            f"chance {update.after.surprise:.1g}): the sigma column or the estimate's bounds are too small"
+        )
+    negative = int(np.count_nonzero((update.table.ratio < 0.0) & (update.history.table.ratio >= 0.0)))
+    if negative:
+        yield f"{negative} nodes become negative: the derivatives are large against the table's reach; look at the picture"

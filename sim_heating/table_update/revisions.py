@@ -1,0 +1,215 @@
+"""Revisions of a ratio table as files of the vehicle: written, read back, undone.
+
+    ratio_tables/P.csv                     the table in force; its header says `revision` and `parent_revision`
+    ratio_revisions/P/revision_1.csv       an earlier one, byte for byte
+    ratio_revisions/P/revision_2.json      what made revision 2 of revision 1: provenance, evidence, changed nodes
+    ratio_revisions/P/revision_2.png       and its picture
+
+The table is replaced last and in one step, so an interrupted update leaves the vehicle as it was. Evidence is kept
+whole: a later update starts from the table before the first one and takes all of it together.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from sim_heating.conditions import RATIO_VARIABLES
+from sim_heating.errors import InputError
+from sim_heating.estimation.result import Estimated
+from sim_heating.files import Declared, check, json_text, read_json, read_text, shown, write_text_atomic
+from sim_heating.heating_ratio.table import RatioTable, ratio_table_text, read_ratio_table
+from sim_heating.table_update.posterior import Evidence
+from sim_heating.vehicle import Vehicle
+
+FOLDER = "ratio_revisions"
+
+
+class UsedRecord(Declared):
+    """A record that informs a revision: its files by hash, and which times of it."""
+
+    record: str
+    inputs: str
+    segments: list[list[float]]
+
+
+class StoredEvidence(Declared):
+    """posterior.Evidence as a file holds it."""
+
+    names: list[str]
+    nodes: list[int]
+    H: list[list[float]]
+    value: list[float]
+    covariance: list[list[float]]
+
+    def arrays(self) -> Evidence:
+        """As the update takes it."""
+        nodes = np.array(self.nodes, dtype=np.int64)
+        return Evidence(tuple(self.names), nodes, np.array(self.H), np.array(self.value), np.array(self.covariance))
+
+
+class RevisionFile(Declared):
+    """Contents of ratio_revisions/P/revision_N.json.
+
+    table        : path of the table below the vehicle
+    parent       : number of the revision that it was made of
+    parent_hash, table_hash : of the two files' bytes
+    estimate     : hash of the estimate's file
+    parameters   : what was estimated of the ratio
+    not_written  : what was estimated and is not in the table, with the reason
+    reach        : distances at which the errors of two nodes are taken to be independent
+    chi_square   : of all evidence against the table before any of it
+    changed      : nodes with another value: the five variables, ratio and sigma before and after
+    """
+
+    format: Literal["ratio-revision/1"] = "ratio-revision/1"
+    control_point: str
+    table: str
+    revision: int
+    parent: int
+    parent_hash: str
+    table_hash: str
+    program: str
+    estimate: str
+    records: list[UsedRecord]
+    reference_condition: dict[str, float]
+    parameters: dict[str, Estimated]
+    not_written: dict[str, str]
+    reach: dict[str, float]
+    chi_square: float
+    degrees_of_freedom: int
+    evidence: StoredEvidence
+    errors_K: dict[str, dict[str, Any]] = Field(description="record -> fit, holdout -> before, after")
+    changed: dict[str, list[float]]
+
+
+@dataclass(frozen=True)
+class History:
+    """A table with all that made it.
+
+    path      : the table in force
+    raw       : its text
+    table     : read
+    revision  : its number
+    base      : the table before the first update, itself where there was none
+    revisions : what has been added to `base` since, the oldest first
+    """
+
+    path: Path
+    raw: str
+    table: RatioTable
+    revision: int
+    base: RatioTable
+    revisions: tuple[RevisionFile, ...]
+
+
+def table_path(vehicle: Vehicle, point: str) -> Path:
+    """The file of a control point's table.
+
+    raises : InputError where it is an earlier revision, or the table of other points too
+    """
+    name = vehicle.control_point(point).declared.ratio_table
+    if Path(name).parts[0] == FOLDER:
+        raise InputError(f"{point}: its `ratio_table` is {name}, an earlier revision; name the one in force first")
+    sharing = [p.name for p in vehicle.control_points.values() if p.declared.ratio_table == name and p.name != point]
+    if sharing:
+        raise InputError(f"{name}: is the table of {', '.join(sharing)} too; give {point} a copy of its own first")
+    return vehicle.directory / name
+
+
+def read_history(vehicle: Vehicle, point: str) -> History:
+    """The table of a control point and what made it.
+
+    raises : InputError where its number is none, or the table was changed after its revision was written
+    """
+    path = table_path(vehicle, point)
+    raw = _raw(path)
+    table = read_ratio_table(path)
+    number = table.header.get("revision", "")
+    if not number.isdecimal():
+        raise InputError(f"{shown(path)}, header `revision`: {number!r} is not a whole number; number the table")
+    revisions: list[RevisionFile] = []
+    base, text, at = path, raw, int(number)
+    while (made := revision_path(vehicle.directory, point, at, "json")).is_file():
+        revision = check(read_json(made), RevisionFile, shown(made))
+        if revision.table_hash != content_hash(text):
+            raise InputError(
+                f"{shown(base)}: was changed after {shown(made)} was written; revert the change, or give the table a "
+                "`revision` of its own"
+            )
+        base = revision_path(vehicle.directory, point, revision.parent, "csv")
+        text, at = _raw(base), revision.parent
+        if revision.parent_hash != content_hash(text):
+            raise InputError(f"{shown(base)}: is not the table that {shown(made)} was made of; restore it")
+        revisions.insert(0, revision)
+    return History(path, raw, table, int(number), read_ratio_table(base), tuple(revisions))
+
+
+def content_hash(text: str) -> str:
+    """`sha256:...` of a text as UTF-8."""
+    return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
+
+
+def write_revision(vehicle: Vehicle, history: History, table: RatioTable, made: Mapping[str, Any]) -> RevisionFile:
+    """Write the next revision of a table: the old one kept, then what made the new one, then the table itself.
+
+    made : the fields of a RevisionFile that are not of the files
+    """
+    text = ratio_table_text(table, _short_axes(table))
+    data = {
+        **made,
+        "table": history.path.relative_to(vehicle.directory).as_posix(),
+        "revision": history.revision + 1,
+        "parent": history.revision,
+        "parent_hash": content_hash(history.raw),
+        "table_hash": content_hash(text),
+    }
+    revision = check(data, RevisionFile, f"revision {history.revision + 1}")
+    point = revision.control_point
+    write_text_atomic(revision_path(vehicle.directory, point, history.revision, "csv"), history.raw)
+    write_text_atomic(
+        revision_path(vehicle.directory, point, revision.revision, "json"), json_text(revision.model_dump())
+    )
+    write_text_atomic(history.path, text)
+    return revision
+
+
+def _short_axes(table: RatioTable) -> dict[str, str]:
+    """Formats of the axes that read back equal without trailing zeros, so that unchanged rows keep their text."""
+    axes = zip(RATIO_VARIABLES, table.axes, strict=True)
+    return {name: "g" for name, axis in axes if all(float(f"{v:g}") == v for v in axis)}
+
+
+def revert(vehicle: Vehicle, point: str) -> tuple[int, int]:
+    """Put the parent of a table's revision back, byte for byte; numbers of the revision undone and of the one in force.
+
+    raises : InputError where there is none
+    """
+    history = read_history(vehicle, point)
+    if not history.revisions:
+        raise InputError(f"{shown(history.path)}: revision {history.revision} was not made from flight data; kept")
+    undone = history.revisions[-1]
+    kept = revision_path(vehicle.directory, point, undone.parent, "csv")
+    write_text_atomic(history.path, _raw(kept))
+    for path in (kept, *(revision_path(vehicle.directory, point, undone.revision, kind) for kind in ("json", "png"))):
+        path.unlink(missing_ok=True)
+    if not any(kept.parent.iterdir()):
+        kept.parent.rmdir()
+    return undone.revision, undone.parent
+
+
+def revision_path(directory: Path, point: str, revision: int, kind: str) -> Path:
+    """Where a revision's earlier table (csv), its evidence (json) or its picture (png) stands in a vehicle."""
+    return directory / FOLDER / point / f"revision_{revision}.{kind}"
+
+
+def _raw(path: Path) -> str:
+    """The text of a file with its line ends and byte-order mark as they are."""
+    read_text(path)
+    return path.read_bytes().decode("utf-8")

@@ -1,0 +1,313 @@
+"""From an estimate to the next revision of a ratio table: what changes, what that does to errors, and writing it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from sim_heating.conditions import RATIO_VARIABLES, FloatArray
+from sim_heating.errors import InputError
+from sim_heating.estimation.result import NAME, Estimate, inputs_hash, read_estimate
+from sim_heating.files import read_text, shown
+from sim_heating.heating_ratio.table import RatioTable
+from sim_heating.points import point_of_record
+from sim_heating.predict import predict
+from sim_heating.record import Record, load_record, pooled_rmse_K
+from sim_heating.results import package_version
+from sim_heating.table_update.evidence import Informed, evidence_of
+from sim_heating.table_update.posterior import REACH, Posterior, posterior
+from sim_heating.table_update.revisions import (
+    FOLDER,
+    History,
+    RevisionFile,
+    UsedRecord,
+    content_hash,
+    read_history,
+    revision_path,
+    write_revision,
+)
+from sim_heating.vehicle import FOLDER as VEHICLES
+from sim_heating.vehicle import ControlPoint, Vehicle, load_vehicle, vehicle_directory
+
+RATIO_DIGITS, SIGMA_DIGITS = 6, 4
+"""Significant digits of a changed node, far below any sigma."""
+SURPRISING = 1e-3
+"""Chance of the evidence under the table's own sigma below which a person should look."""
+
+
+@dataclass(frozen=True)
+class TableUpdate:
+    """An update that is not written yet.
+
+    history       : the table in force and what made it
+    informed      : the estimate as evidence
+    before, after : posterior of the table without and with the estimate
+    table         : the new revision, rounded
+    used          : the records behind the estimate
+    """
+
+    vehicle: Vehicle
+    point: ControlPoint
+    estimate: Estimate
+    estimate_hash: str
+    records: tuple[Record, ...]
+    used: tuple[UsedRecord, ...]
+    history: History
+    informed: Informed
+    before: Posterior
+    after: Posterior
+    table: RatioTable
+
+    @property
+    def changed(self) -> NDArray[np.bool_]:
+        """Which nodes of the grid have another ratio or sigma."""
+        old = self.history.table
+        assert old.sigma is not None
+        assert self.table.sigma is not None
+        return (old.ratio != self.table.ratio) | (old.sigma != self.table.sigma)
+
+    def parameter_views(self) -> list[tuple[str, float, float, float, float, float, float]]:
+        """Each written parameter, value and sigma: of the estimate, of the table before, of the table after."""
+        evidence, rows = self.informed.evidence, self.informed.rows
+        value = evidence.value - self.informed.at_zero
+        columns = [value, np.sqrt(np.diag(evidence.covariance))]
+        for p in (self.before, self.after):
+            columns += [rows @ p.ratio.ravel() - self.informed.at_zero, p.sigma_along(csr_array(rows))]
+        return [(n, *map(float, c)) for n, *c in zip(evidence.names, *columns, strict=True)]  # type: ignore[misc]
+
+
+def prepare(
+    fit: str | os.PathLike[str], vehicle: str | os.PathLike[str], records: Sequence[str | os.PathLike[str]] = ()
+) -> TableUpdate:
+    """Work out the next revision of a vehicle's table from an estimate.
+
+    fit     : an estimate.json or its directory
+    vehicle : name or directory
+    records : directories of the estimate's records, where they are not where it says
+    raises  : InputError where the two do not belong together or the estimate is in the table already
+    """
+    file = Path(fit) / NAME if Path(fit).is_dir() else Path(fit)
+    estimate = read_estimate(file)
+    loaded = _records(estimate, file, records)
+    ours = load_vehicle(vehicle)
+    point = ours.control_point(_point_name(estimate, loaded))
+    history = read_history(ours, point.name)
+    used = tuple(_used(estimate, i, record) for i, record in enumerate(loaded))
+    _refuse_twice(history, used)
+    informed = evidence_of(estimate, loaded, ours, point)
+    earlier = [r.evidence.arrays() for r in history.revisions]
+    before, after = posterior(history.base, earlier), posterior(history.base, [*earlier, informed.evidence])
+    table = _rounded(history.table, after, _header(history, estimate, used, point.name))
+    update = TableUpdate(
+        ours,
+        point,
+        estimate,
+        content_hash(read_text(file)),
+        tuple(loaded),
+        used,
+        history,
+        informed,
+        before,
+        after,
+        table,
+    )
+    if not np.any(update.changed):
+        raise InputError(f"{shown(file)}: changes no node of {point.declared.ratio_table}; its bounds are too wide")
+    return update
+
+
+def _records(estimate: Estimate, file: Path, given: Sequence[str | os.PathLike[str]]) -> list[Record]:
+    """The estimate's records: as given, else where it says, from here or from beside it."""
+    if given and len(given) != len(estimate.records):
+        raise InputError(
+            f"--record: {len(given)} given, the estimate is of {len(estimate.records)}; name each in order"
+        )
+    found = []
+    for i, name in enumerate(estimate.records):
+        places = [Path(given[i])] if given else [Path(name), file.parent / name]
+        place = next((p for p in places if p.is_dir()), None)
+        if place is None:
+            raise InputError(
+                f"{shown(file)}: its record `{given[i] if given else name}` is not there; name it: --record"
+            )
+        found.append(load_record(place))
+    return found
+
+
+def _point_name(estimate: Estimate, records: Sequence[Record]) -> str:
+    names = dict.fromkeys([r.declared.control_point for r in records])
+    if estimate.control_point is not None:
+        names[estimate.control_point] = None
+    if len(names) > 1:
+        raise InputError(f"the estimate is of {', '.join(names)} together; its ratio is not that of one table")
+    return next(iter(names))
+
+
+def _used(estimate: Estimate, i: int, record: Record) -> UsedRecord:
+    """A record by hash and fitted times.
+
+    raises : InputError where its files are not those that were fitted
+    """
+    found, told = inputs_hash(record), estimate.inputs.get(estimate.records[i])
+    if told is not None and told != found:
+        raise InputError(f"{shown(record.directory)}: was changed since the estimate; estimate it anew")
+    segments = estimate.segments[i] if estimate.segments is not None else record.declared.segments.fit
+    whole = [[float(record.time_s[0]), float(record.time_s[-1])]]
+    return UsedRecord(record=record.name, inputs=found, segments=whole if segments is None else segments)
+
+
+def _refuse_twice(history: History, used: Sequence[UsedRecord]) -> None:
+    """Refuse data that are in the table already: they would count twice."""
+    for revision in history.revisions:
+        for old in revision.records:
+            for new in used:
+                shared = [s for s in new.segments for o in old.segments if s[0] <= o[1] and o[0] <= s[1]]
+                if new.inputs == old.inputs and shared:
+                    times = f"{shared[0][0]:g} to {shared[0][1]:g} s"
+                    raise InputError(
+                        f"{shown(history.path)}: {new.record}, {times}, is in revision {revision.revision} already and "
+                        "would count twice; revert that first"
+                    )
+
+
+def _rounded(old: RatioTable, after: Posterior, header: dict[str, str]) -> RatioTable:
+    """The new table: changed nodes to a few digits, the others as they were, sigma nowhere larger."""
+    assert old.sigma is not None
+    ratio = _significant(after.ratio, RATIO_DIGITS)
+    sigma = np.minimum(_significant(after.sigma, SIGMA_DIGITS), old.sigma)
+    same = (ratio == _significant(old.ratio, RATIO_DIGITS)) & (sigma == _significant(old.sigma, SIGMA_DIGITS))
+    return RatioTable(old.axes, np.where(same, old.ratio, ratio), np.where(same, old.sigma, sigma), header)
+
+
+def _significant(values: FloatArray, digits: int) -> FloatArray:
+    return np.array([float(f"{v:.{digits}g}") for v in values.ravel()]).reshape(values.shape)
+
+
+def _header(history: History, estimate: Estimate, used: Sequence[UsedRecord], point: str) -> dict[str, str]:
+    number = history.revision + 1
+    times = "; ".join(f"{u.record} {', '.join(f'{a:g} to {b:g} s' for a, b in u.segments)}" for u in used)
+    values = {n: p for n, p in estimate.parameters.items() if n.startswith("ratio.")}
+    return {
+        **{key: value for key, value in history.table.header.items() if key != "made_from"},
+        "revision": str(number),
+        "parent_revision": str(history.revision),
+        "revised_from": times,
+        "revised_parameters": "; ".join(f"{n} {p.value:.4g} +- {p.sigma:.2g}" for n, p in values.items()),
+        "revised_inputs": " ".join(u.inputs for u in used),
+        "revised_by": f"sim-heating {package_version()}",
+        "evidence": f"{FOLDER}/{point}/revision_{number}.json",
+    }
+
+
+def errors_before_and_after(update: TableUpdate, records: Sequence[Record]) -> dict[str, dict[str, Any]]:
+    """RMSE of plain predictions with the table in force and with the new one, over fit and holdout of each record.
+
+    Everything else, the stack above all, is as the record declares, whatever else was estimated.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for record in records:
+        model, used = point_of_record(record), [i for i, s in enumerate(record.sensors) if s.used]
+        residuals = {
+            when: predict(record, replace(model, ratio=table)).residual_K[used]
+            for when, table in (("before", update.history.table), ("after", update.table))
+        }
+        masks = {"fit": record.fit_mask(), "holdout": record.holdout_mask()}
+        found[record.name] = {
+            part: {when: pooled_rmse_K(r, mask) for when, r in residuals.items()} for part, mask in masks.items()
+        }
+    return found
+
+
+def check_place(vehicle: str | os.PathLike[str], out: Path | None) -> None:
+    """Refuse to write where the revision would change data that came with the package, or an existing copy.
+
+    raises : InputError that says what to do
+    """
+    directory = vehicle_directory(vehicle)
+    if out is not None:
+        if (out / directory.resolve().name).exists():
+            copy = shown(out / directory.resolve().name)
+            raise InputError(f"--out {shown(out)}: holds {copy} already; revise that one with --vehicle {copy}")
+        return
+    package, home = Path(__file__).resolve().parents[1], directory.resolve().parent
+    by_name = directory.is_absolute() and Path(vehicle).name == os.fspath(vehicle)
+    if home == package / VEHICLES or (home == package.parent / VEHICLES and by_name):
+        raise InputError(
+            f"vehicle {directory.name}: came with the package; name a folder for a copy of yours with --out"
+        )
+
+
+def write_update(update: TableUpdate, out: Path | None, errors: dict[str, dict[str, Any]]) -> tuple[Path, RevisionFile]:
+    """Write the revision into the vehicle, or into a copy of it in `out`; the vehicle's directory and what was written.
+
+    raises : InputError where the place cannot be written; nothing is left half-written
+    """
+    source = update.vehicle.directory
+    if out is None:
+        return source, _write(update, update.vehicle, update.history, errors)
+    name = source.resolve().name
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        partial = Path(tempfile.mkdtemp(prefix=f".{name}.partial-", dir=out))
+    except OSError as error:
+        raise InputError(f"--out {shown(out)}: cannot be written ({error.strerror}); choose another place") from None
+    try:
+        copy = load_vehicle(shutil.copytree(source, partial / name))
+        made = _write(update, copy, read_history(copy, update.point.name), errors)
+        os.replace(partial / name, out / name)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return out / name, made
+
+
+def _write(update: TableUpdate, vehicle: Vehicle, history: History, errors: dict[str, dict[str, Any]]) -> RevisionFile:
+    from sim_heating.table_update.plots import draw_update  # matplotlib is slow to import, and wanted only here
+
+    picture = revision_path(vehicle.directory, update.point.name, history.revision + 1, "png")
+    picture.parent.mkdir(parents=True, exist_ok=True)
+    draw_update(picture, update)
+    return write_revision(vehicle, history, update.table, _made(update, errors))
+
+
+def _made(update: TableUpdate, errors: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """What a RevisionFile says beside the files themselves."""
+    evidence, estimate = update.informed.evidence, update.estimate
+    return {
+        "control_point": update.point.name,
+        "program": f"sim-heating {package_version()}",
+        "estimate": update.estimate_hash,
+        "records": [u.model_dump() for u in update.used],
+        "reference_condition": dict(zip(RATIO_VARIABLES, estimate.reference_condition.values().tolist(), strict=True)),
+        "parameters": {n: p.model_dump() for n, p in estimate.parameters.items() if n.startswith("ratio.")},
+        "not_written": update.informed.not_written,
+        "reach": REACH,
+        "chi_square": update.after.chi_square,
+        "degrees_of_freedom": len(update.after.innovation),
+        "evidence": {
+            "names": list(evidence.names),
+            **{key: getattr(evidence, key).tolist() for key in ("nodes", "H", "value", "covariance")},
+        },
+        "errors_K": errors,
+        "changed": changed_nodes(update),
+    }
+
+
+def changed_nodes(update: TableUpdate) -> dict[str, list[float]]:
+    """The nodes with another ratio or sigma: the five variables, ratio and sigma before and after, one entry a node."""
+    old, new, which = update.history.table, update.table, update.changed
+    assert old.sigma is not None
+    assert new.sigma is not None
+    grid = np.meshgrid(*old.axes, indexing="ij")
+    columns = dict(zip(RATIO_VARIABLES, grid, strict=True))
+    columns |= {"ratio_before": old.ratio, "ratio_after": new.ratio}
+    columns |= {"sigma_before": old.sigma, "sigma_after": new.sigma}
+    return {name: values[which].tolist() for name, values in columns.items()}
