@@ -23,7 +23,8 @@ from sim_heating.estimation.informed import default_names, mean_ratio, still, un
 from sim_heating.estimation.likelihood import likelihood
 from sim_heating.estimation.newton import Fit, Status, maximise
 from sim_heating.estimation.observation import definition, errors_of
-from sim_heating.estimation.problem import Part, Problem, Samples, Start, joint_reference
+from sim_heating.estimation.problem import Part, Problem, Samples, Start, StartMaker, joint_reference
+from sim_heating.estimation.result import AT
 from sim_heating.parameters import CLOCK_SKEW, EFFECT_PREFIX, Parameter
 from sim_heating.predict import Prediction
 from sim_heating.predict import predict as predict_record
@@ -80,13 +81,16 @@ def estimate(
     reference: Mapping[str, float] | None = None,
     effects: Sequence[EffectUse] = (),
     priors: Mapping[str, Parameter] | None = None,
-    starts: Sequence[Start | None] | None = None,
+    starts: Sequence[Start | StartMaker | None] | None = None,
     progress: Progress = lambda fraction, text: None,
 ) -> Fitted:
     """Fit parameters to records, jointly.
 
     names     : dotted names; by default magnitude and five derivatives, as far as the records tell of them
     reference : values of ratio variables that derivatives are about, where not the records' own
+    effects   : effects beside the declared model, their parameters estimated where `names` says so
+    priors    : dotted name -> Parameter with another prior or other bounds
+    starts    : where the march of each record begins (problem.Start, initial.STARTS)
     raises    : InputError where nothing can be estimated, RunError where the fit diverged
     """
     _check_records(records)
@@ -106,7 +110,7 @@ def estimate(
         if not worst:
             break
         out |= worst
-        left = [n for n in left if n not in {label.partition("@")[0] for label in worst}]
+        left = [n for n in left if n not in {label.partition(AT)[0] for label in worst}]
         problem = Problem(records, left, about, effects=effects, priors=priors, starts=starts)
         first = _first_values(problem)
     fit = _fit(problem, first, progress)
@@ -166,10 +170,10 @@ def _fit(problem: Problem, first: FloatArray, progress: Progress) -> Fit:
 
     unknown_noise = any(c.sensor.noise_sigma_K is None for part in problem.parts for c in part.channels)
     if unknown_noise:
-        problem.estimate_noise(first)
+        problem.settle_noise(first)
     fit = maximise(problem.evaluate, problem.parameters, first, problem.log_likelihoods, told=told)
     for _ in range(NOISE_ROUNDS if unknown_noise else 0):
-        if fit.status is not Status.CONVERGED or problem.estimate_noise(fit.values) < NOISE_CHANGE:
+        if fit.status is not Status.CONVERGED or problem.settle_noise(fit.values) < NOISE_CHANGE:
             break
         fit = maximise(problem.evaluate, problem.parameters, fit.values, problem.log_likelihoods, told=told)
     return replace(fit, iterations=steps[0])

@@ -6,14 +6,15 @@ samples, and where its bound over the variable's own excursion is below the heat
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.conditions import RATIO_VARIABLES
 from sim_heating.estimation.identifiability import SINGULAR, covariance, directions
-from sim_heating.heating_ratio.kernel import pack_table, table_ratio
+from sim_heating.estimation.result import AT
+from sim_heating.heating_ratio.kernel import table_ratios_at
 from sim_heating.parameters import SHORT
 from sim_heating.record import Record
 
@@ -47,7 +48,7 @@ def _fitted(record: Record) -> NDArray[np.bool_]:
 
 def variables_of(name: str) -> tuple[int, ...]:
     """Numbers of the ratio variables that a derivative is against; none for any other parameter."""
-    stem = name.partition("@")[0]
+    stem = name.partition(AT)[0]
     if not stem.startswith("ratio.d_"):
         return ()
     parts = stem.removeprefix("ratio.d_").split("_")
@@ -72,9 +73,8 @@ def mean_ratio(record: Record) -> float:
     """Mean of the declared ratio over the fit segments [-]; NaN where the record has no table."""
     if record.ratio_table is None:
         return float("nan")
-    packed = pack_table(record.ratio_table)
     x = np.column_stack([record.conditions[v] for v in RATIO_VARIABLES])[_fitted(record)]
-    return float(np.mean([table_ratio(packed, 0, row, 0) for row in x])) if len(x) else float("nan")
+    return float(np.mean(table_ratios_at(record.ratio_table, x))) if len(x) else float("nan")
 
 
 def untold(labels: Sequence[str], information: FloatArray, ratio: float, records: Sequence[Record]) -> dict[str, str]:
@@ -100,8 +100,3 @@ def untold(labels: Sequence[str], information: FloatArray, ratio: float, records
             if singular:
                 reason = f"{reason}; {singular[0].words()}"
     return {name: reason} if name else {}
-
-
-def reasons_by_name(reasons: Mapping[str, str]) -> dict[str, str]:
-    """Reasons in the order of the parameters' names."""
-    return {name: reasons[name] for name in sorted(reasons)}

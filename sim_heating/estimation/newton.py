@@ -7,7 +7,8 @@ With log likelihood L(p), gradient g and information M (Gauss-Newton, or observe
 on the parameters that are not held by a bound; the step is shortened until the posterior grows and is cut off at the
 bounds (Bertsekas, "Projected Newton Methods for Optimization Problems with Simple Constraints", SIAM J. Control Optim.
 20 (1982)). The whole step is tried first, then all lengths of it in one call. Levenberg damping where M + P is
-singular, more where no length helps. Done when a full step promises a gain below `gain` and moves nothing by more than `step` of its sigma.
+singular, more where no length helps. Done when a full step promises a gain below `gain` and moves nothing by more than
+`step` of its sigma.
 """
 
 from __future__ import annotations

@@ -21,9 +21,11 @@ from sim_heating.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.effects import EffectUse
 from sim_heating.ensemble import PointModel, condition_history, initial_temperatures
 from sim_heating.errors import InputError, RunError
-from sim_heating.estimation.likelihood import estimate_sigma, likelihood, log_likelihood
+from sim_heating.estimation.likelihood import likelihood, log_likelihood
 from sim_heating.estimation.newton import Evaluation
+from sim_heating.estimation.noise import estimate_noise
 from sim_heating.estimation.observation import Channel, channels, definition, indicated, least_sigma_K
+from sim_heating.estimation.result import AT
 from sim_heating.layout import LANES
 from sim_heating.linear_march import Linearised, LinearMarch, Track
 from sim_heating.parameters import CLOCK_SKEW, Parameter
@@ -37,8 +39,6 @@ FloatArray = NDArray[np.float64]
 LONGEST_STEP_S = 1.0
 SKEW_SPAN_S = 5.0
 """How far an estimated skew may go [s]; samples so near the ends of the conditions are left out then."""
-AT = "@"
-"""Between a parameter and the record or control point that it belongs to, where there are several."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +54,10 @@ class Start:
     profile: FloatArray
     columns: FloatArray
     unknowns: tuple[Parameter, ...] = ()
+
+
+StartMaker = Callable[[Record, PointModel, Mesh], Start]
+"""How a start is made for a record, its model and its mesh."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +157,7 @@ class Problem:
     reference : the condition that derivatives are about;  effects : on top of the declared model
     fixed     : values of parameters that are not estimated but differ from the declared ones
     priors    : dotted name -> Parameter with another prior or other bounds
-    starts    : where the march of each record begins, or None
+    starts    : where the march of each record begins, how that is made, or None
     chosen    : (sample,) of each record, which of its samples are fitted; by default those of the fit segments
     raises    : InputError where nothing is left to fit, or a parameter is none of the model
     """
@@ -167,7 +171,7 @@ class Problem:
         effects: Sequence[EffectUse] = (),
         fixed: Mapping[str, float] | None = None,
         priors: Mapping[str, Parameter] | None = None,
-        starts: Sequence[Start | None] | None = None,
+        starts: Sequence[Start | StartMaker | None] | None = None,
         chosen: Sequence[NDArray[np.bool_]] | None = None,
     ) -> None:
         self.reference = reference
@@ -176,7 +180,7 @@ class Problem:
         meshes = [mesh for mesh, _ in choose_meshes(models, LONGEST_STEP_S)]
         begin = list(starts) if starts is not None else [None] * len(records)
         self.parts = [
-            self._part(record, model, mesh, start, names)
+            self._part(record, model, mesh, start(record, model, mesh) if callable(start) else start, names)
             for record, model, mesh, start in zip(records, models, meshes, begin, strict=True)
         ]
         self.unknowns = self._number()
@@ -332,13 +336,13 @@ class Problem:
 
     # Noise -----------------------------------------------------------------------------------------------------------
 
-    def estimate_noise(self, vector: FloatArray) -> float:
+    def settle_noise(self, vector: FloatArray) -> float:
         """Set the noise of sensors that declare none to its most likely value; gives the largest relative change."""
         change = 0.0
         for s in self.samples(vector):
             if s.channel.sensor.noise_sigma_K is None:
                 least = least_sigma_K(s.channel.sensor)
-                sigma = max(estimate_sigma(s.channel.observed, s.mean_K, least).sigma_K, least)
+                sigma = max(estimate_noise(s.channel.observed, s.mean_K).sigma_K, least)
                 change = max(change, abs(sigma / s.sigma_K - 1.0))
                 s.part.sigma_K[s.channel.number] = sigma
         return change

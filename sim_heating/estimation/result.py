@@ -26,6 +26,8 @@ from sim_heating.record import DECLARATION, Record
 NAME = "estimate.json"
 PAIR = "|"
 """Between the two names of a correlation."""
+AT = "@"
+"""Between a parameter and the record or control point that it belongs to, in a fit of several."""
 SLACK = 1e-6
 """How far below zero rounding may take an eigenvalue of a correlation matrix."""
 
@@ -128,7 +130,8 @@ class Estimate(_Kept):
         """Ratio parameters that there are none of, or in another unit."""
         known = [name for name in MODEL if name.startswith("ratio.")]
         problems: list[tuple[Location, str]] = []
-        for name, p in self.parameters.items():
+        for label, p in self.parameters.items():
+            name = label.partition(AT)[0]
             if name.startswith("ratio.") and name not in MODEL:
                 problems.append((("parameters", name), f"there is no such parameter. {suggestion(name, known)}"))
             elif name in MODEL and p.unit != MODEL[name].unit:

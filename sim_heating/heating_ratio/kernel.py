@@ -111,6 +111,12 @@ def table_ratio(table: FloatArray, offset: int, x: FloatArray, at: int) -> float
     return low if f1 == 0.0 else low + f1 * (_along_2(table, node + s1, s2, s3, s4, f2, f3, f4, f5) - low)
 
 
+def table_ratios_at(table: RatioTable, x: FloatArray) -> FloatArray:
+    """(sample,) ratio [-] of a table at (sample, 5) conditions; edges hold outside."""
+    packed = pack_table(table)
+    return np.array([table_ratio(packed, 0, row, 0) for row in np.ascontiguousarray(x, dtype=float)])
+
+
 @njit
 def axes_outside(table: FloatArray, offset: int, x: FloatArray, at: int) -> int:
     """How many of the five variables lie outside the axes of a table (an axis of one value has no outside)."""

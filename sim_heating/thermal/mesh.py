@@ -73,6 +73,12 @@ def _diffusivity(construction: Construction) -> list[float]:
     return values
 
 
+def diffusion_depths(construction: Construction, mesh: Mesh) -> FloatArray:
+    """(node,) s = int dx / sqrt(a) from the surface [s^(1/2)]: the square root of the time that heat takes there."""
+    root_a = np.sqrt(np.array([*_diffusivity(construction), np.inf]))[mesh.layer]
+    return np.concatenate(([0.0], np.cumsum(mesh.length_m / root_a)))
+
+
 def _segments(construction: Construction, depths_m: FloatArray) -> list[_Segment]:
     interfaces = construction.stack.interfaces_m
     closest = 1e-6 * interfaces[-1]

@@ -1,0 +1,79 @@
+"""Pictures of a fit: measured against predicted, before and after."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from sim_heating.estimation.sequence import Trend
+from sim_heating.heating_ratio.kernel import table_ratios_at
+from sim_heating.layout import LOG10_RE
+from sim_heating.plots import ANGLES, MEASURED, new_figure, save_figure
+from sim_heating.predict import Prediction
+from sim_heating.record import pooled_rmse_K
+
+BEFORE, AFTER = "tab:orange", "tab:blue"
+MOVES_DEG = 0.5
+
+
+def draw_fit(path: Path, before: Prediction, after: Prediction) -> None:
+    """A panel a sensor with its residual below, declared and fitted; holdout segments shaded, angles flown at the
+    foot."""
+    record = after.record
+    t, sensors = record.time_s, [i for i, s in enumerate(record.sensors) if s.used]
+    heights = [2.0, 1.0] * len(sensors) + [1.0]
+    figure, axes = new_figure(9.5, 2.4 * len(sensors) + 2.2, len(heights), sharex=True, height_ratios=heights)
+    for k, i in enumerate(sensors):
+        upper, lower = axes[2 * k], axes[2 * k + 1]
+        upper.plot(t, record.temperatures_K()[i], label="measured", **MEASURED)
+        for prediction, color, label in ((before, BEFORE, "declared"), (after, AFTER, "fitted")):
+            found = pooled_rmse_K(prediction.residual_K[i], record.fit_mask())
+            error = "" if found is None else f", RMSE {found['rmse_K']:.2f} K"
+            upper.plot(t, prediction.indicated_K[i], color=color, linewidth=1.3, label=f"{label}{error}")
+            lower.plot(t, prediction.residual_K[i], ".", color=color, markersize=2.5)
+        lower.axhline(0.0, color="0.3", linewidth=0.8)
+        spread = np.nanpercentile(np.abs(before.residual_K[i][record.fit_mask()]), 99.0) if len(t) else 1.0
+        lower.set_ylim(-1.3 * spread - 1.0, 1.3 * spread + 1.0)
+        upper.set_ylabel(f"{record.sensors[i].name}\nindicated, K")
+        lower.set_ylabel("residual, K")
+        upper.legend(fontsize=8, loc="best")
+    flown = record.conditions
+    for name, (label, color) in ANGLES.items():
+        if np.ptp(flown[name]) > MOVES_DEG:
+            axes[-1].plot(flown.time_s, flown[name], color=color, label=label, linewidth=1.1)
+    axes[-1].legend(fontsize=8, loc="best", ncols=2)
+    axes[-1].set_ylabel("deg")
+    axes[-1].set_xlabel("time, s" + ("; shaded: held out" if record.declared.segments.holdout else ""))
+    for start, end in record.declared.segments.holdout:
+        for a in axes:
+            a.axvspan(start, end, color="0.85", linewidth=0)
+    axes[-1].set_xlim(t[0], t[-1])
+    figure.align_ylabels(axes)
+    title = record.declared.title or record.declared.control_point
+    save_figure(figure, path, f"{record.name}: {title}, declared and fitted", axes)
+
+
+def draw_trend(path: Path, found: Trend) -> None:
+    """Heating ratio over short segments against time and against Reynolds number, the declared table beside it."""
+    segments, record = found.segments, found.record
+    middle = np.array([0.5 * (s.start_s + s.end_s) for s in segments])
+    conditions = np.array([s.condition for s in segments])
+    ratio, sigma = np.array([s.ratio for s in segments]), np.array([s.sigma for s in segments])
+    figure, axes = new_figure(10.5, 4.6, 1, 2, sharey=True)
+    for a, x, label in ((axes[0], middle, "time, s"), (axes[1], conditions[:, LOG10_RE], "log10 of Reynolds number")):
+        a.errorbar(x, ratio, 2.0 * sigma, fmt="o", color=AFTER, markersize=3, linewidth=0.8, label="segments, 2 sigma")
+        if record.ratio_table is not None:
+            declared = table_ratios_at(record.ratio_table, conditions)
+            order = np.argsort(x)
+            a.plot(x[order], declared[order], color=BEFORE, linewidth=1.2, label="declared table, same conditions")
+        a.set_xlabel(label)
+    sure = sigma < 0.5 * np.abs(ratio)
+    if np.any(sure):
+        low, high = np.min((ratio - 2 * sigma)[sure]), np.max((ratio + 2 * sigma)[sure])
+        axes[0].set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
+    axes[0].set_ylabel("heating ratio")
+    axes[0].legend(fontsize=8, loc="best")
+    length = segments[0].end_s - segments[0].start_s
+    title = record.declared.title or record.declared.control_point
+    save_figure(figure, path, f"{record.name}: {title}, segments of {length:g} s", axes)
