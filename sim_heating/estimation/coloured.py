@@ -225,7 +225,8 @@ def bounds(channels: Sequence[Channel], prior_information: FloatArray | float = 
     prior_information : (parameter,) 1 / sigma^2
     raises            : InputError where there are no more samples than parameters
 
-    Colour may widen a bound and never narrows it below that of white residuals of the same variance.
+    Colour may widen a bound and never narrows it below that of white residuals of the same variance. A channel of few
+    correlation times does not tell its own colour: below some ten dof, intervals cover less than they state.
     """
     parameters = channels[0].sensitivity.shape[1] if channels else 0
     samples = sum(len(c.time_s) for c in channels)
