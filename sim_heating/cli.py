@@ -216,24 +216,29 @@ def _scenario_folder() -> Path:
 @cli.command()
 @click.argument("records", type=PATH, nargs=-1, required=True)
 @OUT
-def predict(records: tuple[Path, ...], out: Path) -> None:
+@click.option("--vehicle", help="take the ratio tables in force of this vehicle in place of the records' own")
+def predict(records: tuple[Path, ...], out: Path, vehicle: str | None) -> None:
     """Predict the temperatures of flight records with their declared models, nothing fitted."""
+    from sim_heating.points import point_with_table_of
     from sim_heating.predict import predict as predict_record
     from sim_heating.predict import summary, write_prediction
     from sim_heating.record import load_record
+    from sim_heating.vehicle import load_vehicle
 
     loaded = [load_record(path) for path in records]
+    revised = None if vehicle is None else load_vehicle(vehicle)
     names = [record.name for record in loaded]
     if len(set(names)) < len(names):
         raise InputError(f"records: two of them are named {max(set(names), key=names.count)}; rename one")
     table = Table(title="Declared model against measurement", title_justify="left")
     for head in ("record", "control point", "RMSE, fit", "RMSE, holdout", "noise floor"):
         table.add_column(head, justify="left" if head in ("record", "control point") else "right")
+    models = [None if revised is None else point_with_table_of(record, revised) for record in loaded]
     predictions = []
     with _progress("predict") as progress:
         for i, record in enumerate(loaded):
             progress(i / len(loaded), f"marching {record.name}")
-            predictions.append(predict_record(record))
+            predictions.append(predict_record(record, models[i]))
         for prediction in predictions:
             write_prediction(prediction, out if len(loaded) == 1 else out / prediction.record.name)
     summaries = {p.record.name: summary(p) for p in predictions}
@@ -283,10 +288,10 @@ def update_tables(
     if revert is not None:
         raise InputError(f"--revert {revert}: stands alone; leave out {fit}")
     update = prepare(fit, vehicle, records)
-    every = {r.name: r for r in (*update.records, *(load_record(path) for path in checked))}
+    every = [*update.records, *(load_record(path) for path in checked)]
     with _progress("update-tables") as progress:
         progress(0.1, "predicting with the table before and after")
-        errors = errors_before_and_after(update, list(every.values()))
+        errors = errors_before_and_after(update, every)
     for part in report(update, errors):
         CONSOLE.print(part, highlight=False)
     if dry_run:

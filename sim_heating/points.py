@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from sim_heating.conditions import RATIO_VARIABLES, Conditions, FloatArray
 from sim_heating.effects import EffectUse
 from sim_heating.ensemble import PointModel, condition_history
+from sim_heating.errors import InputError
 from sim_heating.record import ConstantHeat, Record
 from sim_heating.reference_heating.models import reference_heating
 from sim_heating.thermal.tables import WallEnthalpy
 from sim_heating.vehicle import ControlPoint, Vehicle
+
+HEATING_APART = 0.01
+"""Mean relative difference at which two reference heatings are not the same one."""
 
 
 def wall_enthalpy_of(declared: ConstantHeat | str) -> WallEnthalpy:
@@ -97,6 +102,51 @@ def conditions_of_record(record: Record) -> Conditions:
         running_length_m=heating.running_length_m,
     )
     return record.conditions.with_columns(h_ref_kg_m2_s=h_ref, H_r_J_kg=H_r)
+
+
+def check_reference(record: Record, vehicle: Vehicle, point: ControlPoint) -> None:
+    """Refuse a record whose ratio is over another reference heating than the vehicle's tables.
+
+    raises : InputError naming both, by name where the record has one, else by value
+    """
+    heating, wanted = record.declared.heating, vehicle.heating
+    named: str = heating.reference
+    if named == "columns":
+        named = (record.ratio_table.reference if record.ratio_table is not None else None) or wanted.reference
+    if named != wanted.reference:
+        raise InputError(
+            f"{record.name}: its ratio is over `{named}`, the tables of {vehicle.name} over `{wanted.reference}`; "
+            "fit the record over the vehicle's reference heating"
+        )
+    if wall_enthalpy_of(heating.wall_enthalpy) != wall_enthalpy_of(wanted.wall_enthalpy):
+        raise InputError(
+            f"{record.name}: its wall enthalpy is {_enthalpy(heating.wall_enthalpy)}, that of {vehicle.name} "
+            f"{_enthalpy(wanted.wall_enthalpy)}; the ratios are not of one kind"
+        )
+    flown, ours = conditions_of_record(record), conditions_at_point(vehicle, point, record.conditions)
+    weight = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
+    for column in ("h_ref_kg_m2_s", "H_r_J_kg"):
+        apart = float(np.sum(weight * np.abs(flown[column] / ours[column] - 1.0)) / np.sum(weight))
+        if not apart < HEATING_APART:
+            raise InputError(
+                f"{record.name}: its {column} is {apart:.1%} from that of `{wanted.reference}` on {vehicle.name}; "
+                "a ratio over one is not a ratio over the other"
+            )
+
+
+def _enthalpy(declared: ConstantHeat | str) -> str:
+    value = wall_enthalpy_of(declared)
+    return value if isinstance(value, str) else f"cp = {value:g} J/(kg K)"
+
+
+def point_with_table_of(record: Record, vehicle: Vehicle) -> PointModel:
+    """The declared model of a record with the vehicle's ratio table of that control point in place of the record's.
+
+    raises : InputError where the vehicle has no such point or its table is over another reference heating
+    """
+    point = vehicle.control_point(record.declared.control_point)
+    check_reference(record, vehicle, point)
+    return replace(point_of_record(record), ratio=point.ratio)
 
 
 def histories(flights: Sequence[Conditions]) -> FloatArray:

@@ -27,21 +27,17 @@ from sim_heating.errors import InputError
 from sim_heating.estimation.result import Estimate
 from sim_heating.heating_ratio.table import RatioTable
 from sim_heating.parameters import RATIO, SECOND_ORDER
-from sim_heating.points import conditions_at_point, conditions_of_record, wall_enthalpy_of
-from sim_heating.record import ConstantHeat, Record, in_segments
-from sim_heating.table_update.posterior import Evidence, node_weights, prior_covariance
+from sim_heating.points import check_reference, conditions_of_record
+from sim_heating.record import Record, in_segments
+from sim_heating.table_update.posterior import Evidence, node_weights
 from sim_heating.vehicle import ControlPoint, Vehicle
 
 BoolArray = NDArray[np.bool_]
 
-HEATING_APART = 0.01
-"""Relative difference at which two reference heatings are not the same one."""
 OUTSIDE_SHARE = 0.1
 """Share of the fitted samples outside a table's axes above which it is not updated."""
 SINGULAR = 1e-6
 """Singular value of the scaled basis below which two parameters cannot be told apart along the path."""
-HELD = 1e-6
-"""Least effect of the nodes on a parameter, over that on the ratio itself, for the table to hold it."""
 
 
 @dataclass(frozen=True)
@@ -112,12 +108,10 @@ def evidence_of(estimate: Estimate, records: Sequence[Record], vehicle: Vehicle,
         check_reference(record, vehicle, point)
     path, left_out = _inside(_path(estimate, records), point)
     H, at_zero = _projection(names, path, estimate.reference_condition.values(), point.ratio)
-    held = _held(names, H, path, estimate.reference_condition.values(), point.ratio)
+    held = _held(names, path, point.ratio)
     kept = tuple(n for n, h in zip(names, held, strict=True) if h)
     if not kept:
-        raise InputError(
-            f"the table of {point.name} can hold none of {', '.join(names)}; give it nodes or a sigma there"
-        )
+        raise InputError(f"the table of {point.name} can hold none of {', '.join(names)}; give it nodes there")
     rows = H[held]
     nodes = np.flatnonzero(np.any(rows != 0.0, axis=0))
     value = estimate.values(kept) + at_zero[held]
@@ -126,41 +120,6 @@ def evidence_of(estimate: Estimate, records: Sequence[Record], vehicle: Vehicle,
     # An effect that was fitted belongs into the control point's [[effect]], not into its table.
     not_written |= dict.fromkeys(set(estimate.parameters) - set(names), "is not of the ratio table")
     return Informed(evidence, rows, at_zero[held], path, left_out, dict(sorted(not_written.items())))
-
-
-def check_reference(record: Record, vehicle: Vehicle, point: ControlPoint) -> None:
-    """Refuse a record whose ratio is over another reference heating than the vehicle's tables.
-
-    raises : InputError naming both, by name where the record has one, else by value
-    """
-    heating, wanted = record.declared.heating, vehicle.heating
-    named: str = heating.reference
-    if named == "columns":
-        named = (record.ratio_table.reference if record.ratio_table is not None else None) or wanted.reference
-    if named != wanted.reference:
-        raise InputError(
-            f"{record.name}: its ratio is over `{named}`, the tables of {vehicle.name} over `{wanted.reference}`; "
-            "fit the record over the vehicle's reference heating"
-        )
-    if wall_enthalpy_of(heating.wall_enthalpy) != wall_enthalpy_of(wanted.wall_enthalpy):
-        raise InputError(
-            f"{record.name}: its wall enthalpy is {_enthalpy(heating.wall_enthalpy)}, that of {vehicle.name} "
-            f"{_enthalpy(wanted.wall_enthalpy)}; the ratios are not of one kind"
-        )
-    flown, ours = conditions_of_record(record), conditions_at_point(vehicle, point, record.conditions)
-    weight = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
-    for column in ("h_ref_kg_m2_s", "H_r_J_kg"):
-        apart = float(np.sum(weight * np.abs(flown[column] / ours[column] - 1.0)) / np.sum(weight))
-        if not apart < HEATING_APART:
-            raise InputError(
-                f"{record.name}: its {column} is {apart:.1%} from that of `{wanted.reference}` on {vehicle.name}; "
-                "a ratio over one is not a ratio over the other"
-            )
-
-
-def _enthalpy(declared: ConstantHeat | str) -> str:
-    value = wall_enthalpy_of(declared)
-    return value if isinstance(value, str) else f"cp = {value:g} J/(kg K)"
 
 
 def _path(estimate: Estimate, records: Sequence[Record]) -> Path:
@@ -216,10 +175,10 @@ def _projection(
     return np.asarray((W.T @ P.T).T), P @ path.declared
 
 
-def _held(names: Sequence[str], H: FloatArray, path: Path, reference: FloatArray, table: RatioTable) -> BoolArray:
-    """(k,) whether the nodes can hold each parameter: whether their errors reach it."""
-    nodes = np.flatnonzero(np.any(H != 0.0, axis=0))
-    K = prior_covariance(table, nodes, nodes)
-    reach = np.sqrt(np.maximum(np.einsum("km,mn,kn->k", H[:, nodes], K, H[:, nodes]), 0.0))
-    size = np.sqrt(np.mean(basis(names, path.x, reference, path.declared) ** 2, axis=0))
-    return reach * size > HELD * np.sqrt(np.max(np.diag(K)))
+def _held(names: Sequence[str], path: Path, table: RatioTable) -> BoolArray:
+    """(k,) whether the nodes can hold each parameter: a slope needs two nodes, a curvature one within the excursion."""
+    moved = [len(axis) > 1 for axis in table.axes]
+    bent = [np.any((a > x.min()) & (a < x.max())) for a, x in zip(table.axes, path.x.T, strict=True)]
+    second = [bent[i] if i == j else moved[i] and moved[j] for i, j in SECOND_ORDER]
+    held = dict(zip((p.name for p in RATIO), (True, True, *moved, *second), strict=True))
+    return np.array([held[name] for name in names], dtype=bool)

@@ -37,9 +37,9 @@ def draw_update(path: Path, update: TableUpdate) -> None:
     axes[0, 0].set_ylabel("heating ratio (2 sigma bands)")
     axes[0, 0].legend(fontsize=8, loc="best")
     at = update.estimate.reference_condition
-    where = ", ".join(f"{LABELS[v].split(',')[0]} {getattr(at, v):.4g}" for v in RATIO_VARIABLES)
+    where = ", ".join(f"{short} {getattr(at, v):.3g}" for short, v in zip(SHORT, RATIO_VARIABLES, strict=True))
     old = update.history.revision
-    title = f"{update.point.name}: ratio table, revision {old} to {old + 1}\nothers at {where}"
+    title = f"{update.point.name}: ratio table, revision {old} to {old + 1}\nabout {where}"
     save_figure(figure, path, title, axes)
 
 

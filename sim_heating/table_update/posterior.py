@@ -34,6 +34,9 @@ IntArray = NDArray[np.int64]
 REACH = {"alpha_deg": 30.0, "beta_deg": 20.0, "log10_re": 2.0, "elevon_deg": 30.0, "bodyflap_deg": 30.0}
 """Distance l at which the errors of two nodes are independent, by variable; see docs/table_updates.md."""
 
+SINGULAR = 1e-8
+"""Least diagonal of the root of a correlation matrix that can be divided by."""
+
 
 def correlation(variable: str, distance: FloatArray) -> FloatArray:
     """Correlation of the table's errors at a distance along one variable [-]."""
@@ -148,18 +151,23 @@ def posterior(table: RatioTable, evidence: Sequence[Evidence]) -> Posterior:
         first += len(e.names)
     innovation = value - H @ table.ratio.ravel()[nodes]
     scale = np.sqrt(np.maximum(np.diag(S), np.finfo(float).tiny))
-    try:
-        L = cholesky(S / np.outer(scale, scale), lower=True)
-    except np.linalg.LinAlgError:
-        raise InputError(
-            "ratio table: the estimates are exact and not independent, so they cannot be weighed; state their sigma"
-        ) from None
+    L = _root(S / np.outer(scale, scale))
     root = solve_triangular(L, (G / scale).T, lower=True).T
     whitened = solve_triangular(L, innovation / scale, lower=True)
     ratio = table.ratio + (root @ whitened).reshape(table.ratio.shape)
     variance = table.sigma**2 - np.sum(root**2, axis=1).reshape(table.ratio.shape)
     sigma = np.sqrt(np.clip(variance, 0.0, table.sigma**2))
     return Posterior(table, ratio, sigma, innovation, float(whitened @ whitened), root)
+
+
+def _root(S: FloatArray) -> FloatArray:
+    try:
+        L: FloatArray = cholesky(S, lower=True)
+    except np.linalg.LinAlgError:
+        L = np.zeros_like(S)
+    if np.min(np.diag(L)) < SINGULAR:
+        raise InputError("ratio table: the estimates repeat one another without uncertainty; state their sigma")
+    return L
 
 
 def _spread(evidence: Evidence, nodes: IntArray) -> FloatArray:

@@ -74,9 +74,10 @@ def _oddities(update: TableUpdate) -> Iterator[str]:
     if update.after.surprise < SURPRISING:
         n = len(update.after.innovation)
         yield (
-            f"The flight is farther from the table than its sigma allows (chi-square {update.after.chi_square:.1f} on {n}, "
-            f"chance {update.after.surprise:.1g}): the sigma column or the estimate's bounds are too small"
+            "The flight is farther from the table than its sigma allows (chi-square "
+            f"{update.after.chi_square:.1f} on {n}, chance {update.after.surprise:.1g}): the sigma column or the "
+            "estimate's bounds are too small"
         )
     negative = int(np.count_nonzero((update.table.ratio < 0.0) & (update.history.table.ratio >= 0.0)))
     if negative:
-        yield f"{negative} nodes become negative: the derivatives are large against the table's reach; look at the picture"
+        yield f"{negative} nodes become negative, where little but the table's reach speaks for them; see the picture"

@@ -19,7 +19,7 @@ from sim_heating.errors import InputError
 from sim_heating.estimation.result import NAME, Estimate, inputs_hash, read_estimate
 from sim_heating.files import read_text, shown
 from sim_heating.heating_ratio.table import RatioTable
-from sim_heating.points import point_of_record
+from sim_heating.points import check_reference, point_of_record
 from sim_heating.predict import predict
 from sim_heating.record import Record, load_record, pooled_rmse_K
 from sim_heating.results import package_version
@@ -212,9 +212,13 @@ def errors_before_and_after(update: TableUpdate, records: Sequence[Record]) -> d
     """RMSE of plain predictions with the table in force and with the new one, over fit and holdout of each record.
 
     Everything else, the stack above all, is as the record declares, whatever else was estimated.
+    raises : InputError where a record is of another control point, over another reference heating, or named twice
     """
     found: dict[str, dict[str, Any]] = {}
     for record in records:
+        _check_comparable(update, record)
+        if record.name in found:
+            raise InputError(f"records: two of them are named {record.name}; rename one")
         model, used = point_of_record(record), [i for i, s in enumerate(record.sensors) if s.used]
         residuals = {
             when: predict(record, replace(model, ratio=table)).residual_K[used]
@@ -225,6 +229,13 @@ def errors_before_and_after(update: TableUpdate, records: Sequence[Record]) -> d
             part: {when: pooled_rmse_K(r, mask) for when, r in residuals.items()} for part, mask in masks.items()
         }
     return found
+
+
+def _check_comparable(update: TableUpdate, record: Record) -> None:
+    point = record.declared.control_point
+    if point != update.point.name:
+        raise InputError(f"{record.name}: is of {point}, the table is that of {update.point.name}")
+    check_reference(record, update.vehicle, update.point)
 
 
 def check_place(vehicle: str | os.PathLike[str], out: Path | None) -> None:
