@@ -204,7 +204,7 @@ class LinearMarch:
         reads = max(len(track.read_nodes) for track in self.tracks)
         per_lane = self._per_lane(times, n, m, count, reads)
         out = np.full((LANES, reads, count, 2 + m), np.nan)
-        march_linear(
+        march_linear(  # type: ignore[call-arg]
             self.base.block(0), self.base.integers(0), self.base.table, self.base.chain,
             self.base.begin_handle, self.base.advance_handle, self.rows,
             self.shadows.state, self.shadows.ints, self.shadows.groups, self._source, self._nodes,
@@ -213,9 +213,7 @@ class LinearMarch:
         self.base.check()
         return [self._result(i, out) for i in range(len(self.tracks))]
 
-    def _per_lane(
-        self, times: Sequence[FloatArray], n: int, m: int, count: int, reads: int
-    ) -> tuple[Any, ...]:
+    def _per_lane(self, times: Sequence[FloatArray], n: int, m: int, count: int, reads: int) -> tuple[Any, ...]:
         """Arrays over the lanes; a lane without a track has no samples and no columns."""
         at = np.zeros(LANES, dtype=np.int64)
         plus, minus = np.zeros((2, LANES, m), dtype=np.int64)

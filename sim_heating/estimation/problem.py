@@ -338,11 +338,13 @@ class Problem:
 
     def settle_noise(self, vector: FloatArray) -> float:
         """Set the noise of sensors that declare none to its most likely value; gives the largest relative change."""
-        change = 0.0
-        for s in self.samples(vector):
+        change, everything = 0.0, self.samples(vector)
+        count = sum(len(s.mean_K) for s in everything)
+        for s in everything:
             if s.channel.sensor.noise_sigma_K is None:
                 least = least_sigma_K(s.channel.sensor)
-                sigma = max(estimate_noise(s.channel.observed, s.mean_K).sigma_K, least)
+                fitted = len(self.unknowns) * len(s.mean_K) / count
+                sigma = max(estimate_noise(s.channel.observed, s.mean_K, fitted).sigma_K, least)
                 change = max(change, abs(sigma / s.sigma_K - 1.0))
                 s.part.sigma_K[s.channel.number] = sigma
         return change

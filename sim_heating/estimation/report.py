@@ -15,7 +15,6 @@ from sim_heating.estimation.result import (
     Condition,
     Errors,
     Estimate,
-    Estimated,
     correlations,
     excursions,
     inputs_hash,
@@ -43,13 +42,13 @@ def result_of(fitted: Fitted) -> Estimate:
             "iterations": fitted.fit.iterations,
             "reference_condition": Condition(**dict(zip(RATIO_VARIABLES, problem.reference, strict=True))),
             "parameters": {
-                u.label: Estimated(
-                    value=float(value),
-                    sigma=float(s),
-                    unit=u.parameter.unit,
-                    white_sigma=float(w),
-                    prior_sigma=float(u.parameter.sigma) if np.isfinite(u.parameter.sigma) else None,
-                )
+                u.label: {
+                    "value": float(value),
+                    "sigma": float(s),
+                    "unit": u.parameter.unit,
+                    "white_sigma": float(w),
+                    "prior_sigma": float(u.parameter.sigma) if np.isfinite(u.parameter.sigma) else None,
+                }
                 for u, value, s, w in zip(problem.unknowns, fitted.fit.values, sigma, white, strict=True)
             },
             "not_estimated": fitted.not_estimated,
@@ -58,6 +57,7 @@ def result_of(fitted: Fitted) -> Estimate:
             "fit": _errors(fitted.after, "fit"),
             "holdout": _errors(fitted.after, "holdout"),
             "predicted": {what: _errors(fitted.before, what) for what in ("fit", "holdout")},
+            "degrees_of_freedom": fitted.bounds.dof,
             "log_likelihood": fitted.fit.log_likelihood,
             "statistics": statistics_of(fitted),
             "warnings": list(fitted.warnings),
