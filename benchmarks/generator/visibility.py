@@ -1,0 +1,89 @@
+"""How much of an effect is left when scale and slopes are refitted, and which other effects look the same.
+
+Small errors: readings are taken as linear in the parameters, y = J p, and what least squares leaves of the effect's change
+of the readings is its residual. All is weighted with each sensor's noise floor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.generator.case import Case
+from benchmarks.generator.measure import floor_K
+from benchmarks.generator.point import SLOPE_ERRORS
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What an effect does to the fitted samples of the used sensors.
+
+    slopes    : (reading, 6) change with scale and slopes, over the floor
+    change    : (reading,) change by the effect, over the floor
+    visibility_K, residual_K : RMS change before and after the refit
+    residual_over_floor      : RMS of the residual over the floor where it exceeds two floors; 0 in fewer than 10 samples
+    """
+
+    slopes: FloatArray
+    change: FloatArray
+    visibility_K: float
+    residual_K: float
+    residual_over_floor: float
+
+
+def see(
+    case: Case,
+    t: FloatArray,
+    fit: NDArray[np.bool_],
+    plain_K: FloatArray,
+    changed_K: FloatArray,
+    slopes: FloatArray | None = None,
+) -> Seen:
+    """Readings (sample, sensor) with and without the effect; slopes where they are known already."""
+    floors = weights(case)
+    J = _slopes(case, t, fit, plain_K) if slopes is None else slopes
+    change = stacked(case, changed_K - plain_K, fit)
+    left = remainder(J, change)
+    acts = np.abs(left) > 2.0
+    over = float(np.sqrt(np.mean(left[acts] ** 2))) if np.count_nonzero(acts) >= 10 else 0.0
+    scale = np.repeat(floors, np.count_nonzero(fit))
+    K = [float(np.sqrt(np.mean((v * scale) ** 2))) for v in (change, left)]
+    return Seen(J, change, K[0], K[1], over)
+
+
+def weights(case: Case) -> FloatArray:
+    """Noise floor of each used sensor [K]."""
+    return np.array([floor_K(s) for s in case.point.sensors if s["used"]])
+
+
+def stacked(case: Case, readings_K: FloatArray, fit: NDArray[np.bool_]) -> FloatArray:
+    """Fitted readings of the used sensors in one row, over their floors."""
+    used = [i for i, s in enumerate(case.point.sensors) if s["used"]]
+    return (readings_K[fit][:, used] / weights(case)).T.ravel()
+
+
+def remainder(J: FloatArray, change: FloatArray) -> FloatArray:
+    """What least squares leaves of a change."""
+    size = np.linalg.norm(J, axis=0)
+    moved = J[:, size > 1e-9] / size[size > 1e-9]
+    return change - moved @ np.linalg.lstsq(moved, change, rcond=1e-9)[0]
+
+
+def _slopes(case: Case, t: FloatArray, fit: NDArray[np.bool_], plain_K: FloatArray) -> FloatArray:
+    ratio = case.point.ratio
+    columns = [(case.indicated(t, scale=ratio.scale + 0.01) - plain_K) / 0.01]
+    for i, share in enumerate(SLOPE_ERRORS):
+        size = share * case.r_0
+        d = ratio.d.copy()
+        d[i] += size
+        columns.append((case.indicated(t, d=d) - plain_K) / size)
+    return np.column_stack([stacked(case, c, fit) for c in columns])
+
+
+def accepted_names(case: Case, name: str, t: FloatArray, fit: NDArray[np.bool_], seen: Seen) -> list[str]:
+    """The effect and those that explain its residual as well."""
+    return [name]
