@@ -1,82 +1,12 @@
-"""All effects by name."""
+"""All effects by name, in the order of the record format's table."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any
-
-import numpy as np
-
-from benchmarks.generator.case import NOTHING, Case, Nature
-
-Generator = np.random.Generator
-
-
-class Unsuitable(Exception):
-    """A flight or a wall that cannot show the effect."""
-
-
-@dataclass(frozen=True)
-class Family:
-    """An effect with its functional forms.
-
-    forms         : names of them
-    draw          : (rng, case, form) -> parameters; raises Unsuitable
-    nature        : (case, form, parameters) -> how the truth differs
-    magnitude     : parameter -> its value without effect, least and greatest; what is changed to make it visible
-    manoeuvres    : that a flight must hold
-    kinds         : of control points that show it; empty for all
-    least_sensors : fewer than that cannot show it
-    """
-
-    name: str
-    forms: tuple[str, ...]
-    draw: Callable[[Generator, Case, str], dict[str, Any]]
-    nature: Callable[[Case, str, Mapping[str, Any]], Nature]
-    magnitude: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
-    manoeuvres: tuple[str, ...] = ()
-    kinds: tuple[str, ...] = ()
-    least_sensors: int = 1
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """An effect of one form with its parameters."""
-
-    family: Family
-    form: str
-    parameters: dict[str, Any]
-
-    @property
-    def name(self) -> str:
-        """Name of the effect."""
-        return self.family.name
-
-    def nature(self, case: Case) -> Nature:
-        """How the truth of a case differs with it."""
-        return self.family.nature(case, self.form, self.parameters)
-
-    def scaled(self, factor: float) -> Drawn:
-        """The same of another magnitude, within its bounds."""
-        changed = dict(self.parameters)
-        for name, (neutral, low, high) in self.family.magnitude.items():
-            if name in changed:
-                value = neutral + factor * (changed[name] - neutral)
-                changed[name] = float(f"{np.clip(value, low, high):.6g}")
-        return replace(self, parameters=changed)
-
-
-def draw_effect(rng: Generator, family: Family, case: Case) -> Drawn | None:
-    """An effect of a family with a random form, or None where the case cannot show it."""
-    form = str(rng.choice(family.forms))
-    try:
-        drawn = family.draw(rng, case, form)
-    except Unsuitable:
-        return None
-    rounded = {k: float(f"{v:.6g}") if isinstance(v, float) else v for k, v in drawn.items()}
-    return Drawn(family, form, rounded)
-
+from benchmarks.generator.case import NOTHING
+from benchmarks.generator.family import Family
+from benchmarks.generator.on_ratio import ON_RATIO
+from benchmarks.generator.on_wall import ON_WALL
 
 NONE = Family("none", ("",), lambda rng, case, form: {}, lambda case, form, parameters: NOTHING)
-FAMILIES: dict[str, Family] = {"none": NONE}
+
+FAMILIES: dict[str, Family] = {family.name: family for family in (NONE, *ON_RATIO, *ON_WALL)}

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.generator.case import FORMATS, NOTHING, Case, Nature, draw_case
-from benchmarks.generator.families import FAMILIES, Drawn, draw_effect
+from benchmarks.generator.families import FAMILIES
+from benchmarks.generator.family import Drawn, draw_effect
 from benchmarks.generator.measure import Recorder, add_words, draw_recorder, draw_segments, floor_K, measure, within
 from benchmarks.generator.point import DERIVATIVES, KINDS, VARIABLES
 from benchmarks.generator.visibility import Seen, accepted_names, see
