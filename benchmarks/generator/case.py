@@ -97,7 +97,7 @@ class Case:
         return (self.point.ratio.true(self.x, scale, d) + nature.add) * nature.multiply
 
     def temperatures(
-        self, nature: Nature = NOTHING, scale: float | None = None, d: FloatArray | None = None, refine: int = 1
+        self, nature: Nature = NOTHING, scale: float | None = None, d: FloatArray | None = None, refine: float = 1.0
     ) -> FloatArray:
         """(time, surface | sensors) temperatures [K] without sensor errors; the true scale and slopes unless given."""
         ratio = self.point.ratio

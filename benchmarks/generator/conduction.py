@@ -119,12 +119,12 @@ def build_wall(
     materials: Mapping[str, Mapping[str, Any]],
     depths_m: Sequence[float],
     back: Sequence[float] | None = None,
-    refine: int = 1,
+    refine: float = 1.0,
 ) -> Wall:
     """The wall of a record's [stack] and [materials], a face at each depth.
 
     back   : film coefficient, temperature, emissivity and exponent in place of the declared back face
-    refine : every cell into that many
+    refine : on the number of cells
     """
     layers = stack["layer"]
     chosen = [materials[entry["material"]] for entry in layers]
@@ -159,11 +159,12 @@ def _declared_back(back: Any) -> list[float]:
     return [back["h_W_m2K"], back["T_K"], back["emissivity"], 0.0]
 
 
-def _faces(thickness_m: Sequence[float], depths_m: Sequence[float], refine: int) -> list[FloatArray]:
+def _faces(thickness_m: Sequence[float], depths_m: Sequence[float], refine: float) -> list[FloatArray]:
     """Depths of the cell faces, layer by layer; all are shifted smoothly so that one meets each sensor."""
     found, outer = [], 0.0
     for i, thickness in enumerate(thickness_m):
         cells = FACE_CELLS if i == 0 else BULK_CELLS if i == 1 else 10 if thickness > 1e-3 else THIN_CELLS
+        cells = max(round(refine * cells), 3)
         s = np.linspace(0.0, 1.0, cells + 1)
         faces = outer + thickness * (np.expm1(GRADING * s) / np.expm1(GRADING) if i == 1 else s)
         inside = sorted(depth for depth in depths_m if faces[0] + 1e-9 < depth < faces[-1] - 1e-9)
@@ -173,8 +174,6 @@ def _faces(thickness_m: Sequence[float], depths_m: Sequence[float], refine: int)
             warp = PchipInterpolator(faces[numbers], [faces[0], *inside, faces[-1]])
             faces = np.asarray(warp(faces))
             faces[numbers] = [faces[0], *inside, faces[-1]]
-        if refine > 1:
-            faces = np.interp(np.arange(cells * refine + 1) / refine, np.arange(cells + 1), faces)
         found.append(faces)
         outer += thickness
     return found

@@ -67,7 +67,7 @@ def _draw_transition(rng: Generator, case: Case, form: str) -> dict[str, Any]:
     drawn = {
         "log10_re_onset": float(case.x[LOG_RE, at]),
         "alpha_sens": float(rng.uniform(0.0, 0.03)),
-        "factor": float(rng.uniform(1.5, 4.5)),
+        "factor": float(rng.uniform(1.6, 4.5)),
     }
     if form != "sharp":
         drawn["width"] = float(rng.uniform(0.01, 0.06))
@@ -236,7 +236,7 @@ WINDWARD = ("lower", "elevon", "flap")
 ON_RATIO = (
     Family(
         "transition", ("logistic", "sharp", "dhawan-narasimha", "intermittent"), _draw_transition, _transition,
-        {"factor": (1.0, 1.1, 5.0)}, kinds=(*WINDWARD, "standoff"),
+        {"factor": (1.0, 1.6, 5.0)}, kinds=(*WINDWARD, "standoff"),
     ),
     Family(
         "impingement-onset", ("ramp", "soft", "saturating", "square-start"), _draw_impingement, _impingement,
@@ -255,7 +255,7 @@ ON_RATIO = (
     ),
     Family(
         "nonisothermal-wall", ("first-order", "second-order", "dead-time"), _draw_nonisothermal, _nonisothermal,
-        {"lag_s": (0.0, 0.5, 8.0), "overshoot": (0.0, 0.02, 0.5)}, ("popu",),
+        {"lag_s": (0.0, 0.5, 6.0), "overshoot": (0.0, 0.02, 0.4)}, ("popu",),
     ),
     Family(
         "jet-interaction", ("gain", "tail", "derived-density"), _draw_jets, _jets,

@@ -260,23 +260,23 @@ def _skew(case: Case, form: str, p: Parameters) -> Nature:
 
 
 ON_WALL = (
-    Family("time-skew", ("constant", "drift"), _draw_skew, _skew, {"skew_s": (0.0, -6.0, 6.0)}),
+    Family("time-skew", ("constant", "drift"), _draw_skew, _skew, {"skew_s": (0.0, -4.0, 4.0)}),
     Family(
-        "coating-thickness", ("factor", "poor-conductor"), _draw_coating, _coating, {"coating_factor": (1.0, 0.3, 2.6)}
+        "coating-thickness", ("factor", "poor-conductor"), _draw_coating, _coating, {"coating_factor": (1.0, 0.4, 2.2)}
     ),
     Family(
         "conductivity", ("factor", "growing"), _draw_factor("conductivity_factor", (0.7, 0.92), (1.08, 1.35)),
-        _conductivity, {"conductivity_factor": (1.0, 0.6, 1.6)}, kinds=INSULATED, least_sensors=2,
+        _conductivity, {"conductivity_factor": (1.0, 0.65, 1.5)}, kinds=INSULATED, least_sensors=2,
     ),
     Family(
         "heat-capacity", ("insulation", "coating", "growing"),
         _draw_factor("heat_capacity_factor", (0.7, 0.92), (1.08, 1.35)), _heat_capacity,
-        {"heat_capacity_factor": (1.0, 0.6, 1.6), "coating_heat_capacity_factor": (1.0, 0.4, 2.2)}, kinds=INSULATED,
+        {"heat_capacity_factor": (1.0, 0.65, 1.5), "coating_heat_capacity_factor": (1.0, 0.4, 2.2)}, kinds=INSULATED,
         least_sensors=2,
     ),
     Family(
         "emissivity", ("constant", "step", "ramp", "slope"), _draw_emissivity, _emissivity,
-        {"emissivity_factor": (1.0, 0.6, 1.0), "emissivity_slope": (0.0, -8e-4, 8e-4)},
+        {"emissivity_factor": (1.0, 0.7, 1.0), "emissivity_slope": (0.0, -8e-4, 8e-4)},
     ),
     Family("sensor-bias", ("offset", "gain", "both"), _draw_bias, _bias,
            {"bias_K": (0.0, -40.0, 40.0), "gain": (1.0, 0.9, 1.1)}, least_sensors=2),

@@ -16,7 +16,8 @@ from benchmarks.generator.families import FAMILIES
 from benchmarks.generator.family import Drawn, draw_effect
 from benchmarks.generator.measure import Recorder, add_words, draw_recorder, draw_segments, floor_K, measure, within
 from benchmarks.generator.point import DERIVATIVES, KINDS, VARIABLES
-from benchmarks.generator.visibility import Seen, accepted_names, see
+from benchmarks.generator.rivals import accepted, rivals
+from benchmarks.generator.visibility import Bench, Seen, bench, see
 from sim_heating.files import output_directory, toml_text, write_csv, write_text_atomic
 
 FloatArray = NDArray[np.float64]
@@ -27,7 +28,7 @@ ATTEMPTS = 60
 
 TARGETS = (2.2, 16.0)
 """Range that the residual over the noise floor, where the effect acts, is drawn from."""
-LIMITS = (2.0, 40.0)
+LIMITS = (2.0, 80.0)
 """Range that it may end in."""
 
 
@@ -80,16 +81,20 @@ def _attempt(rng: Generator, name: str, effect: str) -> Made | None:
     if drawn is None:
         return None
     nature, seen, indicated = NOTHING, None, plain
+    left: dict[str, float] = {}
     if effect != "none":
-        found = _made_visible(rng, case, drawn, t, fit, plain)
+        on = bench(case, t, fit)
+        found = _made_visible(rng, on, drawn)
         if found is None:
             return None
-        drawn, nature, indicated, seen = found
+        drawn, seen = found
+        nature, left = drawn.nature(case), rivals(rng, on, effect, seen)
+        indicated = case.indicated(t, nature)
     measured = measure(rng, recorder, case.point.sensors, indicated)
     if np.nanmax(indicated) > 1850.0 or any(np.isnan(measured[fit, i]).all() for i in range(measured.shape[1])):
         return None
     made = Made(name, case, drawn, nature, recorder, segments, indicated, measured, seen, {})
-    made.answer.update(_answer(made, fit, holdout))
+    made.answer.update(_answer(made, fit, holdout) | _judged(effect, left))
     return made
 
 
@@ -99,29 +104,29 @@ def _hold_back(rng: Generator, sensors: Sequence[dict[str, Any]]) -> None:
         sensors[int(rng.integers(1, len(sensors) - 1))]["used"] = False
 
 
-def _made_visible(
-    rng: Generator, case: Case, drawn: Drawn, t: FloatArray, fit: NDArray[np.bool_], plain: FloatArray
-) -> tuple[Drawn, Nature, FloatArray, Seen] | None:
+def _made_visible(rng: Generator, on: Bench, drawn: Drawn) -> tuple[Drawn, Seen] | None:
     """The effect with its magnitude changed until its residual is near a drawn multiple of the noise floor."""
     target = float(np.exp(rng.uniform(*np.log(TARGETS))))
-    slopes: FloatArray | None = None
+    ratio = on.case.point.ratio
     for _ in range(6):
-        nature = drawn.nature(case)
-        ratio = case.ratio(nature, case.point.ratio.scale, case.point.ratio.d)
-        if np.min(ratio) < 0.02 * case.r_0:
+        nature = drawn.nature(on.case)
+        if np.min(on.case.ratio(nature, ratio.scale, ratio.d)) < 0.02 * on.case.r_0:
             drawn = drawn.scaled(0.5)
             continue
-        indicated = case.indicated(t, nature)
-        seen = see(case, t, fit, plain, indicated, slopes)
-        slopes = seen.slopes
+        seen = see(on, nature)
         over = seen.residual_over_floor
         if LIMITS[0] <= over <= LIMITS[1] and 0.7 < over / target < 1.5:
-            return drawn, nature, indicated, seen
-        stronger = drawn.scaled(float(np.clip(target / max(over, 1e-3), 0.25, 4.0)))
-        if stronger.parameters == drawn.parameters:
-            return (drawn, nature, indicated, seen) if LIMITS[0] <= over <= LIMITS[1] else None
-        drawn = stronger
+            return drawn, seen
+        changed = drawn.scaled(float(np.clip(target / max(over, 1e-3), 0.25, 4.0)))
+        if changed.parameters == drawn.parameters:
+            return (drawn, seen) if LIMITS[0] <= over <= LIMITS[1] else None
+        drawn = changed
     return None
+
+
+def _judged(effect: str, left: dict[str, float]) -> dict[str, Any]:
+    names = accepted(effect, left)
+    return {"accepted": names, "separable": names == [effect], "rivals": left}
 
 
 def _answer(made: Made, fit: NDArray[np.bool_], holdout: NDArray[np.bool_]) -> dict[str, Any]:
@@ -157,16 +162,11 @@ def _answer(made: Made, fit: NDArray[np.bool_], holdout: NDArray[np.bool_]) -> d
         "true_rmse_K": rmse(residual),
     }
     if made.seen is not None:
-        accepted = accepted_names(case, made.effect.name, made.recorder.time_s, fit, made.seen)
         answer |= {
             "visibility_K": round(made.seen.visibility_K, 4),
             "residual_rmse_K": round(made.seen.residual_K, 4),
             "residual_over_floor": round(made.seen.residual_over_floor, 3),
-            "accepted": accepted,
-            "separable": accepted == [made.effect.name],
         }
-    else:
-        answer |= {"accepted": ["none"], "separable": True}
     return answer
 
 

@@ -1,7 +1,8 @@
 """How much of an effect is left when scale and slopes are refitted, and which other effects look the same.
 
 Small errors: readings are taken as linear in the parameters, y = J p, and what least squares leaves of the effect's change
-of the readings is its residual. All is weighted with each sensor's noise floor.
+of the readings is its residual. All is weighted with each sensor's noise floor, and marched on SPARSE of the cells:
+differences need no more.
 """
 
 from __future__ import annotations
@@ -11,11 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.generator.case import Case
+from benchmarks.generator.case import Case, Nature
 from benchmarks.generator.measure import floor_K
 from benchmarks.generator.point import SLOPE_ERRORS
 
 FloatArray = NDArray[np.float64]
+
+SPARSE = 0.3
+"""Share of the cells."""
 
 
 @dataclass(frozen=True)
@@ -35,22 +39,35 @@ class Seen:
     residual_over_floor: float
 
 
-def see(
-    case: Case,
-    t: FloatArray,
-    fit: NDArray[np.bool_],
-    plain_K: FloatArray,
-    changed_K: FloatArray,
-    slopes: FloatArray | None = None,
-) -> Seen:
-    """Readings (sample, sensor) with and without the effect; slopes where they are known already."""
+@dataclass(frozen=True)
+class Bench:
+    """A case at its fitted samples: readings without effect [K] and the slopes of `Seen`."""
+
+    case: Case
+    t: FloatArray
+    fit: NDArray[np.bool_]
+    plain_K: FloatArray
+    slopes: FloatArray
+
+    def change(self, nature: Nature) -> FloatArray:
+        """(reading,) what an effect changes, over the floor."""
+        return stacked(self.case, self.case.indicated(self.t, nature, refine=SPARSE) - self.plain_K, self.fit)
+
+
+def bench(case: Case, t: FloatArray, fit: NDArray[np.bool_]) -> Bench:
+    """The case without effect, and its slopes by differences."""
+    plain = case.indicated(t, refine=SPARSE)
+    return Bench(case, t, fit, plain, _slopes(case, t, fit, plain))
+
+
+def see(on: Bench, nature: Nature) -> Seen:
+    """What an effect does to a case."""
+    case, J, change = on.case, on.slopes, on.change(nature)
     floors = weights(case)
-    J = _slopes(case, t, fit, plain_K) if slopes is None else slopes
-    change = stacked(case, changed_K - plain_K, fit)
     left = remainder(J, change)
     acts = np.abs(left) > 2.0
     over = float(np.sqrt(np.mean(left[acts] ** 2))) if np.count_nonzero(acts) >= 10 else 0.0
-    scale = np.repeat(floors, np.count_nonzero(fit))
+    scale = np.repeat(floors, np.count_nonzero(on.fit))
     K = [float(np.sqrt(np.mean((v * scale) ** 2))) for v in (change, left)]
     return Seen(J, change, K[0], K[1], over)
 
@@ -75,15 +92,10 @@ def remainder(J: FloatArray, change: FloatArray) -> FloatArray:
 
 def _slopes(case: Case, t: FloatArray, fit: NDArray[np.bool_], plain_K: FloatArray) -> FloatArray:
     ratio = case.point.ratio
-    columns = [(case.indicated(t, scale=ratio.scale + 0.01) - plain_K) / 0.01]
+    columns = [(case.indicated(t, scale=ratio.scale + 0.01, refine=SPARSE) - plain_K) / 0.01]
     for i, share in enumerate(SLOPE_ERRORS):
         size = share * case.r_0
         d = ratio.d.copy()
         d[i] += size
-        columns.append((case.indicated(t, d=d) - plain_K) / size)
+        columns.append((case.indicated(t, d=d, refine=SPARSE) - plain_K) / size)
     return np.column_stack([stacked(case, c, fit) for c in columns])
-
-
-def accepted_names(case: Case, name: str, t: FloatArray, fit: NDArray[np.bool_], seen: Seen) -> list[str]:
-    """The effect and those that explain its residual as well."""
-    return [name]
