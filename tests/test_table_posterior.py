@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -122,21 +124,20 @@ def test_evidence_taken_together_is_evidence_in_either_order() -> None:
     assert one.chi_square == pytest.approx(other.chi_square, rel=1e-10)
 
 
-def test_chi_square_of_tables_drawn_from_the_prior_averages_the_number_of_measurements() -> None:
-    prior, evidence = table(), readings(5, rows=3)
+def test_tables_drawn_from_the_prior_lie_within_the_bounds_as_often_as_they_should() -> None:
+    prior, evidence, repetitions = table(), readings(5, rows=3), 300
     rng = np.random.default_rng(6)
     every = np.arange(NODES)
-    K = prior_covariance(prior, every, every)
-    truths = rng.multivariate_normal(prior.ratio.ravel(), K, 300)
-    noise = rng.multivariate_normal(np.zeros(3), evidence.covariance, 300)
-    found = [
-        posterior(
-            prior, [Evidence(evidence.names, evidence.nodes, evidence.H, evidence.H @ n[evidence.nodes] + e, C)]
-        ).chi_square
-        for n, e in zip(truths, noise, strict=True)
-        for C in [evidence.covariance]
-    ]
-    assert np.mean(found) == pytest.approx(3.0, abs=3.0 * np.sqrt(6.0 / 300))  # variance of chi-square on 3 is 6
+    truths = rng.multivariate_normal(prior.ratio.ravel(), prior_covariance(prior, every, every), repetitions)
+    noise = rng.multivariate_normal(np.zeros(3), evidence.covariance, repetitions)
+    chi_square, z = np.empty(repetitions), np.empty(repetitions)
+    at = int(evidence.nodes[0])
+    for i, (n, e) in enumerate(zip(truths, noise, strict=True)):
+        after = posterior(prior, [replace(evidence, value=evidence.H @ n[evidence.nodes] + e)])
+        chi_square[i] = after.chi_square
+        z[i] = (n[at] - after.ratio.ravel()[at]) / after.sigma.ravel()[at]
+    assert np.mean(chi_square) == pytest.approx(3.0, abs=3.0 * np.sqrt(6.0 / repetitions))  # its variance is 2 x 3
+    assert np.mean(z**2) == pytest.approx(1.0, abs=3.0 * np.sqrt(2.0 / repetitions))
 
 
 # What always holds ---------------------------------------------------------------------------------------------------

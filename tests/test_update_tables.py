@@ -232,18 +232,33 @@ def _every_second(lines: list[str]) -> list[str]:
     return [lines[0], *lines[1::2]]
 
 
-def test_a_derivative_that_the_table_has_no_nodes_for_is_told_and_changes_nothing(desk: Path) -> None:
-    record = load_record(desk / "first")
-    C = read_estimate("first.json").covariance(tuple(TRUTH))
-    more = np.block([[C, np.zeros((2, 2))], [np.zeros((2, 2)), np.diag([1e-8, 1e-4])]])
-    values = {**TRUTH, "ratio.d_elevon": 0.3, "stack.coating.thickness_factor": 1.2}
-    write_estimate("less.json", stated(record, TRUTH, C))
-    write_estimate("more.json", stated(record, values, more))
-    less, with_more = prepare("less.json", "./orbiter"), prepare("more.json", "./orbiter")
-    assert set(with_more.informed.not_written) == {"ratio.d_elevon", "stack.coating.thickness_factor"}
-    assert with_more.informed.evidence.names == tuple(TRUTH)
-    assert less.informed.not_written == {}
-    np.testing.assert_allclose(with_more.after.sigma, less.after.sigma, rtol=0.05)
+def test_an_estimate_over_another_declared_table_says_the_same_of_the_ratio(desk: Path) -> None:
+    one = prepare("first.json", "./orbiter")
+    declared = read_ratio_table(desk / "first" / "ratio_table.csv")
+    write_ratio_table(desk / "first" / "ratio_table.csv", replace(declared, ratio=1.25 * declared.ratio))
+    first = read_estimate("first.json")
+    smaller = np.diag([1.0 / 1.25, 1.0])
+    scale, slope = first.values(tuple(TRUTH))
+    values = {"ratio.scale": (1.0 + scale) / 1.25 - 1.0, "ratio.d_alpha": slope}
+    C = smaller @ first.covariance(tuple(TRUTH)) @ smaller
+    write_estimate("first.json", stated(load_record("first"), values, C))
+    other = prepare("first.json", "./orbiter")
+    np.testing.assert_allclose(other.after.ratio, one.after.ratio, rtol=1e-9)
+    np.testing.assert_allclose(other.after.sigma, one.after.sigma, rtol=1e-6)
+
+
+def test_what_the_table_cannot_hold_is_told_and_its_value_changes_nothing(desk: Path) -> None:
+    record, known = load_record(desk / "first"), read_estimate("first.json")
+    C = np.zeros((4, 4))
+    C[:2, :2], C[2:, 2:] = known.covariance(tuple(TRUTH)), np.diag([1e-8, 1e-4])
+    updates = []
+    for elevon, coating in ((0.3, 1.2), (-0.3, 0.9)):
+        values = {**TRUTH, "ratio.d_elevon": elevon, "stack.coating.thickness_factor": coating}
+        write_estimate("more.json", stated(record, values, C))
+        updates.append(prepare("more.json", "./orbiter"))
+    assert set(updates[0].informed.not_written) == {"ratio.d_elevon", "stack.coating.thickness_factor"}
+    assert updates[0].informed.evidence.names == tuple(TRUTH)
+    np.testing.assert_array_equal(updates[0].table.ratio, updates[1].table.ratio)
 
 
 def test_a_second_flight_is_weighed_together_with_the_first_whatever_their_order(desk: Path) -> None:
@@ -457,6 +472,7 @@ def test_what_does_not_belong_together_is_refused_in_one_line(
         (["first.json", "--vehicle", "./orbiter", "--record", "first", "--record", "second"], "name each in order"),
         (["first.json", "--vehicle", "./orbiter", "--check", "first"], "two of them are named first"),
         (["nothing.json", "--vehicle", "./orbiter"], "no such file"),
+        (["first.json", "--vehicle", "./orbiter", "--out", "first.toml/x"], "cannot be written"),
     ],
     ids=lambda v: " ".join(v) if isinstance(v, list) else None,
 )

@@ -263,21 +263,25 @@ def write_update(update: TableUpdate, out: Path | None, errors: dict[str, dict[s
     raises : InputError where the place cannot be written; nothing is left half-written
     """
     source = update.vehicle.directory
-    if out is None:
-        return source, _write(update, update.vehicle, update.history, errors)
-    name = source.resolve().name
     try:
-        out.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=f".{name}.partial-", dir=out))
+        if out is None:
+            return source, _write(update, update.vehicle, update.history, errors)
+        return _write_copy(update, out / source.resolve().name, errors)
     except OSError as error:
-        raise InputError(f"--out {shown(out)}: cannot be written ({error.strerror}); choose another place") from None
+        raise InputError(f"{error.filename}: cannot be written ({error.strerror}); choose another place") from None
+
+
+def _write_copy(update: TableUpdate, target: Path, errors: dict[str, dict[str, Any]]) -> tuple[Path, RevisionFile]:
+    """Revise a copy of the vehicle, made aside and put in its place as a whole."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    partial = Path(tempfile.mkdtemp(prefix=f".{target.name}.partial-", dir=target.parent))
     try:
-        copy = load_vehicle(shutil.copytree(source, partial / name))
+        copy = load_vehicle(shutil.copytree(update.vehicle.directory, partial / target.name))
         made = _write(update, copy, read_history(copy, update.point.name), errors)
-        os.replace(partial / name, out / name)
+        os.replace(partial / target.name, target)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-    return out / name, made
+    return target, made
 
 
 def _write(update: TableUpdate, vehicle: Vehicle, history: History, errors: dict[str, dict[str, Any]]) -> RevisionFile:
