@@ -262,6 +262,7 @@ def _errors(found: dict[str, Any]) -> list[str]:
 @click.option(
     "--record", "records", type=PATH, multiple=True, help="the estimate's records, where it does not find them"
 )
+@click.option("--point", help="the control point, where the estimate is of several")
 @click.option("--check", "checked", type=PATH, multiple=True, help="another record to predict before and after")
 @click.option("--dry-run", is_flag=True, help="show what would change and write nothing")
 @click.option("--revert", metavar="POINT", help="put the table of this control point back to its parent revision")
@@ -270,6 +271,7 @@ def update_tables(
     vehicle: str,
     out: Path | None,
     records: tuple[Path, ...],
+    point: str | None,
     checked: tuple[Path, ...],
     dry_run: bool,
     revert: str | None,
@@ -287,7 +289,7 @@ def update_tables(
         return
     if revert is not None:
         raise InputError(f"--revert {revert}: stands alone; leave out {fit}")
-    update = prepare(fit, vehicle, records)
+    update = prepare(fit, vehicle, records, point)
     every = [*update.records, *(load_record(path) for path in checked)]
     with _progress("update-tables") as progress:
         progress(0.1, "predicting with the table before and after")

@@ -261,6 +261,31 @@ def test_what_the_table_cannot_hold_is_told_and_its_value_changes_nothing(desk: 
     np.testing.assert_array_equal(updates[0].table.ratio, updates[1].table.ratio)
 
 
+def test_a_joint_estimate_of_several_points_updates_the_one_that_is_named(desk: Path) -> None:
+    alone = read_estimate("first.json")
+    shutil.copytree("first", "elsewhere")
+    edit(desk / "elsewhere" / "record.toml", lambda t: t.replace(f'control_point = "{POINT}"', 'control_point = "B"'))
+    both = alone.model_dump() | {
+        "records": ["elsewhere", "first"],
+        "parameters": {
+            f"{n}@{p}": q.model_dump() | {"value": q.value * (p == POINT)}
+            for p in ("B", POINT)
+            for n, q in alone.parameters.items()
+        },
+        "correlation": {
+            "|".join(f"{n}@{p}" for n in pair.split("|")): rho
+            for pair, rho in alone.correlation.items()
+            for p in ("B", POINT)
+        },
+    }
+    write_estimate("both.json", check(both, Estimate, "both"))
+    with pytest.raises(InputError, match=f"is of B, {POINT}; name one of them with --point"):
+        prepare("both.json", "./orbiter")
+    one, other = prepare("first.json", "./orbiter"), prepare("both.json", "./orbiter", point_name=POINT)
+    np.testing.assert_array_equal(one.table.ratio, other.table.ratio)
+    assert [u.record for u in other.used] == ["first"]
+
+
 def test_a_second_flight_is_weighed_together_with_the_first_whatever_their_order(desk: Path) -> None:
     shutil.copytree("orbiter", "other/orbiter")
     for fit in ("first.json", "second.json"):
@@ -373,6 +398,8 @@ TABLE = f"orbiter/ratio_tables/{POINT}.csv"
 VEHICLE = "orbiter/vehicle.toml"
 BETA = {"ratio.d_beta": {"value": 0.1, "sigma": 0.01, "unit": "1/deg"}}
 
+WITH_PRIOR = {"ratio.scale": {"value": -0.1, "sigma": 0.01, "unit": "1", "prior_sigma": 0.2}}
+
 
 def says(**changes: Any) -> Callable[[], None]:
     """The estimate says something else."""
@@ -424,10 +451,11 @@ def shared_table() -> None:
 
 REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "not converged": (says(converged=False), "did not converge"),
+    "estimated with a prior": (says(parameters=WITH_PRIOR, correlation={}), "ratio.scale was estimated with a prior"),
     "no ratio parameter": (says(parameters={}, correlation={}), "no ratio parameter"),
     "cut off": (lambda: edit(Path("first.json"), lambda text: text[:300]), "cut off"),
     "no such record": (says(records=["fitrs"]), "its record `fitrs` is not there"),
-    "several points": (says(control_point="LOWER_AFT"), "not that of one table"),
+    "several points": (says(control_point="LOWER_AFT"), "the estimate is of LOWER_AFT, not of V09T9527"),
     "record changed since": (says(inputs={"first": "sha256:0"}), "was changed since the estimate"),
     "segments without samples": (says(segments=[[[900.0, 950.0]]]), "no sample lies in the segments"),
     "a variable that did not move": (says(parameters=BETA, correlation={}), "do not tell ratio.d_beta"),

@@ -39,11 +39,19 @@ class _Kept(BaseModel):
 
 
 class Estimated(_Kept):
-    """One parameter: value, one standard deviation, and the contract unit."""
+    """One parameter.
+
+    value, sigma : with one standard deviation, corrected for coloured residuals
+    unit         : contract unit
+    white_sigma  : before that correction
+    prior_sigma  : of the prior that was used; None where it was flat
+    """
 
     value: float
     sigma: float = Field(ge=0.0, description="one standard deviation")
     unit: str
+    white_sigma: float | None = Field(default=None, ge=0.0)
+    prior_sigma: float | None = Field(default=None, ge=0.0)
 
 
 class Errors(_Kept):
@@ -201,6 +209,7 @@ def read_estimate(path: str | os.PathLike[str]) -> Estimate:
 def write_estimate(path: str | os.PathLike[str], estimate: Estimate) -> None:
     """Write an estimate, whole or not at all; it reads back equal. What is empty beyond the format is left out."""
     data = estimate.model_dump()
+    data["parameters"] = {n: {k: v for k, v in p.items() if v is not None} for n, p in data["parameters"].items()}
     optional = ("control_point", "vehicle", "segments", "excursions", "inputs", "program")
     write_json(path, {k: v for k, v in data.items() if k not in optional or v not in (None, {})})
 

@@ -104,6 +104,11 @@ def evidence_of(estimate: Estimate, records: Sequence[Record], vehicle: Vehicle,
     names = ratio_names(estimate)
     if not names:
         raise InputError("the estimate holds no ratio parameter, so it says nothing of a ratio table")
+    held_back = next((n for n in names if estimate.parameters[n].prior_sigma is not None), None)
+    if held_back is not None:
+        raise InputError(
+            f"{held_back} was estimated with a prior, which the table is already; estimate it with a flat one"
+        )
     for record in records:
         check_reference(record, vehicle, point)
     path, left_out = _inside(_path(estimate, records), point)

@@ -16,7 +16,7 @@ from scipy.sparse import csr_array
 
 from sim_heating.conditions import RATIO_VARIABLES, FloatArray
 from sim_heating.errors import InputError
-from sim_heating.estimation.result import NAME, Estimate, inputs_hash, read_estimate
+from sim_heating.estimation.result import AT, NAME, Estimate, correlations, inputs_hash, read_estimate
 from sim_heating.files import read_text, shown
 from sim_heating.heating_ratio.table import RatioTable
 from sim_heating.points import check_reference, point_of_record
@@ -86,20 +86,24 @@ class TableUpdate:
 
 
 def prepare(
-    fit: str | os.PathLike[str], vehicle: str | os.PathLike[str], records: Sequence[str | os.PathLike[str]] = ()
+    fit: str | os.PathLike[str],
+    vehicle: str | os.PathLike[str],
+    records: Sequence[str | os.PathLike[str]] = (),
+    point_name: str | None = None,
 ) -> TableUpdate:
     """Work out the next revision of a vehicle's table from an estimate.
 
-    fit     : an estimate.json or its directory
-    vehicle : name or directory
-    records : directories of the estimate's records, where they are not where it says
-    raises  : InputError where the two do not belong together or the estimate is in the table already
+    fit        : an estimate.json or its directory
+    vehicle    : name or directory
+    records    : directories of the estimate's records, where they are not where it says
+    point_name : the control point, where the estimate is of several
+    raises     : InputError where the two do not belong together or the estimate is in the table already
     """
     file = Path(fit) / NAME if Path(fit).is_dir() else Path(fit)
-    estimate = read_estimate(file)
-    loaded = _records(estimate, file, records)
+    whole = read_estimate(file)
+    estimate, loaded = _of_point(whole, _records(whole, file, records), point_name)
     ours = load_vehicle(vehicle)
-    point = ours.control_point(_point_name(estimate, loaded))
+    point = ours.control_point(loaded[0].declared.control_point)
     history = read_history(ours, point.name)
     used = tuple(_used(estimate, i, record) for i, record in enumerate(loaded))
     _refuse_twice(history, used)
@@ -143,13 +147,40 @@ def _records(estimate: Estimate, file: Path, given: Sequence[str | os.PathLike[s
     return found
 
 
-def _point_name(estimate: Estimate, records: Sequence[Record]) -> str:
-    names = dict.fromkeys([r.declared.control_point for r in records])
-    if estimate.control_point is not None:
-        names[estimate.control_point] = None
-    if len(names) > 1:
-        raise InputError(f"the estimate is of {', '.join(names)} together; its ratio is not that of one table")
-    return next(iter(names))
+def _of_point(estimate: Estimate, records: Sequence[Record], name: str | None) -> tuple[Estimate, list[Record]]:
+    """An estimate's parameters and records of one control point; a parameter `a@P` of a joint fit is `a` of P.
+
+    raises : InputError where there are several and none is named, or none of that name
+    """
+    points = list(dict.fromkeys(r.declared.control_point for r in records))
+    if name is None and len(points) > 1:
+        raise InputError(f"the estimate is of {', '.join(points)}; name one of them with --point")
+    name = points[0] if name is None else name
+    if name not in points or estimate.control_point not in (None, name):
+        told = ", ".join(points if estimate.control_point is None else [estimate.control_point])
+        raise InputError(f"the estimate is of {told}, not of {name}")
+    mine = [i for i, r in enumerate(records) if r.declared.control_point == name]
+    labels = _plain_names(estimate, name, alone=len(points) == 1)
+    return estimate.model_copy(
+        update={
+            "records": [estimate.records[i] for i in mine],
+            "segments": None if estimate.segments is None else [estimate.segments[i] for i in mine],
+            "parameters": {stem: estimate.parameters[label] for label, stem in labels.items()},
+            "correlation": correlations(tuple(labels.values()), estimate.covariance(tuple(labels))),
+        }
+    ), [records[i] for i in mine]
+
+
+def _plain_names(estimate: Estimate, point: str, alone: bool) -> dict[str, str]:
+    """Label -> name of the parameters of one control point; those of other owners that are no ratio's keep their label."""
+    names = {}
+    for label in estimate.parameters:
+        stem, _, owner = label.partition(AT)
+        if owner == point or (alone and not owner):
+            names[label] = stem
+        elif not stem.startswith("ratio."):
+            names[label] = label
+    return names
 
 
 def _used(estimate: Estimate, i: int, record: Record) -> UsedRecord:
