@@ -172,7 +172,7 @@ def _of_point(estimate: Estimate, records: Sequence[Record], name: str | None) -
 
 
 def _plain_names(estimate: Estimate, point: str, alone: bool) -> dict[str, str]:
-    """Label -> name of the parameters of one control point; those of other owners that are no ratio's keep their label."""
+    """Label -> name of the parameters of one control point; what is no ratio's of other owners keeps its label."""
     names = {}
     for label in estimate.parameters:
         stem, _, owner = label.partition(AT)
