@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar, cast
@@ -18,8 +19,8 @@ import numba.extending
 F = TypeVar("F", bound=Callable[..., object])
 
 PACKAGE = Path(__file__).resolve().parent
-CACHES_KEPT = 4
-"""Caches of other versions of the package that are left in place."""
+CACHE_AGE_S = 14 * 86400.0
+"""Caches of other versions of the package that nobody has used for so long are removed [s]."""
 
 
 _IMPORT = re.compile(r"^\s*(?:from|import) sim_heating\.([\w.]+)(?: import (?:\(([^)]*)\)|(.*)))?", re.MULTILINE)
@@ -62,9 +63,9 @@ def _cache_folder() -> str:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             folder.touch()
-        others = sorted(home.glob("kernels-*"), key=lambda f: f.stat().st_mtime, reverse=True)
-        for old in others[CACHES_KEPT:]:
-            shutil.rmtree(old, ignore_errors=True)
+        for other in home.glob("kernels-*"):
+            if time.time() - other.stat().st_mtime > CACHE_AGE_S:
+                shutil.rmtree(other, ignore_errors=True)
         return str(folder)
     except OSError:
         return tempfile.mkdtemp(prefix="sim_heating_kernels_")
