@@ -30,9 +30,12 @@ from sim_heating.layout import (
     BACK_H,
     BACK_NODE,
     BACK_T,
+    BOIL,
     COLUMN,
+    CONDENSE,
     CONDITION_COLUMNS,
     CURVED,
+    DEPOSIT,
     EFFECT_CODES,
     EFFECT_PARAMETERS,
     EFFECT_SLOTS,
@@ -43,33 +46,45 @@ from sim_heating.layout import (
     ENTHALPY_TABLE,
     FACTOR_EPS,
     FAILED,
+    GAP,
+    GAPS,
     HEAD_ROWS,
     HIGH,
     INTS_PER_NODE,
     IS_FACE,
     IS_INTERFACE,
     ITERATIONS,
+    K_RAD,
+    LAG_SLOT,
     LANES,
+    LATENT,
     M_LEFT,
     M_RIGHT,
     MATERIAL_TABLE,
+    MOIST,
     N_ADDING,
     N_CONDITIONS,
     N_EFFECTS,
+    N_EMITTING,
     N_NODES,
     N_PRESSURES,
     NEGATIVE,
     NO_TABLE,
     NODE_INTS,
     NODE_ROWS,
+    NONE,
     NOWHERE,
     OUTSIDE,
+    PHASE_WIDTH,
     PRESSURE_TABLE,
     RATE,
     RATIO_TABLE,
     REFERENCE,
+    SURFACE_SHARE,
     SURROUNDINGS4,
     WALL_EFFECTS,
+    WET_LEFT,
+    WET_RIGHT,
     G,
     T,
     block_size,
@@ -91,6 +106,12 @@ IntArray = NDArray[np.int64]
 
 CONTACT = Material(density_kg_m3=1.0, specific_heat_J_kgK=[[300.0, 1.0]], conductivity_W_mK=[[300.0, 1.0]])
 """What a contact resistance is made of: an element without mass whose "length" is the resistance."""
+MODES = ("add", "multiply", "emittance")
+"""Effects with a kernel, in the order in which they act."""
+MOISTURE = (
+    (LATENT, "stack.moisture.latent_J_kg"), (BOIL, "stack.moisture.boil_K"), (DEPOSIT, "stack.moisture.deposit_J_kg"),
+    (CONDENSE, "stack.moisture.condense_K"), (PHASE_WIDTH, "stack.moisture.width_K"),
+)  # fmt: skip
 BACK = ("back.h_W_m2K", "back.T_K", "back.emissivity")
 CACHE_LINE = 64
 """Bytes."""
@@ -143,6 +164,8 @@ class PointModel:
                 raise InputError(f"{self.name}: a sensor at {depth:g} m is outside the stack (0 to {thickness:g} m)")
         if not isinstance(self.wall_enthalpy, str) and not 0.0 < self.wall_enthalpy < np.inf:
             raise InputError(f"{self.name}, wall_enthalpy: cp {self.wall_enthalpy:g} J/(kg K) must be above 0")
+        if sum(use.effect.lags for use in self.effects) > 1:
+            raise InputError(f"{self.name}: two effects with a lag; one at most at one control point")
         if self.ratio is not None and self.parameters.get("ratio.d0", 0.0) != 0.0:
             raise InputError(f"{self.name}: ratio.d0 is 0 where there is a ratio table; use ratio.scale")
 
@@ -151,6 +174,9 @@ class PointModel:
         if name.startswith(EFFECT_PREFIX):
             use, k = self._effect_place(name)
             return float(self.effects[use].values[k])
+        for used in self.effects:
+            if name in used.effect.places:
+                return float(used.values[used.effect.places.index(name)])
         if name in BACK and name not in self.parameters:
             return self._declared_back(name)
         return float(self.parameters.get(name, MODEL[name].value))
@@ -314,9 +340,9 @@ class Ensemble:
         J[N_PRESSURES + lane], J[PRESSURE_TABLE + lane] = tables.columns, tables.pressures
         J[EMISSIVITY_TABLE + lane], J[ENTHALPY_TABLE + lane] = tables.emissivity, tables.enthalpy
         B[scalar_row(SURROUNDINGS4)][lane] = model.construction.stack.surroundings_K**4
-        self._pack_factors(B, lane, model, mesh)
+        self._pack_factors(B, J, lane, model, mesh)
 
-    def _pack_factors(self, B: FloatArray, lane: int, model: PointModel, mesh: Mesh) -> None:
+    def _pack_factors(self, B: FloatArray, J: IntArray, lane: int, model: PointModel, mesh: Mesh) -> None:
         """What the thermal parameters of a point change in the block."""
         densities = [m.density_kg_m3 for m in model.construction.layer_materials()]
         length, conductivity, capacity = _factors(model, mesh)
@@ -328,6 +354,21 @@ class Ensemble:
         B[scalar_row(FACTOR_EPS)][lane] = model.value("stack.emissivity_factor")
         for row, name in ((BACK_H, "back.h_W_m2K"), (BACK_T, "back.T_K"), (BACK_EPS, "back.emissivity")):
             B[scalar_row(row)][lane] = model.value(name)
+        insulation = mesh.layer == insulation_layer(model.construction)
+        nodes[:elements, K_RAD, lane] = np.where(insulation, model.value("stack.rsi.radiative_conductivity"), 0.0)
+        wet = np.where(insulation, half, 0.0)
+        nodes[:elements, WET_RIGHT, lane], nodes[1 : elements + 1, WET_LEFT, lane] = wet, wet
+        for row, name in MOISTURE:
+            B[scalar_row(row)][lane] = model.value(name)
+        J[MOIST] |= int(
+            model.value("stack.moisture.latent_J_kg") > 0.0 or model.value("stack.moisture.deposit_J_kg") > 0.0
+        )
+        fraction = model.value("stack.gap.fraction")
+        B[scalar_row(SURFACE_SHARE)][lane] = 1.0 - fraction
+        if fraction > 0.0:
+            J[GAPS] = 1
+            J[NODE_INTS + IS_FACE : NODE_INTS + mesh.nodes * INTS_PER_NODE : INTS_PER_NODE] = 1
+        nodes[: mesh.nodes, GAP, lane] = fraction * gap_weights(mesh, model.value("stack.gap.depth_m"))
 
     def _pack_heating(self, B: FloatArray, J: IntArray, lane: int, model: PointModel) -> None:
         p = parameters_at(lane)
@@ -336,10 +377,13 @@ class Ensemble:
         B[p + REFERENCE : p + REFERENCE + len(RATIO_VARIABLES)] = model.reference
         B[p + CURVED] = float(any(values[-len(SECOND_ORDER) :]))
         J[RATIO_TABLE + lane] = self._add_ratio_table(model.ratio)
-        uses = sorted(model.effects, key=lambda u: u.effect.mode != "add")
-        J[N_ADDING + lane] = sum(u.effect.mode == "add" for u in uses)
-        J[N_EFFECTS + lane] = len(uses)
-        J[WALL_EFFECTS + lane] = int(any(u.effect.needs_wall for u in uses))
+        uses = sorted((u for u in model.effects if u.effect.kernel), key=lambda u: MODES.index(u.effect.mode))
+        modes = [u.effect.mode for u in uses]
+        J[N_ADDING + lane], J[N_EMITTING + lane] = modes.count("add"), modes.count("emittance")
+        J[N_EFFECTS + lane] = len(uses) - modes.count("emittance")
+        J[WALL_EFFECTS + lane] = int(any(u.effect.needs_wall and u.effect.mode != "emittance" for u in uses))
+        lagging = [k for k, u in enumerate(uses) if u.effect.lags]
+        J[LAG_SLOT + lane] = lagging[0] if lagging else NONE
         for k, used in enumerate(uses):
             J[EFFECT_CODES + lane * EFFECT_SLOTS + k] = self._effects.index(used.effect)
             first = p + EFFECT_PARAMETERS + k * EFFECT_WIDTH
@@ -355,7 +399,7 @@ class Ensemble:
         B, J = self.block(place.group), self.integers(place.group)
         for lane, i in enumerate(self.lanes[place.group * LANES : (place.group + 1) * LANES]):
             if i == model:
-                self._pack_factors(B, lane, altered, mesh)
+                self._pack_factors(B, J, lane, altered, mesh)
                 self._pack_heating(B, J, lane, altered)
 
     # State -----------------------------------------------------------------------------------------------------------
@@ -521,13 +565,14 @@ def aligned_zeros(count: int) -> FloatArray:
 
 
 def _distinct_effects(models: Sequence[PointModel]) -> tuple[Effect, ...]:
-    return tuple(dict.fromkeys(u.effect for m in models for u in m.effects))
+    return tuple(dict.fromkeys(u.effect for m in models for u in m.effects if u.effect.kernel))
 
 
 def _factors(model: PointModel, mesh: Mesh) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Length, conductivity factor and heat-capacity factor of each element, the parameters of coating and RSI
     applied."""
-    coating, rsi = mesh.layer == 0, mesh.layer == 1
+    rsi = mesh.layer == insulation_layer(model.construction)
+    coating = (mesh.layer == 0) & ~rsi
     length = np.where(coating, model.value("stack.coating.thickness_factor") * mesh.length_m, mesh.length_m)
     length = np.where(mesh.layer < 0, model.value("stack.contact_factor") * length, length)
     conductivity = np.ones_like(length)
@@ -536,6 +581,19 @@ def _factors(model: PointModel, mesh: Mesh) -> tuple[FloatArray, FloatArray, Flo
         conductivity[mask] = model.value(f"stack.{layer}.conductivity_factor")
         capacity[mask] = model.value(f"stack.{layer}.heat_capacity_factor")
     return length, conductivity, capacity
+
+
+def insulation_layer(construction: Construction) -> int:
+    """Number of the layer that `stack.rsi.*` is about: the second, behind a coating; of one layer, that one."""
+    return min(1, len(construction.stack.layer) - 1)
+
+
+def gap_weights(mesh: Mesh, depth_m: float) -> FloatArray:
+    """(node,) how the heat spent along a gap falls with depth: as exp(-x / depth), down to the bondline, 1 in sum."""
+    edges = np.concatenate(([0.0], 0.5 * (mesh.depth_m[1:] + mesh.depth_m[:-1]), mesh.depth_m[-1:]))
+    bottom = mesh.depth_m[mesh.bondline] if mesh.bondline > 0 else mesh.depth_m[-1]
+    weights = -np.diff(np.exp(-np.minimum(edges, bottom) / depth_m))
+    return np.asarray(weights / weights.sum())
 
 
 def initial_temperatures(construction: Construction, mesh: Mesh) -> FloatArray:

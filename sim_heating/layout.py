@@ -33,7 +33,12 @@ FILM, RECOVERY, ADDED, PCOL, PFRAC, R_BASE = 0, 3, 6, 9, 12, 15
 SURROUNDINGS4, BACK_H, BACK_T, BACK_EPS, FACTOR_EPS = 18, 19, 20, 21, 22
 ACTIVE, FAILED, ITERATIONS, COLUMN, OUTSIDE, NEGATIVE = 23, 24, 25, 26, 27, 28
 STAGE_IN, STAGE_OUT, ENERGY_IN, ENERGY_OUT = 29, 30, 31, 32
-C_STAGES = 33
+# The lag of a ratio, one row a stage: its value and what it follows; whether it has a past. Heat content of moisture:
+# taken up [J/kg] about a temperature [K], given off about another, over a width [K]. Part of the film that the surface
+# has, the rest being spent in gaps.
+LAG_VALUE, LAG_INPUT, LAG_PAST = 33, 36, 39
+LATENT, BOIL, DEPOSIT, CONDENSE, PHASE_WIDTH, SURFACE_SHARE = 40, 41, 42, 43, 44, 45
+C_STAGES = 46
 PARAMETERS = C_STAGES + 3 * N_CONDITIONS
 # The table cell that each lane is in, for the five variables: the variables, where the cell ends (for ever at the edges
 # of the table), its foot and the reciprocal of its width, the ratio at its 32 corners, and what is left of them.
@@ -58,9 +63,10 @@ UPPER, DELTA, FRACTION, MOVES, LARGEST = 23, 24, 25, 26, 27
 # ... and the property polynomials about its temperature, which hold from LOW to HIGH: foot of the bin, then h, c,
 # its slope and theta, k, its slope in two pressure columns, for the element to the right and to the left.
 LOW, HIGH, FOOT, FOOT_LEFT = 28, 29, 30, 40
-# and the temperature at the middle stage of the last step.
-T_STAGE = 50
-NODE_ROWS = 51
+# the temperature at the middle stage of the last step, radiative conductivity at 1000 K of the element to the right
+# [W/(m K)], density times length that moisture sits in, on either side [kg/m2], and the part of the film spent here.
+T_STAGE, K_RAD, WET_LEFT, WET_RIGHT, GAP = 50, 51, 52, 53, 54
+NODE_ROWS = 55
 HEAD_ROWS = SCALAR_ROWS + NODE_ROWS
 """A ghost node of zeros before the first and one behind the last end the recurrences along the nodes."""
 NOWHERE = -1e30
@@ -68,8 +74,10 @@ NOWHERE = -1e30
 
 # Integers of a group: node count; one a lane: number of pressure columns of its property tables, offsets of their
 # pressures, of its emissivity, wall-enthalpy and ratio tables, how many of its effects add and how many it has,
-# whether any of them asks for the wall temperature, the code of each, and the node at the back face (nodes behind it
-# are padding, to the node count of the group: they hold heat and exchange none). Then for each node two flags,
+# whether any of them asks for the wall temperature, the code of each, the node at the back face (nodes behind it
+# are padding, to the node count of the group: they hold heat and exchange none), how many effects act on the emittance
+# (their codes follow those of the ratio) and the slot of the effect that lags, or NONE; two of the group, whether any
+# lane is moist and whether any has gaps. Then for each node two flags,
 # whether its two elements differ in material in any lane and whether it is a face of the stack in any lane, and the
 # material-table offset of the element to its right in each lane.
 N_NODES = 0
@@ -83,10 +91,16 @@ N_EFFECTS = N_ADDING + LANES
 WALL_EFFECTS = N_EFFECTS + LANES
 EFFECT_CODES = WALL_EFFECTS + LANES
 BACK_NODE = EFFECT_CODES + EFFECT_SLOTS * LANES
-NODE_INTS = BACK_NODE + LANES
+N_EMITTING = BACK_NODE + LANES
+LAG_SLOT = N_EMITTING + LANES
+MOIST = LAG_SLOT + LANES
+GAPS = MOIST + 1
+NODE_INTS = GAPS + 1
 IS_INTERFACE, IS_FACE, MATERIAL_TABLE = 0, 1, 2
 INTS_PER_NODE = MATERIAL_TABLE + LANES
 
+NONE = -1
+"""Slot of a lane without an effect that lags."""
 NO_TABLE = -1
 """Ratio-table offset of a lane without one: its tabulated ratio is 0."""
 

@@ -69,6 +69,14 @@ STACK = (
     Parameter("stack.rsi.conductivity_factor", "1", 1.0, 0.18, 1e-3, 10.0, "second layer, over the declared table"),
     Parameter("stack.rsi.heat_capacity_factor", "1", 1.0, 0.1, 1e-3, 10.0, "second layer, over the declared table"),
     Parameter("stack.emissivity_factor", "1", 1.0, 0.035, 0.0, 1.5, "surface emittance over the declared table"),
+    Parameter("stack.rsi.radiative_conductivity", "W/(m K)", 0.0, 0.05, -1.0, 10.0, "at 1000 K, grows with T^3"),
+    Parameter("stack.moisture.latent_J_kg", "J/kg", 0.0, 2e4, 0.0, 3e6, "heat taken up as moisture boils"),
+    Parameter("stack.moisture.boil_K", "K", 373.0, 20.0, 200.0, 1000.0, "temperature at which it boils"),
+    Parameter("stack.moisture.deposit_J_kg", "J/kg", 0.0, 2e4, 0.0, 3e6, "heat given off where vapour condenses"),
+    Parameter("stack.moisture.condense_K", "K", 330.0, 20.0, 200.0, 1000.0, "temperature at which it condenses"),
+    Parameter("stack.moisture.width_K", "K", 8.0, 4.0, 0.5, 200.0, "width of either in temperature"),
+    Parameter("stack.gap.fraction", "1", 0.0, 0.1, 0.0, 0.95, "part of the film spent along a gap"),
+    Parameter("stack.gap.depth_m", "m", 0.005, 0.005, 1e-4, 0.5, "depth over which it falls by e"),
     Parameter("stack.contact_factor", "1", 1.0, 0.5, 1e-3, 100.0, "contact resistances, over the declared ones"),
     Parameter("back.h_W_m2K", "W/(m2 K)", 0.0, 10.0, 0.0, 1e4, "film coefficient behind the wall"),
     Parameter("back.T_K", "K", 300.0, 30.0, 1.0, 2000.0, "temperature behind the wall"),
@@ -76,7 +84,10 @@ STACK = (
 )
 """Parameters of the thermal model; `back.*` start from what the stack declares."""
 
-CURVED = ("stack.coating.thickness_factor", "stack.contact_factor", "back.T_K")
+CURVED = (
+    "stack.coating.thickness_factor", "stack.contact_factor", "back.T_K", "stack.moisture.boil_K",
+    "stack.moisture.condense_K", "stack.moisture.width_K", "stack.gap.depth_m",
+)  # fmt: skip
 """Parameters in which the heat balance at given temperatures is not affine; no parameter of an effect need be."""
 
 CLOCK_SKEW = Parameter("clock.skew", "s", 0.0, 0.5, -10.0, 10.0, "recorded T(t) = true T(t - skew): above 0, it lags")

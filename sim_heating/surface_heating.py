@@ -1,7 +1,10 @@
 """From flight conditions to the heating of a wall, compiled: film coefficient, recovery enthalpy, pressure of each
 stage.
 
-    film = r h_ref,    r = ratio of the linear model, then effects that add, then effects that multiply.
+    film = r h_ref,    r = ratio of the linear model, then effects that add, then a lag, then effects that multiply.
+
+A lag makes the ratio r' = (1 - f) r + f m of what it was, dm/dt = (r - m) / tau, exact for a ratio that is linear in
+time over a step; it starts without a past, m = r.
 
 Conditions are linear in time between samples; the ratio is evaluated at the conditions of each stage of the time
 step, not interpolated itself.
@@ -14,6 +17,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_heating.arithmetic import exp
 from sim_heating.heating_ratio.kernel import axes_outside, linear_ratio, table_ratios
 from sim_heating.jit import call_chain, njit
 from sim_heating.layout import (
@@ -27,13 +31,19 @@ from sim_heating.layout import (
     FILM,
     H_REF,
     HEAD_ROWS,
+    LAG_INPUT,
+    LAG_PAST,
+    LAG_SLOT,
+    LAG_VALUE,
     LANES,
     N_ADDING,
     N_CONDITIONS,
     N_EFFECTS,
+    N_EMITTING,
     N_PARAMETERS,
     N_PRESSURES,
     NEGATIVE,
+    NONE,
     OUTSIDE,
     P_SURFACE,
     PARAMETERS,
@@ -45,6 +55,7 @@ from sim_heating.layout import (
     RATIO_TABLE,
     RECOVERY,
     RECOVERY_ENTHALPY,
+    TIME,
     T,
 )
 
@@ -57,14 +68,43 @@ LOWEST_PRESSURE_PA = 1e-30
 
 @njit
 def with_effects(B: FloatArray, J: IntArray, chain, lane: int, stage: int, r: float, wall_K: float) -> float:  # type: ignore[no-untyped-def]
-    """The ratio r [-] of a lane with its effects, at a wall temperature [K]."""
+    """The ratio r [-] of a lane with its effects on it, at a wall temperature [K]."""
     c = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
     p = PARAMETERS * LANES + lane * N_PARAMETERS + EFFECT_PARAMETERS
     adding = J[N_ADDING + lane]
-    for k in range(J[N_EFFECTS + lane]):
-        value = call_chain(chain, J[EFFECT_CODES + lane * EFFECT_SLOTS + k], B, c, p + k * EFFECT_WIDTH, wall_K)
-        r = r + value if k < adding else r * value
+    for k in range(adding):
+        r += call_chain(chain, J[EFFECT_CODES + lane * EFFECT_SLOTS + k], B, c, p + k * EFFECT_WIDTH, wall_K)
+    if J[LAG_SLOT + lane] != NONE:
+        r = _lagged(B, lane, stage, p + J[LAG_SLOT + lane] * EFFECT_WIDTH, r)
+    for k in range(adding, J[N_EFFECTS + lane]):
+        r *= call_chain(chain, J[EFFECT_CODES + lane * EFFECT_SLOTS + k], B, c, p + k * EFFECT_WIDTH, wall_K)
     return r
+
+
+@njit
+def _lagged(B: FloatArray, lane: int, stage: int, p: int, r: float) -> float:
+    """The ratio with its lag at a stage; time constant [s] and fraction stand in B[p] and B[p + 1]."""
+    now = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS + TIME
+    start = C_STAGES * LANES + lane * N_CONDITIONS + TIME
+    m = r
+    if B[LAG_PAST * LANES + lane] > 0.0 and B[now] > B[start]:
+        x = (B[now] - B[start]) / B[p]
+        behind = (r - B[LAG_INPUT * LANES + lane]) / x
+        m = r - behind + (B[LAG_VALUE * LANES + lane] - B[LAG_INPUT * LANES + lane] + behind) * exp(-x)
+    B[(LAG_VALUE + stage) * LANES + lane] = m
+    B[(LAG_INPUT + stage) * LANES + lane] = r
+    return r + B[p + 1] * (m - r)
+
+
+@njit
+def emittance_factor(B: FloatArray, J: IntArray, chain, lane: int, stage: int, wall_K: float) -> float:  # type: ignore[no-untyped-def]
+    """Product of the effects of a lane on its emittance [-], at a wall temperature [K]."""
+    c = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
+    p = PARAMETERS * LANES + lane * N_PARAMETERS + EFFECT_PARAMETERS
+    first, factor = J[N_EFFECTS + lane], 1.0
+    for k in range(first, first + J[N_EMITTING + lane]):
+        factor *= call_chain(chain, J[EFFECT_CODES + lane * EFFECT_SLOTS + k], B, c, p + k * EFFECT_WIDTH, wall_K)
+    return factor
 
 
 @njit

@@ -1,12 +1,14 @@
 """Effects that a declared model may lack: one file each, picked up by its being there.
 
-A file of this folder, or of a folder named in SIM_HEATING_EFFECTS (a path list), defines EFFECT = Effect(...). Its
-kernel
+A file of this folder, or of a folder named in SIM_HEATING_EFFECTS (a path list), defines EFFECT = Effect(...). There
+are two kinds. An effect on the heating or on the emittance has a kernel
 
     f(B, c, p, wall_K) -> float
 
-reads the flight conditions from B[c] on and its own parameters from B[p] on (layout.py names the places), takes the
-wall temperature [K], and gives what is added to the heating ratio or what the ratio is multiplied by.
+that reads the flight conditions from B[c] on and its own parameters from B[p] on (layout.py names the places), takes
+the wall temperature [K], and gives what is added to the heating ratio, or what the ratio or the emittance is multiplied
+by.
+An effect of mode "model" has none: its parameters stand for parameters that the model has anyway (`places`).
 """
 
 from __future__ import annotations
@@ -36,25 +38,33 @@ class Effect:
     """An effect on the heating ratio.
 
     name       : as in a closure report
-    mode       : "add" to the ratio, or "multiply" it (what multiplies comes last)
+    mode       : "add" to the ratio, or "multiply" it (what multiplies comes last), or the "emittance"; or "model"
     parameters : in the order in which the kernel reads them; EFFECT_WIDTH at most
-    kernel     : compiled f(B, c, p, wall_K)
+    kernel     : compiled f(B, c, p, wall_K); None for an effect of mode "model"
     needs_wall : whether the kernel's value depends on the wall temperature
+    lags       : whether the ratio lags behind itself, its first two parameters being time constant and fraction
+    places     : dotted names that the parameters of a "model" effect stand for, in their order
     physics    : what it is, in a line
     source     : where that is from
     """
 
     name: str
-    mode: Literal["add", "multiply"]
+    mode: Literal["add", "multiply", "emittance", "model"]
     parameters: tuple[Parameter, ...]
-    kernel: Callable[..., float] = field(compare=False)
+    kernel: Callable[..., float] | None = field(default=None, compare=False)
     needs_wall: bool = False
+    lags: bool = False
+    places: tuple[str, ...] = ()
     physics: str = ""
     source: str = ""
 
     def __post_init__(self) -> None:
         if len(self.parameters) > EFFECT_WIDTH:
             raise InputError(f"effect {self.name}: {len(self.parameters)} parameters; {EFFECT_WIDTH} at most")
+        if (self.mode == "model") != (self.kernel is None):
+            raise InputError(f"effect {self.name}: a kernel goes with any mode but `model`, and with those always")
+        if self.mode == "model" and len(self.places) != len(self.parameters):
+            raise InputError(f"effect {self.name}: name a place for each of its {len(self.parameters)} parameters")
 
 
 @dataclass(frozen=True)
@@ -125,5 +135,6 @@ def use(name: str, values: Mapping[str, float] | None = None) -> EffectUse:
 
 def check_count(uses: tuple[EffectUse, ...], where: str) -> None:
     """raises : InputError where one control point has more effects than the kernel holds."""
-    if len(uses) > EFFECT_SLOTS:
-        raise InputError(f"{where}: {len(uses)} effects; {EFFECT_SLOTS} at most at one control point")
+    kernels = sum(use.effect.kernel is not None for use in uses)
+    if kernels > EFFECT_SLOTS:
+        raise InputError(f"{where}: {kernels} effects with a kernel; {EFFECT_SLOTS} at most at one control point")

@@ -13,6 +13,12 @@ matrix,
 whose second-order errors cancel where elements are equal (Goudreau & Taylor, Comp. Meth. Appl. Mech. Eng. 2 (1973) 69);
 the sum over the nodes is the heat in the stack all the same.
 
+Radiation through a porous material adds k_r (T / 1000 K)^3 to its conductivity; moisture adds
+
+    h_m(T) = L S((T - T_boil) / w) - D S((T - T_cond) / w),    S the logistic function,
+
+to its heat content: latent heat L taken up about T_boil, heat D given off where vapour from hotter depths condenses.
+
 Everything lives in one flat float64 block (layout.py). Loops over lanes touch rows of one node and its neighbours
 only, at constant distances: that is what lets the compiler vectorise them without alias checks. What all nodes of a
 lane share is handed on from node to node (FRACTION, MOVES, LARGEST).
@@ -23,12 +29,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_heating.arithmetic import logistic
 from sim_heating.jit import njit
 from sim_heating.layout import (
     ACROSS,
+    BOIL,
     C_LEFT,
     C_RIGHT,
     COLUMN,
+    CONDENSE,
+    DEPOSIT,
     DIAGONAL,
     E_LEFT,
     E_RIGHT,
@@ -42,12 +52,15 @@ from sim_heating.layout import (
     INTS_PER_NODE,
     IS_FACE,
     IS_INTERFACE,
+    K_RAD,
     LANES,
+    LATENT,
     LOW,
     LOWER,
     M_LEFT,
     M_RIGHT,
     MATERIAL_TABLE,
+    MOIST,
     N_NODES,
     N_PRESSURES,
     NODE_INTS,
@@ -55,11 +68,14 @@ from sim_heating.layout import (
     NOWHERE,
     PCOL,
     PFRAC,
+    PHASE_WIDTH,
     RESIDUAL,
     SCALAR_ROWS,
     SLOPE,
     SOURCE,
     THETA_RIGHT,
+    WET_LEFT,
+    WET_RIGHT,
     G,
     T,
 )
@@ -145,8 +161,18 @@ def _properties(B: FloatArray, a: int, lane: int, foot: int, f: float) -> tuple[
 
 
 @njit
+def _wet(B: FloatArray, lane: int, T_K: float) -> tuple[float, float]:
+    """Heat content of moisture [J/kg] and its slope [J/(kg K)]."""
+    w = 1.0 / B[PHASE_WIDTH * LANES + lane]
+    up = logistic((T_K - B[BOIL * LANES + lane]) * w)
+    down = logistic((T_K - B[CONDENSE * LANES + lane]) * w)
+    L, D = B[LATENT * LANES + lane], B[DEPOSIT * LANES + lane]
+    return L * up - D * down, (L * up * (1.0 - up) - D * down * (1.0 - down)) * w
+
+
+@njit
 def _write_row(
-    B: FloatArray, a: int, lane: int, ddt: float,
+    B: FloatArray, a: int, lane: int, ddt: float, moist: int,
     h_left: float, c_left: float, theta_left: float, k_left: float, h: float, c: float, theta: float, k: float,
 ) -> None:  # fmt: skip
     """Row of a node with its properties on either side; what its right neighbour adds is in that one's ACROSS and
@@ -155,8 +181,17 @@ def _write_row(
     What crosses an element, heat conducted in d dt and heat content shared, is taken together.
     """
     left = a - NODE_ROWS * LANES
-    m_left, m_right = B[a + M_LEFT * LANES + lane], B[a + M_RIGHT * LANES + lane]
+    m_left, m_right, t = B[a + M_LEFT * LANES + lane], B[a + M_RIGHT * LANES + lane], B[a + T * LANES + lane]
     e_left, cap_left, e_right, cap_right = m_left * h_left, m_left * c_left, m_right * h, m_right * c
+    if moist == 1:
+        wet_left, wet_right = B[a + WET_LEFT * LANES + lane], B[a + WET_RIGHT * LANES + lane]
+        wet_h, wet_c = _wet(B, lane, t)
+        e_left, cap_left = e_left + wet_left * wet_h, cap_left + wet_left * wet_c
+        e_right, cap_right = e_right + wet_right * wet_h, cap_right + wet_right * wet_c
+    radiant = 1e-9 * B[a + K_RAD * LANES + lane] * t * t * t
+    radiant_left = 1e-9 * B[left + K_RAD * LANES + lane] * t * t * t
+    theta, theta_left = theta + 0.25 * radiant * t, theta_left + 0.25 * radiant_left * t
+    k, k_left = k + radiant, k_left + radiant_left
     g_left = ddt * B[left + G * LANES + lane]
     across = g_left * (B[left + THETA_RIGHT * LANES + lane] - theta_left)
     across += SHARE * (e_left - B[left + E_RIGHT * LANES + lane])
@@ -179,6 +214,7 @@ def assemble(B: FloatArray, J: IntArray, table: FloatArray, i: int, ddt: float) 
     """Row of node i at its present temperatures, heat from outside included."""
     a = (HEAD_ROWS + i * NODE_ROWS) * LANES
     left = a - NODE_ROWS * LANES
+    moist = J[MOIST]
     _refresh(B, J, table, i)
     if J[NODE_INTS + i * INTS_PER_NODE + IS_INTERFACE] == 1:
         for lane in range(LANES):
@@ -186,13 +222,13 @@ def assemble(B: FloatArray, J: IntArray, table: FloatArray, i: int, ddt: float) 
             B[a + FRACTION * LANES + lane] = f
             h_left, c_left, theta_left, k_left = _properties(B, a, lane, FOOT_LEFT, f)
             h, c, theta, k = _properties(B, a, lane, FOOT, f)
-            _write_row(B, a, lane, ddt, h_left, c_left, theta_left, k_left, h, c, theta, k)
+            _write_row(B, a, lane, ddt, moist, h_left, c_left, theta_left, k_left, h, c, theta, k)
     else:
         for lane in range(LANES):
             f = B[left + FRACTION * LANES + lane]
             B[a + FRACTION * LANES + lane] = f
             h, c, theta, k = _properties(B, a, lane, FOOT, f)
-            _write_row(B, a, lane, ddt, h, c, theta, k, h, c, theta, k)
+            _write_row(B, a, lane, ddt, moist, h, c, theta, k, h, c, theta, k)
     if J[NODE_INTS + i * INTS_PER_NODE + IS_FACE] == 1:
         for lane in range(LANES):
             B[a + RESIDUAL * LANES + lane] -= ddt * B[a + SOURCE * LANES + lane]

@@ -1,7 +1,10 @@
-"""Heat that enters the wall from outside, at its surface and at its back, for eight lanes at once; compiled.
+"""Heat that enters the wall from outside, at its surface, at its back and in gaps; for eight lanes at once, compiled.
 
-source_0     = film (H_r - H_w(T)) + q_add - eps(T) sigma (T^4 - T_sur^4),
-source_(n-1) = -h_b (T - T_b) - eps_b sigma (T^4 - T_b^4).
+At the surface, at the back, and at every node along a gap that hot gas flows in:
+
+    source_0     = (1 - f) film (H_r - H_w(T)) + q_add - eps(T) sigma (T^4 - T_sur^4),
+    source_(n-1) = -h_b (T - T_b) - eps_b sigma (T^4 - T_b^4),
+    source_i    += f w_i film (H_r - H_w(T_i)),      f the part of the film that is spent there, sum of w_i = 1.
 """
 
 from __future__ import annotations
@@ -21,10 +24,14 @@ from sim_heating.layout import (
     ENTHALPY_TABLE,
     FACTOR_EPS,
     FILM,
+    GAP,
+    GAPS,
     H_REF,
     HEAD_ROWS,
     LANES,
     N_CONDITIONS,
+    N_EMITTING,
+    N_NODES,
     N_PRESSURES,
     NODE_ROWS,
     PCOL,
@@ -33,11 +40,12 @@ from sim_heating.layout import (
     RECOVERY,
     SLOPE,
     SOURCE,
+    SURFACE_SHARE,
     SURROUNDINGS4,
     WALL_EFFECTS,
     T,
 )
-from sim_heating.surface_heating import with_effects
+from sim_heating.surface_heating import emittance_factor, with_effects
 from sim_heating.thermal.assembly import BIN_K, property_bin
 
 FloatArray = NDArray[np.float64]
@@ -62,6 +70,26 @@ def _film(B: FloatArray, J: IntArray, chain, lane: int, stage: int, wall: float)
 
 
 @njit
+def _factor(B: FloatArray, J: IntArray, chain, lane: int, stage: int, wall: float) -> tuple[float, float]:  # type: ignore[no-untyped-def]
+    """What effects make of the emittance of a lane, and its slope against the wall temperature."""
+    above = emittance_factor(B, J, chain, lane, stage, wall + WALL_DIFFERENCE_K)
+    below = emittance_factor(B, J, chain, lane, stage, wall - WALL_DIFFERENCE_K)
+    return emittance_factor(B, J, chain, lane, stage, wall), (above - below) * (0.5 / WALL_DIFFERENCE_K)
+
+
+@njit
+def _wall_enthalpy(
+    B: FloatArray, J: IntArray, table: FloatArray, lane: int, stage: int, T_K: float
+) -> tuple[float, float]:
+    """Enthalpy of air [J/kg] at a temperature and the pressure of a stage, and its specific heat [J/(kg K)]."""
+    j = property_bin(T_K)
+    f = B[(PFRAC + stage) * LANES + lane]
+    row = J[ENTHALPY_TABLE + lane] + 2 * (j * J[N_PRESSURES + lane] + int(B[(PCOL + stage) * LANES + lane]))
+    cp = table[row + 1] + f * (table[row + 3] - table[row + 1])
+    return table[row] + f * (table[row + 2] - table[row]) + (T_K - BIN_K * j) * cp, cp
+
+
+@njit
 def _emissivity(table: FloatArray, first: int, wall: float) -> tuple[float, float]:
     """Emittance and its slope [1/K]: linear between the points of the table, constant beyond its ends.
 
@@ -81,6 +109,32 @@ def _emissivity(table: FloatArray, first: int, wall: float) -> tuple[float, floa
 
 
 @njit
+def evaluate_faces(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int) -> None:  # type: ignore[no-untyped-def]
+    """All heat from outside, and its slopes, at the temperatures present."""
+    evaluate_surface(B, J, table, chain, stage)
+    evaluate_back(B, J)
+    if J[GAPS] == 1:
+        _evaluate_gaps(B, J, table, stage)
+
+
+@njit
+def _evaluate_gaps(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> None:
+    """Heat that hot gas brings to the nodes along a gap, each by its own temperature; the film is the surface's."""
+    for i in range(J[N_NODES]):
+        a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+        for lane in range(LANES):
+            part = B[a + GAP * LANES + lane]
+            source, slope = 0.0, 0.0
+            if part > 0.0:
+                H_w, cp_w = _wall_enthalpy(B, J, table, lane, stage, B[a + T * LANES + lane])
+                film = part * B[(FILM + stage) * LANES + lane]
+                source, slope = film * (B[(RECOVERY + stage) * LANES + lane] - H_w), -film * cp_w
+            face = i == 0 or i == J[BACK_NODE + lane]
+            B[a + SOURCE * LANES + lane] = source + (B[a + SOURCE * LANES + lane] if face else 0.0)
+            B[a + SLOPE * LANES + lane] = slope + (B[a + SLOPE * LANES + lane] if face else 0.0)
+
+
+@njit
 def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int) -> None:  # type: ignore[no-untyped-def]
     """Heat that enters at the surface [W/m2] and its slope against the surface temperature [W/(m2 K)]."""
     a = HEAD_ROWS * LANES
@@ -88,14 +142,14 @@ def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, chain, stage
         wall = B[a + T * LANES + lane]
         factor = B[FACTOR_EPS * LANES + lane]
         eps, eps_slope = _emissivity(table, J[EMISSIVITY_TABLE + lane], wall)
-        j = property_bin(wall)
-        f = B[(PFRAC + stage) * LANES + lane]
-        row = J[ENTHALPY_TABLE + lane] + 2 * (j * J[N_PRESSURES + lane] + int(B[(PCOL + stage) * LANES + lane]))
-        cp_w = table[row + 1] + f * (table[row + 3] - table[row + 1])
-        H_w = table[row] + f * (table[row + 2] - table[row]) + (wall - BIN_K * j) * cp_w
+        if J[N_EMITTING + lane] > 0:
+            more, more_slope = _factor(B, J, chain, lane, stage, wall)
+            eps, eps_slope = eps * more, eps_slope * more + eps * more_slope
+        H_w, cp_w = _wall_enthalpy(B, J, table, lane, stage, wall)
         film, film_slope = B[(FILM + stage) * LANES + lane], 0.0
         if J[WALL_EFFECTS + lane] > 0:
             film, film_slope = _film(B, J, chain, lane, stage, wall)
+        film, film_slope = film * B[SURFACE_SHARE * LANES + lane], film_slope * B[SURFACE_SHARE * LANES + lane]
         driving = B[(RECOVERY + stage) * LANES + lane] - H_w
         cube = wall * wall * wall
         excess = cube * wall - B[SURROUNDINGS4 * LANES + lane]

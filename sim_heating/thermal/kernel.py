@@ -48,8 +48,12 @@ from sim_heating.layout import (
     ENTRY,
     FAILED,
     FILM,
+    GAPS,
     HEAD_ROWS,
     ITERATIONS,
+    LAG_INPUT,
+    LAG_PAST,
+    LAG_VALUE,
     LANES,
     LARGEST,
     LOWER,
@@ -77,7 +81,7 @@ from sim_heating.layout import (
 )
 from sim_heating.surface_heating import heat_lanes
 from sim_heating.thermal.assembly import SHARE, assemble, assemble_behind, select_pressure
-from sim_heating.thermal.faces import evaluate_back, evaluate_surface
+from sim_heating.thermal.faces import evaluate_faces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -91,7 +95,7 @@ NEWTON_TOLERANCE_K = 1e-4
 NEWTON_LIMIT = 25
 COLDEST_K = 1.0
 """No iterate goes below this, and one that is no number becomes this: a failure, for its update is no number either."""
-STAGED = (FILM, RECOVERY, ADDED, PCOL, PFRAC, R_BASE)
+STAGED = (FILM, RECOVERY, ADDED, PCOL, PFRAC, R_BASE, LAG_VALUE, LAG_INPUT)
 """Rows that hold one value a stage."""
 
 
@@ -107,6 +111,11 @@ def _keep_face_heat(B: FloatArray, J: IntArray) -> None:
             back = (HEAD_ROWS + J[BACK_NODE + lane] * NODE_ROWS) * LANES
             moved = B[back + SLOPE * LANES + lane] * B[back + DELTA * LANES + lane]
             B[STAGE_OUT * LANES + lane] = -B[back + SOURCE * LANES + lane] - moved
+            if J[GAPS] == 1:
+                for i in range(1, J[BACK_NODE + lane]):
+                    a = front + i * NODE_ROWS * LANES
+                    moved = B[a + SLOPE * LANES + lane] * B[a + DELTA * LANES + lane]
+                    B[STAGE_IN * LANES + lane] += B[a + SOURCE * LANES + lane] + moved
 
 
 @njit
@@ -121,12 +130,14 @@ def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, chain) -> None
     """Heat contents and net heat of all nodes with the conditions of stage 2, as a step leaves them."""
     n = J[N_NODES]
     select_pressure(B, J, 2)
-    evaluate_surface(B, J, table, chain, 2)
-    evaluate_back(B, J)
+    evaluate_faces(B, J, table, chain, 2)
     for lane in range(LANES):
         B[STAGE_IN * LANES + lane] = B[(HEAD_ROWS + SOURCE) * LANES + lane]
         back = (HEAD_ROWS + J[BACK_NODE + lane] * NODE_ROWS) * LANES
         B[STAGE_OUT * LANES + lane] = -B[back + SOURCE * LANES + lane]
+        if J[GAPS] == 1:
+            for i in range(1, J[BACK_NODE + lane]):
+                B[STAGE_IN * LANES + lane] += B[(HEAD_ROWS + i * NODE_ROWS + SOURCE) * LANES + lane]
     for ddt in range(
         2
     ):  # what crosses an element in no time is heat content shared, in a second conducted heat besides
@@ -250,8 +261,7 @@ def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: in
     for lane in range(LANES):
         B[ACTIVE * LANES + lane] = 1.0
     for _ in range(NEWTON_LIMIT):
-        evaluate_surface(B, J, table, chain, stage)
-        evaluate_back(B, J)
+        evaluate_faces(B, J, table, chain, stage)
         _eliminate(B, J, table, STAGE_WEIGHT * dt)
         for lane in range(LANES):
             B[behind + MOVES * LANES + lane] = B[ACTIVE * LANES + lane]
@@ -309,6 +319,8 @@ def begin(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> No
     dt is not used; it makes the signature that of a step.
     """
     forget_cells(B)
+    for lane in range(LANES):
+        B[LAG_PAST * LANES + lane] = 0.0
     heat_lanes(B, J, table, chain, 2)
     evaluate_start(B, J, table, chain)
 
@@ -326,6 +338,8 @@ def advance(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> 
     for row in STAGED:
         for lane in range(LANES):
             B[row * LANES + lane] = B[(row + 2) * LANES + lane]
+    for lane in range(LANES):
+        B[LAG_PAST * LANES + lane] = 1.0
     for stage in range(1, 3):
         heat_lanes(B, J, table, chain, stage)
     step(B, J, table, chain, dt)

@@ -36,17 +36,21 @@ from sim_heating.layout import (
     E_RIGHT,
     ENTRY,
     HEAD_ROWS,
+    LAG_INPUT,
+    LAG_PAST,
+    LAG_VALUE,
     LANES,
     LOWER,
     N_CONDITIONS,
     N_NODES,
     NODE_ROWS,
     RESIDUAL,
+    TIME,
     T,
 )
 from sim_heating.surface_heating import heat_lanes
 from sim_heating.thermal.assembly import SHARE, assemble, assemble_behind, select_pressure
-from sim_heating.thermal.faces import evaluate_back, evaluate_surface
+from sim_heating.thermal.faces import evaluate_faces
 from sim_heating.thermal.kernel import BDF_WEIGHT, STAGE_WEIGHT
 
 FloatArray = NDArray[np.float64]
@@ -62,8 +66,7 @@ def rows_at(B: FloatArray, J: IntArray, table: FloatArray, chain, ddt: float) ->
     forget_cells(B)
     heat_lanes(B, J, table, chain, 2)
     select_pressure(B, J, 2)
-    evaluate_surface(B, J, table, chain, 2)
-    evaluate_back(B, J)
+    evaluate_faces(B, J, table, chain, 2)
     for i in range(n):
         assemble(B, J, table, i, ddt)
     assemble_behind(B, n)
@@ -94,6 +97,12 @@ def assemble_shadows(
                 X[start + (HEAD_ROWS + i * NODE_ROWS + T) * LANES + s] = B[
                     (HEAD_ROWS + i * NODE_ROWS + row) * LANES + lane
                 ]
+            if stage == 1:
+                X[start + LAG_PAST * LANES + s] = 1.0
+                X[start + LAG_VALUE * LANES + s] = X[start + (LAG_VALUE + 2) * LANES + s]
+                X[start + LAG_INPUT * LANES + s] = X[start + (LAG_INPUT + 2) * LANES + s]
+            begun = C_STAGES * LANES + lane * N_CONDITIONS + TIME
+            X[start + C_STAGES * LANES + s * N_CONDITIONS + TIME] = B[begun]
             to = start + C_STAGES * LANES + (2 * LANES + s) * N_CONDITIONS
             given = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
             for c in range(N_CONDITIONS):

@@ -1,0 +1,19 @@
+"""Cooling behind the wall: convection or radiation inside the structure."""
+
+from __future__ import annotations
+
+from sim_heating.effects import Effect
+from sim_heating.parameters import Parameter
+
+EFFECT = Effect(
+    name="backface-cooling",
+    mode="model",
+    parameters=(
+        Parameter("back_h_W_m2K", "W/(m2 K)", 0.0, 10.0, 0.0, 1e4, "film coefficient behind the wall"),
+        Parameter("back_K", "K", 300.0, 30.0, 1.0, 2000.0, "temperature behind the wall"),
+        Parameter("back_emissivity", "1", 0.0, 0.3, 0.0, 1.0, "effective emittance behind the wall"),
+    ),
+    places=("back.h_W_m2K", "back.T_K", "back.emissivity"),
+    physics="Air from the vents late in the entry, and radiation to cooler structure, limit the skin's peak.",
+    source="Ko, Quinn & Gong, NASA TM-86043 and its successors (structure temperatures of STS-1 to STS-5)",
+)

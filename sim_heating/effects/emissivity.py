@@ -1,0 +1,37 @@
+"""Emittance: off by a factor, changing at some time, or changing with temperature."""
+
+from __future__ import annotations
+
+from sim_heating.arithmetic import logistic
+from sim_heating.conditions import FloatArray
+from sim_heating.effects import Effect
+from sim_heating.jit import njit
+from sim_heating.layout import TIME
+from sim_heating.parameters import Parameter
+
+FACTOR, CHANGE, SLOPE = range(3)
+SHARPNESS_S = 2.0
+"""Time that a change takes [s]."""
+REFERENCE_K = 1000.0
+
+
+@njit
+def emittance_changes(B: FloatArray, c: int, p: int, wall_K: float) -> float:
+    """1 + (factor - 1) S((t - change) / sharpness) + slope (T_w - 1000 K), not below 0 [-]."""
+    changed = (B[p + FACTOR] - 1.0) * logistic((B[c + TIME] - B[p + CHANGE]) / SHARPNESS_S)
+    return max(1.0 + changed + B[p + SLOPE] * (wall_K - REFERENCE_K), 0.0)
+
+
+EFFECT = Effect(
+    name="emissivity",
+    mode="emittance",
+    parameters=(
+        Parameter("emissivity_factor", "1", 1.0, 0.1, 0.05, 2.0, "emittance over the declared one"),
+        Parameter("change_s", "s", -1e4, 1.0, -1e5, 1e5, "time from which it holds; long before the flight: always"),
+        Parameter("emissivity_slope", "1/K", 0.0, 1e-4, -2e-3, 2e-3, "relative change of the emittance a kelvin"),
+    ),
+    kernel=emittance_changes,
+    needs_wall=True,
+    physics="Coatings age, are contaminated or blistered, and radiate otherwise when hot than their tables say.",
+    source="Emittance drift of reused tiles, Williams & Curry, NASA RP-1193 (1992)",
+)
