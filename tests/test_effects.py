@@ -151,7 +151,7 @@ def test_misspelt_parameter_and_value_out_of_bounds_are_named():
 
 
 def test_more_effects_than_the_kernel_holds_are_refused():
-    with pytest.raises(InputError, match="5 effects; 4 at most"):
+    with pytest.raises(InputError, match="5 effects with a kernel; 4 at most"):
         PointModel("p", wall((material(), 0.01)), effects=(use("jet-interaction"),) * 5)
 
 
