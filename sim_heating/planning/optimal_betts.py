@@ -51,10 +51,8 @@ def betts_problem() -> Problem:
     start = np.array([260e3 * FT_M, 0.0, 0.0, 25600.0 * FT_M, np.radians(-1.0), np.radians(90.0)])
     heating = heating_Btu_ft2_s(rho, speed, u[od.ALPHA]) / HEATING_LIMIT
     return Problem(
-        rates=ca.Function("rates", [x, u], [ca.vertcat(*rates)]),
+        model=ca.Function("model", [x, u], [ca.vertcat(*rates), heating]),
         goal=od.cross_range_function(start, 1.0),
-        path=ca.Function("heating", [x, u], [heating]),
-        path_names=("wing leading edge",),
         scale=od.SCALE, control_scale=od.CONTROL_SCALE, lower=od.LOWEST, upper=od.HIGHEST,
         control_lower=np.array([-90.0, -89.0]), control_upper=np.array([90.0, 1.0]),
         start=start,

@@ -60,15 +60,14 @@ def require_casadi() -> None:
 class Problem:
     """What is to be maximised.
 
-    rates  : CasADi function (x, u) -> dx/dt;  path : (x, u) -> (path,), or None;  goal : x -> what is maximised
+    model  : CasADi function (x, u) -> dx/dt, paths (none or more);  goal : x -> what is maximised
     scale, control_scale : typical sizes of states and controls
     lower, upper, control_lower, control_upper : their bounds
     start  : state at time 0;  end : state -> its value at the end
     duration_s : shortest and longest
-    names  : of the paths and of the states, for messages
     """
 
-    rates: Any
+    model: Any
     goal: Any
     scale: FloatArray
     control_scale: FloatArray
@@ -79,8 +78,6 @@ class Problem:
     start: FloatArray
     end: Mapping[int, float]
     duration_s: tuple[float, float]
-    path: Any = None
-    path_names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -157,7 +154,7 @@ class Transcription:
         self.problem, self.mesh, self.count = problem, mesh, len(mesh) - 1
         self.shape = (len(problem.start), DEGREE * self.count + 1)
         self.control_shape = (len(problem.control_lower), len(mesh))
-        self.paths = 0 if problem.path is None else problem.path.size1_out(0)
+        self.paths = problem.model.size1_out(1)
         self._time_scale = float(np.mean(problem.duration_s))
         nlp, options = self._program(), {"print_time": False}
         self._cold = ca.nlpsol("cold", "ipopt", nlp, options | {"ipopt": IPOPT})
@@ -189,9 +186,9 @@ class Transcription:
         defects, path = [], []
         for j in range(1, DEGREE + 1):
             at = X[:, j] * p.scale, (first + points[j] * (last - first)) * p.control_scale
-            rate = length * duration * self._time_scale * p.rates(*at) / p.scale
-            defects.append(ca.mtimes(X, ca.DM(C[:, j - 1])) - rate)
-            path += [] if p.path is None else [p.path(*at)]
+            rates, paths = p.model(*at)
+            defects.append(ca.mtimes(X, ca.DM(C[:, j - 1])) - length * duration * self._time_scale * rates / p.scale)
+            path.append(paths)
         return ca.Function("interval", [flat, u, duration, length], [ca.vertcat(*defects), ca.vertcat(*path)])
 
     def _error_function(self) -> Any:
@@ -201,7 +198,7 @@ class Transcription:
         h, share = ca.MX.sym("h"), ca.MX.sym("share")
 
         def rate(y: Any, s: Any) -> Any:
-            return self.problem.rates(y, u[:controls] + s * (u[controls:] - u[:controls]))
+            return self.problem.model(y, u[:controls] + s * (u[controls:] - u[:controls]))[0]
 
         k1 = rate(x, share)
         k2 = rate(x + 0.5 * d * h * k1, share + 0.5 * d)
