@@ -4,10 +4,10 @@ refinement.
     maximise goal(x(t_f))    with    dx/dt = f(x, u),  x(0) = x_0,  some of x(t_f) given or bounded,
                                      path(x, u) <= bound,  bounds on x, u and t_f
 
-States are polynomials of degree 3 on each interval, satisfying dx/dt = f at its three Radau points (order 5 at its end);
-controls are continuous and linear on each interval, so that what is found can be flown as it is. Paths are bounded at
-the collocation points. The error of an interval is what an independent integration across it (Runge-Kutta, 16 steps)
-adds to the end state; intervals with too much of it, and those in which a control bends, are halved.
+States are polynomials of degree 3 on each interval that satisfy dx/dt = f at its three Radau points (order 5 at its
+end); controls are continuous and linear on each interval, so that what is found can be flown as it is. Paths are
+bounded at the Radau points. The error of an interval is the distance of its end state from an independent integration
+across it (Runge-Kutta, 16 steps); intervals with too much of it, and those in which a control bends, are halved.
 Source: Betts, "Practical Methods for Optimal Control and Estimation Using Nonlinear Programming", 2nd ed., SIAM 2010,
 chapter 4; Waechter and Biegler, Math. Program. 106 (2006) 25-57 (IPOPT).
 """
@@ -26,14 +26,14 @@ from sim_heating.errors import InputError, RunError
 try:
     import casadi as ca
 except ImportError:
-    ca = None
+    ca = None  # type: ignore[assignment]
 
 FloatArray = NDArray[np.float64]
 
 DEGREE = 3
 SUBSTEPS = 16
 """Runge-Kutta steps across an interval, for its error estimate."""
-ITERATIONS = 1500
+ITERATIONS = 300
 IPOPT = {
     "print_level": 0, "sb": "yes", "tol": 1e-8, "constr_viol_tol": 1e-9, "max_iter": ITERATIONS,
     "mu_strategy": "adaptive",
@@ -82,7 +82,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Bounds:
-    """Upper bounds: of each path, and of states at the end."""
+    """Upper bounds: of each path, none being bounded where this is empty, and of states at the end."""
 
     path: Sequence[float] = ()
     end: Mapping[int, float] = field(default_factory=dict)
@@ -156,7 +156,7 @@ class Transcription:
         self.control_shape = (len(problem.control_lower), len(mesh))
         self.paths = problem.model.size1_out(1)
         self._time_scale = float(np.mean(problem.duration_s))
-        nlp, options = self._program(), {"print_time": False}
+        nlp, options = self._program(), dict[str, Any](print_time=False)
         self._cold = ca.nlpsol("cold", "ipopt", nlp, options | {"ipopt": IPOPT})
         self._warm = ca.nlpsol("warm", "ipopt", nlp, options | {"ipopt": IPOPT | WARM})
         self._across = self._error_function().map(self.count)
@@ -218,14 +218,12 @@ class Transcription:
             X_low[i, -1] = X_high[i, -1] = value / p.scale[i]
         for i, value in bounds.end.items():
             X_high[i, -1] = value / p.scale[i]
+        ends = zip(p.duration_s, (X_low, X_high), (p.control_lower, p.control_upper), strict=True)
         low, high = (
-            np.concatenate((
-                np.full(self.count, t / self._time_scale), X.ravel(order="F"), np.tile(u / p.control_scale, len(self.mesh))
-            ))
-            for t, X, u in zip(p.duration_s, (X_low, X_high), (p.control_lower, p.control_upper), strict=True)
-        )  # fmt: skip
+            self._packed(duration, X, np.repeat(u[:, np.newaxis], len(self.mesh), axis=1)) for duration, X, u in ends
+        )
         equal = np.zeros(self.shape[0] * (self.shape[1] - 1) + self.count - 1)
-        path = np.tile(np.asarray(bounds.path, dtype=float), DEGREE * self.count if self.paths else 0)
+        path = np.tile(np.asarray(bounds.path or [np.inf] * self.paths, dtype=float), DEGREE * self.count)
         lowest = np.full(len(path), -np.inf)
         return {
             "lbx": low, "ubx": high,
@@ -248,10 +246,13 @@ class Transcription:
         raise RunError(f"no flight was found: {STATUS.get(status, status)}")
 
     def _flat(self, guess: Motion) -> FloatArray:
-        p = self.problem
-        X = guess.states_at(guess.duration_s * collocation_times(self.mesh)) / p.scale[:, np.newaxis]
-        U = guess.controls_at(guess.duration_s * self.mesh) / p.control_scale[:, np.newaxis]
-        durations = np.full(self.count, guess.duration_s / self._time_scale)
+        X = guess.states_at(guess.duration_s * collocation_times(self.mesh)) / self.problem.scale[:, np.newaxis]
+        return self._packed(guess.duration_s, X, guess.controls_at(guess.duration_s * self.mesh))
+
+    def _packed(self, duration_s: float, X: FloatArray, controls: FloatArray) -> FloatArray:
+        """The program's variables from a duration, scaled states and controls."""
+        durations = np.full(self.count, duration_s / self._time_scale)
+        U = controls / self.problem.control_scale[:, np.newaxis]
         return np.concatenate((durations, X.ravel(order="F"), U.ravel(order="F")))
 
     def _motion(self, x: FloatArray, goal: float, iterations: int) -> Motion:
@@ -261,7 +262,9 @@ class Transcription:
         controls = x[after:].reshape(self.control_shape, order="F") * p.control_scale[:, np.newaxis]
         duration = float(x[0]) * self._time_scale
         lengths = duration * np.diff(self.mesh)
-        ends = np.array(self._across(states[:, :-1:DEGREE], np.vstack([controls[:, :-1], controls[:, 1:]]), lengths.reshape(1, -1)))
+        ends = np.array(
+            self._across(states[:, :-1:DEGREE], np.vstack([controls[:, :-1], controls[:, 1:]]), lengths.reshape(1, -1))
+        )
         errors = np.max(np.abs(ends - states[:, DEGREE::DEGREE]) / p.scale[:, np.newaxis], axis=0)
         return Motion(self.mesh, duration, states, controls, goal, errors, iterations)
 

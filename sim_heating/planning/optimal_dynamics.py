@@ -2,7 +2,8 @@
 
     dh/dt   = V sin g                        dlon/dt = V cos g sin a / (r cos lat)        dlat/dt = V cos g cos a / r
     dV/dt   = -D - mu/r^2 sin g + w^2 r cos lat (sin g cos lat - cos g sin lat cos a)
-    V dg/dt = L cos b + (V^2/r - mu/r^2) cos g + 2 w V cos lat sin a + w^2 r cos lat (cos g cos lat + sin g sin lat cos a)
+    V dg/dt = L cos b + (V^2/r - mu/r^2) cos g + 2 w V cos lat sin a
+              + w^2 r cos lat (cos g cos lat + sin g sin lat cos a)
     V cos g da/dt = L sin b + V^2/r cos^2 g sin a tan lat - 2 w V (sin g cos lat cos a - cos g sin lat)
                     + w^2 r sin lat cos lat sin a
 
@@ -60,11 +61,17 @@ def motion_rates(x: Any, lift_m_s2: Any, drag_m_s2: Any, bank_deg: Any, planet: 
 
 
 def cross_range_function(start: FloatArray, side: float) -> Any:
-    """x -> angle [rad] from the great circle that the flight starts along; side +1 counts to its left, -1 to its right."""
+    """x -> angle [rad] from the great circle that the flight starts along, to its left (side 1) or right (side -1)."""
     lon, lat, heading = start[LONGITUDE], start[LATITUDE], start[HEADING]
     up = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
     east = np.array([-np.sin(lon), np.cos(lon), 0.0])
     left = np.cross(up, np.cos(heading) * np.cross(up, east) + np.sin(heading) * east)
     x = ca.SX.sym("x", len(start))
-    there = [ca.cos(x[LATITUDE]) * ca.cos(x[LONGITUDE]), ca.cos(x[LATITUDE]) * ca.sin(x[LONGITUDE]), ca.sin(x[LATITUDE])]
-    return ca.Function("cross_range", [x], [side * ca.asin(sum(float(c) * t for c, t in zip(left, there, strict=True)))])
+    there = [
+        ca.cos(x[LATITUDE]) * ca.cos(x[LONGITUDE]),
+        ca.cos(x[LATITUDE]) * ca.sin(x[LONGITUDE]),
+        ca.sin(x[LATITUDE]),
+    ]
+    return ca.Function(
+        "cross_range", [x], [side * ca.asin(sum(float(c) * t for c, t in zip(left, there, strict=True)))]
+    )

@@ -3,7 +3,7 @@
 format = "optimal-entry/1"
 title = "..."
 vehicle = "orbiter"                 # a vehicle's name, or its directory relative to the study
-probability = 0.95                  # of keeping all limits, the tables being as sure as their sigma; left out: as they stand
+probability = 0.95                  # of keeping all limits, tables as sure as their sigma; left out: as they stand
 [initial]                           # as in a scenario's [trajectory.initial]
 [end]                               # altitude_m, velocity_m_s, gamma_deg
 [state]                             # as in a scenario's [trajectory.vehicle]
@@ -12,8 +12,9 @@ probability = 0.95                  # of keeping all limits, the tables being as
 
 from __future__ import annotations
 
+import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pydantic import Field, field_validator
@@ -76,7 +77,7 @@ class OptimalStudyFile(Declared):
 
 @dataclass(frozen=True)
 class LimitedPoint:
-    """A control point with the temperatures that it may not pass [K], None where there is no limit."""
+    """A control point with the temperatures that it may not pass [K]; where there is none, infinite, or None."""
 
     point: ControlPoint
     surface_K: float
@@ -95,6 +96,12 @@ class OptimalStudy:
     def title(self) -> str:
         """Title of the study."""
         return self.declared.title
+
+
+def without_limits(study: OptimalStudy) -> OptimalStudy:
+    """The same study with its points watched and not limited."""
+    points = tuple(LimitedPoint(p.point, math.inf, None) for p in study.points)
+    return replace(study, points=points, declared=study.declared.model_copy(update={"probability": None}))
 
 
 def load_optimal_study(path: str | os.PathLike[str]) -> OptimalStudy:

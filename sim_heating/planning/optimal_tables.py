@@ -121,17 +121,16 @@ def wall_temperatures(study: OptimalStudy, aero: Aerodynamics, models: Sequence[
     alpha = _alphas(study)
     order = _neighbours(len(h), len(V), len(alpha))
     nodes = np.array([g.ravel()[order] for g in np.meshgrid(h, V, alpha, indexing="ij")])
-    states = np.zeros((od.STATES, nodes.shape[1]))
-    states[od.ALTITUDE], states[od.SPEED] = nodes[0], nodes[1]
-    grid = conditions_along(
-        study, aero, HELD_S * np.arange(nodes.shape[1]), states, np.array([nodes[2], np.zeros(nodes.shape[1])])
-    )
+    count = nodes.shape[1]
+    states, controls = np.zeros((od.STATES, count)), np.zeros((2, count))
+    states[od.ALTITUDE], states[od.SPEED], controls[od.ALPHA] = nodes
+    time = np.linspace(0.0, HELD_S * (count - 1), count)
+    grid = conditions_along(study, aero, time, states, controls)
     flights = [conditions_at_point(study.vehicle, p.point, grid) for p in study.points]
     walls = march_points([_thin(m) for m in models], flights, longest_step_s=WALL_STEP_S)
-    values = np.empty((len(models), len(order)))
-    values[:, order] = [w.surface_K / 1e3 for w in walls]
-    values = values.reshape(len(models), len(h), len(V), len(alpha))
-    return _spline("wall", [h, V, alpha], values)
+    flat = np.empty((len(models), len(order)))
+    flat[:, order] = [w.surface_K / 1e3 for w in walls]
+    return _spline("wall", [h, V, alpha], flat.reshape(len(models), len(h), len(V), len(alpha)))
 
 
 def _neighbours(rows: int, columns: int, layers: int) -> NDArray[np.int64]:

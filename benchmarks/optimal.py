@@ -1,0 +1,86 @@
+"""Optimal entries: Betts' published cross-range, and the Orbiter's below its control points' temperature limits."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.measure import Figure, save
+from sim_heating.planning.optimal import OptimalEntry, fly_optimal
+from sim_heating.planning.optimal_betts import PUBLISHED, betts_bounds, betts_guess, betts_problem
+from sim_heating.planning.optimal_collocation import Motion, Transcription, refined_mesh
+from sim_heating.planning.optimal_plot import draw_optimal
+from sim_heating.planning.optimal_spec import load_optimal_study, without_limits
+
+ROOT = Path(__file__).parent.parent
+STUDIES = ROOT / "scenarios" / "studies"
+PICTURE = ROOT / "docs" / "images" / "optimal_entry.png"
+MESH_TOLERANCE = 1e-6
+FIRST_INTERVALS = 30
+BEND = np.array([0.05, 0.3])
+
+
+def _betts(case: str) -> list[Motion]:
+    """Betts' problem on one mesh after another, until every interval's error is small."""
+    problem = betts_problem()
+    mesh, motions = np.linspace(0.0, 1.0, FIRST_INTERVALS + 1), [betts_guess(problem)]
+    while len(motions) == 1 or np.max(motions[-1].errors) > MESH_TOLERANCE:
+        motions.append(Transcription(problem, mesh).solve(motions[-1], betts_bounds(case == "limited")))
+        mesh = refined_mesh(motions[-1], MESH_TOLERANCE, BEND)
+    return motions[1:]
+
+
+def _betts_figures(case: str) -> list[Figure]:
+    latitude_deg, time_s = PUBLISHED[case]
+    start = time.perf_counter()
+    motions = _betts(case)
+    last, took = motions[-1], time.perf_counter() - start
+    reached = float(np.degrees(last.goal))
+    note = f"{reached:.4f} deg in {last.duration_s:.2f} s; published {latitude_deg} deg in {time_s} s"
+    name = f"Betts, {'heating limited' if case == 'limited' else 'free'}"
+    return [
+        Figure(f"{name}: cross-range off the published one", abs(reached / latitude_deg - 1.0), "", 1e-3, note=note),
+        Figure(
+            f"{name}: mesh error", float(np.max(last.errors)), "", MESH_TOLERANCE, note=f"{len(last.errors)} intervals"
+        ),
+        Figure(f"{name}: time", took, "s", note=f"{len(motions)} meshes"),
+    ]
+
+
+def _entry_figures(name: str, entry: OptimalEntry, took: float) -> list[Figure]:
+    margins = [m for p in entry.peaks for m in p.margins() if np.isfinite(m)]
+    figures = [
+        Figure(f"{name}: cross-range", entry.cross_range_deg, "deg", note=f"{entry.motion.duration_s:.0f} s"),
+        Figure(f"{name}: time", took, "s", note=f"{len(entry.rounds)} rounds, {len(entry.motion.errors)} intervals"),
+    ]
+    if margins:
+        figures += [
+            Figure(f"{name}: least margin, marched", min(margins), "K", 0.0, True, note=entry.status),
+            Figure(f"{name}: least margin, marched", min(margins), "K", entry.study.declared.tolerance_K),
+        ]
+    for nominal, peak in zip(entry.nominal, entry.peaks, strict=True):
+        note = f"bondline {peak.bondline_K:.1f}; as tables stand {nominal.surface_K:.1f}, {nominal.bondline_K:.1f} K"
+        figures.append(Figure(f"{name}: peak surface of {peak.point}", peak.surface_K, "K", note=note))
+    return figures
+
+
+def run() -> list[Figure]:
+    """Both cases of Betts, then the shipped studies; draws the first of them beside the flight without limits."""
+    figures = [*_betts_figures("free"), *_betts_figures("limited")]
+    limited = load_optimal_study(STUDIES / "optimal_entry.toml")
+    studies = {
+        "without limits": without_limits(limited),
+        "limited": limited,
+        "limited, 0.9 sure": load_optimal_study(STUDIES / "optimal_entry_sure.toml"),
+    }
+    entries = {}
+    for name, study in studies.items():
+        start = time.perf_counter()
+        entries[name] = fly_optimal(study)
+        figures += _entry_figures(f"Orbiter, {name}", entries[name], time.perf_counter() - start)
+    drawn = {name: entries[name] for name in ("limited", "without limits")}
+    draw_optimal(PICTURE, limited.title, drawn)
+    save("optimal", figures)
+    return figures
