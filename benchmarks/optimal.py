@@ -55,6 +55,8 @@ def _entry_figures(name: str, entry: OptimalEntry, took: float) -> list[Figure]:
         Figure(f"{name}: cross-range", entry.cross_range_deg, "deg", note=f"{entry.motion.duration_s:.0f} s"),
         Figure(f"{name}: time", took, "s", note=f"{len(entry.rounds)} rounds, {len(entry.motion.errors)} intervals"),
     ]
+    if entry.notes:
+        figures.append(Figure(f"{name}: notes", len(entry.notes), "", note="; ".join(entry.notes)))
     if margins:
         figures += [
             Figure(f"{name}: least margin, marched", min(margins), "K", 0.0, True, note=entry.status),

@@ -205,7 +205,7 @@ def test_a_wall_that_stores_no_heat_is_what_a_long_march_settles_to():
 def test_a_limit_that_no_flight_keeps_is_told_in_one_line():
     cold = COLD_LIMIT.replace("1900.0", "700.0")
     with pytest.raises(RunError, match=r"no flight was found.*NOSECAP to \d+ K at the surface, against 700 K") as told:
-        fly_optimal(study_of(cold, intervals=15, mesh_tolerance=1e-2))
+        fly_optimal(study_of(cold, intervals=8, mesh_tolerance=1e-2))
     assert "\n" not in str(told.value)
 
 

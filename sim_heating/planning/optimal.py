@@ -53,7 +53,7 @@ class OptimalEntry:
     histories    : marched temperatures of the limited points, soak included, tables as the limits were kept with
     peaks        : of these;  nominal : the same flight with the tables as they stand
     rounds       : how it converged
-    status       : in words
+    status       : in words;  notes : where the flight leaves a ratio table or the elevon its travel, a line each
     """
 
     study: OptimalStudy
@@ -65,6 +65,7 @@ class OptimalEntry:
     nominal: tuple[Peak, ...]
     rounds: tuple[Round, ...]
     status: str
+    notes: tuple[str, ...] = ()
 
     @property
     def cross_range_deg(self) -> float:
@@ -177,7 +178,7 @@ def _entry(search: Search, motion: Motion, rounds: Sequence[Round]) -> OptimalEn
     nominal = search.peaks(search.march(flown, search.nominal))
     entry = OptimalEntry(
         search.study, motion, flown, float(motion.goal) * tables.PLANET.radius_m / 1e3,
-        tuple(histories), peaks, nominal, tuple(rounds), "",
+        tuple(histories), peaks, nominal, tuple(rounds), "", tuple(search.notes(flown)),
     )  # fmt: skip
     return replace(entry, status=_status(entry))
 

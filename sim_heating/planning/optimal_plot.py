@@ -51,4 +51,5 @@ def draw_optimal(path: Path, title: str, entries: Mapping[str, OptimalEntry]) ->
     for place in (axes[0, 1], axes[1, 0], axes[1, 1], axes[2, 0]):
         place.set_xlim(0.0, 1.02 * end)
     axes[2, 0].set_ylim(0.0, 1.1 * max(float(np.max(h.surface_K)) for e in entries.values() for h in e.histories))
-    _save(figure, path, title, axes)
+    vehicle = next(iter(entries.values())).study.vehicle
+    _save(figure, path, f"{title}\n{vehicle.name}, revision {vehicle.revision}", axes)

@@ -23,9 +23,10 @@ from sim_heating.planning.optimal_collocation import (
 )
 from sim_heating.planning.optimal_spec import LimitedPoint, OptimalStudy
 from sim_heating.points import conditions_at_point, point_of_vehicle
-from sim_heating.temperatures import PointHistory, march_points
+from sim_heating.temperatures import PointHistory, march_points, outside_table
 from sim_heating.thermal.declare import pairs
 from sim_heating.thermal.faces import SIGMA
+from sim_heating.trajectory.trimmed_aero import ELEVON_HIGH, ELEVON_LOW
 
 SAMPLE_S = 1.0
 LOAD_SCALE = 1e6
@@ -161,6 +162,23 @@ class Search:
             Peak(p.point.name, float(np.max(h.surface_K)), p.surface_K, float(np.max(h.bondline_K)), p.bondline_K)
             for p, h in zip(self.study.points, histories, strict=True)
         )
+
+    def notes(self, flown: Conditions) -> list[str]:
+        """Where the flight leaves the ratio tables, and how long the elevon is at the end of its travel."""
+        found = [
+            f"{m.name}: {o.variable} up to {o.farthest:.3g} outside the ratio table, {o.duration_s:.0f} s in all, "
+            f"first at {o.first_s:.0f} s"
+            for m in self.models
+            for o in outside_table(m, flown)
+        ]
+        low, high = self.aero.entry.flight[[ELEVON_LOW, ELEVON_HIGH]]
+        ended = (flown["elevon_deg"] <= low) | (flown["elevon_deg"] >= high)
+        if np.any(ended):
+            lasts = float(np.sum(np.gradient(flown.time_s)[ended]))
+            found.append(
+                f"elevon at the end of its travel for {lasts:.0f} s from {flown.time_s[ended][0]:.0f} s: not in trim"
+            )
+        return found
 
     def hottest(self, motion: Motion) -> FloatArray:
         """Highest T_e of each point along a motion [K]."""
