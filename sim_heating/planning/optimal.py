@@ -133,7 +133,8 @@ def fly_optimal(study: OptimalStudy, *, progress: Progress = lambda _: None) -> 
             return _entry(search, motion, rounds)
         if not fine:
             transcription = Transcription(search.problem, finer)
-    raise RunError(_told(study, rounds, f"the limits were not met within {ROUNDS} rounds"))
+    why = f"limits and mesh did not settle in {ROUNDS} rounds, mesh error {worst:.1e} (mesh_tolerance, tolerance_K)"
+    raise RunError(_told(study, rounds, why))
 
 
 def _steer(s: _Steering, search: Search, motion: Motion, peaks: Sequence[Peak], tolerance_K: float) -> bool:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from sim_heating.planning.optimal import OptimalEntry
-from sim_heating.plots import _figure, _save
+from sim_heating.plots import new_figure, save_figure
 
 STYLES = ("-", "--", ":")
 
@@ -18,7 +18,7 @@ def draw_optimal(path: Path, title: str, entries: Mapping[str, OptimalEntry]) ->
 
     entries : up to three, by their names in the legend; limits are dotted
     """
-    figure, axes = _figure(11.0, 10.5, 3, 2)
+    figure, axes = new_figure(11.0, 10.5, 3, 2)
     insulated = {p.point.name for e in entries.values() for p in e.study.points if p.bondline_K is not None}
     for (name, entry), style in zip(entries.items(), STYLES, strict=False):
         flown, t = entry.conditions, entry.conditions.time_s
@@ -52,4 +52,4 @@ def draw_optimal(path: Path, title: str, entries: Mapping[str, OptimalEntry]) ->
         place.set_xlim(0.0, 1.02 * end)
     axes[2, 0].set_ylim(0.0, 1.1 * max(float(np.max(h.surface_K)) for e in entries.values() for h in e.histories))
     vehicle = next(iter(entries.values())).study.vehicle
-    _save(figure, path, f"{title}\n{vehicle.name}, revision {vehicle.revision}", axes)
+    save_figure(figure, path, f"{title}\n{vehicle.name}, revision {vehicle.revision}", axes)
