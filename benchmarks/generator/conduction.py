@@ -168,15 +168,23 @@ def _faces(thickness_m: Sequence[float], depths_m: Sequence[float], refine: floa
         s = np.linspace(0.0, 1.0, cells + 1)
         faces = outer + thickness * (np.expm1(GRADING * s) / np.expm1(GRADING) if i == 1 else s)
         inside = sorted(depth for depth in depths_m if faces[0] + 1e-9 < depth < faces[-1] - 1e-9)
-        if inside:
-            numbers = np.maximum.accumulate([int(np.argmin(np.abs(faces - depth))) for depth in inside])
-            numbers = [0, *np.clip(numbers + np.arange(len(inside)) * (np.diff(numbers, prepend=-1) == 0), 1, None), cells]
-            warp = PchipInterpolator(faces[numbers], [faces[0], *inside, faces[-1]])
-            faces = np.asarray(warp(faces))
-            faces[numbers] = [faces[0], *inside, faces[-1]]
-        found.append(faces)
+        found.append(_warped(faces, inside))
         outer += thickness
     return found
+
+
+def _warped(faces: FloatArray, depths_m: Sequence[float]) -> FloatArray:
+    """Faces shifted smoothly, the two ends kept, so that a face of its own lies at each of the increasing depths."""
+    last = len(faces) - 1
+    numbers = [0]
+    for i, depth in enumerate(depths_m):
+        nearest = int(np.argmin(np.abs(faces - depth)))
+        numbers.append(min(max(nearest, numbers[-1] + 1), last - len(depths_m) + i))
+    numbers.append(last)
+    targets = np.array([faces[0], *depths_m, faces[-1]])
+    warped = np.asarray(PchipInterpolator(faces[numbers], targets)(faces))
+    warped[numbers] = targets
+    return warped
 
 
 def _padded(tables: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
@@ -258,7 +266,9 @@ def _enthalpy_at(H_w, log_p, T):
 
 
 @njit(cache=True, error_model="numpy")
-def _wall_temperature(guess, film, H_r, q_add, log_p, H_w, eps_T, eps, eps_factor, T_sur, hot_T, hot, hot_share, G, T_in):
+def _wall_temperature(
+    guess, film, H_r, q_add, log_p, H_w, eps_T, eps, eps_factor, T_sur, hot_T, hot, hot_share, G, T_in
+):
     """T_w that closes the balance with conduction G (T_w - T_in) inward."""
     T = guess
     for _ in range(30):

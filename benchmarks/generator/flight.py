@@ -2,7 +2,7 @@
 
     dV/dt = -rho V^2 / (2 B) - g dh/dt / V,     h = H(V) below the pull-out, a cubic in time above it
 
-Not a vehicle's flight mechanics: an entry of the right speeds, densities and times whose corridor, ballistic coefficient,
+Not a vehicle's flight mechanics: an entry of the right speeds, densities and times; corridor, ballistic coefficient,
 angle of attack and manoeuvres differ from record to record.
 """
 
@@ -23,7 +23,7 @@ Generator = np.random.Generator
 
 CORRIDOR_KM_S = [0.6, 1.0, 1.8, 2.65, 3.9, 4.5, 5.5, 6.3, 7.0, 7.7]
 CORRIDOR_KM = [26.0, 33.0, 42.0, 49.0, 57.0, 60.5, 66.0, 70.0, 74.0, 79.0]
-"""Altitude over velocity of a Shuttle-type entry; 8 to 21 as in the practice of its flight tests, the rest continued."""
+"""Altitude over velocity of a Shuttle-type entry, between Mach 8 and 21 as it was flown; the rest is continued."""
 
 INTERFACE_M = 121_920.0
 G_M_S2 = 9.6
@@ -74,7 +74,7 @@ def _descent(rng: Generator, ballistic: float) -> tuple[FloatArray, FloatArray]:
     down_s, sink = rng.uniform(310.0, 400.0), -V * np.sin(np.radians(rng.uniform(1.1, 1.5)))
     pulled_out = _corridor_m(V) + shift
     rows = [(h, V)]
-    while V > last_V and t < longest_s:
+    while t < longest_s and last_V < V:
         drag = 0.5 * us76_kernel(h)[2] * V * V / ballistic
         t += 1.0
         if t <= down_s:

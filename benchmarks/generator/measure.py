@@ -41,7 +41,8 @@ def draw_recorder(rng: Generator, end_s: float) -> Recorder:
     offset = round(float(rng.uniform(0.0, period)), 1) if rng.random() < 0.5 else 0.0
     time = np.round(np.arange(offset, end_s, period), 1)
     lost = float(rng.uniform(0.002, 0.03)) if rng.random() < 0.4 else 0.0
-    starts = rng.uniform(0.3 * end_s, 0.9 * end_s, rng.integers(1, 3)) if rng.random() < 0.25 else []
+    gap_count = int(rng.integers(1, 3)) if rng.random() < 0.25 else 0
+    starts = rng.uniform(0.3 * end_s, 0.9 * end_s, gap_count)
     gaps = [[round(float(s), 1), round(float(s + rng.uniform(4.0, 25.0)), 1)] for s in starts]
     colour = float(rng.uniform(0.05, 0.25)) if rng.random() < 0.15 else 0.0
     return Recorder(time, offset, round(colour, 3), round(float(rng.uniform(1.5, 5.0)), 2), round(lost, 4), gaps)
@@ -109,7 +110,7 @@ def draw_segments(
     if rng.random() < 0.05:
         return None
     first = round(float(rng.uniform(0.0, 300.0)), 1)
-    holdouts = []
+    holdouts: list[list[float]] = []
     kinds = [kind for kind, *_ in manoeuvres]
     for kind, start, end in manoeuvres:
         if kinds.count(kind) > 1 and rng.random() < 0.5 and not holdouts:

@@ -1,16 +1,16 @@
 """Effects on the wall, its surface, its back, its depth, and on the thermocouples.
 
-    catalysis            1 + step g,  g logistic in T_w | ramp in T_w | logistic in recovery enthalpy
-    emissivity           a factor | after a step | after a ramp | 1 + slope (T - 900 K)
-    coating-thickness    factor | factor, and a coating that conducts less
-    conductivity         factor | factor that grows with temperature
-    heat-capacity        of the insulation | of the coating | of the insulation, growing with temperature
-    radiative-conduction k_rad (T / 1000 K)^3 | ^4 | cubic from 600 K up
-    backface-cooling     film | radiation | free convection, h ~ |T - T_b|^1/4 | both
-    gap-flow             share of the convective flux at depth z: exp(-z/d) | box | exp(-z/d), taken from the surface | bell
-    moisture             latent heat as capacity about the boiling point | evaporation at a rate | and condensing further in
-    sensor-bias          offset | gain | both
-    time-skew            constant | drifting clock
+catalysis            1 + step g,  g logistic in T_w | ramp in T_w | logistic in recovery enthalpy
+emissivity           a factor | after a step | after a ramp | 1 + slope (T - 900 K)
+coating-thickness    factor | factor, and a coating that conducts less
+conductivity         factor | factor that grows with temperature
+heat-capacity        of the insulation | of the coating | of the insulation, growing with temperature
+radiative-conduction k_rad (T / 1000 K)^3 | ^4 | cubic from 600 K up
+backface-cooling     film | radiation | free convection, h ~ |T - T_b|^1/4 | both
+gap-flow             share of the convective flux at depth z: exp(-z/d) | box | exp(-z/d), taken from the surface | bell
+moisture             latent heat as capacity about the boiling point | evaporation at a rate | and condensing further in
+sensor-bias          offset | gain | both
+time-skew            constant | drifting clock
 """
 
 from __future__ import annotations
@@ -46,12 +46,16 @@ def _draw_catalysis(rng: Generator, case: Case, form: str) -> dict[str, Any]:
     step = float(sign(rng) * rng.uniform(0.06, 0.4)) if rng.random() < 0.3 else float(rng.uniform(0.06, 0.5))
     if form == "enthalpy":
         H = case.fine["H_r_J_kg"][case.hot]
-        middle = np.min(H) + rng.uniform(0.3, 0.7) * np.ptp(H)
-        return {"catalysis_step": -abs(step), "enthalpy_J_kg": float(middle), "width_J_kg": float(rng.uniform(1e6, 4e6))}
+        middle = float(np.min(H) + rng.uniform(0.3, 0.7) * np.ptp(H))
+        return {
+            "catalysis_step": -abs(step),
+            "enthalpy_J_kg": float(middle),
+            "width_J_kg": float(rng.uniform(1e6, 4e6)),
+        }
     T = case.temperatures()[:, 0]
     if np.max(T) < 750.0:
         raise Unsuitable
-    middle = rng.uniform(600.0, np.max(T) - 40.0)
+    middle = float(rng.uniform(600.0, np.max(T) - 40.0))
     return {"catalysis_step": step, "catalysis_K": float(middle), "catalysis_width_K": float(rng.uniform(20.0, 120.0))}
 
 
@@ -125,7 +129,11 @@ def _by_temperature(table: Any, factor: float, growth: float) -> Any:
 
     if isinstance(table, Mapping):
         rows = np.array([np.interp(DENSE_K, table["T_K"], column) for column in np.array(table["k"]).T]).T
-        return {**table, "T_K": DENSE_K, "k": [[float(v * at(T)) for v in row] for T, row in zip(DENSE_K, rows, strict=True)]}
+        return {
+            **table,
+            "T_K": DENSE_K,
+            "k": [[float(v * at(T)) for v in row] for T, row in zip(DENSE_K, rows, strict=True)],
+        }
     values = np.interp(DENSE_K, *np.array(table).T)
     return [[T, float(v * at(T))] for T, v in zip(DENSE_K, values, strict=True)]
 

@@ -177,7 +177,9 @@ def write(made: Made, out: Path) -> None:
         write_text_atomic(folder / "record.toml", toml_text(declaration(made)))
         write_csv(folder / "conditions.csv", case.recorded, FORMATS)
         columns = {s["column"]: made.measured_K[:, i] for i, s in enumerate(case.point.sensors)}
-        write_csv(folder / "thermocouples.csv", {"time_s": t} | columns, {"time_s": ".1f"} | dict.fromkeys(columns, ".3f"))
+        write_csv(
+            folder / "thermocouples.csv", {"time_s": t} | columns, {"time_s": ".1f"} | dict.fromkeys(columns, ".3f")
+        )
         grid = np.meshgrid(*case.point.ratio.axes, indexing="ij")
         table = {v: g.ravel() for v, g in zip(VARIABLES, grid, strict=True)} | {"ratio": case.point.ratio.table.ravel()}
         named = case.heating["reference"]

@@ -1,7 +1,7 @@
 """How much of an effect is left when scale and slopes are refitted, and which other effects look the same.
 
-Small errors: readings are taken as linear in the parameters, y = J p, and what least squares leaves of the effect's change
-of the readings is its residual. All is weighted with each sensor's noise floor, and marched on SPARSE of the cells:
+Small errors: readings are taken as linear in the parameters, y = J p, and what least squares leaves of the effect's
+change of the readings is its residual. All is weighted with each sensor's noise floor, and marched on SPARSE of the cells:
 differences need no more.
 """
 
@@ -29,7 +29,7 @@ class Seen:
     slopes    : (reading, 6) change with scale and slopes, over the floor
     change    : (reading,) change by the effect, over the floor
     visibility_K, residual_K : RMS change before and after the refit
-    residual_over_floor      : RMS of the residual over the floor where it exceeds two floors; 0 in fewer than 10 samples
+    residual_over_floor      : RMS of the residual over the floor where it exceeds two floors, 0 below 10 samples
     """
 
     slopes: FloatArray
