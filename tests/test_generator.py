@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import tomllib
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -127,7 +126,7 @@ def test_generator_integrates_its_cells_as_radau_does(kind):
     expected = radau(case, wall, end_s)
     found = case.temperatures(refine=0.3)[:, 0][: 10 * len(expected) : 10]
     assert np.ptp(case.x[0, : 10 * len(expected)]) > 4.0  # a manoeuvre is in it
-    assert np.max(np.abs(found - expected)) < 0.02
+    assert np.max(np.abs(found - expected)[1:]) < 0.02  # the first is the initial temperature, not yet in balance
 
 
 @pytest.mark.parametrize("kind", ["lower", "felt", "standoff", "metals"])
@@ -144,14 +143,19 @@ def test_generator_is_of_second_order_in_depth():
     assert 3.0 < far / near < 5.5
 
 
+def at_the_true_parameters(made: Made, record: Record) -> FloatArray:
+    """(sensor, sample) the program's temperatures [K] on 100 nodes with the scale and slopes of the answer."""
+    parameters = {f"ratio.{name}": value for name, value in made.answer["true_errors"].items()}
+    reference = tuple(made.answer["reference_condition"][v] for v in RATIO_VARIABLES)
+    model = replace(point_of_record(record, parameters), reference=reference, nodes=100)
+    return predict(record, model).indicated_K
+
+
 @pytest.mark.parametrize("number", range(5))
 def test_program_with_the_true_parameters_reproduces_a_null_record(number, tmp_path):
     made = null_record(number)
-    record, truth = written(made, tmp_path), made.answer
-    parameters = {f"ratio.{name}": value for name, value in truth["true_errors"].items()}
-    reference = tuple(truth["reference_condition"][v] for v in RATIO_VARIABLES)
-    found = predict(record, replace(point_of_record(record, parameters), reference=reference))
-    assert np.nanmax(np.abs(found.indicated_K - made.indicated_K.T)) < 0.2
+    found = at_the_true_parameters(made, written(made, tmp_path))
+    assert np.nanmax(np.abs(found - made.indicated_K.T)) < 0.2
 
 
 # Records -------------------------------------------------------------------------------------------------------------
@@ -179,11 +183,11 @@ def test_same_seed_makes_the_same_record_and_another_does_not():
 
 
 @pytest.mark.parametrize("effect", ["transition", "conductivity", "time-skew", "catalysis", "moisture"])
-def test_an_effect_shows_and_the_record_does_not_name_it(effect, tmp_path):
+def test_an_effect_moves_the_readings_by_what_the_answer_says(effect, tmp_path):
     made = make(SEED, 7, effect)
     record = written(made, tmp_path)
-    text = (tmp_path / made.name / "record.toml").read_text(encoding="utf-8")
+    used = [i for i, s in enumerate(record.sensors) if s.used]
+    moved = (made.indicated_K.T - at_the_true_parameters(made, record))[:, record.fit_mask()][used]
+    assert np.sqrt(np.nanmean(moved**2)) == pytest.approx(made.answer["visibility_K"], rel=0.05, abs=0.1)
     assert LIMITS[0] <= made.answer["residual_over_floor"] <= LIMITS[1]
-    assert effect not in text
-    assert tomllib.loads(text)["title"] == record.declared.title
     assert made.answer["accepted"][0] == effect

@@ -376,5 +376,6 @@ def _march(
         out[step, 0] = T_w
         for m in range(len(faces)):
             j = faces[m]
-            left, right = k[j - 1] / dx[j - 1], k[j] / dx[j]
-            out[step, 1 + m] = (left * T[j - 1] + right * T[j]) / (left + right)
+            # Outer side of a contact resistance; without one the two sides are one.
+            flux = conductance[j - 1] * (T[j - 1] - T[j])
+            out[step, 1 + m] = T[j - 1] - 0.5 * flux * dx[j - 1] / k[j - 1]

@@ -1,8 +1,8 @@
 """How much of an effect is left when scale and slopes are refitted, and which other effects look the same.
 
 Small errors: readings are taken as linear in the parameters, y = J p, and what least squares leaves of the effect's
-change of the readings is its residual. All is weighted with each sensor's noise floor, and marched on SPARSE of the cells:
-differences need no more.
+change of the readings is its residual. All is weighted with each sensor's noise floor and marched on SPARSE of the
+cells: differences need no more.
 """
 
 from __future__ import annotations
