@@ -28,6 +28,7 @@ class Family:
     manoeuvres    : that a flight must hold
     kinds         : of control points that show it; empty for all
     least_sensors : fewer than that cannot show it
+    residual      : range that its residual over the noise floor, where it acts, is drawn from
     """
 
     name: str
@@ -38,6 +39,7 @@ class Family:
     manoeuvres: tuple[str, ...] = ()
     kinds: tuple[str, ...] = ()
     least_sensors: int = 1
+    residual: tuple[float, float] = (2.2, 16.0)
 
 
 @dataclass(frozen=True)
@@ -67,9 +69,9 @@ class Drawn:
         return replace(self, parameters=changed)
 
 
-def draw_effect(rng: Generator, family: Family, case: Case) -> Drawn | None:
-    """An effect of a family with a random form, or None where the case cannot show it."""
-    form = str(rng.choice(family.forms))
+def draw_effect(rng: Generator, family: Family, case: Case, form: str | None = None) -> Drawn | None:
+    """An effect of a family with a random form unless one is given, or None where the case cannot show it."""
+    form = str(rng.choice(family.forms)) if form is None else form
     try:
         drawn = family.draw(rng, case, form)
     except Unsuitable:

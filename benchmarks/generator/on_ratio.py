@@ -98,16 +98,13 @@ def _draw_impingement(rng: Generator, case: Case, form: str) -> dict[str, Any]:
     if top - middle < 1.5:
         raise Unsuitable
     onset = middle + rng.uniform(0.2, 0.6) * (top - middle)
-    return {
-        "alpha_onset_deg": float(onset),
-        "slope": float(case.r_0 * rng.uniform(0.02, 0.15)),
-        "blend_deg": float(rng.uniform(0.3, 1.0)),
-    }
+    drawn = {"alpha_onset_deg": float(onset), "slope": float(case.r_0 * rng.uniform(0.02, 0.15))}
+    return drawn if form == "ramp" else drawn | {"blend_deg": float(rng.uniform(0.3, 1.0))}
 
 
 def _impingement(case: Case, form: str, p: Parameters) -> Nature:
     past = case.x[ALPHA] - p["alpha_onset_deg"]
-    w = p["blend_deg"]
+    w = p.get("blend_deg", 0.0)
     if form == "soft":
         rise = w * np.logaddexp(0.0, past / w)
     elif form == "saturating":
@@ -126,10 +123,11 @@ def _curvature(name: str, variable: int, manoeuvre: str, kinds: tuple[str, ...])
     def draw(rng: Generator, case: Case, form: str) -> dict[str, Any]:
         if np.ptp(case.x[variable][case.hot]) < 4.0:
             raise Unsuitable
-        return {key: float(sign(rng) * case.r_0 * rng.uniform(0.002, 0.01)), "scale_deg": float(rng.uniform(6.0, 15.0))}
+        drawn = {key: float(sign(rng) * case.r_0 * rng.uniform(0.002, 0.01))}
+        return drawn if form == "quadratic" else drawn | {"scale_deg": float(rng.uniform(6.0, 15.0))}
 
     def nature(case: Case, form: str, p: Parameters) -> Nature:
-        x, s = departure(case, variable), p["scale_deg"]
+        x, s = departure(case, variable), p.get("scale_deg", 0.0)
         if form == "cosh":
             return Nature(add=p[key] * 2.0 * s * s * (np.cosh(np.clip(x / s, -1.5, 1.5)) - 1.0))
         if form == "skewed":
@@ -144,14 +142,17 @@ PRODUCTS = {"d_alpha_elevon": (ALPHA, ELEVON), "d_alpha_bodyflap": (ALPHA, FLAP)
 
 def _draw_interaction(rng: Generator, case: Case, form: str) -> dict[str, Any]:
     key = str(rng.choice(list(PRODUCTS)))
-    return {key: float(sign(rng) * case.r_0 * rng.uniform(0.003, 0.015)), "scale_deg2": float(rng.uniform(25.0, 60.0))}
+    drawn = {key: float(sign(rng) * case.r_0 * rng.uniform(0.003, 0.015))}
+    return drawn if form == "product" else drawn | {"scale_deg2": float(rng.uniform(25.0, 60.0))}
 
 
 def _interaction(case: Case, form: str, p: Parameters) -> Nature:
     key = next(k for k in PRODUCTS if k in p)
     first, second = (departure(case, v) for v in PRODUCTS[key])
-    product, s = first * second, p["scale_deg2"]
-    return Nature(add=p[key] * (s * np.tanh(product / s) if form == "saturating" else product))
+    product = first * second
+    if form == "saturating":
+        product = p["scale_deg2"] * np.tanh(product / p["scale_deg2"])
+    return Nature(add=p[key] * product)
 
 
 def _draw_sideslip(rng: Generator, case: Case, form: str) -> dict[str, Any]:
@@ -237,6 +238,7 @@ ON_RATIO = (
     Family(
         "transition", ("logistic", "sharp", "dhawan-narasimha", "intermittent"), _draw_transition, _transition,
         {"factor": (1.0, 1.6, 5.0)}, kinds=(*WINDWARD, "standoff"),
+        residual=(8.0, 60.0),
     ),
     Family(
         "impingement-onset", ("ramp", "soft", "saturating", "square-start"), _draw_impingement, _impingement,

@@ -26,10 +26,8 @@ Generator = np.random.Generator
 ATTEMPTS = 60
 """Draws of flight, wall and form before a seed is given up."""
 
-TARGETS = (2.2, 16.0)
-"""Range that the residual over the noise floor, where the effect acts, is drawn from."""
 LIMITS = (2.0, 80.0)
-"""Range that it may end in."""
+"""Range of the residual over the noise floor, where the effect acts."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +104,7 @@ def _hold_back(rng: Generator, sensors: Sequence[dict[str, Any]]) -> None:
 
 def _made_visible(rng: Generator, on: Bench, drawn: Drawn) -> tuple[Drawn, Seen] | None:
     """The effect with its magnitude changed until its residual is near a drawn multiple of the noise floor."""
-    target = float(np.exp(rng.uniform(*np.log(TARGETS))))
+    target = float(np.exp(rng.uniform(*np.log(drawn.family.residual))))
     ratio = on.case.point.ratio
     for _ in range(6):
         nature = drawn.nature(on.case)

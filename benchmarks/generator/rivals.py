@@ -1,9 +1,9 @@
 """Which other effects would explain a record as well as its own.
 
-A rival's signals are those of a few draws of its parameters; what least squares with scale, slopes and those signals
-leaves of the effect's change is its chi-square above the truth. That is linear in the rival's magnitudes and coarse in
-the rest: a rival that only a fit of all its parameters would bring close can be missed, one that DRAWS free magnitudes
-flatter can be listed.
+A rival's signals are those of DRAWS draws of its parameters, its forms in turn; what least squares with scale, slopes
+and those signals leaves of the effect's change is its chi-square above the truth. That is linear in the rival's
+magnitudes and coarse in the rest: a rival that only a fit of all its parameters would bring close can be missed, one
+that so many free magnitudes flatter can be listed.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ def rivals(rng: np.random.Generator, on: Bench, name: str, seen: Seen) -> dict[s
     """Chi-square that `none` and each rival leave of an effect, which itself leaves none."""
     left = {"none": _square(remainder(seen.slopes, seen.change))}
     for rival in CONFUSABLE[name]:
-        drawn = [draw_effect(rng, FAMILIES[rival], on.case) for _ in range(DRAWS)]
+        forms = FAMILIES[rival].forms
+        drawn = [draw_effect(rng, FAMILIES[rival], on.case, forms[i % len(forms)]) for i in range(DRAWS)]
         signals = [on.change(effect.nature(on.case)) for effect in drawn if effect is not None]
         if signals:
             left[rival] = _square(remainder(np.column_stack([seen.slopes, *signals]), seen.change))
