@@ -1,6 +1,9 @@
-"""Which values flight conditions in a file can have: limits that catch another unit, and what is said beyond them."""
+"""Which values flight conditions can have, in a file or from a host: limits that catch another unit, and what is said
+beyond them."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -11,17 +14,17 @@ FASTEST_M_S = 20_000.0
 
 LIMITS: dict[str, tuple[float, float, str]] = {
     "time_s": (-1e9, 1e9, "is not a time in seconds of a flight"),
-    "altitude_m": (-1e8, 1e8, "is not an altitude in m"),
+    "altitude_m": (-5e3, 2e6, "is not an altitude in m (-5000 to 2e6)"),
     "T_inf_K": (0.0, HOTTEST_K, "is not a temperature of air"),
     "q_add_W_m2": (-1e10, 1e10, "is not a heat flux in W/m2"),
     "velocity_m_s": (0.0, FASTEST_M_S, "is not a speed in m/s (0 to 20000); a larger one looks like ft/s"),
     "mach": (0.0, 1e3, "is not a Mach number (0 to 1000)"),
-    "alpha_deg": (-180.0, 180.0, "is not an angle of attack in degrees"),
-    "beta_deg": (-180.0, 180.0, "is not a sideslip angle in degrees"),
+    "alpha_deg": (-180.0, 180.0, "is not an angle of attack in degrees (-180 to 180)"),
+    "beta_deg": (-90.0, 90.0, "is not a sideslip angle in degrees (-90 to 90)"),
     "log10_re": (-10.0, 20.0, "is not the base-10 logarithm of a Reynolds number (-10 to 20)"),
     "elevon_deg": (-90.0, 90.0, "is not a deflection in degrees (-90 to 90)"),
     "bodyflap_deg": (-90.0, 90.0, "is not a deflection in degrees (-90 to 90)"),
-    "rho_kg_m3": (1e-300, 1e4, "is not a density of air (must be above 0)"),
+    "rho_kg_m3": (1e-300, 100.0, "is not a density of air in kg/m3 (above 0, to 100)"),
     "p_inf_Pa": (0.0, 1e10, "is not a pressure (0 or above)"),
     "p_surface_Pa": (0.0, 1e10, "is not a pressure (0 or above)"),
     "h_ref_kg_m2_s": (0.0, 1e4, "is not a film coefficient (0 or above)"),
@@ -29,6 +32,11 @@ LIMITS: dict[str, tuple[float, float, str]] = {
     "jets": (0.0, 1.0, "is not a share of jets firing (0 to 1)"),
 }
 """Column -> lowest and highest value, and what is said of another."""
+
+
+def said_of(name: str, value: float) -> str:
+    """`value rule` of a value beyond the limits of its column."""
+    return f"{value:g} {LIMITS[name][2] if math.isfinite(value) else 'is not a finite number'}"
 
 
 def implausible(table: CsvTable) -> list[str]:

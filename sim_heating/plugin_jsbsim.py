@@ -1,13 +1,10 @@
 """The plug-in in JSBSim: temperatures as properties that its scripts, functions and outputs can read.
 
 After each frame `heating/<control point>/surface-K` and `bondline-K` hold the temperatures [K] at the end of that
-frame, with `sensors=True` also `heating/<control point>/<sensor>-K`; JSBSim's own systems see them in the next frame. A
-plug-in with `shortest_step_s` publishes when it has stepped.
+frame, with `sensors=True` also `heating/<control point>/<sensor>-K`; JSBSim's own systems see them in the next frame.
 """
 
 from __future__ import annotations
-
-import numpy as np
 
 from sim_heating.conditions import FloatArray
 from sim_heating.plugin import HeatingPlugin
@@ -25,9 +22,9 @@ class JSBSimHeating:
     def __init__(self, host: JSBSimHost, plugin: HeatingPlugin, *, sensors: bool = False) -> None:
         self.host = host
         self.plugin = plugin
-        published = _published(plugin, sensors)
-        self._writers = [host.publish(f"{ROOT}/{point}/{what}-K").set_double_value for point, what, _ in published]
-        self._places = np.array([place for _, _, place in published])
+        published = plugin.outputs if sensors else plugin.outputs[: 2 * len(plugin.names)]
+        self._writers = [host.publish(f"{ROOT}/{point}/{what}-K").set_double_value for point, what in published]
+        self._values = plugin.temperatures()[: len(published)]
         self._started = False
 
     def __call__(self, frame: FloatArray) -> None:
@@ -37,25 +34,9 @@ class JSBSimHeating:
         else:
             self.plugin.reset(frame)
             self._started = True
-        if self.plugin.heated_s < frame[0]:
-            return
-        values = self.plugin.ensemble.state[self._places].tolist()
-        for write, value in zip(self._writers, values, strict=True):
+        for write, value in zip(self._writers, self._values.tolist(), strict=True):
             write(value)
 
     def frame(self) -> None:
         """Read the host's last frame, advance to it and publish."""
         self(self.host.read_frame())
-
-
-def _published(plugin: HeatingPlugin, sensors: bool) -> list[tuple[str, str, int]]:
-    """(control point, quantity, place in the state) of everything that is published."""
-    out = []
-    ensemble = plugin.ensemble
-    for point, mesh, place in zip(plugin.points, ensemble.meshes, ensemble.places, strict=True):
-        out.append((point.name, "surface", place.temperature(0)))
-        out.append((point.name, "bondline", place.temperature(mesh.bondline)))
-        if sensors:
-            pairs = zip(point.sensors, mesh.sensors, strict=True)
-            out += [(point.name, sensor.name, place.temperature(node)) for sensor, node in pairs]
-    return out

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -62,6 +62,12 @@ def shared(orbiter: Vehicle) -> HeatingPlugin:
     return HeatingPlugin(orbiter, POINTS)
 
 
+@pytest.fixture(scope="module")
+def unwaiting(orbiter: Vehicle) -> HeatingPlugin:
+    """A plug-in that takes a thermal step with every frame."""
+    return HeatingPlugin(orbiter, POINTS, longest_wait_s=0.0)
+
+
 @pytest.fixture
 def plugin(shared: HeatingPlugin) -> HeatingPlugin:
     """A plug-in at the start of a steady glide."""
@@ -88,10 +94,10 @@ def run(plugin: HeatingPlugin, frames: Iterable[np.ndarray]) -> np.ndarray:
 
 
 def test_frame_by_frame_is_the_march_over_the_same_conditions(
-    orbiter: Vehicle, plugin: HeatingPlugin, twenty_hertz: tuple[Conditions, list[np.ndarray]]
+    orbiter: Vehicle, unwaiting: HeatingPlugin, twenty_hertz: tuple[Conditions, list[np.ndarray]]
 ) -> None:
     flown, frames = twenty_hertz
-    beside = run(plugin, frames)
+    beside = run(unwaiting, frames)
     points = [orbiter.control_point(n) for n in POINTS]
     histories = march_points(
         [point_of_vehicle(orbiter, p) for p in points], [conditions_at_point(orbiter, p, flown) for p in points]
@@ -149,15 +155,95 @@ def test_a_second_vehicle_flies_with_the_same_plug_in() -> None:
     assert all(290.0 < T < 2500.0 for T in capsule.surface_K.values())
 
 
+# Between thermal steps -----------------------------------------------------------------------------------------------
+
+NOTHING_ODD: dict[str, float] = {}
+BURST = {"jets": 1.0, "alpha_deg": 42.0, "rho_kg_m3": 6e-5}
+"""What a frame has while jets fire for 50 ms in a gust."""
+
+
+def steady_60_hertz(
+    seconds: float, odd: Mapping[str, float], odd_from: int = 600, odd_to: int = 603
+) -> list[np.ndarray]:
+    """Frames of a glide at 60 Hz that are odd for a while."""
+    return [frame(i / 60.0, **(odd if odd_from <= i < odd_to else {})) for i in range(int(60 * seconds))]
+
+
+def farthest_apart_K(one: HeatingPlugin, other: HeatingPlugin, frames: list[np.ndarray]) -> float:
+    """Largest difference of any temperature after any frame."""
+    one.reset(frames[0])
+    other.reset(frames[0])
+    largest = 0.0
+    for values in frames[1:]:
+        one.step(values)
+        other.step(values)
+        largest = max(largest, float(np.max(np.abs(one.temperatures() - other.temperatures()))))
+    return largest
+
+
+@pytest.mark.parametrize("odd", [NOTHING_ODD, BURST], ids=["cold wall in full heating", "burst of three frames"])
+def test_temperatures_between_thermal_steps_are_those_of_a_step_with_every_frame(
+    odd: dict[str, float], plugin: HeatingPlugin, unwaiting: HeatingPlugin
+) -> None:
+    assert farthest_apart_K(plugin, unwaiting, steady_60_hertz(20.0, odd)) < 0.02
+
+
+def test_temperatures_between_thermal_steps_follow_a_popu(plugin: HeatingPlugin, unwaiting: HeatingPlugin) -> None:
+    assert farthest_apart_K(plugin, unwaiting, glide(60.0)[1]) < 0.02
+
+
+def test_a_quiet_flight_takes_a_thermal_step_every_fifth_of_a_second(plugin: HeatingPlugin) -> None:
+    heated = []
+    for values in steady_60_hertz(60.0, NOTHING_ODD)[1:]:
+        plugin.step(values)
+        assert plugin.time_s == values[0]
+        heated.append(round(60.0 * plugin.heated_s))
+    assert heated[0] == 1  # before there is a step to carry on from, every frame is one
+    assert heated[-1] - heated[-13] == 12
+    assert len(set(heated)) < len(heated) / 10
+
+
+def test_a_frame_that_breaks_off_the_line_is_stepped_to_at_once(plugin: HeatingPlugin) -> None:
+    frames = steady_60_hertz(11.0, BURST)
+    run(plugin, frames[:600])
+    assert plugin.heated_s < plugin.time_s
+    plugin.step(frames[600])
+    assert plugin.heated_s == plugin.time_s
+
+
+def test_the_wait_changes_no_flight_that_has_no_frames_to_wait_for(
+    plugin: HeatingPlugin, unwaiting: HeatingPlugin
+) -> None:
+    frames = [frame(float(t), alpha_deg=40.0 + 0.1 * t) for t in range(30)]
+    np.testing.assert_array_equal(run(plugin, frames), run(unwaiting, frames))
+
+
+def test_a_flight_rewound_into_a_wait_repeats_itself_to_the_bit(plugin: HeatingPlugin) -> None:
+    frames = steady_60_hertz(12.0, BURST)
+    run(plugin, frames[:598])
+    saved, heated_s = plugin.snapshot(), plugin.heated_s
+    assert heated_s < plugin.time_s
+
+    def onwards() -> np.ndarray:
+        return np.array([(plugin.step(values), plugin.temperatures().copy())[1] for values in frames[598:]])
+
+    first = onwards()
+    plugin.restore(saved)
+    assert plugin.heated_s == heated_s
+    np.testing.assert_array_equal(onwards(), first)
+
+
 # Pausing and going back ----------------------------------------------------------------------------------------------
 
 
 def test_a_paused_host_changes_nothing(plugin: HeatingPlugin) -> None:
     plugin.step(frame(1.0))
-    before = plugin.ensemble.state.copy()
+    plugin.step(frame(1.0 + 1 / 60))
+    before, shown = plugin.ensemble.state.copy(), plugin.temperatures().copy()
     for _ in range(100):
-        plugin.step(frame(1.0))
+        plugin.step(frame(1.0 + 1 / 60))
     np.testing.assert_array_equal(plugin.ensemble.state, before)
+    np.testing.assert_array_equal(plugin.temperatures(), shown)
 
 
 def test_a_rewound_flight_repeats_itself_to_the_bit(plugin: HeatingPlugin) -> None:
@@ -244,9 +330,9 @@ def test_density_that_altitude_explains_is_no_spike(
     assert plugin.flags.density_spikes == 0
 
 
-def test_frames_outside_a_ratio_table_are_counted(plugin: HeatingPlugin) -> None:
+def test_thermal_steps_outside_a_ratio_table_are_counted(plugin: HeatingPlugin) -> None:
     plugin.step(frame(1.0, alpha_deg=70.0))
-    assert plugin.frames_outside["V09T9527"] >= 1
+    assert plugin.steps_outside["V09T9527"] >= 1
 
 
 def test_a_frame_by_name_must_have_every_column_and_no_other(plugin: HeatingPlugin) -> None:
@@ -365,18 +451,3 @@ def test_a_vehicle_is_not_touched_by_its_plug_in(orbiter: Vehicle, plugin: Heati
     before = replace(orbiter)
     plugin.step(frame(5.0))
     assert orbiter == before
-
-
-def test_a_plug_in_that_heats_with_every_third_frame_of_60_hz_says_when_and_stays_close(orbiter: Vehicle) -> None:
-    every, third = (HeatingPlugin(orbiter, ["V09T9527"], shortest_step_s=s) for s in (0.0, 0.05))
-    heated = set()
-    for plugin in (every, third):
-        plugin.reset(frame(0.0))
-    for i in range(1, 601):
-        now = frame(i / 60.0, alpha_deg=40.0 + 0.005 * i)
-        every.step(now)
-        third.step(now)
-        assert third.time_s == now[0]
-        heated.add(round(60.0 * third.heated_s))
-    assert heated == set(range(0, 601, 3))
-    assert third.surface_K["V09T9527"] == pytest.approx(every.surface_K["V09T9527"], abs=1e-3)
