@@ -66,8 +66,8 @@ def _replay(heating: JSBSimHeating, frames: list[FloatArray]) -> None:
 def _whole_entries(scenario: Scenario, plugins: Mapping[str, HeatingPlugin | None]) -> dict[str, float]:
     """Wall time of a whole entry [s] with each plug-in, or with none.
 
-    Each is flown ENTRIES times, in turn, the same frames every time. Of each tenth of a second of the flight, from command
-    to command, the shortest counts: a busy machine interrupts a flight of two seconds, and seldom one of its tenths.
+    Each is flown ENTRIES times, in turn, the same frames every time. Of each tenth of a second of the flight, from
+    command to command, the shortest counts: a busy machine interrupts a flight of two seconds, seldom its tenths.
     """
     shortest: dict[str, FloatArray] = {}
     for _ in range(ENTRIES):

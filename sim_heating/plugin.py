@@ -72,8 +72,8 @@ class Snapshot:
     state: FloatArray
 
 
-LONGEST_WAIT_S = 0.2
-"""Longest time between thermal steps [s] unless another is asked for."""
+LONGEST_WAIT_S = 0.25
+"""Longest time between thermal steps [s] unless another is asked for: a ratio table may have a corner ahead."""
 
 
 class HeatingPlugin:
@@ -81,8 +81,8 @@ class HeatingPlugin:
 
     control_points : names; all of the vehicle's by default
     longest_step_s : longest thermal step [s]; a longer frame is divided
-    longest_wait_s : longest time between thermal steps [s]. Frames between carry the temperatures on along the last step
-                     (plugin_kernel.py), within about 0.01 K of a step with every frame; 0 steps with every frame
+    longest_wait_s : longest time between thermal steps [s]. Frames between carry the temperatures on along the last
+                     step (plugin_kernel.py), within about 0.01 K of a step with every frame; 0 steps with every frame
     nodes          : nodes of each point at least; chosen for accuracy (resolution.py) where not given. Fewer cost
                      accuracy and save time
     parameters     : dotted model parameters, the same for all points
@@ -149,6 +149,8 @@ class HeatingPlugin:
         """
         values = _values(frame)
         outcome = watch_frame(self._host, self._shown, values)
+        if outcome == GOOD:
+            return
         if outcome in (HEAT, BEND):
             outcome = heat_points(*self._arguments, values, outcome)
         if outcome == STUCK:
@@ -266,10 +268,13 @@ def _value_problem(values: FloatArray, bad: int) -> str:
     return f"plug-in, time_s {values[F_TIME]:g}: {FRAME[bad]} {said_of(FRAME[bad], float(values[bad]))}"
 
 
+_SHAPE, _DTYPE = (len(FRAME),), np.dtype(np.float64)
+
+
 def _values(frame: FloatArray | Mapping[str, float]) -> FloatArray:
     """A frame as (len(FRAME),) float64."""
     if isinstance(frame, np.ndarray):
-        if frame.shape != (len(FRAME),) or frame.dtype != np.float64:
+        if frame.shape != _SHAPE or frame.dtype != _DTYPE:
             raise InputError(f"plug-in: a frame is {len(FRAME)} float64 values: {', '.join(FRAME)}")
         return frame
     unknown = [name for name in frame if name not in FRAME]

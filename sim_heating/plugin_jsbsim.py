@@ -6,6 +6,9 @@ frame, with `sensors=True` also `heating/<control point>/<sensor>-K`; JSBSim's o
 
 from __future__ import annotations
 
+import operator
+from collections import deque
+
 from sim_heating.conditions import FloatArray
 from sim_heating.plugin import HeatingPlugin
 from sim_heating.trajectory.jsbsim_host import JSBSimHost
@@ -34,8 +37,7 @@ class JSBSimHeating:
         else:
             self.plugin.reset(frame)
             self._started = True
-        for write, value in zip(self._writers, self._values.tolist(), strict=True):
-            write(value)
+        deque(map(operator.call, self._writers, self._values.tolist()), maxlen=0)
 
     def frame(self) -> None:
         """Read the host's last frame, advance to it and publish."""

@@ -7,8 +7,8 @@ frame along a parabola through the last thermal step,
 
 through its start, its middle stage and its end. It asks for a thermal step when
 
-- the wait is over: the least of LONGEST_WAIT, LONGER dt and dt (GOAL PUBLISHED_K / e)^(1/3), with e the largest distance
-  of the parabola from what the last step of dt then found (the parabola is wrong by the third power of the time);
+- the wait is over: the least of LONGEST_WAIT, LONGER dt and dt (GOAL PUBLISHED_K / e)^(1/3), with e the largest
+  distance of the parabola from what the last step, of dt, then found (the parabola is wrong by the cube of the time);
 - or the conditions bend: a value leaves the line that it kept to over the last step by more than BENT. Then the frame
   before is heated to first, so that the bend stays where it was, and that frame's heating is known when its own
   temperatures are.

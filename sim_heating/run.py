@@ -192,9 +192,9 @@ def write_run(result: RunResult, out: Path, *, progress: Progress = quiet) -> li
     """Write all files of a run, all together or not at all; returns their names within the directory."""
     with output_directory(out) as folder:
         write_json(folder / "summary.json", summary(result))
-        flown = result.flight.conditions
-        write_csv(folder / "conditions.csv", flown.columns, ".12g")
-        _write_histories(result, folder)
+        flown, said = with_reference_heating(result)
+        write_csv(folder / "conditions.csv", flown.columns, ".12g", said)
+        _write_histories(result, flown, folder)
         progress(0.92, "drawing")
         draw_run(result, folder)
         names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
@@ -202,7 +202,17 @@ def write_run(result: RunResult, out: Path, *, progress: Progress = quiet) -> li
     return names
 
 
-def _write_histories(result: RunResult, folder: Path) -> None:
+def with_reference_heating(result: RunResult) -> tuple[Conditions, dict[str, str]]:
+    """The flight's conditions with h_ref and H_r, and what is said at the head of their file where h_ref is left out:
+    a flat plate's depends on the running length, so that each control point has its own."""
+    columns = {name: [p.conditions[name] for p in result.points.values()] for name in ("h_ref_kg_m2_s", "H_r_J_kg")}
+    common = {name: c[0] for name, c in columns.items() if all(np.array_equal(own, c[0]) for own in c)}
+    reference = result.scenario.vehicle.heating.reference
+    why = f"left out, as `{reference}` has another at each control point, by its running length"
+    return result.flight.conditions.with_columns(**common), {name: why for name in columns if name not in common}
+
+
+def _write_histories(result: RunResult, flown: Conditions, folder: Path) -> None:
     vehicle = result.scenario.vehicle
     sensors = {name: vehicle.control_point(name).sensors for name in result.points}
     for name, point in result.points.items():
@@ -211,7 +221,7 @@ def _write_histories(result: RunResult, folder: Path) -> None:
         write_temperatures_csv(own / "temperatures.csv", point.history.time_s, point.history, sensors[name])
     about = {"title": result.scenario.title, "vehicle": vehicle.name, "vehicle_revision": vehicle.revision}
     histories = [p.history for p in result.points.values()]
-    write_netcdf(folder / "flight.nc", result.flight.conditions, histories, sensors, about)
+    write_netcdf(folder / "flight.nc", flown, histories, sensors, about)
 
 
 def draw_run(result: RunResult, folder: Path) -> None:

@@ -11,28 +11,14 @@ import time
 from pathlib import Path
 
 import pytest
+from gliding import gliding
 
 from sim_heating.cli import main
 
 ROOT = Path(__file__).resolve().parent.parent
 TILE = Path(__file__).parent / "data" / "records" / "tile"
 
-SHORT = """
-format = "scenario/1"
-title = "A minute of gliding"
-vehicle = "orbiter"
-control_points = ["V09T9527"]
-[trajectory]
-source = "entry-3dof"
-[trajectory.initial]
-altitude_m = 75000.0
-velocity_m_s = 6800.0
-gamma_deg = -0.1
-heading_deg = 60.0
-latitude_deg = 10.0
-[trajectory.stop]
-time_s = 60.0
-"""
+SHORT = gliding(60.0, "V09T9527", vehicle="orbiter")
 POPU = '[[trajectory.manoeuvre]]\nkind = "popu"\n'
 
 
@@ -107,9 +93,11 @@ DAMAGED = {
     "missing key": (SHORT.replace("altitude_m = 75000.0", ""), "`altitude_m` is missing"),
     "text for a number": (SHORT.replace("75000.0", '"75 km"'), "is not a number"),
     "NaN": (SHORT.replace("75000.0", "nan"), "not a finite number"),
+    "NaN between bounds": (SHORT.replace("-0.1", "nan"), "`gamma_deg`: NaN is not a finite number"),
     "no trigger": (SHORT + POPU, "exactly one of"),
     "two triggers": (SHORT + POPU + "at_mach = 20.0\nat_time_s = 3.0\n", "exactly one of"),
-    "unknown manoeuvre": (SHORT + '[[trajectory.manoeuvre]]\nkind = "popo"\nat_time_s = 3.0\n', "popu"),
+    "unknown manoeuvre": (SHORT + '[[trajectory.manoeuvre]]\nkind = "popo"\nat_time_s = 3.0\n', "Nearest: `popu`"),
+    "manoeuvre of no kind": (SHORT + "[[trajectory.manoeuvre]]\nat_time_s = 3.0\n", "key `kind` is missing"),
     "manoeuvre backwards": (SHORT + POPU + "at_time_s = 3.0\nrate_deg_s = -1.0\n", "must be above 0"),
     "unknown effect": (SHORT + '[[effect]]\nname = "transitoin"\n', "Nearest: `transition`"),
     "effect out of bounds": (

@@ -3,37 +3,27 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from gliding import gliding
 
-from sim_heating.run import RunResult, run_scenario, write_run
+from sim_heating.run import PointResult, RunResult, run_scenario, with_reference_heating, write_run
 from sim_heating.scenario import load_scenario
 
-ROOT = Path(__file__).resolve().parent.parent
-SCENARIO = f"""
-format = "scenario/1"
-title = "A minute of gliding"
-vehicle = "{ROOT}/aircraft_data/orbiter"
-control_points = ["V09T9527", "LEE_UPPER"]
-[trajectory]
-source = "entry-3dof"
-[trajectory.initial]
-altitude_m = 75000.0
-velocity_m_s = 6800.0
-gamma_deg = -0.1
-heading_deg = 60.0
-latitude_deg = 10.0
-[trajectory.stop]
-time_s = 60.0
+SCENARIO = (
+    gliding(60.0, "V09T9527", "LEE_UPPER")
+    + """
 [[trajectory.manoeuvre]]
 kind = "elevon-pulse"
 at_time_s = 20.0
 amplitude_deg = 3.0
 """
+)
 
 
 @pytest.fixture(scope="module")
@@ -94,3 +84,22 @@ def test_each_manoeuvre_gets_its_picture(out: Path) -> None:
     pictures = sorted(p.name for p in out.glob("*.png"))
     assert pictures == ["manoeuvre_1_elevon-pulse.png", "temperatures.png", "trajectory.png"]
     assert all((out / p).read_bytes().startswith(b"\x89PNG") for p in pictures)
+
+
+def test_the_conditions_of_a_run_hold_its_reference_heating(result: RunResult, out: Path) -> None:
+    table = pd.read_csv(out / "conditions.csv")
+    point = result.points["LEE_UPPER"].conditions
+    np.testing.assert_allclose(table["h_ref_kg_m2_s"], point["h_ref_kg_m2_s"], rtol=1e-11)
+    np.testing.assert_allclose(table["H_r_J_kg"], point["H_r_J_kg"], rtol=1e-11)
+
+
+def test_conditions_without_a_common_film_coefficient_say_why(result: RunResult) -> None:
+    def twice_as_far(point: PointResult) -> PointResult:
+        h_ref = point.conditions["h_ref_kg_m2_s"] / np.sqrt(2.0)
+        return replace(point, conditions=point.conditions.with_columns(h_ref_kg_m2_s=h_ref))
+
+    points = result.points | {"LEE_UPPER": twice_as_far(result.points["LEE_UPPER"])}
+    flown, said = with_reference_heating(replace(result, points=points))
+    assert "h_ref_kg_m2_s" not in flown
+    assert "H_r_J_kg" in flown
+    assert "running length" in said["h_ref_kg_m2_s"]

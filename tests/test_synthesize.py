@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gliding import gliding
 
 from sim_heating.predict import predict
 from sim_heating.record import Record, load_record
@@ -18,27 +19,14 @@ from sim_heating.synthesize import synthesize, write_records
 from sim_heating.temperatures import PointHistory
 
 approx = pytest.approx
-ROOT = Path(__file__).resolve().parent.parent
-
-GLIDE = f"""
-format = "scenario/1"
-title = "A POPU within three minutes of gliding"
-vehicle = "{ROOT}/aircraft_data/orbiter"
-control_points = ["V09T9527", "V07T9975"]
-[trajectory]
-source = "entry-3dof"
-[trajectory.initial]
-altitude_m = 74000.0
-velocity_m_s = 6800.0
-gamma_deg = -0.1
-heading_deg = 60.0
-latitude_deg = 10.0
-[trajectory.stop]
-time_s = 180.0
+GLIDE = (
+    gliding(180.0, "V09T9527", "V07T9975", altitude_m=74000.0)
+    + """
 [[trajectory.manoeuvre]]
 kind = "popu"
 at_time_s = 90.0
 """
+)
 PLUG = "V09T9527"
 SURFACE = "V09T9527_K"
 

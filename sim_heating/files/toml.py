@@ -196,6 +196,8 @@ def _rule(error: Any, loc: Location, model: type[BaseModel]) -> str:
     if kind in _COMPARED:
         name, words = _COMPARED[kind]
         return f"{brief(value)} {words} {ctx[name]:g}{_told(told)}"
+    if kind in ("union_tag_invalid", "union_tag_not_found") and "discriminator" in ctx:
+        return _tag_rule(ctx, value)
     if kind == "literal_error":
         choices = re.findall(r"'([^']*)'", ctx["expected"])
         return f"{brief(value)} is not one of {', '.join(choices)}. {suggestion(str(value), choices)}"
@@ -205,6 +207,15 @@ def _rule(error: Any, loc: Location, model: type[BaseModel]) -> str:
         return f"has {ctx['actual_length']} values, takes {words} {limit}{_told(told)}"
     text = str(ctx["error"]) if "error" in ctx else error["msg"]
     return f"{text}{_told(told)}" if kind != "value_error" else text
+
+
+def _tag_rule(ctx: Any, table: Any) -> str:
+    """What is wrong with the key that says which of several tables one is."""
+    key = ctx["discriminator"].strip("'")
+    if "tag" not in ctx:
+        return f"key `{key}` is missing"
+    choices = re.findall(r"'([^']*)'", ctx["expected_tags"])
+    return f"`{key}`: {brief(table[key])} is not one of {', '.join(choices)}. {suggestion(ctx['tag'], choices)}"
 
 
 def _told(description: str) -> str:

@@ -13,8 +13,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 Axis = Literal["mach", "velocity_m_s"]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0)]
 
 
 def _sorted_schedule(pairs: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
@@ -26,7 +25,7 @@ def _sorted_schedule(pairs: tuple[tuple[float, float], ...]) -> tuple[tuple[floa
     return tuple(sorted(pairs))
 
 
-Schedule = Annotated[tuple[tuple[Finite, Finite], ...], AfterValidator(_sorted_schedule)]
+Schedule = Annotated[tuple[tuple[float, float], ...], AfterValidator(_sorted_schedule)]
 """[[x, value], ...] with x rising or falling throughout; held sorted by rising x."""
 
 
@@ -36,13 +35,13 @@ def _limits(pair: tuple[float, float]) -> tuple[float, float]:
     return pair
 
 
-Limits = Annotated[tuple[Finite, Finite], AfterValidator(_limits)]
+Limits = Annotated[tuple[float, float], AfterValidator(_limits)]
 
 
 class Table(BaseModel):
     """A TOML table in which an unknown key is an error."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Initial(Table):
@@ -51,9 +50,9 @@ class Initial(Table):
     altitude_m: Positive
     velocity_m_s: Positive
     gamma_deg: float = Field(ge=-90.0, le=90.0)
-    heading_deg: Finite
+    heading_deg: float
     latitude_deg: float = Field(ge=-90.0, le=90.0)
-    longitude_deg: Finite = 0.0
+    longitude_deg: float = 0.0
     bank_deg: float = Field(default=0.0, ge=-180.0, le=180.0)
 
 
@@ -62,7 +61,7 @@ class Stop(Table):
 
     mach: Positive | None = None
     velocity_m_s: Positive | None = None
-    altitude_m: Finite | None = None
+    altitude_m: float | None = None
     time_s: Positive = 3000.0
 
 
@@ -79,7 +78,7 @@ class VehicleState(Table):
     cg_fraction: float | None = Field(default=None, gt=0.0, lt=1.0)
     bodyflap_deg: Schedule | None = None
     bodyflap_against: Axis = "mach"
-    cm_shift: bool | Finite = True
+    cm_shift: bool | float = True
 
 
 class Approach(Table):
@@ -103,7 +102,7 @@ class Target(Table):
     """Where a heading error is measured to; bank reverses when the error leaves the deadband."""
 
     latitude_deg: float = Field(ge=-90.0, le=90.0)
-    longitude_deg: Finite
+    longitude_deg: float
     deadband_deg: Positive = 12.0
 
 
@@ -164,7 +163,7 @@ class GuidanceChanges(Table):
 class Dispersions(Table):
     """What the real atmosphere does beside US76: density times a factor, steady wind over altitude."""
 
-    density_factor: tuple[tuple[Finite, Positive], ...] | None = None
+    density_factor: tuple[tuple[float, Positive], ...] | None = None
     wind_north_m_s: Schedule | None = None
     wind_east_m_s: Schedule | None = None
 
@@ -180,7 +179,7 @@ class _Triggered(Table):
 
     at_velocity_m_s: Positive | None = None
     at_mach: Positive | None = None
-    at_time_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None = None
+    at_time_s: Annotated[float, Field(ge=0.0)] | None = None
 
     @model_validator(mode="after")
     def _has_one_trigger(self) -> _Triggered:
@@ -192,8 +191,8 @@ class _Triggered(Table):
         return self
 
 
-Hold = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Amplitude = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Hold = Annotated[float, Field(ge=0.0)]
+Amplitude = Annotated[float, Field(ge=0.0)]
 
 
 class Popu(_Triggered):
@@ -216,7 +215,7 @@ class Popu(_Triggered):
 class _SurfacePulse(_Triggered):
     """A control surface goes by `amplitude_deg` (sign kept), holds, returns, `count` times with `pause_s` between."""
 
-    amplitude_deg: Finite
+    amplitude_deg: float
     rate_deg_s: Positive
     hold_s: Hold = 4.0
     pause_s: Hold = 4.0
@@ -242,8 +241,8 @@ class BodyflapPulse(_SurfacePulse):
 class _SurfaceSweep(_Triggered):
     """A control surface goes to `from_deg`, sweeps to `to_deg` at `rate_deg_s`, holds, and returns; all relative."""
 
-    from_deg: Finite = 0.0
-    to_deg: Finite
+    from_deg: float = 0.0
+    to_deg: float
     rate_deg_s: Positive
     hold_s: Hold = 0.0
     alpha: Literal["held", "free"] = "held"
@@ -267,7 +266,7 @@ class SideslipDoublet(_Triggered):
     """Sideslip to +amplitude, hold, to -amplitude, hold, and back."""
 
     kind: Literal["sideslip-doublet"]
-    amplitude_deg: Finite = 2.0
+    amplitude_deg: float = 2.0
     rate_deg_s: Positive = 0.5
     hold_s: Hold = 4.0
 
