@@ -117,9 +117,7 @@ DAMAGED = {
 
 
 @pytest.mark.parametrize("name", DAMAGED)
-def test_a_damaged_scenario_is_refused_in_one_line(
-    name: str, desk: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_damaged_scenario_is_refused_in_one_line(name: str, desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text, hint = DAMAGED[name]
     (desk / "bad.toml").write_text(text)
     assert main(["run", "bad.toml", "--out", "out/here"]) == 2
