@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -122,6 +123,7 @@ class HeatingPlugin:
         outputs = _outputs(self.points, e)
         self.outputs = tuple((point, what) for point, what, _ in outputs)
         self._shown = np.zeros((4, len(outputs)))
+        self.watch = partial(watch_frame, self._host, self._shown)
         self._arguments = (
             e.state, e.ints, e.table, e.chain, e.begin_handle, e.advance_handle, e.groups,
             np.array(table, dtype=float), e.lanes, np.zeros((len(e.lanes), N_CONDITIONS)),
@@ -141,22 +143,26 @@ class HeatingPlugin:
         heat_points(*self._arguments, values, NO_START)
 
     def step(self, frame: FloatArray | Mapping[str, float]) -> None:
-        """Advance to the time of a frame, conditions linear from the last frame's; the same time again is a pause.
+        """Advance to the time of a frame, conditions linear between thermal steps; the same time again is a pause.
 
         frame  : values in the order of conditions.FRAME (the fast way), or by name
         raises : InputError for a value that is no number or out of range, and for a clock that goes back or jumps;
                  the state stays as it was; RunError where a step did not converge: reset or restore
         """
         values = _values(frame)
-        outcome = watch_frame(self._host, self._shown, values)
-        if outcome == GOOD:
-            return
+        outcome = self.watch(values)
+        if outcome != GOOD:
+            self.attend(values, outcome)
+
+    def attend(self, frame: FloatArray, outcome: int) -> None:
+        """What a frame asks for whose `watch` was not GOOD: thermal steps, or an error. The two together are `step`
+        without its checks of the array's form, for a caller that knows its frames."""
         if outcome in (HEAT, BEND):
-            outcome = heat_points(*self._arguments, values, outcome)
+            outcome = heat_points(*self._arguments, frame, outcome)
         if outcome == STUCK:
             self.check()
         if outcome != GOOD:
-            raise InputError(self._problem(values, outcome))
+            raise InputError(self._problem(frame, outcome))
 
     @property
     def time_s(self) -> float:

@@ -11,6 +11,7 @@ from collections import deque
 
 from sim_heating.conditions import FloatArray
 from sim_heating.plugin import HeatingPlugin
+from sim_heating.plugin_kernel import GOOD
 from sim_heating.trajectory.jsbsim_host import JSBSimHost
 
 ROOT = "heating"
@@ -28,12 +29,15 @@ class JSBSimHeating:
         published = plugin.outputs if sensors else plugin.outputs[: 2 * len(plugin.names)]
         self._writers = [host.publish(f"{ROOT}/{point}/{what}-K").set_double_value for point, what in published]
         self._values = plugin.temperatures()[: len(published)]
+        self._watch = plugin.watch
         self._started = False
 
     def __call__(self, frame: FloatArray) -> None:
-        """Advance to a frame of the host (conditions.FRAME) and publish."""
+        """Advance to a frame as the host reads it and publish; see HeatingPlugin.step."""
         if self._started:
-            self.plugin.step(frame)
+            outcome = self._watch(frame)
+            if outcome != GOOD:
+                self.plugin.attend(frame, outcome)
         else:
             self.plugin.reset(frame)
             self._started = True
