@@ -19,7 +19,7 @@ from sim_heating.jit import call_step, handle, njit, raw
 from sim_heating.layout import HEAD_ROWS, LANES, N_CONDITIONS, NODE_ROWS, T_STAGE, T_START, T
 from sim_heating.march import END_STAGE
 from sim_heating.parameters import CURVED, EFFECT_PREFIX
-from sim_heating.thermal.kernel import GAMMA, STAGE_WEIGHT, hold
+from sim_heating.thermal.kernel import STAGE_WEIGHT, hold
 from sim_heating.thermal.linear import (
     assemble_shadows,
     begin_columns,
@@ -27,6 +27,8 @@ from sim_heating.thermal.linear import (
     content_columns,
     first_star,
     net_columns,
+    parabola,
+    parabola_rate,
     second_star,
     solve_columns,
 )
@@ -258,12 +260,8 @@ def _read_samples(
     k = first
     while k < last and sample_s[k] <= begun_s + dt:
         x = (sample_s[k] - begun_s) / dt
-        w0 = (x - GAMMA) * (x - 1.0) / GAMMA
-        w1 = x * (x - 1.0) / (GAMMA * (GAMMA - 1.0))
-        w2 = x * (x - GAMMA) / (1.0 - GAMMA)
-        d0 = (2.0 * x - GAMMA - 1.0) / (GAMMA * dt)
-        d1 = (2.0 * x - 1.0) / (GAMMA * (GAMMA - 1.0) * dt)
-        d2 = (2.0 * x - GAMMA) / ((1.0 - GAMMA) * dt)
+        w0, w1, w2 = parabola(x)
+        d0, d1, d2 = parabola_rate(x, dt)
         for j in range(read):
             i = nodes[j]
             a = (HEAD_ROWS + i * NODE_ROWS) * LANES + lane

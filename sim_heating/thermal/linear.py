@@ -34,6 +34,7 @@ from sim_heating.layout import (
     DIAGONAL,
     E_LEFT,
     E_RIGHT,
+    E_START,
     ENTRY,
     HEAD_ROWS,
     LAG_INPUT,
@@ -43,6 +44,7 @@ from sim_heating.layout import (
     LOWER,
     N_CONDITIONS,
     N_NODES,
+    NET,
     NODE_ROWS,
     RESIDUAL,
     TIME,
@@ -51,7 +53,7 @@ from sim_heating.layout import (
 from sim_heating.surface_heating import heat_lanes
 from sim_heating.thermal.assembly import SHARE, assemble, assemble_behind, select_pressure
 from sim_heating.thermal.faces import evaluate_faces
-from sim_heating.thermal.kernel import BDF_WEIGHT, STAGE_WEIGHT
+from sim_heating.thermal.kernel import BDF_WEIGHT, GAMMA, STAGE_WEIGHT
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -122,6 +124,16 @@ def _content(X: FloatArray, a: int) -> float:
 def _residual(X: FloatArray, a: int) -> float:
     """G of a node [J/m2] whose first number is X[a]."""
     return X[a + RESIDUAL * LANES] + X[a + NODE + ACROSS * LANES]
+
+
+@njit
+def start_from_shadow(B: FloatArray, lane: int, X: FloatArray, at: int, n: int) -> None:
+    """Heat contents and net heat of a lane from its shadow at X[at], assembled with ddt = 1 s where the lane stands:
+    what `begin` evaluates, for one lane alone."""
+    for i in range(n):
+        content, a = _content(X, at + i * NODE), (HEAD_ROWS + i * NODE_ROWS) * LANES + lane
+        B[a + E_START * LANES] = content
+        B[a + NET * LANES] = content - _residual(X, at + i * NODE)
 
 
 @njit
@@ -221,3 +233,16 @@ def net_columns(e: FloatArray, star: FloatArray, dt: float, f: FloatArray) -> No
     for i in range(e.shape[0]):
         for k in range(e.shape[1]):
             f[i, k] = (e[i, k] - star[i, k]) * (1.0 / (STAGE_WEIGHT * dt))
+
+
+@njit
+def parabola(x: float) -> tuple[float, float, float]:
+    """Weights of start, middle stage and end of a step in a value at the fraction x of it."""
+    return (x - GAMMA) * (x - 1.0) / GAMMA, x * (x - 1.0) / (GAMMA * (GAMMA - 1.0)), x * (x - GAMMA) / (1.0 - GAMMA)
+
+
+@njit
+def parabola_rate(x: float, dt: float) -> tuple[float, float, float]:
+    """The same for the rate of change [1/s]."""
+    start, middle = (2.0 * x - GAMMA - 1.0) / (GAMMA * dt), (2.0 * x - 1.0) / (GAMMA * (GAMMA - 1.0) * dt)
+    return start, middle, (2.0 * x - GAMMA) / ((1.0 - GAMMA) * dt)

@@ -1,0 +1,478 @@
+"""Extended Kalman filter on the node temperatures of lanes that march together; compiled.
+
+The state of a lane is z = (T_0 .. T_(n-1), d): its node temperatures and a disturbance d of the heating ratio that
+holds for one step, additive like ratio.d0. With Phi the derivative of the step (thermal/linear.py) and Gamma that against d,
+
+    z' = F z + w,    F = [Phi, Gamma; 0, decay],    P' = F P F' + Q,
+
+where F is never formed: its products are columns propagated with the matrix of the step, M = F P, then F M'. A
+reading at the fraction x of a step is y = gain T(x) + bias + noise, T(x) the parabola through start, middle stage
+and end plus the part x of the step's white noise, so that with R its row against z
+
+    cov(z, T) = P R',    cov(z', T) = F P R' + Q_x,    cov(T_i, T_j) = R_i P R_j' + Q_x,
+
+and all readings of a step are taken one by one from the joint covariance of z' and themselves, without a second march.
+A reading of which an interval is known matches the moments of the truncated normal (Curry, Estimation and Control with
+Quantized Measurements, MIT Press 1970), which is a linear reading of variance S / (1 - v), v what is left of S.
+
+Sensitivities of the state go through an update as S+ = S - K dy/dp: the gain's own derivative is left out.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.estimation.interval import LOG_ROOT_2PI, truncated_normal
+from sim_heating.jit import call_step, njit, raw
+from sim_heating.layout import (
+    D0,
+    HEAD_ROWS,
+    LANES,
+    N_CONDITIONS,
+    N_PARAMETERS,
+    NODE_ROWS,
+    PARAMETERS,
+    T_STAGE,
+    T_START,
+    T,
+)
+from sim_heating.march import END_STAGE
+from sim_heating.thermal.kernel import COLDEST_K, STAGE_WEIGHT, hold
+from sim_heating.thermal.linear import (
+    assemble_shadows,
+    begin_columns,
+    content_columns,
+    first_star,
+    parabola,
+    parabola_rate,
+    second_star,
+    solve_columns,
+    start_from_shadow,
+)
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+PRIOR, PRIOR_VARIANCE, POSTERIOR, POSTERIOR_VARIANCE, INNOVATION, VARIANCE, LOG_LIKELIHOOD, N_OUT = range(8)
+"""What is told of a reading: temperature before and after all readings of its time, innovation, its variance; the
+sensitivities of its prediction follow."""
+CONSTANT, PER_TEMPERATURE, PER_RATE = range(3)
+"""What a parameter adds to the reading itself."""
+LEAST_GAIN = 1e-14
+"""A reading that takes less of its own variance away tells nothing."""
+
+
+class Places(NamedTuple):
+    """Where the shadows of each lane stand (linear_march), the first column that of ratio.d0, and its node count."""
+
+    at: IntArray
+    plus: IntArray
+    minus: IntArray
+    inverse: FloatArray
+    nodes: IntArray
+
+
+class Readings(NamedTuple):
+    """(lane, reading) in order of time; lower and upper are equal where nothing was rounded, NaN where nothing is read.
+    direct : (lane, reading, parameter, 3)."""
+
+    number: IntArray
+    time_s: FloatArray
+    node: IntArray
+    gain: FloatArray
+    bias: FloatArray
+    variance: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    direct: FloatArray
+
+
+class State(NamedTuple):
+    """(lane, ...) covariance of z, its sensitivities, d, and the step at which the lane diverged (0: it did not)."""
+
+    P: FloatArray
+    S: FloatArray
+    d: FloatArray
+    diverged: IntArray
+
+
+class Noise(NamedTuple):
+    """White noise of nodes [K2/s] (lane, node); of d (lane,): rate of decay [1/s] and density [1/s]."""
+
+    nodes: FloatArray
+    decay_1_s: FloatArray
+    density_1_s: FloatArray
+
+
+class Kept(NamedTuple):
+    """What a smoother needs, empty where nothing is kept: z and its covariance after each step, the transition of each
+    step with its readings taken, the row of each reading against z at the start of its step."""
+
+    mean: FloatArray
+    covariance: FloatArray
+    transition: FloatArray
+    rows: FloatArray
+
+
+class Columns(NamedTuple):
+    """Work of a propagation: (node, column) at the end and the middle stage of a step, and what leads there."""
+
+    end: FloatArray
+    middle: FloatArray
+    e: FloatArray
+    f: FloatArray
+    star: FloatArray
+    e_middle: FloatArray
+    reduced: FloatArray
+
+
+class Joint(NamedTuple):
+    """The readings of a step before they are taken: fraction x of the step, temperature and its rate, covariance with
+    each other and with z at the end, sensitivities, rows against z at the start, cov(z at the start, T)."""
+
+    x: FloatArray
+    mean: FloatArray
+    rate: FloatArray
+    covariance: FloatArray
+    cross: FloatArray
+    S: FloatArray
+    rows: FloatArray
+    start: FloatArray
+
+
+class Blocks(NamedTuple):
+    """Blocks of the shadows, assembled at the start (with 1 s for the time step), the middle stage and the end."""
+
+    start: FloatArray
+    middle: FloatArray
+    end: FloatArray
+
+
+def columns_of(n: int, columns: int) -> Columns:
+    """Work for so many columns."""
+    end, middle, e, f, star, e_middle = np.zeros((6, n, columns))
+    return Columns(end, middle, e, f, star, e_middle, np.zeros(n))
+
+
+def joint_of(readings: int, size: int, parameters: int) -> Joint:
+    """Room for so many readings of one step, `size` being that of z."""
+    x, mean, rate = np.zeros((3, readings))
+    cross, rows, start = np.zeros((3, readings, size))
+    return Joint(x, mean, rate, np.zeros((readings, readings)), cross, np.zeros((readings, parameters)), rows, start)
+
+
+@njit
+def propagate(X: Blocks, p: Places, lane: int, forced: int, dt: float, w: Columns) -> None:
+    """Take w.end from the start of a step to its end; its first `forced` columns have their parameters as forcing."""
+    at, n = p.at[lane], p.nodes[lane]
+    plus, minus, inverse = p.plus[lane, :forced], p.minus[lane, :forced], p.inverse[lane, :forced]
+    begin_columns(X.start, at, plus, minus, inverse, n, w.end, w.e, w.f)
+    first_star(w.e, w.f, dt, w.star)
+    solve_columns(X.middle, at, plus, minus, inverse, n, w.star, w.middle, w.reduced)
+    content_columns(X.middle, at, plus, minus, inverse, n, w.middle, w.e_middle)
+    second_star(w.e, w.e_middle, w.star)
+    solve_columns(X.end, at, plus, minus, inverse, n, w.star, w.end, w.reduced)
+
+
+@njit
+def _add_forcing(gamma: Columns, w: Columns, column: int, amount: float, n: int) -> None:
+    """Add the answer to a disturbance of so much to a column; gamma.end[:, 0] is that to 1."""
+    for i in range(n):
+        w.end[i, column] += gamma.end[i, 0] * amount
+        w.middle[i, column] += gamma.middle[i, 0] * amount
+
+
+@njit
+def first_pass(X: Blocks, p: Places, lane: int, dt: float, state: State, keep: bool, w: Columns, size: int) -> None:
+    """Columns of Gamma, sensitivities, F P and, where they are kept, of F itself."""
+    n, m = p.nodes[lane], state.S.shape[2]
+    first, identity = 1 + m, 1 + m + size
+    w.end[:, :] = 0.0
+    for i in range(n):
+        for k in range(m):
+            w.end[i, 1 + k] = state.S[lane, i, k]
+        for j in range(n + 1):
+            w.end[i, first + j] = state.P[lane, i, j]
+        if keep:
+            w.end[i, identity + i] = 1.0
+    propagate(X, p, lane, 1 + m, dt, w)
+    for k in range(m):
+        _add_forcing(w, w, 1 + k, state.S[lane, n, k], n)
+    for j in range(n + 1):
+        _add_forcing(w, w, first + j, state.P[lane, n, j], n)
+    if keep:
+        _add_forcing(w, w, identity + n, 1.0, n)
+
+
+@njit
+def _read(w: Columns, column: int, node: int, x: float, start: float) -> float:
+    """A column at a node and a fraction of the step, `start` being what it was there at the start."""
+    w0, w1, w2 = parabola(x)
+    return w0 * start + w1 * w.middle[node, column] + w2 * w.end[node, column]
+
+
+@njit
+def predict_readings(
+    B: FloatArray, p: Places, lane: int, dt: float, r: Readings, first: int, count: int, state: State, keep: bool,
+    w: Columns, size: int, joint: Joint,
+) -> None:  # fmt: skip
+    """Temperatures, sensitivities and rows of the readings of a step, and cov(z at its start, T)."""
+    n, m = p.nodes[lane], state.S.shape[2]
+    for q in range(count):
+        node, x = r.node[lane, first + q], joint.x[q]
+        a = (HEAD_ROWS + node * NODE_ROWS) * LANES + lane
+        T0, T1, T2 = B[a + T_START * LANES], B[a + T_STAGE * LANES], B[a + T * LANES]
+        w0, w1, w2 = parabola(x)
+        joint.mean[q] = w0 * T0 + w1 * T1 + w2 * T2
+        w0, w1, w2 = parabola_rate(x, dt)
+        joint.rate[q] = w0 * T0 + w1 * T1 + w2 * T2
+        for k in range(m):
+            joint.S[q, k] = _read(w, 1 + k, node, x, state.S[lane, node, k])
+        for j in range(n + 1):
+            joint.start[q, j] = _read(w, 1 + m + j, node, x, state.P[lane, node, j])
+            if keep:
+                joint.rows[q, j] = _read(w, 1 + m + size + j, node, x, 1.0 if j == node else 0.0)
+
+
+@njit
+def second_pass(
+    X: Blocks, p: Places, lane: int, dt: float, r: Readings, first: int, count: int, state: State, noise: Noise,
+    decay: float, size: int, gamma: Columns, w: Columns, joint: Joint,
+) -> None:  # fmt: skip
+    """F (F P)' + Q, and the covariances of the readings with z at the end and with each other."""
+    n, m = p.nodes[lane], state.S.shape[2]
+    w.end[:, :] = 0.0
+    for i in range(n):
+        for j in range(n):
+            w.end[i, j] = gamma.end[j, 1 + m + i]
+        w.end[i, n] = decay * state.P[lane, n, i]
+        for q in range(count):
+            w.end[i, size + q] = joint.start[q, i]
+    propagate(X, p, lane, 0, dt, w)
+    for j in range(n):
+        _add_forcing(gamma, w, j, gamma.end[j, 1 + m + n], n)
+    _add_forcing(gamma, w, n, decay * state.P[lane, n, n], n)
+    for q in range(count):
+        _add_forcing(gamma, w, size + q, joint.start[q, n], n)
+    for q in range(count):
+        node, x = r.node[lane, first + q], joint.x[q]
+        for i in range(n):
+            joint.cross[q, i] = w.end[i, size + q]
+        joint.cross[q, n] = decay * joint.start[q, n]
+        joint.cross[q, node] += x * dt * noise.nodes[lane, node]
+        for s in range(count):
+            covariance = _read(w, size + s, node, x, joint.start[s, node])
+            if r.node[lane, first + s] == node:
+                covariance += min(x, joint.x[s]) * dt * noise.nodes[lane, node]
+            joint.covariance[q, s] = covariance
+    for i in range(n):
+        for j in range(i + 1):
+            state.P[lane, i, j] = 0.5 * (w.end[i, j] + w.end[j, i])
+            state.P[lane, j, i] = state.P[lane, i, j]
+        state.P[lane, i, i] += noise.nodes[lane, i] * dt
+        state.P[lane, i, n] = state.P[lane, n, i] = w.end[i, n]
+    state.P[lane, n, n] = decay * decay * state.P[lane, n, n] + noise.density_1_s[lane] * _span(
+        noise.decay_1_s[lane], dt
+    )
+
+
+@njit
+def _span(decay_1_s: float, dt: float) -> float:
+    """Integral of exp(-2 decay t) over a step [s]."""
+    return dt if decay_1_s == 0.0 else -math.expm1(-2.0 * decay_1_s * dt) / (2.0 * decay_1_s)
+
+
+@njit
+def innovation(lower: float, upper: float, mean: float, variance: float) -> tuple[float, float, float]:
+    """Innovation, its variance and log likelihood of a reading whose prediction is N(mean, variance); of an interval,
+    those of the unrounded reading that would move mean and variance as it does."""
+    spread = math.sqrt(variance)
+    if not lower < upper:
+        z = (lower - mean) / spread
+        return lower - mean, variance, -0.5 * z * z - LOG_ROOT_2PI - math.log(spread)
+    log_z, x, _, gain, _, _, _ = truncated_normal(
+        (lower - mean) / spread, (upper - mean) / spread, (upper - lower) / spread
+    )
+    if gain < LEAST_GAIN:
+        return 0.0, math.inf, log_z
+    return x * spread / gain, variance / gain, log_z
+
+
+@njit
+def _take(
+    r: Readings, lane: int, k: int, q: int, count: int, n: int, state: State, z: FloatArray, joint: Joint,
+    transition: FloatArray, keep: bool, out: FloatArray,
+) -> None:  # fmt: skip
+    """Take reading k, number q of its step: z, P and the readings of the step are conditioned on it."""
+    gain, m = r.gain[lane, k], state.S.shape[2]
+    predicted = out[N_OUT:]
+    for j in range(m):
+        direct = r.direct[lane, k, j]
+        predicted[j] = gain * joint.S[q, j] + direct[CONSTANT]
+        predicted[j] += direct[PER_TEMPERATURE] * joint.mean[q] + direct[PER_RATE] * joint.rate[q]
+    if not r.lower[lane, k] <= r.upper[lane, k]:
+        return
+    nu, variance, out[LOG_LIKELIHOOD] = innovation(
+        r.lower[lane, k], r.upper[lane, k], gain * joint.mean[q] + r.bias[lane, k],
+        gain * gain * joint.covariance[q, q] + r.variance[lane, k],
+    )  # fmt: skip
+    out[INNOVATION], out[VARIANCE] = nu, variance
+    cross, own = joint.cross[q].copy(), joint.covariance[q].copy()
+    own_row, inverse = joint.rows[q].copy(), 1.0 / variance
+    for i in range(n + 1):
+        share = gain * cross[i] * inverse
+        z[i] += share * nu
+        for j in range(n + 1):
+            state.P[lane, i, j] -= (gain * cross[i]) * (gain * cross[j]) * inverse
+        for j in range(m):
+            state.S[lane, i, j] -= share * predicted[j]
+        if keep:
+            for j in range(n + 1):
+                transition[i, j] -= share * (gain * own_row[j])
+    for s in range(count):
+        share = gain * own[s] * inverse
+        joint.mean[s] += share * nu
+        for t in range(count):
+            joint.covariance[s, t] -= (gain * own[s]) * (gain * own[t]) * inverse
+        for i in range(n + 1):
+            joint.cross[s, i] -= share * (gain * cross[i])
+            joint.rows[s, i] -= share * (gain * own_row[i])
+        for j in range(m):
+            joint.S[s, j] -= share * predicted[j]
+
+
+@njit
+def take_readings(
+    r: Readings, lane: int, first: int, count: int, n: int, state: State, z: FloatArray, joint: Joint,
+    transition: FloatArray, kept: Kept, keep: bool, out: FloatArray,
+) -> None:  # fmt: skip
+    """Take the readings of a step in order of time; what is told of each goes to its row of `out`."""
+    begun = 0
+    for q in range(count):
+        k = first + q
+        if r.time_s[lane, k] != r.time_s[lane, first + begun]:
+            begun = q
+        if begun == q:
+            last = q
+            while last + 1 < count and r.time_s[lane, first + last + 1] == r.time_s[lane, k]:
+                last += 1
+            for s in range(q, last + 1):
+                out[first + s, PRIOR], out[first + s, PRIOR_VARIANCE] = joint.mean[s], joint.covariance[s, s]
+        if keep:
+            for j in range(n + 1):
+                kept.rows[lane, k, j] = r.gain[lane, k] * joint.rows[q, j]
+        _take(r, lane, k, q, count, n, state, z, joint, transition, keep, out[k])
+        for s in range(begun, q + 1):
+            out[first + s, POSTERIOR], out[first + s, POSTERIOR_VARIANCE] = joint.mean[s], joint.covariance[s, s]
+
+
+@njit
+def filter_lane(
+    B: FloatArray, X: Blocks, p: Places, lane: int, k: int, time_s: FloatArray, r: Readings, first: int,
+    state: State, noise: Noise, kept: Kept, w: Columns, v: Columns, joint: Joint, z: FloatArray, transition: FloatArray,
+    out: FloatArray,
+) -> int:  # fmt: skip
+    """Covariance, sensitivities and readings of step k of one lane, whose temperatures have been marched; gives the
+    number of the next reading."""
+    n, m, size = p.nodes[lane], state.S.shape[2], state.P.shape[1]
+    keep = kept.mean.shape[1] > 0
+    dt = time_s[k] - time_s[k - 1]
+    decay = math.exp(-noise.decay_1_s[lane] * dt)
+    count = 0
+    while first + count < r.number[lane] and r.time_s[lane, first + count] <= time_s[k]:
+        joint.x[count] = (r.time_s[lane, first + count] - time_s[k - 1]) / dt
+        count += 1
+    first_pass(X, p, lane, dt, state, keep, w, size)
+    predict_readings(B, p, lane, dt, r, first, count, state, keep, w, size, joint)
+    second_pass(X, p, lane, dt, r, first, count, state, noise, decay, size, w, v, joint)
+    for i in range(n):
+        z[i] = B[(HEAD_ROWS + i * NODE_ROWS + T) * LANES + lane]
+        for j in range(m):
+            state.S[lane, i, j] = w.end[i, 1 + j]
+    z[n] = decay * state.d[lane]
+    for j in range(m):
+        state.S[lane, n, j] *= decay
+    if keep:
+        transition[:, :] = 0.0
+        for i in range(n):
+            for j in range(n + 1):
+                transition[i, j] = w.end[i, 1 + m + size + j]
+        transition[n, n] = decay
+    take_readings(r, lane, first, count, n, state, z, joint, transition, kept, keep, out)
+    if keep:
+        kept.mean[lane, k, : n + 1] = z[: n + 1]
+        kept.covariance[lane, k] = state.P[lane]
+        kept.transition[lane, k - 1] = transition
+    _put_back(B, lane, n, k, state, z)
+    return first + count
+
+
+@njit
+def _put_back(B: FloatArray, lane: int, n: int, k: int, state: State, z: FloatArray) -> None:
+    """Set the temperatures of a lane, unless one of them is none: the lane has diverged."""
+    for i in range(n + 1):
+        if not (math.isfinite(z[i]) and (i == n or z[i] > COLDEST_K)):
+            state.diverged[lane] = k
+            return
+    for i in range(n):
+        B[(HEAD_ROWS + i * NODE_ROWS + T) * LANES + lane] = z[i]
+
+
+@njit
+def disturb(B: FloatArray, X: Blocks, groups: IntArray, source: IntArray, lane: int, change: float) -> None:
+    """Add to ratio.d0 of a lane and of all its shadows."""
+    B[PARAMETERS * LANES + lane * N_PARAMETERS + D0] += change
+    for s in range(len(source)):
+        if source[s] == lane:
+            at = groups[s // LANES, 0] + PARAMETERS * LANES + (s % LANES) * N_PARAMETERS + D0
+            X.start[at] += change
+            X.middle[at] += change
+            X.end[at] += change
+
+
+@njit
+def march_filter(
+    B: FloatArray, J: IntArray, table: FloatArray, chain, begin, advance, rows,  # type: ignore[no-untyped-def]
+    X: Blocks, XJ: IntArray, groups: IntArray, source: IntArray, lane_nodes: IntArray,
+    time_s: FloatArray, histories: FloatArray, which: IntArray,
+    p: Places, r: Readings, state: State, noise: Noise, kept: Kept,
+    w: Columns, v: Columns, joint: Joint, out: FloatArray,
+) -> None:  # fmt: skip
+    """Filter the lanes of one group; blocks B and X are changed and lost, arrays as FilterMarch makes them.
+
+    out : (lane, reading, N_OUT + parameter)
+    """
+    b, j, t = raw(B), raw(J), raw(table)
+    lanes, size = state.P.shape[0], state.P.shape[1]
+    z, transition = np.zeros(size), np.zeros((size, size))
+    next_reading = np.zeros(lanes, dtype=np.int64)
+    for lane in range(LANES):
+        for c in range(N_CONDITIONS):
+            B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], 0, c]
+    call_step(begin, b, j, t, chain, 0.0)
+    for k in range(1, len(time_s)):
+        dt = time_s[k] - time_s[k - 1]
+        assemble_shadows(B, X.start, XJ, table, chain, rows, groups, source, lane_nodes, T, 2, 1.0)
+        for lane in range(lanes):
+            start_from_shadow(B, lane, X.start, p.at[lane], p.nodes[lane])
+        hold(b)
+        for lane in range(LANES):
+            for c in range(N_CONDITIONS):
+                B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], k, c]
+        call_step(advance, b, j, t, chain, dt)
+        ddt = STAGE_WEIGHT * dt
+        assemble_shadows(B, X.middle, XJ, table, chain, rows, groups, source, lane_nodes, T_STAGE, 1, ddt)
+        assemble_shadows(B, X.end, XJ, table, chain, rows, groups, source, lane_nodes, T, 2, ddt)
+        for lane in range(lanes):
+            if state.diverged[lane] == 0:
+                next_reading[lane] = filter_lane(
+                    B, X, p, lane, k, time_s, r, next_reading[lane], state, noise, kept, w, v, joint,
+                    z, transition, out[lane],
+                )  # fmt: skip
+                n = p.nodes[lane]
+                disturb(B, X, groups, source, lane, z[n] - state.d[lane])
+                state.d[lane] = z[n]
