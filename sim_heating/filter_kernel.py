@@ -1,7 +1,8 @@
 """Extended Kalman filter on the node temperatures of lanes that march together; compiled.
 
 The state of a lane is z = (T_0 .. T_(n-1), d): its node temperatures and a disturbance d of the heating ratio that
-holds for one step, additive like ratio.d0. With Phi the derivative of the step (thermal/linear.py) and Gamma that against d,
+holds for one step, additive like ratio.d0. With Phi the derivative of the step (thermal/linear.py) and Gamma that
+against d,
 
     z' = F z + w,    F = [Phi, Gamma; 0, decay],    P' = F P F' + Q,
 
