@@ -2,8 +2,8 @@
 
 The inverse heat-conduction problem as state estimation. The ratio carries a disturbance d (filter_march.Disturbance), a
 first-order Gauss-Markov process of covariance sigma^2 exp(-|t| / tau), constant over a step; given all readings,
-smoothing.py gives its mean and variance. What regularises is the noise model: of the density q = 2 sigma^2 / tau and the
-correlation time tau, those of the largest likelihood of the innovations are taken, by a search over decades.
+smoothing.py gives its mean and variance. What regularises is the noise model: of the density q = 2 sigma^2 / tau and
+the correlation time tau, those of the largest likelihood of the innovations are taken, by a search over decades.
 
 Bandwidth: with v the variance that is left at a time, the frequency f above which the process has just this variance,
 
