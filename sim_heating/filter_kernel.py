@@ -16,18 +16,19 @@ and all readings of a step are taken one by one from the joint covariance of z' 
 A reading of which an interval is known matches the moments of the truncated normal (Curry, Estimation and Control with
 Quantized Measurements, MIT Press 1970), which is a linear reading of variance S / (1 - v), v what is left of S.
 
-Sensitivities of the state go through an update as S+ = S - K dy/dp: the gain's own derivative is left out.
+Sensitivities of the state go through an update as S+ = S - K dy/dp: the gain's own derivative is left out. After a time
+the covariances may be held: as long as readings lie where they did in the step before, its gains are taken again.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.estimation.interval import LOG_ROOT_2PI, truncated_normal
+from sim_heating.filter_arrays import Blocks, Columns, Held, Joint, Kept, Noise, Places, Readings, State
 from sim_heating.jit import call_step, njit, raw
 from sim_heating.layout import (
     D0,
@@ -63,107 +64,10 @@ PRIOR, PRIOR_VARIANCE, POSTERIOR, POSTERIOR_VARIANCE, INNOVATION, VARIANCE, LOG_
 sensitivities of its prediction follow."""
 CONSTANT, PER_TEMPERATURE, PER_RATE = range(3)
 """What a parameter adds to the reading itself."""
+SAME_PLACE = 1e-6
+"""Readings this part of a step apart are at the same place in it."""
 LEAST_GAIN = 1e-14
 """A reading that takes less of its own variance away tells nothing."""
-
-
-class Places(NamedTuple):
-    """Where the shadows of each lane stand (linear_march), the first column that of ratio.d0, and its node count."""
-
-    at: IntArray
-    plus: IntArray
-    minus: IntArray
-    inverse: FloatArray
-    nodes: IntArray
-
-
-class Readings(NamedTuple):
-    """(lane, reading) in order of time; lower and upper are equal where nothing was rounded, NaN where nothing is read.
-    direct : (lane, reading, parameter, 3)."""
-
-    number: IntArray
-    time_s: FloatArray
-    node: IntArray
-    gain: FloatArray
-    bias: FloatArray
-    variance: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-    direct: FloatArray
-
-
-class State(NamedTuple):
-    """(lane, ...) covariance of z, its sensitivities, d, and the step at which the lane diverged (0: it did not)."""
-
-    P: FloatArray
-    S: FloatArray
-    d: FloatArray
-    diverged: IntArray
-
-
-class Noise(NamedTuple):
-    """White noise of nodes [K2/s] (lane, node); of d (lane,): rate of decay [1/s] and density [1/s]."""
-
-    nodes: FloatArray
-    decay_1_s: FloatArray
-    density_1_s: FloatArray
-
-
-class Kept(NamedTuple):
-    """What a smoother needs, empty where nothing is kept: z and its covariance after each step, the transition of each
-    step with its readings taken, the row of each reading against z at the start of its step."""
-
-    mean: FloatArray
-    covariance: FloatArray
-    transition: FloatArray
-    rows: FloatArray
-
-
-class Columns(NamedTuple):
-    """Work of a propagation: (node, column) at the end and the middle stage of a step, and what leads there."""
-
-    end: FloatArray
-    middle: FloatArray
-    e: FloatArray
-    f: FloatArray
-    star: FloatArray
-    e_middle: FloatArray
-    reduced: FloatArray
-
-
-class Joint(NamedTuple):
-    """The readings of a step before they are taken: fraction x of the step, temperature and its rate, covariance with
-    each other and with z at the end, sensitivities, rows against z at the start, cov(z at the start, T)."""
-
-    x: FloatArray
-    mean: FloatArray
-    rate: FloatArray
-    covariance: FloatArray
-    cross: FloatArray
-    S: FloatArray
-    rows: FloatArray
-    start: FloatArray
-
-
-class Blocks(NamedTuple):
-    """Blocks of the shadows, assembled at the start (with 1 s for the time step), the middle stage and the end."""
-
-    start: FloatArray
-    middle: FloatArray
-    end: FloatArray
-
-
-def columns_of(n: int, columns: int) -> Columns:
-    """Work for so many columns."""
-    end, middle, e, f, star, e_middle = np.zeros((6, n, columns))
-    return Columns(end, middle, e, f, star, e_middle, np.zeros(n))
-
-
-def joint_of(readings: int, size: int, parameters: int) -> Joint:
-    """Room for so many readings of one step, `size` being that of z."""
-    x, mean, rate = np.zeros((3, readings))
-    cross, rows, start = np.zeros((3, readings, size))
-    return Joint(x, mean, rate, np.zeros((readings, readings)), cross, np.zeros((readings, parameters)), rows, start)
 
 
 @njit
@@ -188,22 +92,22 @@ def _add_forcing(gamma: Columns, w: Columns, column: int, amount: float, n: int)
 
 
 @njit
-def first_pass(X: Blocks, p: Places, lane: int, dt: float, state: State, keep: bool, w: Columns, size: int) -> None:
-    """Columns of Gamma, sensitivities, F P and, where they are kept, of F itself."""
+def first_pass(X: Blocks, p: Places, lane: int, dt: float, state: State, whole: bool, keep: bool, w: Columns) -> None:
+    """Columns of Gamma and sensitivities, on the whole those of F P as well and, where they are kept, of F itself."""
     n, m = p.nodes[lane], state.S.shape[2]
-    first, identity = 1 + m, 1 + m + size
+    first, identity, covariances = 1 + m, 1 + m + state.P.shape[1], n + 1 if whole else 0
     w.end[:, :] = 0.0
     for i in range(n):
         for k in range(m):
             w.end[i, 1 + k] = state.S[lane, i, k]
-        for j in range(n + 1):
+        for j in range(covariances):
             w.end[i, first + j] = state.P[lane, i, j]
         if keep:
             w.end[i, identity + i] = 1.0
     propagate(X, p, lane, 1 + m, dt, w)
     for k in range(m):
         _add_forcing(w, w, 1 + k, state.S[lane, n, k], n)
-    for j in range(n + 1):
+    for j in range(covariances):
         _add_forcing(w, w, first + j, state.P[lane, n, j], n)
     if keep:
         _add_forcing(w, w, identity + n, 1.0, n)
@@ -218,11 +122,12 @@ def _read(w: Columns, column: int, node: int, x: float, start: float) -> float:
 
 @njit
 def predict_readings(
-    B: FloatArray, p: Places, lane: int, dt: float, r: Readings, first: int, count: int, state: State, keep: bool,
-    w: Columns, size: int, joint: Joint,
+    B: FloatArray, p: Places, lane: int, dt: float, r: Readings, first: int, count: int, state: State, whole: bool,
+    keep: bool, w: Columns, joint: Joint,
 ) -> None:  # fmt: skip
     """Temperatures, sensitivities and rows of the readings of a step, and cov(z at its start, T)."""
     n, m = p.nodes[lane], state.S.shape[2]
+    identity, covariances = 1 + m + state.P.shape[1], n + 1 if whole else 0
     for q in range(count):
         node, x = r.node[lane, first + q], joint.x[q]
         a = (HEAD_ROWS + node * NODE_ROWS) * LANES + lane
@@ -233,19 +138,19 @@ def predict_readings(
         joint.rate[q] = w0 * T0 + w1 * T1 + w2 * T2
         for k in range(m):
             joint.S[q, k] = _read(w, 1 + k, node, x, state.S[lane, node, k])
-        for j in range(n + 1):
+        for j in range(covariances):
             joint.start[q, j] = _read(w, 1 + m + j, node, x, state.P[lane, node, j])
             if keep:
-                joint.rows[q, j] = _read(w, 1 + m + size + j, node, x, 1.0 if j == node else 0.0)
+                joint.rows[q, j] = _read(w, identity + j, node, x, 1.0 if j == node else 0.0)
 
 
 @njit
 def second_pass(
     X: Blocks, p: Places, lane: int, dt: float, r: Readings, first: int, count: int, state: State, noise: Noise,
-    decay: float, size: int, gamma: Columns, w: Columns, joint: Joint,
+    decay: float, gamma: Columns, w: Columns, joint: Joint,
 ) -> None:  # fmt: skip
     """F (F P)' + Q, and the covariances of the readings with z at the end and with each other."""
-    n, m = p.nodes[lane], state.S.shape[2]
+    n, m, size = p.nodes[lane], state.S.shape[2], state.P.shape[1]
     w.end[:, :] = 0.0
     for i in range(n):
         for j in range(n):
@@ -372,10 +277,40 @@ def take_readings(
 
 
 @njit
+def _repeats(held: Held, r: Readings, lane: int, first: int, count: int, joint: Joint) -> bool:
+    """Whether the readings of a step are at the places of those whose covariances are held."""
+    if held.number[lane] != count:
+        return False
+    for q in range(count):
+        if held.node[lane, q] != r.node[lane, first + q] or abs(held.x[lane, q] - joint.x[q]) > SAME_PLACE:
+            return False
+    return True
+
+
+@njit
+def _remember(held: Held, r: Readings, lane: int, first: int, count: int, state: State, joint: Joint) -> None:
+    """Hold the covariances of a step."""
+    held.number[lane], held.P[lane] = count, state.P[lane]
+    for q in range(count):
+        held.node[lane, q], held.x[lane, q] = r.node[lane, first + q], joint.x[q]
+        held.cross[lane, q] = joint.cross[q]
+        held.covariance[lane, q] = joint.covariance[q]
+
+
+@njit
+def _recall(held: Held, lane: int, count: int, state: State, joint: Joint) -> None:
+    """Take the covariances held for those of this step."""
+    state.P[lane] = held.P[lane]
+    for q in range(count):
+        joint.cross[q] = held.cross[lane, q]
+        joint.covariance[q] = held.covariance[lane, q]
+
+
+@njit
 def filter_lane(
     B: FloatArray, X: Blocks, p: Places, lane: int, k: int, time_s: FloatArray, r: Readings, first: int,
-    state: State, noise: Noise, kept: Kept, w: Columns, v: Columns, joint: Joint, z: FloatArray, transition: FloatArray,
-    out: FloatArray,
+    state: State, noise: Noise, held: Held, kept: Kept, u: Columns, w: Columns, v: Columns, joint: Joint,
+    z: FloatArray, transition: FloatArray, out: FloatArray,
 ) -> int:  # fmt: skip
     """Covariance, sensitivities and readings of step k of one lane, whose temperatures have been marched; gives the
     number of the next reading."""
@@ -387,13 +322,19 @@ def filter_lane(
     while first + count < r.number[lane] and r.time_s[lane, first + count] <= time_s[k]:
         joint.x[count] = (r.time_s[lane, first + count] - time_s[k - 1]) / dt
         count += 1
-    first_pass(X, p, lane, dt, state, keep, w, size)
-    predict_readings(B, p, lane, dt, r, first, count, state, keep, w, size, joint)
-    second_pass(X, p, lane, dt, r, first, count, state, noise, decay, size, w, v, joint)
+    whole = time_s[k] <= held.after_s[lane] or not _repeats(held, r, lane, first, count, joint)
+    c = w if whole else u
+    first_pass(X, p, lane, dt, state, whole, keep, c)
+    predict_readings(B, p, lane, dt, r, first, count, state, whole, keep, c, joint)
+    if whole:
+        second_pass(X, p, lane, dt, r, first, count, state, noise, decay, w, v, joint)
+        _remember(held, r, lane, first, count, state, joint)
+    else:
+        _recall(held, lane, count, state, joint)
     for i in range(n):
         z[i] = B[(HEAD_ROWS + i * NODE_ROWS + T) * LANES + lane]
         for j in range(m):
-            state.S[lane, i, j] = w.end[i, 1 + j]
+            state.S[lane, i, j] = c.end[i, 1 + j]
     z[n] = decay * state.d[lane]
     for j in range(m):
         state.S[lane, n, j] *= decay
@@ -440,8 +381,8 @@ def march_filter(
     B: FloatArray, J: IntArray, table: FloatArray, chain, begin, advance, rows,  # type: ignore[no-untyped-def]
     X: Blocks, XJ: IntArray, groups: IntArray, source: IntArray, lane_nodes: IntArray,
     time_s: FloatArray, histories: FloatArray, which: IntArray,
-    p: Places, r: Readings, state: State, noise: Noise, kept: Kept,
-    w: Columns, v: Columns, joint: Joint, out: FloatArray,
+    p: Places, r: Readings, state: State, noise: Noise, held: Held, kept: Kept,
+    u: Columns, w: Columns, v: Columns, joint: Joint, out: FloatArray,
 ) -> None:  # fmt: skip
     """Filter the lanes of one group; blocks B and X are changed and lost, arrays as FilterMarch makes them.
 
@@ -471,8 +412,8 @@ def march_filter(
         for lane in range(lanes):
             if state.diverged[lane] == 0:
                 next_reading[lane] = filter_lane(
-                    B, X, p, lane, k, time_s, r, next_reading[lane], state, noise, kept, w, v, joint,
-                    z, transition, out[lane],
+                    B, X, p, lane, k, time_s, r, next_reading[lane], state, noise, held, kept, u, w, v,
+                    joint, z, transition, out[lane],
                 )  # fmt: skip
                 n = p.nodes[lane]
                 disturb(B, X, groups, source, lane, z[n] - state.d[lane])

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sim_heating.ensemble import PointModel
 from sim_heating.errors import InputError, RunError
+from sim_heating.filter_arrays import Blocks, Kept, Noise, Places, Readings, State, columns_of, held_of, joint_of
 from sim_heating.filter_kernel import (
     INNOVATION,
     LOG_LIKELIHOOD,
@@ -26,14 +27,6 @@ from sim_heating.filter_kernel import (
     PRIOR,
     PRIOR_VARIANCE,
     VARIANCE,
-    Blocks,
-    Kept,
-    Noise,
-    Places,
-    Readings,
-    State,
-    columns_of,
-    joint_of,
     march_filter,
 )
 from sim_heating.layout import T, node_rows
@@ -113,6 +106,8 @@ class FilterTrack:
     covariance_K2 : (node, node) of the temperatures at the start; known, where None
     noise_K2_s    : white noise of the process on every node, or (node,)
     disturbance   : of the heating ratio
+    hold_after_s  : time after which the gains of one step serve for all that have readings at the same places in it: an
+                    approximation, see `python -m benchmarks covariance`
     """
 
     model: PointModel
@@ -125,6 +120,7 @@ class FilterTrack:
     noise_K2_s: float | FloatArray = 0.0
     disturbance: Disturbance = field(default_factory=Disturbance)
     flight: int = 0
+    hold_after_s: float = math.inf
 
     @property
     def parameters(self) -> int:
@@ -233,7 +229,11 @@ class FilterMarch(LinearMarch):
         steps = [np.searchsorted(self.time_s[1:], p.samples.time_s) for p in points]
         most = max([int(np.max(np.bincount(s), initial=0)) for s in steps])
         state, noise, kept = self._state(points, n, m), self._noise(points, n), self._kept(points, n, keep)
-        readings = self._readings(points, m)
+        readings, after_s = self._readings(points, m), np.zeros(len(points))
+        for i, point in enumerate(points):
+            after_s[self._lane_of[i]] = point.hold_after_s
+        if keep and np.any(np.isfinite(after_s)):
+            raise InputError("filter: a smoother wants the covariance of every step; leave hold_after_s out")
         out = np.full((len(points), readings.time_s.shape[1], N_OUT + m), np.nan)
         out[..., LOG_LIKELIHOOD] = 0.0
         self.base.reset()
@@ -247,8 +247,8 @@ class FilterMarch(LinearMarch):
             self.base.begin_handle, self.base.advance_handle, self.rows,
             Blocks(*(self.shadows.state.copy() for _ in range(3))), self.shadows.ints, self.shadows.groups,
             self._source, self._nodes, self.time_s, self.histories, self._flights,
-            self._shadow_places(m), readings, state, noise, kept,
-            columns_of(n, 1 + m + (2 if keep else 1) * (n + 1)), columns_of(n, n + 1 + most),
+            self._shadow_places(m), readings, state, noise, held_of(after_s, most, n + 1), kept,
+            columns_of(n, 1 + m), columns_of(n, 1 + m + (2 if keep else 1) * (n + 1)), columns_of(n, n + 1 + most),
             joint_of(most, n + 1, m), out,
         )  # fmt: skip
         self.base.block(0)[:] = B

@@ -71,9 +71,8 @@ def unknown_input(
     if disturbance is None:
         disturbance = likeliest(track, time_s, histories)
     march = FilterMarch([replace(track, disturbance=d) for d in (disturbance, Disturbance())], time_s, histories)
-    found, without = march.filter()
-    own = FilterMarch([replace(track, disturbance=disturbance)], time_s, histories).filter(keep=True)[0]
-    smoothed = smooth(own)
+    found, without = march.filter(keep=True)
+    smoothed = smooth(found)
     sigma, dt = smoothed.ratio_sigma[:-1], np.diff(time_s)
     return UnknownInput(
         0.5 * (time_s[1:] + time_s[:-1]), smoothed.ratio[:-1], sigma,

@@ -378,6 +378,22 @@ def test_covariance_stays_symmetric_and_positive_definite_over_a_flight(sigma_K,
     assert np.min(np.linalg.eigvalsh(correlation)) > 0.0
 
 
+def test_held_gains_are_those_of_the_whole_filter_once_it_is_steady():
+    model, mesh = linear_wall()
+    t = np.arange(0.0, 401.0, DT)
+    steady = flight(t, h_ref_kg_m2_s=0.5, H_r_J_kg=1e5)
+    read = np.random.default_rng(4).normal(310.0, 1.0, (2, 2 * (len(t) - 1)))
+    samples = samples_on_grid(np.arange(0.5, 400.5), mesh.sensors, read, 1.0)  # two of each sensor in a step
+    whole = FilterTrack(model, mesh, samples, noise_K2_s=0.1, disturbance=WALKED, covariance_K2=np.eye(9))
+    held = replace(whole, hold_after_s=300.0)
+    a, b = FilterMarch([whole, held], t, steady).filter()
+    np.testing.assert_allclose(b.temperature_K, a.temperature_K, atol=1e-6)
+    np.testing.assert_allclose(b.covariance, a.covariance, atol=1e-6)
+    np.testing.assert_array_equal(b.innovation_K[:600], a.innovation_K[:600])
+    with pytest.raises(InputError, match="hold_after_s"):
+        FilterMarch([held], t, steady).filter(keep=True)
+
+
 # What cannot be filtered ---------------------------------------------------------------------------------------------
 
 
