@@ -3,6 +3,7 @@ noise."""
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from dense_filter import LinearStep, dense_filter, dense_smoother, linear_step
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binomtest, chi2, kstest
+from test_kernel_interpreted import run_interpreted
 from walls import flight, material, practice_model, practice_record, wall
 
 from sim_heating.ensemble import Ensemble, PointModel, condition_history
@@ -392,6 +394,24 @@ def test_held_gains_are_those_of_the_whole_filter_once_it_is_steady():
     np.testing.assert_array_equal(b.innovation_K[:600], a.innovation_K[:600])
     with pytest.raises(InputError, match="hold_after_s"):
         FilterMarch([held], t, steady).filter(keep=True)
+
+
+def filtered_in_hex() -> list[str]:
+    """All that the filter says of a few rounded readings, exactly."""
+    model, mesh = linear_wall()
+    plain = wall_samples(np.array([0.6, 2.0, 3.1, 3.9]), mesh)
+    rounded = replace(plain, lower_K=plain.lower_K - 2.0, upper_K=plain.upper_K + 2.0)
+    names = ("ratio.d0", "stack.coating.thickness_factor")
+    track = FilterTrack(model, mesh, rounded, names, START_K, None, some_covariance(9), NOISE_K2_S, WALKED)
+    f = FilterMarch([track], TIME_S[:4], np.ascontiguousarray(HEATED[:, :4])).filter(keep=True)[0]
+    numbers = (f.temperature_K, f.innovation_K, f.variance_K2, f.sensitivity, f.covariance)
+    return [float(x).hex() for array in numbers for x in array.ravel()]
+
+
+@pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT", "0") != "0", reason="compares with the compiled kernel")
+def test_interpreted_and_compiled_filters_agree_bit_for_bit():
+    interpreted = run_interpreted("import test_filter as t; print('\\n'.join(t.filtered_in_hex()))").split()
+    assert interpreted == filtered_in_hex()
 
 
 # What cannot be filtered ---------------------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ circuit   the founding paper's approximation: every node follows the outermost t
           [s^(1/2)] the square root of the time that heat takes to the node; then moved to what the thermocouples read,
           linear in s between them
 profile   the same, with the temperatures at KNOTS depths estimated besides, linear in s between them
+filter    by the Kalman filter from all readings since the first row of the conditions (filtering.py)
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from sim_heating.ensemble import PointModel, initial_temperatures
 from sim_heating.errors import InputError
+from sim_heating.estimation.filtering import filtered_start
 from sim_heating.estimation.problem import Start
 from sim_heating.parameters import Parameter
 from sim_heating.record import Record
@@ -79,5 +81,5 @@ def profile_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) 
     return Start(time_s, circuit_profile(record, model, mesh, time_s), columns, unknowns)
 
 
-STARTS = {"circuit": circuit_start, "profile": profile_start}
+STARTS = {"circuit": circuit_start, "profile": profile_start, "filter": filtered_start}
 """How a fit that starts at a time comes by its temperatures there, by name."""
