@@ -33,6 +33,9 @@ from sim_heating.jit import call_step, njit, raw
 from sim_heating.layout import (
     D0,
     HEAD_ROWS,
+    LAG_INPUT,
+    LAG_PAST,
+    LAG_VALUE,
     LANES,
     N_CONDITIONS,
     N_PARAMETERS,
@@ -377,6 +380,30 @@ def disturb(B: FloatArray, X: Blocks, groups: IntArray, source: IntArray, lane: 
 
 
 @njit
+def _lag_before(X: Blocks, groups: IntArray, first: bool) -> None:
+    """A ratio that lags, as the shadows at the start have to remember it: from the start of the step before."""
+    for g in range(len(groups)):
+        for s in range(groups[g, 0], groups[g, 0] + LANES):
+            X.start[s + LAG_PAST * LANES] = 0.0 if first else 1.0
+            X.start[s + LAG_VALUE * LANES] = X.end[s + LAG_VALUE * LANES]
+            X.start[s + LAG_INPUT * LANES] = X.end[s + LAG_INPUT * LANES]
+
+
+@njit
+def _lag_now(X: Blocks, groups: IntArray, first: bool) -> None:
+    """And as those at the middle stage and the end have to: from the start of this step."""
+    for g in range(len(groups)):
+        for s in range(groups[g, 0], groups[g, 0] + LANES):
+            for row in (LAG_VALUE, LAG_INPUT):
+                now = s + (row + 2) * LANES
+                if first:
+                    X.end[now] = X.start[now]
+                X.middle[now] = X.end[now]
+                X.end[s + row * LANES] = X.end[now]
+            X.end[s + LAG_PAST * LANES] = 1.0
+
+
+@njit
 def march_filter(
     B: FloatArray, J: IntArray, table: FloatArray, chain, begin, advance, rows,  # type: ignore[no-untyped-def]
     X: Blocks, XJ: IntArray, groups: IntArray, source: IntArray, lane_nodes: IntArray,
@@ -398,7 +425,9 @@ def march_filter(
     call_step(begin, b, j, t, chain, 0.0)
     for k in range(1, len(time_s)):
         dt = time_s[k] - time_s[k - 1]
+        _lag_before(X, groups, k == 1)
         assemble_shadows(B, X.start, XJ, table, chain, rows, groups, source, lane_nodes, T, 2, 1.0)
+        _lag_now(X, groups, k == 1)
         for lane in range(lanes):
             start_from_shadow(B, lane, X.start, p.at[lane], p.nodes[lane])
         hold(b)

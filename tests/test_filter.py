@@ -15,6 +15,7 @@ from scipy.stats import binomtest, chi2, kstest
 from test_kernel_interpreted import run_interpreted
 from walls import flight, material, practice_model, practice_record, wall
 
+from sim_heating.effects import use
 from sim_heating.ensemble import Ensemble, PointModel, condition_history
 from sim_heating.errors import InputError, RunError
 from sim_heating.estimation.likelihood import observed
@@ -255,6 +256,21 @@ def test_without_noise_of_the_process_the_filter_is_the_plain_march(plug, hot):
     found = filtered.sensitivity.reshape(*shape, -1).transpose(1, 0, 2)
     scale = np.max(np.abs(marched.sensitivity), axis=(0, 1))
     np.testing.assert_allclose(found / scale, marched.sensitivity / scale, atol=1e-6)
+
+
+def test_a_ratio_that_lags_is_remembered_as_in_the_plain_march(plug, hot):
+    model, mesh, t, history = plug
+    lagging = replace(model, effects=(use("nonisothermal-wall", {"lag_s": 8.0}),))
+    names = ("effect.nonisothermal-wall.lag_s", "effect.nonisothermal-wall.lag_fraction", "ratio.scale")
+    marched = LinearMarch([Track(lagging, mesh, names, t[1:], initial_K=hot)], t, history).march()[0]
+    samples = samples_on_grid(t[1:], mesh.sensors, marched.temperature_K, 1.0)
+    filtered = FilterMarch([FilterTrack(lagging, mesh, samples, names, hot)], t, history).filter()[0]
+    shape = (len(t) - 1, len(mesh.sensors))
+    np.testing.assert_allclose(filtered.prior_K.reshape(shape).T, marched.temperature_K, rtol=1e-11)
+    found = filtered.sensitivity.reshape(*shape, -1).transpose(1, 0, 2)
+    scale = np.max(np.abs(marched.sensitivity), axis=(0, 1))
+    # an effect's parameters are differenced over 2e-6 of their scale, where rounding of heat contents is some 1e-6
+    np.testing.assert_allclose(found / scale, marched.sensitivity / scale, atol=1e-5)
 
 
 def test_gradient_without_noise_of_the_process_is_that_of_the_log_likelihood(plug, hot):
