@@ -371,7 +371,7 @@ def _start(_: click.Context, __: click.Parameter, value: str) -> Any:
 @OUT
 @click.option("--parameters", callback=_names, help="dotted names, with commas; default: magnitude and derivatives")
 @click.option("--reference", callback=_condition, help="alpha_deg=40,... that derivatives are about")
-@click.option("--start", default="declared", callback=_start, help="declared, or circuit:T, profile:T, filter:T; T in s")
+@click.option("--start", default="declared", callback=_start, help="declared, or circuit, profile, filter:TIME_S")
 @click.option("--segments", type=float, help="instead: fit short segments of so many s in turn (one record)")
 def estimate(
     records: tuple[Path, ...],
