@@ -4,6 +4,7 @@ beyond them."""
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -33,6 +34,21 @@ LIMITS: dict[str, tuple[float, float, str]] = {
 }
 """Column -> lowest and highest value, and what is said of another."""
 
+LOW_RULE = "is too low for its speed and looks like km; give m"
+HIGH_SPEED_M_S, LOW_M = 3000.0, 1000.0
+"""Nothing flies so fast so low."""
+
+
+def frame_problem(frame: Mapping[str, float]) -> tuple[str, str] | None:
+    """The first column of one frame that holds a value that cannot be, and what is said of it."""
+    for name, value in frame.items():
+        lowest, highest, rule = LIMITS.get(name, (-np.inf, np.inf, ""))
+        if not lowest <= value <= highest:
+            return name, rule
+    if frame["velocity_m_s"] >= HIGH_SPEED_M_S and abs(frame["altitude_m"]) < LOW_M:
+        return "altitude_m", LOW_RULE
+    return None
+
 
 def said_of(name: str, value: float) -> str:
     """`value rule` of a value beyond the limits of its column."""
@@ -55,5 +71,5 @@ def _energy_problems(table: CsvTable) -> list[str]:
     problems: list[str] = []
     if "H_r_J_kg" in table.columns:
         problems += table.where_not("H_r_J_kg", (speed < 1000.0) | (table["H_r_J_kg"] >= 0.005 * speed**2), rule)
-    rule = "is too low for its speed and looks like km; give m"
-    return problems + table.where_not("altitude_m", (speed < 3000.0) | (np.abs(table["altitude_m"]) >= 1000.0), rule)
+    high = (speed < HIGH_SPEED_M_S) | (np.abs(table["altitude_m"]) >= LOW_M)
+    return problems + table.where_not("altitude_m", high, LOW_RULE)

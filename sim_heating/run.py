@@ -18,8 +18,19 @@ from sim_heating.scenario import MeasuredHistory, Scenario
 from sim_heating.temperatures import PointHistory, march_points, outside_table, summary_of
 from sim_heating.trajectory import entry3dof, jsbsim, recorded
 from sim_heating.trajectory.flight import Flight, OnFrame, Progress, Window
+from sim_heating.trajectory.spec import TrajectorySpec
 
-SOURCES = {"jsbsim": jsbsim.fly, "entry-3dof": entry3dof.fly, "recorded": recorded.fly}
+
+def fly_fmu(
+    spec: TrajectorySpec, vehicle_dir: Path, *, on_frame: OnFrame | None = None, progress: Progress | None = None
+) -> Flight:
+    """`trajectory.fmu.fly`; FMPy and pint are slow to import, and wanted only here."""
+    from sim_heating.trajectory import fmu
+
+    return fmu.fly(spec, vehicle_dir, on_frame=on_frame, progress=progress)
+
+
+SOURCES = {"jsbsim": jsbsim.fly, "entry-3dof": entry3dof.fly, "recorded": recorded.fly, "fmu": fly_fmu}
 
 MANOEUVRED = {
     "popu": "alpha_deg",

@@ -16,7 +16,7 @@ control_points = ["V09T9527"]       # all where absent
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -192,7 +192,17 @@ def _problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
         ),
         *(["control_points: the list is empty; leave it out for all"] if declared.control_points == [] else []),
         *_not_looked_at(declared, vehicle),
+        *_fmu_problems(declared.trajectory, vehicle),
     ]
+
+
+def _fmu_problems(spec: TrajectorySpec, vehicle: Vehicle) -> Sequence[str]:
+    """What is wrong between the scenario and its FMU, where it flies one."""
+    if spec.source != "fmu":
+        return ()
+    from sim_heating.trajectory.fmu import problems_of  # FMPy and pint are slow to import, and wanted only here
+
+    return problems_of(spec, vehicle.directory)
 
 
 def _not_looked_at(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:

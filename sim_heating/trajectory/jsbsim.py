@@ -35,9 +35,6 @@ ENTRY_INTERFACE_M = 122.0e3
 SKIPPED_M = 5.0e3
 """A vehicle that climbs so far above the entry interface, and above where it began, has skipped out."""
 
-MACH_COUNTS_BELOW_M = 90.0e3
-"""Mach ends a flight below this altitude only: in the hot air above it is low."""
-
 REPORT_S = 20.0
 
 
@@ -105,14 +102,8 @@ class JSBSimEntry:
 
         raises : RunError where its state is none to go on from
         """
-        seen, stop = self._observer.observe(), self.spec.stop
-        self.seen = seen
-        if (
-            seen.time_s >= stop.time_s - 1e-9
-            or (stop.altitude_m is not None and seen.altitude_m <= stop.altitude_m)
-            or (stop.velocity_m_s is not None and seen.velocity_m_s <= stop.velocity_m_s)
-            or (stop.mach is not None and seen.mach <= stop.mach and seen.altitude_m < MACH_COUNTS_BELOW_M)
-        ):
+        self.seen = seen = self._observer.observe()
+        if self.spec.stop.passed(seen.time_s, seen.altitude_m, seen.velocity_m_s, seen.mach):
             return True
         self._refuse_lost()
         return False

@@ -27,6 +27,7 @@ from sim_heating.trajectory import manoeuvres as mv
 from sim_heating.trajectory.guidance import clipped, guidance_kernel
 from sim_heating.trajectory.manoeuvres import offsets_kernel, trigger_kernel
 from sim_heating.trajectory.schedules import places, scheduled
+from sim_heating.trajectory.spec import MACH_COUNTS_BELOW_M
 from sim_heating.trajectory.trimmed_aero import lift_drag_kernel
 
 FloatArray = NDArray[np.float64]
@@ -45,9 +46,6 @@ G0_M_S2 = 9.80665
 ) = range(6, 21)  # fmt: skip
 DENSITY, WIND_NORTH, WIND_EAST, FLAP_SCHEDULE = places(21, 4)
 """Places in the block of a flight: scalars after those of `trimmed_aero`, then schedules."""
-
-MACH_COUNTS_BELOW_M = 90.0e3
-"""Mach ends a flight below this altitude only: in the hot air above it is low."""
 
 (
     T, X, Y, Z, VX, VY, VZ, ALPHA, BANK, BETA, D_ELEVON, D_FLAP, JETS, LAST_SPEED, LAST_MACH,

@@ -56,6 +56,10 @@ class Initial(Table):
     bank_deg: float = Field(default=0.0, ge=-180.0, le=180.0)
 
 
+MACH_COUNTS_BELOW_M = 90.0e3
+"""Mach ends a flight below this altitude only: in the hot air above it is low."""
+
+
 class Stop(Table):
     """The flight ends at the first of these, each passed from above (time from below); Mach counts below 90 km."""
 
@@ -63,6 +67,15 @@ class Stop(Table):
     velocity_m_s: Positive | None = None
     altitude_m: float | None = None
     time_s: Positive = 3000.0
+
+    def passed(self, time_s: float, altitude_m: float, velocity_m_s: float, mach: float) -> bool:
+        """Whether a flight that is there is at its end."""
+        return (
+            time_s >= self.time_s - 1e-9
+            or (self.altitude_m is not None and altitude_m <= self.altitude_m)
+            or (self.velocity_m_s is not None and velocity_m_s <= self.velocity_m_s)
+            or (self.mach is not None and mach <= self.mach and altitude_m < MACH_COUNTS_BELOW_M)
+        )
 
 
 class VehicleState(Table):
@@ -288,15 +301,73 @@ Manoeuvre = Annotated[
 ]
 
 
+class FmuVariable(Table):
+    """A variable of an FMU and its unit, which is that of the FMU where it is not given."""
+
+    variable: str
+    unit: str | None = None
+
+
+class FmuValue(Table):
+    """A start value with its unit."""
+
+    value: Finite
+    unit: str
+
+
+Command = Literal["alpha_deg", "bank_deg", "beta_deg", "elevon_deg", "bodyflap_deg", "jets"]
+
+
+class FmuInput(Table):
+    """What an input of an FMU is given: a command of guidance and manoeuvres, or a schedule [[time_s, value], ...].
+
+    unit : of the schedule, or of the input where the FMU does not tell; a command is converted from its own
+    """
+
+    command: Command | None = None
+    schedule: Schedule | None = None
+    unit: str | None = None
+
+    @model_validator(mode="after")
+    def _has_one_of_both(self) -> FmuInput:
+        if (self.command is None) == (self.schedule is None):
+            raise ValueError("give either `command` or `schedule`")
+        return self
+
+
+class FmuSource(Table):
+    """An FMU as a trajectory: what its variables mean.
+
+    interface: the one to use where the FMU has both; co-simulation where it is not given
+    columns  : column -> variable, or variable with unit, or a number that stands for it; by usual names where absent
+    start    : parameter or input -> its value, in the FMU's unit or with one
+    inputs   : input -> what it is given; one that is not named keeps its start value
+    tolerance: relative tolerance of the solver
+    timeout_s: longest time that one call into the FMU may take
+    """
+
+    interface: Literal["co-simulation", "model-exchange"] | None = None
+    columns: dict[str, str | Finite | FmuVariable] = {}
+    start: dict[str, bool | int | Finite | str | FmuValue] = {}
+    inputs: dict[str, Command | FmuInput] = {}
+    tolerance: Positive | None = None
+    timeout_s: Positive = 30.0
+
+    @property
+    def commands(self) -> bool:
+        """Whether guidance and manoeuvres command any input."""
+        return any(isinstance(i, str) or i.command is not None for i in self.inputs.values())
+
+
 class TrajectorySpec(Table):
     """The [trajectory] table of a scenario.
 
-    rate_hz : integration frames a second; 60, or 4 for the 3-DOF entry, where it is not given
+    rate_hz : integration frames a second (communication steps of an FMU); 60, or 4 for the 3-DOF entry, where not given
     sample_s: interval of the conditions kept
-    file    : recorded CSV (source = "recorded"); the reader of a scenario makes it relative to the scenario
+    file    : recorded CSV or FMU; the reader of a scenario makes it relative to the scenario
     """
 
-    source: Literal["jsbsim", "entry-3dof", "recorded"]
+    source: Literal["jsbsim", "entry-3dof", "recorded", "fmu"]
     rate_hz: float = Field(default=60.0, gt=0.0, le=2000.0)
     sample_s: Positive = 1.0
     file: str | None = None
@@ -306,6 +377,7 @@ class TrajectorySpec(Table):
     guidance: GuidanceChanges = GuidanceChanges()
     dispersions: Dispersions = Dispersions()
     manoeuvre: tuple[Manoeuvre, ...] = ()
+    fmu: FmuSource = FmuSource()
 
     @model_validator(mode="before")
     @classmethod
@@ -321,6 +393,8 @@ class TrajectorySpec(Table):
                 raise ValueError('source = "recorded" needs `file`, a CSV of flight conditions')
             if self.manoeuvre or self.initial is not None:
                 raise ValueError("a recorded flight is what it is: remove `initial` and the manoeuvres")
+        elif self.source == "fmu":
+            self._check_fmu()
         elif self.initial is None:
             raise ValueError(f'source = "{self.source}" needs [trajectory.initial]')
         elif self.file is not None:
@@ -328,3 +402,11 @@ class TrajectorySpec(Table):
         if self.source != "recorded" and self.sample_s < 1.0 / self.rate_hz - 1e-9:
             raise ValueError(f"sample_s = {self.sample_s} is shorter than one frame, {1.0 / self.rate_hz:.4g} s")
         return self
+
+    def _check_fmu(self) -> None:
+        if self.file is None:
+            raise ValueError('source = "fmu" needs `file`, an FMU')
+        if self.initial is not None:
+            raise ValueError("an FMU starts as its own start values say: remove `initial`, give [trajectory.fmu.start]")
+        if self.manoeuvre and not self.fmu.commands:
+            raise ValueError("manoeuvres need an input that they command: name it in [trajectory.fmu.inputs]")

@@ -1,0 +1,229 @@
+"""The process that an FMU runs in: FMPy behind one JSON request a line on stdin and one JSON answer a line on stdout.
+
+An FMU is foreign machine code: what it breaks, it breaks here. `fmu_session.FmuSession` starts this file as a script of
+its own and speaks with it; nothing else of the package is imported. Whatever the FMU prints goes to stderr.
+
+    first request  {"folder", "interface", "start", "inputs", "outputs", "start_s", "stop_s", "tolerance"}
+    each further   {"time_s", "step_s", "inputs": [...]}
+    answer         {"time_s", "values": [...], "ended"}  or  {"error": "what went wrong"}
+
+`ended` is true where the FMU itself asks to end; time_s is then the time that it reached.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from typing import Any
+
+from fmpy import read_model_description
+from fmpy.fmi1 import FMICallException
+from fmpy.simulation import (
+    apply_start_values,
+    instantiate_fmu,
+    settable_in_initialization_mode,
+    settable_in_instantiated,
+)
+
+INTERFACES = {"co-simulation": "CoSimulation", "model-exchange": "ModelExchange"}
+DISCARD = 2
+"""fmi2Discard and fmi3Discard."""
+LAST_SUCCESSFUL_TIME, TERMINATED = 2, 3
+"""What fmi2GetRealStatus and fmi2GetBooleanStatus may be asked after a discarded step."""
+SOLVER_TOLERANCE = 1e-6
+"""Relative tolerance of CVode where neither scenario nor FMU names one."""
+SAME_TIME_S = 1e-9
+
+
+class Refusal(Exception):
+    """What the FMU did not do, in words."""
+
+
+class Instance:
+    """An FMU that has been initialised; subclasses move it on.
+
+    raises : Refusal, or FMPy's exceptions
+    """
+
+    def __init__(self, request: dict[str, Any]) -> None:
+        self.model = read_model_description(request["folder"], validate=False)
+        self.three = self.model.fmiVersion.startswith("3.")
+        self.by_name = {v.name: v for v in self.model.modelVariables}
+        self.read = self._accessors("get", request["outputs"])
+        self.inputs = self._accessors("set", request["inputs"])
+        self.fmu = instantiate_fmu(
+            request["folder"], self.model, INTERFACES[request["interface"]], require_functions=False
+        )
+        self._initialise(request)
+
+    def _accessors(self, verb: str, names: list[str]) -> list[tuple[str, list[int], list[int]]]:
+        """(method, value references, places in the list) of variables, one entry a type."""
+        found: dict[str, tuple[list[int], list[int]]] = {}
+        for place, name in enumerate(names):
+            variable = self.by_name[name]
+            kind = variable.type if variable.type != "Enumeration" else ("Int64" if self.three else "Integer")
+            references, places = found.setdefault(verb + kind, ([], []))
+            references.append(variable.valueReference)
+            places.append(place)
+        return [(method, references, places) for method, (references, places) in found.items()]
+
+    def _initialise(self, request: dict[str, Any]) -> None:
+        times = {"tolerance": request["tolerance"], "startTime": request["start_s"], "stopTime": request["stop_s"]}
+        start = request["start"]
+        if not self.three:
+            self.fmu.setupExperiment(**times)
+        start = apply_start_values(self.fmu, self.model, start, settable_in_instantiated)
+        self.fmu.enterInitializationMode(**(times if self.three else {}))
+        start = apply_start_values(self.fmu, self.model, start, settable_in_initialization_mode)
+        if start:
+            raise Refusal(f"takes no start value for {', '.join(start)}: give parameters and inputs alone")
+        self.fmu.exitInitializationMode()
+
+    def values(self) -> list[float]:
+        """The outputs as numbers, in the order asked for."""
+        found = [0.0] * sum(len(places) for _, _, places in self.read)
+        for method, references, places in self.read:
+            for place, value in zip(places, getattr(self.fmu, method)(references), strict=True):
+                found[place] = float(value)
+        return found
+
+    def put(self, values: list[float]) -> None:
+        """Set the inputs, in the order given."""
+        for method, references, places in self.inputs:
+            whole = "Float" not in method and "Real" not in method
+            chosen = [round(values[p]) if whole else values[p] for p in places]
+            getattr(self.fmu, method)(references, chosen)
+
+    def step(self, time_s: float, step_s: float) -> tuple[float, bool]:
+        """Move on; the time reached and whether the FMU wants to end."""
+        raise NotImplementedError
+
+
+class CoSimulation(Instance):
+    """An FMU that brings its own solver."""
+
+    def step(self, time_s: float, step_s: float) -> tuple[float, bool]:
+        try:
+            done = self.fmu.doStep(currentCommunicationPoint=time_s, communicationStepSize=step_s)
+        except FMICallException as error:
+            if error.status != DISCARD:
+                raise
+            return self._discarded(time_s, step_s)
+        if not self.three:
+            return time_s + step_s, False
+        _, ended, early, reached_s = done
+        if ended:
+            return reached_s, True
+        if early:
+            raise Refusal(f"returned early, at {reached_s:.9g} s, from a step to {time_s + step_s:.9g} s; {_SHORTER}")
+        return time_s + step_s, False
+
+    def _discarded(self, time_s: float, step_s: float) -> tuple[float, bool]:
+        """A discarded step is FMI 2's way to say that the simulation ends, or that the step is too long."""
+        if not self.three:
+            reached_s = self.fmu.getRealStatus(LAST_SUCCESSFUL_TIME)
+            if self.fmu.getBooleanStatus(TERMINATED):
+                return reached_s, True
+        raise Refusal(f"discarded the step of {step_s:.9g} s at {time_s:.9g} s; {_SHORTER}")
+
+
+_SHORTER = "give shorter steps (rate_hz)"
+
+
+class _Held:
+    """Inputs as FMPy's solver asks for them: they hold over a communication step."""
+
+    def apply(self, time_s: float) -> None:
+        """Nothing to do."""
+
+
+class ModelExchange(Instance):
+    """An FMU of bare equations, integrated by FMPy's CVode (BDF) from one communication point to the next."""
+
+    def __init__(self, request: dict[str, Any]) -> None:
+        super().__init__(request)
+        from fmpy.sundials import CVodeSolver
+
+        self.next_event_s: float | None = None
+        if self._update():
+            raise Refusal("asked to end during its initialisation")
+        derivatives = self.fmu.getContinuousStateDerivatives if self.three else self.fmu.getDerivatives
+        self.solver = CVodeSolver(
+            nx=self.model.numberOfContinuousStates,
+            nz=self.model.numberOfEventIndicators,
+            get_x=self.fmu.getContinuousStates,
+            set_x=self.fmu.setContinuousStates,
+            get_dx=derivatives,
+            get_z=self.fmu.getEventIndicators,
+            get_nominals=self.fmu.getNominalsOfContinuousStates,
+            set_time=self.fmu.setTime,
+            input=_Held(),
+            startTime=request["start_s"],
+            relativeTolerance=request["tolerance"] or SOLVER_TOLERANCE,
+        )
+
+    def _update(self) -> bool:
+        """Event iteration into continuous time; whether the FMU wants to end."""
+        update = self.fmu.updateDiscreteStates if self.three else self.fmu.newDiscreteStates
+        again, ended = True, False
+        while again and not ended:
+            again, ended, _, _, defined, next_s = update()
+        self.next_event_s = next_s if defined else None
+        if not ended:
+            self.fmu.enterContinuousTimeMode()
+        return ended
+
+    def put(self, values: list[float]) -> None:
+        super().put(values)
+        self._restart = bool(self.inputs)
+
+    def step(self, time_s: float, step_s: float) -> tuple[float, bool]:
+        end_s = time_s + step_s
+        if self._restart:  # inputs jump at a communication point
+            self.solver.reset(time_s)
+        while time_s < end_s - SAME_TIME_S:
+            target_s = end_s if self.next_event_s is None else min(end_s, self.next_event_s)
+            event, _, time_s = self.solver.step(time_s, target_s)
+            self.fmu.setTime(time_s)
+            ended = False
+            if self.model.modelExchange.needsCompletedIntegratorStep:
+                step_event, ended = self.fmu.completedIntegratorStep()
+                event = event or step_event
+            timed = self.next_event_s is not None and time_s >= self.next_event_s - SAME_TIME_S
+            if not ended and (event or timed):
+                self.fmu.enterEventMode()
+                ended = self._update()
+                self.solver.reset(time_s)
+            if ended:
+                return time_s, True
+        return end_s, False
+
+
+def serve(requests: Any, answers: Any) -> None:
+    """Answer requests until there are no more of them or one fails."""
+
+    def answer(**what: Any) -> None:
+        answers.write(json.dumps(what) + "\n")
+        answers.flush()
+
+    try:
+        request = json.loads(requests.readline())
+        kind = CoSimulation if request["interface"] == "co-simulation" else ModelExchange
+        instance = kind(request)
+        answer(time_s=request["start_s"], values=instance.values(), ended=False)
+        for line in requests:
+            request = json.loads(line)
+            instance.put(request["inputs"])
+            time_s, ended = instance.step(request["time_s"], request["step_s"])
+            answer(time_s=time_s, values=instance.values(), ended=ended)
+        instance.fmu.terminate()
+        instance.fmu.freeInstance()
+    except Exception as error:  # whatever it is, the parent tells it
+        answer(error=str(error) or type(error).__name__)
+
+
+if __name__ == "__main__":
+    private = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    serve(sys.stdin, private)
