@@ -80,6 +80,9 @@ def _description_2(kind: str, units: dict[str, str]) -> str:
     )
 
 
+_ABILITY = {"CoSimulation": "canHandleVariableCommunicationStepSize", "ModelExchange": "needsCompletedIntegratorStep"}
+
+
 def _description_3(kind: str, units: dict[str, str]) -> str:
     output = '<Float64 name="{}" valueReference="{}" causality="output" unit="{}"/>'
     parameter = (
@@ -88,7 +91,7 @@ def _description_3(kind: str, units: dict[str, str]) -> str:
     variables = [output.format(*v) for v in OUTPUTS] + [parameter.format(*v) for v in PARAMETERS]
     return (
         '<?xml version="1.0"?><fmiModelDescription fmiVersion="3.0" modelName="glide" instantiationToken="{glide}">'
-        f'<{kind} modelIdentifier="glide" canHandleVariableCommunicationStepSize="true"/>'
+        f'<{kind} modelIdentifier="glide" {_ABILITY[kind]}="true"/>'
         f'<UnitDefinitions>{_unit_definitions(units)}</UnitDefinitions><ModelVariables>{"".join(variables)}'
         '<Float64 name="command" valueReference="3" causality="input" unit="rad" start="0.7"/>'
         '<Int32 name="fault" valueReference="9" causality="parameter" variability="fixed" start="0"/>'

@@ -47,6 +47,11 @@ FORCES = ("drag_m_s2", "lift_m_s2", "net_gravity_m_s2")
 COLUMNS = (*FRAME[1:], *EXTRAS, *MOTION, *ATTITUDE, *FORCES)
 """Columns that a mapping may name; speed, path angle and heading are relative to the air, MOTION to the Earth."""
 
+AIR_PATH = ("velocity_m_s", "gamma_deg", "heading_deg")
+ANGLES = ("alpha_deg", "beta_deg", "bank_deg")
+FOLLOWS = ((set(MOTION[:3]), AIR_PATH), (set(ATTITUDE), ANGLES))
+"""What follows from velocity and from attitude."""
+
 UNITS = (
     ("_kg_m3", "kg/m3"), ("_m_s2", "m/s2"), ("_m_s", "m/s"), ("_deg", "deg"), ("_m", "m"), ("_g", "standard_gravity"),
 )  # fmt: skip
@@ -126,11 +131,15 @@ class ColumnsOfFmu:
         if problems:
             raise InputError(*problems)
         mapped = {r.column for r in found} | set(self._constants)
-        return found + self._by_usual_name(model, mapped)
+        return found + self._by_usual_name(model, mapped, {r.variable for r in found})
 
-    def _by_usual_name(self, model: FmuModel, mapped: set[str]) -> list[Reading]:
-        """Outputs whose names leave no doubt: the column's own, or a usual one that only one output has."""
-        outputs = [v for v in model.description.modelVariables if v.causality == "output"]
+    def _by_usual_name(self, model: FmuModel, mapped: set[str], taken: set[str]) -> list[Reading]:
+        """Outputs whose names leave no doubt: the column's own, or a usual one that only one output has.
+
+        Not what the mapping holds already, and not a column that follows from what it holds.
+        """
+        mapped = mapped.union(*(made for needed, made in FOLLOWS if needed <= mapped))
+        outputs = [v for v in model.description.modelVariables if v.causality == "output" and v.name not in taken]
         names = {v.name: re.sub("[^a-z]", "", v.name.lower()) for v in outputs}
         found = []
         for column in COLUMNS:
@@ -199,13 +208,11 @@ class Derivation:
 
     def _choose_motion(self) -> None:
         north, east, down, rate, mach = MOTION
-        components = ("velocity_m_s", "gamma_deg", "heading_deg")
-        self._choose({north, east, down, "altitude_m"}, components, self._from_components, "speed is that of velocity")
+        self._choose({north, east, down, "altitude_m"}, AIR_PATH, self._from_components, "speed is that of velocity")
         self._choose({mach, "altitude_m"}, ("velocity_m_s",), _from_mach, "speed is Mach times US76's speed of sound")
         self._choose({rate, "velocity_m_s"}, ("gamma_deg",), _from_rate, "")
-        angles = ("alpha_deg", "beta_deg", "bank_deg")
         note = "alpha, beta, bank are those of attitude and velocity, where not given"
-        self._choose({*components[1:], *ATTITUDE}, angles, _from_attitude, note)
+        self._choose({*AIR_PATH[1:], *ATTITUDE}, ANGLES, _from_attitude, note)
 
     def _choose_trim(self, spec: TrajectorySpec, vehicle_dir: Path) -> None:
         try:
