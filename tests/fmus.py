@@ -15,7 +15,8 @@ COMPILER = shutil.which("gcc") or shutil.which("cc") or shutil.which("clang")
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler to build the FMU with")
 
 FAULTS = (
-    "none", "fails", "discards", "returns early", "gives NaN", "crashes", "hangs", "ends", "exits", "chatters and fails",
+    "none", "fails", "discards", "returns early", "gives NaN", "crashes", "hangs", "ends", "exits",
+    "chatters and fails",
 )  # fmt: skip
 UNITS = {
     "km": 'm="1" factor="1000"', "ft/s": 'm="1" s="-1" factor="0.3048"', "rad": 'rad="1"', "m/s": 'm="1" s="-1"',
@@ -39,7 +40,18 @@ def library(folder: Path, *options: str) -> Path:
     assert COMPILER is not None
     target = folder / f"glide{fmpy.sharedLibraryExtension}"
     headers = Path(fmpy.__file__).parent / "c-code"
-    command = [COMPILER, "-shared", "-fPIC", "-O1", *options, f"-I{headers}", *map(str, SOURCES), "-lm", "-o", str(target)]
+    command = [
+        COMPILER,
+        "-shared",
+        "-fPIC",
+        "-O1",
+        *options,
+        f"-I{headers}",
+        *map(str, SOURCES),
+        "-lm",
+        "-o",
+        str(target),
+    ]
     subprocess.run(command, check=True)
     return target
 
@@ -60,7 +72,10 @@ def _description_2(kind: str, units: dict[str, str]) -> str:
         '<Real unit="{}" start="{}"/></ScalarVariable>'
     )
     variables = [output.format(*v) for v in OUTPUTS] + [parameter.format(*v) for v in PARAMETERS]
-    states = [f'<ScalarVariable name="{n}_state" valueReference="{r}"><Real/></ScalarVariable>' for n, r in (("h", 0), ("v", 1))]
+    states = [
+        f'<ScalarVariable name="{n}_state" valueReference="{r}"><Real/></ScalarVariable>'
+        for n, r in (("h", 0), ("v", 1))
+    ]
     first = len(variables) + 4
     ders = [
         f'<ScalarVariable name="der({n})" valueReference="{r}"><Real derivative="{first + i}"/></ScalarVariable>'
@@ -69,12 +84,13 @@ def _description_2(kind: str, units: dict[str, str]) -> str:
     return (
         '<?xml version="1.0"?><fmiModelDescription fmiVersion="2.0" modelName="glide" guid="{glide}" '
         f'numberOfEventIndicators="0"><{kind} modelIdentifier="glide" canHandleVariableCommunicationStepSize="true"'
-        f'/><UnitDefinitions>{_unit_definitions(units)}</UnitDefinitions><ModelVariables>{"".join(variables)}'
-        '<ScalarVariable name="command" valueReference="3" causality="input"><Real unit="rad" start="0.7"/></ScalarVariable>'
+        f"/><UnitDefinitions>{_unit_definitions(units)}</UnitDefinitions><ModelVariables>{''.join(variables)}"
+        '<ScalarVariable name="command" valueReference="3" causality="input">'
+        '<Real unit="rad" start="0.7"/></ScalarVariable>'
         '<ScalarVariable name="fault" valueReference="9" causality="parameter" variability="fixed" initial="exact">'
         '<Integer start="0"/></ScalarVariable>'
         '<ScalarVariable name="label" valueReference="20" causality="output"><String/></ScalarVariable>'
-        f'{"".join(states)}{"".join(ders)}</ModelVariables><ModelStructure><Derivatives>'
+        f"{''.join(states)}{''.join(ders)}</ModelVariables><ModelStructure><Derivatives>"
         f'<Unknown index="{first + 2}"/><Unknown index="{first + 3}"/></Derivatives></ModelStructure>'
         "</fmiModelDescription>"
     )
@@ -92,7 +108,7 @@ def _description_3(kind: str, units: dict[str, str]) -> str:
     return (
         '<?xml version="1.0"?><fmiModelDescription fmiVersion="3.0" modelName="glide" instantiationToken="{glide}">'
         f'<{kind} modelIdentifier="glide" {_ABILITY[kind]}="true"/>'
-        f'<UnitDefinitions>{_unit_definitions(units)}</UnitDefinitions><ModelVariables>{"".join(variables)}'
+        f"<UnitDefinitions>{_unit_definitions(units)}</UnitDefinitions><ModelVariables>{''.join(variables)}"
         '<Float64 name="command" valueReference="3" causality="input" unit="rad" start="0.7"/>'
         '<Int32 name="fault" valueReference="9" causality="parameter" variability="fixed" start="0"/>'
         '<Float64 name="h_state" valueReference="13"/><Float64 name="v_state" valueReference="14"/>'

@@ -3,6 +3,7 @@
 An FMU is foreign machine code: what it breaks, it breaks here. `fmu_session.FmuSession` starts this file as a script of
 its own and speaks with it; nothing else of the package is imported. Whatever the FMU prints goes to stderr.
 
+    at first       {"ready": true} by itself, when FMPy has been imported
     first request  {"folder", "interface", "start", "inputs", "outputs", "start_s", "stop_s", "tolerance"}
     each further   {"time_s", "step_s", "inputs": [...]}
     answer         {"time_s", "values": [...], "ended"}  or  {"error": "what went wrong"}
@@ -184,7 +185,7 @@ class ModelExchange(Instance):
             self.solver.reset(time_s)
         while time_s < end_s - SAME_TIME_S:
             target_s = end_s if self.next_event_s is None else min(end_s, self.next_event_s)
-            event, _, time_s = self.solver.step(time_s, target_s)
+            event, time_s = self._solve(time_s, target_s)
             self.fmu.setTime(time_s)
             ended = False
             if self.model.modelExchange.needsCompletedIntegratorStep:
@@ -199,6 +200,14 @@ class ModelExchange(Instance):
                 return time_s, True
         return end_s, False
 
+    def _solve(self, time_s: float, target_s: float) -> tuple[bool, float]:
+        """The solver's way to a time, or to an event before it; whether there is one, and the time reached."""
+        try:
+            event, _, reached_s = self.solver.step(time_s, target_s)
+        except RuntimeError as error:
+            raise Refusal(f"cannot be integrated: {str(error).rpartition('.c: ')[2]}") from None
+        return bool(event), reached_s
+
 
 def serve(requests: Any, answers: Any) -> None:
     """Answer requests until there are no more of them or one fails."""
@@ -207,6 +216,7 @@ def serve(requests: Any, answers: Any) -> None:
         answers.write(json.dumps(what) + "\n")
         answers.flush()
 
+    answer(ready=True)
     try:
         request = json.loads(requests.readline())
         kind = CoSimulation if request["interface"] == "co-simulation" else ModelExchange

@@ -14,6 +14,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
@@ -24,6 +25,8 @@ from sim_heating.errors import RunError
 from sim_heating.files import shown
 
 PROCESS = Path(__file__).with_name("fmu_process.py")
+READY_S = 120.0
+"""Longest time for the process itself to start."""
 WATCH_S = 0.05
 """How often the watch looks at the clock."""
 GOODBYE_S = 5.0
@@ -69,6 +72,11 @@ class FmuSession:
         self._deadline: float | None = None
         self._over, self._hung = threading.Event(), False
         threading.Thread(target=self._watch, daemon=True).start()
+        try:
+            self._answer("before it was loaded", READY_S)
+        except BaseException as error:
+            self.__exit__(type(error), error, None)
+            raise
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
@@ -103,23 +111,27 @@ class FmuSession:
         return self._ask(request, f"in its step at {time_s:.9g} s")
 
     def _ask(self, request: Mapping[str, Any], when: str) -> Answer:
-        stdin, stdout = self._process.stdin, self._process.stdout
+        stdin = self._process.stdin
         assert stdin is not None
-        assert stdout is not None
-        self._deadline = time.monotonic() + self.timeout_s
-        try:
+        with suppress(BrokenPipeError):  # a process that is gone has no answer either
             stdin.write(json.dumps(request).encode() + b"\n")
             stdin.flush()
-            line = stdout.readline()
-        except BrokenPipeError:
-            line = b""
-        self._deadline = None
-        if not line.endswith(b"\n"):
-            raise RunError(f"{shown(self.path)}: {self._death(when)}{self._last_words()}")
-        answer = json.loads(line)
+        answer = self._answer(when, self.timeout_s)
         if "error" in answer:
             raise RunError(f"{shown(self.path)}: the FMU failed {when}: {answer['error']}{self._last_words()}")
         return Answer(**answer)
+
+    def _answer(self, when: str, patience_s: float) -> dict[str, Any]:
+        """What the process says next."""
+        stdout = self._process.stdout
+        assert stdout is not None
+        self._deadline = time.monotonic() + patience_s
+        line = stdout.readline()
+        self._deadline = None
+        if not line.endswith(b"\n"):
+            raise RunError(f"{shown(self.path)}: {self._death(when)}{self._last_words()}")
+        found: dict[str, Any] = json.loads(line)
+        return found
 
     def _death(self, when: str) -> str:
         status = self._process.wait()
