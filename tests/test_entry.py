@@ -99,8 +99,8 @@ def test_the_step_converges_with_the_fourth_power_of_its_length():
 def test_geodetic_position_comes_back_from_cartesian(latitude, longitude, altitude):
     flight = np.zeros(pm.DENSITY)
     flight[[pm.RADIUS, pm.FLATTENING]] = pm.WGS84_RADIUS_M, pm.WGS84_FLATTENING
-    initial = Initial.model_construct(latitude_deg=latitude, longitude_deg=longitude, altitude_m=altitude)
-    x, y, z = entry3dof.cartesian_m(initial, flight)
+    initial = np.array([altitude, 0.0, 0.0, 0.0, latitude, longitude])
+    x, y, z = pm.position_kernel(initial, flight)
     found, up = pm.geodetic(x, y, z, pm.WGS84_RADIUS_M, pm.WGS84_FLATTENING)
     assert found == pytest.approx(altitude, abs=1e-6)
     assert up[2] == pytest.approx(math.sin(math.radians(latitude)), abs=1e-12)

@@ -7,13 +7,12 @@ the length above 0.003) drag is low. Against the 6-DOF flight of the same guidan
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.atmosphere import HIGHEST_M, speed_of_sound_kernel, us76_kernel
+from sim_heating.atmosphere import HIGHEST_M
 from sim_heating.conditions import FRAME
 from sim_heating.errors import InputError, RunError
 from sim_heating.trajectory import guidance as gd
@@ -21,7 +20,7 @@ from sim_heating.trajectory import manoeuvres as mv
 from sim_heating.trajectory import point_mass as pm
 from sim_heating.trajectory.aero import Aero, flown_aero
 from sim_heating.trajectory.flight import ROW, Flight, OnFrame, Progress, Sampler, reference_length_m
-from sim_heating.trajectory.schedules import pack, scheduled
+from sim_heating.trajectory.schedules import pack
 from sim_heating.trajectory.spec import Guidance, Initial, TrajectorySpec
 from sim_heating.trajectory.trimmed_aero import aero_block, low_speed_rows
 
@@ -50,45 +49,19 @@ def flight_block(spec: TrajectorySpec, aero: Aero, guidance: Guidance) -> FloatA
     return pack(scalars, [d.density_factor or ((0.0, 1.0),), d.wind_north_m_s or (), d.wind_east_m_s or (), flap])
 
 
-def first_state(initial: Initial, flight: FloatArray, block: FloatArray, manoeuvres: int) -> FloatArray:
-    """State at time 0: Cartesian position and velocity, commands on schedule, no manoeuvre begun."""
-    state = np.zeros(pm.STARTED + manoeuvres)
-    state[pm.X : pm.VX] = cartesian_m(initial, flight)
-    state[pm.VX : pm.VX + 3] = velocity_m_s(initial, flight)
-    speed = initial.velocity_m_s
-    mach = speed / speed_of_sound_kernel(us76_kernel(initial.altitude_m)[0])
-    state[pm.MEMORY : pm.STARTED] = gd.first_memory(block, mach, speed)
-    state[pm.ALPHA], state[pm.BANK] = state[pm.MEMORY + gd.ALPHA_COMMAND], state[pm.MEMORY + gd.BANK_COMMAND]
-    state[pm.LAST_SPEED] = state[pm.EXPECTED_SPEED] = speed
-    state[pm.LAST_MACH] = state[pm.EXPECTED_MACH] = mach
-    state[pm.STARTED :] = -1.0
-    return state
-
-
-def cartesian_m(initial: Initial, flight: FloatArray) -> FloatArray:
-    """Earth-fixed position [m] of a geodetic latitude, longitude and altitude."""
-    lat, lon = math.radians(initial.latitude_deg), math.radians(initial.longitude_deg)
-    e2 = flight[pm.FLATTENING] * (2.0 - flight[pm.FLATTENING])
-    n = flight[pm.RADIUS] / math.sqrt(1.0 - e2 * math.sin(lat) ** 2)
-    p = (n + initial.altitude_m) * math.cos(lat)
-    return np.array([p * math.cos(lon), p * math.sin(lon), (n * (1.0 - e2) + initial.altitude_m) * math.sin(lat)])
-
-
-def velocity_m_s(initial: Initial, flight: FloatArray) -> FloatArray:
-    """Earth-fixed velocity [m/s]: the given air-relative one plus the wind."""
-    lat, lon = math.radians(initial.latitude_deg), math.radians(initial.longitude_deg)
-    gamma, heading = math.radians(initial.gamma_deg), math.radians(initial.heading_deg)
-    north = initial.velocity_m_s * math.cos(gamma) * math.cos(heading)
-    east = initial.velocity_m_s * math.cos(gamma) * math.sin(heading)
-    north += scheduled(flight, pm.WIND_NORTH, initial.altitude_m)
-    east += scheduled(flight, pm.WIND_EAST, initial.altitude_m)
-    up = initial.velocity_m_s * math.sin(gamma)
-    horizontal, outward = -math.sin(lat) * north + math.cos(lat) * up, math.cos(lat) * north + math.sin(lat) * up
+def initial_numbers(initial: Initial) -> FloatArray:
+    """The initial state in the order of `point_mass.INITIAL`."""
     return np.array([
-        math.cos(lon) * horizontal - math.sin(lon) * east,
-        math.sin(lon) * horizontal + math.cos(lon) * east,
-        outward,
+        initial.altitude_m, initial.velocity_m_s, initial.gamma_deg, initial.heading_deg, initial.latitude_deg,
+        initial.longitude_deg,
     ])  # fmt: skip
+
+
+def first_state(initial: Initial, flight: FloatArray, block: FloatArray, manoeuvres: int) -> FloatArray:
+    """State at time 0, see `point_mass.first_state_kernel`."""
+    state = np.empty(pm.STARTED + manoeuvres)
+    pm.first_state_kernel(initial_numbers(initial), flight, block, manoeuvres, state)
+    return state
 
 
 class Entry:

@@ -127,10 +127,19 @@ def guidance_block(g: Guidance, first_bank_deg: float = 0.0) -> FloatArray:
     return pack(scalars, [g.alpha_deg, g.drag_m_s2, reversals, a.qbar_Pa])
 
 
-def first_memory(block: FloatArray, mach: float, velocity_m_s: float) -> FloatArray:
+@njit
+def first_memory_kernel(block: FloatArray, state: FloatArray, memory: int, mach: float, velocity_m_s: float) -> None:
     """Memory of guidance at the start of a flight: on the schedule's angle of attack and the first bank."""
-    alpha = scheduled(block, ALPHA_SCHEDULE, mach if block[ALPHA_AXIS] == 0.0 else velocity_m_s)
-    return np.array([alpha, block[FIRST_BANK], block[FIRST_SIGN], COAST, 0.0], dtype=float)
+    state[memory + ALPHA_COMMAND] = scheduled(block, ALPHA_SCHEDULE, mach if block[ALPHA_AXIS] == 0.0 else velocity_m_s)
+    state[memory + BANK_COMMAND], state[memory + SIGN] = block[FIRST_BANK], block[FIRST_SIGN]
+    state[memory + PHASE], state[memory + CLIMB_BIAS] = COAST, 0.0
+
+
+def first_memory(block: FloatArray, mach: float, velocity_m_s: float) -> FloatArray:
+    """`first_memory_kernel` into an array of its own, (MEMORY,)."""
+    memory = np.zeros(MEMORY)
+    first_memory_kernel(block, memory, 0, mach, velocity_m_s)
+    return memory
 
 
 @njit

@@ -24,7 +24,7 @@ from sim_heating.atmosphere import speed_of_sound_kernel, us76_kernel
 from sim_heating.jit import njit, raw
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import manoeuvres as mv
-from sim_heating.trajectory.guidance import clipped, guidance_kernel
+from sim_heating.trajectory.guidance import clipped, first_memory_kernel, guidance_kernel
 from sim_heating.trajectory.manoeuvres import offsets_kernel, trigger_kernel
 from sim_heating.trajectory.schedules import places, scheduled
 from sim_heating.trajectory.spec import MACH_COUNTS_BELOW_M
@@ -71,6 +71,11 @@ class Air(NamedTuple):
     speed_m_s: float
     rho_kg_m3: float
     mach: float
+
+
+ALTITUDE_0, SPEED_0, GAMMA_0, HEADING_0, LATITUDE_0, LONGITUDE_0 = range(6)
+INITIAL = 6
+"""Numbers of a flight's initial state: altitude [m], speed relative to the air [m/s], four angles [deg]."""
 
 
 @njit
@@ -210,6 +215,53 @@ def observe_kernel(state: FloatArray, flight: FloatArray, aero: FloatArray, work
 
 
 @njit
+def position_kernel(initial: FloatArray, flight: FloatArray) -> tuple[float, float, float]:
+    """Earth-fixed position [m] of a geodetic latitude, longitude and altitude."""
+    lat, lon = math.radians(initial[LATITUDE_0]), math.radians(initial[LONGITUDE_0])
+    e2 = flight[FLATTENING] * (2.0 - flight[FLATTENING])
+    n = flight[RADIUS] / math.sqrt(1.0 - e2 * math.sin(lat) ** 2)
+    p = (n + initial[ALTITUDE_0]) * math.cos(lat)
+    return p * math.cos(lon), p * math.sin(lon), (n * (1.0 - e2) + initial[ALTITUDE_0]) * math.sin(lat)
+
+
+@njit
+def velocity_kernel(initial: FloatArray, flight: FloatArray) -> tuple[float, float, float]:
+    """Earth-fixed velocity [m/s]: the given air-relative one plus the wind."""
+    lat, lon = math.radians(initial[LATITUDE_0]), math.radians(initial[LONGITUDE_0])
+    gamma, heading = math.radians(initial[GAMMA_0]), math.radians(initial[HEADING_0])
+    north = initial[SPEED_0] * math.cos(gamma) * math.cos(heading)
+    east = initial[SPEED_0] * math.cos(gamma) * math.sin(heading)
+    north += scheduled(flight, WIND_NORTH, initial[ALTITUDE_0])
+    east += scheduled(flight, WIND_EAST, initial[ALTITUDE_0])
+    up = initial[SPEED_0] * math.sin(gamma)
+    horizontal, outward = -math.sin(lat) * north + math.cos(lat) * up, math.cos(lat) * north + math.sin(lat) * up
+    return (
+        math.cos(lon) * horizontal - math.sin(lon) * east,
+        math.sin(lon) * horizontal + math.cos(lon) * east,
+        outward,
+    )
+
+
+@njit
+def first_state_kernel(
+    initial: FloatArray, flight: FloatArray, block: FloatArray, manoeuvres: int, state: FloatArray
+) -> None:
+    """State at time 0 of a flight: initial (INITIAL,), commands on schedule, no manoeuvre begun."""
+    for i in range(STARTED):
+        state[i] = 0.0
+    for i in range(manoeuvres):
+        state[STARTED + i] = -1.0
+    state[X], state[Y], state[Z] = position_kernel(initial, flight)
+    state[VX], state[VY], state[VZ] = velocity_kernel(initial, flight)
+    speed = initial[SPEED_0]
+    mach = speed / speed_of_sound_kernel(us76_kernel(initial[ALTITUDE_0])[0])
+    first_memory_kernel(block, state, MEMORY, mach, speed)
+    state[ALPHA], state[BANK] = state[MEMORY + gd.ALPHA_COMMAND], state[MEMORY + gd.BANK_COMMAND]
+    state[LAST_SPEED] = state[EXPECTED_SPEED] = speed
+    state[LAST_MACH] = state[EXPECTED_MACH] = mach
+
+
+@njit
 def net_gravity(
     x: float, y: float, z: float, vx: float, vy: float, vz: float, climb: float, flight: FloatArray
 ) -> float:
@@ -274,13 +326,23 @@ def runge_kutta_step(
 
 
 @njit
+def move_kernel(
+    state: FloatArray, flight: FloatArray, block: FloatArray, script: FloatArray, aero: FloatArray, dt_s: float,
+    work: FloatArray,
+) -> None:  # fmt: skip
+    """One step with the commands of guidance and manoeuvres; work as observe_kernel left it."""
+    alpha, bank, beta, d_elevon, d_flap = command_kernel(state, flight, block, script, work, dt_s)
+    runge_kutta_step(state, flight, aero, work, dt_s, alpha, bank, beta, d_elevon, d_flap)
+
+
+@njit
 def step_kernel(
     state: FloatArray, flight: FloatArray, block: FloatArray, script: FloatArray, aero: FloatArray, dt_s: float,
     work: FloatArray, row: FloatArray,
 ) -> bool:  # fmt: skip
     """One step of one flight; row is the frame at its beginning. False, and no step, where the flight ends there.
 
-    state : (STARTED + manoeuvres,) as made by `entry3dof.first_state`, moved on by dt_s
+    state : (STARTED + manoeuvres,) as made by `first_state_kernel`, moved on by dt_s
     flight: block of `entry3dof.flight_block`;  block: of `guidance.guidance_block`;  work: (WORK,);  row: (len(ROW),)
     """
     observe_kernel(state, flight, aero, work, row)
@@ -291,8 +353,7 @@ def step_kernel(
         or (work[gd.MACH] <= flight[STOP_MACH] and work[gd.ALTITUDE] < MACH_COUNTS_BELOW_M)
     ):
         return False
-    alpha, bank, beta, d_elevon, d_flap = command_kernel(state, flight, block, script, work, dt_s)
-    runge_kutta_step(state, flight, aero, work, dt_s, alpha, bank, beta, d_elevon, d_flap)
+    move_kernel(state, flight, block, script, aero, dt_s, work)
     return True
 
 
