@@ -12,7 +12,7 @@ from fmpy.model_description import ModelDescription, ModelVariable
 
 from sim_heating.errors import InputError
 from sim_heating.files import shown, suggestion
-from sim_heating.trajectory.fmu_units import Conversion, Scale, conversion, known_unit, unit_of_fmu
+from sim_heating.trajectory.fmu_units import NO_DIMENSION, Conversion, Scale, conversion, known_unit, unit_of_fmu
 from sim_heating.trajectory.spec import FmuSource, FmuValue
 
 VERSIONS = ("2.0", "3.")
@@ -55,7 +55,7 @@ class FmuModel:
 
         raises : InputError where it is unknown, told by nobody, or told in two ways
         """
-        name = variable.unit or (variable.declaredType.unit if variable.declaredType is not None else None)
+        name = self.unit_name(variable)
         given = None if unit is None else known_unit(unit)
         if unit is not None and given is None:
             raise InputError(f"{where}: `{unit}` is not a unit; write it like m, ft/s, kg/m3, deg")
@@ -74,16 +74,23 @@ class FmuModel:
             raise InputError(f"{where}: `{variable.name}` is in `{name}` in {self}, not in `{unit}`; remove `unit`")
         return own
 
+    @staticmethod
+    def unit_name(variable: ModelVariable) -> str | None:
+        """The unit that the FMU names for a variable or its type."""
+        return variable.unit or (variable.declaredType.unit if variable.declaredType is not None else None)
+
     def conversion(self, variable: ModelVariable, unit: str | None, wanted: str, where: str) -> Conversion:
-        """From a variable's unit to a wanted one.
+        """From a variable's unit to a wanted one; what is to be a plain number needs none.
 
         raises : InputError where they do not measure the same
         """
+        if unit is None and wanted in NO_DIMENSION and self.unit_name(variable) is None:
+            return Conversion(1.0, 0.0)
         scale, target = self.scale(variable, unit, where), known_unit(wanted)
         assert target is not None
         found = conversion(scale, target)
         if found is None:
-            name = unit or variable.unit
+            name = unit or self.unit_name(variable)
             raise InputError(f"{where}: `{variable.name}` of {self} is in `{name}`, which is no `{wanted}`")
         return found
 
