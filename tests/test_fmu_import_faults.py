@@ -197,6 +197,8 @@ def test_a_column_that_nothing_gives_is_told_with_what_to_do(binary: Path, tmp_p
     [
         ({"sinc": 1.0}, r"`sinc`: .* has no variable `sinc`. Nearest: `sink`"),
         ({"sink": {"value": 1.0, "unit": "kg"}}, r"`sink`: `kg` is no unit of it; it is in `m/s`"),
+        ({"h_state": {"value": 1.0, "unit": "m"}}, r"`h_state` of .* has no unit; give a plain number"),
+        ({"sink": "fast"}, r"`fast` is not a number, and `sink` of .* is a Real"),
     ],
 )
 def test_a_wrong_start_value_is_told(start: dict[str, Any], told: str, binary: Path, tmp_path: Path) -> None:
@@ -227,10 +229,21 @@ FMI_1 = (
     '<fmiModelDescription fmiVersion="1.0" modelName="x" modelIdentifier="x" guid="x" numberOfContinuousStates="0" '
     'numberOfEventIndicators="0"><ModelVariables/></fmiModelDescription>'
 )
+
+
+def swapped(path: Path, binary: bytes) -> None:
+    """An FMU whose library has changed inside the archive."""
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", description("2"))
+        archive.writestr(f"binaries/{platform_folder('2')}/glide{fmpy.sharedLibraryExtension}", binary)
+    path.write_bytes(path.read_bytes().replace(binary, binary[::-1]))
+
+
 DAMAGED = [
     (lambda p: p.write_bytes(b"no archive"), "is not an FMU"),
     (lambda p: zipfile.ZipFile(p, "w").close(), "modelDescription.xml cannot be read"),
     (lambda p: pack_text(p, "<fmiModel"), "modelDescription.xml cannot be read"),
+    (lambda p: swapped(p, bytes(range(200))), r"cannot be unpacked \(Bad CRC-32"),
     (lambda p: pack_text(p, FMI_1), r"is of FMI 1\.0; FMI 2\.0 and 3\.0 can be flown"),
 ]
 

@@ -50,7 +50,7 @@ class FmuFlight:
         with FmuSession(self.model.path, spec.fmu.timeout_s) as session:
             answer = session.start(
                 self.model.interface, self.start, self.inputs.names, self.columns.outputs,
-                stop_s=spec.stop.time_s, tolerance=spec.fmu.tolerance,
+                stop_s=math.ceil(spec.stop.time_s * spec.rate_hz - 1e-6) / spec.rate_hz, tolerance=spec.fmu.tolerance,
             )  # fmt: skip
             frame = self._frame(0.0, answer)
             first_speed, frames = frame["velocity_m_s"], 0

@@ -99,12 +99,16 @@ class FmuModel:
         found: dict[str, Any] = {}
         for name, value in source.start.items():
             where = f"[trajectory.fmu.start], `{name}`"
-            variable = self.variables.get(name)
-            if isinstance(value, str) and variable is not None:
-                found[name] = value
+            text = self.variables.get(name)
+            if isinstance(value, str) and text is not None and text.type == "String":
+                found[text.name] = value
                 continue
             variable = self.number(name, where)
+            if isinstance(value, str):
+                raise InputError(f"{where}: `{value}` is not a number, and `{name}` of {self} is a {variable.type}")
             if isinstance(value, FmuValue):
+                if self.unit_name(variable) is None:
+                    raise InputError(f"{where}: `{name}` of {self} has no unit; give a plain number")
                 scale = self.scale(variable, None, where)
                 way = None if (given := known_unit(value.unit)) is None else conversion(given, scale)
                 if way is None:

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import fmpy
 
-from sim_heating.errors import RunError
+from sim_heating.errors import InputError, RunError
 from sim_heating.files import shown
 
 PROCESS = Path(__file__).with_name("fmu_process.py")
@@ -48,7 +48,7 @@ class FmuSession:
 
     path      : the FMU
     timeout_s : longest time that one call into the FMU may take [s]
-    raises    : RunError with what happened, when and what the FMU said
+    raises    : RunError with what happened, when and what the FMU said; InputError where it cannot be unpacked
     """
 
     def __init__(self, path: Path, timeout_s: float) -> None:
@@ -60,7 +60,7 @@ class FmuSession:
         try:
             place = Path(self._folder.name)
             (place / "run").mkdir()
-            fmpy.extract(self.path, place / "fmu")
+            self._unpack(place / "fmu")
             self._log = (place / "printed.txt").open("w+b")
             self._process = subprocess.Popen(
                 [sys.executable, "-P", str(PROCESS)],
@@ -78,6 +78,12 @@ class FmuSession:
             self.__exit__(type(error), error, None)
             raise
         return self
+
+    def _unpack(self, place: Path) -> None:
+        try:
+            fmpy.extract(self.path, place)
+        except Exception as error:  # FMPy raises plain Exceptions, zipfile and zlib their own
+            raise InputError(f"{shown(self.path)}: cannot be unpacked ({error}); it is damaged") from None
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
         self._over.set()
