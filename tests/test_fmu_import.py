@@ -190,9 +190,9 @@ def test_wind_and_density_of_the_scenario_are_the_air_that_the_fmu_flies_in(glid
 
 @needs_compiler
 def test_a_column_is_found_by_its_usual_name_and_that_is_told(glide: Path) -> None:
-    flight = fly(glide, {k: v for k, v in COLUMNS.items() if k not in ("altitude_m", "velocity_m_s", "alpha_deg")})
-    assert flight.conditions["velocity_m_s"][0] == approx(7000.0)
-    assert "velocity_m_s is `speed`, by its usual name" in [text for _, text in flight.events]
+    flight = fly(glide, {k: v for k, v in COLUMNS.items() if k not in ("altitude_m", "alpha_deg")})
+    assert flight.conditions["altitude_m"][0] == approx(70e3)
+    assert "altitude_m is `h`, by its usual name" in [text for _, text in flight.events]
 
 
 # ---- inputs and ends ----------------------------------------------------------------------------------------------

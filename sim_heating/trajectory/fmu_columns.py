@@ -59,7 +59,7 @@ UNITS = (
 
 USUAL_NAMES = {
     "altitude_m": ("altitude", "alt", "height", "h"),
-    "velocity_m_s": ("velocity", "airspeed", "tas", "speed", "v"),
+    "velocity_m_s": ("airspeed", "trueairspeed", "tas", "velocity"),
     "alpha_deg": ("alpha", "angleofattack", "aoa"),
     "beta_deg": ("beta", "sideslip", "angleofsideslip"),
     "elevon_deg": ("elevon",),
