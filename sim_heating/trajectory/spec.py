@@ -311,7 +311,7 @@ class FmuVariable(Table):
 class FmuValue(Table):
     """A start value with its unit."""
 
-    value: Finite
+    value: float
     unit: str
 
 
@@ -347,8 +347,8 @@ class FmuSource(Table):
     """
 
     interface: Literal["co-simulation", "model-exchange"] | None = None
-    columns: dict[str, str | Finite | FmuVariable] = {}
-    start: dict[str, bool | int | Finite | str | FmuValue] = {}
+    columns: dict[str, str | float | FmuVariable] = {}
+    start: dict[str, bool | int | float | str | FmuValue] = {}
     inputs: dict[str, Command | FmuInput] = {}
     tolerance: Positive | None = None
     timeout_s: Positive = 30.0
