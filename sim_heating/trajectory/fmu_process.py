@@ -53,9 +53,7 @@ class Instance:
         self.by_name = {v.name: v for v in self.model.modelVariables}
         self.read = self._accessors("get", request["outputs"])
         self.inputs = self._accessors("set", request["inputs"])
-        self.fmu = instantiate_fmu(
-            request["folder"], self.model, INTERFACES[request["interface"]], require_functions=False
-        )
+        self.fmu = instantiate_fmu(request["folder"], self.model, INTERFACES[request["interface"]])
         self._initialise(request)
 
     def _accessors(self, verb: str, names: list[str]) -> list[tuple[str, list[int], list[int]]]:
