@@ -166,7 +166,7 @@ SAYS = [
     ({"altitude_m": {"variable": "h", "unit": "ft"}}, r"`h` is in `km` in .*, not in `ft`; remove `unit`"),
     ({"altitude_m": {"variable": "h", "unit": "feet per"}}, r"`feet per` is not a unit; write it like m, ft/s"),
     ({"altitud_m": "h"}, r"`altitud_m`: there is no such column. Nearest: `altitude_m`"),
-    ({"altitude_m": {"variable": "der(h)", "unit": "km"}}, r"the vehicle is at -50000 m, outside the atmosphere"),
+    ({"altitude_m": {"variable": "der(h)", "unit": "km"}}, r"gives altitude_m = -50000, which is not an altitude in m"),
     ({"rho_kg_m3": -1.0}, r"rho_kg_m3 = -1, which is not a density of air.*check the mapping and its units"),
     ({"velocity_m_s": {"variable": "v_state", "unit": "km/s"}}, r"a larger one looks like ft/s"),
 ]  # fmt: skip
