@@ -349,6 +349,20 @@ def _condition(_: click.Context, __: click.Parameter, value: str | None) -> dict
     return found
 
 
+def _fit_segments(_: click.Context, __: click.Parameter, value: tuple[str, ...]) -> list[list[float]]:
+    """`640,760`, as often as there are segments."""
+    found = []
+    for item in value:
+        try:
+            start, end = (float(part) for part in item.split(","))
+        except ValueError:
+            raise InputError(f"--fit: `{item}` is not a segment; write --fit 640,760 (start and end in s)") from None
+        if not start < end:
+            raise InputError(f"--fit: {item}: the start must lie before the end")
+        found.append([start, end])
+    return found
+
+
 def _start(_: click.Context, __: click.Parameter, value: str) -> Any:
     """`declared`, or `circuit:650` and the like: how a fit starts, as a maker of starts."""
     from sim_heating.estimation.initial import STARTS
@@ -372,6 +386,14 @@ def _start(_: click.Context, __: click.Parameter, value: str) -> Any:
 @click.option("--parameters", callback=_names, help="dotted names, with commas; default: magnitude and derivatives")
 @click.option("--reference", callback=_condition, help="alpha_deg=40,... that derivatives are about")
 @click.option("--start", default="declared", callback=_start, help="declared, or circuit, profile, filter:TIME_S")
+@click.option(
+    "--fit",
+    "fit",
+    multiple=True,
+    callback=_fit_segments,
+    metavar="START,END",
+    help="fit these times of each record, in s, in place of its own segments; may be given again",
+)
 @click.option("--segments", type=float, help="instead: fit short segments of so many s in turn (one record)")
 def estimate(
     records: tuple[Path, ...],
@@ -379,17 +401,18 @@ def estimate(
     parameters: tuple[str, ...] | None,
     reference: dict[str, float],
     start: Any,
+    fit: list[list[float]],
     segments: float | None,
 ) -> None:
     """Estimate heating and thermal parameters from the thermocouples of flight records, jointly, with bounds."""
     if segments is not None:
-        _estimate_trend(records, out, parameters, segments)
+        _estimate_trend(records, out, parameters, fit, segments)
         return
     from sim_heating.estimation.estimate import estimate as fit_records
     from sim_heating.estimation.report import result_of, write_fit
     from sim_heating.record import load_record
 
-    loaded = [load_record(path) for path in records]
+    loaded = [_with_fit(load_record(path), fit) for path in records]
     with _progress("estimate") as progress:
         starts = [start] * len(loaded)
         fitted = fit_records(loaded, parameters, reference=reference, starts=starts, progress=progress)
@@ -410,7 +433,13 @@ def estimate(
     _tell_files(out, names)
 
 
-def _estimate_trend(records: tuple[Path, ...], out: Path, parameters: tuple[str, ...] | None, length_s: float) -> None:
+def _with_fit(record: Any, fit: list[list[float]]) -> Any:
+    return record.with_fit(fit) if fit else record
+
+
+def _estimate_trend(
+    records: tuple[Path, ...], out: Path, parameters: tuple[str, ...] | None, fit: list[list[float]], length_s: float
+) -> None:
     """Short segments of one record, one after the other."""
     from sim_heating.estimation.report import write_trend
     from sim_heating.estimation.sequence import trend
@@ -418,7 +447,7 @@ def _estimate_trend(records: tuple[Path, ...], out: Path, parameters: tuple[str,
 
     if len(records) > 1:
         raise InputError(f"--segments: {len(records)} records; short segments are of one record, give them one by one")
-    record = load_record(records[0])
+    record = _with_fit(load_record(records[0]), fit)
     with _progress("estimate") as progress:
         found = trend(record, length_s, parameters, progress=progress)
         names = write_trend(found, out)

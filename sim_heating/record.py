@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
 
@@ -243,6 +243,11 @@ class Record:
         """Which times [s], by default those of the samples, are held out."""
         t = self.time_s if time_s is None else np.asarray(time_s, dtype=float)
         return in_segments(t, self.declared.segments.holdout)
+
+    def with_fit(self, segments: Sequence[Sequence[float]]) -> Record:
+        """The record with other fit segments [[start_s, end_s], ...]."""
+        other = Segments(fit=[list(s) for s in segments], holdout=self.declared.segments.holdout)
+        return replace(self, declared=self.declared.model_copy(update={"segments": other}))
 
     def noise_floor_K(
         self, mask: ArrayLike | None = None, estimated_sigma_K: Mapping[str, float] | None = None

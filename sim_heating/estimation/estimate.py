@@ -19,7 +19,7 @@ from sim_heating.errors import InputError, RunError
 from sim_heating.estimation.coloured import Bounds, bounds
 from sim_heating.estimation.coloured import Channel as Residuals
 from sim_heating.estimation.identifiability import correlation
-from sim_heating.estimation.informed import default_names, mean_ratio, still, untold
+from sim_heating.estimation.informed import default_names, mean_ratio, still, unheated, untold
 from sim_heating.estimation.likelihood import likelihood
 from sim_heating.estimation.newton import Fit, Status, maximise
 from sim_heating.estimation.observation import definition, errors_of
@@ -97,10 +97,8 @@ def estimate(
     wanted = tuple(names) if names is not None else default_names(records)
     effects = (*effects, *effects_of(wanted, effects))
     about = joint_reference(records, reference)
-    out = still(wanted, records)
-    left = [n for n in wanted if n not in out]
-    if not left:
-        raise InputError(f"{records[0].name}: nothing to estimate: {'; '.join(out.values())}")
+    out = still(wanted, records) | unheated(wanted, records)
+    left = _left(wanted, out, records)
     problem = Problem(records, left, about, effects=effects, priors=priors, starts=starts)
     first = _first_values(problem)
     while True:
@@ -110,11 +108,22 @@ def estimate(
         if not worst:
             break
         out |= worst
-        left = [n for n in left if n not in {label.partition(AT)[0] for label in worst}]
+        left = _left([n for n in left if n not in {label.partition(AT)[0] for label in worst}], out, records)
         problem = Problem(records, left, about, effects=effects, priors=priors, starts=starts)
         first = _first_values(problem)
     fit = _fit(problem, first, progress)
     return _finished(problem, fit, out)
+
+
+def _left(names: Sequence[str], out: Mapping[str, str], records: Sequence[Record]) -> list[str]:
+    """The names that are not left out.
+
+    raises : InputError that says why where none is left
+    """
+    left = [n for n in names if n not in out]
+    if not left:
+        raise InputError(f"{records[0].name}: nothing to estimate: {'; '.join(dict.fromkeys(out.values()))}")
+    return left
 
 
 def effects_of(names: Sequence[str], given: Sequence[EffectUse] = ()) -> list[EffectUse]:
@@ -154,10 +163,11 @@ def _information(problem: Problem, values: FloatArray) -> FloatArray:
 
 
 def _ratio(problem: Problem, values: FloatArray) -> float:
-    """A typical heating ratio of the fit: the declared one, or d0."""
+    """A typical heating ratio of the fit: d0, or the declared one; NaN where there is neither."""
     d0 = [abs(v) for u, v in zip(problem.unknowns, values, strict=True) if u.parameter.name == "ratio.d0"]
     declared = [mean_ratio(part.record) for part in problem.parts]
-    return float(np.mean(d0)) if d0 else float(np.nanmean(declared))
+    known = d0 or [r for r in declared if np.isfinite(r)]
+    return float(np.mean(known)) if known else float("nan")
 
 
 def _fit(problem: Problem, first: FloatArray, progress: Progress) -> Fit:

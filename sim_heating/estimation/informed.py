@@ -16,6 +16,7 @@ from sim_heating.estimation.identifiability import SINGULAR, covariance, directi
 from sim_heating.estimation.result import AT
 from sim_heating.heating_ratio.kernel import table_ratios_at
 from sim_heating.parameters import SHORT
+from sim_heating.points import conditions_of_record
 from sim_heating.record import Record
 
 FloatArray = NDArray[np.float64]
@@ -69,6 +70,14 @@ def still(names: Sequence[str], records: Sequence[Record]) -> dict[str, str]:
     return found
 
 
+def unheated(names: Sequence[str], records: Sequence[Record]) -> dict[str, str]:
+    """Parameters of the heating ratio where there is no aerodynamic heating at all, and why they are left out."""
+    if any(np.any(conditions_of_record(r)["h_ref_kg_m2_s"] != 0.0) for r in records):
+        return {}
+    why = "h_ref is 0 throughout, so nothing depends on a heating ratio; name parameters of stack, clock or sensors"
+    return {n: why for n in names if n.startswith("ratio.")}
+
+
 def mean_ratio(record: Record) -> float:
     """Mean of the declared ratio over the fit segments [-]; NaN where the record has no table."""
     if record.ratio_table is None:
@@ -79,6 +88,8 @@ def mean_ratio(record: Record) -> float:
 
 def untold(labels: Sequence[str], information: FloatArray, ratio: float, records: Sequence[Record]) -> dict[str, str]:
     """The derivative that the data tell least, and why, where it should be left out; nothing where all are told.
+
+    Else the last parameter of which neither data nor a prior say anything.
 
     information : (parameter, parameter) of data and priors;  ratio : typical heating ratio [-]
     """
@@ -99,4 +110,7 @@ def untold(labels: Sequence[str], information: FloatArray, ratio: float, records
             reason = f"its bound over the excursion flown ({excursion}) is {bound / ratio:.1f} times the ratio itself"
             if singular:
                 reason = f"{reason}; {singular[0].words()}"
+    if not name and singular and not np.all(np.isfinite(sigma)):
+        name = [label for label, s in zip(labels, sigma, strict=True) if not np.isfinite(s)][-1]
+        reason = singular[0].words()
     return {name: reason} if name else {}

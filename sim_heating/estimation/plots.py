@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 
+from sim_heating.conditions import Conditions
 from sim_heating.estimation.sequence import Trend
 from sim_heating.heating_ratio.kernel import table_ratios_at
 from sim_heating.layout import LOG10_RE
@@ -15,6 +17,7 @@ from sim_heating.record import pooled_rmse_K
 
 BEFORE, AFTER = "tab:orange", "tab:blue"
 MOVES_DEG = 0.5
+LAMP = "q_add_W_m2"
 
 
 def draw_fit(path: Path, before: Prediction, after: Prediction) -> None:
@@ -38,12 +41,7 @@ def draw_fit(path: Path, before: Prediction, after: Prediction) -> None:
         upper.set_ylabel(f"{record.sensors[i].name}\nindicated, K")
         lower.set_ylabel("residual, K")
         upper.legend(fontsize=8, loc="best")
-    flown = record.conditions
-    for name, (label, color) in ANGLES.items():
-        if np.ptp(flown[name]) > MOVES_DEG:
-            axes[-1].plot(flown.time_s, flown[name], color=color, label=label, linewidth=1.1)
-    axes[-1].legend(fontsize=8, loc="best", ncols=2)
-    axes[-1].set_ylabel("deg")
+    _plot_flown(axes[-1], record.conditions)
     axes[-1].set_xlabel("time, s" + ("; shaded: held out" if record.declared.segments.holdout else ""))
     for start, end in record.declared.segments.holdout:
         for a in axes:
@@ -52,6 +50,19 @@ def draw_fit(path: Path, before: Prediction, after: Prediction) -> None:
     figure.align_ylabels(axes)
     title = record.declared.title or record.declared.control_point
     save_figure(figure, path, f"{record.name}: {title}, declared and fitted", axes)
+
+
+def _plot_flown(a: Axes, flown: Conditions) -> None:
+    """The angles that moved, or what a lamp gave where none did."""
+    moved = {n: how for n, how in ANGLES.items() if np.ptp(flown[n]) > MOVES_DEG}
+    for name, (label, color) in moved.items():
+        a.plot(flown.time_s, flown[name], color=color, label=label, linewidth=1.1)
+    a.set_ylabel("deg")
+    if not moved and LAMP in flown.columns:
+        a.plot(flown.time_s, flown[LAMP] / 1e3, color="tab:red", label="known flux", linewidth=1.1)
+        a.set_ylabel("kW/m2")
+    if a.lines:
+        a.legend(fontsize=8, loc="best", ncols=2)
 
 
 def draw_trend(path: Path, found: Trend) -> None:

@@ -63,11 +63,17 @@ def result_of(fitted: Fitted) -> Estimate:
             "warnings": list(fitted.warnings),
             "control_point": points.pop() if len(points) == 1 else None,
             "vehicle": records[0].declared.vehicle,
+            "segments": [_segments(r) for r in records],
             "excursions": excursions([condition_history(r.conditions)[_flown(r), :5] for r in records]),
             "inputs": {str(r.directory): inputs_hash(r) for r in records if r.directory.is_dir()},
             "program": f"sim-heating {package_version()}",
         }
     )
+
+
+def _segments(record: Record) -> list[list[float]]:
+    """Fitted [start, end] times [s]."""
+    return record.declared.segments.fit or [[float(record.time_s[0]), float(record.time_s[-1])]]
 
 
 def _flown(record: Record) -> np.ndarray:
@@ -162,13 +168,15 @@ def write_trend(found: Trend, out: Path) -> list[str]:
 def write_fit(fitted: Fitted, out: Path) -> list[str]:
     """Write estimate.json, temperatures and pictures; returns the names of the files."""
     from sim_heating.estimation.plots import draw_fit  # matplotlib is slow to import, and wanted only here
+    from sim_heating.estimation.ratio_plot import draw_ratio
 
     with output_directory(out) as folder:
         write_estimate(folder / NAME, result_of(fitted))
-        for before, after in zip(fitted.before, fitted.after, strict=True):
+        for part, before, after in zip(fitted.problem.parts, fitted.before, fitted.after, strict=True):
             home = folder if len(fitted.after) == 1 else folder / after.record.name
             home.mkdir(exist_ok=True)
             history = after.history
             write_temperatures_csv(home / "temperatures.csv", history.time_s, history, after.record.sensors)
             draw_fit(home / "fit.png", before, after)
+            draw_ratio(home / "ratio.png", fitted, part)
         return sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())

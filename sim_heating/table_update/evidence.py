@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from sim_heating.conditions import RATIO_VARIABLES, FloatArray
 from sim_heating.errors import InputError
+from sim_heating.estimation.ratio import basis
 from sim_heating.estimation.result import Estimate
 from sim_heating.heating_ratio.table import RatioTable
 from sim_heating.parameters import RATIO, SECOND_ORDER
@@ -76,14 +77,6 @@ class Informed:
     path: Path
     left_out: int
     not_written: dict[str, str]
-
-
-def basis(names: Sequence[str], x: FloatArray, reference: FloatArray, declared: FloatArray) -> FloatArray:
-    """(sample, k) what each ratio parameter is multiplied with along a path; see heating_ratio/kernel.py."""
-    dx = x - reference
-    second = [dx[:, i] * dx[:, j] for i, j in SECOND_ORDER]
-    columns = dict(zip((p.name for p in RATIO), (declared, np.ones(len(x)), *dx.T, *second), strict=True))
-    return np.stack([columns[name] for name in names], axis=1)
 
 
 def ratio_names(estimate: Estimate) -> tuple[str, ...]:

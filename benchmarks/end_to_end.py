@@ -1,0 +1,264 @@
+"""Scenarios to estimates: flown with an altered truth, measured, estimated, put back into the tables, predicted again.
+
+Every POPU and flap scenario is flown in JSBSim once. The truth that its thermocouples see is altered in two ways:
+
+    linear  magnitude and derivatives of the heating ratio, as [truth] in a scenario has them: the estimator's own model
+    table   the ratio at every node, drawn from the table's own sigma (SHARE of it): no linear model is exact
+
+and it is fitted in two ways: over the whole entry, and over the manoeuvre with SPAN_S to either side, from temperatures
+that are estimated too (`--fit`, `--start profile`). An error is the estimate less the truth over its stated sigma; the
+truth of a fit is the least-squares projection of the true less the declared ratio on what was estimated, along the
+fitted samples. What is left out of a fit, because it did not move, is in the magnitude, there as in flight.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.measure import Figure, save
+from sim_heating.conditions import RATIO_VARIABLES, FloatArray
+from sim_heating.estimation.estimate import Fitted, estimate
+from sim_heating.estimation.initial import STARTS
+from sim_heating.estimation.problem import StartMaker
+from sim_heating.estimation.report import write_fit
+from sim_heating.heating_ratio.kernel import table_ratios_at
+from sim_heating.heating_ratio.table import RatioTable
+from sim_heating.points import conditions_of_record, mean_condition
+from sim_heating.record import Record, Segments, load_record
+from sim_heating.run import fly_scenario
+from sim_heating.scenario import Scenario, Truth, load_scenario
+from sim_heating.synthesize import synthesize, write_records
+from sim_heating.table_update.evidence import basis
+from sim_heating.table_update.posterior import prior_covariance
+from sim_heating.table_update.update import errors_before_and_after, prepare
+from sim_heating.trajectory.flight import Flight, Window
+from sim_heating.vehicle import ControlPoint
+
+SCENARIOS = Path(__file__).resolve().parent.parent / "scenarios"
+POINTS = {
+    "popu_mach20": ("V09T9527", "V07T9975", "LOWER_FWD"),
+    "popu_mach12": ("V09T9527", "V07T9975", "LOWER_FWD"),
+    "popu_mach8": ("V09T9527", "V07T9975", "LOWER_FWD"),
+    "flap_mach21": ("V07T9730", "BODYFLAP", "LOWER_AFT"),
+    "flap_mach16": ("V07T9730", "BODYFLAP", "LOWER_AFT"),
+    "flap_mach12": ("V07T9730", "BODYFLAP", "LOWER_AFT"),
+    "sts2": ("V09T9527", "V07T9730", "BODYFLAP"),
+    "sts4": ("V07T9975", "V07T9976", "V09T9527"),
+}
+"""Scenarios and the control points of each that are fitted."""
+CHECKED = {
+    "popu_mach20": "popu_mach12",
+    "popu_mach12": "popu_mach20",
+    "popu_mach8": "popu_mach12",
+    "flap_mach21": "flap_mach16",
+    "flap_mach16": "flap_mach12",
+    "flap_mach12": "flap_mach21",
+}
+"""The other manoeuvre that the revised table predicts."""
+ALTERED = {
+    "ratio.scale": 0.15,
+    "ratio.d_alpha": 4e-4,
+    "ratio.d_logre": 1e-3,
+    "ratio.d_elevon": 3e-4,
+    "ratio.d_bodyflap": 3e-4,
+}
+"""The linear truth."""
+SHARE = 0.3
+"""Part of the table's sigma that the table truth is drawn with; with all of it some ratios would be negative."""
+SPAN_S = 50.0
+TOLD = 2.0
+"""An error up to here [sigma] is within the bounds."""
+UNDECLARED = {("sts4", "V09T9527")}
+"""Control points whose scenario adds an effect that a linear fit lacks; shown, and not counted."""
+FITTED_TOO = {"sts2": ("stack.coating.thickness_factor",)}
+"""What a scenario's own truth alters beside the ratio, and is estimated with it."""
+WAYS = ("whole", "manoeuvre")
+
+
+@dataclass(frozen=True)
+class Result:
+    """One fit.
+
+    errors         : estimate less truth over sigma, by ratio parameter
+    before, after  : RMSE [K] over the noise floor with the table before and after, of the fitted samples
+    checked        : RMSE [K] of another manoeuvre after over before; None where there is none to check with
+    """
+
+    scenario: str
+    point: str
+    truth: str
+    way: str
+    start_s: float
+    errors: dict[str, float]
+    before: float
+    after: float
+    checked: float | None
+    left_out: tuple[str, ...]
+
+    @property
+    def counted(self) -> bool:
+        """Whether the model that is fitted could be right."""
+        return (self.scenario, self.point) not in UNDECLARED
+
+
+def run() -> list[Figure]:
+    """Fly, fit, and say how far the estimates are off."""
+    flights = {name: _flown(name) for name in POINTS}
+    with tempfile.TemporaryDirectory() as folder:
+        results = [r for truth in ("linear", "table") for r in _of_truth(truth, flights, Path(folder))]
+    figures = [*_summaries(results), *(_line(r) for r in results)]
+    save("end_to_end", figures, {"results": [vars(r) for r in results]})
+    return figures
+
+
+def _summaries(results: Sequence[Result]) -> Iterator[Figure]:
+    for truth in ("linear", "table"):
+        for way in WAYS:
+            mine = [r for r in results if r.truth == truth and r.way == way and r.counted]
+            z = np.abs([z for r in mine for z in r.errors.values()])
+            what = f"{truth} truth, {way}:"
+            yield Figure(
+                f"{what} errors within 2 sigma of {len(z)}", float(np.mean(z <= TOLD)), "", note="0.95 is right"
+            )
+            yield Figure(f"{what} median error", float(np.median(z)), "sigma", note="0.67 is right")
+            after = float(np.median([r.after for r in mine]))
+            before = float(np.median([r.before for r in mine]))
+            yield Figure(f"{what} RMSE of the revised table", after, "floors", note=f"{before:.1f} before (medians)")
+            checked = [r.checked for r in mine if r.checked is not None]
+            worst = f"worst {max(checked):.2f}"
+            yield Figure(f"{what} RMSE of another manoeuvre, after/before", float(np.median(checked)), "", note=worst)
+
+
+def _line(r: Result) -> Figure:
+    short = [f"{name.removeprefix('ratio.')} {z:+.1f}" for name, z in r.errors.items()]
+    note = ", ".join([*short, *(f"no {n.removeprefix('ratio.')}" for n in r.left_out)])
+    note += f"; RMSE {r.before:.1f} to {r.after:.2f} floors"
+    note += "" if r.checked is None else f", other manoeuvre x {r.checked:.2f}"
+    note += "" if r.counted else " (undeclared effect)"
+    what = f"{r.scenario} {r.point} at {r.start_s:.0f} s, {r.truth}, {r.way}: largest error"
+    return Figure(what, max(map(abs, r.errors.values())), "sigma", note=note)
+
+
+# From a scenario to records ------------------------------------------------------------------------------------------
+
+
+def _flown(name: str) -> tuple[Scenario, Flight]:
+    scenario = load_scenario(SCENARIOS / f"{name}.toml")
+    every = set(POINTS[name]).union(*(POINTS[n] for n, other in CHECKED.items() if other == name))
+    scenario = replace(scenario, names=tuple(sorted(every)))
+    return scenario, fly_scenario(scenario)
+
+
+def true_table(point: ControlPoint) -> RatioTable:
+    """A control point's ratio table as it might truly be: its declared values and a draw of their errors."""
+    table = point.ratio
+    every = np.arange(table.ratio.size)
+    values, vectors = np.linalg.eigh(prior_covariance(table, every, every))
+    rng = np.random.default_rng(list(point.name.encode()))
+    error = vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(len(values)))
+    return replace(table, ratio=table.ratio + SHARE * error.reshape(table.ratio.shape))
+
+
+def _measured(scenario: Scenario, flight: Flight, truth: str) -> dict[str, Record]:
+    """Records that declare the vehicle's tables and were measured with another truth."""
+    if truth == "linear":
+        own = scenario.declared.truth
+        altered = Truth(parameters=own.parameters | ALTERED, effect=own.effect)
+        return synthesize(
+            replace(scenario, declared=scenario.declared.model_copy(update={"truth": altered})), flight=flight
+        )
+    declared = scenario.vehicle.control_points
+    true = {n: replace(p, ratio=true_table(p)) if n in scenario.names else p for n, p in declared.items()}
+    records = synthesize(replace(scenario, vehicle=replace(scenario.vehicle, control_points=true)), flight=flight)
+    return {n: replace(r, ratio_table=declared[n].ratio) for n, r in records.items()}
+
+
+def _of_truth(truth: str, flights: dict[str, tuple[Scenario, Flight]], folder: Path) -> Iterator[Result]:
+    for name, (scenario, flight) in flights.items():
+        write_records(scenario, _measured(scenario, flight, truth), folder / truth / name)
+    for name, (scenario, flight) in flights.items():
+        for point in POINTS[name]:
+            for window in flight.windows:
+                yield from _fits(name, scenario.vehicle.control_point(point), flight, window, folder / truth)
+
+
+# From a record to errors ---------------------------------------------------------------------------------------------
+
+
+def _fits(name: str, point: ControlPoint, flight: Flight, window: Window, folder: Path) -> Iterator[Result]:
+    for way in WAYS:
+        if way == "whole" and window is not flight.windows[0]:
+            continue
+        record, start = _cut(load_record(folder / name / point.name), window, way)
+        names = ("ratio.scale", *(n for n in ALTERED if n != "ratio.scale"), *FITTED_TOO.get(name, ()))
+        fitted = estimate([record], names, starts=[start])
+        place = folder / "fits" / f"{name}_{point.name}_{way}_{window.start_s:.0f}"
+        write_fit(fitted, place)
+        update = prepare(place, point_vehicle(name))
+        other = CHECKED.get(name)
+        checks = [record] if other is None else [record, _renamed(load_record(folder / other / point.name), other)]
+        errors = errors_before_and_after(update, checks)
+        own, floor = errors[record.name]["fit"], record.noise_floor_K()
+        checked = None
+        if other is not None:
+            found = errors[checks[1].name]["fit"]
+            checked = found["after"]["rmse_K"] / found["before"]["rmse_K"]
+        yield Result(
+            name, point.name, folder.name, way, window.start_s, _errors(fitted, record, point, flight, folder.name),
+            own["before"]["rmse_K"] / floor, own["after"]["rmse_K"] / floor, checked, tuple(fitted.not_estimated),
+        )  # fmt: skip
+
+
+def point_vehicle(name: str) -> Path:
+    """Directory of the vehicle of a scenario."""
+    return load_scenario(SCENARIOS / f"{name}.toml").vehicle.directory
+
+
+def _renamed(record: Record, name: str) -> Record:
+    """A record under another name, for one of the same control point from another flight."""
+    return replace(record, directory=record.directory.parent / f"{record.name}_{name}")
+
+
+def _cut(record: Record, window: Window, way: str) -> tuple[Record, StartMaker | None]:
+    """The record with the segment that is fitted, and how its march starts."""
+    if way == "whole":
+        return record, None
+    begin, end = window.start_s - SPAN_S, window.end_s + SPAN_S
+    declared = record.declared.model_copy(update={"segments": Segments(fit=[[begin, end]])})
+    cut = replace(record, declared=declared)
+    readings = record.time_s[np.isfinite(record.temperatures_K()).all(axis=0)]
+    at = begin if readings[2] < begin else float(readings[2])
+    return cut, lambda r, model, mesh: STARTS["profile"](r, model, mesh, at)
+
+
+def _errors(fitted: Fitted, record: Record, point: ControlPoint, flight: Flight, truth: str) -> dict[str, float]:
+    """Estimates less the truth over their sigma."""
+    flown = conditions_of_record(record)
+    rows = record.fit_mask(flown.time_s)
+    x = np.stack([flown[v] for v in RATIO_VARIABLES], axis=1)[rows]
+    declared = table_ratios_at(point.ratio, x)
+    if truth == "linear":
+        about = np.array(mean_condition(flight.conditions))
+        off = basis(tuple(ALTERED), x, about, declared) @ np.array(list(ALTERED.values()))
+    else:
+        off = table_ratios_at(true_table(point), x) - declared
+    names = [n for n in fitted.labels if n.startswith("ratio.")]
+    true = _projected(basis(names, x, np.array(fitted.problem.reference), declared), off, _heating(record)[rows])
+    sigma = dict(zip(fitted.labels, fitted.bounds.sigma, strict=True))
+    value = dict(zip(fitted.labels, fitted.fit.values, strict=True))
+    return {n: float((value[n] - t) / sigma[n]) for n, t in zip(names, true, strict=True)}
+
+
+def _heating(record: Record) -> FloatArray:
+    flown = conditions_of_record(record)
+    return np.asarray(flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"])
+
+
+def _projected(B: FloatArray, off: FloatArray, weight: FloatArray) -> FloatArray:
+    scale = np.sqrt(np.sum((B * weight[:, None]) ** 2, axis=0))
+    return np.asarray(np.linalg.lstsq(B * weight[:, None] / scale, off * weight, rcond=None)[0] / scale)
