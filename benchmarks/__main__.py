@@ -9,7 +9,7 @@ import click
 
 from benchmarks.measure import Figure, table
 
-NAMES = ("c_loop", "work_precision", "frames", "coupling", "optimal", "covariance", "end_to_end")
+NAMES = ("c_loop", "work_precision", "frames", "coupling", "optimal", "covariance", "end_to_end", "ground_step")
 
 
 @click.command(help=f"Run benchmarks and print what they found. Names: {', '.join(NAMES)}; all by default.")

@@ -18,6 +18,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import click
 import numpy as np
 
 from benchmarks.measure import Figure, save
@@ -25,7 +26,8 @@ from sim_heating.conditions import RATIO_VARIABLES, FloatArray
 from sim_heating.estimation.estimate import Fitted, estimate
 from sim_heating.estimation.initial import STARTS
 from sim_heating.estimation.problem import StartMaker
-from sim_heating.estimation.report import write_fit
+from sim_heating.estimation.report import result_of
+from sim_heating.estimation.result import NAME, write_estimate
 from sim_heating.heating_ratio.kernel import table_ratios_at
 from sim_heating.heating_ratio.table import RatioTable
 from sim_heating.points import conditions_of_record, mean_condition
@@ -41,20 +43,20 @@ from sim_heating.vehicle import ControlPoint
 
 SCENARIOS = Path(__file__).resolve().parent.parent / "scenarios"
 POINTS = {
-    "popu_mach20": ("V09T9527", "V07T9975", "LOWER_FWD"),
-    "popu_mach12": ("V09T9527", "V07T9975", "LOWER_FWD"),
-    "popu_mach8": ("V09T9527", "V07T9975", "LOWER_FWD"),
-    "flap_mach21": ("V07T9730", "BODYFLAP", "LOWER_AFT"),
-    "flap_mach16": ("V07T9730", "BODYFLAP", "LOWER_AFT"),
-    "flap_mach12": ("V07T9730", "BODYFLAP", "LOWER_AFT"),
-    "sts2": ("V09T9527", "V07T9730", "BODYFLAP"),
-    "sts4": ("V07T9975", "V07T9976", "V09T9527"),
+    "popu_mach20": ("V09T9527", "V07T9975"),
+    "popu_mach12": ("V09T9527", "V07T9975"),
+    "popu_mach8": ("V09T9527", "V07T9975"),
+    "flap_mach21": ("V07T9730", "BODYFLAP"),
+    "flap_mach16": ("V07T9730", "BODYFLAP"),
+    "flap_mach12": ("V07T9730", "BODYFLAP"),
+    "sts2": ("V09T9527", "V07T9730"),
+    "sts4": ("V07T9975", "V09T9527"),
 }
 """Scenarios and the control points of each that are fitted."""
 CHECKED = {
     "popu_mach20": "popu_mach12",
     "popu_mach12": "popu_mach20",
-    "popu_mach8": "popu_mach12",
+    "popu_mach8": "popu_mach20",
     "flap_mach21": "flap_mach16",
     "flap_mach16": "flap_mach12",
     "flap_mach12": "flap_mach21",
@@ -85,6 +87,7 @@ class Result:
     """One fit.
 
     errors         : estimate less truth over sigma, by ratio parameter
+    errors are none where the fit did not converge, and left_out then says why
     before, after  : RMSE [K] over the noise floor with the table before and after, of the fitted samples
     checked        : RMSE [K] of another manoeuvre after over before; None where there is none to check with
     """
@@ -102,8 +105,8 @@ class Result:
 
     @property
     def counted(self) -> bool:
-        """Whether the model that is fitted could be right."""
-        return (self.scenario, self.point) not in UNDECLARED
+        """Whether the fit converged, of a model that could be right."""
+        return bool(self.errors) and (self.scenario, self.point) not in UNDECLARED
 
 
 def run() -> list[Figure]:
@@ -135,12 +138,14 @@ def _summaries(results: Sequence[Result]) -> Iterator[Figure]:
 
 
 def _line(r: Result) -> Figure:
+    what = f"{r.scenario} {r.point} at {r.start_s:.0f} s, {r.truth}, {r.way}: largest error"
+    if not r.errors:
+        return Figure(what, float("nan"), "sigma", note="; ".join(r.left_out))
     short = [f"{name.removeprefix('ratio.')} {z:+.1f}" for name, z in r.errors.items()]
     note = ", ".join([*short, *(f"no {n.removeprefix('ratio.')}" for n in r.left_out)])
     note += f"; RMSE {r.before:.1f} to {r.after:.2f} floors"
     note += "" if r.checked is None else f", other manoeuvre x {r.checked:.2f}"
     note += "" if r.counted else " (undeclared effect)"
-    what = f"{r.scenario} {r.point} at {r.start_s:.0f} s, {r.truth}, {r.way}: largest error"
     return Figure(what, max(map(abs, r.errors.values())), "sigma", note=note)
 
 
@@ -197,8 +202,13 @@ def _fits(name: str, point: ControlPoint, flight: Flight, window: Window, folder
         record, start = _cut(load_record(folder / name / point.name), window, way)
         names = ("ratio.scale", *(n for n in ALTERED if n != "ratio.scale"), *FITTED_TOO.get(name, ()))
         fitted = estimate([record], names, starts=[start])
+        if not fitted.fit.converged:
+            lost = float("nan")
+            yield Result(name, point.name, folder.name, way, window.start_s, {}, lost, lost, None, fitted.warnings)
+            continue
         place = folder / "fits" / f"{name}_{point.name}_{way}_{window.start_s:.0f}"
-        write_fit(fitted, place)
+        place.mkdir(parents=True)
+        write_estimate(place / NAME, result_of(fitted))
         update = prepare(place, point_vehicle(name))
         other = CHECKED.get(name)
         checks = [record] if other is None else [record, _renamed(load_record(folder / other / point.name), other)]
@@ -208,6 +218,7 @@ def _fits(name: str, point: ControlPoint, flight: Flight, window: Window, folder
         if other is not None:
             found = errors[checks[1].name]["fit"]
             checked = found["after"]["rmse_K"] / found["before"]["rmse_K"]
+        click.echo(f"  {place.parent.parent.name}: {place.name}", err=True)
         yield Result(
             name, point.name, folder.name, way, window.start_s, _errors(fitted, record, point, flight, folder.name),
             own["before"]["rmse_K"] / floor, own["after"]["rmse_K"] / floor, checked, tuple(fitted.not_estimated),

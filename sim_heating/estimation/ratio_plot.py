@@ -95,6 +95,6 @@ def draw_ratio(path: Path, fitted: Fitted, part: Part) -> bool:
     axes[0, 0].set_ylabel("heating ratio (2 sigma bands)")
     axes[0, 0].legend(fontsize=8, loc="best")
     beside = " without the effects" if part.model.effects else ""
-    title = f"{part.record.name}: {part.record.declared.control_point}, heating ratio{beside}\nabout {about(reference)}"
+    title = f"{part.record.declared.control_point}: heating ratio{beside}\nabout {about(reference)}"
     save_figure(figure, path, title, axes)
     return True
