@@ -17,6 +17,7 @@ import numpy as np
 from benchmarks.measure import Figure, save
 from sim_heating.conditions import FloatArray
 from sim_heating.estimation.estimate import Fitted, estimate
+from sim_heating.files import read_csv_columns
 from sim_heating.ground_step import step_record
 from sim_heating.predict import predict
 from sim_heating.record import Heating, Record, load_record
@@ -38,6 +39,7 @@ TRIED = (
     (CONVECTION,),
     (CONDUCTIVITY, HEAT, CONVECTION, BACK),
 )
+REPEATS = ("U2_5p72mm_K", "U2_11p44mm_K", "U2_17p16mm_K")
 EARLY_S = (60.0, 150.0)
 LATE_S = 900.0
 GAS_HEAT_J_KGK, GAS_K = 1040.0, 298.15
@@ -68,6 +70,10 @@ def _steps() -> Iterator[Figure]:
 
 def _board() -> Iterator[Figure]:
     record = load_record(BOARD)
+    table = read_csv_columns(BOARD / record.declared.thermocouples.file, REPEATS)
+    for column in REPEATS:
+        spread = float(np.sqrt(np.mean((0.5 * table[column]) ** 2)))
+        yield Figure(f"board, standard uncertainty of repeated tests, {column}", spread, "K", note="root mean square")
     yield from _errors("board, as declared", record, predict(record).residual_K, "")
     for names in TRIED:
         fitted = estimate([_in_gas(record) if CONVECTION in names else record], names)

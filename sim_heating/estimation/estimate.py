@@ -23,7 +23,7 @@ from sim_heating.estimation.informed import default_names, mean_ratio, still, un
 from sim_heating.estimation.likelihood import likelihood
 from sim_heating.estimation.newton import Fit, Status, maximise
 from sim_heating.estimation.observation import definition, errors_of
-from sim_heating.estimation.problem import Part, Problem, Samples, Start, StartMaker, joint_reference
+from sim_heating.estimation.problem import Part, Problem, Samples, Start, StartMaker, joint_reference, march_times
 from sim_heating.estimation.result import AT
 from sim_heating.parameters import CLOCK_SKEW, EFFECT_PREFIX, Parameter
 from sim_heating.predict import Prediction
@@ -198,10 +198,24 @@ def _finished(problem: Problem, fit: Fit, out: dict[str, str]) -> Fitted:
 
 
 def predict_at(part: Part, values: FloatArray) -> Prediction:
-    """The plain march of a record at a parameter vector, no measurement assimilated."""
-    own = part.values(values)
-    wrong = {s.name: errors_of(s, own) for s in part.record.sensors}
-    return predict_record(part.record, part.altered(values), skew_s=-part.shift_s(values), errors=wrong)
+    """The plain march of a record at a parameter vector, no measurement assimilated.
+
+    It begins where the fit begins and ends with the last sample that is fitted or held out: what a short segment says
+    of the ratio need not hold far from it. NaN elsewhere.
+    """
+    own, record = part.values(values), part.record
+    wrong = {s.name: errors_of(s, own) for s in record.sensors}
+    asked = record.time_s[record.fit_mask() | record.holdout_mask()]
+    begin = part.conditions.time_s[0] if part.start is None else part.start.time_s
+    end = min(float(asked.max()) + max(part.shift_s(values), 0.0), part.conditions.time_s[-1])
+    marched = replace(record, conditions=record.conditions.at(march_times(record.conditions, begin, end)))
+    model, initial_K = part.altered(values), part.initial_K(values)
+    if initial_K is not None:
+        profile = {"initial": "profile", "initial_profile": np.column_stack([part.mesh.depth_m, initial_K]).tolist()}
+        stack = model.construction.stack.model_copy(update=profile)
+        model = replace(model, construction=model.construction.model_copy(update={"stack": stack}))
+    found = predict_record(marched, model, skew_s=-part.shift_s(values), errors=wrong)
+    return replace(found, record=record)
 
 
 def coloured_bounds(problem: Problem, fit: Fit) -> Bounds:

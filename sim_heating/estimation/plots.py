@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from numpy.typing import NDArray
 
 from sim_heating.conditions import Conditions
 from sim_heating.estimation.sequence import Trend
@@ -13,35 +14,39 @@ from sim_heating.heating_ratio.kernel import table_ratios_at
 from sim_heating.layout import LOG10_RE
 from sim_heating.plots import ANGLES, MEASURED, new_figure, save_figure
 from sim_heating.predict import Prediction
-from sim_heating.record import pooled_rmse_K
+from sim_heating.record import Record, pooled_rmse_K
 
 BEFORE, AFTER = "tab:orange", "tab:blue"
 MOVES_DEG = 0.5
 LAMP = "q_add_W_m2"
+MARGIN = 0.2
+"""How much is shown to either side of what is fitted, over its length."""
 
 
 def draw_fit(path: Path, before: Prediction, after: Prediction) -> None:
     """A panel a sensor with its residual below, declared and fitted; holdout segments shaded, angles flown at the
     foot."""
     record = after.record
-    t, sensors = record.time_s, [i for i, s in enumerate(record.sensors) if s.used]
+    shown, sensors = _shown(record), [i for i, s in enumerate(record.sensors) if s.used]
+    t, fitted = record.time_s[shown], record.fit_mask()[shown]
     heights = [2.0, 1.0] * len(sensors) + [1.0]
     figure, axes = new_figure(9.5, 2.4 * len(sensors) + 2.2, len(heights), sharex=True, height_ratios=heights)
     for k, i in enumerate(sensors):
         upper, lower = axes[2 * k], axes[2 * k + 1]
-        upper.plot(t, record.temperatures_K()[i], label="measured", **MEASURED)
+        upper.plot(t, record.temperatures_K()[i][shown], label="measured", **MEASURED)
         for prediction, color, label in ((before, BEFORE, "declared"), (after, AFTER, "fitted")):
-            found = pooled_rmse_K(prediction.residual_K[i], record.fit_mask())
+            residual = prediction.residual_K[i][shown]
+            found = pooled_rmse_K(residual, fitted)
             error = "" if found is None else f", RMSE {found['rmse_K']:.2f} K"
-            upper.plot(t, prediction.indicated_K[i], color=color, linewidth=1.3, label=f"{label}{error}")
-            lower.plot(t, prediction.residual_K[i], ".", color=color, markersize=2.5)
+            upper.plot(t, prediction.indicated_K[i][shown], color=color, linewidth=1.3, label=f"{label}{error}")
+            lower.plot(t, residual, ".", color=color, markersize=2.5)
         lower.axhline(0.0, color="0.3", linewidth=0.8)
         spread = np.nanpercentile(np.abs(before.residual_K[i][record.fit_mask()]), 99.0) if len(t) else 1.0
         lower.set_ylim(-1.3 * spread - 1.0, 1.3 * spread + 1.0)
         upper.set_ylabel(f"{record.sensors[i].name}\nindicated, K")
         lower.set_ylabel("residual, K")
         upper.legend(fontsize=8, loc="best")
-    _plot_flown(axes[-1], record.conditions)
+    _plot_flown(axes[-1], record.conditions, t[0], t[-1])
     axes[-1].set_xlabel("time, s" + ("; shaded: held out" if record.declared.segments.holdout else ""))
     for start, end in record.declared.segments.holdout:
         for a in axes:
@@ -52,8 +57,17 @@ def draw_fit(path: Path, before: Prediction, after: Prediction) -> None:
     save_figure(figure, path, f"{record.name}: {title}, declared and fitted", axes)
 
 
-def _plot_flown(a: Axes, flown: Conditions) -> None:
+def _shown(record: Record) -> NDArray[np.bool_]:
+    """(sample,) from some time before the first sample that is fitted or held out to some time after the last."""
+    t, asked = record.time_s, record.time_s[record.fit_mask() | record.holdout_mask()]
+    margin = MARGIN * float(np.ptp(asked))
+    return np.asarray((t >= asked.min() - margin) & (t <= asked.max() + margin))
+
+
+def _plot_flown(a: Axes, whole: Conditions, start_s: float, end_s: float) -> None:
     """The angles that moved, or what a lamp gave where none did."""
+    times = whole.time_s[(whole.time_s >= start_s) & (whole.time_s <= end_s)]
+    flown = whole.at(times if len(times) else whole.time_s)
     moved = {n: how for n, how in ANGLES.items() if np.ptp(flown[n]) > MOVES_DEG}
     for name, (label, color) in moved.items():
         a.plot(flown.time_s, flown[name], color=color, label=label, linewidth=1.1)
