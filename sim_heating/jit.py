@@ -35,7 +35,7 @@ def _imported(path: Path) -> set[Path]:
     return {p for base in found for p in (base.with_suffix(".py"), base / "__init__.py") if p.is_file()}
 
 
-def _source_digest() -> str:
+def source_digest() -> str:
     """Digest of everything that compiled kernels are made of: modules that import this one, what those import, data.
 
     numba keys its cache by the file of a function alone: a kernel that calls another, or holds a table as a
@@ -58,7 +58,7 @@ def _source_digest() -> str:
 def _cache_folder() -> str:
     """A writable folder for compiled kernels of just this version: in the user's cache, else temporary."""
     home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "sim_heating"
-    folder = home / f"kernels-{_source_digest()}"
+    folder = home / f"kernels-{source_digest()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):

@@ -1,0 +1,259 @@
+"""From compiled kernels to a shared library that needs no Python: numba's LLVM IR, llvmlite's objects, a C linker.
+
+numba compiles a kernel to two functions: one of plain arithmetic, and one around it that speaks Python. The first is
+kept under a plain C name, the second dropped. What is left may call nothing but the functions of ALLOWED; memory,
+printing or an exception in a kernel would need more, and is refused here.
+
+For x86-64 every function is made once for any processor and once for those with AVX2; the wrapper chooses. Results
+do not depend on it: the arithmetic is strict, nothing is contracted.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import inspect
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import llvmlite
+import llvmlite.binding as llvm
+import numba
+
+from sim_heating.errors import InputError, RunError
+from sim_heating.jit import PACKAGE, source_digest
+
+ALLOWED = frozenset(
+    "cos exp log log10 pow sin sqrt tan atan atan2 acos asin tanh floor ceil memcpy memset memmove".split()
+)
+"""Functions of libm and libc that a kernel may call."""
+INTRINSICS = frozenset(
+    "llvm.lifetime.start llvm.lifetime.end llvm.assume llvm.fabs llvm.copysign llvm.minnum llvm.maxnum llvm.smin "
+    "llvm.smax llvm.umin llvm.umax llvm.abs llvm.trunc llvm.experimental llvm.vector llvm.ctpop llvm.fshl".split()
+)
+"""What the compiler turns into instructions; `llvm.NAME` of an allowed function is allowed as well."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """A platform.
+
+    triple     : of LLVM
+    zig        : of ziglang's linker
+    suffix     : of a shared library
+    fmi2, fmi3 : folder in `binaries`, None where FMI 2 has none
+    levels     : processors to compile for, the most able last; "" where there is one
+    """
+
+    triple: str
+    zig: str
+    suffix: str
+    fmi2: str | None
+    fmi3: str
+    levels: tuple[str, ...] = ("",)
+
+    @property
+    def native(self) -> bool:
+        """Whether this is the machine that runs now."""
+        own = llvm.get_process_triple()
+        return self.triple.split("-")[0] == own.split("-")[0] and ("linux" in self.triple) == ("linux" in own)
+
+
+X86_LEVELS = ("x86-64", "x86-64-v3")
+TARGETS: Mapping[str, Target] = {
+    "linux": Target("x86_64-unknown-linux-gnu", "x86_64-linux-gnu.2.17", ".so", "linux64", "x86_64-linux", X86_LEVELS),
+    "linux-arm64": Target("aarch64-unknown-linux-gnu", "aarch64-linux-gnu.2.17", ".so", None, "aarch64-linux"),
+    "windows": Target("x86_64-w64-windows-gnu", "x86_64-windows-gnu", ".dll", "win64", "x86_64-windows", X86_LEVELS),
+    "macos": Target("x86_64-apple-macosx11.0", "x86_64-macos", ".dylib", "darwin64", "x86_64-darwin", X86_LEVELS),
+    "macos-arm64": Target("arm64-apple-macosx11.0", "aarch64-macos", ".dylib", None, "aarch64-darwin"),
+}
+"""Platforms by the names that the command takes."""
+
+
+@dataclass(frozen=True)
+class Function:
+    """A compiled function of the library: `numba.cfunc(..., error_model="numpy")` of pointers and numbers.
+
+    name : in C, without the suffix of a level
+    """
+
+    name: str
+    compiled: Any
+
+    @property
+    def prototype(self) -> str:
+        """Declaration of the function in C."""
+        kinds = [_C_TYPES[str(t)] for t in self.compiled._sig.args]
+        return f"{_C_TYPES[str(self.compiled._sig.return_type)]} NAME({', '.join(kinds)})"
+
+
+_C_TYPES = {"float64": "double", "int64": "int64_t", "none": "void", "float64*": "double *", "int64*": "int64_t *"}
+_IR_TYPES = {"float64": "double", "int64": "i64", "none": "void", "float64*": "ptr", "int64*": "ptr"}
+
+
+def _plain_c(function: Function, symbol: str) -> str:
+    """IR of the function's plain C face. numba's own: status f(result *, exception **, arguments)."""
+    signature = function.compiled._sig
+    native = function.compiled.native_name.removeprefix("cfunc.")
+    kinds = [_IR_TYPES[str(t)] for t in signature.args]
+    result = _IR_TYPES[str(signature.return_type)]
+    given = ", ".join(f"{kind} %a{i}" for i, kind in enumerate(kinds))
+    back = "ret void" if result == "void" else f"%value = load {result}, ptr %result\n  ret {result} %value"
+    return f"""
+define hidden {result} @{symbol}({given}) {{
+  %result = alloca i64
+  %exception = alloca ptr
+  store i64 0, ptr %result
+  %status = call i32 @"{native}"(ptr %result, ptr %exception{"".join(f", {kind} %a{i}" for i, kind in enumerate(kinds))})
+  {back}
+}}
+"""
+
+
+_COUNTING = re.compile(r"^(define [^\n]*@NRT_(?:incref|decref)\([^\n]*\{)\n.*?^\}", re.MULTILINE | re.DOTALL)
+_TARGET_LINE = re.compile(r"^target (?:triple|datalayout) = .*$", re.MULTILINE)
+
+
+def _module_text(function: Function, symbol: str) -> str:
+    """IR of a compiled function and all that it calls.
+
+    Whether it has just been compiled or comes from the cache: `inspect_llvm` knows only the first. Reference counts
+    are left out: all memory is the host's, and a kernel that asked for some would be refused.
+    """
+    text = str(function.compiled._library._get_module_for_linking())
+    text = _COUNTING.sub(r"\1\n  ret void\n}", _TARGET_LINE.sub("", text))
+    return text + _plain_c(function, symbol)
+
+
+def _forbidden(module: llvm.ModuleRef) -> list[str]:
+    """What a module calls that no host has."""
+    called = [f.name for f in module.functions if f.is_declaration]
+    return sorted(
+        name
+        for name in called
+        if not (
+            name in ALLOWED
+            or ".".join(name.split(".")[:3]) in INTRINSICS
+            or ".".join(name.split(".")[:2]) in INTRINSICS
+            or (name.startswith("llvm.") and name.split(".")[1] in ALLOWED)
+        )
+    )
+
+
+def object_code(function: Function, target: Target, level: str, symbol: str) -> bytes:
+    """Object file of a compiled function for a platform and a processor.
+
+    raises : RunError naming what it calls that a host without Python does not have
+    """
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    module = llvm.parse_assembly(_module_text(function, symbol))
+    machine = llvm.Target.from_triple(target.triple).create_target_machine(
+        cpu=level, opt=3, reloc="pic", codemodel="default"
+    )
+    module.triple, module.data_layout = target.triple, str(machine.target_data)
+    for value in [*module.functions, *module.global_variables]:
+        if not value.is_declaration and value.name != symbol:
+            value.linkage = "internal"
+    options = llvm.create_pipeline_tuning_options(speed_level=3)
+    llvm.create_pass_builder(machine, options).getModulePassManager().run(
+        module, llvm.create_pass_builder(machine, options)
+    )
+    forbidden = _forbidden(module)
+    if forbidden:
+        raise RunError(f"{function.name}: needs {', '.join(forbidden)}, which a host without Python does not have")
+    return bytes(machine.emit_object(module))
+
+
+def sources() -> Path:
+    """The folder of the C wrapper: at the top of a checkout, within the package when installed."""
+    for folder in (PACKAGE.parent / "fmu", PACKAGE / "fmu" / "c"):
+        if (folder / "wrapper.h").is_file():
+            return folder
+    raise InputError("the C sources of the FMU wrapper are not here; install the package anew")
+
+
+def compiler(target: Target) -> list[str]:
+    """Command of a C compiler that links for a platform.
+
+    raises : InputError saying what to install
+    """
+    found = shutil.which("gcc") or shutil.which("cc") or shutil.which("clang")
+    if target.native and found:
+        return [found]
+    if importlib.util.find_spec("ziglang") is not None:
+        return [sys.executable, "-m", "ziglang", "cc", "-target", target.zig]
+    what = "a C compiler" if target.native else f"a linker for {target.fmi3}"
+    raise InputError(f"fmu: {what} is not here; install one: pip install 'sim-heating[fmu]'")
+
+
+def _table_of_functions(functions: Sequence[Function], target: Target) -> str:
+    """C source that names the functions of each level, the most able one last."""
+    levels = range(len(target.levels))
+    lines = ['#include "wrapper.h"']
+    for function in functions:
+        lines += [f"{function.prototype.replace('NAME', f'{function.name}_{k}')};" for k in levels]
+    start, step, *called = functions
+    for k in levels:
+        addresses = ", ".join(f"(int64_t)(intptr_t){f.name}_{k}" for f in called) or "0"
+        lines.append(f"static int64_t called_{k}[] = {{{addresses}}};")
+    rows = ", ".join(f"{{{start.name}_{k}, {step.name}_{k}, called_{k}}}" for k in levels)
+    lines += [f"const Model models[] = {{{rows}}};", f"const int n_models = {len(target.levels)};", ""]
+    return "\n".join(lines)
+
+
+def _digest(functions: Sequence[Function], target: Target, command: Sequence[str], more: str) -> str:
+    """Digest of all that a library is made of."""
+    digest = hashlib.sha256()
+    for part in (source_digest(), numba.__version__, llvmlite.__version__, repr(target), repr(command), more):
+        digest.update(part.encode())
+    digest.update(" ".join(f.name for f in functions).encode())
+    for path in (*sorted(sources().glob("*.[ch]")), Path(inspect.getfile(object_code))):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:24]
+
+
+def library(functions: Sequence[Function], target: Target, *, more: str = "") -> Path:
+    """The shared library of a model for a platform, made where it is not in the cache.
+
+    functions : start, step (native.FUNCTION), and what those call through addresses, in the order of `A`
+    more      : what the functions depend on beside the package's own sources
+    raises    : InputError where there is no compiler, RunError where a function cannot be made or linked
+    """
+    command = compiler(target)
+    folder = Path(numba.config.CACHE_DIR) / "fmu" / _digest(functions, target, command, more)  # type: ignore[attr-defined]
+    made = folder / f"model{target.suffix}"
+    if made.is_file():
+        return made
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder) as work:
+        partial = Path(work) / made.name
+        _link(functions, target, command, Path(work), partial)
+        partial.replace(made)
+    return made
+
+
+def _link(functions: Sequence[Function], target: Target, command: Sequence[str], work: Path, out: Path) -> None:
+    parts = [work / "functions.c"]
+    parts[0].write_text(_table_of_functions(functions, target))
+    for function in functions:
+        for k, level in enumerate(target.levels):
+            symbol = f"{function.name}_{k}"
+            parts.append(work / f"{symbol}.o")
+            parts[-1].write_bytes(object_code(function, target, level, symbol))
+    windows, linux = "windows" in target.triple, "linux" in target.triple
+    flags = ["-shared", "-O2", "-std=c11", "-ffp-contract=off", "-fvisibility=hidden", f"-I{sources()}"]
+    flags += [] if windows else ["-fPIC", "-lm"]
+    flags += ["-Wl,-z,defs", "-Wl,-s"] if linux else []
+    wrapper = sorted(str(path) for path in sources().glob("*.c"))
+    command = [*command, "-o", str(out), *map(str, parts), *wrapper, *flags]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise RunError(f"fmu: linking for {target.fmi3} failed: {done.stderr.strip()}")
