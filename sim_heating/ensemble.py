@@ -22,20 +22,13 @@ from sim_heating.effects import Effect, EffectUse, check_count
 from sim_heating.effects.chain import compiled_chain
 from sim_heating.errors import InputError, RunError
 from sim_heating.files import nearest
-from sim_heating.heating_ratio.kernel import pack_table
+from sim_heating.heating_ratio.kernel import mark_curved, pack_table
 from sim_heating.heating_ratio.table import RatioTable
 from sim_heating.jit import handle
 from sim_heating.layout import (
-    BACK_EPS,
-    BACK_H,
     BACK_NODE,
-    BACK_T,
-    BOIL,
     COLUMN,
-    CONDENSE,
     CONDITION_COLUMNS,
-    CURVED,
-    DEPOSIT,
     EFFECT_CODES,
     EFFECT_PARAMETERS,
     EFFECT_SLOTS,
@@ -44,24 +37,17 @@ from sim_heating.layout import (
     ENERGY_IN,
     ENERGY_OUT,
     ENTHALPY_TABLE,
-    FACTOR_EPS,
     FAILED,
-    GAP,
-    GAPS,
     HEAD_ROWS,
     HIGH,
     INTS_PER_NODE,
     IS_FACE,
     IS_INTERFACE,
     ITERATIONS,
-    K_RAD,
     LAG_SLOT,
     LANES,
-    LATENT,
-    M_LEFT,
     M_RIGHT,
     MATERIAL_TABLE,
-    MOIST,
     N_ADDING,
     N_CONDITIONS,
     N_EFFECTS,
@@ -75,17 +61,12 @@ from sim_heating.layout import (
     NONE,
     NOWHERE,
     OUTSIDE,
-    PHASE_WIDTH,
     PRESSURE_TABLE,
     RATE,
     RATIO_TABLE,
     REFERENCE,
-    SURFACE_SHARE,
     SURROUNDINGS4,
     WALL_EFFECTS,
-    WET_LEFT,
-    WET_RIGHT,
-    G,
     T,
     block_size,
     integers_size,
@@ -95,8 +76,9 @@ from sim_heating.layout import (
     scalar_row,
 )
 from sim_heating.march import BLOCK_END, BLOCK_START, INTS_END, INTS_START, advance_groups, begin_groups, march_group
-from sim_heating.parameters import EFFECT_PREFIX, MODEL, RATIO, SECOND_ORDER, Parameter
+from sim_heating.parameters import EFFECT_PREFIX, MODEL, RATIO, STACK, Parameter
 from sim_heating.thermal.declare import BackFace, Construction, Material
+from sim_heating.thermal.elements import set_elements
 from sim_heating.thermal.kernel import compiled
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.tables import PointTables, TableStore, WallEnthalpy
@@ -108,10 +90,6 @@ CONTACT = Material(density_kg_m3=1.0, specific_heat_J_kgK=[[300.0, 1.0]], conduc
 """What a contact resistance is made of: an element without mass whose "length" is the resistance."""
 MODES = ("add", "multiply", "emittance")
 """Effects with a kernel, in the order in which they act."""
-MOISTURE = (
-    (LATENT, "stack.moisture.latent_J_kg"), (BOIL, "stack.moisture.boil_K"), (DEPOSIT, "stack.moisture.deposit_J_kg"),
-    (CONDENSE, "stack.moisture.condense_K"), (PHASE_WIDTH, "stack.moisture.width_K"),
-)  # fmt: skip
 BACK = ("back.h_W_m2K", "back.T_K", "back.emissivity")
 CACHE_LINE = 64
 """Bytes."""
@@ -344,38 +322,17 @@ class Ensemble:
 
     def _pack_factors(self, B: FloatArray, J: IntArray, lane: int, model: PointModel, mesh: Mesh) -> None:
         """What the thermal parameters of a point change in the block."""
-        densities = [m.density_kg_m3 for m in model.construction.layer_materials()]
-        length, conductivity, capacity = _factors(model, mesh)
-        half = 0.5 * np.array([*densities, 0.0])[mesh.layer] * length * capacity
-        nodes, elements = node_rows(B), len(half)
-        nodes[:elements, G, lane] = conductivity / length
-        nodes[:elements, M_RIGHT, lane] = half
-        nodes[1 : elements + 1, M_LEFT, lane] = half
-        B[scalar_row(FACTOR_EPS)][lane] = model.value("stack.emissivity_factor")
-        for row, name in ((BACK_H, "back.h_W_m2K"), (BACK_T, "back.T_K"), (BACK_EPS, "back.emissivity")):
-            B[scalar_row(row)][lane] = model.value(name)
-        insulation = mesh.layer == insulation_layer(model.construction)
-        nodes[:elements, K_RAD, lane] = np.where(insulation, model.value("stack.rsi.radiative_conductivity"), 0.0)
-        wet = np.where(insulation, half, 0.0)
-        nodes[:elements, WET_RIGHT, lane], nodes[1 : elements + 1, WET_LEFT, lane] = wet, wet
-        for row, name in MOISTURE:
-            B[scalar_row(row)][lane] = model.value(name)
-        J[MOIST] |= int(
-            model.value("stack.moisture.latent_J_kg") > 0.0 or model.value("stack.moisture.deposit_J_kg") > 0.0
-        )
-        fraction = model.value("stack.gap.fraction")
-        B[scalar_row(SURFACE_SHARE)][lane] = 1.0 - fraction
-        if fraction > 0.0:
-            J[GAPS] = 1
-            J[NODE_INTS + IS_FACE : NODE_INTS + mesh.nodes * INTS_PER_NODE : INTS_PER_NODE] = 1
-        nodes[: mesh.nodes, GAP, lane] = fraction * gap_weights(mesh, model.value("stack.gap.depth_m"))
+        set_elements(
+            B, J, lane, mesh.layer, mesh.length_m, element_densities(model.construction, mesh),
+            insulation_layer(model.construction), mesh.bondline, stack_values(model),
+        )  # fmt: skip
 
     def _pack_heating(self, B: FloatArray, J: IntArray, lane: int, model: PointModel) -> None:
         p = parameters_at(lane)
         values = [model.value(parameter.name) for parameter in RATIO]
         B[p : p + len(values)] = values
         B[p + REFERENCE : p + REFERENCE + len(RATIO_VARIABLES)] = model.reference
-        B[p + CURVED] = float(any(values[-len(SECOND_ORDER) :]))
+        mark_curved(B, p)
         J[RATIO_TABLE + lane] = self._add_ratio_table(model.ratio)
         uses = sorted((u for u in model.effects if u.effect.kernel), key=lambda u: MODES.index(u.effect.mode))
         modes = [u.effect.mode for u in uses]
@@ -568,32 +525,19 @@ def _distinct_effects(models: Sequence[PointModel]) -> tuple[Effect, ...]:
     return tuple(dict.fromkeys(u.effect for m in models for u in m.effects if u.effect.kernel))
 
 
-def _factors(model: PointModel, mesh: Mesh) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Length, conductivity factor and heat-capacity factor of each element, the parameters of coating and RSI
-    applied."""
-    rsi = mesh.layer == insulation_layer(model.construction)
-    coating = (mesh.layer == 0) & ~rsi
-    length = np.where(coating, model.value("stack.coating.thickness_factor") * mesh.length_m, mesh.length_m)
-    length = np.where(mesh.layer < 0, model.value("stack.contact_factor") * length, length)
-    conductivity = np.ones_like(length)
-    capacity = np.ones_like(length)
-    for mask, layer in ((coating, "coating"), (rsi, "rsi")):
-        conductivity[mask] = model.value(f"stack.{layer}.conductivity_factor")
-        capacity[mask] = model.value(f"stack.{layer}.heat_capacity_factor")
-    return length, conductivity, capacity
+def element_densities(construction: Construction, mesh: Mesh) -> FloatArray:
+    """(element,) density [kg/m3]; a contact has none."""
+    return np.array([*(m.density_kg_m3 for m in construction.layer_materials()), 0.0])[mesh.layer]
+
+
+def stack_values(model: PointModel) -> FloatArray:
+    """Values of parameters.STACK."""
+    return np.array([model.value(parameter.name) for parameter in STACK])
 
 
 def insulation_layer(construction: Construction) -> int:
     """Number of the layer that `stack.rsi.*` is about: the second, behind a coating; of one layer, that one."""
     return min(1, len(construction.stack.layer) - 1)
-
-
-def gap_weights(mesh: Mesh, depth_m: float) -> FloatArray:
-    """(node,) how the heat spent along a gap falls with depth: as exp(-x / depth), down to the bondline, 1 in sum."""
-    edges = np.concatenate(([0.0], 0.5 * (mesh.depth_m[1:] + mesh.depth_m[:-1]), mesh.depth_m[-1:]))
-    bottom = mesh.depth_m[mesh.bondline] if mesh.bondline > 0 else mesh.depth_m[-1]
-    weights = -np.diff(np.exp(-np.minimum(edges, bottom) / depth_m))
-    return np.asarray(weights / weights.sum())
 
 
 def initial_temperatures(construction: Construction, mesh: Mesh) -> FloatArray:

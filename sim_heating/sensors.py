@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.errors import InputError
+from sim_heating.jit import njit
 from sim_heating.thermal.declare import Sensor
 
 FloatArray = NDArray[np.float64]
@@ -30,9 +31,22 @@ class SensorErrors:
 def calibrated(sensor: Sensor, temperature_K: FloatArray, errors: SensorErrors | None = None) -> FloatArray:
     """Indicated temperature [K] before noise and quantisation."""
     wrong = errors or SensorErrors()
-    true = wrong.gain * temperature_K + wrong.bias_K
-    indicated = np.polynomial.polynomial.polyval(true, sensor.calibration or [0.0, 1.0])
-    return np.asarray(indicated, dtype=np.float64)
+    return indicated(np.asarray(temperature_K, dtype=float), wrong.gain, wrong.bias_K, calibration(sensor))
+
+
+def calibration(sensor: Sensor) -> FloatArray:
+    """Coefficients c0, c1, ... of a sensor; 0, 1 where it declares none."""
+    return np.array(sensor.calibration or [0.0, 1.0])
+
+
+@njit
+def indicated(temperature_K, gain, bias_K, coefficients):  # type: ignore[no-untyped-def]
+    """c0 + c1 T' + c2 T'^2 + ..., T' = gain T + bias, of one temperature or an array of them [K]."""
+    wrong = gain * temperature_K + bias_K
+    value = 0.0 * wrong + coefficients[-1]
+    for k in range(len(coefficients) - 2, -1, -1):
+        value = coefficients[k] + value * wrong
+    return value
 
 
 def quantised(sensor: Sensor, indicated_K: FloatArray) -> FloatArray:

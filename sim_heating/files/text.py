@@ -100,6 +100,11 @@ def write_text_atomic(path: str | os.PathLike[str], text: str) -> None:
 
     raises : InputError where the place cannot be written
     """
+    write_bytes_atomic(path, text.encode("utf-8"))
+
+
+def write_bytes_atomic(path: str | os.PathLike[str], data: bytes) -> None:
+    """The same for a file of bytes."""
     target = Path(path)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -107,8 +112,8 @@ def write_text_atomic(path: str | os.PathLike[str], text: str) -> None:
     except OSError as error:
         raise InputError(f"{shown(path)}: cannot be written ({reason(error)}); choose another place") from None
     try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
-            stream.write(text)
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(data)
         os.chmod(partial, 0o666 & ~umask())
         os.replace(partial, target)
     except OSError as error:

@@ -28,17 +28,19 @@ import llvmlite.binding as llvm
 import numba
 
 from sim_heating.errors import InputError, RunError
-from sim_heating.jit import PACKAGE, source_digest
+from sim_heating.fmu.native import source_digest
 
-ALLOWED = frozenset(
-    "cos exp log log10 pow sin sqrt tan atan atan2 acos asin tanh floor ceil memcpy memset memmove".split()
-)
+PACKAGE = Path(__file__).resolve().parents[1]
+ALLOWED = {
+    "acos", "asin", "atan", "atan2", "ceil", "cos", "exp", "floor", "log", "log10", "memcpy", "memmove", "memset",
+    "pow", "sin", "sqrt", "tan", "tanh",
+}  # fmt: skip
 """Functions of libm and libc that a kernel may call."""
-INTRINSICS = frozenset(
-    "llvm.lifetime.start llvm.lifetime.end llvm.assume llvm.fabs llvm.copysign llvm.minnum llvm.maxnum llvm.smin "
-    "llvm.smax llvm.umin llvm.umax llvm.abs llvm.trunc llvm.experimental llvm.vector llvm.ctpop llvm.fshl".split()
-)
-"""What the compiler turns into instructions; `llvm.NAME` of an allowed function is allowed as well."""
+INTRINSICS = {
+    "abs", "assume", "copysign", "ctpop", "experimental", "fabs", "fshl", "lifetime", "maxnum", "minnum", "smax",
+    "smin", "trunc", "umax", "umin", "vector",
+}  # fmt: skip
+"""Intrinsics `llvm.NAME` that become instructions; those of allowed functions are allowed as well."""
 
 
 @dataclass(frozen=True)
@@ -105,13 +107,14 @@ def _plain_c(function: Function, symbol: str) -> str:
     kinds = [_IR_TYPES[str(t)] for t in signature.args]
     result = _IR_TYPES[str(signature.return_type)]
     given = ", ".join(f"{kind} %a{i}" for i, kind in enumerate(kinds))
+    handed = f"ptr %result, ptr %exception, {given}"
     back = "ret void" if result == "void" else f"%value = load {result}, ptr %result\n  ret {result} %value"
     return f"""
 define hidden {result} @{symbol}({given}) {{
   %result = alloca i64
   %exception = alloca ptr
   store i64 0, ptr %result
-  %status = call i32 @"{native}"(ptr %result, ptr %exception{"".join(f", {kind} %a{i}" for i, kind in enumerate(kinds))})
+  %status = call i32 @"{native}"({handed})
   {back}
 }}
 """
@@ -135,16 +138,8 @@ def _module_text(function: Function, symbol: str) -> str:
 def _forbidden(module: llvm.ModuleRef) -> list[str]:
     """What a module calls that no host has."""
     called = [f.name for f in module.functions if f.is_declaration]
-    return sorted(
-        name
-        for name in called
-        if not (
-            name in ALLOWED
-            or ".".join(name.split(".")[:3]) in INTRINSICS
-            or ".".join(name.split(".")[:2]) in INTRINSICS
-            or (name.startswith("llvm.") and name.split(".")[1] in ALLOWED)
-        )
-    )
+    intrinsic = {f"llvm.{name}" for name in ALLOWED | INTRINSICS}
+    return sorted(n for n in called if n not in ALLOWED and ".".join(n.split(".")[:2]) not in intrinsic)
 
 
 def object_code(function: Function, target: Target, level: str, symbol: str) -> bytes:

@@ -1,11 +1,11 @@
 """What a compiled model shares with the C wrapper: two arrays, and functions of them.
 
-All numbers of a model stand in one float64 array `R`, all integers in one int64 array `I`. The wrapper (fmu/ at the
+All numbers of a model stand in one float64 array `R`, all integers in one int64 array `N`. The wrapper (fmu/ at the
 top of the repository) knows their first entries, below, and the place of each variable; everything behind them is the
 model's own. A model is two functions
 
-    start(R, I, A) -> outcome      the initial state at R[NOW], from parameters and inputs
-    step(R, I, A)  -> outcome      from R[NOW] to R[NEXT]; inputs run linearly from INPUTS_NOW to INPUTS_NEXT
+    start(R, N, A) -> outcome      the initial state at R[NOW], from parameters and inputs
+    step(R, N, A)  -> outcome      from R[NOW] to R[NEXT]; inputs run linearly from INPUTS_NOW to INPUTS_NEXT
 
 with A the addresses of further compiled functions that they call. An outcome is GOOD or a problem of the image
 (image.py) by its number; after a problem the state is as it was.
@@ -16,6 +16,10 @@ from __future__ import annotations
 import numba.extending
 from numba import types
 
+from sim_heating.jit import source_digest
+
+__all__ = ["FUNCTION", "GOOD", "at", "source_digest"]
+
 GOOD = -1
 """Outcome of a function that has no problem."""
 
@@ -24,10 +28,13 @@ NOW, NEXT = 0, 1
 """Time that the state is at, and the end of the step asked for [s]."""
 R_HEAD = 8
 
-# First integers of I: where the inputs stand in R, how many there are, where two copies of them stand, and whether a
-# parameter has been set since the last step.
-INPUTS, N_INPUTS, INPUTS_NOW, INPUTS_NEXT, CHANGED = 0, 1, 2, 3, 4
+# First integers of N: where the inputs stand in R, how many there are; where their values at the start and at the end
+# of a step stand, and their slopes; whether a parameter has been set since the last step; what a given input means.
+INPUTS, N_INPUTS, INPUTS_NOW, INPUTS_NEXT, INPUT_SLOPES, CHANGED, TIMING = range(7)
 I_HEAD = 8
+HELD, REACHED = 1, 2
+"""An input is given as it is at the start of the step, and held unless its host says more; or as it is at the end, and
+reached along a straight line."""
 
 FUNCTION = types.int64(types.CPointer(types.float64), types.CPointer(types.int64), types.CPointer(types.int64))
 """start and step as C sees them."""

@@ -148,6 +148,15 @@ def linear_ratio(B: FloatArray, p: int, c: int, tabulated: float) -> float:
 
 
 @njit
+def mark_curved(B: FloatArray, p: int) -> None:
+    """Note whether any second-order term of the parameters from B[p] on is not 0."""
+    B[p + CURVED] = 0.0
+    for k in range(p + SECOND, p + REFERENCE):
+        if B[k] != 0.0:
+            B[p + CURVED] = 1.0
+
+
+@njit
 def forget_cells(B: FloatArray) -> None:
     """Make every lane find its table cell anew: tables or temperatures of a group have been set from outside."""
     for a in range(VARIABLES):

@@ -1,0 +1,408 @@
+/* Instances, variables, steps and states, for FMI 2 and FMI 3 alike. No function but new_instance, set_text, get_state
+   and deserialize allocates memory. */
+
+#include "wrapper.h"
+
+#include <math.h>
+#include <stdarg.h>
+#include <stdlib.h>
+#include <string.h>
+
+static const uint64_t INSTANCE = 0x73696d68656174ULL, STATE = 0x73696d7374617465ULL;
+enum { LINE = 64 };      /* bytes of a cache line, on which R begins */
+static const double CLOCK = 1e-9;
+
+/* Messages -------------------------------------------------------------------------------------------------------- */
+
+static void say(Instance *m, Status status, const char *category, const char *format, va_list arguments) {
+    char text[1024];
+    vsnprintf(text, sizeof text, format, arguments);
+    if (m->tell) m->tell(m, status, category, text);
+}
+
+Status fail(Instance *m, const char *format, ...) {
+    va_list arguments;
+    va_start(arguments, format);
+    say(m, ERROR, "logStatusError", format, arguments);
+    va_end(arguments);
+    m->mode = FAILED;
+    return ERROR;
+}
+
+/* A call that is refused and leaves the instance as it is. */
+Status refuse(Instance *m, const char *function, const char *why) {
+    if (m && m->kind == INSTANCE) {
+        char text[512];
+        snprintf(text, sizeof text, "%s: %s", function, why);
+        if (m->tell) m->tell(m, ERROR, "logStatusError", text);
+    }
+    return ERROR;
+}
+
+bool allowed(Instance *m, const char *function, int modes) {
+    if (!m || m->kind != INSTANCE) return false;
+    if (m->mode & modes) return true;
+    refuse(m, function, m->mode == FAILED ? "not after an error; reset, restore a state or free the instance"
+                                          : "not allowed in this mode");
+    return false;
+}
+
+/* Life ------------------------------------------------------------------------------------------------------------ */
+
+static bool make_R(Instance *m, int64_t count) {
+    void *memory = malloc((size_t)count * sizeof(double) + LINE);
+    if (!memory) return false;
+    double *R = (double *)(void *)((char *)memory + (LINE - (uintptr_t)memory % LINE) % LINE);
+    if (m->R) memcpy(R, m->R, (size_t)(count < m->n_R ? count : m->n_R) * sizeof(double));
+    free(m->R_memory);
+    m->R_memory = memory, m->R = R, m->n_R = count;
+    return true;
+}
+
+static const Model *best_model(void) {
+#if defined(__x86_64__)
+    __builtin_cpu_init();
+    if (n_models > 1 && __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi2"))
+        return &models[1];
+#endif
+    return &models[0];
+}
+
+static void load(Instance *m) {
+    memcpy(m->R, m->image.R, (size_t)m->image.n_R * sizeof(double));
+    memcpy(m->N, m->image.N, (size_t)m->image.n_N * sizeof(int64_t));
+    m->mode = INSTANTIATED;
+    m->stop_defined = false, m->stop = 0.0, m->stale = true;
+}
+
+Instance *new_instance(const char *name, const char *token, const char *folder, void *environment, void *log,
+                       void (*tell)(Instance *, Status, const char *, const char *)) {
+    Instance *m = calloc(1, sizeof(Instance));
+    if (!m) return NULL;
+    char why[1024] = "";
+    m->kind = INSTANCE, m->environment = environment, m->log = log, m->tell = tell;
+    size_t length = name ? strlen(name) : 0;
+    m->name = calloc(length + 1, 1);
+    if (m->name && name) memcpy(m->name, name, length);
+    if (!m->name) {
+        snprintf(why, sizeof why, "there is no memory");
+    } else if (length == 0) {
+        snprintf(why, sizeof why, "the instance has no name");
+    } else if (!folder) {
+        snprintf(why, sizeof why, "the location of the resources is not given or no file URI");
+    } else if (read_image(&m->image, folder, why, sizeof why)) {
+        const char *own = m->image.text + m->image.token;
+        if (!token || strcmp(token, own) != 0) {
+            snprintf(why, sizeof why, "the instantiation token is %.64s, that of the resources is %.64s", token ? token : "(none)", own);
+        } else {
+            m->N = malloc((size_t)m->image.n_N * sizeof(int64_t));
+            if (m->N && make_R(m, m->image.n_R)) {
+                m->model = best_model();
+                load(m);
+                return m;
+            }
+            snprintf(why, sizeof why, "there is no memory");
+        }
+    }
+    if (tell && m->name) tell(m, ERROR, "logStatusError", why);
+    free_instance(m);
+    return NULL;
+}
+
+void free_instance(Instance *m) {
+    if (!m || m->kind != INSTANCE) return;
+    m->kind = 0;
+    free(m->R_memory), free(m->N), free(m->name), free(m->image.memory);
+    free(m);
+}
+
+Status reset(Instance *m) {
+    if (!allowed(m, "reset", ANY & ~INTERMEDIATE)) return ERROR;
+    load(m);
+    return OK;
+}
+
+/* Variables ------------------------------------------------------------------------------------------------------- */
+
+static const Variable *variable(Instance *m, uint32_t ref, int kind) {
+    if (ref < m->image.n_variables && m->image.variables[ref].kind == kind) return &m->image.variables[ref];
+    fail(m, "value reference %u is none of a variable of this type", (unsigned)ref);
+    return NULL;
+}
+
+static bool may_set(Instance *m, const Variable *v) {
+    int modes = v->role == INPUT ? SETTABLE | INTERMEDIATE
+              : v->role == TUNABLE ? SETTABLE
+              : v->role == FIXED ? INSTANTIATED | INITIALIZATION : 0;
+    if (m->mode & modes) return true;
+    fail(m, "%s cannot be set now", m->image.text + v->name);
+    return false;
+}
+
+static void has_changed(Instance *m, const Variable *v) {
+    m->stale = true;
+    if (v->role != INPUT) m->N[CHANGED] = 1;
+}
+
+static Status run(Instance *m, Function function);
+
+/* In initialization mode what depends on start values is computed when it is asked for. */
+static Status refresh(Instance *m) {
+    return m->mode == INITIALIZATION && m->stale ? run(m, m->model->start) : OK;
+}
+
+Status get_numbers(Instance *m, const uint32_t *refs, size_t n, double *values, size_t n_values) {
+    if (!allowed(m, "get", ANY)) return ERROR;
+    if (n > 0 && (!refs || !values)) return refuse(m, "get", "there is no array");
+    if (m->mode == INITIALIZATION && m->stale)
+        for (size_t k = 0; k < n; k++)
+            if (refs[k] < m->image.n_variables && m->image.variables[refs[k]].role == OUTPUT && refresh(m) != OK) return ERROR;
+    size_t at = 0;
+    for (size_t k = 0; k < n; k++) {
+        const Variable *v = variable(m, refs[k], NUMBER);
+        if (!v) return ERROR;
+        if ((size_t)v->count > n_values - at) return fail(m, "get: %zu values hold less than the variables", n_values);
+        memcpy(values + at, m->R + v->place, (size_t)v->count * sizeof(double));
+        at += (size_t)v->count;
+    }
+    return at == n_values ? OK : fail(m, "get: %zu values hold more than the variables", n_values);
+}
+
+static Status check(Instance *m, const Variable *v, double value) {
+    const char *name = m->image.text + v->name;
+    if (!isfinite(value)) return fail(m, "%s cannot be %g; it must be a finite number", name, value);
+    /* What an input may be is the model's to say, when it uses it. */
+    if (v->role != INPUT && !(v->lower <= value && value <= v->upper))
+        return fail(m, "%s cannot be %g; it must be from %g to %g", name, value, v->lower, v->upper);
+    return OK;
+}
+
+Status set_numbers(Instance *m, const uint32_t *refs, size_t n, const double *values, size_t n_values) {
+    if (!allowed(m, "set", SETTABLE | INTERMEDIATE)) return ERROR;
+    if (n > 0 && (!refs || !values)) return refuse(m, "set", "there is no array");
+    size_t at = 0;
+    for (size_t k = 0; k < n; k++) {
+        const Variable *v = variable(m, refs[k], NUMBER);
+        if (!v || !may_set(m, v)) return ERROR;
+        if ((size_t)v->count > n_values - at) return fail(m, "set: %zu values are less than the variables hold", n_values);
+        for (int64_t i = 0; i < v->count; i++)
+            if (check(m, v, values[at + (size_t)i]) != OK) return ERROR;
+        memcpy(m->R + v->place, values + at, (size_t)v->count * sizeof(double));
+        at += (size_t)v->count;
+        has_changed(m, v);
+    }
+    return at == n_values ? OK : fail(m, "set: %zu values are more than the variables hold", n_values);
+}
+
+Status get_integer(Instance *m, uint32_t ref, int64_t *value) {
+    const Variable *v = variable(m, ref, INTEGER);
+    if (!v) return ERROR;
+    *value = m->N[v->place];
+    return OK;
+}
+
+Status set_integer(Instance *m, uint32_t ref, int64_t value) {
+    const Variable *v = variable(m, ref, INTEGER);
+    if (!v || !may_set(m, v) || check(m, v, (double)value) != OK) return ERROR;
+    m->N[v->place] = value;
+    has_changed(m, v);
+    return OK;
+}
+
+Status get_text(Instance *m, uint32_t ref, const char **value) {
+    const Variable *v = variable(m, ref, TABLE);
+    if (!v) return ERROR;
+    *value = (const char *)(m->N + v->place);
+    return OK;
+}
+
+/* The path of a table: read now, put behind everything else in R, and taken by the lanes that stand behind the text. */
+Status set_text(Instance *m, uint32_t ref, const char *value) {
+    const Variable *v = variable(m, ref, TABLE);
+    if (!v || !may_set(m, v)) return ERROR;
+    const char *name = m->image.text + v->name;
+    if (!value || strlen(value) >= TEXT_BYTES) return fail(m, "%s: a path of less than %d bytes is needed", name, TEXT_BYTES);
+    int64_t *text = m->N + v->place, *lanes = text + TEXT_BYTES / 8;
+    if (value[0] == 0 && ((char *)text)[0] == 0) return OK;
+    char why[800];
+    int64_t count = 0, end = m->n_R;
+    double *table = read_ratio_table(value, &count, why, sizeof why);
+    if (!table) return fail(m, "%s: %s", name, why);
+    if (!make_R(m, end + count)) {
+        free(table);
+        return fail(m, "%s: there is no memory for %.200s", name, value);
+    }
+    memcpy(m->R + end, table, (size_t)count * sizeof(double));
+    free(table);
+    for (int64_t k = 0; k < lanes[1]; k++) m->N[lanes[2 + k]] = end - lanes[0];
+    memset(text, 0, TEXT_BYTES);
+    memcpy(text, value, strlen(value));
+    has_changed(m, v);
+    return OK;
+}
+
+Status set_slope(Instance *m, uint32_t ref, double slope) {
+    const Variable *v = variable(m, ref, NUMBER);
+    if (!v) return ERROR;
+    if (v->role != INPUT || !isfinite(slope)) return fail(m, "%s: %g is no derivative of an input", m->image.text + v->name, slope);
+    m->R[m->N[INPUT_SLOPES] + v->place - m->N[INPUTS]] = slope;
+    return OK;
+}
+
+/* Time ------------------------------------------------------------------------------------------------------------ */
+
+static Status run(Instance *m, Function function) {
+    int64_t outcome = function(m->R, m->N, m->model->called);
+    if (outcome == GOOD) {
+        m->stale = false;
+        return OK;
+    }
+    if (outcome < 0 || outcome >= m->image.n_problems) return fail(m, "the model gave no answer");
+    const Problem *p = &m->image.problems[outcome];
+    const char *name = m->image.text + p->name, *rule = m->image.text + p->rule;
+    if (p->place < 0) return fail(m, "time %.9g s, %s: %s", m->R[NEXT], name, rule);
+    return fail(m, "time %.9g s: %s is %g; %s", m->R[NEXT], name, m->R[p->place], rule);
+}
+
+Status set_experiment(Instance *m, double start, bool stop_defined, double stop) {
+    if (!isfinite(start) || (stop_defined && !(stop >= start)))
+        return fail(m, "start time %g and stop time %g are no experiment", start, stop);
+    m->R[NOW] = m->R[NEXT] = start;
+    m->stop_defined = stop_defined, m->stop = stop;
+    m->stale = true;
+    return OK;
+}
+
+Status enter_initialization(Instance *m) {
+    if (!allowed(m, "enter initialization mode", INSTANTIATED)) return ERROR;
+    m->mode = INITIALIZATION;
+    m->stale = true;
+    return OK;
+}
+
+Status exit_initialization(Instance *m) {
+    if (!allowed(m, "exit initialization mode", INITIALIZATION)) return ERROR;
+    if (run(m, m->model->start) != OK) return ERROR;
+    m->mode = STEPPING;
+    return OK;
+}
+
+Status prepare_step(Instance *m, double time, double length) {
+    if (!allowed(m, "do step", STEPPING)) return ERROR;
+    double now = m->R[NOW], end = time + length;
+    if (!(fabs(time - now) <= CLOCK * (1.0 + fabs(now)))) return fail(m, "the step begins at %.9g s, but the time is %.9g s", time, now);
+    if (!isfinite(end) || !(length > 0.0) || !(end > now)) return fail(m, "a step of %g s cannot be made; it must be above 0", length);
+    if (m->stop_defined && end > m->stop + CLOCK * (1.0 + fabs(m->stop)))
+        return fail(m, "the step ends at %.9g s, behind the stop time %.9g s", end, m->stop);
+    m->R[NEXT] = end;
+    const int64_t *N = m->N;
+    bool reached = N[TIMING] == REACHED;
+    for (int64_t k = 0; k < N[N_INPUTS]; k++) {
+        double *slope = &m->R[N[INPUT_SLOPES] + k], given = m->R[N[INPUTS] + k];
+        m->R[N[INPUTS_NOW] + k] = reached ? m->R[N[INPUTS_NEXT] + k] : given;
+        m->R[N[INPUTS_NEXT] + k] = reached ? given : given + *slope * length;
+        *slope = 0.0;
+    }
+    return OK;
+}
+
+Status finish_step(Instance *m) {
+    if (run(m, m->model->step) != OK) return ERROR;
+    m->R[NOW] = m->R[NEXT];
+    m->N[CHANGED] = 0;
+    return OK;
+}
+
+/* States ---------------------------------------------------------------------------------------------------------- */
+
+typedef struct {
+    uint64_t kind, sum;
+    int64_t bytes, n_R, n_N, mode, stop_defined, stale;
+    double stop;
+    char token[64];
+} StateHead;
+
+static size_t size_of(int64_t n_R, int64_t n_N) { return sizeof(StateHead) + 8 * (size_t)(n_R + n_N); }
+
+/* Whether a state is one of this model. */
+static bool ours(Instance *m, const StateHead *state) {
+    return state->kind == STATE && state->n_N == m->image.n_N && state->n_R >= m->image.n_R &&
+           state->bytes == (int64_t)size_of(state->n_R, state->n_N) &&
+           strncmp(state->token, m->image.text + m->image.token, sizeof state->token - 1) == 0;
+}
+
+Status get_state(Instance *m, void **state) {
+    if (!allowed(m, "get state", ANY & ~INTERMEDIATE)) return ERROR;
+    if (!state) return refuse(m, "get state", "there is no place for it");
+    size_t size = size_of(m->n_R, m->image.n_N);
+    StateHead *head = *state;
+    if (!head || head->kind != STATE || head->bytes != (int64_t)size) {
+        head = malloc(size);
+        if (!head) return refuse(m, "get state", "there is no memory");
+        if (*state && ((StateHead *)*state)->kind == STATE) free(*state);
+    }
+    memset(head, 0, sizeof *head);
+    head->kind = STATE, head->bytes = (int64_t)size, head->n_R = m->n_R, head->n_N = m->image.n_N;
+    head->mode = m->mode, head->stop_defined = m->stop_defined, head->stop = m->stop, head->stale = m->stale;
+    strncpy(head->token, m->image.text + m->image.token, sizeof head->token - 1);
+    memcpy(head + 1, m->R, 8 * (size_t)m->n_R);
+    memcpy((char *)(head + 1) + 8 * (size_t)m->n_R, m->N, 8 * (size_t)m->image.n_N);
+    *state = head;
+    return OK;
+}
+
+Status set_state(Instance *m, void *state) {
+    if (!allowed(m, "set state", ANY & ~INTERMEDIATE)) return ERROR;
+    const StateHead *head = state;
+    if (!head || !ours(m, head)) return refuse(m, "set state", "is none of this model");
+    if (head->n_R != m->n_R && !make_R(m, head->n_R)) return refuse(m, "set state", "there is no memory");
+    memcpy(m->R, head + 1, 8 * (size_t)m->n_R);
+    memcpy(m->N, (const char *)(head + 1) + 8 * (size_t)m->n_R, 8 * (size_t)m->image.n_N);
+    m->mode = (Mode)head->mode, m->stop_defined = head->stop_defined != 0, m->stop = head->stop, m->stale = head->stale != 0;
+    return OK;
+}
+
+Status free_state(Instance *m, void **state) {
+    if (!allowed(m, "free state", ANY)) return ERROR;
+    if (!state || !*state) return OK;
+    if (((StateHead *)*state)->kind != STATE) return refuse(m, "free state", "is no state");
+    ((StateHead *)*state)->kind = 0;
+    free(*state);
+    *state = NULL;
+    return OK;
+}
+
+Status state_size(Instance *m, void *state, size_t *size) {
+    if (!allowed(m, "size of state", ANY)) return ERROR;
+    if (!state || !size || !ours(m, state)) return refuse(m, "size of state", "is none of this model");
+    *size = (size_t)((StateHead *)state)->bytes;
+    return OK;
+}
+
+Status serialize(Instance *m, void *state, void *bytes, size_t size) {
+    if (!allowed(m, "serialize state", ANY)) return ERROR;
+    if (!state || !bytes || !ours(m, state)) return refuse(m, "serialize state", "is none of this model");
+    StateHead *head = state;
+    if (size < (size_t)head->bytes) return refuse(m, "serialize state", "does not fit");
+    head->sum = 0;
+    head->sum = checksum(head, (size_t)head->bytes);
+    memcpy(bytes, head, (size_t)head->bytes);
+    return OK;
+}
+
+Status deserialize(Instance *m, const void *bytes, size_t size, void **state) {
+    if (!allowed(m, "deserialize state", ANY)) return ERROR;
+    if (!bytes || !state || size < sizeof(StateHead)) return refuse(m, "deserialize state", "there is no state");
+    StateHead *head = malloc(size);
+    if (!head) return refuse(m, "deserialize state", "there is no memory");
+    memcpy(head, bytes, size);
+    uint64_t told = head->sum;
+    head->sum = 0;
+    if (head->kind != STATE || head->bytes != (int64_t)size || checksum(head, size) != told || !ours(m, head)) {
+        free(head);
+        return refuse(m, "deserialize state", "is damaged, or of another model");
+    }
+    if (*state && ((StateHead *)*state)->kind == STATE) free(*state);
+    *state = head;
+    return OK;
+}

@@ -1,0 +1,109 @@
+/* An FMU around two functions on two arrays: what FMI 2 (fmi2.c) and FMI 3 (fmi3.c) share. No physics here.
+
+   A model is an image in resources/model.bin (image.c) and the functions start and step that work on it; what the first
+   entries of the arrays mean is written in sim_heating/fmu/native.py. */
+
+#ifndef wrapper_h
+#define wrapper_h
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+
+/* Compiled functions of a model for one kind of processor; functions.c, written by library.py, names them. */
+typedef int64_t (*Function)(double *R, int64_t *N, int64_t *called);
+typedef struct { Function start, step; int64_t *called; } Model;
+extern const Model models[];
+extern const int n_models;
+
+enum { NOW, NEXT };                                                                 /* of R */
+enum { INPUTS, N_INPUTS, INPUTS_NOW, INPUTS_NEXT, INPUT_SLOPES, CHANGED, TIMING };  /* of N */
+enum { HELD = 1, REACHED = 2 };                                                     /* values of N[TIMING] */
+enum { GOOD = -1 };
+
+enum { NUMBER, INTEGER, TABLE };                              /* kinds of variable */
+enum { INDEPENDENT, INPUT, TUNABLE, FIXED, OUTPUT, CONSTANT };/* roles of a variable */
+enum { TEXT_BYTES = 1024 };                                   /* of a table's path, in N */
+
+typedef struct { int64_t kind, role, place, count, name; double lower, upper; } Variable;
+typedef struct { int64_t name, rule, place; } Problem;
+
+typedef struct {
+    int64_t n_R, n_N, n_variables, n_problems, n_text, token;
+    const Variable *variables;
+    const Problem *problems;
+    const double *R;
+    const int64_t *N;
+    const char *text;
+    void *memory;
+} Image;
+
+/* Read resources/model.bin; false, with the reason in `why`, where that is not possible. */
+bool read_image(Image *image, const char *folder, char *why, size_t size);
+
+/* Sum over all words of 8 bytes, each times an odd number of its own: bytes that were changed or moved change it. */
+uint64_t checksum(const void *bytes, size_t size);
+
+/* A file's whole contents, with a 0 behind them; NULL where it cannot be read. The path is UTF-8. */
+char *read_file(const char *path, size_t *size);
+
+/* Nodes and ratios of a heating-ratio table (a contract CSV), packed as the kernel reads it; NULL, with the reason. */
+double *read_ratio_table(const char *path, int64_t *count, char *why, size_t size);
+
+typedef enum { OK = 0, WARNING = 1, ERROR = 3 } Status;      /* numbers of FMI 2 and of FMI 3 */
+typedef enum {
+    INSTANTIATED = 1, INITIALIZATION = 2, STEPPING = 4, INTERMEDIATE = 8, TERMINATED = 16, FAILED = 32
+} Mode;
+enum { ANY = 63, SETTABLE = INSTANTIATED | INITIALIZATION | STEPPING };
+
+typedef struct Instance {
+    uint64_t kind;                 /* what a pointer must point to before anything else is believed */
+    Image image;
+    const Model *model;
+    double *R;
+    int64_t *N;
+    int64_t n_R;                   /* grows where a table is replaced by a longer one */
+    void *R_memory;
+    Mode mode;
+    bool stop_defined, stale, logging;
+    double stop;
+    void (*tell)(struct Instance *, Status, const char *category, const char *message);
+    char *name;
+    void *environment;
+    void *log, *update;            /* the host's callbacks, whose types the FMI version knows */
+} Instance;
+
+Instance *new_instance(const char *name, const char *token, const char *folder, void *environment, void *log,
+                       void (*tell)(Instance *, Status, const char *, const char *));
+void free_instance(Instance *instance);
+
+/* Whether a call is allowed now; an instance that is none, or a call out of turn, is told about and refused. */
+bool allowed(Instance *instance, const char *function, int modes);
+Status fail(Instance *instance, const char *format, ...);
+Status refuse(Instance *instance, const char *function, const char *why);
+
+Status get_numbers(Instance *instance, const uint32_t *refs, size_t n, double *values, size_t n_values);
+Status set_numbers(Instance *instance, const uint32_t *refs, size_t n, const double *values, size_t n_values);
+Status get_integer(Instance *instance, uint32_t ref, int64_t *value);
+Status set_integer(Instance *instance, uint32_t ref, int64_t value);
+Status get_text(Instance *instance, uint32_t ref, const char **value);
+Status set_text(Instance *instance, uint32_t ref, const char *value);
+Status set_slope(Instance *instance, uint32_t ref, double slope);
+
+Status set_experiment(Instance *instance, double start, bool stop_defined, double stop);
+Status enter_initialization(Instance *instance);
+Status exit_initialization(Instance *instance);
+/* The three parts of a step, between which FMI 3 asks its host for inputs at the end. */
+Status prepare_step(Instance *instance, double time, double length);
+Status finish_step(Instance *instance);
+Status reset(Instance *instance);
+
+Status get_state(Instance *instance, void **state);
+Status set_state(Instance *instance, void *state);
+Status free_state(Instance *instance, void **state);
+Status state_size(Instance *instance, void *state, size_t *size);
+Status serialize(Instance *instance, void *state, void *bytes, size_t size);
+Status deserialize(Instance *instance, const void *bytes, size_t size, void **state);
+
+#endif

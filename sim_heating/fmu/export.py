@@ -1,0 +1,80 @@
+"""An FMU as a file: description, resources and a library for each platform in one archive."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import io
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from sim_heating.effects import Effect
+from sim_heating.errors import InputError
+from sim_heating.files.text import write_bytes_atomic
+from sim_heating.fmu.description import description
+from sim_heating.fmu.heating import built_in, heating_functions, heating_image
+from sim_heating.fmu.image import Image
+from sim_heating.fmu.library import TARGETS, Function, library
+from sim_heating.vehicle import Vehicle
+
+STAMP = (1980, 1, 1, 0, 0, 0)
+"""Time of the files in the archive: the same model gives the same bytes, but for the date in its description."""
+
+
+def export_heating(
+    vehicle: Vehicle,
+    out: Path,
+    control_points: Sequence[str] | None = None,
+    *,
+    fmi: int = 3,
+    platforms: Sequence[str] = ("linux",),
+    columns: bool = False,
+) -> Image:
+    """Write the heating plug-in of a vehicle as a co-simulation FMU; gives its image.
+
+    control_points : names; all by default
+    fmi            : version, 2 or 3
+    platforms      : keys of library.TARGETS
+    columns        : h_ref and H_r are inputs, instead of the vehicle's reference heating
+    raises         : InputError for an unknown name, a platform without a compiler, a place that cannot be written
+    """
+    model = heating_image(vehicle, control_points, columns=columns)
+    write_fmu(out, model.image, heating_functions(model.effects), fmi, platforms, _sources_of(model.effects))
+    return model.image
+
+
+def _sources_of(used: Sequence[Effect]) -> str:
+    """Contents of the files that the user's own effects come from."""
+    own = [e for e in used if not built_in(e)]
+    return "".join(Path(inspect.getfile(getattr(e.kernel, "py_func", e.kernel))).read_text() for e in own)
+
+
+def write_fmu(
+    out: Path, image: Image, functions: Sequence[Function], fmi: int, platforms: Sequence[str], more: str = ""
+) -> None:
+    """Write an image and the libraries of its functions as an FMU.
+
+    functions, more : as `library` takes them
+    """
+    unknown = [name for name in platforms if name not in TARGETS]
+    if unknown:
+        raise InputError(f"fmu: there is no platform `{unknown[0]}`. Known: {', '.join(TARGETS)}.")
+    targets = [TARGETS[name] for name in platforms]
+    if fmi == 2 and any(t.fmi2 is None for t in targets):
+        raise InputError("fmu: FMI 2 knows no 64-bit ARM platform; export for FMI 3")
+    token = "{" + hashlib.sha256(image.binary("")).hexdigest()[:32] + "}"
+    files = {"modelDescription.xml": description(image, token, fmi), "resources/model.bin": image.binary(token)}
+    for target in targets:
+        folder = target.fmi2 if fmi == 2 else target.fmi3
+        made = library(functions, target, more=more)
+        files[f"binaries/{folder}/{image.name}{target.suffix}"] = made.read_bytes()
+    write_bytes_atomic(out, _archive(files))
+
+
+def _archive(files: dict[str, bytes]) -> bytes:
+    memory = io.BytesIO()
+    with zipfile.ZipFile(memory, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in files.items():
+            archive.writestr(zipfile.ZipInfo(name, STAMP), data, zipfile.ZIP_DEFLATED)
+    return memory.getvalue()

@@ -1,0 +1,240 @@
+"""The heating plug-in as functions of two arrays (native.py), made of the very functions that the simulator runs.
+
+Inputs are what a host gives in a frame (conditions.FRAME without the time), the added flux, and, where the reference
+heating is the host's own, h_ref and H_r. A step goes from the conditions at its start to those at its end; where the
+conditions at the start are not those at the end of the step before, they have jumped, and the model begins anew with
+them.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import carray
+from numpy.typing import NDArray
+
+from sim_heating.conditions import FRAME
+from sim_heating.fmu.native import CHANGED, GOOD, INPUTS, INPUTS_NEXT, INPUTS_NOW, N_INPUTS, NEXT, NOW, at
+from sim_heating.heating_ratio.kernel import mark_curved
+from sim_heating.jit import njit
+from sim_heating.layout import (
+    ADDED,
+    EMISSIVITY_TABLE,
+    ENERGY_IN,
+    ENERGY_OUT,
+    FACTOR_EPS,
+    FAILED,
+    FILM,
+    H_REF,
+    HEAD_ROWS,
+    ITERATIONS,
+    LANES,
+    N_CONDITIONS,
+    N_PARAMETERS,
+    NEGATIVE,
+    OUTSIDE,
+    PARAMETERS,
+    Q_ADD,
+    RECOVERY_ENTHALPY,
+    STAGE_IN,
+    SURROUNDINGS4,
+    T,
+)
+from sim_heating.march import BLOCK_END, BLOCK_START, advance_groups, begin_groups
+from sim_heating.plugin import CODE, F_TIME, PRESSURE_WIDTH, _derive_conditions
+from sim_heating.reference_heating.models import COLUMNS
+from sim_heating.sensors import indicated
+from sim_heating.thermal.elements import set_elements
+from sim_heating.thermal.faces import SIGMA, _emissivity
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+# Integers of the model, behind those of native.py: how many of what there are, and where arrays begin, in R or N.
+(
+    N_POINTS, N_ROWS, N_GROUPS, N_STATE, N_TABLE, N_INTS, N_SENSORS,
+    GROUPS, LANE_POINTS, INTS, POINT_INTS, SENSOR_INTS,
+    STATE, TABLE, VECTORS, PRESSURES, HOST, FRAMES, HEATED, RANGES, OPTIONS, POINT_NUMBERS, CALIBRATIONS,
+) = range(8, 31)  # fmt: skip
+I_MODEL = 32
+LONGEST_STEP = 0
+"""Of the options: longest thermal step [s]."""
+F_Q_ADD, F_H_REF, F_H_R = len(FRAME), len(FRAME) + 1, len(FRAME) + 2
+FRAME_WIDTH = len(FRAME) + 3
+HOST_WIDTH = 16
+LONGEST_COMMUNICATION_S = 600.0
+"""Longer steps of a host are refused: a clock in other units."""
+
+# A point's integers: its first lane and how many it has, its elements, where their layers stand in N, lengths and
+# densities in R, and its nodes of the bondline in the state.
+P_GROUP, P_LANE, P_LANES, P_ELEMENTS, P_LAYERS, P_LENGTHS, P_DENSITIES, P_BONDLINE = range(8)
+# A point's numbers: parameters as the kernel holds them (layout.py), those of its stack, limits, and what is given out.
+P_STACK = N_PARAMETERS
+P_SURFACE_LIMIT, P_BONDLINE_LIMIT = P_STACK + 9, P_STACK + 10
+P_OUT = P_STACK + 11
+SURFACE, BONDLINE, RATIO, CONVECTED, RADIATED, ABSORBED, SURFACE_MARGIN, BONDLINE_MARGIN = range(8)
+POINT_WIDTH = P_OUT + 8
+# A sensor's integers: its place in the state, its numbers (gain, bias, what it shows) and its calibration.
+S_PLACE, S_NUMBERS, S_CALIBRATION, S_COEFFICIENTS = range(4)
+S_GAIN, S_BIAS, S_SHOWN = range(3)
+
+
+@njit
+def _first_problem(values, ranges, n: int) -> int:  # type: ignore[no-untyped-def]
+    """Number of the first input out of its range, GOOD where there is none."""
+    for k in range(n):
+        if not ranges[2 * k] <= values[k] <= ranges[2 * k + 1]:
+            return k
+    return GOOD
+
+
+@njit
+def _apply_parameters(R, N, B: FloatArray, g: int) -> None:  # type: ignore[no-untyped-def]
+    """Write the parameters of all points of a group into its block."""
+    for i in range(N[N_POINTS]):
+        own = at(N, N[POINT_INTS] + 8 * i)
+        if own[P_GROUP] != g:
+            continue
+        numbers = at(R, N[POINT_NUMBERS] + POINT_WIDTH * i)
+        n = own[P_ELEMENTS]
+        layers = carray(at(N, own[P_LAYERS]), n)
+        lengths, densities = carray(at(R, own[P_LENGTHS]), n), carray(at(R, own[P_DENSITIES]), n)
+        stack = carray(at(numbers, P_STACK), 9)
+        for lane in range(own[P_LANE], own[P_LANE] + own[P_LANES]):
+            set_elements(B, lane, layers, lengths, densities, stack)
+            p = PARAMETERS * LANES + lane * N_PARAMETERS
+            for k in range(N_PARAMETERS):
+                B[p + k] = numbers[k]
+            mark_curved(B, p)
+
+
+@njit
+def _derive(R, N, inputs, time: float) -> None:  # type: ignore[no-untyped-def]
+    """Condition vectors of all lanes from inputs."""
+    n = N[N_ROWS]
+    frame = carray(at(R, N[FRAMES]), len(FRAME))
+    frame[F_TIME] = time
+    for k in range(len(FRAME) - 1):
+        frame[1 + k] = inputs[k]
+    vectors = carray(at(R, N[VECTORS]), (n, N_CONDITIONS))
+    points = carray(at(R, N[PRESSURES]), (N[N_POINTS], PRESSURE_WIDTH + 1))
+    host = carray(at(R, N[HOST]), HOST_WIDTH)
+    _derive_conditions(frame, host, points, carray(at(N, N[LANE_POINTS]), n), vectors)
+    for i in range(n):
+        vectors[i, Q_ADD] = inputs[F_Q_ADD - 1]
+        if host[CODE] == COLUMNS:
+            vectors[i, H_REF], vectors[i, RECOVERY_ENTHALPY] = inputs[F_H_REF - 1], inputs[F_H_R - 1]
+
+
+@njit
+def _begin(R, N, A, inputs, time: float) -> None:  # type: ignore[no-untyped-def]
+    _derive(R, N, inputs, time)
+    groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
+    state, ints = carray(at(R, N[STATE]), N[N_STATE]), carray(at(N, N[INTS]), N[N_INTS])
+    vectors = carray(at(R, N[VECTORS]), (N[N_ROWS], N_CONDITIONS))
+    begin_groups(state, ints, carray(at(R, N[TABLE]), N[N_TABLE]), A[0], A[1], groups, vectors)
+
+
+@njit
+def _advance(R, N, A, inputs, time: float, dt: float) -> None:  # type: ignore[no-untyped-def]
+    _derive(R, N, inputs, time)
+    groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
+    state, ints = carray(at(R, N[STATE]), N[N_STATE]), carray(at(N, N[INTS]), N[N_INTS])
+    vectors = carray(at(R, N[VECTORS]), (N[N_ROWS], N_CONDITIONS))
+    steps = max(math.ceil(dt / R[N[OPTIONS] + LONGEST_STEP] - 1e-9), 1)
+    table = carray(at(R, N[TABLE]), N[N_TABLE])
+    advance_groups(state, ints, table, A[0], A[2], groups, vectors, dt, steps)
+
+
+@njit
+def _blocks(R, N, fresh: bool, changed: bool) -> None:  # type: ignore[no-untyped-def]
+    """Write changed parameters into all groups; where the model starts, clear what is counted."""
+    groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
+    state = carray(at(R, N[STATE]), N[N_STATE])
+    for g in range(N[N_GROUPS]):
+        B = state[groups[g, BLOCK_START] : groups[g, BLOCK_END]]
+        if changed:
+            _apply_parameters(R, N, B, g)
+        if fresh:
+            for row in (FAILED, ITERATIONS, OUTSIDE, NEGATIVE, ENERGY_IN, ENERGY_OUT):
+                for lane in range(LANES):
+                    B[row * LANES + lane] = 0.0
+
+
+@njit
+def _give_out(R, N) -> int:  # type: ignore[no-untyped-def]
+    """Write what hosts read; number of the first point whose step did not converge, GOOD where there is none."""
+    outcome = GOOD
+    for i in range(N[N_POINTS] - 1, -1, -1):
+        own = at(N, N[POINT_INTS] + 8 * i)
+        numbers = at(R, N[POINT_NUMBERS] + POINT_WIDTH * i)
+        out = at(numbers, P_OUT)
+        first = N[GROUPS] + 4 * own[P_GROUP]
+        B, J = at(R, N[STATE] + N[first] + own[P_LANE]), at(N, N[INTS] + N[first + 2] + own[P_LANE])
+        wall = B[(HEAD_ROWS + T) * LANES]
+        h_ref = R[N[VECTORS] + (own[P_GROUP] * LANES + own[P_LANE]) * N_CONDITIONS + H_REF]
+        excess = wall * wall * wall * wall - B[SURROUNDINGS4 * LANES]
+        eps = _emissivity(at(R, N[TABLE]), J[EMISSIVITY_TABLE], wall)[0]
+        out[SURFACE], out[BONDLINE] = wall, R[N[STATE] + own[P_BONDLINE]]
+        out[RATIO] = B[(FILM + 2) * LANES] / h_ref if h_ref > 0.0 else 0.0
+        out[RADIATED] = B[FACTOR_EPS * LANES] * eps * SIGMA * excess
+        out[ABSORBED] = B[STAGE_IN * LANES]
+        out[CONVECTED] = out[ABSORBED] + out[RADIATED] - B[(ADDED + 2) * LANES]
+        out[SURFACE_MARGIN] = numbers[P_SURFACE_LIMIT] - out[SURFACE]
+        out[BONDLINE_MARGIN] = numbers[P_BONDLINE_LIMIT] - out[BONDLINE]
+        if B[FAILED * LANES] != 0.0 or not math.isfinite(wall):
+            outcome = i
+    for s in range(N[N_SENSORS]):
+        own = at(N, N[SENSOR_INTS] + 4 * s)
+        numbers = at(R, own[S_NUMBERS])
+        coefficients = carray(at(R, own[S_CALIBRATION]), own[S_COEFFICIENTS])
+        numbers[S_SHOWN] = indicated(R[N[STATE] + own[S_PLACE]], numbers[S_GAIN], numbers[S_BIAS], coefficients)
+    return outcome
+
+
+# Problems of the image, by number: an input out of range at the end of a step, at its start; a step too long; a point
+# whose step did not converge.
+
+
+def start(R, N, A) -> int:  # type: ignore[no-untyped-def]
+    """The initial temperatures of the stacks in the conditions of the inputs."""
+    n = N[N_INPUTS]
+    for k in range(n):
+        R[N[INPUTS_NEXT] + k] = R[N[INPUTS] + k]
+    given = at(R, N[INPUTS_NEXT])
+    bad = _first_problem(given, at(R, N[RANGES]), n)
+    if bad != GOOD:
+        return bad
+    _blocks(R, N, True, True)
+    _begin(R, N, A, given, R[NOW])
+    for k in range(n):
+        R[N[HEATED] + k] = given[k]
+    outcome = _give_out(R, N)
+    return GOOD if outcome == GOOD else 2 * n + 1 + outcome
+
+
+def step(R, N, A) -> int:  # type: ignore[no-untyped-def]
+    """All points to the end of a step."""
+    n, dt = N[N_INPUTS], R[NEXT] - R[NOW]
+    now, then, ranges = at(R, N[INPUTS_NOW]), at(R, N[INPUTS_NEXT]), at(R, N[RANGES])
+    bad = _first_problem(then, ranges, n)
+    if bad != GOOD:
+        return bad
+    bad = _first_problem(now, ranges, n)
+    if bad != GOOD:
+        return n + bad
+    if not dt <= LONGEST_COMMUNICATION_S:
+        return 2 * n
+    jumped = N[CHANGED] != 0
+    if jumped:
+        _blocks(R, N, False, True)
+    for k in range(n):
+        jumped = jumped or R[N[HEATED] + k] != now[k]
+    if jumped:
+        _begin(R, N, A, now, R[NOW])
+    _advance(R, N, A, then, R[NEXT], dt)
+    for k in range(n):
+        R[N[HEATED] + k] = then[k]
+    outcome = _give_out(R, N)
+    return GOOD if outcome == GOOD else 2 * n + 1 + outcome

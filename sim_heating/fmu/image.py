@@ -1,0 +1,174 @@
+"""The image of a model: the two arrays that its functions work on, the variables in them, and what can go wrong.
+
+`model.bin`, little-endian, 8 bytes a number, no gaps:
+
+    16 bytes            "sim-heating-fmu1"
+    int64[7]            numbers in R and in N, variables, problems, bytes of text, place of the token, checksum
+    variables           int64 kind, role, place, count, place of the name; float64 lower, upper
+    problems            int64 place of the name and of the rule in the text, place of the value in R or -1
+    R, N                float64, int64
+    text                UTF-8, each piece ended by a 0, filled up with zeros to a whole number of words
+
+The checksum is the sum of all words behind it, the k-th times 2 k + 1, modulo 2^64.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+MAGIC = b"sim-heating-fmu1"
+LINE = 8
+"""Numbers of a cache line, on which a block begins."""
+TEXT_BYTES = 1024
+"""Room for the path of a table, and its end."""
+
+
+class Kind(IntEnum):
+    """What a variable is: a number (or an array of them) in R, an integer in N, the path of a ratio table in N."""
+
+    NUMBER = 0
+    INTEGER = 1
+    TABLE = 2
+
+
+class Role(IntEnum):
+    """Who sets a variable, and when."""
+
+    INDEPENDENT = 0
+    INPUT = 1
+    TUNABLE = 2
+    FIXED = 3
+    OUTPUT = 4
+    CONSTANT = 5
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable of the FMU; its value reference is its place in the list.
+
+    shape   : of an array, empty for one number
+    unit    : contract unit, "1" where it has none
+    choices : of an enumeration: text of 1, 2, ...
+    """
+
+    name: str
+    kind: Kind
+    role: Role
+    place: int
+    text: str
+    unit: str = "1"
+    lower: float = -np.inf
+    upper: float = np.inf
+    nominal: float | None = None
+    shape: tuple[int, ...] = ()
+    choices: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def count(self) -> int:
+        """How many entries of its array it takes."""
+        return TEXT_BYTES // 8 if self.kind is Kind.TABLE else int(np.prod(self.shape, dtype=int))
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What an outcome means: a name, a rule, and where the value stands in R (-1 where there is none)."""
+
+    name: str
+    rule: str
+    place: int = -1
+
+
+@dataclass
+class Image:
+    """An image in the making, then whole.
+
+    name      : of the model, an identifier
+    title     : what it is, in a line
+    step_s    : communication step that hosts are advised to take [s]
+    """
+
+    name: str
+    title: str
+    step_s: float
+    variables: list[Variable] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
+    _R: list[NDArray[np.float64]] = field(default_factory=list)
+    _N: list[NDArray[np.int64]] = field(default_factory=list)
+    n_R: int = 0
+    n_N: int = 0
+
+    def numbers(self, values: ArrayLike, *, aligned: bool = False) -> int:
+        """Put numbers into R; their place."""
+        if aligned and self.n_R % LINE:
+            self.numbers(np.zeros(LINE - self.n_R % LINE))
+        own = np.array(values, dtype=np.float64).ravel()
+        self._R.append(own)
+        self.n_R += len(own)
+        return self.n_R - len(own)
+
+    def integers(self, values: ArrayLike) -> int:
+        """Put integers into N; their place."""
+        own = np.array(values, dtype=np.int64).ravel()
+        self._N.append(own)
+        self.n_N += len(own)
+        return self.n_N - len(own)
+
+    @property
+    def R(self) -> NDArray[np.float64]:
+        """All numbers (a copy)."""
+        return np.concatenate(self._R)
+
+    @property
+    def N(self) -> NDArray[np.int64]:
+        """All integers (a copy)."""
+        return np.concatenate(self._N)
+
+    def set_integers(self, values: Sequence[tuple[int, int]]) -> None:
+        """Change integers: (place, value)."""
+        whole = self.N
+        for place, value in values:
+            whole[place] = value
+        self._N = [whole]
+
+    def set_numbers(self, R: NDArray[np.float64]) -> None:
+        """Take all numbers from an array of the same length."""
+        self._R = [np.array(R, dtype=np.float64)]
+
+    def value(self, variable: Variable) -> NDArray[np.float64] | int | str:
+        """Start value of a variable."""
+        if variable.kind is Kind.TABLE:
+            return ""
+        if variable.kind is Kind.INTEGER:
+            return int(self.N[variable.place])
+        return self.R[variable.place : variable.place + variable.count]
+
+    def binary(self, token: str) -> bytes:
+        """The file `model.bin`."""
+        text = bytearray(b"\0")
+
+        def place(piece: str) -> int:
+            text.extend(piece.encode() + b"\0")
+            return len(text) - len(piece.encode()) - 1
+
+        at = place(token)
+        variables = b"".join(
+            struct.pack("<5q2d", v.kind, v.role, v.place, v.count, place(v.name), v.lower, v.upper)
+            for v in self.variables
+        )
+        problems = b"".join(struct.pack("<3q", place(p.name), place(p.rule), p.place) for p in self.problems)
+        text.extend(b"\0" * (-len(text) % 8))
+        body = variables + problems + self.R.astype("<f8").tobytes() + self.N.astype("<i8").tobytes() + bytes(text)
+        counts = (self.n_R, self.n_N, len(self.variables), len(self.problems), len(text), at)
+        return MAGIC + struct.pack("<6qQ", *counts, checksum(body)) + body
+
+
+def checksum(body: bytes) -> int:
+    """Sum of the words, the k-th times 2 k + 1, modulo 2^64."""
+    words = np.frombuffer(body, dtype="<u8")
+    return int(np.sum(words * (2 * np.arange(len(words), dtype=np.uint64) + 1), dtype=np.uint64))

@@ -1,0 +1,121 @@
+"""What the thermal parameters of a control point make of its elements and faces, in its lane of a block; compiled."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.arithmetic import exp
+from sim_heating.jit import njit
+from sim_heating.layout import (
+    BACK_EPS,
+    BACK_H,
+    BACK_T,
+    BOIL,
+    CONDENSE,
+    DEPOSIT,
+    FACTOR_EPS,
+    GAP,
+    GAPS,
+    HEAD_ROWS,
+    INTS_PER_NODE,
+    IS_FACE,
+    K_RAD,
+    LANES,
+    LATENT,
+    M_LEFT,
+    M_RIGHT,
+    MOIST,
+    NODE_INTS,
+    NODE_ROWS,
+    PHASE_WIDTH,
+    SURFACE_SHARE,
+    WET_LEFT,
+    WET_RIGHT,
+    G,
+)
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+(
+    COATING_THICKNESS, COATING_CONDUCTIVITY, COATING_CAPACITY, RSI_CONDUCTIVITY, RSI_CAPACITY, EMISSIVITY, RADIATIVE,
+    LATENT_HEAT, BOILS, DEPOSITED, CONDENSES, WIDTH, GAP_FRACTION, GAP_DEPTH, CONTACT, H_BEHIND, T_BEHIND, EPS_BEHIND,
+) = range(18)  # fmt: skip
+"""Places of parameters.STACK in their order."""
+
+
+@njit
+def set_elements(
+    B: FloatArray, J: IntArray, lane: int, layer: IntArray, length_m: FloatArray, density: FloatArray, insulation: int,
+    bondline: int, p: FloatArray,
+) -> None:  # fmt: skip
+    """Write a lane's elements and faces into the block of its group, its parameters applied.
+
+    layer      : (element,) number of its layer, -1 for a contact
+    length_m   : (element,) declared length [m] or, of a contact, resistance [m2 K/W]
+    density    : (element,) [kg/m3], 0 for a contact
+    insulation : number of the layer that `stack.rsi.*` is about
+    bondline   : node down to which a gap reaches
+    p          : values of parameters.STACK
+    """
+    for e in range(len(layer)):
+        length, conductivity, capacity, radiative = length_m[e], 1.0, 1.0, 0.0
+        if layer[e] == insulation:
+            conductivity, capacity, radiative = p[RSI_CONDUCTIVITY], p[RSI_CAPACITY], p[RADIATIVE]
+        elif layer[e] == 0:
+            length = p[COATING_THICKNESS] * length
+            conductivity, capacity = p[COATING_CONDUCTIVITY], p[COATING_CAPACITY]
+        elif layer[e] < 0:
+            length = p[CONTACT] * length
+        half = 0.5 * density[e] * length * capacity
+        wet = half if layer[e] == insulation else 0.0
+        here = (HEAD_ROWS + e * NODE_ROWS) * LANES + lane
+        right = here + NODE_ROWS * LANES
+        B[here + G * LANES] = conductivity / length
+        B[here + K_RAD * LANES] = radiative
+        B[here + M_RIGHT * LANES] = half
+        B[right + M_LEFT * LANES] = half
+        B[here + WET_RIGHT * LANES] = wet
+        B[right + WET_LEFT * LANES] = wet
+    _set_faces(B, J, lane, p)
+    _set_gap(B, J, lane, layer, length_m, bondline, p)
+
+
+@njit
+def _set_faces(B: FloatArray, J: IntArray, lane: int, p: FloatArray) -> None:
+    B[FACTOR_EPS * LANES + lane] = p[EMISSIVITY]
+    B[BACK_H * LANES + lane], B[BACK_T * LANES + lane] = p[H_BEHIND], p[T_BEHIND]
+    B[BACK_EPS * LANES + lane] = p[EPS_BEHIND]
+    B[LATENT * LANES + lane], B[BOIL * LANES + lane] = p[LATENT_HEAT], p[BOILS]
+    B[DEPOSIT * LANES + lane], B[CONDENSE * LANES + lane] = p[DEPOSITED], p[CONDENSES]
+    B[PHASE_WIDTH * LANES + lane] = p[WIDTH]
+    if p[LATENT_HEAT] > 0.0 or p[DEPOSITED] > 0.0:
+        J[MOIST] = 1
+
+
+@njit
+def _set_gap(
+    B: FloatArray, J: IntArray, lane: int, layer: IntArray, length_m: FloatArray, bondline: int, p: FloatArray
+) -> None:
+    """How the heat spent along a gap falls with depth: as exp(-x / depth), down to the bondline, the fraction in sum.
+
+    A node has what falls between the middles of its elements.
+    """
+    n = len(layer) + 1
+    fraction, depth = p[GAP_FRACTION], p[GAP_DEPTH]
+    B[SURFACE_SHARE * LANES + lane] = 1.0 - fraction
+    bottom = 0.0
+    for e in range(bondline if bondline > 0 else n - 1):
+        bottom += length_m[e] if layer[e] >= 0 else 0.0
+    whole = 1.0 - exp(-bottom / depth)
+    x, above = 0.0, 1.0
+    for i in range(n):
+        length = length_m[i] if i < n - 1 and layer[i] >= 0 else 0.0
+        edge = x + 0.5 * length
+        below = exp(-min(edge, bottom) / depth)
+        B[(HEAD_ROWS + i * NODE_ROWS + GAP) * LANES + lane] = fraction * ((above - below) / whole)
+        x, above = x + length, below
+        if fraction > 0.0:
+            J[GAPS] = 1
+            J[NODE_INTS + i * INTS_PER_NODE + IS_FACE] = 1
