@@ -64,7 +64,7 @@ static bool consistent(const Image *im) {
     if (im->text[im->n_text - 1] != 0) return false;
     for (int64_t k = 0; k < im->n_variables; k++) {
         const Variable *v = &im->variables[k];
-        int64_t end = v->kind == NUMBER ? im->n_R : im->n_N;
+        int64_t end = v->kind == KIND_NUMBER ? im->n_R : im->n_N;
         if (v->place < 0 || v->count < 1 || v->place > end - v->count || v->name < 0 || v->name >= im->n_text) return false;
     }
     for (int64_t k = 0; k < im->n_problems; k++) {

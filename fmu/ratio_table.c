@@ -1,2 +1,188 @@
+/* The heating-ratio table of a control point, from the file that the simulator reads: `# key: value` lines, a line of
+   names, one row a node of a full grid, in any order. Packed as the kernel takes it: five axis lengths, the axes one
+   after the other, the ratios with the last variable fastest. */
+
+#define _GNU_SOURCE
+
 #include "wrapper.h"
-double *read_ratio_table(const char *path, int64_t *count, char *why, size_t size) { (void)path; (void)count; snprintf(why, size, "not yet"); return NULL; }
+
+#include <locale.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#if defined(__APPLE__)
+#include <xlocale.h>
+#endif
+#if defined(_WIN32)
+typedef _locale_t Locale;
+static Locale plain_locale(void) { return _create_locale(LC_NUMERIC, "C"); }
+static void drop_locale(Locale locale) { _free_locale(locale); }
+#define strtod_l _strtod_l
+#else
+typedef locale_t Locale;
+static Locale plain_locale(void) { return newlocale(LC_NUMERIC_MASK, "C", (Locale)0); }
+static void drop_locale(Locale locale) { freelocale(locale); }
+#endif
+
+enum { VARIABLES = 5, COLUMNS = 6, MOST_COLUMNS = 16, NAME = 32 };
+static const char *const NAMES[COLUMNS] = {"alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg", "ratio"};
+static const double LIMITS[COLUMNS] = {180.0, 180.0, 20.0, 180.0, 180.0, 1e3};
+
+typedef struct { double (*rows)[COLUMNS]; size_t count, room; } Rows;
+typedef struct { double *values; size_t count; } Axis;
+
+static int by_value(const void *a, const void *b) {
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+/* The next cell of a line without the blanks about it; false behind the last. */
+static bool next_cell(char **at, char **cell) {
+    if (!*at) return false;
+    char *comma = strchr(*at, ','), *end = comma ? comma : *at + strlen(*at);
+    *cell = *at + strspn(*at, " \t");
+    while (end > *cell && strchr(" \t\r", end[-1])) end--;
+    *at = comma ? comma + 1 : NULL;
+    *end = 0;
+    return true;
+}
+
+/* Which of COLUMNS each column of the file is, -1 for sigma. */
+static int read_names(char *line, int columns[], char *why, size_t size) {
+    int count = 0, found = 0;
+    for (char *at = line, *cell; next_cell(&at, &cell); count++) {
+        if (count == MOST_COLUMNS) return snprintf(why, size, "more than %d columns", MOST_COLUMNS), 0;
+        columns[count] = strcmp(cell, "sigma") == 0 ? -1 : COLUMNS;
+        for (int k = 0; k < COLUMNS; k++)
+            if (strcmp(cell, NAMES[k]) == 0) columns[count] = k, found |= 1 << k;
+        if (columns[count] == COLUMNS) return snprintf(why, size, "unknown column %.*s", NAME, cell), 0;
+    }
+    for (int k = 0; k < COLUMNS; k++)
+        if (!(found & 1 << k)) return snprintf(why, size, "there is no column %s", NAMES[k]), 0;
+    return count;
+}
+
+static bool read_row(char *line, int count, const int columns[], Locale locale, double row[], char *why, size_t size) {
+    int k = 0;
+    for (char *at = line, *cell, *end; next_cell(&at, &cell); k++) {
+        if (k == count) return snprintf(why, size, "more cells than names"), false;
+        if (columns[k] < 0) continue;
+        double value = strtod_l(cell, &end, locale);
+        if (end == cell || *end || !isfinite(value) || fabs(value) > LIMITS[columns[k]])
+            return snprintf(why, size, "%s: \"%.*s\" cannot be", NAMES[columns[k]], NAME, cell), false;
+        row[columns[k]] = value;
+    }
+    if (k < count) return snprintf(why, size, "fewer cells than names"), false;
+    return true;
+}
+
+/* Whether a header line agrees with the reference heating that the model has. */
+static bool same_reference(const char *line, const char *reference, char *why, size_t size) {
+    line += strspn(line, "# \t");
+    if (strncmp(line, "reference:", 10) != 0) return true;
+    line += 10 + strspn(line + 10, " \t");
+    size_t length = strcspn(line, " \t\r");
+    if (length == strlen(reference) && strncmp(line, reference, length) == 0) return true;
+    return snprintf(why, size, "is over %.*s; this model's ratios are over %s", NAME, line, reference), false;
+}
+
+static bool read_rows(char *text, const char *reference, Rows *all, Locale locale, char *why, size_t size) {
+    int columns[MOST_COLUMNS], count = 0, number = 0;
+    char reason[160] = "";
+    for (char *line = text, *next; line; line = next) {
+        next = strchr(line, '\n');
+        if (next) *next++ = 0;
+        number++;
+        if (strspn(line, " \t\r") == strlen(line)) continue;
+        bool good = true;
+        if (line[0] == '#') {
+            good = same_reference(line, reference, reason, sizeof reason);
+        } else if (count == 0) {
+            good = (count = read_names(line, columns, reason, sizeof reason)) > 0;
+        } else {
+            if (all->count == all->room) {
+                all->room = all->room ? 2 * all->room : 256;
+                void *more = realloc(all->rows, all->room * sizeof *all->rows);
+                if (!more) return snprintf(why, size, "there is no memory"), false;
+                all->rows = more;
+            }
+            good = read_row(line, count, columns, locale, all->rows[all->count++], reason, sizeof reason);
+        }
+        if (!good) return snprintf(why, size, "row %d: %s", number, reason), false;
+    }
+    if (all->count == 0) return snprintf(why, size, "there are no rows"), false;
+    return true;
+}
+
+static size_t node_of(const Axis *axis, double value) {
+    const double *found = bsearch(&value, axis->values, axis->count, sizeof value, by_value);
+    return (size_t)(found - axis->values);
+}
+
+/* Axes and ratios behind one another, the ratios not yet set. */
+static double *packed_axes(const Rows *all, Axis axes[], int64_t *count, char *why, size_t size) {
+    size_t n = all->count, axis_nodes = 0, nodes = 1;
+    double *sorted = malloc(n * VARIABLES * sizeof(double));
+    if (!sorted) return snprintf(why, size, "there is no memory"), NULL;
+    for (int k = 0; k < VARIABLES; k++) {
+        double *values = sorted + (size_t)k * n;
+        for (size_t i = 0; i < n; i++) values[i] = all->rows[i][k];
+        qsort(values, n, sizeof *values, by_value);
+        axes[k].count = 0;
+        for (size_t i = 0; i < n; i++)
+            if (i == 0 || values[i] > values[i - 1]) values[axes[k].count++] = values[i];
+        axes[k].values = values;
+        axis_nodes += axes[k].count;
+        nodes = nodes > n ? nodes : nodes * axes[k].count;
+    }
+    double *table = nodes == n ? malloc((VARIABLES + axis_nodes + nodes) * sizeof(double)) : NULL;
+    if (!table) snprintf(why, size, "%zu rows do not fill the grid of their values", n);
+    double *at = table ? table + VARIABLES : NULL;
+    for (int k = 0; table && k < VARIABLES; k++) {
+        table[k] = (double)axes[k].count;
+        memcpy(at, axes[k].values, axes[k].count * sizeof(double));
+        axes[k].values = at;
+        at += axes[k].count;
+    }
+    free(sorted);
+    *count = (int64_t)(VARIABLES + axis_nodes + nodes);
+    return table;
+}
+
+static double *pack(const Rows *all, int64_t *count, char *why, size_t size) {
+    Axis axes[VARIABLES];
+    double *table = packed_axes(all, axes, count, why, size);
+    if (!table) return NULL;
+    double *ratio = axes[VARIABLES - 1].values + axes[VARIABLES - 1].count;
+    for (size_t i = 0; i < all->count; i++) ratio[i] = NAN;
+    for (size_t i = 0; i < all->count; i++) {
+        size_t node = 0;
+        for (int k = 0; k < VARIABLES; k++) node = node * axes[k].count + node_of(&axes[k], all->rows[i][k]);
+        if (!isnan(ratio[node])) {
+            snprintf(why, size, "the node alpha_deg %g, log10_re %g stands there twice", all->rows[i][0], all->rows[i][2]);
+            free(table);
+            return NULL;
+        }
+        ratio[node] = all->rows[i][COLUMNS - 1];
+    }
+    return table;
+}
+
+double *read_ratio_table(const char *path, const char *reference, int64_t *count, char *why, size_t size) {
+    size_t length;
+    char *text = read_file(path, &length), reason[256] = "cannot be read";
+    Locale locale = plain_locale();
+    Rows all = {NULL, 0, 0};
+    double *table = NULL;
+    if (text && strlen(text) != length) {
+        snprintf(reason, sizeof reason, "is no text");
+    } else if (text) {
+        bool marked = strncmp(text, "\xef\xbb\xbf", 3) == 0;
+        if (read_rows(text + (marked ? 3 : 0), reference, &all, locale, reason, sizeof reason))
+            table = pack(&all, count, reason, sizeof reason);
+    }
+    if (!table) snprintf(why, size, "%.500s: %s", path, reason);
+    free(all.rows), free(text), drop_locale(locale);
+    return table;
+}

@@ -131,9 +131,9 @@ static const Variable *variable(Instance *m, uint32_t ref, int kind) {
 }
 
 static bool may_set(Instance *m, const Variable *v) {
-    int modes = v->role == INPUT ? SETTABLE | INTERMEDIATE
-              : v->role == TUNABLE ? SETTABLE
-              : v->role == FIXED ? INSTANTIATED | INITIALIZATION : 0;
+    int modes = v->role == ROLE_INPUT ? SETTABLE | INTERMEDIATE
+              : v->role == ROLE_TUNABLE ? SETTABLE
+              : v->role == ROLE_FIXED ? INSTANTIATED | INITIALIZATION : 0;
     if (m->mode & modes) return true;
     fail(m, "%s cannot be set now", m->image.text + v->name);
     return false;
@@ -141,7 +141,7 @@ static bool may_set(Instance *m, const Variable *v) {
 
 static void has_changed(Instance *m, const Variable *v) {
     m->stale = true;
-    if (v->role != INPUT) m->N[CHANGED] = 1;
+    if (v->role != ROLE_INPUT) m->N[CHANGED] = 1;
 }
 
 static Status run(Instance *m, Function function);
@@ -159,7 +159,7 @@ Status get_numbers(Instance *m, const uint32_t *refs, size_t n, double *values, 
             if (refs[k] < m->image.n_variables && m->image.variables[refs[k]].role == OUTPUT && refresh(m) != OK) return ERROR;
     size_t at = 0;
     for (size_t k = 0; k < n; k++) {
-        const Variable *v = variable(m, refs[k], NUMBER);
+        const Variable *v = variable(m, refs[k], KIND_NUMBER);
         if (!v) return ERROR;
         if ((size_t)v->count > n_values - at) return fail(m, "get: %zu values hold less than the variables", n_values);
         memcpy(values + at, m->R + v->place, (size_t)v->count * sizeof(double));
@@ -172,7 +172,7 @@ static Status check(Instance *m, const Variable *v, double value) {
     const char *name = m->image.text + v->name;
     if (!isfinite(value)) return fail(m, "%s cannot be %g; it must be a finite number", name, value);
     /* What an input may be is the model's to say, when it uses it. */
-    if (v->role != INPUT && !(v->lower <= value && value <= v->upper))
+    if (v->role != ROLE_INPUT && !(v->lower <= value && value <= v->upper))
         return fail(m, "%s cannot be %g; it must be from %g to %g", name, value, v->lower, v->upper);
     return OK;
 }
@@ -182,7 +182,7 @@ Status set_numbers(Instance *m, const uint32_t *refs, size_t n, const double *va
     if (n > 0 && (!refs || !values)) return refuse(m, "set", "there is no array");
     size_t at = 0;
     for (size_t k = 0; k < n; k++) {
-        const Variable *v = variable(m, refs[k], NUMBER);
+        const Variable *v = variable(m, refs[k], KIND_NUMBER);
         if (!v || !may_set(m, v)) return ERROR;
         if ((size_t)v->count > n_values - at) return fail(m, "set: %zu values are less than the variables hold", n_values);
         for (int64_t i = 0; i < v->count; i++)
@@ -195,14 +195,14 @@ Status set_numbers(Instance *m, const uint32_t *refs, size_t n, const double *va
 }
 
 Status get_integer(Instance *m, uint32_t ref, int64_t *value) {
-    const Variable *v = variable(m, ref, INTEGER);
+    const Variable *v = variable(m, ref, KIND_INTEGER);
     if (!v) return ERROR;
     *value = m->N[v->place];
     return OK;
 }
 
 Status set_integer(Instance *m, uint32_t ref, int64_t value) {
-    const Variable *v = variable(m, ref, INTEGER);
+    const Variable *v = variable(m, ref, KIND_INTEGER);
     if (!v || !may_set(m, v) || check(m, v, (double)value) != OK) return ERROR;
     m->N[v->place] = value;
     has_changed(m, v);
@@ -210,15 +210,16 @@ Status set_integer(Instance *m, uint32_t ref, int64_t value) {
 }
 
 Status get_text(Instance *m, uint32_t ref, const char **value) {
-    const Variable *v = variable(m, ref, TABLE);
+    const Variable *v = variable(m, ref, KIND_TABLE);
     if (!v) return ERROR;
     *value = (const char *)(m->N + v->place);
     return OK;
 }
 
-/* The path of a table: read now, put behind everything else in R, and taken by the lanes that stand behind the text. */
+/* The path of a table: read now, put behind everything else in R, and taken by the lanes that stand behind the text:
+   where tables begin in R, the place of the name of the reference heating, how many lanes, their places. */
 Status set_text(Instance *m, uint32_t ref, const char *value) {
-    const Variable *v = variable(m, ref, TABLE);
+    const Variable *v = variable(m, ref, KIND_TABLE);
     if (!v || !may_set(m, v)) return ERROR;
     const char *name = m->image.text + v->name;
     if (!value || strlen(value) >= TEXT_BYTES) return fail(m, "%s: a path of less than %d bytes is needed", name, TEXT_BYTES);
@@ -226,7 +227,7 @@ Status set_text(Instance *m, uint32_t ref, const char *value) {
     if (value[0] == 0 && ((char *)text)[0] == 0) return OK;
     char why[800];
     int64_t count = 0, end = m->n_R;
-    double *table = read_ratio_table(value, &count, why, sizeof why);
+    double *table = read_ratio_table(value, m->image.text + lanes[1], &count, why, sizeof why);
     if (!table) return fail(m, "%s: %s", name, why);
     if (!make_R(m, end + count)) {
         free(table);
@@ -234,7 +235,7 @@ Status set_text(Instance *m, uint32_t ref, const char *value) {
     }
     memcpy(m->R + end, table, (size_t)count * sizeof(double));
     free(table);
-    for (int64_t k = 0; k < lanes[1]; k++) m->N[lanes[2 + k]] = end - lanes[0];
+    for (int64_t k = 0; k < lanes[2]; k++) m->N[lanes[3 + k]] = end - lanes[0];
     memset(text, 0, TEXT_BYTES);
     memcpy(text, value, strlen(value));
     has_changed(m, v);
@@ -242,9 +243,9 @@ Status set_text(Instance *m, uint32_t ref, const char *value) {
 }
 
 Status set_slope(Instance *m, uint32_t ref, double slope) {
-    const Variable *v = variable(m, ref, NUMBER);
+    const Variable *v = variable(m, ref, KIND_NUMBER);
     if (!v) return ERROR;
-    if (v->role != INPUT || !isfinite(slope)) return fail(m, "%s: %g is no derivative of an input", m->image.text + v->name, slope);
+    if (v->role != ROLE_INPUT || !isfinite(slope)) return fail(m, "%s: %g is no derivative of an input", m->image.text + v->name, slope);
     m->R[m->N[INPUT_SLOPES] + v->place - m->N[INPUTS]] = slope;
     return OK;
 }

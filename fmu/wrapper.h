@@ -22,8 +22,8 @@ enum { INPUTS, N_INPUTS, INPUTS_NOW, INPUTS_NEXT, INPUT_SLOPES, CHANGED, TIMING 
 enum { HELD = 1, REACHED = 2 };                                                     /* values of N[TIMING] */
 enum { GOOD = -1 };
 
-enum { NUMBER, INTEGER, TABLE };                              /* kinds of variable */
-enum { INDEPENDENT, INPUT, TUNABLE, FIXED, OUTPUT, CONSTANT };/* roles of a variable */
+enum { KIND_NUMBER, KIND_INTEGER, KIND_TABLE };
+enum { ROLE_INDEPENDENT, ROLE_INPUT, ROLE_TUNABLE, ROLE_FIXED, ROLE_OUTPUT, ROLE_CONSTANT };
 enum { TEXT_BYTES = 1024 };                                   /* of a table's path, in N */
 
 typedef struct { int64_t kind, role, place, count, name; double lower, upper; } Variable;
@@ -49,7 +49,7 @@ uint64_t checksum(const void *bytes, size_t size);
 char *read_file(const char *path, size_t *size);
 
 /* Nodes and ratios of a heating-ratio table (a contract CSV), packed as the kernel reads it; NULL, with the reason. */
-double *read_ratio_table(const char *path, int64_t *count, char *why, size_t size);
+double *read_ratio_table(const char *path, const char *reference, int64_t *count, char *why, size_t size);
 
 typedef enum { OK = 0, WARNING = 1, ERROR = 3 } Status;      /* numbers of FMI 2 and of FMI 3 */
 typedef enum {

@@ -481,6 +481,44 @@ def validate(paths: tuple[Path, ...]) -> None:
         CONSOLE.print(f"{path}: good. {found.summary}", highlight=False, soft_wrap=True)
 
 
+@cli.group()
+def fmu() -> None:
+    """Models as FMUs that need no Python where they run."""
+
+
+@fmu.command("export")
+@click.argument("vehicle")
+@click.option("--out", required=True, type=PATH, help="the FMU, a file that ends in .fmu")
+@click.option("--control-points", "points", help="names, comma between; all of the vehicle's by default")
+@click.option("--fmi", type=click.Choice(["2", "3"]), default="3", show_default=True, help="version of the standard")
+@click.option("--platforms", default="linux", show_default=True, help="comma between; others than linux need ziglang")
+@click.option(
+    "--reference",
+    type=click.Choice(["vehicle", "columns"]),
+    default="vehicle",
+    show_default=True,
+    help="where h_ref and H_r come from: the vehicle's reference heating, or inputs of their own",
+)
+def export(vehicle: str, out: Path, points: str | None, fmi: str, platforms: str, reference: str) -> None:  # fmt: skip
+    """The heating plug-in of a vehicle as a co-simulation FMU."""
+    from sim_heating.fmu.export import export_heating
+    from sim_heating.vehicle import load_vehicle
+
+    if out.suffix != ".fmu":
+        raise InputError(f"--out {out}: name a file that ends in .fmu")
+    chosen = None if points is None else [name.strip() for name in points.split(",")]
+    where = [name.strip() for name in platforms.split(",")]
+    with _progress("fmu export") as progress:
+        progress(0.1, "compiling, where that has not been done before")
+        loaded = load_vehicle(vehicle)
+        columns = reference == "columns"
+        image = export_heating(loaded, out, chosen, fmi=int(fmi), platforms=where, columns=columns)
+    count = len(loaded.control_points if chosen is None else chosen)
+    size = f"{out.stat().st_size / 1e6:.2f} MB"
+    told = f"FMI {fmi}.0, {count} control points, {len(image.variables)} variables, {', '.join(where)}, {size}"
+    CONSOLE.print(f"Wrote {out}: {told}", highlight=False, soft_wrap=True)
+
+
 def _stop(*_: object) -> None:
     raise KeyboardInterrupt
 

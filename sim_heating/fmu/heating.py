@@ -317,7 +317,8 @@ class _Packer:
         i = self.plugin.points.index(point)
         lanes = np.flatnonzero(e.lanes[place.group * LANES : (place.group + 1) * LANES] == i)
         places = head[k.INTS] + e.groups[place.group, 2] + RATIO_TABLE + lanes
-        first = self.image.integers([*np.zeros(TEXT_BYTES // 8), head[k.TABLE], len(places), *places])
+        reference = self.image.text(self.vehicle.heating.reference)
+        first = self.image.integers([*np.zeros(TEXT_BYTES // 8), head[k.TABLE], reference, len(places), *places])
         text = "path of a ratio table (CSV) in place of the one inside"
         self.image.variables.append(Variable(f"{name}.file", Kind.TABLE, Role.FIXED, first, text))
         at = head[k.TABLE] + int(e.integers(place.group)[RATIO_TABLE + lanes[0]])

@@ -100,6 +100,7 @@ class Image:
     problems: list[Problem] = field(default_factory=list)
     _R: list[NDArray[np.float64]] = field(default_factory=list)
     _N: list[NDArray[np.int64]] = field(default_factory=list)
+    _text: bytearray = field(default_factory=lambda: bytearray(1))
     n_R: int = 0
     n_N: int = 0
 
@@ -118,6 +119,10 @@ class Image:
         self._N.append(own)
         self.n_N += len(own)
         return self.n_N - len(own)
+
+    def text(self, piece: str) -> int:
+        """Put a text into the image; its place."""
+        return _append(self._text, piece)
 
     @property
     def R(self) -> NDArray[np.float64]:
@@ -150,11 +155,10 @@ class Image:
 
     def binary(self, token: str) -> bytes:
         """The file `model.bin`."""
-        text = bytearray(b"\0")
+        text = self._text.copy()
 
         def place(piece: str) -> int:
-            text.extend(piece.encode() + b"\0")
-            return len(text) - len(piece.encode()) - 1
+            return _append(text, piece)
 
         at = place(token)
         variables = b"".join(
@@ -166,6 +170,12 @@ class Image:
         body = variables + problems + self.R.astype("<f8").tobytes() + self.N.astype("<i8").tobytes() + bytes(text)
         counts = (self.n_R, self.n_N, len(self.variables), len(self.problems), len(text), at)
         return MAGIC + struct.pack("<6qQ", *counts, checksum(body)) + body
+
+
+def _append(text: bytearray, piece: str) -> int:
+    at = len(text)
+    text.extend(piece.encode() + b"\0")
+    return at
 
 
 def checksum(body: bytes) -> int:
