@@ -156,7 +156,7 @@ Status get_numbers(Instance *m, const uint32_t *refs, size_t n, double *values, 
     if (n > 0 && (!refs || !values)) return refuse(m, "get", "there is no array");
     if (m->mode == INITIALIZATION && m->stale)
         for (size_t k = 0; k < n; k++)
-            if (refs[k] < m->image.n_variables && m->image.variables[refs[k]].role == OUTPUT && refresh(m) != OK) return ERROR;
+            if (refs[k] < m->image.n_variables && m->image.variables[refs[k]].role == ROLE_OUTPUT && refresh(m) != OK) return ERROR;
     size_t at = 0;
     for (size_t k = 0; k < n; k++) {
         const Variable *v = variable(m, refs[k], KIND_NUMBER);
