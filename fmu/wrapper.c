@@ -8,6 +8,13 @@
 #include <stdlib.h>
 #include <string.h>
 
+#if defined(__x86_64__)
+#include <cpuid.h>
+#ifndef bit_LZCNT
+#define bit_LZCNT (1 << 5)
+#endif
+#endif
+
 static const uint64_t INSTANCE = 0x73696d68656174ULL, STATE = 0x73696d7374617465ULL;
 enum { LINE = 64 };      /* bytes of a cache line, on which R begins */
 static const double CLOCK = 1e-9;
@@ -59,14 +66,22 @@ static bool make_R(Instance *m, int64_t count) {
     return true;
 }
 
-static const Model *best_model(void) {
+/* Whether the processor and its operating system have what LLVM's x86-64-v3 takes for granted. */
+static bool has_avx2(void) {
 #if defined(__x86_64__)
-    __builtin_cpu_init();
-    if (n_models > 1 && __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi2"))
-        return &models[1];
+    unsigned a, b, c, d, low, high;
+    const unsigned first = bit_FMA | bit_MOVBE | bit_OSXSAVE | bit_AVX | bit_F16C, seventh = bit_AVX2 | bit_BMI | bit_BMI2;
+    if (!__get_cpuid(1, &a, &b, &c, &d) || (c & first) != first) return false;
+    __asm__ volatile("xgetbv" : "=a"(low), "=d"(high) : "c"(0));
+    if ((low & 6) != 6) return false;
+    if (!__get_cpuid_count(7, 0, &a, &b, &c, &d) || (b & seventh) != seventh) return false;
+    return __get_cpuid(0x80000001, &a, &b, &c, &d) && (c & bit_LZCNT) != 0;
+#else
+    return false;
 #endif
-    return &models[0];
 }
+
+static const Model *best_model(void) { return &models[n_models > 1 && has_avx2() ? 1 : 0]; }
 
 static void load(Instance *m) {
     memcpy(m->R, m->image.R, (size_t)m->image.n_R * sizeof(double));

@@ -235,20 +235,24 @@ def library(functions: Sequence[Function], target: Target, *, more: str = "") ->
     return made
 
 
-def _link(functions: Sequence[Function], target: Target, command: Sequence[str], work: Path, out: Path) -> None:
-    parts = [work / "functions.c"]
-    parts[0].write_text(_table_of_functions(functions, target))
+def parts(functions: Sequence[Function], target: Target, folder: Path) -> list[Path]:
+    """All that a library is linked from, in a folder: the functions for each processor, their table, the wrapper."""
+    found = [folder / "functions.c"]
+    found[0].write_text(_table_of_functions(functions, target))
     for function in functions:
         for k, level in enumerate(target.levels):
             symbol = f"{function.name}_{k}"
-            parts.append(work / f"{symbol}.o")
-            parts[-1].write_bytes(object_code(function, target, level, symbol))
+            found.append(folder / f"{symbol}.o")
+            found[-1].write_bytes(object_code(function, target, level, symbol))
+    return [*found, *sorted(sources().glob("*.c"))]
+
+
+def _link(functions: Sequence[Function], target: Target, command: Sequence[str], work: Path, out: Path) -> None:
     windows, linux = "windows" in target.triple, "linux" in target.triple
     flags = ["-shared", "-O2", "-std=c11", "-ffp-contract=off", "-fvisibility=hidden", f"-I{sources()}"]
     flags += [] if windows else ["-fPIC", "-lm"]
     flags += ["-Wl,-z,defs", "-Wl,-s"] if linux else []
-    wrapper = sorted(str(path) for path in sources().glob("*.c"))
-    command = [*command, "-o", str(out), *map(str, parts), *wrapper, *flags]
+    command = [*command, "-o", str(out), *map(str, parts(functions, target, work)), *flags]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise RunError(f"fmu: linking for {target.fmi3} failed: {done.stderr.strip()}")
