@@ -15,7 +15,14 @@ from sim_heating.atmosphere import us76
 from sim_heating.conditions import FRAME, RATIO_VARIABLES
 from sim_heating.effects import Effect, EffectUse, effects
 from sim_heating.effects.chain import compiled_chain
-from sim_heating.ensemble import Ensemble, PointModel, element_densities, stack_values
+from sim_heating.ensemble import (
+    MODES,
+    Ensemble,
+    PointModel,
+    element_densities,
+    insulation_layer,
+    stack_values,
+)
 from sim_heating.fmu import heating_kernel as k
 from sim_heating.fmu.image import TEXT_BYTES, Image, Kind, Problem, Role, Variable
 from sim_heating.fmu.library import Function
@@ -42,7 +49,7 @@ from sim_heating.layout import (
     REFERENCE,
     parameters_at,
 )
-from sim_heating.parameters import RATIO, STACK, UNITS
+from sim_heating.parameters import RATIO, SENSOR, STACK, UNITS, Parameter
 from sim_heating.plausible import LIMITS
 from sim_heating.plugin import HeatingPlugin
 from sim_heating.reference_heating.models import COLUMNS
@@ -116,13 +123,18 @@ def _identifier(name: str) -> str:
 
 def _library_effects(models: Sequence[PointModel]) -> tuple[Effect, ...]:
     """Effects of the library: all that the package has, so that one library serves all vehicles, and the user's own."""
-    own = dict.fromkeys(u.effect for m in models for u in m.effects)
-    return tuple(dict.fromkeys([*(e for e in effects().values() if built_in(e)), *own]))
+    own = dict.fromkeys(u.effect for m in models for u in _acting(m))
+    return tuple(dict.fromkeys([*(e for e in effects().values() if e.kernel and built_in(e)), *own]))
+
+
+def _acting(model: PointModel) -> list[EffectUse]:
+    """The effects of a point that have a kernel, in the order of their slots; the others stand for parameters."""
+    return sorted((u for u in model.effects if u.effect.kernel), key=lambda u: MODES.index(u.effect.mode))
 
 
 def built_in(effect: Effect) -> bool:
     """Whether an effect is one of the package's."""
-    return effect.kernel.__module__.startswith("sim_heating.effects.")
+    return getattr(effect.kernel, "__module__", "").startswith("sim_heating.effects.")
 
 
 @cache
@@ -184,7 +196,7 @@ class _Packer:
             J = ints[row[2] : row[3]]
             for lane in range(LANES):
                 model = self.ensemble.models[self.ensemble.lanes[g * LANES + lane]]
-                codes = J[EFFECT_CODES + lane * EFFECT_SLOTS :][: len(model.effects)]
+                codes = J[EFFECT_CODES + lane * EFFECT_SLOTS :][: len(_acting(model))]
                 codes[:] = [self.known.index(own[code]) for code in codes]
         return ints
 
@@ -244,7 +256,7 @@ class _Packer:
             rows.append([
                 place.group, int(np.argmax(mine)), int(np.sum(mine)), len(mesh.layer),
                 image.integers(mesh.layer), image.numbers(mesh.length_m), image.numbers(densities),
-                place.temperature(mesh.bondline),
+                place.temperature(mesh.bondline), insulation_layer(model.construction), mesh.bondline,
             ])  # fmt: skip
             self._name_point(point, model, numbers + k.POINT_WIDTH * i)
             sensors += self._pack_sensors(point, mesh, place)
@@ -266,9 +278,9 @@ class _Packer:
             if what not in have or have[what] is not None:
                 self._add(f"{name}.{what}", Role.OUTPUT, numbers + k.P_OUT + i, text, unit, nominal=nominal)
         for i, p in enumerate(RATIO):
-            self._add(f"{name}.{p.name}", Role.TUNABLE, numbers + i, p.text, p.unit, p.lower, p.upper)
+            self._name_parameter(f"{name}.{p.name}", p, numbers + i)
         for i, p in enumerate(STACK):
-            self._add(f"{name}.{p.name}", Role.TUNABLE, numbers + k.P_STACK + i, p.text, p.unit, p.lower, p.upper)
+            self._name_parameter(f"{name}.{p.name}", p, numbers + k.P_STACK + i)
         for i, (variable, unit) in enumerate(zip(RATIO_VARIABLES, UNITS, strict=True)):
             text = "condition that the derivatives of the ratio are about"
             lower, upper, _ = LIMITS[variable]
@@ -279,7 +291,7 @@ class _Packer:
             if limit is not None:
                 text = f"highest temperature of the {what}"
                 self._add(f"{name}.limit.{what}_K", Role.TUNABLE, numbers + place, text, "K", 0.0, HOTTEST_LIMIT_K)
-        uses = sorted(model.effects, key=lambda u: u.effect.mode != "add")
+        uses = _acting(model)
         for slot, used in enumerate(uses):
             self._name_effect(name, used, uses[:slot], numbers + EFFECT_PARAMETERS + slot * EFFECT_WIDTH)
 
@@ -287,7 +299,10 @@ class _Packer:
         earlier = sum(u.effect.name == used.effect.name for u in before)
         which = quoted(used.effect.name) + (f"[{earlier + 1}]" if earlier else "")
         for i, p in enumerate(used.effect.parameters):
-            self._add(f"{name}.effect.{which}.{p.name}", Role.TUNABLE, place + i, p.text, p.unit, p.lower, p.upper)
+            self._name_parameter(f"{name}.effect.{which}.{p.name}", p, place + i)
+
+    def _name_parameter(self, name: str, p: Parameter, place: int) -> None:
+        self._add(name, Role.TUNABLE, place, p.text, p.unit, p.lower, p.upper)
 
     def _add(
         self, name: str, role: Role, place: int, text: str, unit: str,
@@ -307,8 +322,8 @@ class _Packer:
             about = f"thermocouple at {1e3 * sensor.depth_m:.4g} mm"
             shown = f"{about}, without noise and quantisation"
             self._add(f"{name}.indicated_K", Role.OUTPUT, numbers + k.S_SHOWN, shown, "K", nominal=1000.0)
-            self._add(f"{name}.gain", Role.TUNABLE, numbers + k.S_GAIN, f"gain of the {about}", "1", 0.1, 10.0)
-            self._add(f"{name}.bias", Role.TUNABLE, numbers + k.S_BIAS, f"offset of the {about}", "K", -1e3, 1e3)
+            self._name_parameter(f"{name}.gain", SENSOR["gain"], numbers + k.S_GAIN)
+            self._name_parameter(f"{name}.bias", SENSOR["bias"], numbers + k.S_BIAS)
         return rows
 
     def _pack_ratio_table(self, point: ControlPoint, place: Any, head: Mapping[int, int]) -> None:

@@ -41,11 +41,12 @@ from sim_heating.layout import (
     SURROUNDINGS4,
     T,
 )
-from sim_heating.march import BLOCK_END, BLOCK_START, advance_groups, begin_groups
+from sim_heating.march import BLOCK_END, BLOCK_START, INTS_END, INTS_START, advance_groups, begin_groups
 from sim_heating.plugin import CODE, F_TIME, PRESSURE_WIDTH, _derive_conditions
 from sim_heating.reference_heating.models import COLUMNS
 from sim_heating.sensors import indicated
-from sim_heating.thermal.elements import set_elements
+from sim_heating.surface_heating import emittance_factor
+from sim_heating.thermal.elements import EPS_BEHIND, set_elements
 from sim_heating.thermal.faces import SIGMA, _emissivity
 
 FloatArray = NDArray[np.float64]
@@ -66,13 +67,17 @@ HOST_WIDTH = 16
 LONGEST_COMMUNICATION_S = 600.0
 """Longer steps of a host are refused: a clock in other units."""
 
-# A point's integers: its first lane and how many it has, its elements, where their layers stand in N, lengths and
-# densities in R, and its nodes of the bondline in the state.
-P_GROUP, P_LANE, P_LANES, P_ELEMENTS, P_LAYERS, P_LENGTHS, P_DENSITIES, P_BONDLINE = range(8)
+# A point's integers: its group, its first lane and how many it has, its elements, where their layers stand in N, lengths
+# and densities in R, the place of its bondline in the state, the layer that is insulation, the node of the bondline.
+(
+    P_GROUP, P_LANE, P_LANES, P_ELEMENTS, P_LAYERS, P_LENGTHS, P_DENSITIES, P_BONDLINE, P_INSULATION, P_BOTTOM,
+) = range(10)  # fmt: skip
+POINT_INTS_WIDTH = 10
+STACK_WIDTH = EPS_BEHIND + 1
 # A point's numbers: parameters as the kernel holds them (layout.py), those of its stack, limits, and what is given out.
 P_STACK = N_PARAMETERS
-P_SURFACE_LIMIT, P_BONDLINE_LIMIT = P_STACK + 9, P_STACK + 10
-P_OUT = P_STACK + 11
+P_SURFACE_LIMIT, P_BONDLINE_LIMIT = P_STACK + STACK_WIDTH, P_STACK + STACK_WIDTH + 1
+P_OUT = P_STACK + STACK_WIDTH + 2
 SURFACE, BONDLINE, RATIO, CONVECTED, RADIATED, ABSORBED, SURFACE_MARGIN, BONDLINE_MARGIN = range(8)
 POINT_WIDTH = P_OUT + 8
 # A sensor's integers: its place in the state, its numbers (gain, bias, what it shows) and its calibration.
@@ -90,19 +95,19 @@ def _first_problem(values, ranges, n: int) -> int:  # type: ignore[no-untyped-de
 
 
 @njit
-def _apply_parameters(R, N, B: FloatArray, g: int) -> None:  # type: ignore[no-untyped-def]
+def _apply_parameters(R, N, B: FloatArray, J: IntArray, g: int) -> None:  # type: ignore[no-untyped-def]
     """Write the parameters of all points of a group into its block."""
     for i in range(N[N_POINTS]):
-        own = at(N, N[POINT_INTS] + 8 * i)
+        own = at(N, N[POINT_INTS] + POINT_INTS_WIDTH * i)
         if own[P_GROUP] != g:
             continue
         numbers = at(R, N[POINT_NUMBERS] + POINT_WIDTH * i)
         n = own[P_ELEMENTS]
         layers = carray(at(N, own[P_LAYERS]), n)
         lengths, densities = carray(at(R, own[P_LENGTHS]), n), carray(at(R, own[P_DENSITIES]), n)
-        stack = carray(at(numbers, P_STACK), 9)
+        stack = carray(at(numbers, P_STACK), STACK_WIDTH)
         for lane in range(own[P_LANE], own[P_LANE] + own[P_LANES]):
-            set_elements(B, lane, layers, lengths, densities, stack)
+            set_elements(B, J, lane, layers, lengths, densities, own[P_INSULATION], own[P_BOTTOM], stack)
             p = PARAMETERS * LANES + lane * N_PARAMETERS
             for k in range(N_PARAMETERS):
                 B[p + k] = numbers[k]
@@ -151,11 +156,12 @@ def _advance(R, N, A, inputs, time: float, dt: float) -> None:  # type: ignore[n
 def _blocks(R, N, fresh: bool, changed: bool) -> None:  # type: ignore[no-untyped-def]
     """Write changed parameters into all groups; where the model starts, clear what is counted."""
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
-    state = carray(at(R, N[STATE]), N[N_STATE])
+    state, ints = carray(at(R, N[STATE]), N[N_STATE]), carray(at(N, N[INTS]), N[N_INTS])
     for g in range(N[N_GROUPS]):
         B = state[groups[g, BLOCK_START] : groups[g, BLOCK_END]]
         if changed:
-            _apply_parameters(R, N, B, g)
+            J = ints[groups[g, INTS_START] : groups[g, INTS_END]]
+            _apply_parameters(R, N, B, J, g)
         if fresh:
             for row in (FAILED, ITERATIONS, OUTSIDE, NEGATIVE, ENERGY_IN, ENERGY_OUT):
                 for lane in range(LANES):
@@ -163,22 +169,24 @@ def _blocks(R, N, fresh: bool, changed: bool) -> None:  # type: ignore[no-untype
 
 
 @njit
-def _give_out(R, N) -> int:  # type: ignore[no-untyped-def]
+def _give_out(R, N, A) -> int:  # type: ignore[no-untyped-def]
     """Write what hosts read; number of the first point whose step did not converge, GOOD where there is none."""
     outcome = GOOD
     for i in range(N[N_POINTS] - 1, -1, -1):
-        own = at(N, N[POINT_INTS] + 8 * i)
+        own = at(N, N[POINT_INTS] + POINT_INTS_WIDTH * i)
         numbers = at(R, N[POINT_NUMBERS] + POINT_WIDTH * i)
         out = at(numbers, P_OUT)
         first = N[GROUPS] + 4 * own[P_GROUP]
-        B, J = at(R, N[STATE] + N[first] + own[P_LANE]), at(N, N[INTS] + N[first + 2] + own[P_LANE])
+        block, ints = at(R, N[STATE] + N[first]), at(N, N[INTS] + N[first + INTS_START])
+        B, J = at(block, own[P_LANE]), at(ints, own[P_LANE])
         wall = B[(HEAD_ROWS + T) * LANES]
         h_ref = R[N[VECTORS] + (own[P_GROUP] * LANES + own[P_LANE]) * N_CONDITIONS + H_REF]
         excess = wall * wall * wall * wall - B[SURROUNDINGS4 * LANES]
-        eps = _emissivity(at(R, N[TABLE]), J[EMISSIVITY_TABLE], wall)[0]
+        eps = B[FACTOR_EPS * LANES] * _emissivity(at(R, N[TABLE]), J[EMISSIVITY_TABLE], wall)[0]
+        eps *= emittance_factor(block, ints, A[0], own[P_LANE], 2, wall)
         out[SURFACE], out[BONDLINE] = wall, R[N[STATE] + own[P_BONDLINE]]
         out[RATIO] = B[(FILM + 2) * LANES] / h_ref if h_ref > 0.0 else 0.0
-        out[RADIATED] = B[FACTOR_EPS * LANES] * eps * SIGMA * excess
+        out[RADIATED] = eps * SIGMA * excess
         out[ABSORBED] = B[STAGE_IN * LANES]
         out[CONVECTED] = out[ABSORBED] + out[RADIATED] - B[(ADDED + 2) * LANES]
         out[SURFACE_MARGIN] = numbers[P_SURFACE_LIMIT] - out[SURFACE]
@@ -210,7 +218,7 @@ def start(R, N, A) -> int:  # type: ignore[no-untyped-def]
     _begin(R, N, A, given, R[NOW])
     for k in range(n):
         R[N[HEATED] + k] = given[k]
-    outcome = _give_out(R, N)
+    outcome = _give_out(R, N, A)
     return GOOD if outcome == GOOD else 2 * n + 1 + outcome
 
 
@@ -236,5 +244,5 @@ def step(R, N, A) -> int:  # type: ignore[no-untyped-def]
     _advance(R, N, A, then, R[NEXT], dt)
     for k in range(n):
         R[N[HEATED] + k] = then[k]
-    outcome = _give_out(R, N)
+    outcome = _give_out(R, N, A)
     return GOOD if outcome == GOOD else 2 * n + 1 + outcome
