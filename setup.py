@@ -1,4 +1,4 @@
-"""Puts the vehicles and scenarios into a built package; everything else is in pyproject.toml.
+"""Puts the vehicles, scenarios and C sources into a built package; everything else is in pyproject.toml.
 
 They stand beside the package in a checkout, where people edit them; an installed package carries copies of its own.
 """
@@ -9,7 +9,8 @@ from pathlib import Path
 from setuptools import setup
 from setuptools.command.build_py import build_py
 
-DATA = ("aircraft_data", "scenarios")
+DATA = {"aircraft_data": "aircraft_data", "scenarios": "scenarios", "fmu": "fmu/c"}
+"""Folder of a checkout -> where it stands in the package; fmu holds the C side of exported FMUs."""
 
 
 class BuildWithData(build_py):
@@ -19,8 +20,8 @@ class BuildWithData(build_py):
         super().run()
         if self.editable_mode:
             return
-        for name in DATA:
-            target = Path(self.build_lib) / "sim_heating" / name
+        for name, place in DATA.items():
+            target = Path(self.build_lib) / "sim_heating" / place
             shutil.rmtree(target, ignore_errors=True)
             shutil.copytree(name, target, ignore=shutil.ignore_patterns("__pycache__"))
 

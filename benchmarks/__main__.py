@@ -9,7 +9,9 @@ import click
 
 from benchmarks.measure import Figure, table
 
-NAMES = ("c_loop", "work_precision", "frames", "coupling", "optimal", "covariance", "end_to_end", "ground_step")
+NAMES = (
+    "c_loop", "work_precision", "frames", "coupling", "fmu", "optimal", "covariance", "end_to_end", "ground_step",
+)  # fmt: skip
 
 
 @click.command(help=f"Run benchmarks and print what they found. Names: {', '.join(NAMES)}; all by default.")

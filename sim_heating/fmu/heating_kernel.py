@@ -67,8 +67,8 @@ HOST_WIDTH = 16
 LONGEST_COMMUNICATION_S = 600.0
 """Longer steps of a host are refused: a clock in other units."""
 
-# A point's integers: its group, its first lane and how many it has, its elements, where their layers stand in N, lengths
-# and densities in R, the place of its bondline in the state, the layer that is insulation, the node of the bondline.
+# A point's integers: its group, its first lane and how many it has, its elements, where their layers stand in N, their
+# lengths and densities in R, the place of its bondline in the state, the layer of insulation, the node of the bondline.
 (
     P_GROUP, P_LANE, P_LANES, P_ELEMENTS, P_LAYERS, P_LENGTHS, P_DENSITIES, P_BONDLINE, P_INSULATION, P_BOTTOM,
 ) = range(10)  # fmt: skip

@@ -1,0 +1,429 @@
+"""The heating plug-in as an FMU: the simulator's numbers to the last bit, on hosts that know nothing of it."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import threading
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fmpy.fmi1 import FMICallException
+from fmpy.validation import validate_fmu
+from fmu_hosts import Host, compile_host, run_host
+
+from sim_heating.cli import main
+from sim_heating.conditions import FRAME, Conditions
+from sim_heating.errors import InputError
+from sim_heating.fmu.export import export_heating
+from sim_heating.heating_ratio.table import read_ratio_table, write_ratio_table
+from sim_heating.plugin import HeatingPlugin
+from sim_heating.points import conditions_at_point
+from sim_heating.run import fly_scenario
+from sim_heating.scenario import load_scenario
+from sim_heating.vehicle import Vehicle, load_vehicle
+
+ROOT = Path(__file__).parents[1]
+POINTS = ["V09T9527", "NOSECAP", "BODYFLAP"]
+SURFACES = [f"{name}.surface_K" for name in POINTS]
+Frame = dict[str, float]
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return load_vehicle("orbiter")
+
+
+@pytest.fixture(scope="module")
+def fmus(vehicle, tmp_path_factory) -> dict[int, Path]:
+    """The same control points for both versions of the standard."""
+    folder = tmp_path_factory.mktemp("fmus")
+    for fmi in (2, 3):
+        export_heating(vehicle, folder / f"fmi{fmi}.fmu", POINTS, fmi=fmi)
+    return {fmi: folder / f"fmi{fmi}.fmu" for fmi in (2, 3)}
+
+
+@pytest.fixture(scope="module")
+def flown() -> Conditions:
+    """A whole entry with a POPU."""
+    return fly_scenario(load_scenario(ROOT / "scenarios" / "entry_3dof.toml")).conditions.with_columns(jets=0.0)
+
+
+def frames(flown: Conditions, step_s: float, end_s: float = np.inf) -> list[Frame]:
+    """Frames a communication step apart, at times that add up as a host's do."""
+    times = [float(flown.time_s[0])]
+    while times[-1] + step_s <= min(float(flown.time_s[-1]), end_s):
+        times.append(times[-1] + step_s)
+    at = flown.at(times)
+    return [{name: float(at[name][i]) for name in FRAME} for i in range(len(times))]
+
+
+def plugin_temperatures(vehicle: Vehicle, given: list[Frame], **more) -> np.ndarray:
+    """(time, point) of the simulator's own plug-in, one thermal step a frame."""
+    plugin = HeatingPlugin(vehicle, POINTS, **more)
+    plugin.reset(given[0])
+    found = [plugin.surface_temperatures()]
+    for frame in given[1:]:
+        plugin.step(frame)
+        found.append(plugin.surface_temperatures())
+    return np.array(found)
+
+
+def fmu_temperatures(host: Host, given: list[Frame]) -> np.ndarray:
+    host.start(given[0])
+    found = [host.get(*SURFACES)]
+    for frame in given[1:]:
+        host.step(frame)
+        found.append(host.get(*SURFACES))
+    return np.array(found)
+
+
+# Numbers -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_validates_without_a_remark(fmus, fmi):
+    assert validate_fmu(fmus[fmi]) == []
+
+
+@pytest.mark.parametrize(("fmi", "step_s"), [(3, 0.5), (2, 1.0), (3, 0.7), (2, 3.0)])
+def test_whole_entry_with_a_popu_has_the_bits_of_the_simulator(fmus, vehicle, flown, fmi, step_s):
+    given = frames(flown, step_s)
+    with Host(fmus[fmi]) as host:
+        np.testing.assert_array_equal(fmu_temperatures(host, given), plugin_temperatures(vehicle, given))
+
+
+@pytest.mark.parametrize("timing", ["reached", "updated"])
+def test_plain_c_host_has_the_same_bits(fmus, vehicle, flown, tmp_path, timing):
+    given = frames(flown, 1.0, 500.0)
+    out = run_host(compile_host(tmp_path), fmus[3], timing, given, SURFACES)
+    np.testing.assert_array_equal(out, plugin_temperatures(vehicle, given))
+
+
+def test_parameters_do_what_they_do_in_the_simulator(fmus, vehicle, flown):
+    changed = {
+        "ratio.scale": 0.1, "ratio.d_alpha2": 1e-4, "stack.coating.thickness_factor": 1.2,
+        "stack.rsi.conductivity_factor": 0.8, "stack.emissivity_factor": 0.9, "stack.gap.fraction": 0.1,
+    }  # fmt: skip
+    given = frames(flown, 1.0, 400.0)
+    with Host(fmus[3], {f"{p}.{name}": value for p in POINTS for name, value in changed.items()}) as host:
+        found = fmu_temperatures(host, given)
+    np.testing.assert_array_equal(found, plugin_temperatures(vehicle, given, parameters=changed))
+
+
+def test_flux_into_the_wall_is_what_the_flow_brings_less_what_is_radiated(fmus, flown):
+    given = frames(flown, 1.0, 400.0)
+    with Host(fmus[3]) as host:
+        fmu_temperatures(host, given)
+        brought, radiated, absorbed, margin, surface = host.get(
+            *(f"NOSECAP.{n}" for n in ("heating.convected_W_m2", "heating.radiated_W_m2", "heating.absorbed_W_m2",
+                                       "limit.surface_margin_K", "surface_K"))
+        )  # fmt: skip
+    assert brought > absorbed > 0.0
+    assert radiated == pytest.approx(0.9 * 5.670374419e-8 * surface**4, rel=0.2)
+    assert brought == pytest.approx(radiated + absorbed, rel=1e-12)
+    assert margin == pytest.approx(load_vehicle("orbiter").control_point("NOSECAP").limits.surface_K - surface)
+
+
+def test_host_may_bring_its_own_reference_heating(vehicle, flown, tmp_path):
+    export_heating(vehicle, tmp_path / "columns.fmu", POINTS, columns=True)
+    given = frames(flown, 1.0, 300.0)
+    columns = {name: np.array([f[name] for f in given]) for name in FRAME}
+    own = flown.at(columns["time_s"])
+    point = conditions_at_point(vehicle, vehicle.control_point("NOSECAP"), own)
+    more = [{**f, "h_ref_kg_m2_s": float(point["h_ref_kg_m2_s"][i]), "H_r_J_kg": float(point["H_r_J_kg"][i])}
+            for i, f in enumerate(given)]  # fmt: skip
+    with Host(tmp_path / "columns.fmu") as host:
+        np.testing.assert_allclose(fmu_temperatures(host, more), plugin_temperatures(vehicle, given), rtol=1e-12)
+
+
+# Which value holds when ----------------------------------------------------------------------------------------------
+
+
+def test_held_input_is_late_by_half_a_step_and_an_interpolated_one_is_not(fmus, flown, tmp_path):
+    host = compile_host(tmp_path)
+    end = float(flown.time_s[0]) + 400.0
+
+    def apart(timing: str, step_s: float) -> float:
+        exact = run_host(host, fmus[3], "reached", frames(flown, 0.25, end), SURFACES)[:: round(step_s / 0.25)]
+        found = run_host(host, fmus[3], timing, frames(flown, step_s, end), SURFACES)
+        return float(np.max(np.abs(found - exact[: len(found)])))
+
+    held = [apart("held", 1.0), apart("held", 2.0)]
+    assert held[1] / held[0] == pytest.approx(2.0, rel=0.2)  # first order in the step
+    assert apart("updated", 1.0) < 0.1 * held[0]
+
+
+def test_input_derivatives_of_fmi_2_interpolate(fmus, vehicle, flown):
+    given = frames(flown, 1.0, 300.0)
+    inputs = [n for n in FRAME if n != "time_s"]
+    with Host(fmus[2], timing="held") as host:
+        host.start(given[0])
+        for now, then in pairwise(given):
+            host.set({n: now[n] for n in inputs})
+            refs = [host.refs[n] for n in inputs]
+            host.fmu.setRealInputDerivatives(refs, [1] * len(refs), [then[n] - now[n] for n in inputs])
+            host.fmu.doStep(now["time_s"], 1.0)
+        np.testing.assert_allclose(host.get(*SURFACES), plugin_temperatures(vehicle, given)[-1], atol=1e-6)
+
+
+# States, instances, errors -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_state_goes_back_and_through_bytes_to_another_instance(fmus, flown, fmi):
+    given = frames(flown, 1.0, 320.0)
+    with Host(fmus[fmi]) as host, Host(fmus[fmi]) as other:
+        fmu_temperatures(host, given[:250])
+        state = host.fmu.getFMUState() if fmi == 3 else host.fmu.getFMUstate()
+        size = (host.fmu.serializedFMUStateSize if fmi == 3 else host.fmu.serializedFMUstateSize)(state)
+        data = (host.fmu.serializeFMUState if fmi == 3 else host.fmu.serializeFMUstate)(state, size)
+        runs = []
+        for _ in range(2):
+            host.time = given[249]["time_s"]
+            for frame in given[250:]:
+                host.step(frame)
+            runs.append(host.get(*SURFACES))
+            (host.fmu.setFMUState if fmi == 3 else host.fmu.setFMUstate)(state)
+        np.testing.assert_array_equal(*runs)
+        copy = (other.fmu.deserializeFMUState if fmi == 3 else other.fmu.deSerializeFMUstate)(data, size)
+        (other.fmu.setFMUState if fmi == 3 else other.fmu.setFMUstate)(copy)
+        other.time = given[249]["time_s"]
+        for frame in given[250:]:
+            other.step(frame)
+        np.testing.assert_array_equal(other.get(*SURFACES), runs[0])
+        (other.fmu.freeFMUState if fmi == 3 else other.fmu.freeFMUstate)(copy)
+        (host.fmu.freeFMUState if fmi == 3 else host.fmu.freeFMUstate)(state)
+
+
+def test_damaged_state_is_refused_with_a_message(fmus, flown):
+    with Host(fmus[3]) as host:
+        host.start(frames(flown, 1.0, 1.0)[0])
+        state = host.fmu.getFMUState()
+        size = host.fmu.serializedFMUStateSize(state)
+        data = bytearray(host.fmu.serializeFMUState(state, size))
+        data[size // 2] ^= 1
+        with pytest.raises(FMICallException):
+            host.fmu.deserializeFMUState(bytes(data), size)
+        host.fmu.freeFMUState(state)
+        assert "is damaged, or of another model" in host.messages[-1]
+
+
+def test_instances_in_threads_do_not_disturb_each_other(fmus, flown):
+    given = frames(flown, 1.0, 400.0)
+    scales = [0.0, 0.1, -0.1, 0.2]
+    hosts = [Host(fmus[3], {"NOSECAP.ratio.scale": scale}) for scale in scales]
+    found: dict[int, np.ndarray] = {}
+
+    def fly(i: int) -> None:
+        found[i] = fmu_temperatures(hosts[i], given)
+
+    threads = [threading.Thread(target=fly, args=(i,)) for i in range(len(hosts))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for i, scale in enumerate(scales):
+        hosts[i].close()
+        with Host(fmus[3], {"NOSECAP.ratio.scale": scale}) as alone:
+            np.testing.assert_array_equal(found[i], fmu_temperatures(alone, given))
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"rho_kg_m3": np.nan}, "rho_kg_m3 cannot be nan"),
+        ({"velocity_m_s": 24_000.0}, "velocity_m_s is 24000; is not a speed in m/s"),
+        ({"NOSECAP.stack.rsi.conductivity_factor": -1.0}, "cannot be -1; it must be from 0.001 to 10"),
+    ],
+)
+def test_value_that_cannot_be_is_an_error_with_a_message_and_reset_makes_good(fmus, flown, fmi, given, told):
+    first, then = frames(flown, 1.0, 1.5)[:2]
+    with Host(fmus[fmi]) as host:
+        host.start(first)
+        with pytest.raises(FMICallException):
+            host.step(then | given)
+        assert told in host.messages[-1]
+        with pytest.raises(FMICallException):
+            host.step(then)
+        assert "not after an error" in host.messages[-1]
+        host.fmu.reset()
+        host.start(first)
+        host.step(then)
+
+
+def test_steps_that_are_none_are_refused(fmus, flown):
+    first = frames(flown, 1.0, 1.5)[0]
+    t = first["time_s"]
+    for time, length, told in (
+        (t + 5.0, 1.0, "the step begins at"), (t, 0.0, "must be above 0"), (t, 601.0, "longer than 600 s")
+    ):  # fmt: skip
+        with Host(fmus[3]) as host:
+            host.start(first)
+            with pytest.raises(FMICallException):
+                host.fmu.doStep(currentCommunicationPoint=time, communicationStepSize=length)
+            assert told in host.messages[-1]
+
+
+# Tables and effects --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def revised(tmp_path) -> Path:
+    """The vehicle with a hotter nose cap, as a revision of its table."""
+    folder = tmp_path / "orbiter"
+    shutil.copytree(ROOT / "aircraft_data" / "orbiter", folder)
+    path = folder / "ratio_tables" / "NOSECAP.csv"
+    table = read_ratio_table(path)
+    write_ratio_table(path, type(table)(table.axes, 1.2 * table.ratio, table.sigma, table.header))
+    return folder
+
+
+def test_revised_table_appears_in_a_re_export_by_path_and_as_an_array(fmus, flown, revised, tmp_path):
+    given = frames(flown, 1.0, 400.0)
+    export_heating(load_vehicle(revised), tmp_path / "revised.fmu", POINTS)
+    with Host(tmp_path / "revised.fmu") as host:
+        exported = fmu_temperatures(host, given)
+    with Host(fmus[3]) as host:
+        host.fmu.setString([host.refs["NOSECAP.ratio_table.file"]], [str(revised / "ratio_tables" / "NOSECAP.csv")])
+        by_path = fmu_temperatures(host, given)
+    with Host(fmus[3]) as host:
+        table = read_ratio_table(revised / "ratio_tables" / "NOSECAP.csv")
+        host.fmu.setFloat64([host.refs["NOSECAP.ratio_table.ratio"]], table.ratio.ravel().tolist())
+        as_array = fmu_temperatures(host, given)
+    with Host(fmus[3]) as host:
+        declared = fmu_temperatures(host, given)
+    np.testing.assert_array_equal(by_path, exported)
+    np.testing.assert_array_equal(as_array, exported)
+    assert np.max(exported[:, 1] - declared[:, 1]) > 10.0  # K
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (
+            lambda t: t.replace("reference: fay-riddell", "reference: sutton-graves"),
+            "these ratios|is over sutton-graves",
+        ),
+        (lambda t: t.replace("ratio", "rato"), "unknown column rato"),
+        (lambda t: "\n".join(t.splitlines()[:-1]), "do not fill the grid"),
+        (lambda t: re.sub(r",[^,]*,([^,]*)$", r",nan,\1", t, count=1, flags=re.M), "cannot be|unknown column"),
+    ],
+)
+def test_damaged_table_is_refused_with_its_path(fmus, tmp_path, change, told):
+    path = tmp_path / "table.csv"
+    path.write_text(change((ROOT / "aircraft_data/orbiter/ratio_tables/NOSECAP.csv").read_text()))
+    with Host(fmus[3]) as host:
+        with pytest.raises(FMICallException):
+            host.fmu.setString([host.refs["NOSECAP.ratio_table.file"]], [str(path)])
+        assert re.search(told, host.messages[-1])
+        assert "table.csv" in host.messages[-1]
+
+
+OWN_EFFECT = """
+from sim_heating.effects import Effect
+from sim_heating.jit import njit
+from sim_heating.layout import MACH
+from sim_heating.parameters import Parameter
+
+@njit
+def growth(B, c, p, wall_K):
+    return 1.0 + B[p] * B[c + MACH]
+
+EFFECT = Effect("mach-growth", "multiply", (Parameter("slope", "1", 0.01, 0.01, -1.0, 1.0, "a Mach number"),), growth)
+"""
+
+
+def test_effect_of_the_users_own_is_compiled_in(vehicle, flown, tmp_path, monkeypatch):
+    (tmp_path / "effects").mkdir()
+    (tmp_path / "effects" / "mach_growth.py").write_text(OWN_EFFECT)
+    monkeypatch.setenv("SIM_HEATING_EFFECTS", str(tmp_path / "effects"))
+    folder = tmp_path / "orbiter"
+    shutil.copytree(ROOT / "aircraft_data" / "orbiter", folder)
+    for name in POINTS:
+        with (folder / "control_points" / f"{name}.toml").open("a") as file:
+            file.write('\n[[effect]]\nname = "mach-growth"\nsource = "test"\n')
+    own = load_vehicle(folder)
+    export_heating(own, tmp_path / "own.fmu", POINTS)
+    given = frames(flown, 1.0, 400.0)
+    with Host(tmp_path / "own.fmu") as host:
+        np.testing.assert_array_equal(fmu_temperatures(host, given), plugin_temperatures(own, given))
+        assert host.get("NOSECAP.effect.'mach-growth'.slope")[0] == 0.01
+
+
+# The library ---------------------------------------------------------------------------------------------------------
+
+
+def test_library_needs_libc_and_libm_alone(fmus, tmp_path):
+    with Host(fmus[3]) as host:
+        binary = next(Path(host.folder).glob("binaries/x86_64-linux/*.so"))
+        needed = subprocess.run(["objdump", "-p", binary], capture_output=True, text=True, check=True).stdout
+        undefined = subprocess.run(["nm", "-Du", binary], capture_output=True, text=True, check=True).stdout
+    assert set(re.findall(r"NEEDED\s+(\S+)", needed)) <= {"libm.so.6", "libc.so.6"}
+    names = {re.split(r"@", line.split()[-1])[0] for line in undefined.splitlines()}
+    maths = {"cos", "exp", "log10", "log", "pow", "sin", "ceil", "floor"}
+    memory = {"malloc", "calloc", "realloc", "free", "memcpy", "memset", "memcmp", "bsearch", "qsort"}
+    text = {"snprintf", "vsnprintf", "strlen", "strcmp", "strncmp", "strncpy", "strchr", "strspn", "strcspn"}
+    text |= {"strtod_l", "newlocale", "freelocale"}
+    files = {"fopen", "fclose", "fread", "fseek", "ftell"}
+    loader = {"__cxa_finalize", "__gmon_start__", "_ITM_deregisterTMCloneTable", "_ITM_registerTMCloneTable",
+              "__stack_chk_fail"}  # fmt: skip
+    assert names <= maths | memory | text | files | loader
+    versions = {tuple(map(int, v.split("."))) for v in re.findall(r"GLIBC_([\d.]+)", undefined)}
+    assert max(versions) <= (2, 29)  # exp and pow
+
+
+def test_kernel_that_allocates_is_refused():
+    import numba
+
+    from sim_heating.errors import RunError
+    from sim_heating.fmu.library import TARGETS, Function, object_code
+
+    @numba.cfunc(numba.types.float64(numba.types.int64), error_model="numpy")
+    def greedy(n):
+        return np.zeros(n).sum()
+
+    with pytest.raises(RunError, match="greedy: needs NRT_"):
+        object_code(Function("greedy", greedy), TARGETS["linux"], "x86-64", "greedy_0")
+
+
+# The command ---------------------------------------------------------------------------------------------------------
+
+
+def test_command_writes_an_fmu_and_tells_of_it(tmp_path, capsys):
+    out = tmp_path / "deep" / "x.fmu"
+    assert main(["fmu", "export", "orbiter", "--out", str(out), "--control-points", "NOSECAP", "--fmi", "2"]) == 0
+    assert "FMI 2.0, 1 control points" in capsys.readouterr().out
+    assert validate_fmu(out) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["orbitr", "--out", "x.fmu"], "orbiter"),
+        (["orbiter", "--out", "x.zip"], "ends in .fmu"),
+        (["orbiter", "--out", "x.fmu", "--control-points", "NOSECUP"], "NOSECAP"),
+        (["orbiter", "--out", "x.fmu", "--platforms", "amiga"], "there is no platform `amiga`"),
+        (["orbiter", "--out", "x.fmu", "--fmi", "2", "--platforms", "linux-arm64"], "export for FMI 3"),
+    ],
+)
+def test_command_refuses_in_one_line(arguments, told, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["fmu", "export", *arguments]) == 2
+    error = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error")]
+    assert len(error) == 1
+    assert told in error[0]
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_compiler_is_told_with_what_to_install(monkeypatch):
+    from sim_heating.fmu.library import TARGETS, compiler
+
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.setitem(__import__("sys").modules, "ziglang", None)
+    with pytest.raises(InputError, match=r"pip install 'sim-heating\[fmu\]'"):
+        compiler(TARGETS["linux"])
