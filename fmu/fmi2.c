@@ -8,9 +8,16 @@
 
 #define REFUSED(c, name) return (fmi2Status)refuse(c, name, "is not offered by this FMU")
 
+/* The message is the format itself, for hosts that print it as it is. */
 static void tell(Instance *m, Status status, const char *category, const char *message) {
     fmi2CallbackLogger logger = (fmi2CallbackLogger)m->log;
-    if (logger && (m->logging || status == ERROR)) logger(m->environment, m->name, (fmi2Status)status, category, "%s", message);
+    char format[2048], *at = format;
+    for (; *message && at < format + sizeof format - 2; message++) {
+        if (*message == '%') *at++ = '%';
+        *at++ = *message;
+    }
+    *at = 0;
+    if (logger && (m->logging || status == ERROR)) logger(m->environment, m->name, (fmi2Status)status, category, format);
 }
 
 const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }

@@ -78,6 +78,24 @@ class Host:
         self.fmu.doStep(currentCommunicationPoint=self.time, communicationStepSize=length)
         self.time += length
 
+    def save(self) -> Any:
+        """The state of the instance."""
+        return self.fmu.getFMUState() if self.three else self.fmu.getFMUstate()
+
+    def restore(self, state: Any, time: float) -> None:
+        """Go back to a state, which was taken at a time."""
+        (self.fmu.setFMUState if self.three else self.fmu.setFMUstate)(state)
+        self.time = time
+
+    def drop(self, state: Any) -> None:
+        (self.fmu.freeFMUState if self.three else self.fmu.freeFMUstate)(state)
+
+    def to_bytes(self, state: Any) -> bytes:
+        return (self.fmu.serializeFMUState if self.three else self.fmu.serializeFMUstate)(state)
+
+    def from_bytes(self, data: bytes) -> Any:
+        return (self.fmu.deserializeFMUState if self.three else self.fmu.deSerializeFMUstate)(data)
+
     def close(self) -> None:
         self.fmu.freeInstance()
         shutil.rmtree(self.folder)
