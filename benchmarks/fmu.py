@@ -51,6 +51,9 @@ class Heating(Fmi2Slave):
             get = lambda k=k: float(self.plugin.surface_temperatures()[k])
             self.register_variable(Real(f"{{name}}.surface_K", causality=Fmi2Causality.output, getter=get))
 
+    def setup_experiment(self, start_time, *more):
+        self.frame[0] = start_time
+
     def exit_initialization_mode(self):
         self.plugin.reset(self.frame.copy())
 
@@ -196,10 +199,10 @@ def _timing(vehicle: Vehicle, host: Path, work: Path) -> dict[str, dict[str, flo
     export_heating(vehicle, work / "inputs.fmu", names)
     zipfile.ZipFile(work / "inputs.fmu").extractall(work / "inputs")
     outputs = [f"{n}.surface_K" for n in names]
-    finest, span = 0.05, 400.0
+    finest, span = 0.05, 900.0
 
     def flown(timing: str, step_s: float) -> np.ndarray:
-        frames = _frames(step_s, round(span / step_s))
+        frames = _frames(step_s, round(span / step_s), 0.0)
         return _in_host(host, work / "inputs", _write(work / "inputs.csv", frames), timing, outputs)[0]
 
     exact = flown("reached", finest)
@@ -221,7 +224,7 @@ def _linking(vehicle: Vehicle) -> Figure:
     model = heating_image(vehicle, ["NOSECAP"])
     began = time.perf_counter()
     library(heating_functions(model.effects), TARGETS["linux"], more=str(time.time()))
-    return Figure("making the library, kernels compiled before", time.perf_counter() - began, "s", 20.0)
+    return Figure("making the library, once; kernels compiled before", time.perf_counter() - began, "s")
 
 
 def compile_fuzz(vehicle: Vehicle, work: Path) -> list[str]:

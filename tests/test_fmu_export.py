@@ -441,3 +441,28 @@ def test_random_legal_and_illegal_calls_neither_crash_nor_leak(vehicle, tmp_path
     done = subprocess.run([program, *arguments], capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     assert int(done.stdout.split()[-1]) > 50  # steps that ended well: the fuzzer gets that far
+
+
+def test_runs_in_libcosim_with_the_same_bits(fmus, vehicle):
+    """A host that is none of ours: the Open Simulation Platform's, with the FMI Library below."""
+    pytest.importorskip("libcosimpy")
+    from libcosimpy.CosimExecution import CosimExecution
+    from libcosimpy.CosimManipulator import CosimManipulator
+    from libcosimpy.CosimObserver import CosimObserver
+    from libcosimpy.CosimSlave import CosimLocalSlave
+
+    inputs = {name: 0.0 for name in FRAME if name != "time_s"}
+    inputs |= {"altitude_m": 70e3, "velocity_m_s": 6500.0, "alpha_deg": 40.0, "rho_kg_m3": 8e-5}
+    with Host(fmus[2]) as named:
+        refs = named.refs
+    execution = CosimExecution.from_step_size(step_size=0.5e9)  # ns
+    slave = execution.add_local_slave(CosimLocalSlave(fmu_path=str(fmus[2]), instance_name="heating"))
+    manipulator, observer = CosimManipulator.create_override(), CosimObserver.create_last_value()
+    execution.add_manipulator(manipulator)
+    execution.add_observer(observer)
+    manipulator.slave_real_values(slave, [refs[n] for n in inputs], list(inputs.values()))
+    for _ in range(101):
+        execution.step()
+    found = observer.last_real_values(slave, [refs[n] for n in SURFACES])
+    given = [{"time_s": 0.5 * i, **inputs} for i in range(102)]
+    np.testing.assert_array_equal(found, plugin_temperatures(vehicle, given)[-1])
