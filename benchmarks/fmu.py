@@ -42,7 +42,7 @@ class Heating(Fmi2Slave):
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
         vehicle = load_vehicle("orbiter")
-        self.plugin = HeatingPlugin(vehicle, list(vehicle.control_points)[:{points}], nodes={nodes})
+        self.plugin = HeatingPlugin(vehicle, list(vehicle.control_points)[:{points}], nodes={nodes}, longest_wait_s=0.0)
         self.frame = np.zeros(len(FRAME))
         for i, name in enumerate(FRAME[1:], start=1):
             get, put = (lambda i=i: self.frame[i]), (lambda v, i=i: self.frame.__setitem__(i, v))

@@ -159,7 +159,7 @@ def watch_frame(host: FloatArray, shown: FloatArray, frame: FloatArray) -> int:
 
 
 @njit
-def _derive_conditions(
+def derive_conditions(
     frame: FloatArray, host: FloatArray, points: FloatArray, lanes: IntArray, then: FloatArray
 ) -> None:
     """Condition vectors of all lanes (lane, condition) from one frame of the host.
@@ -218,7 +218,7 @@ def _heat_to(
     """One thermal step, or several of LONGEST_STEP, from the frame that the model is at to another."""
     dt = frame[F_TIME] - host[HEATED + F_TIME]
     steps = max(math.ceil(dt / host[LONGEST_STEP] - 1e-9), 1)
-    _derive_conditions(frame, host, points, lanes, then)
+    derive_conditions(frame, host, points, lanes, then)
     advance_groups(state, ints, table, chain, advance, groups, then, dt, steps)
     error = _fit_parabola(state, places, shown, dt, dt / steps)
     longer = math.pow(GOAL * PUBLISHED_K / max(error, 1e-9), 1.0 / 3.0)
@@ -241,7 +241,7 @@ def heat_points(
     places  : (temperature,) places in the state of what `shown` holds
     """
     if outcome == NO_START:
-        _derive_conditions(frame, host, points, lanes, then)
+        derive_conditions(frame, host, points, lanes, then)
         begin_groups(state, ints, table, chain, begin, groups, then)
         host[STARTED] = 1.0
         for i in range(len(frame)):

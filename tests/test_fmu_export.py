@@ -65,7 +65,7 @@ def frames(flown: Conditions, step_s: float, end_s: float = np.inf) -> list[Fram
 
 def plugin_temperatures(vehicle: Vehicle, given: list[Frame], **more) -> np.ndarray:
     """(time, point) of the simulator's own plug-in, one thermal step a frame."""
-    plugin = HeatingPlugin(vehicle, POINTS, **more)
+    plugin = HeatingPlugin(vehicle, POINTS, longest_wait_s=0.0, **more)
     plugin.reset(given[0])
     found = [plugin.surface_temperatures()]
     for frame in given[1:]:

@@ -24,7 +24,6 @@ CAUSALITY = {
     Role.TUNABLE: ("parameter", "tunable"), Role.FIXED: ("parameter", "fixed"),
     Role.OUTPUT: ("output", "continuous"), Role.CONSTANT: ("local", "fixed"),
 }  # fmt: skip
-CAN = ("canGetAndSetFMUState", "canSerializeFMUState")
 CATEGORIES = (("logStatusError", "why a call was refused"),)
 
 
@@ -98,7 +97,7 @@ def _fmi3(image: Image, token: str) -> bytes:
     root = _root(image, token, "3.0", "instantiationToken")
     ET.SubElement(
         root, "CoSimulation", modelIdentifier=image.name, canHandleVariableCommunicationStepSize="true",
-        providesIntermediateUpdate="true", **dict.fromkeys(CAN, "true"),
+        canGetAndSetFMUState="true", canSerializeFMUState="true", providesIntermediateUpdate="true",
     )  # fmt: skip
     _units(root, image, 3)
     types = ET.SubElement(root, "TypeDefinitions")

@@ -8,6 +8,7 @@ import io
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from sim_heating.effects import Effect
 from sim_heating.errors import InputError
@@ -46,8 +47,8 @@ def export_heating(
 
 def _sources_of(used: Sequence[Effect]) -> str:
     """Contents of the files that the user's own effects come from."""
-    own = [e for e in used if not built_in(e)]
-    return "".join(Path(inspect.getfile(getattr(e.kernel, "py_func", e.kernel))).read_text() for e in own)
+    kernels: list[Any] = [e.kernel for e in used if not built_in(e)]
+    return "".join(Path(inspect.getfile(getattr(f, "py_func", f))).read_text() for f in kernels)
 
 
 def write_fmu(

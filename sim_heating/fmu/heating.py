@@ -139,7 +139,8 @@ def built_in(effect: Effect) -> bool:
 
 @cache
 def _entries() -> tuple[Any, Any]:
-    return tuple(numba.cfunc(FUNCTION, cache=True, error_model="numpy")(f) for f in (k.start, k.step))
+    compile_as = numba.cfunc(FUNCTION, cache=True, error_model="numpy")
+    return compile_as(k.start), compile_as(k.step)
 
 
 def heating_functions(model_effects: tuple[Effect, ...]) -> list[Function]:

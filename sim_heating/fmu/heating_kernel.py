@@ -42,7 +42,7 @@ from sim_heating.layout import (
     T,
 )
 from sim_heating.march import BLOCK_END, BLOCK_START, INTS_END, INTS_START, advance_groups, begin_groups
-from sim_heating.plugin import CODE, F_TIME, PRESSURE_WIDTH, _derive_conditions
+from sim_heating.plugin_kernel import CODE, F_TIME, PRESSURE_WIDTH, derive_conditions
 from sim_heating.reference_heating.models import COLUMNS
 from sim_heating.sensors import indicated
 from sim_heating.surface_heating import emittance_factor
@@ -125,7 +125,7 @@ def _derive(R, N, inputs, time: float) -> None:  # type: ignore[no-untyped-def]
     vectors = carray(at(R, N[VECTORS]), (n, N_CONDITIONS))
     points = carray(at(R, N[PRESSURES]), (N[N_POINTS], PRESSURE_WIDTH + 1))
     host = carray(at(R, N[HOST]), HOST_WIDTH)
-    _derive_conditions(frame, host, points, carray(at(N, N[LANE_POINTS]), n), vectors)
+    derive_conditions(frame, host, points, carray(at(N, N[LANE_POINTS]), n), vectors)
     for i in range(n):
         vectors[i, Q_ADD] = inputs[F_Q_ADD - 1]
         if host[CODE] == COLUMNS:

@@ -13,6 +13,8 @@ with A the addresses of further compiled functions that they call. An outcome is
 
 from __future__ import annotations
 
+from typing import Any
+
 import numba.extending
 from numba import types
 
@@ -41,10 +43,13 @@ FUNCTION = types.int64(types.CPointer(types.float64), types.CPointer(types.int64
 
 
 @numba.extending.intrinsic
-def at(_typing_context, pointer, first):  # type: ignore[no-untyped-def]
-    """The pointer to a later number of an array."""
+def _at(_typing_context, pointer, first):  # type: ignore[no-untyped-def]
 
     def codegen(_context, builder, _signature, args):  # type: ignore[no-untyped-def]
         return builder.gep(args[0], [args[1]])
 
     return pointer(pointer, types.int64), codegen
+
+
+at: Any = _at
+"""at(pointer, first): the pointer to a later number of an array."""
