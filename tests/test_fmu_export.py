@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+import sys
 import threading
 from itertools import pairwise
 from pathlib import Path
@@ -425,22 +426,62 @@ def test_no_compiler_is_told_with_what_to_install(monkeypatch):
     from sim_heating.fmu.library import compiler
 
     monkeypatch.setenv("PATH", "")
-    monkeypatch.setitem(__import__("sys").modules, "ziglang", None)
+    monkeypatch.setitem(sys.modules, "ziglang", None)
     with pytest.raises(InputError, match=r"pip install 'sim-heating\[fmu\]'"):
         compiler(TARGETS["linux"])
 
 
-def test_random_legal_and_illegal_calls_neither_crash_nor_leak(vehicle, tmp_path):
+@pytest.fixture(scope="module")
+def linked(vehicle, tmp_path_factory) -> tuple[Path, list[Path], int]:
+    """A folder with an image of two points, what its library is linked from, and the number of its variables."""
+    folder = tmp_path_factory.mktemp("linked")
+    model = heating_image(vehicle, ["NOSECAP", "V09T9527"])
+    (folder / "model.bin").write_bytes(model.image.binary("{token}"))
+    made = parts(heating_functions(model.effects), TARGETS["linux"], folder)
+    return folder, made, len(model.image.variables)
+
+
+def test_random_legal_and_illegal_calls_neither_crash_nor_leak(linked):
     """A short run of the benchmark's fuzzing, with address and undefined-behaviour sanitizers."""
-    image = heating_image(vehicle, ["NOSECAP", "V09T9527"])
-    (tmp_path / "model.bin").write_bytes(image.image.binary("{fuzzed}"))
-    program, made = tmp_path / "fuzz", parts(heating_functions(image.effects), TARGETS["linux"], tmp_path)
+    folder, made, variables = linked
     flags = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined", f"-I{SOURCES}"]
+    program = folder / "fuzz"
     subprocess.run(["gcc", *flags, "-o", program, *made, SOURCES / "host" / "fuzz.c", "-lm"], check=True)
-    arguments = [tmp_path, "{fuzzed}", str(len(image.image.variables)), "1", "3000"]
+    arguments = [folder, "{token}", str(variables), "1", "3000"]
     done = subprocess.run([program, *arguments], capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     assert int(done.stdout.split()[-1]) > 50  # steps that ended well: the fuzzer gets that far
+
+
+def test_a_step_allocates_nothing(linked):
+    folder, made, _ = linked
+    program, source = folder / "allocation", Path(__file__).with_name("fmu_allocation.c")
+    wrapped = "-Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc"
+    subprocess.run(["gcc", "-O1", f"-I{SOURCES}", wrapped, "-o", program, *made, source, "-lm"], check=True)
+    done = subprocess.run([program, folder, "{token}"], capture_output=True, text=True, check=True)
+    told = dict(line.split() for line in done.stdout.splitlines())
+    assert int(told["before"]) > 0  # the counter counts
+    assert int(told["during"]) == 0
+
+
+def wine() -> str | None:
+    return shutil.which("wine64") or shutil.which("wine") or shutil.which("/usr/lib/wine/wine64")
+
+
+@pytest.mark.skipif(wine() is None, reason="needs Wine")
+def test_windows_library_agrees_under_wine(vehicle, flown, tmp_path):
+    """To 1e-9 K, not to the bit: exp, pow, log10, sin and cos are the host system's."""
+    pytest.importorskip("ziglang")
+    given = frames(flown, 1.0, 200.0)
+    fmu = tmp_path / "windows.fmu"
+    export_heating(vehicle, fmu, POINTS, platforms=["windows"])
+    command = [sys.executable, "-m", "ziglang", "cc", "-target", "x86_64-windows-gnu", "-O2", f"-I{SOURCES}"]
+    subprocess.run([*command, "-o", tmp_path / "host.exe", SOURCES / "host" / "host.c"], check=True)
+    runner = tmp_path / "host"
+    runner.write_text(f'#!/bin/sh\nWINEDEBUG=-all WINEPREFIX={tmp_path}/wine exec {wine()} {tmp_path}/host.exe "$@"\n')
+    runner.chmod(0o755)
+    found = run_host(runner, fmu, "reached", given, SURFACES)
+    np.testing.assert_allclose(found, plugin_temperatures(vehicle, given), rtol=0.0, atol=1e-9)
 
 
 def test_runs_in_libcosim_with_the_same_bits(fmus, vehicle):
