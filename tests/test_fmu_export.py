@@ -21,7 +21,7 @@ from sim_heating.conditions import FRAME, Conditions
 from sim_heating.errors import InputError
 from sim_heating.fmu.export import export_heating
 from sim_heating.fmu.heating import heating_functions, heating_image
-from sim_heating.fmu.library import TARGETS, parts
+from sim_heating.fmu.library import TARGETS, Function, compiler, object_code, parts
 from sim_heating.heating_ratio.table import read_ratio_table, write_ratio_table
 from sim_heating.plugin import HeatingPlugin
 from sim_heating.points import conditions_at_point
@@ -383,7 +383,6 @@ def test_kernel_that_allocates_is_refused():
     import numba
 
     from sim_heating.errors import RunError
-    from sim_heating.fmu.library import Function, object_code
 
     @numba.cfunc(numba.types.float64(numba.types.int64), error_model="numpy")
     def greedy(n):
@@ -422,11 +421,10 @@ def test_command_refuses_in_one_line(arguments, told, capsys, tmp_path, monkeypa
     assert not list(tmp_path.iterdir())
 
 
-def test_no_compiler_is_told_with_what_to_install(monkeypatch):
-    from sim_heating.fmu.library import compiler
-
+def test_no_compiler_is_needed_once_the_library_is_there_and_told_of_where_it_is(fmus, vehicle, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", "")
     monkeypatch.setitem(sys.modules, "ziglang", None)
+    export_heating(vehicle, tmp_path / "other.fmu", ["V07T9975"])
     with pytest.raises(InputError, match=r"pip install 'sim-heating\[fmu\]'"):
         compiler(TARGETS["linux"])
 

@@ -204,10 +204,10 @@ def _table_of_functions(functions: Sequence[Function], target: Target) -> str:
     return "\n".join(lines)
 
 
-def _digest(functions: Sequence[Function], target: Target, command: Sequence[str], more: str) -> str:
+def _digest(functions: Sequence[Function], target: Target, more: str) -> str:
     """Digest of all that a library is made of."""
     digest = hashlib.sha256()
-    for part in (source_digest(), numba.__version__, llvmlite.__version__, repr(target), repr(command), more):
+    for part in (source_digest(), numba.__version__, llvmlite.__version__, repr(target), more):
         digest.update(part.encode())
     digest.update(" ".join(f.name for f in functions).encode())
     for path in (*sorted(sources().glob("*.[ch]")), Path(inspect.getfile(object_code))):
@@ -222,11 +222,11 @@ def library(functions: Sequence[Function], target: Target, *, more: str = "") ->
     more      : what the functions depend on beside the package's own sources
     raises    : InputError where there is no compiler, RunError where a function cannot be made or linked
     """
-    command = compiler(target)
-    folder = Path(numba.config.CACHE_DIR) / "fmu" / _digest(functions, target, command, more)  # type: ignore[attr-defined]
+    folder = Path(numba.config.CACHE_DIR) / "fmu" / _digest(functions, target, more)  # type: ignore[attr-defined]
     made = folder / f"model{target.suffix}"
     if made.is_file():
         return made
+    command = compiler(target)
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder) as work:
         partial = Path(work) / made.name
