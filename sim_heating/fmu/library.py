@@ -38,7 +38,7 @@ ALLOWED = {
 """Functions of libm and libc that a kernel may call."""
 INTRINSICS = {
     "abs", "assume", "copysign", "ctpop", "experimental", "fabs", "fshl", "lifetime", "maxnum", "minnum", "smax",
-    "smin", "trunc", "umax", "umin", "vector",
+    "smin", "trunc", "uadd", "umax", "umin", "umul", "usub", "vector",
 }  # fmt: skip
 """Intrinsics `llvm.NAME` that become instructions; those of allowed functions are allowed as well."""
 
