@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from sim_heating.errors import InputError, RunError
 from sim_heating.fmu.entry import CHANNELS, TRIGGERS, export_entry
 from sim_heating.fmu.export import export_heating
 from sim_heating.plugin import HeatingPlugin
+from sim_heating.run import run_scenario
 from sim_heating.scenario import load_scenario
 from sim_heating.trajectory import entry3dof, fmu
 from sim_heating.trajectory.flight import Flight
@@ -161,3 +163,16 @@ def test_trajectory_and_heating_fmu_together_are_the_plug_in_beside_the_entry(
     entry3dof.fly(spec, ORBITER, on_frame=beside)
     assert max(surface) > 800.0
     assert [row["V09T9527.surface_K"] for row in rows] == surface
+
+
+def test_the_example_heats_a_control_point_as_the_built_in_scenario_does(
+    entry: dict[int, Path], tmp_path: Path
+) -> None:
+    shutil.copy(ROOT / "examples" / "entry_fmu.toml", tmp_path)
+    shutil.copy(entry[3], tmp_path / "entry.fmu")
+    flown = run_scenario(load_scenario(tmp_path / "entry_fmu.toml"))
+    own = load_scenario(ROOT / "scenarios" / "entry_3dof.toml")
+    expected = run_scenario(replace(own, names=("V09T9527",)))
+    assert flown.flight.conditions.time_s[-1] > 1500.0
+    surfaces = [r.points["V09T9527"].history.surface_K for r in (flown, expected)]
+    assert np.array_equal(*surfaces)
