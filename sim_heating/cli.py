@@ -519,6 +519,28 @@ def export(vehicle: str, out: Path, points: str | None, fmi: str, platforms: str
     CONSOLE.print(f"Wrote {out}: {told}", highlight=False, soft_wrap=True)
 
 
+@fmu.command("trajectory")
+@click.argument("scenario", type=PATH)
+@click.option("--out", required=True, type=PATH, help="the FMU, a file that ends in .fmu")
+@click.option("--fmi", type=click.Choice(["2", "3"]), default="3", show_default=True, help="version of the standard")
+@click.option("--platforms", default="linux", show_default=True, help="comma between; others than linux need ziglang")
+def trajectory(scenario: Path, out: Path, fmi: str, platforms: str) -> None:
+    """The built-in 3-DOF entry of a scenario as a co-simulation FMU."""
+    from sim_heating.fmu.entry import export_entry
+    from sim_heating.scenario import load_scenario
+
+    if out.suffix != ".fmu":
+        raise InputError(f"--out {out}: name a file that ends in .fmu")
+    loaded = load_scenario(scenario)
+    where = tuple(name.strip() for name in platforms.split(","))
+    with _progress("fmu trajectory") as progress:
+        progress(0.1, "compiling, where that has not been done before")
+        spec, vehicle = loaded.declared.trajectory, loaded.vehicle.directory
+        image = export_entry(spec, vehicle, out, title=loaded.title, fmi=int(fmi), platforms=where)
+    told = f"FMI {fmi}.0, {len(image.variables)} variables, {', '.join(where)}, {out.stat().st_size / 1e6:.2f} MB"
+    CONSOLE.print(f"Wrote {out}: {told}", highlight=False, soft_wrap=True)
+
+
 def _stop(*_: object) -> None:
     raise KeyboardInterrupt
 

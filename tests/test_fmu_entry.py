@@ -110,6 +110,13 @@ def test_a_longer_communication_step_is_divided_into_frames(entry: dict[int, Pat
     assert np.array_equal(flown["altitude_m"], built_in.conditions["altitude_m"][:301])
 
 
+def test_a_stop_between_two_steps_is_passed_by_the_last_one(entry: dict[int, Path]) -> None:
+    frames: list[float] = []
+    table = {"source": "fmu", "file": str(entry[3]), "rate_hz": 4.0, "stop": {"time_s": 20.1}}
+    fmu.fly(TrajectorySpec.model_validate(table), ORBITER, on_frame=lambda row: frames.append(float(row[0])))
+    assert frames[-1] == 20.25
+
+
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_the_description_is_valid(fmi: int, entry: dict[int, Path]) -> None:
     assert validate_fmu(str(entry[fmi])) == []

@@ -16,7 +16,8 @@ BASE_UNITS: dict[str, dict[str, float]] = {
     "kg/m3": {"kg": 1, "m": -3}, "kg/(m2 s)": {"kg": 1, "m": -2, "s": -1}, "J/kg": {"m": 2, "s": -2},
     "W/m2": {"kg": 1, "s": -3}, "W/(m2 K)": {"kg": 1, "s": -3, "K": -1}, "W/(m K)": {"kg": 1, "m": 1, "s": -3, "K": -1},
     "1/K": {"K": -1}, "1/s": {"s": -1}, "deg": {"rad": 1}, "1/deg": {"rad": -1}, "1/deg2": {"rad": -2},
-    "deg/s": {"rad": 1, "s": -1}, "m2": {"m": 2}, "kg": {"kg": 1}, "N": {"kg": 1, "m": 1, "s": -2},
+    "deg/s": {"rad": 1, "s": -1}, "m/s2": {"m": 1, "s": -2}, "m2": {"m": 2}, "kg": {"kg": 1},
+    "N": {"kg": 1, "m": 1, "s": -2},
 }  # fmt: skip
 """Exponents of the SI base units; what is in degrees has a factor besides."""
 CAUSALITY = {
