@@ -28,7 +28,7 @@ POINT = "V09T9527"
 TRUTH = {"stack.coating.thickness_factor": 1.3, "stack.rsi.conductivity_factor": 0.9}
 SKEW_S = 0.4
 FLUXES_W_M2 = (10e3, 50e3, 100e3)
-CONDUCTIVITY, HEAT = "stack.coating.conductivity_factor", "stack.coating.heat_capacity_factor"
+CONDUCTIVITY, HEAT = "stack.rsi.conductivity_factor", "stack.rsi.heat_capacity_factor"
 EMISSIVITY, BACK, CONVECTION = "stack.emissivity_factor", "back.h_W_m2K", "ratio.d0"
 TRIED = (
     (CONDUCTIVITY,),
@@ -77,7 +77,7 @@ def _board() -> Iterator[Figure]:
     yield from _errors("board, as declared", record, predict(record).residual_K, "")
     for names in TRIED:
         fitted = estimate([_in_gas(record) if CONVECTION in names else record], names)
-        short = ", ".join(n.removeprefix("stack.").removeprefix("coating.").removesuffix("_factor") for n in names)
+        short = ", ".join(n.removeprefix("stack.").removeprefix("rsi.").removesuffix("_factor") for n in names)
         short = short.replace(CONVECTION, "convection")
         yield from _errors(f"board, {short}", record, fitted.after[0].residual_K, _values(fitted))
 

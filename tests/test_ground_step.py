@@ -113,7 +113,7 @@ def test_a_point_without_a_sensor_cannot_be_tested() -> None:
 
 
 def test_factors_of_the_declared_board_lower_its_error_at_every_depth_and_do_not_explain_it() -> None:
-    factors = ["stack.coating.conductivity_factor", "stack.coating.heat_capacity_factor", "stack.emissivity_factor"]
+    factors = ["stack.rsi.conductivity_factor", "stack.rsi.heat_capacity_factor", "stack.emissivity_factor"]
     found = estimate([load_record(BOARD)], [*factors, "back.h_W_m2K"])
     rmse = [np.sqrt(np.mean(p[0].residual_K ** 2, axis=1)) for p in (found.before, found.after)]
     assert np.all(rmse[1] < 0.2 * rmse[0])
