@@ -90,6 +90,7 @@ CONTACT = Material(density_kg_m3=1.0, specific_heat_J_kgK=[[300.0, 1.0]], conduc
 """What a contact resistance is made of: an element without mass whose "length" is the resistance."""
 MODES = ("add", "multiply", "emittance")
 """Effects with a kernel, in the order in which they act."""
+COATING_PREFIX = "stack.coating."
 BACK = ("back.h_W_m2K", "back.T_K", "back.emissivity")
 CACHE_LINE = 64
 """Bytes."""
@@ -174,6 +175,8 @@ class PointModel:
             return self.effects[use].effect.parameters[k]
         if name not in MODEL:
             raise InputError(_unknown(self.name, name, MODEL))
+        if name.startswith(COATING_PREFIX) and insulation_layer(self.construction) == 0:
+            raise InputError(f"{self.name}: `{name}`: a wall of one layer has no coating; its layer is `stack.rsi.*`")
         return MODEL[name]
 
     def _effect_place(self, name: str) -> tuple[int, int]:

@@ -34,6 +34,8 @@ FloatArray = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 NOISE_ROUNDS = 4
+MISFIT = 1.3
+"""RMS of the residuals over that of noise above which a model is said to lack something."""
 NOISE_CHANGE = 0.01
 """Noise is settled where it changes by less than this part."""
 MAGNITUDES_TRIED = np.geomspace(0.002, 2.0, 8)
@@ -243,7 +245,19 @@ def warnings(problem: Problem, fit: Fit) -> list[str]:
                 "a coating that would have to be thinner than none is mostly a clock: the thermocouples lead the "
                 f"flight conditions; estimate {CLOCK_SKEW.name} as well"
             )
+    excess = misfit(problem.samples(fit.values))
+    if excess > MISFIT:
+        found.append(
+            f"residuals are {excess:.1f} times what noise would leave: the model lacks something, and the bounds are "
+            "those of a model that is wrong"
+        )
     return found + [f"{d.words()}: their bounds are wide" for d in fit.singular]
 
 
-__all__ = ["Fitted", "coloured_bounds", "definition", "estimate", "predict_at"]
+def misfit(everything: Sequence[Samples]) -> float:
+    """RMS of the residuals over what noise and rounding make of them: 1 for the true model."""
+    scored = [likelihood(s.channel.observed, s.mean_K, s.sigma_K) for s in everything]
+    squares = sum(float(np.sum(f.score**2)) for f in scored)
+    return float(np.sqrt(squares / sum(float(np.sum(f.information)) for f in scored)))
+
+
