@@ -123,11 +123,13 @@ class Part:
         """What is added to the recorded times: T(t) = true T(t - skew)."""
         return -self.values(vector).get(CLOCK_SKEW.name, 0.0)
 
-    def track(self, names: tuple[str, ...], vector: FloatArray | None = None) -> Track:
-        """The part as the march takes it; with a vector, from the initial temperatures that it says."""
+    def track(self, vector: FloatArray | None = None, *, sensitive: bool = True) -> Track:
+        """The part as the march takes it; with a vector, from the initial temperatures that it says; without
+        sensitivities where only temperatures are wanted."""
+        names = self.marched if sensitive else ()
         if self.start is None:
             return Track(self.model, self.mesh, names, self.sample_s)
-        columns = self.start.columns if names else None
+        columns = self.start.columns if sensitive else None
         return Track(self.model, self.mesh, names, self.sample_s, None, self.initial_K(vector), columns)
 
     def initial_K(self, vector: FloatArray | None) -> FloatArray | None:
@@ -265,7 +267,7 @@ class Problem:
 
     @staticmethod
     def _march_of(group: Sequence[Part]) -> LinearMarch:
-        tracks = [replace(part.track(part.marched), flight=i) for i, part in enumerate(group)]
+        tracks = [replace(part.track(), flight=i) for i, part in enumerate(group)]
         time = group[0].time_s
         return LinearMarch(tracks, time, np.stack([condition_history(part.conditions.at(time)) for part in group]))
 
@@ -319,7 +321,7 @@ class Problem:
     def _several(self, vectors: FloatArray) -> FloatArray:
         def one(k: int) -> FloatArray:
             part = self.parts[k]
-            tracks = [replace(part.track((), v), model=part.altered(v)) for v in vectors]
+            tracks = [replace(part.track(v, sensitive=False), model=part.altered(v)) for v in vectors]
             march = LinearMarch(tracks, part.time_s, condition_history(part.conditions.at(part.time_s))[np.newaxis])
             try:
                 marched = march.march([part.shift_s(v) for v in vectors])

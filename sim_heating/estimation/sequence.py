@@ -147,7 +147,7 @@ def state_at(part: Part, values: FloatArray, time_s: float) -> tuple[FloatArray,
             profile = initial_temperatures(part.model.construction, part.mesh)
         return profile, columns
     time = march_times(part.conditions, begin, time_s)
-    declared = part.track(part.marched, values)
+    declared = part.track(values)
     nodes = tuple(range(part.mesh.nodes))
     track = Track(
         part.altered(values), part.mesh, part.marched, np.array([time_s]), nodes, declared.initial_K,
