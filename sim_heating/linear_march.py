@@ -37,8 +37,9 @@ from sim_heating.thermal.mesh import Mesh
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-MOVED = 1e-6
-"""A parameter that is not affine is moved to either side by this part of its scale."""
+MOVED = 1e-5
+"""A parameter that is not affine is moved to either side by this part of its scale: rounding and curvature then cost
+nine digits each."""
 MOVED_AFFINE = 1e-2
 """And one that is affine, to one side, by this part of it."""
 
