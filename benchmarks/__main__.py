@@ -10,7 +10,8 @@ import click
 from benchmarks.measure import Figure, table
 
 NAMES = (
-    "c_loop", "work_precision", "frames", "coupling", "fmu", "optimal", "covariance", "end_to_end", "ground_step",
+    "c_loop", "work_precision", "frames", "coupling", "fmu", "optimal",
+    "covariance", "end_to_end", "ground_step", "skew",
 )  # fmt: skip
 
 
