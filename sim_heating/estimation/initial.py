@@ -4,20 +4,25 @@ circuit   the founding paper's approximation: every node follows the outermost t
           a resistor, dT/dt = (T_thermocouple - T) / tau, with tau = TIME_CONSTANT s^2 and s = int dx / sqrt(a)
           [s^(1/2)] the square root of the time that heat takes to the node; then moved to what the thermocouples read,
           linear in s between them
-profile   the same, with the temperatures at KNOTS depths estimated besides, linear in s between them
+profile   the wall conducts, its surface held at what the outermost thermocouple reads; what that misses is estimated
+          besides, a smooth function of depth: a Gaussian process in log(1 s^(1/2) + s), the largest directions of it.
+          For an outermost thermocouple under a coating; a deeper one makes for a poor first guess and a wide prior
 filter    by the Kalman filter from all readings since the first row of the conditions (filtering.py)
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.ensemble import PointModel, initial_temperatures
+from sim_heating.ensemble import Ensemble, PointModel, condition_history, initial_temperatures
 from sim_heating.errors import InputError
 from sim_heating.estimation.filtering import filtered_start
-from sim_heating.estimation.problem import Start
+from sim_heating.estimation.problem import Start, march_times
 from sim_heating.parameters import Parameter
+from sim_heating.points import conditions_of_record
 from sim_heating.record import Record
 from sim_heating.thermal.declare import Sensor
 from sim_heating.thermal.mesh import Mesh, diffusion_depths
@@ -28,9 +33,15 @@ TIME_CONSTANT = 1.0
 """tau over s^2; `python -m benchmarks initial` shows what others do."""
 READINGS = 3
 """Readings that are averaged for the temperature at a thermocouple."""
-KNOTS = 5
-KNOT_SIGMA_K = 100.0
-"""How far the temperatures of the circuit may be off at a knot [K]."""
+HOLDING_FILM = 10.0
+"""Film coefficient [kg/(m2 s)] that holds the surface at a temperature, some hundred times that of an entry."""
+HOLDING_CP = 1000.0
+OFF_K = 10.0
+"""How far the conducting wall may be off [K], if its deeper thermocouples do not say more."""
+OFF_LENGTH = 0.7
+"""Correlation length of that in log(1 + s): a factor of two in depth, four in time."""
+DIRECTIONS = 10
+"""Directions that are kept; what the next would add is below a twentieth of OFF_K."""
 
 
 def _read_before(record: Record, sensor: Sensor, time_s: float) -> tuple[FloatArray, FloatArray]:
@@ -58,9 +69,16 @@ def circuit_profile(record: Record, model: PointModel, mesh: Mesh, time_s: float
     for k in range(1, len(t)):
         kept = np.exp(-(t[k] - t[k - 1]) * rates)
         profile = 0.5 * (read[k] + read[k - 1]) * (1.0 - kept) + profile * kept
+    nodes, now = (np.array(column) for column in zip(*_readings_now(record, mesh, time_s), strict=True))
+    return profile + np.interp(s, s[nodes], now - profile[nodes])
+
+
+def _readings_now(record: Record, mesh: Mesh, time_s: float) -> list[tuple[int, float]]:
+    """Node of each used sensor, outermost first, and the mean of its last readings before a time [K]."""
+    sensors = sorted(record.used_sensors, key=lambda sensor: sensor.depth_m)
     nodes = [mesh.sensors[record.sensors.index(sensor)] for sensor in sensors]
-    now = [float(np.mean(_read_before(record, sensor, time_s)[1][-READINGS:])) for sensor in sensors]
-    return profile + np.interp(s, s[nodes], np.array(now) - profile[nodes])
+    last = [_read_before(record, sensor, time_s)[1][:-1][-READINGS:] for sensor in sensors]
+    return [(node, float(np.mean(read))) for node, read in zip(nodes, last, strict=True)]
 
 
 def circuit_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) -> Start:
@@ -69,16 +87,55 @@ def circuit_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) 
     return Start(time_s, profile, np.zeros((mesh.nodes, 0)))
 
 
-def profile_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) -> Start:
-    """A start whose temperatures are estimated: those of the circuit, and what is added to them at KNOTS depths."""
-    s = diffusion_depths(model.construction, mesh)
-    knots = np.linspace(0.0, s[-1], KNOTS)
-    columns = np.column_stack([np.interp(s, knots, hat) for hat in np.eye(KNOTS)])
-    unknowns = tuple(
-        Parameter(f"initial.{k + 1}", "K", 0.0, KNOT_SIGMA_K, text="added to the temperature at a knot of the start")
-        for k in range(KNOTS)
+def conducted_profile(record: Record, model: PointModel, mesh: Mesh, time_s: float) -> FloatArray:
+    """(node,) temperatures [K] at a time of the wall whose surface has been what the outermost thermocouple read.
+
+    raises : InputError where that sensor has no reading before that time, or the conditions do not reach it
+    """
+    t, read = _read_before(record, min(record.used_sensors, key=lambda sensor: sensor.depth_m), time_s)
+    flown = conditions_of_record(record)
+    begin, declared = flown.time_s[0], initial_temperatures(model.construction, mesh)
+    if not begin < time_s <= flown.time_s[-1]:
+        span = f"{begin:g} to {flown.time_s[-1]:g} s"
+        raise InputError(f"{record.name}: a start at {time_s:g} s lies outside the conditions ({span})")
+    steps = march_times(flown, begin, time_s)
+    steps = np.append(steps[steps < time_s], time_s)
+    later = t > begin
+    surface = np.interp(steps, np.append(begin, t[later]), np.append(declared[0], read[later]))
+    held = flown.at(steps).with_columns(
+        h_ref_kg_m2_s=np.full(len(steps), HOLDING_FILM), H_r_J_kg=HOLDING_CP * surface, q_add_W_m2=np.zeros(len(steps))
     )
-    return Start(time_s, circuit_profile(record, model, mesh, time_s), columns, unknowns)
+    thermal = {name: value for name, value in model.parameters.items() if not name.startswith("ratio.")}
+    wall = replace(
+        model, ratio=None, wall_enthalpy=HOLDING_CP, effects=(),
+        parameters={**thermal, "ratio.d0": 1.0, "stack.emissivity_factor": 0.0, "stack.gap.fraction": 0.0},
+    )  # fmt: skip
+    ensemble = Ensemble([wall], [mesh])
+    ensemble.march(steps, condition_history(held)[np.newaxis], keep=np.zeros(0, dtype=np.int64))
+    return ensemble.node_temperatures(0)
+
+
+def smooth_directions(s: FloatArray) -> FloatArray:
+    """(node, DIRECTIONS) largest directions of a Gaussian process of unit variance over the depths s [s^(1/2)].
+
+    Matern covariance of order 5/2, (1 + x + x^2 / 3) exp(-x) with x = sqrt(5) times the distance over OFF_LENGTH.
+    """
+    z = np.log1p(s)
+    x = np.sqrt(5.0) * np.abs(z[:, np.newaxis] - z) / OFF_LENGTH
+    values, vectors = np.linalg.eigh((1.0 + x + x**2 / 3.0) * np.exp(-x))
+    return vectors[:, ::-1][:, :DIRECTIONS] * np.sqrt(np.maximum(values[::-1][:DIRECTIONS], 0.0))
+
+
+def profile_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) -> Start:
+    """A start whose temperatures are estimated: those of the conducting wall, and what it misses."""
+    profile = conducted_profile(record, model, mesh, time_s)
+    off = max(abs(now - profile[node]) for node, now in _readings_now(record, mesh, time_s))
+    columns = max(OFF_K, off) * smooth_directions(diffusion_depths(model.construction, mesh))
+    unknowns = tuple(
+        Parameter(f"initial.{k + 1}", "1", 0.0, 1.0, text="along a direction of the temperatures at the start")
+        for k in range(columns.shape[1])
+    )
+    return Start(time_s, profile, columns, unknowns)
 
 
 STARTS = {"circuit": circuit_start, "profile": profile_start, "filter": filtered_start}
