@@ -19,16 +19,17 @@ from sim_heating.errors import InputError, RunError
 from sim_heating.estimation.coloured import Bounds, bounds
 from sim_heating.estimation.coloured import Channel as Residuals
 from sim_heating.estimation.identifiability import correlation
-from sim_heating.estimation.informed import default_names, mean_ratio, still, unheated, untold
+from sim_heating.estimation.informed import default_names, mean_ratio, still, unheated, untold, without_stuck
 from sim_heating.estimation.likelihood import likelihood
-from sim_heating.estimation.newton import Fit, Status, maximise
-from sim_heating.estimation.observation import definition, errors_of
+from sim_heating.estimation.newton import Fit, Status, check_parameters, maximise
+from sim_heating.estimation.observation import errors_of
 from sim_heating.estimation.problem import Part, Problem, Samples, Start, StartMaker, joint_reference, march_times
 from sim_heating.estimation.result import AT
 from sim_heating.parameters import CLOCK_SKEW, EFFECT_PREFIX, Parameter
 from sim_heating.predict import Prediction
 from sim_heating.predict import predict as predict_record
 from sim_heating.record import Record
+from sim_heating.temperatures import outside_table
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -96,6 +97,8 @@ def estimate(
     raises    : InputError where nothing can be estimated, RunError where the fit diverged
     """
     _check_records(records)
+    checked = [without_stuck(record) for record in records]
+    records, stuck = [record for record, _ in checked], [line for _, told in checked for line in told]
     wanted = tuple(names) if names is not None else default_names(records)
     effects = (*effects, *effects_of(wanted, effects))
     about = joint_reference(records, reference)
@@ -114,7 +117,7 @@ def estimate(
         problem = Problem(records, left, about, effects=effects, priors=priors, starts=starts)
         first = _first_values(problem)
     fit = _fit(problem, first, progress)
-    return _finished(problem, fit, out)
+    return _finished(problem, fit, out, stuck)
 
 
 def _left(names: Sequence[str], out: Mapping[str, str], records: Sequence[Record]) -> list[str]:
@@ -158,6 +161,7 @@ def _first_values(problem: Problem) -> FloatArray:
 
 
 def _information(problem: Problem, values: FloatArray) -> FloatArray:
+    check_parameters(problem.parameters)
     found = problem.evaluate(values)
     if not np.isfinite(found.log_likelihood):
         raise RunError("estimate: the declared model cannot be marched along the record; see `sim-heating predict`")
@@ -165,10 +169,9 @@ def _information(problem: Problem, values: FloatArray) -> FloatArray:
 
 
 def _ratio(problem: Problem, values: FloatArray) -> float:
-    """A typical heating ratio of the fit: d0, or the declared one; NaN where there is neither."""
+    """A typical heating ratio of the fit: d0, else the declared one; NaN where there is neither."""
     d0 = [abs(v) for u, v in zip(problem.unknowns, values, strict=True) if u.parameter.name == "ratio.d0"]
-    declared = [mean_ratio(part.record) for part in problem.parts]
-    known = d0 or [r for r in declared if np.isfinite(r)]
+    known = d0 or [r for r in (mean_ratio(part.record) for part in problem.parts) if np.isfinite(r)]
     return float(np.mean(known)) if known else float("nan")
 
 
@@ -191,12 +194,13 @@ def _fit(problem: Problem, first: FloatArray, progress: Progress) -> Fit:
     return replace(fit, iterations=steps[0])
 
 
-def _finished(problem: Problem, fit: Fit, out: dict[str, str]) -> Fitted:
+def _finished(problem: Problem, fit: Fit, out: dict[str, str], told: Sequence[str]) -> Fitted:
     if fit.status is Status.NO_START:
         raise RunError(f"estimate: {fit.words()[0]}")
     after = tuple(predict_at(part, fit.values) for part in problem.parts)
     before = tuple(predict_record(part.record) for part in problem.parts)
-    return Fitted(problem, fit, coloured_bounds(problem, fit), out, before, after, tuple(warnings(problem, fit)))
+    told = (*told, *outside_lines(problem.parts), *warnings(problem, fit))
+    return Fitted(problem, fit, coloured_bounds(problem, fit), out, before, after, told)
 
 
 def predict_at(part: Part, values: FloatArray) -> Prediction:
@@ -232,6 +236,19 @@ def coloured_bounds(problem: Problem, fit: Fit) -> Bounds:
     whole, white = np.zeros_like(fit.covariance), np.zeros_like(fit.covariance)
     whole[place], white[place] = free.covariance, free.white
     return replace(free, covariance=whole, white=white)
+
+
+def outside_lines(parts: Sequence[Part]) -> list[str]:
+    """A line for every variable that leaves the ratio table over the fit segments."""
+    lines = []
+    for part in parts:
+        t = part.conditions.time_s
+        for o in outside_table(part.model, part.conditions.at(t[part.record.fit_mask(t)])):
+            lines.append(
+                f"{part.record.name}: {o.variable} is up to {o.farthest:.3g} outside its ratio table over the fit "
+                f"segments, from {o.first_s:g} s on; the table's edge stands in, and estimates take up the difference"
+            )
+    return lines
 
 
 def warnings(problem: Problem, fit: Fit) -> list[str]:

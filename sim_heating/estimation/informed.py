@@ -7,22 +7,28 @@ samples, and where its bound over the variable's own excursion is below the heat
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.conditions import RATIO_VARIABLES
+from sim_heating.errors import InputError
 from sim_heating.estimation.identifiability import SINGULAR, covariance, directions
 from sim_heating.estimation.result import AT
 from sim_heating.heating_ratio.kernel import table_ratios_at
 from sim_heating.parameters import SHORT
 from sim_heating.points import conditions_of_record
+from sim_heating.predict import predict
 from sim_heating.record import Record
 
 FloatArray = NDArray[np.float64]
 
 STILL = {"alpha_deg": 0.05, "beta_deg": 0.02, "log10_re": 0.01, "elevon_deg": 0.05, "bodyflap_deg": 0.05}
 """A variable whose standard deviation over the fit segments is below this does not move."""
+FEWEST_STUCK = 10
+STUCK = 10.0
+"""A sensor that should have moved by this many of its steps, or sigmas, and did not, is stuck."""
 MAGNITUDES = ("ratio.scale", "ratio.d0")
 DERIVATIVES = tuple(f"ratio.d_{short}" for short in SHORT)
 
@@ -114,3 +120,31 @@ def untold(labels: Sequence[str], information: FloatArray, ratio: float, records
         name = [label for label, s in zip(labels, sigma, strict=True) if not np.isfinite(s)][-1]
         reason = singular[0].words()
     return {name: reason} if name else {}
+
+
+def without_stuck(record: Record) -> tuple[Record, list[str]]:
+    """A record without its sensors that read one value throughout though the declared model moves them, and why.
+
+    raises : InputError where that is every used sensor
+    """
+    mask, told = record.fit_mask(), []
+    indicated = predict(record).indicated_K[:, mask]
+    stuck = []
+    for sensor, read, expected in zip(record.sensors, record.temperatures_K()[:, mask], indicated, strict=True):
+        known = np.isfinite(read) & np.isfinite(expected)
+        if not sensor.used or np.count_nonzero(known) < FEWEST_STUCK or np.ptp(read[known]) > 0.0:
+            continue
+        moves = float(np.ptp(expected[known]))
+        if moves > STUCK * max(sensor.lsb_K, sensor.noise_sigma_K or 1.0):
+            stuck.append(sensor.name)
+            told.append(
+                f"{record.name}, sensor {sensor.name}: never moves, it reads {read[known][0]:g} K in all "
+                f"{np.count_nonzero(known)} samples where the declared model moves by {moves:.0f} K; left out"
+            )
+    if not stuck:
+        return record, []
+    if len(stuck) == len(record.used_sensors):
+        raise InputError(f"{'; '.join(told)}; no sensor is left to estimate from")
+    sensors = [s.model_copy(update={"used": s.used and s.name not in stuck}) for s in record.sensors]
+    thermocouples = record.declared.thermocouples.model_copy(update={"sensor": sensors})
+    return replace(record, declared=record.declared.model_copy(update={"thermocouples": thermocouples})), told

@@ -150,7 +150,7 @@ class _Posterior:
 
     @classmethod
     def of(cls, parameters: Sequence[Parameter]) -> _Posterior:
-        _check(parameters)
+        check_parameters(parameters)
         sigma = np.array([p.sigma for p in parameters], dtype=float)
         return cls(
             np.array([p.value for p in parameters], dtype=float),
@@ -176,7 +176,8 @@ class _Posterior:
         return ((at <= self.lower) & (gradient <= 0.0)) | ((at >= self.upper) & (gradient >= 0.0))
 
 
-def _check(parameters: Sequence[Parameter]) -> None:
+def check_parameters(parameters: Sequence[Parameter]) -> None:
+    """raises : InputError for a prior or bounds that cannot be, or where there is no parameter"""
     problems = []
     for p in parameters:
         if not (math.isfinite(p.value) and p.sigma > 0.0):
