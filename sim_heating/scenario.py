@@ -11,22 +11,32 @@ control_points = ["V09T9527"]       # all where absent
 [measurements]                      # seed, clock_skew_s, lost samples, gaps, errors of sensors
 [truth]                             # what `synthesize` alters and does not tell: parameters, [[truth.effect]]
 [[compare]]                         # measured histories to hold the prediction against
+[design]                            # what the manoeuvres are to tell, and how they may be changed (docs/manoeuvre_design.md)
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, field_validator
 
 from sim_heating.effects import EffectUse, use
 from sim_heating.errors import InputError
-from sim_heating.files import Declared, nearest, raise_problems, read_csv_columns, read_toml, shown
+from sim_heating.files import (
+    Declared,
+    check,
+    nearest,
+    raise_problems,
+    read_csv_columns,
+    read_toml,
+    shown,
+    suggestion,
+)
 from sim_heating.parameters import MODEL
 from sim_heating.trajectory.spec import TrajectorySpec
 from sim_heating.vehicle import Vehicle, load_vehicle
@@ -102,6 +112,83 @@ class Compare(Declared):
     until_s: float | None = Field(default=None, description="end of the comparison in s, all where absent")
 
 
+class Vary(Declared):
+    """A number of a manoeuvre that a design may change, from `low` to `high`."""
+
+    manoeuvre: int = Field(default=1, ge=1, description="number of the manoeuvre in the scenario, from 1")
+    key: str = Field(description="key of the manoeuvre")
+    low: float
+    high: float
+
+
+class DesignLimits(Declared):
+    """What a designed flight must keep; the temperature limits are those of the scenario's control points.
+
+    surface_margin_K, bondline_margin_K : least distance of the peaks of the whole flight from the limits
+    alpha_deg, elevon_deg, qbar_Pa      : [low, high] during the manoeuvres and `after_s` after them
+    altitude_change_m                   : from the flight without manoeuvres, over the same time
+    duration_s                          : of one manoeuvre
+    """
+
+    surface_margin_K: float = 0.0
+    bondline_margin_K: float = 0.0
+    alpha_deg: list[float] = Field(default=[30.0, 48.0], description="[low, high] in deg")
+    elevon_deg: list[float] = Field(default=[-20.0, 15.0], description="[low, high] in deg")
+    qbar_Pa: list[float] = Field(default=[0.0, 16000.0], description="[low, high] in Pa")
+    altitude_change_m: float = Field(default=3000.0, gt=0.0, description="in m, above 0")
+    duration_s: float = Field(default=60.0, gt=0.0, description="in s, above 0")
+
+    @field_validator("alpha_deg", "elevon_deg", "qbar_Pa")
+    @classmethod
+    def _check_range(cls, pair: list[float]) -> list[float]:
+        if len(pair) != 2 or not pair[0] < pair[1]:
+            raise ValueError(f"{pair} is no range; give [low, high]")
+        return pair
+
+
+class Design(Declared):
+    """What the manoeuvres of a scenario are to tell.
+
+    control_point  : whose thermocouples; the first of the scenario's that has some, where absent
+    parameters     : whose bounds are to be small; by the kind of manoeuvre where absent
+    nuisance       : also unknown; magnitude, derivatives, coating, conductivity, skew and pressure where absent
+    prior          : standard deviation of parameters before the flight, by dotted name
+    criterion      : "D": volume of the bounds' ellipsoid; "A": mean square of the bounds over the planned ones
+    start          : "profile": temperatures before the manoeuvre are unknown; "declared": known from entry interface on
+    before_s, after_s : samples that are read around a manoeuvre
+    evaluations    : designs that are tried
+    flights        : numbers of like flights to tell bounds for
+    """
+
+    control_point: str | None = None
+    parameters: list[str] | None = Field(default=None, min_length=1)
+    nuisance: list[str] | None = None
+    prior: dict[str, float] = Field(default={}, description="standard deviations above 0, by dotted name")
+    criterion: Literal["D", "A"] = "D"
+    start: Literal["profile", "declared"] = "profile"
+    before_s: float = Field(default=20.0, ge=0.0, le=1000.0)
+    after_s: float = Field(default=40.0, ge=0.0, le=1000.0)
+    evaluations: int = Field(default=64, ge=1, le=100_000)
+    flights: list[int] = Field(default=[1, 2, 4], min_length=1)
+    vary: list[Vary] = Field(default=[])
+    limits: DesignLimits = DesignLimits()
+
+    @field_validator("prior")
+    @classmethod
+    def _check_prior(cls, prior: dict[str, float]) -> dict[str, float]:
+        for name, sigma in prior.items():
+            if not sigma > 0.0:
+                raise ValueError(f"{name}: {sigma:g} is no standard deviation; give one above 0")
+        return prior
+
+    @field_validator("flights")
+    @classmethod
+    def _check_flights(cls, flights: list[int]) -> list[int]:
+        if min(flights) < 1:
+            raise ValueError(f"{min(flights)} is no number of flights; give 1 or more")
+        return flights
+
+
 class ScenarioFile(Declared):
     """Contents of a scenario file."""
 
@@ -116,6 +203,7 @@ class ScenarioFile(Declared):
     measurements: Measurements = Measurements()
     truth: Truth = Truth()
     compare: list[Compare] = Field(default=[])
+    design: Design | None = None
 
 
 @dataclass(frozen=True)
@@ -176,9 +264,20 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
     return Scenario(place, declared, vehicle, names, compare)
 
 
+def with_design(scenario: Scenario, given: Mapping[str, Any]) -> Scenario:
+    """A scenario with single keys of its [design] replaced.
+
+    raises : InputError as for a scenario that says so
+    """
+    old = scenario.declared.design or Design()
+    design = check({**old.model_dump(), **given}, Design, f"{shown(scenario.path)}, [design]")
+    return replace(scenario, declared=scenario.declared.model_copy(update={"design": design}))
+
+
 def _problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
     """Control points, effects and sensors that are named and do not exist."""
     named = [*(declared.control_points or []), *(c.control_point for c in declared.compare)]
+    named += [declared.design.control_point] if declared.design and declared.design.control_point else []
     uses = [*declared.effect, *declared.truth.effect]
     named += [p for e in uses for p in e.control_points or []]
     sensors = {s.name for p in vehicle.control_points.values() for s in p.sensors}
@@ -193,6 +292,7 @@ def _problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
         *(["control_points: the list is empty; leave it out for all"] if declared.control_points == [] else []),
         *_not_looked_at(declared, vehicle),
         *_fmu_problems(declared.trajectory, vehicle),
+        *_design_problems(declared),
     ]
 
 
@@ -205,6 +305,23 @@ def _fmu_problems(spec: TrajectorySpec, vehicle: Vehicle) -> Sequence[str]:
     return problems_of(spec, vehicle.directory)
 
 
+def _design_problems(declared: ScenarioFile) -> list[str]:
+    """Numbers of manoeuvres that a design is to vary and that there are not."""
+    lines, flown = [], declared.trajectory.manoeuvre
+    for i, vary in enumerate(declared.design.vary if declared.design else []):
+        where = f"[design], vary {i + 1}"
+        if vary.manoeuvre > len(flown):
+            lines.append(f"{where}: there is no manoeuvre {vary.manoeuvre}; the scenario has {len(flown)}")
+            continue
+        value = getattr(flown[vary.manoeuvre - 1], vary.key, None)
+        if not isinstance(value, float):
+            known = [k for k, v in flown[vary.manoeuvre - 1] if isinstance(v, float)]
+            lines.append(f"{where}: `{vary.key}` is no number that this manoeuvre gives. {suggestion(vary.key, known)}")
+        elif not vary.low <= value <= vary.high or not vary.low < vary.high:
+            lines.append(f"{where}: {vary.key} = {value:g} as planned is not within {vary.low:g} to {vary.high:g}")
+    return lines
+
+
 def _not_looked_at(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
     """Control points named twice, and what is asked of one that is not looked at."""
     chosen = declared.control_points
@@ -212,6 +329,7 @@ def _not_looked_at(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
         return []
     twice = [f"control_points: `{name}` stands twice; name it once" for name in chosen if chosen.count(name) > 1]
     asked = [c.control_point for c in declared.compare]
+    asked += [p for p in [declared.design.control_point if declared.design else None] if p is not None]
     asked += [p for e in (*declared.effect, *declared.truth.effect) for p in e.control_points or []]
     owner = {s.name: p.name for p in vehicle.control_points.values() for s in p.sensors}
     asked += [owner[f.sensor] for f in declared.measurements.fault if f.sensor in owner]

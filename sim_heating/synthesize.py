@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from sim_heating.run import fly_scenario, models_of, quiet
 from sim_heating.scenario import Scenario
 from sim_heating.sensors import SensorErrors, lost_samples, measured, sample_times
 from sim_heating.temperatures import PointHistory, at_times, march_points
+from sim_heating.thermal.declare import Sensor
 from sim_heating.trajectory.flight import Flight, Progress
 from sim_heating.vehicle import ControlPoint
 
@@ -81,10 +83,11 @@ def _record(
                 f"{scenario.path}, [measurements]: skew, offset, gaps and losses leave no sample of {sensor.name} "
                 f"within the flight ({span}); change them"
             )
-    return make_record(_declaration(scenario, point), conditions, columns, point.ratio, point.name)
+    return make_record(declaration(scenario, point, point.sensors), conditions, columns, point.ratio, point.name)
 
 
-def _declaration(scenario: Scenario, point: ControlPoint) -> RecordFile:
+def declaration(scenario: Scenario, point: ControlPoint, sensors: Sequence[Sensor]) -> RecordFile:
+    """The declaration of a record of a control point with these sensors."""
     heating = scenario.vehicle.heating
     data: dict[str, Any] = {
         "format": "flight-record/1",
@@ -95,7 +98,7 @@ def _declaration(scenario: Scenario, point: ControlPoint) -> RecordFile:
         "conditions": {"file": "conditions.csv"},
         "thermocouples": {
             "file": "thermocouples.csv",
-            "sensor": [s.model_dump(exclude_unset=True, exclude={"rate_hz", "sample_offset_s"}) for s in point.sensors],
+            "sensor": [s.model_dump(exclude_unset=True, exclude={"rate_hz", "sample_offset_s"}) for s in sensors],
         },
         "stack": point.construction.stack.model_dump(exclude_unset=True),
         "materials": {n: m.model_dump(exclude_unset=True) for n, m in point.construction.materials.items()},

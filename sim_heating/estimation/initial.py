@@ -130,7 +130,12 @@ def profile_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) 
     """A start whose temperatures are estimated: those of the conducting wall, and what it misses."""
     profile = conducted_profile(record, model, mesh, time_s)
     off = max(abs(now - profile[node]) for node, now in _readings_now(record, mesh, time_s))
-    columns = max(OFF_K, off) * smooth_directions(diffusion_depths(model.construction, mesh))
+    return free_start(time_s, profile, model, mesh, max(OFF_K, off))
+
+
+def free_start(time_s: float, profile: FloatArray, model: PointModel, mesh: Mesh, off_K: float = OFF_K) -> Start:
+    """A start from a profile (node,) [K] that may be off by so much [K], smoothly in depth: unknowns say how."""
+    columns = off_K * smooth_directions(diffusion_depths(model.construction, mesh))
     unknowns = tuple(
         Parameter(f"initial.{k + 1}", "1", 0.0, 1.0, text="along a direction of the temperatures at the start")
         for k in range(columns.shape[1])

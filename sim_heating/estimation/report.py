@@ -9,6 +9,7 @@ import numpy as np
 
 from sim_heating.conditions import RATIO_VARIABLES
 from sim_heating.ensemble import condition_history
+from sim_heating.estimation.design import would_buy
 from sim_heating.estimation.estimate import Fitted
 from sim_heating.estimation.result import (
     NAME,
@@ -60,6 +61,7 @@ def result_of(fitted: Fitted) -> Estimate:
             "degrees_of_freedom": fitted.bounds.dof,
             "log_likelihood": fitted.fit.log_likelihood,
             "statistics": statistics_of(fitted),
+            "would_buy": would_buy(fitted.labels, fitted.fit.information, fitted.fit.prior_information),
             "warnings": list(fitted.warnings),
             "control_point": points.pop() if len(points) == 1 else None,
             "vehicle": records[0].declared.vehicle,

@@ -1,0 +1,98 @@
+"""Predicted bounds against actual fits: truths drawn from the priors, measured, fitted; how far off the fits are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.effects import EffectUse
+from sim_heating.errors import RunError
+from sim_heating.estimation.design import Experiment
+from sim_heating.estimation.likelihood import observed
+from sim_heating.estimation.newton import maximise
+from sim_heating.estimation.problem import Problem, Start, joint_reference
+from sim_heating.parameters import Parameter
+from sim_heating.record import Record
+from sim_heating.sensors import quantised
+from sim_heating.thermal.declare import Sensor
+
+FloatArray = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Repeated:
+    """Errors of repeated fits.
+
+    names  : (parameter,);  error : (fit, parameter) estimate less truth
+    failed : fits that did not converge, which are not in `error`
+    """
+
+    names: tuple[str, ...]
+    error: FloatArray
+    failed: int
+
+    def spread(self, wanted: Sequence[str]) -> FloatArray:
+        """(wanted,) root mean square errors."""
+        at = [self.names.index(n) for n in wanted]
+        return np.sqrt(np.mean(self.error[:, at] ** 2, axis=0))
+
+
+def repeated_fits(
+    record: Record,
+    told: Experiment,
+    *,
+    effects: Sequence[EffectUse] = (),
+    start: Start | None = None,
+    reference: Mapping[str, float] | None = None,
+    repetitions: int = 200,
+    seed: int = 1,
+    progress: Progress = lambda fraction, text: None,
+) -> Repeated:
+    """Measure and fit a record again and again; `told` gives the unknowns, PRESSURE not among them, and their priors.
+
+    raises : RunError where no fit converges
+    """
+    known = {p.name: p for p in told.unknowns}
+    names = [n for n in told.names if start is None or n not in [u.name for u in start.unknowns]]
+    problem = Problem(
+        [record], names, joint_reference([record], reference), effects=effects, priors=known, starts=[start]
+    )
+    parameters, part = problem.parameters, problem.parts[0]
+    rng = np.random.default_rng(seed)
+    errors, failed = [], 0
+    for k in range(repetitions):
+        truth = drawn(parameters, rng)
+        part.channels = [
+            replace(s.channel, observed=observed(s.channel.sensor, _read(s.channel.sensor, s.mean_K, s.sigma_K, rng)))
+            for s in problem.samples(truth)
+        ]
+        fit = maximise(problem.evaluate, parameters, log_likelihoods=problem.log_likelihoods)
+        if fit.converged:
+            errors.append(fit.values - truth)
+        else:
+            failed += 1
+        progress((k + 1) / repetitions, f"fits: {k + 1} of {repetitions}")
+    if not errors:
+        raise RunError(f"design: none of {repetitions} fits converged")
+    return Repeated(tuple(p.name for p in parameters), np.array(errors), failed)
+
+
+def drawn(parameters: Sequence[Parameter], rng: np.random.Generator) -> FloatArray:
+    """(parameter,) truths from the priors, drawn anew where outside the bounds; the value itself where one is flat."""
+    values = []
+    for p in parameters:
+        value = p.value
+        while np.isfinite(p.sigma):
+            value = rng.normal(p.value, p.sigma)
+            if p.lower < value < p.upper:
+                break
+        values.append(value)
+    return np.array(values)
+
+
+def _read(sensor: Sensor, mean_K: FloatArray, sigma_K: float, rng: np.random.Generator) -> FloatArray:
+    return quantised(sensor, mean_K + rng.normal(0.0, sigma_K, len(mean_K)))
