@@ -521,7 +521,9 @@ def _tell_checks(found: dict[str, Any]) -> None:
     for name in found["parameters"]:
         if found["checked"] is not None:
             planned, best = (found["checked"][k]["sigma"][name] for k in ("planned", "optimal"))
-            CONSOLE.print(f"{name}: {planned:.3g} and {best:.3g} flown in {found['checked']['source']}", highlight=False)
+            CONSOLE.print(
+                f"{name}: {planned:.3g} and {best:.3g} flown in {found['checked']['source']}", highlight=False
+            )
         if found["fitted"] is not None:
             fitted = found["fitted"]
             CONSOLE.print(

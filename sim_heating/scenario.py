@@ -11,7 +11,7 @@ control_points = ["V09T9527"]       # all where absent
 [measurements]                      # seed, clock_skew_s, lost samples, gaps, errors of sensors
 [truth]                             # what `synthesize` alters and does not tell: parameters, [[truth.effect]]
 [[compare]]                         # measured histories to hold the prediction against
-[design]                            # what the manoeuvres are to tell, and how they may be changed (docs/manoeuvre_design.md)
+[design]                            # what the manoeuvres are to tell, and how they may be changed
 """
 
 from __future__ import annotations

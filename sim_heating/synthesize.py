@@ -24,9 +24,7 @@ from sim_heating.vehicle import ControlPoint
 TRUTH = "truth.toml"
 
 
-def synthesize(
-    scenario: Scenario, *, flight: Flight | None = None, progress: Progress = quiet
-) -> dict[str, Record]:
+def synthesize(scenario: Scenario, *, flight: Flight | None = None, progress: Progress = quiet) -> dict[str, Record]:
     """Fly a scenario with its truth and measure it: one record a control point that has sensors.
 
     What a flight crew would have is in the records: declared tables and stacks, and nothing of the truth.

@@ -47,9 +47,10 @@ PRIVATE = ("initial.", CLOCK_SKEW.name, SENSOR_PREFIX)
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What one sensor would show: (sample,) indications [K], (sample, parameter) sensitivities, and its noise [K]."""
+    """What one sensor would show: (sample,) times [s] and readings [K], (sample, parameter) sensitivities, noise [K]."""
 
     sensor: Sensor
+    time_s: FloatArray
     mean_K: FloatArray
     jacobian: FloatArray
     sigma_K: float
@@ -176,9 +177,8 @@ def experiment(
         unknowns = (*unknowns, PRESSURE)
         slopes = _pressure_slopes(record, about, effects, start)
         columns = [np.column_stack([c, slope]) for c, slope in zip(columns, slopes, strict=True)]
-    return Experiment(
-        unknowns, tuple(Seen(s.channel.sensor, s.mean_K, c, s.sigma_K) for s, c in zip(found, columns, strict=True))
-    )
+    pairs = zip(found, columns, strict=True)
+    return Experiment(unknowns, tuple(Seen(s.channel.sensor, s.time_s, s.mean_K, c, s.sigma_K) for s, c in pairs))
 
 
 def _pressure_slopes(

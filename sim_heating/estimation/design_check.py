@@ -57,10 +57,11 @@ def repeated_fits(
     raises : RunError where no fit converges
     """
     known = {p.name: p for p in told.unknowns}
-    names = [n for n in told.names if start is None or n not in [u.name for u in start.unknowns]]
-    problem = Problem(
-        [record], names, joint_reference([record], reference), effects=effects, priors=known, starts=[start]
-    )
+    of_start = {} if start is None else {u.name: known[u.name] for u in start.unknowns}
+    begin = None if start is None else replace(start, unknowns=tuple(of_start.values()))
+    names = [n for n in told.names if n not in of_start]
+    about = joint_reference([record], reference)
+    problem = Problem([record], names, about, effects=effects, priors=known, starts=[begin])
     parameters, part = problem.parameters, problem.parts[0]
     rng = np.random.default_rng(seed)
     errors, failed = [], 0

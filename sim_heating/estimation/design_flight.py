@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from sim_heating.conditions import RATIO_VARIABLES, Conditions, FloatArray
-from sim_heating.ensemble import Ensemble, PointModel, condition_history
+from sim_heating.ensemble import Ensemble, condition_history
 from sim_heating.errors import InputError
 from sim_heating.estimation.design import PRESSURE, Experiment, experiment
 from sim_heating.estimation.informed import still
@@ -46,6 +46,9 @@ NUISANCE = (
 """What is not known beside it, and the derivatives that the table of the point knows."""
 SEARCHED = {"source": "entry-3dof", "rate_hz": 4.0}
 """What designs are flown with while they are tried."""
+KNOT_KNOWN_K = 10.0
+"""How well the temperatures before a manoeuvre are known at the knots of their profile, from the entry up to then [K];
+those that matter the thermocouples tell better."""
 ADDED_K = 5.0
 """What a manoeuvre may add to a temperature that passes its limit without it [K]."""
 
@@ -163,8 +166,10 @@ class Planner:
         return margins | {name: self.limit(name) - peak for name, peak in self._peaks(flight).items()}
 
     def limit(self, name: str) -> float:
-        """Limit of a control point's temperature, such as "V09T9527 surface_K" [K], less the margin asked for; where the
-        flight without manoeuvres passes it, its peak and ADDED_K."""
+        """Limit of a control point's temperature, such as "V09T9527 surface_K" [K], less the margin asked for.
+
+        Where the flight without manoeuvres passes it: its peak and ADDED_K.
+        """
         point, _, what = name.partition(" ")
         own = getattr(self.scenario.vehicle.control_point(point).limits, what)
         margin = getattr(self.design.limits, what.replace("_K", "_margin_K"))
@@ -194,7 +199,7 @@ class Planner:
         """Standard deviations before the flight: as declared; of derivatives beside the wanted, as the table says."""
         condition = _mean_condition(planned, self.design)
         table = {n: s for n, s in self._table_sigma(condition).items() if n in names and n not in self.wanted}
-        return table | {n: s for n, s in self.design.prior.items() if n in names}
+        return table | self.design.prior
 
     def _table_sigma(self, condition: FloatArray) -> dict[str, float]:
         """Standard deviation of the table's own derivatives.
@@ -219,7 +224,7 @@ class Planner:
         begin = max(flown.time_s[0], first - SKEW_SPAN_S) if design.start == "profile" else float(flown.time_s[0])
         clock = sample_times(instruments.sensors, flown.time_s[0], flown.time_s[-1], rate_hz=instruments.rate_hz)
         clock = clock[(clock >= first) & (clock <= last)]
-        model, start, read = self._marched(flown, instruments.sensors, begin, clock)
+        start, read = self._marched(flown, instruments.sensors, begin, clock)
         declared = declaration(self.scenario, self.point, instruments.sensors)
         declared = declared.model_copy(update={"segments": Segments(fit=[list(s) for s in spans])})
         columns = {s.column: calibrated(s, T) for s, T in zip(instruments.sensors, read, strict=True)}
@@ -228,8 +233,8 @@ class Planner:
 
     def _marched(
         self, flown: Conditions, sensors: Sequence[Sensor], begin_s: float, clock: FloatArray
-    ) -> tuple[PointModel, Start, FloatArray]:
-        """The model, a start at a time with its temperatures unknown, and (sensor, sample) temperatures [K]."""
+    ) -> tuple[Start, FloatArray]:
+        """A start at a time with its temperatures unknown, and (sensor, sample) temperatures [K]."""
         point = replace(self.point, sensors=tuple(sensors))
         model = point_of_vehicle(self.scenario.vehicle, point, effects=self.scenario.effects(point.name))
         mesh = choose_meshes([model], LONGEST_STEP_S)[0][0]
@@ -237,7 +242,7 @@ class Planner:
         track = Track(model, mesh, (), np.concatenate([[begin_s], clock]), tuple(range(mesh.nodes)))
         history = condition_history(flown.at(times))[np.newaxis]
         T = LinearMarch([track], times, history).march()[0].temperature_K
-        return model, free_start(begin_s, T[:, 0], model, mesh), T[list(mesh.sensors), 1:]
+        return free_start(begin_s, T[:, 0], model, mesh), T[list(mesh.sensors), 1:]
 
     def experiment(
         self, planned: Planned, names: Sequence[str], priors: dict[str, float], instruments: Instruments | None = None
@@ -245,7 +250,8 @@ class Planner:
         """What a planned flight would tell."""
         record, start = self.record(planned, instruments or self.instruments)
         found = experiment(record, names, effects=self.effects, start=start)
-        return found.with_priors(priors)
+        knots = {} if start is None else {u.name: KNOT_KNOWN_K for u in start.unknowns}
+        return found.with_priors(knots | priors)
 
 
 def _point(scenario: Scenario, design: Design) -> ControlPoint:

@@ -37,7 +37,9 @@ class Variant:
     sigma: FloatArray
 
 
-def instrumentation(planner: Planner, flown: Planned, names: tuple[str, ...], priors: dict[str, float]) -> list[Variant]:
+def instrumentation(
+    planner: Planner, flown: Planned, names: tuple[str, ...], priors: dict[str, float]
+) -> list[Variant]:
     """Bounds on the wanted parameters with the declared instruments, which come first, and with others."""
     told = planner.experiment(flown, names, priors)
     every = [("as declared", "as declared", told), *_reread(told), *_rebuilt(planner, flown, names, priors)]

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
 from sim_heating.estimation.design_flight import Planned
 from sim_heating.plots import ANGLES, new_figure, save_figure
@@ -44,12 +45,15 @@ def draw_design(path: Path, designed: Designed) -> None:
             axes[k].set_ylabel(f"{ANGLES.get(variable, ('jets', ''))[0]}{', deg' if variable in ANGLES else ''}")
             axes[k].set_xlabel("time from the start of the manoeuvre, s")
         outermost = min(told.channels, key=lambda c: c.sensor.depth_m)
-        axes[-1].plot(np.arange(len(outermost.mean_K)), outermost.mean_K, ".-", color=color, label=label)
+        since = outermost.time_s - flown.flight.windows[0].start_s
+        axes[-1].plot(since, outermost.mean_K, ".-", color=color, label=label)
     axes[-1].set_ylabel(f"{outermost.sensor.name}, K")
-    axes[-1].set_xlabel("sample")
+    axes[-1].set_xlabel("time from the start of the first manoeuvre, s")
     for a in axes:
         a.legend(fontsize=8)
-    save_figure(figure, path, f"{designed.scenario.title}: {designed.planner.point.name}, manoeuvre as designed", axes)
+    save_figure(
+        figure, path, f"{designed.scenario.title}\n{designed.planner.point.name}: as planned, and optimal", axes
+    )
 
 
 def _about(
@@ -77,12 +81,15 @@ def draw_sweeps(path: Path, designed: Designed) -> None:
         a.axvline(chosen, color="0.4", linestyle=":", linewidth=1.0)
         a.set_xlabel(LABELS.get(sweep.vary.key, sweep.vary.key))
         a.set_yscale("log")
+        a.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
+        a.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        a.yaxis.set_minor_locator(NullLocator())
     for a in axes.ravel()[len(sweeps) :]:
         a.set_visible(False)
     for a in axes[:, 0]:
         a.set_ylabel("bound over that of the optimal design")
     axes[0, 0].legend(fontsize=8)
-    title = f"{designed.scenario.title}: bounds about the optimal design (dotted); open: passes a limit"
+    title = f"{designed.scenario.title}\nbounds about the optimal design (dotted); open: passes a limit"
     save_figure(figure, path, title, axes)
 
 
@@ -105,4 +112,4 @@ def draw_instruments(path: Path, designed: Designed) -> None:
     axes[0].set_yticks(rows - 0.5 * height * (len(base) - 1), [f"{v.kind}: {v.what}" for v in others], fontsize=8)
     axes[0].set_xlabel("bound over that with the declared instruments")
     axes[0].legend(fontsize=8, loc="best")
-    save_figure(figure, path, f"{designed.scenario.title}: what other instruments would buy", axes)
+    save_figure(figure, path, f"{designed.scenario.title}\nwhat other instruments would buy", axes)

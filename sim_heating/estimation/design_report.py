@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -98,10 +98,8 @@ def _fitted(planner: Planner, found: Found, repetitions: int, progress: Progress
     """Actual fits of the best design, the surface pressure taken as known in them and in the bounds."""
     record, start = planner.record(found.best, planner.instruments)
     names = tuple(n for n in found.names if n != PRESSURE.name)
-    told = replace(planner.experiment(found.best, names, found.priors), levels=1)
-    fits = repeated_fits(
-        record, told, effects=planner.effects, start=start, repetitions=repetitions, progress=progress
-    )
+    told = planner.experiment(found.best, names, found.priors)
+    fits = repeated_fits(record, told, effects=planner.effects, start=start, repetitions=repetitions, progress=progress)
     return fits, told
 
 

@@ -18,6 +18,7 @@ from scipy.stats import qmc
 from sim_heating.errors import InputError, RunError
 from sim_heating.estimation.design import Experiment, check_wanted, merit
 from sim_heating.estimation.design_flight import Planned, Planner
+from sim_heating.estimation.informed import still
 from sim_heating.scenario import Vary
 from sim_heating.trajectory.spec import Manoeuvre
 
@@ -86,6 +87,9 @@ class Search:
             raise InputError(
                 f"{planner.scenario.path}: a manoeuvre is not reached in the 3-DOF flight; change what triggers it"
             )
+        unmoved = still(planner.wanted, [planner.record(self.planned, planner.instruments)[0]])
+        if unmoved:
+            raise InputError(*(f"{planner.scenario.path}: {name}: {why}" for name, why in unmoved.items()))
         self.names = planner.names(self.planned)
         self.priors = planner.priors(self.names, self.planned)
         self.planned_told = planner.experiment(self.planned, self.names, self.priors)
@@ -152,10 +156,10 @@ class Search:
             return found.merit
 
         worth((self.as_planned() - self.low) / span)
-        spread = qmc.Sobol(len(self.vary), rng=np.random.default_rng(1)).random_base2(
-            max(int(np.log2(max(total // 2, 1))), 0)
-        )
-        for u in spread[: total - 1]:
+        half = total // 2
+        several = half if half > len(self.vary) + 1 else total - 1
+        sobol = qmc.Sobol(len(self.vary), rng=np.random.default_rng(1))
+        for u in sobol.random_base2(int(np.ceil(np.log2(max(several, 1)))))[:several]:
             worth(u)
         left = total - len(self.tried)
         if left > len(self.vary):
@@ -166,9 +170,7 @@ class Search:
         if self.best is None:
             raise RunError(f"design: {self._nearest()}")
         _, best, told = self.best
-        return Found(
-            self.names, self.priors, self.vary, self.planned, self.planned_told, best, told, tuple(self.tried)
-        )
+        return Found(self.names, self.priors, self.vary, self.planned, self.planned_told, best, told, tuple(self.tried))
 
     def _nearest(self) -> str:
         closest = min(self.tried, key=lambda t: t.merit)

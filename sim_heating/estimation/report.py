@@ -61,7 +61,7 @@ def result_of(fitted: Fitted) -> Estimate:
             "degrees_of_freedom": fitted.bounds.dof,
             "log_likelihood": fitted.fit.log_likelihood,
             "statistics": statistics_of(fitted),
-            "would_buy": would_buy(fitted.labels, fitted.fit.information, fitted.fit.prior_information),
+            "would_buy": _would_buy(fitted),
             "warnings": list(fitted.warnings),
             "control_point": points.pop() if len(points) == 1 else None,
             "vehicle": records[0].declared.vehicle,
@@ -94,6 +94,13 @@ def _errors(predictions: tuple[Prediction, ...], what: str) -> Errors | None:
         residuals.append(p.residual_K[used][:, mask].ravel())
     found = pooled_rmse_K(np.concatenate(residuals))
     return None if found is None else Errors.model_validate(found)
+
+
+def _would_buy(fitted: Fitted) -> dict[str, dict[str, float]]:
+    """Standard deviations of the derivatives with twice the excursions, and with twice as many samples."""
+    factors = would_buy(fitted.labels, fitted.fit.information, fitted.fit.prior_information)
+    now = dict(zip(fitted.labels, fitted.bounds.sigma, strict=True))
+    return {n: {f"{k}_sigma": f * float(now[n]) for k, f in found.items()} for n, found in factors.items()}
 
 
 def noise_floor_K(fitted: Fitted) -> float | None:
