@@ -47,7 +47,7 @@ PRIVATE = ("initial.", CLOCK_SKEW.name, SENSOR_PREFIX)
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What one sensor would show: (sample,) times [s] and readings [K], (sample, parameter) sensitivities, noise [K]."""
+    """What a sensor would show: (sample,) times [s] and readings [K], (sample, parameter) sensitivities, noise [K]."""
 
     sensor: Sensor
     time_s: FloatArray
