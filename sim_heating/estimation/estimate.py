@@ -276,5 +276,3 @@ def misfit(everything: Sequence[Samples]) -> float:
     scored = [likelihood(s.channel.observed, s.mean_K, s.sigma_K) for s in everything]
     squares = sum(float(np.sum(f.score**2)) for f in scored)
     return float(np.sqrt(squares / sum(float(np.sum(f.information)) for f in scored)))
-
-
