@@ -191,6 +191,9 @@ def _fit(problem: Problem, first: FloatArray, progress: Progress) -> Fit:
         if fit.status is not Status.CONVERGED or problem.settle_noise(fit.values) < NOISE_CHANGE:
             break
         fit = maximise(problem.evaluate, problem.parameters, fit.values, problem.log_likelihoods, told=told)
+    if fit.status is Status.CONVERGED:
+        problem.correct_meshes(fit.values)
+        fit = maximise(problem.evaluate, problem.parameters, fit.values, problem.log_likelihoods, told=told)
     return replace(fit, iterations=steps[0])
 
 

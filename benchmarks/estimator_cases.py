@@ -1,0 +1,148 @@
+"""Flights with a known truth for the estimator's benchmarks: manoeuvres of JSBSim entries over plugs of 14 nodes.
+
+The truth is the march that is fitted: what is tested is estimation and not physics. Records of another program's
+physics are in estimator_null.py. As in the founding paper a fit starts 50 s before the manoeuvre, here with the
+true temperatures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.problems import NOTHING
+from sim_heating.ensemble import Ensemble, PointModel, condition_history
+from sim_heating.estimation.likelihood import observed
+from sim_heating.estimation.problem import Problem, Start, StartMaker, joint_reference
+from sim_heating.parameters import CLOCK_SKEW, Parameter
+from sim_heating.points import conditions_of_record, point_of_record
+from sim_heating.record import Record, Segments
+from sim_heating.run import fly_scenario
+from sim_heating.scenario import Scenario, load_scenario
+from sim_heating.sensors import measured
+from sim_heating.synthesize import synthesize
+from sim_heating.thermal.mesh import Mesh
+from sim_heating.trajectory.flight import Flight
+
+FloatArray = NDArray[np.float64]
+
+SCENARIOS = Path(__file__).parents[1] / "scenarios"
+NODES = 14
+BEFORE_S, AFTER_S = 50.0, 60.0
+"""What is fitted around a manoeuvre."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is estimated from which flight.
+
+    scenario, until_m_s : the flight, and the speed at which it ends
+    point               : control point
+    truth               : dotted name -> true value of what is estimated
+    """
+
+    name: str
+    scenario: str
+    until_m_s: float
+    point: str
+    truth: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def marched(self) -> dict[str, float]:
+        """True values of the march's parameters."""
+        return {k: v for k, v in self.truth.items() if k != CLOCK_SKEW.name}
+
+
+CASES = {
+    case.name: case
+    for case in (
+        Case("popu", "popu_mach20", 5800.0, "V09T9527", {"ratio.scale": 0.05, "ratio.d_alpha": 5e-4}),
+        Case(
+            "flap", "flap_mach16", 4550.0, "V07T9730",
+            {"ratio.scale": -0.05, "ratio.d_elevon": 1e-3, "ratio.d_bodyflap": -5e-4},
+        ),
+        Case(
+            "coating", "popu_mach20", 5800.0, "V09T9527",
+            {"ratio.scale": 0.05, "ratio.d_alpha": 5e-4, "stack.coating.thickness_factor": 1.15},
+        ),
+        Case(
+            "skew", "popu_mach20", 5800.0, "V09T9527",
+            {"ratio.scale": 0.05, "ratio.d_alpha": 5e-4, CLOCK_SKEW.name: 0.35},
+        ),
+    )
+}  # fmt: skip
+
+
+@cache
+def flown(scenario: str, until_m_s: float) -> tuple[Scenario, Flight]:
+    """A scenario of the project, flown until it is as slow as that."""
+    whole = load_scenario(SCENARIOS / f"{scenario}.toml")
+    trajectory = whole.declared.trajectory
+    stop = trajectory.stop.model_copy(update={"velocity_m_s": until_m_s, "mach": None})
+    declared = whole.declared.model_copy(update={"trajectory": trajectory.model_copy(update={"stop": stop})})
+    cut = replace(whole, declared=declared)
+    return cut, fly_scenario(cut)
+
+
+@cache
+def record_of(case_name: str) -> Record:
+    """The record that a crew would have of a case's control point, fitted around the manoeuvre."""
+    case = CASES[case_name]
+    scenario, flight = flown(case.scenario, case.until_m_s)
+    record = synthesize(replace(scenario, names=[case.point]), flight=flight)[case.point]
+    window = flight.windows[0]
+    segments = Segments(fit=[[window.start_s - BEFORE_S, window.end_s + AFTER_S]])
+    stack = record.declared.stack.model_copy(update={"nodes": NODES})
+    return replace(record, declared=record.declared.model_copy(update={"stack": stack, "segments": segments}))
+
+
+def start_at(case: Case) -> StartMaker:
+    """A start before the manoeuvre with the true temperatures there, marched from entry interface."""
+
+    def start(record: Record, model: PointModel, mesh: Mesh) -> Start:
+        window = flown(case.scenario, case.until_m_s)[1].windows[0]
+        conditions = conditions_of_record(record)
+        until = conditions.time_s <= window.start_s - BEFORE_S
+        ensemble = Ensemble([model.altered(case.marched)], [mesh])
+        ensemble.march(conditions.time_s[until], condition_history(conditions)[np.newaxis, until], keep=NOTHING)
+        return Start(float(conditions.time_s[until][-1]), ensemble.node_temperatures(0), np.zeros((mesh.nodes, 0)))
+
+    return start
+
+
+@dataclass
+class Repeatable:
+    """A fit whose measurements can be drawn again and again; no sensor of it is calibrated.
+
+    truth  : (parameter,) true values;  true_K : sensor's number -> (sample,) true temperatures of what is fitted
+    """
+
+    problem: Problem
+    truth: FloatArray
+    true_K: dict[int, FloatArray]
+
+    def draw(self, rng: np.random.Generator) -> None:
+        """Measure once more: noise and recorder words of all sensors."""
+        part = self.problem.parts[0]
+        part.channels = [
+            replace(c, observed=observed(c.sensor, measured(c.sensor, self.true_K[c.number], rng)))
+            for c in part.channels
+        ]
+
+
+def repeatable(case: Case) -> Repeatable:
+    """The fit of a case with flat priors, so that a prior cannot pass for a bias."""
+    record = record_of(case.name)
+    flat = {n: replace(_definition(record, n), sigma=np.inf) for n in case.truth}
+    problem = Problem([record], list(case.truth), joint_reference([record]), priors=flat, starts=[start_at(case)])
+    truth = np.array(list(case.truth.values()))
+    return Repeatable(problem, truth, {s.channel.number: s.mean_K for s in problem.samples(truth)})
+
+
+def _definition(record: Record, name: str) -> Parameter:
+    return CLOCK_SKEW if name == CLOCK_SKEW.name else point_of_record(record).definition(name)
