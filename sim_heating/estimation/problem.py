@@ -37,6 +37,7 @@ from sim_heating.thermal.mesh import Mesh, refined
 FloatArray = NDArray[np.float64]
 
 LONGEST_STEP_S = 1.0
+THREADS = os.cpu_count() or 1
 SKEW_SPAN_S = 5.0
 """How far an estimated skew may go [s]; samples so near the ends of the conditions are left out then."""
 
@@ -66,7 +67,8 @@ class Samples:
 
     part, channel : whose;  time_s : (sample,) recorded times
     mean_K        : (sample,) indication that the model gives
-    jacobian      : (sample, unknown) its sensitivities
+    own           : (sample, unknown of the part) its sensitivities
+    unknowns      : number of all unknowns
     sigma_K       : noise that is taken
     """
 
@@ -74,8 +76,16 @@ class Samples:
     channel: Channel
     time_s: FloatArray
     mean_K: FloatArray
-    jacobian: FloatArray
+    own: FloatArray
+    unknowns: int
     sigma_K: float
+
+    @property
+    def jacobian(self) -> FloatArray:
+        """(sample, unknown) sensitivities to all unknowns of the fit, 0 to those of other parts."""
+        whole = np.zeros((len(self.mean_K), self.unknowns))
+        whole[:, self.part.index] = self.own
+        return whole
 
 
 @dataclass(eq=False)
@@ -291,8 +301,9 @@ class Problem:
         for s in everything:
             found = likelihood(s.channel.observed, s.mean_K, s.sigma_K)
             total += float(np.sum(found.log_likelihood))
-            gradient += s.jacobian.T @ found.score
-            information += (s.jacobian * found.information[:, np.newaxis]).T @ s.jacobian
+            at = s.part.index
+            gradient[at] += s.own.T @ found.score
+            information[np.ix_(at, at)] += (s.own * found.information[:, np.newaxis]).T @ s.own
         return Evaluation(total, gradient, information)
 
     def samples(self, vector: FloatArray) -> list[Samples]:
@@ -325,10 +336,8 @@ class Problem:
 
     def _of_channel(self, part: Part, channel: Channel, found: Linearised, vector: FloatArray) -> Samples:
         mean, own = indicated(channel, found, part.names, part.values(vector), part.read)
-        jacobian = np.zeros((len(mean), len(self.unknowns)))
-        jacobian[:, part.index] = own
         time = part.sample_s[channel.samples]
-        return Samples(part, channel, time, mean, jacobian, part.sigma_K[channel.number])
+        return Samples(part, channel, time, mean, own, len(self.unknowns), part.sigma_K[channel.number])
 
     def log_likelihoods(self, vectors: FloatArray) -> FloatArray:
         """(candidate,) log likelihoods of several parameter vectors, marched side by side."""
@@ -414,9 +423,9 @@ R = TypeVar("R")
 
 def in_threads(one: Callable[[int], R], count: int) -> list[R]:
     """one(0), ..., one(count - 1), in threads where there are several."""
-    if count == 1:
-        return [one(0)]
-    with ThreadPoolExecutor(min(count, os.cpu_count() or 1)) as pool:
+    if min(count, THREADS) == 1:
+        return [one(k) for k in range(count)]
+    with ThreadPoolExecutor(min(count, THREADS)) as pool:
         return list(pool.map(one, range(count)))
 
 

@@ -1,0 +1,199 @@
+"""Time of a fit: the founding paper's case against an extended Kalman filter and least squares; growth; two cores."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.estimator_cases import CASES, record_of, start_at
+from benchmarks.estimator_peers import (
+    ExtendedKalmanFilter,
+    Plain,
+    by_filterpy,
+    by_scipy,
+    by_side_by_side,
+    plain,
+)
+from benchmarks.measure import Figure, Times, in_turn, save
+from benchmarks.problems import RECORD, mesh_of
+from sim_heating.ensemble import condition_history
+from sim_heating.estimation import problem as fitting
+from sim_heating.estimation.estimate import estimate
+from sim_heating.estimation.problem import Problem, joint_reference
+from sim_heating.filter_march import FilterMarch, FilterTrack, samples_on_grid
+from sim_heating.linear_march import LinearMarch, Track
+from sim_heating.record import Record, load_record
+
+FloatArray = NDArray[np.float64]
+
+NAMES = ("ratio.scale", "ratio.d_alpha", "stack.coating.thickness_factor", "stack.rsi.conductivity_factor")
+START_K2, PROCESS_K2_S = 1e-4, 1e-6
+ITERATIONS, ROUNDS, FILTERPY_ROUNDS = 10, 7, 2
+NODES = (14, 28, 56, 100)
+POINTS = 50
+"""Control points of the joint fit."""
+
+
+def gauss_newton(problem: Problem, start: FloatArray) -> FloatArray:
+    """Ten iterations, whatever they gain."""
+    at = start.copy()
+    prior = np.array([p.sigma**-2.0 for p in problem.parameters])
+    for _ in range(ITERATIONS):
+        found = problem.evaluate(at)
+        at = at + np.linalg.solve(found.information + np.diag(prior), found.gradient + prior * (start - at))
+    return at
+
+
+def by_filter(point: Plain, values: FloatArray) -> FloatArray:
+    """Ten iterations on the innovations of this program's Kalman filter with its sensitivities."""
+    mesh, at = point.part.mesh, values.copy()
+    samples = samples_on_grid(point.time_s[1:], mesh.sensors, point.read_K.T, point.sigma_K)
+    track = FilterTrack(
+        point.part.model, mesh, samples, point.names, point.start_K,
+        covariance_K2=START_K2 * np.eye(mesh.nodes), noise_K2_s=PROCESS_K2_S,
+    )  # fmt: skip
+    march = FilterMarch([track], point.time_s, point.history[np.newaxis])
+    for _ in range(ITERATIONS):
+        march.set_models([point.model(at)])
+        (found,) = march.filter()
+        at = at + np.linalg.solve(found.information(), found.score())
+    return at
+
+
+def the_papers_case() -> list[Figure]:
+    """All methods on one problem, in turn."""
+    case = CASES["popu"]
+    record = record_of(case.name)
+    problem = Problem([record], NAMES, joint_reference([record]), starts=[start_at(case)])
+    start = np.array([p.value for p in problem.parameters])
+    point = plain(problem.parts[0], NAMES)
+    tasks = {
+        "this": lambda: gauss_newton(problem, start),
+        "filter": lambda: by_filter(point, start),
+        "scipy": lambda: by_scipy(point, start, ITERATIONS),
+        "lanes": lambda: by_side_by_side(point, start, ITERATIONS),
+    }
+    values = {name: task() for name, task in tasks.items()}
+    sigma = np.sqrt(np.diag(np.linalg.inv(problem.evaluate(values["this"]).information)))
+    times = in_turn(tasks, ROUNDS)
+    whole = in_turn({"this": lambda: estimate([record], NAMES, starts=[start_at(case)])}, ROUNDS)
+    steps = len(point.time_s) - 1
+    shown = f"{len(point.nodes)} nodes, {len(point.sensors)} sensors, {len(NAMES)} parameters, {steps} steps"
+    figures = [
+        Figure("ten iterations, this", times.best("this") * 1e3, "ms", note=shown),
+        Figure("a whole fit to a record in memory, bounds and predictions too", whole.best("this") * 1e3, "ms"),
+        Figure("ten iterations on this program's Kalman filter", times.best("filter") * 1e3, "ms"),
+        Figure("scipy least_squares, finite differences on our march / this", times.ratio("scipy", "this"), "x",
+               20.0, True),
+        Figure("the same by hand, differences side by side in lanes / this", times.ratio("lanes", "this"), "x"),
+    ]  # fmt: skip
+    if ExtendedKalmanFilter is None:
+        figures.append(Figure("filterpy is not installed, skipped", float("nan"), ""))
+    else:
+        figures += _against_filterpy(point, start, values, problem)
+    apart = {name: float(np.max(np.abs(v - values["this"]) / sigma)) for name, v in values.items() if name != "this"}
+    figures.append(
+        Figure("largest difference of their estimates from these", max(apart.values()), "sigma",
+               note=", ".join(f"{n} {a:.2f}" for n, a in apart.items()))
+    )  # fmt: skip
+    return figures
+
+
+def _against_filterpy(
+    point: Plain, start: FloatArray, values: dict[str, FloatArray], problem: Problem
+) -> list[Figure]:
+    times = in_turn(
+        {
+            "this": lambda: gauss_newton(problem, start),
+            "filter": lambda: by_filter(point, start),
+            "filterpy": lambda: values.update(filterpy=by_filterpy(point, start, ITERATIONS)),
+        },
+        FILTERPY_ROUNDS,
+    )
+    return [
+        Figure("ten iterations, filterpy and finite differences", times.best("filterpy"), "s"),
+        Figure("the same / this", times.ratio("filterpy", "this"), "x", 200.0, True),
+        Figure("the same / this program's Kalman filter", times.ratio("filterpy", "filter"), "x"),
+    ]
+
+
+def growth() -> list[Figure]:
+    """How one march grows with the nodes: with sensitivities, and with the covariance."""
+    case = CASES["popu"]
+    record = record_of(case.name)
+    part = Problem([record], NAMES, joint_reference([record])).parts[0]
+    history = condition_history(part.conditions.at(part.time_s))[np.newaxis]
+    tasks = {}
+    for nodes in NODES:
+        mesh = mesh_of(part.model, nodes)
+        nothing = samples_on_grid(part.time_s[1:], mesh.sensors[:1], np.full((1, len(part.time_s) - 1), np.nan), 1.0)
+        tasks[f"S {nodes}"] = LinearMarch([Track(part.model, mesh, NAMES, part.sample_s)], part.time_s, history).march
+        bare = FilterTrack(part.model, mesh, nothing, noise_K2_s=PROCESS_K2_S)
+        tasks[f"P {nodes}"] = FilterMarch([bare], part.time_s, history).filter
+    times = in_turn(tasks, ROUNDS)
+    return [
+        *(_growth(times, "S", "sensitivities", 1.0)),
+        *(_growth(times, "P", "covariance", 2.0)),
+    ]
+
+
+def _growth(times: Times, key: str, what: str, order: float) -> list[Figure]:
+    """Exponent of the cost between 28 and 100 nodes, and the cost at each count."""
+    seconds = {n: times.best(f"{key} {n}") for n in NODES}
+    exponent = np.polyfit(np.log(NODES[1:]), np.log([seconds[n] for n in NODES[1:]]), 1)[0]
+    told = ", ".join(f"{n}: {s * 1e3:.1f} ms" for n, s in seconds.items())
+    return [Figure(f"{what}: exponent of the cost in nodes", float(exponent), "", order + 0.1, note=told)]
+
+
+def the_joint_fit() -> list[Figure]:
+    """One iteration over fifty control points on one flight, in one thread and in two."""
+    problem = Problem(fifty(), NAMES[:2], joint_reference([record_of("popu")]))
+    at = np.array([p.value for p in problem.parameters])
+    moved = iter(range(10**9))
+
+    def iteration(threads: int) -> None:
+        before, fitting.THREADS = fitting.THREADS, threads
+        problem.evaluate(at + 1e-9 * next(moved))  # the march of the last vector is kept: another one each time
+        fitting.THREADS = before
+
+    times = in_turn({"one": lambda: iteration(1), "two": lambda: iteration(2)}, ROUNDS)
+    efficiency = times.ratio("one", "two") / 2.0
+    return [
+        Figure("joint fit of 50 control points: one iteration, one thread", times.best("one") * 1e3, "ms"),
+        Figure("the same on two threads: efficiency", efficiency, "", 0.9, True,
+               note=f"load of the machine before {os.getloadavg()[0]:.1f}"),
+    ]  # fmt: skip
+
+
+def fifty() -> list[Record]:
+    """Fifty control points of one construction, each with a record of the whole flight."""
+    record = record_of("popu")
+    segments = record.declared.segments.model_copy(update={"fit": None})
+    return [
+        replace(
+            record,
+            declared=record.declared.model_copy(update={"control_point": f"P{i}", "segments": segments}),
+            directory=Path(f"p{i}"),
+        )
+        for i in range(POINTS)
+    ]
+
+
+def the_practice_record() -> list[Figure]:
+    """A whole warm fit of a whole entry."""
+    record = load_record(RECORD)
+    times = in_turn({"this": lambda: estimate([record])}, ROUNDS)
+    part = Problem([record], ["ratio.scale"], joint_reference([record])).parts[0]
+    shown = f"{part.mesh.nodes} nodes, {len(part.time_s) - 1} steps, 6 parameters"
+    return [Figure("a warm fit of a whole entry, practice record p06", times.best("this") * 1e3, "ms", note=shown)]
+
+
+def run() -> list[Figure]:
+    """The paper's case, growth with the nodes, a whole entry, fifty points."""
+    figures = [*the_papers_case(), *growth(), *the_practice_record(), *the_joint_fit()]
+    save("estimator_speed", figures)
+    return figures
