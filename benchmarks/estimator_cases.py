@@ -2,7 +2,7 @@
 
 The truth is the march that is fitted: what is tested is estimation and not physics. Records of another program's
 physics are in estimator_null.py. As in the founding paper a fit starts 50 s before the manoeuvre, here with the
-true temperatures.
+true temperatures, where it does not start at entry interface.
 """
 
 from __future__ import annotations
@@ -44,6 +44,8 @@ class Case:
     scenario, until_m_s : the flight, and the speed at which it ends
     point               : control point
     truth               : dotted name -> true value of what is estimated
+    whole               : fitted from entry interface on, and not around the manoeuvre alone
+    bits                : of the recorder words, where not those declared
     """
 
     name: str
@@ -51,6 +53,8 @@ class Case:
     until_m_s: float
     point: str
     truth: Mapping[str, float] = field(default_factory=dict)
+    whole: bool = False
+    bits: int | None = None
 
     @property
     def marched(self) -> dict[str, float]:
@@ -58,24 +62,21 @@ class Case:
         return {k: v for k, v in self.truth.items() if k != CLOCK_SKEW.name}
 
 
+PLUG = ("popu_mach20", 5800.0, "V09T9527")
+PLUG_TRUTH = {"ratio.scale": 0.05, "ratio.d_alpha": 5e-4}
+ELEVON = ("flap_mach16", 4550.0, "V07T9730")
+ELEVON_TRUTH = {"ratio.scale": -0.05, "ratio.d_elevon": 1e-3, "ratio.d_bodyflap": -5e-4}
 CASES = {
     case.name: case
     for case in (
-        Case("popu", "popu_mach20", 5800.0, "V09T9527", {"ratio.scale": 0.05, "ratio.d_alpha": 5e-4}),
-        Case(
-            "flap", "flap_mach16", 4550.0, "V07T9730",
-            {"ratio.scale": -0.05, "ratio.d_elevon": 1e-3, "ratio.d_bodyflap": -5e-4},
-        ),
-        Case(
-            "coating", "popu_mach20", 5800.0, "V09T9527",
-            {"ratio.scale": 0.05, "ratio.d_alpha": 5e-4, "stack.coating.thickness_factor": 1.15},
-        ),
-        Case(
-            "skew", "popu_mach20", 5800.0, "V09T9527",
-            {"ratio.scale": 0.05, "ratio.d_alpha": 5e-4, CLOCK_SKEW.name: 0.35},
-        ),
+        Case("popu", *PLUG, PLUG_TRUTH),
+        Case("flap alone", *ELEVON, ELEVON_TRUTH),
+        Case("coating", *PLUG, {**PLUG_TRUTH, "stack.coating.thickness_factor": 1.15}),
+        Case("skew", *PLUG, {**PLUG_TRUTH, CLOCK_SKEW.name: 0.35}),
+        Case("flap", *ELEVON, ELEVON_TRUTH, whole=True),
+        Case("flap alone, 16 bits", *ELEVON, ELEVON_TRUTH, bits=16),
     )
-}  # fmt: skip
+}
 
 
 @cache
@@ -94,11 +95,17 @@ def record_of(case_name: str) -> Record:
     """The record that a crew would have of a case's control point, fitted around the manoeuvre."""
     case = CASES[case_name]
     scenario, flight = flown(case.scenario, case.until_m_s)
-    record = synthesize(replace(scenario, names=[case.point]), flight=flight)[case.point]
+    record = synthesize(replace(scenario, names=(case.point,)), flight=flight)[case.point]
     window = flight.windows[0]
-    segments = Segments(fit=[[window.start_s - BEFORE_S, window.end_s + AFTER_S]])
-    stack = record.declared.stack.model_copy(update={"nodes": NODES})
-    return replace(record, declared=record.declared.model_copy(update={"stack": stack, "segments": segments}))
+    fitted = None if case.whole else [[window.start_s - BEFORE_S, window.end_s + AFTER_S]]
+    changed: dict[str, object] = {
+        "stack": record.declared.stack.model_copy(update={"nodes": NODES}),
+        "segments": Segments(fit=fitted),
+    }
+    if case.bits is not None:
+        sensors = [s.model_copy(update={"bits": case.bits}) for s in record.sensors]
+        changed["thermocouples"] = record.declared.thermocouples.model_copy(update={"sensor": sensors})
+    return replace(record, declared=record.declared.model_copy(update=changed))
 
 
 def start_at(case: Case) -> StartMaker:
@@ -139,7 +146,8 @@ def repeatable(case: Case) -> Repeatable:
     """The fit of a case with flat priors, so that a prior cannot pass for a bias."""
     record = record_of(case.name)
     flat = {n: replace(_definition(record, n), sigma=np.inf) for n in case.truth}
-    problem = Problem([record], list(case.truth), joint_reference([record]), priors=flat, starts=[start_at(case)])
+    starts = [None if case.whole else start_at(case)]
+    problem = Problem([record], list(case.truth), joint_reference([record]), priors=flat, starts=starts)
     truth = np.array(list(case.truth.values()))
     return Repeatable(problem, truth, {s.channel.number: s.mean_K for s in problem.samples(truth)})
 

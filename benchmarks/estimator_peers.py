@@ -1,12 +1,11 @@
 """What the estimator is timed against: the same fit by filterpy's extended Kalman filter, and by scipy's least squares.
 
 Both get this program's own compiled march of the same 14 nodes, changed in place and not packed anew. The filter's
-transition is differenced node by node as its equations read, and its innovations are differenced parameter by parameter.
+transition is differenced node by node as its equations read, its innovations parameter by parameter.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from sim_heating.ensemble import Ensemble, PointModel, condition_history
-from sim_heating.estimation.problem import Part
+from sim_heating.estimation.problem import Part, declared_profile
 
 try:
     from filterpy.kalman import ExtendedKalmanFilter
@@ -46,7 +45,8 @@ class Plain:
     def __post_init__(self) -> None:
         self.time_s = self.part.time_s
         self.history = condition_history(self.part.conditions.at(self.time_s))
-        self.start_K = self.part.initial_K(None)
+        begun = self.part.initial_K(None)
+        self.start_K = declared_profile(self.part) if begun is None else begun
         self.ensemble = Ensemble([self.part.model], [self.part.mesh])
         places, mesh = self.ensemble.places, self.part.mesh
         self.nodes = np.array([places[0].temperature(i) for i in range(mesh.nodes)])
@@ -127,7 +127,7 @@ def by_scipy(point: Plain, values: FloatArray, iterations: int) -> FloatArray:
     """scipy's least squares with its own finite differences, so many steps whatever they gain."""
     scale = np.array([_scale(point, n) for n in point.names])
     found = least_squares(
-        lambda x: point.residuals(x * scale), values / scale, method="trf", ftol=None, xtol=None, gtol=None,
+        lambda x: point.residuals(x * scale), values / scale, method="trf", ftol=None, xtol=None, gtol=1e-15,
         max_nfev=iterations + 1,
     )  # fmt: skip
     return np.asarray(found.x * scale)
@@ -146,7 +146,7 @@ def by_side_by_side(point: Plain, values: FloatArray, iterations: int) -> FloatA
     return at
 
 
-def _several(point: Plain, group: Ensemble, kept: NDArray[np.int64], vectors: Sequence[FloatArray]) -> FloatArray:
+def _several(point: Plain, group: Ensemble, kept: NDArray[np.int64], vectors: FloatArray) -> FloatArray:
     """(vector, step x sensor) residuals."""
     for i, v in enumerate(vectors):
         group.set_model(i, point.model(v))

@@ -18,7 +18,7 @@ from benchmarks.estimator_peers import (
     by_side_by_side,
     plain,
 )
-from benchmarks.measure import Figure, Times, in_turn, save
+from benchmarks.measure import Figure, Task, Times, in_turn, save
 from benchmarks.problems import RECORD, mesh_of
 from sim_heating.ensemble import condition_history
 from sim_heating.estimation import problem as fitting
@@ -103,9 +103,7 @@ def the_papers_case() -> list[Figure]:
     return figures
 
 
-def _against_filterpy(
-    point: Plain, start: FloatArray, values: dict[str, FloatArray], problem: Problem
-) -> list[Figure]:
+def _against_filterpy(point: Plain, start: FloatArray, values: dict[str, FloatArray], problem: Problem) -> list[Figure]:
     times = in_turn(
         {
             "this": lambda: gauss_newton(problem, start),
@@ -127,7 +125,7 @@ def growth() -> list[Figure]:
     record = record_of(case.name)
     part = Problem([record], NAMES, joint_reference([record])).parts[0]
     history = condition_history(part.conditions.at(part.time_s))[np.newaxis]
-    tasks = {}
+    tasks: dict[str, Task] = {}
     for nodes in NODES:
         mesh = mesh_of(part.model, nodes)
         nothing = samples_on_grid(part.time_s[1:], mesh.sensors[:1], np.full((1, len(part.time_s) - 1), np.nan), 1.0)

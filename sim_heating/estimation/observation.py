@@ -106,6 +106,8 @@ def indicated(
             jacobian[:, k] = 1.0
         elif name == f"{SENSOR_PREFIX}{sensor.name}.gain":
             jacobian[:, k] = T
-    calibration = np.polynomial.Polynomial(sensor.calibration or [0.0, 1.0])
+    if sensor.calibration is None:
+        return calibrated(sensor, T, wrong), jacobian
+    calibration = np.polynomial.Polynomial(sensor.calibration)
     slope = calibration.deriv()(wrong.gain * T + wrong.bias_K)
     return calibrated(sensor, T, wrong), slope[:, np.newaxis] * jacobian

@@ -280,7 +280,7 @@ class Problem:
             alike.setdefault((part.time_s.tobytes(), part.mesh.nodes), []).append(part)
         self.groups = [parts[k : k + LANES] for parts in alike.values() for k in range(0, len(parts), LANES)]
         self._marches = [self._march_of(group) for group in self.groups]
-        self._last: tuple[bytes, list[list[Linearised]]] | None = None
+        self._last: list[tuple[bytes, list[Linearised]]] = [(b"", [])] * len(self.groups)
 
     @staticmethod
     def _march_of(group: Sequence[Part]) -> LinearMarch:
@@ -293,18 +293,26 @@ class Problem:
     def evaluate(self, vector: FloatArray) -> Evaluation:
         """Log likelihood of all samples, its gradient, and Gauss-Newton's information; NaN where a march failed."""
         m = len(self.unknowns)
-        total, gradient, information = 0.0, np.zeros(m), np.zeros((m, m))
+
+        def one(k: int) -> Evaluation:
+            total, gradient, information = 0.0, np.zeros(m), np.zeros((m, m))
+            for s in self._samples_of(k, vector):
+                at = s.part.index
+                found = likelihood(s.channel.observed, s.mean_K, s.sigma_K)
+                total += float(np.sum(found.log_likelihood))
+                gradient[at] += s.own.T @ found.score
+                information[np.ix_(at, at)] += (s.own * found.information[:, np.newaxis]).T @ s.own
+            return Evaluation(total, gradient, information)
+
         try:
-            everything = self.samples(vector)
+            found = in_threads(one, len(self.groups))
         except RunError:
-            return Evaluation(np.nan, gradient, information)
-        for s in everything:
-            found = likelihood(s.channel.observed, s.mean_K, s.sigma_K)
-            total += float(np.sum(found.log_likelihood))
-            at = s.part.index
-            gradient[at] += s.own.T @ found.score
-            information[np.ix_(at, at)] += (s.own * found.information[:, np.newaxis]).T @ s.own
-        return Evaluation(total, gradient, information)
+            return Evaluation(np.nan, np.zeros(m), np.zeros((m, m)))
+        return Evaluation(
+            sum(f.log_likelihood for f in found),
+            np.sum([f.gradient for f in found], axis=0),
+            np.sum([f.information for f in found], axis=0),
+        )
 
     def samples(self, vector: FloatArray) -> list[Samples]:
         """All channels at a parameter vector.
@@ -312,27 +320,27 @@ class Problem:
         raises : RunError where a march failed
         """
 
-        marched = self._marched(vector)
+        found = in_threads(lambda k: self._samples_of(k, vector), len(self.groups))
+        return [s for of_group in found for s in of_group]
+
+    def _samples_of(self, k: int, vector: FloatArray) -> list[Samples]:
+        """All channels of a group of parts."""
         return [
             self._of_channel(part, channel, part.corrected(found), vector)
-            for group, results in zip(self.groups, marched, strict=True)
-            for part, found in zip(group, results, strict=True)
+            for part, found in zip(self.groups[k], self._marched(k, vector), strict=True)
             for channel in part.channels
         ]
 
-    def _marched(self, vector: FloatArray) -> list[list[Linearised]]:
-        """All groups marched at a parameter vector; that of the last one is kept."""
-
-        def one(k: int) -> list[Linearised]:
+    def _marched(self, k: int, vector: FloatArray) -> list[Linearised]:
+        """A group marched at a parameter vector; the last one of each group is kept."""
+        at, (known, found) = vector.tobytes(), self._last[k]
+        if known != at:
             group, march = self.groups[k], self._marches[k]
             march.set_models([part.altered(vector) for part in group])
-            return march.march([part.shift_s(vector) for part in group], [part.initial_K(vector) for part in group])
-
-        at = vector.tobytes()
-        if self._last is None or self._last[0] != at:
-            self._last = None
-            self._last = (at, in_threads(one, len(self.groups)))
-        return self._last[1]
+            shifts, initial = [p.shift_s(vector) for p in group], [p.initial_K(vector) for p in group]
+            found = march.march(shifts, initial)
+            self._last[k] = (at, found)
+        return found
 
     def _of_channel(self, part: Part, channel: Channel, found: Linearised, vector: FloatArray) -> Samples:
         mean, own = indicated(channel, found, part.names, part.values(vector), part.read)
@@ -373,10 +381,10 @@ class Problem:
         def one(k: int) -> None:
             part = self.parts[k]
             model, initial = part.altered(vector), part.initial_K(vector)
-            tracks = [
-                Track(model, mesh, (), part.sample_s, None, None if initial is None else on_mesh(initial, part.mesh, mesh))
-                for mesh in (part.mesh, refined(part.mesh))
-            ]
+            tracks = []
+            for mesh in (part.mesh, refined(part.mesh)):
+                begin = None if initial is None else on_mesh(initial, part.mesh, mesh)
+                tracks.append(Track(model, mesh, (), part.sample_s, initial_K=begin))
             history = condition_history(part.conditions.at(part.time_s))[np.newaxis]
             found = LinearMarch(tracks, part.time_s, history).march([part.shift_s(vector)] * len(tracks))
             coarse, fine = (f.temperature_K for f in found)
