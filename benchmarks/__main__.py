@@ -10,7 +10,6 @@ import click
 from benchmarks.measure import Figure, table
 
 NAMES = (
-NAMES = (
     "c_loop", "work_precision", "frames", "coupling", "fmu", "optimal",
     "covariance", "end_to_end", "ground_step", "skew", "design", "estimator_speed",
     "estimator_null", "estimator_statistics",
