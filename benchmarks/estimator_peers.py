@@ -123,13 +123,10 @@ def _innovations(point: Plain, values: FloatArray) -> tuple[FloatArray, FloatArr
     return innovations, variances
 
 
-def by_scipy(point: Plain, values: FloatArray, iterations: int) -> FloatArray:
-    """scipy's least squares with its own finite differences, so many steps whatever they gain."""
+def by_scipy(point: Plain, values: FloatArray) -> FloatArray:
+    """scipy's least squares with its own finite differences, until its own tolerances are met."""
     scale = np.array([_scale(point, n) for n in point.names])
-    found = least_squares(
-        lambda x: point.residuals(x * scale), values / scale, method="trf", ftol=None, xtol=None, gtol=1e-15,
-        max_nfev=iterations + 1,
-    )  # fmt: skip
+    found = least_squares(lambda x: point.residuals(x * scale), values / scale)
     return np.asarray(found.x * scale)
 
 
