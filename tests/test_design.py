@@ -185,6 +185,12 @@ def test_a_manoeuvre_that_tells_nothing_of_a_parameter_is_refused():
         Search(planner_of(parameters=["ratio.d_bodyflap"]))
 
 
+@pytest.mark.parametrize("key", [{"parameters": ["ratio.d_alfa"]}, {"prior": {"ratio.d_alfa": 1e-4}}])
+def test_a_misspelt_parameter_is_told_with_the_nearest(key):
+    with pytest.raises(InputError, match=r"no parameter `ratio\.d_alfa`. Nearest: `ratio\.d_alpha`"):
+        planner_of(**key)
+
+
 def test_a_whole_design_says_what_was_found():
     designed = design(planner_of(evaluations=3, vary=[{"key": "hold_s", "low": 0.0, "high": 6.0}]).scenario)
     found = summary(designed)

@@ -16,7 +16,7 @@ from sim_heating.estimation.informed import still
 from sim_heating.estimation.initial import free_start
 from sim_heating.estimation.problem import LONGEST_STEP_S, SKEW_SPAN_S, Start, march_times
 from sim_heating.linear_march import LinearMarch, Track
-from sim_heating.parameters import CLOCK_SKEW, SHORT
+from sim_heating.parameters import CLOCK_SKEW, SENSOR_PREFIX, SHORT
 from sim_heating.points import conditions_at_point, histories, point_of_vehicle
 from sim_heating.record import Record, Segments, make_record
 from sim_heating.resolution import choose_meshes, pack
@@ -46,9 +46,6 @@ NUISANCE = (
 """What is not known beside it, and the derivatives that the table of the point knows."""
 SEARCHED = {"source": "entry-3dof", "rate_hz": 4.0}
 """What designs are flown with while they are tried."""
-KNOT_KNOWN_K = 10.0
-"""How well the temperatures before a manoeuvre are known at the knots of their profile, from the entry up to then [K];
-those that matter the thermocouples tell better."""
 ADDED_K = 5.0
 """What a manoeuvre may add to a temperature that passes its limit without it [K]."""
 
@@ -98,6 +95,14 @@ class Planner:
         self.effects = (*self.point.effects, *scenario.effects(self.point.name))
         self.wanted = _wanted(scenario, self.design)
         self.instruments = Instruments(self.point.sensors, scenario.declared.measurements.rate_hz)
+        self._check_names((*self.wanted, *(self.design.nuisance or ()), *self.design.prior))
+
+    def _check_names(self, names: Sequence[str]) -> None:
+        """Refuse names that no unknown of a design has."""
+        model = point_of_vehicle(self.scenario.vehicle, self.point, effects=self.scenario.effects(self.point.name))
+        for name in names:
+            if name not in (CLOCK_SKEW.name, PRESSURE.name) and not name.startswith((SENSOR_PREFIX, "initial.")):
+                model.definition(name)
 
     # Flight ----------------------------------------------------------------------------------------------------------
 
@@ -249,9 +254,7 @@ class Planner:
     ) -> Experiment:
         """What a planned flight would tell."""
         record, start = self.record(planned, instruments or self.instruments)
-        found = experiment(record, names, effects=self.effects, start=start)
-        knots = {} if start is None else {u.name: KNOT_KNOWN_K for u in start.unknowns}
-        return found.with_priors(knots | priors)
+        return experiment(record, names, effects=self.effects, start=start).with_priors(priors)
 
 
 def _point(scenario: Scenario, design: Design) -> ControlPoint:
