@@ -17,7 +17,7 @@ from sim_heating.errors import InputError
 from sim_heating.estimation.identifiability import SINGULAR, covariance, directions
 from sim_heating.estimation.result import AT
 from sim_heating.heating_ratio.kernel import table_ratios_at
-from sim_heating.parameters import SHORT
+from sim_heating.parameters import MODEL, SHORT
 from sim_heating.points import conditions_of_record
 from sim_heating.predict import predict
 from sim_heating.record import Record
@@ -56,7 +56,7 @@ def _fitted(record: Record) -> NDArray[np.bool_]:
 def variables_of(name: str) -> tuple[int, ...]:
     """Numbers of the ratio variables that a derivative is against; none for any other parameter."""
     stem = name.partition(AT)[0]
-    if not stem.startswith("ratio.d_"):
+    if not stem.startswith("ratio.d_") or stem not in MODEL:
         return ()
     parts = stem.removeprefix("ratio.d_").split("_")
     return tuple(SHORT.index(p.removesuffix("2")) for p in parts)
