@@ -27,7 +27,7 @@ def off(fit, name: str, truth: float) -> float:
 def test_lead_thins_the_coating_that_is_found_and_lag_thickens_it():
     lead, none, lag = (fitted_factor(Tile(skew_s=s))[0] for s in (-1.0, 0.0, 1.0))
     assert lead < 0.7 < none < 1.3 < lag
-    assert none == pytest.approx(1.0, abs=1e-4)
+    assert none == pytest.approx(1.0, abs=1e-3)  # the truth is on a finer mesh than the fit
 
 
 def test_lead_at_which_the_coating_is_none_grows_with_thickness_and_falls_with_temperature():
