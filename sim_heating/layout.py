@@ -77,7 +77,7 @@ NOWHERE = -1e30
 # whether any of them asks for the wall temperature, the code of each, the node at the back face (nodes behind it
 # are padding, to the node count of the group: they hold heat and exchange none), how many effects act on the emittance
 # (their codes follow those of the ratio) and the slot of the effect that lags, or NONE; two of the group, whether any
-# lane is moist and whether any has gaps. Then for each node two flags,
+# lane has moisture or radiation in depth and whether any has gaps. Then for each node two flags,
 # whether its two elements differ in material in any lane and whether it is a face of the stack in any lane, and the
 # material-table offset of the element to its right in each lane.
 N_NODES = 0
@@ -93,8 +93,8 @@ EFFECT_CODES = WALL_EFFECTS + LANES
 BACK_NODE = EFFECT_CODES + EFFECT_SLOTS * LANES
 N_EMITTING = BACK_NODE + LANES
 LAG_SLOT = N_EMITTING + LANES
-MOIST = LAG_SLOT + LANES
-GAPS = MOIST + 1
+IN_DEPTH = LAG_SLOT + LANES
+GAPS = IN_DEPTH + 1
 NODE_INTS = GAPS + 1
 IS_INTERFACE, IS_FACE, MATERIAL_TABLE = 0, 1, 2
 INTS_PER_NODE = MATERIAL_TABLE + LANES

@@ -49,6 +49,7 @@ from sim_heating.layout import (
     FRACTION,
     HEAD_ROWS,
     HIGH,
+    IN_DEPTH,
     INTS_PER_NODE,
     IS_FACE,
     IS_INTERFACE,
@@ -60,7 +61,6 @@ from sim_heating.layout import (
     M_LEFT,
     M_RIGHT,
     MATERIAL_TABLE,
-    MOIST,
     N_NODES,
     N_PRESSURES,
     NODE_INTS,
@@ -172,7 +172,7 @@ def _wet(B: FloatArray, lane: int, T_K: float) -> tuple[float, float]:
 
 @njit
 def _write_row(
-    B: FloatArray, a: int, lane: int, ddt: float, moist: int,
+    B: FloatArray, a: int, lane: int, ddt: float,
     h_left: float, c_left: float, theta_left: float, k_left: float, h: float, c: float, theta: float, k: float,
 ) -> None:  # fmt: skip
     """Row of a node with its properties on either side; what its right neighbour adds is in that one's ACROSS and
@@ -181,17 +181,8 @@ def _write_row(
     What crosses an element, heat conducted in d dt and heat content shared, is taken together.
     """
     left = a - NODE_ROWS * LANES
-    m_left, m_right, t = B[a + M_LEFT * LANES + lane], B[a + M_RIGHT * LANES + lane], B[a + T * LANES + lane]
+    m_left, m_right = B[a + M_LEFT * LANES + lane], B[a + M_RIGHT * LANES + lane]
     e_left, cap_left, e_right, cap_right = m_left * h_left, m_left * c_left, m_right * h, m_right * c
-    if moist == 1:
-        wet_left, wet_right = B[a + WET_LEFT * LANES + lane], B[a + WET_RIGHT * LANES + lane]
-        wet_h, wet_c = _wet(B, lane, t)
-        e_left, cap_left = e_left + wet_left * wet_h, cap_left + wet_left * wet_c
-        e_right, cap_right = e_right + wet_right * wet_h, cap_right + wet_right * wet_c
-    radiant = 1e-9 * B[a + K_RAD * LANES + lane] * t * t * t
-    radiant_left = 1e-9 * B[left + K_RAD * LANES + lane] * t * t * t
-    theta, theta_left = theta + 0.25 * radiant * t, theta_left + 0.25 * radiant_left * t
-    k, k_left = k + radiant, k_left + radiant_left
     g_left = ddt * B[left + G * LANES + lane]
     across = g_left * (B[left + THETA_RIGHT * LANES + lane] - theta_left)
     across += SHARE * (e_left - B[left + E_RIGHT * LANES + lane])
@@ -210,11 +201,39 @@ def _write_row(
 
 
 @njit
+def _add_in_depth(B: FloatArray, a: int, lane: int, ddt: float) -> None:
+    """Add moisture and radiation in depth to the row of a node, that of its left neighbour having them already.
+
+    Apart from the row itself: most walls have neither, and the branch would keep the lanes from going together.
+    """
+    left = a - NODE_ROWS * LANES
+    t = B[a + T * LANES + lane]
+    wet_left, wet_right = B[a + WET_LEFT * LANES + lane], B[a + WET_RIGHT * LANES + lane]
+    h, c = 0.0, 0.0
+    if wet_left + wet_right > 0.0:
+        h, c = _wet(B, lane, t)
+    k_right, k_left = 1e-9 * B[a + K_RAD * LANES + lane] * t * t * t, 1e-9 * B[left + K_RAD * LANES + lane] * t * t * t
+    g_left = ddt * B[left + G * LANES + lane]
+    across = SHARE * wet_left * h - 0.25 * g_left * k_left * t
+    entry = SHARE * wet_left * c - g_left * k_left
+    lower = SHARE * wet_right * c - ddt * B[a + G * LANES + lane] * k_right
+    B[a + E_LEFT * LANES + lane] += wet_left * h
+    B[a + C_LEFT * LANES + lane] += wet_left * c
+    B[a + E_RIGHT * LANES + lane] += wet_right * h
+    B[a + C_RIGHT * LANES + lane] += wet_right * c
+    B[a + THETA_RIGHT * LANES + lane] += 0.25 * k_right * t
+    B[a + ACROSS * LANES + lane] += across
+    B[a + ENTRY * LANES + lane] += entry
+    B[a + LOWER * LANES + lane] += lower
+    B[a + DIAGONAL * LANES + lane] += (wet_left + wet_right) * c - entry - lower
+    B[a + RESIDUAL * LANES + lane] += (wet_left + wet_right) * h - across
+
+
+@njit
 def assemble(B: FloatArray, J: IntArray, table: FloatArray, i: int, ddt: float) -> None:
     """Row of node i at its present temperatures, heat from outside included."""
     a = (HEAD_ROWS + i * NODE_ROWS) * LANES
     left = a - NODE_ROWS * LANES
-    moist = J[MOIST]
     _refresh(B, J, table, i)
     if J[NODE_INTS + i * INTS_PER_NODE + IS_INTERFACE] == 1:
         for lane in range(LANES):
@@ -222,13 +241,16 @@ def assemble(B: FloatArray, J: IntArray, table: FloatArray, i: int, ddt: float) 
             B[a + FRACTION * LANES + lane] = f
             h_left, c_left, theta_left, k_left = _properties(B, a, lane, FOOT_LEFT, f)
             h, c, theta, k = _properties(B, a, lane, FOOT, f)
-            _write_row(B, a, lane, ddt, moist, h_left, c_left, theta_left, k_left, h, c, theta, k)
+            _write_row(B, a, lane, ddt, h_left, c_left, theta_left, k_left, h, c, theta, k)
     else:
         for lane in range(LANES):
             f = B[left + FRACTION * LANES + lane]
             B[a + FRACTION * LANES + lane] = f
             h, c, theta, k = _properties(B, a, lane, FOOT, f)
-            _write_row(B, a, lane, ddt, moist, h, c, theta, k, h, c, theta, k)
+            _write_row(B, a, lane, ddt, h, c, theta, k, h, c, theta, k)
+    if J[IN_DEPTH] == 1:
+        for lane in range(LANES):
+            _add_in_depth(B, a, lane, ddt)
     if J[NODE_INTS + i * INTS_PER_NODE + IS_FACE] == 1:
         for lane in range(LANES):
             B[a + RESIDUAL * LANES + lane] -= ddt * B[a + SOURCE * LANES + lane]

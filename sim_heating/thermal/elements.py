@@ -18,6 +18,7 @@ from sim_heating.layout import (
     GAP,
     GAPS,
     HEAD_ROWS,
+    IN_DEPTH,
     INTS_PER_NODE,
     IS_FACE,
     K_RAD,
@@ -25,7 +26,6 @@ from sim_heating.layout import (
     LATENT,
     M_LEFT,
     M_RIGHT,
-    MOIST,
     NODE_INTS,
     NODE_ROWS,
     PHASE_WIDTH,
@@ -90,8 +90,8 @@ def _set_faces(B: FloatArray, J: IntArray, lane: int, p: FloatArray) -> None:
     B[LATENT * LANES + lane], B[BOIL * LANES + lane] = p[LATENT_HEAT], p[BOILS]
     B[DEPOSIT * LANES + lane], B[CONDENSE * LANES + lane] = p[DEPOSITED], p[CONDENSES]
     B[PHASE_WIDTH * LANES + lane] = p[WIDTH]
-    if p[LATENT_HEAT] > 0.0 or p[DEPOSITED] > 0.0:
-        J[MOIST] = 1
+    if p[LATENT_HEAT] > 0.0 or p[DEPOSITED] > 0.0 or p[RADIATIVE] != 0.0:
+        J[IN_DEPTH] = 1
 
 
 @njit
