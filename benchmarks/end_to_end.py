@@ -179,7 +179,9 @@ def _measured(scenario: Scenario, flight: Flight, truth: str) -> dict[str, Recor
         )
     declared = scenario.vehicle.control_points
     true = {n: replace(p, ratio=true_table(p)) if n in scenario.names else p for n, p in declared.items()}
-    records = synthesize(replace(scenario, vehicle=replace(scenario.vehicle, control_points=true)), flight=flight)
+    records = synthesize(
+        replace(scenario, vehicle=replace(scenario.vehicle, control_points=true)), flight=flight, halvings=2
+    )
     return {n: replace(r, ratio_table=declared[n].ratio) for n, r in records.items()}
 
 

@@ -24,11 +24,15 @@ from sim_heating.vehicle import ControlPoint
 TRUTH = "truth.toml"
 
 
-def synthesize(scenario: Scenario, *, flight: Flight | None = None, progress: Progress = quiet) -> dict[str, Record]:
+def synthesize(
+    scenario: Scenario, *, flight: Flight | None = None, halvings: int = 0, progress: Progress = quiet
+) -> dict[str, Record]:
     """Fly a scenario with its truth and measure it: one record a control point that has sensors.
 
     What a flight crew would have is in the records: declared tables and stacks, and nothing of the truth.
-    flight : the scenario's flight where it has been flown already
+    flight   : the scenario's flight where it has been flown already
+    halvings : how often the elements of the meshes are halved; a fit corrects for the error of its mesh, and sees that
+               of the data's
     """
     if flight is None:
         flight = fly_scenario(scenario, progress=lambda f, text: progress(0.7 * f, f"flying: {text}"))
@@ -45,6 +49,7 @@ def synthesize(scenario: Scenario, *, flight: Flight | None = None, progress: Pr
         [c for _, _, c in measurable],
         extra_times_s=np.unique(np.concatenate(true_times)),
         longest_step_s=scenario.declared.heating.longest_step_s,
+        halvings=halvings,
     )
     progress(0.9, "measuring")
     return {

@@ -14,6 +14,7 @@ from sim_heating.errors import InputError
 from sim_heating.layout import FILM
 from sim_heating.points import histories
 from sim_heating.resolution import pack
+from sim_heating.thermal.mesh import Mesh, refined
 
 
 @dataclass(frozen=True)
@@ -50,19 +51,30 @@ def march_points(
     *,
     extra_times_s: ArrayLike = (),
     longest_step_s: float = 1.0,
+    halvings: int = 0,
 ) -> list[PointHistory]:
     """Temperatures of all points from the initial ones of their stacks, along their conditions.
 
     flights       : conditions of each point, on common times
     extra_times_s : times [s] within the flight to step to as well; the conditions are linear to them
+    halvings      : how often every element of the meshes is halved: each takes the error of the mesh to a quarter
     raises        : RunError where a step did not converge
     """
     ensemble = pack(models, longest_step_s)
+    if halvings > 0:
+        ensemble = Ensemble(models, [finer(mesh, halvings) for mesh in ensemble.meshes], longest_step_s)
     time = np.union1d(flights[0].time_s, np.asarray(extra_times_s, dtype=float))
     flown = [f.at(time) for f in flights] if len(time) > len(flights[0]) else list(flights)
     film = np.array([place.scalar(FILM + 2) for place in ensemble.places])
     out = ensemble.march(time, histories(flown), keep=np.concatenate([ensemble.outputs(), film]))
     return _split(ensemble, time, out, flown)
+
+
+def finer(mesh: Mesh, halvings: int) -> Mesh:
+    """A mesh with every element halved so often."""
+    for _ in range(halvings):
+        mesh = refined(mesh)
+    return mesh
 
 
 def _split(ensemble: Ensemble, time: FloatArray, out: FloatArray, flown: Sequence[Conditions]) -> list[PointHistory]:

@@ -417,7 +417,7 @@ def filtered_in_hex() -> list[str]:
     model, mesh = linear_wall()
     plain = wall_samples(np.array([0.6, 2.0, 3.1, 3.9]), mesh)
     rounded = replace(plain, lower_K=plain.lower_K - 2.0, upper_K=plain.upper_K + 2.0)
-    names = ("ratio.d0", "stack.coating.thickness_factor")
+    names = ("ratio.d0", "stack.rsi.conductivity_factor")
     track = FilterTrack(model, mesh, rounded, names, START_K, None, some_covariance(9), NOISE_K2_S, WALKED)
     f = FilterMarch([track], TIME_S[:4], np.ascontiguousarray(HEATED[:, :4])).filter(keep=True)[0]
     numbers = (f.temperature_K, f.innovation_K, f.variance_K2, f.sensitivity, f.covariance)

@@ -66,7 +66,7 @@ def hangar(tmp_path_factory: pytest.TempPathFactory) -> Hangar:
         scenario = load_scenario(home / f"{name}.toml")
         flight = fly_scenario(scenario)
         flights[name] = (scenario, flight)
-        write_records(scenario, synthesize(scenario, flight=flight), home / name)
+        write_records(scenario, synthesize(scenario, flight=flight, halvings=2), home / name)
         assert main(["estimate", str(home / name / point), "--out", str(home / f"{name}_fit")]) == 0
     return Hangar(home, flights)
 
@@ -76,7 +76,9 @@ def errors(hangar: Hangar, name: str, seed: int) -> dict[str, float]:
     scenario, flight = hangar.flights[name]
     noise = scenario.declared.measurements.model_copy(update={"seed": seed})
     declared = scenario.declared.model_copy(update={"measurements": noise})
-    record = synthesize(replace(scenario, declared=declared, names=(FITTED[name],)), flight=flight)[FITTED[name]]
+    record = synthesize(replace(scenario, declared=declared, names=(FITTED[name],)), flight=flight, halvings=2)[
+        FITTED[name]
+    ]
     found = estimate([record])
     pairs = zip(found.labels, found.fit.values, found.bounds.sigma, strict=True)
     return {label: float((value - TRUTH.get(label, 0.0)) / sigma) for label, value, sigma in pairs}

@@ -280,7 +280,7 @@ class Problem:
             alike.setdefault((part.time_s.tobytes(), part.mesh.nodes), []).append(part)
         self.groups = [parts[k : k + LANES] for parts in alike.values() for k in range(0, len(parts), LANES)]
         self._marches = [self._march_of(group) for group in self.groups]
-        self._last: list[tuple[bytes, list[Linearised]]] = [(b"", [])] * len(self.groups)
+        self._last: list[tuple[bytes | None, list[Linearised]]] = [(None, [])] * len(self.groups)
 
     @staticmethod
     def _march_of(group: Sequence[Part]) -> LinearMarch:
