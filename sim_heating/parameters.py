@@ -35,7 +35,7 @@ class Parameter:
     text: str = ""
 
 
-def _per(*units: str) -> str:
+def per(*units: str) -> str:
     """Unit of a derivative against variables of these units: 1/deg, 1/deg2, 1."""
     angles = sum(u == "deg" for u in units)
     return {0: "1", 1: "1/deg", 2: "1/deg2"}[angles]
@@ -52,11 +52,11 @@ RATIO = (
     Parameter("ratio.scale", "1", 0.0, text="relative error of the tabulated ratio"),
     Parameter("ratio.d0", "1", 0.0, text="ratio at the reference condition where there is no table"),
     *(
-        Parameter(f"ratio.d_{s}", _per(u), 0.0, text=f"derivative of the ratio against {v}")
+        Parameter(f"ratio.d_{s}", per(u), 0.0, text=f"derivative of the ratio against {v}")
         for s, u, v in zip(SHORT, UNITS, RATIO_VARIABLES, strict=True)
     ),
     *(
-        Parameter(_second_order_name(i, j), _per(UNITS[i], UNITS[j]), 0.0, text="second-order term, no factor 1/2")
+        Parameter(_second_order_name(i, j), per(UNITS[i], UNITS[j]), 0.0, text="second-order term, no factor 1/2")
         for i, j in SECOND_ORDER
     ),
 )

@@ -17,12 +17,13 @@ import importlib
 import importlib.util
 import os
 import pkgutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Literal
 
+from sim_heating.conditions import Conditions
 from sim_heating.errors import InputError
 from sim_heating.files import nearest
 from sim_heating.layout import EFFECT_SLOTS, EFFECT_WIDTH
@@ -44,6 +45,9 @@ class Effect:
     needs_wall : whether the kernel's value depends on the wall temperature
     lags       : whether the ratio lags behind itself, its first two parameters being time constant and fraction
     places     : dotted names that the parameters of a "model" effect stand for, in their order
+    variants   : sets of its parameters that are estimated together, tried one by one where it is looked for in data;
+                 by default the one set of all that have a prior
+    starts     : for a flight's conditions, values from which its estimation starts; by default the nominal ones
     physics    : what it is, in a line
     source     : where that is from
     """
@@ -55,16 +59,26 @@ class Effect:
     needs_wall: bool = False
     lags: bool = False
     places: tuple[str, ...] = ()
+    variants: tuple[tuple[str, ...], ...] = ()
+    starts: Callable[[Conditions], Sequence[Mapping[str, float]]] | None = field(default=None, compare=False)
     physics: str = ""
     source: str = ""
 
     def __post_init__(self) -> None:
         if len(self.parameters) > EFFECT_WIDTH:
             raise InputError(f"effect {self.name}: {len(self.parameters)} parameters; {EFFECT_WIDTH} at most")
+        known = {p.name for p in self.parameters}
+        strange = [n for names in self.variants for n in names if n not in known]
+        if strange:
+            raise InputError(f"effect {self.name}: a variant names `{strange[0]}`, which is none of its parameters")
         if (self.mode == "model") != (self.kernel is None):
             raise InputError(f"effect {self.name}: a kernel goes with any mode but `model`, and with those always")
         if self.mode == "model" and len(self.places) != len(self.parameters):
             raise InputError(f"effect {self.name}: name a place for each of its {len(self.parameters)} parameters")
+
+    def estimated(self) -> tuple[tuple[str, ...], ...]:
+        """The sets of parameters that are tried."""
+        return self.variants or (tuple(p.name for p in self.parameters if p.sigma > 0.0),)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from sim_heating.conditions import FloatArray
+from collections.abc import Sequence
+
+from sim_heating.conditions import Conditions, FloatArray
 from sim_heating.effects import Effect
 from sim_heating.jit import njit
 from sim_heating.layout import JETS
@@ -17,11 +19,17 @@ def jet_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     return 1.0 + B[p + GAIN] * B[c + JETS]
 
 
+def starts(flown: Conditions) -> Sequence[dict[str, float]]:
+    """No dependence yet."""
+    return [{"jet_gain": 0.0}]
+
+
 EFFECT = Effect(
     name="jet-interaction",
     mode="multiply",
     parameters=(Parameter("jet_gain", "1", 0.1, 0.2, -1.0, 5.0, "relative rise of the ratio while a jet fires"),),
     kernel=jet_factor,
+    starts=starts,
     physics="A firing jet disturbs the flow at the point, or the density that was derived from dynamic pressure.",
     source="Pitch-jet spikes of STS-2 in 'Trends in Shuttle Entry Heating from the Correlation of Flight Test ...'",
 )

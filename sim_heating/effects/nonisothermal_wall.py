@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
+
 from sim_heating.arithmetic import exp
-from sim_heating.conditions import FloatArray
+from sim_heating.conditions import Conditions, FloatArray
 from sim_heating.effects import Effect
 from sim_heating.jit import njit
 from sim_heating.layout import TIME
@@ -18,6 +22,17 @@ def overshoot_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     return 1.0 + B[p + OVERSHOOT] * exp(-max(B[c + TIME] - B[p + BEGIN], 0.0) / B[p + DECAY])
 
 
+def starts(flown: Conditions) -> Sequence[dict[str, float]]:
+    """Short and long lags, excess and want of heating, decaying from where the heating is half its greatest."""
+    film = flown["h_ref_kg_m2_s"] if "h_ref_kg_m2_s" in flown else flown["rho_kg_m3"] ** 0.5
+    begin = float(flown.time_s[int(np.argmax(film >= 0.5 * np.max(film)))])
+    return [
+        {"lag_s": lag, "lag_fraction": 0.0, "overshoot": 0.0, "decay_s": decay, "decay_begin_s": begin}
+        for lag in (2.0, 6.0)
+        for decay in (60.0, 250.0)
+    ]
+
+
 EFFECT = Effect(
     name="nonisothermal-wall",
     mode="multiply",
@@ -30,6 +45,8 @@ EFFECT = Effect(
     ),
     kernel=overshoot_factor,
     lags=True,
+    variants=(("lag_s", "lag_fraction"), ("lag_s", "lag_fraction", "overshoot", "decay_s")),
+    starts=starts,
     physics="A wall that is colder upstream gives more heat behind the step, less so as both warm: larger, lagging.",
     source="Chapman & Rubesin, J. Aero. Sci. 16 (1949) 547; Kays & Crawford, Convective Heat and Mass Transfer",
 )

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
+
 from sim_heating.arithmetic import logistic
-from sim_heating.conditions import FloatArray
+from sim_heating.conditions import Conditions, FloatArray
 from sim_heating.effects import Effect
 from sim_heating.jit import njit
 from sim_heating.layout import ALPHA, LOG10_RE
@@ -19,6 +23,13 @@ def transition_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     return 1.0 + (B[p + FACTOR] - 1.0) * logistic(past / B[p + WIDTH])
 
 
+def starts(flown: Conditions) -> Sequence[dict[str, float]]:
+    """Onsets spread over the Reynolds numbers that the flight passes through, a laminar start before each."""
+    log10_re = flown["log10_re"]
+    onsets = np.quantile(log10_re, np.linspace(0.15, 0.97, 10))
+    return [{"log10_re_onset": float(x), "factor": 1.5, "width": w} for x in onsets for w in (0.03, 0.15)]
+
+
 EFFECT = Effect(
     name="transition",
     mode="multiply",
@@ -30,6 +41,8 @@ EFFECT = Effect(
         Parameter("alpha_0_deg", "deg", 40.0, 0.0, -90.0, 90.0, "angle of attack of the onset"),
     ),
     kernel=transition_factor,
+    variants=(("log10_re_onset", "width", "factor"), ("log10_re_onset", "alpha_sens", "width", "factor")),
+    starts=starts,
     physics="The boundary layer turns turbulent past a Reynolds number, earlier at higher angle of attack.",
     source="STS-4 Mach 12 manoeuvre in 'Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers'",
 )
