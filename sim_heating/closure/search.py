@@ -12,7 +12,7 @@ a candidate need not be fitted: the gain that its linearisation at the start pro
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,6 @@ from sim_heating.errors import RunError
 from sim_heating.estimation.estimate import Fitted, estimate, predict_at
 from sim_heating.estimation.newton import Fit, Settings, maximise
 from sim_heating.estimation.problem import Problem
-from sim_heating.parameters import Parameter
 from sim_heating.points import conditions_of_record
 from sim_heating.predict import Prediction
 from sim_heating.record import Record
@@ -155,16 +154,9 @@ def one_round(
 
 
 def _problem(record: Record, before: Fitted, names: Sequence[str], uses: Sequence[EffectUse]) -> Problem:
-    problem = Problem([record], names, before.problem.reference, effects=uses, priors=FLAT)
+    problem = Problem([record], names, before.problem.reference, effects=uses, flat=True)
     problem.parts[0].sigma_K.update(before.problem.parts[0].sigma_K)
     return problem
-
-
-class _Flat(dict[str, Parameter]):
-    """Flat priors within the bounds for all parameters: what is found is weighed, not believed beforehand."""
-
-
-FLAT: Mapping[str, Parameter] = _Flat()
 
 
 def _first(problem: Problem, start: Mapping[str, float]) -> FloatArray:
@@ -184,5 +176,3 @@ def promised(problem: Problem, first: FloatArray) -> float | None:
     step, *_ = np.linalg.lstsq(scaled, s * found.gradient, rcond=1e-8)
     return found.log_likelihood + 0.5 * float((s * found.gradient) @ step)
 
-
-__all__ = ["Attempt", "Round", "Search", "replace", "search"]

@@ -20,5 +20,5 @@ EFFECT = Effect(
     places=tuple(f"ratio.d_{SHORT[i]}_{SHORT[j]}" for i, j in PAIRS),
     variants=tuple((f"d_{SHORT[i]}_{SHORT[j]}",) for i, j in PAIRS),
     physics="The derivative against one variable changes with another: a flap heats more at higher angle of attack.",
-    source="Second-order terms of eq. 2, 'Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers'",
+    source="Eq. 2 of 'Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers'",
 )  # fmt: skip
