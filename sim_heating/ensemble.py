@@ -235,6 +235,7 @@ class Ensemble:
     meshes : the mesh of each (resolution.pack chooses them)
     step_s : the longest time step [s] that a march takes
     beside : an ensemble of points with the same tables and effects, whose tables this one shares
+    effects : more effects that points may be given later (set_model)
 
     Attributes: `meshes`, `table` with all property and ratio tables, and `state`, which holds everything that changes.
     """
@@ -245,13 +246,14 @@ class Ensemble:
         meshes: Sequence[Mesh],
         step_s: float = 1.0,
         beside: Ensemble | None = None,
+        effects: Iterable[Effect] = (),
     ) -> None:
         if not models:
             raise InputError("there is no control point; give at least one")
         self.models = tuple(models)
         self.step_s = step_s
         self.meshes = tuple(meshes)
-        self._effects = _distinct_effects(self.models)
+        self._effects: tuple[Effect, ...] = beside._effects if beside else distinct_effects(self.models, effects)
         self._chain = compiled_chain(self._effects)
         self.chain = self._chain.handle
         self.begin_handle, self.advance_handle = (handle(f) for f in compiled())
@@ -508,11 +510,14 @@ class Ensemble:
             name, time = CONDITION_COLUMNS[column], np.asarray(time_s)[sample]
             raise InputError(f"march, flight {flight}, time_s {time:g}: {name} is not a finite number")
 
+    def failed(self) -> NDArray[np.bool_]:
+        """(point,) whose step did not converge, or whose temperature is not a number."""
+        surface = np.array([self.state[place.temperature(0)] for place in self.places])
+        return np.asarray((self.scalars(FAILED) > 0.0) | ~np.isfinite(surface))
+
     def check(self) -> None:
         """raises : RunError naming the points whose step did not converge, or whose temperature is not a number."""
-        failed = self.scalars(FAILED)
-        surface = np.array([self.state[place.temperature(0)] for place in self.places])
-        bad = [m.name for m, f, s in zip(self.models, failed, surface, strict=True) if f > 0 or not np.isfinite(s)]
+        bad = [model.name for model, failed in zip(self.models, self.failed(), strict=True) if failed]
         if bad:
             raise RunError(f"{', '.join(bad)}: the thermal step did not converge; try a smaller longest_step_s")
 
@@ -524,8 +529,10 @@ def aligned_zeros(count: int) -> FloatArray:
     return memory[first : first + count]
 
 
-def _distinct_effects(models: Sequence[PointModel]) -> tuple[Effect, ...]:
-    return tuple(dict.fromkeys(u.effect for m in models for u in m.effects if u.effect.kernel))
+def distinct_effects(models: Iterable[PointModel], more: Iterable[Effect] = ()) -> tuple[Effect, ...]:
+    """The effects with a kernel of some points, and more, by name: one order, so that a chain is compiled once."""
+    named = {e.name: e for e in (*(u.effect for m in models for u in m.effects), *more) if e.kernel}
+    return tuple(named[name] for name in sorted(named))
 
 
 def element_densities(construction: Construction, mesh: Mesh) -> FloatArray:

@@ -6,13 +6,14 @@ stage and the end of the step, which has the order of the step itself; a skew of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_heating.effects import Effect
 from sim_heating.ensemble import Ensemble, PointModel, initial_temperatures
 from sim_heating.errors import InputError, RunError
 from sim_heating.jit import call_step, handle, njit, raw
@@ -112,15 +113,18 @@ class LinearMarch:
     tracks    : what is marched; parameters are changed with `set_models`, times and names stay
     time_s    : (time,) steps [s] that the march takes; conditions are linear between them
     histories : (flight, time, condition) as ensemble.condition_history gives them
+    effects   : effects that marches after this one have besides: their code is compiled once for all of them
     """
 
-    def __init__(self, tracks: Sequence[Track], time_s: FloatArray, histories: FloatArray) -> None:
+    def __init__(
+        self, tracks: Sequence[Track], time_s: FloatArray, histories: FloatArray, effects: Iterable[Effect] = ()
+    ) -> None:
         if not 0 < len(tracks) <= LANES:
             raise InputError(f"linear march: {len(tracks)} tracks; 1 to {LANES} go together")
         self.tracks = tuple(tracks)
         self.time_s = np.ascontiguousarray(time_s, dtype=float)
         self.histories = np.ascontiguousarray(histories, dtype=float)
-        self.base = Ensemble([t.model for t in self.tracks], [t.mesh for t in self.tracks])
+        self.base = Ensemble([t.model for t in self.tracks], [t.mesh for t in self.tracks], effects=effects)
         self._moves = [[moved(t.model, name) for name in t.names] for t in self.tracks]
         self._owner = [i for i, moves in enumerate(self._moves) for _ in range(1 + sum(1 + both for _, both in moves))]
         shadows = [
@@ -190,6 +194,20 @@ class LinearMarch:
         initial_K : temperatures at the start in place of those of each track
         raises   : InputError where a shifted sample lies outside the march, RunError where a step did not converge
         """
+        found = self.attempt(shifts_s, initial_K)
+        self.base.check()
+        return [self._checked(track, result) for track, result in zip(self.tracks, found, strict=True)]
+
+    @staticmethod
+    def _checked(track: Track, result: Linearised | None) -> Linearised:
+        if result is None:
+            raise RunError(f"{track.model.name}: a temperature or sensitivity is not a number")
+        return result
+
+    def attempt(
+        self, shifts_s: Sequence[float] | None = None, initial_K: Sequence[FloatArray | None] | None = None
+    ) -> list[Linearised | None]:
+        """`march`, with None for a track that failed: the others are what they are without it."""
         shifts = [0.0] * len(self.tracks) if shifts_s is None else list(shifts_s)
         times = [track.sample_s + shift for track, shift in zip(self.tracks, shifts, strict=True)]
         for track, t in zip(self.tracks, times, strict=True):
@@ -213,8 +231,8 @@ class LinearMarch:
             self.shadows.state, self.shadows.ints, self.shadows.groups, self._source, self._nodes,
             self.time_s, self.histories, self._flights, *per_lane, out,
         )  # fmt: skip
-        self.base.check()
-        return [self._result(i, out) for i in range(len(self.tracks))]
+        failed = self.base.failed()
+        return [None if failed[i] else self._result(i, out) for i in range(len(self.tracks))]
 
     def _per_lane(self, times: Sequence[FloatArray], n: int, m: int, count: int, reads: int) -> tuple[Any, ...]:
         """Arrays over the lanes; a lane without a track has no samples and no columns."""
@@ -237,11 +255,11 @@ class LinearMarch:
                 start[lane, : track.mesh.nodes, len(track.names) : own] = track.initial_columns
         return at, plus, minus, inverse, columns, start, sample_s, samples, nodes, read
 
-    def _result(self, i: int, out: FloatArray) -> Linearised:
+    def _result(self, i: int, out: FloatArray) -> Linearised | None:
         track = self.tracks[i]
         own = out[self._lane_of[i], : len(track.read_nodes), : len(track.sample_s), : 2 + track.columns]
         if not np.all(np.isfinite(own)):
-            raise RunError(f"{track.model.name}: a temperature or sensitivity is not a number")
+            return None
         return Linearised(own[..., 0], own[..., 1], own[..., 2:])
 
 

@@ -14,9 +14,10 @@ singular, more where no length helps. Done when a full step promises a gain belo
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -62,6 +63,9 @@ LogLikelihoods = Callable[[FloatArray], FloatArray]
 
 Told = Callable[[FloatArray, float], None]
 """(parameter,) values and log posterior after a step."""
+Iteration = Generator[FloatArray, Any, "Fit"]
+"""An iteration that is asked what it wants: it gives a (parameter,) vector and takes the Evaluation there, or gives
+(candidate, parameter) vectors and takes their log likelihoods; it ends with the fit."""
 
 
 @dataclass(frozen=True)
@@ -208,49 +212,57 @@ def maximise(
     told            : called with values and log posterior after every step
     raises          : InputError for a prior or bounds that cannot be
     """
-    posterior = _Posterior.of(parameters)
     several = log_likelihoods or (lambda values: np.array([evaluate(v).log_likelihood for v in values]))
+    search = iteration(parameters, start, settings, told)
+    asked = next(search)
+    while True:
+        try:
+            asked = search.send(evaluate(asked) if asked.ndim == 1 else several(asked))
+        except StopIteration as ended:
+            fit: Fit = ended.value
+            return fit
+
+
+def iteration(
+    parameters: Sequence[Parameter],
+    start: ArrayLike | None = None,
+    settings: Settings | None = None,
+    told: Told = lambda at, log_posterior: None,
+) -> Iteration:
+    """The iteration of `maximise` with its evaluations left to the caller, who may make those of many fits at once."""
+    posterior = _Posterior.of(parameters)
     at = np.clip(posterior.mean if start is None else np.asarray(start, dtype=float), posterior.lower, posterior.upper)
-    search = _Search(evaluate, several, posterior, settings or Settings(), at, told)
-    status = search.run()
+    search = _Search(posterior, settings or Settings(), at, told)
+    status = yield from search.run()
     return search.fit(tuple(p.name for p in parameters), status)
 
 
 class _Search:
     """The state of an iteration: where it is, what it found there, how strongly it is damped."""
 
-    def __init__(
-        self,
-        evaluate: Evaluate,
-        several: LogLikelihoods,
-        posterior: _Posterior,
-        settings: Settings,
-        at: FloatArray,
-        told: Told,
-    ) -> None:
-        self.evaluate, self.several, self.posterior, self.settings = evaluate, several, posterior, settings
-        self.told = told
+    def __init__(self, posterior: _Posterior, settings: Settings, at: FloatArray, told: Told) -> None:
+        self.posterior, self.settings, self.told = posterior, settings, told
         self.damping = 0.0
         self.history = [at]
-        self.move_to(at)
 
-    def move_to(self, at: FloatArray, likelihood: Evaluation | None = None) -> None:
-        self.at = at
-        self.likelihood = self.evaluate(at) if likelihood is None else likelihood
+    def move_to(self, at: FloatArray, likelihood: Evaluation) -> None:
+        self.at, self.likelihood = at, likelihood
         self.found = self.posterior.added_to(at, self.likelihood)
         self.held = self.posterior.held(at, self.found.gradient)
 
-    def run(self) -> Status:
+    def run(self) -> Generator[FloatArray, Any, Status]:
+        start = self.history[0]
+        self.move_to(start, (yield start))
         if not _finite(self.found):
             return Status.NO_START
         for _ in range(self.settings.iterations):
             step = self.step(self.damping)
             if self.done(step):
                 return Status.CONVERGED
-            moved = self.whole(step) or self.along(step)
+            moved = (yield from self.whole(step)) or (yield from self.along(step))
             while not moved and self.damping < LARGEST_DAMPING:
                 self.damping = max(FIRST_DAMPING, MORE * self.damping)
-                moved = self.along(self.step(self.damping))
+                moved = yield from self.along(self.step(self.damping))
             if not moved:
                 return Status.CONVERGED if self.within_rounding() else Status.STALLED
             self.history.append(self.at)
@@ -283,26 +295,26 @@ class _Search:
         moved = np.abs(step) <= self.settings.step * np.where(self.held, np.inf, sigma)
         return promised < self.settings.gain and bool(np.all(moved))
 
-    def whole(self, step: FloatArray) -> bool:
+    def whole(self, step: FloatArray) -> Generator[FloatArray, Any, bool]:
         """Take a whole step, cut off at the bounds, where it raises the posterior: what Newton's step mostly does."""
         candidate = np.clip(self.at + step, self.posterior.lower, self.posterior.upper)
-        likelihood = self.evaluate(candidate)
+        likelihood: Evaluation = yield candidate
         reached = likelihood.log_likelihood + float(self.posterior.log_prior(candidate))
         raised = bool(reached > self.found.log_likelihood)
         if raised:
             self.move_to(candidate, likelihood)
         return raised
 
-    def along(self, step: FloatArray) -> bool:
+    def along(self, step: FloatArray) -> Generator[FloatArray, Any, bool]:
         """Go the best of the lengths of a step, cut off at the bounds; False where none raises the posterior."""
         lengths = np.array(self.settings.lengths)[:, None]
         candidates = np.clip(self.at + lengths * step, self.posterior.lower, self.posterior.upper)
-        reached = np.asarray(self.several(candidates), dtype=float) + self.posterior.log_prior(candidates)
+        reached = np.asarray((yield candidates), dtype=float) + self.posterior.log_prior(candidates)
         reached = np.where(np.isfinite(reached), reached, -np.inf)
         best = int(np.argmax(reached))
         raised = bool(reached[best] > self.found.log_likelihood)
         if raised:
-            self.move_to(candidates[best])
+            self.move_to(candidates[best], (yield candidates[best]))
         return raised
 
     def within_rounding(self) -> bool:

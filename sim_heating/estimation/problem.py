@@ -9,7 +9,7 @@ one record. Records on common times are marched side by side, others in threads.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.conditions import RATIO_VARIABLES, Conditions
-from sim_heating.effects import EffectUse
+from sim_heating.effects import Effect, EffectUse
 from sim_heating.ensemble import PointModel, condition_history, initial_temperatures
 from sim_heating.errors import InputError, RunError
 from sim_heating.estimation.likelihood import likelihood, log_likelihood
@@ -278,19 +278,9 @@ class Problem:
         part.time_s = march_times(part.conditions, begin, float(part.sample_s[-1]) + slack)
 
     def _group(self) -> None:
-        """Parts on common times go side by side, LANES at most."""
-        alike: dict[tuple[bytes, int], list[Part]] = {}
-        for part in self.parts:
-            alike.setdefault((part.time_s.tobytes(), part.mesh.nodes), []).append(part)
-        self.groups = [parts[k : k + LANES] for parts in alike.values() for k in range(0, len(parts), LANES)]
-        self._marches = [self._march_of(group) for group in self.groups]
-        self._last: list[tuple[bytes | None, list[Linearised]]] = [(None, [])] * len(self.groups)
-
-    @staticmethod
-    def _march_of(group: Sequence[Part]) -> LinearMarch:
-        tracks = [replace(part.track(), flight=i) for i, part in enumerate(group)]
-        time = group[0].time_s
-        return LinearMarch(tracks, time, np.stack([condition_history(part.conditions.at(time)) for part in group]))
+        self.groups = side_by_side(self.parts)
+        self._marches: list[LinearMarch | None] = [None] * len(self.groups)
+        self._last: list[tuple[bytes | None, Sequence[Linearised]]] = [(None, [])] * len(self.groups)
 
     # Likelihood ------------------------------------------------------------------------------------------------------
 
@@ -311,12 +301,17 @@ class Problem:
         try:
             found = in_threads(one, len(self.groups))
         except RunError:
-            return Evaluation(np.nan, np.zeros(m), np.zeros((m, m)))
+            return self.nothing()
         return Evaluation(
             sum(f.log_likelihood for f in found),
             np.sum([f.gradient for f in found], axis=0),
             np.sum([f.information for f in found], axis=0),
         )
+
+    def nothing(self) -> Evaluation:
+        """The evaluation where a march failed."""
+        m = len(self.unknowns)
+        return Evaluation(np.nan, np.zeros(m), np.zeros((m, m)))
 
     def samples(self, vector: FloatArray) -> list[Samples]:
         """All channels at a parameter vector.
@@ -335,16 +330,21 @@ class Problem:
             for channel in part.channels
         ]
 
-    def _marched(self, k: int, vector: FloatArray) -> list[Linearised]:
+    def _marched(self, k: int, vector: FloatArray) -> Sequence[Linearised]:
         """A group marched at a parameter vector; the last one of each group is kept."""
-        at, (known, found) = vector.tobytes(), self._last[k]
-        if known != at:
+        known, found = self._last[k]
+        if known != vector.tobytes():
             group, march = self.groups[k], self._marches[k]
-            march.set_models([part.altered(vector) for part in group])
-            shifts, initial = [p.shift_s(vector) for p in group], [p.initial_K(vector) for p in group]
-            found = march.march(shifts, initial)
-            self._last[k] = (at, found)
+            march = self._marches[k] = march_of(group) if march is None else march
+            found = march.march(*set_out(march, group, [vector] * len(group)))
+            self._last[k] = (vector.tobytes(), found)
         return found
+
+    def keep(self, vector: FloatArray, marched: Mapping[int, Linearised]) -> None:
+        """Take what the parts (by their numbers) gave at a parameter vector where they were marched elsewhere: the next
+        evaluation there marches nothing."""
+        for k, group in enumerate(self.groups):
+            self._last[k] = (vector.tobytes(), [marched[self.parts.index(part)] for part in group])
 
     def _of_channel(self, part: Part, channel: Channel, found: Linearised, vector: FloatArray) -> Samples:
         mean, own = indicated(channel, found, part.names, part.values(vector), part.read)
@@ -410,6 +410,31 @@ class Problem:
                 change = max(change, abs(sigma / s.sigma_K - 1.0))
                 s.part.sigma_K[s.channel.number] = sigma
         return change
+
+
+def side_by_side(parts: Iterable[Part]) -> list[list[Part]]:
+    """Parts on common times, LANES at most in a group."""
+    alike: dict[tuple[bytes, int], list[Part]] = {}
+    for part in parts:
+        alike.setdefault((part.time_s.tobytes(), part.mesh.nodes), []).append(part)
+    return [group[k : k + LANES] for group in alike.values() for k in range(0, len(group), LANES)]
+
+
+def march_of(group: Sequence[Part], effects: Iterable[Effect] = ()) -> LinearMarch:
+    """The linearised march of parts on common times; `effects` as LinearMarch takes them."""
+    tracks = [replace(part.track(), flight=i) for i, part in enumerate(group)]
+    time = group[0].time_s
+    histories = np.stack([condition_history(part.conditions.at(time)) for part in group])
+    return LinearMarch(tracks, time, histories, effects)
+
+
+def set_out(
+    march: LinearMarch, group: Sequence[Part], vectors: Sequence[FloatArray]
+) -> tuple[list[float], list[FloatArray | None]]:
+    """Put the parts of a march at parameter vectors, one each; gives what the march itself takes of them."""
+    of_parts = list(zip(group, vectors, strict=True))
+    march.set_models([part.altered(v) for part, v in of_parts])
+    return [part.shift_s(v) for part, v in of_parts], [part.initial_K(v) for part, v in of_parts]
 
 
 def march_times(conditions: Conditions, begin_s: float, end_s: float) -> FloatArray:

@@ -1,0 +1,129 @@
+"""Problems that differ in what their models carry, marched side by side: eight cost little more than one.
+
+Candidates for what a declared model lacks are problems over one record that differ in effects and unknowns. Parts of
+all of them that are on common times share lane groups (problem.side_by_side); the likelihoods are each problem's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sim_heating.effects import Effect
+from sim_heating.ensemble import distinct_effects
+from sim_heating.estimation.newton import Evaluation, Fit, Iteration, Settings, iteration
+from sim_heating.estimation.problem import Part, Problem, in_threads, march_of, set_out, side_by_side
+from sim_heating.layout import LANES
+from sim_heating.linear_march import Linearised, LinearMarch
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Parts marched together; members : (problem, part) numbers of each."""
+
+    members: tuple[tuple[int, int], ...]
+    parts: tuple[Part, ...]
+    march: LinearMarch
+
+
+class Together:
+    """The marches of several problems.
+
+    problems : what is evaluated; no problem twice
+    effects  : effects that problems evaluated after these have besides: their code is compiled once for all of them
+    """
+
+    def __init__(self, problems: Sequence[Problem], effects: Iterable[Effect] = ()) -> None:
+        self.problems = tuple(problems)
+        self.effects = distinct_effects((part.model for p in problems for part in p.parts), effects)
+        place = {part: (i, k) for i, p in enumerate(problems) for k, part in enumerate(p.parts)}
+        self._groups = [
+            _Group(tuple(place[part] for part in group), tuple(group), march_of(group, self.effects))
+            for group in side_by_side(place)
+        ]
+
+    def evaluate(self, vectors: Sequence[FloatArray]) -> list[Evaluation]:
+        """What Problem.evaluate gives at one parameter vector for each problem."""
+
+        def one(k: int) -> list[Linearised | None]:
+            group = self._groups[k]
+            return group.march.attempt(*set_out(group.march, group.parts, [vectors[i] for i, _ in group.members]))
+
+        marched: list[dict[int, Linearised | None]] = [{} for _ in self.problems]
+        for group, found in zip(self._groups, in_threads(one, len(self._groups)), strict=True):
+            for (i, k), result in zip(group.members, found, strict=True):
+                marched[i][k] = result
+        return [
+            self._evaluation(problem, vector, found)
+            for problem, vector, found in zip(self.problems, vectors, marched, strict=True)
+        ]
+
+    @staticmethod
+    def _evaluation(problem: Problem, vector: FloatArray, marched: dict[int, Linearised | None]) -> Evaluation:
+        whole = {k: found for k, found in marched.items() if found is not None}
+        if len(whole) < len(problem.parts):
+            return problem.nothing()
+        problem.keep(vector, whole)
+        return problem.evaluate(vector)
+
+
+def evaluate_together(problems: Sequence[Problem], vectors: Sequence[FloatArray]) -> list[Evaluation]:
+    """What Problem.evaluate gives at one parameter vector for each problem, all marched side by side; NaN for a problem
+    whose march failed."""
+    return Together(problems).evaluate(vectors) if problems else []
+
+
+def maximise_together(
+    problems: Sequence[Problem], starts: Sequence[ArrayLike | None] | None = None, settings: Settings | None = None
+) -> list[Fit]:
+    """The fit of each problem as newton.maximise finds it, all of them iterated side by side.
+
+    starts : first values of each; by default those of the priors
+    raises : InputError for a prior or bounds that cannot be
+    """
+    begin = [None] * len(problems) if starts is None else list(starts)
+    searches = [iteration(p.parameters, first, settings) for p, first in zip(problems, begin, strict=True)]
+    asked = {k: next(search) for k, search in enumerate(searches)}
+    fits: dict[int, Fit] = {}
+    together, marched = None, tuple(asked)
+    while asked:
+        if together is None or _groups(len(asked)) < _groups(len(marched)) or _broken(marched, fits):
+            marched = tuple(asked)
+            effects = () if together is None else together.effects
+            together = Together([problems[k] for k in marched], effects)
+        found = together.evaluate([asked[k] if k in asked else fits[k].values for k in marched])
+        for k, evaluation in zip(marched, found, strict=True):
+            if k in asked:
+                answer = _next(searches[k], evaluation, problems[k])
+                if isinstance(answer, Fit):
+                    fits[k] = answer
+                    del asked[k]
+                else:
+                    asked[k] = answer
+    return [fits[k] for k in range(len(problems))]
+
+
+def _groups(count: int) -> int:
+    return -(-count // LANES)
+
+
+def _broken(marched: Iterable[int], fits: Mapping[int, Fit]) -> bool:
+    """Whether a problem that is still marched could not be fitted: such a march takes long."""
+    return any(not fits[k].converged for k in marched if k in fits)
+
+
+def _next(search: Iteration, evaluation: Evaluation, problem: Problem) -> FloatArray | Fit:
+    """The next parameter vector that an iteration wants evaluated, or its fit; lengths of a step are tried at once."""
+    try:
+        asked = search.send(evaluation)
+        while asked.ndim == 2:
+            asked = search.send(problem.log_likelihoods(asked))
+    except StopIteration as ended:
+        fit: Fit = ended.value
+        return fit
+    return asked
