@@ -13,6 +13,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -76,7 +77,7 @@ from sim_heating.layout import (
     scalar_row,
 )
 from sim_heating.march import BLOCK_END, BLOCK_START, INTS_END, INTS_START, advance_groups, begin_groups, march_group
-from sim_heating.parameters import EFFECT_PREFIX, MODEL, RATIO, STACK, Parameter
+from sim_heating.parameters import AT_FACES, EFFECT_PREFIX, MODEL, RATIO, STACK, Parameter
 from sim_heating.thermal.declare import BackFace, Construction, Material
 from sim_heating.thermal.elements import set_elements
 from sim_heating.thermal.kernel import compiled
@@ -179,6 +180,14 @@ class PointModel:
             raise InputError(f"{self.name}: `{name}`: a wall of one layer has no coating; its layer is `stack.rsi.*`")
         return MODEL[name]
 
+    def at_faces(self, name: str) -> bool:
+        """Whether a parameter changes what enters the wall from outside and nothing within it."""
+        if name.startswith(EFFECT_PREFIX):
+            use, k = self._effect_place(name)
+            effect = self.effects[use].effect
+            return effect.kernel is not None or effect.places[k] in AT_FACES
+        return name in AT_FACES
+
     def _effect_place(self, name: str) -> tuple[int, int]:
         known = {
             f"{EFFECT_PREFIX}{use.effect.name}.{p.name}": (i, k)
@@ -224,6 +233,11 @@ class _Place:
     def temperature(self, node: int) -> int:
         return self.start + (HEAD_ROWS + node * NODE_ROWS + T) * LANES + self.lane
 
+    @property
+    def node_0(self) -> int:
+        """The first number of node 0."""
+        return self.start + HEAD_ROWS * LANES + self.lane
+
     def scalar(self, row: int) -> int:
         return self.start + row * LANES + self.lane
 
@@ -236,6 +250,7 @@ class Ensemble:
     step_s : the longest time step [s] that a march takes
     beside : an ensemble of points with the same tables and effects, whose tables this one shares
     effects : more effects that points may be given later (set_model)
+    kinds   : (point,) numbers; points of different ones share no group, those of the lowest come first
 
     Attributes: `meshes`, `table` with all property and ratio tables, and `state`, which holds everything that changes.
     """
@@ -247,6 +262,7 @@ class Ensemble:
         step_s: float = 1.0,
         beside: Ensemble | None = None,
         effects: Iterable[Effect] = (),
+        kinds: Sequence[int] | None = None,
     ) -> None:
         if not models:
             raise InputError("there is no control point; give at least one")
@@ -258,7 +274,7 @@ class Ensemble:
         self.chain = self._chain.handle
         self.begin_handle, self.advance_handle = (handle(f) for f in compiled())
         self._tables: TableStore = TableStore() if beside is None else beside._tables
-        self._arrange()
+        self._arrange([0] * len(self.models) if kinds is None else kinds)
         self.table = self._tables.values
         self.reset()
 
@@ -271,10 +287,11 @@ class Ensemble:
     def _add_ratio_table(self, table: RatioTable | None) -> int:
         return NO_TABLE if table is None else self._tables.place(("ratio", id(table)), lambda: pack_table(table))
 
-    def _arrange(self) -> None:
-        """Put models of like node counts into groups of LANES; the last one of a group fills it up."""
-        order = sorted(range(len(self.models)), key=lambda i: (-self.meshes[i].nodes, i))
-        members = [order[k : k + LANES] for k in range(0, len(order), LANES)]
+    def _arrange(self, kinds: Sequence[int]) -> None:
+        """Put models of one kind and like node counts into groups of LANES; the last one of a group fills it up."""
+        order = sorted(range(len(self.models)), key=lambda i: (kinds[i], -self.meshes[i].nodes, i))
+        alike = [list(group) for _, group in groupby(order, key=lambda i: kinds[i])]
+        members = [group[k : k + LANES] for group in alike for k in range(0, len(group), LANES)]
         nodes = [self.meshes[group[0]].nodes for group in members]
         blocks = np.concatenate(([0], np.cumsum([block_size(n) for n in nodes])))
         integers = np.concatenate(([0], np.cumsum([integers_size(n) for n in nodes])))

@@ -11,16 +11,6 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-class Places(NamedTuple):
-    """Where the shadows of each lane stand (linear_march), the first column that of ratio.d0, and its node count."""
-
-    at: IntArray
-    plus: IntArray
-    minus: IntArray
-    inverse: FloatArray
-    nodes: IntArray
-
-
 class Readings(NamedTuple):
     """(lane, reading) in order of time; lower and upper are equal where nothing was rounded, NaN where nothing is read.
     direct : (lane, reading, parameter, 3)."""

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.estimation.interval import LOG_ROOT_2PI, truncated_normal
-from sim_heating.filter_arrays import Blocks, Columns, Held, Joint, Kept, Noise, Places, Readings, State
+from sim_heating.filter_arrays import Blocks, Columns, Held, Joint, Kept, Noise, Readings, State
 from sim_heating.jit import call_step, njit, raw
 from sim_heating.layout import (
     D0,
@@ -48,6 +48,8 @@ from sim_heating.layout import (
 from sim_heating.march import END_STAGE
 from sim_heating.thermal.kernel import COLDEST_K, STAGE_WEIGHT, hold
 from sim_heating.thermal.linear import (
+    Groups,
+    Places,
     assemble_shadows,
     begin_columns,
     content_columns,
@@ -76,14 +78,13 @@ LEAST_GAIN = 1e-14
 @njit
 def propagate(X: Blocks, p: Places, lane: int, forced: int, dt: float, w: Columns) -> None:
     """Take w.end from the start of a step to its end; its first `forced` columns have their parameters as forcing."""
-    at, n = p.at[lane], p.nodes[lane]
-    plus, minus, inverse = p.plus[lane, :forced], p.minus[lane, :forced], p.inverse[lane, :forced]
-    begin_columns(X.start, at, plus, minus, inverse, n, w.end, w.e, w.f)
+    ddt = STAGE_WEIGHT * dt
+    begin_columns(X.start, p, lane, forced, w.end, w.e, w.f)
     first_star(w.e, w.f, dt, w.star)
-    solve_columns(X.middle, at, plus, minus, inverse, n, w.star, w.middle, w.reduced)
-    content_columns(X.middle, at, plus, minus, inverse, n, w.middle, w.e_middle)
+    solve_columns(X.middle, p, lane, forced, ddt, w.star, w.middle, w.reduced)
+    content_columns(X.middle, p, lane, forced, w.middle, w.e_middle)
     second_star(w.e, w.e_middle, w.star)
-    solve_columns(X.end, at, plus, minus, inverse, n, w.star, w.end, w.reduced)
+    solve_columns(X.end, p, lane, forced, ddt, w.star, w.end, w.reduced)
 
 
 @njit
@@ -368,12 +369,12 @@ def _put_back(B: FloatArray, lane: int, n: int, k: int, state: State, z: FloatAr
 
 
 @njit
-def disturb(B: FloatArray, X: Blocks, groups: IntArray, source: IntArray, lane: int, change: float) -> None:
+def disturb(B: FloatArray, X: Blocks, shadows: Groups, lane: int, change: float) -> None:
     """Add to ratio.d0 of a lane and of all its shadows."""
     B[PARAMETERS * LANES + lane * N_PARAMETERS + D0] += change
-    for s in range(len(source)):
-        if source[s] == lane:
-            at = groups[s // LANES, 0] + PARAMETERS * LANES + (s % LANES) * N_PARAMETERS + D0
+    for s in range(len(shadows.source)):
+        if shadows.source[s] == lane:
+            at = shadows.groups[s // LANES, 0] + PARAMETERS * LANES + (s % LANES) * N_PARAMETERS + D0
             X.start[at] += change
             X.middle[at] += change
             X.end[at] += change
@@ -405,9 +406,8 @@ def _lag_now(X: Blocks, groups: IntArray, first: bool) -> None:
 
 @njit
 def march_filter(
-    B: FloatArray, J: IntArray, table: FloatArray, chain, begin, advance, rows,  # type: ignore[no-untyped-def]
-    X: Blocks, XJ: IntArray, groups: IntArray, source: IntArray, lane_nodes: IntArray,
-    time_s: FloatArray, histories: FloatArray, which: IntArray,
+    B: FloatArray, J: IntArray, table: FloatArray, chain, begin, advance, rows, faces,  # type: ignore[no-untyped-def]
+    X: Blocks, shadows: Groups, time_s: FloatArray, histories: FloatArray, which: IntArray,
     p: Places, r: Readings, state: State, noise: Noise, held: Held, kept: Kept,
     u: Columns, w: Columns, v: Columns, joint: Joint, out: FloatArray,
 ) -> None:  # fmt: skip
@@ -425,9 +425,9 @@ def march_filter(
     call_step(begin, b, j, t, chain, 0.0)
     for k in range(1, len(time_s)):
         dt = time_s[k] - time_s[k - 1]
-        _lag_before(X, groups, k == 1)
-        assemble_shadows(B, X.start, XJ, table, chain, rows, groups, source, lane_nodes, T, 2, 1.0)
-        _lag_now(X, groups, k == 1)
+        _lag_before(X, shadows.groups, k == 1)
+        assemble_shadows(B, X.start, shadows, table, chain, rows, faces, T, 2, 1.0)
+        _lag_now(X, shadows.groups, k == 1)
         for lane in range(lanes):
             start_from_shadow(B, lane, X.start, p.at[lane], p.nodes[lane])
         hold(b)
@@ -436,8 +436,8 @@ def march_filter(
                 B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], k, c]
         call_step(advance, b, j, t, chain, dt)
         ddt = STAGE_WEIGHT * dt
-        assemble_shadows(B, X.middle, XJ, table, chain, rows, groups, source, lane_nodes, T_STAGE, 1, ddt)
-        assemble_shadows(B, X.end, XJ, table, chain, rows, groups, source, lane_nodes, T, 2, ddt)
+        assemble_shadows(B, X.middle, shadows, table, chain, rows, faces, T_STAGE, 1, ddt)
+        assemble_shadows(B, X.end, shadows, table, chain, rows, faces, T, 2, ddt)
         for lane in range(lanes):
             if state.diverged[lane] == 0:
                 next_reading[lane] = filter_lane(
@@ -445,5 +445,5 @@ def march_filter(
                     joint, z, transition, out[lane],
                 )  # fmt: skip
                 n = p.nodes[lane]
-                disturb(B, X, groups, source, lane, z[n] - state.d[lane])
+                disturb(B, X, shadows, lane, z[n] - state.d[lane])
                 state.d[lane] = z[n]

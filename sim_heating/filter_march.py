@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sim_heating.ensemble import PointModel
 from sim_heating.errors import InputError, RunError
-from sim_heating.filter_arrays import Blocks, Kept, Noise, Places, Readings, State, columns_of, held_of, joint_of
+from sim_heating.filter_arrays import Blocks, Kept, Noise, Readings, State, columns_of, held_of, joint_of
 from sim_heating.filter_kernel import (
     INNOVATION,
     LOG_LIKELIHOOD,
@@ -236,18 +236,14 @@ class FilterMarch(LinearMarch):
             raise InputError("filter: a smoother wants the covariance of every step; leave hold_after_s out")
         out = np.full((len(points), readings.time_s.shape[1], N_OUT + m), np.nan)
         out[..., LOG_LIKELIHOOD] = 0.0
-        self.base.reset()
-        self.shadows.reset()
-        for i, point in enumerate(points):
-            if point.initial_K is not None:
-                self.base.set_profile(i, point.initial_K)
+        self._begin([point.initial_K for point in points])
         B = self.base.block(0).copy()
         march_filter(
             B, self.base.integers(0), self.base.table, self.base.chain,
-            self.base.begin_handle, self.base.advance_handle, self.rows,
-            Blocks(*(self.shadows.state.copy() for _ in range(3))), self.shadows.ints, self.shadows.groups,
-            self._source, self._nodes, self.time_s, self.histories, self._flights,
-            self._shadow_places(m), readings, state, noise, held_of(after_s, most, n + 1), kept,
+            self.base.begin_handle, self.base.advance_handle, self.rows, self.faces,
+            Blocks(*(self._shadow_state().copy() for _ in range(3))), self._groups(),
+            self.time_s, self.histories, self._flights, self._places(1 + m), readings, state, noise,
+            held_of(after_s, most, n + 1), kept,
             columns_of(n, 1 + m), columns_of(n, 1 + m + (2 if keep else 1) * (n + 1)), columns_of(n, n + 1 + most),
             joint_of(most, n + 1, m), out,
         )  # fmt: skip
@@ -312,16 +308,6 @@ class FilterMarch(LinearMarch):
             if s.direct is not None:
                 direct[lane, own, : point.parameters] = s.direct
         return Readings(count, time_s, node, gain, bias, variance, lower, upper, direct)
-
-    def _shadow_places(self, m: int) -> Places:
-        lanes = len(self.points)
-        at, plus, minus = np.zeros(lanes, dtype=np.int64), *np.zeros((2, lanes, 1 + m), dtype=np.int64)
-        inverse = np.zeros((lanes, 1 + m))
-        for i, place in enumerate(self._places):
-            lane, own = self._lane_of[i], len(place.plus)
-            at[lane], plus[lane], minus[lane] = place.base, place.base, place.base
-            plus[lane, :own], minus[lane, :own], inverse[lane, :own] = place.plus, place.minus, place.inverse
-        return Places(at, plus, minus, inverse, self._nodes[:lanes].copy())
 
     def _filtered(
         self, i: int, point: FilterTrack, step: IntArray, out: FloatArray, state: State, kept: Kept

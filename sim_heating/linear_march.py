@@ -7,8 +7,8 @@ stage and the end of the step, which has the order of the step itself; a skew of
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +17,20 @@ from sim_heating.effects import Effect
 from sim_heating.ensemble import Ensemble, PointModel, initial_temperatures
 from sim_heating.errors import InputError, RunError
 from sim_heating.jit import call_step, handle, njit, raw
-from sim_heating.layout import HEAD_ROWS, LANES, N_CONDITIONS, NODE_ROWS, T_STAGE, T_START, T
+from sim_heating.layout import GAPS, HEAD_ROWS, LANES, N_CONDITIONS, NODE_ROWS, T_STAGE, T_START, T
 from sim_heating.march import END_STAGE
 from sim_heating.parameters import CURVED, EFFECT_PREFIX
 from sim_heating.thermal.kernel import STAGE_WEIGHT, hold
 from sim_heating.thermal.linear import (
+    DEPTH,
+    FACES,
+    NO_SHADOWS,
+    WHOLE,
+    Groups,
+    Places,
     assemble_shadows,
     begin_columns,
-    compiled_rows,
+    compiled_shadows,
     content_columns,
     first_star,
     net_columns,
@@ -43,6 +49,9 @@ MOVED = 1e-5
 nine digits each."""
 MOVED_AFFINE = 1e-2
 """And one that is affine, to one side, by this part of it."""
+
+BASE = -1
+"""Column of a shadow that has no parameter moved."""
 
 
 @dataclass(frozen=True)
@@ -97,14 +106,46 @@ def moved(model: PointModel, name: str) -> tuple[float, bool]:
     return (MOVED if curved else MOVED_AFFINE) * scale, curved
 
 
-@dataclass
-class _Shadows:
-    """Where the shadows of one track stand: first number of the base's and of each parameter's lane, 1 / difference."""
+@dataclass(frozen=True)
+class _Shadow:
+    """One shadow of a track: its base, or the base with the parameter of a column moved by so much.
 
-    base: int
-    plus: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    minus: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    inverse: FloatArray = field(default_factory=lambda: np.zeros(0))
+    both : whether that is moved to both sides;  at_faces : whether it acts at the faces alone
+    """
+
+    track: int
+    column: int = BASE
+    by: float = 0.0
+    both: bool = False
+    at_faces: bool = False
+
+    def model(self, track: Track, base: PointModel) -> PointModel:
+        """The shadow of a point."""
+        if self.column == BASE:
+            return base
+        name = track.names[self.column]
+        return base.altered({name: base.value(name) + self.by})
+
+
+def _shadows_of(i: int, track: Track) -> list[_Shadow]:
+    """The shadows of a track, its base's first; none where it has no sensitivities."""
+    found = [_Shadow(i)] if track.columns else []
+    for column, name in enumerate(track.names):
+        by, both = moved(track.model, name)
+        at_faces = track.model.at_faces(name)
+        found += [_Shadow(i, column, side * by, both, at_faces) for side in ((1.0, -1.0) if both else (1.0,))]
+    return found
+
+
+class Wanted(NamedTuple):
+    """What is wanted of each lane: number of sensitivities; times of its samples [s] and how many they are; nodes that
+    are read and how many they are."""
+
+    columns: IntArray
+    time_s: FloatArray
+    samples: IntArray
+    nodes: IntArray
+    reads: IntArray
 
 
 class LinearMarch:
@@ -125,65 +166,56 @@ class LinearMarch:
         self.time_s = np.ascontiguousarray(time_s, dtype=float)
         self.histories = np.ascontiguousarray(histories, dtype=float)
         self.base = Ensemble([t.model for t in self.tracks], [t.mesh for t in self.tracks], effects=effects)
-        self._moves = [[moved(t.model, name) for name in t.names] for t in self.tracks]
-        self._owner = [i for i, moves in enumerate(self._moves) for _ in range(1 + sum(1 + both for _, both in moves))]
-        shadows = [
-            m for t, moves in zip(self.tracks, self._moves, strict=True) for m in self._altered(t, t.model, moves)
-        ]
-        self.shadows = Ensemble(shadows, [self.tracks[i].mesh for i in self._owner], beside=self.base)
-        self.rows = handle(compiled_rows())
-        self._place()
-
-    @staticmethod
-    def _altered(track: Track, model: PointModel, moves: Sequence[tuple[float, bool]]) -> list[PointModel]:
-        """The base of a track and its shadows."""
-        models = [model]
-        for name, (by, both) in zip(track.names, moves, strict=True):
-            value = model.value(name)
-            models.append(model.altered({name: value + by}))
-            if both:
-                models.append(model.altered({name: value - by}))
-        return models
-
-    def _place(self) -> None:
-        """Find out where the shadows stand."""
-        first = [p.start + HEAD_ROWS * LANES + p.lane for p in self.shadows.places]
+        self._shadows = [shadow for i, track in enumerate(self.tracks) for shadow in _shadows_of(i, track)]
+        self.shadows = self._ensemble() if self._shadows else None
+        self.rows, self.faces = (handle(f) for f in compiled_shadows())
         self._lane_of = np.array([p.lane for p in self.base.places])
-        self._places: list[_Shadows] = []
-        k = 0
-        for track, moves in zip(self.tracks, self._moves, strict=True):
-            base, plus, minus, inverse = first[k], [], [], []
-            k += 1
-            for by, both in moves:
-                plus.append(first[k])
-                minus.append(first[k + 1] if both else base)
-                inverse.append(0.5 / by if both else 1.0 / by)
-                k += 2 if both else 1
-            extra = track.columns - len(moves)
-            self._places.append(
-                _Shadows(
-                    base,
-                    np.array(plus + [base] * extra, dtype=np.int64),
-                    np.array(minus + [base] * extra, dtype=np.int64),
-                    np.array(inverse + [0.0] * extra),
-                )
-            )
-        self._source = self._lane_of[np.array(self._owner)][self.shadows.lanes].astype(np.int64)
-        self._nodes = np.zeros(LANES, dtype=np.int64)
-        self._flights = np.zeros(LANES, dtype=np.int64)
+        self._nodes, self._flights = np.zeros((2, LANES), dtype=np.int64)
         for i, track in enumerate(self.tracks):
             self._nodes[self._lane_of[i]] = track.mesh.nodes
         for lane, i in enumerate(self.base.lanes):
             self._flights[lane] = self.tracks[i].flight
 
+    def _ensemble(self) -> Ensemble:
+        """The shadows in lanes, those of which whole rows are wanted first."""
+        tracks = [self.tracks[shadow.track] for shadow in self._shadows]
+        models = [shadow.model(track, track.model) for shadow, track in zip(self._shadows, tracks, strict=True)]
+        kinds = [int(shadow.at_faces) for shadow in self._shadows]
+        return Ensemble(models, [track.mesh for track in tracks], beside=self.base, kinds=kinds)
+
+    def _groups(self) -> Groups:
+        """The shadows as the kernel takes them."""
+        e = self.shadows
+        if e is None:
+            return NO_SHADOWS
+        owner = np.array([shadow.track for shadow in self._shadows])
+        whole = {place.group for place, shadow in zip(e.places, self._shadows, strict=True) if not shadow.at_faces}
+        return Groups(e.ints, e.groups, len(whole), self._lane_of[owner][e.lanes].astype(np.int64))
+
+    def _places(self, m: int) -> Places:
+        """Where the shadows of each lane stand, m columns to a lane."""
+        at, inverse = np.zeros(LANES, dtype=np.int64), np.zeros((LANES, m))
+        plus, minus, reach = np.zeros((3, LANES, m), dtype=np.int64)
+        faces = DEPTH if self.base.integers(0)[GAPS] == 1 else FACES
+        stand = () if self.shadows is None else self.shadows.places
+        for shadow, place in zip(self._shadows, stand, strict=True):
+            lane, column, first = self._lane_of[shadow.track], shadow.column, place.node_0
+            if column == BASE:
+                at[lane], plus[lane], minus[lane] = first, first, first
+            elif shadow.by < 0.0:
+                minus[lane, column] = first
+            else:
+                plus[lane, column], inverse[lane, column] = first, (0.5 if shadow.both else 1.0) / shadow.by
+                reach[lane, column] = faces if shadow.at_faces else WHOLE
+        return Places(at, plus, minus, inverse, reach, self._nodes)
+
     def set_models(self, models: Sequence[PointModel]) -> None:
         """Give the tracks' points other values of their parameters (PointModel.altered)."""
-        k = 0
-        for i, (track, model, moves) in enumerate(zip(self.tracks, models, self._moves, strict=True)):
+        for i, model in enumerate(models):
             self.base.set_model(i, model)
-            for altered in self._altered(track, model, moves):
-                self.shadows.set_model(k, altered)
-                k += 1
+        if self.shadows is not None:
+            for k, shadow in enumerate(self._shadows):
+                self.shadows.set_model(k, shadow.model(self.tracks[shadow.track], models[shadow.track]))
 
     def march(
         self, shifts_s: Sequence[float] | None = None, initial_K: Sequence[FloatArray | None] | None = None
@@ -214,46 +246,51 @@ class LinearMarch:
             outside = np.count_nonzero((t < self.time_s[0]) | (t > self.time_s[-1]))
             if outside:
                 raise InputError(f"{track.model.name}: {outside} samples lie outside the march; leave them out")
-        self.base.reset()
-        self.shadows.reset()
-        for i, profile in enumerate([t.initial_K for t in self.tracks] if initial_K is None else initial_K):
-            if profile is not None:
-                self.base.set_profile(i, profile)
+        self._begin([t.initial_K for t in self.tracks] if initial_K is None else initial_K)
         m = max(track.columns for track in self.tracks)
-        n = int(self._nodes.max())
-        count = max(len(track.sample_s) for track in self.tracks)
-        reads = max(len(track.read_nodes) for track in self.tracks)
-        per_lane = self._per_lane(times, n, m, count, reads)
+        wanted = self._wanted(times)
+        reads, count = wanted.nodes.shape[1], wanted.time_s.shape[1]
         out = np.full((LANES, reads, count, 2 + m), np.nan)
         march_linear(  # type: ignore[call-arg]
             self.base.block(0), self.base.integers(0), self.base.table, self.base.chain,
-            self.base.begin_handle, self.base.advance_handle, self.rows,
-            self.shadows.state, self.shadows.ints, self.shadows.groups, self._source, self._nodes,
-            self.time_s, self.histories, self._flights, *per_lane, out,
+            self.base.begin_handle, self.base.advance_handle, self.rows, self.faces,
+            self._shadow_state(), self._groups(), self._places(m),
+            self.time_s, self.histories, self._flights, self._start(m), wanted, out,
         )  # fmt: skip
         failed = self.base.failed()
         return [None if failed[i] else self._result(i, out) for i in range(len(self.tracks))]
 
-    def _per_lane(self, times: Sequence[FloatArray], n: int, m: int, count: int, reads: int) -> tuple[Any, ...]:
-        """Arrays over the lanes; a lane without a track has no samples and no columns."""
-        at = np.zeros(LANES, dtype=np.int64)
-        plus, minus = np.zeros((2, LANES, m), dtype=np.int64)
-        inverse = np.zeros((LANES, m))
-        columns, samples, read = (np.zeros(LANES, dtype=np.int64) for _ in range(3))
-        start = np.zeros((LANES, n, m))
-        sample_s = np.full((LANES, max(count, 1)), np.inf)
-        nodes = np.zeros((LANES, max(reads, 1)), dtype=np.int64)
-        for i, (track, place) in enumerate(zip(self.tracks, self._places, strict=True)):
-            lane, own = self._lane_of[i], track.columns
-            at[lane], columns[lane], samples[lane] = place.base, own, len(track.sample_s)
-            plus[lane, :own], minus[lane, :own], inverse[lane, :own] = place.plus, place.minus, place.inverse
-            plus[lane, own:] = minus[lane, own:] = place.base
-            sample_s[lane, : len(track.sample_s)] = times[i]
-            read[lane] = len(track.read_nodes)
-            nodes[lane, : len(track.read_nodes)] = track.read_nodes
+    def _begin(self, initial_K: Sequence[FloatArray | None]) -> None:
+        """Put bases and shadows to the start."""
+        self.base.reset()
+        if self.shadows is not None:
+            self.shadows.reset()
+        for i, profile in enumerate(initial_K):
+            if profile is not None:
+                self.base.set_profile(i, profile)
+
+    def _shadow_state(self) -> FloatArray:
+        """Blocks of the shadows."""
+        return np.zeros(0) if self.shadows is None else self.shadows.state
+
+    def _start(self, m: int) -> FloatArray:
+        """(LANES, node, m) sensitivities at the start."""
+        start = np.zeros((LANES, int(self._nodes.max()), m))
+        for i, track in enumerate(self.tracks):
             if track.initial_columns is not None:
-                start[lane, : track.mesh.nodes, len(track.names) : own] = track.initial_columns
-        return at, plus, minus, inverse, columns, start, sample_s, samples, nodes, read
+                start[self._lane_of[i], : track.mesh.nodes, len(track.names) : track.columns] = track.initial_columns
+        return start
+
+    def _wanted(self, times: Sequence[FloatArray]) -> Wanted:
+        """What is read of each lane; a lane without a track has no samples and no columns."""
+        columns, samples, reads = np.zeros((3, LANES), dtype=np.int64)
+        sample_s = np.full((LANES, max(1, *(len(t) for t in times))), np.inf)
+        nodes = np.zeros((LANES, max(1, *(len(t.read_nodes) for t in self.tracks))), dtype=np.int64)
+        for i, (track, t) in enumerate(zip(self.tracks, times, strict=True)):
+            lane = self._lane_of[i]
+            columns[lane], samples[lane], reads[lane] = track.columns, len(t), len(track.read_nodes)
+            sample_s[lane, : len(t)], nodes[lane, : len(track.read_nodes)] = t, track.read_nodes
+        return Wanted(columns, sample_s, samples, nodes, reads)
 
     def _result(self, i: int, out: FloatArray) -> Linearised | None:
         track = self.tracks[i]
@@ -273,16 +310,16 @@ def initial_profile(track: Track) -> FloatArray:
 @njit
 def _read_samples(
     B: FloatArray, lane: int, begun_s: float, dt: float, S_start: FloatArray, S_stage: FloatArray, S: FloatArray,
-    sample_s: FloatArray, first: int, last: int, nodes: IntArray, read: int, m: int, out: FloatArray,
+    wanted: Wanted, first: int, out: FloatArray,
 ) -> int:  # fmt: skip
     """Temperatures, rates and sensitivities at the samples of a lane in one step; gives the next sample's number."""
-    k = first
-    while k < last and sample_s[k] <= begun_s + dt:
-        x = (sample_s[k] - begun_s) / dt
+    k, m = first, wanted.columns[lane]
+    while k < wanted.samples[lane] and wanted.time_s[lane, k] <= begun_s + dt:
+        x = (wanted.time_s[lane, k] - begun_s) / dt
         w0, w1, w2 = parabola(x)
         d0, d1, d2 = parabola_rate(x, dt)
-        for j in range(read):
-            i = nodes[j]
+        for j in range(wanted.reads[lane]):
+            i = wanted.nodes[lane, j]
             a = (HEAD_ROWS + i * NODE_ROWS) * LANES + lane
             T0, T1, T2 = B[a + T_START * LANES], B[a + T_STAGE * LANES], B[a + T * LANES]
             out[j, k, 0] = w0 * T0 + w1 * T1 + w2 * T2
@@ -295,11 +332,9 @@ def _read_samples(
 
 @njit
 def march_linear(
-    B: FloatArray, J: IntArray, table: FloatArray, chain, begin, advance, rows,  # type: ignore[no-untyped-def]
-    X: FloatArray, XJ: IntArray, groups: IntArray, source: IntArray, lane_nodes: IntArray,
-    time_s: FloatArray, histories: FloatArray, which: IntArray,
-    at: IntArray, plus: IntArray, minus: IntArray, inverse: FloatArray, columns: IntArray, start: FloatArray,
-    sample_s: FloatArray, samples: IntArray, nodes: IntArray, read: IntArray, out: FloatArray,
+    B: FloatArray, J: IntArray, table: FloatArray, chain, begin, advance, rows, faces,  # type: ignore[no-untyped-def]
+    X: FloatArray, shadows: Groups, p: Places,
+    time_s: FloatArray, histories: FloatArray, which: IntArray, start: FloatArray, wanted: Wanted, out: FloatArray,
 ) -> None:  # fmt: skip
     """March one group with the sensitivities of its lanes; arrays as LinearMarch makes them.
 
@@ -317,12 +352,10 @@ def march_linear(
         for c in range(N_CONDITIONS):
             B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], 0, c]
     call_step(begin, b, j, t, chain, 0.0)
-    assemble_shadows(B, X, XJ, table, chain, rows, groups, source, lane_nodes, T, 2, 1.0)
+    assemble_shadows(B, X, shadows, table, chain, rows, faces, T, 2, 1.0)
     for lane in range(LANES):
-        if columns[lane] > 0:
-            begin_columns(
-                X, at[lane], plus[lane], minus[lane], inverse[lane], lane_nodes[lane], S[lane], e[lane], f[lane]
-            )
+        if wanted.columns[lane] > 0:
+            begin_columns(X, p, lane, m, S[lane], e[lane], f[lane])
     for k in range(1, len(time_s)):
         dt = time_s[k] - time_s[k - 1]
         hold(b)
@@ -330,29 +363,22 @@ def march_linear(
             for c in range(N_CONDITIONS):
                 B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], k, c]
         call_step(advance, b, j, t, chain, dt)
-        for stage in range(1, 3):
-            row = T_STAGE if stage == 1 else T
-            assemble_shadows(B, X, XJ, table, chain, rows, groups, source, lane_nodes, row, stage, STAGE_WEIGHT * dt)
-            for lane in range(LANES):
-                own = lane_nodes[lane]
-                if columns[lane] > 0 and stage == 1:
-                    S_start[lane] = S[lane]
-                    first_star(e[lane], f[lane], dt, star[lane])
-                    solve_columns(
-                        X, at[lane], plus[lane], minus[lane], inverse[lane], own, star[lane], S_stage[lane], reduced
-                    )
-                    content_columns(
-                        X, at[lane], plus[lane], minus[lane], inverse[lane], own, S_stage[lane], middle[lane]
-                    )
-                elif columns[lane] > 0:
-                    second_star(e[lane], middle[lane], star[lane])
-                    solve_columns(
-                        X, at[lane], plus[lane], minus[lane], inverse[lane], own, star[lane], S[lane], reduced
-                    )
-                    content_columns(X, at[lane], plus[lane], minus[lane], inverse[lane], own, S[lane], e[lane])
-                    net_columns(e[lane], star[lane], dt, f[lane])
+        ddt = STAGE_WEIGHT * dt
+        assemble_shadows(B, X, shadows, table, chain, rows, faces, T_STAGE, 1, ddt)
+        for lane in range(LANES):
+            if wanted.columns[lane] > 0:
+                S_start[lane] = S[lane]
+                first_star(e[lane], f[lane], dt, star[lane])
+                solve_columns(X, p, lane, m, ddt, star[lane], S_stage[lane], reduced)
+                content_columns(X, p, lane, m, S_stage[lane], middle[lane])
+        assemble_shadows(B, X, shadows, table, chain, rows, faces, T, 2, ddt)
+        for lane in range(LANES):
+            if wanted.columns[lane] > 0:
+                second_star(e[lane], middle[lane], star[lane])
+                solve_columns(X, p, lane, m, ddt, star[lane], S[lane], reduced)
+                content_columns(X, p, lane, m, S[lane], e[lane])
+                net_columns(e[lane], star[lane], dt, f[lane])
         for lane in range(LANES):
             next_sample[lane] = _read_samples(
-                B, lane, time_s[k - 1], dt, S_start[lane], S_stage[lane], S[lane], sample_s[lane], next_sample[lane],
-                samples[lane], nodes[lane], read[lane], columns[lane], out[lane],
-            )  # fmt: skip
+                B, lane, time_s[k - 1], dt, S_start[lane], S_stage[lane], S[lane], wanted, next_sample[lane], out[lane]
+            )

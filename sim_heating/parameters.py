@@ -90,6 +90,11 @@ CURVED = (
 )  # fmt: skip
 """Parameters in which the heat balance at given temperatures is not affine; no parameter of an effect need be."""
 
+AT_FACES = (
+    *(p.name for p in RATIO), "stack.emissivity_factor", "back.h_W_m2K", "back.T_K", "back.emissivity",
+)  # fmt: skip
+"""Parameters that change what enters a wall from outside and nothing within it, like those of effects with a kernel."""
+
 CLOCK_SKEW = Parameter("clock.skew", "s", 0.0, 0.5, -10.0, 10.0, "recorded T(t) = true T(t - skew): above 0, it lags")
 """The one parameter of a record's clocks."""
 

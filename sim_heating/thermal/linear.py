@@ -11,7 +11,8 @@ which is exact for the discrete model (implicit function theorem). A is assemble
 every parameter costs one more right-hand side. G_p and E_p come from the model itself: beside the base stand shadows of
 it, one lane for each parameter with that parameter moved (two, to either side, where G is not affine in it), at
 the temperatures of the base. Their rows are the model's own, so that no equation has a second, differentiated form;
-for affine parameters the difference is exact to rounding.
+for affine parameters the difference is exact to rounding. A parameter of what enters at the faces changes that alone:
+G_p = -d dt dF/dp there, E_p = 0, and its shadow needs no rows.
 
 Arrays of a lane: (node, parameter), parameters contiguous.
 """
@@ -19,15 +20,15 @@ Arrays of a lane: (node, parameter), parameters contiguous.
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.heating_ratio.kernel import forget_cells
 from sim_heating.jit import call_step, compiled_step, njit, raw
 from sim_heating.layout import (
     ACROSS,
+    BACK_NODE,
     C_LEFT,
     C_RIGHT,
     C_STAGES,
@@ -36,6 +37,7 @@ from sim_heating.layout import (
     E_RIGHT,
     E_START,
     ENTRY,
+    GAPS,
     HEAD_ROWS,
     LAG_INPUT,
     LAG_PAST,
@@ -47,6 +49,7 @@ from sim_heating.layout import (
     NET,
     NODE_ROWS,
     RESIDUAL,
+    SOURCE,
     TIME,
     T,
 )
@@ -60,12 +63,47 @@ IntArray = NDArray[np.int64]
 
 NODE = NODE_ROWS * LANES
 """Numbers from a node to the next."""
+NOWHERE, FACES, DEPTH, WHOLE = range(4)
+"""Where a parameter acts: not in the march; on what enters at the two faces, or along gaps besides; on whole rows."""
+
+
+class Groups(NamedTuple):
+    """Groups of shadows.
+
+    ints   : their integers;  groups : as in march.py
+    whole  : number of groups, the first ones, whose rows are assembled; of the others only what enters at the faces
+    source : (group * LANES,) lane of the base of each shadow
+    """
+
+    ints: IntArray
+    groups: IntArray
+    whole: int
+    source: IntArray
+
+
+NO_SHADOWS = Groups(np.zeros(0, dtype=np.int64), np.zeros((0, 4), dtype=np.int64), 0, np.zeros(0, dtype=np.int64))
+
+
+class Places(NamedTuple):
+    """Where the shadows of each lane stand in their blocks.
+
+    at      : (lane,) first number of node 0 of the base's shadow;  nodes : (lane,) node count
+    plus, minus, inverse : (lane, parameter) the same of the shadows with the parameter moved to either side, or of the
+              base's again, and the reciprocal of the difference
+    reach   : (lane, parameter) where the parameter acts
+    """
+
+    at: IntArray
+    plus: IntArray
+    minus: IntArray
+    inverse: FloatArray
+    reach: IntArray
+    nodes: IntArray
 
 
 def rows_at(B: FloatArray, J: IntArray, table: FloatArray, chain, ddt: float) -> None:  # type: ignore[no-untyped-def]
     """Rows of G = E - ddt F at the temperatures present, with the conditions of stage 2; ddt [s] stands for dt."""
     n = J[N_NODES]
-    forget_cells(B)
     heat_lanes(B, J, table, chain, 2)
     select_pressure(B, J, 2)
     evaluate_faces(B, J, table, chain, 2)
@@ -74,31 +112,48 @@ def rows_at(B: FloatArray, J: IntArray, table: FloatArray, chain, ddt: float) ->
     assemble_behind(B, n)
 
 
+def faces_at(B: FloatArray, J: IntArray, table: FloatArray, chain, ddt: float) -> None:  # type: ignore[no-untyped-def]
+    """What enters from outside at the temperatures present, with the conditions of stage 2; ddt is not used."""
+    heat_lanes(B, J, table, chain, 2)
+    evaluate_faces(B, J, table, chain, 2)
+
+
 @cache
-def compiled_rows() -> Any:
-    """`rows_at`, compiled when first asked for."""
-    return compiled_step(rows_at)
+def compiled_shadows() -> tuple[Any, Any]:
+    """`rows_at` and `faces_at`, compiled when first asked for."""
+    return compiled_step(rows_at), compiled_step(faces_at)
+
+
+@njit
+def _stand(B: FloatArray, X: FloatArray, start: int, source: IntArray, g: int, i: int, row: int) -> None:
+    """Put node i of a group of shadows at the temperatures of the bases."""
+    for s in range(LANES):
+        at = (HEAD_ROWS + i * NODE_ROWS) * LANES
+        X[start + at + T * LANES + s] = B[at + row * LANES + source[g * LANES + s]]
 
 
 @njit
 def assemble_shadows(
-    B: FloatArray, X: FloatArray, J: IntArray, table: FloatArray, chain, rows, groups: IntArray, source: IntArray,  # type: ignore[no-untyped-def]
-    nodes: IntArray, row: int, stage: int, ddt: float,
+    B: FloatArray, X: FloatArray, shadows: Groups, table: FloatArray, chain, rows, faces, row: int, stage: int,  # type: ignore[no-untyped-def]
+    ddt: float,
 ) -> None:  # fmt: skip
     """Put the shadows at the temperatures and conditions that their bases have at a stage, and assemble their rows.
 
-    B      : block of the bases;  row, stage : where their temperatures and conditions of the stage stand
-    X, J   : blocks and integers of the shadow groups, `groups` as in march.py
-    source : (group * LANES,) lane of the base of each shadow;  nodes : (LANES,) node count of each base
+    B : block of the bases;  row, stage : where their temperatures and conditions of the stage stand
+    X : blocks of the shadows
     """
+    J, groups, source = shadows.ints, shadows.groups, shadows.source
     for g in range(len(groups)):
-        start = groups[g, 0]
+        start, ints = groups[g, 0], groups[g, 2]
+        if g < shadows.whole or J[ints + GAPS] == 1:
+            for i in range(J[ints + N_NODES]):
+                _stand(B, X, start, source, g, i, row)
+        else:
+            _stand(B, X, start, source, g, 0, row)
+            for s in range(LANES):
+                _stand(B, X, start, source, g, J[ints + BACK_NODE + s], row)
         for s in range(LANES):
             lane = source[g * LANES + s]
-            for i in range(nodes[lane]):
-                X[start + (HEAD_ROWS + i * NODE_ROWS + T) * LANES + s] = B[
-                    (HEAD_ROWS + i * NODE_ROWS + row) * LANES + lane
-                ]
             if stage == 1:
                 X[start + LAG_PAST * LANES + s] = 1.0
                 X[start + LAG_VALUE * LANES + s] = X[start + (LAG_VALUE + 2) * LANES + s]
@@ -109,7 +164,8 @@ def assemble_shadows(
             given = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
             for c in range(N_CONDITIONS):
                 X[to + c] = B[given + c]
-        call_step(rows, raw(X[start : groups[g, 1]]), raw(J[groups[g, 2] : groups[g, 3]]), raw(table), chain, ddt)
+        x, j = raw(X[start : groups[g, 1]]), raw(J[ints : groups[g, 3]])
+        call_step(rows if g < shadows.whole else faces, x, j, raw(table), chain, ddt)
 
 
 @njit
@@ -137,75 +193,73 @@ def start_from_shadow(B: FloatArray, lane: int, X: FloatArray, at: int, n: int) 
 
 
 @njit
-def content_columns(
-    X: FloatArray, at: int, plus: IntArray, minus: IntArray, inverse: FloatArray, n: int, S: FloatArray, e: FloatArray
-) -> None:
-    """e = E_T S + E_p of a lane whose base stands at X[at]; columns beyond those of `plus` have no E_p."""
-    m = S.shape[1]
+def _subtract_forcing(X: FloatArray, p: Places, lane: int, forced: int, ddt: float, S: FloatArray) -> None:
+    """S - G_p in the first `forced` columns, the shadows being assembled with ddt [s]."""
+    n = p.nodes[lane]
+    for k in range(forced):
+        plus, minus, inverse, reach = p.plus[lane, k], p.minus[lane, k], p.inverse[lane, k], p.reach[lane, k]
+        if reach == WHOLE:
+            for i in range(n):
+                S[i, k] -= (_residual(X, plus + i * NODE) - _residual(X, minus + i * NODE)) * inverse
+        elif reach != NOWHERE:
+            for i in range(0, n, n - 1 if reach == FACES else 1):
+                row = i * NODE + SOURCE * LANES
+                S[i, k] += ddt * ((X[plus + row] - X[minus + row]) * inverse)
+
+
+@njit
+def content_columns(X: FloatArray, p: Places, lane: int, forced: int, S: FloatArray, e: FloatArray) -> None:
+    """e = E_T S + E_p of a lane; columns beyond the first `forced` have no E_p."""
+    n, m = p.nodes[lane], S.shape[1]
     for i in range(n):
-        a = at + i * NODE
+        a = p.at[lane] + i * NODE
         own = (1.0 - SHARE) * (X[a + C_LEFT * LANES] + X[a + C_RIGHT * LANES])
         left, right = SHARE * X[a - NODE + C_RIGHT * LANES], SHARE * X[a + NODE + C_LEFT * LANES]
+        above, below = max(i - 1, 0), min(i + 1, n - 1)
         for k in range(m):
-            e[i, k] = own * S[i, k]
-        if i > 0:
-            for k in range(m):
-                e[i, k] += left * S[i - 1, k]
-        if i < n - 1:
-            for k in range(m):
-                e[i, k] += right * S[i + 1, k]
-        for k in range(len(plus)):
-            if inverse[k] != 0.0:
-                e[i, k] += (_content(X, plus[k] + i * NODE) - _content(X, minus[k] + i * NODE)) * inverse[k]
+            e[i, k] = own * S[i, k] + left * S[above, k] + right * S[below, k]
+    for k in range(forced):
+        if p.reach[lane, k] == WHOLE:
+            plus, minus, inverse = p.plus[lane, k], p.minus[lane, k], p.inverse[lane, k]
+            for i in range(n):
+                e[i, k] += (_content(X, plus + i * NODE) - _content(X, minus + i * NODE)) * inverse
 
 
 @njit
 def begin_columns(
-    X: FloatArray, at: int, plus: IntArray, minus: IntArray, inverse: FloatArray, n: int,
-    S: FloatArray, e: FloatArray, f: FloatArray,
-) -> None:  # fmt: skip
+    X: FloatArray, p: Places, lane: int, forced: int, S: FloatArray, e: FloatArray, f: FloatArray
+) -> None:
     """e and f from S, the shadows being assembled with ddt = 1 s: after a start, or a change of S from outside."""
-    m = S.shape[1]
-    content_columns(X, at, plus, minus, inverse, n, S, e)
+    n, m = p.nodes[lane], S.shape[1]
+    content_columns(X, p, lane, forced, S, e)
     for i in range(n):
-        a = at + i * NODE
-        diagonal, lower, entry = X[a + DIAGONAL * LANES], X[a - NODE + LOWER * LANES], X[a + NODE + ENTRY * LANES]
+        a = p.at[lane] + i * NODE
+        diagonal = X[a + DIAGONAL * LANES]
+        lower = X[a - NODE + LOWER * LANES] if i > 0 else 0.0
+        entry = X[a + NODE + ENTRY * LANES] if i < n - 1 else 0.0
+        above, below = max(i - 1, 0), min(i + 1, n - 1)
         for k in range(m):
-            f[i, k] = e[i, k] - diagonal * S[i, k]
-        if i > 0:
-            for k in range(m):
-                f[i, k] -= lower * S[i - 1, k]
-        if i < n - 1:
-            for k in range(m):
-                f[i, k] -= entry * S[i + 1, k]
-        for k in range(len(plus)):
-            if inverse[k] != 0.0:
-                f[i, k] -= (_residual(X, plus[k] + i * NODE) - _residual(X, minus[k] + i * NODE)) * inverse[k]
+            f[i, k] = e[i, k] - diagonal * S[i, k] - lower * S[above, k] - entry * S[below, k]
+    _subtract_forcing(X, p, lane, forced, 1.0, f)
 
 
 @njit
 def solve_columns(
-    X: FloatArray, at: int, plus: IntArray, minus: IntArray, inverse: FloatArray, n: int,
-    star: FloatArray, S: FloatArray, reduced: FloatArray,
-) -> None:  # fmt: skip
-    """S from A S = star - G_p, A and G_p as the shadows have been assembled; `reduced` (node,) is work."""
-    m = S.shape[1]
+    X: FloatArray, p: Places, lane: int, forced: int, ddt: float, star: FloatArray, S: FloatArray, reduced: FloatArray
+) -> None:
+    """S from A S = star - G_p, A and G_p as the shadows have been assembled with ddt [s]; `reduced` (node,) is work."""
+    n, m = p.nodes[lane], S.shape[1]
     for i in range(n):
-        a = at + i * NODE
         for k in range(m):
             S[i, k] = star[i, k]
-        for k in range(len(plus)):
-            if inverse[k] != 0.0:
-                S[i, k] -= (_residual(X, plus[k] + i * NODE) - _residual(X, minus[k] + i * NODE)) * inverse[k]
-        lower = X[a - NODE + LOWER * LANES] if i > 0 else 0.0
-        pivot = 1.0 / (X[a + DIAGONAL * LANES] - (lower * reduced[i - 1] if i > 0 else 0.0))
+    _subtract_forcing(X, p, lane, forced, ddt, S)
+    for i in range(n):
+        a, above = p.at[lane] + i * NODE, max(i - 1, 0)
+        lower, before = (X[a - NODE + LOWER * LANES], reduced[above]) if i > 0 else (0.0, 0.0)
+        pivot = 1.0 / (X[a + DIAGONAL * LANES] - lower * before)
         reduced[i] = X[a + NODE + ENTRY * LANES] * pivot
-        if i > 0:
-            for k in range(m):
-                S[i, k] = (S[i, k] - lower * S[i - 1, k]) * pivot
-        else:
-            for k in range(m):
-                S[i, k] *= pivot
+        for k in range(m):
+            S[i, k] = (S[i, k] - lower * S[above, k]) * pivot
     for i in range(n - 2, -1, -1):
         for k in range(m):
             S[i, k] -= reduced[i] * S[i + 1, k]
