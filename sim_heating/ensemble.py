@@ -12,7 +12,8 @@ import copy
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import groupby
 
 import numpy as np
@@ -23,7 +24,7 @@ from sim_heating.effects import Effect, EffectUse, check_count
 from sim_heating.effects.chain import compiled_chain
 from sim_heating.errors import InputError, RunError
 from sim_heating.files import nearest
-from sim_heating.heating_ratio.kernel import mark_curved, pack_table
+from sim_heating.heating_ratio.kernel import pack_table
 from sim_heating.heating_ratio.table import RatioTable
 from sim_heating.jit import handle
 from sim_heating.layout import (
@@ -40,11 +41,10 @@ from sim_heating.layout import (
     ENTHALPY_TABLE,
     FAILED,
     HEAD_ROWS,
-    HIGH,
-    INTS_PER_NODE,
     IS_FACE,
     IS_INTERFACE,
     ITERATIONS,
+    LAG_PAST,
     LAG_SLOT,
     LANES,
     M_RIGHT,
@@ -54,16 +54,14 @@ from sim_heating.layout import (
     N_EFFECTS,
     N_EMITTING,
     N_NODES,
+    N_PARAMETERS,
     N_PRESSURES,
     NEGATIVE,
     NO_TABLE,
-    NODE_INTS,
     NODE_ROWS,
     NONE,
-    NOWHERE,
     OUTSIDE,
     PRESSURE_TABLE,
-    RATE,
     RATIO_TABLE,
     REFERENCE,
     SURROUNDINGS4,
@@ -71,15 +69,14 @@ from sim_heating.layout import (
     T,
     block_size,
     integers_size,
-    node_row,
+    node_integers,
     node_rows,
-    parameters_at,
     scalar_row,
 )
 from sim_heating.march import BLOCK_END, BLOCK_START, INTS_END, INTS_START, advance_groups, begin_groups, march_group
-from sim_heating.parameters import AT_FACES, EFFECT_PREFIX, MODEL, RATIO, STACK, Parameter
+from sim_heating.packing import set_point, set_temperatures
+from sim_heating.parameters import AT_FACES, EFFECT_PREFIX, MODEL, RATIO, Parameter
 from sim_heating.thermal.declare import BackFace, Construction, Material
-from sim_heating.thermal.elements import set_elements
 from sim_heating.thermal.kernel import compiled
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.tables import PointTables, TableStore, WallEnthalpy
@@ -93,6 +90,8 @@ MODES = ("add", "multiply", "emittance")
 """Effects with a kernel, in the order in which they act."""
 COATING_PREFIX = "stack.coating."
 BACK = ("back.h_W_m2K", "back.T_K", "back.emissivity")
+PLACES = {name: k for k, name in enumerate(MODEL)}
+"""Place of each parameter in PointModel.values."""
 CACHE_LINE = 64
 """Bytes."""
 THREADED_POINT_STEPS = 20_000
@@ -149,17 +148,25 @@ class PointModel:
         if self.ratio is not None and self.parameters.get("ratio.d0", 0.0) != 0.0:
             raise InputError(f"{self.name}: ratio.d0 is 0 where there is a ratio table; use ratio.scale")
 
+    @cached_property
+    def values(self) -> FloatArray:
+        """Values of the parameters of parameters.MODEL, in their order."""
+        values = np.array([self.parameters.get(name, p.value) for name, p in MODEL.items()], dtype=float)
+        for name in BACK:
+            if name not in self.parameters:
+                values[PLACES[name]] = self._declared_back(name)
+        for used in reversed(self.effects):
+            for place, value in zip(used.effect.places, used.values, strict=False):
+                if place in PLACES:
+                    values[PLACES[place]] = value
+        return values
+
     def value(self, name: str) -> float:
         """A parameter's value, nominal where it is not set; `effect.NAME.PARAMETER` as well."""
         if name.startswith(EFFECT_PREFIX):
             use, k = self._effect_place(name)
             return float(self.effects[use].values[k])
-        for used in self.effects:
-            if name in used.effect.places:
-                return float(used.values[used.effect.places.index(name)])
-        if name in BACK and name not in self.parameters:
-            return self._declared_back(name)
-        return float(self.parameters.get(name, MODEL[name].value))
+        return float(self.values[PLACES[name]])
 
     def _declared_back(self, name: str) -> float:
         back = self.construction.stack.back
@@ -210,7 +217,8 @@ class PointModel:
                 self.definition(name)
                 parameters[name] = value
         other = copy.copy(self)
-        used = tuple(replace(u, values=tuple(v)) for u, v in zip(self.effects, effects, strict=True))
+        used = tuple(EffectUse(u.effect, tuple(v)) for u, v in zip(self.effects, effects, strict=True))
+        other.__dict__.pop("values", None)
         object.__setattr__(other, "parameters", parameters)
         object.__setattr__(other, "effects", used)
         return other
@@ -224,10 +232,11 @@ def condition_history(conditions: Conditions) -> FloatArray:
 
 @dataclass(frozen=True)
 class _Place:
-    """Where a model stands: group, lane, and the first number of the group's block."""
+    """Where a model stands: group, its lanes from `lane` to before `end`, and the first number of the group's block."""
 
     group: int
     lane: int
+    end: int
     start: int
 
     def temperature(self, node: int) -> int:
@@ -266,7 +275,7 @@ class Ensemble:
     ) -> None:
         if not models:
             raise InputError("there is no control point; give at least one")
-        self.models = tuple(models)
+        self.models = list(models)
         self.step_s = step_s
         self.meshes = tuple(meshes)
         self._effects: tuple[Effect, ...] = beside._effects if beside else distinct_effects(self.models, effects)
@@ -299,10 +308,14 @@ class Ensemble:
         self.state = aligned_zeros(int(blocks[-1]))
         self.ints = np.zeros(integers[-1], dtype=np.int64)
         self.lanes = np.array([group + [group[-1]] * (LANES - len(group)) for group in members]).ravel()
-        self.places = [_Place(0, 0, 0)] * len(self.models)
+        self.places = [_Place(0, 0, 0, 0)] * len(self.models)
+        self._densities = [
+            element_densities(m.construction, mesh) for m, mesh in zip(self.models, self.meshes, strict=True)
+        ]
         for g, group in enumerate(members):
             for lane, i in enumerate(group):
-                self.places[i] = _Place(g, lane, int(blocks[g]))
+                end = LANES if i == group[-1] else lane + 1
+                self.places[i] = _Place(g, lane, end, int(blocks[g]))
             self._pack_group(g)
 
     def block(self, group: int) -> FloatArray:
@@ -314,59 +327,52 @@ class Ensemble:
         return self.ints[self.groups[group, INTS_START] : self.groups[group, INTS_END]]
 
     def _pack_group(self, g: int) -> None:
-        B, J = self.block(g), self.integers(g)
-        members = self.lanes[g * LANES : (g + 1) * LANES]
+        J = self.integers(g)
+        members = list(dict.fromkeys(self.lanes[g * LANES : (g + 1) * LANES]))
         J[N_NODES] = self.meshes[members[0]].nodes
-        for lane, i in enumerate(members):
-            self._pack_stack(B, J, lane, self.models[i], self.meshes[i])
-            self._pack_heating(B, J, lane, self.models[i])
-        for node in range(1, J[N_NODES] - 1):
-            here = NODE_INTS + node * INTS_PER_NODE
-            right = J[here + MATERIAL_TABLE : here + MATERIAL_TABLE + LANES]
-            left = J[here - INTS_PER_NODE + MATERIAL_TABLE : here - INTS_PER_NODE + MATERIAL_TABLE + LANES]
-            J[here + IS_INTERFACE] = int(np.any(left != right))
+        for i in members:
+            self._pack_stack(i)
+            self._pack_heating(i)
+        nodes = node_integers(J)
+        materials = nodes[:, MATERIAL_TABLE:]
+        nodes[1:-1, IS_INTERFACE] = np.any(materials[1:-1] != materials[:-2], axis=1)
+        for i in members:
+            self.set_model(i, self.models[i])
 
-    def _pack_stack(self, B: FloatArray, J: IntArray, lane: int, model: PointModel, mesh: Mesh) -> None:
+    def _pack_stack(self, i: int) -> None:
+        """What of the stack of a point does not change with its parameters."""
+        model, mesh, place = self.models[i], self.meshes[i], self.places[i]
+        B, J, lanes = self.block(place.group), self.integers(place.group), slice(place.lane, place.end)
         tables = self.point_tables(model)
-        for e, layer in enumerate(mesh.layer):
-            J[NODE_INTS + e * INTS_PER_NODE + MATERIAL_TABLE + lane] = tables.materials[layer]
-        J[BACK_NODE + lane] = mesh.nodes - 1
-        for node in (0, mesh.nodes - 1):
-            J[NODE_INTS + node * INTS_PER_NODE + IS_FACE] = 1
-        last = NODE_INTS + len(mesh.layer) * INTS_PER_NODE + MATERIAL_TABLE + lane
-        J[last::INTS_PER_NODE] = J[last - INTS_PER_NODE]
-        for node in range(mesh.nodes, J[N_NODES]):
-            B[node_row(node, M_RIGHT)][lane] = 1.0
-        J[N_PRESSURES + lane], J[PRESSURE_TABLE + lane] = tables.columns, tables.pressures
-        J[EMISSIVITY_TABLE + lane], J[ENTHALPY_TABLE + lane] = tables.emissivity, tables.enthalpy
-        B[scalar_row(SURROUNDINGS4)][lane] = model.construction.stack.surroundings_K**4
-        self._pack_factors(B, J, lane, model, mesh)
+        nodes = node_integers(J)
+        materials = np.array(tables.materials)[mesh.layer]
+        nodes[:, MATERIAL_TABLE:][: len(materials), lanes] = materials[:, np.newaxis]
+        nodes[:, MATERIAL_TABLE:][len(materials) :, lanes] = materials[-1]
+        nodes[[0, mesh.nodes - 1], IS_FACE] = 1
+        node_rows(B)[mesh.nodes :, M_RIGHT, lanes] = 1.0
+        B[scalar_row(SURROUNDINGS4)][lanes] = model.construction.stack.surroundings_K**4
+        for row, value in (
+            (BACK_NODE, mesh.nodes - 1), (N_PRESSURES, tables.columns), (PRESSURE_TABLE, tables.pressures),
+            (EMISSIVITY_TABLE, tables.emissivity), (ENTHALPY_TABLE, tables.enthalpy),
+        ):  # fmt: skip
+            J[row + place.lane : row + place.end] = value
 
-    def _pack_factors(self, B: FloatArray, J: IntArray, lane: int, model: PointModel, mesh: Mesh) -> None:
-        """What the thermal parameters of a point change in the block."""
-        set_elements(
-            B, J, lane, mesh.layer, mesh.length_m, element_densities(model.construction, mesh),
-            insulation_layer(model.construction), mesh.bondline, stack_values(model),
-        )  # fmt: skip
-
-    def _pack_heating(self, B: FloatArray, J: IntArray, lane: int, model: PointModel) -> None:
-        p = parameters_at(lane)
-        values = [model.value(parameter.name) for parameter in RATIO]
-        B[p : p + len(values)] = values
-        B[p + REFERENCE : p + REFERENCE + len(RATIO_VARIABLES)] = model.reference
-        mark_curved(B, p)
-        J[RATIO_TABLE + lane] = self._add_ratio_table(model.ratio)
-        uses = sorted((u for u in model.effects if u.effect.kernel), key=lambda u: MODES.index(u.effect.mode))
+    def _pack_heating(self, i: int) -> None:
+        """What of the heating of a point does not change with its parameters."""
+        place, uses = self.places[i], acting(self.models[i])
+        J = self.integers(place.group)
         modes = [u.effect.mode for u in uses]
-        J[N_ADDING + lane], J[N_EMITTING + lane] = modes.count("add"), modes.count("emittance")
-        J[N_EFFECTS + lane] = len(uses) - modes.count("emittance")
-        J[WALL_EFFECTS + lane] = int(any(u.effect.needs_wall and u.effect.mode != "emittance" for u in uses))
         lagging = [k for k, u in enumerate(uses) if u.effect.lags]
-        J[LAG_SLOT + lane] = lagging[0] if lagging else NONE
-        for k, used in enumerate(uses):
-            J[EFFECT_CODES + lane * EFFECT_SLOTS + k] = self._effects.index(used.effect)
-            first = p + EFFECT_PARAMETERS + k * EFFECT_WIDTH
-            B[first : first + len(used.values)] = used.values
+        for row, value in (
+            (RATIO_TABLE, self._add_ratio_table(self.models[i].ratio)), (N_ADDING, modes.count("add")),
+            (N_EMITTING, modes.count("emittance")), (N_EFFECTS, len(uses) - modes.count("emittance")),
+            (WALL_EFFECTS, any(u.effect.needs_wall and u.effect.mode != "emittance" for u in uses)),
+            (LAG_SLOT, lagging[0] if lagging else NONE),
+        ):  # fmt: skip
+            J[row + place.lane : row + place.end] = value
+        for lane in range(place.lane, place.end):
+            for k, used in enumerate(uses):
+                J[EFFECT_CODES + lane * EFFECT_SLOTS + k] = self._effects.index(used.effect)
 
     def set_model(self, model: int, altered: PointModel) -> None:
         """Give a point other parameters: `altered` is its present model but for their values (PointModel.altered).
@@ -374,12 +380,12 @@ class Ensemble:
         A march then begins with `reset` or `set_profile`.
         """
         place, mesh = self.places[model], self.meshes[model]
-        self.models = (*self.models[:model], altered, *self.models[model + 1 :])
-        B, J = self.block(place.group), self.integers(place.group)
-        for lane, i in enumerate(self.lanes[place.group * LANES : (place.group + 1) * LANES]):
-            if i == model:
-                self._pack_factors(B, J, lane, altered, mesh)
-                self._pack_heating(B, J, lane, altered)
+        self.models[model] = altered
+        set_point(
+            self.block(place.group), self.integers(place.group), place.lane, place.end, mesh.layer, mesh.length_m,
+            self._densities[model], insulation_layer(altered.construction), mesh.bondline,
+            stack_values(altered), heating_vector(altered),
+        )  # fmt: skip
 
     # State -----------------------------------------------------------------------------------------------------------
 
@@ -387,26 +393,23 @@ class Ensemble:
         """Put every point back to the initial temperatures of its stack."""
         for g in range(len(self.groups)):
             B = self.block(g)
-            for row in (FAILED, ITERATIONS, OUTSIDE, NEGATIVE, ENERGY_IN, ENERGY_OUT):
+            for row in (FAILED, ITERATIONS, OUTSIDE, NEGATIVE, ENERGY_IN, ENERGY_OUT, LAG_PAST):
                 B[scalar_row(row)] = 0.0
             B[scalar_row(COLUMN)] = -1.0
-            for lane, i in enumerate(self.lanes[g * LANES : (g + 1) * LANES]):
-                self._set_profile(B, lane, initial_temperatures(self.models[i].construction, self.meshes[i]))
+        for i, (model, mesh) in enumerate(zip(self.models, self.meshes, strict=True)):
+            self._set_profile(i, initial_temperatures(model.construction, mesh))
 
-    def _set_profile(self, B: FloatArray, lane: int, temperature_K: FloatArray) -> None:
-        nodes = node_rows(B)
-        nodes[:, T, lane] = temperature_K[-1]
-        nodes[: len(temperature_K), T, lane] = temperature_K
-        nodes[:, RATE, lane] = 0.0
-        nodes[:, HIGH, lane] = NOWHERE
+    def _set_profile(self, i: int, temperature_K: FloatArray) -> None:
+        place = self.places[i]
+        B, J = self.block(place.group), self.integers(place.group)
+        set_temperatures(B, place.lane, place.end, J[N_NODES], temperature_K)
 
     def set_profile(self, model: int, temperature_K: ArrayLike) -> None:
         """Set all node temperatures [K] of one point; the next march begins with them, a step needs `begin` first."""
-        place = self.places[model]
-        temperature = np.asarray(temperature_K, dtype=float)
+        temperature = np.ascontiguousarray(temperature_K, dtype=float)
         if temperature.shape != (self.meshes[model].nodes,) or not np.all((temperature > 0.0) & (temperature < np.inf)):
             raise InputError(f"{self.models[model].name}: give {self.meshes[model].nodes} temperatures above 0 K")
-        self._set_profile(self.block(place.group), place.lane, temperature)
+        self._set_profile(model, temperature)
 
     def snapshot(self) -> FloatArray:
         """Everything that changes, as one array; `restore` takes it back."""
@@ -557,9 +560,25 @@ def element_densities(construction: Construction, mesh: Mesh) -> FloatArray:
     return np.array([*(m.density_kg_m3 for m in construction.layer_materials()), 0.0])[mesh.layer]
 
 
+def acting(model: PointModel) -> list[EffectUse]:
+    """The effects of a point that have a kernel, in the order of their slots; the others stand for parameters."""
+    return sorted((u for u in model.effects if u.effect.kernel), key=lambda u: MODES.index(u.effect.mode))
+
+
+def heating_vector(model: PointModel) -> FloatArray:
+    """(N_PARAMETERS,) the heating parameters of a point as its lane has them (layout.py)."""
+    vector = np.zeros(N_PARAMETERS)
+    vector[: len(RATIO)] = model.values[: len(RATIO)]
+    vector[REFERENCE : REFERENCE + len(RATIO_VARIABLES)] = model.reference
+    for k, used in enumerate(acting(model)):
+        first = EFFECT_PARAMETERS + k * EFFECT_WIDTH
+        vector[first : first + len(used.values)] = used.values
+    return vector
+
+
 def stack_values(model: PointModel) -> FloatArray:
     """Values of parameters.STACK."""
-    return np.array([model.value(parameter.name) for parameter in STACK])
+    return model.values[len(RATIO) :]
 
 
 def insulation_layer(construction: Construction) -> int:

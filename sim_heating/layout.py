@@ -136,6 +136,11 @@ def node_rows(B: NDArray[np.float64]) -> NDArray[np.float64]:
     return B[HEAD_ROWS * LANES :].reshape(-1, NODE_ROWS, LANES)[:-1]
 
 
+def node_integers(J: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(node, integer) flags and material tables of the nodes of a group, as a view."""
+    return J[NODE_INTS:].reshape(-1, INTS_PER_NODE)
+
+
 def scalar_row(row: int) -> slice:
     """The numbers of one scalar row, all lanes."""
     return slice(row * LANES, (row + 1) * LANES)

@@ -16,9 +16,9 @@ from sim_heating.conditions import FRAME, RATIO_VARIABLES
 from sim_heating.effects import Effect, EffectUse, effects
 from sim_heating.effects.chain import compiled_chain
 from sim_heating.ensemble import (
-    MODES,
     Ensemble,
     PointModel,
+    acting,
     element_densities,
     insulation_layer,
     stack_values,
@@ -123,13 +123,8 @@ def _identifier(name: str) -> str:
 
 def _library_effects(models: Sequence[PointModel]) -> tuple[Effect, ...]:
     """Effects of the library: all that the package has, so that one library serves all vehicles, and the user's own."""
-    own = dict.fromkeys(u.effect for m in models for u in _acting(m))
+    own = dict.fromkeys(u.effect for m in models for u in acting(m))
     return tuple(dict.fromkeys([*(e for e in effects().values() if e.kernel and built_in(e)), *own]))
-
-
-def _acting(model: PointModel) -> list[EffectUse]:
-    """The effects of a point that have a kernel, in the order of their slots; the others stand for parameters."""
-    return sorted((u for u in model.effects if u.effect.kernel), key=lambda u: MODES.index(u.effect.mode))
 
 
 def built_in(effect: Effect) -> bool:
@@ -197,7 +192,7 @@ class _Packer:
             J = ints[row[2] : row[3]]
             for lane in range(LANES):
                 model = self.ensemble.models[self.ensemble.lanes[g * LANES + lane]]
-                codes = J[EFFECT_CODES + lane * EFFECT_SLOTS :][: len(_acting(model))]
+                codes = J[EFFECT_CODES + lane * EFFECT_SLOTS :][: len(acting(model))]
                 codes[:] = [self.known.index(own[code]) for code in codes]
         return ints
 
@@ -292,7 +287,7 @@ class _Packer:
             if limit is not None:
                 text = f"highest temperature of the {what}"
                 self._add(f"{name}.limit.{what}_K", Role.TUNABLE, numbers + place, text, "K", 0.0, HOTTEST_LIMIT_K)
-        uses = _acting(model)
+        uses = acting(model)
         for slot, used in enumerate(uses):
             self._name_effect(name, used, uses[:slot], numbers + EFFECT_PARAMETERS + slot * EFFECT_WIDTH)
 

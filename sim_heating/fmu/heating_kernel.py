@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from sim_heating.conditions import FRAME
 from sim_heating.fmu.native import CHANGED, GOOD, INPUTS, INPUTS_NEXT, INPUTS_NOW, N_INPUTS, NEXT, NOW, at
-from sim_heating.heating_ratio.kernel import mark_curved
 from sim_heating.jit import njit
 from sim_heating.layout import (
     ADDED,
@@ -34,7 +33,6 @@ from sim_heating.layout import (
     N_PARAMETERS,
     NEGATIVE,
     OUTSIDE,
-    PARAMETERS,
     Q_ADD,
     RECOVERY_ENTHALPY,
     STAGE_IN,
@@ -42,11 +40,12 @@ from sim_heating.layout import (
     T,
 )
 from sim_heating.march import BLOCK_END, BLOCK_START, INTS_END, INTS_START, advance_groups, begin_groups
+from sim_heating.packing import set_point
 from sim_heating.plugin_kernel import CODE, F_TIME, PRESSURE_WIDTH, derive_conditions
 from sim_heating.reference_heating.models import COLUMNS
 from sim_heating.sensors import indicated
 from sim_heating.surface_heating import emittance_factor
-from sim_heating.thermal.elements import EPS_BEHIND, set_elements
+from sim_heating.thermal.elements import EPS_BEHIND
 from sim_heating.thermal.faces import SIGMA, _emissivity
 
 FloatArray = NDArray[np.float64]
@@ -106,12 +105,8 @@ def _apply_parameters(R, N, B: FloatArray, J: IntArray, g: int) -> None:  # type
         layers = carray(at(N, own[P_LAYERS]), n)
         lengths, densities = carray(at(R, own[P_LENGTHS]), n), carray(at(R, own[P_DENSITIES]), n)
         stack = carray(at(numbers, P_STACK), STACK_WIDTH)
-        for lane in range(own[P_LANE], own[P_LANE] + own[P_LANES]):
-            set_elements(B, J, lane, layers, lengths, densities, own[P_INSULATION], own[P_BOTTOM], stack)
-            p = PARAMETERS * LANES + lane * N_PARAMETERS
-            for k in range(N_PARAMETERS):
-                B[p + k] = numbers[k]
-            mark_curved(B, p)
+        first, last = own[P_LANE], own[P_LANE] + own[P_LANES]
+        set_point(B, J, first, last, layers, lengths, densities, own[P_INSULATION], own[P_BOTTOM], stack, numbers)
 
 
 @njit

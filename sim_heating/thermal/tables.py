@@ -54,6 +54,7 @@ class TableStore:
         self._parts: list[FloatArray] = []
         self._end = 0
         self._offsets: dict[Hashable, int] = {}
+        self._points: dict[Hashable, PointTables] = {}
 
     @property
     def values(self) -> FloatArray:
@@ -71,6 +72,12 @@ class TableStore:
 
     def add_point(self, layers: Sequence[Material], contact: Material, wall_enthalpy: WallEnthalpy) -> PointTables:
         """Tables of a point; materials are known by identity, the contact's offset comes last."""
+        key = (*(id(m) for m in layers), wall_enthalpy)
+        if key not in self._points:
+            self._points[key] = self._add(layers, contact, wall_enthalpy)
+        return self._points[key]
+
+    def _add(self, layers: Sequence[Material], contact: Material, wall_enthalpy: WallEnthalpy) -> PointTables:
         log10_p = _pressure_columns(layers, wall_enthalpy)
         grid = log10_p.tobytes()
         outer = layers[0].emissivity or [[0.0, 1.0]]
