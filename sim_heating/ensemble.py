@@ -391,13 +391,17 @@ class Ensemble:
 
     def reset(self) -> None:
         """Put every point back to the initial temperatures of its stack."""
+        self.clear()
+        for i, (model, mesh) in enumerate(zip(self.models, self.meshes, strict=True)):
+            self._set_profile(i, initial_temperatures(model.construction, mesh))
+
+    def clear(self) -> None:
+        """Set to zero what is counted over a march."""
         for g in range(len(self.groups)):
             B = self.block(g)
             for row in (FAILED, ITERATIONS, OUTSIDE, NEGATIVE, ENERGY_IN, ENERGY_OUT, LAG_PAST):
                 B[scalar_row(row)] = 0.0
             B[scalar_row(COLUMN)] = -1.0
-        for i, (model, mesh) in enumerate(zip(self.models, self.meshes, strict=True)):
-            self._set_profile(i, initial_temperatures(model.construction, mesh))
 
     def _set_profile(self, i: int, temperature_K: FloatArray) -> None:
         place = self.places[i]

@@ -241,7 +241,7 @@ class FilterMarch(LinearMarch):
         march_filter(
             B, self.base.integers(0), self.base.table, self.base.chain,
             self.base.begin_handle, self.base.advance_handle, self.rows, self.faces,
-            Blocks(*(self._shadow_state().copy() for _ in range(3))), self._groups(),
+            Blocks(*(self._shadow_state().copy() for _ in range(3))), self._groups,
             self.time_s, self.histories, self._flights, self._places(1 + m), readings, state, noise,
             held_of(after_s, most, n + 1), kept,
             columns_of(n, 1 + m), columns_of(n, 1 + m + (2 if keep else 1) * (n + 1)), columns_of(n, n + 1 + most),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -169,6 +170,7 @@ class LinearMarch:
         self._shadows = [shadow for i, track in enumerate(self.tracks) for shadow in _shadows_of(i, track)]
         self.shadows = self._ensemble() if self._shadows else None
         self.rows, self.faces = (handle(f) for f in compiled_shadows())
+        self._kept_places: dict[tuple[int, int], Places] = {}
         self._lane_of = np.array([p.lane for p in self.base.places])
         self._nodes, self._flights = np.zeros((2, LANES), dtype=np.int64)
         for i, track in enumerate(self.tracks):
@@ -183,6 +185,7 @@ class LinearMarch:
         kinds = [int(shadow.at_faces) for shadow in self._shadows]
         return Ensemble(models, [track.mesh for track in tracks], beside=self.base, kinds=kinds)
 
+    @cached_property
     def _groups(self) -> Groups:
         """The shadows as the kernel takes them."""
         e = self.shadows
@@ -194,9 +197,14 @@ class LinearMarch:
 
     def _places(self, m: int) -> Places:
         """Where the shadows of each lane stand, m columns to a lane."""
+        faces = DEPTH if self.base.integers(0)[GAPS] == 1 else FACES
+        if (m, faces) not in self._kept_places:
+            self._kept_places[m, faces] = self._find_places(m, faces)
+        return self._kept_places[m, faces]
+
+    def _find_places(self, m: int, faces: int) -> Places:
         at, inverse = np.zeros(LANES, dtype=np.int64), np.zeros((LANES, m))
         plus, minus, reach = np.zeros((3, LANES, m), dtype=np.int64)
-        faces = DEPTH if self.base.integers(0)[GAPS] == 1 else FACES
         stand = () if self.shadows is None else self.shadows.places
         for shadow, place in zip(self._shadows, stand, strict=True):
             lane, column, first = self._lane_of[shadow.track], shadow.column, place.node_0
@@ -250,11 +258,11 @@ class LinearMarch:
         m = max(track.columns for track in self.tracks)
         wanted = self._wanted(times)
         reads, count = wanted.nodes.shape[1], wanted.time_s.shape[1]
-        out = np.full((LANES, reads, count, 2 + m), np.nan)
+        out = np.empty((len(self.tracks), reads, count, 2 + m))
         march_linear(  # type: ignore[call-arg]
             self.base.block(0), self.base.integers(0), self.base.table, self.base.chain,
             self.base.begin_handle, self.base.advance_handle, self.rows, self.faces,
-            self._shadow_state(), self._groups(), self._places(m),
+            self._shadow_state(), self._groups, self._places(m),
             self.time_s, self.histories, self._flights, self._start(m), wanted, out,
         )  # fmt: skip
         failed = self.base.failed()
@@ -264,7 +272,7 @@ class LinearMarch:
         """Put bases and shadows to the start."""
         self.base.reset()
         if self.shadows is not None:
-            self.shadows.reset()
+            self.shadows.clear()
         for i, profile in enumerate(initial_K):
             if profile is not None:
                 self.base.set_profile(i, profile)

@@ -119,6 +119,27 @@ def fill_terms(lower: FloatArray, upper: FloatArray, mean: FloatArray, sigma: Fl
 
 
 @njit
+def fill_scores(
+    lower: FloatArray, upper: FloatArray, mean: FloatArray, sigma: float, score: FloatArray, information: FloatArray
+) -> float:
+    """Score and information of each sample on its mean; gives the sum of the log likelihoods. 0 for a lost sample."""
+    total = 0.0
+    for i in range(len(mean)):
+        score[i], information[i] = 0.0, 0.0
+        if math.isnan(lower[i]):
+            continue
+        alpha, beta = (lower[i] - mean[i]) / sigma, (upper[i] - mean[i]) / sigma
+        if alpha < beta:
+            log_z, x, _, gain, _, _, _ = truncated_normal(alpha, beta, (upper[i] - lower[i]) / sigma)
+            total += log_z
+            score[i], information[i] = x / sigma, gain / (sigma * sigma)
+        else:
+            total += -0.5 * alpha * alpha - LOG_ROOT_2PI - math.log(sigma)
+            score[i], information[i] = alpha / sigma, 1.0 / (sigma * sigma)
+    return total
+
+
+@njit
 def expected_gain(first: float, step: float, steps: int) -> float:
     """Expectation of the squared mean E x over the readings of a word, for x ~ N(0, 1).
 

@@ -31,6 +31,7 @@ from sim_heating.estimation.interval import (
     SQUARE,
     VARIANCE,
     expected_gain,
+    fill_scores,
     fill_terms,
 )
 from sim_heating.thermal.declare import Sensor
@@ -109,6 +110,17 @@ def likelihood(samples: Observed, mean_K: ArrayLike, sigma_K: ArrayLike) -> Like
         "information_cross": (2.0 * mean - terms[..., SKEW]) / sigma,
     }
     return Likelihood(**{name: np.where(samples.lost, 0.0, values) for name, values in of_samples.items()})
+
+
+def scores(samples: Observed, mean_K: FloatArray, sigma_K: float) -> tuple[float, FloatArray, FloatArray]:
+    """Sum of the log likelihoods of samples (sample,) with one noise; score [1/K] and information [1/K2] of each as
+    `likelihood` gives them.
+
+    raises : InputError where sigma_K is not positive
+    """
+    score, information = np.empty((2, len(mean_K)))
+    total = fill_scores(samples.lower_K, samples.upper_K, mean_K, float(_positive(sigma_K)), score, information)
+    return total, score, information
 
 
 def log_likelihood(samples: Observed, mean_K: ArrayLike, sigma_K: ArrayLike) -> FloatArray:

@@ -65,8 +65,13 @@ def least_sigma_K(sensor: Sensor) -> float:
 
 def errors_of(sensor: Sensor, values: Mapping[str, float]) -> SensorErrors:
     """What parameters say is wrong with a sensor."""
-    own = {k: values.get(f"{SENSOR_PREFIX}{sensor.name}.{k}", p.value) for k, p in SENSOR.items()}
-    return SensorErrors(own["bias"], own["gain"])
+    bias, gain = (values.get(_name(sensor, what), SENSOR[what].value) for what in ("bias", "gain"))
+    return SensorErrors(bias, gain)
+
+
+def _name(sensor: Sensor, what: str) -> str:
+    """Dotted name of a parameter of a sensor."""
+    return f"{SENSOR_PREFIX}{sensor.name}.{what}"
 
 
 def definition(record: Record, name: str) -> Parameter | None:
@@ -98,16 +103,16 @@ def indicated(
     sensor, wrong = channel.sensor, errors_of(channel.sensor, values)
     T = marched.temperature_K[channel.number, channel.samples]
     jacobian = np.zeros((len(T), len(names)))
-    jacobian[:, :named] = wrong.gain * marched.sensitivity[channel.number, channel.samples, :named]
+    np.multiply(marched.sensitivity[channel.number, channel.samples, :named], wrong.gain, out=jacobian[:, :named])
     for k, name in enumerate(names[named:], start=named):
         if name == CLOCK_SKEW.name:
             jacobian[:, k] = -wrong.gain * marched.rate_K_s[channel.number, channel.samples]
-        elif name == f"{SENSOR_PREFIX}{sensor.name}.bias":
+        elif name == _name(sensor, "bias"):
             jacobian[:, k] = 1.0
-        elif name == f"{SENSOR_PREFIX}{sensor.name}.gain":
+        elif name == _name(sensor, "gain"):
             jacobian[:, k] = T
     if sensor.calibration is None:
-        return calibrated(sensor, T, wrong), jacobian
+        return wrong.gain * T + wrong.bias_K, jacobian
     calibration = np.polynomial.Polynomial(sensor.calibration)
     slope = calibration.deriv()(wrong.gain * T + wrong.bias_K)
     return calibrated(sensor, T, wrong), slope[:, np.newaxis] * jacobian

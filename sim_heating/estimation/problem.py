@@ -12,6 +12,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -21,7 +22,7 @@ from sim_heating.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.effects import Effect, EffectUse
 from sim_heating.ensemble import PointModel, condition_history, initial_temperatures
 from sim_heating.errors import InputError, RunError
-from sim_heating.estimation.likelihood import likelihood, log_likelihood
+from sim_heating.estimation.likelihood import log_likelihood, scores
 from sim_heating.estimation.newton import Evaluation
 from sim_heating.estimation.noise import estimate_noise
 from sim_heating.estimation.observation import Channel, channels, definition, indicated, least_sigma_K
@@ -113,7 +114,7 @@ class Part:
     sigma_K: dict[int, float] = field(default_factory=dict)
     correction_K: FloatArray | float = 0.0
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """All unknowns of the part in the order of `index`."""
         return (*self.marched, *(p.name for p in (self.start.unknowns if self.start else ())), *self.other)
@@ -292,10 +293,10 @@ class Problem:
             total, gradient, information = 0.0, np.zeros(m), np.zeros((m, m))
             for s in self._samples_of(k, vector):
                 at = s.part.index
-                found = likelihood(s.channel.observed, s.mean_K, s.sigma_K)
-                total += float(np.sum(found.log_likelihood))
-                gradient[at] += s.own.T @ found.score
-                information[np.ix_(at, at)] += (s.own * found.information[:, np.newaxis]).T @ s.own
+                of_channel, score, weight = scores(s.channel.observed, s.mean_K, s.sigma_K)
+                total += of_channel
+                gradient[at] += score @ s.own
+                information[at[:, np.newaxis], at] += (s.own * weight[:, np.newaxis]).T @ s.own
             return Evaluation(total, gradient, information)
 
         try:
@@ -325,9 +326,9 @@ class Problem:
     def _samples_of(self, k: int, vector: FloatArray) -> list[Samples]:
         """All channels of a group of parts."""
         return [
-            self._of_channel(part, channel, part.corrected(found), vector)
+            samples
             for part, found in zip(self.groups[k], self._marched(k, vector), strict=True)
-            for channel in part.channels
+            for samples in self._of_part(part, part.corrected(found), vector)
         ]
 
     def _marched(self, k: int, vector: FloatArray) -> Sequence[Linearised]:
@@ -346,10 +347,14 @@ class Problem:
         for k, group in enumerate(self.groups):
             self._last[k] = (vector.tobytes(), [marched[self.parts.index(part)] for part in group])
 
-    def _of_channel(self, part: Part, channel: Channel, found: Linearised, vector: FloatArray) -> Samples:
-        mean, own = indicated(channel, found, part.names, part.values(vector), part.read)
-        time = part.sample_s[channel.samples]
-        return Samples(part, channel, time, mean, own, len(self.unknowns), part.sigma_K[channel.number])
+    def _of_part(self, part: Part, found: Linearised, vector: FloatArray) -> list[Samples]:
+        """The channels of a part at a parameter vector."""
+        values, samples = part.values(vector), []
+        for c in part.channels:
+            mean, own = indicated(c, found, part.names, values, part.read)
+            time = part.sample_s[c.samples]
+            samples.append(Samples(part, c, time, mean, own, len(self.unknowns), part.sigma_K[c.number]))
+        return samples
 
     def log_likelihoods(self, vectors: FloatArray) -> FloatArray:
         """(candidate,) log likelihoods of several parameter vectors, marched side by side."""
