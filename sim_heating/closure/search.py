@@ -1,87 +1,117 @@
 """From a record that its declared model does not explain to the effect that does.
 
-The declared model's magnitude and derivatives are fitted first. Then every candidate is fitted together with them, its
-likelihood weighed by what its freedom would gain from noise alone,
+The declared model's magnitude and derivatives are fitted first. Then every candidate is fitted together with them and
+weighed by what its freedom would gain from noise alone,
 
-    BIC = -2 log L + k log n,
+    BIC = -2 log L / c + k log n,
 
-and the best is added where it is better than none by more than GAIN; that is repeated until nothing is. Most starts of
-a candidate need not be fitted: the gain that its linearisation at the start promises tells which are worth it.
+k parameters estimated from n samples. c is the mean square of the best model's normalised residuals, at least 1: what
+even the best model leaves is the scale on which differences count (quasi-likelihood; Burnham & Anderson, Model
+Selection and Multimodel Inference, 2nd ed., sec. 2.5). The best candidate is added where its BIC is below that of
+none by more than GAIN and it explains a good part of what noise does not; that is repeated until nothing is.
+
+Candidates begin where they have no effect yet. There the gain of a candidate is known from its sensitivities alone;
+the best starts of each are then fitted, LANES of them side by side.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.closure.candidates import Candidate, candidates
 from sim_heating.effects import EffectUse
-from sim_heating.errors import RunError
-from sim_heating.estimation.estimate import Fitted, estimate, predict_at
-from sim_heating.estimation.newton import Fit, Settings, maximise
-from sim_heating.estimation.problem import Problem
+from sim_heating.estimation.estimate import Fitted, estimate, misfit, predict_at
+from sim_heating.estimation.identifiability import covariance
+from sim_heating.estimation.newton import Evaluation, Fit, Settings
+from sim_heating.estimation.problem import SKEW_SPAN_S, Problem
+from sim_heating.estimation.together import evaluate_together, maximise_together
+from sim_heating.layout import LANES
+from sim_heating.parameters import CLOCK_SKEW, Parameter
 from sim_heating.points import conditions_of_record
 from sim_heating.predict import Prediction
-from sim_heating.record import Record
+from sim_heating.record import Record, pooled_rmse_K
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 GAIN = 10.0
 """How much lower the BIC of an effect has to be than that of none."""
-STARTS_FITTED = 2
-"""Starts of a candidate's variant that are fitted, the most promising ones."""
+SHARE = 0.5
+"""Part of what noise does not explain that an effect has to explain."""
 MOST_EFFECTS = 3
-QUICK = Settings(gain=1e-3, step=1e-2, iterations=25)
+AGREEMENT = 0.25
+"""Part of their sample interval to which two recorders' clocks are taken to agree unless shown otherwise."""
+WIDENED = 3.0
+"""Priors of effects' parameters are this much wider in the search: enough to keep a first step within reason."""
+STARTS_FITTED = 2
+"""Starts of a set of parameters that are fitted, the most promising ones."""
+BEHIND = 0.02
+"""Part of the best promise below which a candidate is no more than looked at."""
+WORTH = 5.0
+"""By how much a promised gain in log likelihood may fall short of what its parameters cost."""
+QUICK = Settings(gain=0.05, step=0.2, iterations=12, lengths=(0.5, 0.25, 0.1, 0.03, 0.01, 1e-3), reach=0.4)
 
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
     """One candidate fitted on top of a model.
 
-    bic : of the fit;  delta_bic : that minus that of the model without it
+    delta_bic : its BIC minus that of the model without it, residuals taken as noise (c = 1)
+    weighed   : the same with c of the best model
     """
 
     name: str
     candidate: Candidate
     problem: Problem
     fit: Fit
-    bic: float
     delta_bic: float
+    weighed: float = 0.0
 
     @property
     def prediction(self) -> Prediction:
         """The record at the values found."""
         return predict_at(self.problem.parts[0], self.fit.values)
 
+    @property
+    def excess(self) -> float:
+        """Mean square of the normalised residuals, beyond that of noise."""
+        return misfit(self.problem.samples(self.fit.values)) ** 2 - 1.0
+
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """One pass over all candidates: the model that it began with, and the best attempt of each effect, best first."""
+    """One pass over all candidates on top of a model: that model, its excess, the best attempt of each effect, best
+    first, and the probability of each with equal prior ones, `none` included."""
 
-    bic: float
+    base: Attempt
+    excess: float
     attempts: tuple[Attempt, ...]
-
-    @property
-    def best(self) -> Attempt | None:
-        """The best attempt, if any was fitted."""
-        return self.attempts[0] if self.attempts else None
+    posterior: Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
     """What was found in one record.
 
-    before : the declared model's fit;  rounds : the passes;  added : the attempts whose effects were added, in order
+    before  : the declared model's fit, its magnitude and derivatives;  rounds : the passes
+    added   : the attempts whose effects were added, in order
+    unknown : whether something significant is left that no candidate explains
     """
 
     record: Record
     before: Fitted
     rounds: tuple[Round, ...]
     added: tuple[Attempt, ...]
+    unknown: bool
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What is named: the added effects; `unknown`; or `none`."""
+        return tuple(a.name for a in self.added) or (("unknown",) if self.unknown else ("none",))
 
 
 def search(record: Record, *, progress: Progress = lambda fraction, text: None) -> Search:
@@ -91,71 +121,58 @@ def search(record: Record, *, progress: Progress = lambda fraction, text: None) 
     """
     progress(0.02, "declared model")
     before = estimate([record])
-    names = tuple(u.parameter.name for u in before.problem.unknowns)
-    start = dict(zip(names, before.fit.values, strict=True))
-    uses: tuple[EffectUse, ...] = ()
-    bic = information_criterion(before.problem, before.fit)
+    base = _base(record, before)
     rounds: list[Round] = []
     added: list[Attempt] = []
     while len(added) < MOST_EFFECTS:
-        share = len(added) / MOST_EFFECTS
+        begin = 0.1 + 0.9 * len(added) / MOST_EFFECTS
 
-        def tell(fraction: float, text: str, share: float = share) -> None:
-            progress(0.05 + 0.9 * (share + fraction / MOST_EFFECTS), f"effect {len(added) + 1}: {text}")
+        def tell(fraction: float, text: str, begin: float = begin) -> None:
+            progress(begin + 0.9 * fraction / MOST_EFFECTS, f"effect {len(added) + 1}: {text}")
 
-        found = one_round(record, before, names, uses, start, [a.name for a in added], bic, tell)
+        found = one_round(record, base, [a.name for a in added], tell)
         rounds.append(found)
-        best = found.best
-        if best is None or best.delta_bic > -GAIN:
+        best = found.attempts[0] if found.attempts else None
+        if best is None or best.weighed > -GAIN:
             break
+        if found.excess - best.excess < SHARE * found.excess:
+            return Search(record, before, tuple(rounds), tuple(added), not added)
         added.append(best)
-        bic, names = best.bic, (*names, *best.candidate.names)
-        uses = fitted_uses(best)
-        start = dict(zip((u.parameter.name for u in best.problem.unknowns), best.fit.values, strict=True))
-    return Search(record, before, tuple(rounds), tuple(added))
+        base = best
+    return Search(record, before, tuple(rounds), tuple(added), False)
 
 
-def information_criterion(problem: Problem, fit: Fit) -> float:
-    """BIC of a fit."""
-    n = sum(len(c.samples) for part in problem.parts for c in part.channels)
-    return -2.0 * fit.log_likelihood + len(problem.unknowns) * float(np.log(n))
+# The model that candidates are added to --------------------------------------------------------------------------------
 
 
-def fitted_uses(attempt: Attempt) -> tuple[EffectUse, ...]:
-    """The effects of an attempt's model at the values found."""
-    return attempt.problem.parts[0].altered(attempt.fit.values).effects
-
-
-def one_round(
-    record: Record, before: Fitted, names: Sequence[str], uses: tuple[EffectUse, ...], start: Mapping[str, float],
-    taken: Sequence[str], bic: float, progress: Progress,
-) -> Round:  # fmt: skip
-    """Fit every candidate on top of a model and keep the best attempt of each effect."""
-    tried = candidates(record, conditions_of_record(record), taken)
-    promises: dict[tuple[str, tuple[str, ...]], list[tuple[float, Candidate, Problem, FloatArray]]] = {}
-    for k, candidate in enumerate(tried):
-        progress(0.5 * k / len(tried), f"weighing {candidate.name}")
-        problem = _problem(record, before, (*names, *candidate.names), (*uses, *candidate.uses))
-        first = _first(problem, {**start, **candidate.starts[0]})
-        promise = promised(problem, first)
-        if promise is not None:
-            promises.setdefault((candidate.name, candidate.names), []).append((promise, candidate, problem, first))
-    best: dict[str, Attempt] = {}
-    for k, ((name, _), starts) in enumerate(promises.items()):
-        progress(0.5 + 0.5 * k / len(promises), f"fitting {name}")
-        for _, candidate, problem, first in sorted(starts, key=lambda s: -s[0])[:STARTS_FITTED]:
-            fit = maximise(problem.evaluate, problem.parameters, first, problem.log_likelihoods, QUICK)
-            if not np.isfinite(fit.log_likelihood):
-                continue
-            found = information_criterion(problem, fit)
-            if name not in best or found < best[name].bic:
-                best[name] = Attempt(name, candidate, problem, fit, found, found - bic)
-    return Round(bic, tuple(sorted(best.values(), key=lambda a: a.bic)))
-
-
-def _problem(record: Record, before: Fitted, names: Sequence[str], uses: Sequence[EffectUse]) -> Problem:
-    problem = Problem([record], names, before.problem.reference, effects=uses, flat=True)
+def _base(record: Record, before: Fitted) -> Attempt:
+    """The declared model with its magnitude and derivatives, and a clock that may be a little off."""
+    names = tuple(u.parameter.name for u in before.problem.unknowns)
+    start = dict(zip(names, before.fit.values, strict=True))
+    interval = float(np.median(np.diff(record.time_s)))
+    off = min(AGREEMENT * interval, SKEW_SPAN_S)
+    clock = replace(CLOCK_SKEW, lower=-off, upper=off)
+    problem = Problem(
+        [record], (*names, CLOCK_SKEW.name), before.problem.reference, priors={CLOCK_SKEW.name: clock}, widened=WIDENED
+    )
     problem.parts[0].sigma_K.update(before.problem.parts[0].sigma_K)
+    fit = fitted([problem], [_first(problem, start)])[0]
+    problem.correct_meshes(fit.values)
+    fit = fitted([problem], [fit.values])[0]
+    return Attempt("none", Candidate("none", (), (), {}), problem, fit, 0.0)
+
+
+def _on_top(base: Attempt, candidate: Candidate) -> Problem:
+    """The base's problem with a candidate's unknowns."""
+    model, part = base.problem, base.problem.parts[0]
+    names = tuple(dict.fromkeys((*part.names, *candidate.names)))
+    priors: dict[str, Parameter] = dict(model.priors)
+    if CLOCK_SKEW.name in candidate.names:
+        priors[CLOCK_SKEW.name] = replace(CLOCK_SKEW, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)
+    uses = (*fitted_uses(base), *candidate.uses)
+    problem = Problem([part.record], names, model.reference, effects=uses, priors=priors, widened=WIDENED)
+    problem.parts[0].sigma_K.update(part.sigma_K)
+    problem.parts[0].correction_K = part.correction_K
     return problem
 
 
@@ -163,16 +180,108 @@ def _first(problem: Problem, start: Mapping[str, float]) -> FloatArray:
     return np.array([start.get(p.name, p.value) for p in problem.parameters])
 
 
-def promised(problem: Problem, first: FloatArray) -> float | None:
-    """Log likelihood that the linearisation at the start promises; None where the model cannot be marched there."""
-    try:
-        found = problem.evaluate(first)
-    except RunError:
-        return None
-    if not np.isfinite(found.log_likelihood):
-        return None
-    s = 1.0 / np.sqrt(np.maximum(np.diag(found.information), 1e-300))
-    scaled = found.information * np.outer(s, s)
-    step, *_ = np.linalg.lstsq(scaled, s * found.gradient, rcond=1e-8)
-    return found.log_likelihood + 0.5 * float((s * found.gradient) @ step)
+def fitted_uses(attempt: Attempt) -> tuple[EffectUse, ...]:
+    """The effects of an attempt's model at the values found."""
+    return attempt.problem.parts[0].altered(attempt.fit.values).effects
 
+
+# One pass over the candidates ------------------------------------------------------------------------------------------
+
+
+def one_round(record: Record, base: Attempt, taken: Sequence[str], progress: Progress) -> Round:
+    """Fit every candidate on top of a model and keep the best attempt of each effect."""
+    progress(0.0, "weighing candidates")
+    start = dict(zip((u.parameter.name for u in base.problem.unknowns), base.fit.values, strict=True))
+    tried = candidates(record, conditions_of_record(record), taken)
+    problems = [_on_top(base, c) for c in tried]
+    firsts = [_first(p, {**start, **c.start}) for p, c in zip(problems, tried, strict=True)]
+    chosen = _promising(tried, problems, promises(problems, firsts, base.fit.log_likelihood))
+    progress(0.3, f"fitting {len(chosen)} of {len(tried)} candidates")
+    fits = fitted([problems[i] for i in chosen], [firsts[i] for i in chosen])
+    best: dict[str, Attempt] = {}
+    for i, fit in zip(chosen, fits, strict=True):
+        name = tried[i].name
+        attempt = Attempt(name, tried[i], problems[i], fit, delta_bic(base, problems[i], fit, 1.0))
+        if np.isfinite(fit.log_likelihood) and (name not in best or attempt.delta_bic < best[name].delta_bic):
+            best[name] = attempt
+    return _weighed(base, sorted(best.values(), key=lambda a: a.delta_bic))
+
+
+def _promising(tried: Sequence[Candidate], problems: Sequence[Problem], gains: Sequence[float]) -> list[int]:
+    """Which candidates are fitted: the most promising starts of each set of parameters, and of each effect one at
+    least, but none that promises too little to be worth its parameters."""
+    most = max(gains, default=0.0)
+    worth = 0.5 * np.log([samples(p) for p in problems]) * [len(c.names) for c in tried] - WORTH
+    count: dict[tuple[str, ...], int] = {}
+    seen: set[str] = set()
+    chosen = []
+    for i in sorted(range(len(tried)), key=lambda i: -gains[i]):
+        names = tried[i].names
+        allowed = STARTS_FITTED if gains[i] > BEHIND * most else int(tried[i].name not in seen)
+        if gains[i] > worth[i] and count.get(names, 0) < allowed:
+            count[names] = count.get(names, 0) + 1
+            seen.add(tried[i].name)
+            chosen.append(i)
+    return chosen
+
+
+def promises(problems: Sequence[Problem], firsts: Sequence[FloatArray], reached: float) -> list[float]:
+    """Gain in log likelihood over `reached` that the linearisation of each problem at its start promises; minus
+    infinity where the model cannot be marched there."""
+    found = evaluate_together(problems, firsts)
+    return [_promise(p, at, one) - reached for p, at, one in zip(problems, firsts, found, strict=True)]
+
+
+def _promise(problem: Problem, first: FloatArray, found: Evaluation) -> float:
+    if not np.isfinite(found.log_likelihood):
+        return -np.inf
+    lower = np.array([p.lower for p in problem.parameters])
+    upper = np.array([p.upper for p in problem.parameters])
+    g = found.gradient
+    free = ~(((first <= lower) & (g <= 0.0)) | ((first >= upper) & (g >= 0.0))) & (np.diag(found.information) > 0.0)
+    inverse = covariance(found.information[np.ix_(free, free)])
+    inverse[~np.isfinite(inverse)] = 0.0
+    return float(found.log_likelihood + 0.5 * g[free] @ inverse @ g[free])
+
+
+def fitted(problems: Sequence[Problem], firsts: Sequence[FloatArray]) -> list[Fit]:
+    """Fit several problems on one record, their marches side by side."""
+    return maximise_together(problems, firsts, QUICK)
+
+
+# Weighing ------------------------------------------------------------------------------------------------------------
+
+
+def delta_bic(base: Attempt, problem: Problem, fit: Fit, c: float) -> float:
+    """BIC of a fit minus that of the model it is on top of."""
+    n = samples(problem)
+    more = len(problem.unknowns) - len(base.problem.unknowns)
+    if CLOCK_SKEW.name in problem.priors and problem.priors[CLOCK_SKEW.name].upper > base.problem.priors[CLOCK_SKEW.name].upper:
+        more += 1
+    return float(-2.0 * (fit.log_likelihood - base.fit.log_likelihood) / c + more * np.log(n))
+
+
+def _weighed(base: Attempt, attempts: Sequence[Attempt]) -> Round:
+    excess = base.excess
+    if not attempts:
+        return Round(base, excess, (), {"none": 1.0})
+    c = max(1.0, 1.0 + min(excess, attempts[0].excess))
+    weighed = sorted(
+        (replace(a, weighed=delta_bic(base, a.problem, a.fit, c)) for a in attempts), key=lambda a: a.weighed
+    )
+    logs = np.array([0.0, *(-0.5 * a.weighed for a in weighed)])
+    odds = np.exp(logs - logs.max())
+    return Round(base, excess, tuple(weighed), dict(zip(("none", *(a.name for a in weighed)), odds / odds.sum(), strict=True)))
+
+
+def samples(problem: Problem) -> int:
+    """Number of samples that are fitted."""
+    return sum(len(channel.samples) for part in problem.parts for channel in part.channels)
+
+
+def rmse(prediction: Prediction) -> tuple[dict[str, float | int] | None, dict[str, float | int] | None]:
+    """Errors of a prediction over fit and holdout segments, pooled over the used sensors."""
+    record = prediction.record
+    used = [i for i, sensor in enumerate(record.sensors) if sensor.used]
+    residual = prediction.residual_K[used]
+    return pooled_rmse_K(residual, record.fit_mask()), pooled_rmse_K(residual, record.holdout_mask())

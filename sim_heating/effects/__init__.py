@@ -35,6 +35,16 @@ FOLDERS_VARIABLE = "SIM_HEATING_EFFECTS"
 
 
 @dataclass(frozen=True)
+class Try:
+    """One way to look for an effect: the parameters that are estimated together, and values of any of its parameters
+    from which that starts, nominal where not given. A start without any effect yet is best: what the effect's magnitude
+    would gain is then told exactly by the sensitivity to it."""
+
+    names: tuple[str, ...]
+    start: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Effect:
     """An effect on the heating ratio.
 
@@ -45,9 +55,8 @@ class Effect:
     needs_wall : whether the kernel's value depends on the wall temperature
     lags       : whether the ratio lags behind itself, its first two parameters being time constant and fraction
     places     : dotted names that the parameters of a "model" effect stand for, in their order
-    variants   : sets of its parameters that are estimated together, tried one by one where it is looked for in data;
-                 by default the one set of all that have a prior
-    starts     : for a flight's conditions, values from which its estimation starts; by default the nominal ones
+    tries      : for a flight's conditions, how it is looked for in data; by default with all its parameters that have a
+                 prior, from their nominal values
     physics    : what it is, in a line
     source     : where that is from
     """
@@ -59,26 +68,30 @@ class Effect:
     needs_wall: bool = False
     lags: bool = False
     places: tuple[str, ...] = ()
-    variants: tuple[tuple[str, ...], ...] = ()
-    starts: Callable[[Conditions], Sequence[Mapping[str, float]]] | None = field(default=None, compare=False)
+    tries: Callable[[Conditions], Sequence[Try]] | None = field(default=None, compare=False)
     physics: str = ""
     source: str = ""
 
     def __post_init__(self) -> None:
         if len(self.parameters) > EFFECT_WIDTH:
             raise InputError(f"effect {self.name}: {len(self.parameters)} parameters; {EFFECT_WIDTH} at most")
-        known = {p.name for p in self.parameters}
-        strange = [n for names in self.variants for n in names if n not in known]
-        if strange:
-            raise InputError(f"effect {self.name}: a variant names `{strange[0]}`, which is none of its parameters")
         if (self.mode == "model") != (self.kernel is None):
             raise InputError(f"effect {self.name}: a kernel goes with any mode but `model`, and with those always")
         if self.mode == "model" and len(self.places) != len(self.parameters):
             raise InputError(f"effect {self.name}: name a place for each of its {len(self.parameters)} parameters")
 
-    def estimated(self) -> tuple[tuple[str, ...], ...]:
-        """The sets of parameters that are tried."""
-        return self.variants or (tuple(p.name for p in self.parameters if p.sigma > 0.0),)
+    def tried(self, flown: Conditions) -> Sequence[Try]:
+        """How it is looked for.
+
+        raises : InputError where that names none of its parameters
+        """
+        if self.tries is None:
+            return [Try(tuple(p.name for p in self.parameters if p.sigma > 0.0))]
+        found, known = self.tries(flown), {p.name for p in self.parameters}
+        strange = [n for t in found for n in (*t.names, *t.start) if n not in known]
+        if strange:
+            raise InputError(f"effect {self.name}: `{strange[0]}` is tried, which is none of its parameters")
+        return found
 
 
 @dataclass(frozen=True)

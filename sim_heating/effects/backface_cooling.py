@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sim_heating.conditions import Conditions
-from sim_heating.effects import Effect
+from sim_heating.effects import Effect, Try
 from sim_heating.parameters import Parameter
 
 
-def starts(flown: Conditions) -> Sequence[dict[str, float]]:
-    """A little of either, towards a cool structure."""
-    return [{"back_h_W_m2K": 1.0, "back_K": 280.0}, {"back_emissivity": 0.1, "back_K": 280.0}]
+def tries(flown: Conditions) -> Sequence[Try]:
+    """None yet of either, towards cooler and warmer structure."""
+    return [
+        Try(names, {"back_K": T})
+        for names in (("back_h_W_m2K", "back_K"), ("back_emissivity", "back_K"))
+        for T in (250.0, 300.0, 400.0)
+    ]
 
 
 EFFECT = Effect(
@@ -23,8 +27,7 @@ EFFECT = Effect(
         Parameter("back_emissivity", "1", 0.0, 0.3, 0.0, 1.0, "effective emittance behind the wall"),
     ),
     places=("back.h_W_m2K", "back.T_K", "back.emissivity"),
-    variants=(("back_h_W_m2K", "back_K"), ("back_emissivity", "back_K"), ("back_h_W_m2K",)),
-    starts=starts,
+    tries=tries,
     physics="Air from the vents late in the entry, and radiation to cooler structure, limit the skin's peak.",
     source="Ko, Quinn & Gong, NASA TM-86043 and its successors (structure temperatures of STS-1 to STS-5)",
 )

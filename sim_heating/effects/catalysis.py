@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from sim_heating.arithmetic import logistic
 from sim_heating.conditions import Conditions, FloatArray
-from sim_heating.effects import Effect
+from sim_heating.effects import Effect, Try
 from sim_heating.jit import njit
 from sim_heating.parameters import Parameter
 
@@ -19,9 +19,14 @@ def catalysis_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     return 1.0 + B[p + STEP] * logistic((wall_K - B[p + MIDDLE_K]) / B[p + WIDTH_K])
 
 
-def starts(flown: Conditions) -> Sequence[dict[str, float]]:
+def tries(flown: Conditions) -> Sequence[Try]:
     """Rises at several wall temperatures, none yet."""
-    return [{"catalysis_step": 0.0, "catalysis_K": T} for T in (600.0, 800.0, 1000.0, 1200.0, 1400.0)]
+    names = ("catalysis_step", "catalysis_K", "catalysis_width_K")
+    return [
+        Try(names, {"catalysis_step": 0.0, "catalysis_K": T, "catalysis_width_K": width})
+        for T in (500.0, 700.0, 900.0, 1100.0, 1300.0)
+        for width in (60.0, 200.0)
+    ]
 
 
 EFFECT = Effect(
@@ -34,7 +39,7 @@ EFFECT = Effect(
     ),
     kernel=catalysis_factor,
     needs_wall=True,
-    starts=starts,
+    tries=tries,
     physics="Recombination of atoms at the wall grows with its temperature and gives up the energy of dissociation.",
     source="Scott, 'Effects of nonequilibrium and wall catalysis on Shuttle heat transfer', in NASA CP-2283",
 )

@@ -8,7 +8,7 @@ import numpy as np
 
 from sim_heating.arithmetic import logistic
 from sim_heating.conditions import Conditions, FloatArray
-from sim_heating.effects import Effect
+from sim_heating.effects import Effect, Try
 from sim_heating.jit import njit
 from sim_heating.layout import TIME
 from sim_heating.parameters import Parameter
@@ -26,10 +26,14 @@ def emittance_changes(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     return max(1.0 + changed + B[p + SLOPE] * (wall_K - REFERENCE_K), 0.0)
 
 
-def starts(flown: Conditions) -> Sequence[dict[str, float]]:
+def tries(flown: Conditions) -> Sequence[Try]:
     """As declared; for a change in time, at several times."""
     times = np.quantile(flown.time_s, [0.2, 0.35, 0.5, 0.65, 0.8])
-    return [{"change_s": -1e4}, *({"change_s": float(t)} for t in times)]
+    return [
+        Try(("emissivity_factor",)),
+        Try(("emissivity_slope",)),
+        *(Try(("emissivity_factor", "change_s"), {"change_s": float(t)}) for t in times),
+    ]
 
 
 EFFECT = Effect(
@@ -42,8 +46,7 @@ EFFECT = Effect(
     ),
     kernel=emittance_changes,
     needs_wall=True,
-    variants=(("emissivity_factor",), ("emissivity_slope",), ("emissivity_factor", "change_s")),
-    starts=starts,
+    tries=tries,
     physics="Coatings age, are contaminated or blistered, and radiate otherwise when hot than their tables say.",
     source="Emittance drift of reused tiles, Williams & Curry, NASA RP-1193 (1992)",
 )

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sim_heating.conditions import Conditions
-from sim_heating.effects import Effect
+from sim_heating.effects import Effect, Try
 from sim_heating.parameters import Parameter
 
 
-def starts(flown: Conditions) -> Sequence[dict[str, float]]:
-    """As declared."""
-    return [{}]
+def tries(flown: Conditions) -> Sequence[Try]:
+    """One at a time."""
+    return [Try(("heat_capacity_factor",)), Try(("coating_heat_capacity_factor",))]
 
 
 EFFECT = Effect(
@@ -22,8 +22,7 @@ EFFECT = Effect(
         Parameter("coating_heat_capacity_factor", "1", 1.0, 0.3, 1e-3, 10.0, "of the coating, over the declared one"),
     ),
     places=("stack.rsi.heat_capacity_factor", "stack.coating.heat_capacity_factor"),
-    variants=(("heat_capacity_factor",), ("coating_heat_capacity_factor",)),
-    starts=starts,
+    tries=tries,
     physics="Density and specific heat scatter from lot to lot, and waterproofing adds mass.",
     source="Williams & Curry, NASA RP-1193 (1992)",
 )

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sim_heating.conditions import Conditions, FloatArray
-from sim_heating.effects import Effect
+from sim_heating.effects import Effect, Try
 from sim_heating.jit import njit
 from sim_heating.layout import ALPHA
 from sim_heating.parameters import Parameter
@@ -21,10 +21,10 @@ def impingement(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     return B[p + SLOPE] * max(0.0, B[c + ALPHA] - B[p + ONSET])
 
 
-def starts(flown: Conditions) -> Sequence[dict[str, float]]:
+def tries(flown: Conditions) -> Sequence[Try]:
     """Onsets spread over the angles of attack flown, no rise yet."""
     onsets = np.quantile(flown["alpha_deg"], [0.3, 0.6, 0.8, 0.9, 0.96, 0.99])
-    return [{"alpha_onset_deg": float(x), "slope": 0.0} for x in onsets]
+    return [Try(("alpha_onset_deg", "slope"), {"alpha_onset_deg": float(x), "slope": 0.0}) for x in onsets]
 
 
 EFFECT = Effect(
@@ -37,7 +37,7 @@ EFFECT = Effect(
         Parameter("slope", "1/deg", 0.002, 0.002, -0.1, 0.1, "rise of the ratio above it"),
     ),
     kernel=impingement,
-    starts=starts,
+    tries=tries,
     physics="Above an angle of attack the flow impinges on the point and the ratio rises with angle of attack.",
     source="OMS pod of STS-2, fig. 14 of 'Trends in Shuttle Entry Heating from the Correlation of Flight Test ...'",
 )

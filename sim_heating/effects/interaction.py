@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
-from sim_heating.effects import Effect
+from collections.abc import Sequence
+
+from sim_heating.conditions import Conditions
+from sim_heating.effects import Effect, Try
 from sim_heating.parameters import SECOND_ORDER, SHORT, UNITS, Parameter, per
 
 PAIRS = tuple((i, j) for i, j in SECOND_ORDER if i != j)
+
+
+def tries(flown: Conditions) -> Sequence[Try]:
+    """One pair at a time."""
+    return [Try((f"d_{SHORT[i]}_{SHORT[j]}",)) for i, j in PAIRS]
+
 
 EFFECT = Effect(
     name="interaction",
@@ -18,7 +27,7 @@ EFFECT = Effect(
         for i, j in PAIRS
     ),
     places=tuple(f"ratio.d_{SHORT[i]}_{SHORT[j]}" for i, j in PAIRS),
-    variants=tuple((f"d_{SHORT[i]}_{SHORT[j]}",) for i, j in PAIRS),
+    tries=tries,
     physics="The derivative against one variable changes with another: a flap heats more at higher angle of attack.",
     source="Eq. 2 of 'Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers'",
 )  # fmt: skip

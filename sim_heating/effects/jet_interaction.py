@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sim_heating.conditions import Conditions, FloatArray
-from sim_heating.effects import Effect
+from sim_heating.effects import Effect, Try
 from sim_heating.jit import njit
 from sim_heating.layout import JETS
 from sim_heating.parameters import Parameter
@@ -19,9 +19,9 @@ def jet_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     return 1.0 + B[p + GAIN] * B[c + JETS]
 
 
-def starts(flown: Conditions) -> Sequence[dict[str, float]]:
+def tries(flown: Conditions) -> Sequence[Try]:
     """No dependence yet."""
-    return [{"jet_gain": 0.0}]
+    return [Try(("jet_gain",), {"jet_gain": 0.0})]
 
 
 EFFECT = Effect(
@@ -29,7 +29,7 @@ EFFECT = Effect(
     mode="multiply",
     parameters=(Parameter("jet_gain", "1", 0.1, 0.2, -1.0, 5.0, "relative rise of the ratio while a jet fires"),),
     kernel=jet_factor,
-    starts=starts,
+    tries=tries,
     physics="A firing jet disturbs the flow at the point, or the density that was derived from dynamic pressure.",
     source="Pitch-jet spikes of STS-2 in 'Trends in Shuttle Entry Heating from the Correlation of Flight Test ...'",
 )

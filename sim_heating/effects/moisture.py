@@ -5,13 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sim_heating.conditions import Conditions
-from sim_heating.effects import Effect
+from sim_heating.effects import Effect, Try
 from sim_heating.parameters import Parameter
 
 
-def starts(flown: Conditions) -> Sequence[dict[str, float]]:
-    """A little of it at several temperatures."""
-    return [{"latent_J_kg": 3000.0, "boil_K": T, "deposit_J_kg": 0.0} for T in (340.0, 373.0, 420.0)]
+def tries(flown: Conditions) -> Sequence[Try]:
+    """None yet, at several temperatures."""
+    evaporating = ("latent_J_kg", "boil_K", "width_K")
+    condensing = ("latent_J_kg", "boil_K", "deposit_J_kg", "condense_K")
+    return [
+        Try(names, {"latent_J_kg": 0.0, "deposit_J_kg": 0.0, "boil_K": T, "condense_K": T - 40.0})
+        for names in (evaporating, condensing)
+        for T in (340.0, 373.0, 420.0)
+    ]
 
 
 EFFECT = Effect(
@@ -31,8 +37,7 @@ EFFECT = Effect(
         "stack.moisture.condense_K",
         "stack.moisture.width_K",
     ),
-    variants=(("latent_J_kg", "boil_K", "width_K"), ("latent_J_kg", "boil_K", "deposit_J_kg", "condense_K")),
-    starts=starts,
+    tries=tries,
     physics="Adsorbed water boils as heat reaches it; vapour condenses in cooler depths before it leaves.",
     source="Apparent-heat-capacity method, Voller & Swaminathan, Numer. Heat Transfer B 19 (1991) 175",
 )

@@ -8,7 +8,7 @@ import numpy as np
 
 from sim_heating.arithmetic import exp
 from sim_heating.conditions import Conditions, FloatArray
-from sim_heating.effects import Effect
+from sim_heating.effects import Effect, Try
 from sim_heating.jit import njit
 from sim_heating.layout import TIME
 from sim_heating.parameters import Parameter
@@ -22,14 +22,21 @@ def overshoot_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     return 1.0 + B[p + OVERSHOOT] * exp(-max(B[c + TIME] - B[p + BEGIN], 0.0) / B[p + DECAY])
 
 
-def starts(flown: Conditions) -> Sequence[dict[str, float]]:
-    """Short and long lags, excess and want of heating, decaying from where the heating is half its greatest."""
-    film = flown["h_ref_kg_m2_s"] if "h_ref_kg_m2_s" in flown else flown["rho_kg_m3"] ** 0.5
-    begin = float(flown.time_s[int(np.argmax(film >= 0.5 * np.max(film)))])
+def tries(flown: Conditions) -> Sequence[Try]:
+    """Short and long lags; an excess that decays fast or slowly from when heating sets in; none of either yet."""
+    heating = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
+    begins = [float(flown.time_s[int(np.argmax(heating >= part * np.max(heating)))]) for part in (0.1, 0.5)]
+    none = {"lag_fraction": 0.0, "overshoot": 0.0}
     return [
-        {"lag_s": lag, "lag_fraction": 0.0, "overshoot": 0.0, "decay_s": decay, "decay_begin_s": begin}
-        for lag in (2.0, 6.0)
-        for decay in (60.0, 250.0)
+        *(Try(("lag_s", "lag_fraction"), none | {"lag_s": lag}) for lag in (1.5, 3.0, 6.0)),
+        *(
+            Try(
+                ("lag_s", "lag_fraction", "overshoot", "decay_s", "decay_begin_s"),
+                none | {"lag_s": 3.0, "decay_s": decay, "decay_begin_s": begin},
+            )
+            for begin in begins
+            for decay in (60.0, 200.0, 500.0)
+        ),
     ]
 
 
@@ -45,8 +52,7 @@ EFFECT = Effect(
     ),
     kernel=overshoot_factor,
     lags=True,
-    variants=(("lag_s", "lag_fraction"), ("lag_s", "lag_fraction", "overshoot", "decay_s")),
-    starts=starts,
+    tries=tries,
     physics="A wall that is colder upstream gives more heat behind the step, less so as both warm: larger, lagging.",
     source="Chapman & Rubesin, J. Aero. Sci. 16 (1949) 547; Kays & Crawford, Convective Heat and Mass Transfer",
 )

@@ -8,7 +8,7 @@ import numpy as np
 
 from sim_heating.arithmetic import logistic
 from sim_heating.conditions import Conditions, FloatArray
-from sim_heating.effects import Effect
+from sim_heating.effects import Effect, Try
 from sim_heating.jit import njit
 from sim_heating.layout import ALPHA, LOG10_RE
 from sim_heating.parameters import Parameter
@@ -23,11 +23,15 @@ def transition_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     return 1.0 + (B[p + FACTOR] - 1.0) * logistic(past / B[p + WIDTH])
 
 
-def starts(flown: Conditions) -> Sequence[dict[str, float]]:
-    """Onsets spread over the Reynolds numbers that the flight passes through, a laminar start before each."""
-    log10_re = flown["log10_re"]
-    onsets = np.quantile(log10_re, np.linspace(0.15, 0.97, 10))
-    return [{"log10_re_onset": float(x), "factor": 1.5, "width": w} for x in onsets for w in (0.03, 0.15)]
+def tries(flown: Conditions) -> Sequence[Try]:
+    """Onsets spread over the Reynolds numbers that the flight passes through, still laminar behind them."""
+    names = ("log10_re_onset", "alpha_sens", "width", "factor")
+    onsets = np.quantile(flown["log10_re"], np.linspace(0.1, 0.98, 12))
+    return [
+        Try(names, {"log10_re_onset": float(x), "alpha_sens": 0.01, "width": width, "factor": 1.0})
+        for x in onsets
+        for width in (0.03, 0.15)
+    ]
 
 
 EFFECT = Effect(
@@ -41,8 +45,7 @@ EFFECT = Effect(
         Parameter("alpha_0_deg", "deg", 40.0, 0.0, -90.0, 90.0, "angle of attack of the onset"),
     ),
     kernel=transition_factor,
-    variants=(("log10_re_onset", "width", "factor"), ("log10_re_onset", "alpha_sens", "width", "factor")),
-    starts=starts,
+    tries=tries,
     physics="The boundary layer turns turbulent past a Reynolds number, earlier at higher angle of attack.",
     source="STS-4 Mach 12 manoeuvre in 'Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers'",
 )

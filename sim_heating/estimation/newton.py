@@ -76,12 +76,14 @@ class Settings:
     step       : change of a parameter over its sigma that a full step must make for another iteration
     iterations : number of steps at most
     lengths    : fractions of the full step, the best of which is taken
+    reach      : how far a step may move a parameter, over the sigma of its prior: where the model is far from linear
     """
 
     gain: float = 1e-6
     step: float = 1e-3
     iterations: int = 50
     lengths: tuple[float, ...] = tuple(0.5**k for k in range(8))
+    reach: float = math.inf
 
 
 class Status(Enum):
@@ -273,18 +275,35 @@ class _Search:
         return Status.CONVERGED if self.done(self.step(self.damping)) else Status.ITERATIONS
 
     def step(self, damping: float) -> FloatArray:
-        """The damped step of the parameters that no bound holds."""
-        free = ~self.held
-        step = np.zeros_like(self.at)
-        if not free.any():
-            return step
+        """The damped step of the parameters that no bound holds; what would leave the box stops at its side."""
+        step, free = np.zeros_like(self.at), ~self.held
+        lower, upper = self.box()
+        while free.any():
+            step[free] = self.solved(free, step, damping)
+            beyond = free & ((step < lower) | (step > upper))
+            if not beyond.any():
+                break
+            step[beyond] = np.clip(step, lower, upper)[beyond]
+            free &= ~beyond
+        return step
+
+    def box(self) -> tuple[FloatArray, FloatArray]:
+        """How far each parameter may go down and up in one step."""
+        if not np.isfinite(self.settings.reach):
+            nowhere = np.full_like(self.at, np.inf)
+            return -nowhere, nowhere
+        known = self.posterior.information
+        reach = self.settings.reach / np.sqrt(np.where(known > 0.0, known, np.finfo(float).tiny))
+        return np.maximum(self.posterior.lower - self.at, -reach), np.minimum(self.posterior.upper - self.at, reach)
+
+    def solved(self, free: BoolArray, step: FloatArray, damping: float) -> FloatArray:
+        """The damped step of the free parameters where the others make theirs."""
         information = self.found.information[np.ix_(free, free)]
+        gradient = self.found.gradient[free] - self.found.information[np.ix_(free, ~free)] @ step[~free]
         values, vectors = scaled_eigenvectors(information)
         s = scale(information)
-        along = vectors.T @ (s * self.found.gradient[free])
         lifted = np.where(values > ROUNDING, values, 1.0)  # a singular direction goes uphill as far as one sigma alone
-        step[free] = s * (vectors @ (along / (lifted + damping)))
-        return step
+        return np.asarray(s * (vectors @ (vectors.T @ (s * gradient) / (lifted + damping))))
 
     def done(self, step: FloatArray) -> bool:
         """Whether the undamped step promises no gain worth it, and is a small part of each sigma."""

@@ -177,7 +177,7 @@ class Problem:
     fixed     : values of parameters that are not estimated but differ from the declared ones
     priors    : dotted name -> Parameter with another prior or other bounds
     starts    : where the march of each record begins, how that is made, or None
-    flat      : priors are flat within their bounds, whatever is known of the parameters
+    widened   : by how much priors are wider than is known of the parameters; infinite for flat ones
     chosen    : (sample,) of each record, which of its samples are fitted; by default those of the fit segments
     raises    : InputError where nothing is left to fit, or a parameter is none of the model
     """
@@ -193,9 +193,9 @@ class Problem:
         priors: Mapping[str, Parameter] | None = None,
         starts: Sequence[Start | StartMaker | None] | None = None,
         chosen: Sequence[NDArray[np.bool_]] | None = None,
-        flat: bool = False,
+        widened: float = 1.0,
     ) -> None:
-        self.reference, self.flat = reference, flat
+        self.reference, self.widened = reference, widened
         self.priors = dict(priors or {})
         models = [replace(point_of_record(r, fixed, effects), reference=reference) for r in records]
         meshes = [mesh for mesh, _ in choose_meshes(models, LONGEST_STEP_S)]
@@ -249,8 +249,8 @@ class Problem:
             known = replace(known, value=part.model.value(name))
         if name == CLOCK_SKEW.name:
             known = replace(known, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)
-        if self.flat:
-            known = replace(known, sigma=np.inf)
+        if self.widened != 1.0:
+            known = replace(known, sigma=self.widened * known.sigma)
         return replace(self.priors.get(name, known), name=name)
 
     @property
