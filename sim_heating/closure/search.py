@@ -53,7 +53,10 @@ BEHIND = 0.02
 """Part of the best promise below which a candidate is no more than looked at."""
 WORTH = 5.0
 """By how much a promised gain in log likelihood may fall short of what its parameters cost."""
-QUICK = Settings(gain=0.05, step=0.2, iterations=12, lengths=(0.5, 0.25, 0.1, 0.03, 0.01, 1e-3), reach=0.4)
+WITHIN = 0.3
+"""Part of the best gain that a candidate has to reach at a first look to be fitted to the end."""
+QUICK = Settings(gain=0.05, step=0.2, iterations=20, lengths=(0.5, 0.25, 0.1, 0.03, 0.01, 1e-3), reach=0.4)
+FIRST_LOOK = replace(QUICK, iterations=4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +200,12 @@ def one_round(record: Record, base: Attempt, taken: Sequence[str], progress: Pro
     firsts = [_first(p, {**start, **c.start}) for p, c in zip(problems, tried, strict=True)]
     chosen = _promising(tried, problems, promises(problems, firsts, base.fit.log_likelihood))
     progress(0.3, f"fitting {len(chosen)} of {len(tried)} candidates")
-    fits = fitted([problems[i] for i in chosen], [firsts[i] for i in chosen])
+    fits = fitted([problems[i] for i in chosen], [firsts[i] for i in chosen], FIRST_LOOK)
+    gains = np.array([f.log_likelihood for f in fits]) - base.fit.log_likelihood
+    again = [k for k, g in enumerate(gains) if not fits[k].converged and g > WITHIN * np.nanmax(gains)]
+    progress(0.7, f"fitting the best {len(again)} of them to the end")
+    for k, fit in zip(again, fitted([problems[chosen[k]] for k in again], [fits[k].values for k in again]), strict=True):
+        fits[k] = fit
     best: dict[str, Attempt] = {}
     for i, fit in zip(chosen, fits, strict=True):
         name = tried[i].name
@@ -244,9 +252,9 @@ def _promise(problem: Problem, first: FloatArray, found: Evaluation) -> float:
     return float(found.log_likelihood + 0.5 * g[free] @ inverse @ g[free])
 
 
-def fitted(problems: Sequence[Problem], firsts: Sequence[FloatArray]) -> list[Fit]:
+def fitted(problems: Sequence[Problem], firsts: Sequence[FloatArray], settings: Settings | None = None) -> list[Fit]:
     """Fit several problems on one record, their marches side by side."""
-    return maximise_together(problems, firsts, QUICK)
+    return maximise_together(problems, firsts, settings or QUICK)
 
 
 # Weighing ------------------------------------------------------------------------------------------------------------
