@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sim_heating.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.effects import Effect, EffectUse, check_count
-from sim_heating.effects.chain import compiled_chain
+from sim_heating.effects.chain import compiled_chain, held
 from sim_heating.errors import InputError, RunError
 from sim_heating.files import nearest
 from sim_heating.heating_ratio.kernel import pack_table
@@ -278,7 +278,7 @@ class Ensemble:
         self.models = list(models)
         self.step_s = step_s
         self.meshes = tuple(meshes)
-        self._effects: tuple[Effect, ...] = beside._effects if beside else distinct_effects(self.models, effects)
+        self._effects: tuple[Effect, ...] = beside._effects if beside else held(distinct_effects(self.models, effects))
         self._chain = compiled_chain(self._effects)
         self.chain = self._chain.handle
         self.begin_handle, self.advance_handle = (handle(f) for f in compiled())

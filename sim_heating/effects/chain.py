@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numba
@@ -53,10 +52,19 @@ def _join(kernels: Sequence[Any]) -> Callable[..., float]:
     return joined
 
 
-@cache
+_COMPILED: dict[tuple[Effect, ...], Chain] = {}
+
+
 def compiled_chain(effects: tuple[Effect, ...]) -> Chain:
     """The chain of these effects; the code of an effect is its place among them."""
-    function = _join([e.kernel for e in effects]) if effects else _nothing
-    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
-        return Chain(function)
-    return Chain(numba.cfunc(SIGNATURE, cache=not effects, error_model="numpy")(function))
+    if effects not in _COMPILED:
+        function = _join([e.kernel for e in effects]) if effects else _nothing
+        interpreted = numba.config.DISABLE_JIT  # type: ignore[attr-defined]
+        compiled = function if interpreted else numba.cfunc(SIGNATURE, cache=not effects, error_model="numpy")(function)
+        _COMPILED[effects] = Chain(compiled)
+    return _COMPILED[effects]
+
+
+def held(effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
+    """Effects of a chain that has been compiled and holds these; these themselves where there is none."""
+    return next((known for known in _COMPILED if set(effects) <= set(known)), effects) if effects else effects
