@@ -27,11 +27,11 @@ from sim_heating.effects import EffectUse, effects
 from sim_heating.effects.chain import compiled_chain
 from sim_heating.estimation.estimate import Fitted, estimate, misfit, predict_at
 from sim_heating.estimation.identifiability import covariance
-from sim_heating.estimation.newton import Evaluation, Fit, Settings
+from sim_heating.estimation.likelihood import likelihood
+from sim_heating.estimation.newton import Evaluation, Fit, Settings, Status
 from sim_heating.estimation.problem import SKEW_SPAN_S, Problem
 from sim_heating.estimation.together import evaluate_together, maximise_together
-from sim_heating.layout import LANES
-from sim_heating.parameters import CLOCK_SKEW, Parameter
+from sim_heating.parameters import CLOCK_SKEW, EFFECT_PREFIX, Parameter
 from sim_heating.points import conditions_of_record
 from sim_heating.predict import Prediction
 from sim_heating.record import Record, pooled_rmse_K
@@ -50,14 +50,15 @@ WIDENED = 3.0
 """Priors of effects' parameters are this much wider in the search: enough to keep a first step within reason."""
 STARTS_FITTED = 2
 """Starts of a set of parameters that are fitted, the most promising ones."""
-BEHIND = 0.02
-"""Part of the best promise below which a candidate is no more than looked at."""
+NEAR = 0.5
+"""Part of the best promise from which on several starts of a candidate are fitted."""
+BEHIND = 0.1
+"""Part of the best promise below which a candidate is not fitted."""
 WORTH = 5.0
 """By how much a promised gain in log likelihood may fall short of what its parameters cost."""
-WITHIN = 0.3
-"""Part of the best gain that a candidate has to reach at a first look to be fitted to the end."""
-QUICK = Settings(gain=0.05, step=0.2, iterations=20, lengths=(0.5, 0.25, 0.1, 0.03, 0.01, 1e-3), reach=0.4)
-FIRST_LOOK = replace(QUICK, iterations=4)
+QUICK = Settings(gain=0.05, step=0.2, iterations=25, lengths=(0.5, 0.25, 0.1, 0.03, 0.01, 1e-3), reach=0.4)
+STAGES = ((0.0, replace(QUICK, iterations=4)), (0.3, replace(QUICK, iterations=6)), (0.9, QUICK))
+"""Part of the best gain that a candidate has to have reached to be fitted further, and how far."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,13 +89,19 @@ class Attempt:
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """One pass over all candidates on top of a model: that model, its excess, the best attempt of each effect, best
-    first, and the probability of each with equal prior ones, `none` included."""
+    """One pass over all candidates on top of a model.
+
+    base, excess : that model, and its excess
+    attempts     : the best attempt of each effect, best first
+    posterior    : the probability of each with equal prior ones, `none` included
+    passed       : effects not worth a fit, and the delta_bic that their best start promised
+    """
 
     base: Attempt
     excess: float
     attempts: tuple[Attempt, ...]
     posterior: Mapping[str, float]
+    passed: Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +154,7 @@ def search(record: Record, *, progress: Progress = lambda fraction, text: None) 
     return Search(record, before, tuple(rounds), tuple(added), False)
 
 
-# The model that candidates are added to --------------------------------------------------------------------------------
+# The model that candidates are added to ------------------------------------------------------------------------------
 
 
 def _base(record: Record, before: Fitted) -> Attempt:
@@ -185,73 +192,113 @@ def _first(problem: Problem, start: Mapping[str, float]) -> FloatArray:
     return np.array([start.get(p.name, p.value) for p in problem.parameters])
 
 
+def values_of(attempt: Attempt) -> dict[str, float]:
+    """Values found, by dotted name."""
+    return dict(zip((u.parameter.name for u in attempt.problem.unknowns), attempt.fit.values, strict=True))
+
+
 def fitted_uses(attempt: Attempt) -> tuple[EffectUse, ...]:
     """The effects of an attempt's model at the values found."""
     return attempt.problem.parts[0].altered(attempt.fit.values).effects
 
 
-# One pass over the candidates ------------------------------------------------------------------------------------------
+# One pass over the candidates ----------------------------------------------------------------------------------------
 
 
 def one_round(record: Record, base: Attempt, taken: Sequence[str], progress: Progress) -> Round:
-    """Fit every candidate on top of a model and keep the best attempt of each effect."""
+    """Weigh every candidate on top of a model, fit the promising ones, keep the best attempt of each effect."""
     progress(0.0, "weighing candidates")
-    start = dict(zip((u.parameter.name for u in base.problem.unknowns), base.fit.values, strict=True))
     tried = candidates(record, conditions_of_record(record), taken)
-    problems = [_on_top(base, c) for c in tried]
-    firsts = [_first(p, {**start, **c.start}) for p, c in zip(problems, tried, strict=True)]
-    chosen = _promising(tried, problems, promises(problems, firsts, base.fit.log_likelihood))
+    gains = promises(base, tried)
+    chosen = _promising(tried, gains, samples(base.problem))
+    problems, start = [_on_top(base, tried[i]) for i in chosen], values_of(base)
+    firsts = [_first(p, {**start, **tried[i].start}) for p, i in zip(problems, chosen, strict=True)]
     progress(0.3, f"fitting {len(chosen)} of {len(tried)} candidates")
-    fits = fitted([problems[i] for i in chosen], [firsts[i] for i in chosen], FIRST_LOOK)
-    gains = np.array([f.log_likelihood for f in fits]) - base.fit.log_likelihood
-    again = [k for k, g in enumerate(gains) if not fits[k].converged and g > WITHIN * np.nanmax(gains)]
-    progress(0.7, f"fitting the best {len(again)} of them to the end")
-    for k, fit in zip(again, fitted([problems[chosen[k]] for k in again], [fits[k].values for k in again]), strict=True):
-        fits[k] = fit
+    fits = in_stages(problems, firsts, base.fit.log_likelihood)
     best: dict[str, Attempt] = {}
-    for i, fit in zip(chosen, fits, strict=True):
+    for i, problem, fit in zip(chosen, problems, fits, strict=True):
         name = tried[i].name
-        attempt = Attempt(name, tried[i], problems[i], fit, delta_bic(base, problems[i], fit, 1.0))
+        attempt = Attempt(name, tried[i], problem, fit, delta_bic(base, fit, tried[i], 1.0))
         if np.isfinite(fit.log_likelihood) and (name not in best or attempt.delta_bic < best[name].delta_bic):
             best[name] = attempt
-    return _weighed(base, sorted(best.values(), key=lambda a: a.delta_bic))
+    passed: dict[str, float] = {}
+    for one, gain in zip(tried, gains, strict=True):
+        if one.name not in best:
+            promised = -2.0 * gain + len(one.names) * float(np.log(samples(base.problem)))
+            passed[one.name] = min(promised, passed.get(one.name, np.inf))
+    return _weighed(base, sorted(best.values(), key=lambda a: a.delta_bic), passed)
 
 
-def _promising(tried: Sequence[Candidate], problems: Sequence[Problem], gains: Sequence[float]) -> list[int]:
-    """Which candidates are fitted: the most promising starts of each set of parameters, and of each effect one at
-    least, but none that promises too little to be worth its parameters."""
+def _promising(tried: Sequence[Candidate], gains: Sequence[float], n: int) -> list[int]:
+    """Which candidates are fitted: the most promising starts of each set of parameters, but none that promises much
+    less than the best, or too little to be worth its parameters."""
     most = max(gains, default=0.0)
-    worth = 0.5 * np.log([samples(p) for p in problems]) * [len(c.names) for c in tried] - WORTH
     count: dict[tuple[str, ...], int] = {}
-    seen: set[str] = set()
     chosen = []
     for i in sorted(range(len(tried)), key=lambda i: -gains[i]):
         names = tried[i].names
-        allowed = STARTS_FITTED if gains[i] > BEHIND * most else int(tried[i].name not in seen)
-        if gains[i] > worth[i] and count.get(names, 0) < allowed:
+        allowed = STARTS_FITTED if gains[i] > NEAR * most else 1
+        worth = gains[i] > max(BEHIND * most, 0.5 * np.log(n) * len(names) - WORTH)
+        if worth and count.get(names, 0) < allowed:
             count[names] = count.get(names, 0) + 1
-            seen.add(tried[i].name)
             chosen.append(i)
     return chosen
 
 
-def promises(problems: Sequence[Problem], firsts: Sequence[FloatArray], reached: float) -> list[float]:
-    """Gain in log likelihood over `reached` that the linearisation of each problem at its start promises; minus
-    infinity where the model cannot be marched there."""
-    found = evaluate_together(problems, firsts)
-    return [_promise(p, at, one) - reached for p, at, one in zip(problems, firsts, found, strict=True)]
+def promises(base: Attempt, tried: Sequence[Candidate]) -> list[float]:
+    """Gain in log likelihood that the linearisation of each candidate at its start promises, the base's parameters
+    moving with it; minus infinity where the model cannot be marched there.
+
+    The base's own sensitivities hold for all: a candidate begins without any effect, or little.
+    """
+    part, start = base.problem.parts[0], values_of(base)
+    fixed = {n: start[n] for n in part.marched if not n.startswith(EFFECT_PREFIX)}
+    problems = []
+    for one in tried:
+        names = tuple(dict.fromkeys((*part.other, *one.names)))
+        uses = (*fitted_uses(base), *one.uses)
+        problem = Problem([part.record], names, base.problem.reference, effects=uses, fixed=fixed)
+        problem.parts[0].sigma_K.update(part.sigma_K)
+        problem.parts[0].correction_K = part.correction_K
+        problems.append(problem)
+    firsts = [_first(p, {**start, **c.start}) for p, c in zip(problems, tried, strict=True)]
+    known = np.concatenate([s.own for s in base.problem.samples(base.fit.values)])
+    inner = known[:, [k for k, n in enumerate(part.names) if n not in part.other]]
+    return [
+        _promise(problem, first, one, inner) - base.fit.log_likelihood
+        for problem, first, one in zip(problems, firsts, evaluate_together(problems, firsts), strict=True)
+    ]
 
 
-def _promise(problem: Problem, first: FloatArray, found: Evaluation) -> float:
+def _promise(problem: Problem, first: FloatArray, found: Evaluation, known: FloatArray) -> float:
+    """Log likelihood that a Gauss-Newton step promises; `known` (sample, parameter): the base's sensitivities."""
     if not np.isfinite(found.log_likelihood):
         return -np.inf
     lower = np.array([p.lower for p in problem.parameters])
     upper = np.array([p.upper for p in problem.parameters])
-    g = found.gradient
-    free = ~(((first <= lower) & (g <= 0.0)) | ((first >= upper) & (g >= 0.0))) & (np.diag(found.information) > 0.0)
-    inverse = covariance(found.information[np.ix_(free, free)])
+    free = ~(((first <= lower) & (found.gradient <= 0.0)) | ((first >= upper) & (found.gradient >= 0.0)))
+    everything = problem.samples(first)
+    own = np.concatenate([s.own for s in everything])[:, free & (np.diag(found.information) > 0.0)]
+    scored = [likelihood(s.channel.observed, s.mean_K, s.sigma_K) for s in everything]
+    J = np.column_stack([known, own])
+    M = J.T @ (J * np.concatenate([f.information for f in scored])[:, np.newaxis])
+    g = J.T @ np.concatenate([f.score for f in scored])
+    inverse = covariance(M)
     inverse[~np.isfinite(inverse)] = 0.0
-    return float(found.log_likelihood + 0.5 * g[free] @ inverse @ g[free])
+    return float(found.log_likelihood + 0.5 * g @ inverse @ g)
+
+
+def in_stages(problems: Sequence[Problem], firsts: Sequence[FloatArray], reached: float) -> list[Fit]:
+    """Fit all a little way, those that came near the best gain over `reached` further, and the best to the end."""
+    fits = fitted(problems, firsts, STAGES[0][1])
+    for within, settings in STAGES[1:]:
+        gains = np.array([f.log_likelihood - reached for f in fits])
+        best = np.nanmax(gains, initial=0.0)
+        again = [k for k, g in enumerate(gains) if fits[k].status is Status.ITERATIONS and g >= within * best]
+        further = fitted([problems[k] for k in again], [fits[k].values for k in again], settings)
+        for k, fit in zip(again, further, strict=True):
+            fits[k] = fit
+    return fits
 
 
 def fitted(problems: Sequence[Problem], firsts: Sequence[FloatArray], settings: Settings | None = None) -> list[Fit]:
@@ -262,26 +309,24 @@ def fitted(problems: Sequence[Problem], firsts: Sequence[FloatArray], settings: 
 # Weighing ------------------------------------------------------------------------------------------------------------
 
 
-def delta_bic(base: Attempt, problem: Problem, fit: Fit, c: float) -> float:
+def delta_bic(base: Attempt, fit: Fit, candidate: Candidate, c: float) -> float:
     """BIC of a fit minus that of the model it is on top of."""
-    n = samples(problem)
-    more = len(problem.unknowns) - len(base.problem.unknowns)
-    if CLOCK_SKEW.name in problem.priors and problem.priors[CLOCK_SKEW.name].upper > base.problem.priors[CLOCK_SKEW.name].upper:
-        more += 1
-    return float(-2.0 * (fit.log_likelihood - base.fit.log_likelihood) / c + more * np.log(n))
+    gained = fit.log_likelihood - base.fit.log_likelihood
+    return float(-2.0 * gained / c + len(candidate.names) * np.log(samples(base.problem)))
 
 
-def _weighed(base: Attempt, attempts: Sequence[Attempt]) -> Round:
+def _weighed(base: Attempt, attempts: Sequence[Attempt], passed: Mapping[str, float]) -> Round:
     excess = base.excess
     if not attempts:
-        return Round(base, excess, (), {"none": 1.0})
+        return Round(base, excess, (), {"none": 1.0}, passed)
     c = max(1.0, 1.0 + min(excess, attempts[0].excess))
     weighed = sorted(
-        (replace(a, weighed=delta_bic(base, a.problem, a.fit, c)) for a in attempts), key=lambda a: a.weighed
+        (replace(a, weighed=delta_bic(base, a.fit, a.candidate, c)) for a in attempts), key=lambda a: a.weighed
     )
     logs = np.array([0.0, *(-0.5 * a.weighed for a in weighed)])
     odds = np.exp(logs - logs.max())
-    return Round(base, excess, tuple(weighed), dict(zip(("none", *(a.name for a in weighed)), odds / odds.sum(), strict=True)))
+    names = ("none", *(a.name for a in weighed))
+    return Round(base, excess, tuple(weighed), dict(zip(names, (odds / odds.sum()).tolist(), strict=True)), passed)
 
 
 def samples(problem: Problem) -> int:

@@ -1,0 +1,146 @@
+"""Close the loop on one record: search, refit with what was found, and everything that a report tells of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from sim_heating.closure.calibration import false_alarm
+from sim_heating.closure.candidates import SENSOR_EFFECT
+from sim_heating.closure.evidence import evidence
+from sim_heating.closure.report import Closure, Estimated, Named, Tried, errors_of, fill_closure
+from sim_heating.closure.residual import residual_heating
+from sim_heating.closure.sanity import verdicts
+from sim_heating.closure.search import WIDENED, Attempt, Search, clock_of, fitted_uses, search
+from sim_heating.conditions import RATIO_VARIABLES
+from sim_heating.estimation.estimate import Fitted, estimate
+from sim_heating.estimation.report import noise_floor_K, write_fit
+from sim_heating.files import output_directory
+from sim_heating.parameters import CLOCK_SKEW, EFFECT_PREFIX, SENSOR_PREFIX, Parameter
+from sim_heating.record import Record
+
+Progress = Callable[[float, str], None]
+
+SEARCH_PART = 0.8
+"""Part of the time that the search takes."""
+CLOCK_EFFECT = {CLOCK_SKEW.name: "skew_s"}
+SENSOR_PARAMETERS = {"bias": "bias_K", "gain": "gain"}
+
+
+@dataclass(frozen=True, eq=False)
+class Closed:
+    """A record with its loop closed.
+
+    found : the search;  fitted : the last fit, all of its parameters with bounds;  report : what is told of it
+    """
+
+    found: Search
+    fitted: Fitted
+    report: Closure
+
+
+def close_loop(record: Record, *, progress: Progress = lambda fraction, text: None) -> Closed:
+    """Find what a record's declared model lacks, add it, refit.
+
+    raises : InputError, RunError where not even the declared model can be fitted
+    """
+    found = search(record, progress=lambda f, text: progress(SEARCH_PART * f, text))
+    progress(SEARCH_PART, "refitting with what was found")
+    fitted = refitted(found) if found.added else found.before
+    progress(0.9, "residual as heating")
+    return Closed(found, fitted, _report(found, fitted))
+
+
+def refitted(found: Search) -> Fitted:
+    """The record fitted with the declared model's parameters and all that was added, to the end and with bounds."""
+    last = found.added[-1]
+    names = tuple(last.problem.parts[0].names)
+    reference = dict(zip(RATIO_VARIABLES, last.problem.reference, strict=True))
+    priors = {p.name: replace(p, sigma=WIDENED * p.sigma) for p in _effect_parameters(last)}
+    priors |= {p.name: p for p in last.problem.parameters if p.name == CLOCK_SKEW.name}
+    return estimate([found.record], names, reference=reference, effects=fitted_uses(last), priors=priors)
+
+
+def _effect_parameters(attempt: Attempt) -> list[Parameter]:
+    """The estimated parameters of effects, each with the value found as where it starts."""
+    part = attempt.problem.parts[0]
+    definitions = [(n, part.model.definition(n)) for n in part.marched if n.startswith(EFFECT_PREFIX)]
+    return [replace(p, name=n) for n, p in definitions]
+
+
+def _report(found: Search, fitted: Fitted) -> Closure:
+    first = found.rounds[0]
+    before, values = found.before, found.before.fit.values
+    residual = residual_heating(before.problem, values)
+    after = fitted.after[0] if found.added else before.after[0]
+    left = residual_heating(fitted.problem, fitted.fit.values) if found.added else None
+    estimated = {
+        u.label: Estimated(float(v), float(s), u.parameter.unit)
+        for u, v, s in zip(fitted.problem.unknowns, fitted.fit.values, fitted.bounds.sigma, strict=True)
+    }
+    return Closure(
+        record=found.record,
+        predicted=before.before[0],
+        before=before.after[0],
+        after=after,
+        noise_floor_K=noise_floor_K(fitted) or float("nan"),
+        reference=before.problem.reference,
+        effects=_named(found, estimated),
+        candidates=_tried(found),
+        parameters=estimated,
+        residual=residual,
+        residual_after=left,
+        evidence=evidence(residual),
+        verdicts=verdicts(found.record, before, residual),
+        false_alarm=false_alarm(),
+        warnings=fitted.warnings,
+    )
+
+
+def _named(found: Search, estimated: Mapping[str, Estimated]) -> list[Named]:
+    if not found.added:
+        name = found.names[0]
+        posterior = found.rounds[0].posterior["none"]
+        return [Named(name, posterior if name == "none" else 1.0 - posterior, {})]
+    return [
+        Named(a.name, one.posterior[a.name], own_parameters(a, estimated))
+        for a, one in zip(found.added, found.rounds, strict=False)
+    ]
+
+
+def own_parameters(attempt: Attempt, estimated: Mapping[str, Estimated]) -> dict[str, Estimated]:
+    """The parameters of an effect by their names within it."""
+    own = {}
+    for name in attempt.candidate.names:
+        if name.startswith(SENSOR_PREFIX):
+            short = SENSOR_PARAMETERS[name.rpartition(".")[2]]
+        else:
+            short = CLOCK_EFFECT.get(name, name.rpartition(".")[2])
+        if name in estimated:
+            own[short] = estimated[name]
+    return own
+
+
+def _tried(found: Search) -> list[Tried]:
+    """The candidates of the first pass; those not worth a fit with what was promised of them, and errors as before."""
+    first = found.rounds[0]
+    before = errors_of(found.before.after[0])
+    rows = [("none", 0.0, before)]
+    rows += [(a.name, a.delta_bic, errors_of(a.prediction)) for a in first.attempts]
+    rows += [(name, delta, before) for name, delta in first.passed.items()]
+    return [
+        Tried(name, delta, e["fit"]["rmse_K"], e["holdout"]["rmse_K"] if e["holdout"] else None)
+        for name, delta, e in rows
+    ]
+
+
+def write_closed(closed: Closed, out: Path) -> list[str]:
+    """Write closure.json, report.html, residual_heating.csv and the last fit's estimate.json with its files into a
+    folder, all or nothing; names of the files."""
+    with output_directory(out) as folder:
+        fill_closure(closed.report, folder)
+        write_fit(closed.fitted, folder)
+        return sorted(p.name for p in folder.iterdir() if p.is_file())
