@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from sim_heating.closure.calibration import false_alarm
-from sim_heating.closure.candidates import SENSOR_EFFECT
 from sim_heating.closure.evidence import evidence
 from sim_heating.closure.report import Closure, Estimated, Named, Tried, errors_of, fill_closure
 from sim_heating.closure.residual import residual_heating
 from sim_heating.closure.sanity import verdicts
-from sim_heating.closure.search import WIDENED, Attempt, Search, clock_of, fitted_uses, search
+from sim_heating.closure.search import WIDENED, Attempt, Search, fitted_uses, search
 from sim_heating.conditions import RATIO_VARIABLES
 from sim_heating.estimation.estimate import Fitted, estimate
 from sim_heating.estimation.report import noise_floor_K, write_fit
@@ -72,7 +69,6 @@ def _effect_parameters(attempt: Attempt) -> list[Parameter]:
 
 
 def _report(found: Search, fitted: Fitted) -> Closure:
-    first = found.rounds[0]
     before, values = found.before, found.before.fit.values
     residual = residual_heating(before.problem, values)
     after = fitted.after[0] if found.added else before.after[0]

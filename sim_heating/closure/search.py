@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.closure.candidates import Candidate, candidates
+from sim_heating.closure.thinning import thinned
 from sim_heating.effects import EffectUse, effects
 from sim_heating.effects.chain import compiled_chain
 from sim_heating.estimation.estimate import Fitted, estimate, misfit, predict_at
@@ -133,7 +134,7 @@ def search(record: Record, *, progress: Progress = lambda fraction, text: None) 
     progress(0.02, "declared model")
     compiled_chain(tuple(e for e in effects().values() if e.kernel))
     before = estimate([record])
-    base = _base(record, before)
+    base = _base(before)
     rounds: list[Round] = []
     added: list[Attempt] = []
     while len(added) < MOST_EFFECTS:
@@ -142,7 +143,7 @@ def search(record: Record, *, progress: Progress = lambda fraction, text: None) 
         def tell(fraction: float, text: str, begin: float = begin) -> None:
             progress(begin + 0.9 * fraction / MOST_EFFECTS, f"effect {len(added) + 1}: {text}")
 
-        found = one_round(record, base, [a.name for a in added], tell)
+        found = one_round(base, [a.name for a in added], tell)
         rounds.append(found)
         best = found.attempts[0] if found.attempts else None
         if best is None or best.weighed > -GAIN:
@@ -157,21 +158,28 @@ def search(record: Record, *, progress: Progress = lambda fraction, text: None) 
 # The model that candidates are added to ------------------------------------------------------------------------------
 
 
-def _base(record: Record, before: Fitted) -> Attempt:
-    """The declared model with its magnitude and derivatives, and a clock that may be a little off."""
-    names = tuple(u.parameter.name for u in before.problem.unknowns)
-    start = dict(zip(names, before.fit.values, strict=True))
-    interval = float(np.median(np.diff(record.time_s)))
+def _base(before: Fitted) -> Attempt:
+    """The declared model with its magnitude and derivatives, and a clock that may be a little off.
+
+    It is marched along no more of the conditions than needed; what that and the mesh change is taken out.
+    """
+    whole = before.problem.parts[0]
+    start = {**dict(zip(whole.names, before.fit.values, strict=True)), CLOCK_SKEW.name: 0.0}
+    interval = float(np.median(np.diff(whole.record.time_s)))
     off = min(AGREEMENT * interval, SKEW_SPAN_S)
-    clock = replace(CLOCK_SKEW, lower=-off, upper=off)
-    problem = Problem(
-        [record], (*names, CLOCK_SKEW.name), before.problem.reference, priors={CLOCK_SKEW.name: clock}, widened=WIDENED
+    clock = {CLOCK_SKEW.name: replace(CLOCK_SKEW, lower=-off, upper=off)}
+    names, reference = (*whole.names, CLOCK_SKEW.name), before.problem.reference
+    full, problem = (
+        Problem([record], names, reference, priors=clock, widened=WIDENED)
+        for record in (whole.record, thinned(whole.record))
     )
-    problem.parts[0].sigma_K.update(before.problem.parts[0].sigma_K)
-    fit = fitted([problem], [_first(problem, start)])[0]
-    problem.correct_meshes(fit.values)
-    fit = fitted([problem], [fit.values])[0]
-    return Attempt("none", Candidate("none", (), (), {}), problem, fit, 0.0)
+    for one in (full, problem):
+        one.parts[0].sigma_K.update(whole.sigma_K)
+    at = _first(full, start)
+    full.correct_meshes(at)
+    exact, quick = (p.parts[0].corrected(p.marched(at)[0]).temperature_K for p in (full, problem))
+    problem.parts[0].correction_K = exact - quick
+    return Attempt("none", Candidate("none", (), (), {}), problem, fitted([problem], [at])[0], 0.0)
 
 
 def _on_top(base: Attempt, candidate: Candidate) -> Problem:
@@ -205,9 +213,10 @@ def fitted_uses(attempt: Attempt) -> tuple[EffectUse, ...]:
 # One pass over the candidates ----------------------------------------------------------------------------------------
 
 
-def one_round(record: Record, base: Attempt, taken: Sequence[str], progress: Progress) -> Round:
+def one_round(base: Attempt, taken: Sequence[str], progress: Progress) -> Round:
     """Weigh every candidate on top of a model, fit the promising ones, keep the best attempt of each effect."""
     progress(0.0, "weighing candidates")
+    record = base.problem.parts[0].record
     tried = candidates(record, conditions_of_record(record), taken)
     gains = promises(base, tried)
     chosen = _promising(tried, gains, samples(base.problem))

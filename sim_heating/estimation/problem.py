@@ -341,6 +341,18 @@ class Problem:
             self._last[k] = (vector.tobytes(), found)
         return found
 
+    def marched(self, vector: FloatArray) -> list[Linearised]:
+        """Each part marched at a parameter vector, without what is known of the errors of its mesh.
+
+        raises : RunError where a march failed
+        """
+        found = {
+            id(p): f
+            for k, group in enumerate(self.groups)
+            for p, f in zip(group, self._marched(k, vector), strict=True)
+        }
+        return [found[id(part)] for part in self.parts]
+
     def keep(self, vector: FloatArray, marched: Mapping[int, Linearised]) -> None:
         """Take what the parts (by their numbers) gave at a parameter vector where they were marched elsewhere: the next
         evaluation there marches nothing."""
