@@ -44,24 +44,27 @@ class Candidate:
 
 
 def candidates(record: Record, flown: Conditions, taken: Sequence[str] = ()) -> list[Candidate]:
-    """All candidates for a record, without the effects that are in the model already."""
+    """All candidates for a record, without the effects that are in the model already.
+
+    flown : its conditions over the samples that are fitted
+    """
     lag_taken = any(effects()[name].lags for name in taken if name in effects())
     found = []
     for name, effect in effects().items():
-        if name not in taken and not (effect.lags and lag_taken) and _moves(name, record, flown):
+        if name not in taken and not (effect.lags and lag_taken) and _moves(name, flown):
             found += _of_effect(effect, record, flown)
     if SENSOR_EFFECT not in taken:
         found += _of_sensors(record)
     return found
 
 
-def _moves(name: str, record: Record, flown: Conditions) -> bool:
+def _moves(name: str, flown: Conditions) -> bool:
     variable = NEEDS.get(name)
     if variable is None:
         return True
     if variable not in flown:
         return False
-    return bool(np.std(flown[variable][record.fit_mask(flown.time_s)]) > STILL.get(variable, 1e-3))
+    return bool(np.std(flown[variable]) > STILL.get(variable, 1e-3))
 
 
 def _of_effect(effect: Effect, record: Record, flown: Conditions) -> list[Candidate]:
@@ -80,7 +83,10 @@ def _places(effect: Effect, name: str) -> tuple[str, ...]:
 
 
 def _of_try(effect: Effect, one: Try) -> Candidate:
-    used = use(effect.name, one.start)
+    limits = {p.name: (p.lower, p.upper) for p in effect.parameters}
+    used = use(
+        effect.name, {name: min(max(value, limits[name][0]), limits[name][1]) for name, value in one.start.items()}
+    )
     values = dict(zip((p.name for p in effect.parameters), used.values, strict=True))
     first = {f"{EFFECT_PREFIX}{effect.name}.{p}": values[p] for p in one.names}
     return Candidate(effect.name, (used,), tuple(first), first)

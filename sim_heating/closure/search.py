@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.closure.candidates import Candidate, candidates
-from sim_heating.closure.thinning import thinned
+from sim_heating.closure.thinning import LONGEST_S, thinned
 from sim_heating.effects import EffectUse, effects
 from sim_heating.effects.chain import compiled_chain
 from sim_heating.estimation.estimate import Fitted, estimate, misfit, predict_at
@@ -49,6 +49,8 @@ AGREEMENT = 0.25
 """Part of their sample interval to which two recorders' clocks are taken to agree unless shown otherwise."""
 WIDENED = 3.0
 """Priors of effects' parameters are this much wider in the search: enough to keep a first step within reason."""
+NODES_PART, FEWEST_NODES = 0.5, 14
+"""Nodes that a search marches, over those of a fit; and how many it has at least."""
 STARTS_FITTED = 2
 """Starts of a set of parameters that are fitted, the most promising ones."""
 NEAR = 0.5
@@ -169,16 +171,15 @@ def _base(before: Fitted) -> Attempt:
     off = min(AGREEMENT * interval, SKEW_SPAN_S)
     clock = {CLOCK_SKEW.name: replace(CLOCK_SKEW, lower=-off, upper=off)}
     names, reference = (*whole.names, CLOCK_SKEW.name), before.problem.reference
-    full, problem = (
-        Problem([record], names, reference, priors=clock, widened=WIDENED)
-        for record in (whole.record, thinned(whole.record))
-    )
+    full = Problem([whole.record], names, reference, priors=clock, widened=WIDENED)
+    quick = thinned(whole.record, max(int(NODES_PART * whole.mesh.nodes), FEWEST_NODES))
+    problem = Problem([quick], names, reference, priors=clock, widened=WIDENED, longest_step_s=LONGEST_S)
     for one in (full, problem):
         one.parts[0].sigma_K.update(whole.sigma_K)
     at = _first(full, start)
     full.correct_meshes(at)
-    exact, quick = (p.parts[0].corrected(p.marched(at)[0]).temperature_K for p in (full, problem))
-    problem.parts[0].correction_K = exact - quick
+    exact, coarse = (p.parts[0].corrected(p.marched(at)[0]).temperature_K for p in (full, problem))
+    problem.parts[0].correction_K = exact - coarse
     return Attempt("none", Candidate("none", (), (), {}), problem, fitted([problem], [at])[0], 0.0)
 
 
@@ -190,7 +191,9 @@ def _on_top(base: Attempt, candidate: Candidate) -> Problem:
     if CLOCK_SKEW.name in candidate.names:
         priors[CLOCK_SKEW.name] = replace(CLOCK_SKEW, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)
     uses = (*fitted_uses(base), *candidate.uses)
-    problem = Problem([part.record], names, model.reference, effects=uses, priors=priors, widened=WIDENED)
+    problem = Problem(
+        [part.record], names, model.reference, effects=uses, priors=priors, widened=WIDENED, longest_step_s=LONGEST_S
+    )
     problem.parts[0].sigma_K.update(part.sigma_K)
     problem.parts[0].correction_K = part.correction_K
     return problem
@@ -217,7 +220,8 @@ def one_round(base: Attempt, taken: Sequence[str], progress: Progress) -> Round:
     """Weigh every candidate on top of a model, fit the promising ones, keep the best attempt of each effect."""
     progress(0.0, "weighing candidates")
     record = base.problem.parts[0].record
-    tried = candidates(record, conditions_of_record(record), taken)
+    flown = conditions_of_record(record)
+    tried = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), taken)
     gains = promises(base, tried)
     chosen = _promising(tried, gains, samples(base.problem))
     problems, start = [_on_top(base, tried[i]) for i in chosen], values_of(base)
@@ -266,7 +270,9 @@ def promises(base: Attempt, tried: Sequence[Candidate]) -> list[float]:
     for one in tried:
         names = tuple(dict.fromkeys((*part.other, *one.names)))
         uses = (*fitted_uses(base), *one.uses)
-        problem = Problem([part.record], names, base.problem.reference, effects=uses, fixed=fixed)
+        problem = Problem(
+            [part.record], names, base.problem.reference, effects=uses, fixed=fixed, longest_step_s=LONGEST_S
+        )
         problem.parts[0].sigma_K.update(part.sigma_K)
         problem.parts[0].correction_K = part.correction_K
         problems.append(problem)

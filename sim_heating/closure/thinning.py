@@ -1,4 +1,5 @@
-"""A record with no more condition samples than a search needs: those between which conditions are as good as linear."""
+"""A record as a search marches it: with no more samples of its conditions than those between which they are as good as
+linear, and on half the nodes. What that changes is taken out where the search begins (search.py)."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ from sim_heating.record import Record
 
 FloatArray = NDArray[np.float64]
 
-LONGEST_S = 1.0
+LONGEST_S = 2.0
 """Longest step between the samples that are kept [s]."""
 TOLERANCES = {
     "alpha_deg": 0.1, "beta_deg": 0.1, "log10_re": 0.01, "elevon_deg": 0.2, "bodyflap_deg": 0.2, "jets": 0.02,
@@ -23,13 +24,12 @@ HEATING = 0.002
 """And the heating of a cold wall, over the greatest of the flight."""
 
 
-def thinned(record: Record) -> Record:
-    """The record with fewer samples of its conditions; itself where they are no closer than LONGEST_S."""
+def thinned(record: Record, nodes: int) -> Record:
+    """The record with fewer samples of its conditions, and `nodes` nodes where it needs no more for its sensors."""
     flown = conditions_of_record(record)
-    kept = kept_samples(flown)
-    if len(kept) == len(flown.time_s):
-        return record
-    return replace(record, conditions=record.conditions.at(flown.time_s[kept]))
+    stack = record.declared.stack.model_copy(update={"nodes": nodes})
+    declared = record.declared.model_copy(update={"stack": stack})
+    return replace(record, declared=declared, conditions=record.conditions.at(flown.time_s[kept_samples(flown)]))
 
 
 def kept_samples(flown: Conditions) -> NDArray[np.int64]:

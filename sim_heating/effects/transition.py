@@ -26,11 +26,11 @@ def transition_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
 def tries(flown: Conditions) -> Sequence[Try]:
     """Onsets spread over the Reynolds numbers that the flight passes through, still laminar behind them."""
     names = ("log10_re_onset", "alpha_sens", "width", "factor")
-    onsets = np.quantile(flown["log10_re"], np.linspace(0.1, 0.98, 12))
+    onsets = np.quantile(flown["log10_re"], np.linspace(0.05, 0.98, 14))
     return [
         Try(names, {"log10_re_onset": float(x), "alpha_sens": 0.01, "width": width, "factor": 1.0})
         for x in onsets
-        for width in (0.03, 0.15)
+        for width in (0.02, 0.1)
     ]
 
 

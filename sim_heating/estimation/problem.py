@@ -178,6 +178,7 @@ class Problem:
     priors    : dotted name -> Parameter with another prior or other bounds
     starts    : where the march of each record begins, how that is made, or None
     widened   : by how much priors are wider than is known of the parameters; infinite for flat ones
+    longest_step_s : no step of the march is longer [s]
     chosen    : (sample,) of each record, which of its samples are fitted; by default those of the fit segments
     raises    : InputError where nothing is left to fit, or a parameter is none of the model
     """
@@ -194,11 +195,12 @@ class Problem:
         starts: Sequence[Start | StartMaker | None] | None = None,
         chosen: Sequence[NDArray[np.bool_]] | None = None,
         widened: float = 1.0,
+        longest_step_s: float = LONGEST_STEP_S,
     ) -> None:
-        self.reference, self.widened = reference, widened
+        self.reference, self.widened, self.longest_step_s = reference, widened, longest_step_s
         self.priors = dict(priors or {})
         models = [replace(point_of_record(r, fixed, effects), reference=reference) for r in records]
-        meshes = [mesh for mesh, _ in choose_meshes(models, LONGEST_STEP_S)]
+        meshes = [mesh for mesh, _ in choose_meshes(models, longest_step_s)]
         begin = list(starts) if starts is not None else [None] * len(records)
         self.parts = [
             self._part(record, model, mesh, start(record, model, mesh) if callable(start) else start, names)
@@ -276,7 +278,7 @@ class Problem:
         part.sample_s = t[read]
         part.channels = channels(record, part.sample_s, read)
         part.sigma_K = {c.number: max(c.sensor.noise_sigma_K or 1.0, least_sigma_K(c.sensor)) for c in part.channels}
-        part.time_s = march_times(part.conditions, begin, float(part.sample_s[-1]) + slack)
+        part.time_s = march_times(part.conditions, begin, float(part.sample_s[-1]) + slack, self.longest_step_s)
 
     def _group(self) -> None:
         self.groups = side_by_side(self.parts)
@@ -454,13 +456,15 @@ def set_out(
     return [part.shift_s(v) for part, v in of_parts], [part.initial_K(v) for part, v in of_parts]
 
 
-def march_times(conditions: Conditions, begin_s: float, end_s: float) -> FloatArray:
-    """Steps from begin_s to the first sample of the conditions at or after end_s, none longer than LONGEST_STEP_S."""
+def march_times(
+    conditions: Conditions, begin_s: float, end_s: float, longest_step_s: float = LONGEST_STEP_S
+) -> FloatArray:
+    """Steps from begin_s to the first sample of the conditions at or after end_s, none longer than longest_step_s."""
     flown = conditions.time_s
     last = min(int(np.searchsorted(flown, end_s)), len(flown) - 1)
     knots = np.union1d(flown[(flown >= begin_s) & (flown <= flown[last])], [begin_s])
     span = np.diff(knots)
-    pieces = np.ceil(span / LONGEST_STEP_S - 1e-9).astype(int)
+    pieces = np.ceil(span / longest_step_s - 1e-9).astype(int)
     first = np.repeat(np.cumsum(pieces) - pieces, pieces)
     within = (np.arange(pieces.sum()) - first) * np.repeat(span / pieces, pieces)
     return np.append(np.repeat(knots[:-1], pieces) + within, knots[-1])

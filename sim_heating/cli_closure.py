@@ -1,0 +1,80 @@
+"""The command `sim-heating close-loop`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.table import Table
+
+from sim_heating.console import CONSOLE, ERRORS, OUT, PATH, progress_line, tell_files
+from sim_heating.errors import RunError
+
+
+@click.command("close-loop")
+@click.argument("records", type=PATH, nargs=-1, required=True)
+@OUT
+@click.option("--scheduler", metavar="ADDRESS", help="a Dask scheduler, as tcp://host:8786; default: local processes")
+@click.option("--workers", type=click.IntRange(1), help="number of local processes; default: one a core")
+def close_loop(records: tuple[Path, ...], out: Path, scheduler: str | None, workers: int | None) -> None:
+    """Find what the declared model of flight RECORDS lacks, add it, and report the error before and after.
+
+    RECORDS are directories of flight records, or directories that hold such; several are each treated by itself.
+    """
+    from sim_heating.closure.batch import close_all, records_in, row_of
+    from sim_heating.closure.close import close_loop as close_one
+    from sim_heating.closure.close import write_closed
+    from sim_heating.record import load_record
+
+    found = records_in(records)
+    if len(found) == 1:
+        loaded = load_record(found[0])
+        with progress_line(loaded.name) as progress:
+            closed = close_one(loaded, progress=progress)
+            names = write_closed(closed, out)
+        CONSOLE.print(_shown([row_of(closed.report)]))
+        _tell(closed.report)
+        tell_files(out, names)
+        return
+    with progress_line("close-loop") as progress:
+        rows = close_all(found, out, scheduler=scheduler, workers=workers, progress=progress)
+    CONSOLE.print(_shown(rows))
+    CONSOLE.print(f"Wrote {out}: summary.json, summary.csv, and a folder for each record", highlight=False)
+    failed = [row for row in rows if "failed" in row]
+    for row in failed:
+        ERRORS.print(f"{row['record']}: {row['failed']}", markup=False)
+    if failed:
+        raise RunError(f"{len(failed)} of {len(rows)} records failed; the others are done and kept")
+
+
+def _shown(rows: list[dict[str, Any]]) -> Table:
+    table = Table(title="What the declared models lack", title_justify="left")
+    heads = ("record", "found", "posterior", "before, fit", "after, fit", "before, held out", "after, held out", "noise floor")  # fmt: skip
+    for head in heads:
+        table.add_column(head, justify="left" if head in heads[:2] else "right")
+    errors = [f"{when}_{what}_rmse_K" for what in ("fit", "holdout") for when in ("before", "after")]
+    for row in rows:
+        if "failed" in row:
+            table.add_row(row["record"], "[red]failed[/red]")
+            continue
+        cells = ["-" if row[key] is None else f"{row[key]:.2f} K" for key in (*errors, "noise_floor_K")]
+        table.add_row(row["record"], " + ".join(row["effects"]), f"{row['posterior']:.3f}", *cells)
+    return table
+
+
+def _tell(report: Any) -> None:
+    """What a person should know beside the table."""
+    for effect in report.effects:
+        told = ", ".join(
+            f"{n} {p.value:.4g} +- {p.sigma:.2g} {p.unit if p.unit != '1' else ''}".rstrip()
+            for n, p in effect.parameters.items()
+        )
+        if told:
+            CONSOLE.print(f"{effect.name}: {told}", highlight=False)
+    if report.effects[0].name == "unknown":
+        for line in report.evidence.proposal():
+            CONSOLE.print(line, highlight=False)
+    for line in (*(v.words for v in report.verdicts), *report.warnings):
+        CONSOLE.print(line, highlight=False)
+    CONSOLE.print(f"Calibration: {report.false_alarm}", highlight=False)

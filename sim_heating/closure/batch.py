@@ -1,0 +1,127 @@
+"""close-loop over many records: each by itself, on as many processes as there are, and a summary of all."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim_heating.batches import Job, run_batches
+from sim_heating.effects import effects
+from sim_heating.errors import InputError
+from sim_heating.estimation.result import inputs_hash
+from sim_heating.files import write_csv, write_json
+from sim_heating.record import DECLARATION, load_record
+from sim_heating.results import package_version
+
+Progress = Callable[[float, str], None]
+
+LEDGER = "finished"
+"""Folder of what is finished, below the results."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One record and the folder of its results; picklable."""
+
+    record: str
+    out: str
+
+
+def records_in(paths: Sequence[Path]) -> list[Path]:
+    """Records among paths: a record's directory itself, or all below a directory that holds records.
+
+    raises : InputError where there is none, or two have one name
+    """
+    found: list[Path] = []
+    for path in paths:
+        if path.is_dir() and not (path / DECLARATION).is_file():
+            below = sorted(p.parent for p in path.glob(f"*/{DECLARATION}"))
+            if not below:
+                raise InputError(f"{path}: holds neither {DECLARATION} nor directories that do; give flight records")
+            found += below
+        else:
+            found.append(path)
+    names = [p.resolve().name for p in found]
+    if len(set(names)) < len(names):
+        raise InputError(f"records: two of them are named {max(set(names), key=names.count)}; rename one")
+    return found
+
+
+def close_all(
+    records: Sequence[Path],
+    out: Path,
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: Progress = lambda fraction, text: None,
+) -> list[dict[str, Any]]:
+    """Close the loop on every record into DIR/<record>; a row of the summary for each, in their order.
+
+    A record whose inputs and program are as when it was finished is not done again. One that fails leaves its reason in
+    its row, and the others go on. Writes summary.json and summary.csv.
+
+    raises : InputError where the scheduler cannot be used
+    """
+    jobs = [_job(path, out / path.resolve().name) for path in records]
+    ended = run_batches(jobs, _one, out / LEDGER, scheduler=scheduler, workers=workers, progress=progress)
+    rows = []
+    for path, job in zip(records, jobs, strict=True):
+        if job.id in ended.done:
+            rows.append(json.loads(ended.done[job.id].read_text(encoding="utf-8")))
+        else:
+            rows.append({"record": path.resolve().name, "failed": ended.failed[job.id]})
+    write_json(out / "summary.json", {"format": "closure-summary/1", "records": rows})
+    _write_table(out / "summary.csv", rows)
+    return rows
+
+
+def _job(record: Path, out: Path) -> Job:
+    """A record's job, named by all that its result depends on."""
+    loaded_hash = inputs_hash(load_record(record)) if (record / DECLARATION).is_file() else "unreadable"
+    known = "|".join([loaded_hash, package_version(), *sorted(effects())])
+    digest = hashlib.sha256(known.encode()).hexdigest()[:12]
+    return Job(f"{record.resolve().name}-{digest}.json", Task(str(record), str(out)))
+
+
+def _one(task: Task) -> bytes:
+    """Close the loop on one record and write its folder; its row of the summary."""
+    from sim_heating.closure.close import close_loop, write_closed
+
+    closed = close_loop(load_record(task.record))
+    write_closed(closed, Path(task.out))
+    return json.dumps(row_of(closed.report)).encode()
+
+
+def row_of(report: Any) -> dict[str, Any]:
+    """A closure as a row of the summary."""
+    from sim_heating.closure.report import errors_of
+
+    row: dict[str, Any] = {
+        "record": report.record.name,
+        "control_point": report.record.declared.control_point,
+        "effects": [e.name for e in report.effects],
+        "posterior": report.effects[0].posterior,
+        "noise_floor_K": report.noise_floor_K,
+        "verdicts": [v.words for v in report.verdicts],
+    }
+    for name, prediction in (("predicted", report.predicted), ("before", report.before), ("after", report.after)):
+        for what, errors in errors_of(prediction).items():
+            row[f"{name}_{what}_rmse_K"] = None if errors is None else errors["rmse_K"]
+    return row
+
+
+NUMBERS = ("posterior", "noise_floor_K", "before_fit_rmse_K", "after_fit_rmse_K", "before_holdout_rmse_K", "after_holdout_rmse_K")  # fmt: skip
+
+
+def _write_table(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    columns: dict[str, Any] = {"record": [row["record"] for row in rows]}
+    columns["effects"] = ["+".join(row["effects"]) if "effects" in row else "failed" for row in rows]
+    for name in NUMBERS:
+        columns[name] = np.array([np.nan if row.get(name) is None else row[name] for row in rows])
+    write_csv(path, columns)
