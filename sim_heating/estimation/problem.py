@@ -22,7 +22,7 @@ from sim_heating.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.effects import Effect, EffectUse
 from sim_heating.ensemble import PointModel, condition_history, initial_temperatures
 from sim_heating.errors import InputError, RunError
-from sim_heating.estimation.likelihood import log_likelihood, scores
+from sim_heating.estimation.likelihood import scores
 from sim_heating.estimation.newton import Evaluation
 from sim_heating.estimation.noise import estimate_noise
 from sim_heating.estimation.observation import Channel, channels, definition, indicated, least_sigma_K
@@ -281,6 +281,7 @@ class Problem:
     def _group(self) -> None:
         self.groups = side_by_side(self.parts)
         self._marches: list[LinearMarch | None] = [None] * len(self.groups)
+        self._bare: list[LinearMarch | None] = [None] * len(self.parts)
         self._last: list[tuple[bytes | None, Sequence[Linearised]]] = [(None, [])] * len(self.groups)
 
     # Likelihood ------------------------------------------------------------------------------------------------------
@@ -362,21 +363,32 @@ class Problem:
 
     def _several(self, vectors: FloatArray) -> FloatArray:
         def one(k: int) -> FloatArray:
-            part = self.parts[k]
-            tracks = [replace(part.track(v, sensitive=False), model=part.altered(v)) for v in vectors]
-            march = LinearMarch(tracks, part.time_s, condition_history(part.conditions.at(part.time_s))[np.newaxis])
-            try:
-                marched = march.march([part.shift_s(v) for v in vectors])
-            except RunError:
-                return np.full(len(vectors), np.nan)
-            total = np.zeros(len(vectors))
-            for i, (v, found) in enumerate(zip(vectors, marched, strict=True)):
-                for c in part.channels:
-                    mean, _ = indicated(c, part.corrected(found), (), part.values(v), 0)
-                    total[i] += np.sum(log_likelihood(c.observed, mean, part.sigma_K[c.number]))
-            return total
+            part, march = self.parts[k], self._bare_march(k)
+            padded = [*vectors, *[vectors[-1]] * (LANES - len(vectors))]
+            marched = march.attempt(*set_out(march, [part] * LANES, padded))
+            return np.array([self._log_likelihood(part, v, m) for v, m in zip(vectors, marched, strict=False)])
 
         return np.asarray(np.sum(in_threads(one, len(self.parts)), axis=0))
+
+    def _bare_march(self, k: int) -> LinearMarch:
+        """A march of a part LANES times, without sensitivities."""
+        march = self._bare[k]
+        if march is None:
+            part = self.parts[k]
+            history = condition_history(part.conditions.at(part.time_s))[np.newaxis]
+            march = self._bare[k] = LinearMarch([part.track(sensitive=False)] * LANES, part.time_s, history)
+        return march
+
+    @staticmethod
+    def _log_likelihood(part: Part, vector: FloatArray, marched: Linearised | None) -> float:
+        """Log likelihood of the samples of a part; NaN where its march failed."""
+        if marched is None:
+            return np.nan
+        found, values, total = part.corrected(marched), part.values(vector), 0.0
+        for c in part.channels:
+            mean, _ = indicated(c, found, (), values, 0)
+            total += scores(c.observed, mean, part.sigma_K[c.number])[0]
+        return total
 
     # The mesh --------------------------------------------------------------------------------------------------------
 
