@@ -50,12 +50,15 @@ class Start:
     time_s   : time [s]
     profile  : (node,) temperatures [K]
     columns  : (node, k) how they change with k unknowns [K over their units], `unknowns` saying what those are
+    refined  : temperatures [K] on the mesh of twice as many elements, for Problem.correct_meshes; by default those of
+               the profile between its nodes
     """
 
     time_s: float
     profile: FloatArray
     columns: FloatArray
     unknowns: tuple[Parameter, ...] = ()
+    refined: FloatArray | None = None
 
 
 StartMaker = Callable[[Record, PointModel, Mesh], Start]
@@ -153,6 +156,15 @@ class Part:
             return self.start.profile
         at = self.index[len(self.marched) : self.read]
         return self.start.profile + self.start.columns @ vector[at]
+
+    def refined_K(self, vector: FloatArray) -> FloatArray | None:
+        """The same on the refined mesh."""
+        initial, fine = self.initial_K(vector), refined(self.mesh)
+        if initial is None or self.start is None:
+            return None
+        if self.start.refined is None:
+            return on_mesh(initial, self.mesh, fine)
+        return self.start.refined + on_mesh(initial - self.start.profile, self.mesh, fine)
 
     def corrected(self, found: Linearised) -> Linearised:
         """What the march gave, without the error of its mesh."""
@@ -401,15 +413,14 @@ class Problem:
 
         def one(k: int) -> None:
             part = self.parts[k]
-            model, initial = part.altered(vector), part.initial_K(vector)
-            tracks = []
-            for mesh in (part.mesh, refined(part.mesh)):
-                begin = None if initial is None else on_mesh(initial, part.mesh, mesh)
-                tracks.append(Track(model, mesh, (), part.sample_s, initial_K=begin))
+            model, fine = part.altered(vector), refined(part.mesh)
+            tracks = [
+                Track(model, part.mesh, (), part.sample_s, initial_K=part.initial_K(vector)),
+                Track(model, fine, (), part.sample_s, initial_K=part.refined_K(vector)),
+            ]
             history = condition_history(part.conditions.at(part.time_s))[np.newaxis]
             found = LinearMarch(tracks, part.time_s, history).march([part.shift_s(vector)] * len(tracks))
-            coarse, fine = (f.temperature_K for f in found)
-            part.correction_K = 4.0 / 3.0 * (fine - coarse)
+            part.correction_K = 4.0 / 3.0 * (found[1].temperature_K - found[0].temperature_K)
 
         in_threads(one, len(self.parts))
 
