@@ -22,7 +22,7 @@ from sim_heating.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.effects import Effect, EffectUse
 from sim_heating.ensemble import PointModel, condition_history, initial_temperatures
 from sim_heating.errors import InputError, RunError
-from sim_heating.estimation.likelihood import log_likelihood, scores
+from sim_heating.estimation.likelihood import scores
 from sim_heating.estimation.newton import Evaluation
 from sim_heating.estimation.noise import estimate_noise
 from sim_heating.estimation.observation import Channel, channels, definition, indicated, least_sigma_K
@@ -50,12 +50,15 @@ class Start:
     time_s   : time [s]
     profile  : (node,) temperatures [K]
     columns  : (node, k) how they change with k unknowns [K over their units], `unknowns` saying what those are
+    refined  : temperatures [K] on the mesh of twice as many elements, for Problem.correct_meshes; by default those of
+               the profile between its nodes
     """
 
     time_s: float
     profile: FloatArray
     columns: FloatArray
     unknowns: tuple[Parameter, ...] = ()
+    refined: FloatArray | None = None
 
 
 StartMaker = Callable[[Record, PointModel, Mesh], Start]
@@ -153,6 +156,15 @@ class Part:
             return self.start.profile
         at = self.index[len(self.marched) : self.read]
         return self.start.profile + self.start.columns @ vector[at]
+
+    def refined_K(self, vector: FloatArray) -> FloatArray | None:
+        """The same on the refined mesh."""
+        initial, fine = self.initial_K(vector), refined(self.mesh)
+        if initial is None or self.start is None:
+            return None
+        if self.start.refined is None:
+            return on_mesh(initial, self.mesh, fine)
+        return self.start.refined + on_mesh(initial - self.start.profile, self.mesh, fine)
 
     def corrected(self, found: Linearised) -> Linearised:
         """What the march gave, without the error of its mesh."""
@@ -283,6 +295,7 @@ class Problem:
     def _group(self) -> None:
         self.groups = side_by_side(self.parts)
         self._marches: list[LinearMarch | None] = [None] * len(self.groups)
+        self._bare: list[LinearMarch | None] = [None] * len(self.parts)
         self._last: list[tuple[bytes | None, Sequence[Linearised]]] = [(None, [])] * len(self.groups)
 
     # Likelihood ------------------------------------------------------------------------------------------------------
@@ -376,21 +389,32 @@ class Problem:
 
     def _several(self, vectors: FloatArray) -> FloatArray:
         def one(k: int) -> FloatArray:
-            part = self.parts[k]
-            tracks = [replace(part.track(v, sensitive=False), model=part.altered(v)) for v in vectors]
-            march = LinearMarch(tracks, part.time_s, condition_history(part.conditions.at(part.time_s))[np.newaxis])
-            try:
-                marched = march.march([part.shift_s(v) for v in vectors])
-            except RunError:
-                return np.full(len(vectors), np.nan)
-            total = np.zeros(len(vectors))
-            for i, (v, found) in enumerate(zip(vectors, marched, strict=True)):
-                for c in part.channels:
-                    mean, _ = indicated(c, part.corrected(found), (), part.values(v), 0)
-                    total[i] += np.sum(log_likelihood(c.observed, mean, part.sigma_K[c.number]))
-            return total
+            part, march = self.parts[k], self._bare_march(k)
+            padded = [*vectors, *[vectors[-1]] * (LANES - len(vectors))]
+            marched = march.attempt(*set_out(march, [part] * LANES, padded))
+            return np.array([self._log_likelihood(part, v, m) for v, m in zip(vectors, marched, strict=False)])
 
         return np.asarray(np.sum(in_threads(one, len(self.parts)), axis=0))
+
+    def _bare_march(self, k: int) -> LinearMarch:
+        """A march of a part LANES times, without sensitivities."""
+        march = self._bare[k]
+        if march is None:
+            part = self.parts[k]
+            history = condition_history(part.conditions.at(part.time_s))[np.newaxis]
+            march = self._bare[k] = LinearMarch([part.track(sensitive=False)] * LANES, part.time_s, history)
+        return march
+
+    @staticmethod
+    def _log_likelihood(part: Part, vector: FloatArray, marched: Linearised | None) -> float:
+        """Log likelihood of the samples of a part; NaN where its march failed."""
+        if marched is None:
+            return np.nan
+        found, values, total = part.corrected(marched), part.values(vector), 0.0
+        for c in part.channels:
+            mean, _ = indicated(c, found, (), values, 0)
+            total += scores(c.observed, mean, part.sigma_K[c.number])[0]
+        return total
 
     # The mesh --------------------------------------------------------------------------------------------------------
 
@@ -403,15 +427,14 @@ class Problem:
 
         def one(k: int) -> None:
             part = self.parts[k]
-            model, initial = part.altered(vector), part.initial_K(vector)
-            tracks = []
-            for mesh in (part.mesh, refined(part.mesh)):
-                begin = None if initial is None else on_mesh(initial, part.mesh, mesh)
-                tracks.append(Track(model, mesh, (), part.sample_s, initial_K=begin))
+            model, fine = part.altered(vector), refined(part.mesh)
+            tracks = [
+                Track(model, part.mesh, (), part.sample_s, initial_K=part.initial_K(vector)),
+                Track(model, fine, (), part.sample_s, initial_K=part.refined_K(vector)),
+            ]
             history = condition_history(part.conditions.at(part.time_s))[np.newaxis]
             found = LinearMarch(tracks, part.time_s, history).march([part.shift_s(vector)] * len(tracks))
-            coarse, fine = (f.temperature_K for f in found)
-            part.correction_K = 4.0 / 3.0 * (fine - coarse)
+            part.correction_K = 4.0 / 3.0 * (found[1].temperature_K - found[0].temperature_K)
 
         in_threads(one, len(self.parts))
 

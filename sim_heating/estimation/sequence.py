@@ -1,7 +1,8 @@
 """Short segments one after the other: the heating ratio over each, as a trend against what the flight passes through.
 
 Each segment starts at the temperatures where the one before ended, with the uncertainty that its fit left them: the
-covariance of the node temperatures, its largest directions kept, is the prior of as many unknowns of the start.
+covariance of the node temperatures, its largest directions kept, is the prior of as many unknowns of the start. The
+refined mesh that corrects the predictions (Problem.correct_meshes) goes along from segment to segment.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from sim_heating.heating_ratio.kernel import table_ratios_at
 from sim_heating.linear_march import LinearMarch, Track
 from sim_heating.parameters import Parameter
 from sim_heating.record import Record
+from sim_heating.thermal.mesh import refined
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -93,6 +95,9 @@ def trend(
         problem = Problem([record], chosen, joint_reference([record]), starts=[start], chosen=[mask])
         first = np.array([p.value for p in problem.parameters]) if last is None else _carried(problem, *last)
         fit = maximise(problem.evaluate, problem.parameters, first, problem.log_likelihoods)
+        if fit.converged:
+            problem.correct_meshes(fit.values)
+            fit = maximise(problem.evaluate, problem.parameters, fit.values, problem.log_likelihoods)
         if not fit.converged or not np.all(np.isfinite(fit.covariance)):
             left_out.append(f"{begin:g} to {end:g} s: {fit.words()[0]}")
             continue
@@ -134,7 +139,7 @@ def _handed_over(problem: Problem, fit: Fit, time_s: float) -> Start:
         Parameter(f"initial.{k + 1}", "1", 0.0, 1.0, text="along a direction of the temperatures handed over")
         for k in range(kept)
     )
-    return Start(time_s, T, U[:, :kept] * s[:kept], unknowns)
+    return Start(time_s, T, U[:, :kept] * s[:kept], unknowns, refined_at(part, fit.values, time_s))
 
 
 def state_at(part: Part, values: FloatArray, time_s: float) -> tuple[FloatArray, FloatArray]:
@@ -155,6 +160,18 @@ def state_at(part: Part, values: FloatArray, time_s: float) -> tuple[FloatArray,
     )  # fmt: skip
     found = LinearMarch([track], time, condition_history(part.conditions.at(time))[np.newaxis]).march()[0]
     return found.temperature_K[:, 0], found.sensitivity[:, 0]
+
+
+def refined_at(part: Part, values: FloatArray, time_s: float) -> FloatArray:
+    """Temperatures (node,) [K] on the refined mesh of a part at a time [s]."""
+    mesh, initial = refined(part.mesh), part.refined_K(values)
+    begin = part.conditions.time_s[0] if part.start is None else part.start.time_s
+    if time_s <= begin:
+        return initial_temperatures(part.model.construction, mesh) if initial is None else initial
+    time = march_times(part.conditions, begin, time_s)
+    track = Track(part.altered(values), mesh, (), np.array([time_s]), tuple(range(mesh.nodes)), initial)
+    found = LinearMarch([track], time, condition_history(part.conditions.at(time))[np.newaxis]).march()[0]
+    return found.temperature_K[:, 0]
 
 
 def _segment(record: Record, problem: Problem, fit: Fit, begin: float, end: float, count: int) -> Segment:

@@ -6,7 +6,7 @@ all of them that are on common times share lane groups (problem.side_by_side); t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,6 @@ from sim_heating.effects import Effect
 from sim_heating.ensemble import distinct_effects
 from sim_heating.estimation.newton import Evaluation, Fit, Iteration, Settings, iteration
 from sim_heating.estimation.problem import Part, Problem, in_threads, march_of, set_out, side_by_side
-from sim_heating.layout import LANES
 from sim_heating.linear_march import Linearised, LinearMarch
 
 FloatArray = NDArray[np.float64]
@@ -92,29 +91,18 @@ def maximise_together(
     fits: dict[int, Fit] = {}
     together, marched = None, tuple(asked)
     while asked:
-        if together is None or _groups(len(asked)) < _groups(len(marched)) or _broken(marched, fits):
+        if together is None or len(asked) < len(marched):
             marched = tuple(asked)
-            effects = () if together is None else together.effects
-            together = Together([problems[k] for k in marched], effects)
-        found = together.evaluate([asked[k] if k in asked else fits[k].values for k in marched])
+            together = Together([problems[k] for k in marched], () if together is None else together.effects)
+        found = together.evaluate([asked[k] for k in marched])
         for k, evaluation in zip(marched, found, strict=True):
-            if k in asked:
-                answer = _next(searches[k], evaluation, problems[k])
-                if isinstance(answer, Fit):
-                    fits[k] = answer
-                    del asked[k]
-                else:
-                    asked[k] = answer
+            answer = _next(searches[k], evaluation, problems[k])
+            if isinstance(answer, Fit):
+                fits[k] = answer
+                del asked[k]
+            else:
+                asked[k] = answer
     return [fits[k] for k in range(len(problems))]
-
-
-def _groups(count: int) -> int:
-    return -(-count // LANES)
-
-
-def _broken(marched: Iterable[int], fits: Mapping[int, Fit]) -> bool:
-    """Whether a problem that is still marched could not be fitted: such a march takes long."""
-    return any(not fits[k].converged for k in marched if k in fits)
 
 
 def _next(search: Iteration, evaluation: Evaluation, problem: Problem) -> FloatArray | Fit:

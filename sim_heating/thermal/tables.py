@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,8 @@ FloatArray = NDArray[np.float64]
 EDGES_K = BIN_K * np.arange(BINS + 1)
 STRAIGHT = 1e-11
 """A property goes on straight where its change over a bin differs by less than this part of its value."""
+KEPT = 256
+"""Tables that are remembered from one ensemble to the next."""
 ENTHALPY_PRESSURES_PA = np.logspace(0.0, 6.0, 7)
 """Pressures at which the enthalpy of equilibrium air is tabulated."""
 
@@ -85,12 +88,23 @@ class TableStore:
             len(log10_p),
             self.place(("pressures", grid), lambda: log10_p),
             tuple(
-                self.place((id(m), grid), lambda m=m: _material_table(m, log10_p))  # type: ignore[misc]
+                self.place((id(m), grid), lambda m=m: _known_table(m.model_dump_json(), grid))  # type: ignore[misc]
                 for m in (*layers, contact)
             ),
             self.place(("emissivity", str(outer)), lambda: _point_table(outer)),
-            self.place(("enthalpy", wall_enthalpy, grid), lambda: _enthalpy_table(wall_enthalpy, log10_p)),
+            self.place(("enthalpy", wall_enthalpy, grid), lambda: _known_enthalpy(wall_enthalpy, grid)),
         )
+
+
+@lru_cache(KEPT)
+def _known_table(material: str, grid: bytes) -> FloatArray:
+    """The table of a material (its JSON) at pressures (the bytes of their log10)."""
+    return _material_table(Material.model_validate_json(material), np.frombuffer(grid))
+
+
+@lru_cache(KEPT)
+def _known_enthalpy(wall_enthalpy: WallEnthalpy, grid: bytes) -> FloatArray:
+    return _enthalpy_table(wall_enthalpy, np.frombuffer(grid))
 
 
 def _point_table(table: list[list[float]]) -> FloatArray:
