@@ -52,18 +52,17 @@ class Response:
         weights : (step, knot) what is added in each step for one unit at a knot, causal: its columns in order of time
         start   : (node, k) temperatures at the start for one unit of k more unknowns, or None
         """
-        nodes = self.transition.shape[1]
-        first = np.zeros((nodes, 0)) if start is None else start
-        extra, knots = first.shape[1], weights.shape[1]
-        reached = extra + knots - np.argmax(weights[:, ::-1] != 0.0, axis=1)
+        nodes, extra = self.transition.shape[1], 0 if start is None else start.shape[1]
         columns = np.concatenate([np.zeros((len(weights), extra)), weights], axis=1)
-        state, answer = np.zeros((nodes, extra + knots)), np.zeros((len(self.step), extra + knots))
-        state[:, :extra] = first
+        reached = columns.shape[1] - np.argmax(columns[:, ::-1] != 0.0, axis=1)
+        state, answer = np.zeros((nodes + 1, columns.shape[1])), np.zeros((len(self.step), columns.shape[1]))
+        if start is not None:
+            state[:nodes, :extra] = start
         own = np.searchsorted(self.step, np.arange(len(weights) + 1))
-        for k, (F, a) in enumerate(zip(self.transition, reached, strict=True)):
-            here = slice(own[k], own[k + 1])
-            answer[here, :a] = self.rows[here, :nodes] @ state[:, :a] + np.outer(self.rows[here, nodes], columns[k, :a])
-            state[:, :a] = F[:, :nodes] @ state[:, :a] + np.outer(F[:, nodes], columns[k, :a])
+        for k, (F, a) in enumerate(zip(self.transition, np.maximum.accumulate(reached), strict=True)):
+            state[nodes, :a] = columns[k, :a]
+            answer[own[k] : own[k + 1], :a] = self.rows[own[k] : own[k + 1]] @ state[:, :a]
+            state[:nodes, :a] = F @ state[:, :a]
         return answer
 
 

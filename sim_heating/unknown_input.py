@@ -30,7 +30,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, lapack
+from scipy.linalg import block_diag, cho_factor, cho_solve, lapack
 from scipy.optimize import minimize
 
 from sim_heating.ensemble import initial_temperatures
@@ -48,11 +48,13 @@ CORRELATION_S = 30.0
 """The correlation time that the search starts from [s]; it ends between a knot's spacing and the length of the march."""
 SEARCHED = 0.05
 """Log likelihood to which the search goes."""
-MOST_KNOTS = 350
+MOST_KNOTS = 256
 """A march of more steps has a knot for several of them."""
+MOST_COARSE = 100
+"""Knots on which density and correlation time are looked for."""
 ROUNDS = 12
-SETTLED = 0.1
-"""Change of a reading over its noise below which the march is linear enough."""
+CHOSEN, SETTLED = 2.0, 0.2
+"""Change of a reading over its noise below which the noise model stays, and below which the march is linear enough."""
 FREQUENCIES = 40
 
 
@@ -70,6 +72,7 @@ class UnknownInput:
     temperature_K : (time, node) temperatures with the correction at the ends of the steps, the start first
     read_K       : (reading,) what the readings should show with it
     answer       : (reading, knot) how they answer to it
+    slope, weight : (reading,) derivative of their log likelihood against what they should show [1/K], and its own [1/K2]
     information, score : (knot, knot), (knot,) A and b of the readings, start integrated out
     covariance   : (knot, knot) of the correction given all readings
     """
@@ -84,6 +87,8 @@ class UnknownInput:
     temperature_K: FloatArray
     read_K: FloatArray
     answer: FloatArray
+    slope: FloatArray
+    weight: FloatArray
     information: FloatArray
     score: FloatArray
     covariance: FloatArray
@@ -136,16 +141,16 @@ def half_amplitude_Hz(time_s: FloatArray, information: FloatArray, covariance: F
     return float(f[k - 1] * (f[k] / f[k - 1]) ** part)
 
 
-def knots(time_s: FloatArray) -> FloatArray:
-    """Middles of the steps, or of groups of as many steps as keep the knots at MOST_KNOTS."""
+def knots(time_s: FloatArray, most: int) -> FloatArray:
+    """Middles of the steps, or of groups of as many steps as keep the knots at most so many."""
     steps = len(time_s) - 1
-    ends = time_s[np.unique(np.append(np.arange(0, steps, math.ceil(steps / MOST_KNOTS)), steps))]
+    ends = time_s[np.unique(np.append(np.arange(0, steps, math.ceil(steps / most)), steps))]
     return 0.5 * (ends[1:] + ends[:-1])
 
 
 def weights(time_s: FloatArray, at_s: FloatArray) -> FloatArray:
-    """(step, knot) of a correction that is linear between knots, at the middles of the steps."""
-    middle = np.clip(0.5 * (time_s[1:] + time_s[:-1]), at_s[0], at_s[-1])
+    """(time, knot) of a correction that is linear between knots and held before the first and behind the last."""
+    middle = np.clip(time_s, at_s[0], at_s[-1])
     found = np.zeros((len(middle), len(at_s)))
     if len(at_s) == 1:
         return found + 1.0
@@ -188,8 +193,10 @@ class _Inverse:
     """The readings of one point as a function of its start and of what is added to its ratio."""
 
     def __init__(self, track: FilterTrack, time_s: FloatArray, histories: FloatArray) -> None:
-        self.track, self.knots = track, knots(time_s)
-        self.weights = weights(time_s, self.knots)
+        self.track, self.knots = track, knots(time_s, MOST_KNOTS)
+        self.weights = weights(0.5 * (time_s[1:] + time_s[:-1]), self.knots)
+        self.coarse = knots(time_s, MOST_COARSE)
+        self.to_coarse = weights(self.knots, self.coarse)
         self.march = ResponseMarch([track], time_s, histories)
         known = track.initial_K
         self.initial_K = initial_temperatures(track.model.construction, track.mesh) if known is None else known
@@ -205,18 +212,19 @@ class _Inverse:
 
     def solved(self, given: Disturbance | None) -> UnknownInput:
         here = first = self.at(np.zeros(self.extra + len(self.knots)))
-        chosen, without = given, 0.0
+        chosen, without, change = given, 0.0, math.inf
         for _ in range(ROUNDS):
             G = here.response.matrix(self.weights, self.start)
             A = G.T @ (here.scored.information[:, np.newaxis] * G)
             b = G.T @ here.scored.score + A @ here.u
             if here is first:
                 without = self._log_marginal(here, A, b, None)
-            if given is None:
+            if given is None and change > CHOSEN:
                 chosen = self._likeliest(A, b, chosen)
             assert chosen is not None
             step = self._mean(A, b, chosen) - here.u
-            if np.max(np.abs(G @ step) / self._noise_K) < SETTLED:
+            change = float(np.max(np.abs(G @ step) / self._noise_K))
+            if change < SETTLED:
                 break
             here = self._advanced(here, step, chosen)
         return self._result(here, G, A, b, chosen, without)
@@ -228,7 +236,7 @@ class _Inverse:
 
     def _advanced(self, here: _Point, step: FloatArray, chosen: Disturbance) -> _Point:
         """The march after as much of a step as raises likelihood times prior."""
-        Q, _ = self._prior(chosen)
+        Q, _ = self._prior(self.knots, chosen)
 
         def value(p: _Point) -> float:
             return p.log_likelihood - 0.5 * float(p.u @ Q @ p.u)
@@ -245,25 +253,27 @@ class _Inverse:
             share *= 0.5
         return there
 
-    def _prior(self, chosen: Disturbance) -> tuple[FloatArray, float]:
+    def _prior(self, at_s: FloatArray, chosen: Disturbance) -> tuple[FloatArray, float]:
         """Precision of start and knots and the logarithm of its determinant."""
-        own, log_det = precision(self.knots, chosen)
-        Q = np.eye(self.extra + len(self.knots))
+        own, log_det = precision(at_s, chosen)
+        Q = np.eye(self.extra + len(at_s))
         Q[self.extra :, self.extra :] = own
         return Q, log_det
 
     def _mean(self, A: FloatArray, b: FloatArray, chosen: Disturbance) -> FloatArray:
-        return np.asarray(cho_solve(cho_factor(A + self._prior(chosen)[0]), b))
+        return np.asarray(cho_solve(cho_factor(A + self._prior(self.knots, chosen)[0]), b))
 
     def _likeliest(self, A: FloatArray, b: FloatArray, last: Disturbance | None) -> Disturbance:
-        low = np.log([DENSITIES_1_S[0], float(np.min(np.diff(self.knots), initial=np.inf))])
-        high = np.log([DENSITIES_1_S[1], float(np.ptp(self.knots))])
+        low = np.log([DENSITIES_1_S[0], float(np.min(np.diff(self.coarse), initial=np.inf))])
+        high = np.log([DENSITIES_1_S[1], float(np.ptp(self.coarse))])
         if np.any(low >= high):
             raise InputError(f"{self.track.model.name}: a march of {len(self.knots)} knots is too short for an input")
+        P = block_diag(np.eye(self.extra), self.to_coarse)
+        A, b = P.T @ A @ P, P.T @ b
 
         def cost(logs: Sequence[float]) -> float:
             q, tau = np.exp(np.clip(logs, low, high))
-            return -_log_evidence(A, b, *self._prior(stationary(q, tau)))
+            return -_log_evidence(A, b, *self._prior(self.coarse, stationary(q, tau)))
 
         if last is None:
             tau = float(np.clip(math.log(CORRELATION_S), low[1], high[1]))
@@ -285,7 +295,7 @@ class _Inverse:
         u = here.u
         constant = here.log_likelihood - float(b @ u) + 0.5 * float(u @ A @ u)
         if chosen is not None:
-            return constant + _log_evidence(A, b, *self._prior(chosen))
+            return constant + _log_evidence(A, b, *self._prior(self.knots, chosen))
         if self.extra == 0:
             return here.log_likelihood
         own = slice(self.extra)
@@ -294,7 +304,7 @@ class _Inverse:
     def _result(
         self, here: _Point, G: FloatArray, A: FloatArray, b: FloatArray, chosen: Disturbance, without: float
     ) -> UnknownInput:
-        whole = np.linalg.inv(A + self._prior(chosen)[0])
+        whole = np.linalg.inv(A + self._prior(self.knots, chosen)[0])
         mean, covariance = (whole @ b)[self.extra :], whole[self.extra :, self.extra :]
         sigma = np.sqrt(np.diag(covariance))
         information, score = _without_start(A, b, self.extra)
@@ -303,12 +313,12 @@ class _Inverse:
             self.knots, mean, sigma, np.minimum(bandwidth_Hz(chosen, sigma), 0.5 / spacing),
             half_amplitude_Hz(self.knots, information, covariance), chosen,
             self._log_marginal(here, A, b, chosen) - without, here.response.temperature_K, here.response.read_K,
-            G[:, self.extra :], information, score, covariance,
+            G[:, self.extra :], here.scored.score, here.scored.information, information, score, covariance,
         )  # fmt: skip
 
 
 def _log_evidence(A: FloatArray, b: FloatArray, Q: FloatArray, log_det_Q: float) -> float:
-    factor, bad = lapack.dpotrf(A + Q, lower=1)
+    factor, bad = lapack.dpotrf((A + Q).T, lower=1, overwrite_a=1)
     if bad:
         return -math.inf
     solved, _ = lapack.dpotrs(factor, b, lower=1)
