@@ -101,14 +101,16 @@ class ResponseMarch(FilterMarch):
             np.zeros((lanes, steps + 1, n)), np.full((lanes, count), np.nan), np.zeros((lanes, steps, n, n + 1)),
             np.zeros((lanes, count, n + 1)),
         )  # fmt: skip
+        nothing = State(
+            np.zeros((lanes, 0, 0)), np.zeros((lanes, n, 0)), np.zeros(lanes), np.zeros(lanes, dtype=np.int64)
+        )
         B = self.base.block(0).copy()
         march_response(
             B, self.base.integers(0), self.base.table, self.base.chain,
             self.base.begin_handle, self.base.advance_handle, self.rows,
             Blocks(*(self.shadows.state.copy() for _ in range(3))), self.shadows.ints, self.shadows.groups,
             self._source, self._nodes, self.time_s, self.histories, self._flights, self._shadow_places(0), readings,
-            State(*np.zeros((2, lanes, 0, 0)), np.zeros(lanes), np.zeros(lanes, dtype=np.int64)), add,
-            columns_of(n, n + 2), told,
+            nothing, add, columns_of(n, n + 2), told,
         )  # fmt: skip
         self._leave(B)
         self.base.check()

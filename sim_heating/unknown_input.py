@@ -45,11 +45,11 @@ DENSITIES_1_S = (1e-10, 1e-1)
 """Between these the density is looked for [1/s]: below, a ratio walks 3e-4 in a quarter of an hour."""
 DENSITIES_TRIED = 10
 CORRELATION_S = 30.0
-"""The correlation time that the search starts from [s]; it ends between a knot's spacing and the length of the march."""
+"""Correlation time that the search starts from [s]; it ends between a spacing of knots and the length of the march."""
 SEARCHED = 0.05
 """Log likelihood to which the search goes."""
-MOST_KNOTS = 256
-"""A march of more steps has a knot for several of them."""
+MOST_KNOTS = 320
+"""A march of more steps has a knot for several of them; faster changes within are not seen, nor in sigma."""
 MOST_COARSE = 100
 """Knots on which density and correlation time are looked for."""
 ROUNDS = 12
@@ -72,7 +72,7 @@ class UnknownInput:
     temperature_K : (time, node) temperatures with the correction at the ends of the steps, the start first
     read_K       : (reading,) what the readings should show with it
     answer       : (reading, knot) how they answer to it
-    slope, weight : (reading,) derivative of their log likelihood against what they should show [1/K], and its own [1/K2]
+    slope, weight : (reading,) first and negative second derivative of the log likelihood against read_K [1/K, 1/K2]
     information, score : (knot, knot), (knot,) A and b of the readings, start integrated out
     covariance   : (knot, knot) of the correction given all readings
     """
@@ -212,7 +212,7 @@ class _Inverse:
 
     def solved(self, given: Disturbance | None) -> UnknownInput:
         here = first = self.at(np.zeros(self.extra + len(self.knots)))
-        chosen, without, change = given, 0.0, math.inf
+        chosen, without, change = given or Disturbance(), 0.0, math.inf
         for _ in range(ROUNDS):
             G = here.response.matrix(self.weights, self.start)
             A = G.T @ (here.scored.information[:, np.newaxis] * G)
@@ -220,8 +220,7 @@ class _Inverse:
             if here is first:
                 without = self._log_marginal(here, A, b, None)
             if given is None and change > CHOSEN:
-                chosen = self._likeliest(A, b, chosen)
-            assert chosen is not None
+                chosen = self._likeliest(A, b, None if here is first else chosen)
             step = self._mean(A, b, chosen) - here.u
             change = float(np.max(np.abs(G @ step) / self._noise_K))
             if change < SETTLED:
@@ -304,7 +303,7 @@ class _Inverse:
     def _result(
         self, here: _Point, G: FloatArray, A: FloatArray, b: FloatArray, chosen: Disturbance, without: float
     ) -> UnknownInput:
-        whole = np.linalg.inv(A + self._prior(self.knots, chosen)[0])
+        whole = np.asarray(np.linalg.inv(A + self._prior(self.knots, chosen)[0]), dtype=np.float64)
         mean, covariance = (whole @ b)[self.extra :], whole[self.extra :, self.extra :]
         sigma = np.sqrt(np.diag(covariance))
         information, score = _without_start(A, b, self.extra)
