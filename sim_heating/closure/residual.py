@@ -74,6 +74,7 @@ class ResidualHeating:
     prior_information : (unknown,) 1 / sigma^2 of the fit's priors
     names    : (unknown,) labels of what the fit has estimated
     span_s   : (2,) first and last time that was fitted
+    march_s  : (time,) of `input.temperature_K`
     """
 
     record: Record
@@ -83,6 +84,7 @@ class ResidualHeating:
     prior_information: FloatArray
     names: tuple[str, ...]
     span_s: tuple[float, float]
+    march_s: FloatArray
 
     @property
     def time_s(self) -> FloatArray:
@@ -152,7 +154,7 @@ def residual_heating(
     names = tuple(u.label for u in problem.unknowns)
     sensors = _split(own, mean_K, with_K)
     span = (float(own.sample_s[0]), float(own.sample_s[-1]))
-    return ResidualHeating(own.record, found, sensors, jacobian, prior, names, span)
+    return ResidualHeating(own.record, found, sensors, jacobian, prior, names, span, own.time_s)
 
 
 def _split(part: Part, mean_K: FloatArray, with_K: FloatArray) -> tuple[SensorLeft, ...]:
