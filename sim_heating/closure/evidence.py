@@ -106,7 +106,9 @@ class Evidence:
             told = "; ".join(f"{r.shape.words()} ({r.share:.0%})" for r in rivals[:3])
             lines.append(f"Nearly as well: {told}. The record does not tell these apart.")
         if best.shape.form == "rate":
-            lines.append("A heating that follows a rate of change is the mark of coating, clock or lag, not of a table.")
+            lines.append(
+                "A heating that follows a rate of change is the mark of coating, clock or lag, not of a table."
+            )
         if best.share < 0.5:
             lines.append("No variable explains half of it: look for something that the record does not hold.")
         for span in self.active[:3]:
