@@ -4,8 +4,8 @@ Correlations weigh each knot by 1 / sigma^2. Neighbours are not independent: the
 
     n_e = n / (1 + 2 sum_k rho_d(k) rho_v(k)),
 
-rho the autocorrelations of the residual and of the variable (M. S. Bartlett, J. R. Stat. Soc. 98 (1935) 536), at most the
-degrees of freedom that the readings resolve, and the chance of a correlation as large is that of Student's t with
+rho the autocorrelations of the residual and of the variable (M. S. Bartlett, J. R. Stat. Soc. 98 (1935) 536), at most
+the degrees of freedom that the readings resolve, and the chance of a correlation as large is that of Student's t with
 n_e - 2. The look-elsewhere is that over variables and lags (Sidak).
 """
 
@@ -163,8 +163,8 @@ def evidence(residual: ResidualHeating, ratio: FloatArray | None = None) -> Evid
 
 
 def flight_variables(residual: ResidualHeating) -> dict[str, FloatArray]:
-    """(knot,) what a heating may depend on: the ratio variables, jets, further columns of the record, wall temperature and
-    enthalpy over the recovery enthalpy, time."""
+    """(knot,) what a heating may depend on: the ratio variables, jets, further columns of the record, wall temperature
+    and enthalpy over the recovery enthalpy, time."""
     record, t = residual.record, residual.time_s
     flown = conditions_of_record(record).at(t)
     known = {*STATE, *HEATING, "q_add_W_m2"} - {"mach"}

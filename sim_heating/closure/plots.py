@@ -26,7 +26,7 @@ LABELS = {n: f"{label}, deg" for n, (label, _) in ANGLES.items()} | {
 SIGMAS = 2.0
 SHOWN = 4.0
 """A point whose sigma is this many times the median is not drawn against variables: it tells nothing."""
-MOST_PANELS = 9
+MOST_PANELS = 6
 
 
 def comparison(predicted: Prediction, before: Prediction, after: Prediction, effect: str) -> Figure:
@@ -96,8 +96,8 @@ def against(residual: ResidualHeating, variables: Mapping[str, FloatArray], orde
     mappable = None
     for a, name in zip(axes.ravel(), names, strict=False):
         v = variables[name][told]
-        a.errorbar(v, d, s, fmt="none", ecolor="0.8", elinewidth=0.6, zorder=1)
-        mappable = a.scatter(v, d, c=t, s=7, cmap="viridis", zorder=2)
+        a.errorbar(v, d, s, fmt="none", ecolor="0.8", elinewidth=0.6, zorder=1, rasterized=True)
+        mappable = a.scatter(v, d, c=t, s=7, cmap="viridis", zorder=2, rasterized=True)
         a.axhline(0.0, color="0.3", linewidth=0.8)
         a.set_xlabel(LABELS.get(name, name))
         a.set_ylim(*_limits(residual))

@@ -1,14 +1,15 @@
 """What close-loop leaves in a folder: closure.json, residual_heating.csv, and report.html for a review.
 
-closure.json is the format "closure-report/1"; beside its keys stand `reached` (what was fitted), `residual` (size and
-bandwidth of the residual heating, what no heating explains), `evidence`, `verdicts` on the record itself, and `warnings`.
+closure.json is the format "closure-report/1"; beside its keys stand `estimated` (all parameters of the last fit),
+`residual` (size and bandwidth of the residual heating, what no heating explains), `evidence`, `verdicts` on the record
+itself, `false_alarm` and `warnings`.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -138,9 +139,7 @@ def closure_json(found: Closure) -> dict[str, Any]:
         "effect": effects[0],
         **several,
         "candidates": [
-            {
-                "name": c.name, "delta_bic": c.delta_bic, "fit_rmse_K": c.fit_rmse_K, "holdout_rmse_K": c.holdout_rmse_K,
-            }
+            asdict(c)
             for c in sorted(found.candidates, key=lambda c: c.delta_bic)
         ],
         "residual_heating": HEATING_NAME,
@@ -269,16 +268,17 @@ def _candidates(found: Closure) -> Section:
     tried = sorted(found.candidates, key=lambda c: c.delta_bic)
     if not tried:
         return Section("Candidates", ["None was tried."])
-    rows = [
-        [c.name, f"{c.delta_bic:+.1f}", f"{c.fit_rmse_K:.2f}", "-" if c.holdout_rmse_K is None else f"{c.holdout_rmse_K:.2f}"]
-        for c in tried
-    ]  # fmt: skip
+    rows = [[c.name, f"{c.delta_bic:+.1f}", f"{c.fit_rmse_K:.2f}", _or_dash(c.holdout_rmse_K)] for c in tried]
     chosen = [e.name for e in found.effects]
     marked = [i for i, c in enumerate(tried) if c.name in chosen]
     table = Table(["", "BIC - BIC of none", "RMSE fitted, K", "RMSE held out, K"], rows, strong=marked)
     figure = ranking([c.name for c in tried], [c.delta_bic for c in tried], chosen)
     text = [found.false_alarm] if found.false_alarm else []
     return Section("Candidates", text, tables=[table], pictures=[Picture(figure, "The same as a picture.")])
+
+
+def _or_dash(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
 
 
 def _heating(found: Closure) -> Section:
@@ -306,24 +306,28 @@ def _period(frequency_Hz: float) -> str:
 def _evidence(found: Closure) -> Section:
     e = found.evidence
     rows = [
-        [c.variable, f"{c.lag_s:+g}", f"{c.value:+.2f}", f"{c.n_effective:.0f}", f"{c.chance:.2g}", f"{c.chance_all:.2g}"]
+        [c.variable, f"{c.lag_s:+g}", f"{c.value:+.2f}", f"{c.n_effective:.0f}", *map(_short, (c.chance, c.chance_all))]
         for c in e.correlations
-    ]  # fmt: skip
+    ]
     correlated = Table(
         ["variable", "lag, s", "correlation", "effective points", "chance", "chance, all looks"], rows,
-        "Weighted by 1 / sigma^2. Chance: of one as large from a history that has nothing to do with it, alone, and over all "
-        "variables and lags.",
+        "Weighted by 1 / sigma^2. Chance: of one as large from a history that has nothing to do with it, alone, and "
+        "over all variables and lags.",
     )  # fmt: skip
     followed = Table(
         ["shape", "size", "sigmas", "explains"],
         [[f.shape.words(), f"{f.amplitude:+.3g}", f"{abs(f.z):.1f}", f"{f.share:.0%}"] for f in e.followed[:8]],
-        f"Best form of each variable, of what any history would explain. The shapes make {e.looks:.0f} independent looks; "
-        f"noise alone would do as well as the best with a chance of {e.chance:.2g}.",
+        f"Best form of each variable, of what any history would explain. The shapes make {e.looks:.0f} independent "
+        f"looks; noise alone would do as well as the best with a chance of {_short(e.chance)}.",
     )
     figure = loops_figure(found.residual, flight_variables(found.residual), e)
     caption = "Residual around manoeuvres that loop most: an error of the thermal model, a clock or a lag."
     pictures = [] if figure is None else [Picture(figure, caption)]
     return Section("Evidence", points=e.proposal(), tables=[followed, correlated], pictures=pictures)
+
+
+def _short(chance: float) -> str:
+    return f"{chance:.2g}" if chance > 1e-6 else "below 1e-6"
 
 
 def _beyond(found: Closure) -> Section:

@@ -7,6 +7,7 @@ heating at the surface: conduction, a sensor, a clock.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,11 +17,13 @@ from numpy.typing import NDArray
 
 from sim_heating.ensemble import condition_history
 from sim_heating.estimation.filtering import filter_samples
+from sim_heating.estimation.observation import Channel
 from sim_heating.estimation.problem import Part, Problem
 from sim_heating.files import write_csv
 from sim_heating.filter_march import Disturbance, FilterTrack
 from sim_heating.record import Record
 from sim_heating.thermal.declare import Sensor
+from sim_heating.thermal.mesh import Mesh
 from sim_heating.unknown_input import UnknownInput, unknown_input
 
 FloatArray = NDArray[np.float64]
@@ -74,7 +77,7 @@ class ResidualHeating:
     prior_information : (unknown,) 1 / sigma^2 of the fit's priors
     names    : (unknown,) labels of what the fit has estimated
     span_s   : (2,) first and last time that was fitted
-    march_s  : (time,) of `input.temperature_K`
+    march_s, mesh : (time,) and nodes of `input.temperature_K`
     """
 
     record: Record
@@ -85,6 +88,7 @@ class ResidualHeating:
     names: tuple[str, ...]
     span_s: tuple[float, float]
     march_s: FloatArray
+    mesh: Mesh
 
     @property
     def time_s(self) -> FloatArray:
@@ -129,39 +133,40 @@ class ResidualHeating:
 
 
 def residual_heating(
-    problem: Problem, values: FloatArray, part: int = 0, disturbance: Disturbance | None = None
+    problem: Problem, values: FloatArray, part: int = 0, disturbance: Disturbance | None = None, without: str = ""
 ) -> ResidualHeating:
     """The heating history that explains what a fit leaves of one of its records.
 
     problem, values : the fit; its samples are the readings, its values the model
     disturbance     : noise model of the history; by the largest likelihood, where None
+    without         : name of a sensor that is left out
     raises          : RunError where the model cannot be marched
     """
     own = problem.parts[part]
-    shift = own.shift_s(values)
+    shift, channels = own.shift_s(values), [c for c in own.channels if c.sensor.name != without]
     samples, order = filter_samples(
-        own.channels, own.sample_s + shift, own.mesh, own.sigma_K, own.values(values), own.correction_K
+        channels, own.sample_s + shift, own.mesh, own.sigma_K, own.values(values), own.correction_K
     )
     track = FilterTrack(own.altered(values), own.mesh, samples, (), own.initial_K(values))
     history = condition_history(own.conditions.at(own.time_s))[np.newaxis]
     found = unknown_input(track, own.time_s, history, disturbance)
-    fitted = [s for s in problem.samples(values) if s.part is own]
+    fitted = [s for s in problem.samples(values) if s.part is own and s.channel in channels]
     mean_K = np.concatenate([s.mean_K for s in fitted])
     with_K = np.empty_like(mean_K)
     with_K[order] = found.read_K
     jacobian = np.concatenate([s.jacobian for s in fitted])[order]
     prior = np.array([p.sigma**-2.0 for p in problem.parameters])
     names = tuple(u.label for u in problem.unknowns)
-    sensors = _split(own, mean_K, with_K)
+    sensors = _split(own, channels, mean_K, with_K)
     span = (float(own.sample_s[0]), float(own.sample_s[-1]))
-    return ResidualHeating(own.record, found, sensors, jacobian, prior, names, span, own.time_s)
+    return ResidualHeating(own.record, found, sensors, jacobian, prior, names, span, own.time_s, own.mesh)
 
 
-def _split(part: Part, mean_K: FloatArray, with_K: FloatArray) -> tuple[SensorLeft, ...]:
+def _split(part: Part, channels: Sequence[Channel], mean_K: FloatArray, with_K: FloatArray) -> tuple[SensorLeft, ...]:
     """What channels one after the other show, sensor by sensor."""
-    ends = np.cumsum([len(c.samples) for c in part.channels])[:-1]
+    ends = np.cumsum([len(c.samples) for c in channels])[:-1]
     found = []
-    for c, before, after in zip(part.channels, np.split(mean_K, ends), np.split(with_K, ends), strict=True):
+    for c, before, after in zip(channels, np.split(mean_K, ends), np.split(with_K, ends), strict=True):
         t, floor = part.sample_s[c.samples], float(np.hypot(part.sigma_K[c.number], c.sensor.lsb_K / np.sqrt(12.0)))
         read = part.record.thermocouples[c.sensor.column][np.searchsorted(part.record.time_s, t)]
         found.append(SensorLeft(c.sensor, t, read, read - before, read - after, floor))
