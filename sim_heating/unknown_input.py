@@ -55,6 +55,8 @@ MOST_COARSE = 100
 ROUNDS = 12
 CHOSEN, SETTLED = 2.0, 0.2
 """Change of a reading over its noise below which the noise model stays, and below which the march is linear enough."""
+GAINED, LEAST_SHARE = 0.1, 0.02
+"""A step that gains less of the log posterior is none; parts of a step below the second are not tried."""
 FREQUENCIES = 40
 
 
@@ -225,7 +227,10 @@ class _Inverse:
             change = float(np.max(np.abs(G @ step) / self._noise_K))
             if change < SETTLED:
                 break
-            here = self._advanced(here, step, chosen)
+            there = self._advanced(here, step, chosen)
+            if there is None:
+                break
+            here = there
         return self._result(here, G, A, b, chosen, without)
 
     @property
@@ -233,24 +238,24 @@ class _Inverse:
         width = self.observed.upper_K - self.observed.lower_K
         return np.sqrt(self.sigma_K**2 + np.where(np.isfinite(width), width, 0.0) ** 2 / 12.0)
 
-    def _advanced(self, here: _Point, step: FloatArray, chosen: Disturbance) -> _Point:
-        """The march after as much of a step as raises likelihood times prior."""
+    def _advanced(self, here: _Point, step: FloatArray, chosen: Disturbance) -> _Point | None:
+        """The march after as much of a step as raises likelihood times prior; None where no part of it does."""
         Q, _ = self._prior(self.knots, chosen)
 
         def value(p: _Point) -> float:
             return p.log_likelihood - 0.5 * float(p.u @ Q @ p.u)
 
-        share, there = 1.0, here
-        while share > 0.01:
+        share, now = 1.0, value(here)
+        while share > LEAST_SHARE:
             try:
                 there = self.at(here.u + share * step)
             except RunError:
                 share *= 0.25
                 continue
-            if value(there) > value(here):
-                return there
-            share *= 0.5
-        return there
+            if value(there) > now:
+                return there if value(there) > now + GAINED else None
+            share *= 0.4
+        return None
 
     def _prior(self, at_s: FloatArray, chosen: Disturbance) -> tuple[FloatArray, float]:
         """Precision of start and knots and the logarithm of its determinant."""

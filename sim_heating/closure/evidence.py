@@ -115,8 +115,16 @@ class Evidence:
             size = f"{span.delta_ratio:+.3g}" + ("" if math.isnan(span.relative) else f" ({span.relative:+.0%})")
             lines.append(f"Active from {span.start_s:.0f} to {span.end_s:.0f} s: {size} of ratio on average.")
         lines += self._hysteresis()
-        lines += [step.words() for step in self.axial or () if step.chance < SURE]
+        lines += [step.words() + self._with(step) for step in self.axial or () if step.chance < SURE]
         return lines
+
+    def _with(self, step: AxialStep) -> str:
+        """How far a step in acceleration is from where the residual heating sets in or ends."""
+        edges = [edge for span in self.active for edge in (span.start_s, span.end_s)]
+        if not edges:
+            return ""
+        nearest = min(edges, key=lambda edge: abs(edge - step.time_s))
+        return f" The missing heating sets in or ends {abs(nearest - step.time_s):.0f} s from there."
 
     def _hysteresis(self) -> list[str]:
         told = sorted((loop for loop in self.loops if loop.significant), key=lambda loop: -abs(loop.filled))
