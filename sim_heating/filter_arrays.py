@@ -92,6 +92,16 @@ class Joint(NamedTuple):
     start: FloatArray
 
 
+class Told(NamedTuple):
+    """What a march with an added history tells (response.py): (lane, time, node) temperatures, (lane, reading) those
+    read, (lane, step, node, node + 1) derivatives of the steps, (lane, reading, node + 1) rows of the readings."""
+
+    temperature_K: FloatArray
+    read_K: FloatArray
+    transition: FloatArray
+    rows: FloatArray
+
+
 class Blocks(NamedTuple):
     """Blocks of the shadows, assembled at the start (with 1 s for the time step), the middle stage and the end."""
 

@@ -118,7 +118,7 @@ def first_pass(X: Blocks, p: Places, lane: int, dt: float, state: State, whole: 
 
 
 @njit
-def _read(w: Columns, column: int, node: int, x: float, start: float) -> float:
+def read_column(w: Columns, column: int, node: int, x: float, start: float) -> float:
     """A column at a node and a fraction of the step, `start` being what it was there at the start."""
     w0, w1, w2 = parabola(x)
     return w0 * start + w1 * w.middle[node, column] + w2 * w.end[node, column]
@@ -141,11 +141,11 @@ def predict_readings(
         w0, w1, w2 = parabola_rate(x, dt)
         joint.rate[q] = w0 * T0 + w1 * T1 + w2 * T2
         for k in range(m):
-            joint.S[q, k] = _read(w, 1 + k, node, x, state.S[lane, node, k])
+            joint.S[q, k] = read_column(w, 1 + k, node, x, state.S[lane, node, k])
         for j in range(covariances):
-            joint.start[q, j] = _read(w, 1 + m + j, node, x, state.P[lane, node, j])
+            joint.start[q, j] = read_column(w, 1 + m + j, node, x, state.P[lane, node, j])
             if keep:
-                joint.rows[q, j] = _read(w, identity + j, node, x, 1.0 if j == node else 0.0)
+                joint.rows[q, j] = read_column(w, identity + j, node, x, 1.0 if j == node else 0.0)
 
 
 @njit
@@ -175,7 +175,7 @@ def second_pass(
         joint.cross[q, n] = decay * joint.start[q, n]
         joint.cross[q, node] += x * dt * noise.nodes[lane, node]
         for s in range(count):
-            covariance = _read(w, size + s, node, x, joint.start[s, node])
+            covariance = read_column(w, size + s, node, x, joint.start[s, node])
             if r.node[lane, first + s] == node:
                 covariance += min(x, joint.x[s]) * dt * noise.nodes[lane, node]
             joint.covariance[q, s] = covariance
@@ -405,6 +405,42 @@ def _lag_now(X: Blocks, groups: IntArray, first: bool) -> None:
 
 
 @njit
+def begin_march(
+    B: FloatArray, J: IntArray, table: FloatArray, chain, begin,  # type: ignore[no-untyped-def]
+    histories: FloatArray, which: IntArray,
+) -> None:  # fmt: skip
+    """The first conditions of all lanes of a group."""
+    for lane in range(LANES):
+        for c in range(N_CONDITIONS):
+            B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], 0, c]
+    call_step(begin, raw(B), raw(J), raw(table), chain, 0.0)
+
+
+@njit
+def step_beside_shadows(
+    B: FloatArray, J: IntArray, table: FloatArray, chain, advance, rows, faces,  # type: ignore[no-untyped-def]
+    X: Blocks, shadows: Groups,
+    time_s: FloatArray, histories: FloatArray, which: IntArray, p: Places, lanes: int, k: int,
+) -> None:  # fmt: skip
+    """Step k of a group from temperatures and ratios that may have been changed, its shadows assembled at the start,
+    the middle stage and the end."""
+    dt = time_s[k] - time_s[k - 1]
+    _lag_before(X, shadows.groups, k == 1)
+    assemble_shadows(B, X.start, shadows, table, chain, rows, faces, T, 2, 1.0)
+    _lag_now(X, shadows.groups, k == 1)
+    for lane in range(lanes):
+        start_from_shadow(B, lane, X.start, p.at[lane], p.nodes[lane])
+    hold(raw(B))
+    for lane in range(LANES):
+        for c in range(N_CONDITIONS):
+            B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], k, c]
+    call_step(advance, raw(B), raw(J), raw(table), chain, dt)
+    ddt = STAGE_WEIGHT * dt
+    assemble_shadows(B, X.middle, shadows, table, chain, rows, faces, T_STAGE, 1, ddt)
+    assemble_shadows(B, X.end, shadows, table, chain, rows, faces, T, 2, ddt)
+
+
+@njit
 def march_filter(
     B: FloatArray, J: IntArray, table: FloatArray, chain, begin, advance, rows, faces,  # type: ignore[no-untyped-def]
     X: Blocks, shadows: Groups, time_s: FloatArray, histories: FloatArray, which: IntArray,
@@ -415,29 +451,12 @@ def march_filter(
 
     out : (lane, reading, N_OUT + parameter)
     """
-    b, j, t = raw(B), raw(J), raw(table)
     lanes, size = state.P.shape[0], state.P.shape[1]
     z, transition = np.zeros(size), np.zeros((size, size))
     next_reading = np.zeros(lanes, dtype=np.int64)
-    for lane in range(LANES):
-        for c in range(N_CONDITIONS):
-            B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], 0, c]
-    call_step(begin, b, j, t, chain, 0.0)
+    begin_march(B, J, table, chain, begin, histories, which)
     for k in range(1, len(time_s)):
-        dt = time_s[k] - time_s[k - 1]
-        _lag_before(X, shadows.groups, k == 1)
-        assemble_shadows(B, X.start, shadows, table, chain, rows, faces, T, 2, 1.0)
-        _lag_now(X, shadows.groups, k == 1)
-        for lane in range(lanes):
-            start_from_shadow(B, lane, X.start, p.at[lane], p.nodes[lane])
-        hold(b)
-        for lane in range(LANES):
-            for c in range(N_CONDITIONS):
-                B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], k, c]
-        call_step(advance, b, j, t, chain, dt)
-        ddt = STAGE_WEIGHT * dt
-        assemble_shadows(B, X.middle, shadows, table, chain, rows, faces, T_STAGE, 1, ddt)
-        assemble_shadows(B, X.end, shadows, table, chain, rows, faces, T, 2, ddt)
+        step_beside_shadows(B, J, table, chain, advance, rows, faces, X, shadows, time_s, histories, which, p, lanes, k)
         for lane in range(lanes):
             if state.diverged[lane] == 0:
                 next_reading[lane] = filter_lane(

@@ -29,7 +29,7 @@ from sim_heating.filter_kernel import (
     VARIANCE,
     march_filter,
 )
-from sim_heating.layout import T, node_rows
+from sim_heating.layout import D0, LANES, T, node_rows, parameters_at
 from sim_heating.linear_march import LinearMarch, Track, initial_profile
 from sim_heating.thermal.mesh import Mesh
 
@@ -247,7 +247,7 @@ class FilterMarch(LinearMarch):
             columns_of(n, 1 + m), columns_of(n, 1 + m + (2 if keep else 1) * (n + 1)), columns_of(n, n + 1 + most),
             joint_of(most, n + 1, m), out,
         )  # fmt: skip
-        self.base.block(0)[:] = B
+        self._leave(B)
         for i, point in enumerate(points):
             step = state.diverged[self._lane_of[i]]
             if step:
@@ -257,6 +257,13 @@ class FilterMarch(LinearMarch):
                 )
         self.base.check()
         return [self._filtered(i, points[i], steps[i], out, state, kept) for i in range(len(points))]
+
+    def _leave(self, B: FloatArray) -> None:
+        """Take over the block of a march that is done, its ratios undisturbed again."""
+        own = self.base.block(0)
+        d0 = [parameters_at(lane) + D0 for lane in range(LANES)]
+        B[d0] = own[d0]
+        own[:] = B
 
     def _state(self, points: Sequence[FilterTrack], n: int, m: int) -> State:
         lanes = len(points)

@@ -57,12 +57,18 @@ def new_figure(width: float, height: float, rows: int, columns: int = 1, **keys:
 
 def save_figure(figure: Figure, path: Path, title: str, axes: np.ndarray) -> None:
     """Grid, title and file of every picture."""
+    dress(figure, title, axes)
+    figure.savefig(path, dpi=DPI)
+
+
+def dress(figure: Figure, title: str, axes: np.ndarray) -> None:
+    """Grid and title of every picture."""
     for a in axes.ravel():
         a.grid(alpha=0.3)
         a.set_axisbelow(True)
     width = int(figure.get_figwidth() * 9.0)
-    figure.suptitle("\n".join(textwrap.fill(line, width) for line in title.splitlines()), fontsize=12)
-    figure.savefig(path, dpi=DPI)
+    if title:
+        figure.suptitle("\n".join(textwrap.fill(line, width) for line in title.splitlines()), fontsize=12)
 
 
 def _shade(axes: Axes, windows: Sequence[Window]) -> None:

@@ -116,9 +116,9 @@ class RatioSource(Declared):
     relative_sigma: float = Field(gt=0.0, description="one standard deviation over the ratio, above 0")
     note: str = ""
     axes: Axes
-    base: Annotated[
-        Annotated[FileBase, Tag("file")] | Annotated[Curve, Tag("curve")], Discriminator(_base_kind)
-    ] = Field(description="a file or a curve")
+    base: Annotated[Annotated[FileBase, Tag("file")] | Annotated[Curve, Tag("curve")], Discriminator(_base_kind)] = (
+        Field(description="a file or a curve")
+    )
     factor: list[Annotated[CurveFactor | DeflectionFactor, Field(discriminator="kind")]] = Field(default=[])
     sigma: list[Curve] = Field(default=[])
     scaling: Scaling | None = None

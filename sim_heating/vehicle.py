@@ -128,7 +128,7 @@ def load_vehicle(vehicle: str | os.PathLike[str]) -> Vehicle:
     problems = _Problems()
     file = problems.attempt(read_toml, directory / "vehicle.toml", VehicleFile)
     if file is not None and file.name != directory.resolve().name:
-        problems.add(f"{shown(directory / 'vehicle.toml')}: `name`: \"{file.name}\" is not the name of its directory")
+        problems.add(f'{shown(directory / "vehicle.toml")}: `name`: "{file.name}" is not the name of its directory')
     materials = _read_materials(directory, problems)
     points = _read_control_points(directory, materials, file, problems)
     raise_problems(problems.lines)

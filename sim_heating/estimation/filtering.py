@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sim_heating.ensemble import PointModel, condition_history
 from sim_heating.errors import InputError
-from sim_heating.estimation.observation import Channel, channels, least_sigma_K
+from sim_heating.estimation.observation import Channel, channels, errors_of, least_sigma_K
 from sim_heating.estimation.problem import Start, march_times
 from sim_heating.filter_march import FilterMarch, FilterTrack, Samples
 from sim_heating.points import conditions_of_record
@@ -38,23 +38,31 @@ def calibration_line(sensor: Sensor, read_K: FloatArray) -> tuple[FloatArray, Fl
     return slope(T), curve(T) - slope(T) * T
 
 
-def filter_samples(found: Sequence[Channel], time_s: FloatArray, mesh: Mesh, sigma_K: Mapping[int, float]) -> Samples:
-    """Channels as the filter reads them, a calibration as its tangent at each reading.
+def filter_samples(
+    found: Sequence[Channel], time_s: FloatArray, mesh: Mesh, sigma_K: Mapping[int, float],
+    values: Mapping[str, float] | None = None, added_K: FloatArray | float = 0.0,
+) -> tuple[Samples, NDArray[np.int64]]:  # fmt: skip
+    """Channels as the filter reads them, a calibration as its tangent at each reading, and the place of each reading
+    among those of the channels one after the other.
 
     time_s : (sample,) times that the channels' places are of;  sigma_K : noise by the number of the sensor
+    values : parameters that say what is wrong with sensors;  added_K : (sensor, sample) on top of the march
     """
-    rows = []
+    rows, added = [], np.zeros((1 + max(c.number for c in found), len(time_s))) + added_K
     for channel in found:
         low, high = channel.observed.lower_K, channel.observed.upper_K
         middle = np.where(np.isfinite(low), np.where(np.isfinite(high), 0.5 * (low + high), low), high)
         slope, constant = calibration_line(channel.sensor, middle)
+        wrong = errors_of(channel.sensor, values or {})
+        constant = constant + slope * (wrong.gain * added[channel.number, channel.samples] + wrong.bias_K)
         variance, node = (np.full(len(low), x) for x in (sigma_K[channel.number] ** 2, mesh.sensors[channel.number]))
-        rows.append(np.array([time_s[channel.samples], node, low, high, variance, slope, constant]))
-    t, node, low, high, variance, slope, constant = np.concatenate(rows, axis=1)
+        rows.append(np.array([time_s[channel.samples], node, low, high, variance, slope * wrong.gain, constant]))
+    t, node, low, high, variance, gain, constant = np.concatenate(rows, axis=1)
     order = np.argsort(t, kind="stable")
-    return Samples(
-        t[order], node[order].astype(np.int64), low[order], high[order], variance[order], slope[order], constant[order]
+    samples = Samples(
+        t[order], node[order].astype(np.int64), low[order], high[order], variance[order], gain[order], constant[order]
     )
+    return samples, order
 
 
 def track_of_record(
@@ -71,7 +79,7 @@ def track_of_record(
     if not found:
         raise InputError(f"{record.name}: no used sensor is read between {begin:g} and {end:g} s; nothing to filter")
     sigma = {c.number: max(c.sensor.noise_sigma_K or UNDECLARED_SIGMA_K, least_sigma_K(c.sensor)) for c in found}
-    samples = filter_samples(found, t[chosen], mesh, sigma)
+    samples, _ = filter_samples(found, t[chosen], mesh, sigma)
     covariance = np.full((mesh.nodes, mesh.nodes), START_SIGMA_K**2)
     steps = march_times(conditions, begin, end)
     steps = np.append(steps[steps < end], end)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from sim_heating.conditions import Conditions
@@ -27,34 +29,46 @@ def draw_fit(path: Path, before: Prediction, after: Prediction) -> None:
     """A panel a sensor with its residual below, declared and fitted; holdout segments shaded, angles flown at the
     foot."""
     record = after.record
+    figure, axes = fit_figure(record, [(before, BEFORE, "declared"), (after, AFTER, "fitted")])
+    title = record.declared.title or record.declared.control_point
+    save_figure(figure, path, f"{record.name}: {title}, declared and fitted", axes)
+
+
+def fit_figure(record: Record, curves: Sequence[tuple[Prediction, str, str]]) -> tuple[Figure, np.ndarray]:
+    """Measured against some predictions (prediction, colour, label), the second of which sets the span of residuals"""
     shown, sensors = _shown(record), [i for i, s in enumerate(record.sensors) if s.used]
-    t, fitted = record.time_s[shown], record.fit_mask()[shown]
+    t, fitted = record.time_s[shown], record.fit_mask()
     heights = [2.0, 1.0] * len(sensors) + [1.0]
     figure, axes = new_figure(9.5, 2.4 * len(sensors) + 2.2, len(heights), sharex=True, height_ratios=heights)
     for k, i in enumerate(sensors):
         upper, lower = axes[2 * k], axes[2 * k + 1]
-        upper.plot(t, record.temperatures_K()[i][shown], label="measured", **MEASURED)
-        for prediction, color, label in ((before, BEFORE, "declared"), (after, AFTER, "fitted")):
-            residual = prediction.residual_K[i][shown]
+        upper.plot(t, record.temperatures_K()[i][shown], label="measured", rasterized=True, **MEASURED)
+        for prediction, color, label in curves:
+            residual = prediction.residual_K[i]
             found = pooled_rmse_K(residual, fitted)
             error = "" if found is None else f", RMSE {found['rmse_K']:.2f} K"
             upper.plot(t, prediction.indicated_K[i][shown], color=color, linewidth=1.3, label=f"{label}{error}")
-            lower.plot(t, residual, ".", color=color, markersize=2.5)
+            lower.plot(t, residual[shown], ".", color=color, markersize=2.5, rasterized=True)
         lower.axhline(0.0, color="0.3", linewidth=0.8)
-        spread = np.nanpercentile(np.abs(before.residual_K[i][record.fit_mask()]), 99.0) if len(t) else 1.0
+        scale = curves[1 if len(curves) > 2 else 0][0].residual_K[i][fitted]
+        spread = np.nanpercentile(np.abs(scale), 99.0) if np.any(np.isfinite(scale)) else 1.0
         lower.set_ylim(-1.3 * spread - 1.0, 1.3 * spread + 1.0)
         upper.set_ylabel(f"{record.sensors[i].name}\nindicated, K")
         lower.set_ylabel("residual, K")
         upper.legend(fontsize=8, loc="best")
     _plot_flown(axes[-1], record.conditions, t[0], t[-1])
     axes[-1].set_xlabel("time, s" + ("; shaded: held out" if record.declared.segments.holdout else ""))
-    for start, end in record.declared.segments.holdout:
-        for a in axes:
-            a.axvspan(start, end, color="0.85", linewidth=0)
+    for a in axes:
+        shade_holdout(a, record)
     axes[-1].set_xlim(t[0], t[-1])
     figure.align_ylabels(axes)
-    title = record.declared.title or record.declared.control_point
-    save_figure(figure, path, f"{record.name}: {title}, declared and fitted", axes)
+    return figure, axes
+
+
+def shade_holdout(a: Axes, record: Record) -> None:
+    """What is held out, in grey."""
+    for start, end in record.declared.segments.holdout:
+        a.axvspan(start, end, color="0.85", linewidth=0)
 
 
 def _shown(record: Record) -> NDArray[np.bool_]:

@@ -155,8 +155,8 @@ def fay_riddell_film(
 ) -> float:
     """Film coefficient of Fay & Riddell (1958) eq. 58 from the stagnation state [kg/(m2 s)].
 
-        h = 0.763 Pr^-0.6 (rho_w mu_w)^0.1 (rho_e mu_e)^0.4 [1 + (Le^0.52 - 1) h_D/h_0] (du_e/dx)^0.5
-        du_e/dx = (1/R) sqrt(2 (p_e - p_inf) / rho_e)
+    h = 0.763 Pr^-0.6 (rho_w mu_w)^0.1 (rho_e mu_e)^0.4 [1 + (Le^0.52 - 1) h_D/h_0] (du_e/dx)^0.5
+    du_e/dx = (1/R) sqrt(2 (p_e - p_inf) / rho_e)
     """
     T_0 = air_temperature_kernel(h_0, p_0)
     wall = air_density_kernel(T_w_K, p_0) * viscosity_kernel(T_w_K)

@@ -63,7 +63,7 @@ class _Segment:
     root_a: float
 
 
-def _diffusivity(construction: Construction) -> list[float]:
+def layer_diffusivities(construction: Construction) -> list[float]:
     values = []
     for material in construction.layer_materials():
         p_Pa, T_K, k = material.conductivity_grid()
@@ -75,7 +75,7 @@ def _diffusivity(construction: Construction) -> list[float]:
 
 def diffusion_depths(construction: Construction, mesh: Mesh) -> FloatArray:
     """(node,) s = int dx / sqrt(a) from the surface [s^(1/2)]: the square root of the time that heat takes there."""
-    root_a = np.sqrt(np.array([*_diffusivity(construction), np.inf]))[mesh.layer]
+    root_a = np.sqrt(np.array([*layer_diffusivities(construction), np.inf]))[mesh.layer]
     return np.concatenate(([0.0], np.cumsum(mesh.length_m / root_a)))
 
 
@@ -83,7 +83,7 @@ def _segments(construction: Construction, depths_m: FloatArray) -> list[_Segment
     interfaces = construction.stack.interfaces_m
     closest = 1e-6 * interfaces[-1]
     segments = []
-    for i, a in enumerate(_diffusivity(construction)):
+    for i, a in enumerate(layer_diffusivities(construction)):
         top, bottom = interfaces[i], interfaces[i + 1]
         within = np.unique(depths_m[(depths_m > top + closest) & (depths_m < bottom - closest)])
         cuts = np.concatenate(([top], within[np.diff(within, prepend=-1.0) > closest], [bottom]))

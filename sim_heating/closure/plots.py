@@ -1,0 +1,143 @@
+"""Pictures of a closure report: before and after, residual heating against time and variables, candidates, loops."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from sim_heating.closure.evidence import Evidence
+from sim_heating.closure.residual import ResidualHeating
+from sim_heating.closure.shapes import TIME
+from sim_heating.estimation.plots import AFTER, BEFORE, fit_figure, shade_holdout
+from sim_heating.plots import ANGLES, dress, new_figure
+from sim_heating.predict import Prediction
+
+FloatArray = NDArray[np.float64]
+
+PREDICTED = "0.62"
+LABELS = {n: f"{label}, deg" for n, (label, _) in ANGLES.items()} | {
+    "log10_re": "log10 of Reynolds number", "mach": "Mach number", "jets": "jets", "wall_K": "wall temperature, K",
+    "wall_enthalpy_ratio": "wall over recovery enthalpy", "axial_accel_g": "axial acceleration, g", TIME: "time, s",
+}  # fmt: skip
+SIGMAS = 2.0
+SHOWN = 4.0
+"""A point whose sigma is this many times the median is not drawn against variables: it tells nothing."""
+MOST_PANELS = 6
+
+
+def comparison(predicted: Prediction, before: Prediction, after: Prediction, effect: str) -> Figure:
+    """Measured against predicted, every used sensor: declared tables, derivatives fitted, with the effect."""
+    curves = [(predicted, PREDICTED, "declared tables"), (before, BEFORE, "derivatives fitted")]
+    if after is not before:
+        curves.append((after, AFTER, f"with {effect}"))
+    figure, axes = fit_figure(after.record, curves)
+    dress(figure, "", axes)
+    return figure
+
+
+def heating(before: ResidualHeating, after: ResidualHeating | None, found: Evidence) -> Figure:
+    """The residual as a heating ratio against time, and what moved."""
+    figure, axes = new_figure(9.5, 6.0, 2, sharex=True, height_ratios=[2.0, 1.0])
+    _band(axes[0], before, BEFORE, "derivatives fitted")
+    if after is not None:
+        _band(axes[0], after, AFTER, "with the effect")
+    axes[0].axhline(0.0, color="0.3", linewidth=0.8)
+    for span in found.active:
+        axes[0].axvspan(span.start_s, span.end_s, ymax=0.03, color="tab:red", linewidth=0)
+    axes[0].set_ylabel("missing heating ratio")
+    axes[0].set_ylim(*_limits(before))
+    axes[0].legend(fontsize=8, loc="best")
+    flown = before.record.conditions.at(before.time_s)
+    for name, (label, color) in ANGLES.items():
+        if np.ptp(flown[name]) > 0.5:
+            axes[1].plot(before.time_s, flown[name], color=color, label=label, linewidth=1.1)
+    axes[1].set_ylabel("deg")
+    if axes[1].lines:
+        axes[1].legend(fontsize=8, loc="best", ncols=4)
+    for a in axes:
+        shade_holdout(a, before.record)
+    axes[1].set_xlim(*before.span_s)
+    axes[1].set_xlabel("time, s; band: 2 sigma; red at the foot: active")
+    dress(figure, "", axes)
+    return figure
+
+
+def _band(a: Axes, residual: ResidualHeating, color: str, label: str) -> None:
+    t, d, s = residual.time_s, residual.delta_ratio, residual.sigma
+    a.fill_between(t, d - SIGMAS * s, d + SIGMAS * s, color=color, alpha=0.25, linewidth=0)
+    a.plot(t, d, color=color, linewidth=1.2, label=label)
+
+
+def _limits(residual: ResidualHeating) -> tuple[float, float]:
+    """Span of what is well told."""
+    told = _told(residual)
+    d, s = residual.delta_ratio[told], SIGMAS * residual.sigma[told]
+    low, high = float(np.min(d - s)), float(np.max(d + s))
+    return low - 0.08 * (high - low), high + 0.08 * (high - low)
+
+
+def _told(residual: ResidualHeating) -> NDArray[np.bool_]:
+    here = residual.fitted
+    return np.asarray(here & (residual.sigma <= SHOWN * np.median(residual.sigma[here])))
+
+
+def against(residual: ResidualHeating, variables: Mapping[str, FloatArray], order: Sequence[str]) -> Figure:
+    """The residual heating against each variable, coloured by time; those that tell most first."""
+    told = _told(residual)
+    names = [n for n in order if n in variables and n != TIME and np.ptp(variables[n][told]) > 0.0][:MOST_PANELS]
+    columns = 3
+    rows = max(-(-len(names) // columns), 1)
+    figure, axes = new_figure(9.5, 2.7 * rows + 0.4, rows, columns, sharey=True)
+    t, d, s = (x[told] for x in (residual.time_s, residual.delta_ratio, residual.sigma))
+    mappable = None
+    for a, name in zip(axes.ravel(), names, strict=False):
+        v = variables[name][told]
+        a.errorbar(v, d, s, fmt="none", ecolor="0.8", elinewidth=0.6, zorder=1, rasterized=True)
+        mappable = a.scatter(v, d, c=t, s=7, cmap="viridis", zorder=2, rasterized=True)
+        a.axhline(0.0, color="0.3", linewidth=0.8)
+        a.set_xlabel(LABELS.get(name, name))
+        a.set_ylim(*_limits(residual))
+    for a in axes.ravel()[len(names) :]:
+        a.set_visible(False)
+    for a in axes.reshape(rows, columns)[:, 0]:
+        a.set_ylabel("missing heating ratio")
+    if mappable is not None:
+        figure.colorbar(mappable, ax=axes, label="time, s", aspect=40)
+    dress(figure, "", axes)
+    return figure
+
+
+def loops_figure(residual: ResidualHeating, variables: Mapping[str, FloatArray], found: Evidence) -> Figure | None:
+    """The manoeuvres in which the residual loops most, at most three; None where none does."""
+    told = sorted((loop for loop in found.loops if loop.significant), key=lambda loop: -abs(loop.filled))[:3]
+    if not told:
+        return None
+    figure, axes = new_figure(3.2 * len(told) + 0.4, 3.0, 1, len(told))
+    for a, loop in zip(axes, told, strict=True):
+        own = (residual.time_s >= loop.start_s) & (residual.time_s <= loop.end_s)
+        v, d = variables[loop.variable][own], residual.delta_ratio[own]
+        a.errorbar(v, d, residual.sigma[own], color=BEFORE, marker="o", markersize=3, linewidth=1.0, ecolor="0.8")
+        a.annotate("", (v[1], d[1]), (v[0], d[0]), arrowprops={"arrowstyle": "->", "color": BEFORE})
+        a.set_xlabel(LABELS[loop.variable])
+        a.set_title(f"{loop.start_s:.0f} to {loop.end_s:.0f} s", fontsize=9)
+    axes[0].set_ylabel("missing heating ratio")
+    dress(figure, "", axes)
+    return figure
+
+
+def ranking(names: Sequence[str], delta_bic: Sequence[float], chosen: Sequence[str]) -> Figure:
+    """BIC of each candidate over that of none, best at the top; the axis is linear within 10 and logarithmic beyond."""
+    figure, axes = new_figure(9.5, 0.27 * len(names) + 0.9, 1)
+    a = axes[0]
+    y = np.arange(len(names))[::-1]
+    a.barh(y, delta_bic, color=[AFTER if n in chosen else PREDICTED for n in names], height=0.7)
+    a.set_yticks(y, names, fontsize=9)
+    a.set_xscale("symlog", linthresh=10.0)
+    a.axvline(0.0, color="0.3", linewidth=0.8)
+    a.set_xlabel("BIC minus that without an effect (lower is better)")
+    dress(figure, "", axes)
+    return figure

@@ -1,0 +1,338 @@
+"""What close-loop leaves in a folder: closure.json, residual_heating.csv, and report.html for a review.
+
+closure.json is the format "closure-report/1"; beside its keys stand `estimated` (all parameters of the last fit),
+`residual` (size and bandwidth of the residual heating, what no heating explains), `evidence`, `verdicts` on the record
+itself, `false_alarm` and `warnings`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim_heating.closure.evidence import Evidence, flight_variables
+from sim_heating.closure.plots import against, comparison, heating, loops_figure, ranking
+from sim_heating.closure.residual import NAME as HEATING_NAME
+from sim_heating.closure.residual import ResidualHeating, write_residual_heating
+from sim_heating.closure.sanity import Verdict
+from sim_heating.conditions import RATIO_VARIABLES
+from sim_heating.files import output_directory, write_json
+from sim_heating.page import Page, Picture, Section, Table, write_page
+from sim_heating.predict import Prediction
+from sim_heating.record import Record, pooled_rmse_K
+from sim_heating.results import package_version
+
+NAME, PAGE = "closure.json", "report.html"
+NONE, UNKNOWN = "none", "unknown"
+
+
+@dataclass(frozen=True)
+class Estimated:
+    """A parameter with its bound; `declared` is where the fit started from, None where that says nothing."""
+
+    value: float
+    sigma: float
+    unit: str
+    declared: float | None = None
+
+
+@dataclass(frozen=True)
+class Named:
+    """What was found: an effect, "none" or "unknown"; `parameters` by their names within the effect."""
+
+    name: str
+    posterior: float
+    parameters: Mapping[str, Estimated]
+
+
+@dataclass(frozen=True)
+class Tried:
+    """One candidate: BIC minus that of none, errors of the plain march; holdout None where there is none."""
+
+    name: str
+    delta_bic: float
+    fit_rmse_K: float
+    holdout_rmse_K: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Closure:
+    """Everything that a report tells of one record.
+
+    predicted, before, after : the declared tables, the derivatives fitted, the effects added; `after` is `before` where
+                               nothing was added
+    noise_floor_K : of the used sensors over the fit segments;  reference : what the derivatives are about
+    effects       : what was found, in the order in which it was added; one of "none" or "unknown" where nothing was
+    candidates    : of the first pass, "none" included
+    parameters    : everything estimated in the last fit, by dotted names
+    residual, residual_after : what the derivatives leave, and what the effects leave, as heating
+    evidence      : of the first residual
+    verdicts      : what is wrong with the record itself
+    false_alarm   : chance of an effect being named where there is none, and what it is calibrated on
+    """
+
+    record: Record
+    predicted: Prediction
+    before: Prediction
+    after: Prediction
+    noise_floor_K: float
+    reference: Sequence[float]
+    effects: Sequence[Named]
+    candidates: Sequence[Tried]
+    parameters: Mapping[str, Estimated]
+    residual: ResidualHeating
+    residual_after: ResidualHeating | None
+    evidence: Evidence
+    verdicts: Sequence[Verdict] = ()
+    false_alarm: str = ""
+    warnings: Sequence[str] = ()
+
+    @property
+    def named(self) -> str:
+        """Names of what was found, in words."""
+        return " + ".join(e.name for e in self.effects)
+
+    @property
+    def added(self) -> bool:
+        """Whether the model was changed."""
+        return self.effects[0].name not in (NONE, UNKNOWN)
+
+
+def posteriors(delta_bic: Mapping[str, float]) -> dict[str, float]:
+    """Probability of each candidate, equal priors: exp(-BIC / 2) over their sum."""
+    values = np.array(list(delta_bic.values()))
+    weight = np.exp(-0.5 * (values - np.min(values)))
+    return dict(zip(delta_bic, (weight / np.sum(weight)).tolist(), strict=True))
+
+
+def errors_of(prediction: Prediction) -> dict[str, Any]:
+    """Errors over fit and holdout segments, pooled over the used sensors; None where there are none."""
+    record = prediction.record
+    used = [i for i, s in enumerate(record.sensors) if s.used]
+    residual = prediction.residual_K[used]
+    return {
+        "fit": pooled_rmse_K(residual, record.fit_mask()), "holdout": pooled_rmse_K(residual, record.holdout_mask()),
+    }  # fmt: skip
+
+
+def closure_json(found: Closure) -> dict[str, Any]:
+    """The contents of closure.json."""
+    effects = [
+        {"name": e.name, "posterior": e.posterior, "parameters": {n: _plain(p) for n, p in e.parameters.items()}}
+        for e in found.effects
+    ]
+    several = {"effects": effects} if len(effects) > 1 else {}
+    return {
+        "format": "closure-report/1",
+        "records": [str(found.record.directory)],
+        "sensors": [s.name for s in found.record.used_sensors],
+        "predicted": errors_of(found.predicted),
+        "before": errors_of(found.before),
+        "after": errors_of(found.after),
+        "noise_floor_K": _finite(found.noise_floor_K),
+        "reference_condition": dict(zip(RATIO_VARIABLES, map(float, found.reference), strict=True)),
+        "effect": effects[0],
+        **several,
+        "candidates": [
+            asdict(c)
+            for c in sorted(found.candidates, key=lambda c: c.delta_bic)
+        ],
+        "residual_heating": HEATING_NAME,
+        "estimated": {n: _plain(p) for n, p in found.parameters.items()},
+        "residual": found.residual.numbers(),
+        "residual_after": None if found.residual_after is None else found.residual_after.numbers(),
+        "evidence": {**found.evidence.numbers(), "proposal": found.evidence.proposal()},
+        "verdicts": [{"kind": v.kind, "words": v.words} for v in found.verdicts],
+        "false_alarm": found.false_alarm,
+        "warnings": list(found.warnings),
+        "program": f"sim-heating {package_version()}",
+    }  # fmt: skip
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _plain(p: Estimated) -> dict[str, Any]:
+    return {"value": float(p.value), "sigma": _finite(p.sigma), "unit": p.unit}
+
+
+def write_closure(found: Closure, out: Path) -> list[str]:
+    """Write all of a closure into a folder, or none of it; names of the files."""
+    with output_directory(out) as folder:
+        fill_closure(found, folder)
+        return sorted(p.name for p in folder.iterdir() if p.is_file())
+
+
+def fill_closure(found: Closure, folder: Path) -> None:
+    """The files of a closure into a folder that is there."""
+    write_json(folder / NAME, closure_json(found))
+    write_residual_heating(folder / HEATING_NAME, found.residual)
+    write_page(folder / PAGE, page_of(found))
+
+
+# The page ------------------------------------------------------------------------------------------------------------
+
+
+def page_of(found: Closure) -> Page:
+    """The report as a page."""
+    record = found.record
+    title = record.declared.title or record.declared.control_point
+    kind = "measured" if record.declared.measured else "synthetic"
+    subtitle = f"Record {record.name}, control point {record.declared.control_point}, {kind} data"
+    warnings = [*(v.words for v in found.verdicts), *found.warnings]
+    sections = [
+        _errors(found), _comparison(found), _effects(found), _candidates(found), _heating(found), _evidence(found),
+        _beyond(found),
+    ]  # fmt: skip
+    return Page(title, subtitle, sections, _headline(found), warnings)
+
+
+def _headline(found: Closure) -> tuple[str, str]:
+    before, after = errors_of(found.before), errors_of(found.after)
+    told = _change("fitted", before["fit"], after["fit"]) + _change("held out", before["holdout"], after["holdout"])
+    if found.verdicts:
+        return f"No aerothermal finding: {found.verdicts[0].kind}", found.verdicts[0].words
+    if found.added:
+        sure = f"Posterior {found.effects[0].posterior:.3f} against all candidates, none included. "
+        return f"Found: {found.named}", sure + told
+    if found.effects[0].name == UNKNOWN:
+        return "Something is missing that no candidate explains", " ".join(found.evidence.proposal()[:1])
+    return "The declared model and its derivatives explain the record", told
+
+
+def _change(what: str, before: Mapping[str, float] | None, after: Mapping[str, float] | None) -> str:
+    if before is None or after is None:
+        return ""
+    if before is after or before["rmse_K"] == after["rmse_K"]:
+        return f"RMSE over {what} data: {before['rmse_K']:.2f} K. "
+    return f"RMSE over {what} data: {before['rmse_K']:.2f} K before, {after['rmse_K']:.2f} K after. "
+
+
+def _errors(found: Closure) -> Section:
+    rows = []
+    stages = [("Declared tables, nothing fitted", found.predicted), ("Derivatives fitted (before)", found.before)]
+    if found.added:
+        stages.append((f"With {found.named} (after)", found.after))
+    for label, prediction in stages:
+        e = errors_of(prediction)
+        rows.append([label, *(t for part in ("fit", "holdout") for t in _cells(e[part]))])
+    heads = ["", "RMSE fitted, K", "largest, K", "samples", "RMSE held out, K", "largest, K", "samples"]
+    floor = f"Noise floor, from sensor noise and quantisation: {found.noise_floor_K:.2f} K. "
+    caption = (
+        floor + "Errors are those of the plain march, no measurement assimilated; held-out samples were never used."
+    )
+    return Section("Errors", tables=[Table(heads, rows, caption, strong=[len(rows) - 1])])
+
+
+def _cells(errors: Mapping[str, float] | None) -> list[str]:
+    if errors is None:
+        return ["-", "-", "0"]
+    return [f"{errors['rmse_K']:.2f}", f"{errors['max_abs_K']:.1f}", f"{errors['n']:.0f}"]
+
+
+def _comparison(found: Closure) -> Section:
+    caption = "Each used sensor with its residuals below (measured minus predicted); held-out spans shaded."
+    return Section(
+        "Measured against predicted",
+        pictures=[Picture(comparison(found.predicted, found.before, found.after, found.named), caption)],
+    )
+
+
+def _effects(found: Closure) -> Section:
+    rows = [
+        [f"{e.name}: {n}", f"{p.value:.5g}", _bound(p), p.unit] for e in found.effects for n, p in e.parameters.items()
+    ]
+    own = len(rows)
+    rows += [[n, f"{p.value:.5g}", _bound(p), p.unit] for n, p in found.parameters.items() if not _is_effect(n)]
+    reference = ", ".join(f"{n} {v:.4g}" for n, v in zip(RATIO_VARIABLES, found.reference, strict=True))
+    caption = f"One standard deviation, corrected for coloured residuals. Derivatives are about {reference}."
+    heads = ["", "value", "sigma", "unit"]
+    return Section("Estimated parameters", tables=[Table(heads, rows, caption, strong=list(range(own)))])
+
+
+def _is_effect(name: str) -> bool:
+    return name.startswith("effect.")
+
+
+def _bound(p: Estimated) -> str:
+    return f"{p.sigma:.2g}" if math.isfinite(p.sigma) else "not told"
+
+
+def _candidates(found: Closure) -> Section:
+    tried = sorted(found.candidates, key=lambda c: c.delta_bic)
+    if not tried:
+        return Section("Candidates", ["None was tried."])
+    rows = [[c.name, f"{c.delta_bic:+.1f}", f"{c.fit_rmse_K:.2f}", _or_dash(c.holdout_rmse_K)] for c in tried]
+    chosen = [e.name for e in found.effects]
+    marked = [i for i, c in enumerate(tried) if c.name in chosen]
+    table = Table(["", "BIC - BIC of none", "RMSE fitted, K", "RMSE held out, K"], rows, strong=marked)
+    figure = ranking([c.name for c in tried], [c.delta_bic for c in tried], chosen)
+    text = [found.false_alarm] if found.false_alarm else []
+    return Section("Candidates", text, tables=[table], pictures=[Picture(figure, "The same as a picture.")])
+
+
+def _or_dash(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
+
+
+def _heating(found: Closure) -> Section:
+    numbers = found.residual.numbers()
+    text = [
+        "What has to be added to the heating ratio for the measured temperatures to be explained: the inverse heat "
+        "conduction problem, regularised by the noise model that the record itself makes most likely. Changes up to "
+        f"{numbers['half_amplitude_Hz']:.3g} Hz come back at more than half their size "
+        f"(a period of {_period(numbers['half_amplitude_Hz'])})."
+    ]
+    variables = flight_variables(found.residual)
+    order = [f.shape.variable for f in found.evidence.followed]
+    order += [n for n in variables if n not in order]
+    pictures = [
+        Picture(heating(found.residual, found.residual_after, found.evidence), "Missing heating ratio against time."),
+        Picture(against(found.residual, variables, order), "Missing heating ratio against what moved; bars: 1 sigma."),
+    ]
+    return Section("Residual as heating", text, pictures=pictures)
+
+
+def _period(frequency_Hz: float) -> str:
+    return f"{1.0 / frequency_Hz:.0f} s" if frequency_Hz > 0.0 else "none: the readings tell nothing"
+
+
+def _evidence(found: Closure) -> Section:
+    e = found.evidence
+    rows = [
+        [c.variable, f"{c.lag_s:+g}", f"{c.value:+.2f}", f"{c.n_effective:.0f}", *map(_short, (c.chance, c.chance_all))]
+        for c in e.correlations
+    ]
+    correlated = Table(
+        ["variable", "lag, s", "correlation", "effective points", "chance", "chance, all looks"], rows,
+        "Weighted by 1 / sigma^2. Chance: of one as large from a history that has nothing to do with it, alone, and "
+        "over all variables and lags.",
+    )  # fmt: skip
+    followed = Table(
+        ["shape", "size", "sigmas", "explains"],
+        [[f.shape.words(), f"{f.amplitude:+.3g}", f"{abs(f.z):.1f}", f"{f.share:.0%}"] for f in e.followed[:8]],
+        f"Best form of each variable, of what any history would explain. The shapes make {e.looks:.0f} independent "
+        f"looks; noise alone would do as well as the best with a chance of {_short(e.chance)}.",
+    )
+    figure = loops_figure(found.residual, flight_variables(found.residual), e)
+    caption = "Residual around manoeuvres that loop most: an error of the thermal model, a clock or a lag."
+    pictures = [] if figure is None else [Picture(figure, caption)]
+    return Section("Evidence", points=e.proposal(), tables=[followed, correlated], pictures=pictures)
+
+
+def _short(chance: float) -> str:
+    return f"{chance:.2g}" if chance > 1e-6 else "below 1e-6"
+
+
+def _beyond(found: Closure) -> Section:
+    text = [
+        "With the best heating history in place, what a sensor still shows is not heating at the surface: conduction, "
+        "the sensor, its clock."
+    ]
+    return Section("What no heating explains", text, points=[s.words() for s in found.residual.sensors])

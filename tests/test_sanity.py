@@ -1,0 +1,132 @@
+"""A record that is damaged is told from one that lacks an effect, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from missing import record_with
+from walls import practice_record
+
+from sim_heating.closure.residual import residual_heating
+from sim_heating.closure.sanity import CLOCK, MATERIAL, SENSOR, TRAJECTORY, Verdict, after_fit, before_fit
+from sim_heating.effects import use
+from sim_heating.estimation.estimate import estimate
+from sim_heating.record import Record
+
+SOUND = "p07"
+
+
+def sound() -> Record:
+    return practice_record(SOUND)[0]
+
+
+def reading(**columns: Any) -> Record:
+    """The sound record with other readings."""
+    record = sound()
+    return replace(record, thermocouples={**record.thermocouples, **columns})
+
+
+def flying(**columns: Any) -> Record:
+    """The sound record with other conditions."""
+    record = sound()
+    return replace(record, conditions=record.conditions.with_columns(**columns))
+
+
+def told(record: Record) -> list[Verdict]:
+    """All verdicts on a record: before a fit, and after one where it comes to that."""
+    found = before_fit(record)
+    if found:
+        return found
+    fitted = estimate([record])
+    residual = residual_heating(fitted.problem, fitted.fit.values)
+    return after_fit(fitted.problem, fitted.fit.values, residual)
+
+
+def only(record: Record, kind: str) -> str:
+    found = told(record)
+    assert [v.kind for v in found] == [kind]
+    return found[0].words
+
+
+def test_a_sound_record_has_no_verdict():
+    assert told(sound()) == []
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        lambda: record_with([use("transition", {"log10_re_onset": 6.6, "factor": 2.0})], 1),
+        lambda: record_with([], 1, stack__rsi__conductivity_factor=1.4),
+        lambda: record_with([use("gap-flow", {"gap_fraction": 0.15})], 1),
+        lambda: record_with([], 1, skew_s=3.0),
+    ],
+    ids=["transition", "conductivity", "gap flow", "time skew"],
+)
+def test_an_effect_is_no_damage(made: Callable[[], tuple[Record, Any]]):
+    record, _ = made()
+    assert before_fit(record) == []
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "milliseconds"), (1.0 / 60.0, "minutes")])
+def test_a_clock_in_another_unit_is_told_whichever_file_has_it(factor, unit):
+    record = sound()
+    words = only(reading(time_s=record.time_s * factor), CLOCK)
+    assert "thermocouples" in words
+    assert unit in words
+    words = only(flying(time_s=record.conditions.time_s * factor), CLOCK)
+    assert "flight conditions" in words
+    assert unit in words
+
+
+def test_temperatures_of_a_flight_minutes_later_are_told():
+    words = only(reading(time_s=sound().time_s + 150.0), TRAJECTORY)
+    assert "150 s later" in words
+
+
+@pytest.mark.parametrize("factor", [0.4, 2.0])
+def test_a_reference_heating_off_by_a_factor_is_told(factor):
+    words = only(flying(h_ref_kg_m2_s=sound().conditions["h_ref_kg_m2_s"] * factor), TRAJECTORY)
+    assert f"{1.0 / factor:.1f}"[:2] in words
+    assert "reference heating" in words
+
+
+def test_a_sensor_that_sticks_half_way_is_told():
+    record = sound()
+    t, column = record.time_s, record.sensors[0].column
+    read = record.thermocouples[column]
+    words = only(reading(**{column: np.where(t > 700.0, read[t > 700.0][0], read)}), SENSOR)
+    assert f"{record.sensors[0].name}: stands still" in words
+    assert "from 700" in words
+
+
+def test_a_bondline_that_jumps_faster_than_heat_diffuses_is_told():
+    record = sound()
+    column = record.sensors[-1].column
+    words = only(reading(**{column: record.thermocouples[column] + 40.0 * (record.time_s > 800.0)}), SENSOR)
+    assert f"{record.sensors[-1].name}: jumps by +4" in words
+
+
+def test_a_sensor_that_drifts_is_told_from_the_others():
+    record = sound()
+    column = record.sensors[-1].column
+    words = only(reading(**{column: record.thermocouples[column] + 0.1 * np.maximum(record.time_s - 500.0, 0.0)}), SENSOR)
+    assert f"{record.sensors[-1].name}: contradicts" in words
+    assert "drifts by +9" in words or "drifts by +10" in words
+
+
+@pytest.mark.parametrize("factor", [4.0, 1.0 / 3.0])
+def test_another_material_is_told(factor):
+    record = sound()
+    name = record.declared.stack.layer[1].material
+    material = record.declared.materials[name].model_dump(exclude_unset=True)
+    table = material["conductivity_W_mK"]
+    table["k"] = (factor * np.array(table["k"])).tolist()
+    other = type(record.declared.materials[name]).model_validate(material)
+    materials = {**record.declared.materials, name: other}
+    words = only(replace(record, declared=record.declared.model_copy(update={"materials": materials})), MATERIAL)
+    assert f"`{name}`" in words
+    assert f"conductivity {1.0 / factor:.2g}" in words
