@@ -13,6 +13,7 @@ import click
 import numpy as np
 from rich.table import Table
 
+from sim_heating.cli_closure import close_loop
 from sim_heating.cli_plan import plan
 from sim_heating.console import CONSOLE, ERRORS, OUT, PATH, optional_directory
 from sim_heating.console import progress_line as _progress
@@ -27,6 +28,7 @@ def cli() -> None:
     """Aerodynamic heating beside a flight simulator: temperatures from a trajectory, and back."""
 
 
+cli.add_command(close_loop)
 cli.add_command(plan)
 
 

@@ -50,9 +50,10 @@ def close_loop(records: tuple[Path, ...], out: Path, scheduler: str | None, work
 
 def _shown(rows: list[dict[str, Any]]) -> Table:
     table = Table(title="What the declared models lack", title_justify="left")
-    heads = ("record", "found", "posterior", "before, fit", "after, fit", "before, held out", "after, held out", "noise floor")  # fmt: skip
-    for head in heads:
-        table.add_column(head, justify="left" if head in heads[:2] else "right")
+    for head in ("record", "found"):
+        table.add_column(head)
+    for head in ("posterior", "before, fit", "after, fit", "before, held out", "after, held out", "noise floor"):
+        table.add_column(head, justify="right")
     errors = [f"{when}_{what}_rmse_K" for what in ("fit", "holdout") for when in ("before", "after")]
     for row in rows:
         if "failed" in row:
@@ -78,3 +79,8 @@ def _tell(report: Any) -> None:
     for line in (*(v.words for v in report.verdicts), *report.warnings):
         CONSOLE.print(line, highlight=False)
     CONSOLE.print(f"Calibration: {report.false_alarm}", highlight=False)
+
+
+def _value(name: str, parameter: Any) -> str:
+    unit = "" if parameter.unit == "1" else f" {parameter.unit}"
+    return f"{name} {parameter.value:.4g} +- {parameter.sigma:.2g}{unit}"

@@ -105,7 +105,7 @@ class ResponseMarch(FilterMarch):
             B, self.base.integers(0), self.base.table, self.base.chain,
             self.base.begin_handle, self.base.advance_handle, self.rows, self.faces,
             Blocks(*(self._shadow_state().copy() for _ in range(3))), self._groups,
-            self.time_s, self.histories, self._flights, self._places(0), readings,
+            self.time_s, self.histories, self._flights, self._places(1), readings,
             nothing, add, columns_of(n, n + 2), told,
         )  # fmt: skip
         self._leave(B)

@@ -116,12 +116,12 @@ def row_of(report: Any) -> dict[str, Any]:
     return row
 
 
-NUMBERS = ("posterior", "noise_floor_K", "before_fit_rmse_K", "after_fit_rmse_K", "before_holdout_rmse_K", "after_holdout_rmse_K")  # fmt: skip
+ERRORS = tuple(f"{when}_{what}_rmse_K" for when in ("predicted", "before", "after") for what in ("fit", "holdout"))
 
 
 def _write_table(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     columns: dict[str, Any] = {"record": [row["record"] for row in rows]}
     columns["effects"] = ["+".join(row["effects"]) if "effects" in row else "failed" for row in rows]
-    for name in NUMBERS:
+    for name in ("posterior", "noise_floor_K", *ERRORS):
         columns[name] = np.array([np.nan if row.get(name) is None else row[name] for row in rows])
     write_csv(path, columns)

@@ -10,7 +10,7 @@ from sim_heating.closure.calibration import false_alarm
 from sim_heating.closure.evidence import evidence
 from sim_heating.closure.report import Closure, Estimated, Named, Tried, errors_of, fill_closure
 from sim_heating.closure.residual import residual_heating
-from sim_heating.closure.sanity import verdicts
+from sim_heating.closure.sanity import after_fit, before_fit
 from sim_heating.closure.search import WIDENED, Attempt, Search, fitted_uses, search
 from sim_heating.conditions import RATIO_VARIABLES
 from sim_heating.estimation.estimate import Fitted, estimate
@@ -90,7 +90,7 @@ def _report(found: Search, fitted: Fitted) -> Closure:
         residual=residual,
         residual_after=left,
         evidence=evidence(residual),
-        verdicts=verdicts(found.record, before, residual),
+        verdicts=[*before_fit(found.record), *after_fit(fitted.problem, fitted.fit.values, left or residual)],
         false_alarm=false_alarm(),
         warnings=fitted.warnings,
     )

@@ -347,7 +347,7 @@ def _insulation(problem: Problem, values: FloatArray) -> tuple[float, float, flo
     part = problem.parts[0]
     names = [n for n in part.names if n not in INSULATION]
     start = [part.values(values)[n] for n in names]
-    other = Problem([part.record], [*names, *INSULATION], problem.reference, effects=part.model.effects, flat=True)
+    other = Problem([part.record], [*names, *INSULATION], problem.reference, effects=part.model.effects, widened=np.inf)
     other.parts[0].sigma_K.update(part.sigma_K)
     first = np.array([[*start, k, 1.0] for k in STARTS])
     likely = other.log_likelihoods(first)

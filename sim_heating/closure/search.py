@@ -16,6 +16,7 @@ the best starts of each are then fitted, LANES of them side by side.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -44,6 +45,8 @@ GAIN = 10.0
 """How much lower the BIC of an effect has to be than that of none."""
 SHARE = 0.5
 """Part of what noise does not explain that an effect has to explain."""
+BESIDE = 0.1
+"""What a further effect has to explain, over what the first one did: less is left by a first one whose form differs."""
 MOST_EFFECTS = 3
 AGREEMENT = 0.25
 """Part of their sample interval to which two recorders' clocks are taken to agree unless shown otherwise."""
@@ -60,7 +63,7 @@ BEHIND = 0.1
 WORTH = 5.0
 """By how much a promised gain in log likelihood may fall short of what its parameters cost."""
 QUICK = Settings(gain=0.05, step=0.2, iterations=25, lengths=(0.5, 0.25, 0.1, 0.03, 0.01, 1e-3), reach=0.4)
-STAGES = ((0.0, replace(QUICK, iterations=4)), (0.3, replace(QUICK, iterations=6)), (0.9, QUICK))
+STAGES = ((0.0, replace(QUICK, iterations=4)), (0.3, replace(QUICK, iterations=8)), (0.5, QUICK))
 """Part of the best gain that a candidate has to have reached to be fitted further, and how far."""
 
 
@@ -150,8 +153,11 @@ def search(record: Record, *, progress: Progress = lambda fraction, text: None) 
         best = found.attempts[0] if found.attempts else None
         if best is None or best.weighed > -GAIN:
             break
-        if found.excess - best.excess < SHARE * found.excess:
+        explained = found.excess - best.excess
+        if explained < SHARE * found.excess:
             return Search(record, before, tuple(rounds), tuple(added), not added)
+        if added and explained < BESIDE * (rounds[0].excess - added[0].excess):
+            break
         added.append(best)
         base = best
     return Search(record, before, tuple(rounds), tuple(added), False)
@@ -239,7 +245,7 @@ def one_round(base: Attempt, taken: Sequence[str], progress: Progress) -> Round:
         if one.name not in best:
             promised = -2.0 * gain + len(one.names) * float(np.log(samples(base.problem)))
             passed[one.name] = min(promised, passed.get(one.name, np.inf))
-    return _weighed(base, sorted(best.values(), key=lambda a: a.delta_bic), passed)
+    return _weighed(base, sorted(best.values(), key=lambda a: a.delta_bic), passed, forms_of(tried))
 
 
 def _promising(tried: Sequence[Candidate], gains: Sequence[float], n: int) -> list[int]:
@@ -330,18 +336,31 @@ def delta_bic(base: Attempt, fit: Fit, candidate: Candidate, c: float) -> float:
     return float(-2.0 * gained / c + len(candidate.names) * np.log(samples(base.problem)))
 
 
-def _weighed(base: Attempt, attempts: Sequence[Attempt], passed: Mapping[str, float]) -> Round:
+def _weighed(
+    base: Attempt, attempts: Sequence[Attempt], passed: Mapping[str, float], forms: Mapping[str, int]
+) -> Round:
+    """The round; `forms` says how many forms of each effect were tried, which share its prior probability."""
     excess = base.excess
     if not attempts:
         return Round(base, excess, (), {"none": 1.0}, passed)
     c = max(1.0, 1.0 + min(excess, attempts[0].excess))
     weighed = sorted(
-        (replace(a, weighed=delta_bic(base, a.fit, a.candidate, c)) for a in attempts), key=lambda a: a.weighed
+        (
+            replace(a, weighed=delta_bic(base, a.fit, a.candidate, c) + 2.0 * float(np.log(forms[a.name])))
+            for a in attempts
+        ),
+        key=lambda a: a.weighed,
     )
     logs = np.array([0.0, *(-0.5 * a.weighed for a in weighed)])
     odds = np.exp(logs - logs.max())
     names = ("none", *(a.name for a in weighed))
     return Round(base, excess, tuple(weighed), dict(zip(names, (odds / odds.sum()).tolist(), strict=True)), passed)
+
+
+def forms_of(tried: Sequence[Candidate]) -> dict[str, int]:
+    """How many sets of parameters of each effect there are."""
+    names = dict.fromkeys((c.name, c.names) for c in tried)
+    return dict(Counter(name for name, _ in names))
 
 
 def samples(problem: Problem) -> int:

@@ -1,31 +1,44 @@
-"""Surface recombination: a hotter wall is more catalytic and takes more heat than a cooler one."""
+"""Surface recombination: a hotter wall is more catalytic, and a flow of higher enthalpy has more atoms to recombine."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from sim_heating.arithmetic import logistic
 from sim_heating.conditions import Conditions, FloatArray
 from sim_heating.effects import Effect, Try
 from sim_heating.jit import njit
+from sim_heating.layout import RECOVERY_ENTHALPY
 from sim_heating.parameters import Parameter
 
-STEP, MIDDLE_K, WIDTH_K = range(3)
+STEP, MIDDLE_K, WIDTH_K, FLOW_STEP, MIDDLE_J_KG, WIDTH_J_KG = range(6)
 
 
 @njit
 def catalysis_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
-    """1 + step / (1 + exp(-(T_w - T_c) / width)) [-]."""
-    return 1.0 + B[p + STEP] * logistic((wall_K - B[p + MIDDLE_K]) / B[p + WIDTH_K])
+    """1 + step S((T_w - T_c) / width_T) + flow step S((H_r - H_c) / width_H), S(x) = 1 / (1 + exp(-x)) [-]."""
+    hot = B[p + STEP] * logistic((wall_K - B[p + MIDDLE_K]) / B[p + WIDTH_K])
+    return 1.0 + hot + B[p + FLOW_STEP] * logistic((B[c + RECOVERY_ENTHALPY] - B[p + MIDDLE_J_KG]) / B[p + WIDTH_J_KG])
 
 
 def tries(flown: Conditions) -> Sequence[Try]:
-    """Rises at several wall temperatures, none yet."""
-    names = ("catalysis_step", "catalysis_K", "catalysis_width_K")
+    """Rises at several wall temperatures, or at several enthalpies of the flow, none yet."""
+    hot = ("catalysis_step", "catalysis_K", "catalysis_width_K")
+    flow = ("flow_step", "flow_J_kg", "flow_width_J_kg")
+    greatest = float(np.max(flown["H_r_J_kg"]))
     return [
-        Try(names, {"catalysis_step": 0.0, "catalysis_K": T, "catalysis_width_K": width})
-        for T in (500.0, 700.0, 900.0, 1100.0, 1300.0)
-        for width in (60.0, 200.0)
+        *(
+            Try(hot, {"catalysis_step": 0.0, "catalysis_K": T, "catalysis_width_K": width})
+            for T in (500.0, 700.0, 900.0, 1100.0, 1300.0)
+            for width in (60.0, 200.0)
+        ),
+        *(
+            Try(flow, {"catalysis_step": 0.0, "flow_step": 0.0, "flow_J_kg": part * greatest, "flow_width_J_kg": width})
+            for part in (0.3, 0.5, 0.7, 0.9)
+            for width in (1e6, 3e6)
+        ),
     ]
 
 
@@ -36,6 +49,9 @@ EFFECT = Effect(
         Parameter("catalysis_step", "1", 0.2, 0.2, -0.9, 3.0, "relative rise of the ratio from cold to hot wall"),
         Parameter("catalysis_K", "K", 1100.0, 150.0, 300.0, 2500.0, "wall temperature of half the rise"),
         Parameter("catalysis_width_K", "K", 60.0, 40.0, 1.0, 1000.0, "width of the rise"),
+        Parameter("flow_step", "1", 0.0, 0.2, -0.9, 3.0, "relative rise from low to high enthalpy of the flow"),
+        Parameter("flow_J_kg", "J/kg", 1.5e7, 5e6, 1e5, 1e8, "recovery enthalpy of half that rise"),
+        Parameter("flow_width_J_kg", "J/kg", 2e6, 1e6, 1e4, 1e8, "width of that rise"),
     ),
     kernel=catalysis_factor,
     needs_wall=True,
