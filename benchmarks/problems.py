@@ -19,7 +19,7 @@ from sim_heating.thermal.mesh import Mesh, build_mesh
 
 FloatArray = NDArray[np.float64]
 
-RECORD = Path(__file__).parents[1] / "tests" / "data" / "practice" / "p06"
+RECORD = Path(__file__).parents[1] / "scenarios" / "records" / "practice" / "p06"
 ENTRY_S = 1500.0
 NOTHING = np.array([], dtype=np.int64)
 """Keep no histories."""

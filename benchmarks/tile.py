@@ -25,7 +25,7 @@ from sim_heating.sensors import measured
 FloatArray = NDArray[np.float64]
 
 MIL_M = 2.54e-5
-PRACTICE = Path(__file__).parent.parent / "tests" / "data" / "practice"
+PRACTICE = Path(__file__).parent.parent / "scenarios" / "records" / "practice"
 END_S, POPU_S, PERIOD_S = 400.0, 320.0, 40.0
 FIT_S = (300.0, 390.0)
 SIGMA_BOLTZMANN, EMITTANCE, H_R_J_KG = 5.670374e-8, 0.85, 2.5e7

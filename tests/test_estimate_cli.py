@@ -18,7 +18,7 @@ from sim_heating.estimation.result import read_estimate
 from sim_heating.files import read_json
 
 ROOT = Path(__file__).resolve().parent.parent
-PRACTICE = ROOT / "tests" / "data" / "practice" / "p06"
+PRACTICE = ROOT / "scenarios" / "records" / "practice" / "p06"
 PLUG, POD = "V09T9527", "V07T9975"
 TRUTH = {"ratio.scale": 0.15, "ratio.d_alpha": 0.0006}
 SKEW_S = 0.6

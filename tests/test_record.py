@@ -18,8 +18,9 @@ from sim_heating.files import check, csv_text, read_csv_columns, toml_text, writ
 from sim_heating.record import Record, RecordFile, in_segments, load_record, make_record, pooled_rmse_K, write_record
 from sim_heating.thermal.declare import Sensor, Stack, construct
 
+PRACTICE = Path(__file__).parents[1] / "scenarios" / "records" / "practice"
 DATA = Path(__file__).parent / "data"
-RECORDS = [DATA / "records" / "tile", DATA / "records" / "board", DATA / "practice" / "p06", DATA / "practice" / "p07"]
+RECORDS = [DATA / "records" / "tile", DATA / "records" / "board", PRACTICE / "p06", PRACTICE / "p07"]
 
 
 @pytest.fixture(scope="module")
@@ -63,8 +64,8 @@ def test_a_record_that_somebody_else_made_is_not_written_over(tile: Record, tmp_
 
 @pytest.mark.parametrize("name", ["p06", "p07"])
 def test_a_practice_record_declares_the_noise_it_was_made_with(name: str) -> None:
-    record = load_record(DATA / "practice" / name)
-    truth = tomllib.loads((DATA / "practice" / name / "truth.toml").read_text())
+    record = load_record(PRACTICE / name)
+    truth = tomllib.loads((PRACTICE / name / "truth.toml").read_text())
     # the generator weighted its two sensors equally, the contract weights them by samples: some are lost
     equal = math.sqrt(np.mean([s.noise_sigma_K**2 + s.lsb_K**2 / 12 for s in record.used_sensors]))
     assert equal == pytest.approx(truth["noise_floor_K"], abs=0.0005)
@@ -72,7 +73,7 @@ def test_a_practice_record_declares_the_noise_it_was_made_with(name: str) -> Non
 
 
 def test_a_practice_record_holds_what_its_files_hold() -> None:
-    record = load_record(DATA / "practice" / "p07")
+    record = load_record(PRACTICE / "p07")
     assert record.name == "p07"
     assert [s.depth_m for s in record.sensors] == [0.00048, 0.03748]
     assert record.time_s[:2].tolist() == [0.51, 1.51]

@@ -41,6 +41,7 @@ from sim_heating.reference_heating.stagnation import (
     sutton_graves_kernel,
 )
 
+PRACTICE = Path(__file__).parents[1] / "scenarios" / "records" / "practice"
 DATA = Path(__file__).parent / "data"
 compiling = settings(deadline=None)  # the first example waits for the compiler
 ONE_FOOT_M = 0.3048
@@ -392,7 +393,7 @@ def test_a_whole_entry_peaks_where_shuttles_were_hottest():
 
 @pytest.mark.parametrize("record", ["p06", "p07"])
 def test_an_independent_program_s_records_have_the_sutton_graves_film_coefficient_to_their_digits(record):
-    columns = np.genfromtxt(DATA / "practice" / record / "conditions.csv", delimiter=",", names=True)
+    columns = np.genfromtxt(PRACTICE / record / "conditions.csv", delimiter=",", names=True)
     c = Conditions({name: columns[name].copy() for name in columns.dtype.names})
     h_ref, H_r = reference_heating("sutton-graves", c)
     assert h_ref == pytest.approx(c["h_ref_kg_m2_s"], rel=2e-5)  # 890 to 7700 m/s; rho printed to 6 digits

@@ -20,7 +20,7 @@ from sim_heating.thermal.declare import Construction, Layer, Material, Stack
 from sim_heating.thermal.mesh import Mesh
 
 FloatArray = NDArray[np.float64]
-PRACTICE = Path(__file__).parent / "data" / "practice"
+PRACTICE = Path(__file__).parents[1] / "scenarios" / "records" / "practice"
 BLACK_TO_NOTHING = 1e-9
 """The least emissivity that a material may declare."""
 
