@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sim_heating.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.effects import Effect, EffectUse, check_count
-from sim_heating.effects.chain import compiled_chain, held
+from sim_heating.effects.chain import chain_of
 from sim_heating.errors import InputError, RunError
 from sim_heating.files import nearest
 from sim_heating.heating_ratio.kernel import pack_table
@@ -258,7 +258,6 @@ class Ensemble:
     meshes : the mesh of each (resolution.pack chooses them)
     step_s : the longest time step [s] that a march takes
     beside : an ensemble of points with the same tables and effects, whose tables this one shares
-    effects : more effects that points may be given later (set_model)
     kinds   : (point,) numbers; points of different ones share no group, those of the lowest come first
 
     Attributes: `meshes`, `table` with all property and ratio tables, and `state`, which holds everything that changes.
@@ -270,7 +269,6 @@ class Ensemble:
         meshes: Sequence[Mesh],
         step_s: float = 1.0,
         beside: Ensemble | None = None,
-        effects: Iterable[Effect] = (),
         kinds: Sequence[int] | None = None,
     ) -> None:
         if not models:
@@ -278,9 +276,10 @@ class Ensemble:
         self.models = list(models)
         self.step_s = step_s
         self.meshes = tuple(meshes)
-        self._effects: tuple[Effect, ...] = beside._effects if beside else held(distinct_effects(self.models, effects))
-        self._chain = compiled_chain(self._effects)
+        self._effects = _distinct_effects(self.models)
+        self._chain = chain_of(self._effects)
         self.chain = self._chain.handle
+        self._codes = dict(zip(self._effects, self._chain.codes, strict=True))
         self.begin_handle, self.advance_handle = (handle(f) for f in compiled())
         self._tables: TableStore = TableStore() if beside is None else beside._tables
         self._arrange([0] * len(self.models) if kinds is None else kinds)
@@ -372,7 +371,7 @@ class Ensemble:
             J[row + place.lane : row + place.end] = value
         for lane in range(place.lane, place.end):
             for k, used in enumerate(uses):
-                J[EFFECT_CODES + lane * EFFECT_SLOTS + k] = self._effects.index(used.effect)
+                J[EFFECT_CODES + lane * EFFECT_SLOTS + k] = self._codes[used.effect]
 
     def set_model(self, model: int, altered: PointModel) -> None:
         """Give a point other parameters: `altered` is its present model but for their values (PointModel.altered).
@@ -553,10 +552,8 @@ def aligned_zeros(count: int) -> FloatArray:
     return memory[first : first + count]
 
 
-def distinct_effects(models: Iterable[PointModel], more: Iterable[Effect] = ()) -> tuple[Effect, ...]:
-    """The effects with a kernel of some points, and more, by name: one order, so that a chain is compiled once."""
-    named = {e.name: e for e in (*(u.effect for m in models for u in m.effects), *more) if e.kernel}
-    return tuple(named[name] for name in sorted(named))
+def _distinct_effects(models: Iterable[PointModel]) -> tuple[Effect, ...]:
+    return tuple(dict.fromkeys(u.effect for m in models for u in m.effects if u.effect.kernel))
 
 
 def element_densities(construction: Construction, mesh: Mesh) -> FloatArray:

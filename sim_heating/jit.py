@@ -142,6 +142,12 @@ def _call_chain_compiled(chain, code, B, c, p, wall_K):  # type: ignore[no-untyp
 
 
 @numba.extending.intrinsic
+def call_effect(_typing_context, address, B, c, p, wall_K):  # type: ignore[no-untyped-def]
+    """The compiled kernel of an effect at an address, called: kernel(B, c, p, wall_K) -> float."""
+    return numba.types.float64(address, B, c, p, wall_K), _call_through_address
+
+
+@numba.extending.intrinsic
 def _call_step(_typing_context, address, B, J, table, chain, dt):  # type: ignore[no-untyped-def]
     return numba.types.void(address, B, J, table, chain, dt), _call_through_address
 

@@ -6,7 +6,7 @@ stage and the end of the step, which has the order of the step itself; a skew of
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.effects import Effect
 from sim_heating.ensemble import Ensemble, PointModel, initial_temperatures
 from sim_heating.errors import InputError, RunError
 from sim_heating.jit import call_step, handle, njit, raw
@@ -155,18 +154,15 @@ class LinearMarch:
     tracks    : what is marched; parameters are changed with `set_models`, times and names stay
     time_s    : (time,) steps [s] that the march takes; conditions are linear between them
     histories : (flight, time, condition) as ensemble.condition_history gives them
-    effects   : effects that marches after this one have besides: their code is compiled once for all of them
     """
 
-    def __init__(
-        self, tracks: Sequence[Track], time_s: FloatArray, histories: FloatArray, effects: Iterable[Effect] = ()
-    ) -> None:
+    def __init__(self, tracks: Sequence[Track], time_s: FloatArray, histories: FloatArray) -> None:
         if not 0 < len(tracks) <= LANES:
             raise InputError(f"linear march: {len(tracks)} tracks; 1 to {LANES} go together")
         self.tracks = tuple(tracks)
         self.time_s = np.ascontiguousarray(time_s, dtype=float)
         self.histories = np.ascontiguousarray(histories, dtype=float)
-        self.base = Ensemble([t.model for t in self.tracks], [t.mesh for t in self.tracks], effects=effects)
+        self.base = Ensemble([t.model for t in self.tracks], [t.mesh for t in self.tracks])
         self._shadows = [shadow for i, track in enumerate(self.tracks) for shadow in _shadows_of(i, track)]
         self.shadows = self._ensemble() if self._shadows else None
         self.rows, self.faces = (handle(f) for f in compiled_shadows())

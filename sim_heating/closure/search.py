@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 
 from sim_heating.closure.candidates import Candidate, candidates
 from sim_heating.closure.thinning import LONGEST_S, thinned
-from sim_heating.effects import EffectUse, effects
-from sim_heating.effects.chain import compiled_chain
+from sim_heating.effects import EffectUse
 from sim_heating.estimation.estimate import Fitted, estimate, misfit, predict_at
 from sim_heating.estimation.identifiability import covariance
 from sim_heating.estimation.likelihood import likelihood
@@ -137,7 +136,6 @@ def search(record: Record, *, progress: Progress = lambda fraction, text: None) 
     raises : InputError, RunError where not even the declared model can be fitted
     """
     progress(0.02, "declared model")
-    compiled_chain(tuple(e for e in effects().values() if e.kernel))
     before = estimate([record])
     base = _base(before)
     rounds: list[Round] = []

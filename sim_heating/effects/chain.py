@@ -1,29 +1,35 @@
 """The effects of an ensemble as one compiled function of a code, which the kernels call through a pointer.
 
-The kernels are compiled once for any effects: what changes with them is this function alone.
+The kernels are compiled once for any effects. In this process each effect is compiled for itself, and cached; the code
+of one is its address, and the function calls it. A library that is exported has the one function `compiled_chain`, in
+which the code of an effect is its place.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numba
 from numba import types
 
 from sim_heating.effects import Effect
-from sim_heating.jit import handle
+from sim_heating.jit import call_effect, handle
 
 SIGNATURE = types.float64(types.int64, types.CPointer(types.float64), types.int64, types.int64, types.float64)
 """value = chain(code, B, c, p, wall_K)"""
+KERNEL = types.float64(types.CPointer(types.float64), types.int64, types.int64, types.float64)
+"""value = kernel(B, c, p, wall_K)"""
 
 
 @dataclass(frozen=True)
 class Chain:
-    """The compiled effects: `handle` is what kernels take, `function` keeps it alive."""
+    """The compiled effects: `handle` is what kernels take, `function` keeps it alive; codes of the effects."""
 
     function: Callable[..., float]
+    codes: tuple[int, ...]
 
     @property
     def handle(self) -> Any:
@@ -52,19 +58,34 @@ def _join(kernels: Sequence[Any]) -> Callable[..., float]:
     return joined
 
 
-_COMPILED: dict[tuple[Effect, ...], Chain] = {}
-
-
+@cache
 def compiled_chain(effects: tuple[Effect, ...]) -> Chain:
-    """The chain of these effects; the code of an effect is its place among them."""
-    if effects not in _COMPILED:
-        function = _join([e.kernel for e in effects]) if effects else _nothing
-        interpreted = numba.config.DISABLE_JIT  # type: ignore[attr-defined]
-        compiled = function if interpreted else numba.cfunc(SIGNATURE, cache=not effects, error_model="numpy")(function)
-        _COMPILED[effects] = Chain(compiled)
-    return _COMPILED[effects]
+    """The chain of these effects in one function; the code of an effect is its place among them."""
+    function = _join([e.kernel for e in effects]) if effects else _nothing
+    codes = tuple(range(len(effects)))
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return Chain(function, codes)
+    return Chain(numba.cfunc(SIGNATURE, cache=not effects, error_model="numpy")(function), codes)
 
 
-def held(effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
-    """Effects of a chain that has been compiled and holds these; these themselves where there is none."""
-    return next((known for known in _COMPILED if set(effects) <= set(known)), effects) if effects else effects
+def chain_of(effects: tuple[Effect, ...]) -> Chain:
+    """The chain of these effects in this process."""
+    if numba.config.DISABLE_JIT or not effects:  # type: ignore[attr-defined]
+        return compiled_chain(effects)
+    return Chain(_compiled_call(), tuple(_compiled(e.kernel).address for e in effects))
+
+
+def _call(code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
+    """The chain whose codes are addresses."""
+    return call_effect(code, B, c, p, wall_K)
+
+
+@cache
+def _compiled_call() -> Any:
+    return numba.cfunc(SIGNATURE, cache=True, error_model="numpy")(_call)
+
+
+@cache
+def _compiled(kernel: Any) -> Any:
+    """The kernel of an effect, compiled when first asked for."""
+    return numba.cfunc(KERNEL, cache=True, error_model="numpy")(kernel.py_func)

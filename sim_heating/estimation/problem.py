@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.conditions import RATIO_VARIABLES, Conditions
-from sim_heating.effects import Effect, EffectUse
+from sim_heating.effects import EffectUse
 from sim_heating.ensemble import PointModel, condition_history, initial_temperatures
 from sim_heating.errors import InputError, RunError
 from sim_heating.estimation.likelihood import scores
@@ -462,12 +462,12 @@ def side_by_side(parts: Iterable[Part]) -> list[list[Part]]:
     return [group[k : k + LANES] for group in alike.values() for k in range(0, len(group), LANES)]
 
 
-def march_of(group: Sequence[Part], effects: Iterable[Effect] = ()) -> LinearMarch:
-    """The linearised march of parts on common times; `effects` as LinearMarch takes them."""
+def march_of(group: Sequence[Part]) -> LinearMarch:
+    """The linearised march of parts on common times."""
     tracks = [replace(part.track(), flight=i) for i, part in enumerate(group)]
     time = group[0].time_s
     histories = np.stack([condition_history(part.conditions.at(time)) for part in group])
-    return LinearMarch(tracks, time, histories, effects)
+    return LinearMarch(tracks, time, histories)
 
 
 def set_out(

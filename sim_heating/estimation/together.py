@@ -6,14 +6,12 @@ all of them that are on common times share lane groups (problem.side_by_side); t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim_heating.effects import Effect
-from sim_heating.ensemble import distinct_effects
 from sim_heating.estimation.newton import Evaluation, Fit, Iteration, Settings, iteration
 from sim_heating.estimation.problem import Part, Problem, in_threads, march_of, set_out, side_by_side
 from sim_heating.linear_march import Linearised, LinearMarch
@@ -34,16 +32,13 @@ class Together:
     """The marches of several problems.
 
     problems : what is evaluated; no problem twice
-    effects  : effects that problems evaluated after these have besides: their code is compiled once for all of them
     """
 
-    def __init__(self, problems: Sequence[Problem], effects: Iterable[Effect] = ()) -> None:
+    def __init__(self, problems: Sequence[Problem]) -> None:
         self.problems = tuple(problems)
-        self.effects = distinct_effects((part.model for p in problems for part in p.parts), effects)
         place = {part: (i, k) for i, p in enumerate(problems) for k, part in enumerate(p.parts)}
         self._groups = [
-            _Group(tuple(place[part] for part in group), tuple(group), march_of(group, self.effects))
-            for group in side_by_side(place)
+            _Group(tuple(place[part] for part in group), tuple(group), march_of(group)) for group in side_by_side(place)
         ]
 
     def evaluate(self, vectors: Sequence[FloatArray]) -> list[Evaluation]:
@@ -93,7 +88,7 @@ def maximise_together(
     while asked:
         if together is None or len(asked) < len(marched):
             marched = tuple(asked)
-            together = Together([problems[k] for k in marched], () if together is None else together.effects)
+            together = Together([problems[k] for k in marched])
         found = together.evaluate([asked[k] for k in marched])
         for k, evaluation in zip(marched, found, strict=True):
             answer = _next(searches[k], evaluation, problems[k])

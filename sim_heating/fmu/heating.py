@@ -187,13 +187,13 @@ class _Packer:
 
     def _integers(self) -> np.ndarray[Any, Any]:
         """The ensemble's integers with the codes that effects have in the library."""
-        ints, own = self.ensemble.ints.copy(), self.ensemble._effects
+        ints = self.ensemble.ints.copy()
         for g, row in enumerate(self.ensemble.groups):
             J = ints[row[2] : row[3]]
             for lane in range(LANES):
                 model = self.ensemble.models[self.ensemble.lanes[g * LANES + lane]]
                 codes = J[EFFECT_CODES + lane * EFFECT_SLOTS :][: len(acting(model))]
-                codes[:] = [self.known.index(own[code]) for code in codes]
+                codes[:] = [self.known.index(used.effect) for used in acting(model)]
         return ints
 
     def _pack_inputs(self) -> dict[int, int]:

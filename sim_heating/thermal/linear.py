@@ -249,44 +249,52 @@ def solve_columns(
 ) -> None:
     """S from A S = star - G_p, A and G_p as the shadows have been assembled with ddt [s]; `reduced` (node,) is work."""
     n, m = p.nodes[lane], S.shape[1]
-    for i in range(n):
-        for k in range(m):
-            S[i, k] = star[i, k]
+    _copy(star, S)
     _subtract_forcing(X, p, lane, forced, ddt, S)
+    before = 0.0
     for i in range(n):
-        a, above = p.at[lane] + i * NODE, max(i - 1, 0)
-        lower, before = (X[a - NODE + LOWER * LANES], reduced[above]) if i > 0 else (0.0, 0.0)
+        a = p.at[lane] + i * NODE
+        lower = X[a - NODE + LOWER * LANES] if i > 0 else 0.0
         pivot = 1.0 / (X[a + DIAGONAL * LANES] - lower * before)
-        reduced[i] = X[a + NODE + ENTRY * LANES] * pivot
+        before = X[a + NODE + ENTRY * LANES] * pivot
+        reduced[i] = before
+        share, above = lower * pivot, max(i - 1, 0)
         for k in range(m):
-            S[i, k] = (S[i, k] - lower * S[above, k]) * pivot
+            S[i, k] = S[i, k] * pivot - share * S[above, k]
     for i in range(n - 2, -1, -1):
         for k in range(m):
             S[i, k] -= reduced[i] * S[i + 1, k]
 
 
 @njit
+def _copy(given: FloatArray, to: FloatArray) -> None:
+    given, to = given.ravel(), to.ravel()
+    for k in range(len(to)):
+        to[k] = given[k]
+
+
+@njit
 def first_star(e: FloatArray, f: FloatArray, dt: float, star: FloatArray) -> None:
     """Right-hand side of the first stage."""
-    for i in range(e.shape[0]):
-        for k in range(e.shape[1]):
-            star[i, k] = e[i, k] + STAGE_WEIGHT * dt * f[i, k]
+    e, f, star = e.ravel(), f.ravel(), star.ravel()
+    for k in range(len(star)):
+        star[k] = e[k] + STAGE_WEIGHT * dt * f[k]
 
 
 @njit
 def second_star(e: FloatArray, middle: FloatArray, star: FloatArray) -> None:
     """Right-hand side of the second stage; `middle` is e at the first."""
-    for i in range(e.shape[0]):
-        for k in range(e.shape[1]):
-            star[i, k] = e[i, k] + BDF_WEIGHT * (middle[i, k] - e[i, k])
+    e, middle, star = e.ravel(), middle.ravel(), star.ravel()
+    for k in range(len(star)):
+        star[k] = e[k] + BDF_WEIGHT * (middle[k] - e[k])
 
 
 @njit
 def net_columns(e: FloatArray, star: FloatArray, dt: float, f: FloatArray) -> None:
     """f at the end of the step."""
-    for i in range(e.shape[0]):
-        for k in range(e.shape[1]):
-            f[i, k] = (e[i, k] - star[i, k]) * (1.0 / (STAGE_WEIGHT * dt))
+    e, star, f = e.ravel(), star.ravel(), f.ravel()
+    for k in range(len(f)):
+        f[k] = (e[k] - star[k]) * (1.0 / (STAGE_WEIGHT * dt))
 
 
 @njit
