@@ -100,7 +100,9 @@ def with_axial(relative: float, at_s: float) -> Record:
     flown = record.conditions
     C = 1e-4 * (1.0 + 0.02 * (flown["alpha_deg"] - 40.0))
     C = C * (1.0 + relative * (flown.time_s > at_s) + np.random.default_rng(1).normal(0.0, 1e-3, len(flown)))
-    return replace(record, conditions=flown.with_columns(axial_accel_g=C * flown["rho_kg_m3"] * flown["velocity_m_s"] ** 2))
+    return replace(
+        record, conditions=flown.with_columns(axial_accel_g=C * flown["rho_kg_m3"] * flown["velocity_m_s"] ** 2)
+    )
 
 
 def test_a_step_in_axial_acceleration_is_found_in_time_and_size():
