@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim_heating.closure.candidates import candidates
 from sim_heating.cli import main
+from sim_heating.closure.candidates import candidates
 from sim_heating.effects import effects
 from sim_heating.errors import InputError
 from sim_heating.files import read_csv_columns

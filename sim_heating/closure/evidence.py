@@ -27,6 +27,7 @@ from sim_heating.closure.shapes import LAGS_S, TIME, Followed, chance, looks, sh
 from sim_heating.conditions import HEATING, RATIO_VARIABLES, STATE
 from sim_heating.points import conditions_of_record, wall_enthalpy_of
 from sim_heating.reference_heating.gas import wall_enthalpy_grid
+from sim_heating.threads import one_thread
 
 FloatArray = NDArray[np.float64]
 
@@ -154,6 +155,11 @@ def evidence(residual: ResidualHeating, ratio: FloatArray | None = None) -> Evid
 
     ratio : (knot,) the model's heating ratio, where it is known
     """
+    with one_thread():
+        return _evidence(residual, ratio)
+
+
+def _evidence(residual: ResidualHeating, ratio: FloatArray | None) -> Evidence:
     here = residual.fitted
     t, variables = residual.time_s, flight_variables(residual)
     weights = weights_of(residual)
