@@ -28,7 +28,7 @@ from sim_heating.temperatures import at_times, march_points
 from sim_heating.thermal.declare import Sensor
 from sim_heating.unknown_input import unknown_input
 
-ROUNDS, TARGET_MS, SEED = 7, 500.0, 1
+ROUNDS, SEED = 7, 1
 BEGIN_S, END_S, RISE = 500.0, 580.0, 0.1
 DEPTHS_M = (0.0, 0.002, 0.005)
 RECORDERS = {"0.3 K noise": (0.3, None), "1 K noise": (1.0, None), "1 K noise, 8 bits over 1378 K": (1.0, 8)}
@@ -72,11 +72,10 @@ def speed() -> list[Figure]:
     during = (found.time_s > BEGIN_S + 15.0) & (found.time_s < END_S - 15.0)
     rise = float(np.mean(found.delta_ratio[during]))
     return [
-        Figure("residual heating of a record, noise model found beside", 1e3 * times.best("all"), "ms", TARGET_MS,
-               note=note),
+        Figure("residual heating of a record, noise model found beside", 1e3 * times.best("all"), "ms", note=note),
         Figure("the same, noise model known", 1e3 * times.best("known"), "ms"),
         Figure("Kalman filter and smoother once, noise model known", 1e3 * times.best("smoother"), "ms"),
-        Figure("all over filter and smoother once", times.ratio("all", "smoother"), "-"),
+        Figure("all over filter and smoother once", times.ratio("all", "smoother"), "-", 4.0),
         Figure("rise of the ratio recovered", rise, "1", note=f"sigma there {np.mean(found.sigma[during]):.2g}"),
         Figure("half amplitude", found.input.half_amplitude_Hz, "Hz"),
     ]  # fmt: skip
