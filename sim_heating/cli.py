@@ -171,7 +171,7 @@ def _scenario_folder() -> Path:
 @cli.command()
 @click.argument("records", type=PATH, nargs=-1, required=True)
 @OUT
-@click.option("--vehicle", help="take the ratio tables in force of this vehicle in place of the records' own")
+@click.option("--vehicle", help="take ratio tables and effects of this vehicle in place of the records' own tables")
 def predict(records: tuple[Path, ...], out: Path, vehicle: str | None) -> None:
     """Predict the temperatures of flight records with their declared models, nothing fitted."""
     from sim_heating.points import point_with_table_of

@@ -140,13 +140,14 @@ def _enthalpy(declared: ConstantHeat | str) -> str:
 
 
 def point_with_table_of(record: Record, vehicle: Vehicle) -> PointModel:
-    """The declared model of a record with the vehicle's ratio table of that control point in place of the record's.
+    """The declared model of a record with the vehicle's ratio table and effects of that control point in place of the
+    record's table.
 
     raises : InputError where the vehicle has no such point or its table is over another reference heating
     """
     point = vehicle.control_point(record.declared.control_point)
     check_reference(record, vehicle, point)
-    return replace(point_of_record(record), ratio=point.ratio)
+    return replace(point_of_record(record, effects=point.effects), ratio=point.ratio)
 
 
 def histories(flights: Sequence[Conditions]) -> FloatArray:

@@ -38,6 +38,7 @@ from sim_heating.errors import InputError, RunError
 from sim_heating.estimation.likelihood import Likelihood, Observed, likelihood
 from sim_heating.filter_march import Disturbance, FilterTrack
 from sim_heating.response import Response, ResponseMarch
+from sim_heating.threads import one_thread
 
 FloatArray = NDArray[np.float64]
 
@@ -109,7 +110,8 @@ def unknown_input(
     if disturbance is not None and not (0.0 < disturbance.correlation_s < math.inf and disturbance.start_sigma > 0.0):
         raise InputError("unknown input: the disturbance must be stationary, its sigma and correlation time above 0")
     inverse = _Inverse(track, np.asarray(time_s, dtype=float), histories)
-    return inverse.solved(disturbance)
+    with one_thread():
+        return inverse.solved(disturbance)
 
 
 def likeliest(track: FilterTrack, time_s: FloatArray, histories: FloatArray) -> Disturbance:

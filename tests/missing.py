@@ -22,8 +22,8 @@ def record_with(
     effects: Sequence[EffectUse], seed: int, *, jets: Callable[[FloatArray], FloatArray] | None = None,
     lost: float = 0.0, skew_s: float = 0.0, practice: str = "p06", **parameters: float,
 ) -> tuple[Record, PointHistory]:  # fmt: skip
-    """A practice flight whose truth has effects, parameters (`stack__rsi__...`) or a clock that the record does not tell
-    of, on a mesh of half the elements; and the truth. `jets` is flown and not recorded."""
+    """A practice flight whose truth has effects, parameters (`stack__rsi__...`) or a clock that the record does not
+    tell of, on a mesh of half the elements; and the truth. `jets` is flown and not recorded."""
     record, _ = practice_record(practice)
     conditions = conditions_of_record(record)
     t = conditions.time_s

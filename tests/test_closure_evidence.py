@@ -80,6 +80,15 @@ def test_spans_in_which_it_acts_are_those_in_which_the_angle_was_beyond_the_onse
         assert np.max(alpha[own]) > ONSET_DEG - 1.0
 
 
+def test_a_history_that_takes_more_than_all_heating_away_is_called_impossible():
+    left, _ = told("onset")
+    ratio = np.full(len(left.time_s), 0.05)
+    sound = evidence(left, ratio)
+    assert sound.negative_s == 0.0
+    taken = replace(left, input=replace(left.input, delta_ratio=np.where(left.fitted, -0.1, 0.0)))
+    assert evidence(taken, ratio).negative_s > 500.0
+
+
 def test_chance_of_the_best_of_many_shapes_is_uniform_on_noise():
     left, _ = told("nothing")
     weights = weights_of(left)
@@ -100,7 +109,9 @@ def with_axial(relative: float, at_s: float) -> Record:
     flown = record.conditions
     C = 1e-4 * (1.0 + 0.02 * (flown["alpha_deg"] - 40.0))
     C = C * (1.0 + relative * (flown.time_s > at_s) + np.random.default_rng(1).normal(0.0, 1e-3, len(flown)))
-    return replace(record, conditions=flown.with_columns(axial_accel_g=C * flown["rho_kg_m3"] * flown["velocity_m_s"] ** 2))
+    return replace(
+        record, conditions=flown.with_columns(axial_accel_g=C * flown["rho_kg_m3"] * flown["velocity_m_s"] ** 2)
+    )
 
 
 def test_a_step_in_axial_acceleration_is_found_in_time_and_size():

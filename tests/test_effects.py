@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -136,6 +137,14 @@ def test_every_effect_says_what_it_is_and_where_that_is_from():
         assert found.physics
         assert found.source
         assert all(p.text for p in found.parameters)
+
+
+def test_every_effect_has_a_picture_of_what_it_does():
+    docs = Path(__file__).parents[1] / "docs"
+    text = (docs / "effects.md").read_text()
+    for name in effects():
+        assert f"(images/effect_{name}.png)" in text
+        assert (docs / "images" / f"effect_{name}.png").is_file()
 
 
 def test_misspelt_effect_is_answered_with_the_nearest():

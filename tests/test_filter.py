@@ -64,6 +64,15 @@ def filter_wall(samples: Samples, **track):
     return FilterMarch([FilterTrack(model, mesh, samples, **whole)], TIME_S, HEATED).filter(keep=True)[0]
 
 
+def test_a_point_filtered_again_gives_the_same():
+    model, mesh = linear_wall()
+    track = FilterTrack(model, mesh, wall_samples(TIME_S[1:], mesh), (), START_K, disturbance=WALKED)
+    march = FilterMarch([track], TIME_S, HEATED)
+    first, again = march.filter()[0], march.filter()[0]
+    assert first.ratio != 0.0
+    np.testing.assert_array_equal(again.innovation_K, first.innovation_K)
+
+
 @pytest.fixture(scope="module")
 def steps() -> list[LinearStep]:
     model, mesh = linear_wall()

@@ -113,7 +113,9 @@ def test_a_bondline_that_jumps_faster_than_heat_diffuses_is_told():
 def test_a_sensor_that_drifts_is_told_from_the_others():
     record = sound()
     column = record.sensors[-1].column
-    words = only(reading(**{column: record.thermocouples[column] + 0.1 * np.maximum(record.time_s - 500.0, 0.0)}), SENSOR)
+    words = only(
+        reading(**{column: record.thermocouples[column] + 0.1 * np.maximum(record.time_s - 500.0, 0.0)}), SENSOR
+    )
     assert f"{record.sensors[-1].name}: contradicts" in words
     assert "drifts by +9" in words or "drifts by +10" in words
 

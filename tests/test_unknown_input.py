@@ -11,10 +11,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import binomtest, chi2
+from test_filter import HEATED, START_K, linear_wall, some_covariance, wall_samples
+from test_filter import TIME_S as LINEAR_S
 from walls import flight, practice_model
 
 from sim_heating.ensemble import Ensemble, PointModel
-from sim_heating.filter_march import Disturbance, FilterTrack, samples_on_grid
+from sim_heating.filter_march import Disturbance, FilterMarch, FilterTrack, samples_on_grid
+from sim_heating.smoothing import smooth
 from sim_heating.thermal.mesh import Mesh, build_mesh, refined
 from sim_heating.unknown_input import UnknownInput, bandwidth_Hz, unknown_input
 
@@ -58,6 +61,37 @@ def flown(truth: History, seed: int, deep: bool = False) -> FilterTrack:
 
 def found(truth: History, seed: int, disturbance: Disturbance | None = None, deep: bool = False) -> UnknownInput:
     return unknown_input(flown(truth, seed, deep), TIME_S, heated(TIME_S, 0.0 * TIME_S), disturbance)
+
+
+def test_on_a_linear_wall_it_is_the_smoother_that_goes_forward_and_back():
+    # two ways to one posterior: Rauch-Tung-Striebel on the filter, and all readings at once
+    model, mesh = linear_wall()
+    samples = wall_samples(np.append(LINEAR_S[1:], [3.3, 17.9]), mesh)
+    order = np.argsort(samples.time_s, kind="stable")
+    samples = replace(
+        samples, **{f: getattr(samples, f)[order] for f in ("time_s", "node", "lower_K", "upper_K", "variance_K2")}
+    )
+    taken = Disturbance.gauss_markov(0.01, 15.0)
+    track = FilterTrack(model, mesh, samples, (), START_K, covariance_K2=some_covariance(9), disturbance=taken)
+    march = FilterMarch([track, replace(track, disturbance=Disturbance())], LINEAR_S, HEATED)
+    filtered, without = march.filter(keep=True)
+    smoothed = smooth(filtered)
+    found = unknown_input(track, LINEAR_S, HEATED, taken)
+    np.testing.assert_allclose(found.delta_ratio, smoothed.ratio[:-1], atol=1e-6 * np.max(np.abs(smoothed.ratio)))
+    np.testing.assert_allclose(found.sigma, smoothed.ratio_sigma[:-1], rtol=1e-6)
+    np.testing.assert_allclose(found.temperature_K, smoothed.temperature_K, atol=1e-4)
+    gain = float(np.sum(filtered.log_likelihood) - np.sum(without.log_likelihood))
+    assert found.gain_log_likelihood == pytest.approx(gain, rel=1e-6)
+
+
+def test_of_a_long_march_there_are_fewer_knots_and_the_same_answer():
+    short = found(sinusoid, 6, WALKED)
+    track = flown(sinusoid, 6)
+    time = np.linspace(0.0, 300.0, 601)
+    finer = unknown_input(track, time, heated(time, 0.0 * time), WALKED)
+    assert len(finer.time_s) <= 320 < len(time)
+    apart = np.interp(short.time_s, finer.time_s, finer.delta_ratio) - short.delta_ratio
+    assert np.max(np.abs(apart)) < 0.3 * np.median(short.sigma)
 
 
 def step(t: np.ndarray) -> np.ndarray:

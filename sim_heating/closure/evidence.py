@@ -26,7 +26,9 @@ from sim_heating.closure.residual import ResidualHeating
 from sim_heating.closure.shapes import LAGS_S, TIME, Followed, chance, looks, shapes, weights_of
 from sim_heating.conditions import HEATING, RATIO_VARIABLES, STATE
 from sim_heating.points import conditions_of_record, wall_enthalpy_of
+from sim_heating.predict import Prediction
 from sim_heating.reference_heating.gas import wall_enthalpy_grid
+from sim_heating.threads import one_thread
 
 FloatArray = NDArray[np.float64]
 
@@ -36,6 +38,7 @@ ACTIVE = 3.0
 GAP_S, SHORTEST_S = 15.0, 5.0
 """Active spans closer than this are one; shorter ones are not told [s]."""
 MOST_SPANS = 6
+SIGNS = 2.0
 LARGEST = 3.0
 """A shape that would have to be larger than so many times the history cancels against what was fitted: no proposal."""
 SURE = 0.01
@@ -82,6 +85,7 @@ class Evidence:
     active       : spans, the largest first
     loops        : hysteresis in manoeuvres
     axial        : steps in axial acceleration; None where the record has none
+    negative_s   : how long the ratio would have to be negative, by more than SIGNS sigma; None where it is not known
     """
 
     correlations: tuple[Correlation, ...]
@@ -91,6 +95,7 @@ class Evidence:
     active: tuple[Active, ...]
     loops: tuple[Loop, ...]
     axial: tuple[AxialStep, ...] | None
+    negative_s: float | None = None
 
     def proposal(self) -> list[str]:
         """What a person would look at next, a line each: which variable, at which lag, active when, how large."""
@@ -108,6 +113,11 @@ class Evidence:
         if best.shape.form == "rate":
             lines.append(
                 "A heating that follows a rate of change is the mark of coating, clock or lag, not of a table."
+            )
+        if self.negative_s:
+            lines.append(
+                f"For {self.negative_s:.0f} s the heating ratio would have to be negative: no heating does that; look "
+                "at conduction, sensors and clocks."
             )
         if best.share < 0.5:
             lines.append("No variable explains half of it: look for something that the record does not hold.")
@@ -145,6 +155,7 @@ class Evidence:
             "chance_from_noise": self.chance,
             "active": [{k: None if v != v else v for k, v in asdict(a).items()} for a in self.active],
             "hysteresis": [loop.numbers() for loop in self.loops],
+            "negative_ratio_s": self.negative_s,
             "axial_steps": None if self.axial is None else [asdict(s) for s in self.axial],
         }
 
@@ -154,6 +165,11 @@ def evidence(residual: ResidualHeating, ratio: FloatArray | None = None) -> Evid
 
     ratio : (knot,) the model's heating ratio, where it is known
     """
+    with one_thread():
+        return _evidence(residual, ratio)
+
+
+def _evidence(residual: ResidualHeating, ratio: FloatArray | None) -> Evidence:
     here = residual.fitted
     t, variables = residual.time_s, flight_variables(residual)
     weights = weights_of(residual)
@@ -167,7 +183,21 @@ def evidence(residual: ResidualHeating, ratio: FloatArray | None = None) -> Evid
         tuple(correlations(residual, {n: v for n, v in variables.items() if np.ptp(v[here]) > 0.0})),
         tuple(best), several, chance(best[0].z, several) if best else 1.0,
         tuple(active(residual, ratio)), tuple(loops(residual, variables)), axial_steps(residual.record),
+        None if ratio is None else negative_s(residual, ratio),
     )  # fmt: skip
+
+
+def ratio_at(prediction: Prediction, time_s: FloatArray) -> FloatArray | None:
+    """The heating ratio of a prediction at other times; None where there is no aerodynamic heating."""
+    history = prediction.history
+    known = np.isfinite(history.ratio)
+    return np.interp(time_s, history.time_s[known], history.ratio[known]) if np.any(known) else None
+
+
+def negative_s(residual: ResidualHeating, ratio: FloatArray) -> float:
+    """How long ratio and correction together are negative [s], by more than SIGNS sigma."""
+    below = residual.fitted & (ratio + residual.delta_ratio < -SIGNS * residual.sigma)
+    return float(np.sum(np.gradient(residual.time_s)[below]))
 
 
 def flight_variables(residual: ResidualHeating) -> dict[str, FloatArray]:
@@ -220,10 +250,11 @@ def _effective(d: FloatArray, v: FloatArray) -> float:
 def _autocorrelation(x: FloatArray) -> FloatArray:
     x = x - np.mean(x)
     power = float(x @ x)
+    lags = len(x) // 2
     if power == 0.0:
-        return np.zeros(len(x))
+        return np.zeros(lags)
     spectrum = np.abs(np.fft.rfft(x, 2 * len(x))) ** 2
-    return np.asarray(np.fft.irfft(spectrum)[: len(x) // 2] / power)
+    return np.asarray(np.fft.irfft(spectrum)[:lags] / power)
 
 
 def _chance(r: float, n: float) -> float:

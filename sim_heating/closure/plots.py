@@ -26,7 +26,7 @@ LABELS = {n: f"{label}, deg" for n, (label, _) in ANGLES.items()} | {
 SIGMAS = 2.0
 SHOWN = 4.0
 """A point whose sigma is this many times the median is not drawn against variables: it tells nothing."""
-MOST_PANELS = 6
+MOST_PANELS, MOST_LOOPS = 6, 3
 
 
 def comparison(predicted: Prediction, before: Prediction, after: Prediction, effect: str) -> Figure:
@@ -113,11 +113,13 @@ def against(residual: ResidualHeating, variables: Mapping[str, FloatArray], orde
 
 def loops_figure(residual: ResidualHeating, variables: Mapping[str, FloatArray], found: Evidence) -> Figure | None:
     """The manoeuvres in which the residual loops most, at most three; None where none does."""
-    told = sorted((loop for loop in found.loops if loop.significant), key=lambda loop: -abs(loop.filled))[:3]
+    told = sorted((loop for loop in found.loops if loop.significant), key=lambda loop: -abs(loop.filled))[:MOST_LOOPS]
     if not told:
         return None
-    figure, axes = new_figure(3.2 * len(told) + 0.4, 3.0, 1, len(told))
-    for a, loop in zip(axes, told, strict=True):
+    figure, axes = new_figure(9.5, 3.0, 1, MOST_LOOPS)
+    for a in axes[len(told) :]:
+        a.set_visible(False)
+    for a, loop in zip(axes, told, strict=False):
         own = (residual.time_s >= loop.start_s) & (residual.time_s <= loop.end_s)
         v, d = variables[loop.variable][own], residual.delta_ratio[own]
         a.errorbar(v, d, residual.sigma[own], color=BEFORE, marker="o", markersize=3, linewidth=1.0, ecolor="0.8")

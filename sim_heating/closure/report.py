@@ -274,7 +274,9 @@ def _candidates(found: Closure) -> Section:
     table = Table(["", "BIC - BIC of none", "RMSE fitted, K", "RMSE held out, K"], rows, strong=marked)
     figure = ranking([c.name for c in tried], [c.delta_bic for c in tried], chosen)
     text = [found.false_alarm] if found.false_alarm else []
-    return Section("Candidates", text, tables=[table], pictures=[Picture(figure, "The same as a picture.")])
+    return Section(
+        "Candidates", text, tables=[table], pictures=[Picture(figure, "Blue: what was added. Linear within 10.")]
+    )
 
 
 def _or_dash(value: float | None) -> str:

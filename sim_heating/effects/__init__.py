@@ -17,6 +17,7 @@ import importlib
 import importlib.util
 import os
 import pkgutil
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -103,12 +104,28 @@ class EffectUse:
 
 
 def _from_file(path: Path) -> Effect | None:
+    """The effect that a file defines; None where it defines none, as a file that others import.
+
+    raises : InputError where the file cannot be run, or its EFFECT is no Effect
+    """
     spec = importlib.util.spec_from_file_location(f"sim_heating_user_effects.{path.stem}", path)
     if spec is None or spec.loader is None:
         raise InputError(f"{path}: is not a Python file; an effect is one")
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return getattr(module, "EFFECT", None)
+    try:
+        spec.loader.exec_module(module)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    except Exception as error:  # whatever a user's file does
+        line = next(
+            (f.lineno for f in reversed(traceback.extract_tb(error.__traceback__)) if f.filename == str(path)), 0
+        )
+        line = getattr(error, "lineno", None) or line
+        raise InputError(f"{path}, line {line}: {type(error).__name__}: {error}") from None
+    found = getattr(module, "EFFECT", None)
+    if found is not None and not isinstance(found, Effect):
+        raise InputError(f"{path}: EFFECT is a {type(found).__name__}; it must be an Effect")
+    return found
 
 
 def _built_in() -> list[Effect]:
@@ -121,6 +138,8 @@ def _built_in() -> list[Effect]:
 def _all(folders: str) -> Mapping[str, Effect]:
     found = {e.name: e for e in _built_in()}
     for folder in filter(None, folders.split(os.pathsep)):
+        if not Path(folder).is_dir():
+            raise InputError(f"{FOLDERS_VARIABLE}: {folder} is not a directory; name one that holds effects")
         for path in sorted(Path(folder).glob("*.py")):
             own = _from_file(path)
             if own is not None:

@@ -1,0 +1,149 @@
+"""What each effect does: a flight with and without it, as pictures and a page.
+
+    python examples/draw_effects.py scenarios/all_manoeuvres.toml --docs docs
+
+writes docs/effects.md and docs/images/effect_NAME.png, from the repository's root. The magnitudes are chosen to be
+seen; every other value is an effect's nominal one.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.conditions import Conditions
+from sim_heating.effects import Effect, effects, use
+from sim_heating.ensemble import PointModel
+from sim_heating.files import write_text_atomic
+from sim_heating.plots import ANGLES, new_figure, save_figure
+from sim_heating.points import conditions_at_point, mean_condition, point_of_vehicle
+from sim_heating.run import fly_scenario
+from sim_heating.scenario import load_scenario
+from sim_heating.temperatures import PointHistory, march_points
+from sim_heating.thermal.declare import Sensor
+
+FloatArray = NDArray[np.float64]
+
+DRAWN: Mapping[str, Mapping[str, float]] = {
+    "alpha-curvature": {"d_alpha2": 2e-4},
+    "backface-cooling": {"back_h_W_m2K": 10.0, "back_K": 290.0},
+    "bodyflap-curvature": {"d_bodyflap2": 1e-4},
+    "catalysis": {"catalysis_step": 0.2, "catalysis_K": 1000.0},
+    "coating-thickness": {"coating_factor": 1.5},
+    "conductivity": {"conductivity_factor": 1.3},
+    "elevon-curvature": {"d_elevon2": 2e-4},
+    "emissivity": {"emissivity_factor": 0.93, "change_s": 600.0},
+    "gap-flow": {"gap_fraction": 0.02, "gap_depth_m": 0.01},
+    "heat-capacity": {"heat_capacity_factor": 1.2},
+    "impingement-onset": {"alpha_onset_deg": 41.0, "slope": 0.002},
+    "interaction": {"d_alpha_elevon": 3e-4},
+    "jet-interaction": {"jet_gain": 0.15},
+    "moisture": {"latent_J_kg": 4e4, "boil_K": 373.0},
+    "nonisothermal-wall": {"lag_s": 5.0, "lag_fraction": 0.6, "overshoot": 0.15},
+    "radiative-conduction": {"k_rad": 0.05},
+    "sideslip": {"slope_abs_beta": 0.002},
+    "time-skew": {"skew_s": 3.0},
+    "transition": {"log10_re_onset": 6.6, "factor": 2.5},
+}
+"""Values that are not nominal."""
+WITHOUT, WITH = "0.35", "tab:red"
+SHADES = ("tab:red", "tab:orange", "tab:green", "tab:blue", "tab:purple")
+LEAST_RATIO = 1e-4
+"""A ratio that moves less is not what an effect acts on."""
+
+
+def main() -> None:
+    """Fly, march with and without each effect, draw, write the page."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("scenario", type=Path)
+    parser.add_argument("--docs", type=Path, default=Path("docs"))
+    given = parser.parse_args()
+    scenario = load_scenario(given.scenario)
+    flown = fly_scenario(scenario).conditions
+    point = scenario.vehicle.control_point(scenario.names[0])
+    at_point = conditions_at_point(scenario.vehicle, point, flown)
+    bare = point_of_vehicle(scenario.vehicle, point, reference=mean_condition(flown))
+    known = effects()
+    undrawn = sorted(set(known) - set(DRAWN))
+    if undrawn:
+        raise SystemExit(f"draw_effects: no magnitude for {', '.join(undrawn)}; add it to DRAWN")
+    (given.docs / "images").mkdir(exist_ok=True)
+    for name, values in DRAWN.items():
+        pair = [march(model, at_point) for model in (bare, replace(bare, effects=(use(name, values),)))]
+        if name == "time-skew":
+            pair[1] = skewed(pair[0], values["skew_s"])
+        draw(given.docs / "images" / f"effect_{name}.png", known[name], values, pair, point.sensors, flown)
+    write_text_atomic(given.docs / "effects.md", page(given.scenario, point.title))
+
+
+def march(model: PointModel, flown: Conditions) -> PointHistory:
+    """One point along the flight."""
+    return march_points([model], [flown])[0]
+
+
+def skewed(history: PointHistory, skew_s: float) -> PointHistory:
+    """As a clock that lags shows it: recorded T(t) = true T(t - skew)."""
+    t = history.time_s
+    moved = np.array([np.interp(t - skew_s, t, T) for T in history.sensors_K])
+    return replace(history, sensors_K=moved)
+
+
+def draw(
+    path: Path, effect: Effect, values: Mapping[str, float], pair: Sequence[PointHistory], sensors: Sequence[Sensor],
+    flown: Conditions,
+) -> None:  # fmt: skip
+    """Ratio without and with the effect, what it changes at each thermocouple, and what is flown."""
+    without, own = pair
+    t = without.time_s
+    acts = np.nanmax(np.abs(own.ratio - without.ratio)) > LEAST_RATIO
+    figure, axes = new_figure(8.0, 5.6 if acts else 4.4, 3 if acts else 2, sharex=True)
+    if acts:
+        axes[0].plot(t, without.ratio, color=WITHOUT, label="declared", linewidth=1.2)
+        axes[0].plot(t, own.ratio, color=WITH, label=f"with {effect.name}", linewidth=1.2)
+        axes[0].set_ylabel("heating ratio")
+        axes[0].legend(fontsize=8, loc="best")
+    a = axes[-2]
+    for k, (sensor, color) in enumerate(zip(sensors, SHADES, strict=False)):
+        change = own.sensors_K[k] - without.sensors_K[k]
+        a.plot(t, change, color=color, label=f"{1e3 * sensor.depth_m:.1f} mm deep", linewidth=1.2)
+    a.set_ylabel("change of the\nthermocouples, K")
+    a.legend(fontsize=8, loc="best")
+    for name, (label, color) in ANGLES.items():
+        axes[-1].plot(t, flown[name], color=color, label=label, linewidth=1.0)
+    axes[-1].plot(t, 10.0 * flown["jets"], color="0.3", label="jets, x 10", linewidth=1.0)
+    axes[-1].set_ylabel("deg")
+    axes[-1].set_ylim(-15.0, 62.0)
+    axes[-1].legend(fontsize=8, loc="upper right", ncols=5)
+    axes[-1].set_xlabel("time, s")
+    told = ", ".join(f"{n} = {v:g}" for n, v in values.items())
+    save_figure(figure, path, f"{effect.name}: {told}", axes)
+
+
+def page(scenario: Path, title: str) -> str:
+    """What each effect is, in the words of its file, with its picture."""
+    lines = [
+        "# What each effect does", "",
+        f"Along `{scenario.as_posix()}`, at one control point ({title}): the declared model, and",
+        "the same with one effect of a magnitude that can be seen. Pictures and page:",
+        f"`python examples/draw_effects.py {scenario.as_posix()}`. An offset or a gain of one thermocouple",
+        "(`sensor-bias`) needs no picture. How to add an effect: [adding_an_effect.md](adding_an_effect.md).", "",
+    ]  # fmt: skip
+    for name in DRAWN:
+        effect = effects()[name]
+        lines += [f"## {name}", "", effect.physics, "", f"Source: {effect.source}", ""]
+        lines += ["| parameter | unit | nominal | prior sigma | bounds | |", "|---|---|---|---|---|---|"]
+        lines += [
+            f"| `{p.name}` | {p.unit} | {p.value:g} | {p.sigma:g} | {p.lower:g} to {p.upper:g} | {p.text} |"
+            for p in effect.parameters
+        ]
+        lines += ["", f"![{name}](images/effect_{name}.png)", ""]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
