@@ -1,7 +1,7 @@
 """Tiles of STS-96: transition found in temperatures of a flight whose trajectory is not known.
 
-The records scenarios/records/sts96_* before and after (tile_fits.py); one clock common to all of them; and what the unknown
-trajectory does to the answer: other plausible entries, each on its own clock and with a fitted one.
+The records scenarios/records/sts96_* before and after (tile_fits.py); one clock common to all of them; and what the
+unknown trajectory does to the answer: other plausible entries, each on its own clock and with a fitted one.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Transition in the measured history of a tile, and a clock common to several tiles of a flight that is not known.
 
-A record is fitted with the declared laminar model and its linear derivatives (before), then with the effect `transition`
-on top (after), started at the Reynolds number of the steepest rise. The clock,
+A record is fitted with the declared laminar model and its linear derivatives (before), then with the effect
+`transition` on top (after), started at the Reynolds number of the steepest rise. The clock,
 
     recorded time = shift + stretch (time of the flight),
 
@@ -164,7 +164,7 @@ def tiles_of(records: Mapping[str, Record]) -> dict[str, Tile]:
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """Shift [s] and stretch common to all tiles, their sigma from leaving out one tile, and the tiles fitted with it."""
+    """Shift [s] and stretch common to all tiles, their sigma from leaving out a tile, and the tiles fitted with it."""
 
     shift_s: float
     stretch: float
