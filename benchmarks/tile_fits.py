@@ -24,6 +24,7 @@ from sim_heating.estimation.estimate import coloured_bounds, predict_at
 from sim_heating.estimation.informed import default_names, still
 from sim_heating.estimation.newton import Fit, Settings, maximise
 from sim_heating.estimation.problem import Problem, joint_reference
+from sim_heating.parameters import Parameter
 from sim_heating.record import Record
 from sim_heating.scenario import Scenario
 
@@ -32,12 +33,14 @@ TRANSITION = tuple(EFFECT + name for name in ("log10_re_onset", "width", "factor
 WIDTHS = (0.01, 0.03)
 """Widths of the rise in log10 Re that a fit is started with."""
 FACTOR = 2.5
+SHARPEST = Parameter(TRANSITION[1], "1", WIDTHS[0], lower=0.005, upper=1.0)
+"""A rise within a second; the records tell times to 2.75 s."""
 RISE_S = 10.0
 """A rise is the change of temperature over twice this time."""
 WINDOW_S = (-60.0, 200.0)
 """About the rise: where the errors before and after are compared."""
-SETTLED = Settings(gain=1e-2, step=3e-2, iterations=30)
-CLOCK_ROUNDS = 4
+SETTLED = Settings(gain=1e-2, step=3e-2, iterations=20)
+CLOCK_ROUNDS = 3
 STEP_S, STEP_STRETCH = 1.0, 1e-3
 """Differences that sensitivities to the clock are taken with."""
 
@@ -98,11 +101,17 @@ def rms(values: FloatArray) -> float:
 
 
 def rise_time_s(record: Record) -> float:
-    """Middle of the steepest rise of the measured temperature within the fit segments [s]."""
+    """When the measured temperature is half way up its steepest rise within the fit segments [s]."""
     t, T = record.time_s, record.temperatures_K()[0]
     first, last = record.declared.segments.fit[0] if record.declared.segments.fit else (t[0], t[-1])
     at = np.arange(first + RISE_S, last - RISE_S, 1.0)
-    return float(at[np.argmax(np.interp(at + RISE_S, t, T) - np.interp(at - RISE_S, t, T))])
+    T = np.interp(at, t, T)
+    low = high = int(np.argmax(np.interp(at + RISE_S, at, T) - np.interp(at - RISE_S, at, T)))
+    while T[low - 1] <= T[low]:
+        low -= 1
+    while T[high + 1] >= T[high]:
+        high += 1
+    return float(np.interp(0.5 * (T[low] + T[high]), T[low : high + 1], at[low : high + 1]))
 
 
 def onset_time_s(flown: Conditions, log10_re: float, after_s: float = 600.0) -> float:
@@ -126,7 +135,8 @@ def fitted(record: Record, reference: tuple[float, ...], starts: Sequence[Mappin
     best: Model | None = None
     for start in starts:
         own = {k.removeprefix(EFFECT): v for k, v in start.items() if k.startswith(EFFECT)}
-        problem = Problem([record], names, reference, effects=[use("transition", own)] if own else [], flat=True)
+        uses, priors = [use("transition", own)] if own else [], {SHARPEST.name: SHARPEST}
+        problem = Problem([record], names, reference, effects=uses, priors=priors, flat=True)
         first = np.array([start.get(p.name, p.value) for p in problem.parameters])
         try:
             found = Model(
@@ -156,6 +166,17 @@ def tiles_of(records: Mapping[str, Record]) -> dict[str, Tile]:
         reference, rise_s = joint_reference([record]), rise_time_s(record)
         before = fitted(record, reference)
         found[name] = Tile(record, rise_s, before, fitted(record, reference, starts_at(record, rise_s)))
+    return found
+
+
+def as_nominal(records: Mapping[str, Record], nominal: Mapping[str, Tile]) -> dict[str, Tile]:
+    """Records of the same tiles along another flight, fitted before and after from the values of the nominal one."""
+    found = {}
+    for name, record in records.items():
+        reference, rise_s = joint_reference([record]), nominal[name].rise_s
+        before = fitted(record, reference, [nominal[name].before.values])
+        after = fitted(record, reference, starts_at(record, rise_s, nominal[name].after.values))
+        found[name] = Tile(record, rise_s, before, after)
     return found
 
 

@@ -49,6 +49,6 @@ EFFECT = Effect(
     ),
     starts=starts,
     physics="Adsorbed water boils as heat reaches it; vapour condenses in cooler depths before it leaves.",
-    source="Apparent heat capacity: Voller & Swaminathan, Numer. Heat Transfer B 19 (1991) 175; vapour diffusing down its "
-    "saturation density: Philip & de Vries, Trans. Am. Geophys. Union 38 (1957) 222",
+    source="Apparent heat capacity: Voller & Swaminathan, Numer. Heat Transfer B 19 (1991) 175; vapour diffusing down "
+    "its density: Philip & de Vries, Trans. Am. Geophys. Union 38 (1957) 222",
 )
