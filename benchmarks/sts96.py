@@ -16,7 +16,7 @@ import matplotlib
 import numpy as np
 
 from benchmarks.measure import Figure, save
-from benchmarks.tile_fits import TRANSITION, Clock, Tile, as_nominal, fitted_clock, tiles_of
+from benchmarks.tile_fits import TRANSITION, Clock, Tile, as_nominal, fitted_clock, rms, tiles_of
 from sim_heating.compared_records import compared_records
 from sim_heating.conditions import Conditions
 from sim_heating.errors import RunError
@@ -49,7 +49,7 @@ def run() -> list[Figure]:
     figures = [f for name, tile in tiles.items() for f in _figures(name, tile)]
     flown = fly_scenario(scenario).conditions
     clock = fitted_clock(scenario, flown, tiles)
-    figures += _clock_figures("nominal entry", clock)
+    figures += _clock_figures(clock)
     draw(tiles)
     spread: dict[str, list[Tile]] = {}
     for label, other in entries(scenario):
@@ -69,11 +69,10 @@ def run() -> list[Figure]:
 
 
 def _figures(name: str, tile: Tile) -> Iterator[Figure]:
-    errors = {
-        "declared": tile.errors(predict(tile.record).residual_K[0]),
-        "before": tile.errors(tile.before.residual_K),
-        "after": tile.errors(tile.after.residual_K),
-    }
+    declared = predict(tile.record).residual_K[0]
+    errors = {"declared": tile.errors(declared) | {"whole entry": rms(declared)}}
+    for stage, model in (("before", tile.before), ("after", tile.after)):
+        errors[stage] = tile.errors(model.residual_K) | {"whole entry": rms(model.whole_residual_K)}
     for stage, found in errors.items():
         for where, value in found.items():
             yield Figure(f"{name}, {stage}: RMSE, {where}", value, "K")
@@ -96,9 +95,14 @@ def _brief(label: str, tile: Tile) -> Iterator[Figure]:
     yield Figure(f"{label}: onset apart from the rise", apart, "s", LARGEST_APART_S, note=rise)
 
 
-def _clock_figures(label: str, clock: Clock) -> Iterator[Figure]:
-    yield Figure(f"{label}: shift of the clock", clock.shift_s, "s", note=f"+- {clock.sigma[0]:.1f} s")
-    yield Figure(f"{label}: stretch of the clock", clock.stretch, "", note=f"+- {clock.sigma[1]:.4f}")
+def _clock_figures(clock: Clock) -> Iterator[Figure]:
+    yield Figure("shift of the clock", clock.shift_s, "s", note=f"+- {clock.sigma[0]:.1f} s")
+    yield Figure("stretch of the clock", clock.stretch, "", note=f"+- {clock.sigma[1]:.4f}")
+    for name, tile in clock.tiles.items():
+        found = tile.errors(tile.after.residual_K)
+        note = f"{found['fit']:.1f} K fitted, {found['holdout']:.1f} K held out"
+        note += f"; onset log10 Re {tile.after.values[ONSET]:.3f}, factor {tile.after.values[FACTOR]:.2f}"
+        yield Figure(f"with that clock, {name}: RMSE, window", found["window"], "K", note=note)
 
 
 def _spread(name: str, found: list[Tile]) -> Iterator[Figure]:

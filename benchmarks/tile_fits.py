@@ -25,6 +25,7 @@ from sim_heating.estimation.informed import default_names, still
 from sim_heating.estimation.newton import Fit, Settings, maximise
 from sim_heating.estimation.problem import Problem, joint_reference
 from sim_heating.parameters import Parameter
+from sim_heating.predict import predict
 from sim_heating.record import Record
 from sim_heating.scenario import Scenario
 
@@ -54,8 +55,14 @@ class Model:
 
     @property
     def residual_K(self) -> FloatArray:
-        """(sample,) measured less predicted of the plain march, NaN outside its time."""
+        """(sample,) measured less predicted of the plain march, to the last sample that is fitted or held out."""
         return predict_at(self.problem.parts[0], self.fit.values).residual_K[0]
+
+    @property
+    def whole_residual_K(self) -> FloatArray:
+        """(sample,) the same over the whole entry, which the fit knows little of."""
+        part = self.problem.parts[0]
+        return predict(part.record, part.altered(self.fit.values)).residual_K[0]
 
     @property
     def values(self) -> dict[str, float]:
@@ -84,13 +91,12 @@ class Tile:
         return onset_time_s(self.record.conditions, self.after.values[TRANSITION[0]])
 
     def errors(self, residual_K: FloatArray) -> dict[str, float]:
-        """RMSE [K] about the rise, over the fit segments, the held-out ones, and all samples."""
+        """RMSE [K] about the rise, over the fit segments and the held-out ones."""
         t = self.record.time_s - self.rise_s
         masks = {
             "window": (t >= WINDOW_S[0]) & (t <= WINDOW_S[1]),
             "fit": self.record.fit_mask(),
             "holdout": self.record.holdout_mask(),
-            "all": np.ones(len(t), dtype=bool),
         }
         return {name: rms(residual_K[mask]) for name, mask in masks.items()}
 
@@ -170,12 +176,13 @@ def tiles_of(records: Mapping[str, Record]) -> dict[str, Tile]:
 
 
 def as_nominal(records: Mapping[str, Record], nominal: Mapping[str, Tile]) -> dict[str, Tile]:
-    """Records of the same tiles along another flight, fitted before and after from the values of the nominal one."""
+    """Records of the same tiles along another flight, fitted before and after, from the nominal values too."""
     found = {}
     for name, record in records.items():
         reference, rise_s = joint_reference([record]), nominal[name].rise_s
-        before = fitted(record, reference, [nominal[name].before.values])
-        after = fitted(record, reference, starts_at(record, rise_s, nominal[name].after.values))
+        before = fitted(record, reference, [{}, nominal[name].before.values])
+        warm = starts_at(record, rise_s, nominal[name].after.values)
+        after = fitted(record, reference, [*warm, *starts_at(record, rise_s)[1:]])
         found[name] = Tile(record, rise_s, before, after)
     return found
 
