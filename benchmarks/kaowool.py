@@ -8,7 +8,7 @@ estimated, or a property as published elsewhere and nothing estimated; and the e
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +17,12 @@ import numpy as np
 
 from benchmarks.deposited_heat import Deposit, Slab, deposited_heat
 from benchmarks.measure import Figure, save
+from benchmarks.quick_fit import Model, quick_fit
 from sim_heating.conditions import FloatArray
 from sim_heating.effects import use
 from sim_heating.errors import RunError
-from sim_heating.estimation.estimate import Fitted, estimate
 from sim_heating.files.toml import read_toml_dict
+from sim_heating.parameters import Parameter
 from sim_heating.points import point_of_record
 from sim_heating.predict import predict
 from sim_heating.record import Record, load_record
@@ -36,6 +37,7 @@ SILICA = ROOT / "aircraft_data" / "orbiter" / "materials" / "li900.toml"
 MATERIAL = "kaowool-pm"
 EARLY_S, LATE_S, INVERTED_S = 150.0, 900.0, 200
 CONVECTION = "ratio.d0"
+GAS_STARTS = ({CONVECTION: 1.5},)
 UNIT_W_M2K = 10.4
 """Film coefficient that a ratio of 1 stands for: h_ref times the specific heat of the record."""
 GAS_K, GAS_W_MK, GAS_POWER = 300.0, 0.0260, 0.75
@@ -48,12 +50,14 @@ class Mechanism:
     """What is tried on top of convection.
 
     effect, start : its name and values to start from;  names : its parameters that are estimated
+    bounds        : [lowest, highest] of some of them, where the effect's own allow what cannot be
     """
 
     label: str
     effect: str = ""
     names: tuple[str, ...] = ()
-    start: Mapping[str, float] | None = None
+    start: Mapping[str, float] = field(default_factory=dict)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 MECHANISMS = (
@@ -64,16 +68,20 @@ MECHANISMS = (
     Mechanism("cooling behind the stand", "backface-cooling", ("back_h_W_m2K",)),
     Mechanism("gap flow", "gap-flow", ("gap_fraction", "gap_depth_m")),
     Mechanism(
-        "moisture boils", "moisture", ("latent_J_kg", "boil_K", "width_K"), {"latent_J_kg": 3e3, "boil_K": 340.0}
+        "moisture boils", "moisture", ("latent_J_kg", "boil_K", "width_K"),
+        {"latent_J_kg": 2e3, "boil_K": 340.0, "width_K": 20.0},
     ),
     Mechanism(
         "moisture boils, given off at a temperature", "moisture",
         ("latent_J_kg", "boil_K", "deposit_J_kg", "condense_K", "width_K"),
-        {"latent_J_kg": 3e3, "boil_K": 360.0, "deposit_J_kg": 3e3, "condense_K": 310.0, "width_K": 15.0},
+        {"latent_J_kg": 2e3, "boil_K": 360.0, "deposit_J_kg": 2e3, "condense_K": 310.0, "width_K": 20.0},
+        {"latent_J_kg": (0.0, 2e4), "deposit_J_kg": (0.0, 2e4), "boil_K": (330.0, 420.0), "condense_K": (295.0, 330.0),
+         "width_K": (15.0, 40.0)},
     ),
     Mechanism(
         "vapour diffuses inward", "moisture", ("vapour_W_m", "boil_K", "width_K"),
-        {"latent_J_kg": 0.0, "vapour_W_m": 1.0, "boil_K": 320.0, "width_K": 10.0},
+        {"latent_J_kg": 0.0, "vapour_W_m": 1.0, "boil_K": 320.0, "width_K": 18.0},
+        {"boil_K": (310.0, 373.0), "width_K": (10.0, 25.0)},
     ),
 )  # fmt: skip
 VAPOUR = MECHANISMS[-1]
@@ -85,30 +93,30 @@ def run() -> list[Figure]:
     plain = predict(bare(record)).residual_K
     figures = list(_errors("plain conduction, adiabatic back", record, plain))
     figures += _errors("declared, on its stand", record, predict(record).residual_K)
-    convection = estimate([record], [CONVECTION])
-    figures += _errors("convection", record, convection.after[0].residual_K, convection)
+    convection = quick_fit(record, [CONVECTION], GAS_STARTS)
+    figures += _errors("convection", record, convection.residual_K, convection)
     for mechanism in MECHANISMS:
         try:
             fitted = tried(record, mechanism)
         except RunError as error:
             figures.append(Figure(f"{mechanism.label}: cannot be fitted", float("nan"), "", note=str(error)))
             continue
-        figures += _errors(mechanism.label, record, fitted.after[0].residual_K, fitted)
+        figures += _errors(mechanism.label, record, fitted.residual_K, fitted)
     figures += _errors("contact to the stand", record, *_residual_and_fit(record, "stack.contact_factor"))
     figures += _errors("depths of the joints", record, *_depths(record))
     for part in (0.968, 1.032):
         figures += _errors(f"flux {part:g} times", record, *_residual_and_fit(brighter(record, part)))
     figures += _errors("conductivity of gas, solid, radiation", record, *_residual_and_fit(physical(record, k=True)))
     figures += _errors("specific heat as silica fibres'", record, *_residual_and_fit(physical(record, cp=True)))
-    both = physical(record, k=True, cp=True)
+    silica = physical(record, k=True, cp=True)
     factor = "effect.conductivity.conductivity_factor"
-    figures += _errors("both, and conductivity", record, *_residual_and_fit(both, factor))
-    last = tried(both, VAPOUR, factor)
-    figures += _errors("both, conductivity, vapour", record, last.after[0].residual_K, last)
+    figures += _errors("both, and a factor of conductivity", record, *_residual_and_fit(silica, factor))
+    last = tried(physical(record, k=True), VAPOUR)
+    figures += _errors("conductivity of gas, solid, radiation; vapour", record, last.residual_K, last)
     deposit = inverted(record, convection)
     figures += _deposit_figures(record, deposit)
-    draw_residuals(record, {"plain conduction": plain, "on its stand, convection": convection.after[0].residual_K,
-                            "and vapour, specific heat, conductivity": last.after[0].residual_K})  # fmt: skip
+    draw_residuals(record, {"plain conduction": plain, "on its stand, convection": convection.residual_K,
+                            "and conductivity of gas, solid, radiation; vapour": last.residual_K})  # fmt: skip
     draw_deposit(record, deposit)
     save("kaowool", figures)
     return figures
@@ -117,15 +125,20 @@ def run() -> list[Figure]:
 # What is tried -------------------------------------------------------------------------------------------------------
 
 
-def tried(record: Record, mechanism: Mechanism, *more: str) -> Fitted:
+def tried(record: Record, mechanism: Mechanism, *more: str) -> Model:
     """A mechanism and convection, and what else is named, estimated together."""
     names = [f"effect.{mechanism.effect}.{name}" for name in mechanism.names]
-    return estimate([record], [CONVECTION, *more, *names], effects=[use(mechanism.effect, mechanism.start)])
+    start = GAS_STARTS[0] | {f"effect.{mechanism.effect}.{n}": v for n, v in mechanism.start.items()}
+    bounds = {f"effect.{mechanism.effect}.{n}": b for n, b in mechanism.bounds.items()}
+    priors = {n: Parameter(n, "K", start[n], lower=low, upper=high) for n, (low, high) in bounds.items()}
+    used = [use(mechanism.effect, mechanism.start), *(use(n.split(".")[1]) for n in more)]
+    return quick_fit(record, [CONVECTION, *more, *names], [start], effects=used, priors=priors)
 
 
-def _residual_and_fit(record: Record, *names: str) -> tuple[FloatArray, Fitted]:
-    fitted = estimate([record], [CONVECTION, *names])
-    return fitted.after[0].residual_K, fitted
+def _residual_and_fit(record: Record, *names: str) -> tuple[FloatArray, Model]:
+    used = [use(n.split(".")[1]) for n in names if n.startswith("effect.")]
+    fitted = quick_fit(record, [CONVECTION, *names], GAS_STARTS, effects=used)
+    return fitted.residual_K, fitted
 
 
 def bare(record: Record) -> Record:
@@ -167,16 +180,15 @@ def gas(temperature_K: FloatArray) -> FloatArray:
     return GAS_W_MK * (temperature_K / GAS_K) ** GAS_POWER
 
 
-def _depths(record: Record) -> tuple[FloatArray, Fitted]:
+def _depths(record: Record) -> tuple[FloatArray, Model]:
     """Convection, and each joint where its own residual is least."""
-    residual, fitted = _residual_and_fit(record)
+    residual, _ = _residual_and_fit(record)
     moved = record
     for i, sensor in enumerate(record.sensors):
-        deeper = estimate([_at_depths(record, {i: sensor.depth_m + DEPTH_STEP_M})], [CONVECTION]).after[0].residual_K
+        deeper, _ = _residual_and_fit(_at_depths(record, {i: sensor.depth_m + DEPTH_STEP_M}))
         slope = (deeper[i] - residual[i]) / DEPTH_STEP_M
         moved = _at_depths(moved, {i: sensor.depth_m - float(slope @ residual[i] / (slope @ slope))})
-    found, fitted = _residual_and_fit(moved)
-    return found, fitted
+    return _residual_and_fit(moved)
 
 
 def _at_depths(record: Record, depths_m: Mapping[int, float]) -> Record:
@@ -188,7 +200,7 @@ def _at_depths(record: Record, depths_m: Mapping[int, float]) -> Record:
 # Heat in depth and time ----------------------------------------------------------------------------------------------
 
 
-def inverted(record: Record, fitted: Fitted) -> Deposit:
+def inverted(record: Record, fitted: Model) -> Deposit:
     """The early residual of a fit as deposited heat."""
     board = record.declared.stack.layer[1]
     material = record.declared.materials[MATERIAL]
@@ -200,21 +212,20 @@ def inverted(record: Record, fitted: Fitted) -> Deposit:
     probed = replace(
         record, declared=record.declared.model_copy(update={"thermocouples": thermocouples}), thermocouples=columns
     )
-    values = dict(zip(fitted.labels, fitted.fit.values, strict=True))
-    T = predict(probed, point_of_record(probed, values)).history.sensors_K.T[: INVERTED_S + 1]
+    T = predict(probed, point_of_record(probed, fitted.values)).history.sensors_K.T[: INVERTED_S + 1]
     k = np.interp(0.5 * (T[:, 1:] + T[:, :-1]), *np.array(material.conductivity_W_mK).T)
-    loss = 4.0 * 0.95 * 5.67e-8 * T[:, 0] ** 3 + UNIT_W_M2K * values[CONVECTION]
+    loss = 4.0 * 0.95 * 5.67e-8 * T[:, 0] ** 3 + UNIT_W_M2K * fitted.values[CONVECTION]
     sensors = [int(np.argmin(np.abs(depth - s.depth_m))) for s in record.sensors]
     capacity = material.density_kg_m3 * material.specific_heat_J_kgK[0][1]
     sigma = np.array([s.noise_sigma_K or 1.0 for s in record.sensors])
-    residual = fitted.after[0].residual_K[:, : INVERTED_S + 1]
+    residual = fitted.residual_K[:, : INVERTED_S + 1]
     return deposited_heat(Slab(depth, T, k, capacity, sensors, loss), residual, sigma)
 
 
 # Figures -------------------------------------------------------------------------------------------------------------
 
 
-def _errors(label: str, record: Record, residual_K: FloatArray, fitted: Fitted | None = None) -> Iterator[Figure]:
+def _errors(label: str, record: Record, residual_K: FloatArray, fitted: Model | None = None) -> Iterator[Figure]:
     early, late = record.time_s <= EARLY_S, record.time_s >= LATE_S
     for i, sensor in enumerate(record.sensors):
         own = residual_K[i]
@@ -229,11 +240,12 @@ def rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _values(fitted: Fitted) -> str:
+def _values(fitted: Model) -> str:
     found = []
-    for name, value, sigma in zip(fitted.labels, fitted.fit.values, fitted.bounds.sigma, strict=True):
+    sigma = fitted.sigma
+    for name, value in fitted.values.items():
         scale, unit = (UNIT_W_M2K, " W/(m2 K)") if name == CONVECTION else (1.0, "")
-        found.append(f"{name.rsplit('.', 1)[-1]} {value * scale:.4g} +- {sigma * scale:.2g}{unit}")
+        found.append(f"{name.rsplit('.', 1)[-1]} {value * scale:.4g} +- {sigma[name] * scale:.2g}{unit}")
     return ", ".join(found)
 
 

@@ -61,7 +61,7 @@ def run() -> list[Figure]:
             continue
         figures.append(Figure(f"{label}: stretched to the same length", stretch, ""))
         for name, tile in own.items():
-            figures += _brief(f"{label}, {name}", tile)
+            figures += (replace(f, target=None) for f in _brief(f"{label}, {name}", tile))
             spread.setdefault(name, []).append(tile)
     figures += [f for name, found in spread.items() for f in _spread(name, [tiles[name], *found])]
     save("sts96", figures)
@@ -72,7 +72,7 @@ def _figures(name: str, tile: Tile) -> Iterator[Figure]:
     declared = predict(tile.record).residual_K[0]
     errors = {"declared": tile.errors(declared) | {"whole entry": rms(declared)}}
     for stage, model in (("before", tile.before), ("after", tile.after)):
-        errors[stage] = tile.errors(model.residual_K) | {"whole entry": rms(model.whole_residual_K)}
+        errors[stage] = tile.errors(model.residual_K[0]) | {"whole entry": rms(model.whole_residual_K[0])}
     for stage, found in errors.items():
         for where, value in found.items():
             yield Figure(f"{name}, {stage}: RMSE, {where}", value, "K")
@@ -87,7 +87,7 @@ def _figures(name: str, tile: Tile) -> Iterator[Figure]:
 
 
 def _brief(label: str, tile: Tile) -> Iterator[Figure]:
-    before, after = (tile.errors(m.residual_K)["window"] for m in (tile.before, tile.after))
+    before, after = (tile.errors(m.residual_K[0])["window"] for m in (tile.before, tile.after))
     values = tile.after.values
     note = f"{before:.1f} K to {after:.1f} K; onset log10 Re {values[ONSET]:.3f}, factor {values[FACTOR]:.2f}"
     yield Figure(f"{label}: RMSE after/before", after / before, "", LARGEST_RATIO, note=note)
@@ -99,7 +99,7 @@ def _clock_figures(clock: Clock) -> Iterator[Figure]:
     yield Figure("shift of the clock", clock.shift_s, "s", note=f"+- {clock.sigma[0]:.1f} s")
     yield Figure("stretch of the clock", clock.stretch, "", note=f"+- {clock.sigma[1]:.4f}")
     for name, tile in clock.tiles.items():
-        found = tile.errors(tile.after.residual_K)
+        found = tile.errors(tile.after.residual_K[0])
         note = f"{found['fit']:.1f} K fitted, {found['holdout']:.1f} K held out"
         note += f"; onset log10 Re {tile.after.values[ONSET]:.3f}, factor {tile.after.values[FACTOR]:.2f}"
         yield Figure(f"with that clock, {name}: RMSE, window", found["window"], "K", note=note)
@@ -169,7 +169,7 @@ def _draw_tile(above: Any, below: Any, name: str, tile: Tile) -> None:
     t, T = tile.record.time_s[shown], tile.record.temperatures_K()[0][shown]
     above.plot(t, T, ".", color="0.5", markersize=3, label="measured in flight")
     for model, colour, label in ((tile.before, "C0", "laminar, linear model"), (tile.after, "C3", "with transition")):
-        residual = model.residual_K[shown]
+        residual = model.residual_K[0][shown]
         above.plot(t, T - residual, color=colour, linewidth=1.2, label=label)
         below.plot(t, residual, color=colour, linewidth=1.2)
     for segment in tile.record.declared.segments.holdout:

@@ -16,16 +16,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.quick_fit import Model, quick_fit
 from sim_heating.compared_records import compared_records
 from sim_heating.conditions import Conditions, FloatArray
 from sim_heating.effects import use
 from sim_heating.errors import RunError
-from sim_heating.estimation.estimate import coloured_bounds, predict_at
 from sim_heating.estimation.informed import default_names, still
-from sim_heating.estimation.newton import Fit, Settings, maximise
 from sim_heating.estimation.problem import Problem, joint_reference
 from sim_heating.parameters import Parameter
-from sim_heating.predict import predict
 from sim_heating.record import Record
 from sim_heating.scenario import Scenario
 
@@ -40,40 +38,9 @@ RISE_S = 10.0
 """A rise is the change of temperature over twice this time."""
 WINDOW_S = (-60.0, 200.0)
 """About the rise: where the errors before and after are compared."""
-SETTLED = Settings(gain=1e-2, step=3e-2, iterations=20)
 CLOCK_ROUNDS = 3
 STEP_S, STEP_STRETCH = 1.0, 1e-3
 """Differences that sensitivities to the clock are taken with."""
-
-
-@dataclass(frozen=True, eq=False)
-class Model:
-    """A fit of one tile."""
-
-    problem: Problem
-    fit: Fit
-
-    @property
-    def residual_K(self) -> FloatArray:
-        """(sample,) measured less predicted of the plain march, to the last sample that is fitted or held out."""
-        return predict_at(self.problem.parts[0], self.fit.values).residual_K[0]
-
-    @property
-    def whole_residual_K(self) -> FloatArray:
-        """(sample,) the same over the whole entry, which the fit knows little of."""
-        part = self.problem.parts[0]
-        return predict(part.record, part.altered(self.fit.values)).residual_K[0]
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Values by name."""
-        return dict(zip((u.label for u in self.problem.unknowns), self.fit.values, strict=True))
-
-    @property
-    def sigma(self) -> dict[str, float]:
-        """Sigma by name, corrected for coloured residuals."""
-        found = coloured_bounds(self.problem, self.fit).sigma
-        return dict(zip((u.label for u in self.problem.unknowns), found, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,30 +99,11 @@ def onset_time_s(flown: Conditions, log10_re: float, after_s: float = 600.0) -> 
 
 
 def fitted(record: Record, reference: tuple[float, ...], starts: Sequence[Mapping[str, float]] = ({},)) -> Model:
-    """The linear model, with transition where the starts name it; the best of all starts.
-
-    raises : RunError where no start leads anywhere
-    """
+    """The linear model, with transition where the starts name it; the best of all starts."""
     linear = [n for n in default_names([record]) if n not in still(default_names([record]), [record])]
-    names = (*linear, *(TRANSITION if TRANSITION[0] in starts[0] else ()))
-    best: Model | None = None
-    for start in starts:
-        own = {k.removeprefix(EFFECT): v for k, v in start.items() if k.startswith(EFFECT)}
-        uses, priors = [use("transition", own)] if own else [], {SHARPEST.name: SHARPEST}
-        problem = Problem([record], names, reference, effects=uses, priors=priors, flat=True)
-        first = np.array([start.get(p.name, p.value) for p in problem.parameters])
-        try:
-            found = Model(
-                problem, maximise(problem.evaluate, problem.parameters, first, problem.log_likelihoods, SETTLED)
-            )
-            np.asarray(found.residual_K)
-        except RunError:
-            continue
-        if best is None or found.fit.log_likelihood > best.fit.log_likelihood:
-            best = found
-    if best is None:
-        raise RunError(f"{record.name}: the model cannot be marched from any start")
-    return best
+    turbulent = TRANSITION[0] in starts[0]
+    names, uses = (*linear, *(TRANSITION if turbulent else ())), [use("transition")] if turbulent else []
+    return quick_fit(record, names, starts, effects=uses, reference=reference, priors={SHARPEST.name: SHARPEST})
 
 
 def starts_at(record: Record, rise_s: float, warm: Mapping[str, float] | None = None) -> list[dict[str, float]]:

@@ -78,7 +78,7 @@ def test_transition_explains_the_rise_of_a_tile(name: str) -> None:
     reference, rise_s = joint_reference([record]), rise_time_s(record)
     after = fitted(record, reference, starts_at(record, rise_s)[:1])
     tile = Tile(record, rise_s, fitted(record, reference), after)
-    before, after_K = (tile.errors(m.residual_K) for m in (tile.before, tile.after))
+    before, after_K = (tile.errors(m.residual_K[0]) for m in (tile.before, tile.after))
     assert after_K["window"] < 0.4 * before["window"]
     assert after_K["holdout"] < 0.5 * before["holdout"]
     assert abs(tile.onset_s - rise_s) < 10.0
