@@ -291,8 +291,8 @@ def draw_residuals(record: Record, residuals: Mapping[str, FloatArray]) -> None:
 def draw_deposit(record: Record, found: Deposit) -> None:
     """Deposited heat over depth and time."""
     figure, ax = plt.subplots(figsize=(8.0, 4.5))
-    largest = 1e-3 * float(np.max(np.abs(found.source_W_m3)))
-    levels = np.linspace(-largest, largest, 22)
+    largest = 50.0 * np.ceil(1e-3 * float(np.max(np.abs(found.source_W_m3))) / 50.0)
+    levels = np.arange(-largest, largest + 1.0, 25.0)
     filled = ax.contourf(found.time_s, 1e3 * found.depth_m, 1e-3 * found.source_W_m3, levels, cmap="RdBu_r")
     for sensor in record.sensors:
         ax.axhline(1e3 * sensor.depth_m, color="k", linewidth=0.7, linestyle=":")
@@ -305,7 +305,7 @@ def draw_deposit(record: Record, found: Deposit) -> None:
     ax.set_xlabel("time, s")
     ax.set_ylabel("depth, mm (dotted: joints)")
     ax.legend(loc="lower right")
-    figure.colorbar(filled, label="heat deposited, kW/m3")
+    figure.colorbar(filled, label="heat deposited, kW/m3", ticks=np.arange(-largest, largest + 1.0, 100.0))
     figure.tight_layout()
     figure.savefig(IMAGES / "kaowool_deposit.png", dpi=100)
     plt.close(figure)
