@@ -75,6 +75,7 @@ STACK = (
     Parameter("stack.moisture.deposit_J_kg", "J/kg", 0.0, 2e4, 0.0, 3e6, "heat given off where vapour condenses"),
     Parameter("stack.moisture.condense_K", "K", 330.0, 20.0, 200.0, 1000.0, "temperature at which it condenses"),
     Parameter("stack.moisture.width_K", "K", 8.0, 4.0, 0.5, 200.0, "width of either in temperature"),
+    Parameter("stack.moisture.vapour_W_m", "W/m", 0.0, 2.0, 0.0, 200.0, "conductivity of its vapour, up to boiling"),
     Parameter("stack.gap.fraction", "1", 0.0, 0.1, 0.0, 0.95, "part of the film spent along a gap"),
     Parameter("stack.gap.depth_m", "m", 0.005, 0.005, 1e-4, 0.5, "depth over which it falls by e"),
     Parameter("stack.contact_factor", "1", 1.0, 0.5, 1e-3, 100.0, "contact resistances, over the declared ones"),

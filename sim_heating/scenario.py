@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -38,6 +38,7 @@ from sim_heating.files import (
     suggestion,
 )
 from sim_heating.parameters import MODEL
+from sim_heating.record import Segments
 from sim_heating.trajectory.spec import TrajectorySpec
 from sim_heating.vehicle import Vehicle, load_vehicle
 
@@ -110,6 +111,8 @@ class Compare(Declared):
     file: str = Field(description="CSV relative to the vehicle's directory")
     label: str
     until_s: float | None = Field(default=None, description="end of the comparison in s, all where absent")
+    fit_s: list[list[float]] | None = Field(default=None, description="fit segments of a record made of it, in s")
+    holdout_s: list[list[float]] = Field(default=[], description="segments that are held out there, in s")
 
 
 class Vary(Declared):
@@ -208,13 +211,17 @@ class ScenarioFile(Declared):
 
 @dataclass(frozen=True)
 class MeasuredHistory:
-    """A measured history to compare with: (sample,) times [s] and temperatures [K] with their sigma [K]."""
+    """A measured history to compare with: (sample,) times [s] and temperatures [K] with their sigma [K].
+
+    segments : those of a record that is made of it
+    """
 
     control_point: str
     label: str
     time_s: np.ndarray
     temperature_K: np.ndarray
     sigma_K: np.ndarray
+    segments: Segments = field(default_factory=Segments)
 
 
 @dataclass(frozen=True)
@@ -358,5 +365,6 @@ def _measured_history(vehicle: Vehicle, compare: Compare) -> MeasuredHistory:
     time = table["time_s"]
     until = np.inf if compare.until_s is None else compare.until_s
     held = time <= until
-    columns = (table[name][held] for name in ("time_s", "temperature_K", "sigma_K"))
-    return MeasuredHistory(compare.control_point, compare.label, *columns)
+    columns = {name: table[name][held] for name in ("time_s", "temperature_K", "sigma_K")}
+    segments = check({"fit": compare.fit_s, "holdout": compare.holdout_s}, Segments, f"[[compare]] {compare.label}")
+    return MeasuredHistory(compare.control_point, compare.label, **columns, segments=segments)

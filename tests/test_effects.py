@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +22,7 @@ from sim_heating.errors import InputError
 from sim_heating.layout import ALPHA, FAILED, FILM, JETS, LOG10_RE, N_CONDITIONS
 from sim_heating.resolution import pack
 
+ROOT = Path(__file__).resolve().parent.parent
 compiling = settings(deadline=None)  # the first example waits for the compiler
 alphas, any_re = st.floats(0.0, 60.0), st.floats(3.0, 8.0)
 
@@ -164,7 +168,7 @@ def test_more_effects_than_the_kernel_holds_are_refused():
         PointModel("p", wall((material(), 0.01)), effects=(use("jet-interaction"),) * 5)
 
 
-def test_file_in_a_folder_of_ones_own_is_an_effect(tmp_path, monkeypatch):
+def own_effect(folder):
     lines = [
         "from sim_heating.effects import Effect",
         "from sim_heating.jit import njit",
@@ -174,6 +178,25 @@ def test_file_in_a_folder_of_ones_own_is_an_effect(tmp_path, monkeypatch):
         "    return B[p]",
         "EFFECT = Effect('own-factor', 'multiply', (Parameter('factor', '1', 2.0),), double)",
     ]
-    (tmp_path / "own.py").write_text("\n".join(lines))
+    (folder / "own.py").write_text("\n".join(lines))
+
+
+def test_file_in_a_folder_of_ones_own_is_an_effect(tmp_path, monkeypatch):
+    own_effect(tmp_path)
     monkeypatch.setenv("SIM_HEATING_EFFECTS", str(tmp_path))
     assert film_of(use("own-factor")) == pytest.approx(0.1)
+
+
+def test_own_effect_is_found_again_in_the_cache_by_the_next_process(tmp_path):
+    own_effect(tmp_path)
+    lines = (
+        "from sim_heating.effects import use",
+        "from sim_heating.effects.chain import compiled_chain",
+        "compiled_chain((use('own-factor').effect,))",
+    )
+    for _ in range(2):
+        subprocess.run(
+            [sys.executable, "-c", "; ".join(lines)],
+            env=os.environ | {"SIM_HEATING_EFFECTS": str(tmp_path), "PYTHONPATH": str(ROOT)},
+            check=True,
+        )

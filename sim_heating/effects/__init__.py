@@ -17,6 +17,7 @@ import importlib
 import importlib.util
 import os
 import pkgutil
+import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -112,6 +113,7 @@ def _from_file(path: Path) -> Effect | None:
     if spec is None or spec.loader is None:
         raise InputError(f"{path}: is not a Python file; an effect is one")
     module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # a kernel in numba's cache is found again by the name of its module
     try:
         spec.loader.exec_module(module)
     except InputError as error:

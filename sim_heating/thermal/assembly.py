@@ -74,6 +74,7 @@ from sim_heating.layout import (
     SLOPE,
     SOURCE,
     THETA_RIGHT,
+    VAPOUR,
     WET_LEFT,
     WET_RIGHT,
     G,
@@ -161,13 +162,13 @@ def _properties(B: FloatArray, a: int, lane: int, foot: int, f: float) -> tuple[
 
 
 @njit
-def _wet(B: FloatArray, lane: int, T_K: float) -> tuple[float, float]:
-    """Heat content of moisture [J/kg] and its slope [J/(kg K)]."""
+def _wet(B: FloatArray, lane: int, T_K: float) -> tuple[float, float, float]:
+    """Heat content of moisture [J/kg], its slope [J/(kg K)], and the part that has dried."""
     w = 1.0 / B[PHASE_WIDTH * LANES + lane]
     up = logistic((T_K - B[BOIL * LANES + lane]) * w)
     down = logistic((T_K - B[CONDENSE * LANES + lane]) * w)
     L, D = B[LATENT * LANES + lane], B[DEPOSIT * LANES + lane]
-    return L * up - D * down, (L * up * (1.0 - up) - D * down * (1.0 - down)) * w
+    return L * up - D * down, (L * up * (1.0 - up) - D * down * (1.0 - down)) * w, up
 
 
 @njit
@@ -201,6 +202,14 @@ def _write_row(
 
 
 @njit
+def _in_depth(B: FloatArray, a: int, lane: int, T_K: float, dried: float) -> tuple[float, float]:
+    """Kirchhoff's variable [W/m] and conductivity [W/(m K)] of radiation and vapour in the element right of a node."""
+    k_rad = 1e-9 * B[a + K_RAD * LANES + lane] * T_K * T_K * T_K
+    vapour = B[VAPOUR * LANES + lane] if B[a + WET_RIGHT * LANES + lane] > 0.0 else 0.0
+    return 0.25 * k_rad * T_K + vapour * dried, k_rad + vapour * dried * (1.0 - dried) / B[PHASE_WIDTH * LANES + lane]
+
+
+@njit
 def _add_in_depth(B: FloatArray, a: int, lane: int, ddt: float) -> None:
     """Add moisture and radiation in depth to the row of a node, that of its left neighbour having them already.
 
@@ -209,19 +218,20 @@ def _add_in_depth(B: FloatArray, a: int, lane: int, ddt: float) -> None:
     left = a - NODE_ROWS * LANES
     t = B[a + T * LANES + lane]
     wet_left, wet_right = B[a + WET_LEFT * LANES + lane], B[a + WET_RIGHT * LANES + lane]
-    h, c = 0.0, 0.0
+    h, c, dried = 0.0, 0.0, 0.0
     if wet_left + wet_right > 0.0:
-        h, c = _wet(B, lane, t)
-    k_right, k_left = 1e-9 * B[a + K_RAD * LANES + lane] * t * t * t, 1e-9 * B[left + K_RAD * LANES + lane] * t * t * t
+        h, c, dried = _wet(B, lane, t)
+    theta_right, k_right = _in_depth(B, a, lane, t, dried)
+    theta_left, k_left = _in_depth(B, left, lane, t, dried)
     g_left = ddt * B[left + G * LANES + lane]
-    across = SHARE * wet_left * h - 0.25 * g_left * k_left * t
+    across = SHARE * wet_left * h - g_left * theta_left
     entry = SHARE * wet_left * c - g_left * k_left
     lower = SHARE * wet_right * c - ddt * B[a + G * LANES + lane] * k_right
     B[a + E_LEFT * LANES + lane] += wet_left * h
     B[a + C_LEFT * LANES + lane] += wet_left * c
     B[a + E_RIGHT * LANES + lane] += wet_right * h
     B[a + C_RIGHT * LANES + lane] += wet_right * c
-    B[a + THETA_RIGHT * LANES + lane] += 0.25 * k_right * t
+    B[a + THETA_RIGHT * LANES + lane] += theta_right
     B[a + ACROSS * LANES + lane] += across
     B[a + ENTRY * LANES + lane] += entry
     B[a + LOWER * LANES + lane] += lower

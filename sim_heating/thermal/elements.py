@@ -30,6 +30,7 @@ from sim_heating.layout import (
     NODE_ROWS,
     PHASE_WIDTH,
     SURFACE_SHARE,
+    VAPOUR,
     WET_LEFT,
     WET_RIGHT,
     G,
@@ -40,8 +41,9 @@ IntArray = NDArray[np.int64]
 
 (
     COATING_THICKNESS, COATING_CONDUCTIVITY, COATING_CAPACITY, RSI_CONDUCTIVITY, RSI_CAPACITY, EMISSIVITY, RADIATIVE,
-    LATENT_HEAT, BOILS, DEPOSITED, CONDENSES, WIDTH, GAP_FRACTION, GAP_DEPTH, CONTACT, H_BEHIND, T_BEHIND, EPS_BEHIND,
-) = range(18)  # fmt: skip
+    LATENT_HEAT, BOILS, DEPOSITED, CONDENSES, WIDTH, CARRIED, GAP_FRACTION, GAP_DEPTH, CONTACT, H_BEHIND, T_BEHIND,
+    EPS_BEHIND,
+) = range(19)  # fmt: skip
 """Places of parameters.STACK in their order."""
 
 
@@ -89,8 +91,8 @@ def _set_faces(B: FloatArray, J: IntArray, lane: int, p: FloatArray) -> None:
     B[BACK_EPS * LANES + lane] = p[EPS_BEHIND]
     B[LATENT * LANES + lane], B[BOIL * LANES + lane] = p[LATENT_HEAT], p[BOILS]
     B[DEPOSIT * LANES + lane], B[CONDENSE * LANES + lane] = p[DEPOSITED], p[CONDENSES]
-    B[PHASE_WIDTH * LANES + lane] = p[WIDTH]
-    if p[LATENT_HEAT] > 0.0 or p[DEPOSITED] > 0.0 or p[RADIATIVE] != 0.0:
+    B[PHASE_WIDTH * LANES + lane], B[VAPOUR * LANES + lane] = p[WIDTH], p[CARRIED]
+    if p[LATENT_HEAT] > 0.0 or p[DEPOSITED] > 0.0 or p[CARRIED] > 0.0 or p[RADIATIVE] != 0.0:
         J[IN_DEPTH] = 1
 
 

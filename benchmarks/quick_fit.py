@@ -1,0 +1,82 @@
+"""A fit to one record from given starts, settled loosely: enough to compare many models."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim_heating.conditions import FloatArray
+from sim_heating.effects import EffectUse
+from sim_heating.errors import RunError
+from sim_heating.estimation.estimate import coloured_bounds, predict_at
+from sim_heating.estimation.newton import Fit, Settings, maximise
+from sim_heating.estimation.problem import Problem, joint_reference
+from sim_heating.parameters import Parameter
+from sim_heating.predict import predict
+from sim_heating.record import Record
+
+SETTLED = Settings(gain=1e-2, step=3e-2, iterations=20)
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A fitted model of one record."""
+
+    problem: Problem
+    fit: Fit
+
+    @property
+    def residual_K(self) -> FloatArray:
+        """(sensor, sample) measured less predicted of the plain march, to the last sample fitted or held out."""
+        return predict_at(self.problem.parts[0], self.fit.values).residual_K
+
+    @property
+    def whole_residual_K(self) -> FloatArray:
+        """(sensor, sample) the same over the whole record, of which the fit may know little."""
+        part = self.problem.parts[0]
+        return predict(part.record, part.altered(self.fit.values)).residual_K
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Values by name."""
+        return dict(zip((u.label for u in self.problem.unknowns), self.fit.values, strict=True))
+
+    @property
+    def sigma(self) -> dict[str, float]:
+        """Sigma by name, corrected for coloured residuals."""
+        found = coloured_bounds(self.problem, self.fit).sigma
+        return dict(zip((u.label for u in self.problem.unknowns), found, strict=True))
+
+
+def quick_fit(
+    record: Record,
+    names: Sequence[str],
+    starts: Sequence[Mapping[str, float]] = ({},),
+    *,
+    effects: Sequence[EffectUse] = (),
+    reference: tuple[float, ...] | None = None,
+    priors: Mapping[str, Parameter] | None = None,
+    flat: bool = True,
+) -> Model:
+    """The likeliest fit of all starts (values by name, nominal where not given).
+
+    raises : RunError where no start leads anywhere
+    """
+    best: Model | None = None
+    about = joint_reference([record]) if reference is None else reference
+    for start in starts:
+        problem = Problem([record], names, about, effects=effects, priors=priors, flat=flat)
+        first = np.array([start.get(p.name, p.value) for p in problem.parameters])
+        try:
+            fit = maximise(problem.evaluate, problem.parameters, first, problem.log_likelihoods, SETTLED)
+            found = Model(problem, fit)
+            np.asarray(found.residual_K)  # some values can be linearised about and not marched
+        except RunError:
+            continue
+        if best is None or found.fit.log_likelihood > best.fit.log_likelihood:
+            best = found
+    if best is None:
+        raise RunError(f"{record.name}: the model cannot be marched from any start")
+    return best

@@ -1,0 +1,203 @@
+"""Transition in the measured history of a tile, and a clock common to several tiles of a flight that is not known.
+
+A record is fitted with the declared laminar model and its linear derivatives (before), then with the effect
+`transition` on top (after), started at the Reynolds number of the steepest rise. The clock,
+
+    recorded time = shift + stretch (time of the flight),
+
+is fitted by Gauss-Newton with every tile's own parameters projected out; its sigma is that of leaving out a tile at a
+time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.quick_fit import Model, quick_fit
+from sim_heating.compared_records import compared_records
+from sim_heating.conditions import Conditions, FloatArray
+from sim_heating.effects import use
+from sim_heating.errors import RunError
+from sim_heating.estimation.informed import default_names, still
+from sim_heating.estimation.problem import Problem, joint_reference
+from sim_heating.parameters import Parameter
+from sim_heating.record import Record
+from sim_heating.scenario import Scenario
+
+EFFECT = "effect.transition."
+TRANSITION = tuple(EFFECT + name for name in ("log10_re_onset", "width", "factor"))
+WIDTHS = (0.01, 0.03)
+"""Widths of the rise in log10 Re that a fit is started with."""
+FACTOR = 2.5
+SHARPEST = Parameter(TRANSITION[1], "1", WIDTHS[0], lower=0.005, upper=1.0)
+"""A rise within a second; the records tell times to 2.75 s."""
+RISE_S = 10.0
+"""A rise is the change of temperature over twice this time."""
+WINDOW_S = (-60.0, 200.0)
+"""About the rise: where the errors before and after are compared."""
+CLOCK_ROUNDS = 3
+STEP_S, STEP_STRETCH = 1.0, 1e-3
+"""Differences that sensitivities to the clock are taken with."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tile:
+    """What was found in one record."""
+
+    record: Record
+    rise_s: float
+    before: Model
+    after: Model
+
+    @property
+    def onset_s(self) -> float:
+        """When the flight passes the onset Reynolds number, on the record's clock."""
+        return onset_time_s(self.record.conditions, self.after.values[TRANSITION[0]])
+
+    def errors(self, residual_K: FloatArray) -> dict[str, float]:
+        """RMSE [K] about the rise, over the fit segments and the held-out ones."""
+        t = self.record.time_s - self.rise_s
+        masks = {
+            "window": (t >= WINDOW_S[0]) & (t <= WINDOW_S[1]),
+            "fit": self.record.fit_mask(),
+            "holdout": self.record.holdout_mask(),
+        }
+        return {name: rms(residual_K[mask]) for name, mask in masks.items()}
+
+
+def rms(values: FloatArray) -> float:
+    """Root mean square of what is known."""
+    return float(np.sqrt(np.nanmean(values**2)))
+
+
+def rise_time_s(record: Record) -> float:
+    """When the measured temperature is half way up its steepest rise within the fit segments [s]."""
+    t, T = record.time_s, record.temperatures_K()[0]
+    first, last = record.declared.segments.fit[0] if record.declared.segments.fit else (t[0], t[-1])
+    at = np.arange(first + RISE_S, last - RISE_S, 1.0)
+    T = np.interp(at, t, T)
+    low = high = int(np.argmax(np.interp(at + RISE_S, at, T) - np.interp(at - RISE_S, at, T)))
+    while T[low - 1] <= T[low]:
+        low -= 1
+    while T[high + 1] >= T[high]:
+        high += 1
+    return float(np.interp(0.5 * (T[low] + T[high]), T[low : high + 1], at[low : high + 1]))
+
+
+def onset_time_s(flown: Conditions, log10_re: float, after_s: float = 600.0) -> float:
+    """First time [s] after the entry has settled at which the flight is past a Reynolds number."""
+    t, x = flown.time_s, flown["log10_re"]
+    past = (t >= after_s) & (x >= log10_re)
+    k = int(np.argmax(past))
+    return float(np.interp(log10_re, x[k - 1 : k + 1], t[k - 1 : k + 1])) if np.any(past) else float("nan")
+
+
+# One tile ------------------------------------------------------------------------------------------------------------
+
+
+def fitted(record: Record, reference: tuple[float, ...], starts: Sequence[Mapping[str, float]] = ({},)) -> Model:
+    """The linear model, with transition where the starts name it; the best of all starts."""
+    linear = [n for n in default_names([record]) if n not in still(default_names([record]), [record])]
+    turbulent = TRANSITION[0] in starts[0]
+    names, uses = (*linear, *(TRANSITION if turbulent else ())), [use("transition")] if turbulent else []
+    return quick_fit(record, names, starts, effects=uses, reference=reference, priors={SHARPEST.name: SHARPEST})
+
+
+def starts_at(record: Record, rise_s: float, warm: Mapping[str, float] | None = None) -> list[dict[str, float]]:
+    """Transition at the Reynolds number of the rise, of several widths; `warm` are values to begin with besides."""
+    log10_re = float(np.interp(rise_s, record.conditions.time_s, record.conditions["log10_re"]))
+    cold = [dict(zip(TRANSITION, (log10_re, width, FACTOR), strict=True)) for width in WIDTHS]
+    return cold if warm is None else [{**warm, TRANSITION[0]: log10_re}]
+
+
+def tiles_of(records: Mapping[str, Record]) -> dict[str, Tile]:
+    """Every record fitted before and after."""
+    found = {}
+    for name, record in records.items():
+        reference, rise_s = joint_reference([record]), rise_time_s(record)
+        before = fitted(record, reference)
+        found[name] = Tile(record, rise_s, before, fitted(record, reference, starts_at(record, rise_s)))
+    return found
+
+
+def as_nominal(records: Mapping[str, Record], nominal: Mapping[str, Tile]) -> dict[str, Tile]:
+    """Records of the same tiles along another flight, fitted before and after, from the nominal values too."""
+    found = {}
+    for name, record in records.items():
+        reference, rise_s = joint_reference([record]), nominal[name].rise_s
+        before = fitted(record, reference, [{}, nominal[name].before.values])
+        warm = starts_at(record, rise_s, nominal[name].after.values)
+        after = fitted(record, reference, [*warm, *starts_at(record, rise_s)[1:]])
+        found[name] = Tile(record, rise_s, before, after)
+    return found
+
+
+# The clock -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """Shift [s] and stretch common to all tiles, their sigma from leaving out a tile, and the tiles fitted with it."""
+
+    shift_s: float
+    stretch: float
+    sigma: tuple[float, float]
+    tiles: dict[str, Tile]
+
+
+def fitted_clock(scenario: Scenario, flown: Conditions, tiles: dict[str, Tile], rounds: int = CLOCK_ROUNDS) -> Clock:
+    """Gauss-Newton on shift and stretch; the tiles' own parameters follow at every round."""
+    clock, best = np.array([0.0, 1.0]), (np.inf, np.array([0.0, 1.0]), tiles, np.zeros((len(tiles), 2)))
+    step = np.zeros(2)
+    for _ in range(rounds):
+        try:
+            tiles = refitted(scenario, flown, clock, best[2])
+        except RunError:
+            tiles = {}
+        misfit = sum(-2.0 * t.after.fit.log_likelihood for t in tiles.values()) if tiles else np.inf
+        if misfit < best[0]:
+            normal = [_normal_equations(scenario, flown, clock, name, tile) for name, tile in tiles.items()]
+            A, b = (np.array([n[k] for n in normal]) for k in (0, 1))
+            step = np.linalg.solve(A.sum(axis=0), b.sum(axis=0))
+            without = np.array([np.linalg.solve(A.sum(0) - a, b.sum(0) - c) for a, c in zip(A, b, strict=True)])
+            best = (misfit, clock, tiles, without)
+        else:
+            step = 0.5 * step
+        clock = best[1] + step
+    n = len(best[3])
+    spread = np.sqrt((n - 1) / n * np.sum((best[3] - best[3].mean(axis=0)) ** 2, axis=0))
+    return Clock(float(best[1][0]), float(best[1][1]), (float(spread[0]), float(spread[1])), best[2])
+
+
+def refitted(scenario: Scenario, flown: Conditions, clock: FloatArray, tiles: Mapping[str, Tile]) -> dict[str, Tile]:
+    """The tiles with another clock, from the values that they have."""
+    records = compared_records(scenario, flown=flown, shift_s=clock[0], stretch=clock[1])
+    found = {}
+    for name, tile in tiles.items():
+        reference = tile.after.problem.reference
+        after = fitted(records[name], reference, starts_at(records[name], tile.rise_s, tile.after.values))
+        found[name] = Tile(records[name], tile.rise_s, tile.before, after)
+    return found
+
+
+def _normal_equations(
+    scenario: Scenario, flown: Conditions, clock: FloatArray, name: str, tile: Tile
+) -> tuple[FloatArray, FloatArray]:
+    """Normal equations of the clock from one tile, its own parameters projected out."""
+    values = tile.after.fit.values
+    here = tile.after.problem.samples(values)[0]
+    columns = []
+    for change in (np.array([STEP_S, 0.0]), np.array([0.0, STEP_STRETCH])):
+        moved = compared_records(scenario, flown=flown, shift_s=(clock + change)[0], stretch=(clock + change)[1])[name]
+        names, reference = list(tile.after.values), tile.after.problem.reference
+        problem = Problem([moved], names, reference, effects=[use("transition")], flat=True)
+        columns.append((problem.samples(values)[0].mean_K - here.mean_K) / np.max(change))
+    sensitivity = np.array(columns).T
+    own = here.own[:, np.any(here.own != 0.0, axis=0)]
+    basis, _ = np.linalg.qr(own)
+    residual = np.interp(here.time_s, tile.record.time_s, tile.record.temperatures_K()[0]) - here.mean_K
+    projected = (sensitivity - basis @ (basis.T @ sensitivity)) / here.sigma_K
+    return projected.T @ projected, projected.T @ (residual - basis @ (basis.T @ residual)) / here.sigma_K
