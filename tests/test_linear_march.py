@@ -169,6 +169,19 @@ def test_every_parameter_of_every_effect(name):
     assert_exact(worst(point(name), wanted))
 
 
+def test_gap_that_opens_between_two_marches_takes_heat_from_the_next():
+    closed = point().altered({"stack.gap.fraction": 0.0})
+    names = ("ratio.scale", "stack.emissivity_factor", "stack.gap.fraction", "stack.contact_factor")
+    mesh = choose_meshes([closed])[0][0]
+    march = LinearMarch([Track(closed, mesh, names, SAMPLE_S)], TIME_S, flight(TIME_S, **{c: popu(c) for c in COLUMNS}))
+    march.march()
+    march.set_models([point()])
+    found, anew = march.march()[0], marched([point()], names)[0]
+    assert np.array_equal(found.temperature_K, anew.temperature_K)
+    assert errors(found.sensitivity[..., 0], anew.sensitivity[..., 0]) < 1e-12
+    assert np.allclose(found.sensitivity, anew.sensitivity, rtol=1e-9, atol=1e-9 * np.max(np.abs(anew.sensitivity)))
+
+
 # Clocks, sensors and starts: through the fit's own problem ----------------------------------------------------------
 
 POPU_S = (690.0, 730.0)
