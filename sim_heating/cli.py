@@ -4,68 +4,30 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from sim_heating.cli_plan import plan
+from sim_heating.console import CONSOLE, ERRORS, OUT, PATH, optional_directory
+from sim_heating.console import progress_line as _progress
+from sim_heating.console import tell_files as _tell_files
 from sim_heating.errors import InputError, RunError
 from sim_heating.results import package_version
-
-PLAIN_WIDTH = 110
-"""Columns of a table where the output is no terminal."""
-CONSOLE = Console(width=None if sys.stdout.isatty() else PLAIN_WIDTH)
-ERRORS = Console(stderr=True, soft_wrap=True, highlight=False)
-
-
-def _directory(_: click.Context, __: click.Parameter, value: str) -> Path:
-    """The directory of results, refused before any work where it cannot be one."""
-    if not value.strip():
-        raise InputError("--out: is empty; name a directory for the results")
-    path = Path(value)
-    if path.exists() and not path.is_dir():
-        raise InputError(f"--out {value}: is a file; name a directory for the results")
-    return path
-
-
-def _optional_directory(context: click.Context, parameter: click.Parameter, value: str | None) -> Path | None:
-    return None if value is None else _directory(context, parameter, value)
-
-
-OUT = click.option("--out", required=True, callback=_directory, help="directory for the results")
-PATH = click.Path(path_type=Path)
-
-
-@contextmanager
-def _progress(title: str) -> Iterator[Callable[[float, str], None]]:
-    """A progress line on the terminal; its text lines alone where the output is no terminal."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[text]}"), TimeElapsedColumn())
-    with Progress(*columns, console=ERRORS, transient=True) as bar:
-        task = bar.add_task(title, total=1.0, text="starting")
-        last = [""]
-
-        def tell(fraction: float, text: str) -> None:
-            bar.update(task, completed=fraction, text=text)
-            stage = text.split(":")[0]
-            if not ERRORS.is_terminal and stage != last[0]:
-                last[0] = stage
-                ERRORS.print(f"{title}: {stage} ...")
-
-        yield tell
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(package_version(), prog_name="sim-heating")
 def cli() -> None:
     """Aerodynamic heating beside a flight simulator: temperatures from a trajectory, and back."""
+
+
+cli.add_command(plan)
 
 
 @cli.command()
@@ -137,15 +99,6 @@ def _tell_oddities(points: dict[str, Any]) -> None:
             f"{variable} lay outside the ratio tables of {where}, up to {longest:.0f} s and {farthest:.3g} beyond; the "
             "edge value was held (details in summary.json)"
         )
-
-
-def _tell_files(out: Path, names: list[str]) -> None:
-    pictures = [n for n in names if n.endswith(".png")]
-    files = [n for n in names if not n.endswith(".png")]
-    shown = files if len(files) <= 6 else [*files[:6], f"... {len(files)} files in all"]
-    CONSOLE.print(f"Wrote {out}: {', '.join(shown)}", highlight=False)
-    if pictures:
-        CONSOLE.print(f"Plots: {', '.join(pictures)}", highlight=False)
 
 
 @cli.command()
@@ -258,7 +211,7 @@ def _errors(found: dict[str, Any]) -> list[str]:
 @cli.command("update-tables")
 @click.argument("fit", type=PATH, required=False)
 @click.option("--vehicle", required=True, help="name or directory of the vehicle whose table is revised")
-@click.option("--out", callback=_optional_directory, help="put a copy of the vehicle there and revise that")
+@click.option("--out", callback=optional_directory, help="put a copy of the vehicle there and revise that")
 @click.option(
     "--record", "records", type=PATH, multiple=True, help="the estimate's records, where it does not find them"
 )

@@ -251,6 +251,11 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
     declared = read_toml(place, ScenarioFile)
     beside = place.parent / declared.vehicle
     vehicle = load_vehicle(beside if (beside / "vehicle.toml").is_file() else declared.vehicle)
+    return scenario_of(place, declared, vehicle)
+
+
+def scenario_of(place: Path, declared: ScenarioFile, vehicle: Vehicle) -> Scenario:
+    """A scenario that was read from a place, with a vehicle that is loaded; raises InputError as `load_scenario`."""
     file = declared.trajectory.file
     if file is not None:
         if not (place.parent / file).is_file():

@@ -1,0 +1,64 @@
+"""What all commands share: where results go, progress, words on the terminal."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from sim_heating.errors import InputError
+
+PLAIN_WIDTH = 110
+"""Columns of a table where the output is no terminal."""
+CONSOLE = Console(width=None if sys.stdout.isatty() else PLAIN_WIDTH)
+ERRORS = Console(stderr=True, soft_wrap=True, highlight=False)
+
+
+def directory(_: click.Context, __: click.Parameter, value: str) -> Path:
+    """The directory of results, refused before any work where it cannot be one."""
+    if not value.strip():
+        raise InputError("--out: is empty; name a directory for the results")
+    path = Path(value)
+    if path.exists() and not path.is_dir():
+        raise InputError(f"--out {value}: is a file; name a directory for the results")
+    return path
+
+
+def optional_directory(context: click.Context, parameter: click.Parameter, value: str | None) -> Path | None:
+    return None if value is None else directory(context, parameter, value)
+
+
+OUT = click.option("--out", required=True, callback=directory, help="directory for the results")
+PATH = click.Path(path_type=Path)
+
+
+@contextmanager
+def progress_line(title: str) -> Iterator[Callable[[float, str], None]]:
+    """A progress line on the terminal; its text lines alone where the output is no terminal."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[text]}"), TimeElapsedColumn())
+    with Progress(*columns, console=ERRORS, transient=True) as bar:
+        task = bar.add_task(title, total=1.0, text="starting")
+        last = [""]
+
+        def tell(fraction: float, text: str) -> None:
+            bar.update(task, completed=fraction, text=text)
+            stage = text.split(":")[0]
+            if not ERRORS.is_terminal and stage != last[0]:
+                last[0] = stage
+                ERRORS.print(f"{title}: {stage} ...")
+
+        yield tell
+
+
+def tell_files(out: Path, names: list[str]) -> None:
+    pictures = [n for n in names if n.endswith(".png")]
+    files = [n for n in names if not n.endswith(".png")]
+    shown = files if len(files) <= 6 else [*files[:6], f"... {len(files)} files in all"]
+    CONSOLE.print(f"Wrote {out}: {', '.join(shown)}", highlight=False)
+    if pictures:
+        CONSOLE.print(f"Plots: {', '.join(pictures)}", highlight=False)

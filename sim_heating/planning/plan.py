@@ -1,0 +1,126 @@
+"""What `sim-heating plan` does: the parts of a study one after the other, and everything they found as files.
+
+A part takes a study and gives a `Found`: plain data for study.json, tables and pictures for the page. A part that fails
+is told in one line; what the others found is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sim_heating.batches import Progress, quiet
+from sim_heating.errors import InputError, RunError
+from sim_heating.files import output_directory, write_json
+from sim_heating.planning.study import Study
+from sim_heating.results import package_version
+
+FORMAT = "study-report/1"
+
+
+@dataclass(frozen=True)
+class Engine:
+    """Where many flights are computed.
+
+    ledger    : folder for finished batches, one below it for each kind
+    scheduler, workers : as `batches.run_batches` takes them
+    """
+
+    ledger: Path
+    scheduler: str | None = None
+    workers: int | None = None
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of the page: what it says, heads of its columns, rows of text."""
+
+    caption: str
+    heads: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture: its file, relative to the output, and what it shows."""
+
+    file: str
+    caption: str
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a part found.
+
+    data     : for study.json, plain values
+    tables, pictures, notes : for the page; a note is one line
+    """
+
+    data: Mapping[str, Any]
+    tables: tuple[Table, ...] = ()
+    pictures: tuple[Picture, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+Part = Callable[[Study, Path, Engine, Progress], Found]
+"""part(study, folder for its files, engine, progress); its files go below `folder`, named from there in pictures."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A study with what its parts found, and which of them failed, in one line each."""
+
+    study: Study
+    found: dict[str, Found] = field(default_factory=dict)
+    failed: dict[str, str] = field(default_factory=dict)
+
+
+def parts_of(study: Study) -> dict[str, Part]:
+    """The parts that a study asks for, by the names of its tables."""
+    declared = study.declared
+    parts: dict[str, Part | None] = {}
+    return {name: part for name, part in parts.items() if part is not None and getattr(declared, name) is not None}
+
+
+def run_study(study: Study, out: Path, engine: Engine, *, progress: Progress = quiet) -> tuple[Plan, list[str]]:
+    """Compute all parts of a study and write their files, all together; gives the files' names as well.
+
+    raises : InputError where the study asks for nothing, or a scheduler or place cannot be used
+    """
+    parts = parts_of(study)
+    if not parts:
+        raise InputError(f"{study.path}: asks for nothing; give it a table such as [dispersion]")
+    plan = Plan(study)
+    with output_directory(out) as folder:
+        for i, (name, part) in enumerate(parts.items()):
+            try:
+                plan.found[name] = part(study, folder, engine, _within(progress, name, i, len(parts)))
+            except RunError as error:
+                plan.failed[name] = str(error)
+        write_json(folder / "study.json", summary(plan))
+        names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
+    return plan, names
+
+
+def _within(progress: Progress, name: str, i: int, parts: int) -> Progress:
+    def tell(fraction: float, text: str) -> None:
+        progress((i + fraction) / parts, f"{name}: {text}")
+
+    return tell
+
+
+def summary(plan: Plan) -> dict[str, Any]:
+    """study.json."""
+    study = plan.study
+    return {
+        "format": FORMAT,
+        "program": f"sim-heating {package_version()}",
+        "title": study.title,
+        "vehicle": study.vehicle.name,
+        "revision": study.vehicle.revision,
+        "study": study.hash,
+        **{name: dict(found.data) for name, found in plan.found.items()},
+        "failed": plan.failed,
+    }

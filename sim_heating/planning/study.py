@@ -1,0 +1,180 @@
+"""A study for mission planning as a file: which vehicle, flying what, below which limits, and what is asked of it.
+
+format = "study/1"
+title = "..."
+vehicle = "orbiter"                 # a vehicle's name, or its directory relative to the study
+revision = "1"                      # the revision that is meant, where another one is to be refused
+scenario = "../entry_3dof.toml"     # the base entry: [trajectory], [[effect]] of a scenario; or inline:
+[trajectory]                        # as in a scenario
+[[effect]]                          # as in a scenario
+control_points = ["NOSECAP"]        # all where absent
+soak_s = 1800.0                     # how long heat goes on to the bondline after the entry, unheated from outside
+[[limit]]                           # control_point; surface_K and bondline_K where not the vehicle's own
+[dispersion]                        # planning/dispersion_spec.py
+[optimal]                           # an optimal entry, keys as in planning/optimal_spec.py
+
+A table that is absent asks nothing. The hash of a study is that of all it says and of every file that it reads.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, model_validator
+
+from sim_heating.effects import FOLDERS_VARIABLE
+from sim_heating.errors import InputError
+from sim_heating.files import Declared, check, raise_problems, read_toml, shown
+from sim_heating.planning.dispersion_spec import Dispersion
+from sim_heating.planning.optimal_spec import Limit, LimitedPoint, OptimalStudy, OptimalStudyFile, optimal_study
+from sim_heating.scenario import Scenario, ScenarioEffect, ScenarioFile, scenario_of
+from sim_heating.trajectory.spec import TrajectorySpec
+from sim_heating.vehicle import Vehicle, load_vehicle
+
+HASH_LENGTH = 12
+"""Characters of the hash that a figure names."""
+
+
+class StudyFile(Declared):
+    """Contents of a study file."""
+
+    format: str = Field(pattern="^study/1$", description='"study/1"')
+    title: str
+    vehicle: str
+    revision: str | None = None
+    note: str = ""
+    scenario: str | None = None
+    trajectory: TrajectorySpec | None = None
+    effect: list[ScenarioEffect] = Field(default=[])
+    control_points: list[str] | None = Field(default=None, min_length=1)
+    soak_s: float = Field(default=0.0, ge=0.0, le=36000.0)
+    limit: list[Limit] = Field(default=[])
+    dispersion: Dispersion | None = None
+    optimal: dict[str, Any] | None = None
+
+    @model_validator(mode="after")
+    def _has_one_base(self) -> StudyFile:
+        if (self.scenario is None) == (self.trajectory is None):
+            raise ValueError("a study flies either a `scenario` or a [trajectory] of its own: give one of them")
+        return self
+
+
+@dataclass(frozen=True)
+class Study:
+    """A checked study.
+
+    base   : the entry that everything starts from, with its vehicle
+    points : control points looked at, with the temperatures that they may not pass
+    hash   : of the study and all its inputs, HASH_LENGTH characters
+    """
+
+    path: Path
+    declared: StudyFile
+    base: Scenario
+    points: tuple[LimitedPoint, ...]
+    hash: str
+
+    @property
+    def title(self) -> str:
+        """Title of the study."""
+        return self.declared.title
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The vehicle that flies."""
+        return self.base.vehicle
+
+    @property
+    def stamp(self) -> str:
+        """What every figure names: vehicle, revision, study hash."""
+        return f"{self.vehicle.name}, revision {self.vehicle.revision}, study {self.hash}"
+
+    def optimal(self) -> OptimalStudy | None:
+        """The optimal entry that is asked for, where one is."""
+        given = self.declared.optimal
+        if given is None:
+            return None
+        where = f"{shown(self.path)}, [optimal]"
+        names = {"format": "optimal-entry/1", "title": self.title, "vehicle": self.vehicle.name}
+        return optimal_study(check({**names, **given}, OptimalStudyFile, where), self.vehicle, where)
+
+
+def load_study(path: str | os.PathLike[str], vehicle: str | os.PathLike[str] | None = None) -> Study:
+    """Read and check a study and everything that it names.
+
+    vehicle : fly this one, by name or directory, and not the study's own; its revision is then not asked for
+    raises  : InputError with one line a problem
+    """
+    place = Path(path)
+    declared = read_toml(place, StudyFile)
+    loaded = load_vehicle(_vehicle_place(place, declared.vehicle) if vehicle is None else vehicle)
+    if vehicle is None and declared.revision not in (None, loaded.revision):
+        raise InputError(
+            f'{shown(place)}: `revision`: "{declared.revision}" is meant and {loaded.name} is at "{loaded.revision}"'
+        )
+    base = _base(place, declared, loaded)
+    study = Study(place, declared, base, _limited(place, declared, base), _hash(place, declared, base))
+    study.optimal()
+    return study
+
+
+def _vehicle_place(place: Path, vehicle: str) -> str | Path:
+    beside = place.parent / vehicle
+    return beside if (beside / "vehicle.toml").is_file() else vehicle
+
+
+def _base(place: Path, declared: StudyFile, vehicle: Vehicle) -> Scenario:
+    """The base entry as a scenario of the study's vehicle and control points."""
+    given: dict[str, Any] = {"format": "scenario/1", "vehicle": declared.vehicle, "title": declared.title}
+    source = place
+    given |= {"control_points": declared.control_points, "effect": [e.model_dump() for e in declared.effect]}
+    if declared.scenario is not None:
+        source = place.parent / declared.scenario
+        if not source.is_file():
+            raise InputError(f"{shown(place)}: `scenario`: there is no {shown(source)}")
+        flown = read_toml(source, ScenarioFile)
+        given["trajectory"] = flown.trajectory
+        given["effect"] = [e.model_dump() for e in (*flown.effect, *declared.effect)]
+    else:
+        given["trajectory"] = declared.trajectory
+    file = check({k: v for k, v in given.items() if v is not None}, ScenarioFile, shown(place))
+    return scenario_of(source, file, vehicle)
+
+
+def _limited(place: Path, declared: StudyFile, base: Scenario) -> tuple[LimitedPoint, ...]:
+    """The control points with the study's limits, the vehicle's own where it gives none."""
+    given = {limit.control_point: limit for limit in declared.limit}
+    raise_problems([
+        f"{shown(place)}, [limit]: `{name}` is not among the study's control points; add it there"
+        for name in given
+        if name not in base.names
+    ])  # fmt: skip
+    points = []
+    for name in base.names:
+        point, limit = base.vehicle.control_point(name), given.get(name, Limit(control_point=name))
+        bondline = point.limits.bondline_K if limit.bondline_K is None else limit.bondline_K
+        points.append(LimitedPoint(point, limit.surface_K or point.limits.surface_K, bondline))
+    return tuple(points)
+
+
+def _hash(place: Path, declared: StudyFile, base: Scenario) -> str:
+    """SHA-256 over what the study says, the base entry, all files of the vehicle and effects of the user's own."""
+    digest = hashlib.sha256(declared.model_dump_json().encode())
+    digest.update(base.declared.model_dump_json(exclude={"vehicle", "title"}).encode())
+    for path in _input_files(base.vehicle.directory):
+        digest.update(path.relative_to(base.vehicle.directory).as_posix().encode())
+        digest.update(path.read_bytes())
+    for folder in filter(None, os.environ.get(FOLDERS_VARIABLE, "").split(os.pathsep)):
+        for path in sorted(Path(folder).glob("*.py")):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:HASH_LENGTH]
+
+
+def _input_files(directory: Path) -> Iterable[Path]:
+    """Files of a vehicle that a computation may read."""
+    return sorted(p for p in directory.rglob("*") if p.suffix in (".toml", ".csv", ".json", ".xml") and p.is_file())
