@@ -20,7 +20,6 @@ from typing import Literal
 from pydantic import Field, field_validator, model_validator
 
 from sim_heating.files import Declared
-from sim_heating.trajectory.spec import Schedule
 
 FLIGHT_INPUTS = {
     "entry.altitude_m": "m", "entry.velocity_m_s": "m/s", "entry.gamma_deg": "deg", "entry.heading_deg": "deg",
@@ -41,8 +40,15 @@ class Input(Declared):
     sigma: float | None = Field(default=None, gt=0.0, description="standard deviation, above 0")
     low: float | None = None
     high: float | None = None
-    over: Schedule | None = None
+    over: list[list[float]] | None = Field(default=None, min_length=1)
     control_points: list[str] | None = Field(default=None, min_length=1)
+
+    @field_validator("over")
+    @classmethod
+    def _is_a_profile(cls, over: list[list[float]] | None) -> list[list[float]] | None:
+        if over is not None and (any(len(pair) != 2 for pair in over) or sorted(over) != over):
+            raise ValueError("a profile is [[altitude_m, factor], ...] with rising altitudes")
+        return over
 
     @model_validator(mode="after")
     def _has_one_distribution(self) -> Input:
