@@ -10,6 +10,7 @@ import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ from sim_heating.planning.dispersed_flight import (
 from sim_heating.planning.dispersed_march import LaneMarch, Peaks, bare_model
 from sim_heating.planning.dispersion_spec import FLIGHT_INPUTS, Dispersion, Input
 from sim_heating.planning.study import Study
-from sim_heating.planning.table_modes import table_modes
+from sim_heating.planning.table_modes import table_factors, table_modes
 from sim_heating.resolution import LADDER, mesh_of_nodes
 from sim_heating.thermal.mesh import Mesh, refined
 from sim_heating.trajectory.flight import conditions_from_rows
@@ -101,26 +102,26 @@ class DispersedEntry:
         flown = fly_many(self.fleet, self.inputs, [{}] * LANES)
         if flown.outcome[0] != 0:
             raise InputError(
-                f"{self.study.path}: the planned entry does not come to its [trajectory.stop]; at {flown.end_s[0]:.0f} s it "
-                "is still flying or out of the atmosphere"
+                f"{self.study.path}: the planned entry does not come to its [trajectory.stop]; at "
+                f"{flown.end_s[0]:.0f} s it is still flying or out of the atmosphere"
             )
         return flown
 
     @cached_property
     def modes(self) -> list[FloatArray]:
-        """(node, mode) errors of each point's ratio table, by a unit of each mode."""
+        """(node, mode) errors of the logarithm of each point's ratio table, by a unit of each mode."""
         rows = self.planned.rows[0, : self.planned.filled[0]]
         path = conditions_from_rows(rows, self.study.vehicle.reference_length_m)
         x = np.stack([path[v] for v in RATIO_VARIABLES], axis=1)
         if self.spec.tables == 0.0:
             return [np.zeros((p.point.ratio.ratio.size, 0)) for p in self.points]
-        return [self.spec.tables * table_modes(self.study.vehicle, p.point.name, x) for p in self.points]
+        return [table_modes(self.study.vehicle, p.point.name, x, self.spec.tables) for p in self.points]
 
     @cached_property
     def mode_columns(self) -> list[slice]:
         """Columns of a row of normal numbers that are each point's modes; those of the inputs come first."""
         ends = len(self.inputs) + np.cumsum([0, *(m.shape[1] for m in self.modes)])
-        return [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
     @property
     def dimensions(self) -> int:
@@ -223,7 +224,8 @@ class DispersedEntry:
             for p, kind, place in places
         ]  # fmt: skip
         tables = [
-            m @ z[:, c].T if m.shape[1] else None for m, c in zip(self.modes, self.mode_columns, strict=True)
+            table_factors(m, z[:, c]) if m.shape[1] else None
+            for m, c in zip(self.modes, self.mode_columns, strict=True)
         ]
         parts = [self.lanes.march(flown, first, changes, tables, keep) for first in range(0, len(z), LANES)]
         return Peaks(*(np.concatenate([getattr(p, key) for p in parts]) for key in Peaks.__dataclass_fields__))
@@ -263,8 +265,8 @@ class DispersedEntry:
             definition, value = model.definition(i.name), model.value(i.name)
             if not definition.lower <= value + low <= value + high <= definition.upper:
                 raise InputError(
-                    f"`{i.name}`: {value + low:g} to {value + high:g} leaves {definition.lower:g} to {definition.upper:g} "
-                    f"at {model.name} ({LARGEST:g} sigma count); make it narrower, or uniform"
+                    f"`{i.name}`: {value + low:g} to {value + high:g} leaves {definition.lower:g} to "
+                    f"{definition.upper:g} at {model.name} ({LARGEST:g} sigma count); make it narrower, or uniform"
                 )
 
     def places_of(self, i: Input) -> list[tuple[int, str, int]]:
@@ -287,7 +289,9 @@ class DispersedEntry:
             if i.name in ("aero.CN", "aero.CA"):
                 factors.append(1.0 + value)
             if factors and min(factors) <= 0.0:
-                raise InputError(f"`{i.name}`: a deviation of {value:g} makes a factor of {min(factors):g}; make it smaller")
+                raise InputError(
+                    f"`{i.name}`: a deviation of {value:g} makes a factor of {min(factors):g}; make it smaller"
+                )
             if initial is not None and not (initial.altitude_m > 0.0 and initial.velocity_m_s > 0.0):
                 raise InputError(f"`{i.name}`: a deviation of {value:g} makes no entry; make it smaller")
 

@@ -15,30 +15,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.atmosphere import HIGHEST_M
-from sim_heating.conditions import FRAME
 from sim_heating.errors import InputError
-from sim_heating.jit import njit, raw
-from sim_heating.layout import H_REF, N_CONDITIONS, P_SURFACE, Q_ADD, TIME
+from sim_heating.planning.dispersed_kernel import fly_kernel
 from sim_heating.planning.dispersion_spec import Input
-from sim_heating.plugin_kernel import PRESSURE_WIDTH, derive_conditions
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import manoeuvres as mv
-from sim_heating.trajectory import point_mass as pm
 from sim_heating.trajectory.aero import Aero, load_aero
-from sim_heating.trajectory.entry3dof import DEEPEST_M, flight_block, initial_numbers
+from sim_heating.trajectory.entry3dof import flight_block, initial_numbers
 from sim_heating.trajectory.flight import ROW
 from sim_heating.trajectory.spec import Guidance, TrajectorySpec
-from sim_heating.trajectory.trimmed_aero import AT_CELLS, ELEVON_HIGH, ELEVON_LOW, aero_block, low_speed_rows
+from sim_heating.trajectory.trimmed_aero import aero_block, low_speed_rows
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-WHOLE, ENDLESS, GONE = range(3)
-"""How a flight went: to its stop; on beyond the longest time; out of the atmosphere or into no number."""
 LARGEST = 5.0
 """Standard deviations that a normal deviation stays within: one in two million lies beyond."""
-_ELEVON, _FRAME = ROW.index("elevon_deg"), len(FRAME)
 _AERO_FACTORS = ("aero.CN", "aero.CA")
 
 
@@ -69,7 +61,7 @@ def dispersed(base: TrajectorySpec, inputs: Sequence[Input], deviations: Mapping
     assert base.initial is not None  # a built-in entry has one
     initial = {key: getattr(base.initial, key) + value for key, value in _of("entry.", given).items()}
     vehicle = {key: getattr(base.vehicle, key) + value for key, value in _of("vehicle.", given).items()}
-    vehicle |= {"cm_shift": base.vehicle.cm_shift + value for value in _of("aero.", given).values()}
+    vehicle["cm_shift"] = base.vehicle.cm_shift + given.get("aero.Cm", 0.0)
     guidance = {
         key: tuple((x, y + value) for x, y in base.guidance.alpha_deg or ())
         for key, value in _of("guidance.", given).items()
@@ -102,7 +94,9 @@ def _air(base: TrajectorySpec, inputs: Sequence[Input], deviations: Mapping[str,
         before = np.array(getattr(base.dispersions, key) or ((0.0, still),))
         profiles = [np.array(i.over) for i, _ in own]
         z = np.unique(np.concatenate([before[:, 0], *(p[:, 0] for p in profiles)]))
-        added = sum(deviations.get(label, 0.0) * np.interp(z, *p.T) for p, (_, label) in zip(profiles, own, strict=True))
+        added = sum(
+            deviations.get(label, 0.0) * np.interp(z, *p.T) for p, (_, label) in zip(profiles, own, strict=True)
+        )
         value = np.interp(z, *before.T)
         value = value * (1.0 + added) if still == 1.0 else value + added
         changed[key] = tuple(zip(z.tolist(), value.tolist(), strict=True))
@@ -207,75 +201,3 @@ def _flown_aero(fleet: Fleet, spec: TrajectorySpec) -> Aero:
 def _guidance_block(fleet: Fleet, spec: TrajectorySpec) -> FloatArray:
     own = fleet.guidance.model_copy(update={"alpha_deg": spec.guidance.alpha_deg})
     return gd.guidance_block(own, spec.initial.bank_deg if spec.initial is not None else 0.0)
-
-
-@njit
-def scale_aero(aero: FloatArray, cn: float, ca: float, out: FloatArray) -> None:
-    """A vehicle's aerodynamic block with all CN and CA times a factor."""
-    cells = int(aero[AT_CELLS])
-    for i in range(len(aero)):
-        place = (i - cells) % 3
-        out[i] = aero[i] * (1.0 if i < cells or place == 2 else cn if place == 0 else ca)
-
-
-@njit
-def fly_kernel(
-    initial: FloatArray, flights: FloatArray, blocks: FloatArray, script: FloatArray, tables: FloatArray,
-    factors: FloatArray, dt_s: float, every: int, rows: FloatArray, filled: IntArray, outcome: IntArray,
-    end_s: FloatArray, untrimmed_s: FloatArray,
-) -> None:  # fmt: skip
-    """All flights one after the other; arrays as in `fly_many`, outputs last."""
-    manoeuvres, frames = int(script[0]), rows.shape[1]
-    state, work, row = np.empty(pm.STARTED + manoeuvres), np.zeros(pm.WORK), np.empty(rows.shape[2])
-    aero = np.empty(len(tables))
-    for f in range(len(flights)):
-        scale_aero(tables, factors[f, 0], factors[f, 1], aero)
-        pm.first_state_kernel(initial[f], flights[f], blocks[f], manoeuvres, state)
-        outcome[f], k = ENDLESS, 0
-        while k < frames * every:
-            going = pm.step_kernel(
-                raw(state), raw(flights[f]), raw(blocks[f]), raw(script), raw(aero), dt_s, raw(work), raw(row)
-            )
-            if not DEEPEST_M <= row[1] <= HIGHEST_M or not row[2] < np.inf:
-                outcome[f] = GONE
-                break
-            if k % every == 0:
-                rows[f, k // every] = row
-                filled[f] = k // every + 1
-            untrimmed_s[f] += dt_s if not flights[f, ELEVON_LOW] < row[_ELEVON] < flights[f, ELEVON_HIGH] else 0.0
-            k += 1
-            if not going:
-                outcome[f] = WHOLE
-                break
-        end_s[f] = row[0]
-
-
-@njit
-def condition_kernel(
-    rows: FloatArray, filled: IntArray, host: FloatArray, points: FloatArray, still: FloatArray, time_s: FloatArray,
-    histories: FloatArray,
-) -> None:  # fmt: skip
-    """Conditions of all points along some flights, and behind the end of each those of its soak.
-
-    host      : as plugin_kernel.derive_conditions reads it
-    points    : (point, PRESSURE_WIDTH + 1);  still : (point, 3) h_ref, p_surface, q_add of the soak
-    time_s    : (time,) frames of the flights, then soak
-    histories : (point, flight, time, condition), filled
-    """
-    lanes = np.arange(len(points))
-    then = np.zeros((len(points), N_CONDITIONS))
-    for f in range(len(rows)):
-        for k in range(len(time_s)):
-            if k < filled[f]:
-                derive_conditions(rows[f, k, :_FRAME], host, points, lanes, then)
-            for p in range(len(points)):
-                if k >= filled[f]:
-                    then[p, H_REF], then[p, P_SURFACE], then[p, Q_ADD] = still[p, 0], still[p, 1], still[p, 2]
-                then[p, TIME] = time_s[k]
-                for c in range(N_CONDITIONS):
-                    histories[p, f, k, c] = then[p, c]
-        then[:, Q_ADD] = 0.0
-
-
-POINT_NUMBERS = PRESSURE_WIDTH + 1
-"""Numbers of a point in `condition_kernel`: its pressure model and its running length [m]."""

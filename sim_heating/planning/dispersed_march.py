@@ -16,30 +16,27 @@ from sim_heating.conditions import RATIO_VARIABLES
 from sim_heating.effects import EffectUse
 from sim_heating.ensemble import Ensemble, PointModel, element_densities, insulation_layer, stack_values
 from sim_heating.errors import InputError
-from sim_heating.heating_ratio.kernel import VARIABLES, mark_curved
-from sim_heating.jit import njit
+from sim_heating.heating_ratio.kernel import VARIABLES
 from sim_heating.layout import (
     EFFECT_PARAMETERS,
     EFFECT_WIDTH,
     FAILED,
     LANES,
     N_CONDITIONS,
-    N_PARAMETERS,
     NEGATIVE,
-    PARAMETERS,
     RATIO_TABLE,
     parameters_at,
     scalar_row,
 )
 from sim_heating.march import march_group
 from sim_heating.parameters import EFFECT_PREFIX, RATIO, STACK
-from sim_heating.planning.dispersed_flight import POINT_NUMBERS, WHOLE, Flown, condition_kernel
+from sim_heating.planning.dispersed_flight import Flown
+from sim_heating.planning.dispersed_kernel import POINT_NUMBERS, WHOLE, condition_kernel, set_lanes
 from sim_heating.planning.optimal_spec import LimitedPoint
 from sim_heating.planning.soak import still_air
 from sim_heating.plugin_kernel import CODE, HOST_SIZE, LENGTH, RADIUS
 from sim_heating.points import point_of_vehicle
 from sim_heating.reference_heating.models import reference_model
-from sim_heating.thermal.elements import set_elements
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.vehicle import Vehicle
 
@@ -100,7 +97,9 @@ class LaneMarch:
     ) -> None:
         self.points, self.step_s, self.soak_s = tuple(points), step_s, soak_s
         self.models = [bare_model(vehicle, p, e) for p, e in zip(points, effects, strict=True)]
-        lanes = [m if m.ratio is None else replace(m, ratio=replace(m.ratio)) for m in self.models for _ in range(LANES)]
+        lanes = [
+            m if m.ratio is None else replace(m, ratio=replace(m.ratio)) for m in self.models for _ in range(LANES)
+        ]
         self.ensemble = Ensemble(lanes, [mesh for mesh in meshes for _ in range(LANES)], max(step_s, SOAK_STEP_S))
         self._fresh = self.ensemble.snapshot()
         self._groups = [self._group(p, mesh) for p, mesh in enumerate(meshes)]
@@ -155,7 +154,7 @@ class LaneMarch:
         """Peaks along LANES flights, or fewer, from `first` on.
 
         changes : (point, kind, place, (flight,) deviation) of parameters
-        tables  : for each point (node, flight) deviations of its ratio table, None where it stands
+        tables  : for each point (node, flight) factors on its ratio table, None where it stands
         keep    : receives, where it is wanted, for each point surface and bondline (time, 2 LANES) and the conditions
                   (LANES, time, condition)
         """
@@ -217,7 +216,7 @@ class LaneMarch:
             if moved is not None:
                 for k in range(LANES):
                     at = int(g.tables[k])
-                    self.ensemble.table[at : at + len(g.nodes)] = g.nodes + moved[:, lane[k]]
+                    self.ensemble.table[at : at + len(g.nodes)] = g.nodes * moved[:, lane[k]]
 
     def _march_group(self, p: int, group: _Group, time_s: FloatArray, histories: FloatArray) -> FloatArray:
         e, g = self.ensemble, group.number
@@ -244,17 +243,3 @@ def _host(vehicle: Vehicle) -> FloatArray:
     host[CODE] = float(reference_model(vehicle.heating.reference).code)
     host[LENGTH], host[RADIUS] = vehicle.reference_length_m, vehicle.heating.nose_radius_m or 1.0
     return host
-
-
-@njit
-def set_lanes(
-    B: FloatArray, J: IntArray, layer: IntArray, length_m: FloatArray, density: FloatArray, insulation: int,
-    bondline: int, stacks: FloatArray, heating: FloatArray,
-) -> None:  # fmt: skip
-    """Write thermal and heating parameters of each lane, (LANES, values), into the block of one control point."""
-    for lane in range(LANES):
-        set_elements(B, J, lane, layer, length_m, density, insulation, bondline, stacks[lane])
-        p = PARAMETERS * LANES + lane * N_PARAMETERS
-        for k in range(N_PARAMETERS):
-            B[p + k] = heating[lane, k]
-        mark_curved(B, p)

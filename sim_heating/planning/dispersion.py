@@ -1,8 +1,8 @@
-"""The part [dispersion] of a study: flights in batches, what they tell, and where first order would have told the same."""
+"""The part [dispersion] of a study: flights in batches, what they tell, and where first order tells the same."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from sim_heating.batches import Job, Progress, run_batches
 from sim_heating.conditions import RATIO_VARIABLES
 from sim_heating.errors import InputError, RunError
 from sim_heating.planning.dispersed_entry import BATCH, INDEX, RANDOM, Batch, DispersedEntry
-from sim_heating.planning.dispersed_flight import WHOLE
+from sim_heating.planning.dispersed_kernel import WHOLE
 from sim_heating.planning.dispersed_march import QUANTITIES
 from sim_heating.planning.dispersion_statistics import (
     Indices,
@@ -70,13 +70,19 @@ class Outside:
 
 @dataclass(frozen=True)
 class Dispersed:
-    """All that a dispersion found."""
+    """All that a dispersion found.
+
+    kept  : probability that a flight comes to its end with all peaks below their limits
+    safe  : that it does so and never leaves a ratio table
+    ended : that it comes to its end
+    """
 
     entry: DispersedEntry
     columns: Columns
     answers: list[Answer]
     outside: list[Outside]
     kept: Probability
+    safe: Probability
     ended: Probability
     order: FirstOrder
 
@@ -114,7 +120,9 @@ def disperse(
     outcome = run_batches(jobs, entry, ledger, scheduler=scheduler, workers=workers, progress=progress)
     if outcome.failed:
         name, why = next(iter(outcome.failed.items()))
-        raise RunError(f"{len(outcome.failed)} of {len(jobs)} batches failed, {name} first: {why}; run again to try them")
+        raise RunError(
+            f"{len(outcome.failed)} of {len(jobs)} batches failed, {name} first: {why}; run again to try them"
+        )
     files = {what: [ledger / batch.id for batch in some] for what, some in batches.items()}
     return told(entry, read_columns(files["main"]), read_columns(files["axes"]), read_columns(files["index"])), files
 
@@ -160,9 +168,10 @@ def told(entry: DispersedEntry, columns: Columns, axes: Columns, index: Columns)
             if limit is not None and np.isfinite(limit):
                 above |= ~(columns[f"{quantity}.{limited.point.name}"] <= limit)
     confidence = entry.spec.confidence
+    outside, left = _outside(entry, columns)
     return Dispersed(
-        entry, columns, answers, _outside(entry, columns), probability(~above, confidence),
-        probability(whole, confidence), order,
+        entry, columns, answers, outside, probability(~above, confidence),
+        probability(~above & ~left, confidence), probability(whole, confidence), order,
     )  # fmt: skip
 
 
@@ -205,16 +214,17 @@ def _first(
     }  # fmt: skip
 
 
-def _outside(entry: DispersedEntry, columns: Columns) -> list[Outside]:
+def _outside(entry: DispersedEntry, columns: Columns) -> tuple[list[Outside], BoolArray]:
     """Flights that left the axes of the points' tables; an axis of one value has no outside."""
-    found = []
+    found, left = [], np.zeros(len(columns["outcome"]), dtype=bool)
     for limited in entry.points:
         for variable, axis in zip(RATIO_VARIABLES, limited.point.ratio.axes, strict=True):
             beyond = np.maximum(axis[0] - columns[f"least.{variable}"], columns[f"most.{variable}"] - axis[-1])
             if len(axis) > 1 and np.any(beyond > 0.0):
                 count = int(np.count_nonzero(beyond > 0.0))
                 found.append(Outside(limited.point.name, variable, count, float(np.max(beyond))))
-    return found
+                left |= beyond > 0.0
+    return found, left
 
 
 def data_of(found: Dispersed) -> dict[str, Any]:
@@ -231,6 +241,7 @@ def data_of(found: Dispersed) -> dict[str, Any]:
         "table_modes": {p.point.name: m.shape[1] for p, m in zip(entry.points, entry.modes, strict=True)},
         "came_to_their_end": asdict(found.ended),
         "kept_all_limits": asdict(found.kept),
+        "kept_limits_and_tables": asdict(found.safe),
         "elevon_at_its_end": {"flights": int(np.count_nonzero(untrimmed > 0.0)), "longest_s": float(np.max(untrimmed))},
         "outside_tables": [asdict(o) for o in found.outside],
         "negative_ratio_flights": {
@@ -241,8 +252,8 @@ def data_of(found: Dispersed) -> dict[str, Any]:
 
 
 BOUNDS = {
-    "sobol": "order statistics and Clopper-Pearson as for independent flights; those of a Sobol' scramble are more even, so "
-    "that the bounds are wide as a rule; `scatter` is the standard error between independent scrambles",
+    "sobol": "order statistics and Clopper-Pearson as for independent flights; those of a Sobol' scramble are more "
+    "even, so that the bounds are wide as a rule; `scatter` is the standard error between independent scrambles",
     RANDOM: "order statistics and Clopper-Pearson, exact: the flights are independent",
 }
 """What the bounds are, by sampling."""
@@ -250,8 +261,8 @@ BOUNDS = {
 
 def _data(answer: Answer, names: Sequence[str]) -> dict[str, Any]:
     data: dict[str, Any] = {
-        "control_point": answer.point, "quantity": f"peak {answer.quantity.removesuffix('_K')}", "limit_K": answer.limit,
-        "mean_K": answer.mean_K, "sigma_K": answer.sigma_K, "least_K": answer.least_K,
+        "control_point": answer.point, "quantity": f"peak {place_of(answer)}",
+        "limit_K": answer.limit, "mean_K": answer.mean_K, "sigma_K": answer.sigma_K, "least_K": answer.least_K,
         "quantiles": [asdict(q) for q in answer.quantiles],
         "exceeded": None if answer.exceeded is None else asdict(answer.exceeded),
         "first_order": answer.first,
@@ -266,16 +277,23 @@ def _data(answer: Answer, names: Sequence[str]) -> dict[str, Any]:
     return data
 
 
+def place_of(answer: Answer) -> str:
+    """Where an answer's peak is: surface or bondline."""
+    return answer.quantity.removesuffix("_K")
+
+
 def notes_of(found: Dispersed) -> list[str]:
     """What a person has to know, in lines."""
     n = found.entry.spec.flights
     lines = []
     if found.ended.count < n:
-        lines.append(f"{n - found.ended.count} of {n} flights did not come to their end; they count as above every limit")
+        lines.append(
+            f"{n - found.ended.count} of {n} flights did not come to their end; they count as above every limit"
+        )
     for a in found.answers:
         if a.exceeded is not None and a.exceeded.count == a.exceeded.flights:
             lines.append(
-                f"{a.point}: no flight keeps the limit of {a.limit:.0f} K at its {a.quantity.removesuffix('_K')}; the "
+                f"{a.point}: no flight keeps the limit of {a.limit:.0f} K at its {place_of(a)}; the "
                 f"coolest comes to {a.least_K:.0f} K"
             )
     by_variable: dict[str, list[Outside]] = {}
@@ -284,12 +302,11 @@ def notes_of(found: Dispersed) -> list[str]:
     for variable, some in by_variable.items():
         worst = max(some, key=lambda o: o.farthest)
         lines.append(
-            f"{variable} lies outside the ratio tables of {', '.join(o.point for o in some)}: {worst.farthest:.3g} beyond at "
-            f"most, in {max(o.flights for o in some)} of {n} flights; edge values held there and nothing is called safe by them"
+            f"{variable} lies outside the ratio tables of {', '.join(o.point for o in some)}: {worst.farthest:.3g} "
+            f"beyond at most, in {max(o.flights for o in some)} of {n} flights; edge values held there, and these "
+            "flights are not called safe"
         )
-    fails = [f"{a.point} {a.quantity.removesuffix('_K')}" for a in found.answers if not a.first["holds"]]
+    fails = [f"{a.point} {place_of(a)}" for a in found.answers if not a.first["holds"]]
     if fails:
         lines.append(f"first order does not give the counted quantiles of {', '.join(fails)}")
     return lines
-
-

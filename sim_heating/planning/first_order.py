@@ -3,8 +3,8 @@
     T_peak = T_mean + sum_k s_k z_k,      variance sum_k s_k^2,      quantile T_mean + z_q sqrt(variance)
 
 s_k [K] is the sensitivity of a peak times the standard deviation of input k. Of thermal parameters and effects it is
-exact (linear_march.py), at the time of the peak; of what changes the flight, and of the modes of ratio tables, a central
-difference of flights DIFFERENCE standard deviations to either side.
+exact (linear_march.py), at the time of the peak; of what changes the flight, and of the modes of ratio tables, a
+central difference of flights DIFFERENCE standard deviations to either side.
 """
 
 from __future__ import annotations

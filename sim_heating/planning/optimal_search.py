@@ -21,7 +21,7 @@ from sim_heating.planning.optimal_collocation import (
     straight_guess,
 )
 from sim_heating.planning.optimal_spec import LimitedPoint, OptimalStudy
-from sim_heating.planning.soak import SURROUNDINGS_K, still_air
+from sim_heating.planning.soak import COLD_K, soaked
 from sim_heating.points import conditions_at_point, point_of_vehicle
 from sim_heating.temperatures import PointHistory, march_points, outside_table
 from sim_heating.trajectory.trimmed_aero import ELEVON_HIGH, ELEVON_LOW
@@ -29,8 +29,6 @@ from sim_heating.trajectory.trimmed_aero import ELEVON_HIGH, ELEVON_LOW
 SAMPLE_S = 1.0
 LOAD_SCALE = 1e6
 """Typical integral of T_e over time [K s]."""
-COLD_K = SURROUNDINGS_K
-"""The load counts from this temperature, which is that of the surroundings in the soak."""
 
 
 @dataclass(frozen=True)
@@ -134,21 +132,10 @@ class Search:
         """Temperatures along the flight and the soak after it."""
         if not models:
             return []
-        flights = [self._soaked(conditions_at_point(self.study.vehicle, p.point, flown), p) for p in self.study.points]
+        vehicle, soak_s = self.study.vehicle, self.study.declared.soak_s
+        points = [p.point for p in self.study.points]
+        flights = [soaked(conditions_at_point(vehicle, p, flown), p, soak_s) for p in points]
         return march_points(models, flights)
-
-    def _soaked(self, flown: Conditions, point: LimitedPoint) -> Conditions:
-        """A point's conditions with the soak: no film, air at sea level in the insulation, surroundings at 290 K."""
-        soak_s = self.study.declared.soak_s
-        if soak_s <= 0.0:
-            return flown
-        still = still_air(point.point.construction)
-        after = flown.time_s[-1] + np.append(np.arange(SAMPLE_S, soak_s, 10.0 * SAMPLE_S), soak_s)
-        columns = flown.with_columns(q_add_W_m2=0.0).columns
-        return Conditions({
-            name: np.concatenate((v, after if name == "time_s" else np.full(len(after), still.get(name, v[-1]))))
-            for name, v in columns.items()
-        })  # fmt: skip
 
     def peaks(self, histories: Sequence[PointHistory]) -> tuple[Peak, ...]:
         """Peaks beside the limits."""

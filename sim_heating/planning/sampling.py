@@ -48,9 +48,7 @@ def normal(u: FloatArray) -> FloatArray:
 
 def deviations(inputs: Sequence[Input], z: FloatArray) -> FloatArray:
     """(flight, input) deviations of standard normal rows (flight, input)."""
-    columns = [
-        i.sigma * z[:, k] if i.sigma is not None else _between(i, ndtr(z[:, k])) for k, i in enumerate(inputs)
-    ]
+    columns = [i.sigma * z[:, k] if i.sigma is not None else _between(i, ndtr(z[:, k])) for k, i in enumerate(inputs)]
     return np.column_stack(columns) if columns else np.zeros((len(z), 0))
 
 
