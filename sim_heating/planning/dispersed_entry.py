@@ -31,6 +31,7 @@ from sim_heating.planning.dispersed_flight import (
 )
 from sim_heating.planning.dispersed_march import LaneMarch, Peaks, bare_model
 from sim_heating.planning.dispersion_spec import FLIGHT_INPUTS, Dispersion, Input
+from sim_heating.planning.spot_checks import fly_twice
 from sim_heating.planning.study import Study
 from sim_heating.planning.table_modes import table_factors, table_modes
 from sim_heating.resolution import LADDER, mesh_of_nodes
@@ -45,7 +46,8 @@ MESH_TOLERANCE_K = 0.3
 """What halving every element may change of any peak of the planned flight [K], times 4/3, for a mesh to be taken."""
 DIFFERENCE = 0.1
 """Standard deviations that an input is moved by, to either side, for differences about the planned flight."""
-SOBOL, RANDOM, INDEX, AXES = "sobol", "random", "index", "axes"
+SOBOL, RANDOM, INDEX, AXES, TWICE = "sobol", "random", "index", "axes", "twice"
+"""Designs: flights that count, those of sensitivity indices, of differences, and those flown in six degrees of freedom."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ class DispersedEntry:
 
     def __call__(self, batch: Batch) -> bytes:
         """The results of a batch, as a Parquet file."""
-        return parquet_bytes(self.fly(batch))
+        return parquet_bytes(fly_twice(self, self.rows(batch)) if batch.design == TWICE else self.fly(batch))
 
     # What is made once a process -------------------------------------------------------------------------------------
 
@@ -181,7 +183,7 @@ class DispersedEntry:
         if batch.design == INDEX:
             groups = [columns for _, columns in self.groups]
             return sampling.saltelli_rows(groups, seed, self.spec.index_flights, batch.start, batch.stop)
-        draw = sampling.sobol_rows if batch.design == SOBOL else sampling.random_rows
+        draw = sampling.random_rows if self.spec.sampling == RANDOM else sampling.sobol_rows
         return draw(d, seed, batch.scramble, batch.start, batch.stop)
 
     def fly(self, batch: Batch) -> dict[str, FloatArray]:

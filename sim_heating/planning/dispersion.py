@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sim_heating.batches import Job, Progress, run_batches
 from sim_heating.conditions import RATIO_VARIABLES
 from sim_heating.errors import InputError, RunError
-from sim_heating.planning.dispersed_entry import BATCH, INDEX, RANDOM, Batch, DispersedEntry
+from sim_heating.planning.dispersed_entry import BATCH, INDEX, RANDOM, TWICE, Batch, DispersedEntry
 from sim_heating.planning.dispersed_kernel import WHOLE
 from sim_heating.planning.dispersed_march import QUANTITIES
 from sim_heating.planning.dispersion_statistics import (
@@ -25,6 +25,7 @@ from sim_heating.planning.dispersion_statistics import (
     quantiles,
 )
 from sim_heating.planning.first_order import NEAR, FirstOrder, axis_batches, first_order
+from sim_heating.planning.spot_checks import SpotChecks, told_apart
 from sim_heating.planning.study import Study
 
 FloatArray = NDArray[np.float64]
@@ -85,6 +86,7 @@ class Dispersed:
     safe: Probability
     ended: Probability
     order: FirstOrder
+    checks: SpotChecks | None
 
     def values(self, answer: Answer) -> FloatArray:
         """(flight,) the peak of an answer [K]."""
@@ -102,7 +104,8 @@ def batches_of(entry: DispersedEntry) -> dict[str, list[Batch]]:
     ]
     count = spec.index_flights * (len(entry.groups) + 2)
     index = [Batch(INDEX, first, min(first + BATCH, count)) for first in range(0, count, BATCH)]
-    return {"main": main, "axes": axis_batches(entry, BATCH), "index": index}
+    twice = [Batch(TWICE, k, k + 1) for k in range(min(spec.spot_checks, each))]
+    return {"main": main, "axes": axis_batches(entry, BATCH), "index": index, "twice": twice}
 
 
 def disperse(
@@ -124,7 +127,7 @@ def disperse(
             f"{len(outcome.failed)} of {len(jobs)} batches failed, {name} first: {why}; run again to try them"
         )
     files = {what: [ledger / batch.id for batch in some] for what, some in batches.items()}
-    return told(entry, read_columns(files["main"]), read_columns(files["axes"]), read_columns(files["index"])), files
+    return told(entry, {what: read_columns(some) for what, some in files.items()}), files
 
 
 def read_columns(files: Sequence[Path]) -> Columns:
@@ -155,14 +158,18 @@ def merge(files: Sequence[Path], path: Path) -> None:
             writer.write_table(pa.concat_tables([pq.read_table(f) for f in files[k : k + ROW_GROUP]]).combine_chunks())
 
 
-def told(entry: DispersedEntry, columns: Columns, axes: Columns, index: Columns) -> Dispersed:
-    """What the flights tell."""
-    order = first_order(entry, axes)
+def told(entry: DispersedEntry, flown: Mapping[str, Columns]) -> Dispersed:
+    """What the flights tell, by what they were for (`batches_of`)."""
+    columns, index = flown["main"], flown["index"]
+    order = first_order(entry, flown["axes"])
+    checks = told_apart(entry, flown["twice"]) if flown["twice"] else None
     whole = columns["outcome"] == WHOLE
     above = ~whole
     answers = []
     for p, limited in enumerate(entry.points):
         for k, (quantity, limit) in enumerate(zip(QUANTITIES, (limited.surface_K, limited.bondline_K), strict=True)):
+            if quantity == QUANTITIES[1] and entry.meshes[p].bondline == 0:
+                continue  # a wall of one layer has no other bondline than its surface
             answer = _answer(entry, columns, index, order, k, p, limit)
             answers.append(answer)
             if limit is not None and np.isfinite(limit):
@@ -171,7 +178,7 @@ def told(entry: DispersedEntry, columns: Columns, axes: Columns, index: Columns)
     outside, left = _outside(entry, columns)
     return Dispersed(
         entry, columns, answers, outside, probability(~above, confidence),
-        probability(~above & ~left, confidence), probability(whole, confidence), order,
+        probability(~above & ~left, confidence), probability(whole, confidence), order, checks,
     )  # fmt: skip
 
 
@@ -248,7 +255,21 @@ def data_of(found: Dispersed) -> dict[str, Any]:
             p.point.name: int(np.sum(found.columns[f"negative.{p.point.name}"])) for p in entry.points
         },
         "peaks": [_data(a, names) for a in found.answers],
+        "six_degrees_of_freedom": _checks(found),
     }  # fmt: skip
+
+
+def _checks(found: Dispersed) -> dict[str, Any] | None:
+    """Largest difference of a peak in six degrees of freedom from the point mass's, by point, None where none was flown."""
+    if found.checks is None:
+        return None
+    apart, points = found.checks.apart_K, [p.point.name for p in found.entry.points]
+    whole = int(np.count_nonzero(~np.any(np.isnan(apart), axis=(1, 2))))
+    data: dict[str, Any] = {"flights": len(apart), "came_to_their_end": whole}
+    if whole:
+        for k, quantity in enumerate(QUANTITIES):
+            data[f"largest_{quantity}"] = dict(zip(points, found.checks.largest_K[k].tolist(), strict=True))
+    return data
 
 
 BOUNDS = {
@@ -305,6 +326,12 @@ def notes_of(found: Dispersed) -> list[str]:
             f"{variable} lies outside the ratio tables of {', '.join(o.point for o in some)}: {worst.farthest:.3g} "
             f"beyond at most, in {max(o.flights for o in some)} of {n} flights; edge values held there, and these "
             "flights are not called safe"
+        )
+    if found.checks is not None:
+        surface, bondline = (float(np.max(found.checks.largest_K[k])) for k in (0, 1))
+        lines.append(
+            f"{len(found.checks.apart_K)} flights again in six degrees of freedom: peaks agree within {surface:.1f} K at "
+            f"the surfaces and {bondline:.1f} K at the bondlines"
         )
     fails = [f"{a.point} {place_of(a)}" for a in found.answers if not a.first["holds"]]
     if fails:

@@ -20,17 +20,16 @@ BINS = 40
 def draw_distributions(path: Path, title: str, found: Dispersed) -> None:
     """Distribution of each peak, one row a control point; surface left, bondline right."""
     points = [p.point.name for p in found.entry.points]
-    figure, axes = new_figure(11.0, 1.6 + 0.55 * len(points), 1, 2, sharey=True)
+    figure, axes = new_figure(11.0, 2.1 + 0.55 * len(points), 1, 2, sharey=True)
     for ax, quantity, color in zip(axes, QUANTITIES, (SURFACE, BONDLINE), strict=True):
-        answers = [a for a in found.answers if a.quantity == quantity]
-        for row, answer in enumerate(answers):
-            _distribution(ax, row, answer, found.values(answer), color)
+        for answer in (a for a in found.answers if a.quantity == quantity):
+            _distribution(ax, points.index(answer.point), answer, found.values(answer), color)
         ax.set_xlabel(f"peak {quantity.removesuffix('_K')} temperature, K")
         ax.set_yticks(range(len(points)), points)
         ax.set_ylim(len(points) - 0.4, -0.6)
     axes[1].plot([], [], "k|", markersize=11, label="limit")
     axes[1].plot([], [], "o", color="0.2", markersize=4, label=_quantile_label(found))
-    axes[1].legend(fontsize=8, loc="upper right")
+    figure.legend(*axes[1].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8)
     save_figure(figure, path, f"Peak temperatures of {found.entry.spec.flights} dispersed entries\n{title}", axes)
 
 
@@ -56,12 +55,12 @@ def _distribution(ax: Axes, row: int, answer: Answer, values: np.ndarray, color:
 
 def draw_first_order(path: Path, title: str, found: Dispersed) -> None:
     """Quantiles to first order less those counted, over the scatter, against the bounds of the counted ones."""
-    figure, axes = new_figure(11.0, 1.8 + 0.42 * len(found.entry.points), 1, 2, sharey=True)
+    figure, axes = new_figure(11.0, 2.2 + 0.5 * len(found.entry.points), 1, 2, sharey=True)
     points = [p.point.name for p in found.entry.points]
     qs = found.entry.spec.quantiles
     for ax, quantity in zip(axes, QUANTITIES, strict=True):
-        answers = [a for a in found.answers if a.quantity == quantity]
-        for row, a in enumerate(answers):
+        for a in (a for a in found.answers if a.quantity == quantity):
+            row = points.index(a.point)
             for k, (q, first) in enumerate(zip(a.quantiles, a.first["quantiles"], strict=True)):
                 y = row + 0.7 * (k / max(len(qs) - 1, 1) - 0.5)
                 if q.value is None:
@@ -79,7 +78,7 @@ def draw_first_order(path: Path, title: str, found: Dispersed) -> None:
     axes[0].plot([], [], color="0.7", linewidth=4, label="bounds of the counted quantile")
     axes[0].plot([], [], "o", color="tab:green", markersize=4, label="first order, holds")
     axes[0].plot([], [], "o", color="tab:red", markersize=4, label="first order, does not hold")
-    axes[0].legend(fontsize=8)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8)
     told = ", ".join(f"{q:g}" for q in qs)
     save_figure(figure, path, f"First order against counting, quantiles {told} from top to bottom\n{title}", axes)
 
@@ -89,7 +88,7 @@ def draw_drivers(path: Path, title: str, found: Dispersed) -> None:
     answers = [a for a in found.answers if a.indices is not None]
     names = [name for name, _ in found.entry.groups]
     total = np.array([a.indices.total for a in answers if a.indices is not None])
-    figure, axes = new_figure(3.2 + 0.62 * len(names), 2.6 + 0.3 * len(answers), 1)
+    figure, axes = new_figure(max(3.2 + 0.62 * len(names), 8.0), 2.6 + 0.3 * len(answers), 1)
     ax = axes[0]
     image = ax.imshow(np.clip(total, 0.0, 1.0), cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
     for i, row in enumerate(total):
