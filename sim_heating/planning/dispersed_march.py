@@ -212,11 +212,12 @@ class LaneMarch:
             set_lanes(
                 B, J, g.mesh.layer, g.mesh.length_m, g.density, g.insulation, g.mesh.bondline, stacks[p], heating[p]
             )
-            moved = tables[p]
-            if moved is not None:
-                for k in range(LANES):
-                    at = int(g.tables[k])
-                    self.ensemble.table[at : at + len(g.nodes)] = g.nodes * moved[:, lane[k]]
+            factors = tables[p]
+            for k in range(LANES):
+                at = int(g.tables[k])
+                self.ensemble.table[at : at + len(g.nodes)] = g.nodes * (
+                    1.0 if factors is None else factors[:, lane[k]]
+                )
 
     def _march_group(self, p: int, group: _Group, time_s: FloatArray, histories: FloatArray) -> FloatArray:
         e, g = self.ensemble, group.number

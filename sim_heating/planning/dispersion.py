@@ -260,7 +260,7 @@ def data_of(found: Dispersed) -> dict[str, Any]:
 
 
 def _checks(found: Dispersed) -> dict[str, Any] | None:
-    """Largest difference of a peak in six degrees of freedom from the point mass's, by point, None where none was flown."""
+    """Largest differences of peaks in six degrees of freedom from the point mass's; None where none was flown."""
     if found.checks is None:
         return None
     apart, points = found.checks.apart_K, [p.point.name for p in found.entry.points]
@@ -330,8 +330,8 @@ def notes_of(found: Dispersed) -> list[str]:
     if found.checks is not None:
         surface, bondline = (float(np.max(found.checks.largest_K[k])) for k in (0, 1))
         lines.append(
-            f"{len(found.checks.apart_K)} flights again in six degrees of freedom: peaks agree within {surface:.1f} K at "
-            f"the surfaces and {bondline:.1f} K at the bondlines"
+            f"{len(found.checks.apart_K)} flights again in six degrees of freedom: peaks agree within {surface:.1f} K "
+            f"at the surfaces and {bondline:.1f} K at the bondlines"
         )
     fails = [f"{a.point} {place_of(a)}" for a in found.answers if not a.first["holds"]]
     if fails:
