@@ -12,7 +12,7 @@ from benchmarks.measure import Figure, table
 NAMES = (
     "c_loop", "work_precision", "frames", "coupling", "fmu", "optimal",
     "covariance", "end_to_end", "ground_step", "skew", "initial", "design", "estimator_speed",
-    "estimator_null", "estimator_statistics",
+    "estimator_null", "estimator_statistics", "dispersion",
 )  # fmt: skip
 
 

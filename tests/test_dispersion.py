@@ -1,4 +1,4 @@
-"""Dispersed entries: designs, statistics with known answers, table errors, the chain against the program's own flights."""
+"""Dispersed entries: designs, statistics with known answers, table errors, the chain against flights of the program."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ MESH_TOLERANCE_K = 0.3
 DIFFERENCE = 0.1
 """Standard deviations that an input is moved by, to either side, for differences about the planned flight."""
 SOBOL, RANDOM, INDEX, AXES, TWICE = "sobol", "random", "index", "axes", "twice"
-"""Designs: flights that count, of sensitivity indices, of differences, and those flown in six degrees of freedom too."""
+"""Designs: flights that count, of sensitivity indices, of differences, and those flown in six degrees of freedom."""
 
 
 @dataclass(frozen=True)

@@ -103,12 +103,12 @@ class LaneMarch:
         self.ensemble = Ensemble(lanes, [mesh for mesh in meshes for _ in range(LANES)], max(step_s, SOAK_STEP_S))
         self._fresh = self.ensemble.snapshot()
         self._groups = [self._group(p, mesh) for p, mesh in enumerate(meshes)]
-        self._host = _host(vehicle)
+        self.host = _host(vehicle)
         plate = reference_model(vehicle.heating.reference).on_plate
         lengths = [(p.point.running_length_m or 1.0) if plate else 1.0 for p in points]
-        self._numbers = np.array([[*p.point.pressure.parameters(), n] for p, n in zip(points, lengths, strict=True)])
-        assert self._numbers.shape[1] == POINT_NUMBERS  # what condition_kernel reads
-        self._still = np.array([list(still_air(p.point.construction).values()) for p in points])
+        self.numbers = np.array([[*p.point.pressure.parameters(), n] for p, n in zip(points, lengths, strict=True)])
+        assert self.numbers.shape[1] == POINT_NUMBERS  # what condition_kernel reads
+        self.still = np.array([list(still_air(p.point.construction).values()) for p in points])
         self._columns = self.ensemble.outputs()
 
     def _group(self, p: int, mesh: Mesh) -> _Group:
@@ -161,9 +161,9 @@ class LaneMarch:
         last = min(first + LANES, len(flown.filled))
         lane = np.minimum(np.arange(first, first + LANES), last - 1)
         filled = flown.filled[lane]
-        time_s = self._times(int(filled.max()))
+        time_s = self.times(int(filled.max()))
         histories = np.empty((len(self.points), LANES, len(time_s), N_CONDITIONS))
-        condition_kernel(flown.rows[lane], filled, self._host, self._numbers, self._still, time_s, histories)
+        condition_kernel(flown.rows[lane], filled, self.host, self.numbers, self.still, time_s, histories)
         self.ensemble.restore(self._fresh)
         self._write(changes, tables, lane)
         counted = self._counted(time_s, filled)
@@ -187,7 +187,7 @@ class LaneMarch:
         extent = np.array([[r[:n].min(axis=0), r[:n].max(axis=0)] for r, n in zip(ratio, filled, strict=False)])
         return Peaks(surface, bondline, negative, extent)
 
-    def _times(self, frames: int) -> FloatArray:
+    def times(self, frames: int) -> FloatArray:
         """Frames of the longest flight, then the soak: in steps of the flight at first."""
         end = self.step_s * (frames - 1)
         close = np.arange(1, int(np.ceil(min(SOAK_BEGINS_S, self.soak_s) / self.step_s)) + 1) * self.step_s
@@ -218,6 +218,10 @@ class LaneMarch:
                 self.ensemble.table[at : at + len(g.nodes)] = g.nodes * (
                     1.0 if factors is None else factors[:, lane[k]]
                 )
+
+    def march_all(self, time_s: FloatArray, histories: FloatArray) -> list[FloatArray]:
+        """Every group from where it is along histories (point, LANES, time, condition), (time, 2 LANES) each."""
+        return [self._march_group(p, g, time_s, histories[p]) for p, g in enumerate(self._groups)]
 
     def _march_group(self, p: int, group: _Group, time_s: FloatArray, histories: FloatArray) -> FloatArray:
         e, g = self.ensemble, group.number

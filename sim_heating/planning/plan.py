@@ -82,16 +82,16 @@ class Plan:
 def parts_of(study: Study) -> dict[str, Part]:
     """The parts that a study asks for, by the names of its tables."""
     from sim_heating.planning.dispersion_part import dispersion_part  # parts know of plans
+    from sim_heating.planning.optimal_part import optimal_part
 
-    declared = study.declared
-    parts: dict[str, Part | None] = {"dispersion": dispersion_part}
-    return {name: part for name, part in parts.items() if part is not None and getattr(declared, name) is not None}
+    parts: dict[str, Part] = {"dispersion": dispersion_part, "optimal": optimal_part}
+    return {name: part for name, part in parts.items() if getattr(study.declared, name) is not None}
 
 
 def run_study(study: Study, out: Path, engine: Engine, *, progress: Progress = quiet) -> tuple[Plan, list[str]]:
     """Compute all parts of a study and write their files, all together; gives the files' names as well.
 
-    raises : InputError where the study asks for nothing, or a scheduler or place cannot be used
+    raises : InputError where the study asks for nothing, a place cannot be used, or the one part there is says so
     """
     parts = parts_of(study)
     if not parts:
@@ -102,7 +102,9 @@ def run_study(study: Study, out: Path, engine: Engine, *, progress: Progress = q
         for i, (name, part) in enumerate(parts.items()):
             try:
                 plan.found[name] = part(study, folder, engine, _within(progress, name, i, len(parts)))
-            except RunError as error:
+            except (InputError, RunError) as error:
+                if isinstance(error, InputError) and len(parts) == 1:
+                    raise
                 plan.failed[name] = str(error)
         write_json(folder / "study.json", summary(plan))
         write_page(folder / "report.html", page_of(plan, folder))
