@@ -265,6 +265,32 @@ def test_peaks_are_those_of_the_programs_march_along_the_same_flight(tmp_path):
             assert found.bondline_K[i, p] == pytest.approx(history.bondline_K.max(), abs=0.05)
 
 
+TRANSITION = """
+[[effect]]
+name = "transition"
+control_points = ["V09T9527"]
+parameters = { log10_re_onset = 6.0, factor = 2.0 }
+"""
+ONSET = '[[dispersion.input]]\nname = "effect.transition.log10_re_onset"\nsigma = 0.1\ncontrol_points = ["V09T9527"]\n'
+
+
+def test_a_dispersed_onset_of_transition_is_that_of_the_effect(tmp_path):
+    entry = entry_of(tmp_path, ONSET, limits=TRANSITION)
+    z = np.linspace(-2.0, 2.0, LANES)[:, np.newaxis]
+    moved = deviations(entry.inputs, z)
+    found = entry.march(entry.planned, moved, z)
+    conditions = conditions_from_rows(entry.planned.rows[0, : entry.planned.filled[0]], 32.77362)
+    point = entry.points[1].point
+    along = soaked(conditions_at_point(entry.study.vehicle, point, conditions), point, 600.0)
+    for i in (0, LANES - 1):
+        onset = {"effect.transition.log10_re_onset": 6.0 + moved[i, 0]}
+        model = replace(entry.lanes.models[1].altered(onset), nodes=entry.meshes[1].nodes)
+        history = march_points([model], [along], longest_step_s=4.0)[0]
+        assert found.surface_K[i, 1] == pytest.approx(history.surface_K.max(), abs=0.05)
+    assert found.surface_K[0, 1] > found.surface_K[-1, 1] + 20.0
+    np.testing.assert_allclose(found.surface_K[:, 0], found.surface_K[0, 0], rtol=1e-12)
+
+
 def test_a_flight_is_the_same_whatever_flew_before_it(tmp_path):
     entry, fresh = (entry_of(tmp_path, FLIGHT + THERMAL, tables=1.0) for _ in range(2))
     entry.fly(Batch(SOBOL, 0, BATCH, 1))

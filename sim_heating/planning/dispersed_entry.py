@@ -237,6 +237,7 @@ class DispersedEntry:
 
         raises : InputError with one line a problem
         """
+        require_pyarrow()
         problems = []
         for k, i in enumerate(self.inputs):
             try:
@@ -296,6 +297,14 @@ class DispersedEntry:
                 )
             if initial is not None and not (initial.altitude_m > 0.0 and initial.velocity_m_s > 0.0):
                 raise InputError(f"`{i.name}`: a deviation of {value:g} makes no entry; make it smaller")
+
+
+def require_pyarrow() -> None:
+    """raises : InputError where pyarrow is not installed."""
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError:
+        raise InputError("pyarrow is not installed: pip install 'sim-heating[plan]'") from None
 
 
 def parquet_bytes(columns: Mapping[str, FloatArray]) -> bytes:

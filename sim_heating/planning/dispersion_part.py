@@ -8,7 +8,6 @@ from pathlib import Path
 
 from sim_heating.batches import Progress
 from sim_heating.files import write_text_atomic
-from sim_heating.jit import PACKAGE
 from sim_heating.planning.dispersion import (
     FLIGHTS_FILE,
     Answer,
@@ -23,6 +22,7 @@ from sim_heating.planning.dispersion_plots import draw_distributions, draw_drive
 from sim_heating.planning.plan import Engine, Found, Picture, Table
 from sim_heating.planning.study import HASH_LENGTH, Study
 
+PACKAGE = Path(__file__).resolve().parent.parent
 CSV = "dispersion.csv"
 LEAST_INDEX = 0.01
 """Smallest total index that the table of what drives a peak names."""

@@ -93,7 +93,7 @@ class Dispersion(Declared):
     quantiles: list[float] = Field(default=[0.5, 0.95, 0.99], min_length=1)
     confidence: float = Field(default=0.95, gt=0.5, lt=1.0)
     tables: float = Field(default=1.0, ge=0.0, le=10.0)
-    step_s: float = Field(default=1.0, gt=0.0, le=5.0)
+    step_s: float = Field(default=0.5, gt=0.0, le=5.0)
     thermal_step_s: float = Field(default=4.0, gt=0.0, le=60.0)
     spot_checks: int = Field(default=0, ge=0, le=100)
     input: list[Input] = Field(default=[])
