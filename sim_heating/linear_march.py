@@ -7,7 +7,7 @@ stage and the end of the step, which has the order of the step itself; a skew of
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sim_heating.ensemble import Ensemble, PointModel, initial_temperatures
 from sim_heating.errors import InputError, RunError
+from sim_heating.heating_ratio.table import RatioTable
 from sim_heating.jit import call_step, handle, njit, raw
 from sim_heating.layout import HEAD_ROWS, LANES, N_CONDITIONS, NODE_ROWS, T_STAGE, T_START, T
 from sim_heating.march import END_STAGE
@@ -53,8 +54,10 @@ class Track:
     sample_s : (sample,) times [s] at which they are wanted, increasing, within the march
     nodes    : nodes at which they are wanted; those of the sensors where None
     initial_K, initial_columns : (node,) temperatures at the start, and (node, extra) their sensitivities to `extra`
-               more parameters, which come after the named ones; as the stack declares, and none, where None
+               more parameters, which come after the others; as the stack declares, and none, where None
     flight   : number of the flight
+    table_errors : each an array of the shape of the ratio table: the sensitivity to its factor c in ratio + c error
+               comes after the named ones
     """
 
     model: PointModel
@@ -65,6 +68,7 @@ class Track:
     initial_K: FloatArray | None = None
     initial_columns: FloatArray | None = None
     flight: int = 0
+    table_errors: tuple[FloatArray, ...] = ()
 
     @property
     def read_nodes(self) -> tuple[int, ...]:
@@ -74,7 +78,15 @@ class Track:
     @property
     def columns(self) -> int:
         """Number of sensitivities."""
-        return len(self.names) + (0 if self.initial_columns is None else self.initial_columns.shape[1])
+        extra = 0 if self.initial_columns is None else self.initial_columns.shape[1]
+        return len(self.names) + len(self.table_errors) + extra
+
+    def tables_in_error(self) -> list[RatioTable]:
+        """The ratio table with each of its errors added once."""
+        table = self.model.ratio
+        if table is None:
+            return []
+        return [replace(table, ratio=table.ratio + error) for error in self.table_errors]
 
 
 @dataclass(frozen=True)
@@ -121,25 +133,26 @@ class LinearMarch:
         self.time_s = np.ascontiguousarray(time_s, dtype=float)
         self.histories = np.ascontiguousarray(histories, dtype=float)
         self.base = Ensemble([t.model for t in self.tracks], [t.mesh for t in self.tracks])
-        self._moves = [[moved(t.model, name) for name in t.names] for t in self.tracks]
-        self._owner = [i for i, moves in enumerate(self._moves) for _ in range(1 + sum(1 + both for _, both in moves))]
-        shadows = [
-            m for t, moves in zip(self.tracks, self._moves, strict=True) for m in self._altered(t, t.model, moves)
+        self._tables = [t.tables_in_error() for t in self.tracks]
+        self._moves = [
+            [moved(t.model, name) for name in t.names] + [(1.0, False)] * len(tables)
+            for t, tables in zip(self.tracks, self._tables, strict=True)
         ]
+        self._owner = [i for i, moves in enumerate(self._moves) for _ in range(1 + sum(1 + both for _, both in moves))]
+        shadows = [m for i, t in enumerate(self.tracks) for m in self._altered(i, t.model)]
         self.shadows = Ensemble(shadows, [self.tracks[i].mesh for i in self._owner], beside=self.base)
         self.rows = handle(compiled_rows())
         self._place()
 
-    @staticmethod
-    def _altered(track: Track, model: PointModel, moves: Sequence[tuple[float, bool]]) -> list[PointModel]:
+    def _altered(self, i: int, model: PointModel) -> list[PointModel]:
         """The base of a track and its shadows."""
         models = [model]
-        for name, (by, both) in zip(track.names, moves, strict=True):
+        for name, (by, both) in zip(self.tracks[i].names, self._moves[i], strict=False):
             value = model.value(name)
             models.append(model.altered({name: value + by}))
             if both:
                 models.append(model.altered({name: value - by}))
-        return models
+        return models + [replace(model, ratio=table) for table in self._tables[i]]
 
     def _place(self) -> None:
         """Find out where the shadows stand."""
@@ -175,9 +188,9 @@ class LinearMarch:
     def set_models(self, models: Sequence[PointModel]) -> None:
         """Give the tracks' points other values of their parameters (PointModel.altered)."""
         k = 0
-        for i, (track, model, moves) in enumerate(zip(self.tracks, models, self._moves, strict=True)):
+        for i, model in enumerate(models):
             self.base.set_model(i, model)
-            for altered in self._altered(track, model, moves):
+            for altered in self._altered(i, model):
                 self.shadows.set_model(k, altered)
                 k += 1
 
@@ -208,7 +221,7 @@ class LinearMarch:
         per_lane = self._per_lane(times, n, m, count, reads)
         out = np.full((LANES, reads, count, 2 + m), np.nan)
         march_linear(  # type: ignore[call-arg]
-            self.base.block(0), self.base.integers(0), self.base.table, self.base.chain,
+            self.base.block(0), self.base.integers(0), self.shadows.table, self.base.chain,
             self.base.begin_handle, self.base.advance_handle, self.rows,
             self.shadows.state, self.shadows.ints, self.shadows.groups, self._source, self._nodes,
             self.time_s, self.histories, self._flights, *per_lane, out,
