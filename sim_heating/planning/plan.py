@@ -82,9 +82,13 @@ class Plan:
 def parts_of(study: Study) -> dict[str, Part]:
     """The parts that a study asks for, by the names of its tables."""
     from sim_heating.planning.dispersion_part import dispersion_part  # parts know of plans
+    from sim_heating.planning.envelope_part import envelope_part, next_flight_part
     from sim_heating.planning.optimal_part import optimal_part
 
-    parts: dict[str, Part] = {"dispersion": dispersion_part, "optimal": optimal_part}
+    parts: dict[str, Part] = {
+        "dispersion": dispersion_part, "envelope": envelope_part, "next_flight": next_flight_part,
+        "optimal": optimal_part,
+    }  # fmt: skip
     return {name: part for name, part in parts.items() if getattr(study.declared, name) is not None}
 
 

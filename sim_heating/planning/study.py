@@ -11,6 +11,8 @@ control_points = ["NOSECAP"]        # all where absent
 soak_s = 1800.0                     # how long heat goes on to the bondline after the entry, unheated from outside
 [[limit]]                           # control_point; surface_K and bondline_K where not the vehicle's own
 [dispersion]                        # planning/dispersion_spec.py
+[envelope]                          # maps and boundaries, planning/envelope_spec.py
+[next_flight]                       # manoeuvres that may be flown next, planning/envelope_spec.py
 [optimal]                           # an optimal entry, keys as in planning/optimal_spec.py
 
 A table that is absent asks nothing. The hash of a study is that of all it says and of every file that it reads.
@@ -31,6 +33,7 @@ from sim_heating.effects import FOLDERS_VARIABLE
 from sim_heating.errors import InputError
 from sim_heating.files import Declared, check, raise_problems, read_toml, shown
 from sim_heating.planning.dispersion_spec import Dispersion
+from sim_heating.planning.envelope_spec import Envelope, NextFlight
 from sim_heating.planning.optimal_spec import Limit, LimitedPoint, OptimalStudy, OptimalStudyFile, optimal_study
 from sim_heating.scenario import Scenario, ScenarioEffect, ScenarioFile, scenario_of
 from sim_heating.trajectory.spec import TrajectorySpec
@@ -55,6 +58,8 @@ class StudyFile(Declared):
     soak_s: float = Field(default=0.0, ge=0.0, le=36000.0)
     limit: list[Limit] = Field(default=[])
     dispersion: Dispersion | None = None
+    envelope: Envelope | None = None
+    next_flight: NextFlight | None = None
     optimal: dict[str, Any] | None = None
 
     @model_validator(mode="after")
