@@ -1,0 +1,180 @@
+"""Pictures of maps, boundaries, two revisions side by side, and the worth of manoeuvres; each stands alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from sim_heating.planning.boundary import END_OF_STUDY
+from sim_heating.planning.envelope import MIDDLE, PERHAPS, SURE, FlownBoundary, FlownMap, Stretch
+from sim_heating.planning.envelope_files import NOTHING, limits_of
+from sim_heating.planning.next_flight import Ranked
+from sim_heating.plots import new_figure, save_figure
+
+LABELS = {
+    "alpha_offset_deg": "offset of angle of attack, deg", "alpha_station": "Mach number", "station_alpha_deg": "angle of attack, deg", "drag_factor": "reference drag, factor",
+    "cross_range_km": "cross-range, km", "cg_fraction": "centre of gravity, fraction of length from the nose",
+    "bodyflap_deg": "body flap, deg", "cm_shift": "pitching-moment shift", "mass_kg": "mass, kg",
+    "density_factor": "density, factor", "lateral_cg_m": "lateral centre of gravity, m", "alpha_stretch": "stretch of the schedule",
+}  # fmt: skip
+DRAWN = 7
+"""Limits drawn in a map over one axis: those with the least margins."""
+COLOURS = [f"C{i}" for i in range(10)]
+
+
+def draw_map(path: Path, title: str, flown: FlownMap, sigmas: float) -> None:
+    """Margins over one axis, with their bands; over two, the least margin, its limit named."""
+    axes = flown.declared.axes
+    if len(axes) == 1:
+        _draw_line_map(path, title, flown, sigmas)
+    else:
+        _draw_plane_map(path, title, flown)
+
+
+def _draw_line_map(path: Path, title: str, flown: FlownMap, sigmas: float) -> None:
+    figure, axes = new_figure(9.0, 6.0, 1)
+    (name, values), a = next(iter(flown.declared.axes.items())), axes[0]
+    good = [(x, f) for x, f in zip(values, flown.flights, strict=True) if f.error is None]
+    hot = {n for _, f in good for n, m in f.margins.items() if m.unit == "K"}
+    least = sorted(hot, key=lambda n: min(f.margins[n].margin for _, f in good))[:DRAWN]
+    x = np.array([v for v, _ in good])
+    for colour, limit in zip(COLOURS, least, strict=False):
+        y = np.array([f.margins[limit].margin for _, f in good])
+        s = sigmas * np.array([f.margins[limit].sigma for _, f in good])
+        a.plot(x, y, "o-", color=colour, markersize=3.5, label=limit)
+        a.fill_between(x, y - s, y + s, color=colour, alpha=0.10, linewidth=0)
+    _mark_refused(a, [(v, f) for v, f in zip(values, flown.flights, strict=True)])
+    a.axhline(0.0, color="k", linewidth=1.0)
+    a.set_xlabel(LABELS[name])
+    a.set_ylabel(f"margin to the limit, K (band: {sigmas:g} sigma of the ratio tables)")
+    a.legend(fontsize=8)
+    save_figure(figure, path, title, axes)
+
+
+def _mark_refused(a: Axes, flights: Sequence[tuple[float, object]]) -> None:
+    """Places that were not flown, or are out of trim or outside a table: crosses on the axis."""
+    refused = [x for x, f in flights if _refused(f)]
+    if refused:
+        a.plot(refused, np.zeros(len(refused)), "kx", markersize=9, label="no flight, no trim, or outside a table")
+
+
+def _refused(flight: object) -> bool:
+    margins = getattr(flight, "margins")
+    return getattr(flight, "error") is not None or any(m.unit != "K" and m.margin < 0.0 for m in margins.values())
+
+
+def _draw_plane_map(path: Path, title: str, flown: FlownMap) -> None:
+    figure, axes = new_figure(9.0, 6.5, 1)
+    (first, xs), (second, ys) = flown.declared.axes.items()
+    least = [f.least for f in flown.flights]
+    shape = (len(xs), len(ys))
+    margin = np.array([np.nan if n is None or n[1].unit != "K" else n[1].margin for n in least]).reshape(shape)
+    limit = [
+        ("no flight" if f.error is not None else "" if n is None else n[0])
+        for n, f in zip(least, flown.flights, strict=True)
+    ]
+    size = max(float(np.nanmax(np.abs(margin))), 1.0) if np.any(np.isfinite(margin)) else 1.0
+    a = axes[0]
+    shown = a.pcolormesh(xs, ys, margin.T, shading="nearest", cmap="RdBu", vmin=-size, vmax=size)
+    figure.colorbar(shown, label="least margin of all temperatures, K")
+    for k, (i, j) in enumerate(np.ndindex(shape)):
+        text = limit[k].replace(" ", "\n", 1)
+        value = "" if np.isnan(margin[i, j]) else f"\n{margin[i, j]:.0f} K"
+        a.text(xs[i], ys[j], text + value, ha="center", va="center", fontsize=6)
+    a.set_xlabel(LABELS[first])
+    a.set_ylabel(LABELS[second])
+    save_figure(figure, path, title, axes)
+    a.grid(visible=False)
+
+
+def draw_boundaries(path: Path, title: str, found: Mapping[str, FlownBoundary], sigmas: float) -> None:
+    """A boundary, or the same of several revisions, side by side; edges are coloured by the limit that makes them.
+
+    found : name of the revision -> its boundary
+    """
+    first = next(iter(found.values())).declared
+    members = first.members()
+    figure, grid = new_figure(
+        6.6 * len(found) if len(found) > 1 else 8.5,
+        5.2 * len(members),
+        len(members),
+        len(found),
+        sharex=True,
+        sharey=True,
+        squeeze=False,
+    )
+    names = sorted({n for b in found.values() for s in b.stretches for n in limits_of(s)} - {""})
+    colours = {n: COLOURS[i % len(COLOURS)] for i, n in enumerate(n for n in names if n != END_OF_STUDY)} | {
+        END_OF_STUDY: "0.5"
+    }
+    for column, (label, boundary) in enumerate(found.items()):
+        for row, member in enumerate(members):
+            a = grid[row, column]
+            _draw_boundary(a, boundary.of(member), colours)
+            own = [] if member is None else [f"{LABELS[first.family or '']} {member:g}"]
+            a.set_title("\n".join([*([label] if len(found) > 1 else []), *own]), fontsize=9)
+            a.set_xlabel(LABELS[first.along])
+            a.set_ylabel(LABELS[first.greatest or first.across])
+    for a in grid[:, 0]:
+        if first.along == "alpha_station":
+            a.invert_xaxis()
+            break
+    handles = [grid[0, 0].plot([], [], "o-", color=colours[n], label=n)[0] for n in names]
+    handles.append(
+        grid[0, 0].fill_between(
+            [], [], [], color="tab:green", alpha=0.35, label=f"allowed with the tables {sigmas:g} sigma hotter"
+        )
+    )
+    handles.append(
+        grid[0, 0].fill_between(
+            [], [], [], color="tab:green", alpha=0.12, label=f"allowed with them {sigmas:g} sigma cooler"
+        )
+    )
+    figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=8)
+    save_figure(figure, path, title, grid)
+
+
+def _draw_boundary(a: Axes, stretches: Sequence[Stretch], colours: Mapping[str, str]) -> None:
+    """Bands, then each edge as a line with points in the colour of the limit there."""
+    x = np.array([s.along for s in stretches])
+    for which, strength in ((PERHAPS, 0.12), (SURE, 0.30)):
+        low, high = _ends(stretches, which)
+        a.fill_between(x, low, high, color="tab:green", alpha=strength, linewidth=0)
+    low, high = _ends(stretches, MIDDLE)
+    for y, side in ((low, 0), (high, 1)):
+        if side == 0 and stretches[0].greatest:
+            continue
+        a.plot(x, y, "-", color="0.3", linewidth=1.0)
+        for s, value in zip(stretches, y, strict=True):
+            a.plot(s.along, value, "o", color=colours.get(limits_of(s)[side], "k"), markersize=6)
+    for s in stretches:
+        if s.value(MIDDLE)[0] is None:
+            closed = limits_of(s)[0]
+            bad = s.allowed[MIDDLE].least_bad
+            at = 0.0 if s.greatest or bad is None else bad.at
+            a.plot(s.along, at, "x", color=colours.get(closed, "k"), markersize=8)
+
+
+def _ends(stretches: Sequence[Stretch], which: str) -> tuple[np.ndarray, np.ndarray]:
+    ends = [s.value(which) for s in stretches]
+    return tuple(np.array([np.nan if e[k] is None else e[k] for e in ends], dtype=float) for k in (0, 1))  # type: ignore[return-value]
+
+
+def draw_ranking(path: Path, title: str, ranked: Sequence[Ranked]) -> None:
+    """How much of each boundary's band would be left after each manoeuvre."""
+    figure, axes = new_figure(9.0, 1.8 + 0.8 * len(ranked), 1)
+    a, boundaries = axes[0], list(ranked[0].band)
+    height = 0.8 / max(len(boundaries), 1)
+    for k, name in enumerate(boundaries):
+        left = [100.0 * r.band[name][1] / r.band[name][0] if r.band[name][0] > 0.0 else np.nan for r in ranked]
+        y = np.arange(len(ranked)) + (k - 0.5 * (len(boundaries) - 1)) * height
+        a.barh(y, left, height, color=COLOURS[k % len(COLOURS)], label=f"boundary `{name}`")
+    a.set_yticks(np.arange(len(ranked)), [r.prospect.candidate.name for r in ranked])
+    a.invert_yaxis()
+    a.axvline(100.0, color="k", linewidth=1.0)
+    a.set_xlabel("what would be left of the band, % of its area now")
+    a.legend(fontsize=8)
+    save_figure(figure, path, title, axes)
