@@ -1,8 +1,10 @@
-"""Where an envelope ends: from the margins of a few flights along one axis to its edges, what limits them, and how surely.
+"""Where an envelope ends: from the margins of a few flights along one axis to its edges, what limits them, and how
+surely.
 
-Each margin is interpolated along the axis by a monotone cubic (PCHIP); the envelope is where all of them, less z sigma of
-the temperatures they are of, are not negative. Its edges at z and -z are the band about the edge at z = 0: with each limit
-by itself, the edge is inside with the probability of z sigma. Next to a flight that could not be flown nothing is allowed.
+Each margin is interpolated along the axis by a monotone cubic (PCHIP); the envelope is where all of them, less z
+sigma of the temperatures they are of, are not negative. Its edges at z and -z are the band about the edge at z = 0:
+with each limit by itself, the edge is inside with the probability of z sigma. Next to a flight that could not be
+flown nothing is allowed.
 """
 
 from __future__ import annotations
@@ -14,14 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from sim_heating.planning.margins import Evaluated
+from sim_heating.planning.margins import ROUNDING, Evaluated
 
 FloatArray = NDArray[np.float64]
 
 FINE = 801
 """Places along an axis at which margins are compared."""
-ROUNDING = -1e-9
-"""A margin from here on is kept: a deflection at the end of its table is inside."""
 NOT_FLOWN = "no flight"
 END_OF_STUDY = "not reached in this study"
 AERODYNAMICS = "aerodynamics"

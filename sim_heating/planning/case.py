@@ -1,15 +1,16 @@
 """One entry of an envelope study: the base entry with some of its variables changed, flown with the 3-DOF entry.
 
-The axes along which an entry may be changed are the numeric fields of `Case`. Angle of attack is changed as a whole (offset,
-and a stretch of the schedule's axis) and about one station of the schedule; cross-range through the velocity at which the bank reverses for
-the only time, range through the level of the reference drag; trim follows from centre of gravity, body flap and the
-flight-found pitching moment. A lateral centre of gravity is balanced at each instant after the flight, with
+The axes along which an entry may be changed are the numeric fields of `Case`. Angle of attack is changed as a whole
+(offset, and a stretch of the schedule's axis) and about one station of the schedule; cross-range through the velocity
+at which the bank reverses for the only time, range through the level of the reference drag; trim follows from centre
+of gravity, body flap and the flight-found pitching moment. A lateral centre of gravity is balanced at each instant
+after the flight, with
 
     roll  Cl_beta beta + Cl_a a + CN y / b = 0,   Cl_a = (dCN/d_elevon) y_e / b
     yaw   Cn_beta beta - CA y / b = 0
 
-y the offset to starboard, a half the difference of the elevons, y_e their distance from the plane of symmetry; the yawing
-moment of the elevons and the bend of the path are left out.
+y the offset to starboard, a half the difference of the elevons, y_e their distance from the plane of symmetry; the
+yawing moment of the elevons and the bend of the path are left out.
 """
 
 from __future__ import annotations
@@ -147,8 +148,8 @@ class Base:
     def fly(self, case: Case) -> Flown:
         """Fly a case.
 
-        raises : InputError for a vehicle that cannot be flown so, RunError where the flight leaves the atmosphere, or the
-                 cross-range that is asked for is out of reach
+        raises : InputError for a vehicle that cannot be flown so, RunError where the flight leaves the atmosphere or
+                 the cross-range that is asked for is out of reach
         """
         if case.cross_range_km is None:
             return self._flown(case, self._spec(case, () if case.one_sided else None))

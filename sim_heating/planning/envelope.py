@@ -1,8 +1,8 @@
 """Envelope expansion: maps of peak temperatures and margins, and boundaries with the limit that makes each stretch.
 
-Every place of a map or boundary is a flight (`case`) held against its limits (`margins`); all flights of a study go through the
-one engine (`batches`), each result a file of its ledger. A boundary is found from the flights along one axis (`boundary`),
-and flights are added where its edges and those of its band came to lie.
+Every place of a map or boundary is a flight (`case`) held against its limits (`margins`); all flights of a study go
+through the one engine (`batches`), each result a file of its ledger. A boundary is found from the flights along one
+axis (`boundary`), and flights are added where its edges and those of its band came to lie.
 """
 
 from __future__ import annotations

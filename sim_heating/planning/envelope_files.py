@@ -1,8 +1,9 @@
-"""Maps and boundaries of an envelope as data and tables: CSV for programs, plain values for study.json, rows for a page."""
+"""Maps and boundaries of an envelope as data and tables: CSV for programs, plain values for study.json, rows for a
+page."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 from sim_heating.files import write_csv
 from sim_heating.planning.boundary import Allowed, Greatest
 from sim_heating.planning.envelope import MIDDLE, PERHAPS, SURE, FlownBoundary, FlownMap, Stretch
-from sim_heating.planning.margins import BONDLINE, SURFACE, Evaluated
+from sim_heating.planning.margins import BONDLINE, ELEVON, SURFACE, TABLE, Evaluated
 from sim_heating.planning.plan import Table
 from sim_heating.planning.study import Study
 from sim_heating.table_update.revisions import FOLDER as REVISIONS
@@ -180,26 +181,25 @@ def _interval(stretch: Stretch, which: str) -> str:
     return f"{high:.4g}" if stretch.greatest else f"{low:.4g} to {high:.4g}"
 
 
-def told_once(lines: Iterable[str]) -> tuple[str, ...]:
-    """Lines, each once, in their order."""
-    return tuple(dict.fromkeys(lines))
-
-
 def notes_of(flights: Sequence[Evaluated]) -> tuple[str, ...]:
     """What a reader has to know of the flights: those not flown, and how many left a table, by where."""
     failed = [f"not flown: {f.error}" for f in flights if f.error is not None]
-    no_trim = [f for f in flights if any(n.startswith("elevon") and m.margin < 0.0 for n, m in f.margins.items())]
+    no_trim = [f for f in flights if any(m.kind == ELEVON for _, m in f.passed_other)]
     trim = [] if not no_trim else [
         f"no trim within the elevon's travel: {len(no_trim)} flights, first {no_trim[0].case.told()}; not called safe"
     ]  # fmt: skip
     left: dict[str, list[Evaluated]] = {}
     for f in flights:
-        for n, m in f.margins.items():
-            if m.kind == "table" and m.margin < 0.0:
+        for n, m in f.passed_other:
+            if m.kind == TABLE:
                 left.setdefault(n, []).append(f)
-    outside = [
-        f"outside the {n}: {len(own)} flights, by {max(-f.margins[n].margin for f in own):.3g} "
-        f"{own[0].margins[n].unit} at most ({max(own, key=lambda f: -f.margins[n].margin).case.told()}); not called safe"
-        for n, own in sorted(left.items())
-    ]
-    return told_once([*failed, *trim, *outside])
+    outside = [_outside(name, own) for name, own in sorted(left.items())]
+    return tuple(dict.fromkeys([*failed, *trim, *outside]))
+
+
+def _outside(name: str, flights: Sequence[Evaluated]) -> str:
+    """How far flights were outside one end of a ratio table."""
+    farthest = min(flights, key=lambda f: f.margins[name].margin)
+    m = farthest.margins[name]
+    by = f"by {-m.margin:.3g} {m.unit}".rstrip()
+    return f"outside the {name}: {len(flights)} flights, {by} at most ({farthest.case.told()}); not called safe"

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from sim_heating.batches import Progress
 from sim_heating.errors import InputError, RunError
 from sim_heating.planning import envelope_files as files
-from sim_heating.planning.envelope import (
-    FOLDER,
-    MIDDLE,
-    SURE,
-    Flights,
-    FlownBoundary,
-    Informed,
-    fly_boundary,
-    fly_map,
-)
+from sim_heating.planning.before_after import Side, compare
+from sim_heating.planning.envelope import FOLDER, Flights, Informed, fly_boundary, fly_map
 from sim_heating.planning.envelope_spec import Envelope
 from sim_heating.planning.next_flight import Prospect, Ranked, prospect, rank
 from sim_heating.planning.plan import Engine, Found, Picture, Table
@@ -25,83 +20,37 @@ from sim_heating.planning.study import Study, load_study
 from sim_heating.table_update.posterior import Evidence
 
 NOT_TESTABLE = (
-    "lateral_cg_m: sideslip cannot be held long enough by a manoeuvre: the lateral centre of gravity is evaluated from the "
+    "lateral_cg_m: no manoeuvre holds sideslip long enough: what a lateral centre of gravity heats is taken from the "
     "tables alone and is not testable by manoeuvre"
 )
+Draw = Callable[[Path, str], None]
 
 
-def envelope_part(study: Study, folder: Path, engine: Engine, progress: Progress) -> Found:
-    """Maps and boundaries of a study, and where it names a vehicle `before`, of that one beside it."""
-    asked = _asked(study)
-    flights = Flights(study, engine, progress, _informed(_prospects(study)))
-    (folder / FOLDER).mkdir()
-    tables, pictures, data = [], [], dict[str, Any](maps={}, boundaries={})
-    for declared in asked.map:
-        flown = fly_map(declared, flights)
-        name, title = f"map_{declared.name}", declared.title or declared.name
-        files.write_map(folder / FOLDER / f"{name}.csv", study, flown)
-        pictures.append(
-            _picture(
-                study, folder, name, title, lambda path, head, f=flown: _plots().draw_map(path, head, f, asked.sigmas)
-            )
-        )
-        tables.append(files.map_table(flown))
-        data["maps"][declared.name] = files.map_data(flown)
-    boundaries = [fly_boundary(declared, asked, flights) for declared in asked.boundary]
-    for found in boundaries:
-        name, title = f"boundary_{found.declared.name}", found.declared.title or found.declared.name
-        files.write_boundary(folder / FOLDER / f"{name}.csv", study, found, asked.sigmas)
-        pictures.append(
-            _picture(
-                study,
-                folder,
-                name,
-                title,
-                lambda path, head, b=found: _plots().draw_boundaries(path, head, {"": b}, asked.sigmas),
-            )
-        )
-        tables.append(files.boundary_table(found))
-        data["boundaries"][found.declared.name] = files.boundary_data(found)
-    notes = list(files.notes_of(flights.flown))
-    if any(f.case.lateral_cg_m != 0.0 for f in flights.flown):
-        notes.append(NOT_TESTABLE)
-    if asked.before is not None:
-        compared = _compared(study, asked, boundaries, folder, engine, progress)
-        tables += compared.tables
-        pictures += compared.pictures
-        notes += compared.notes
-        data["before"] = compared.data
-    data |= {"sigmas": asked.sigmas, "revision": files.revision_of(study), "notes": notes}
-    return Found(data, tuple(tables), tuple(pictures), tuple(notes))
+@dataclass
+class _Pages:
+    """What a part shows, as it comes."""
 
+    study: Study
+    folder: Path
+    tables: list[Table] = field(default_factory=list)
+    pictures: list[Picture] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
-def next_flight_part(study: Study, folder: Path, engine: Engine, progress: Progress) -> Found:
-    """Candidates for the next flight, ranked; needs the boundaries of an [envelope], whose flights are flown once."""
-    asked, prospects = _asked(study), _prospects(study)
-    flights = Flights(study, engine, progress, _informed(prospects))
-    boundaries = [fly_boundary(declared, asked, flights) for declared in asked.boundary]
-    if not boundaries:
-        raise RunError(f"{study.path}, [next_flight]: needs an [[envelope.boundary]] whose uncertainty it is to shrink")
-    ranked = rank(prospects, boundaries, asked.sigmas)
-    (folder / FOLDER).mkdir(exist_ok=True)
-    title = "What the next flight would tell"
-    picture = _picture(
-        study, folder, "next_flight", title, lambda path, head: _plots().draw_ranking(path, head, ranked)
-    )
-    notes = tuple(line for p in prospects for line in p.notes)
-    return Found(_ranking_data(ranked), (_ranking_table(ranked),), (picture,), notes)
+    def __post_init__(self) -> None:
+        (self.folder / FOLDER).mkdir(exist_ok=True)
 
+    def place(self, name: str) -> Path:
+        """Where a file of the part goes."""
+        return self.folder / FOLDER / name
 
-def _plots() -> Any:
-    from sim_heating.planning import envelope_plots  # matplotlib is slow to import, and wanted only here
+    def draw(self, name: str, title: str, draw: Draw) -> None:
+        """Draw a picture; its title names vehicle, revision and study."""
+        draw(self.place(f"{name}.png"), f"{self.study.title}: {title}\n{files.stamp_of(self.study)}")
+        self.pictures.append(Picture(f"{FOLDER}/{name}.png", title))
 
-    return envelope_plots
-
-
-def _picture(study: Study, folder: Path, name: str, title: str, draw: Any) -> Picture:
-    file = f"{FOLDER}/{name}.png"
-    draw(folder / file, f"{study.title}: {title}\n{files.stamp_of(study)}")
-    return Picture(file, title)
+    def found(self, data: dict[str, Any]) -> Found:
+        """All of it."""
+        return Found(data, tuple(self.tables), tuple(self.pictures), tuple(dict.fromkeys(self.notes)))
 
 
 def _asked(study: Study) -> Envelope:
@@ -110,53 +59,75 @@ def _asked(study: Study) -> Envelope:
     return study.declared.envelope
 
 
-# Two revisions -------------------------------------------------------------------------------------------------------
+def envelope_part(study: Study, folder: Path, engine: Engine, progress: Progress) -> Found:
+    """Maps and boundaries of a study, and where it names a vehicle `before`, of that one beside it."""
+    from sim_heating.planning import envelope_plots as plots  # matplotlib is slow to import
+
+    asked, pages = _asked(study), _Pages(study, folder)
+    flights = Flights(study, engine, progress, _informed(_prospects(study)))
+    data: dict[str, Any] = {"sigmas": asked.sigmas, "revision": files.revision_of(study), "maps": {}, "boundaries": {}}
+    for flown in [fly_map(declared, flights) for declared in asked.map]:
+        name, title = f"map_{flown.declared.name}", flown.declared.title or flown.declared.name
+        files.write_map(pages.place(f"{name}.csv"), study, flown)
+        pages.draw(name, title, partial(plots.draw_map, flown=flown, sigmas=asked.sigmas))
+        pages.tables.append(files.map_table(flown))
+        data["maps"][flown.declared.name] = files.map_data(flown)
+    boundaries = [fly_boundary(declared, asked, flights) for declared in asked.boundary]
+    for found in boundaries:
+        name, title = f"boundary_{found.declared.name}", found.declared.title or found.declared.name
+        files.write_boundary(pages.place(f"{name}.csv"), study, found, asked.sigmas)
+        pages.draw(name, title, partial(plots.draw_boundaries, found={"": found}, sigmas=asked.sigmas))
+        pages.tables.append(files.boundary_table(found))
+        data["boundaries"][found.declared.name] = files.boundary_data(found)
+    pages.notes += files.notes_of(flights.flown)
+    if any(f.case.lateral_cg_m != 0.0 for f in flights.flown):
+        pages.notes.append(NOT_TESTABLE)
+    if asked.before is not None and boundaries:
+        data["before"] = _before(Side(study, boundaries), asked, engine, progress, pages)
+    return pages.found(data | {"notes": pages.notes})
 
 
-def _compared(
-    study: Study, asked: Envelope, after: list[FlownBoundary], folder: Path, engine: Engine, progress: Progress
-) -> Found:
-    """The same boundaries with another vehicle, and how much was opened or closed since."""
-    assert asked.before is not None
-    beside = study.path.parent / asked.before
-    other = load_study(study.path, beside if (beside / "vehicle.toml").is_file() else asked.before)
+def _before(after: Side, asked: Envelope, engine: Engine, progress: Progress, pages: _Pages) -> dict[str, Any]:
+    """The same boundaries with the vehicle `before`, beside those of the study's own."""
+    from sim_heating.planning import envelope_plots as plots  # matplotlib is slow to import
+
+    study, named = after.study, asked.before or ""
+    beside = study.path.parent / named
+    other = load_study(study.path, beside if (beside / "vehicle.toml").is_file() else named)
     if other.hash == study.hash:
-        return Found({}, notes=(f"before: {asked.before} is the vehicle of the study itself; nothing to compare",))
+        pages.notes.append(f"before: {named} is the vehicle of the study itself; fly another one with --vehicle")
+        return {}
     flights = Flights(other, engine, progress)
-    rows, pictures, data = [], [], dict[str, Any]()
-    for later in after:
-        earlier = fly_boundary(later.declared, asked, flights)
+    before = Side(other, [fly_boundary(b.declared, asked, flights) for b in after.boundaries])
+    for earlier, later in zip(before.boundaries, after.boundaries, strict=True):
         name = later.declared.name
-        files.write_boundary(folder / FOLDER / f"before_{name}.csv", other, earlier, asked.sigmas)
-        sides = {f"before: {files.revision_of(other)}": earlier, f"after: {files.revision_of(study)}": later}
+        files.write_boundary(pages.place(f"before_{name}.csv"), other, earlier, asked.sigmas)
+        sides = {f"before: {files.stamp_of(other)}": earlier, f"after: {files.stamp_of(study)}": later}
         title = f"{later.declared.title or name}, before and after"
-        pictures.append(_picture(
-            study, folder, f"before_after_{name}", title,
-            lambda path, head, s=sides: _plots().draw_boundaries(path, f"{head}, before: study {other.hash}", s, asked.sigmas),
-        ))  # fmt: skip
-        rows += comparison_rows(earlier, later)
-        data[name] = {"study": other.hash, **files.boundary_data(earlier)}
-    heads = ("boundary", "allowed", "before", "after", "opened", "limits before", "limits after")
-    table = Table("Before and after: areas of what is allowed", heads, tuple(rows))
-    return Found(data, (table,), tuple(pictures))
+        pages.draw(f"before_after_{name}", title, partial(plots.draw_boundaries, found=sides, sigmas=asked.sigmas))
+    table, data = compare(before, after)
+    pages.tables.append(table)
+    return data
 
 
-def comparison_rows(before: FlownBoundary, after: FlownBoundary) -> list[tuple[str, ...]]:
-    """For a boundary: area before, after, and the change, as the tables stand and with them so many sigma hotter."""
-    rows = []
-    for which in (MIDDLE, SURE):
-        a, b = before.area(which), after.area(which)
-        change = f"{b - a:+.3g}" if a == 0.0 else f"{b - a:+.3g} ({100.0 * (b / a - 1.0):+.0f} %)"
-        limits = [
-            ", ".join(sorted({n for s in x.stretches for n in files.limits_of(s, which)} - {""}))
-            for x in (before, after)
-        ]
-        said = "as the tables stand" if which == MIDDLE else "surely"
-        rows.append((after.declared.name, said, f"{a:.4g}", f"{b:.4g}", change, *limits))
-    return rows
+def next_flight_part(study: Study, folder: Path, engine: Engine, progress: Progress) -> Found:
+    """Candidates for the next flight, ranked; the flights are those of the [envelope], each flown once."""
+    from sim_heating.planning import envelope_plots as plots  # matplotlib is slow to import
+
+    asked, prospects, pages = _asked(study), _prospects(study), _Pages(study, folder)
+    flights = Flights(study, engine, progress, _informed(prospects))
+    boundaries = [fly_boundary(declared, asked, flights) for declared in asked.boundary]
+    if not boundaries:
+        raise RunError(f"{study.path}, [next_flight]: needs an [[envelope.boundary]] whose uncertainty it is to shrink")
+    ranked = rank(prospects, boundaries, asked.sigmas)
+    pages.draw("next_flight", "what the next flight would tell", partial(plots.draw_ranking, ranked=ranked))
+    pages.tables.append(_ranking_table(ranked))
+    pages.notes += [line for p in prospects for line in p.notes]
+    return pages.found(_ranking_data(ranked))
 
 
-# Next flight ---------------------------------------------------------------------------------------------------------
+_PROSPECTS: dict[str, list[Prospect]] = {}
+"""What the candidates of the present study would tell, by its hash: both parts ask."""
 
 
 def _prospects(study: Study) -> list[Prospect]:
@@ -166,10 +137,13 @@ def _prospects(study: Study) -> list[Prospect]:
     unknown = [n for c in asked.manoeuvre for n in c.control_points if n not in study.base.names]
     if unknown:
         raise InputError(f"{study.path}, [next_flight]: `{unknown[0]}` is not among the study's control points; add it")
-    return [prospect(study, candidate) for candidate in asked.manoeuvre]
+    if study.hash not in _PROSPECTS:
+        _PROSPECTS.clear()
+        _PROSPECTS[study.hash] = [prospect(study, candidate) for candidate in asked.manoeuvre]
+    return _PROSPECTS[study.hash]
 
 
-def _informed(prospects: list[Prospect]) -> Informed:
+def _informed(prospects: Sequence[Prospect]) -> Informed:
     told: dict[str, dict[str, Evidence]] = {}
     for p in prospects:
         for point, evidence in p.evidence.items():
@@ -177,7 +151,7 @@ def _informed(prospects: list[Prospect]) -> Informed:
     return told
 
 
-def _ranking_table(ranked: list[Ranked]) -> Table:
+def _ranking_table(ranked: Sequence[Ranked]) -> Table:
     names = list(ranked[0].band)
     heads = ("manoeuvre", "read at", "band taken away", *(f"{n}: surely allowed, now -> after" for n in names))
     rows = tuple(
@@ -190,7 +164,7 @@ def _ranking_table(ranked: list[Ranked]) -> Table:
     return Table("Next flight: manoeuvres by how much of the boundaries' bands they would take away", heads, rows)
 
 
-def _ranking_data(ranked: list[Ranked]) -> dict[str, Any]:
+def _ranking_data(ranked: Sequence[Ranked]) -> dict[str, Any]:
     return {"manoeuvres": [
         {
             "name": r.prospect.candidate.name, "shrunk": r.shrunk, "band_area": r.band, "sure_area": r.sure,

@@ -10,16 +10,25 @@ from matplotlib.axes import Axes
 
 from sim_heating.planning.boundary import END_OF_STUDY
 from sim_heating.planning.envelope import MIDDLE, PERHAPS, SURE, FlownBoundary, FlownMap, Stretch
-from sim_heating.planning.envelope_files import NOTHING, limits_of
+from sim_heating.planning.envelope_files import limits_of
+from sim_heating.planning.margins import Evaluated
 from sim_heating.planning.next_flight import Ranked
 from sim_heating.plots import new_figure, save_figure
 
 LABELS = {
-    "alpha_offset_deg": "offset of angle of attack, deg", "alpha_station": "Mach number", "station_alpha_deg": "angle of attack, deg", "drag_factor": "reference drag, factor",
-    "cross_range_km": "cross-range, km", "cg_fraction": "centre of gravity, fraction of length from the nose",
-    "bodyflap_deg": "body flap, deg", "cm_shift": "pitching-moment shift", "mass_kg": "mass, kg",
-    "density_factor": "density, factor", "lateral_cg_m": "lateral centre of gravity, m", "alpha_stretch": "stretch of the schedule",
-}  # fmt: skip
+    "alpha_offset_deg": "offset of angle of attack, deg",
+    "alpha_station": "Mach number",
+    "station_alpha_deg": "angle of attack, deg",
+    "alpha_stretch": "stretch of the schedule",
+    "drag_factor": "reference drag, factor",
+    "cross_range_km": "cross-range, km",
+    "cg_fraction": "centre of gravity, fraction of length from the nose",
+    "bodyflap_deg": "body flap, deg",
+    "cm_shift": "pitching-moment shift",
+    "mass_kg": "mass, kg",
+    "density_factor": "density, factor",
+    "lateral_cg_m": "lateral centre of gravity, m",
+}
 DRAWN = 7
 """Limits drawn in a map over one axis: those with the least margins."""
 COLOURS = [f"C{i}" for i in range(10)]
@@ -54,16 +63,11 @@ def _draw_line_map(path: Path, title: str, flown: FlownMap, sigmas: float) -> No
     save_figure(figure, path, title, axes)
 
 
-def _mark_refused(a: Axes, flights: Sequence[tuple[float, object]]) -> None:
+def _mark_refused(a: Axes, flights: Sequence[tuple[float, Evaluated]]) -> None:
     """Places that were not flown, or are out of trim or outside a table: crosses on the axis."""
-    refused = [x for x, f in flights if _refused(f)]
+    refused = [x for x, f in flights if f.error is not None or f.passed_other]
     if refused:
         a.plot(refused, np.zeros(len(refused)), "kx", markersize=9, label="no flight, no trim, or outside a table")
-
-
-def _refused(flight: object) -> bool:
-    margins = getattr(flight, "margins")
-    return getattr(flight, "error") is not None or any(m.unit != "K" and m.margin < 0.0 for m in margins.values())
 
 
 def _draw_plane_map(path: Path, title: str, flown: FlownMap) -> None:

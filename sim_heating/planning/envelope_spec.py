@@ -25,6 +25,7 @@ Axes are the numeric fields of `case.Case`.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -42,7 +43,7 @@ def _check_axis(name: str) -> None:
 
 
 def _rising(name: str, values: Values, fewest: int) -> None:
-    if len(values) < fewest or any(b <= a for a, b in zip(values, values[1:], strict=False)):
+    if len(values) < fewest or any(b <= a for a, b in pairwise(values)):
         raise ValueError(f"{name}: {values} must rise from value to value, {fewest} of them at least")
 
 

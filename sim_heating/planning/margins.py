@@ -33,6 +33,8 @@ FloatArray = NDArray[np.float64]
 HEATED = 0.05
 """A flight leaves a ratio table where the reference heating is above this part of its highest value; below it no wall
 comes to half the temperature (0.05^(1/4)) of the hottest."""
+ROUNDING = -1e-9
+"""A margin from here on is kept: a deflection at the end of its table is inside."""
 TABLE_UNITS = dict(zip(RATIO_VARIABLES, ("deg", "deg", "", "deg", "deg"), strict=True))
 SURFACE, BONDLINE, ELEVON, TABLE = "surface", "bondline", "elevon", "table"
 
@@ -80,11 +82,15 @@ class Evaluated:
     error: str | None = None
 
     @property
+    def passed_other(self) -> list[tuple[str, Margin]]:
+        """Limits passed that are none of a temperature: no trim, or outside a table."""
+        return [(n, m) for n, m in self.margins.items() if m.unit != "K" and m.margin < ROUNDING]
+
+    @property
     def least(self) -> tuple[str, Margin] | None:
-        """The temperature limit that is nearest or most passed, or what else is passed."""
-        passed = [(n, m) for n, m in self.margins.items() if m.unit != "K" and m.margin < 0.0]
+        """What else than a temperature is passed, or the temperature limit that is nearest or most passed."""
         hot = sorted(((n, m) for n, m in self.margins.items() if m.unit == "K"), key=lambda nm: nm[1].margin)
-        return (passed + hot)[0] if passed or hot else None
+        return next(iter([*self.passed_other, *hot]), None)
 
 
 class Judge:

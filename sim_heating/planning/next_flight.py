@@ -1,9 +1,10 @@
 """What the next flight should test: manoeuvres ranked by how much they would shrink the uncertainty of the boundaries.
 
-A candidate is flown in the base entry, and its thermocouples are read as estimation.design reads a planned flight: the bounds
-of the heating-ratio parameters with everything else that is not known beside them. What an estimate with these bounds
-would tell of a control point's table is found as `update-tables` finds it (table_update.evidence), and with it the sigma of
-every peak temperature as it would be afterwards. The expected envelope keeps its middle; its band shrinks.
+A candidate is flown in the base entry, and its thermocouples are read as estimation.design reads a planned flight:
+the bounds of the heating-ratio parameters with everything else that is not known beside them. What an estimate with
+these bounds would tell of a control point's table is found as `update-tables` finds it (table_update.evidence), and
+with it the sigma of every peak temperature as it would be afterwards. The expected envelope keeps its middle; its
+band shrinks.
 """
 
 from __future__ import annotations
@@ -104,7 +105,7 @@ def _bounds(planner: Planner, planned: Planned) -> tuple[tuple[str, ...], np.nda
     kept = [
         n for n, s in zip(ratio, told.sigma(ratio), strict=True) if n in MAGNITUDES or s < TOLD * table.get(n, np.inf)
     ]
-    flat = {n: np.inf for n in kept}
+    flat = dict.fromkeys(kept, np.inf)
     return tuple(kept), told.with_priors({**table, **flat}).covariance(kept)
 
 

@@ -5,14 +5,15 @@ The node errors of a control point's table are e = L z with z ~ N(0, I), L L' th
 
     L L' = K - A A'
 
-Along a flight they appear as W e (multilinear weights W, weighed with the heat flux, q W L = U S V'); the first few right
-singular vectors V_k hold nearly all of it. The march is linearised in each direction L V_k (linear_march), and a peak
-temperature, whose sensitivity is that at its own time, has
+Along a flight they appear as W e (multilinear weights W, weighed with the heat flux, q W L = U S V'); the first few
+right singular vectors V_k hold nearly all of it. The march is linearised in each direction L V_k (linear_march), and
+a peak temperature, whose sensitivity is that at its own time, has
 
     dT/dz = V_k dT/dc,    sigma_T = |dT/dz|
 
-After another piece of evidence y = H e + noise(C) on the same nodes, z has the covariance M^-1, M = I + (H L)' C^-1 H L, and
-sigma_T^2 = dT/dz' M^-1 dT/dz. Tables of different control points are taken one by one: their common errors are not known.
+After another piece of evidence y = H e + noise(C) on the same nodes, z has the covariance M^-1, M = I + (H L)' C^-1 H
+L, and sigma_T^2 = dT/dz' M^-1 dT/dz. Tables of different control points are taken one by one: their common errors are
+not known.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from sim_heating.vehicle import Vehicle
 
 FloatArray = NDArray[np.float64]
 
-NEGLECTED = 1e-4
+NEGLECTED = 1e-3
 """Share of the variance along a flight, weighed with the heat flux, that the directions may leave out."""
 LOOKED_AT = 150
 """Samples of a flight, about, from which the directions are taken."""
