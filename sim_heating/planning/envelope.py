@@ -171,6 +171,7 @@ class Stretch:
     """A boundary at one place along its axis.
 
     inside   : about which the allowed interval is sought
+    places   : of the flights on the axis across
     allowed  : at z = 0, and at `sigmas` above and below: what is surely, and what is perhaps allowed
     greatest : likewise, where the boundary asks for a greatest value; None where nothing is allowed
     """
@@ -178,6 +179,7 @@ class Stretch:
     member: float | None
     along: float
     inside: float
+    places: tuple[float, ...]
     flights: tuple[Evaluated, ...]
     allowed: dict[str, Allowed]
     greatest: dict[str, Greatest | None]
@@ -258,7 +260,7 @@ def stretch(
     scans = {which: scan(xs, flown, z, manoeuvre) for which, z in signs(sigmas).items()}
     found = {which: allowed(s, inside) for which, s in scans.items()}
     most = {which: _most(declared, s, xs, flown) for which, s in scans.items()} if declared.greatest else {}
-    return Stretch(member, along, inside, tuple(flown), found, most)
+    return Stretch(member, along, inside, tuple(xs), tuple(flown), found, most)
 
 
 def _most(declared: Boundary, found: Scan, xs: Sequence[float], flown: Sequence[Evaluated]) -> Greatest | None:

@@ -152,23 +152,27 @@ def _informed(prospects: Sequence[Prospect]) -> Informed:
 
 
 def _ranking_table(ranked: Sequence[Ranked]) -> Table:
-    names = list(ranked[0].band)
-    heads = ("manoeuvre", "read at", "band taken away", *(f"{n}: surely allowed, now -> after" for n in names))
-    rows = tuple(
-        (
-            r.prospect.candidate.name, ", ".join(r.prospect.evidence) or "-", f"{100.0 * r.shrunk:.0f} %",
-            *(f"{r.sure[n][0]:.4g} -> {r.sure[n][1]:.4g}" for n in names),
-        )
-        for r in ranked
-    )  # fmt: skip
-    return Table("Next flight: manoeuvres by how much of the boundaries' bands they would take away", heads, rows)
+    names = list(ranked[0].sure)
+    heads = ["manoeuvre", "read at", "sigma taken away"]
+    heads += [f"{n}: {what}, now -> after" for n in names for what in ("sigma at the edges, K", "surely allowed")]
+    rows = []
+    for r in ranked:
+        row = [r.prospect.candidate.name, ", ".join(r.prospect.evidence) or "-", f"{100.0 * r.shrunk:.0f} %"]
+        for n in names:
+            sigma = r.sigma_K.get(n)
+            row += ["-" if sigma is None else f"{sigma[0]:.0f} -> {sigma[1]:.0f}"]
+            row += [f"{r.sure[n][0]:.4g} -> {r.sure[n][1]:.4g}"]
+        rows.append(tuple(row))
+    return Table(
+        "Next flight: manoeuvres by how much of the boundaries' sigma they take away", tuple(heads), tuple(rows)
+    )
 
 
 def _ranking_data(ranked: Sequence[Ranked]) -> dict[str, Any]:
     return {"manoeuvres": [
         {
-            "name": r.prospect.candidate.name, "shrunk": r.shrunk, "band_area": r.band, "sure_area": r.sure,
-            "sigma": {p: dict(s) for p, s in r.prospect.sigma.items()}, "notes": list(r.prospect.notes),
+            "name": r.prospect.candidate.name, "shrunk": r.shrunk, "sigma_K": r.sigma_K, "sure_area": r.sure,
+            "bounds": {p: dict(s) for p, s in r.prospect.sigma.items()}, "notes": list(r.prospect.notes),
         }
         for r in ranked
     ]}  # fmt: skip

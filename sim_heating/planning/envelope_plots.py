@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -168,17 +169,16 @@ def _ends(stretches: Sequence[Stretch], which: str) -> tuple[np.ndarray, np.ndar
 
 
 def draw_ranking(path: Path, title: str, ranked: Sequence[Ranked]) -> None:
-    """How much of each boundary's band would be left after each manoeuvre."""
-    figure, axes = new_figure(9.0, 1.8 + 0.8 * len(ranked), 1)
-    a, boundaries = axes[0], list(ranked[0].band)
-    height = 0.8 / max(len(boundaries), 1)
-    for k, name in enumerate(boundaries):
-        left = [100.0 * r.band[name][1] / r.band[name][0] if r.band[name][0] > 0.0 else np.nan for r in ranked]
-        y = np.arange(len(ranked)) + (k - 0.5 * (len(boundaries) - 1)) * height
-        a.barh(y, left, height, color=COLOURS[k % len(COLOURS)], label=f"boundary `{name}`")
-    a.set_yticks(np.arange(len(ranked)), [r.prospect.candidate.name for r in ranked])
-    a.invert_yaxis()
-    a.axvline(100.0, color="k", linewidth=1.0)
-    a.set_xlabel("what would be left of the band, % of its area now")
-    a.legend(fontsize=8)
+    """Sigma of the temperatures at the edges of each boundary, now and after each manoeuvre."""
+    names = [n for n in ranked[0].sure if any(n in r.sigma_K for r in ranked)]
+    figure, axes = new_figure(9.5, 2.2 + 0.7 * len(ranked), 1, max(len(names), 1), sharey=True)
+    for a, name in zip(axes, names, strict=False):
+        y = np.arange(len(ranked))
+        now, left = np.array([r.sigma_K.get(name, (np.nan, np.nan)) for r in ranked]).T
+        a.barh(y, now, 0.7, color="0.85", label="now")
+        a.barh(y, left, 0.45, color="tab:blue", label="after the manoeuvre")
+        a.set_xlabel(f"boundary `{name}`:\nmean sigma of the limiting temperatures, K")
+        a.legend(fontsize=8)
+    axes[0].set_yticks(np.arange(len(ranked)), [textwrap.fill(r.prospect.candidate.name, 26) for r in ranked])
+    axes[0].invert_yaxis()
     save_figure(figure, path, title, axes)

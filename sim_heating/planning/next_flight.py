@@ -20,8 +20,9 @@ from sim_heating.estimation.design_flight import Planned, Planner
 from sim_heating.estimation.informed import MAGNITUDES
 from sim_heating.estimation.result import Condition, Estimate, Estimated, correlations
 from sim_heating.parameters import MODEL
-from sim_heating.planning.envelope import PERHAPS, SURE, FlownBoundary, stretch
+from sim_heating.planning.envelope import MIDDLE, SURE, FlownBoundary, Stretch, stretch
 from sim_heating.planning.envelope_spec import Candidate
+from sim_heating.planning.margins import Margin
 from sim_heating.planning.study import Study
 from sim_heating.points import reference_of_record
 from sim_heating.scenario import Design
@@ -116,20 +117,30 @@ def _bounds(planner: Planner, planned: Planned) -> tuple[tuple[str, ...], np.nda
 class Ranked:
     """A candidate's worth.
 
-    band   : boundary -> area between what is surely and what is perhaps allowed, now and after the manoeuvre
-    sure   : boundary -> area of what is surely allowed, now and after
-    shrunk : mean over the boundaries of the part of the band that it would take away
+    sigma_K : boundary -> mean sigma of the temperatures that limit it, at its edges, now and after the manoeuvre
+    sure    : boundary -> area of what is surely allowed, now and after
+    shrunk  : mean over all edges of the part of sigma that it would take away; the local width of a band goes with it
     """
 
     prospect: Prospect
-    band: dict[str, tuple[float, float]]
+    sigma_K: dict[str, tuple[float, float]]
     sure: dict[str, tuple[float, float]]
+    shrunk: float
 
-    @property
-    def shrunk(self) -> float:
-        """Mean over the boundaries that have a band."""
-        parts = [1.0 - after / now for now, after in self.band.values() if now > 0.0]
-        return float(np.mean(parts)) if parts else 0.0
+
+def limiting(s: Stretch) -> list[Margin]:
+    """The temperatures that make the edges of a stretch, or keep it closed, as the flight nearest to each has them."""
+    g, a = s.greatest.get(MIDDLE), s.allowed[MIDDLE]
+    edges = [(e.at, e.limit) for e in (a.low, a.high, a.least_bad) if e is not None]
+    if g is not None:
+        edges = [(g.at, g.limit)]
+    found = []
+    for at, limit in edges:
+        known = [i for i, f in enumerate(s.flights) if limit in f.margins]
+        if known:
+            nearest = min(known, key=lambda i: abs(s.places[i] - at))
+            found.append(s.flights[nearest].margins[limit])
+    return [m for m in found if m.sigma > 0.0]
 
 
 def after(boundary: FlownBoundary, manoeuvre: str, sigmas: float) -> FlownBoundary:
@@ -143,10 +154,14 @@ def rank(prospects: Sequence[Prospect], boundaries: Sequence[FlownBoundary], sig
     """Candidates, the one that shrinks the bands most first."""
     found = []
     for p in prospects:
-        band, sure = {}, {}
+        name = p.candidate.name
+        sigma, sure, parts = {}, {}, []
         for b in boundaries:
-            later = after(b, p.candidate.name, sigmas)
-            band[b.declared.name] = (b.area(PERHAPS) - b.area(SURE), later.area(PERHAPS) - later.area(SURE))
-            sure[b.declared.name] = (b.area(SURE), later.area(SURE))
-        found.append(Ranked(p, band, sure))
+            edges = [m for s in b.stretches for m in limiting(s)]
+            now, left = [m.sigma for m in edges], [m.after.get(name, m.sigma) for m in edges]
+            parts += [1.0 - later / before for before, later in zip(now, left, strict=True)]
+            if edges:
+                sigma[b.declared.name] = (float(np.mean(now)), float(np.mean(left)))
+            sure[b.declared.name] = (b.area(SURE), after(b, name, sigmas).area(SURE))
+        found.append(Ranked(p, sigma, sure, float(np.mean(parts)) if parts else 0.0))
     return sorted(found, key=lambda r: -r.shrunk)
