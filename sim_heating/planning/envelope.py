@@ -2,7 +2,7 @@
 
 Every place of a map or boundary is a flight (`case`) held against its limits (`margins`); all flights of a study go
 through the one engine (`batches`), each result a file of its ledger. A boundary is found from the flights along one
-axis (`boundary`), and flights are added where its edges and those of its band came to lie.
+axis (`boundary`), and flights are added where its edges came to lie.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 from sim_heating.batches import Job, Progress, run_batches
 from sim_heating.errors import RunError
 from sim_heating.files import json_text
-from sim_heating.planning.boundary import Allowed, Edge, Greatest, Scan, allowed, greatest, scan
+from sim_heating.planning.boundary import Allowed, Greatest, Scan, allowed, greatest, scan
 from sim_heating.planning.case import Base, Case
 from sim_heating.planning.envelope_spec import Boundary, Envelope, Map
 from sim_heating.planning.margins import Evaluated, Judge, Margin
@@ -270,10 +270,8 @@ def _most(declared: Boundary, found: Scan, xs: Sequence[float], flown: Sequence[
 
 def _refined(declared: Boundary, xs: Sequence[float], found: Stretch) -> list[float]:
     """Places with those of the edges added."""
-    wanted: list[float] = []
-    for a in found.allowed.values():
-        wanted += [e.at for e in (a.low, a.high, a.least_bad) if isinstance(e, Edge)]
-    wanted += [g.at for g in found.greatest.values() if g is not None]
+    a, g = found.allowed[MIDDLE], found.greatest.get(MIDDLE)
+    wanted = [e.at for e in (a.low, a.high, a.least_bad) if e is not None] if g is None else [g.at]
     apart, places = APART * (declared.values[-1] - declared.values[0]), list(xs)
     for x in (float(f"{w:.{PLACE_DIGITS}g}") for w in wanted):
         if declared.values[0] < x < declared.values[-1] and min(abs(x - p) for p in places) > apart:
