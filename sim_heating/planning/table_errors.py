@@ -29,9 +29,9 @@ from sim_heating.ensemble import PointModel
 from sim_heating.heating_ratio.table import RatioTable
 from sim_heating.layout import LANES
 from sim_heating.linear_march import LinearMarch, Track
+from sim_heating.planning.table_modes import prior_of
 from sim_heating.points import histories
-from sim_heating.table_update.posterior import Evidence, node_weights, posterior, prior_covariance
-from sim_heating.table_update.revisions import FOLDER, read_history
+from sim_heating.table_update.posterior import Evidence, node_weights, prior_covariance
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.vehicle import Vehicle
 
@@ -48,16 +48,11 @@ def covariance_root(vehicle: Vehicle, point: str) -> FloatArray | None:
 
     raises : InputError where the table was changed behind its revisions
     """
-    table = vehicle.control_point(point).ratio
+    table, told = prior_of(vehicle, point)
     if table.sigma is None:
         return None
     nodes = np.arange(table.ratio.size)
-    if (vehicle.directory / FOLDER / point).is_dir():
-        history = read_history(vehicle, point)
-        told = posterior(history.base, [r.evidence.arrays() for r in history.revisions])
-        K = prior_covariance(history.base, nodes, nodes) - told.root @ told.root.T
-    else:
-        K = prior_covariance(table, nodes, nodes)
+    K = prior_covariance(table, nodes, nodes) - told @ told.T
     values, vectors = np.linalg.eigh(K)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 

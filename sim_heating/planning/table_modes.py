@@ -37,7 +37,7 @@ def table_modes(vehicle: Vehicle, point: str, path: FloatArray, factor: float = 
     factor : on the sigma that the table states
     raises : InputError where a ratio is not above 0
     """
-    table, root = _prior(vehicle, point)
+    table, root = prior_of(vehicle, point)
     mean = vehicle.control_point(point).ratio.ratio.ravel()
     if table.sigma is None:
         return np.zeros((mean.size, 0))
@@ -68,7 +68,7 @@ def table_factors(modes: FloatArray, z: FloatArray) -> FloatArray:
     return np.asarray(np.exp(modes @ z.T - 0.5 * np.sum(modes**2, axis=1)[:, np.newaxis]))
 
 
-def _prior(vehicle: Vehicle, point: str) -> tuple[RatioTable, FloatArray]:
+def prior_of(vehicle: Vehicle, point: str) -> tuple[RatioTable, FloatArray]:
     """The table whose sigma column counts, and the root of what evidence has taken from its covariance since."""
     table = vehicle.control_point(point).ratio
     if (vehicle.directory / FOLDER / point).is_dir():
