@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parent.parent
 STUDIES = ("alpha_expansion", "cg_expansion")
 COOLER = -0.2
 FITTED = {
-    "popu_mach20": ("V07T9975", "WING_LE", "NOSE_HRSI", "V09T9527"),
+    "popu_mach20": ("V07T9975", "NOSECAP", "WING_LE", "NOSE_HRSI"),
     "flap_mach16": ("BODYFLAP", "V07T9730"),
 }
 DOCUMENTED = ROOT / "docs" / "images"

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sim_heating.planning import envelope_files as files
+from sim_heating.planning.boundary import END_OF_STUDY
 from sim_heating.planning.envelope import MIDDLE, SURE, FlownBoundary
 from sim_heating.planning.plan import Table
 from sim_heating.planning.study import Study
@@ -25,7 +26,7 @@ class Side:
 def compare(before: Side, after: Side) -> tuple[Table, dict[str, Any]]:
     """Areas of what is allowed before and after, as a table and for study.json."""
     rows = [row for pair in zip(before.boundaries, after.boundaries, strict=True) for row in _rows(*pair)]
-    caption = f"Before ({files.revision_of(before.study)}) and after ({files.revision_of(after.study)}): area allowed"
+    caption = f"Area allowed before ({files.revision_of(before.study)}) and after ({files.revision_of(after.study)})"
     data = {b.declared.name: files.boundary_data(b) for b in before.boundaries}
     return Table(caption, HEADS, tuple(rows)), {"study": before.study.hash, **data}
 
@@ -42,4 +43,5 @@ def _rows(before: FlownBoundary, after: FlownBoundary) -> list[tuple[str, ...]]:
 
 
 def _limits(boundary: FlownBoundary, which: str) -> str:
-    return ", ".join(sorted({n for s in boundary.stretches for n in files.limits_of(s, which)} - {""}))
+    named = {n.removeprefix(files.CLOSED) for s in boundary.stretches for n in files.limits_of(s, which)}
+    return ", ".join(sorted(named - {"", END_OF_STUDY}))

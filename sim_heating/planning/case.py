@@ -156,14 +156,15 @@ class Base:
         return self._flown(case, self._spec(case, (self._reversal(case, case.cross_range_km),)))
 
     def _reversal(self, case: Case, asked_km: float) -> float:
-        """Velocity [m/s] of the one reversal that leads to a cross-range."""
+        """Velocity [m/s] of the one reversal that leads to a cross-range on the side of the first bank."""
+        flown = entry3dof.fly(self._spec(case, ()), self.vehicle.directory).conditions
+        side = float(np.sign(self._cross_range_km(flown)))
+        most, slowest = abs(self._cross_range_km(flown)), float(flown["velocity_m_s"][-1])
 
         def missed(velocity_m_s: float) -> float:
             flight = entry3dof.fly(self._spec(case, (velocity_m_s,)), self.vehicle.directory)
-            return abs(self._cross_range_km(flight.conditions)) - asked_km
+            return side * self._cross_range_km(flight.conditions) - asked_km
 
-        flown = entry3dof.fly(self._spec(case, ()), self.vehicle.directory).conditions
-        most, slowest = abs(self._cross_range_km(flown)), float(flown["velocity_m_s"][-1])
         fastest = 0.95 * float(np.max(flown["velocity_m_s"]))
         if asked_km > most:
             raise RunError(f"{asked_km:g} km of cross-range asked for and {most:.0f} km is the most that is flown")

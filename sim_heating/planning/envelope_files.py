@@ -19,21 +19,22 @@ from sim_heating.table_update.revisions import FOLDER as REVISIONS
 
 WHICH = (MIDDLE, SURE, PERHAPS)
 NOTHING = "nothing allowed"
+CLOSED = f"{NOTHING}: "
 
 
 def revision_of(study: Study) -> str:
     """The vehicle's revision, with the tables of it that flight data have revised."""
     revised = [
-        f"{name} table {p.ratio.header.get('revision', '?')}"
+        f"{name} {p.ratio.header.get('revision', '?')}"
         for name, p in study.vehicle.control_points.items()
         if (study.vehicle.directory / REVISIONS / name).is_dir()
     ]
-    return ", ".join([f"revision {study.vehicle.revision}", *revised])
+    return f"revision {study.vehicle.revision}" + (f" with tables {', '.join(revised)}" if revised else "")
 
 
 def stamp_of(study: Study) -> str:
     """What every file and picture names."""
-    return f"{study.vehicle.name}, {revision_of(study)}, study {study.hash}"
+    return f"{study.vehicle.name}, study {study.hash}, {revision_of(study)}"
 
 
 def about(study: Study, title: str) -> dict[str, str]:
@@ -119,8 +120,8 @@ def limits_of(stretch: Stretch, which: str = MIDDLE) -> tuple[str, str]:
         return "", found.limit
     closed = stretch.allowed[which]
     if found is None or closed.low is None or closed.high is None:
-        why = "" if closed.least_bad is None else f": {closed.least_bad.limit}"
-        return f"{NOTHING}{why}", f"{NOTHING}{why}"
+        why = NOTHING if closed.least_bad is None else f"{CLOSED}{closed.least_bad.limit}"
+        return why, why
     return closed.low.limit, closed.high.limit
 
 

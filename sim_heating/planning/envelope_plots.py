@@ -120,7 +120,7 @@ def draw_boundaries(path: Path, title: str, found: Mapping[str, FlownBoundary], 
             a = grid[row, column]
             _draw_boundary(a, boundary.of(member), colours)
             own = [] if member is None else [f"{LABELS[first.family or '']} {member:g}"]
-            a.set_title("\n".join([*([label] if len(found) > 1 else []), *own]), fontsize=9)
+            a.set_title("\n".join([*([textwrap.fill(label, 62)] if len(found) > 1 else []), *own]), fontsize=8.5)
             a.set_xlabel(LABELS[first.along])
             a.set_ylabel(LABELS[first.greatest or first.across])
     for a in grid[:, 0]:

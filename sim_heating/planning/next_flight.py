@@ -129,11 +129,13 @@ class Ranked:
 
 
 def limiting(s: Stretch) -> list[Margin]:
-    """The temperatures that make the edges of a stretch, or keep it closed, as the flight nearest to each has them."""
-    g, a = s.greatest.get(MIDDLE), s.allowed[MIDDLE]
-    edges = [(e.at, e.limit) for e in (a.low, a.high, a.least_bad) if e is not None]
-    if g is not None:
-        edges = [(g.at, g.limit)]
+    """The temperatures that make the edges of a stretch, or keep it closed, as the tables stand and surely; each once,
+    as the flight nearest to its edge has it."""
+    edges: list[tuple[float, str]] = []
+    for which in (MIDDLE, SURE):
+        g, a = s.greatest.get(which), s.allowed[which]
+        own = (a.low, a.high, a.least_bad) if g is None else (g,)
+        edges += [(e.at, e.limit) for e in own if e is not None and e.limit not in [limit for _, limit in edges]]
     found = []
     for at, limit in edges:
         known = [i for i, f in enumerate(s.flights) if limit in f.margins]
