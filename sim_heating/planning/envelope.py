@@ -192,6 +192,12 @@ class Stretch:
         a = self.allowed[which]
         return (None, None) if a.low is None or a.high is None else (a.low.at, a.high.at)
 
+    @property
+    def speed_m_s(self) -> float | None:
+        """Mean velocity at the station of its flights, where they have one."""
+        speeds = [f.station_m_s for f in self.flights if f.station_m_s is not None]
+        return float(np.mean(speeds)) if speeds else None
+
     def width(self, which: str) -> float:
         """Length of what is allowed."""
         low, high = self.value(which)

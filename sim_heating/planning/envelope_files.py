@@ -132,9 +132,8 @@ def boundary_rows(found: FlownBoundary) -> list[dict[str, Any]]:
         low_limit, high_limit = limits_of(s)
         row: dict[str, Any] = {} if found.declared.family is None else {found.declared.family: s.member}
         row |= {found.declared.along: s.along, "low_limit": low_limit, "high_limit": high_limit}
-        speeds = [f.station_m_s for f in s.flights if f.station_m_s is not None]
-        if speeds:
-            row["velocity_m_s"] = float(np.mean(speeds))
+        if s.speed_m_s is not None:
+            row["velocity_m_s"] = s.speed_m_s
         for which in WHICH:
             low, high = s.value(which)
             row[f"low_{which}"] = np.nan if low is None else low

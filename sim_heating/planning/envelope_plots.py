@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,7 @@ LABELS = {
     "density_factor": "density, factor",
     "lateral_cg_m": "lateral centre of gravity, m",
 }
+FASTEST_MACH = 100.0
 DRAWN = 7
 """Limits drawn in a map over one axis: those with the least margins."""
 COLOURS = [f"C{i}" for i in range(10)]
@@ -81,14 +83,14 @@ def _draw_plane_map(path: Path, title: str, flown: FlownMap) -> None:
         ("no flight" if f.error is not None else "" if n is None else n[0])
         for n, f in zip(least, flown.flights, strict=True)
     ]
-    size = max(float(np.nanmax(np.abs(margin))), 1.0) if np.any(np.isfinite(margin)) else 1.0
+    size = 2.0 * max(float(np.nanmax(np.abs(margin))), 1.0) if np.any(np.isfinite(margin)) else 1.0
     a = axes[0]
     shown = a.pcolormesh(xs, ys, margin.T, shading="nearest", cmap="RdBu", vmin=-size, vmax=size)
     figure.colorbar(shown, label="least margin of all temperatures, K")
     for k, (i, j) in enumerate(np.ndindex(shape)):
         text = limit[k].replace(" ", "\n", 1)
         value = "" if np.isnan(margin[i, j]) else f"\n{margin[i, j]:.0f} K"
-        a.text(xs[i], ys[j], text + value, ha="center", va="center", fontsize=6)
+        a.text(xs[i], ys[j], text + value, ha="center", va="center", fontsize=8)
     a.set_xlabel(LABELS[first])
     a.set_ylabel(LABELS[second])
     save_figure(figure, path, title, axes)
@@ -101,45 +103,43 @@ def draw_boundaries(path: Path, title: str, found: Mapping[str, FlownBoundary], 
     found : name of the revision -> its boundary
     """
     first = next(iter(found.values())).declared
-    members = first.members()
-    figure, grid = new_figure(
-        6.6 * len(found) if len(found) > 1 else 8.5,
-        5.2 * len(members),
-        len(members),
-        len(found),
-        sharex=True,
-        sharey=True,
-        squeeze=False,
-    )
+    rows, columns = len(first.members()), len(found)
+    width = 8.5 if columns == 1 else 6.6 * columns
+    figure, grid = new_figure(width, 5.2 * rows, rows, columns, sharex=True, sharey=True, squeeze=False)
     names = sorted({n for b in found.values() for s in b.stretches for n in limits_of(s)} - {""})
-    colours = {n: COLOURS[i % len(COLOURS)] for i, n in enumerate(n for n in names if n != END_OF_STUDY)} | {
-        END_OF_STUDY: "0.5"
-    }
+    colours = dict(zip([n for n in names if n != END_OF_STUDY], cycle(COLOURS), strict=False)) | {END_OF_STUDY: "0.5"}
     for column, (label, boundary) in enumerate(found.items()):
-        for row, member in enumerate(members):
-            a = grid[row, column]
-            _draw_boundary(a, boundary.of(member), colours)
-            own = [] if member is None else [f"{LABELS[first.family or '']} {member:g}"]
-            a.set_title("\n".join([*([textwrap.fill(label, 62)] if len(found) > 1 else []), *own]), fontsize=8.5)
+        for row, member in enumerate(first.members()):
+            a, own = grid[row, column], boundary.of(member)
+            _draw_boundary(a, own, colours)
+            heads = [] if columns == 1 else [textwrap.fill(label, 62)]
+            heads += [] if first.family is None else [f"{LABELS[first.family]} {member:g}"]
+            a.set_title("\n".join(heads), fontsize=8.5)
             a.set_xlabel(LABELS[first.along])
             a.set_ylabel(LABELS[first.greatest or first.across])
-    for a in grid[:, 0]:
-        if first.along == "alpha_station":
-            a.invert_xaxis()
-            break
-    handles = [grid[0, 0].plot([], [], "o-", color=colours[n], label=n)[0] for n in names]
-    handles.append(
-        grid[0, 0].fill_between(
-            [], [], [], color="tab:green", alpha=0.35, label=f"allowed with the tables {sigmas:g} sigma hotter"
-        )
-    )
-    handles.append(
-        grid[0, 0].fill_between(
-            [], [], [], color="tab:green", alpha=0.12, label=f"allowed with them {sigmas:g} sigma cooler"
-        )
-    )
+            _name_speeds(a, own)
+    if first.along == "alpha_station":
+        grid[0, 0].invert_xaxis()
+    a = grid[0, 0]
+    handles = [a.plot([], [], "o-", color=colours[n], label=n)[0] for n in names]
+    for words, strength in (
+        (f"allowed with the tables {sigmas:g} sigma hotter", 0.35),
+        ("allowed with them cooler", 0.12),
+    ):
+        handles.append(a.fill_between([], [], [], color="tab:green", alpha=strength, label=words))
     figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=8)
     save_figure(figure, path, title, grid)
+
+
+def _name_speeds(a: Axes, stretches: Sequence[Stretch]) -> None:
+    """Velocities under the Mach numbers of stations; a schedule over velocity names them itself."""
+    speeds = [s.speed_m_s for s in stretches]
+    if stretches[-1].along > FASTEST_MACH:
+        a.set_xlabel("velocity, m/s")
+    elif all(v is not None for v in speeds):
+        ticks = [f"{s.along:g}\n{v / 1e3:.1f}" for s, v in zip(stretches, speeds, strict=True) if v is not None]
+        a.set_xticks([s.along for s in stretches], ticks)
+        a.set_xlabel("Mach number, velocity in km/s")
 
 
 def _draw_boundary(a: Axes, stretches: Sequence[Stretch], colours: Mapping[str, str]) -> None:
@@ -148,6 +148,7 @@ def _draw_boundary(a: Axes, stretches: Sequence[Stretch], colours: Mapping[str, 
     for which, strength in ((PERHAPS, 0.12), (SURE, 0.30)):
         low, high = _ends(stretches, which)
         a.fill_between(x, low, high, color="tab:green", alpha=strength, linewidth=0)
+        a.vlines(x, low, high, color="tab:green", alpha=strength, linewidth=5.0)
     low, high = _ends(stretches, MIDDLE)
     for y, side in ((low, 0), (high, 1)):
         if side == 0 and stretches[0].greatest:

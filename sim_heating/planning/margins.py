@@ -32,7 +32,7 @@ FloatArray = NDArray[np.float64]
 
 HEATED = 0.1
 """A flight leaves a ratio table where the reference heating is above this part of its highest value: below it no wall
-comes to 0.1^(1/4) of its hottest, and little goes into the structure. `Evaluated.outside` tells of all of the flight."""
+comes to 0.1^(1/4) of its hottest, and little goes into the structure. `Evaluated.outside` tells of the whole flight."""
 ROUNDING = -1e-9
 """A margin from here on is kept: a deflection at the end of its table is inside."""
 TABLE_UNITS = dict(zip(RATIO_VARIABLES, ("deg", "deg", "", "deg", "deg"), strict=True))

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim_heating.conditions import RATIO_VARIABLES
+from sim_heating.ensemble import COATING_PREFIX, insulation_layer
 from sim_heating.errors import InputError, RunError
 from sim_heating.estimation.design_flight import Planned, Planner
 from sim_heating.estimation.informed import MAGNITUDES
@@ -99,7 +100,8 @@ def _told(study: Study, candidate: Candidate, point: str) -> tuple[Evidence, dic
 
 def _bounds(planner: Planner, planned: Planned) -> tuple[tuple[str, ...], np.ndarray]:
     """Ratio parameters that would be estimated, with flat priors, and their covariance."""
-    every = (*planner.names(planned), EMITTANCE)
+    bare = insulation_layer(planner.point.construction) == 0  # a wall of one layer has no coating
+    every = [n for n in (*planner.names(planned), EMITTANCE) if not (bare and n.startswith(COATING_PREFIX))]
     table = planner.priors(every, planned)
     ratio = [n for n in every if n in MAGNITUDES or n.startswith("ratio.d_")]
     told = planner.experiment(planned, every, table)
