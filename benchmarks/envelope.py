@@ -28,7 +28,7 @@ FITTED = {
 }
 DOCUMENTED = ROOT / "docs" / "images"
 PICTURES = {
-    "alpha_expansion": ("boundary_alpha", "before_after_cross_range", "next_flight", "map_alpha"),
+    "alpha_expansion": ("before_after_alpha", "before_after_cross_range", "next_flight", "map_alpha"),
     "cg_expansion": ("before_after_cg",),
 }
 """Pictures of the document docs/envelope.md."""

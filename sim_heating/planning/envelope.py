@@ -138,7 +138,8 @@ class Flights:
 
 
 def _digest(evidence: Evidence) -> str:
-    return hashlib.sha256(b"".join(a.tobytes() for a in (evidence.nodes, evidence.H, evidence.covariance))).hexdigest()
+    numbers = np.concatenate([a.ravel() for a in (evidence.nodes, evidence.H, evidence.covariance)])
+    return hashlib.sha256(" ".join(f"{x:.6g}" for x in numbers).encode()).hexdigest()
 
 
 def _id(case: Case) -> str:
