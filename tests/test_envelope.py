@@ -342,6 +342,19 @@ def test_every_file_names_vehicle_revision_and_study(planned: Path) -> None:
         assert (out / "envelope" / f"{name}.png").stat().st_size > 10_000
 
 
+@pytest.mark.parametrize("name", ["alpha_expansion", "cg_expansion", "small_envelope"])
+def test_shipped_studies_are_good(name: str) -> None:
+    study = load_study(ROOT / "scenarios" / "studies" / f"{name}.toml")
+    asked, candidates = study.declared.envelope, study.declared.next_flight
+    assert asked is not None
+    assert candidates is not None
+    assert {p for c in candidates.manoeuvre for p in c.control_points} <= set(study.base.names)
+    for b in asked.boundary:
+        case = b.case(b.members()[0], b.at[0], b.values[0])
+        assert getattr(case, b.along) == b.at[0]
+        assert getattr(case, b.across) == b.values[0]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sim_heating.batches import Progress
-from sim_heating.errors import InputError, RunError
+from sim_heating.errors import RunError
 from sim_heating.planning import envelope_files as files
 from sim_heating.planning.before_after import Side, compare
 from sim_heating.planning.envelope import FOLDER, Flights, Informed, fly_boundary, fly_map
@@ -134,9 +134,6 @@ def _prospects(study: Study) -> list[Prospect]:
     asked = study.declared.next_flight
     if asked is None:
         return []
-    unknown = [n for c in asked.manoeuvre for n in c.control_points if n not in study.base.names]
-    if unknown:
-        raise InputError(f"{study.path}, [next_flight]: `{unknown[0]}` is not among the study's control points; add it")
     if study.hash not in _PROSPECTS:
         _PROSPECTS.clear()
         _PROSPECTS[study.hash] = [prospect(study, candidate) for candidate in asked.manoeuvre]

@@ -154,9 +154,12 @@ def _base(place: Path, declared: StudyFile, vehicle: Vehicle) -> Scenario:
 def _limited(place: Path, declared: StudyFile, base: Scenario) -> tuple[LimitedPoint, ...]:
     """The control points with the study's limits, the vehicle's own where it gives none."""
     given = {limit.control_point: limit for limit in declared.limit}
+    named = [("limit", name) for name in given]
+    candidates = declared.next_flight.manoeuvre if declared.next_flight is not None else []
+    named += [("next_flight", name) for c in candidates for name in c.control_points]
     raise_problems([
-        f"{shown(place)}, [limit]: `{name}` is not among the study's control points; add it there"
-        for name in given
+        f"{shown(place)}, [{table}]: `{name}` is not among the study's control points; add it there"
+        for table, name in dict.fromkeys(named)
         if name not in base.names
     ])  # fmt: skip
     points = []
