@@ -7,7 +7,7 @@ stage and the end of the step, which has the order of the step itself; a skew of
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -63,8 +63,10 @@ class Track:
     sample_s : (sample,) times [s] at which they are wanted, increasing, within the march
     nodes    : nodes at which they are wanted; those of the sensors where None
     initial_K, initial_columns : (node,) temperatures at the start, and (node, extra) their sensitivities to `extra`
-               more parameters, which come after the named ones; as the stack declares, and none, where None
+               more parameters, which come after the others; as the stack declares, and none, where None
     flight   : number of the flight
+    table_errors : each an array of the shape of the ratio table: the sensitivity to its factor c in ratio + c error
+               comes after the named ones
     """
 
     model: PointModel
@@ -75,6 +77,7 @@ class Track:
     initial_K: FloatArray | None = None
     initial_columns: FloatArray | None = None
     flight: int = 0
+    table_errors: tuple[FloatArray, ...] = ()
 
     @property
     def read_nodes(self) -> tuple[int, ...]:
@@ -84,7 +87,8 @@ class Track:
     @property
     def columns(self) -> int:
         """Number of sensitivities."""
-        return len(self.names) + (0 if self.initial_columns is None else self.initial_columns.shape[1])
+        extra = 0 if self.initial_columns is None else self.initial_columns.shape[1]
+        return len(self.names) + len(self.table_errors) + extra
 
 
 @dataclass(frozen=True)
@@ -123,8 +127,11 @@ class _Shadow:
         """The shadow of a point."""
         if self.column == BASE:
             return base
-        name = track.names[self.column]
-        return base.altered({name: base.value(name) + self.by})
+        if self.column < len(track.names):
+            name = track.names[self.column]
+            return base.altered({name: base.value(name) + self.by})
+        error = track.table_errors[self.column - len(track.names)]
+        return base if base.ratio is None else replace(base, ratio=replace(base.ratio, ratio=base.ratio.ratio + error))
 
 
 def _shadows_of(i: int, track: Track) -> list[_Shadow]:
@@ -134,7 +141,8 @@ def _shadows_of(i: int, track: Track) -> list[_Shadow]:
         by, both = moved(track.model, name)
         at_faces = track.model.at_faces(name)
         found += [_Shadow(i, column, side * by, both, at_faces) for side in ((1.0, -1.0) if both else (1.0,))]
-    return found
+    tables = range(len(track.names), len(track.names) + len(track.table_errors))
+    return found + [_Shadow(i, column, 1.0, at_faces=True) for column in tables]
 
 
 class Wanted(NamedTuple):
@@ -256,7 +264,7 @@ class LinearMarch:
         reads, count = wanted.nodes.shape[1], wanted.time_s.shape[1]
         out = np.empty((len(self.tracks), reads, count, 2 + m))
         march_linear(  # type: ignore[call-arg]
-            self.base.block(0), self.base.integers(0), self.base.table, self.base.chain,
+            self.base.block(0), self.base.integers(0), (self.shadows or self.base).table, self.base.chain,
             self.base.begin_handle, self.base.advance_handle, self.rows, self.faces,
             self._shadow_state(), self._groups, self._places(m),
             self.time_s, self.histories, self._flights, self._start(m), wanted, out,
@@ -282,7 +290,8 @@ class LinearMarch:
         start = np.zeros((LANES, int(self._nodes.max()), m))
         for i, track in enumerate(self.tracks):
             if track.initial_columns is not None:
-                start[self._lane_of[i], : track.mesh.nodes, len(track.names) : track.columns] = track.initial_columns
+                first = track.columns - track.initial_columns.shape[1]
+                start[self._lane_of[i], : track.mesh.nodes, first : track.columns] = track.initial_columns
         return start
 
     def _wanted(self, times: Sequence[FloatArray]) -> Wanted:

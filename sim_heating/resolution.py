@@ -59,9 +59,13 @@ def _key(model: PointModel, step_s: float) -> tuple[str, tuple[float, ...], floa
 
 
 def _asked_for(model: PointModel, step_s: float) -> Mesh:
+    return mesh_of_nodes(model, model.nodes or 0, step_s)
+
+
+def mesh_of_nodes(model: PointModel, nodes: int, step_s: float) -> Mesh:
+    """A point's mesh of so many nodes, or of the fewest that it can have."""
     depths = np.array(model.depths_m, dtype=float)
-    nodes = max(model.nodes or 0, fewest_nodes(model.construction, depths))
-    return build_mesh(model.construction, depths, nodes, step_s)
+    return build_mesh(model.construction, depths, max(nodes, fewest_nodes(model.construction, depths)), step_s)
 
 
 Key = TypeVar("Key")

@@ -1,4 +1,4 @@
-"""Say of a path what it is - record, ratio table, vehicle, scenario - and what is wrong with it."""
+"""Say of a path what it is - record, ratio table, vehicle, scenario, study - and what is wrong with it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sim_heating.record import DECLARATION, Record, load_record
 from sim_heating.thermal.declare import Material
 
 VEHICLE = "vehicle.toml"
-FORMATS = ("flight-record/1", "vehicle/1", "scenario/1")
+FORMATS = ("flight-record/1", "vehicle/1", "scenario/1", "study/1")
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Validated:
 
 
 def validate(path: str | os.PathLike[str]) -> Validated:
-    """Recognise a record, vehicle, scenario, ratio table or material by what is there, and check it whole.
+    """Recognise a record, vehicle, scenario, study, ratio table or material by what is there, and check it whole.
 
     raises : InputError with everything that is wrong, or that the path is none of these
     """
@@ -61,6 +61,8 @@ def _toml(place: Path) -> Validated:
     data = read_toml_dict(place)
     if data.get("format") == "scenario/1":
         return _scenario(place)
+    if data.get("format") == "study/1":
+        return _study(place)
     if place.parent.name in ("control_points", "materials") and (place.parent.parent / VEHICLE).is_file():
         return _vehicle(place.parent.parent)
     if "density_kg_m3" in data:
@@ -110,6 +112,17 @@ def _scenario(place: Path) -> Validated:
 
     scenario = load_scenario(place)
     return Validated("scenario", place, f"scenario {getattr(scenario, 'title', '') or place.stem}")
+
+
+def _study(place: Path) -> Validated:
+    from sim_heating.planning.study import load_study
+
+    study = load_study(place)
+    if study.declared.dispersion is not None:
+        from sim_heating.planning.dispersed_entry import DispersedEntry
+
+        DispersedEntry(study).check()
+    return Validated("study", place, f"study of {study.stamp}: {study.title}")
 
 
 def describe_record(record: Record) -> str:

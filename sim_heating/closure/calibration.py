@@ -12,7 +12,7 @@ LEVEL = 0.95
 
 def false_alarm() -> str:
     """The chance of a false alarm, and what it rests on, in a line."""
-    counted = json.loads(files(__package__).joinpath("calibration.json").read_text(encoding="utf-8"))
+    counted = json.loads(files("sim_heating").joinpath("data", "closure_calibration.json").read_text(encoding="utf-8"))
     named, records = int(counted["named"]), int(counted["records"])
     limit = float(beta.ppf(LEVEL, named + 1, records - named))
     return (

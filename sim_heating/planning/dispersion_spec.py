@@ -20,7 +20,6 @@ from typing import Literal
 from pydantic import Field, field_validator, model_validator
 
 from sim_heating.files import Declared
-from sim_heating.trajectory.spec import Schedule
 
 FLIGHT_INPUTS = {
     "entry.altitude_m": "m", "entry.velocity_m_s": "m/s", "entry.gamma_deg": "deg", "entry.heading_deg": "deg",
@@ -41,8 +40,15 @@ class Input(Declared):
     sigma: float | None = Field(default=None, gt=0.0, description="standard deviation, above 0")
     low: float | None = None
     high: float | None = None
-    over: Schedule | None = None
+    over: list[list[float]] | None = Field(default=None, min_length=1)
     control_points: list[str] | None = Field(default=None, min_length=1)
+
+    @field_validator("over")
+    @classmethod
+    def _is_a_profile(cls, over: list[list[float]] | None) -> list[list[float]] | None:
+        if over is not None and (any(len(pair) != 2 for pair in over) or sorted(over) != over):
+            raise ValueError("a profile is [[altitude_m, factor], ...] with rising altitudes")
+        return over
 
     @model_validator(mode="after")
     def _has_one_distribution(self) -> Input:
@@ -87,7 +93,7 @@ class Dispersion(Declared):
     quantiles: list[float] = Field(default=[0.5, 0.95, 0.99], min_length=1)
     confidence: float = Field(default=0.95, gt=0.5, lt=1.0)
     tables: float = Field(default=1.0, ge=0.0, le=10.0)
-    step_s: float = Field(default=1.0, gt=0.0, le=5.0)
+    step_s: float = Field(default=0.5, gt=0.0, le=5.0)
     thermal_step_s: float = Field(default=4.0, gt=0.0, le=60.0)
     spot_checks: int = Field(default=0, ge=0, le=100)
     input: list[Input] = Field(default=[])

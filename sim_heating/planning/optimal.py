@@ -22,8 +22,9 @@ from sim_heating.errors import RunError
 from sim_heating.planning import optimal_dynamics as od
 from sim_heating.planning import optimal_tables as tables
 from sim_heating.planning.optimal_collocation import Bounds, FloatArray, Motion, Transcription, refined_mesh
-from sim_heating.planning.optimal_search import COLD_K, Peak, Search
+from sim_heating.planning.optimal_search import Peak, Search
 from sim_heating.planning.optimal_spec import OptimalStudy
+from sim_heating.planning.soak import COLD_K
 from sim_heating.temperatures import PointHistory
 
 ROUNDS = 25

@@ -8,7 +8,6 @@ from statistics import NormalDist
 
 import numpy as np
 
-from sim_heating.atmosphere import SEA_LEVEL_PA
 from sim_heating.conditions import Conditions
 from sim_heating.ensemble import PointModel
 from sim_heating.planning import optimal_dynamics as od
@@ -22,17 +21,14 @@ from sim_heating.planning.optimal_collocation import (
     straight_guess,
 )
 from sim_heating.planning.optimal_spec import LimitedPoint, OptimalStudy
+from sim_heating.planning.soak import COLD_K, soaked
 from sim_heating.points import conditions_at_point, point_of_vehicle
 from sim_heating.temperatures import PointHistory, march_points, outside_table
-from sim_heating.thermal.declare import pairs
-from sim_heating.thermal.faces import SIGMA
 from sim_heating.trajectory.trimmed_aero import ELEVON_HIGH, ELEVON_LOW
 
 SAMPLE_S = 1.0
 LOAD_SCALE = 1e6
 """Typical integral of T_e over time [K s]."""
-COLD_K = 290.0
-"""The load counts from this temperature, which is that of the surroundings in the soak."""
 
 
 @dataclass(frozen=True)
@@ -136,25 +132,10 @@ class Search:
         """Temperatures along the flight and the soak after it."""
         if not models:
             return []
-        flights = [self._soaked(conditions_at_point(self.study.vehicle, p.point, flown), p) for p in self.study.points]
+        vehicle, soak_s = self.study.vehicle, self.study.declared.soak_s
+        points = [p.point for p in self.study.points]
+        flights = [soaked(conditions_at_point(vehicle, p, flown), p, soak_s) for p in points]
         return march_points(models, flights)
-
-    def _soaked(self, flown: Conditions, point: LimitedPoint) -> Conditions:
-        """A point's conditions with the soak: no film, air at sea level in the insulation, surroundings at 290 K."""
-        soak_s = self.study.declared.soak_s
-        if soak_s <= 0.0:
-            return flown
-        emissivity = point.point.construction.layer_materials()[0].emissivity or [[COLD_K, 1.0]]
-        still = {
-            "h_ref_kg_m2_s": 0.0, "p_surface_Pa": SEA_LEVEL_PA,
-            "q_add_W_m2": float(np.interp(COLD_K, *pairs(emissivity))) * SIGMA * COLD_K**4,
-        }  # fmt: skip
-        after = flown.time_s[-1] + np.append(np.arange(SAMPLE_S, soak_s, 10.0 * SAMPLE_S), soak_s)
-        columns = flown.with_columns(q_add_W_m2=0.0).columns
-        return Conditions({
-            name: np.concatenate((v, after if name == "time_s" else np.full(len(after), still.get(name, v[-1]))))
-            for name, v in columns.items()
-        })  # fmt: skip
 
     def peaks(self, histories: Sequence[PointHistory]) -> tuple[Peak, ...]:
         """Peaks beside the limits."""

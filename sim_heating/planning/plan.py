@@ -14,6 +14,8 @@ from typing import Any
 from sim_heating.batches import Progress, quiet
 from sim_heating.errors import InputError, RunError
 from sim_heating.files import output_directory, write_json
+from sim_heating.page import Page, SavedPicture, Section, write_page
+from sim_heating.page import Table as PageTable
 from sim_heating.planning.study import Study
 from sim_heating.results import package_version
 
@@ -79,27 +81,37 @@ class Plan:
 
 def parts_of(study: Study) -> dict[str, Part]:
     """The parts that a study asks for, by the names of its tables."""
-    declared = study.declared
-    parts: dict[str, Part | None] = {}
-    return {name: part for name, part in parts.items() if part is not None and getattr(declared, name) is not None}
+    from sim_heating.planning.dispersion_part import dispersion_part  # parts know of plans
+    from sim_heating.planning.envelope_part import envelope_part, next_flight_part
+    from sim_heating.planning.optimal_part import optimal_part
+
+    parts: dict[str, Part] = {
+        "dispersion": dispersion_part, "envelope": envelope_part, "next_flight": next_flight_part,
+        "optimal": optimal_part,
+    }  # fmt: skip
+    return {name: part for name, part in parts.items() if getattr(study.declared, name) is not None}
 
 
 def run_study(study: Study, out: Path, engine: Engine, *, progress: Progress = quiet) -> tuple[Plan, list[str]]:
     """Compute all parts of a study and write their files, all together; gives the files' names as well.
 
-    raises : InputError where the study asks for nothing, or a scheduler or place cannot be used
+    raises : InputError where the study asks for nothing, a place cannot be used, or the one part there is says so
     """
     parts = parts_of(study)
     if not parts:
         raise InputError(f"{study.path}: asks for nothing; give it a table such as [dispersion]")
     plan = Plan(study)
+    engine.ledger.mkdir(parents=True, exist_ok=True)
     with output_directory(out) as folder:
         for i, (name, part) in enumerate(parts.items()):
             try:
                 plan.found[name] = part(study, folder, engine, _within(progress, name, i, len(parts)))
-            except RunError as error:
+            except (InputError, RunError) as error:
+                if isinstance(error, InputError) and len(parts) == 1:
+                    raise
                 plan.failed[name] = str(error)
         write_json(folder / "study.json", summary(plan))
+        write_page(folder / "report.html", page_of(plan, folder))
         names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
     return plan, names
 
@@ -124,3 +136,31 @@ def summary(plan: Plan) -> dict[str, Any]:
         **{name: dict(found.data) for name, found in plan.found.items()},
         "failed": plan.failed,
     }
+
+
+def page_of(plan: Plan, folder: Path) -> Page:
+    """The page of a study whose files are in a folder."""
+    study = plan.study
+    sections = [
+        Section(
+            name.replace("_", " ").capitalize(),
+            points=found.notes,
+            tables=[PageTable(t.heads, t.rows, t.caption) for t in found.tables],
+            pictures=[SavedPicture(folder / p.file, p.caption) for p in found.pictures],
+        )
+        for name, found in plan.found.items()
+    ]
+    about = Section(
+        "What was asked", text=[line for line in (study.declared.note.strip(), limits_in_words(study)) if line]
+    )
+    warnings = [f"{name}: {why}" for name, why in plan.failed.items()]
+    return Page(study.title, study.stamp, [about, *sections], warnings=warnings)
+
+
+def limits_in_words(study: Study) -> str:
+    """The limits of a study's control points in a sentence."""
+    words = [
+        f"{p.point.name} {p.surface_K:.0f} K" + ("" if p.bondline_K is None else f", bondline {p.bondline_K:.0f} K")
+        for p in study.points
+    ]
+    return f"Limits: {'; '.join(words)}."

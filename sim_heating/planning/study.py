@@ -11,6 +11,8 @@ control_points = ["NOSECAP"]        # all where absent
 soak_s = 1800.0                     # how long heat goes on to the bondline after the entry, unheated from outside
 [[limit]]                           # control_point; surface_K and bondline_K where not the vehicle's own
 [dispersion]                        # planning/dispersion_spec.py
+[envelope]                          # maps and boundaries, planning/envelope_spec.py
+[next_flight]                       # manoeuvres that may be flown next, planning/envelope_spec.py
 [optimal]                           # an optimal entry, keys as in planning/optimal_spec.py
 
 A table that is absent asks nothing. The hash of a study is that of all it says and of every file that it reads.
@@ -31,6 +33,7 @@ from sim_heating.effects import FOLDERS_VARIABLE
 from sim_heating.errors import InputError
 from sim_heating.files import Declared, check, raise_problems, read_toml, shown
 from sim_heating.planning.dispersion_spec import Dispersion
+from sim_heating.planning.envelope_spec import Envelope, NextFlight
 from sim_heating.planning.optimal_spec import Limit, LimitedPoint, OptimalStudy, OptimalStudyFile, optimal_study
 from sim_heating.scenario import Scenario, ScenarioEffect, ScenarioFile, scenario_of
 from sim_heating.trajectory.spec import TrajectorySpec
@@ -55,6 +58,8 @@ class StudyFile(Declared):
     soak_s: float = Field(default=0.0, ge=0.0, le=36000.0)
     limit: list[Limit] = Field(default=[])
     dispersion: Dispersion | None = None
+    envelope: Envelope | None = None
+    next_flight: NextFlight | None = None
     optimal: dict[str, Any] | None = None
 
     @model_validator(mode="after")
@@ -149,9 +154,12 @@ def _base(place: Path, declared: StudyFile, vehicle: Vehicle) -> Scenario:
 def _limited(place: Path, declared: StudyFile, base: Scenario) -> tuple[LimitedPoint, ...]:
     """The control points with the study's limits, the vehicle's own where it gives none."""
     given = {limit.control_point: limit for limit in declared.limit}
+    named = [("limit", name) for name in given]
+    candidates = declared.next_flight.manoeuvre if declared.next_flight is not None else []
+    named += [("next_flight", name) for c in candidates for name in c.control_points]
     raise_problems([
-        f"{shown(place)}, [limit]: `{name}` is not among the study's control points; add it there"
-        for name in given
+        f"{shown(place)}, [{table}]: `{name}` is not among the study's control points; add it there"
+        for table, name in dict.fromkeys(named)
         if name not in base.names
     ])  # fmt: skip
     points = []

@@ -1,0 +1,157 @@
+"""Dispersed entries: 10,000 flights by 12 control points on two processes, against the kernels' own speed."""
+
+from __future__ import annotations
+
+import resource
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.measure import Figure, save
+from sim_heating.batches import Job, run_batches
+from sim_heating.layout import LANES
+from sim_heating.planning.dispersed_entry import BATCH, SOBOL, Batch, DispersedEntry
+from sim_heating.planning.dispersed_flight import fleet, fly_many
+from sim_heating.planning.dispersed_kernel import condition_kernel
+from sim_heating.planning.dispersed_march import LaneMarch
+from sim_heating.planning.sampling import deviations
+from sim_heating.planning.study import load_study
+from sim_heating.resolution import choose_meshes
+
+STUDY = Path(__file__).parent.parent / "scenarios" / "studies" / "dispersed_entry.toml"
+FLIGHTS, SHORT = 10_000, 1_280
+FINE_STEP_S, FINE_SAMPLE_S = 0.25, 0.5
+"""Steps that the study's are held against."""
+
+
+def _jobs(flights: int) -> list[Job]:
+    batches = [Batch(SOBOL, first, min(first + BATCH, flights)) for first in range(0, flights, BATCH)]
+    return [Job(b.id, b) for b in batches]
+
+
+def _cpu_s(entry: DispersedEntry) -> float:
+    """Processor time of a flight in one process [s], whatever else the machine does: the best of some batches."""
+    best = np.inf
+    for k in range(4):
+        start = time.process_time()
+        entry(Batch(SOBOL, BATCH * k, BATCH * (k + 1)))
+        best = min(best, (time.process_time() - start) / BATCH)
+    return best
+
+
+def _timed(entry: DispersedEntry, flights: int, workers: int) -> float:
+    with tempfile.TemporaryDirectory() as folder:
+        start = time.perf_counter()
+        outcome = run_batches(_jobs(flights), entry, Path(folder), workers=workers)
+        took = time.perf_counter() - start
+    assert not outcome.failed, outcome.failed
+    return took
+
+
+def _memory_GiB() -> tuple[float, float]:
+    """Largest resident memory of this process and of any other it started [GiB]."""
+    own, others = (resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return own / 2**20, others / 2**20
+
+
+def _parts(entry: DispersedEntry) -> dict[str, float]:
+    """Processor time [s] of a flight: flying, conditions, and the bare march of the kernels."""
+    z = entry.rows(Batch(SOBOL, 0, LANES))
+    moved = deviations(entry.inputs, z)
+    changes = [entry.of_flight(row) for row in moved]
+    best = dict.fromkeys(("flight", "conditions", "march", "kernel"), np.inf)
+    lanes = entry.lanes
+    for _ in range(5):
+        t0 = time.process_time()
+        flown = fly_many(entry.fleet, entry.inputs, changes)
+        t1 = time.process_time()
+        kept: list[tuple[np.ndarray, np.ndarray]] = []
+        entry.march(flown, moved, z, kept)
+        t2 = time.process_time()
+        time_s = lanes.times(int(flown.filled.max()))
+        histories = np.empty((len(lanes.points), LANES, len(time_s), kept[0][1].shape[-1]))
+        condition_kernel(flown.rows, flown.filled, lanes.host, lanes.numbers, lanes.still, time_s, histories)
+        lanes.ensemble.reset()
+        t3 = time.process_time()
+        lanes.march_all(time_s, histories)
+        t4 = time.process_time()
+        for name, took in zip(best, (t1 - t0, t3 - t2, t2 - t1, t4 - t3), strict=True):
+            best[name] = min(best[name], took / LANES)
+    return best | {"steps": float(len(time_s))}
+
+
+def _errors_K(entry: DispersedEntry) -> tuple[float, float]:
+    """Largest difference of any peak of 16 flights from one in fine steps on the program's own meshes: surface,
+    bondline."""
+    z = entry.rows(Batch(SOBOL, 0, 16))
+    moved = deviations(entry.inputs, z)
+    changes = [entry.of_flight(row) for row in moved]
+    study, found = entry.study, []
+    fine = fleet(study.base.declared.trajectory, study.vehicle.directory, FINE_STEP_S, FINE_SAMPLE_S)
+    meshes = [mesh for mesh, _ in choose_meshes(entry.lanes.models, FINE_SAMPLE_S)]
+    marches = (
+        (entry.fleet, entry.lanes),
+        (fine, LaneMarch(study.vehicle, entry.points, entry.effects, meshes, FINE_SAMPLE_S, study.declared.soak_s)),
+    )
+    for flights, lanes in marches:
+        flown = fly_many(flights, entry.inputs, changes)
+        parts = [lanes.march(flown, k, [], [None] * len(entry.points)) for k in (0, LANES)]
+        found.append([np.vstack([getattr(p, q) for p in parts]) for q in ("surface_K", "bondline_K")])
+    apart = [np.abs(a - b) for a, b in zip(*found, strict=True)]
+    layered = [mesh.bondline > 0 for mesh in entry.meshes]
+    return float(np.max(apart[0])), float(np.max(apart[1][:, layered]))
+
+
+def run() -> list[Figure]:
+    """One process on some flights, two on all, both on the shipped study with its soak left out."""
+    study = load_study(STUDY)
+    bare = replace(study, declared=study.declared.model_copy(update={"soak_s": 0.0}))
+    entry = DispersedEntry(bare)
+    entry.check()
+    entry.fly(Batch(SOBOL, 0, BATCH))
+    ended = fly_many(entry.fleet, entry.inputs, [{}]).end_s[0]
+    parts = _parts(entry)
+    half, one = _timed(entry, SHORT // 2, 1), _timed(entry, SHORT, 1)
+    two_short = _timed(entry, 2 * SHORT, 2)
+    started = _timed(entry, 2 * BATCH, 2)
+    two = _timed(entry, FLIGHTS, 2)
+    own_GiB, other_GiB = _memory_GiB()
+    points, steps = len(entry.points), parts["steps"]
+    efficiency = (one / SHORT) / (2.0 * (two - started) / (FLIGHTS - 2 * BATCH))
+    surface, bondline = _errors_K(DispersedEntry(study))
+    cpu = _cpu_s(entry)
+    what = f"{FLIGHTS} flights x {points} points x {ended:.0f} s"
+    figures = [
+        Figure(f"{what}, two processes, their start included", two, "s", 90.0),
+        Figure("the same from the processor time of a flight", cpu * FLIGHTS / 2.0, "s", note="best of four batches"),
+        Figure("processor time per point and second of flight", cpu * 1e6 / (points * ended), "us"),
+        Figure(
+            "processor time per point and thermal step", cpu * 1e6 / (points * steps), "us", note=f"{steps:.0f} steps"
+        ),
+        Figure("processor time over the bare march of the kernels", cpu / parts["kernel"], ""),
+        Figure("a flight", 1e3 * cpu, "ms"),
+        Figure("a flight: flying", 1e3 * parts["flight"], "ms"),
+        Figure("a flight: conditions of all points", 1e3 * parts["conditions"], "ms"),
+        Figure("a flight: bare march of the kernels", 1e3 * parts["kernel"], "ms"),
+        Figure("one process, a flight by the clock", 1e3 * one / SHORT, "ms"),
+        Figure("two processes over twice one process, their start left out", efficiency, "", 0.9, True),
+        Figure("two processes, start and two batches", started, "s"),
+        Figure("two processes, a quarter of the flights", two_short, "s", note=f"{2 * SHORT} flights"),
+        Figure("cost of twice the flights, one process", one / half, "", 2.1),
+        Figure("memory of this process", own_GiB, "GiB", 2.0),
+        Figure("memory of the largest other", other_GiB, "GiB", note="two of them"),
+        Figure("all three together, at most", own_GiB + 2.0 * other_GiB, "GiB", 2.0),
+        Figure("steps and meshes: largest error of a peak surface temperature", surface, "K", note="16 flights, soak"),
+        Figure(
+            "steps and meshes: largest error of a peak bondline temperature", bondline, "K", note="16 flights, soak"
+        ),
+    ]
+    save("dispersion", figures)
+    return figures
+
+
+if __name__ == "__main__":
+    run()

@@ -1,0 +1,126 @@
+"""A dispersion as a part of a study: files, tables and pictures."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cache
+from pathlib import Path
+
+from sim_heating.batches import Progress
+from sim_heating.files import write_text_atomic
+from sim_heating.planning.dispersion import (
+    FLIGHTS_FILE,
+    Answer,
+    Dispersed,
+    data_of,
+    disperse,
+    merge,
+    notes_of,
+    place_of,
+)
+from sim_heating.planning.dispersion_plots import draw_distributions, draw_drivers, draw_first_order
+from sim_heating.planning.plan import Engine, Found, Picture, Table
+from sim_heating.planning.study import HASH_LENGTH, Study
+
+PACKAGE = Path(__file__).resolve().parent.parent
+CSV = "dispersion.csv"
+LEAST_INDEX = 0.01
+"""Smallest total index that the table of what drives a peak names."""
+
+
+@cache
+def program_digest() -> str:
+    """Digest of the program's own files: batches of another version are not those of this one."""
+    digest = hashlib.sha256()
+    for path in sorted([*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.csv")]):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:HASH_LENGTH]
+
+
+def dispersion_part(study: Study, folder: Path, engine: Engine, progress: Progress) -> Found:
+    """Fly a study's dispersion and write what it tells."""
+    ledger = engine.ledger / f"dispersion-{study.hash}-{program_digest()}"
+    found, files = disperse(
+        study,
+        ledger,
+        scheduler=engine.scheduler,
+        workers=engine.workers,
+        progress=lambda f, text: progress(0.95 * f, text),
+    )
+    progress(0.96, "writing")
+    merge(files["main"], folder / FLIGHTS_FILE)
+    _write_csv(found, folder / CSV)
+    title = f"{study.title}\n{study.stamp}"
+    pictures = [Picture("dispersion_peaks.png", "Peak temperatures of all flights, quantiles with bounds, limits.")]
+    draw_distributions(folder / pictures[0].file, title, found)
+    pictures.append(Picture("dispersion_first_order.png", "Quantiles to first order beside those counted."))
+    draw_first_order(folder / pictures[1].file, title, found)
+    if any(a.indices is not None for a in found.answers):
+        pictures.append(Picture("dispersion_drivers.png", "What drives each peak: total Sobol' indices."))
+        draw_drivers(folder / pictures[2].file, title, found)
+    return Found(data_of(found), tuple(_tables(found)), tuple(pictures), tuple(_notes(found)))
+
+
+def _notes(found: Dispersed) -> list[str]:
+    spec, kept, safe = found.entry.spec, found.kept, found.safe
+    head = (
+        f"{spec.flights} flights: all limits are kept with a probability of {kept.value:.4f} ({kept.low:.4f} to "
+        f"{kept.high:.4f}, {spec.confidence:.0%}), within the ratio tables as well {safe.value:.4f}"
+    )
+    return [head, *notes_of(found)]
+
+
+def _tables(found: Dispersed) -> list[Table]:
+    spec = found.entry.spec
+    heads = ("control point", "mean", "sigma", *(f"{q:g} quantile" for q in spec.quantiles), "limit", "above it")
+    rows = tuple(_row(a) for a in found.answers)
+    caption = f"Peak temperatures [K] of {spec.flights} flights, in brackets bounds of {spec.confidence:.0%}"
+    tables = [Table(caption, heads, rows)]
+    first = tuple(
+        (
+            f"{a.point} {place_of(a)}", f"{a.first['mean_K']:.0f}", f"{a.first['sigma_K']:.1f}", f"{a.sigma_K:.1f}",
+            *("-" if q["apart_K"] is None else f"{q['apart_K']:+.1f}" for q in a.first["quantiles"]),
+            "yes" if a.first["holds"] else "no",
+        )
+        for a in found.answers
+    )  # fmt: skip
+    heads = ("control point", "mean flight", "sigma", "counted", *(f"{q:g} quantile" for q in spec.quantiles), "holds")
+    caption = "First order through the sensitivities along the mean flight [K]: quantiles less those counted"
+    tables.append(Table(caption, heads, first))
+    driven = [(f"{a.point} {place_of(a)}", _drivers(found, a)) for a in found.answers if a.indices is not None]
+    if driven:
+        caption = f"What drives the peaks: total Sobol' indices above {LEAST_INDEX:g}, first-order index in brackets"
+        tables.append(Table(caption, ("control point", "inputs"), tuple(driven)))
+    return tables
+
+
+def _row(a: Answer) -> tuple[str, ...]:
+    def bounds(low: float | None, high: float | None) -> str:
+        return f" ({'-' if low is None else f'{low:.0f}'} to {'-' if high is None else f'{high:.0f}'})"
+
+    quantiles = [("-" if q.value is None else f"{q.value:.0f}") + bounds(q.low, q.high) for q in a.quantiles]
+    above = "-" if a.exceeded is None else f"{a.exceeded.value:.4f} ({a.exceeded.low:.4f} to {a.exceeded.high:.4f})"
+    limit = "-" if a.limit is None else f"{a.limit:.0f}"
+    return (f"{a.point} {place_of(a)}", f"{a.mean_K:.0f}", f"{a.sigma_K:.1f}", *quantiles, limit, above)
+
+
+def _drivers(found: Dispersed, a: Answer) -> str:
+    assert a.indices is not None  # the caller's choice
+    named = sorted(
+        zip(found.entry.groups, a.indices.total.tolist(), a.indices.first.tolist(), strict=True), key=lambda x: -x[1]
+    )
+    return ", ".join(f"{name} {t:.2f} ({f:.2f})" for (name, _), t, f in named if t > LEAST_INDEX)
+
+
+def _write_csv(found: Dispersed, path: Path) -> None:
+    """The quantiles as a table for programs."""
+    study = found.entry.study
+    header = {"vehicle": study.vehicle.name, "revision": study.vehicle.revision, "study": study.hash}
+    lines = ["control_point,quantity,q,value_K,low_K,high_K,scatter_K,first_order_K"]
+    for a in found.answers:
+        for q, first in zip(a.quantiles, a.first["quantiles"], strict=True):
+            cells = [q.value, q.low, q.high, q.scatter, first["value_K"]]
+            told = ",".join("" if c is None else f"{c:.3f}" for c in cells)
+            lines.append(f"{a.point},peak_{place_of(a)},{q.q:g},{told}")
+    head = "".join(f"# {k}: {v}\n" for k, v in header.items())
+    write_text_atomic(path, head + "\n".join(lines) + "\n")

@@ -1,0 +1,144 @@
+"""What the sigma of a ratio table means for peak temperatures: exact sensitivities to the errors of its nodes.
+
+The node errors of a control point's table are e = L z with z ~ N(0, I), L L' their covariance: the prior of
+`table_update.posterior` (sigma column and reach), less what the table's revisions have told,
+
+    L L' = K - A A'
+
+Along a flight they appear as W e (multilinear weights W, weighed with the heat flux, q W L = U S V'); the first few
+right singular vectors V_k hold nearly all of it. The march is linearised in each direction L V_k (linear_march), and
+a peak temperature, whose sensitivity is that at its own time, has
+
+    dT/dz = V_k dT/dc,    sigma_T = |dT/dz|
+
+After another piece of evidence y = H e + noise(C) on the same nodes, z has the covariance M^-1, M = I + (H L)' C^-1 H
+L, and sigma_T^2 = dT/dz' M^-1 dT/dz. Tables of different control points are taken one by one: their common errors are
+not known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.conditions import RATIO_VARIABLES, Conditions
+from sim_heating.ensemble import PointModel
+from sim_heating.heating_ratio.table import RatioTable
+from sim_heating.layout import LANES
+from sim_heating.linear_march import LinearMarch, Track
+from sim_heating.planning.table_modes import prior_of
+from sim_heating.points import histories
+from sim_heating.table_update.posterior import Evidence, node_weights, prior_covariance
+from sim_heating.thermal.mesh import Mesh
+from sim_heating.vehicle import Vehicle
+
+FloatArray = NDArray[np.float64]
+
+NEGLECTED = 1e-3
+"""Share of the variance along a flight, weighed with the heat flux, that the directions may leave out."""
+LOOKED_AT = 150
+"""Samples of a flight, about, from which the directions are taken."""
+
+
+def covariance_root(vehicle: Vehicle, point: str) -> FloatArray | None:
+    """(node, node) L of a control point's table, None where it states no sigma.
+
+    raises : InputError where the table was changed behind its revisions
+    """
+    table, told = prior_of(vehicle, point)
+    if table.sigma is None:
+        return None
+    nodes = np.arange(table.ratio.size)
+    K = prior_covariance(table, nodes, nodes) - told @ told.T
+    values, vectors = np.linalg.eigh(K)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def informed_root(root: FloatArray, evidence: Evidence) -> FloatArray:
+    """(z, z) B with B B' = M^-1: multiplied with dT/dz from the left it gives what is left after the evidence."""
+    rows = evidence.H @ root[evidence.nodes]
+    M = np.eye(root.shape[1]) + rows.T @ np.linalg.solve(evidence.covariance, rows)
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(M)).T)
+
+
+def directions(root: FloatArray, table: RatioTable, flown: Conditions) -> FloatArray:
+    """(z, k) orthonormal V_k: what of the node errors a flight sees."""
+    x = np.stack([flown[v] for v in RATIO_VARIABLES], axis=1)
+    flux = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
+    heated = np.flatnonzero(flux > 0.0)
+    heated = heated[:: max(len(heated) // LOOKED_AT, 1)]
+    seen = node_weights(table.axes, x[heated])
+    _, s, Vt = np.linalg.svd(flux[heated, np.newaxis] * (seen @ root), full_matrices=False)
+    left_out = 1.0 - np.cumsum(s**2) / np.sum(s**2)
+    return np.asarray(Vt[: int(np.argmax(left_out <= NEGLECTED)) + 1].T)
+
+
+@dataclass(frozen=True, eq=False)
+class Peak:
+    """A peak temperature [K], its time [s], and dT/dz [K], empty where the table has no sigma."""
+
+    temperature_K: float
+    time_s: float
+    slope: FloatArray
+
+    @property
+    def sigma_K(self) -> float:
+        """One standard deviation by the table's own sigma."""
+        return float(np.linalg.norm(self.slope))
+
+
+@dataclass(frozen=True, eq=False)
+class PointPeaks:
+    """Peaks of one control point along a flight."""
+
+    surface: Peak
+    bondline: Peak
+
+
+def peaks(
+    models: Sequence[PointModel],
+    meshes: Sequence[Mesh],
+    roots: Sequence[FloatArray | None],
+    flights: Sequence[Conditions],
+) -> list[PointPeaks]:
+    """Peak temperatures of control points with their sensitivities to the errors of their tables.
+
+    flights : conditions of each point on common times, which the march steps to
+    raises  : RunError where a step did not converge
+    """
+    found: list[PointPeaks] = []
+    for first in range(0, len(models), LANES):
+        own = slice(first, first + LANES)
+        found += _marched(models[own], meshes[own], roots[own], flights[own])
+    return found
+
+
+def _marched(
+    models: Sequence[PointModel],
+    meshes: Sequence[Mesh],
+    roots: Sequence[FloatArray | None],
+    flights: Sequence[Conditions],
+) -> list[PointPeaks]:
+    time = flights[0].time_s
+    seen, tracks = [], []
+    for i, (model, mesh, root, flown) in enumerate(zip(models, meshes, roots, flights, strict=True)):
+        V = np.zeros((0, 0))
+        errors: tuple[FloatArray, ...] = ()
+        if root is not None and model.ratio is not None:
+            V = directions(root, model.ratio, flown)
+            errors = tuple((root @ v).reshape(model.ratio.ratio.shape) for v in V.T)
+        seen.append(V)
+        tracks.append(Track(model, mesh, (), time, (0, mesh.bondline), flight=i, table_errors=errors))
+    out = LinearMarch(tracks, time, histories(flights)).march()
+    return [
+        PointPeaks(*(_peak(time, r.temperature_K[node], r.sensitivity[node], V) for node in (0, 1)))
+        for r, V in zip(out, seen, strict=True)
+    ]
+
+
+def _peak(time_s: FloatArray, temperature_K: FloatArray, sensitivity: FloatArray, V: FloatArray) -> Peak:
+    i = int(np.argmax(temperature_K))
+    return Peak(float(temperature_K[i]), float(time_s[i]), V @ sensitivity[i])

@@ -1,0 +1,148 @@
+"""`sim-heating plan` as a user meets it: files of a study, kills, processes, one clear line where it cannot."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("distributed", reason="studies need Dask and pyarrow: pip install 'sim-heating[plan]'")
+
+import pyarrow.parquet as pq
+
+from sim_heating import batches, cli
+from sim_heating.planning.study import load_study
+
+ROOT = Path(__file__).parent.parent
+
+STUDY = """
+format = "study/1"
+title = "Entry for a test"
+vehicle = "orbiter"
+note = "Forty-eight flights."
+control_points = ["V09T9527"]
+{more}
+[trajectory]
+source = "entry-3dof"
+[trajectory.initial]
+altitude_m = 121920.0
+velocity_m_s = 7450.0
+gamma_deg = -1.2
+heading_deg = 60.0
+latitude_deg = -10.0
+[trajectory.stop]
+mach = 2.5
+[dispersion]
+flights = 48
+scrambles = 6
+index_flights = 8
+quantiles = [0.5]
+[[dispersion.input]]
+name = "entry.gamma_deg"
+sigma = 0.02
+[[dispersion.input]]
+name = "stack.emissivity_factor"
+sigma = 0.02
+"""
+
+
+@pytest.fixture
+def study(tmp_path):
+    path = tmp_path / "study.toml"
+    path.write_text(STUDY.format(more=""))
+    return path
+
+
+def results(out):
+    """Bytes of all results, the ledger of finished batches left out."""
+    return {
+        p.relative_to(out).as_posix(): p.read_bytes()
+        for p in sorted(out.rglob("*"))
+        if p.is_file() and "batches" not in p.parts
+    }
+
+
+def start(study, out, workers):
+    arguments = [sys.executable, "-m", "sim_heating", "plan", str(study), "--out", str(out), "--workers", str(workers)]
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    return subprocess.Popen(arguments, env=os.environ | {"PYTHONPATH": path}, start_new_session=True, **quiet)
+
+
+def test_a_study_killed_at_any_moment_goes_on_to_the_same_bytes_on_any_number_of_processes(study, tmp_path):
+    whole, out, moments = tmp_path / "whole", tmp_path / "out", random.Random(7)
+    assert cli.main(["plan", str(study), "--out", str(whole), "--workers", "1"]) == 0
+    for kill in range(3):
+        run, wanted = start(study, out, 2), 1 + 2 * kill
+        while run.poll() is None and len(list(out.rglob("*.parquet"))) < wanted:
+            time.sleep(0.005)
+        time.sleep(moments.uniform(0.0, 0.3))
+        os.killpg(run.pid, signal.SIGKILL)
+        run.wait()
+        assert not (out / "study.json").exists() or (out / "report.html").exists()
+    assert start(study, out, 2).wait() == 0
+    assert results(out) == results(whole)
+
+
+def test_results_name_vehicle_revision_and_study_and_agree_with_each_other(study, tmp_path):
+    out = tmp_path / "out"
+    assert cli.main(["plan", str(study), "--out", str(out), "--workers", "1"]) == 0
+    found, loaded = json.loads((out / "study.json").read_text()), load_study(study)
+    assert (found["vehicle"], found["revision"], found["study"]) == ("orbiter", "1", loaded.hash)
+    page = (out / "report.html").read_text()
+    assert loaded.stamp in page
+    assert page.count("data:image/png;base64,") == 3
+    assert 'src="http' not in page
+    surface = next(p for p in found["dispersion"]["peaks"] if p["quantity"] == "peak surface")
+    flights = pq.read_table(out / "dispersion_flights.parquet")
+    peaks = flights.column("surface_K.V09T9527").to_numpy()
+    assert len(peaks) == 48
+    assert surface["mean_K"] == pytest.approx(np.mean(peaks), abs=1e-9)
+    assert surface["quantiles"][0]["value"] == np.sort(peaks)[23]
+    assert set(surface["sobol_indices"]) == {"entry.gamma_deg", "stack.emissivity_factor", "ratio tables"}
+
+
+def test_the_hash_is_that_of_the_study_and_of_the_vehicles_files(study, tmp_path):
+    before = load_study(study).hash
+    assert load_study(study).hash == before
+    study.write_text(study.read_text().replace("sigma = 0.02", "sigma = 0.021"))
+    assert load_study(study).hash != before
+
+
+def test_a_scheduler_that_is_away_is_one_clear_line_and_nothing_is_written(study, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(batches, "ANSWER_S", 1.0)
+    out = tmp_path / "out"
+    assert cli.main(["plan", str(study), "--out", str(out), "--scheduler", "tcp://127.0.0.1:1"]) == 2
+    told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
+    assert len(told) == 1
+    assert "no Dask scheduler answers there" in told[0]
+    assert not results(out)
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ('revision = "7"', '`revision`: "7" is meant and orbiter is at "1"'),
+        ('scenario = "nowhere.toml"', "give one of them"),
+        ('[[limit]]\ncontrol_point = "NOSECAP"', "`NOSECAP` is not among the study's control points"),
+        ("soak = 3.0", "unknown key `soak`. Nearest: `soak_s`"),
+    ],
+)
+def test_a_study_that_cannot_be_is_told_in_a_line(study, tmp_path, capsys, more, told):
+    study.write_text(STUDY.format(more=more))
+    assert cli.main(["plan", str(study), "--out", str(tmp_path / "out")]) == 2
+    assert told in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_study_that_asks_for_nothing_says_so(study, tmp_path, capsys):
+    study.write_text(STUDY.format(more="").split("[dispersion]")[0])
+    assert cli.main(["plan", str(study), "--out", str(tmp_path / "out")]) == 2
+    assert "asks for nothing" in capsys.readouterr().err
