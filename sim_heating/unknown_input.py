@@ -14,6 +14,10 @@ marginal likelihood are taken,
 
 Recorder words count as intervals (estimation/likelihood.py, Laplace's approximation).
 
+Where no history explains the readings, sensors contradicting each other, the noise is larger than declared by a factor:
+with S what the most probable history leaves, in variances of the N readings, log p then holds - N log(s) - S / (2 s^2)
+and s^2 = S / N is the likeliest, never below 1.
+
 Bandwidth: with v the variance that is left at a time, the frequency f above which the process has just this variance,
 
     v / sigma^2 = 1 - (2 / pi) atan(2 pi f tau),
@@ -56,6 +60,8 @@ MOST_COARSE = 100
 ROUNDS = 12
 CHOSEN, SETTLED = 2.0, 0.2
 """Change of a reading over its noise below which the noise model stays, and below which the march is linear enough."""
+EXCESS = 1.5
+"""Noise is taken for larger than declared from this ratio of the variances on."""
 GAINED, LEAST_SHARE = 0.1, 0.02
 """A step that gains less of the log posterior is none; parts of a step below the second are not tried."""
 FREQUENCIES = 40
@@ -71,6 +77,7 @@ class UnknownInput:
     bandwidth_Hz : (knot,) frequency up to which it is resolved
     half_amplitude_Hz : frequency at which a sine throughout the march comes back half as large
     disturbance  : what the likelihood chose
+    excess       : variance of the noise over the declared one, 1 where a history explains the readings
     gain_log_likelihood : log marginal likelihood above that without a disturbance
     temperature_K : (time, node) temperatures with the correction at the ends of the steps, the start first
     read_K       : (reading,) what the readings should show with it
@@ -86,6 +93,7 @@ class UnknownInput:
     bandwidth_Hz: FloatArray
     half_amplitude_Hz: float
     disturbance: Disturbance
+    excess: float
     gain_log_likelihood: float
     temperature_K: FloatArray
     read_K: FloatArray
@@ -216,36 +224,36 @@ class _Inverse:
 
     def solved(self, given: Disturbance | None) -> UnknownInput:
         here = first = self.at(np.zeros(self.extra + len(self.knots)))
-        chosen, without, change = given or Disturbance(), 0.0, math.inf
+        chosen, excess, change = given or Disturbance(), 1.0, math.inf
         for _ in range(ROUNDS):
             G = here.response.matrix(self.weights, self.start)
             A = G.T @ (here.scored.information[:, np.newaxis] * G)
             b = G.T @ here.scored.score + A @ here.u
             if here is first:
-                without = self._log_marginal(here, A, b, None)
-            if given is None and change > CHOSEN:
-                chosen = self._likeliest(A, b, None if here is first else chosen)
-            step = self._mean(A, b, chosen) - here.u
-            change = float(np.max(np.abs(G @ step) / self._noise_K))
-            if change < SETTLED:
-                break
-            there = self._advanced(here, step, chosen)
+                begun = A, b
+            if given is None and (change > CHOSEN or excess > 1.0):
+                chosen, excess = self._likeliest(here, A, b, None if here is first else chosen, excess)
+            step = self._mean(A / excess, b / excess, chosen) - here.u
+            change = float(np.max(np.abs(G @ step) / self._noise_K)) / math.sqrt(excess)
+            there = None if change < SETTLED else self._advanced(here, step, chosen, excess)
             if there is None:
                 break
             here = there
-        return self._result(here, G, A, b, chosen, without)
+        without = self._log_marginal(first, begun[0] / excess, begun[1] / excess, None, excess)
+        mean = here.u + (step if change < SETTLED else 0.0)
+        return self._result(here, mean, G, A / excess, b / excess, chosen, excess, without)
 
     @property
     def _noise_K(self) -> FloatArray:
         width = self.observed.upper_K - self.observed.lower_K
         return np.sqrt(self.sigma_K**2 + np.where(np.isfinite(width), width, 0.0) ** 2 / 12.0)
 
-    def _advanced(self, here: _Point, step: FloatArray, chosen: Disturbance) -> _Point | None:
+    def _advanced(self, here: _Point, step: FloatArray, chosen: Disturbance, excess: float) -> _Point | None:
         """The march after as much of a step as raises likelihood times prior; None where no part of it does."""
         Q, _ = self._prior(self.knots, chosen)
 
         def value(p: _Point) -> float:
-            return p.log_likelihood - 0.5 * float(p.u @ Q @ p.u)
+            return p.log_likelihood / excess - 0.5 * float(p.u @ Q @ p.u)
 
         share, now = 1.0, value(here)
         while share > LEAST_SHARE:
@@ -269,24 +277,36 @@ class _Inverse:
     def _mean(self, A: FloatArray, b: FloatArray, chosen: Disturbance) -> FloatArray:
         return np.asarray(cho_solve(cho_factor(A + self._prior(self.knots, chosen)[0]), b))
 
-    def _likeliest(self, A: FloatArray, b: FloatArray, last: Disturbance | None) -> Disturbance:
+    def _likeliest(
+        self, here: _Point, A: FloatArray, b: FloatArray, last: Disturbance | None, excess: float
+    ) -> tuple[Disturbance, float]:
+        """Noise model of the correction, and the noise of the readings over what is declared."""
         low = np.log([DENSITIES_1_S[0], float(np.min(np.diff(self.coarse), initial=np.inf))])
         high = np.log([DENSITIES_1_S[1], float(np.ptp(self.coarse))])
         if np.any(low >= high):
             raise InputError(f"{self.track.model.name}: a march of {len(self.knots)} knots is too short for an input")
+        n = float(np.count_nonzero(here.scored.information > 0.0))
+        left = 2.0 * (self._log_perfect - here.log_likelihood + float(b @ here.u)) - float(here.u @ A @ here.u)
         P = block_diag(np.eye(self.extra), self.to_coarse)
-        A, b = P.T @ A @ P, P.T @ b
+        fine, (A, b) = (A, b), (P.T @ A @ P, P.T @ b)
+
+        def excess_of(explained: float) -> float:
+            share = (left - 2.0 * explained) / n
+            return share if share > EXCESS else 1.0
 
         def cost(logs: Sequence[float]) -> float:
+            """Minus log evidence; the density is one over the excess."""
             q, tau = np.exp(np.clip(logs, low, high))
-            return -_log_evidence(A, b, *self._prior(self.coarse, stationary(q, tau)))
+            explained, volume = _log_evidence(A, b, *self._prior(self.coarse, stationary(q, tau)))
+            s2 = excess_of(explained)
+            return 0.5 * n * math.log(s2) + 0.5 * (left - 2.0 * explained) / s2 - volume
 
         if last is None:
             tau = float(np.clip(math.log(CORRELATION_S), low[1], high[1]))
             tried = [[q, tau] for q in np.linspace(low[0], high[0], DENSITIES_TRIED)]
             start, stride = np.array(min(tried, key=cost)), 1.0
         else:
-            start, stride = np.log([last.density_1_s, last.correlation_s]), 0.4
+            start, stride = np.log([last.density_1_s / excess, last.correlation_s]), 0.4
         inward = np.where(start + stride > high, -stride, stride)
         simplex = start + np.array([[0.0, 0.0], [inward[0], 0.0], [0.0, inward[1]]])
         found = minimize(
@@ -294,41 +314,55 @@ class _Inverse:
             options={"initial_simplex": simplex, "fatol": SEARCHED, "xatol": 0.1, "maxfev": 60},
         )  # fmt: skip
         q, tau = np.exp(np.clip(found.x, low, high))
-        return stationary(float(q), float(tau))
+        excess = excess_of(_log_evidence(*fine, *self._prior(self.knots, stationary(float(q), float(tau))))[0])
+        return stationary(float(q) * excess, float(tau)), excess
 
-    def _log_marginal(self, here: _Point, A: FloatArray, b: FloatArray, chosen: Disturbance | None) -> float:
+    @property
+    def _log_perfect(self) -> float:
+        """Log likelihood of readings that are just what they should be."""
+        middle = 0.5 * (self.observed.lower_K + self.observed.upper_K)
+        inner = np.isfinite(middle)
+        within = Observed(self.observed.lower_K[inner], self.observed.upper_K[inner])
+        return float(np.sum(likelihood(within, middle[inner], self.sigma_K[inner]).log_likelihood))
+
+    def _log_marginal(
+        self, here: _Point, A: FloatArray, b: FloatArray, chosen: Disturbance | None, excess: float
+    ) -> float:
         """Laplace's log marginal likelihood about a march; with None, of the start alone."""
         u = here.u
-        constant = here.log_likelihood - float(b @ u) + 0.5 * float(u @ A @ u)
+        constant = here.log_likelihood / excess - float(b @ u) + 0.5 * float(u @ A @ u)
         if chosen is not None:
-            return constant + _log_evidence(A, b, *self._prior(self.knots, chosen))
+            return constant + sum(_log_evidence(A, b, *self._prior(self.knots, chosen)))
         if self.extra == 0:
-            return here.log_likelihood
+            return here.log_likelihood / excess
         own = slice(self.extra)
-        return constant + _log_evidence(A[own, own], b[own], np.eye(self.extra), 0.0)
+        return constant + sum(_log_evidence(A[own, own], b[own], np.eye(self.extra), 0.0))
 
     def _result(
-        self, here: _Point, G: FloatArray, A: FloatArray, b: FloatArray, chosen: Disturbance, without: float
-    ) -> UnknownInput:
+        self, here: _Point, u: FloatArray, G: FloatArray, A: FloatArray, b: FloatArray, chosen: Disturbance,
+        excess: float, without: float,
+    ) -> UnknownInput:  # fmt: skip
         whole = np.asarray(np.linalg.inv(A + self._prior(self.knots, chosen)[0]), dtype=np.float64)
-        mean, covariance = (whole @ b)[self.extra :], whole[self.extra :, self.extra :]
+        covariance = whole[self.extra :, self.extra :]
         sigma = np.sqrt(np.diag(covariance))
         information, score = _without_start(A, b, self.extra)
         spacing = np.min(np.diff(self.knots), initial=np.inf)
         return UnknownInput(
-            self.knots, mean, sigma, np.minimum(bandwidth_Hz(chosen, sigma), 0.5 / spacing),
-            half_amplitude_Hz(self.knots, information, covariance), chosen,
-            self._log_marginal(here, A, b, chosen) - without, here.response.temperature_K, here.response.read_K,
-            G[:, self.extra :], here.scored.score, here.scored.information, information, score, covariance,
+            self.knots, u[self.extra :], sigma, np.minimum(bandwidth_Hz(chosen, sigma), 0.5 / spacing),
+            half_amplitude_Hz(self.knots, information, covariance), chosen, excess,
+            self._log_marginal(here, A, b, chosen, excess) - without, here.response.temperature_K, here.response.read_K,
+            G[:, self.extra :], here.scored.score / excess, here.scored.information / excess, information, score,
+            covariance,
         )  # fmt: skip
 
 
-def _log_evidence(A: FloatArray, b: FloatArray, Q: FloatArray, log_det_Q: float) -> float:
+def _log_evidence(A: FloatArray, b: FloatArray, Q: FloatArray, log_det_Q: float) -> tuple[float, float]:
+    """b' (A + Q)^-1 b / 2 and (log det Q - log det (A + Q)) / 2."""
     factor, bad = lapack.dpotrf((A + Q).T, lower=1, overwrite_a=1)
     if bad:
-        return -math.inf
+        return -math.inf, -math.inf
     solved, _ = lapack.dpotrs(factor, b, lower=1)
-    return 0.5 * float(b @ solved) + 0.5 * log_det_Q - float(np.sum(np.log(np.diag(factor))))
+    return 0.5 * float(b @ solved), 0.5 * log_det_Q - float(np.sum(np.log(np.diag(factor))))
 
 
 def _without_start(A: FloatArray, b: FloatArray, extra: int) -> tuple[FloatArray, FloatArray]:
