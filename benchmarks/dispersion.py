@@ -139,7 +139,7 @@ def run() -> list[Figure]:
         Figure("one process, a flight by the clock", 1e3 * one / SHORT, "ms"),
         Figure("two processes over twice one process, their start left out", efficiency, "", 0.9, True),
         Figure("two processes, start and two batches", started, "s"),
-        Figure("two processes, a quarter of the flights", two_short, "s", note=f"{2 * SHORT} flights"),
+        Figure("two processes, fewer flights", two_short, "s", note=f"{2 * SHORT} flights"),
         Figure("cost of twice the flights, one process", one / half, "", 2.1),
         Figure("memory of this process", own_GiB, "GiB", 2.0),
         Figure("memory of the largest other", other_GiB, "GiB", note="two of them"),

@@ -242,7 +242,7 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
         if scheduler is None:
             with (
                 LocalCluster(
-                    n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None,
+                    n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0",
                     silence_logs=logging.CRITICAL, memory_limit=0,
                 ) as cluster,
                 Client(cluster) as client,

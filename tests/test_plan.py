@@ -146,3 +146,28 @@ def test_a_study_that_asks_for_nothing_says_so(study, tmp_path, capsys):
     study.write_text(STUDY.format(more="").split("[dispersion]")[0])
     assert cli.main(["plan", str(study), "--out", str(tmp_path / "out")]) == 2
     assert "asks for nothing" in capsys.readouterr().err
+
+
+OPTIMAL = """
+[optimal]
+alpha_limits_deg = [10.0, 45.0]
+initial = { altitude_m = 121920.0, velocity_m_s = 7450.0, gamma_deg = -1.2, heading_deg = 90.0, latitude_deg = 0.0 }
+end = { altitude_m = 26000.0, velocity_m_s = 900.0, gamma_deg = -5.0 }
+limit = [{ control_point = "NOSECAP" }]
+"""
+
+
+def test_a_studys_optimal_entry_is_of_its_vehicle(study):
+    study.write_text(STUDY.format(more="") + OPTIMAL)
+    asked = load_study(study).optimal()
+    assert asked is not None
+    assert asked.vehicle.name == "orbiter"
+    assert [p.point.name for p in asked.points] == ["NOSECAP"]
+
+
+def test_a_misspelt_key_of_an_optimal_entry_is_told_with_its_table(study, tmp_path, capsys):
+    study.write_text(STUDY.format(more="") + OPTIMAL.replace("alpha_limits_deg", "alpha_limit_deg"))
+    assert cli.main(["plan", str(study), "--out", str(tmp_path / "out")]) == 2
+    told = capsys.readouterr().err
+    assert "[optimal]" in told
+    assert "`alpha_limits_deg`" in told

@@ -33,7 +33,7 @@ def optimal_part(study: Study, folder: Path, _engine: Engine, progress: Progress
         progress(done[0] / ROUNDS, f"round {done[0]}: {line}")
 
     entry = fly_optimal(asked, progress=told)
-    draw_optimal(folder / PICTURE, f"{study.title}\n{study.stamp}", {"optimal": entry})
+    draw_optimal(folder / PICTURE, f"{study.title}, study {study.hash}", {"optimal": entry})
     write_csv(
         folder / CONDITIONS, entry.conditions.columns, ".10g", {"study": study.hash, "vehicle": study.vehicle.name}
     )
