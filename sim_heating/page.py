@@ -15,12 +15,15 @@ from functools import cache
 from pathlib import Path
 
 import jinja2
+import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from sim_heating.files import write_text_atomic
 from sim_heating.results import package_version
 
 TEMPLATE = "page.html.j2"
+RASTER_DPI = 130
+"""Of what a figure holds as `rasterized`."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,8 @@ class Picture:
     def address(self) -> str:
         """The figure as a data address: vectors, but for what is drawn as `rasterized`."""
         buffer = io.BytesIO()
-        self.figure.savefig(buffer, format="svg", dpi=130, metadata={"Date": None})
+        with mpl.rc_context({"svg.hashsalt": TEMPLATE}):  # names within the file are the same each time
+            self.figure.savefig(buffer, format="svg", dpi=RASTER_DPI, metadata={"Date": None})
         return f"data:image/svg+xml;base64,{base64.b64encode(buffer.getvalue()).decode()}"
 
 
