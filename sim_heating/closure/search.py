@@ -175,3 +175,4 @@ def promised(problem: Problem, first: FloatArray) -> float | None:
     scaled = found.information * np.outer(s, s)
     step, *_ = np.linalg.lstsq(scaled, s * found.gradient, rcond=1e-8)
     return found.log_likelihood + 0.5 * float((s * found.gradient) @ step)
+
