@@ -13,6 +13,7 @@ from sim_heating.closure.residual import residual_heating
 from sim_heating.closure.sanity import after_fit, before_fit
 from sim_heating.closure.search import WIDENED, Attempt, Search, fitted_uses, search
 from sim_heating.conditions import RATIO_VARIABLES
+from sim_heating.errors import RunError
 from sim_heating.estimation.estimate import Fitted, estimate
 from sim_heating.estimation.report import noise_floor_K, write_fit
 from sim_heating.files import output_directory
@@ -125,7 +126,11 @@ def _tried(found: Search) -> list[Tried]:
     first = found.rounds[0]
     before = errors_of(found.before.after[0])
     rows = [("none", 0.0, before)]
-    rows += [(a.name, a.delta_bic, errors_of(a.prediction)) for a in first.attempts]
+    for a in first.attempts:
+        try:
+            rows.append((a.name, a.delta_bic, errors_of(a.prediction)))
+        except RunError:  # found in steps that the plain march cannot take
+            continue
     rows += [(name, delta, before) for name, delta in first.passed.items()]
     return [
         Tried(name, delta, e["fit"]["rmse_K"], e["holdout"]["rmse_K"] if e["holdout"] else None)

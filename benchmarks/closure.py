@@ -1,0 +1,151 @@
+"""close-loop on records of another program: how often the right effect is named, and how often one where there is none.
+
+Records of `benchmarks/generator`, undeclared effects in forms that mostly are not the library's own, and records without
+any. Named right: the first effect that is named is the one put in. Separable: no rival comes near, by the generator's
+own estimate, and a rival that does counts as right where they are not. Errors after are held against those of the
+truth itself, which are noise. Finished records are kept in out/closure_benchmark: a run that was ended goes on there.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import time
+import tomllib
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from scipy.stats import beta
+
+from benchmarks.generator.families import FAMILIES
+from benchmarks.generator.record import make_and_write
+from benchmarks.measure import RESULTS, Figure, save, table
+from sim_heating.batches import Job, run_batches
+from sim_heating.files import toml_text, write_json
+from sim_heating.record import load_record
+
+SEED = 2026
+EFFECTS, NULLS = 315, 210
+"""Records with an effect, each effect in turn, and without."""
+LEFT = 1.1
+"""RMSE after over that of the truth itself, which is noise, up to which nothing is left."""
+LEDGER = Path("out") / "closure_benchmark"
+CALIBRATION = RESULTS.parents[1] / "sim_heating" / "data" / "closure_calibration.json"
+NAMES = tuple(name for name in FAMILIES if name != "none")
+
+
+def jobs() -> list[Job]:
+    """Every record, those without an effect evenly among the others: what is finished at any time is a fair part."""
+    turn = np.random.default_rng([SEED, 0]).permutation(len(NAMES))
+    wanted = [(k / EFFECTS, SEED, k, NAMES[turn[k % len(NAMES)]]) for k in range(EFFECTS)]
+    wanted += [(k / NULLS, SEED + 1, k, "none") for k in range(NULLS)]
+    return [Job(f"{effect}-{number:04d}.json", (seed, number, effect)) for _, seed, number, effect in sorted(wanted)]
+
+
+def made_and_closed(task: tuple[int, int, str]) -> bytes:
+    """Make a record, close its loop, and say what was named and what is left."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from sim_heating.closure.close import refitted
+    from sim_heating.closure.report import errors_of
+    from sim_heating.closure.search import search
+
+    with tempfile.TemporaryDirectory() as folder:
+        name, answer, _ = make_and_write((*task, Path(folder)))
+        answer = tomllib.loads(toml_text(answer))
+        record = load_record(Path(folder) / name)
+        begun = time.process_time()
+        found = search(record)
+        fitted = refitted(found) if found.added else found.before
+        seconds = time.process_time() - begun
+        after = errors_of(fitted.after[0])
+    row = {
+        "effect": answer["effect"], "form": answer["form"], "named": found.names, "cpu_s": seconds,
+        "accepted": answer.get("accepted", [answer["effect"]]), "separable": answer.get("separable", True),
+        "residual_over_floor": answer.get("residual_over_floor"), "noise_colour": answer["noise_colour"],
+        "after": {k: v["rmse_K"] for k, v in after.items() if v}, "truth": answer["true_rmse_K"],
+        "rounds": [
+            {"excess": r.excess, "attempts": [[a.name, a.delta_bic, a.weighed, a.excess] for a in r.attempts[:4]]}
+            for r in found.rounds
+        ],
+    }  # fmt: skip
+    return json.dumps(row).encode()
+
+
+def right(row: dict[str, Any]) -> bool:
+    """Whether the first effect named is the one that was put in, or one that cannot be told from it."""
+    return row["named"][0] in row["accepted"]
+
+
+def limits(hits: int, n: int) -> tuple[float, float]:
+    """95 % Clopper-Pearson limits of a proportion."""
+    low = float(beta.ppf(0.025, hits, n - hits + 1)) if hits else 0.0
+    return low, float(beta.ppf(0.975, hits + 1, n - hits)) if hits < n else 1.0
+
+
+def proportion(what: str, hits: int, n: int, target: float, at_least: bool) -> Figure:
+    """A proportion with its limits."""
+    low, high = limits(hits, n)
+    return Figure(what, hits / n, "", target, at_least, f"{hits} of {n}, 95% limits {low:.3f} to {high:.3f}")
+
+
+def figures_of(rows: Sequence[dict[str, Any]]) -> list[Figure]:
+    """Names, false alarms, errors against the truth's own, time."""
+    effects = [r for r in rows if r["effect"] != "none"]
+    nulls = [r for r in rows if r["effect"] == "none"]
+    separable = [r for r in effects if r["separable"]]
+    figures = []
+    if separable:
+        figures.append(proportion("named right, separable", sum(map(right, separable)), len(separable), 0.95, True))
+    if effects:
+        what = "named right, all; or a rival that cannot be told from it"
+        figures.append(proportion(what, sum(map(right, effects)), len(effects), 0.95, True))
+    if nulls:
+        alarms = sum(r["named"] != ["none"] for r in nulls)
+        figures.append(proportion("false alarms, records without an effect", alarms, len(nulls), 0.05, False))
+    known = [r for r in effects if r["effect"] != "unknown"]
+    for part in ("fit", "holdout"):
+        both = [r for r in known if part in r["after"] and part in r["truth"]]
+        over = np.array([r["after"][part] / r["truth"][part] for r in both])
+        if len(over):
+            note = f"median {np.median(over):.3f}, 95th percentile {np.quantile(over, 0.95):.3f}, {len(over)} records"
+            share = float(np.mean(over <= LEFT))
+            figures.append(Figure(f"share with RMSE after within {LEFT} of the truth's, {part}", share, "", note=note))
+    seconds = np.array([r["cpu_s"] for r in rows])
+    note = f"largest {seconds.max():.0f} s"
+    figures.append(Figure("processor time a record, median", float(np.median(seconds)), "s", note=note))
+    return figures
+
+
+def confusion(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, int]]:
+    """Effect put in -> effect named first -> how many."""
+    return {
+        effect: dict(Counter(r["named"][0] for r in rows if r["effect"] == effect))
+        for effect in ("none", *NAMES)
+        if any(r["effect"] == effect for r in rows)
+    }
+
+
+def run() -> list[Figure]:
+    """Make and close what is not finished, in two processes."""
+    wanted = jobs()
+    done = run_batches(wanted, made_and_closed, LEDGER, workers=2, progress=lambda f, text: click.echo(text)).done
+    return figures_and_results([json.loads(path.read_text()) for path in done.values()])
+
+
+def figures_and_results(rows: Sequence[dict[str, Any]]) -> list[Figure]:
+    """Figures of finished records, saved with the table of confusion and every row; false alarms for the reports."""
+    figures, nulls = figures_of(rows), [r for r in rows if r["effect"] == "none"]
+    save("closure", figures, {"seed": SEED, "confusion": confusion(rows), "records": list(rows)})
+    if nulls:
+        counted = {"named": sum(r["named"] != ["none"] for r in nulls), "records": len(nulls)}
+        write_json(CALIBRATION, counted | {"source": "python -m benchmarks closure"})
+    return figures
+
+
+if __name__ == "__main__":  # figures of what a run that was ended has finished
+    click.echo(table(figures_and_results([json.loads(p.read_text()) for p in sorted(LEDGER.glob("*.json"))])))
