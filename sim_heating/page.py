@@ -56,6 +56,19 @@ class Picture:
 
 
 @dataclass(frozen=True)
+class SavedPicture:
+    """A PNG file, and what it shows."""
+
+    path: Path
+    caption: str = ""
+
+    @property
+    def address(self) -> str:
+        """The file as a data address."""
+        return f"data:image/png;base64,{base64.b64encode(self.path.read_bytes()).decode()}"
+
+
+@dataclass(frozen=True)
 class Section:
     """A heading with paragraphs, points, tables and pictures, in this order."""
 
@@ -63,7 +76,7 @@ class Section:
     text: Sequence[str] = ()
     points: Sequence[str] = ()
     tables: Sequence[Table] = ()
-    pictures: Sequence[Picture] = ()
+    pictures: Sequence[Picture | SavedPicture] = ()
 
 
 @dataclass(frozen=True)
