@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from sim_heating.closure.candidates import Candidate, candidates
 from sim_heating.closure.thinning import LONGEST_S, thinned
 from sim_heating.effects import EffectUse
+from sim_heating.errors import RunError
 from sim_heating.estimation.estimate import Fitted, estimate, misfit, predict_at
 from sim_heating.estimation.identifiability import covariance
 from sim_heating.estimation.likelihood import likelihood
@@ -182,7 +183,10 @@ def _base(before: Fitted) -> Attempt:
         one.parts[0].sigma_K.update(whole.sigma_K)
     at = _first(full, start)
     full.correct_meshes(at)
-    exact, coarse = (p.parts[0].corrected(p.marched(at)[0]).temperature_K for p in (full, problem))
+    try:
+        exact, coarse = (p.parts[0].corrected(p.marched(at)[0]).temperature_K for p in (full, problem))
+    except RunError:  # a model so wrong that it cannot be marched everywhere: the quick march stands as it is
+        exact = coarse = np.zeros(1)
     problem.parts[0].correction_K = exact - coarse
     return Attempt("none", Candidate("none", (), (), {}), problem, fitted([problem], [at])[0], 0.0)
 

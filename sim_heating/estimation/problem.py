@@ -422,7 +422,8 @@ class Problem:
         """Take the error of the meshes out of all predictions from now on: 4/3 of what halving every element changes.
 
         Many samples tell a parameter better than a mesh that is good to a fraction of one sample's noise. What the
-        correction changes with the parameters is left out: make it near the values found.
+        correction changes with the parameters is left out: make it near the values found. There is none where the
+        refined mesh cannot be marched.
         """
 
         def one(k: int) -> None:
@@ -433,8 +434,12 @@ class Problem:
                 Track(model, fine, (), part.sample_s, initial_K=part.refined_K(vector)),
             ]
             history = condition_history(part.conditions.at(part.time_s))[np.newaxis]
-            found = LinearMarch(tracks, part.time_s, history).march([part.shift_s(vector)] * len(tracks))
-            part.correction_K = 4.0 / 3.0 * (found[1].temperature_K - found[0].temperature_K)
+            try:
+                found = LinearMarch(tracks, part.time_s, history).march([part.shift_s(vector)] * len(tracks))
+            except RunError:
+                part.correction_K = 0.0
+            else:
+                part.correction_K = 4.0 / 3.0 * (found[1].temperature_K - found[0].temperature_K)
 
         in_threads(one, len(self.parts))
 
