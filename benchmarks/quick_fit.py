@@ -67,7 +67,7 @@ def quick_fit(
     best: Model | None = None
     about = joint_reference([record]) if reference is None else reference
     for start in starts:
-        problem = Problem([record], names, about, effects=effects, priors=priors, flat=flat)
+        problem = Problem([record], names, about, effects=effects, priors=priors, widened=np.inf if flat else 1.0)
         first = np.array([start.get(p.name, p.value) for p in problem.parameters])
         try:
             fit = maximise(problem.evaluate, problem.parameters, first, problem.log_likelihoods, SETTLED)

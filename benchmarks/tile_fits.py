@@ -193,7 +193,7 @@ def _normal_equations(
     for change in (np.array([STEP_S, 0.0]), np.array([0.0, STEP_STRETCH])):
         moved = compared_records(scenario, flown=flown, shift_s=(clock + change)[0], stretch=(clock + change)[1])[name]
         names, reference = list(tile.after.values), tile.after.problem.reference
-        problem = Problem([moved], names, reference, effects=[use("transition")], flat=True)
+        problem = Problem([moved], names, reference, effects=[use("transition")], widened=np.inf)
         columns.append((problem.samples(values)[0].mean_K - here.mean_K) / np.max(change))
     sensitivity = np.array(columns).T
     own = here.own[:, np.any(here.own != 0.0, axis=0)]

@@ -77,6 +77,7 @@ VALUES = {
     "emissivity": {"emissivity_factor": 0.9, "change_s": 31.0, "emissivity_slope": 5e-5},
     "nonisothermal-wall": {"decay_begin_s": 30.3},
     "sideslip": {"slope_abs_beta": 2e-3},
+    "catalysis": {"flow_step": 0.1, "flow_J_kg": 1.9e7},
 }
 """Values at which an effect acts during the POPU; else its nominal ones."""
 

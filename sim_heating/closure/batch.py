@@ -83,8 +83,11 @@ def close_all(
 
 def _job(record: Path, out: Path) -> Job:
     """A record's job, named by all that its result depends on."""
-    loaded_hash = inputs_hash(load_record(record)) if (record / DECLARATION).is_file() else "unreadable"
-    known = "|".join([loaded_hash, package_version(), *sorted(effects())])
+    try:
+        inputs = inputs_hash(load_record(record))
+    except InputError:  # told by the job itself
+        inputs = "unreadable"
+    known = "|".join([inputs, package_version(), *sorted(effects())])
     digest = hashlib.sha256(known.encode()).hexdigest()[:12]
     return Job(f"{record.resolve().name}-{digest}.json", Task(str(record), str(out)))
 
