@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +12,7 @@ from sim_heating.closure.evidence import evidence
 from sim_heating.closure.report import Closure, Estimated, Named, Tried, errors_of, fill_closure
 from sim_heating.closure.residual import residual_heating
 from sim_heating.closure.sanity import after_fit, before_fit
-from sim_heating.closure.search import WIDENED, Attempt, Search, fitted_uses, search
+from sim_heating.closure.search import Attempt, Search, fitted_uses, search
 from sim_heating.conditions import RATIO_VARIABLES
 from sim_heating.errors import RunError
 from sim_heating.estimation.estimate import Fitted, estimate
@@ -57,16 +58,17 @@ def refitted(found: Search) -> Fitted:
     last = found.added[-1]
     names = tuple(last.problem.parts[0].names)
     reference = dict(zip(RATIO_VARIABLES, last.problem.reference, strict=True))
-    priors = {p.name: replace(p, sigma=WIDENED * p.sigma) for p in _effect_parameters(last)}
-    priors |= {p.name: p for p in last.problem.parameters if p.name == CLOCK_SKEW.name}
+    priors = {p.name: p for p in last.problem.parameters if p.name == CLOCK_SKEW.name}
+    priors |= {p.name: p for p in _effect_parameters(last)}
     return estimate([found.record], names, reference=reference, effects=fitted_uses(last), priors=priors)
 
 
 def _effect_parameters(attempt: Attempt) -> list[Parameter]:
-    """The estimated parameters of effects, each with the value found as where it starts."""
+    """The estimated parameters of effects, with flat priors, to begin at the values found."""
     part = attempt.problem.parts[0]
-    definitions = [(n, part.model.definition(n)) for n in part.marched if n.startswith(EFFECT_PREFIX)]
-    return [replace(p, name=n) for n, p in definitions]
+    values = part.values(attempt.fit.values)
+    names = [n for n in part.marched if n.startswith(EFFECT_PREFIX)]
+    return [replace(part.model.definition(n), name=n, value=values[n], sigma=math.inf) for n in names]
 
 
 def _report(found: Search, fitted: Fitted) -> Closure:

@@ -47,6 +47,8 @@ SHARE = 0.5
 """Part of what noise does not explain that an effect has to explain."""
 BESIDE = 0.1
 """What a further effect has to explain, over what the first one did: less is left by a first one whose form differs."""
+EXPLAINED = 0.8
+"""And what all effects together have to explain to be named at all: a form of our own fits anything a little."""
 MOST_EFFECTS = 3
 AGREEMENT = 0.25
 """Part of their sample interval to which two recorders' clocks are taken to agree unless shown otherwise."""
@@ -154,12 +156,22 @@ def search(record: Record, *, progress: Progress = lambda fraction, text: None) 
             break
         explained = found.excess - best.excess
         if explained < SHARE * found.excess:
-            return Search(record, before, tuple(rounds), tuple(added), not added)
+            break
         if added and explained < BESIDE * (rounds[0].excess - added[0].excess):
             break
         added.append(best)
         base = best
-    return Search(record, before, tuple(rounds), tuple(added), False)
+    return Search(record, before, tuple(rounds), *_judged(rounds, added))
+
+
+def _judged(rounds: Sequence[Round], added: Sequence[Attempt]) -> tuple[tuple[Attempt, ...], bool]:
+    """What of the attempts stands, and whether what is left is unknown: they explain the residual, or nothing does."""
+    first = rounds[0]
+    significant = bool(first.attempts) and first.attempts[0].weighed <= -GAIN
+    left = added[-1].excess if added else first.excess
+    if added and first.excess - left >= EXPLAINED * first.excess:
+        return tuple(added), False
+    return (), significant
 
 
 # The model that candidates are added to ------------------------------------------------------------------------------

@@ -13,16 +13,14 @@ from sim_heating.jit import njit
 from sim_heating.layout import TIME
 from sim_heating.parameters import Parameter
 
-FACTOR, CHANGE, SLOPE = range(3)
-SHARPNESS_S = 2.0
-"""Time that a change takes [s]."""
+FACTOR, CHANGE, SLOPE, DURATION = range(4)
 REFERENCE_K = 1000.0
 
 
 @njit
 def emittance_changes(B: FloatArray, c: int, p: int, wall_K: float) -> float:
-    """1 + (factor - 1) S((t - change) / sharpness) + slope (T_w - 1000 K), not below 0 [-]."""
-    changed = (B[p + FACTOR] - 1.0) * logistic((B[c + TIME] - B[p + CHANGE]) / SHARPNESS_S)
+    """1 + (factor - 1) S((t - change) / duration) + slope (T_w - 1000 K), not below 0 [-]."""
+    changed = (B[p + FACTOR] - 1.0) * logistic((B[c + TIME] - B[p + CHANGE]) / B[p + DURATION])
     return max(1.0 + changed + B[p + SLOPE] * (wall_K - REFERENCE_K), 0.0)
 
 
@@ -32,7 +30,11 @@ def tries(flown: Conditions) -> Sequence[Try]:
     return [
         Try(("emissivity_factor",)),
         Try(("emissivity_slope",)),
-        *(Try(("emissivity_factor", "change_s"), {"change_s": float(t)}) for t in times),
+        *(
+            Try(("emissivity_factor", "change_s", "duration_s"), {"change_s": float(t), "duration_s": duration})
+            for t in times
+            for duration in (3.0, 25.0)
+        ),
     ]
 
 
@@ -41,8 +43,9 @@ EFFECT = Effect(
     mode="emittance",
     parameters=(
         Parameter("emissivity_factor", "1", 1.0, 0.1, 0.05, 2.0, "emittance over the declared one"),
-        Parameter("change_s", "s", -1e4, 1.0, -1e5, 1e5, "time from which it holds; long before the flight: always"),
+        Parameter("change_s", "s", -1e4, 100.0, -1e5, 1e5, "time from which it holds; long before the flight: always"),
         Parameter("emissivity_slope", "1/K", 0.0, 1e-4, -2e-3, 2e-3, "relative change of the emittance a kelvin"),
+        Parameter("duration_s", "s", 2.0, 20.0, 0.2, 1e3, "time constant of the change"),
     ),
     kernel=emittance_changes,
     needs_wall=True,
