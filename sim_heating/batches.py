@@ -88,10 +88,10 @@ def run_batches(
     names = [job.id for job in jobs]
     if len(set(names)) < len(names):
         raise InputError(f"jobs: `{max(set(names), key=names.count)}` stands twice; give each an id of its own")
-    todo = [job for job in jobs if not (out / job.id).is_file()]
-    told = _Counted(len(jobs), len(jobs) - len(todo), progress)
-    alone = scheduler is None and (workers == 1 or len(todo) <= 1)
-    results = _here(todo, function) if alone else _spread(todo, function, scheduler, workers)
+    left = [job for job in jobs if not (out / job.id).is_file()]
+    told = _Counted(len(jobs), len(jobs) - len(left), progress)
+    alone = scheduler is None and (workers == 1 or len(left) <= 1)
+    results = _here(left, function) if alone else _spread(left, function, scheduler, workers)
     for job_id, result in results:
         _keep(out, job_id, result)
         told.one_more()
