@@ -35,12 +35,14 @@ class Candidate:
     uses  : the effects that the march carries for it, with the values that it starts from
     names : dotted names of what is estimated on top of what is estimated already
     start : their values to begin with
+    prior : those whose prior says how likely a value is; what is sought over a range of starts has none
     """
 
     name: str
     uses: tuple[EffectUse, ...]
     names: tuple[str, ...]
     start: Mapping[str, float]
+    prior: tuple[str, ...] = ()
 
 
 def candidates(record: Record, flown: Conditions, taken: Sequence[str] = ()) -> list[Candidate]:
@@ -89,7 +91,8 @@ def _of_try(effect: Effect, one: Try) -> Candidate:
     )
     values = dict(zip((p.name for p in effect.parameters), used.values, strict=True))
     first = {f"{EFFECT_PREFIX}{effect.name}.{p}": values[p] for p in one.names}
-    return Candidate(effect.name, (used,), tuple(first), first)
+    prior = tuple(f"{EFFECT_PREFIX}{effect.name}.{p}" for p in one.names if p not in one.start)
+    return Candidate(effect.name, (used,), tuple(first), first, prior)
 
 
 def _of_sensors(record: Record) -> list[Candidate]:

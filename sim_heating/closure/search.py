@@ -7,8 +7,10 @@ weighed by what its freedom would gain from noise alone,
 
 k parameters estimated from n samples. c is the mean square of the best model's normalised residuals, at least 1: what
 even the best model leaves is the scale on which differences count (quasi-likelihood; Burnham & Anderson, Model
-Selection and Multimodel Inference, 2nd ed., sec. 2.5). The best candidate is added where its BIC is below that of
-none by more than GAIN and it explains a good part of what noise does not; that is repeated until nothing is.
+Selection and Multimodel Inference, 2nd ed., sec. 2.5). Two for the logarithm of the number of its forms, and the priors
+of magnitudes, are added: neither many forms nor a value that nobody would expect come for nothing. The best candidate
+is added where its BIC is below that of none by more than GAIN and it explains a good part of what noise does not; that
+is repeated until nothing is.
 
 Candidates begin where they have no effect yet. There the gain of a candidate is known from its sensitivities alone;
 the best starts of each are then fitted, LANES of them side by side.
@@ -360,7 +362,9 @@ def _weighed(
     c = max(1.0, 1.0 + min(excess, attempts[0].excess))
     weighed = sorted(
         (
-            replace(a, weighed=delta_bic(base, a.fit, a.candidate, c) + 2.0 * float(np.log(forms[a.name])))
+            replace(
+                a, weighed=delta_bic(base, a.fit, a.candidate, c) + 2.0 * float(np.log(forms[a.name])) + unlikely(a)
+            )
             for a in attempts
         ),
         key=lambda a: a.weighed,
@@ -369,6 +373,13 @@ def _weighed(
     odds = np.exp(logs - logs.max())
     names = ("none", *(a.name for a in weighed))
     return Round(base, excess, tuple(weighed), dict(zip(names, (odds / odds.sum()).tolist(), strict=True)), passed)
+
+
+def unlikely(attempt: Attempt) -> float:
+    """By how much priors speak against the values found: the sum of squares of sigmas from what is declared."""
+    model, found = attempt.problem.parts[0].model, values_of(attempt)
+    known = [(model.definition(name), found[name]) for name in attempt.candidate.prior]
+    return float(sum(((value - p.value) / p.sigma) ** 2 for p, value in known))
 
 
 def forms_of(tried: Sequence[Candidate]) -> dict[str, int]:
