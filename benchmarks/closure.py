@@ -1,9 +1,9 @@
-"""close-loop on records of another program: how often the right effect is named, and how often one where there is none.
+"""close-loop on records of another program: how often the right effect is named, and one where there is none.
 
-Records of `benchmarks/generator`, undeclared effects in forms that are mostly not the library's own, and records without
+Records of `benchmarks/generator`, undeclared effects in forms that are mostly not the library's own, and others without
 any. Named right: the first effect that is named is the one put in. Separable: no rival comes near, by the generator's
-own estimate; a rival that does counts as right where they are not. Errors after are held against those of the
-truth itself, which are noise. Finished records are kept in out/closure_benchmark: a run that was ended goes on there.
+own estimate; a rival that does counts as right where they are not. Errors after are held against those of the truth
+itself, which are noise. Finished records are kept in out/closure_benchmark: a run that was ended goes on there.
 """
 
 from __future__ import annotations
