@@ -220,7 +220,7 @@ def _errors(found: dict[str, Any]) -> list[str]:
 @click.option("--point", help="the control point, where the estimate is of several")
 @click.option("--check", "checked", type=PATH, multiple=True, help="another record to predict before and after")
 @click.option("--dry-run", is_flag=True, help="show what would change and write nothing")
-@click.option("--revert", metavar="POINT", help="put the table of this control point back to its parent revision")
+@click.option("--revert", metavar="POINT", help="put table and effects of this point back to the parent revision")
 def update_tables(
     fit: Path | None,
     vehicle: str,
@@ -231,10 +231,10 @@ def update_tables(
     dry_run: bool,
     revert: str | None,
 ) -> None:
-    """Write the derivatives of an estimate (FIT: an estimate.json or its directory) into the vehicle's ratio table."""
+    """Write derivatives and effects of an estimate (FIT: an estimate.json or its directory) into the vehicle."""
     from sim_heating.record import load_record
     from sim_heating.table_update.report import report
-    from sim_heating.table_update.revisions import revision_path
+    from sim_heating.table_update.revisions import point_path, revision_path
     from sim_heating.table_update.update import check_place, errors_before_and_after, prepare, write_update
 
     if not dry_run:
@@ -255,8 +255,11 @@ def update_tables(
         CONSOLE.print("Dry run: nothing was written")
         return
     place, made = write_update(update, out, errors)
-    told = f"revision {made.revision}; why: {revision_path(place, made.control_point, made.revision, 'json')} and .png"
-    CONSOLE.print(f"Wrote {place / made.table}, {told}", highlight=False, soft_wrap=True)
+    why = revision_path(place, made.control_point, made.revision, "json")
+    picture = " and .png" if why.with_suffix(".png").is_file() else ""
+    effects = f" and {point_path(place, made.control_point)}" if made.effects else ""
+    told = f"Wrote {place / made.table}{effects}, revision {made.revision}; why: {why}{picture}"
+    CONSOLE.print(told, highlight=False, soft_wrap=True)
 
 
 def _revert_table(vehicle: str, point: str | None, more: bool) -> None:

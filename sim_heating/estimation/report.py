@@ -68,9 +68,24 @@ def result_of(fitted: Fitted) -> Estimate:
             "segments": [_segments(r) for r in records],
             "excursions": excursions([condition_history(r.conditions)[_flown(r), :5] for r in records]),
             "inputs": {str(r.directory): inputs_hash(r) for r in records if r.directory.is_dir()},
+            "effects": _effects(fitted),
             "program": f"sim-heating {package_version()}",
         }
     )
+
+
+def _effects(fitted: Fitted) -> list[dict[str, Any]]:
+    """The effects of each control point's model at the values found."""
+    models = {p.record.declared.control_point: p.altered(fitted.fit.values) for p in fitted.problem.parts}
+    return [
+        {
+            "name": used.effect.name,
+            "parameters": {p.name: float(v) for p, v in zip(used.effect.parameters, used.values, strict=True)},
+            **({"control_point": point} if len(models) > 1 else {}),
+        }
+        for point, model in models.items()
+        for used in model.effects
+    ]
 
 
 def _segments(record: Record) -> list[list[float]]:

@@ -83,6 +83,14 @@ class Excursion(_Kept):
     max: float
 
 
+class EffectInForce(_Kept):
+    """An effect of the fitted model with all its values, estimated or held; of which point, in a fit of several."""
+
+    name: str
+    parameters: dict[str, float]
+    control_point: str | None = None
+
+
 class Estimate(_Kept):
     """Contents of estimate.json.
 
@@ -96,6 +104,7 @@ class Estimate(_Kept):
     segments            : fitted [start, end] times [s] of each record; None: as the records declare
     excursions          : by variable, over the fitted samples
     inputs              : record -> hash of its files, `inputs_hash`
+    effects             : those that the fitted model had, on top of what the records declare
     program             : name and version
     """
 
@@ -115,6 +124,7 @@ class Estimate(_Kept):
     segments: list[list[list[float]]] | None = None
     excursions: dict[str, Excursion] = {}
     inputs: dict[str, str] = {}
+    effects: list[EffectInForce] = []
     program: str | None = None
 
     @model_validator(mode="after")
@@ -210,8 +220,9 @@ def write_estimate(path: str | os.PathLike[str], estimate: Estimate) -> None:
     """Write an estimate, whole or not at all; it reads back equal. What is empty beyond the format is left out."""
     data = estimate.model_dump()
     data["parameters"] = {n: {k: v for k, v in p.items() if v is not None} for n, p in data["parameters"].items()}
-    optional = ("control_point", "vehicle", "segments", "excursions", "inputs", "program")
-    write_json(path, {k: v for k, v in data.items() if k not in optional or v not in (None, {})})
+    optional = ("control_point", "vehicle", "segments", "excursions", "inputs", "effects", "program")
+    data["effects"] = [{k: v for k, v in e.items() if v is not None} for e in data["effects"]]
+    write_json(path, {k: v for k, v in data.items() if k not in optional or v not in (None, {}, [])})
 
 
 def inputs_hash(record: Record) -> str:

@@ -6,7 +6,7 @@ column mach: ...`, where a row is the line of the file as an editor counts it. A
 
 from sim_heating.files.output import MARKER, files_made, json_text, output_directory, read_json, write_json
 from sim_heating.files.table import COLDEST_K, CsvTable, celsius_rule, csv_text, read_csv_columns, write_csv
-from sim_heating.files.text import nearest, raise_problems, read_text, shown, suggestion, write_text_atomic
+from sim_heating.files.text import nearest, raise_problems, raw_text, read_text, shown, suggestion, write_text_atomic
 from sim_heating.files.toml import (
     Declared,
     LocatedError,
@@ -20,7 +20,7 @@ from sim_heating.files.toml import (
 
 __all__ = [
     "COLDEST_K", "MARKER", "CsvTable", "Declared", "LocatedError", "Location", "celsius_rule", "check", "csv_text",
-    "files_made", "json_text", "known_keys", "nearest", "output_directory", "raise_problems", "read_csv_columns",
-    "read_json", "read_text", "read_toml", "read_toml_dict", "shown", "suggestion", "toml_text", "write_csv",
-    "write_json", "write_text_atomic",
+    "files_made", "json_text", "known_keys", "nearest", "output_directory", "raise_problems", "raw_text",
+    "read_csv_columns", "read_json", "read_text", "read_toml", "read_toml_dict", "shown", "suggestion", "toml_text",
+    "write_csv", "write_json", "write_text_atomic",
 ]  # fmt: skip

@@ -72,6 +72,12 @@ def read_text(path: str | os.PathLike[str]) -> str:
         raise InputError(f"{name}, line {line}: {bad} is not UTF-8 text; save the file as UTF-8") from None
 
 
+def raw_text(path: str | os.PathLike[str]) -> str:
+    """The text of a file with its line ends and byte-order mark as they are; raises as `read_text`."""
+    read_text(path)
+    return Path(path).read_bytes().decode("utf-8")
+
+
 def _neighbour(path: Path) -> str:
     try:
         near = nearest(path.name, sorted(p.name for p in path.parent.iterdir()), cutoff=0.7)

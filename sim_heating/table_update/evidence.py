@@ -11,7 +11,8 @@ table says theta is, P (W n - r_declared) with P = (B' O B)^-1 B' O. So H = P W,
 rank of the evidence is the number of parameters, however many samples the path has: nothing is counted twice.
 
 A parameter that the table cannot hold (the derivative against a variable with one node, the curvature within one cell)
-and one that is no ratio's is averaged over: its row and column of C are left out.
+and one that is no ratio's is averaged over: its row and column of C are left out. An estimate of effects alone is
+evidence of rank 0: the table stays.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from sim_heating.errors import InputError
 from sim_heating.estimation.ratio import basis
 from sim_heating.estimation.result import Estimate
 from sim_heating.heating_ratio.table import RatioTable
-from sim_heating.parameters import RATIO, SECOND_ORDER
+from sim_heating.parameters import EFFECT_PREFIX, RATIO, SECOND_ORDER
 from sim_heating.points import check_reference, conditions_of_record
 from sim_heating.record import Record, in_segments
 from sim_heating.table_update.posterior import Evidence, node_weights
@@ -79,6 +80,11 @@ class Informed:
     not_written: dict[str, str]
 
 
+def is_effect(label: str) -> bool:
+    """Whether a parameter's label is that of an effect."""
+    return label.startswith(EFFECT_PREFIX)
+
+
 def ratio_names(estimate: Estimate) -> tuple[str, ...]:
     """The estimated parameters of the linear heating model, in the model's order."""
     return tuple(p.name for p in RATIO if p.name in estimate.parameters)
@@ -95,8 +101,10 @@ def evidence_of(estimate: Estimate, records: Sequence[Record], vehicle: Vehicle,
     if point.ratio.sigma is None:
         raise InputError(f"{point.declared.ratio_table}: has no sigma column to weigh the flight against; add one")
     names = ratio_names(estimate)
-    if not names:
-        raise InputError("the estimate holds no ratio parameter, so it says nothing of a ratio table")
+    others = [n for n in estimate.parameters if n not in names]
+    effects = any(is_effect(n) for n in others)
+    if not names and not effects:
+        raise InputError("the estimate holds no ratio parameter and no effect, so it says nothing of the vehicle")
     held_back = next((n for n in names if estimate.parameters[n].prior_sigma is not None), None)
     if held_back is not None:
         raise InputError(
@@ -104,19 +112,21 @@ def evidence_of(estimate: Estimate, records: Sequence[Record], vehicle: Vehicle,
         )
     for record in records:
         check_reference(record, vehicle, point)
-    path, left_out = _inside(_path(estimate, records), point)
-    H, at_zero = _projection(names, path, estimate.reference_condition.values(), point.ratio)
-    held = _held(names, path, point.ratio)
+    path, left_out = _path(estimate, records), 0
+    H, at_zero, held = np.zeros((0, point.ratio.ratio.size)), np.zeros(0), np.zeros(0, dtype=bool)
+    if names:
+        path, left_out = _inside(path, point)
+        H, at_zero = _projection(names, path, estimate.reference_condition.values(), point.ratio)
+        held = _held(names, path, point.ratio)
     kept = tuple(n for n, h in zip(names, held, strict=True) if h)
-    if not kept:
+    if not kept and not effects:
         raise InputError(f"the table of {point.name} can hold none of {', '.join(names)}; give it nodes there")
     rows = H[held]
     nodes = np.flatnonzero(np.any(rows != 0.0, axis=0))
     value = estimate.values(kept) + at_zero[held]
     evidence = Evidence(kept, nodes, rows[:, nodes], value, estimate.covariance(kept))
     not_written = dict.fromkeys(set(names) - set(kept), "the nodes of the table cannot hold it")
-    # An effect that was fitted belongs into the control point's [[effect]], not into its table.
-    not_written |= dict.fromkeys(set(estimate.parameters) - set(names), "is not of the ratio table")
+    not_written |= dict.fromkeys((n for n in others if not is_effect(n)), "is neither of the ratio table nor an effect")
     return Informed(evidence, rows, at_zero[held], path, left_out, dict(sorted(not_written.items())))
 
 

@@ -137,6 +137,7 @@ def posterior(table: RatioTable, evidence: Sequence[Evidence]) -> Posterior:
     """
     if table.sigma is None:
         raise InputError("ratio table: has no sigma column, so there is nothing to weigh the flight against; add one")
+    evidence = [e for e in evidence if e.names]
     if not evidence:
         return Posterior(table, table.ratio, table.sigma, np.zeros(0), 0.0, np.zeros((table.ratio.size, 0)))
     nodes = np.unique(np.concatenate([e.nodes for e in evidence]))

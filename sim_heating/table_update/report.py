@@ -1,4 +1,4 @@
-"""A table update as a person reads it: the difference node by node, each parameter before and after, and errors."""
+"""A table update as a person reads it: the difference node by node, parameters, effects, errors."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from rich.table import Table
 
 from sim_heating.conditions import RATIO_VARIABLES
-from sim_heating.parameters import SHORT
+from sim_heating.parameters import EFFECT_PREFIX, SHORT
 from sim_heating.table_update.update import SURPRISING, TableUpdate, changed_nodes
 
 ROWS = 16
@@ -18,8 +18,14 @@ ROWS = 16
 
 def report(update: TableUpdate, errors: dict[str, dict[str, Any]]) -> Iterator[Table | str]:
     """What is printed of an update, one after the other."""
-    yield _difference(update)
-    yield _parameters(update)
+    if np.any(update.changed):
+        yield _difference(update)
+    else:
+        yield f"{update.point.name}: no node of the ratio table changes"
+    if update.informed.evidence.names:
+        yield _parameters(update)
+    if update.effects.written:
+        yield _effects(update)
     yield _errors(errors)
     yield from _oddities(update)
 
@@ -54,8 +60,24 @@ def _parameters(update: TableUpdate) -> Table:
     return table
 
 
+def _effects(update: TableUpdate) -> Table:
+    name = update.effects.path.name
+    table = Table(title=f"Effects in {name}", title_justify="left")
+    for head in ("effect", "parameter"):
+        table.add_column(head, no_wrap=True)
+    for head in ("estimate", "before", "after"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for effect in update.effects.changes():
+        for parameter, value in effect["parameters"].items():
+            estimated = update.parameters.get(f"{EFFECT_PREFIX}{effect['name']}.{parameter}")
+            told = f"{estimated.value:.4g} +- {estimated.sigma:.2g}" if estimated else "held"
+            before = "-" if effect["before"] is None else f"{effect['before'][parameter]:.4g}"
+            table.add_row(effect["name"], parameter, told, before, f"{value:.4g}")
+    return table
+
+
 def _errors(errors: dict[str, dict[str, Any]]) -> Table:
-    table = Table(title="RMSE of plain predictions with the table before and after", title_justify="left")
+    table = Table(title="RMSE of plain predictions with the vehicle before and after", title_justify="left")
     table.add_column("record")
     for head in ("fit, before", "after", "holdout, before", "after"):
         table.add_column(head, justify="right", no_wrap=True)
@@ -67,8 +89,13 @@ def _errors(errors: dict[str, dict[str, Any]]) -> Table:
 
 def _oddities(update: TableUpdate) -> Iterator[str]:
     """What a person should know before trusting the revision."""
-    for name, why in update.informed.not_written.items():
+    for name, why in update.not_written.items():
         yield f"{name}: not written, {why}"
+    for name in update.effects.missing:
+        yield (
+            f"{name}: is declared at {update.point.name} and was not in the fit, whose ratio may hold it too; "
+            f"estimate with {EFFECT_PREFIX}{name}.*"
+        )
     if update.informed.left_out:
         yield f"{update.informed.left_out} fitted samples lay outside the table and were left out"
     if update.after.surprise < SURPRISING:

@@ -1,12 +1,14 @@
-"""Revisions of a ratio table as files of the vehicle: written, read back, undone.
+"""Revisions of a control point's ratio table and effects as files of the vehicle: written, read back, undone.
 
     ratio_tables/P.csv                     the table in force; its header says `revision` and `parent_revision`
     ratio_revisions/P/revision_1.csv       an earlier one, byte for byte
     ratio_revisions/P/revision_2.json      what made revision 2 of revision 1: provenance, evidence, changed nodes
-    ratio_revisions/P/revision_2.png       and its picture
+    ratio_revisions/P/revision_2.png       and its picture, where nodes changed
+    ratio_revisions/P/revision_1.toml      control_points/P.toml before revision 2, where that wrote effects
 
-The table is replaced last and in one step, so an interrupted update leaves the vehicle as it was. Evidence is kept
-whole: a later update starts from the table before the first one and takes all of it together.
+The table is replaced last and in one step; what fails before leaves the vehicle as it was. A program that is killed
+between the two files is found out by `read_history`. Evidence is kept whole: a later update starts from the table
+before the first one and takes all of it together.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from pydantic import Field
 from sim_heating.conditions import RATIO_VARIABLES
 from sim_heating.errors import InputError
 from sim_heating.estimation.result import Estimated
-from sim_heating.files import Declared, check, json_text, read_json, read_text, shown, write_text_atomic
+from sim_heating.files import Declared, check, json_text, raw_text, read_json, shown, write_text_atomic
 from sim_heating.heating_ratio.table import RatioTable, ratio_table_text, read_ratio_table
 from sim_heating.table_update.posterior import Evidence
 from sim_heating.vehicle import Vehicle
@@ -54,6 +56,14 @@ class StoredEvidence(Declared):
         return Evidence(tuple(self.names), nodes, np.array(self.H), np.array(self.value), np.array(self.covariance))
 
 
+class WrittenEffect(Declared):
+    """An effect that was written: its values, and those that were declared before."""
+
+    name: str
+    parameters: dict[str, float]
+    before: dict[str, float] | None
+
+
 class RevisionFile(Declared):
     """Contents of ratio_revisions/P/revision_N.json.
 
@@ -61,8 +71,10 @@ class RevisionFile(Declared):
     parent       : number of the revision that it was made of
     parent_hash, table_hash : of the two files' bytes
     estimate     : hash of the estimate's file
-    parameters   : what was estimated of the ratio
-    not_written  : what was estimated and is not in the table, with the reason
+    parameters   : what was estimated of the ratio and of written effects
+    effects      : what was written into the control point's file
+    point_parent_hash, point_hash : of that file's bytes before and after; None where no effect was written
+    not_written  : what was estimated and is not in the vehicle, with the reason
     reach        : distances at which the errors of two nodes are taken to be independent
     chi_square   : of all evidence against the table before any of it
     changed      : nodes with another value: the five variables, ratio and sigma before and after
@@ -80,6 +92,9 @@ class RevisionFile(Declared):
     records: list[UsedRecord]
     reference_condition: dict[str, float]
     parameters: dict[str, Estimated]
+    effects: list[WrittenEffect] = Field(default=[])
+    point_parent_hash: str | None = None
+    point_hash: str | None = None
     not_written: dict[str, str]
     reach: dict[str, float]
     chi_square: float
@@ -129,7 +144,7 @@ def read_history(vehicle: Vehicle, point: str) -> History:
     raises : InputError where its number is none, or the table was changed after its revision was written
     """
     path = table_path(vehicle, point)
-    raw = _raw(path)
+    raw = raw_text(path)
     table = read_ratio_table(path)
     number = table.header.get("revision", "")
     if not number.isdecimal():
@@ -144,11 +159,23 @@ def read_history(vehicle: Vehicle, point: str) -> History:
                 "`revision` of its own"
             )
         base = revision_path(vehicle.directory, point, revision.parent, "csv")
-        text, at = _raw(base), revision.parent
+        text, at = raw_text(base), revision.parent
         if revision.parent_hash != content_hash(text):
             raise InputError(f"{shown(base)}: is not the table that {shown(made)} was made of; restore it")
         revisions.insert(0, revision)
+    _refuse_half_written(vehicle.directory, point, int(number))
     return History(path, raw, table, int(number), read_ratio_table(base), tuple(revisions))
+
+
+def _refuse_half_written(directory: Path, point: str, number: int) -> None:
+    """Refuse a vehicle with the effects of the next revision and the table of this one."""
+    made, file = revision_path(directory, point, number + 1, "json"), point_path(directory, point)
+    if not made.is_file():
+        return
+    revision = check(read_json(made), RevisionFile, shown(made))
+    if revision.point_hash is not None and revision.point_hash == content_hash(raw_text(file)):
+        kept = revision_path(directory, point, number, "toml")
+        raise InputError(f"{shown(file)}: an update ended before its table was written; copy {shown(kept)} over it")
 
 
 def content_hash(text: str) -> str:
@@ -156,11 +183,16 @@ def content_hash(text: str) -> str:
     return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
 
 
-def write_revision(vehicle: Vehicle, history: History, table: RatioTable, made: Mapping[str, Any]) -> RevisionFile:
-    """Write the next revision of a table: the old one kept, then what made the new one, then the table itself.
+def write_revision(
+    vehicle: Vehicle, history: History, table: RatioTable, made: Mapping[str, Any], point_text: str | None = None
+) -> RevisionFile:
+    """Write the next revision: the old files kept, what made the new ones, the effects, then the table itself.
 
-    made : the fields of a RevisionFile that are not of the files
+    made       : the fields of a RevisionFile that are not of the files
+    point_text : the new text of the control point's file, None where it stays
     """
+    file = point_path(vehicle.directory, made["control_point"])
+    old_point = raw_text(file)
     text = ratio_table_text(table, _short_axes(table))
     data = {
         **made,
@@ -169,14 +201,25 @@ def write_revision(vehicle: Vehicle, history: History, table: RatioTable, made: 
         "parent": history.revision,
         "parent_hash": content_hash(history.raw),
         "table_hash": content_hash(text),
+        "point_parent_hash": None if point_text is None else content_hash(old_point),
+        "point_hash": None if point_text is None else content_hash(point_text),
     }
     revision = check(data, RevisionFile, f"revision {history.revision + 1}")
     point = revision.control_point
     write_text_atomic(revision_path(vehicle.directory, point, history.revision, "csv"), history.raw)
+    if point_text is not None:
+        write_text_atomic(revision_path(vehicle.directory, point, history.revision, "toml"), old_point)
     write_text_atomic(
         revision_path(vehicle.directory, point, revision.revision, "json"), json_text(revision.model_dump())
     )
-    write_text_atomic(history.path, text)
+    try:
+        if point_text is not None:
+            write_text_atomic(file, point_text)
+        write_text_atomic(history.path, text)
+    except BaseException:
+        if point_text is not None:
+            write_text_atomic(file, old_point)
+        raise
     return revision
 
 
@@ -187,29 +230,45 @@ def _short_axes(table: RatioTable) -> dict[str, str]:
 
 
 def revert(vehicle: Vehicle, point: str) -> tuple[int, int]:
-    """Put the parent of a table's revision back, byte for byte; numbers of the revision undone and of the one in force.
+    """Put the parent of a revision back, byte for byte; numbers of the revision undone and of the one in force.
 
-    raises : InputError where there is none
+    raises : InputError where there is none, or the control point's file was changed since
     """
     history = read_history(vehicle, point)
     if not history.revisions:
         raise InputError(f"{shown(history.path)}: revision {history.revision} was not made from flight data; kept")
     undone = history.revisions[-1]
     kept = revision_path(vehicle.directory, point, undone.parent, "csv")
-    write_text_atomic(history.path, _raw(kept))
-    for path in (kept, *(revision_path(vehicle.directory, point, undone.revision, kind) for kind in ("json", "png"))):
+    old_point = revision_path(vehicle.directory, point, undone.parent, "toml")
+    if undone.point_hash is not None:
+        _revert_point(point_path(vehicle.directory, point), old_point, undone)
+    write_text_atomic(history.path, raw_text(kept))
+    made = (revision_path(vehicle.directory, point, undone.revision, kind) for kind in ("json", "png"))
+    for path in (kept, old_point, *made):
         path.unlink(missing_ok=True)
     if not any(kept.parent.iterdir()):
         kept.parent.rmdir()
     return undone.revision, undone.parent
 
 
+def _revert_point(file: Path, kept: Path, undone: RevisionFile) -> None:
+    """Put a control point's file back, unless a person has changed it since."""
+    text = raw_text(kept)
+    if content_hash(text) != undone.point_parent_hash:
+        raise InputError(f"{shown(kept)}: is not the file that revision {undone.revision} was made of; restore it")
+    if content_hash(raw_text(file)) not in (undone.point_hash, undone.point_parent_hash):
+        raise InputError(
+            f"{shown(file)}: was changed after revision {undone.revision}, which wrote effects into it, and the change "
+            "would be lost; take it back first"
+        )
+    write_text_atomic(file, text)
+
+
+def point_path(directory: Path, point: str) -> Path:
+    """The file of a control point in a vehicle."""
+    return directory / "control_points" / f"{point}.toml"
+
+
 def revision_path(directory: Path, point: str, revision: int, kind: str) -> Path:
-    """Where a revision's earlier table (csv), its evidence (json) or its picture (png) stands in a vehicle."""
+    """Where a revision's table (csv), control point (toml), evidence (json) or picture (png) is kept in a vehicle."""
     return directory / FOLDER / point / f"revision_{revision}.{kind}"
-
-
-def _raw(path: Path) -> str:
-    """The text of a file with its line ends and byte-order mark as they are."""
-    read_text(path)
-    return path.read_bytes().decode("utf-8")

@@ -1,4 +1,5 @@
-"""From an estimate to the next revision of a ratio table: what changes, what that does to errors, and writing it."""
+"""From an estimate to the next revision of a control point's ratio table and effects: what changes, what that does to
+errors, and writing it."""
 
 from __future__ import annotations
 
@@ -16,14 +17,16 @@ from scipy.sparse import csr_array
 
 from sim_heating.conditions import RATIO_VARIABLES, FloatArray
 from sim_heating.errors import InputError
-from sim_heating.estimation.result import AT, NAME, Estimate, correlations, inputs_hash, read_estimate
+from sim_heating.estimation.result import AT, NAME, Estimate, Estimated, correlations, inputs_hash, read_estimate
 from sim_heating.files import read_text, shown
 from sim_heating.heating_ratio.table import RatioTable
-from sim_heating.points import check_reference, point_of_record
+from sim_heating.parameters import EFFECT_PREFIX
+from sim_heating.points import point_with_table_of
 from sim_heating.predict import predict
 from sim_heating.record import Record, load_record, pooled_rmse_K
 from sim_heating.results import package_version
-from sim_heating.table_update.evidence import Informed, evidence_of
+from sim_heating.table_update.effects import FittedEffects, effects_of_fit
+from sim_heating.table_update.evidence import Informed, evidence_of, is_effect
 from sim_heating.table_update.posterior import REACH, Posterior, posterior
 from sim_heating.table_update.revisions import (
     FOLDER,
@@ -31,6 +34,7 @@ from sim_heating.table_update.revisions import (
     RevisionFile,
     UsedRecord,
     content_hash,
+    point_path,
     read_history,
     revision_path,
     write_revision,
@@ -52,6 +56,7 @@ class TableUpdate:
     informed      : the estimate as evidence
     before, after : posterior of the table without and with the estimate
     table         : the new revision, rounded
+    effects       : what the estimate says of effects
     used          : the records behind the estimate
     """
 
@@ -66,6 +71,7 @@ class TableUpdate:
     before: Posterior
     after: Posterior
     table: RatioTable
+    effects: FittedEffects
 
     @property
     def changed(self) -> NDArray[np.bool_]:
@@ -75,9 +81,22 @@ class TableUpdate:
         assert self.table.sigma is not None
         return (old.ratio != self.table.ratio) | (old.sigma != self.table.sigma)
 
+    @property
+    def parameters(self) -> dict[str, Estimated]:
+        """What was estimated of the ratio and of the effects that are written."""
+        written = tuple(f"{EFFECT_PREFIX}{name}." for name in self.effects.written)
+        return {n: p for n, p in self.estimate.parameters.items() if n.startswith(("ratio.", *written))}
+
+    @property
+    def not_written(self) -> dict[str, str]:
+        """What was estimated and goes nowhere, with the reason."""
+        return dict(sorted((self.informed.not_written | self.effects.not_written).items()))
+
     def parameter_views(self) -> list[tuple[str, float, float, float, float, float, float]]:
         """Each written parameter, value and sigma: of the estimate, of the table before, of the table after."""
         evidence, rows = self.informed.evidence, self.informed.rows
+        if not evidence.names:
+            return []
         value = evidence.value - self.informed.at_zero
         columns = [value, np.sqrt(np.diag(evidence.covariance))]
         for p in (self.before, self.after):
@@ -91,7 +110,7 @@ def prepare(
     records: Sequence[str | os.PathLike[str]] = (),
     point_name: str | None = None,
 ) -> TableUpdate:
-    """Work out the next revision of a vehicle's table from an estimate.
+    """Work out the next revision of a vehicle's table and effects from an estimate.
 
     fit        : an estimate.json or its directory
     vehicle    : name or directory
@@ -110,6 +129,10 @@ def prepare(
     informed = evidence_of(estimate, loaded, ours, point)
     earlier = [r.evidence.arrays() for r in history.revisions]
     before, after = posterior(history.base, earlier), posterior(history.base, [*earlier, informed.evidence])
+    effects = effects_of_fit(
+        estimate, informed, after, point_path(ours.directory, point.name), point,
+        _source(estimate, used, point.name, history),
+    )  # fmt: skip
     table = _rounded(history.table, after, _header(history, estimate, used, point.name))
     update = TableUpdate(
         ours,
@@ -123,8 +146,9 @@ def prepare(
         before,
         after,
         table,
+        effects,
     )
-    if not np.any(update.changed):
+    if not np.any(update.changed) and effects.text == effects.raw:
         raise InputError(f"{shown(file)}: changes no node of {point.declared.ratio_table}; its bounds are too wide")
     return update
 
@@ -166,19 +190,21 @@ def _of_point(estimate: Estimate, records: Sequence[Record], name: str | None) -
             "records": [estimate.records[i] for i in mine],
             "segments": None if estimate.segments is None else [estimate.segments[i] for i in mine],
             "parameters": {stem: estimate.parameters[label] for label, stem in labels.items()},
+            "effects": [e for e in estimate.effects if e.control_point in (None, name)],
             "correlation": correlations(tuple(labels.values()), estimate.covariance(tuple(labels))),
         }
     ), [records[i] for i in mine]
 
 
 def _plain_names(estimate: Estimate, point: str, alone: bool) -> dict[str, str]:
-    """Label -> name of the parameters of one control point; what is no ratio's of other owners keeps its label."""
+    """Label -> name of the parameters of one control point; a clock's, a sensor's, and what is averaged over of others
+    keep their labels, ratios and effects of others are left out."""
     names = {}
     for label in estimate.parameters:
         stem, _, owner = label.partition(AT)
         if owner == point or (alone and not owner):
             names[label] = stem
-        elif not stem.startswith("ratio."):
+        elif not stem.startswith("ratio.") and not is_effect(stem):
             names[label] = label
     return names
 
@@ -223,15 +249,26 @@ def _significant(values: FloatArray, digits: int) -> FloatArray:
     return np.array([float(f"{v:.{digits}g}") for v in values.ravel()]).reshape(values.shape)
 
 
+def _times(used: Sequence[UsedRecord]) -> str:
+    return "; ".join(f"{u.record} {', '.join(f'{a:g} to {b:g} s' for a, b in u.segments)}" for u in used)
+
+
+def _source(estimate: Estimate, used: Sequence[UsedRecord], point: str, history: History) -> str:
+    """What a control point's file says of the evidence for an effect."""
+    sigma = ", ".join(
+        f"{n.removeprefix(EFFECT_PREFIX)} +- {p.sigma:.2g}" for n, p in estimate.parameters.items() if is_effect(n)
+    )
+    return f"flight {_times(used)}; {sigma}; {FOLDER}/{point}/revision_{history.revision + 1}.json"
+
+
 def _header(history: History, estimate: Estimate, used: Sequence[UsedRecord], point: str) -> dict[str, str]:
     number = history.revision + 1
-    times = "; ".join(f"{u.record} {', '.join(f'{a:g} to {b:g} s' for a, b in u.segments)}" for u in used)
-    values = {n: p for n, p in estimate.parameters.items() if n.startswith("ratio.")}
+    values = {n: p for n, p in estimate.parameters.items() if n.startswith("ratio.") or is_effect(n)}
     return {
         **{key: value for key, value in history.table.header.items() if key != "made_from"},
         "revision": str(number),
         "parent_revision": str(history.revision),
-        "revised_from": times,
+        "revised_from": _times(used),
         "revised_parameters": "; ".join(f"{n} {p.value:.4g} +- {p.sigma:.2g}" for n, p in values.items()),
         "revised_inputs": " ".join(u.inputs for u in used),
         "revised_by": f"sim-heating {package_version()}",
@@ -240,7 +277,7 @@ def _header(history: History, estimate: Estimate, used: Sequence[UsedRecord], po
 
 
 def errors_before_and_after(update: TableUpdate, records: Sequence[Record]) -> dict[str, dict[str, Any]]:
-    """RMSE of plain predictions with the table in force and with the new one, over fit and holdout of each record.
+    """RMSE of plain predictions with table and effects in force and with the new ones, over fit and holdout.
 
     Everything else, the stack above all, is as the record declares, whatever else was estimated.
     raises : InputError where a record is of another control point, over another reference heating, or named twice
@@ -250,11 +287,9 @@ def errors_before_and_after(update: TableUpdate, records: Sequence[Record]) -> d
         _check_comparable(update, record)
         if record.name in found:
             raise InputError(f"records: two of them are named {record.name}; rename one")
-        model, used = point_of_record(record), [i for i, s in enumerate(record.sensors) if s.used]
-        residuals = {
-            when: predict(record, replace(model, ratio=table)).residual_K[used]
-            for when, table in (("before", update.history.table), ("after", update.table))
-        }
+        model, used = point_with_table_of(record, update.vehicle), [i for i, s in enumerate(record.sensors) if s.used]
+        revised = replace(model, ratio=update.table, effects=update.effects.after)
+        residuals = {when: predict(record, m).residual_K[used] for when, m in (("before", model), ("after", revised))}
         masks = {"fit": record.fit_mask(), "holdout": record.holdout_mask()}
         found[record.name] = {
             part: {when: pooled_rmse_K(r, mask) for when, r in residuals.items()} for part, mask in masks.items()
@@ -266,7 +301,6 @@ def _check_comparable(update: TableUpdate, record: Record) -> None:
     point = record.declared.control_point
     if point != update.point.name:
         raise InputError(f"{record.name}: is of {point}, the table is that of {update.point.name}")
-    check_reference(record, update.vehicle, update.point)
 
 
 def check_place(vehicle: str | os.PathLike[str], out: Path | None) -> None:
@@ -316,12 +350,15 @@ def _write_copy(update: TableUpdate, target: Path, errors: dict[str, dict[str, A
 
 
 def _write(update: TableUpdate, vehicle: Vehicle, history: History, errors: dict[str, dict[str, Any]]) -> RevisionFile:
-    from sim_heating.table_update.plots import draw_update  # matplotlib is slow to import, and wanted only here
-
     picture = revision_path(vehicle.directory, update.point.name, history.revision + 1, "png")
     picture.parent.mkdir(parents=True, exist_ok=True)
-    draw_update(picture, update)
-    return write_revision(vehicle, history, update.table, _made(update, errors))
+    if np.any(update.changed):
+        from sim_heating.table_update.plots import draw_update  # matplotlib is slow to import, and wanted only here
+
+        draw_update(picture, update)
+    effects = update.effects
+    point_text = effects.text if effects.text != effects.raw else None
+    return write_revision(vehicle, history, update.table, _made(update, errors), point_text)
 
 
 def _made(update: TableUpdate, errors: dict[str, dict[str, Any]]) -> dict[str, Any]:
@@ -333,8 +370,9 @@ def _made(update: TableUpdate, errors: dict[str, dict[str, Any]]) -> dict[str, A
         "estimate": update.estimate_hash,
         "records": [u.model_dump() for u in update.used],
         "reference_condition": dict(zip(RATIO_VARIABLES, estimate.reference_condition.values().tolist(), strict=True)),
-        "parameters": {n: p.model_dump() for n, p in estimate.parameters.items() if n.startswith("ratio.")},
-        "not_written": update.informed.not_written,
+        "parameters": {n: p.model_dump() for n, p in update.parameters.items()},
+        "effects": update.effects.changes(),
+        "not_written": update.not_written,
         "reach": REACH,
         "chi_square": update.after.chi_square,
         "degrees_of_freedom": len(update.after.innovation),
