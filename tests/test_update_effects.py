@@ -19,6 +19,7 @@ from sim_heating.record import load_record
 from sim_heating.scenario import load_scenario
 from sim_heating.synthesize import synthesize, write_records
 from sim_heating.table_update.effects import edited, values_of
+from sim_heating.table_update.update import prepare
 from sim_heating.vehicle import load_vehicle
 from tests.test_update_tables import GLIDE, POINT, contents, edit, one_point_orbiter
 
@@ -126,6 +127,24 @@ def test_a_fit_of_an_effect_alone_leaves_every_node(desk: Path) -> None:
     assert now.header["revision"] == "2"
 
 
+@pytest.mark.parametrize("rho", [-0.999, 0.0, 0.9])
+def test_effects_follow_the_ratio_that_the_table_draws_away_from_the_fit(desk: Path, rho: float) -> None:
+    fit = read_estimate("first.json")
+    scale, factor = (
+        fit.parameters[n].model_copy(update={"sigma": s})
+        for n, s in (("ratio.scale", 0.2), ("effect.transition.factor", 0.3))
+    )
+    told = {"ratio.scale": scale, "effect.transition.factor": factor}
+    both = {"ratio.scale|effect.transition.factor": rho}
+    write_estimate("other.json", fit.model_copy(update={"parameters": told, "correlation": both}))
+    update = prepare("other.json", "./orbiter")
+    ((_, estimated, _, _, _, drawn, _),) = update.parameter_views()
+    assert abs(drawn - estimated) > 0.2 * scale.sigma
+    (transition,) = update.effects.after
+    follow = (values_of(transition)["factor"] - factor.value) / factor.sigma
+    assert follow == pytest.approx(rho * (drawn - estimated) / scale.sigma, abs=1e-4)
+
+
 def test_a_declared_effect_gives_way_and_its_comments_stay(desk: Path) -> None:
     old = (
         '\n[[effect]] # hot\nname = "transition" # seen in tunnels\nparameters = { factor = 4.0 }\nsource = "a guess"\n'
@@ -165,18 +184,24 @@ def test_an_update_that_was_killed_before_its_table_is_found_out(
 
 
 @pytest.mark.parametrize(
-    "damage", ['"factor": {"value": 1e3}', "nothing"], ids=["a value outside its bounds", "an effect that nobody knows"]
+    ("name", "value", "hint"),
+    [
+        ("effect.transition.factor", 1e3, "1000 is outside its bounds"),
+        ("effect.transitoin.factor", 2.0, "Nearest: `transition`"),
+        ("effect.transition.fctor", 2.0, "no parameter `fctor`"),
+    ],
 )
-def test_effects_that_no_vehicle_can_have_are_refused(damage: str, desk: Path) -> None:
+def test_effects_that_no_vehicle_can_have_are_refused_in_one_line(
+    name: str, value: float, hint: str, desk: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     fit = read_estimate("first.json")
-    factor = fit.parameters["effect.transition.factor"]
-    if damage == "nothing":
-        parameters = {"effect.transitoin.factor": factor}
-    else:
-        parameters = {"effect.transition.factor": factor.model_copy(update={"value": 1e3})}
-    write_estimate("other.json", fit.model_copy(update={"parameters": parameters, "correlation": {}}))
+    factor = fit.parameters["effect.transition.factor"].model_copy(update={"value": value})
+    write_estimate("other.json", fit.model_copy(update={"parameters": {name: factor}, "correlation": {}}))
     before = contents(desk / "orbiter")
     assert main(["update-tables", "other.json", "--vehicle", "./orbiter"]) == 2
+    said = [line for line in capsys.readouterr().err.splitlines() if line.strip()]
+    assert len(said) == 1, said
+    assert hint in said[0]
     assert contents(desk / "orbiter") == before
 
 
