@@ -140,9 +140,23 @@ def test_effects_follow_the_ratio_that_the_table_draws_away_from_the_fit(desk: P
     update = prepare("other.json", "./orbiter")
     ((_, estimated, _, _, _, drawn, _),) = update.parameter_views()
     assert abs(drawn - estimated) > 0.2 * scale.sigma
-    (transition,) = update.effects.after
+    transition = update.effects.after[0]
     follow = (values_of(transition)["factor"] - factor.value) / factor.sigma
     assert follow == pytest.approx(rho * (drawn - estimated) / scale.sigma, abs=1e-4)
+
+
+def test_an_effect_is_drawn_no_farther_than_its_bounds(desk: Path) -> None:
+    fit = read_estimate("first.json")
+    told = {
+        n: fit.parameters[n].model_copy(update={"sigma": s})
+        for n, s in (("ratio.scale", 0.5), ("effect.transition.factor", 50.0))
+    }
+    both = {"ratio.scale|effect.transition.factor": -0.99}
+    write_estimate("other.json", fit.model_copy(update={"parameters": told, "correlation": both}))
+    assert main(["update-tables", "other.json", "--vehicle", "./orbiter"]) == 0
+    assert declared()["transition"]["factor"] == 1.0
+    estimated = read_json(desk / "orbiter" / "ratio_revisions" / POINT / "revision_2.json")["parameters"]
+    assert estimated["effect.transition.factor"]["value"] == told["effect.transition.factor"].value
 
 
 def test_a_declared_effect_gives_way_and_its_comments_stay(desk: Path) -> None:

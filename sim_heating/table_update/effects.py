@@ -6,7 +6,7 @@ mean something else. A fitted effect takes the place of a declared one of the sa
 The table's own sigma draws the ratio parameters theta to other values than the fit's, and the effects' e follow with
 what the fit knows of both together, the mean of a normal distribution given theta:
 
-    e = e_hat + C_e,theta C_theta^-1 (theta_table - theta_hat)
+    e = e_hat + C_e,theta C_theta^-1 (theta_table - theta_hat),    no farther than its bounds
 
 Source: Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), eq. A.6.
 """
@@ -22,7 +22,7 @@ import numpy as np
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from sim_heating.effects import EffectUse, check_count, use
+from sim_heating.effects import EffectUse, check_count, effect, use
 from sim_heating.errors import InputError
 from sim_heating.estimation.result import Estimate
 from sim_heating.files import check, raw_text, shown
@@ -45,6 +45,7 @@ class FittedEffects:
     path        : the control point's file;  raw : its text;  text : the new one, the same where nothing is written
     before      : the effects that it declares;  after : those that it will
     written     : names of the fitted ones
+    moved       : estimated parameter -> how far it is from the fit, in its sigma
     not_written : estimated parameter or effect -> why it is not in the file
     missing     : declared effects that the fit did not have
     """
@@ -55,6 +56,7 @@ class FittedEffects:
     before: tuple[EffectUse, ...]
     after: tuple[EffectUse, ...]
     written: tuple[str, ...]
+    moved: dict[str, float]
     not_written: dict[str, str]
     missing: tuple[str, ...]
 
@@ -70,16 +72,17 @@ def values_of(used: EffectUse) -> dict[str, float]:
 
 
 def effects_of_fit(
-    estimate: Estimate, informed: Informed, table: Posterior, path: Path, point: ControlPoint, source: str
+    estimate: Estimate, informed: Informed, table: Posterior, path: Path, point: ControlPoint, flown: str, made: str
 ) -> FittedEffects:
     """What an estimate of one control point says of its effects.
 
     informed, table : the estimate as evidence, and the ratio table updated by it
     path            : the control point's file
-    source          : what the file shall say of the evidence
+    flown, made     : records and times, and the revision's own file, for the `source` of an effect
     raises : InputError where an effect is unknown, a value outside its bounds, or the file cannot be edited
     """
-    estimated = _by_effect(_beside_table(estimate, informed, table))
+    beside = _beside_table(estimate, informed, table)
+    estimated = _by_effect(beside)
     in_force = {e.name: e.parameters for e in estimate.effects}
     found, not_written = [], _of_record(estimate)
     for name in dict.fromkeys((*in_force, *estimated)):
@@ -93,7 +96,7 @@ def effects_of_fit(
     after = _replaced(point.effects, found)
     check_count(after, point.name)
     raw = raw_text(path)
-    declared = [_declared(u, tuple(estimated[u.effect.name]), source) for u in found]
+    declared = [_declared(u, estimate, tuple(estimated[u.effect.name]), flown, made) for u in found]
     return FittedEffects(
         path=path,
         raw=raw,
@@ -101,6 +104,11 @@ def effects_of_fit(
         before=point.effects,
         after=after,
         written=tuple(u.effect.name for u in found),
+        moved={
+            n: abs(v - estimate.parameters[n].value) / estimate.parameters[n].sigma
+            for n, v in beside.items()
+            if estimate.parameters[n].sigma > 0.0
+        },
         not_written=not_written,
         missing=tuple(u.effect.name for u in point.effects if u.effect.name not in {*in_force, *estimated}),
     )
@@ -116,7 +124,19 @@ def _beside_table(estimate: Estimate, informed: Informed, table: Posterior) -> d
     scaled = np.divide(moved, scale, out=np.zeros(k), where=scale > 0.0)
     follow = rho[k:, :k] @ np.linalg.lstsq(rho[:k, :k], scaled, rcond=None)[0] if k else np.zeros(len(effects))
     sigma = np.array([estimate.parameters[n].sigma for n in effects])
-    return dict(zip(effects, (estimate.values(effects) + sigma * follow).tolist(), strict=True))
+    values = estimate.values(effects)
+    return {
+        n: _within(n, v, v + d) for n, v, d in zip(effects, values.tolist(), (sigma * follow).tolist(), strict=True)
+    }
+
+
+def _within(label: str, fitted: float, value: float) -> float:
+    """A value drawn away from the fitted one, no farther than the bounds of the parameter."""
+    name, _, parameter = label.removeprefix(EFFECT_PREFIX).rpartition(".")
+    limits = next((p for p in effect(name).parameters if p.name == parameter), None)
+    if limits is None:
+        return value
+    return min(max(value, min(limits.lower, fitted)), max(limits.upper, fitted))
 
 
 def _by_effect(values: Mapping[str, float]) -> dict[str, dict[str, float]]:
@@ -139,11 +159,13 @@ def _replaced(declared: Sequence[EffectUse], fitted: Sequence[EffectUse]) -> tup
     return (*(new.pop(u.effect.name, u) for u in declared), *new.values())
 
 
-def _declared(used: EffectUse, estimated: Sequence[str], source: str) -> dict[str, Any]:
+def _declared(used: EffectUse, estimate: Estimate, estimated: Sequence[str], flown: str, made: str) -> dict[str, Any]:
     """An effect as a control point's file declares it: what was estimated, and what is not nominal."""
     nominal = {p.name: p.value for p in used.effect.parameters}
     parameters = {n: v for n, v in values_of(used).items() if n in estimated or v != nominal[n]}
-    return {"name": used.effect.name, "parameters": parameters, "source": source}
+    name = used.effect.name
+    sigma = ", ".join(f"{n} +- {estimate.parameters[f'{EFFECT_PREFIX}{name}.{n}'].sigma:.2g}" for n in estimated)
+    return {"name": name, "parameters": parameters, "source": f"flight {flown}; {sigma}; {made}"}
 
 
 def edited(raw: str, declared: Sequence[Mapping[str, Any]], path: Path) -> str:
@@ -155,11 +177,10 @@ def edited(raw: str, declared: Sequence[Mapping[str, Any]], path: Path) -> str:
     try:
         wanted = tomlkit.parse(text).unwrap()
         wanted["effect"] = [*wanted.get("effect", [])]
-        for effect in declared:
-            text = _with_effect(text, effect)
-            at = next((i for i, e in enumerate(wanted["effect"]) if e["name"] == effect["name"]), None)
-            wanted["effect"] = [e for i, e in enumerate(wanted["effect"]) if i != at]
-            wanted["effect"].insert(len(wanted["effect"]) if at is None else at, dict(effect))
+        for one in declared:
+            text = _with_effect(text, one)
+            at = next((i for i, e in enumerate(wanted["effect"]) if e["name"] == one["name"]), len(wanted["effect"]))
+            wanted["effect"][at : at + 1] = [dict(one)]
         found = tomlkit.parse(text).unwrap()
     except TOMLKitError as error:
         raise InputError(f"{shown(path)}: cannot be edited ({error}); write its [[effect]] by hand") from None
@@ -169,22 +190,24 @@ def edited(raw: str, declared: Sequence[Mapping[str, Any]], path: Path) -> str:
     return mark + text
 
 
-def _with_effect(text: str, effect: Mapping[str, Any]) -> str:
+def _with_effect(text: str, declared: Mapping[str, Any]) -> str:
     document = tomlkit.parse(text)
-    held = next((e for e in document.get("effect", []) if e["name"] == effect["name"]), None)
+    held = next((e for e in document.get("effect", []) if e["name"] == declared["name"]), None)
     if held is None:
-        return text.rstrip() + _end_of_line(text) * 2 + _block(effect).replace("\n", _end_of_line(text))
-    parameters = tomlkit.inline_table()
-    parameters.update(effect["parameters"])
-    held["parameters"], held["source"] = parameters, effect["source"]
+        return text.rstrip() + _end_of_line(text) * 2 + _block(declared).replace("\n", _end_of_line(text))
+    held["parameters"], held["source"] = _parameters(declared), declared["source"]
     return tomlkit.dumps(document)
 
 
-def _block(effect: Mapping[str, Any]) -> str:
-    table, parameters = tomlkit.table(), tomlkit.inline_table()
-    parameters.update(effect["parameters"])
-    table.update({"name": effect["name"], "parameters": parameters, "source": effect["source"]})
+def _block(declared: Mapping[str, Any]) -> str:
+    table = tomlkit.table()
+    table.update({**declared, "parameters": _parameters(declared)})
     return "[[effect]]\n" + table.as_string()
+
+
+def _parameters(declared: Mapping[str, Any]) -> Any:
+    """The parameters of an effect as they stand in a file, with blanks within the braces."""
+    return tomlkit.value("{ " + ", ".join(f"{n} = {float(v)!r}" for n, v in declared["parameters"].items()) + " }")
 
 
 def _end_of_line(text: str) -> str:

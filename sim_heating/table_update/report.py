@@ -14,6 +14,8 @@ from sim_heating.table_update.update import SURPRISING, TableUpdate, changed_nod
 
 ROWS = 16
 """Nodes that are shown; the revision's file holds all."""
+DRAWN = 1.0
+"""A parameter of an effect that the table draws farther from the fit, in its sigma, is told."""
 
 
 def report(update: TableUpdate, errors: dict[str, dict[str, Any]]) -> Iterator[Table | str]:
@@ -91,6 +93,9 @@ def _oddities(update: TableUpdate) -> Iterator[str]:
     """What a person should know before trusting the revision."""
     for name, why in update.not_written.items():
         yield f"{name}: not written, {why}"
+    for name, moved in update.effects.moved.items():
+        if moved > DRAWN:
+            yield f"{name}: the table's sigma draws it {moved:.1f} sigma from the fit, along straight lines"
     for name in update.effects.missing:
         yield (
             f"{name}: is declared at {update.point.name} and was not in the fit, whose ratio may hold it too; "

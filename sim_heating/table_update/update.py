@@ -131,7 +131,7 @@ def prepare(
     before, after = posterior(history.base, earlier), posterior(history.base, [*earlier, informed.evidence])
     effects = effects_of_fit(
         estimate, informed, after, point_path(ours.directory, point.name), point,
-        _source(estimate, used, point.name, history),
+        _times(used), revision_path(Path(), point.name, history.revision + 1, "json").as_posix(),
     )  # fmt: skip
     table = _rounded(history.table, after, _header(history, estimate, used, point.name))
     update = TableUpdate(
@@ -251,14 +251,6 @@ def _significant(values: FloatArray, digits: int) -> FloatArray:
 
 def _times(used: Sequence[UsedRecord]) -> str:
     return "; ".join(f"{u.record} {', '.join(f'{a:g} to {b:g} s' for a, b in u.segments)}" for u in used)
-
-
-def _source(estimate: Estimate, used: Sequence[UsedRecord], point: str, history: History) -> str:
-    """What a control point's file says of the evidence for an effect."""
-    sigma = ", ".join(
-        f"{n.removeprefix(EFFECT_PREFIX)} +- {p.sigma:.2g}" for n, p in estimate.parameters.items() if is_effect(n)
-    )
-    return f"flight {_times(used)}; {sigma}; {FOLDER}/{point}/revision_{history.revision + 1}.json"
 
 
 def _header(history: History, estimate: Estimate, used: Sequence[UsedRecord], point: str) -> dict[str, str]:
