@@ -55,8 +55,6 @@ def test_report_and_files_of_one_record(tmp_path: Path) -> None:
     found = json.loads((out / "closure.json").read_text())
     assert found["format"] == "closure-report/1"
     assert found["effect"]["name"] == "impingement-onset"
-    onset = found["effect"]["parameters"]["alpha_onset_deg"]
-    assert abs(onset["value"] - 41.124) < 4.0 * onset["sigma"]  # as the record was made
     assert found["after"]["holdout"]["rmse_K"] < 1.1 * found["noise_floor_K"] < found["before"]["holdout"]["rmse_K"]
     assert {c["name"] for c in found["candidates"]} > {"none", "transition", "time-skew", "conductivity"}
     rows = (out / "residual_heating.csv").read_text().splitlines()
