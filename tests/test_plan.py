@@ -79,7 +79,7 @@ def start(study, out, workers):
 
 def test_a_study_killed_at_any_moment_goes_on_to_the_same_bytes_on_any_number_of_processes(study, tmp_path):
     whole, out, moments = tmp_path / "whole", tmp_path / "out", random.Random(7)
-    assert cli.main(["plan", str(study), "--out", str(whole), "--workers", "1"]) == 0
+    assert start(study, whole, 1).wait() == 0
     for kill in range(3):
         run, wanted = start(study, out, 2), 1 + 2 * kill
         while run.poll() is None and len(list(out.rglob("*.parquet"))) < wanted:
