@@ -31,6 +31,7 @@ from sim_heating.estimation.together import Together
 from sim_heating.filter_march import FilterMarch, FilterTrack, samples_on_grid
 from sim_heating.layout import LANES
 from sim_heating.linear_march import LinearMarch, Track
+from sim_heating.points import conditions_of_record
 from sim_heating.record import Record, load_record
 
 FloatArray = NDArray[np.float64]
@@ -202,11 +203,11 @@ def the_practice_record() -> list[Figure]:
 def side_by_side() -> list[Figure]:
     """One evaluation of eight problems over one record, each with something else that the declared model may lack."""
     record = load_record(RECORD)
-    names, about = default_names([record]), joint_reference([record])
+    names, about, flown = default_names([record]), joint_reference([record]), conditions_of_record(record)
     kernels = [e.name for e in effects().values() if e.kernel][: LANES - 1]
     problems = [Problem([record], [*names, "stack.coating.thickness_factor"], about)]
     for name in kernels:
-        more = [f"effect.{name}.{p}" for p in effects()[name].estimated()[0]]
+        more = [f"effect.{name}.{p}" for p in effects()[name].tried(flown)[0].names]
         problems.append(Problem([record], [*names, *more], about, effects=[use(name)]))
     at, together = [np.array([p.value for p in problem.parameters]) for problem in problems], Together(problems)
     moved = iter(range(10**9))
