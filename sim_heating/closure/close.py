@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,19 +11,22 @@ from sim_heating.closure.evidence import evidence
 from sim_heating.closure.report import Closure, Estimated, Named, Tried, errors_of, fill_closure
 from sim_heating.closure.residual import residual_heating
 from sim_heating.closure.sanity import after_fit, before_fit
-from sim_heating.closure.search import Attempt, Search, fitted_uses, search
+from sim_heating.closure.search import QUICK, WIDENED, Attempt, Search, fitted_uses, search, values_of
 from sim_heating.conditions import RATIO_VARIABLES
 from sim_heating.errors import RunError
 from sim_heating.estimation.estimate import Fitted, estimate
+from sim_heating.estimation.newton import Settings
 from sim_heating.estimation.report import noise_floor_K, write_fit
 from sim_heating.files import output_directory
-from sim_heating.parameters import CLOCK_SKEW, EFFECT_PREFIX, SENSOR_PREFIX, Parameter
+from sim_heating.parameters import CLOCK_SKEW, EFFECT_PREFIX, SENSOR_PREFIX
 from sim_heating.record import Record
 
 Progress = Callable[[float, str], None]
 
 SEARCH_PART = 0.8
 """Part of the time that the search takes."""
+REFIT = Settings(gain=1e-3, step=0.02, iterations=10, reach=QUICK.reach)
+"""When the last fit stops: far within its bounds, and no step is longer than those of the search."""
 CLOCK_EFFECT = {CLOCK_SKEW.name: "skew_s"}
 SENSOR_PARAMETERS = {"bias": "bias_K", "gain": "gain"}
 
@@ -54,21 +56,26 @@ def close_loop(record: Record, *, progress: Progress = lambda fraction, text: No
 
 
 def refitted(found: Search) -> Fitted:
-    """The record fitted with the declared model's parameters and all that was added, to the end and with bounds."""
+    """The record fitted with the declared model's parameters and all that was added, to the end and with bounds.
+
+    Effects' priors are as wide as in the search.
+    """
     last = found.added[-1]
-    names = tuple(last.problem.parts[0].names)
-    reference = dict(zip(RATIO_VARIABLES, last.problem.reference, strict=True))
+    part = last.problem.parts[0]
     priors = {p.name: p for p in last.problem.parameters if p.name == CLOCK_SKEW.name}
-    priors |= {p.name: p for p in _effect_parameters(last)}
-    return estimate([found.record], names, reference=reference, effects=fitted_uses(last), priors=priors)
-
-
-def _effect_parameters(attempt: Attempt) -> list[Parameter]:
-    """The estimated parameters of effects, with flat priors, to begin at the values found."""
-    part = attempt.problem.parts[0]
-    values = part.values(attempt.fit.values)
-    names = [n for n in part.marched if n.startswith(EFFECT_PREFIX)]
-    return [replace(part.model.definition(n), name=n, value=values[n], sigma=math.inf) for n in names]
+    for name in part.marched:
+        if name.startswith(EFFECT_PREFIX):
+            own = part.model.definition(name)
+            priors[name] = replace(own, sigma=WIDENED * own.sigma)
+    return estimate(
+        [found.record],
+        part.names,
+        reference=dict(zip(RATIO_VARIABLES, last.problem.reference, strict=True)),
+        effects=fitted_uses(last),
+        priors=priors,
+        first=values_of(last),
+        settings=REFIT,
+    )
 
 
 def _report(found: Search, fitted: Fitted) -> Closure:

@@ -67,7 +67,10 @@ BEHIND = 0.1
 WORTH = 5.0
 """By how much a promised gain in log likelihood may fall short of what its parameters cost."""
 QUICK = Settings(gain=0.05, step=0.2, iterations=25, lengths=(0.5, 0.25, 0.1, 0.03, 0.01, 1e-3), reach=0.4)
-STAGES = ((0.0, replace(QUICK, iterations=4)), (0.3, replace(QUICK, iterations=8)), (0.5, QUICK))
+STAGES = (
+    (0.0, replace(QUICK, iterations=4)), (0.3, replace(QUICK, iterations=8)), (0.5, replace(QUICK, iterations=8)),
+    (0.8, QUICK),
+)  # fmt: skip
 """Part of the best gain that a candidate has to have reached to be fitted further, and how far."""
 
 
@@ -163,6 +166,8 @@ def search(record: Record, *, progress: Progress = lambda fraction, text: None) 
             break
         added.append(best)
         base = best
+        if base.excess < BESIDE * (rounds[0].excess - added[0].excess):
+            break  # less is left than a further effect has to explain
     return Search(record, before, tuple(rounds), *_judged(rounds, added))
 
 

@@ -24,13 +24,15 @@ def transition_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
 
 
 def tries(flown: Conditions) -> Sequence[Try]:
-    """Onsets spread over the Reynolds numbers that the flight passes through, still laminar behind them."""
-    names = ("log10_re_onset", "alpha_sens", "width", "factor")
+    """Onsets spread over the Reynolds numbers that the flight passes through, still laminar behind them; those that
+    angle of attack does not move too, which a flight that passes its onset once cannot tell from others."""
+    at_any_alpha = ("log10_re_onset", "width", "factor")
+    names = (*at_any_alpha, "alpha_sens")
     onsets = np.quantile(flown["log10_re"], np.linspace(0.05, 0.98, 14))
+    starts = [{"log10_re_onset": float(x), "width": width, "factor": 1.0} for x in onsets for width in (0.02, 0.1)]
     return [
-        Try(names, {"log10_re_onset": float(x), "alpha_sens": 0.01, "width": width, "factor": 1.0})
-        for x in onsets
-        for width in (0.02, 0.1)
+        *(Try(at_any_alpha, start | {"alpha_sens": 0.0}) for start in starts),
+        *(Try(names, start | {"alpha_sens": 0.01}) for start in starts),
     ]
 
 

@@ -21,7 +21,7 @@ from sim_heating.estimation.coloured import Channel as Residuals
 from sim_heating.estimation.identifiability import correlation
 from sim_heating.estimation.informed import default_names, mean_ratio, still, unheated, untold, without_stuck
 from sim_heating.estimation.likelihood import likelihood
-from sim_heating.estimation.newton import Fit, Status, check_parameters, maximise
+from sim_heating.estimation.newton import Fit, Settings, Status, check_parameters, maximise
 from sim_heating.estimation.observation import errors_of
 from sim_heating.estimation.problem import Part, Problem, Samples, Start, StartMaker, joint_reference, march_times
 from sim_heating.estimation.result import AT
@@ -85,6 +85,8 @@ def estimate(
     effects: Sequence[EffectUse] = (),
     priors: Mapping[str, Parameter] | None = None,
     starts: Sequence[Start | StartMaker | None] | None = None,
+    first: Mapping[str, float] | None = None,
+    settings: Settings | None = None,
     progress: Progress = lambda fraction, text: None,
 ) -> Fitted:
     """Fit parameters to records, jointly.
@@ -94,6 +96,8 @@ def estimate(
     effects   : effects beside the declared model, their parameters estimated where `names` says so
     priors    : dotted name -> Parameter with another prior or other bounds
     starts    : where the march of each record begins (problem.Start, initial.STARTS)
+    first     : values of parameters that the iteration begins with, where not those of their priors
+    settings  : when the iteration stops, and how far it may step
     raises    : InputError where nothing can be estimated, RunError where the fit diverged
     """
     _check_records(records)
@@ -105,18 +109,18 @@ def estimate(
     out = still(wanted, records) | unheated(wanted, records)
     left = _left(wanted, out, records)
     problem = Problem(records, left, about, effects=effects, priors=priors, starts=starts)
-    first = _first_values(problem)
+    begin = _first_values(problem, first or {})
     while True:
         worst = untold(
-            [u.label for u in problem.unknowns], _information(problem, first), _ratio(problem, first), records
+            [u.label for u in problem.unknowns], _information(problem, begin), _ratio(problem, begin), records
         )
         if not worst:
             break
         out |= worst
         left = _left([n for n in left if n not in {label.partition(AT)[0] for label in worst}], out, records)
         problem = Problem(records, left, about, effects=effects, priors=priors, starts=starts)
-        first = _first_values(problem)
-    fit = _fit(problem, first, progress)
+        begin = _first_values(problem, first or {})
+    fit = _fit(problem, begin, settings, progress)
     return _finished(problem, fit, out, stuck)
 
 
@@ -149,9 +153,9 @@ def _check_records(records: Sequence[Record]) -> None:
         raise InputError(f"records: ratios over different reference heatings ({', '.join(sorted(models))}) are not one")
 
 
-def _first_values(problem: Problem) -> FloatArray:
-    """Where the fit starts: prior means, and for a ratio without a table the likeliest of some magnitudes."""
-    first = np.array([p.value for p in problem.parameters])
+def _first_values(problem: Problem, given: Mapping[str, float]) -> FloatArray:
+    """Where the fit starts: as given, prior means, and for a ratio without a table the likeliest of some magnitudes."""
+    first = np.array([given.get(p.name, p.value) for p in problem.parameters])
     bare = [k for k, u in enumerate(problem.unknowns) if u.parameter.name == "ratio.d0" and first[k] == 0.0]
     for k in bare:
         tried = np.tile(first, (len(MAGNITUDES_TRIED), 1))
@@ -175,7 +179,7 @@ def _ratio(problem: Problem, values: FloatArray) -> float:
     return float(np.mean(known)) if known else float("nan")
 
 
-def _fit(problem: Problem, first: FloatArray, progress: Progress) -> Fit:
+def _fit(problem: Problem, first: FloatArray, settings: Settings | None, progress: Progress) -> Fit:
     """Newton's iteration, and around it the noise of the sensors that declare none."""
     steps = [0]
 
@@ -186,14 +190,18 @@ def _fit(problem: Problem, first: FloatArray, progress: Progress) -> Fit:
     unknown_noise = any(c.sensor.noise_sigma_K is None for part in problem.parts for c in part.channels)
     if unknown_noise:
         problem.settle_noise(first)
-    fit = maximise(problem.evaluate, problem.parameters, first, problem.log_likelihoods, told=told)
+
+    def fitted(start: FloatArray) -> Fit:
+        return maximise(problem.evaluate, problem.parameters, start, problem.log_likelihoods, settings, told)
+
+    fit = fitted(first)
     for _ in range(NOISE_ROUNDS if unknown_noise else 0):
         if fit.status is not Status.CONVERGED or problem.settle_noise(fit.values) < NOISE_CHANGE:
             break
-        fit = maximise(problem.evaluate, problem.parameters, fit.values, problem.log_likelihoods, told=told)
-    if fit.status is Status.CONVERGED:
+        fit = fitted(fit.values)
+    if fit.status in (Status.CONVERGED, Status.ITERATIONS):
         problem.correct_meshes(fit.values)
-        fit = maximise(problem.evaluate, problem.parameters, fit.values, problem.log_likelihoods, told=told)
+        fit = fitted(fit.values)
     return replace(fit, iterations=steps[0])
 
 
