@@ -77,6 +77,7 @@ def radiating_mass_time(theta: FloatArray, theta_0: float, heat_capacity: float,
 
     (rho c delta / (eps sigma T_r^3)) [(atanh u + atan u) / 2] between theta_0 and theta, T_r = (q / (eps sigma))^(1/4).
     """
+
     def rise(u: FloatArray | float) -> FloatArray:
         return 0.5 * (np.arctanh(u) + np.arctan(u))
 

@@ -253,7 +253,9 @@ def test_all_problems_of_a_file_are_told_at_once(tile: Path) -> None:
 
 
 def test_a_line_break_in_a_name_stays_inside_the_line(tile: Path) -> None:
-    assert "unknown key `mea\\nsured`" in problem(tile, "record.toml", swap("measured = false", '"mea\\nsured" = false'))
+    assert "unknown key `mea\\nsured`" in problem(
+        tile, "record.toml", swap("measured = false", '"mea\\nsured" = false')
+    )
 
 
 def test_a_ratio_table_over_another_reference_is_refused(tile: Path) -> None:
@@ -305,7 +307,7 @@ def test_a_material_file_is_recognised(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "expected"),
     [
-        ("a.toml", "title = 'x'\n", "key `format` is missing; a scenario begins with format = \"scenario/1\""),
+        ("a.toml", "title = 'x'\n", 'key `format` is missing; a scenario begins with format = "scenario/1"'),
         ("a.toml", "format = 'scenario/2'\n", "Nearest: `scenario/1`."),
         ("a.csv", "x,y\n1,2\n", "is no record, vehicle, scenario or ratio table"),
         ("a.json", "{}", "is no record, vehicle, scenario or ratio table"),

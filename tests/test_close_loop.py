@@ -8,6 +8,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +17,13 @@ import pytest
 from click.testing import CliRunner
 
 from sim_heating.cli import cli
-from sim_heating.closure.search import search
+from sim_heating.closure.search import search, values_of
 from sim_heating.closure.thinning import LONGEST_S, kept_samples
-from sim_heating.points import conditions_of_record
-from sim_heating.record import load_record
+from sim_heating.effects import EffectUse, use
+from sim_heating.points import conditions_of_record, point_of_record
+from sim_heating.predict import predict
+from sim_heating.record import Record, load_record
+from sim_heating.sensors import quantised
 
 PRACTICE = Path(__file__).parents[1] / "scenarios" / "records" / "practice"
 
@@ -34,6 +39,29 @@ def test_a_residual_that_follows_nothing_is_called_unknown() -> None:
     found = search(load_record(PRACTICE / "p02"))  # a sine in time, which is in no library
     assert found.names == ("unknown",)
     assert found.rounds[0].excess > 10.0
+
+
+def measured_with(record: Record, uses: Sequence[EffectUse]) -> Record:
+    """What the record's thermocouples would show of its declared model with these effects."""
+    predicted, rng = predict(record, point_of_record(record, None, uses)), np.random.default_rng(8)
+    columns = dict(record.thermocouples)
+    for sensor, indicated in zip(record.sensors, predicted.indicated_K, strict=True):
+        columns[sensor.column] = quantised(sensor, indicated + rng.normal(0.0, sensor.noise_sigma_K, len(indicated)))
+    return replace(record, thermocouples=columns)
+
+
+def test_two_effects_are_both_named_with_their_sizes() -> None:
+    """Moisture comes near to both together, and is the best single one: it has to give way to one of the two."""
+    put_in = [use("conductivity", {"conductivity_factor": 1.12}), use("alpha-curvature", {"d_alpha2": 1.5e-4})]
+    found = search(measured_with(load_record(PRACTICE / "p06"), put_in))
+    assert found.rounds[0].attempts[0].name not in {"conductivity", "alpha-curvature"}
+    assert set(found.names) == {"conductivity", "alpha-curvature"}
+    last = found.added[-1]
+    values, sigma = values_of(last), dict(zip(last.fit.names, last.fit.sigma, strict=True))
+    for name, truth in (
+        ("effect.conductivity.conductivity_factor", 1.12), ("effect.alpha-curvature.d_alpha2", 1.5e-4),
+    ):  # fmt: skip
+        assert values[name] == pytest.approx(truth, abs=5.0 * sigma[name])
 
 
 def test_samples_are_left_out_only_where_conditions_are_as_good_as_linear() -> None:

@@ -26,11 +26,11 @@ from sim_heating.closure.report import (
     closure_json,
     errors_of,
     page_of,
-    posteriors,
     write_closure,
 )
 from sim_heating.closure.residual import residual_heating
 from sim_heating.closure.sanity import SENSOR, Verdict
+from sim_heating.closure.search import posteriors
 from sim_heating.effects import use
 from sim_heating.estimation.estimate import estimate
 from sim_heating.files import read_csv_columns

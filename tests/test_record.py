@@ -213,9 +213,7 @@ def test_plain_data_reads_back_from_toml_as_it_was_written(data: dict[str, objec
 
 @settings(max_examples=50, deadline=None)
 @given(values=st.lists(st.one_of(st.just(math.nan), numbers), min_size=1, max_size=20))
-def test_numbers_read_back_from_csv_bit_by_bit(
-    tmp_path_factory: pytest.TempPathFactory, values: list[float]
-) -> None:
+def test_numbers_read_back_from_csv_bit_by_bit(tmp_path_factory: pytest.TempPathFactory, values: list[float]) -> None:
     path = tmp_path_factory.mktemp("csv") / "a.csv"
     write_csv(path, {"time_s": np.arange(len(values)), "x_K": values})
     table = read_csv_columns(path, ["time_s"], allow_empty=["x_K"])

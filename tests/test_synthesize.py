@@ -58,9 +58,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, PointHistory]:
     return {name: p.history for name, p in result.points.items()}
 
 
-def test_a_perfect_recorder_reads_what_a_run_predicts(
-    plain: dict[str, Record], flown: dict[str, PointHistory]
-) -> None:
+def test_a_perfect_recorder_reads_what_a_run_predicts(plain: dict[str, Record], flown: dict[str, PointHistory]) -> None:
     for name, record in plain.items():
         np.testing.assert_allclose(record.temperatures_K(), flown[name].sensors_K, rtol=0.0, atol=1e-9)
 

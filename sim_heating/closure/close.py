@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sim_heating.closure.calibration import false_alarm
-from sim_heating.closure.evidence import evidence
+from sim_heating.closure.evidence import evidence, ratio_at
 from sim_heating.closure.report import Closure, Estimated, Named, Tried, errors_of, fill_closure
-from sim_heating.closure.residual import residual_heating
+from sim_heating.closure.residual import ResidualHeating, residual_heating
 from sim_heating.closure.sanity import after_fit, before_fit
 from sim_heating.closure.search import QUICK, WIDENED, Attempt, Search, fitted_uses, search, values_of
 from sim_heating.conditions import RATIO_VARIABLES
@@ -17,7 +18,7 @@ from sim_heating.errors import RunError
 from sim_heating.estimation.estimate import Fitted, estimate
 from sim_heating.estimation.newton import Settings
 from sim_heating.estimation.report import noise_floor_K, write_fit
-from sim_heating.files import output_directory
+from sim_heating.files import files_made, output_directory
 from sim_heating.parameters import CLOCK_SKEW, EFFECT_PREFIX, SENSOR_PREFIX
 from sim_heating.record import Record
 
@@ -25,6 +26,8 @@ Progress = Callable[[float, str], None]
 
 SEARCH_PART = 0.8
 """Part of the time that the search takes."""
+LEFT = 0.2
+"""Mean square of the normalised residuals, beyond that of noise, from which on what is left is told."""
 REFIT = Settings(gain=1e-3, step=0.02, iterations=10, reach=QUICK.reach)
 """When the last fit stops: far within its bounds, and no step is longer than those of the search."""
 CLOCK_EFFECT = {CLOCK_SKEW.name: "skew_s"}
@@ -99,11 +102,22 @@ def _report(found: Search, fitted: Fitted) -> Closure:
         parameters=estimated,
         residual=residual,
         residual_after=left,
-        evidence=evidence(residual),
+        evidence=evidence(residual, ratio_at(before.after[0], residual.time_s)),
         verdicts=[*before_fit(found.record), *after_fit(fitted.problem, fitted.fit.values, left or residual)],
         false_alarm=false_alarm(),
-        warnings=fitted.warnings,
+        warnings=[*fitted.warnings, *_left_over(found, left)],
     )
+
+
+def _left_over(found: Search, left: ResidualHeating | None) -> list[str]:
+    """A line on what is left beside the effects that were added, where that is more than noise."""
+    if left is None or found.added[-1].excess < LEFT:
+        return []
+    size = math.sqrt(1.0 + found.added[-1].excess)
+    return [
+        f"what is left is {size:.2f} times noise, little beside what was explained: another effect, or a form that is "
+        f"not quite that of {' and '.join(found.names)}. {evidence(left).proposal()[0]}"
+    ]
 
 
 def _named(found: Search, estimated: Mapping[str, Estimated]) -> list[Named]:
@@ -111,10 +125,7 @@ def _named(found: Search, estimated: Mapping[str, Estimated]) -> list[Named]:
         name = found.names[0]
         posterior = found.rounds[0].posterior["none"]
         return [Named(name, posterior if name == "none" else 1.0 - posterior, {})]
-    return [
-        Named(a.name, one.posterior[a.name], own_parameters(a, estimated))
-        for a, one in zip(found.added, found.rounds, strict=False)
-    ]
+    return [Named(a.name, a.posterior, own_parameters(a, estimated), _sensor(a)) for a in found.added]
 
 
 def own_parameters(attempt: Attempt, estimated: Mapping[str, Estimated]) -> dict[str, Estimated]:
@@ -128,6 +139,12 @@ def own_parameters(attempt: Attempt, estimated: Mapping[str, Estimated]) -> dict
         if name in estimated:
             own[short] = estimated[name]
     return own
+
+
+def _sensor(attempt: Attempt) -> str | None:
+    """The thermocouple that an effect is of; None where it is of no single one."""
+    first = attempt.candidate.names[0]
+    return first.removeprefix(SENSOR_PREFIX).rpartition(".")[0] if first.startswith(SENSOR_PREFIX) else None
 
 
 def _tried(found: Search) -> list[Tried]:
@@ -153,4 +170,4 @@ def write_closed(closed: Closed, out: Path) -> list[str]:
     with output_directory(out) as folder:
         fill_closure(closed.report, folder)
         write_fit(closed.fitted, folder)
-        return sorted(p.name for p in folder.iterdir() if p.is_file())
+    return sorted(files_made(out))

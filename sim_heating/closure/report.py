@@ -13,8 +13,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from sim_heating.closure.evidence import Evidence, flight_variables
 from sim_heating.closure.plots import against, comparison, heating, loops_figure, ranking
 from sim_heating.closure.residual import NAME as HEATING_NAME
@@ -43,11 +41,24 @@ class Estimated:
 
 @dataclass(frozen=True)
 class Named:
-    """What was found: an effect, "none" or "unknown"; `parameters` by their names within the effect."""
+    """What was found: an effect, "none" or "unknown"; `parameters` by their names within the effect; `sensor` is the
+    thermocouple that it is of, where it is of one."""
 
     name: str
     posterior: float
     parameters: Mapping[str, Estimated]
+    sensor: str | None = None
+
+    @property
+    def title(self) -> str:
+        """The effect, and what it is of."""
+        return f"{self.name} of {self.sensor}" if self.sensor else self.name
+
+    def numbers(self) -> dict[str, Any]:
+        """For closure.json."""
+        of = {} if self.sensor is None else {"sensor": {"value": self.sensor, "sigma": None, "unit": ""}}
+        parameters = of | {n: _plain(p) for n, p in self.parameters.items()}
+        return {"name": self.name, "posterior": self.posterior, "parameters": parameters}
 
 
 @dataclass(frozen=True)
@@ -103,13 +114,6 @@ class Closure:
         return self.effects[0].name not in (NONE, UNKNOWN)
 
 
-def posteriors(delta_bic: Mapping[str, float]) -> dict[str, float]:
-    """Probability of each candidate, equal priors: exp(-BIC / 2) over their sum."""
-    values = np.array(list(delta_bic.values()))
-    weight = np.exp(-0.5 * (values - np.min(values)))
-    return dict(zip(delta_bic, (weight / np.sum(weight)).tolist(), strict=True))
-
-
 def errors_of(prediction: Prediction) -> dict[str, Any]:
     """Errors over fit and holdout segments, pooled over the used sensors; None where there are none."""
     record = prediction.record
@@ -122,10 +126,7 @@ def errors_of(prediction: Prediction) -> dict[str, Any]:
 
 def closure_json(found: Closure) -> dict[str, Any]:
     """The contents of closure.json."""
-    effects = [
-        {"name": e.name, "posterior": e.posterior, "parameters": {n: _plain(p) for n, p in e.parameters.items()}}
-        for e in found.effects
-    ]
+    effects = [e.numbers() for e in found.effects]
     several = {"effects": effects} if len(effects) > 1 else {}
     return {
         "format": "closure-report/1",
@@ -246,7 +247,9 @@ def _comparison(found: Closure) -> Section:
 
 def _effects(found: Closure) -> Section:
     rows = [
-        [f"{e.name}: {n}", f"{p.value:.5g}", _bound(p), p.unit] for e in found.effects for n, p in e.parameters.items()
+        [f"{e.name}{f' of {e.sensor}' if e.sensor else ''}: {n}", f"{p.value:.5g}", _bound(p), p.unit]
+        for e in found.effects
+        for n, p in e.parameters.items()
     ]
     own = len(rows)
     rows += [[n, f"{p.value:.5g}", _bound(p), p.unit] for n, p in found.parameters.items() if not _is_effect(n)]

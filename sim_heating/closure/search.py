@@ -10,7 +10,7 @@ even the best model leaves is the scale on which differences count (quasi-likeli
 Selection and Multimodel Inference, 2nd ed., sec. 2.5). Two for the logarithm of the number of its forms, and the priors
 of magnitudes, are added: neither many forms nor a value that nobody would expect come for nothing. The best candidate
 is added where its BIC is below that of none by more than GAIN and it explains a good part of what noise does not; that
-is repeated until nothing is.
+is repeated until nothing is. Where a further effect was added, each earlier one is weighed anew beside it.
 
 Candidates begin where they have no effect yet. There the gain of a candidate is known from its sensitivities alone;
 the best starts of each are then fitted, LANES of them side by side.
@@ -18,9 +18,11 @@ the best starts of each are then fitted, LANES of them side by side.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,15 +40,15 @@ from sim_heating.estimation.together import evaluate_together, maximise_together
 from sim_heating.parameters import CLOCK_SKEW, EFFECT_PREFIX, Parameter
 from sim_heating.points import conditions_of_record
 from sim_heating.predict import Prediction
-from sim_heating.record import Record, pooled_rmse_K
+from sim_heating.record import Record
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 GAIN = 10.0
 """How much lower the BIC of an effect has to be than that of none."""
-SHARE = 0.5
-"""Part of what noise does not explain that an effect has to explain."""
+SHARE, FIRST_SHARE = 0.5, 0.3
+"""Part of what noise does not explain that an effect has to explain; the first of several may leave more to others."""
 BESIDE = 0.1
 """What a further effect has to explain, over what the first one did: less is left by a first one whose form differs."""
 EXPLAINED = 0.8
@@ -80,6 +82,7 @@ class Attempt:
 
     delta_bic : its BIC minus that of the model without it, residuals taken as noise (c = 1)
     weighed   : the same with c of the best model
+    posterior : its probability among all candidates that it was weighed with
     """
 
     name: str
@@ -88,6 +91,7 @@ class Attempt:
     fit: Fit
     delta_bic: float
     weighed: float = 0.0
+    posterior: float = 0.0
 
     @property
     def prediction(self) -> Prediction:
@@ -151,24 +155,61 @@ def search(record: Record, *, progress: Progress = lambda fraction, text: None) 
     while len(added) < MOST_EFFECTS:
         begin = 0.1 + 0.9 * len(added) / MOST_EFFECTS
 
-        def tell(fraction: float, text: str, begin: float = begin) -> None:
-            progress(begin + 0.9 * fraction / MOST_EFFECTS, f"effect {len(added) + 1}: {text}")
+        def tell(fraction: float, text: str, begin: float = begin, number: int = len(added) + 1) -> None:
+            progress(begin + 0.9 * fraction / MOST_EFFECTS, f"effect {number}: {text}")
 
-        found = one_round(base, [a.name for a in added], tell)
-        rounds.append(found)
-        best = found.attempts[0] if found.attempts else None
-        if best is None or best.weighed > -GAIN:
+        rounds.append(one_round(added[-1] if added else base, [a.name for a in added], tell))
+        best = _worth_adding(rounds, added)
+        if best is None:
             break
-        explained = found.excess - best.excess
-        if explained < SHARE * found.excess:
-            break
-        if added and explained < BESIDE * (rounds[0].excess - added[0].excess):
-            break
-        added.append(best)
-        base = best
-        if base.excess < BESIDE * (rounds[0].excess - added[0].excess):
+        added = _reconsidered(base, [*added, best], tell)
+        if added[-1].excess < BESIDE * _by_first(rounds, added):
             break  # less is left than a further effect has to explain
     return Search(record, before, tuple(rounds), *_judged(rounds, added))
+
+
+def _worth_adding(rounds: Sequence[Round], added: Sequence[Attempt]) -> Attempt | None:
+    """The best attempt of the last round where it explains enough to be added."""
+    found = rounds[-1]
+    best = found.attempts[0] if found.attempts else None
+    if best is None or best.weighed > -GAIN:
+        return None
+    least = max(SHARE * found.excess, BESIDE * _by_first(rounds, added)) if added else FIRST_SHARE * found.excess
+    return best if found.excess - best.excess >= least else None
+
+
+def _by_first(rounds: Sequence[Round], added: Sequence[Attempt]) -> float:
+    """What the first effect explained of the excess."""
+    return rounds[0].excess - added[0].excess
+
+
+def _reconsidered(base: Attempt, added: list[Attempt], progress: Progress) -> list[Attempt]:
+    """The effects with each earlier one weighed anew beside the others: where two act, the first found may be one that
+    comes near to both."""
+    for earlier in added[:-1]:
+        others = [a for a in added if a is not earlier]
+        without = _stacked(base, others, values_of(added[-1]))
+        found = one_round(without[-1], [a.name for a in others], progress)
+        best = next(iter(found.attempts), None)
+        if best is not None and best.name != earlier.name and _bic(best, best) < _bic(added[-1], best) - GAIN:
+            return [*without, best]
+    return added
+
+
+def _bic(attempt: Attempt, best: Attempt) -> float:
+    """BIC of a whole model, its residuals on the scale of those of the best one."""
+    c, parameters = max(1.0, 1.0 + best.excess), len(attempt.problem.unknowns)
+    return -2.0 * attempt.fit.log_likelihood / c + parameters * float(np.log(samples(attempt.problem)))
+
+
+def _stacked(base: Attempt, effects: Sequence[Attempt], values: Mapping[str, float]) -> list[Attempt]:
+    """Effects one on top of the other on the base, each fitted from the values given."""
+    stack = [base]
+    for one in effects:
+        problem, own = _on_top(stack[-1], one.candidate), {n: values[n] for n in one.candidate.names}
+        first = _first(problem, {**values_of(stack[-1]), **own})
+        stack.append(replace(one, problem=problem, fit=maximise_together([problem], [first], QUICK)[0]))
+    return stack[1:]
 
 
 def _judged(rounds: Sequence[Round], added: Sequence[Attempt]) -> tuple[tuple[Attempt, ...], bool]:
@@ -207,20 +248,23 @@ def _base(before: Fitted) -> Attempt:
     except RunError:  # a model so wrong that it cannot be marched everywhere: the quick march stands as it is
         exact = coarse = np.zeros(1)
     problem.parts[0].correction_K = exact - coarse
-    return Attempt("none", Candidate("none", (), (), {}), problem, fitted([problem], [at])[0], 0.0)
+    return Attempt("none", Candidate("none", (), (), {}), problem, maximise_together([problem], [at], QUICK)[0], 0.0)
 
 
 def _on_top(base: Attempt, candidate: Candidate) -> Problem:
     """The base's problem with a candidate's unknowns."""
-    model, part = base.problem, base.problem.parts[0]
+    part = base.problem.parts[0]
     names = tuple(dict.fromkeys((*part.names, *candidate.names)))
-    priors: dict[str, Parameter] = dict(model.priors)
+    priors: dict[str, Parameter] = dict(base.problem.priors)
     if CLOCK_SKEW.name in candidate.names:
         priors[CLOCK_SKEW.name] = replace(CLOCK_SKEW, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)
-    uses = (*fitted_uses(base), *candidate.uses)
-    problem = Problem(
-        [part.record], names, model.reference, effects=uses, priors=priors, widened=WIDENED, longest_step_s=LONGEST_S
-    )
+    return _carrying(base, candidate, names, priors=priors, widened=WIDENED)
+
+
+def _carrying(base: Attempt, candidate: Candidate, names: Sequence[str], **more: Any) -> Problem:
+    """The base's record with a candidate's effects beside those found, its noise, and what is known of its mesh."""
+    part, uses = base.problem.parts[0], (*fitted_uses(base), *candidate.uses)
+    problem = Problem([part.record], names, base.problem.reference, effects=uses, longest_step_s=LONGEST_S, **more)
     problem.parts[0].sigma_K.update(part.sigma_K)
     problem.parts[0].correction_K = part.correction_K
     return problem
@@ -293,16 +337,7 @@ def promises(base: Attempt, tried: Sequence[Candidate]) -> list[float]:
     """
     part, start = base.problem.parts[0], values_of(base)
     fixed = {n: start[n] for n in part.marched if not n.startswith(EFFECT_PREFIX)}
-    problems = []
-    for one in tried:
-        names = tuple(dict.fromkeys((*part.other, *one.names)))
-        uses = (*fitted_uses(base), *one.uses)
-        problem = Problem(
-            [part.record], names, base.problem.reference, effects=uses, fixed=fixed, longest_step_s=LONGEST_S
-        )
-        problem.parts[0].sigma_K.update(part.sigma_K)
-        problem.parts[0].correction_K = part.correction_K
-        problems.append(problem)
+    problems = [_carrying(base, c, tuple(dict.fromkeys((*part.other, *c.names))), fixed=fixed) for c in tried]
     firsts = [_first(p, {**start, **c.start}) for p, c in zip(problems, tried, strict=True)]
     known = np.concatenate([s.own for s in base.problem.samples(base.fit.values)])
     inner = known[:, [k for k, n in enumerate(part.names) if n not in part.other]]
@@ -332,20 +367,15 @@ def _promise(problem: Problem, first: FloatArray, found: Evaluation, known: Floa
 
 def in_stages(problems: Sequence[Problem], firsts: Sequence[FloatArray], reached: float) -> list[Fit]:
     """Fit all a little way, those that came near the best gain over `reached` further, and the best to the end."""
-    fits = fitted(problems, firsts, STAGES[0][1])
+    fits = maximise_together(problems, firsts, STAGES[0][1])
     for within, settings in STAGES[1:]:
         gains = np.array([f.log_likelihood - reached for f in fits])
         best = np.nanmax(gains, initial=0.0)
         again = [k for k, g in enumerate(gains) if fits[k].status is Status.ITERATIONS and g >= within * best]
-        further = fitted([problems[k] for k in again], [fits[k].values for k in again], settings)
+        further = maximise_together([problems[k] for k in again], [fits[k].values for k in again], settings)
         for k, fit in zip(again, further, strict=True):
             fits[k] = fit
     return fits
-
-
-def fitted(problems: Sequence[Problem], firsts: Sequence[FloatArray], settings: Settings | None = None) -> list[Fit]:
-    """Fit several problems on one record, their marches side by side."""
-    return maximise_together(problems, firsts, settings or QUICK)
 
 
 # Weighing ------------------------------------------------------------------------------------------------------------
@@ -374,10 +404,17 @@ def _weighed(
         ),
         key=lambda a: a.weighed,
     )
-    logs = np.array([0.0, *(-0.5 * a.weighed for a in weighed)])
-    odds = np.exp(logs - logs.max())
-    names = ("none", *(a.name for a in weighed))
-    return Round(base, excess, tuple(weighed), dict(zip(names, (odds / odds.sum()).tolist(), strict=True)), passed)
+    posterior = posteriors({"none": 0.0, **{a.name: a.weighed for a in weighed}})
+    told = tuple(replace(a, posterior=posterior[a.name]) for a in weighed)
+    return Round(base, excess, told, posterior, passed)
+
+
+def posteriors(delta_bic: Mapping[str, float]) -> dict[str, float]:
+    """Probability of each candidate with equal prior ones, exp(-BIC / 2) over their sum."""
+    least = min(delta_bic.values())
+    weight = {name: math.exp(-0.5 * (delta - least)) for name, delta in delta_bic.items()}
+    total = sum(weight.values())
+    return {name: w / total for name, w in weight.items()}
 
 
 def unlikely(attempt: Attempt) -> float:
@@ -396,11 +433,3 @@ def forms_of(tried: Sequence[Candidate]) -> dict[str, int]:
 def samples(problem: Problem) -> int:
     """Number of samples that are fitted."""
     return sum(len(channel.samples) for part in problem.parts for channel in part.channels)
-
-
-def rmse(prediction: Prediction) -> tuple[dict[str, float | int] | None, dict[str, float | int] | None]:
-    """Errors of a prediction over fit and holdout segments, pooled over the used sensors."""
-    record = prediction.record
-    used = [i for i, sensor in enumerate(record.sensors) if sensor.used]
-    residual = prediction.residual_K[used]
-    return pooled_rmse_K(residual, record.fit_mask()), pooled_rmse_K(residual, record.holdout_mask())

@@ -99,8 +99,10 @@ def output_directory(path: str | os.PathLike[str]) -> Iterator[Path]:
     partial = _make_partial(target, shown(path))
     try:
         yield partial
-        names = sorted(p.relative_to(partial).as_posix() for p in partial.rglob("*") if not p.is_dir())
-        write_json(partial / MARKER, {"format": "sim_heating-output/1", "files": names})
+        marker = partial / MARKER
+        files = [p for p in partial.rglob("*") if not p.is_dir() and p != marker]
+        names = sorted(p.relative_to(partial).as_posix() for p in files)
+        write_json(marker, {"format": "sim_heating-output/1", "files": names})
         if partial.parent == target:
             _merge(partial, target, names)
         else:
