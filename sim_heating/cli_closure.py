@@ -40,6 +40,9 @@ def close_loop(records: tuple[Path, ...], out: Path, scheduler: str | None, work
     with progress_line("close-loop") as progress:
         rows = close_all(found, out, scheduler=scheduler, workers=workers, progress=progress)
     CONSOLE.print(_shown(rows))
+    for row in rows:
+        for line in row.get("verdicts", ()):
+            CONSOLE.print(line, highlight=False)
     CONSOLE.print(f"Wrote {out}: summary.json, summary.csv, and a folder for each record", highlight=False)
     failed = [row for row in rows if "failed" in row]
     for row in failed:
@@ -51,7 +54,7 @@ def close_loop(records: tuple[Path, ...], out: Path, scheduler: str | None, work
 def _shown(rows: list[dict[str, Any]]) -> Table:
     table = Table(title="What the declared models lack", title_justify="left")
     for head in ("record", "found"):
-        table.add_column(head)
+        table.add_column(head, no_wrap=True)
     for head in ("posterior", "before, fit", "after, fit", "before, held out", "after, held out", "noise floor"):
         table.add_column(head, justify="right")
     errors = [f"{when}_{what}_rmse_K" for what in ("fit", "holdout") for when in ("before", "after")]
@@ -60,23 +63,29 @@ def _shown(rows: list[dict[str, Any]]) -> Table:
             table.add_row(row["record"], "[red]failed[/red]")
             continue
         cells = ["-" if row[key] is None else f"{row[key]:.2f} K" for key in (*errors, "noise_floor_K")]
-        table.add_row(row["record"], " + ".join(row["effects"]), f"{row['posterior']:.3f}", *cells)
+        table.add_row(row["record"], _found(row), f"{row['posterior']:.3f}", *cells)
     return table
+
+
+def _found(row: dict[str, Any]) -> str:
+    """What a row names; where the record itself is in doubt that comes first, and the effect is no finding."""
+    effects = " + ".join(row["effects"])
+    doubts = ", ".join(dict.fromkeys(row["doubts"]))
+    return f"[red]{doubts}[/red] ({effects})" if doubts else effects
 
 
 def _tell(report: Any) -> None:
     """What a person should know beside the table."""
+    for verdict in report.verdicts:
+        CONSOLE.print(verdict.words, highlight=False)
     for effect in report.effects:
-        told = ", ".join(
-            f"{n} {p.value:.4g} +- {p.sigma:.2g} {p.unit if p.unit != '1' else ''}".rstrip()
-            for n, p in effect.parameters.items()
-        )
+        told = ", ".join(_value(n, p) for n, p in effect.parameters.items())
         if told:
             CONSOLE.print(f"{effect.name}: {told}", highlight=False)
     if report.effects[0].name == "unknown":
         for line in report.evidence.proposal():
             CONSOLE.print(line, highlight=False)
-    for line in (*(v.words for v in report.verdicts), *report.warnings):
+    for line in report.warnings:
         CONSOLE.print(line, highlight=False)
     CONSOLE.print(f"Calibration: {report.false_alarm}", highlight=False)
 

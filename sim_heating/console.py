@@ -56,6 +56,8 @@ def progress_line(title: str) -> Iterator[Callable[[float, str], None]]:
 
 
 def tell_files(out: Path, names: list[str]) -> None:
+    """The files that were written into a directory, but for the list of them that stands there hidden."""
+    names = [n for n in names if not Path(n).name.startswith(".")]
     pictures = [n for n in names if n.endswith(".png")]
     files = [n for n in names if not n.endswith(".png")]
     shown = files if len(files) <= 6 else [*files[:6], f"... {len(files)} files in all"]

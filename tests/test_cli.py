@@ -112,7 +112,9 @@ DAMAGED = {
     "recorded without a file": (SHORT.replace("entry-3dof", "recorded"), "needs `file`"),
     "empty": ("", "empty"),
     "cut off": (SHORT[: SHORT.index("75000") + 2].replace("altitude_m = 75", "altitude_m = ["), "cut off"),
-    "another format": (SHORT.replace("scenario/1", "scenario/9"), "format"),
+    "another format": (
+        SHORT.replace("scenario/1", "study/1") + "[envelope]\n", '`format`: "study/1" is not "scenario/1"'
+    ),
 }  # fmt: skip
 
 

@@ -80,6 +80,8 @@ def test_report_and_files_of_one_record(tmp_path: Path) -> None:
     out = tmp_path / "out"
     told = CliRunner().invoke(cli, ["close-loop", str(PRACTICE / "p08"), "--out", str(out)])
     assert told.exit_code == 0, told.output
+    assert "│ p08    │ impingement-onset │" in told.output
+    assert ".sim_heating.json" not in told.output
     found = json.loads((out / "closure.json").read_text())
     assert found["format"] == "closure-report/1"
     assert found["effect"]["name"] == "impingement-onset"
@@ -91,6 +93,18 @@ def test_report_and_files_of_one_record(tmp_path: Path) -> None:
     assert "impingement-onset" in (out / "report.html").read_text()
     estimated = json.loads((out / "estimate.json").read_text())["parameters"]
     assert estimated["effect.impingement-onset.slope"]["value"] > 0.0
+
+
+def test_a_stuck_sensor_is_told_before_anything_that_was_named(tmp_path: Path) -> None:
+    record = tmp_path / "stuck"
+    shutil.copytree(PRACTICE / "p06", record)
+    header, *rows = (record / "thermocouples.csv").read_text().splitlines()
+    stuck = [f"{time_s},300.0,{bond}" for time_s, _, bond in (row.split(",") for row in rows)]
+    (record / "thermocouples.csv").write_text("\n".join([header, *stuck]) + "\n")
+    told = CliRunner().invoke(cli, ["close-loop", str(record), "--out", str(tmp_path / "out")])
+    assert told.exit_code == 0, told.output
+    assert "│ broken sensor (none)" in told.output
+    assert "stuck, sensor LS_surface: stands still at 300.0 K" in told.output
 
 
 def test_many_records_go_on_where_they_were_killed_and_one_that_is_damaged_stops_none(tmp_path: Path) -> None:

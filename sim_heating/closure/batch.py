@@ -111,6 +111,7 @@ def row_of(report: Any) -> dict[str, Any]:
         "effects": [e.name for e in report.effects],
         "posterior": report.effects[0].posterior,
         "noise_floor_K": report.noise_floor_K,
+        "doubts": [v.kind for v in report.verdicts],
         "verdicts": [v.words for v in report.verdicts],
     }
     for name, prediction in (("predicted", report.predicted), ("before", report.before), ("after", report.after)):

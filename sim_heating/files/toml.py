@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from sim_heating.errors import InputError, RunError
-from sim_heating.files.text import brief, one_line, plain, read_text, shown, suggestion
+from sim_heating.files.text import brief, nearest, one_line, plain, read_text, shown, suggestion
 
 Location = tuple[str | int, ...]
 M = TypeVar("M", bound=BaseModel)
@@ -75,8 +75,11 @@ def check(data: Any, model: type[M], where: str) -> M:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        # An unknown key is often the reason why another is missing, so it is told first.
-        errors = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
+        # An unknown key is often the reason why another is missing, so it is told first. In a file of another format
+        # every key is wrong, and that alone is told.
+        found = error.errors(include_url=False)
+        other_format = [e for e in found if e["loc"] == ("format",) and e["type"] != "missing"]
+        errors = other_format or sorted(found, key=lambda e: e["type"] != "extra_forbidden")
         problems = [p for e in errors for p in _problems_of(e, data, model, where)]
         raise InputError(*dict.fromkeys(one_line(p) for p in problems)) from None
     except RecursionError:
@@ -198,9 +201,10 @@ def _rule(error: Any, loc: Location, model: type[BaseModel]) -> str:
         return f"{brief(value)} {words} {ctx[name]:g}{_told(told)}"
     if kind in ("union_tag_invalid", "union_tag_not_found") and "discriminator" in ctx:
         return _tag_rule(ctx, value)
+    if kind == "string_pattern_mismatch":
+        return f"{brief(value)} is not {told or ctx['pattern']}"
     if kind == "literal_error":
-        choices = re.findall(r"'([^']*)'", ctx["expected"])
-        return f"{brief(value)} is not one of {', '.join(choices)}. {suggestion(str(value), choices)}"
+        return _choice_rule(value, re.findall(r"'([^']*)'", ctx["expected"]))
     if kind in ("too_short", "too_long"):
         limit = ctx.get("min_length", ctx.get("max_length"))
         words = "at least" if kind == "too_short" else "at most"
@@ -215,7 +219,12 @@ def _tag_rule(ctx: Any, table: Any) -> str:
     if "tag" not in ctx:
         return f"key `{key}` is missing"
     choices = re.findall(r"'([^']*)'", ctx["expected_tags"])
-    return f"`{key}`: {brief(table[key])} is not one of {', '.join(choices)}. {suggestion(ctx['tag'], choices)}"
+    return f"`{key}`: {_choice_rule(table[key], choices)}"
+
+
+def _choice_rule(value: Any, choices: Sequence[str]) -> str:
+    near = nearest(str(value), choices)
+    return f"{brief(value)} is not one of {', '.join(choices)}" + (f". Nearest: `{near}`." if near else "")
 
 
 def _told(description: str) -> str:
