@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from sim_heating.conditions import Conditions
+from sim_heating.console import tell_written
 from sim_heating.errors import InputError
 from sim_heating.files import shown
 from sim_heating.points import conditions_at_point
@@ -86,16 +87,12 @@ def write_compared_records(scenario: Scenario, directory: Path) -> list[Path]:
 
 def main(arguments: list[str]) -> int:
     """Write the records of a scenario; exit status."""
-    if len(arguments) != 2:
-        sys.stderr.write("usage: python -m sim_heating.compared_records SCENARIO DIRECTORY\n")
-        return 2
-    try:
-        for path in write_compared_records(load_scenario(arguments[0]), Path(arguments[1])):
-            sys.stdout.write(f"{shown(path)}\n")
-    except InputError as error:
-        sys.stderr.write(f"{error}\n")
-        return 2
-    return 0
+    usage = "python -m sim_heating.compared_records SCENARIO DIRECTORY"
+    return tell_written(usage, len(arguments) == 2, lambda: _written(*arguments))
+
+
+def _written(scenario: str, directory: str) -> list[Path]:
+    return write_compared_records(load_scenario(scenario), Path(directory))
 
 
 if __name__ == "__main__":

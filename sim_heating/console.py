@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from sim_heating.errors import InputError
+from sim_heating.files import shown
 
 PLAIN_WIDTH = 110
 """Columns of a table where the output is no terminal."""
@@ -64,3 +65,20 @@ def tell_files(out: Path, names: list[str]) -> None:
     CONSOLE.print(f"Wrote {out}: {', '.join(shown)}", highlight=False)
     if pictures:
         CONSOLE.print(f"Plots: {', '.join(pictures)}", highlight=False)
+
+
+def tell_written(usage: str, complete: bool, write: Callable[[], Iterable[Path]]) -> int:
+    """What `python -m MODULE` does where a module writes files by itself: names them; exit status as of a command.
+
+    complete : whether the arguments are those that `usage` asks for;  write : gives the files that it wrote
+    """
+    if not complete:
+        ERRORS.print(f"usage: {usage}", markup=False)
+        return 2
+    try:
+        for path in write():
+            CONSOLE.print(shown(path), highlight=False, soft_wrap=True)
+    except InputError as error:
+        ERRORS.print(f"error: {error}", markup=False)
+        return 2
+    return 0

@@ -52,7 +52,7 @@ class Picture:
         buffer = io.BytesIO()
         with mpl.rc_context({"svg.hashsalt": TEMPLATE}):  # names within the file are the same each time
             self.figure.savefig(buffer, format="svg", dpi=RASTER_DPI, metadata={"Date": None})
-        return f"data:image/svg+xml;base64,{base64.b64encode(buffer.getvalue()).decode()}"
+        return _data_address("image/svg+xml", buffer.getvalue())
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,11 @@ class SavedPicture:
     @property
     def address(self) -> str:
         """The file as a data address."""
-        return f"data:image/png;base64,{base64.b64encode(self.path.read_bytes()).decode()}"
+        return _data_address("image/png", self.path.read_bytes())
+
+
+def _data_address(media: str, content: bytes) -> str:
+    return f"data:{media};base64,{base64.b64encode(content).decode()}"
 
 
 @dataclass(frozen=True)

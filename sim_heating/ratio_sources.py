@@ -23,6 +23,7 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from sim_heating.conditions import RATIO_VARIABLES, FloatArray
+from sim_heating.console import tell_written
 from sim_heating.errors import InputError
 from sim_heating.files import Declared, LocatedError, read_csv_columns, read_toml, shown
 from sim_heating.heating_ratio.scaling import REFERENCE, Scaling, deflection_factor, scale_table, windward_trend
@@ -226,17 +227,8 @@ def _factor(factor: CurveFactor | DeflectionFactor, grid: dict[str, FloatArray])
 
 def main(arguments: list[str]) -> int:
     """Write the tables of the vehicles that are named; exit status."""
-    if not arguments:
-        sys.stderr.write("usage: python -m sim_heating.ratio_sources VEHICLE...\n")
-        return 2
-    try:
-        for vehicle in arguments:
-            for path in write_tables(vehicle):
-                sys.stdout.write(f"{shown(path)}\n")
-    except InputError as error:
-        sys.stderr.write(f"{error}\n")
-        return 2
-    return 0
+    usage = "python -m sim_heating.ratio_sources VEHICLE..."
+    return tell_written(usage, bool(arguments), lambda: (path for name in arguments for path in write_tables(name)))
 
 
 if __name__ == "__main__":

@@ -1,8 +1,20 @@
-"""What all tests share: a hypothesis profile without a deadline, as the first call of a kernel compiles it."""
+"""What tests share: a hypothesis profile without a deadline, as the first call of a kernel compiles it; a desk."""
 
 from __future__ import annotations
 
+import shutil
+from pathlib import Path
+
+import pytest
 from hypothesis import HealthCheck, settings
 
 settings.register_profile("compiled", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("compiled")
+
+
+@pytest.fixture
+def desk(flown: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of what a module's `flown` made, to work in."""
+    shutil.copytree(flown, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path

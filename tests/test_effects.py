@@ -191,12 +191,14 @@ def test_own_effect_is_found_again_in_the_cache_by_the_next_process(tmp_path):
     own_effect(tmp_path)
     lines = (
         "from sim_heating.effects import use",
-        "from sim_heating.effects.chain import compiled_chain",
-        "compiled_chain((use('own-factor').effect,))",
+        "from sim_heating.effects.chain import chain_of",
+        "chain_of((use('own-factor').effect,))",
     )
+    places = {"SIM_HEATING_EFFECTS": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    compiled = []
     for _ in range(2):
-        subprocess.run(
-            [sys.executable, "-c", "; ".join(lines)],
-            env=os.environ | {"SIM_HEATING_EFFECTS": str(tmp_path), "PYTHONPATH": str(ROOT)},
-            check=True,
-        )
+        command = [sys.executable, "-c", "; ".join(lines)]
+        subprocess.run(command, env=os.environ | places | {"PYTHONPATH": str(ROOT)}, check=True)
+        compiled.append({p.name: p.stat().st_mtime_ns for p in (tmp_path / "cache").rglob("own.double*")})
+    assert compiled[0]
+    assert compiled[1] == compiled[0]

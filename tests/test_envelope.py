@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from studies import entry_3dof
 
 from sim_heating.cli import main
 from sim_heating.conditions import Conditions
@@ -249,28 +250,16 @@ def test_what_a_flight_tells_leaves_the_sigma_that_the_updated_table_states() ->
 
 # As a user has it ----------------------------------------------------------------------------------------------------
 
-STUDY = """format = "study/1"
+STUDY = f"""format = "study/1"
 title = "Pod and leading edge"
 vehicle = "orbiter"
 control_points = ["V07T9975", "WING_LE"]
-[trajectory]
-source = "entry-3dof"
-sample_s = 2.0
-[trajectory.initial]
-altitude_m = 121920.0
-velocity_m_s = 7450.0
-gamma_deg = -1.2
-heading_deg = 60.0
-latitude_deg = -10.0
-longitude_deg = 170.0
-[trajectory.stop]
-velocity_m_s = 5800.0
-[envelope]
+{entry_3dof("velocity_m_s = 5800.0", sample_s=2.0)}[envelope]
 refinements = 1
 before = "orbiter"
 [[envelope.map]]
 name = "alpha"
-axes = { alpha_offset_deg = [-6.0, 0.0] }
+axes = {{ alpha_offset_deg = [-6.0, 0.0] }}
 [[envelope.boundary]]
 name = "alpha"
 along = "drag_factor"

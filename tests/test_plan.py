@@ -17,30 +17,21 @@ import pytest
 pytest.importorskip("distributed", reason="studies need Dask and pyarrow: pip install 'sim-heating[plan]'")
 
 import pyarrow.parquet as pq
+from studies import entry_3dof
 
 from sim_heating import batches, cli
 from sim_heating.planning.study import load_study
 
 ROOT = Path(__file__).parent.parent
 
-STUDY = """
+STUDY = f"""
 format = "study/1"
 title = "Entry for a test"
 vehicle = "orbiter"
 note = "Forty-eight flights."
 control_points = ["V09T9527"]
-{more}
-[trajectory]
-source = "entry-3dof"
-[trajectory.initial]
-altitude_m = 121920.0
-velocity_m_s = 7450.0
-gamma_deg = -1.2
-heading_deg = 60.0
-latitude_deg = -10.0
-[trajectory.stop]
-mach = 2.5
-[dispersion]
+{{more}}
+{entry_3dof("mach = 2.5")}[dispersion]
 flights = 48
 scrambles = 6
 index_flights = 8

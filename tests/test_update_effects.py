@@ -59,14 +59,6 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return home
 
 
-@pytest.fixture
-def desk(flown: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A copy of the hangar to work in."""
-    shutil.copytree(flown, tmp_path, dirs_exist_ok=True)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
 def declared() -> dict[str, dict[str, float]]:
     """Effects of the control point as the vehicle has them."""
     return {u.effect.name: values_of(u) for u in load_vehicle("./orbiter").control_point(POINT).effects}

@@ -90,14 +90,6 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return home
 
 
-@pytest.fixture
-def desk(flown: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A copy of the hangar to work in."""
-    shutil.copytree(flown, tmp_path, dirs_exist_ok=True)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
 def fitted(record: Record, names: tuple[str, ...]) -> Estimate:
     """Least squares on the outermost thermocouple by differences: an estimate that owes the estimator nothing."""
 

@@ -170,18 +170,24 @@ def _nearest_column(name: str, other: list[str]) -> str:
 
 def _numbers(cells: Sequence[str], may_be_empty: bool) -> tuple[FloatArray, list[tuple[int, str]]]:
     """Numbers of a column, and (row index, problem) of its first bad cell with the count of the others."""
-    try:
-        values = np.array(cells, dtype=np.float64)
-        if np.all(np.isfinite(values)) and not any("_" in c for c in cells):
-            return values, []
-    except ValueError:
-        pass
+    values = _all_numbers(cells)
+    if values is not None:
+        return values, []
     parsed = [_number(cell, may_be_empty) for cell in cells]
     bad = [(i, p) for i, p in enumerate(parsed) if isinstance(p, str)]
     if bad:
         more = f" (and {len(bad) - 1} more rows)" if len(bad) > 1 else ""
         return np.empty(0), [(bad[0][0], bad[0][1] + more)]
     return np.array(parsed, dtype=np.float64), []
+
+
+def _all_numbers(cells: Sequence[str]) -> FloatArray | None:
+    """All cells at once; None where one of them is not a plain finite number."""
+    try:
+        values = np.array(cells, dtype=np.float64)
+    except ValueError:
+        return None
+    return values if np.all(np.isfinite(values)) and not any("_" in c for c in cells) else None
 
 
 def _number(cell: str, may_be_empty: bool) -> float | str:

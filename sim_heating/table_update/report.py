@@ -14,6 +14,8 @@ from sim_heating.table_update.update import SURPRISING, TableUpdate, changed_nod
 
 ROWS = 16
 """Nodes that are shown; the revision's file holds all."""
+ROUNDING = 1e-6
+"""Part of its sigma below which a value is no more than rounding."""
 DRAWN = 1.0
 """A parameter of an effect that the table draws farther from the fit, in its sigma, is told."""
 
@@ -58,8 +60,13 @@ def _parameters(update: TableUpdate) -> Table:
     for head in ("estimate", "table before", "table after"):
         table.add_column(head, justify="right", no_wrap=True)
     for name, *pairs in update.parameter_views():
-        table.add_row(name, *(f"{v:.4g} +- {s:.2g}" for v, s in zip(pairs[::2], pairs[1::2], strict=True)))
+        table.add_row(name, *(_with_sigma(v, s) for v, s in zip(pairs[::2], pairs[1::2], strict=True)))
     return table
+
+
+def _with_sigma(value: float, sigma: float) -> str:
+    """A value with its bound; what rounding leaves of 0 is 0."""
+    return f"{value if abs(value) > ROUNDING * sigma else 0.0:.4g} +- {sigma:.2g}"
 
 
 def _effects(update: TableUpdate) -> Table:
@@ -72,7 +79,7 @@ def _effects(update: TableUpdate) -> Table:
     for effect in update.effects.changes():
         for parameter, value in effect["parameters"].items():
             estimated = update.parameters.get(f"{EFFECT_PREFIX}{effect['name']}.{parameter}")
-            told = f"{estimated.value:.4g} +- {estimated.sigma:.2g}" if estimated else "held"
+            told = _with_sigma(estimated.value, estimated.sigma) if estimated else "held"
             before = "-" if effect["before"] is None else f"{effect['before'][parameter]:.4g}"
             table.add_row(effect["name"], parameter, told, before, f"{value:.4g}")
     return table
