@@ -14,8 +14,12 @@ import numpy as np
 from rich.table import Table
 
 from sim_heating.cli_closure import close_loop
+from sim_heating.cli_design import design
+from sim_heating.cli_fmu import fmu
 from sim_heating.cli_plan import plan
-from sim_heating.console import CONSOLE, ERRORS, OUT, PATH, optional_directory
+from sim_heating.cli_tables import update_tables
+from sim_heating.console import CONSOLE, ERRORS, OUT, PATH
+from sim_heating.console import parameter_names as _names
 from sim_heating.console import progress_line as _progress
 from sim_heating.console import tell_files as _tell_files
 from sim_heating.errors import InputError, RunError
@@ -28,8 +32,8 @@ def cli() -> None:
     """Aerodynamic heating beside a flight simulator: temperatures from a trajectory, and back."""
 
 
-cli.add_command(close_loop)
-cli.add_command(plan)
+for command in (close_loop, design, fmu, plan, update_tables):
+    cli.add_command(command)
 
 
 @cli.command()
@@ -210,82 +214,6 @@ def _errors(found: dict[str, Any]) -> list[str]:
     return [*cells, "-" if floor is None else f"{floor:.2f} K"]
 
 
-@cli.command("update-tables")
-@click.argument("fit", type=PATH, required=False)
-@click.option("--vehicle", required=True, help="name or directory of the vehicle whose table is revised")
-@click.option("--out", callback=optional_directory, help="put a copy of the vehicle there and revise that")
-@click.option(
-    "--record", "records", type=PATH, multiple=True, help="the estimate's records, where it does not find them"
-)
-@click.option("--point", help="the control point, where the estimate is of several")
-@click.option("--check", "checked", type=PATH, multiple=True, help="another record to predict before and after")
-@click.option("--dry-run", is_flag=True, help="show what would change and write nothing")
-@click.option("--revert", metavar="POINT", help="put table and effects of this point back to the parent revision")
-def update_tables(
-    fit: Path | None,
-    vehicle: str,
-    out: Path | None,
-    records: tuple[Path, ...],
-    point: str | None,
-    checked: tuple[Path, ...],
-    dry_run: bool,
-    revert: str | None,
-) -> None:
-    """Write derivatives and effects of an estimate (FIT: an estimate.json or its directory) into the vehicle."""
-    from sim_heating.record import load_record
-    from sim_heating.table_update.report import report
-    from sim_heating.table_update.revisions import point_path, revision_path
-    from sim_heating.table_update.update import check_place, errors_before_and_after, prepare, write_update
-
-    if not dry_run:
-        check_place(vehicle, out)
-    if fit is None:
-        _revert_table(vehicle, revert, out is not None or dry_run)
-        return
-    if revert is not None:
-        raise InputError(f"--revert {revert}: stands alone; leave out {fit}")
-    update = prepare(fit, vehicle, records, point)
-    every = [*update.records, *(load_record(path) for path in checked)]
-    with _progress("update-tables") as progress:
-        progress(0.1, "predicting with the table before and after")
-        errors = errors_before_and_after(update, every)
-    for part in report(update, errors):
-        CONSOLE.print(part, highlight=False)
-    if dry_run:
-        CONSOLE.print("Dry run: nothing was written")
-        return
-    place, made = write_update(update, out, errors)
-    why = revision_path(place, made.control_point, made.revision, "json")
-    picture = " and .png" if why.with_suffix(".png").is_file() else ""
-    effects = f" and {point_path(place, made.control_point)}" if made.effects else ""
-    told = f"Wrote {place / made.table}{effects}, revision {made.revision}; why: {why}{picture}"
-    CONSOLE.print(told, highlight=False, soft_wrap=True)
-
-
-def _revert_table(vehicle: str, point: str | None, more: bool) -> None:
-    from sim_heating.table_update.revisions import revert
-    from sim_heating.vehicle import load_vehicle
-
-    if point is None:
-        raise InputError("update-tables: give FIT, an estimate.json or its directory, or --revert POINT")
-    if more:
-        raise InputError(f"--revert {point}: stands alone; leave out --out and --dry-run")
-    undone, now = revert(load_vehicle(vehicle), point)
-    CONSOLE.print(f"{point}: revision {undone} undone, revision {now} is in force, byte for byte", highlight=False)
-
-
-def _names(_: click.Context, __: click.Parameter, value: str | None) -> tuple[str, ...] | None:
-    """`a,b,c` as names."""
-    if value is None:
-        return None
-    names = tuple(name.strip() for name in value.split(",") if name.strip())
-    if not names:
-        raise InputError("--parameters: names no parameter; give dotted names, as ratio.scale,ratio.d_alpha")
-    if len(set(names)) < len(names):
-        raise InputError(f"--parameters: `{max(set(names), key=names.count)}` stands there twice; name it once")
-    return names
-
-
 def _condition(_: click.Context, __: click.Parameter, value: str | None) -> dict[str, float]:
     """`alpha_deg=40,...` as a condition."""
     from sim_heating.conditions import RATIO_VARIABLES
@@ -429,69 +357,6 @@ def _tell_fit(found: Any) -> None:
 
 
 @cli.command()
-@click.argument("scenario", type=PATH)
-@OUT
-@click.option("--parameters", callback=_names, help="dotted names whose bounds are to be small, with commas")
-@click.option("--criterion", type=click.Choice(["D", "A"]), help="volume of the bounds, or their mean square")
-@click.option("--evaluations", type=click.IntRange(1), help="designs that are tried")
-@click.option("--repetitions", type=click.IntRange(0), default=0, help="hold the bounds against so many actual fits")
-def design(
-    scenario: Path,
-    out: Path,
-    parameters: tuple[str, ...] | None,
-    criterion: str | None,
-    evaluations: int | None,
-    repetitions: int,
-) -> None:
-    """Design a scenario's manoeuvres: the bounds they would give, the most informative ones, other instruments."""
-    from sim_heating.estimation.design_report import design as design_manoeuvres
-    from sim_heating.estimation.design_report import notes, summary, write_design
-    from sim_heating.scenario import load_scenario, with_design
-
-    given = {"parameters": parameters and list(parameters), "criterion": criterion, "evaluations": evaluations}
-    loaded = with_design(load_scenario(scenario), {k: v for k, v in given.items() if v is not None})
-    with _progress("design") as progress:
-        designed = design_manoeuvres(loaded, repetitions=repetitions, progress=progress)
-        progress(0.99, "writing")
-        names = write_design(designed, out)
-    found = summary(designed)
-    table = Table(title=f"{loaded.title}: {found['control_point']}, one standard deviation", title_justify="left")
-    flights = designed.planner.design.flights
-    for head in ("parameter", "unit", "as planned", "optimal", *(f"{n} flights" for n in flights if n > 1)):
-        table.add_column(head, justify="left" if head in ("parameter", "unit") else "right")
-    for name, p in found["parameters"].items():
-        after = [p["after_flights"][str(n)] for n in flights if n > 1]
-        cells = [f"{x:.3g}" for x in (p["planned_sigma"], p["optimal_sigma"], *after)]
-        table.add_row(name, p["unit"], *cells)
-    CONSOLE.print(table)
-    CONSOLE.print(f"{found['tried']} designs tried, {found['kept_limits']} keep the limits")
-    for varied in found["varied"]:
-        planned, best = (found[k]["manoeuvres"][varied["manoeuvre"] - 1][varied["key"]] for k in ("planned", "optimal"))
-        CONSOLE.print(f"{varied['key']}: {planned:.4g} planned, {best:.4g} optimal", highlight=False)
-    _tell_checks(found)
-    for line in notes(designed):
-        CONSOLE.print(line, highlight=False)
-    _tell_files(out, names)
-
-
-def _tell_checks(found: dict[str, Any]) -> None:
-    """Bounds of a design by the scenario's own source, and against actual fits."""
-    for name in found["parameters"]:
-        if found["checked"] is not None:
-            planned, best = (found["checked"][k]["sigma"][name] for k in ("planned", "optimal"))
-            CONSOLE.print(
-                f"{name}: {planned:.3g} and {best:.3g} flown in {found['checked']['source']}", highlight=False
-            )
-        if found["fitted"] is not None:
-            fitted = found["fitted"]
-            CONSOLE.print(
-                f"{name}: {fitted['fits']} fits err by {fitted['rms_error'][name]:.3g}, "
-                f"{fitted['predicted'][name]:.3g} predicted for them (surface pressure known)",
-                highlight=False,
-            )
-
-
-@cli.command()
 @click.argument("paths", type=PATH, nargs=-1, required=True)
 def validate(paths: tuple[Path, ...]) -> None:
     """Check records, scenarios, tables or vehicles; say what is wrong."""
@@ -500,66 +365,6 @@ def validate(paths: tuple[Path, ...]) -> None:
     for path in paths:
         found = check(path)
         CONSOLE.print(f"{path}: good. {found.summary}", highlight=False, soft_wrap=True)
-
-
-@cli.group()
-def fmu() -> None:
-    """Models as FMUs that need no Python where they run."""
-
-
-@fmu.command("export")
-@click.argument("vehicle")
-@click.option("--out", required=True, type=PATH, help="the FMU, a file that ends in .fmu")
-@click.option("--control-points", "points", help="names, comma between; all of the vehicle's by default")
-@click.option("--fmi", type=click.Choice(["2", "3"]), default="3", show_default=True, help="version of the standard")
-@click.option("--platforms", default="linux", show_default=True, help="comma between; others than linux need ziglang")
-@click.option(
-    "--reference",
-    type=click.Choice(["vehicle", "columns"]),
-    default="vehicle",
-    show_default=True,
-    help="where h_ref and H_r come from: the vehicle's reference heating, or inputs of their own",
-)
-def export(vehicle: str, out: Path, points: str | None, fmi: str, platforms: str, reference: str) -> None:  # fmt: skip
-    """The heating plug-in of a vehicle as a co-simulation FMU."""
-    from sim_heating.fmu.export import export_heating
-    from sim_heating.vehicle import load_vehicle
-
-    if out.suffix != ".fmu":
-        raise InputError(f"--out {out}: name a file that ends in .fmu")
-    chosen = None if points is None else [name.strip() for name in points.split(",")]
-    where = [name.strip() for name in platforms.split(",")]
-    with _progress("fmu export") as progress:
-        progress(0.1, "compiling, where that has not been done before")
-        loaded = load_vehicle(vehicle)
-        columns = reference == "columns"
-        image = export_heating(loaded, out, chosen, fmi=int(fmi), platforms=where, columns=columns)
-    count = len(loaded.control_points if chosen is None else chosen)
-    size = f"{out.stat().st_size / 1e6:.2f} MB"
-    told = f"FMI {fmi}.0, {count} control points, {len(image.variables)} variables, {', '.join(where)}, {size}"
-    CONSOLE.print(f"Wrote {out}: {told}", highlight=False, soft_wrap=True)
-
-
-@fmu.command("trajectory")
-@click.argument("scenario", type=PATH)
-@click.option("--out", required=True, type=PATH, help="the FMU, a file that ends in .fmu")
-@click.option("--fmi", type=click.Choice(["2", "3"]), default="3", show_default=True, help="version of the standard")
-@click.option("--platforms", default="linux", show_default=True, help="comma between; others than linux need ziglang")
-def trajectory(scenario: Path, out: Path, fmi: str, platforms: str) -> None:
-    """The built-in 3-DOF entry of a scenario as a co-simulation FMU."""
-    from sim_heating.fmu.entry import export_entry
-    from sim_heating.scenario import load_scenario
-
-    if out.suffix != ".fmu":
-        raise InputError(f"--out {out}: name a file that ends in .fmu")
-    loaded = load_scenario(scenario)
-    where = tuple(name.strip() for name in platforms.split(","))
-    with _progress("fmu trajectory") as progress:
-        progress(0.1, "compiling, where that has not been done before")
-        spec, vehicle = loaded.declared.trajectory, loaded.vehicle.directory
-        image = export_entry(spec, vehicle, out, title=loaded.title, fmi=int(fmi), platforms=where)
-    told = f"FMI {fmi}.0, {len(image.variables)} variables, {', '.join(where)}, {out.stat().st_size / 1e6:.2f} MB"
-    CONSOLE.print(f"Wrote {out}: {told}", highlight=False, soft_wrap=True)
 
 
 def _stop(*_: object) -> None:

@@ -1,0 +1,93 @@
+"""The commands `sim-heating fmu export` and `sim-heating fmu trajectory`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from sim_heating.console import CONSOLE, PATH, progress_line
+from sim_heating.errors import InputError
+
+
+def _fmu_file(_: click.Context, __: click.Parameter, value: Path) -> Path:
+    if value.suffix != ".fmu":
+        raise InputError(f"--out {value}: name a file that ends in .fmu")
+    return value
+
+
+def _listed(_: click.Context, __: click.Parameter, value: str | None) -> tuple[str, ...] | None:
+    """`a,b,c` as names."""
+    return None if value is None else tuple(name.strip() for name in value.split(","))
+
+
+FMU_OUT = click.option("--out", required=True, type=PATH, callback=_fmu_file, help="the FMU, a file that ends in .fmu")
+FMI = click.option(
+    "--fmi", type=click.Choice(["2", "3"]), default="3", show_default=True, help="version of the standard"
+)
+PLATFORMS = click.option(
+    "--platforms",
+    default="linux",
+    show_default=True,
+    callback=_listed,
+    help="comma between; others than linux need ziglang",
+)
+
+
+@click.group()
+def fmu() -> None:
+    """Models as FMUs that need no Python where they run."""
+
+
+@fmu.command("export")
+@click.argument("vehicle")
+@FMU_OUT
+@click.option(
+    "--control-points", "points", callback=_listed, help="names, comma between; all of the vehicle's by default"
+)
+@FMI
+@PLATFORMS
+@click.option(
+    "--reference",
+    type=click.Choice(["vehicle", "columns"]),
+    default="vehicle",
+    show_default=True,
+    help="where h_ref and H_r come from: the vehicle's reference heating, or inputs of their own",
+)
+def export(
+    vehicle: str, out: Path, points: tuple[str, ...] | None, fmi: str, platforms: tuple[str, ...], reference: str
+) -> None:
+    """The heating plug-in of a vehicle as a co-simulation FMU."""
+    from sim_heating.fmu.export import export_heating
+    from sim_heating.vehicle import load_vehicle
+
+    with progress_line("fmu export") as progress:
+        progress(0.1, "compiling, where that has not been done before")
+        loaded = load_vehicle(vehicle)
+        columns = reference == "columns"
+        image = export_heating(loaded, out, points, fmi=int(fmi), platforms=platforms, columns=columns)
+    count = len(loaded.control_points if points is None else points)
+    _tell(out, f"{count} control points, {len(image.variables)} variables", fmi, platforms)
+
+
+@fmu.command("trajectory")
+@click.argument("scenario", type=PATH)
+@FMU_OUT
+@FMI
+@PLATFORMS
+def trajectory(scenario: Path, out: Path, fmi: str, platforms: tuple[str, ...]) -> None:
+    """The built-in 3-DOF entry of a scenario as a co-simulation FMU."""
+    from sim_heating.fmu.entry import export_entry
+    from sim_heating.scenario import load_scenario
+
+    loaded = load_scenario(scenario)
+    with progress_line("fmu trajectory") as progress:
+        progress(0.1, "compiling, where that has not been done before")
+        spec, vehicle = loaded.declared.trajectory, loaded.vehicle.directory
+        image = export_entry(spec, vehicle, out, title=loaded.title, fmi=int(fmi), platforms=platforms)
+    _tell(out, f"{len(image.variables)} variables", fmi, platforms)
+
+
+def _tell(out: Path, held: str, fmi: str, platforms: tuple[str, ...]) -> None:
+    told = f"FMI {fmi}.0, {held}, {', '.join(platforms)}, {out.stat().st_size / 1e6:.2f} MB"
+    CONSOLE.print(f"Wrote {out}: {told}", highlight=False, soft_wrap=True)
