@@ -123,7 +123,8 @@ def synthesize(scenario: Path, out: Path) -> None:
             raise InputError(f"{scenario}: none of its control points has a sensor; choose one that has")
         names = write_records(loaded, records, out)
     samples = sum(int(np.sum(np.isfinite(r.temperatures_K()))) for r in records.values())
-    CONSOLE.print(f"{len(records)} records, {samples} readings, seed {loaded.declared.measurements.seed}")
+    count = f"{len(records)} record" + ("s" if len(records) > 1 else "")
+    CONSOLE.print(f"{count}, {samples} readings, seed {loaded.declared.measurements.seed}")
     _tell_files(out, names)
 
 

@@ -14,8 +14,10 @@ from sim_heating.closure.candidates import candidates
 from sim_heating.effects import effects
 from sim_heating.errors import InputError
 from sim_heating.files import read_csv_columns
+from sim_heating.layout import MACH, N_CONDITIONS
 from sim_heating.points import conditions_of_record
 from sim_heating.record import load_record
+from sim_heating.scenario import load_scenario
 
 ROOT = Path(__file__).parents[1]
 POINT = "LOWER_FWD"
@@ -147,3 +149,15 @@ def test_a_folder_that_is_not_there_is_told(monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("SIM_HEATING_EFFECTS", str(tmp_path / "nowhere"))
     assert main(["validate", scenario("own", EFFECT.format(table="", growth=GROWTH))]) == 2
     assert "nowhere is not a directory" in capsys.readouterr().err
+
+
+def test_the_example_peaks_at_its_mach_number_and_has_a_flight_to_try_it_on(monkeypatch):
+    monkeypatch.setenv("SIM_HEATING_EFFECTS", str(ROOT / "examples" / "effects"))
+    (hidden,) = load_scenario(ROOT / "examples" / "shock_passage.toml").effects("WING_LE", truth=True)
+    effect, parameters = hidden.effect, np.array(hidden.values)
+    rise, mach_there, _ = parameters
+    flown = np.zeros(N_CONDITIONS)
+    for mach, factor in ((mach_there, 1.0 + rise), (mach_there + 10.0, 1.0), (mach_there - 10.0, 1.0)):
+        flown[MACH] = mach
+        value = effect.kernel(np.concatenate([flown, parameters]), 0, N_CONDITIONS, 300.0)
+        assert value == pytest.approx(factor, abs=1e-12)
