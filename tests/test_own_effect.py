@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from sim_heating.cli import main
+from sim_heating.closure.batch import job_of
 from sim_heating.closure.candidates import candidates
 from sim_heating.effects import effects
 from sim_heating.errors import InputError
@@ -161,3 +162,11 @@ def test_the_example_peaks_at_its_mach_number_and_has_a_flight_to_try_it_on(monk
         flown[MACH] = mach
         value = effect.kernel(np.concatenate([flown, parameters]), 0, N_CONDITIONS, 300.0)
         assert value == pytest.approx(factor, abs=1e-12)
+
+
+def test_a_record_is_closed_anew_where_an_effect_of_ones_own_has_changed(own_folder):
+    record = ROOT / "scenarios" / "records" / "practice" / "p06"
+    before = job_of(record, Path("out"))
+    assert job_of(record, Path("out")) == before
+    (own_folder / "steepness.py").write_text(SOURCE.replace("40.0", "38.0"))
+    assert job_of(record, Path("out")).id != before.id

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sim_heating.batches import Job, run_batches
-from sim_heating.effects import effects
+from sim_heating.effects import FOLDERS_VARIABLE, effects
 from sim_heating.errors import InputError
 from sim_heating.estimation.result import inputs_hash
 from sim_heating.files import write_csv, write_json
@@ -68,7 +69,7 @@ def close_all(
 
     raises : InputError where the scheduler cannot be used
     """
-    jobs = [_job(path, out / path.resolve().name) for path in records]
+    jobs = [job_of(path, out / path.resolve().name) for path in records]
     ended = run_batches(jobs, _one, out / LEDGER, scheduler=scheduler, workers=workers, progress=progress)
     rows = []
     for path, job in zip(records, jobs, strict=True):
@@ -81,15 +82,17 @@ def close_all(
     return rows
 
 
-def _job(record: Path, out: Path) -> Job:
+def job_of(record: Path, out: Path) -> Job:
     """A record's job, named by all that its result depends on."""
     try:
         inputs = inputs_hash(load_record(record))
     except InputError:  # told by the job itself
         inputs = "unreadable"
-    known = "|".join([inputs, package_version(), *sorted(effects())])
-    digest = hashlib.sha256(known.encode()).hexdigest()[:12]
-    return Job(f"{record.resolve().name}-{digest}.json", Task(str(record), str(out)))
+    digest = hashlib.sha256("|".join([inputs, package_version(), *sorted(effects())]).encode())
+    for folder in filter(None, os.environ.get(FOLDERS_VARIABLE, "").split(os.pathsep)):
+        for path in sorted(Path(folder).glob("*.py")):
+            digest.update(path.read_bytes())
+    return Job(f"{record.resolve().name}-{digest.hexdigest()[:12]}.json", Task(str(record), str(out)))
 
 
 def _one(task: Task) -> bytes:
