@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -25,8 +26,11 @@ def directory(_: click.Context, __: click.Parameter, value: str) -> Path:
     if not value.strip():
         raise InputError("--out: is empty; name a directory for the results")
     path = Path(value)
-    if path.exists() and not path.is_dir():
-        raise InputError(f"--out {value}: is a file; name a directory for the results")
+    there = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
+    if not there.is_dir():
+        raise InputError(f"--out {value}: {shown(there)} is a file; name a directory for the results")
+    if not os.access(there, os.W_OK):
+        raise InputError(f"--out {value}: nothing may be written in {shown(there)}; choose another place")
     return path
 
 

@@ -144,7 +144,7 @@ def test_a_binary_scenario_is_refused(desk: Path, capsys: pytest.CaptureFixture[
         (["validate", "."], "neither a record"),
         (["validate", "nowhere"], "no such file"),
         (["run", "short.toml", "--out", "short.toml"], "is a file"),
-        (["run", "short.toml", "--out", "short.toml/x"], "cannot be written"),
+        (["run", "short.toml", "--out", "short.toml/x"], "short.toml is a file"),
     ],
     ids=lambda v: " ".join(v) if isinstance(v, list) else None,
 )
