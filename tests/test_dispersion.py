@@ -89,6 +89,13 @@ def entry_of(tmp_path, inputs="", **given):
     return DispersedEntry(study_of(tmp_path, inputs, **given))
 
 
+def refusal(tmp_path, text):
+    """Why a study with this input is refused."""
+    with pytest.raises(InputError) as error:
+        entry_of(tmp_path, f"[[dispersion.input]]\n{text}\n").check()
+    return str(error.value)
+
+
 def flown_all(entry):
     """All flights of a dispersion, put together."""
     found = {}
@@ -344,13 +351,6 @@ def test_flights_outside_the_tables_are_told_with_the_distance_and_not_called_sa
     assert (worst.variable, worst.flights) == ("log10_re", 64)
     assert worst.farthest == pytest.approx(2.0 - found.columns["least.log10_re"].min())
     assert any("log10_re lies outside" in line and "not called safe" in line for line in notes_of(found))
-
-
-def refusal(tmp_path, text):
-    """Why a study with this input is refused."""
-    with pytest.raises(InputError) as error:
-        entry_of(tmp_path, f"[[dispersion.input]]\n{text}\n").check()
-    return str(error.value)
 
 
 @pytest.mark.parametrize(
