@@ -20,6 +20,7 @@ from sim_heating.cli import cli
 from sim_heating.closure.search import search, values_of
 from sim_heating.closure.thinning import LONGEST_S, kept_samples
 from sim_heating.effects import EffectUse, use
+from sim_heating.errors import InputError
 from sim_heating.points import conditions_of_record, point_of_record
 from sim_heating.predict import predict
 from sim_heating.record import Record, load_record
@@ -105,6 +106,20 @@ def test_a_stuck_sensor_is_told_before_anything_that_was_named(tmp_path: Path) -
     assert told.exit_code == 0, told.output
     assert "│ broken sensor (none)" in told.output
     assert "stuck, sensor LS_surface: stands still at 300.0 K" in told.output
+
+
+@pytest.mark.parametrize(("wrong", "whose"), [("thermocouples", "thermocouples"), ("conditions", "flight conditions")])
+def test_a_clock_in_milliseconds_is_told_before_any_search(wrong: str, whose: str, tmp_path: Path) -> None:
+    record = tmp_path / "fast"
+    shutil.copytree(PRACTICE / "p06", record)
+    header, *rows = (record / f"{wrong}.csv").read_text().splitlines()
+    assert header.startswith("time_s,")
+    fast = [",".join([repr(1e3 * float(time_s)), *rest]) for time_s, *rest in (row.split(",") for row in rows)]
+    (record / f"{wrong}.csv").write_text("\n".join([header, *fast]) + "\n")
+    told = CliRunner().invoke(cli, ["close-loop", str(record), "--out", str(tmp_path / "out")])
+    assert isinstance(told.exception, InputError)
+    assert f"the clock of the {whose} is in milliseconds" in str(told.exception)
+    assert not (tmp_path / "out").exists()
 
 
 def test_many_records_go_on_where_they_were_killed_and_one_that_is_damaged_stops_none(tmp_path: Path) -> None:

@@ -16,6 +16,6 @@ def false_alarm() -> str:
     named, records = int(counted["named"]), int(counted["records"])
     limit = float(beta.ppf(LEVEL, named + 1, records - named))
     return (
-        f"an effect was named in {named} of {records} synthetic records that had none: chance of a false alarm below "
+        f"An effect was named in {named} of {records} synthetic records that had none: chance of a false alarm below "
         f"{limit:.1%} with {LEVEL:.0%} confidence on such records"
     )

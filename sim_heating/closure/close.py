@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,10 +11,10 @@ from sim_heating.closure.calibration import false_alarm
 from sim_heating.closure.evidence import evidence, ratio_at
 from sim_heating.closure.report import Closure, Estimated, Named, Tried, errors_of, fill_closure
 from sim_heating.closure.residual import ResidualHeating, residual_heating
-from sim_heating.closure.sanity import after_fit, before_fit
+from sim_heating.closure.sanity import CLOCK, Verdict, after_fit, before_fit
 from sim_heating.closure.search import QUICK, WIDENED, Attempt, Search, fitted_uses, search, values_of
 from sim_heating.conditions import RATIO_VARIABLES
-from sim_heating.errors import RunError
+from sim_heating.errors import InputError, RunError
 from sim_heating.estimation.estimate import Fitted, estimate
 from sim_heating.estimation.newton import Settings
 from sim_heating.estimation.report import noise_floor_K, write_fit
@@ -49,13 +49,18 @@ class Closed:
 def close_loop(record: Record, *, progress: Progress = lambda fraction, text: None) -> Closed:
     """Find what a record's declared model lacks, add it, refit.
 
-    raises : InputError, RunError where not even the declared model can be fitted
+    raises : InputError where its clocks are in two units, InputError, RunError where not even the declared model can
+             be fitted
     """
+    doubts = before_fit(record)
+    on_clock = [v.words for v in doubts if v.kind == CLOCK]
+    if on_clock:
+        raise InputError(*on_clock)
     found = search(record, progress=lambda f, text: progress(SEARCH_PART * f, text))
     progress(SEARCH_PART, "refitting with what was found")
     fitted = refitted(found) if found.added else found.before
     progress(0.9, "residual as heating")
-    return Closed(found, fitted, _report(found, fitted))
+    return Closed(found, fitted, _report(found, fitted, doubts))
 
 
 def refitted(found: Search) -> Fitted:
@@ -81,7 +86,7 @@ def refitted(found: Search) -> Fitted:
     )
 
 
-def _report(found: Search, fitted: Fitted) -> Closure:
+def _report(found: Search, fitted: Fitted, doubts: Sequence[Verdict]) -> Closure:
     before, values = found.before, found.before.fit.values
     residual = residual_heating(before.problem, values)
     after = fitted.after[0] if found.added else before.after[0]
@@ -103,7 +108,7 @@ def _report(found: Search, fitted: Fitted) -> Closure:
         residual=residual,
         residual_after=left,
         evidence=evidence(residual, ratio_at(before.after[0], residual.time_s)),
-        verdicts=[*before_fit(found.record), *after_fit(fitted.problem, fitted.fit.values, left or residual)],
+        verdicts=[*doubts, *after_fit(fitted.problem, fitted.fit.values, left or residual)],
         false_alarm=false_alarm(),
         warnings=[*fitted.warnings, *_left_over(found, left)],
     )
