@@ -267,6 +267,48 @@ def _start(_: click.Context, __: click.Parameter, value: str) -> Any:
     return lambda record, model, mesh: STARTS[kind](record, model, mesh, time_s)
 
 
+def _process_noise(nodes: str | None, ratio: str | None) -> Any:
+    """What `--process-noise` and `--ratio-noise` say; None where neither is given."""
+    from sim_heating.estimation.process_noise import CORRELATION, FIRST_GUESS, NODE, RATIO, ProcessNoise
+
+    if nodes is None and ratio is None:
+        return None
+    q, sigma, tau, looked_for = 0.0, 0.0, ProcessNoise().ratio_correlation_s, []
+    if nodes == ESTIMATED:
+        q, looked_for = FIRST_GUESS[NODE], [NODE]
+    elif nodes is not None:
+        q = _level(nodes, f"--process-noise {nodes}: give K/sqrt(s), as 0.2, or `{ESTIMATED}`")
+    if ratio is not None:
+        first, _comma, time_s = ratio.partition(",")
+        hint = f"--ratio-noise {ratio}: give sigma and correlation time in s, as 0.01,30, or `{ESTIMATED}`"
+        if first == ESTIMATED:
+            sigma, looked_for = FIRST_GUESS[RATIO], [*looked_for, RATIO]
+        else:
+            sigma = _level(first, hint)
+        if time_s:
+            tau = _level(time_s, hint)
+        elif first == ESTIMATED:
+            looked_for.append(CORRELATION)
+        if tau == 0.0 or not (time_s or first == ESTIMATED):
+            raise InputError(hint)
+    return ProcessNoise(q, sigma, tau, tuple(looked_for))
+
+
+ESTIMATED = "estimated"
+"""Of a level of noise that is to be found."""
+
+
+def _level(text: str, hint: str) -> float:
+    """A number that is not negative."""
+    try:
+        found = float(text)
+    except ValueError:
+        raise InputError(hint) from None
+    if not 0.0 <= found < float("inf"):
+        raise InputError(hint)
+    return found
+
+
 @cli.command()
 @click.argument("records", type=PATH, nargs=-1, required=True)
 @OUT
@@ -281,6 +323,17 @@ def _start(_: click.Context, __: click.Parameter, value: str) -> Any:
     metavar="START,END",
     help="fit these times of each record, in s, in place of its own segments; may be given again",
 )
+@click.option(
+    "--process-noise",
+    "node_noise",
+    metavar="K_PER_SQRT_S",
+    help="Kalman filter: white noise of the model at every node, or `estimated`",
+)
+@click.option(
+    "--ratio-noise",
+    metavar="SIGMA,TIME_S",
+    help="Kalman filter: a heating ratio that wanders, its sigma and correlation time, or `estimated`",
+)
 @click.option("--segments", type=float, help="instead: fit short segments of so many s in turn (one record)")
 def estimate(
     records: tuple[Path, ...],
@@ -289,10 +342,15 @@ def estimate(
     reference: dict[str, float],
     start: Any,
     fit: list[list[float]],
+    node_noise: str | None,
+    ratio_noise: str | None,
     segments: float | None,
 ) -> None:
     """Estimate heating and thermal parameters from the thermocouples of flight records, jointly, with bounds."""
+    noise = _process_noise(node_noise, ratio_noise)
     if segments is not None:
+        if noise is not None:
+            raise InputError("--segments: short segments are fitted without noise of the process; leave one out")
         _estimate_trend(records, out, parameters, fit, segments)
         return
     from sim_heating.estimation.estimate import estimate as fit_records
@@ -302,7 +360,9 @@ def estimate(
     loaded = [_with_fit(load_record(path), fit) for path in records]
     with _progress("estimate") as progress:
         starts = [start] * len(loaded)
-        fitted = fit_records(loaded, parameters, reference=reference, starts=starts, progress=progress)
+        fitted = fit_records(
+            loaded, parameters, reference=reference, starts=starts, process_noise=noise, progress=progress
+        )
         progress(0.95, "writing")
         names = write_fit(fitted, out)
     found = result_of(fitted)
@@ -316,6 +376,8 @@ def estimate(
         CONSOLE.print(f"{name}: not estimated, {why}", highlight=False)
     for line in fitted.warnings:
         CONSOLE.print(f"[red]{line}[/red]", highlight=False)
+    if fitted.innovations is not None:
+        CONSOLE.print(fitted.innovations.levels.noise.words(), highlight=False)
     _tell_fit(found)
     _tell_files(out, names)
 
