@@ -106,13 +106,13 @@ def draw_filtered(path: Path, found: FilteredHistory) -> None:
     shown = sorted(found.sensors, key=lambda s: s.channel.sensor.depth_m)[:MOST_SENSORS]
     rows = len(shown) + found.disturbed + 1
     heights = [2.0] * len(shown) + [1.6] * found.disturbed + [1.0]
-    figure, axes = new_figure(9.5, 2.2 * rows + 0.6, rows, sharex=True, height_ratios=heights)
+    figure, axes = new_figure(9.5, 1.7 * rows + 0.8, rows, sharex=True, height_ratios=heights)
     for a, s in zip(axes, shown, strict=False):
         _plot_sensor(a, s)
     axes[0].legend(fontsize=8, loc="best", ncols=2)
     if found.disturbed:
         a, smoothed = axes[len(shown)], found.smoothed
-        _band(a, smoothed.time_s, smoothed.ratio, smoothed.ratio_sigma, SMOOTHED, drawstyle="steps-post")
+        _band(a, smoothed.time_s, smoothed.ratio, smoothed.ratio_sigma, SMOOTHED, step="post", drawstyle="steps-post")
         a.axhline(0.0, color="0.3", linewidth=0.8)
         a.set_ylabel("added to the\nheating ratio")
     record, t = found.part.record, found.part.sample_s
@@ -134,6 +134,9 @@ def _plot_sensor(a: Axes, s: SensorFiltered) -> None:
     a.set_ylabel(f"{s.channel.sensor.name}, K")
 
 
-def _band(a: Axes, t: FloatArray, value: FloatArray, sigma: FloatArray, color: str, **line: Any) -> None:
-    a.fill_between(t, value - SIGMAS * sigma, value + SIGMAS * sigma, color=color, alpha=0.22, linewidth=0)
+def _band(
+    a: Axes, t: FloatArray, value: FloatArray, sigma: FloatArray, color: str, step: str | None = None, **line: Any
+) -> None:
+    low, high = value - SIGMAS * sigma, value + SIGMAS * sigma
+    a.fill_between(t, low, high, color=color, alpha=0.22, linewidth=0, step=step)  # type: ignore[arg-type]
     a.plot(t, value, color=color, linewidth=1.0, **line)

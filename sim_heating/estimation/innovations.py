@@ -8,7 +8,12 @@ a fit without such noise, predictions m_i and their variances S_i in the place o
 
 dm/dtheta are the filter's own sensitivities, which leave out how the gain changes; the gradient of log L is complete,
 by central differences over filters that are marched side by side in the lanes of a group. Levels of noise that are not
-given are those of the largest likelihood, in turn with the parameters. R. E. Maine and K. W. Iliff, "Formulation and
+given are those of the largest likelihood with the parameters integrated out (Laplace),
+
+    log L + g' M^-1 g / 2 - log det M / 2,    g and M gradient and information, priors included,
+
+in turn with the parameters: a likelihood at the values found would take what the parameters have taken of the wandering
+for none. R. E. Maine and K. W. Iliff, "Formulation and
 Implementation of a Practical Algorithm for Parameter Estimation with Process and Measurement Noise", SIAM J. Appl.
 Math. 41 (1981).
 """
@@ -21,9 +26,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.ensemble import condition_history
+from sim_heating.ensemble import PointModel, condition_history
 from sim_heating.errors import RunError
 from sim_heating.estimation.filtering import filter_samples
+from sim_heating.estimation.identifiability import scale
 from sim_heating.estimation.likelihood import likelihood
 from sim_heating.estimation.newton import Evaluation, Fit, Settings, Status, Told, maximise
 from sim_heating.estimation.observation import least_sigma_K
@@ -63,6 +69,7 @@ class Innovations:
         self._histories = [condition_history(p.conditions.at(p.time_s))[np.newaxis] for p in problem.parts]
         self._bare: dict[tuple[int, int], FilterMarch] = {}
         self._whole: list[FilterMarch | None] = [None] * len(problem.parts)
+        self._levelled: list[FilterMarch | None] = [None] * len(problem.parts)
         self._last: tuple[bytes, Levels, list[Filtered]] | None = None
 
     # Likelihood ------------------------------------------------------------------------------------------------------
@@ -130,7 +137,8 @@ class Innovations:
             factors = np.append(0.0, factors)
         tried = [self.levels.scaled(level, float(f)) for f in factors]
         found = self._of_levels(vector, [self._at_least(t) for t in tried])
-        found = np.where(np.isfinite(found), found, -np.inf)
+        if not np.any(np.isfinite(found)):
+            return
         best = int(np.argmax(found))
         factor = float(factors[best])
         inner = factors[0] > 0.0 or best > 1
@@ -146,10 +154,41 @@ class Innovations:
         return replace(levels, sigma_K={key: max(s, floor[key]) for key, s in levels.sigma_K.items()})
 
     def _of_levels(self, vector: FloatArray, tried: Sequence[Levels]) -> FloatArray:
-        """(level,) log likelihoods at one parameter vector, at most LANES of them."""
-        vectors = np.tile(vector, (len(tried), 1))
-        found = in_threads(lambda k: self._several(k, 0, vectors, tried), len(self.problem.parts))
-        return np.asarray(np.sum(found, axis=0))
+        """(level,) log likelihoods, parameters about a vector integrated out; LANES of them at most."""
+        found = in_threads(lambda k: self._one_at_levels(k, vector, tried), len(self.problem.parts))
+        return np.array([self._marginal(vector, of_level) for of_level in zip(*found, strict=True)])
+
+    def _marginal(self, vector: FloatArray, found: Sequence[Filtered | None]) -> float:
+        """Log likelihood of all records with the parameters integrated out; -inf where a filter diverged."""
+        parameters = self.problem.parameters
+        known = np.array([p.sigma**-2.0 for p in parameters])
+        g, M = known * (np.array([p.value for p in parameters]) - vector), np.diag(known)
+        total = 0.0
+        for part, f in zip(self.problem.parts, found, strict=True):
+            if f is None:
+                return -np.inf
+            total += float(np.sum(f.log_likelihood))
+            g[part.index] += f.score()
+            M[np.ix_(part.index, part.index)] += f.information()
+        s = scale(M)
+        M, g = M * np.outer(s, s), g * s
+        sign, log_det = np.linalg.slogdet(M)
+        if sign <= 0.0:
+            return -np.inf
+        return total + 0.5 * float(g @ np.linalg.solve(M, g)) - 0.5 * float(log_det) + float(np.sum(np.log(s)))
+
+    def _one_at_levels(self, k: int, vector: FloatArray, tried: Sequence[Levels]) -> list[Filtered | None]:
+        """A record filtered with sensitivities at several levels; None where its filter diverged."""
+        part, march = self.problem.parts[k], self._levelled[k]
+        tracks = [self._track(k, vector, levels)[0] for levels in tried]
+        tracks += [tracks[-1]] * (LANES - len(tracks))
+        if march is None:
+            march = self._levelled[k] = FilterMarch(tracks, part.time_s, self._histories[k])
+        march.set_models([part.altered(vector)] * LANES)
+        try:
+            return list(march.filter(tracks)[: len(tried)])
+        except RunError:
+            return [_alone(march, t) for t in tracks[: len(tried)]]
 
     # Filters ---------------------------------------------------------------------------------------------------------
 
@@ -219,8 +258,18 @@ class Innovations:
             march.set_models([*models, *[models[-1]] * padding])
             found = march.filter([*tracks, *[tracks[-1]] * padding])
         except RunError:
-            return np.array([_alone(march, m, t) for m, t in zip(models, tracks, strict=True)])
+            return np.array([self._log_likelihood(march, m, t) for m, t in zip(models, tracks, strict=True)])
         return np.array([float(np.sum(f.log_likelihood)) for f in found[: len(vectors)]])
+
+    @staticmethod
+    def _log_likelihood(march: FilterMarch, model: PointModel, track: FilterTrack) -> float:
+        """Of one candidate; NaN where its filter diverged."""
+        try:
+            march.set_models([model] * LANES)
+        except RunError:
+            return float("nan")
+        found = _alone(march, track)
+        return float("nan") if found is None else float(np.sum(found.log_likelihood))
 
     def _of_part(self, k: int, filtered: Filtered, vector: FloatArray) -> list[Samples]:
         """The channels of a record as its filter predicts them."""
@@ -240,13 +289,12 @@ class Innovations:
         return found
 
 
-def _alone(march: FilterMarch, model: object, track: FilterTrack) -> float:
-    """The log likelihood of one candidate; NaN where its filter diverged."""
+def _alone(march: FilterMarch, track: FilterTrack) -> Filtered | None:
+    """One track in all lanes; None where its filter diverged."""
     try:
-        march.set_models([model] * LANES)  # type: ignore[list-item]
-        return float(np.sum(march.filter([track] * LANES)[0].log_likelihood))
+        return march.filter([track] * LANES)[0]
     except RunError:
-        return float("nan")
+        return None
 
 
 def _change(before: Levels, after: Levels) -> float:
