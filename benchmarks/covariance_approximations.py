@@ -8,8 +8,8 @@ and D its sensitivity, a step and the gain K of any covariance give
     whole          P <- Phi P Phi' + Q dt at every step
     every tenth    P propagated over ten steps at once, its gain held between, ten readings taken as one of R / 10
     rank 6, rank 3 the largest directions of P alone are kept after each step (a reduced-rank square root)
-    upper nodes    P of the nodes down to the third thermocouple, the wall adiabatic behind them; deeper readings change
-                   nothing: the founding paper's own first approximation
+    upper nodes    P of the nodes down to the third thermocouple, the wall adiabatic behind them, deeper readings left
+                   out: the founding paper's own first approximation
 
 All repetitions go through every line at once. No second-order effect of delta on the march is in it.
 """
@@ -33,6 +33,9 @@ IntArray = NDArray[np.int64]
 EVERY = 10
 UPPER_SENSORS = 3
 """Thermocouples whose nodes have a covariance in `upper nodes`."""
+
+LEFT_OUT_K2 = 1e12
+"""Variance of a reading that is not used [K2]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +152,7 @@ def upper(case: Case, runs: int) -> Step:
     def step(k: int, phi: FloatArray) -> Gain:
         own, S_own = inner(k, phi[:, :nodes, :nodes])
         sensors = len(case.sensors)
-        K, S = np.zeros((runs, len(case.start_K2), sensors)), np.tile(case.noise_K2 * np.eye(sensors), (runs, 1, 1))
+        K, S = np.zeros((runs, len(case.start_K2), sensors)), np.tile(LEFT_OUT_K2 * np.eye(sensors), (runs, 1, 1))
         K[:, :nodes, :UPPER_SENSORS], S[:, :UPPER_SENSORS, :UPPER_SENSORS] = own, S_own
         return K, S
 
