@@ -40,10 +40,10 @@ WANDERING = ProcessNoise(ratio_sigma=0.001, ratio_correlation_s=10.0)
 WHITE = ProcessNoise(node_K_sqrt_s=0.3)
 NOISES = {"ratio wanders": (WANDERING, (RATIO, CORRELATION)), "nodes": (WHITE, (NODE,))}
 HOW = ("output error", "filter", "found")
-REPETITIONS, BATCH, PROCESSES = 200, 20, 2
+REPETITIONS, BATCH, PROCESSES = 400, 20, 2
 ODD = 0.05
-LIMIT = 0.04
-"""Where bounds are right, 99 of 100 counts of 200 are no farther from 0.95."""
+LIMIT = 0.03
+"""Where bounds are right, 99 of 100 counts of 400 are no farther from 0.95."""
 
 
 @dataclass(frozen=True)
