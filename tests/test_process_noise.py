@@ -131,9 +131,10 @@ def test_bounds_of_the_filter_are_the_scatter_of_its_estimates(repetitions: dict
 
 
 def test_estimates_of_the_filter_are_nearer_the_truth(repetitions: dict[str, np.ndarray]) -> None:
-    # of one parameter at least: the mean of a ratio that wanders passes for a scale whatever is fitted
+    # of one parameter at least, the mean of a ratio that wanders passing for a scale whatever is fitted; to 0.70, 0.42
+    # of output error's in 400 repetitions (`python -m benchmarks process_noise`), give or take a fifth in 16
     plain, filtered = repetitions["rms"]
-    assert np.min(filtered / plain) < 0.75
+    assert np.min(filtered / plain) < 0.9
 
 
 @pytest.mark.parametrize(("noise", "levels"), [(WHITE, (NODE,)), (WANDERING, (RATIO, CORRELATION))])
@@ -156,6 +157,23 @@ def test_no_noise_is_found_where_there_is_none() -> None:
         innovations.settle(bench.truth)
         found.append(innovations.levels.noise.node_K_sqrt_s)
     assert np.median(found) < 0.05 * WHITE.node_K_sqrt_s
+
+
+def test_noise_of_sensors_that_declare_none_is_found_beside_that_of_the_process() -> None:
+    bench, rng = bench_of(CASE), np.random.default_rng(8)
+    measure(bench.problem, disturbed(bench, WHITE, 1, rng)[0][0], rng)
+    part, record = bench.problem.parts[0], record_of(CASE)
+    silent = [s.model_copy(update={"noise_sigma_K": None}) for s in record.sensors]
+    thermocouples = record.declared.thermocouples.model_copy(update={"sensor": silent})
+    unknown = replace(record, declared=record.declared.model_copy(update={"thermocouples": thermocouples}))
+    problem = Problem([unknown], list(CASES[CASE].truth), bench.problem.reference, starts=[part.start])
+    own = problem.parts[0]
+    own.channels = [replace(c, observed=read.observed) for c, read in zip(own.channels, part.channels, strict=True)]
+    own.sigma_K = dict.fromkeys(own.sigma_K, 3.0)
+    innovations = Innovations(problem, WHITE)
+    innovations.settle(bench.truth)
+    ratio = np.array([own.sigma_K[c.number] / c.sensor.noise_sigma_K for c in part.channels])
+    assert 0.6 < np.exp(np.mean(np.log(ratio))) < 1.6
 
 
 # By command ----------------------------------------------------------------------------------------------------------
