@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import os
+import time
 from dataclasses import replace
+from multiprocessing import get_context
+from multiprocessing.synchronize import Barrier
+from multiprocessing.synchronize import Event as EventType
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +44,8 @@ NAMES = ("ratio.scale", "ratio.d_alpha", "stack.coating.thickness_factor", "stac
 START_K2, PROCESS_K2_S = 1e-4, 1e-6
 ITERATIONS, ROUNDS, FILTERPY_ROUNDS = 10, 7, 2
 NODES = (14, 28, 56, 100)
+REST_S = 2.0
+"""For another process to end what it is at, or to be well within it."""
 POINTS = 50
 """Control points of the joint fit."""
 
@@ -154,23 +160,57 @@ def _growth(times: Times, key: str, what: str, order: float) -> list[Figure]:
     return [Figure(f"{what}: exponent of the cost in nodes", float(exponent), "", order + 0.1, note=told)]
 
 
-def the_joint_fit() -> list[Figure]:
-    """One iteration over fifty control points on one flight, in one thread and in two."""
-    problem = Problem(fifty(), NAMES, joint_reference([record_of("popu")]))
-    at = np.array([p.value for p in problem.parameters])
-    moved = iter(range(10**9))
+class JointFit:
+    """One iteration of a fit of fifty control points on one flight."""
 
-    def iteration(threads: int) -> None:
+    def __init__(self) -> None:
+        self.problem = Problem(fifty(), NAMES, joint_reference([record_of("popu")]))
+        self.at = np.array([p.value for p in self.problem.parameters])
+        self.iteration(1)
+
+    def iteration(self, threads: int) -> None:
+        """The march of the last vector is kept: another one each time."""
         before, fitting.THREADS = fitting.THREADS, threads
-        problem.evaluate(at + 1e-9 * next(moved))  # the march of the last vector is kept: another one each time
+        self.at = self.at + 1e-9
+        self.problem.evaluate(self.at)
         fitting.THREADS = before
 
-    times = in_turn({"one": lambda: iteration(1), "two": lambda: iteration(2)}, ROUNDS)
-    efficiency = times.ratio("one", "two") / 2.0
+
+def _beside(turn: Barrier, asked: EventType, done: EventType) -> None:
+    """The same fit in another process, one iteration after the other while it is asked for."""
+    fit = JointFit()
+    turn.wait()
+    while not done.is_set():
+        if asked.wait(0.05):
+            fit.iteration(1)
+
+
+def the_joint_fit() -> list[Figure]:
+    """In one thread, in two, and in one thread while another process does the same: what the machine has to give."""
+    fit, spawn = JointFit(), get_context("spawn")
+    turn, asked, done = spawn.Barrier(2), spawn.Event(), spawn.Event()
+    other = spawn.Process(target=_beside, args=(turn, asked, done))
+    other.start()
+    turn.wait()
+
+    def beside() -> None:
+        asked.set()
+        fit.iteration(1)
+        asked.clear()
+
+    tasks = {"one": lambda: fit.iteration(1), "two": lambda: fit.iteration(2), "beside": beside}
+    pause = {"one": lambda: time.sleep(REST_S), "beside": lambda: (asked.set(), time.sleep(REST_S))}
+    load = os.getloadavg()[0]
+    times = in_turn(tasks, ROUNDS, pause)
+    done.set()
+    other.join()
+    efficiency, given = times.ratio("one", "two") / 2.0, times.ratio("one", "beside")
     return [
         Figure("joint fit of 50 control points: one iteration, one thread", times.best("one") * 1e3, "ms"),
-        Figure("the same on two threads: efficiency", efficiency, "", 0.9, True,
-               note=f"load of the machine before {os.getloadavg()[0]:.1f}"),
+        Figure("the same on two threads: efficiency", efficiency, "", 0.9, True, note=f"load before {load:.1f}"),
+        Figure("one thread alone / beside another process that does the same", given, "",
+               note="efficiency of two processes that share nothing: the machine's own"),
+        Figure("efficiency of two threads / that of two processes", efficiency / given, ""),
     ]  # fmt: skip
 
 

@@ -74,7 +74,7 @@ def repeat(bench: Repeatable, seeds: Sequence[Sequence[int]]) -> Repetitions:
         fit = maximise(problem.evaluate, problem.parameters, bench.truth, problem.log_likelihoods)
         if not fit.converged:
             raise RuntimeError(f"seed {seed}: {fit.words()[0]}")
-        found = coloured_bounds(problem, fit)
+        found = coloured_bounds(problem.samples(fit.values), fit)
         tests = [
             sensor_residuals(s.channel.sensor.name, s.time_s, s.channel.observed, s.mean_K, s.sigma_K, rng)
             for s in problem.samples(fit.values)

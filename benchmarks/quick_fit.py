@@ -46,7 +46,7 @@ class Model:
     @property
     def sigma(self) -> dict[str, float]:
         """Sigma by name, corrected for coloured residuals."""
-        found = coloured_bounds(self.problem, self.fit).sigma
+        found = coloured_bounds(self.problem.samples(self.fit.values), self.fit).sigma
         return dict(zip((u.label for u in self.problem.unknowns), found, strict=True))
 
 

@@ -15,11 +15,11 @@ from rich.table import Table
 
 from sim_heating.cli_closure import close_loop
 from sim_heating.cli_design import design
+from sim_heating.cli_estimate import estimate
 from sim_heating.cli_fmu import fmu
 from sim_heating.cli_plan import plan
 from sim_heating.cli_tables import update_tables
 from sim_heating.console import CONSOLE, ERRORS, OUT, PATH
-from sim_heating.console import parameter_names as _names
 from sim_heating.console import progress_line as _progress
 from sim_heating.console import tell_files as _tell_files
 from sim_heating.errors import InputError, RunError
@@ -32,7 +32,7 @@ def cli() -> None:
     """Aerodynamic heating beside a flight simulator: temperatures from a trajectory, and back."""
 
 
-for command in (close_loop, design, fmu, plan, update_tables):
+for command in (close_loop, design, estimate, fmu, plan, update_tables):
     cli.add_command(command)
 
 
@@ -213,148 +213,6 @@ def _errors(found: dict[str, Any]) -> list[str]:
     cells = [f"{found[k]['rmse_K']:.2f} K" if found[k] else "-" for k in ("fit", "holdout")]
     floor = found["noise_floor_K"]
     return [*cells, "-" if floor is None else f"{floor:.2f} K"]
-
-
-def _condition(_: click.Context, __: click.Parameter, value: str | None) -> dict[str, float]:
-    """`alpha_deg=40,...` as a condition."""
-    from sim_heating.conditions import RATIO_VARIABLES
-    from sim_heating.files import suggestion
-
-    found = {}
-    for item in (value or "").split(","):
-        if not item.strip():
-            continue
-        name, _equals, number = (part.strip() for part in item.partition("="))
-        if name not in RATIO_VARIABLES:
-            raise InputError(f"--reference: `{name}` is no ratio variable. {suggestion(name, RATIO_VARIABLES)}")
-        try:
-            found[name] = float(number)
-        except ValueError:
-            raise InputError(f"--reference: {name}: `{number}` is not a number; write {name}=40") from None
-        if not np.isfinite(found[name]):
-            raise InputError(f"--reference: {name}: `{number}` is not a finite number; write {name}=40")
-    return found
-
-
-def _fit_segments(_: click.Context, __: click.Parameter, value: tuple[str, ...]) -> list[list[float]]:
-    """`640,760`, as often as there are segments."""
-    found = []
-    for item in value:
-        try:
-            start, end = (float(part) for part in item.split(","))
-        except ValueError:
-            raise InputError(f"--fit: `{item}` is not a segment; write --fit 640,760 (start and end in s)") from None
-        if not start < end:
-            raise InputError(f"--fit: {item}: the start must lie before the end")
-        found.append([start, end])
-    return found
-
-
-def _start(_: click.Context, __: click.Parameter, value: str) -> Any:
-    """`declared`, or `circuit:650` and the like: how a fit starts, as a maker of starts."""
-    from sim_heating.estimation.initial import STARTS
-    from sim_heating.files import suggestion
-
-    if value == "declared":
-        return None
-    kind, _colon, at = value.partition(":")
-    if kind not in STARTS:
-        raise InputError(f"--start: `{kind}` is no way to start. {suggestion(kind, ['declared', *STARTS])}")
-    try:
-        time_s = float(at)
-    except ValueError:
-        raise InputError(f"--start: `{at}` is not a time in s; write {kind}:650") from None
-    return lambda record, model, mesh: STARTS[kind](record, model, mesh, time_s)
-
-
-@cli.command()
-@click.argument("records", type=PATH, nargs=-1, required=True)
-@OUT
-@click.option("--parameters", callback=_names, help="dotted names, with commas; default: magnitude and derivatives")
-@click.option("--reference", callback=_condition, help="alpha_deg=40,... that derivatives are about")
-@click.option("--start", default="declared", callback=_start, help="declared, or circuit, profile, filter:TIME_S")
-@click.option(
-    "--fit",
-    "fit",
-    multiple=True,
-    callback=_fit_segments,
-    metavar="START,END",
-    help="fit these times of each record, in s, in place of its own segments; may be given again",
-)
-@click.option("--segments", type=float, help="instead: fit short segments of so many s in turn (one record)")
-def estimate(
-    records: tuple[Path, ...],
-    out: Path,
-    parameters: tuple[str, ...] | None,
-    reference: dict[str, float],
-    start: Any,
-    fit: list[list[float]],
-    segments: float | None,
-) -> None:
-    """Estimate heating and thermal parameters from the thermocouples of flight records, jointly, with bounds."""
-    if segments is not None:
-        _estimate_trend(records, out, parameters, fit, segments)
-        return
-    from sim_heating.estimation.estimate import estimate as fit_records
-    from sim_heating.estimation.report import result_of, write_fit
-    from sim_heating.record import load_record
-
-    loaded = [_with_fit(load_record(path), fit) for path in records]
-    with _progress("estimate") as progress:
-        starts = [start] * len(loaded)
-        fitted = fit_records(loaded, parameters, reference=reference, starts=starts, progress=progress)
-        progress(0.95, "writing")
-        names = write_fit(fitted, out)
-    found = result_of(fitted)
-    table = Table(title=f"{', '.join(r.name for r in loaded)}: estimate", title_justify="left")
-    for head in ("parameter", "value", "sigma", "unit"):
-        table.add_column(head, justify="left" if head in ("parameter", "unit") else "right")
-    for name, parameter in found.parameters.items():
-        table.add_row(name, f"{parameter.value:.5g}", f"{parameter.sigma:.2g}", parameter.unit)
-    CONSOLE.print(table)
-    for name, why in found.not_estimated.items():
-        CONSOLE.print(f"{name}: not estimated, {why}", highlight=False)
-    for line in fitted.warnings:
-        CONSOLE.print(f"[red]{line}[/red]", highlight=False)
-    _tell_fit(found)
-    _tell_files(out, names)
-
-
-def _with_fit(record: Any, fit: list[list[float]]) -> Any:
-    return record.with_fit(fit) if fit else record
-
-
-def _estimate_trend(
-    records: tuple[Path, ...], out: Path, parameters: tuple[str, ...] | None, fit: list[list[float]], length_s: float
-) -> None:
-    """Short segments of one record, one after the other."""
-    from sim_heating.estimation.report import write_trend
-    from sim_heating.estimation.sequence import trend
-    from sim_heating.record import load_record
-
-    if len(records) > 1:
-        raise InputError(f"--segments: {len(records)} records; short segments are of one record, give them one by one")
-    record = _with_fit(load_record(records[0]), fit)
-    with _progress("estimate") as progress:
-        found = trend(record, length_s, parameters, progress=progress)
-        names = write_trend(found, out)
-    CONSOLE.print(f"{len(found.segments)} segments of {length_s:g} s fitted, {len(found.left_out)} left out")
-    for line in found.left_out[:3]:
-        CONSOLE.print(f"left out: {line}", highlight=False)
-    _tell_files(out, names)
-
-
-def _tell_fit(found: Any) -> None:
-    """Errors before and after, against the noise floor."""
-    declared = (found.model_extra or {}).get("predicted", {})
-    for what in ("fit", "holdout"):
-        before, after = declared.get(what), getattr(found, what)
-        if after is not None and before is not None:
-            CONSOLE.print(
-                f"RMSE, {what}: {before.rmse_K:.2f} K declared, {after.rmse_K:.2f} K fitted ({after.n} samples)"
-            )
-    if found.noise_floor_K is not None:
-        CONSOLE.print(f"Noise floor: {found.noise_floor_K:.2f} K")
 
 
 @cli.command()

@@ -64,9 +64,12 @@ from sim_heating.thermal.linear import (
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-PRIOR, PRIOR_VARIANCE, POSTERIOR, POSTERIOR_VARIANCE, INNOVATION, VARIANCE, LOG_LIKELIHOOD, N_OUT = range(8)
-"""What is told of a reading: temperature before and after all readings of its time, innovation, its variance; the
-sensitivities of its prediction follow."""
+(
+    PRIOR, PRIOR_VARIANCE, POSTERIOR, POSTERIOR_VARIANCE, PREDICTED, PREDICTED_VARIANCE, INNOVATION, VARIANCE,
+    LOG_LIKELIHOOD, N_OUT,
+) = range(10)  # fmt: skip
+"""What is told of a reading: temperature before and after all readings of its time; what it should show, noise
+included, once those before it are taken; innovation and its variance; the sensitivities of its prediction follow."""
 CONSTANT, PER_TEMPERATURE, PER_RATE = range(3)
 """What a parameter adds to the reading itself."""
 SAME_PLACE = 1e-6
@@ -224,11 +227,12 @@ def _take(
         direct = r.direct[lane, k, j]
         predicted[j] = gain * joint.S[q, j] + direct[CONSTANT]
         predicted[j] += direct[PER_TEMPERATURE] * joint.mean[q] + direct[PER_RATE] * joint.rate[q]
+    out[PREDICTED] = gain * joint.mean[q] + r.bias[lane, k]
+    out[PREDICTED_VARIANCE] = gain * gain * joint.covariance[q, q] + r.variance[lane, k]
     if not r.lower[lane, k] <= r.upper[lane, k]:
         return
     nu, variance, out[LOG_LIKELIHOOD] = innovation(
-        r.lower[lane, k], r.upper[lane, k], gain * joint.mean[q] + r.bias[lane, k],
-        gain * gain * joint.covariance[q, q] + r.variance[lane, k],
+        r.lower[lane, k], r.upper[lane, k], out[PREDICTED], out[PREDICTED_VARIANCE]
     )  # fmt: skip
     out[INNOVATION], out[VARIANCE] = nu, variance
     cross, own = joint.cross[q].copy(), joint.covariance[q].copy()

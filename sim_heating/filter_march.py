@@ -24,6 +24,8 @@ from sim_heating.filter_kernel import (
     N_OUT,
     POSTERIOR,
     POSTERIOR_VARIANCE,
+    PREDICTED,
+    PREDICTED_VARIANCE,
     PRIOR,
     PRIOR_VARIANCE,
     VARIANCE,
@@ -164,6 +166,8 @@ class Filtered:
     """What the filter found; (reading,) where not said otherwise, NaN where nothing was read.
 
     prior_K, posterior_K : temperature before and after all readings of its time, with their variances [K2]
+    predicted_K, predicted_variance_K2 : what it should show, the readings before it taken, with the variance of that
+                     and its noise together
     innovation_K   : reading minus prediction from all readings before it; of an interval, that of the unrounded reading
                      that would move mean and variance as it does
     variance_K2    : its variance
@@ -177,6 +181,8 @@ class Filtered:
     prior_variance_K2: FloatArray
     posterior_K: FloatArray
     posterior_variance_K2: FloatArray
+    predicted_K: FloatArray
+    predicted_variance_K2: FloatArray
     innovation_K: FloatArray
     variance_K2: FloatArray
     log_likelihood: FloatArray
@@ -329,6 +335,7 @@ class FilterMarch(LinearMarch):
             )  # fmt: skip
         return Filtered(
             told[:, PRIOR], told[:, PRIOR_VARIANCE], told[:, POSTERIOR], told[:, POSTERIOR_VARIANCE],
+            told[:, PREDICTED], told[:, PREDICTED_VARIANCE],
             told[:, INNOVATION], told[:, VARIANCE], told[:, LOG_LIKELIHOOD],
             told[:, N_OUT : N_OUT + point.parameters],
             node_rows(self.base.block(0))[: own - 1, T, lane].copy(), float(state.d[lane]),

@@ -3,7 +3,8 @@
 Magnitude and derivatives of the heating ratio, and whatever else is named, are those that make the measured samples
 most likely (problem.py, newton.py). What the data cannot tell is left out and said; the noise of sensors that declare
 none is estimated beside; bounds are corrected for coloured residuals; errors are those of the plain march at the values
-found.
+found. With noise of the process the innovations of a Kalman filter take the place of residuals (innovations.py), the
+fit without it being where the search begins.
 """
 
 from __future__ import annotations
@@ -20,10 +21,12 @@ from sim_heating.estimation.coloured import Bounds, bounds
 from sim_heating.estimation.coloured import Channel as Residuals
 from sim_heating.estimation.identifiability import correlation
 from sim_heating.estimation.informed import default_names, mean_ratio, still, unheated, untold, without_stuck
+from sim_heating.estimation.innovations import Innovations, fit_innovations
 from sim_heating.estimation.likelihood import likelihood
 from sim_heating.estimation.newton import Fit, Settings, Status, check_parameters, maximise
 from sim_heating.estimation.observation import errors_of
 from sim_heating.estimation.problem import Part, Problem, Samples, Start, StartMaker, joint_reference, march_times
+from sim_heating.estimation.process_noise import ProcessNoise
 from sim_heating.estimation.result import AT
 from sim_heating.parameters import CLOCK_SKEW, EFFECT_PREFIX, Parameter
 from sim_heating.predict import Prediction
@@ -52,6 +55,7 @@ class Fitted:
     not_estimated : parameters left out, and why
     before, after : each record predicted by the declared model, and at the values found
     warnings      : what a person should know, a line each
+    innovations   : of the filter, in a fit with noise of the process
     """
 
     problem: Problem
@@ -61,6 +65,7 @@ class Fitted:
     before: tuple[Prediction, ...]
     after: tuple[Prediction, ...]
     warnings: tuple[str, ...]
+    innovations: Innovations | None = None
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -73,8 +78,8 @@ class Fitted:
         return correlation(self.bounds.covariance)
 
     def samples(self) -> list[Samples]:
-        """The fitted channels at the values found."""
-        return self.problem.samples(self.fit.values)
+        """The fitted channels at the values found, as the march or the filter predicts them."""
+        return (self.innovations or self.problem).samples(self.fit.values)
 
 
 def estimate(
@@ -87,6 +92,7 @@ def estimate(
     starts: Sequence[Start | StartMaker | None] | None = None,
     first: Mapping[str, float] | None = None,
     settings: Settings | None = None,
+    process_noise: ProcessNoise | None = None,
     progress: Progress = lambda fraction, text: None,
 ) -> Fitted:
     """Fit parameters to records, jointly.
@@ -98,6 +104,7 @@ def estimate(
     starts    : where the march of each record begins (problem.Start, initial.STARTS)
     first     : values of parameters that the iteration begins with, where not those of their priors
     settings  : when the iteration stops, and how far it may step
+    process_noise : given or to be estimated; None for none, an output-error fit
     raises    : InputError where nothing can be estimated, RunError where the fit diverged
     """
     _check_records(records)
@@ -120,8 +127,10 @@ def estimate(
         left = _left([n for n in left if n not in {label.partition(AT)[0] for label in worst}], out, records)
         problem = Problem(records, left, about, effects=effects, priors=priors, starts=starts)
         begin = _first_values(problem, first or {})
-    fit = _fit(problem, begin, settings, progress)
-    return _finished(problem, fit, out, stuck)
+    fit, innovations = _fit(problem, begin, settings, progress), None
+    if process_noise is not None and fit.status is not Status.NO_START:
+        fit, innovations = _fit_filtered(problem, process_noise, fit, progress)
+    return _finished(problem, fit, out, stuck, innovations)
 
 
 def _left(names: Sequence[str], out: Mapping[str, str], records: Sequence[Record]) -> list[str]:
@@ -205,13 +214,28 @@ def _fit(problem: Problem, first: FloatArray, settings: Settings | None, progres
     return replace(fit, iterations=steps[0])
 
 
-def _finished(problem: Problem, fit: Fit, out: dict[str, str], told: Sequence[str]) -> Fitted:
+def _fit_filtered(problem: Problem, noise: ProcessNoise, first: Fit, progress: Progress) -> tuple[Fit, Innovations]:
+    """The fit on the innovations of the filter, from one without noise of the process on."""
+    steps = [first.iterations]
+
+    def told(at: FloatArray, log_posterior: float) -> None:
+        steps[0] += 1
+        progress(min(0.9, 0.1 * steps[0]), f"iteration {steps[0]}: log posterior {log_posterior:.2f}, filtered")
+
+    fit, innovations = fit_innovations(problem, noise, first.values, told)
+    return replace(fit, iterations=steps[0]), innovations
+
+
+def _finished(
+    problem: Problem, fit: Fit, out: dict[str, str], told: Sequence[str], innovations: Innovations | None
+) -> Fitted:
     if fit.status is Status.NO_START:
         raise RunError(f"estimate: {fit.words()[0]}")
+    samples = (innovations or problem).samples(fit.values)
     after = tuple(predict_at(part, fit.values) for part in problem.parts)
     before = tuple(predict_record(part.record) for part in problem.parts)
-    told = (*told, *outside_lines(problem.parts), *warnings(problem, fit))
-    return Fitted(problem, fit, coloured_bounds(problem, fit), out, before, after, told)
+    told = (*told, *outside_lines(problem.parts), *warnings(problem, fit, samples))
+    return Fitted(problem, fit, coloured_bounds(samples, fit), out, before, after, told, innovations)
 
 
 def predict_at(part: Part, values: FloatArray) -> Prediction:
@@ -235,11 +259,11 @@ def predict_at(part: Part, values: FloatArray) -> Prediction:
     return replace(found, record=record)
 
 
-def coloured_bounds(problem: Problem, fit: Fit) -> Bounds:
-    """Bounds of the values found; those held by a parameter's bound are zero."""
+def coloured_bounds(samples: Sequence[Samples], fit: Fit) -> Bounds:
+    """Bounds of the values found, from the samples there; those held by a parameter's bound are zero."""
     channels = []
-    for s in problem.samples(fit.values):
-        found = likelihood(s.channel.observed, s.mean_K, s.sigma_K)
+    for s in samples:
+        found = likelihood(s.channel.observed, s.mean_K, s.spread_K)
         name = f"{s.part.record.name}/{s.channel.sensor.name}"
         channels.append(Residuals(name, s.time_s, found.score, found.information, s.jacobian[:, ~fit.on_bound]))
     free = bounds(channels, fit.prior_information[~fit.on_bound])
@@ -262,7 +286,7 @@ def outside_lines(parts: Sequence[Part]) -> list[str]:
     return lines
 
 
-def warnings(problem: Problem, fit: Fit) -> list[str]:
+def warnings(problem: Problem, fit: Fit, samples: Sequence[Samples]) -> list[str]:
     """What a person should know of a fit: no convergence, bounds, directions, a coating that is a clock."""
     found = [] if fit.status is Status.CONVERGED else [fit.status.value]
     for u, value, on in zip(problem.unknowns, fit.values, fit.on_bound, strict=True):
@@ -273,7 +297,7 @@ def warnings(problem: Problem, fit: Fit) -> list[str]:
                 "a coating that would have to be thinner than none is mostly a clock: the thermocouples lead the "
                 f"flight conditions; estimate {CLOCK_SKEW.name} as well"
             )
-    excess = misfit(problem.samples(fit.values))
+    excess = misfit(samples)
     if excess > MISFIT:
         found.append(
             f"residuals are {excess:.1f} times what noise would leave: the model lacks something, and the bounds are "
@@ -284,6 +308,6 @@ def warnings(problem: Problem, fit: Fit) -> list[str]:
 
 def misfit(everything: Sequence[Samples]) -> float:
     """RMS of the residuals over what noise and rounding make of them: 1 for the true model."""
-    scored = [likelihood(s.channel.observed, s.mean_K, s.sigma_K) for s in everything]
+    scored = [likelihood(s.channel.observed, s.mean_K, s.spread_K) for s in everything]
     squares = sum(float(np.sum(f.score**2)) for f in scored)
     return float(np.sqrt(squares / sum(float(np.sum(f.information)) for f in scored)))

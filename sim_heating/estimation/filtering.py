@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from sim_heating.ensemble import PointModel, condition_history
 from sim_heating.errors import InputError
-from sim_heating.estimation.observation import Channel, channels, errors_of, least_sigma_K
+from sim_heating.estimation.observation import Channel, channels, errors_of, least_sigma_K, sensor_parameter
 from sim_heating.estimation.problem import Start, march_times
+from sim_heating.filter_kernel import CONSTANT, PER_RATE, PER_TEMPERATURE
 from sim_heating.filter_march import FilterMarch, FilterTrack, Samples
+from sim_heating.parameters import CLOCK_SKEW
 from sim_heating.points import conditions_of_record
 from sim_heating.record import Record
 from sim_heating.thermal.declare import Sensor
@@ -40,29 +42,46 @@ def calibration_line(sensor: Sensor, read_K: FloatArray) -> tuple[FloatArray, Fl
 
 def filter_samples(
     found: Sequence[Channel], time_s: FloatArray, mesh: Mesh, sigma_K: Mapping[int, float],
-    values: Mapping[str, float] | None = None, added_K: FloatArray | float = 0.0,
+    values: Mapping[str, float] | None = None, added_K: FloatArray | float = 0.0, names: Sequence[str] = (),
 ) -> tuple[Samples, NDArray[np.int64]]:  # fmt: skip
     """Channels as the filter reads them, a calibration as its tangent at each reading, and the place of each reading
     among those of the channels one after the other.
 
     time_s : (sample,) times that the channels' places are of;  sigma_K : noise by the number of the sensor
     values : parameters that say what is wrong with sensors;  added_K : (sensor, sample) on top of the march
+    names  : parameters of the filter, of which clock and sensors act on the readings themselves
     """
     rows, added = [], np.zeros((1 + max(c.number for c in found), len(time_s))) + added_K
+    direct = []
     for channel in found:
         low, high = channel.observed.lower_K, channel.observed.upper_K
         middle = np.where(np.isfinite(low), np.where(np.isfinite(high), 0.5 * (low + high), low), high)
         slope, constant = calibration_line(channel.sensor, middle)
-        wrong = errors_of(channel.sensor, values or {})
-        constant = constant + slope * (wrong.gain * added[channel.number, channel.samples] + wrong.bias_K)
+        wrong, own = errors_of(channel.sensor, values or {}), added[channel.number, channel.samples]
+        constant = constant + slope * (wrong.gain * own + wrong.bias_K)
+        direct.append(_direct(channel.sensor, names, slope, wrong.gain, own))
         variance, node = (np.full(len(low), x) for x in (sigma_K[channel.number] ** 2, mesh.sensors[channel.number]))
         rows.append(np.array([time_s[channel.samples], node, low, high, variance, slope * wrong.gain, constant]))
     t, node, low, high, variance, gain, constant = np.concatenate(rows, axis=1)
     order = np.argsort(t, kind="stable")
     samples = Samples(
-        t[order], node[order].astype(np.int64), low[order], high[order], variance[order], gain[order], constant[order]
-    )
+        t[order], node[order].astype(np.int64), low[order], high[order], variance[order], gain[order], constant[order],
+        np.concatenate(direct)[order] if names else None,
+    )  # fmt: skip
     return samples, order
+
+
+def _direct(sensor: Sensor, names: Sequence[str], slope: FloatArray, gain: float, added_K: FloatArray) -> FloatArray:
+    """(reading, parameter, 3) what parameters add to the derivative of readings themselves (filter_march.Samples)."""
+    found = np.zeros((len(slope), len(names), 3))
+    for k, name in enumerate(names):
+        if name == CLOCK_SKEW.name:
+            found[:, k, PER_RATE] = -slope * gain
+        elif name == sensor_parameter(sensor, "bias"):
+            found[:, k, CONSTANT] = slope
+        elif name == sensor_parameter(sensor, "gain"):
+            found[:, k, CONSTANT], found[:, k, PER_TEMPERATURE] = slope * added_K, slope
+    return found
 
 
 def track_of_record(
@@ -96,4 +115,5 @@ def filtered_start(record: Record, model: PointModel, mesh: Mesh, time_s: float)
     track, steps, history = track_of_record(record, model, mesh, time_s)
     point = replace(track, disturbance=likeliest(track, steps, history))
     filtered = FilterMarch([point], steps, history).filter()[0]
-    return Start(time_s, filtered.temperature_K, np.zeros((mesh.nodes, 0)))
+    nothing, known = np.zeros((mesh.nodes, 0)), filtered.covariance[:-1, :-1]
+    return Start(time_s, filtered.temperature_K, nothing, covariance_K2=known)

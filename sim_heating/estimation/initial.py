@@ -37,7 +37,7 @@ HOLDING_FILM = 10.0
 """Film coefficient [kg/(m2 s)] that holds the surface at a temperature, some hundred times that of an entry."""
 HOLDING_CP = 1000.0
 OFF_K = 10.0
-"""How far the conducting wall may be off [K], if its deeper thermocouples do not say more."""
+"""How far the circuit and the conducting wall may be off [K], if deeper thermocouples do not say more of the wall."""
 OFF_LENGTH = 0.7
 """Correlation length of that in log(1 + s): a factor of two in depth, four in time."""
 DIRECTIONS = 10
@@ -82,9 +82,10 @@ def _readings_now(record: Record, mesh: Mesh, time_s: float) -> list[tuple[int, 
 
 
 def circuit_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) -> Start:
-    """A start at the temperatures of the circuit, nothing of them estimated."""
+    """A start at the temperatures of the circuit, nothing of them estimated; how far a filter takes them to be off."""
     profile = circuit_profile(record, model, mesh, time_s)
-    return Start(time_s, profile, np.zeros((mesh.nodes, 0)))
+    off = OFF_K * smooth_directions(diffusion_depths(model.construction, mesh))
+    return Start(time_s, profile, np.zeros((mesh.nodes, 0)), covariance_K2=off @ off.T)
 
 
 def conducted_profile(record: Record, model: PointModel, mesh: Mesh, time_s: float) -> FloatArray:

@@ -65,11 +65,11 @@ def least_sigma_K(sensor: Sensor) -> float:
 
 def errors_of(sensor: Sensor, values: Mapping[str, float]) -> SensorErrors:
     """What parameters say is wrong with a sensor."""
-    bias, gain = (values.get(_name(sensor, what), SENSOR[what].value) for what in ("bias", "gain"))
+    bias, gain = (values.get(sensor_parameter(sensor, what), SENSOR[what].value) for what in ("bias", "gain"))
     return SensorErrors(bias, gain)
 
 
-def _name(sensor: Sensor, what: str) -> str:
+def sensor_parameter(sensor: Sensor, what: str) -> str:
     """Dotted name of a parameter of a sensor."""
     return f"{SENSOR_PREFIX}{sensor.name}.{what}"
 
@@ -107,9 +107,9 @@ def indicated(
     for k, name in enumerate(names[named:], start=named):
         if name == CLOCK_SKEW.name:
             jacobian[:, k] = -wrong.gain * marched.rate_K_s[channel.number, channel.samples]
-        elif name == _name(sensor, "bias"):
+        elif name == sensor_parameter(sensor, "bias"):
             jacobian[:, k] = 1.0
-        elif name == _name(sensor, "gain"):
+        elif name == sensor_parameter(sensor, "gain"):
             jacobian[:, k] = T
     if sensor.calibration is None:
         return wrong.gain * T + wrong.bias_K, jacobian

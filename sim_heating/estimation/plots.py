@@ -56,7 +56,7 @@ def fit_figure(record: Record, curves: Sequence[tuple[Prediction, str, str]]) ->
         upper.set_ylabel(f"{record.sensors[i].name}\nindicated, K")
         lower.set_ylabel("residual, K")
         upper.legend(fontsize=8, loc="best")
-    _plot_flown(axes[-1], record.conditions, t[0], t[-1])
+    plot_flown(axes[-1], record.conditions, t[0], t[-1])
     axes[-1].set_xlabel("time, s" + ("; shaded: held out" if record.declared.segments.holdout else ""))
     for a in axes:
         shade_holdout(a, record)
@@ -78,7 +78,7 @@ def _shown(record: Record) -> NDArray[np.bool_]:
     return np.asarray((t >= asked.min() - margin) & (t <= asked.max() + margin))
 
 
-def _plot_flown(a: Axes, whole: Conditions, start_s: float, end_s: float) -> None:
+def plot_flown(a: Axes, whole: Conditions, start_s: float, end_s: float) -> None:
     """The angles that moved, or what a lamp gave where none did."""
     times = whole.time_s[(whole.time_s >= start_s) & (whole.time_s <= end_s)]
     flown = whole.at(times if len(times) else whole.time_s)

@@ -52,6 +52,7 @@ class Start:
     columns  : (node, k) how they change with k unknowns [K over their units], `unknowns` saying what those are
     refined  : temperatures [K] on the mesh of twice as many elements, for Problem.correct_meshes; by default those of
                the profile between its nodes
+    covariance_K2 : (node, node) of the profile, for a fit with noise of the process; known, where None
     """
 
     time_s: float
@@ -59,6 +60,7 @@ class Start:
     columns: FloatArray
     unknowns: tuple[Parameter, ...] = ()
     refined: FloatArray | None = None
+    covariance_K2: FloatArray | None = None
 
 
 StartMaker = Callable[[Record, PointModel, Mesh], Start]
@@ -74,6 +76,7 @@ class Samples:
     own           : (sample, unknown of the part) its sensitivities
     unknowns      : number of all unknowns
     sigma_K       : noise that is taken
+    predicted_sigma_K : standard deviation of mean_K itself, (sample,) where a filter predicts
     """
 
     part: Part
@@ -83,6 +86,12 @@ class Samples:
     own: FloatArray
     unknowns: int
     sigma_K: float
+    predicted_sigma_K: FloatArray | float = 0.0
+
+    @property
+    def spread_K(self) -> FloatArray:
+        """() or (sample,) standard deviation of a sample about mean_K."""
+        return np.asarray(np.hypot(self.sigma_K, self.predicted_sigma_K))
 
     @property
     def jacobian(self) -> FloatArray:

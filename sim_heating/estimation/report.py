@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,7 @@ def result_of(fitted: Fitted) -> Estimate:
             "predicted": {what: _errors(fitted.before, what) for what in ("fit", "holdout")},
             "degrees_of_freedom": fitted.bounds.dof,
             "log_likelihood": fitted.fit.log_likelihood,
+            "process_noise": _process_noise(fitted),
             "statistics": statistics_of(fitted),
             "would_buy": _would_buy(fitted),
             "warnings": list(fitted.warnings),
@@ -86,6 +88,11 @@ def _effects(fitted: Fitted) -> list[dict[str, Any]]:
         for point, model in models.items()
         for used in model.effects
     ]
+
+
+def _process_noise(fitted: Fitted) -> dict[str, Any] | None:
+    """Levels of the noise of the process, and which of them were found; None in an output-error fit."""
+    return None if fitted.innovations is None else asdict(fitted.innovations.levels.noise)
 
 
 def _segments(record: Record) -> list[list[float]]:
@@ -136,7 +143,7 @@ def residuals_of(fitted: Fitted) -> list[SensorResiduals]:
     return [
         sensor_residuals(
             f"{s.part.record.name}/{s.channel.sensor.name}" if several else s.channel.sensor.name,
-            s.time_s, s.channel.observed, s.mean_K, s.sigma_K, rng,
+            s.time_s, s.channel.observed, s.mean_K, s.spread_K, rng,
         )
         for s in fitted.samples()
     ]  # fmt: skip
@@ -191,6 +198,7 @@ def write_trend(found: Trend, out: Path) -> list[str]:
 
 def write_fit(fitted: Fitted, out: Path) -> list[str]:
     """Write estimate.json, temperatures and pictures; returns the names of the files."""
+    from sim_heating.estimation.filter_report import filtered_history, write_filtered
     from sim_heating.estimation.plots import draw_fit  # matplotlib is slow to import, and wanted only here
     from sim_heating.estimation.ratio_plot import draw_ratio
 
@@ -203,4 +211,6 @@ def write_fit(fitted: Fitted, out: Path) -> list[str]:
             write_temperatures_csv(home / "temperatures.csv", history.time_s, history, after.record.sensors)
             draw_fit(home / "fit.png", before, after)
             draw_ratio(home / "ratio.png", fitted, part)
+            if fitted.innovations is not None:
+                write_filtered(home, filtered_history(fitted.innovations, fitted.fit.values, part))
         return sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
