@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,10 @@ from sim_heating.closure.residual import residual_heating
 from sim_heating.closure.sanity import CLOCK, MATERIAL, SENSOR, TRAJECTORY, Verdict, after_fit, before_fit
 from sim_heating.effects import use
 from sim_heating.estimation.estimate import estimate
-from sim_heating.record import Record
+from sim_heating.record import Record, load_record
 
 SOUND = "p07"
+RECORDS = Path(__file__).parents[1] / "scenarios" / "records"
 
 
 def sound() -> Record:
@@ -54,6 +56,17 @@ def only(record: Record, kind: str) -> str:
 
 def test_a_sound_record_has_no_verdict():
     assert told(sound()) == []
+
+
+def test_a_board_under_a_lamp_is_no_flight_at_another_time():
+    assert before_fit(load_record(RECORDS / "kaowool_board")) == []
+
+
+def test_the_heating_without_any_one_thermocouple_is_told_where_the_mesh_was_corrected():
+    fitted = estimate([sound()])
+    for sensor in sound().used_sensors:
+        left = residual_heating(fitted.problem, fitted.fit.values, without=sensor.name)
+        assert np.all(np.isfinite(left.delta_ratio))
 
 
 @pytest.mark.parametrize(

@@ -38,6 +38,8 @@ DECELERATION_M_S2 = (0.05, 300.0)
 SHIFT_S, SHIFT_STEP_S, LEAST_SHIFT_S = 900.0, 10.0, 20.0
 """How far measurements are moved against conditions, in which steps, and from where on it is another flight [s]."""
 LEAST_OVERLAP = 0.6
+SLOWEST_M_S = 1000.0
+"""A record whose velocity stays below is no entry but a test on the ground."""
 BETTER = 0.5
 """A shift, or another material, that leaves less than this part of the residual is told."""
 SCALES = (-0.4, 0.6)
@@ -85,7 +87,7 @@ def before_fit(record: Record) -> list[Verdict]:
     if on_clock is not None:
         return [on_clock]
     flown, indicated = _march(record)
-    elsewhere = shifted(record, flown, indicated)
+    elsewhere = None if _on_ground(record) else shifted(record, flown, indicated)
     return ([] if elsewhere is None else [elsewhere]) + still(record, flown, indicated) + jumps(record)
 
 
@@ -95,7 +97,7 @@ def clock(record: Record) -> Verdict | None:
     if read <= 0.0 or flown <= 0.0 or 1.0 / SPANS_APART < read / flown < SPANS_APART:
         return None
     slow = float(np.ptp(record.conditions["velocity_m_s"])) / flown
-    trusted = record.conditions["velocity_m_s"].max() < 1000.0 or _is_entry(slow)
+    trusted = _on_ground(record) or _is_entry(slow)
     for unit, seconds in UNITS.items():
         for factor in (seconds, 1.0 / seconds):
             if not 1.0 / SPANS_APART < factor * read / flown < 1.2:
@@ -111,6 +113,10 @@ def clock(record: Record) -> Verdict | None:
                     f"predicted temperatures go together (correlation {alike:.2f}). Give time_s in s.",
                 )
     return None
+
+
+def _on_ground(record: Record) -> bool:
+    return bool(record.conditions["velocity_m_s"].max() < SLOWEST_M_S)
 
 
 def _is_entry(deceleration_m_s2: float) -> bool:

@@ -51,7 +51,7 @@ def filter_samples(
     values : parameters that say what is wrong with sensors;  added_K : (sensor, sample) on top of the march
     names  : parameters of the filter, of which clock and sensors act on the readings themselves
     """
-    rows, added = [], np.zeros((1 + max(c.number for c in found), len(time_s))) + added_K
+    rows, added = [], np.zeros((len(mesh.sensors), len(time_s))) + added_K
     direct = []
     for channel in found:
         low, high = channel.observed.lower_K, channel.observed.upper_K
