@@ -18,6 +18,7 @@ pytest.importorskip("distributed", reason="studies need Dask and pyarrow: pip in
 
 import pyarrow.parquet as pq
 from studies import entry_3dof
+from threadpoolctl import threadpool_limits
 
 from sim_heating import batches, cli
 from sim_heating.planning.study import load_study
@@ -61,16 +62,17 @@ def results(out):
     }
 
 
-def start(study, out, workers):
+def start(study, out, workers, **environment):
     arguments = [sys.executable, "-m", "sim_heating", "plan", str(study), "--out", str(out), "--workers", str(workers)]
     path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    return subprocess.Popen(arguments, env=os.environ | {"PYTHONPATH": path}, start_new_session=True, **quiet)
+    environment |= {"PYTHONPATH": path}
+    return subprocess.Popen(arguments, env=os.environ | environment, start_new_session=True, **quiet)
 
 
 def test_a_study_killed_at_any_moment_goes_on_to_the_same_bytes_on_any_number_of_processes(study, tmp_path):
     whole, out, moments = tmp_path / "whole", tmp_path / "out", random.Random(7)
-    assert start(study, whole, 1).wait() == 0
+    assert cli.main(["plan", str(study), "--out", str(whole), "--workers", "1"]) == 0
     for kill in range(3):
         run, wanted = start(study, out, 2), 1 + 2 * kill
         while run.poll() is None and len(list(out.rglob("*.parquet"))) < wanted:
@@ -81,6 +83,17 @@ def test_a_study_killed_at_any_moment_goes_on_to_the_same_bytes_on_any_number_of
         assert not (out / "study.json").exists() or (out / "report.html").exists()
     assert start(study, out, 2).wait() == 0
     assert results(out) == results(whole)
+
+
+def test_a_process_that_did_other_work_before_gives_the_bytes_of_a_fresh_one(study, tmp_path):
+    """Another study, a cluster, and linear algebra on two threads; the fresh process has one."""
+    other, busy, fresh = tmp_path / "other.toml", tmp_path / "busy", tmp_path / "fresh"
+    other.write_text(study.read_text().replace("flights = 48", "flights = 12").replace("V09T9527", "BODYFLAP"))
+    with threadpool_limits(2, "blas"):
+        assert cli.main(["plan", str(other), "--out", str(tmp_path / "before"), "--workers", "2"]) == 0
+        assert cli.main(["plan", str(study), "--out", str(busy), "--workers", "1"]) == 0
+    assert start(study, fresh, 1, OPENBLAS_NUM_THREADS="1").wait() == 0
+    assert results(busy) == results(fresh)
 
 
 def test_results_name_vehicle_revision_and_study_and_agree_with_each_other(study, tmp_path):
