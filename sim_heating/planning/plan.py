@@ -15,8 +15,7 @@ from typing import Any
 from sim_heating.batches import Progress, quiet
 from sim_heating.errors import InputError, RunError
 from sim_heating.files import output_directory, write_json
-from sim_heating.page import Page, SavedPicture, Section, write_page
-from sim_heating.page import Table as PageTable
+from sim_heating.page import Page, SavedPicture, Section, Table, write_page
 from sim_heating.planning.study import Study
 from sim_heating.results import package_version
 from sim_heating.threads import one_thread
@@ -35,15 +34,6 @@ class Engine:
     ledger: Path
     scheduler: str | None = None
     workers: int | None = None
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table of the page: what it says, heads of its columns, rows of text."""
-
-    caption: str
-    heads: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
 
 
 @dataclass(frozen=True)
@@ -147,7 +137,7 @@ def page_of(plan: Plan, folder: Path) -> Page:
         Section(
             name.replace("_", " ").capitalize(),
             points=found.notes,
-            tables=[PageTable(t.heads, t.rows, t.caption) for t in found.tables],
+            tables=found.tables,
             pictures=[SavedPicture(folder / p.file, p.caption) for p in found.pictures],
         )
         for name, found in plan.found.items()
