@@ -37,6 +37,13 @@ DEATHS = 3
 """Workers that may die over one job before it is given up."""
 LETHAL = "every worker that took it up died over it: out of memory, or killed"
 ERROR = ".error"
+SETTINGS = {
+    "distributed.scheduler.allowed-failures": DEATHS,
+    "distributed.worker.daemon": True,
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+}
+"""Of Dask. Its profiler and its 50 looks a second at its own event loops take 3 % of a core from each worker."""
 
 
 @dataclass(frozen=True)
@@ -240,9 +247,8 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
     import dask
     from distributed import Client, LocalCluster
 
-    settings = {"distributed.scheduler.allowed-failures": DEATHS, "distributed.worker.daemon": True}
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    with dask.config.set(settings):
+    with dask.config.set(SETTINGS):
         if scheduler is None:
             with (
                 LocalCluster(

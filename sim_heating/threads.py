@@ -8,10 +8,17 @@ besides: with the number of cores, with OMP_NUM_THREADS, in a worker of Dask, wh
 from __future__ import annotations
 
 from contextlib import AbstractContextManager
+from functools import cache
 
+import scipy.linalg  # noqa: F401  its BLAS is another than that of numpy, and both are looked for below
 from threadpoolctl import ThreadpoolController
 
 
+@cache
+def _libraries() -> ThreadpoolController:
+    return ThreadpoolController()
+
+
 def one_thread() -> AbstractContextManager[object]:
-    """Within the block, BLAS takes one thread; libraries that are loaded by then."""
-    return ThreadpoolController().limit(limits=1, user_api="blas")
+    """Within the block, BLAS takes one thread."""
+    return _libraries().limit(limits=1, user_api="blas")

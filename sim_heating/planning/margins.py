@@ -166,9 +166,7 @@ class Judge:
         }
         speed = np.interp(peak.time_s, flown.conditions.time_s, flown.conditions["velocity_m_s"])
         T = peak.temperature_K
-        return Margin(
-            kind, name, T, limit_K, limit_K - T, "K", peak.sigma_K, after, peak.time_s, float(speed)
-        )
+        return Margin(kind, name, T, limit_K, limit_K - T, "K", peak.sigma_K, after, peak.time_s, float(speed))
 
     def _trim(self, flown: Flown) -> dict[str, Margin]:
         trim, wanted = flown.trim, flown.trim.wanted_deg

@@ -65,4 +65,3 @@ def table_modes(vehicle: Vehicle, point: str, path: FloatArray, factor: float = 
 def table_factors(modes: FloatArray, z: FloatArray) -> FloatArray:
     """(node, flight) factors on a table's ratios for (flight, mode) standard normal numbers; their mean is 1."""
     return np.asarray(np.exp(modes @ z.T - 0.5 * np.sum(modes**2, axis=1)[:, np.newaxis]))
-
