@@ -66,7 +66,7 @@ def _notes(found: Dispersed) -> list[str]:
     spec, kept, safe = found.entry.spec, found.kept, found.safe
     head = (
         f"{spec.flights} flights: all limits are kept with a probability of {kept.value:.4f} ({kept.low:.4f} to "
-        f"{kept.high:.4f}, {spec.confidence:.0%}), within the ratio tables as well {safe.value:.4f}"
+        f"{kept.high:.4f}, {spec.confidence:.0%}), within the ratio tables and trimmed as well {safe.value:.4f}"
     )
     return [head, *notes_of(found)]
 
