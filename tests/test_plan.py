@@ -175,3 +175,40 @@ def test_a_misspelt_key_of_an_optimal_entry_is_told_with_its_table(study, tmp_pa
     told = capsys.readouterr().err
     assert "[optimal]" in told
     assert "`alpha_limits_deg`" in told
+
+
+def with_optimal(study, **given):
+    """The study and an optimal entry without limits on a coarse mesh."""
+    keys = {"intervals": 5, "mesh_tolerance": 0.09} | given
+    asked = OPTIMAL.replace('limit = [{ control_point = "NOSECAP" }]', "\n".join(f"{k} = {v}" for k, v in keys.items()))
+    study.write_text(STUDY.format(more="") + asked)
+
+
+def test_an_optimiser_that_fails_is_one_line_and_the_dispersion_is_kept(study, tmp_path, capsys):
+    """Nobody is down in five minutes."""
+    with_optimal(study, duration_s=[200.0, 300.0])
+    out = tmp_path / "out"
+    assert cli.main(["plan", str(study), "--out", str(out), "--workers", "1"]) == 1
+    told = capsys.readouterr().err.splitlines()
+    assert [line for line in told if line.startswith("optimal:")] == [
+        "optimal: optimal entry `Entry for a test`: no flight was found: no flight meets all bounds at once; relax a "
+        "limit or the end state"
+    ]
+    assert told[-1] == "error: optimal: found nothing; dispersion is done and kept"
+    found = json.loads((out / "study.json").read_text())
+    assert list(found["failed"]) == ["optimal"]
+    assert found["dispersion"]["flights"] == 48
+    assert pq.read_table(out / "dispersion_flights.parquet").num_rows == 48
+    assert "no flight meets all bounds at once" in (out / "report.html").read_text()
+
+
+def test_a_scheduler_that_is_away_leaves_the_parts_that_need_none(study, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(batches, "ANSWER_S", 1.0)
+    with_optimal(study)
+    out = tmp_path / "out"
+    assert cli.main(["plan", str(study), "--out", str(out), "--scheduler", "tcp://127.0.0.1:1"]) == 1
+    told = capsys.readouterr().err.splitlines()
+    assert len([line for line in told if "no Dask scheduler answers there" in line]) == 1
+    assert told[-1] == "error: dispersion: found nothing; optimal is done and kept"
+    assert json.loads((out / "study.json").read_text())["optimal"]["cross_range_deg"] > 0.0
+    assert (out / "optimal_entry.png").exists()

@@ -38,10 +38,10 @@ def optimal_part(study: Study, folder: Path, _engine: Engine, progress: Progress
     write_csv(
         folder / CONDITIONS, entry.conditions.columns, ".10g", {"study": study.hash, "vehicle": study.vehicle.name}
     )
-    table = Table(HEADS, _rows(entry), "Peak temperatures along the optimal entry [K]")
+    tables = (Table(HEADS, _rows(entry), "Peak temperatures along the optimal entry [K]"),) if entry.peaks else ()
     head = f"cross-range {entry.cross_range_deg:.3f} deg, {entry.cross_range_km:.0f} km; {entry.status}"
-    picture = Picture(PICTURE, "Ground track, altitude, angles and temperatures of the optimal entry; limits dotted.")
-    return Found(_data(entry), (table,), (picture,), (head, *entry.notes))
+    picture = Picture(PICTURE, "The optimal entry: ground track, altitude, angles, temperatures; limits dotted.")
+    return Found(_data(entry), tables, (picture,), (head, *entry.notes))
 
 
 HEADS = ("control point", "surface", "limit", "bondline", "limit")
