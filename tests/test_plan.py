@@ -194,7 +194,7 @@ def test_an_optimiser_that_fails_is_one_line_and_the_dispersion_is_kept(study, t
         "optimal: optimal entry `Entry for a test`: no flight was found: no flight meets all bounds at once; relax a "
         "limit or the end state"
     ]
-    assert told[-1] == "error: optimal: found nothing; dispersion is done and kept"
+    assert told[-1] == "failed: optimal: found nothing; dispersion is done and kept"
     found = json.loads((out / "study.json").read_text())
     assert list(found["failed"]) == ["optimal"]
     assert found["dispersion"]["flights"] == 48
@@ -209,6 +209,6 @@ def test_a_scheduler_that_is_away_leaves_the_parts_that_need_none(study, tmp_pat
     assert cli.main(["plan", str(study), "--out", str(out), "--scheduler", "tcp://127.0.0.1:1"]) == 1
     told = capsys.readouterr().err.splitlines()
     assert len([line for line in told if "no Dask scheduler answers there" in line]) == 1
-    assert told[-1] == "error: dispersion: found nothing; optimal is done and kept"
+    assert told[-1] == "failed: dispersion: found nothing; optimal is done and kept"
     assert json.loads((out / "study.json").read_text())["optimal"]["cross_range_deg"] > 0.0
     assert (out / "optimal_entry.png").exists()
