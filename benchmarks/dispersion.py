@@ -1,4 +1,8 @@
-"""Dispersed entries: 10,000 flights by 12 control points on two processes, against the kernels' own speed."""
+"""Dispersed entries: 10,000 flights by 12 control points on two processes, against the kernels' own speed.
+
+What two processes lose against twice one is told apart: the same batches in two plain processes at once, without the
+engine, lose what the machine makes them lose (memory, shared cores); the rest is the engine's.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,9 @@ import resource
 import tempfile
 import time
 from dataclasses import replace
+from multiprocessing import get_context
+from multiprocessing.queues import Queue
+from multiprocessing.synchronize import Barrier
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +27,11 @@ from sim_heating.planning.dispersed_march import LaneMarch
 from sim_heating.planning.sampling import deviations
 from sim_heating.planning.study import load_study
 from sim_heating.resolution import choose_meshes
+from sim_heating.threads import one_thread
 
 STUDY = Path(__file__).parent.parent / "scenarios" / "studies" / "dispersed_entry.toml"
 FLIGHTS, SHORT = 10_000, 1_280
+PLAIN_ROUNDS = 3
 FINE_STEP_S, FINE_SAMPLE_S = 0.25, 0.5
 """Steps that the study's are held against."""
 
@@ -49,6 +58,34 @@ def _timed(entry: DispersedEntry, flights: int, workers: int) -> float:
         took = time.perf_counter() - start
     assert not outcome.failed, outcome.failed
     return took
+
+
+def _plain_s(entry: DispersedEntry, processes: int) -> float:
+    """Time [s] that so many plain processes at once take for SHORT flights each, without the engine: the slowest."""
+    context = get_context("spawn")
+    together, took = context.Barrier(processes), context.Queue()
+    running = [context.Process(target=_flown_plainly, args=(entry, together, took)) for _ in range(processes)]
+    for process in running:
+        process.start()
+    slowest = max(took.get() for _ in running)
+    for process in running:
+        process.join()
+    return float(slowest)
+
+
+def _flown_plainly(entry: DispersedEntry, together: Barrier, took: Queue[float]) -> None:
+    with one_thread():
+        entry(Batch(SOBOL, 0, BATCH))
+        together.wait()
+        start = time.perf_counter()
+        for job in _jobs(SHORT):
+            entry(job.task)
+        took.put(time.perf_counter() - start)
+
+
+def _machine(entry: DispersedEntry) -> float:
+    """How much of twice one process the machine gives to two: the median of some rounds."""
+    return float(np.median([_plain_s(entry, 1) / _plain_s(entry, 2) for _ in range(PLAIN_ROUNDS)]))
 
 
 def _memory_GiB() -> tuple[float, float]:
@@ -119,10 +156,12 @@ def run() -> list[Figure]:
     started = _timed(entry, 2 * BATCH, 2)
     two = _timed(entry, FLIGHTS, 2)
     own_GiB, other_GiB = _memory_GiB()
+    machine = _machine(entry)
     points, steps = len(entry.points), parts["steps"]
     efficiency = (one / SHORT) / (2.0 * (two - started) / (FLIGHTS - 2 * BATCH))
     surface, bondline = _errors_K(DispersedEntry(study))
-    cpu = _cpu_s(entry)
+    with one_thread():
+        cpu = _cpu_s(entry)
     what = f"{FLIGHTS} flights x {points} points x {ended:.0f} s"
     figures = [
         Figure(f"{what}, two processes, their start included", two, "s", 90.0),
@@ -138,6 +177,8 @@ def run() -> list[Figure]:
         Figure("a flight: bare march of the kernels", 1e3 * parts["kernel"], "ms"),
         Figure("one process, a flight by the clock", 1e3 * one / SHORT, "ms"),
         Figure("two processes over twice one process, their start left out", efficiency, "", 0.9, True),
+        Figure("two plain processes at once over twice one, without the engine", machine, "", note="the machine's own"),
+        Figure("the engine: the former over the latter", efficiency / machine, "", 0.9, True),
         Figure("two processes, start and two batches", started, "s"),
         Figure("two processes, fewer flights", two_short, "s", note=f"{2 * SHORT} flights"),
         Figure("cost of twice the flights, one process", one / half, "", 2.1),

@@ -5,7 +5,7 @@ the function gives the result as bytes, written whole or not at all. Jobs whose 
 that a run that was killed goes on where it was: it loses the jobs that were in flight and nothing else. A worker that
 dies has its jobs done by another. A job that raises leaves `ID.error` with the reason, and the others go on; the next
 run tries it again. Results depend on the tasks alone, not on how many processes there are: one process without Dask,
-many, or somebody's cluster leave the same bytes.
+many, or somebody's cluster leave the same bytes. Linear algebra takes one thread in all of them.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from typing import Any
 
 from sim_heating.errors import InputError, RunError
 from sim_heating.files.text import write_bytes_atomic, write_text_atomic
+from sim_heating.threads import one_thread
 
 Work = Callable[[Any], bytes]
 Progress = Callable[[float, str], None]
@@ -36,6 +37,13 @@ DEATHS = 3
 """Workers that may die over one job before it is given up."""
 LETHAL = "every worker that took it up died over it: out of memory, or killed"
 ERROR = ".error"
+SETTINGS = {
+    "distributed.scheduler.allowed-failures": DEATHS,
+    "distributed.worker.daemon": True,
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+}
+"""Of Dask. Its profiler and its 50 looks a second at its own event loops take 3 % of a core from each worker."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +147,8 @@ def _here(jobs: Sequence[Job], function: Work) -> Iterator[tuple[str, bytes | Ba
 
 def _attempt(function: Work, task: Any) -> bytes | BaseException:
     try:
-        return function(task)
+        with one_thread():
+            return function(task)
     except Exception as error:
         return error
 
@@ -227,7 +236,9 @@ def _unpacked(_digest: str, packed: bytes) -> Work:
 
 def _call(digest: str, packed: bytes, task: Any) -> bytes:
     """In a worker: the function, unpacked once a process, on a task."""
-    return _unpacked(digest, packed)(task)
+    function = _unpacked(digest, packed)
+    with one_thread():
+        return function(task)
 
 
 @contextmanager
@@ -236,9 +247,8 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
     import dask
     from distributed import Client, LocalCluster
 
-    settings = {"distributed.scheduler.allowed-failures": DEATHS, "distributed.worker.daemon": True}
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    with dask.config.set(settings):
+    with dask.config.set(SETTINGS):
         if scheduler is None:
             with (
                 LocalCluster(

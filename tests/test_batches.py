@@ -17,7 +17,7 @@ from batch_jobs import jobs
 
 from sim_heating import batches
 from sim_heating.batches import Job, run_batches
-from sim_heating.errors import InputError
+from sim_heating.errors import InputError, RunError
 
 pytest.importorskip("distributed", reason="many processes need Dask: pip install 'sim-heating[plan]'")
 
@@ -118,6 +118,26 @@ def test_an_existing_scheduler_does_the_work(tmp_path):
     with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
         outcome = run_batches(jobs(5), _square, tmp_path, scheduler=cluster.scheduler_address)
     assert [outcome.done[j.id].read_bytes() for j in jobs(5)] == [b"0\n", b"1\n", b"4\n", b"9\n", b"16\n"]
+
+
+def test_a_scheduler_that_is_lost_on_the_way_is_one_line_and_what_is_finished_stays(tmp_path):
+    from distributed import LocalCluster
+
+    (tmp_path / "notes").mkdir()
+    function, out = partial(batch_jobs.square, tmp_path / "notes"), tmp_path / "out"
+    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
+
+        def lose(done, _text):
+            if done > 0.0:
+                cluster.close()
+
+        with pytest.raises(RunError, match=r"lost with \d+ batches to go; run the command again") as told:
+            run_batches(jobs(12), function, out, scheduler=cluster.scheduler_address, progress=lose)
+    assert len(str(told.value).splitlines()) == 1
+    kept = contents(out)
+    assert 0 < len(kept) < 12
+    assert run_batches(jobs(12), function, out, workers=1).failed == {}
+    assert kept.items() <= contents(out).items()
 
 
 def test_jobs_that_share_an_id_are_refused(tmp_path):

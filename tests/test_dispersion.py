@@ -353,6 +353,18 @@ def test_flights_outside_the_tables_are_told_with_the_distance_and_not_called_sa
     assert any("log10_re lies outside" in line and "not called safe" in line for line in notes_of(found))
 
 
+def test_a_trim_that_the_elevon_does_not_reach_is_told_and_not_called_safe(tmp_path):
+    """As far forward as the aerodynamics go, with the body flap down all the way."""
+    limits = "[trajectory.vehicle]\ncg_fraction = 0.65\nbodyflap_deg = [[0.0, 22.5]]\n"
+    limits += '[[limit]]\ncontrol_point = "NOSECAP"\nsurface_K = 3000.0\n'
+    found = flown_all(entry_of(tmp_path, THERMAL, limits=limits, flights=16))
+    assert found.kept.value == 1.0
+    assert found.safe.value == 0.0
+    lines = [line for line in notes_of(found) if line.startswith("trim:")]
+    assert len(lines) == 1
+    assert f"in 16 of 16 flights, for {found.columns['end_s'][0] + 0.5:.0f} s at most" in lines[0]
+
+
 @pytest.mark.parametrize(
     ("text", "told"),
     [

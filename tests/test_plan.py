@@ -18,6 +18,7 @@ pytest.importorskip("distributed", reason="studies need Dask and pyarrow: pip in
 
 import pyarrow.parquet as pq
 from studies import entry_3dof
+from threadpoolctl import threadpool_limits
 
 from sim_heating import batches, cli
 from sim_heating.planning.study import load_study
@@ -61,16 +62,17 @@ def results(out):
     }
 
 
-def start(study, out, workers):
+def start(study, out, workers, **environment):
     arguments = [sys.executable, "-m", "sim_heating", "plan", str(study), "--out", str(out), "--workers", str(workers)]
     path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    return subprocess.Popen(arguments, env=os.environ | {"PYTHONPATH": path}, start_new_session=True, **quiet)
+    environment |= {"PYTHONPATH": path}
+    return subprocess.Popen(arguments, env=os.environ | environment, start_new_session=True, **quiet)
 
 
 def test_a_study_killed_at_any_moment_goes_on_to_the_same_bytes_on_any_number_of_processes(study, tmp_path):
     whole, out, moments = tmp_path / "whole", tmp_path / "out", random.Random(7)
-    assert start(study, whole, 1).wait() == 0
+    assert cli.main(["plan", str(study), "--out", str(whole), "--workers", "1"]) == 0
     for kill in range(3):
         run, wanted = start(study, out, 2), 1 + 2 * kill
         while run.poll() is None and len(list(out.rglob("*.parquet"))) < wanted:
@@ -81,6 +83,17 @@ def test_a_study_killed_at_any_moment_goes_on_to_the_same_bytes_on_any_number_of
         assert not (out / "study.json").exists() or (out / "report.html").exists()
     assert start(study, out, 2).wait() == 0
     assert results(out) == results(whole)
+
+
+def test_a_process_that_did_other_work_before_gives_the_bytes_of_a_fresh_one(study, tmp_path):
+    """Another study, a cluster, and linear algebra on two threads; the fresh process has one."""
+    other, busy, fresh = tmp_path / "other.toml", tmp_path / "busy", tmp_path / "fresh"
+    other.write_text(study.read_text().replace("flights = 48", "flights = 12").replace("V09T9527", "BODYFLAP"))
+    with threadpool_limits(2, "blas"):
+        assert cli.main(["plan", str(other), "--out", str(tmp_path / "before"), "--workers", "2"]) == 0
+        assert cli.main(["plan", str(study), "--out", str(busy), "--workers", "1"]) == 0
+    assert start(study, fresh, 1, OPENBLAS_NUM_THREADS="1").wait() == 0
+    assert results(busy) == results(fresh)
 
 
 def test_results_name_vehicle_revision_and_study_and_agree_with_each_other(study, tmp_path):
@@ -162,3 +175,40 @@ def test_a_misspelt_key_of_an_optimal_entry_is_told_with_its_table(study, tmp_pa
     told = capsys.readouterr().err
     assert "[optimal]" in told
     assert "`alpha_limits_deg`" in told
+
+
+def with_optimal(study, **given):
+    """The study and an optimal entry without limits on a coarse mesh."""
+    keys = {"intervals": 5, "mesh_tolerance": 0.09} | given
+    asked = OPTIMAL.replace('limit = [{ control_point = "NOSECAP" }]', "\n".join(f"{k} = {v}" for k, v in keys.items()))
+    study.write_text(STUDY.format(more="") + asked)
+
+
+def test_an_optimiser_that_fails_is_one_line_and_the_dispersion_is_kept(study, tmp_path, capsys):
+    """Nobody is down in five minutes."""
+    with_optimal(study, duration_s=[200.0, 300.0])
+    out = tmp_path / "out"
+    assert cli.main(["plan", str(study), "--out", str(out), "--workers", "1"]) == 1
+    told = capsys.readouterr().err.splitlines()
+    assert [line for line in told if line.startswith("optimal:")] == [
+        "optimal: optimal entry `Entry for a test`: no flight was found: no flight meets all bounds at once; relax a "
+        "limit or the end state"
+    ]
+    assert told[-1] == "failed: optimal: found nothing; dispersion is done and kept"
+    found = json.loads((out / "study.json").read_text())
+    assert list(found["failed"]) == ["optimal"]
+    assert found["dispersion"]["flights"] == 48
+    assert pq.read_table(out / "dispersion_flights.parquet").num_rows == 48
+    assert "no flight meets all bounds at once" in (out / "report.html").read_text()
+
+
+def test_a_scheduler_that_is_away_leaves_the_parts_that_need_none(study, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(batches, "ANSWER_S", 1.0)
+    with_optimal(study)
+    out = tmp_path / "out"
+    assert cli.main(["plan", str(study), "--out", str(out), "--scheduler", "tcp://127.0.0.1:1"]) == 1
+    told = capsys.readouterr().err.splitlines()
+    assert len([line for line in told if "no Dask scheduler answers there" in line]) == 1
+    assert told[-1] == "failed: dispersion: found nothing; optimal is done and kept"
+    assert json.loads((out / "study.json").read_text())["optimal"]["cross_range_deg"] > 0.0
+    assert (out / "optimal_entry.png").exists()

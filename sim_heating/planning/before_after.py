@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from sim_heating.page import Table
 from sim_heating.planning import envelope_files as files
 from sim_heating.planning.boundary import END_OF_STUDY
 from sim_heating.planning.envelope import MIDDLE, SURE, FlownBoundary
-from sim_heating.planning.plan import Table
 from sim_heating.planning.study import Study
 
 HEADS = ("boundary", "allowed", "before", "after", "opened", "limits before", "limits after")
@@ -28,7 +28,7 @@ def compare(before: Side, after: Side) -> tuple[Table, dict[str, Any]]:
     rows = [row for pair in zip(before.boundaries, after.boundaries, strict=True) for row in _rows(*pair)]
     caption = f"Area allowed before ({files.revision_of(before.study)}) and after ({files.revision_of(after.study)})"
     data = {b.declared.name: files.boundary_data(b) for b in before.boundaries}
-    return Table(caption, HEADS, tuple(rows)), {"study": before.study.hash, **data}
+    return Table(HEADS, rows, caption), {"study": before.study.hash, **data}
 
 
 def _rows(before: FlownBoundary, after: FlownBoundary) -> list[tuple[str, ...]]:

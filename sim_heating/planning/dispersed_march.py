@@ -6,6 +6,7 @@ is put back, and every group is marched. Only peaks are kept, so that memory doe
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -110,6 +111,7 @@ class LaneMarch:
         assert self.numbers.shape[1] == POINT_NUMBERS  # what condition_kernel reads
         self.still = np.array([list(still_air(p.point.construction).values()) for p in points])
         self._columns = self.ensemble.outputs()
+        self._room = np.empty(0)
 
     def _group(self, p: int, mesh: Mesh) -> _Group:
         model, e = self.models[p], self.ensemble
@@ -162,7 +164,7 @@ class LaneMarch:
         lane = np.minimum(np.arange(first, first + LANES), last - 1)
         filled = flown.filled[lane]
         time_s = self.times(int(filled.max()))
-        histories = np.empty((len(self.points), LANES, len(time_s), N_CONDITIONS))
+        histories = self._histories(len(time_s))
         condition_kernel(flown.rows[lane], filled, self.host, self.numbers, self.still, time_s, histories)
         self.ensemble.restore(self._fresh)
         self._write(changes, tables, lane)
@@ -173,7 +175,7 @@ class LaneMarch:
         for p, group in enumerate(self._groups):
             out = self._march_group(p, group, time_s, histories[p])
             if keep is not None:
-                keep.append((out, histories[p]))
+                keep.append((out, histories[p].copy()))
             B = self.ensemble.block(group.number)
             failed = B[scalar_row(FAILED)][own] > 0.0
             for i in own:
@@ -186,6 +188,15 @@ class LaneMarch:
         ratio = histories[0, : last - first, :, : len(RATIO_VARIABLES)]
         extent = np.array([[r[:n].min(axis=0), r[:n].max(axis=0)] for r, n in zip(ratio, filled, strict=False)])
         return Peaks(surface, bondline, negative, extent)
+
+    def _histories(self, samples: int) -> FloatArray:
+        """Room for (point, LANES, time, condition), the same each time: some MB that were made anew for every few
+        flights would cost more than what is written there."""
+        shape = (len(self.points), LANES, samples, N_CONDITIONS)
+        size = math.prod(shape)
+        if size > len(self._room):
+            self._room = np.empty(size)
+        return self._room[:size].reshape(shape)
 
     def times(self, frames: int) -> FloatArray:
         """Frames of the longest flight, then the soak: in steps of the flight at first."""

@@ -74,7 +74,7 @@ class Dispersed:
     """All that a dispersion found.
 
     kept  : probability that a flight comes to its end with all peaks below their limits
-    safe  : that it does so and never leaves a ratio table
+    safe  : that it does so, never leaves a ratio table and is trimmed all the way
     ended : that it comes to its end
     """
 
@@ -176,9 +176,10 @@ def told(entry: DispersedEntry, flown: Mapping[str, Columns]) -> Dispersed:
                 above |= ~(columns[f"{quantity}.{limited.point.name}"] <= limit)
     confidence = entry.spec.confidence
     outside, left = _outside(entry, columns)
+    unsafe = above | left | (columns["untrimmed_s"] > 0.0)
     return Dispersed(
-        entry, columns, answers, outside, probability(~above, confidence),
-        probability(~above & ~left, confidence), probability(whole, confidence), order, checks,
+        entry, columns, answers, outside, probability(~above, confidence), probability(~unsafe, confidence),
+        probability(whole, confidence), order, checks,
     )  # fmt: skip
 
 
@@ -248,7 +249,7 @@ def data_of(found: Dispersed) -> dict[str, Any]:
         "table_modes": {p.point.name: m.shape[1] for p, m in zip(entry.points, entry.modes, strict=True)},
         "came_to_their_end": asdict(found.ended),
         "kept_all_limits": asdict(found.kept),
-        "kept_limits_and_tables": asdict(found.safe),
+        "kept_limits_tables_and_trim": asdict(found.safe),
         "elevon_at_its_end": {"flights": int(np.count_nonzero(untrimmed > 0.0)), "longest_s": float(np.max(untrimmed))},
         "outside_tables": [asdict(o) for o in found.outside],
         "negative_ratio_flights": {
@@ -326,6 +327,12 @@ def notes_of(found: Dispersed) -> list[str]:
             f"{variable} lies outside the ratio tables of {', '.join(o.point for o in some)}: {worst.farthest:.3g} "
             f"beyond at most, in {max(o.flights for o in some)} of {n} flights; edge values held there, and these "
             "flights are not called safe"
+        )
+    untrimmed = found.columns["untrimmed_s"]
+    if np.any(untrimmed > 0.0):
+        lines.append(
+            f"trim: the elevon is at an end of its travel in {np.count_nonzero(untrimmed > 0.0)} of {n} flights, for "
+            f"{np.max(untrimmed):.0f} s at most; not trimmed there, and these flights are not called safe"
         )
     if found.checks is not None:
         surface, bondline = (float(np.max(found.checks.largest_K[k])) for k in (0, 1))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from sim_heating.batches import Progress
 from sim_heating.files import write_text_atomic
+from sim_heating.page import Table
 from sim_heating.planning.dispersion import (
     FLIGHTS_FILE,
     Answer,
@@ -19,7 +20,7 @@ from sim_heating.planning.dispersion import (
     place_of,
 )
 from sim_heating.planning.dispersion_plots import draw_distributions, draw_drivers, draw_first_order
-from sim_heating.planning.plan import Engine, Found, Picture, Table
+from sim_heating.planning.plan import Engine, Found, Picture
 from sim_heating.planning.study import HASH_LENGTH, Study
 
 PACKAGE = Path(__file__).resolve().parent.parent
@@ -65,7 +66,7 @@ def _notes(found: Dispersed) -> list[str]:
     spec, kept, safe = found.entry.spec, found.kept, found.safe
     head = (
         f"{spec.flights} flights: all limits are kept with a probability of {kept.value:.4f} ({kept.low:.4f} to "
-        f"{kept.high:.4f}, {spec.confidence:.0%}), within the ratio tables as well {safe.value:.4f}"
+        f"{kept.high:.4f}, {spec.confidence:.0%}), within the ratio tables and trimmed as well {safe.value:.4f}"
     )
     return [head, *notes_of(found)]
 
@@ -75,7 +76,7 @@ def _tables(found: Dispersed) -> list[Table]:
     heads = ("control point", "mean", "sigma", *(f"{q:g} quantile" for q in spec.quantiles), "limit", "above it")
     rows = tuple(_row(a) for a in found.answers)
     caption = f"Peak temperatures [K] of {spec.flights} flights, in brackets bounds of {spec.confidence:.0%}"
-    tables = [Table(caption, heads, rows)]
+    tables = [Table(heads, rows, caption)]
     first = tuple(
         (
             f"{a.point} {place_of(a)}", f"{a.first['mean_K']:.0f}", f"{a.first['sigma_K']:.1f}", f"{a.sigma_K:.1f}",
@@ -86,11 +87,11 @@ def _tables(found: Dispersed) -> list[Table]:
     )  # fmt: skip
     heads = ("control point", "mean flight", "sigma", "counted", *(f"{q:g} quantile" for q in spec.quantiles), "holds")
     caption = "First order through the sensitivities along the mean flight [K]: quantiles less those counted"
-    tables.append(Table(caption, heads, first))
+    tables.append(Table(heads, first, caption))
     driven = [(f"{a.point} {place_of(a)}", _drivers(found, a)) for a in found.answers if a.indices is not None]
     if driven:
         caption = f"What drives the peaks: total Sobol' indices above {LEAST_INDEX:g}, first-order index in brackets"
-        tables.append(Table(caption, ("control point", "inputs"), tuple(driven)))
+        tables.append(Table(("control point", "inputs"), driven, caption))
     return tables
 
 

@@ -62,7 +62,7 @@ def draw_first_order(path: Path, title: str, found: Dispersed) -> None:
         for a in (a for a in found.answers if a.quantity == quantity):
             row = points.index(a.point)
             for k, (q, first) in enumerate(zip(a.quantiles, a.first["quantiles"], strict=True)):
-                y = row + 0.7 * (k / max(len(qs) - 1, 1) - 0.5)
+                y = row + 0.7 * (k - 0.5 * (len(qs) - 1)) / max(len(qs) - 1, 1)
                 if q.value is None:
                     continue
                 if q.low is not None and q.high is not None:

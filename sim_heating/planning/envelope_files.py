@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from sim_heating.files import write_csv
+from sim_heating.page import Table
 from sim_heating.planning.boundary import Allowed, Greatest
 from sim_heating.planning.envelope import MIDDLE, PERHAPS, SURE, FlownBoundary, FlownMap, Stretch
 from sim_heating.planning.margins import BONDLINE, ELEVON, SURFACE, TABLE, Evaluated
-from sim_heating.planning.plan import Table
 from sim_heating.planning.study import Study
 from sim_heating.table_update.revisions import FOLDER as REVISIONS
 
@@ -107,7 +107,7 @@ def map_table(flown: FlownMap) -> Table:
         rows.append((*at, f"{m.margin:.1f} {m.unit}", name, f"{m.sigma:.1f}"))
     title = flown.declared.title or flown.declared.name
     heads = (*flown.declared.axes, "least margin", "limit", "sigma")
-    return Table(f"Map: {title}", heads, tuple(rows))
+    return Table(heads, rows, f"Map: {title}")
 
 
 # Boundaries ----------------------------------------------------------------------------------------------------------
@@ -171,7 +171,7 @@ def boundary_table(found: FlownBoundary) -> Table:
         limits = high if s.greatest or low == high else f"{low} | {high}"
         own = () if d.family is None else (f"{s.member:g}",)
         rows.append((*own, f"{s.along:g}", _interval(s, MIDDLE), limits, _interval(s, SURE), _interval(s, PERHAPS)))
-    return Table(f"Boundary: {d.title or d.name}, {d.greatest or d.across}", heads, tuple(rows))
+    return Table(heads, rows, f"Boundary: {d.title or d.name}, {d.greatest or d.across}")
 
 
 def _interval(stretch: Stretch, which: str) -> str:

@@ -10,12 +10,13 @@ from typing import Any
 
 from sim_heating.batches import Progress
 from sim_heating.errors import RunError
+from sim_heating.page import Table
 from sim_heating.planning import envelope_files as files
 from sim_heating.planning.before_after import Side, compare
 from sim_heating.planning.envelope import FOLDER, Flights, Informed, fly_boundary, fly_map
 from sim_heating.planning.envelope_spec import Envelope
 from sim_heating.planning.next_flight import Prospect, Ranked, prospect, rank
-from sim_heating.planning.plan import Engine, Found, Picture, Table
+from sim_heating.planning.plan import Engine, Found, Picture
 from sim_heating.planning.study import Study, load_study
 from sim_heating.table_update.posterior import Evidence
 
@@ -160,9 +161,7 @@ def _ranking_table(ranked: Sequence[Ranked]) -> Table:
             row += ["-" if sigma is None else f"{sigma[0]:.0f} -> {sigma[1]:.0f}"]
             row += [f"{r.sure[n][0]:.4g} -> {r.sure[n][1]:.4g}"]
         rows.append(tuple(row))
-    return Table(
-        "Next flight: manoeuvres by how much of the boundaries' sigma they take away", tuple(heads), tuple(rows)
-    )
+    return Table(heads, rows, "Next flight: manoeuvres by how much of the boundaries' sigma they take away")
 
 
 def _ranking_data(ranked: Sequence[Ranked]) -> dict[str, Any]:

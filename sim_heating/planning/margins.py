@@ -161,14 +161,12 @@ class Judge:
 
     def _hot(self, name: str, kind: str, peak: Peak, limit_K: float, flown: Flown) -> Margin:
         after = {
-            manoeuvre: _rounded(float(np.linalg.norm(peak.slope @ left))) if len(peak.slope) else 0.0
+            manoeuvre: float(np.linalg.norm(peak.slope @ left)) if len(peak.slope) else 0.0
             for manoeuvre, left in self.informed.get(name, {}).items()
         }
         speed = np.interp(peak.time_s, flown.conditions.time_s, flown.conditions["velocity_m_s"])
         T = peak.temperature_K
-        return Margin(
-            kind, name, T, limit_K, limit_K - T, "K", _rounded(peak.sigma_K), after, peak.time_s, float(speed)
-        )
+        return Margin(kind, name, T, limit_K, limit_K - T, "K", peak.sigma_K, after, peak.time_s, float(speed))
 
     def _trim(self, flown: Flown) -> dict[str, Margin]:
         trim, wanted = flown.trim, flown.trim.wanted_deg
@@ -180,11 +178,6 @@ class Judge:
             "elevon travel, up": Margin(ELEVON, "", float(up[0]), up[1], float(up[0] - up[1]), "deg"),
             "elevon travel, down": Margin(ELEVON, "", float(down[0]), down[1], float(down[1] - down[0]), "deg"),
         }
-
-
-def _rounded(sigma_K: float) -> float:
-    """Seven digits: the last ones depend on how many threads the linear algebra takes."""
-    return float(f"{sigma_K:.7g}")
 
 
 def _within_table(limited: LimitedPoint, conditions: Conditions) -> dict[str, Margin]:

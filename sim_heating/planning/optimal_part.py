@@ -10,9 +10,10 @@ import numpy as np
 from sim_heating.batches import Progress
 from sim_heating.errors import InputError
 from sim_heating.files import write_csv
+from sim_heating.page import Table
 from sim_heating.planning.optimal import ROUNDS, OptimalEntry, fly_optimal
 from sim_heating.planning.optimal_plot import draw_optimal
-from sim_heating.planning.plan import Engine, Found, Picture, Table
+from sim_heating.planning.plan import Engine, Found, Picture
 from sim_heating.planning.study import Study
 
 PICTURE, CONDITIONS = "optimal_entry.png", "optimal_conditions.csv"
@@ -37,10 +38,10 @@ def optimal_part(study: Study, folder: Path, _engine: Engine, progress: Progress
     write_csv(
         folder / CONDITIONS, entry.conditions.columns, ".10g", {"study": study.hash, "vehicle": study.vehicle.name}
     )
-    table = Table("Peak temperatures along the optimal entry [K]", HEADS, tuple(_rows(entry)))
+    tables = (Table(HEADS, _rows(entry), "Peak temperatures along the optimal entry [K]"),) if entry.peaks else ()
     head = f"cross-range {entry.cross_range_deg:.3f} deg, {entry.cross_range_km:.0f} km; {entry.status}"
-    picture = Picture(PICTURE, "Ground track, altitude, angles and temperatures of the optimal entry; limits dotted.")
-    return Found(_data(entry), (table,), (picture,), (head, *entry.notes))
+    picture = Picture(PICTURE, "The optimal entry: ground track, altitude, angles, temperatures; limits dotted.")
+    return Found(_data(entry), tables, (picture,), (head, *entry.notes))
 
 
 HEADS = ("control point", "surface", "limit", "bondline", "limit")

@@ -1,7 +1,8 @@
 """What `sim-heating plan` does: the parts of a study one after the other, and everything they found as files.
 
 A part takes a study and gives a `Found`: plain data for study.json, tables and pictures for the page. A part that fails
-is told in one line; what the others found is kept.
+is told in one line; what the others found is kept. Linear algebra takes one thread, here and in the batches: the same
+study gives the same bytes whatever the number of cores, and whatever the process did before.
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ from typing import Any
 from sim_heating.batches import Progress, quiet
 from sim_heating.errors import InputError, RunError
 from sim_heating.files import output_directory, write_json
-from sim_heating.page import Page, SavedPicture, Section, write_page
-from sim_heating.page import Table as PageTable
+from sim_heating.page import Page, SavedPicture, Section, Table, write_page
 from sim_heating.planning.study import Study
 from sim_heating.results import package_version
+from sim_heating.threads import one_thread
 
 FORMAT = "study-report/1"
 
@@ -33,15 +34,6 @@ class Engine:
     ledger: Path
     scheduler: str | None = None
     workers: int | None = None
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table of the page: what it says, heads of its columns, rows of text."""
-
-    caption: str
-    heads: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
 
 
 @dataclass(frozen=True)
@@ -102,7 +94,7 @@ def run_study(study: Study, out: Path, engine: Engine, *, progress: Progress = q
         raise InputError(f"{study.path}: asks for nothing; give it a table such as [dispersion]")
     plan = Plan(study)
     engine.ledger.mkdir(parents=True, exist_ok=True)
-    with output_directory(out) as folder:
+    with output_directory(out) as folder, one_thread():
         for i, (name, part) in enumerate(parts.items()):
             try:
                 plan.found[name] = part(study, folder, engine, _within(progress, name, i, len(parts)))
@@ -145,7 +137,7 @@ def page_of(plan: Plan, folder: Path) -> Page:
         Section(
             name.replace("_", " ").capitalize(),
             points=found.notes,
-            tables=[PageTable(t.heads, t.rows, t.caption) for t in found.tables],
+            tables=found.tables,
             pictures=[SavedPicture(folder / p.file, p.caption) for p in found.pictures],
         )
         for name, found in plan.found.items()

@@ -29,9 +29,9 @@ from sim_heating.ensemble import PointModel
 from sim_heating.heating_ratio.table import RatioTable
 from sim_heating.layout import LANES
 from sim_heating.linear_march import LinearMarch, Track
-from sim_heating.planning.table_modes import prior_of
 from sim_heating.points import histories
-from sim_heating.table_update.posterior import Evidence, node_weights, prior_covariance
+from sim_heating.table_update.posterior import Evidence, node_weights
+from sim_heating.table_update.revisions import posterior_of
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.vehicle import Vehicle
 
@@ -48,12 +48,11 @@ def covariance_root(vehicle: Vehicle, point: str) -> FloatArray | None:
 
     raises : InputError where the table was changed behind its revisions
     """
-    table, told = prior_of(vehicle, point)
-    if table.sigma is None:
+    known = posterior_of(vehicle, point)
+    if known is None:
         return None
-    nodes = np.arange(table.ratio.size)
-    K = prior_covariance(table, nodes, nodes) - told @ told.T
-    values, vectors = np.linalg.eigh(K)
+    nodes = np.arange(known.ratio.size)
+    values, vectors = np.linalg.eigh(known.covariance(nodes, nodes))
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 

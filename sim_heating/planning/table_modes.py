@@ -19,9 +19,8 @@ import numpy as np
 
 from sim_heating.conditions import FloatArray
 from sim_heating.errors import InputError
-from sim_heating.heating_ratio.table import RatioTable
-from sim_heating.table_update.posterior import node_weights, posterior, prior_covariance
-from sim_heating.table_update.revisions import FOLDER, read_history
+from sim_heating.table_update.posterior import node_weights
+from sim_heating.table_update.revisions import posterior_of
 from sim_heating.vehicle import Vehicle
 
 LOST = 1e-3
@@ -37,18 +36,18 @@ def table_modes(vehicle: Vehicle, point: str, path: FloatArray, factor: float = 
     factor : on the sigma that the table states
     raises : InputError where a ratio is not above 0
     """
-    table, root = prior_of(vehicle, point)
+    known = posterior_of(vehicle, point)
     mean = vehicle.control_point(point).ratio.ratio.ravel()
-    if table.sigma is None:
+    if known is None:
         return np.zeros((mean.size, 0))
     if not np.min(mean) > 0.0:
         raise InputError(
             f"{point}: its ratio table holds {np.min(mean):g}; only ratios above 0 are dispersed, take `tables = 0`"
         )
-    W = node_weights(table.axes, path)
+    W = node_weights(known.prior.axes, path)
     nodes = np.unique(W.indices)
     own = W[:, nodes].toarray()
-    K = prior_covariance(table, np.arange(mean.size), nodes) - root @ root[nodes].T
+    K = known.covariance(np.arange(mean.size), nodes)
     G = np.log1p(np.maximum(factor**2 * K / np.outer(mean, mean[nodes]), LEAST))
     along = own @ G[nodes] @ own.T
     variance, vectors = np.linalg.eigh(0.5 * (along + along.T))
@@ -66,13 +65,3 @@ def table_modes(vehicle: Vehicle, point: str, path: FloatArray, factor: float = 
 def table_factors(modes: FloatArray, z: FloatArray) -> FloatArray:
     """(node, flight) factors on a table's ratios for (flight, mode) standard normal numbers; their mean is 1."""
     return np.asarray(np.exp(modes @ z.T - 0.5 * np.sum(modes**2, axis=1)[:, np.newaxis]))
-
-
-def prior_of(vehicle: Vehicle, point: str) -> tuple[RatioTable, FloatArray]:
-    """The table whose sigma column counts, and the root of what evidence has taken from its covariance since."""
-    table = vehicle.control_point(point).ratio
-    if (vehicle.directory / FOLDER / point).is_dir():
-        history = read_history(vehicle, point)
-        if history.revisions:
-            return history.base, posterior(history.base, [r.evidence.arrays() for r in history.revisions]).root
-    return table, np.zeros((table.ratio.size, 0))

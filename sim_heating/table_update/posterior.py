@@ -109,6 +109,10 @@ class Posterior:
         """Chance of evidence as far from the table as this, by the table's own sigma."""
         return float(chi2.sf(self.chi_square, len(self.innovation)))
 
+    def covariance(self, first: IntArray, second: IntArray) -> FloatArray:
+        """(first, second) what is left of the covariance of the errors of two lists of nodes."""
+        return prior_covariance(self.prior, first, second) - self.root[first] @ self.root[second].T
+
     def sigma_along(self, weights: csr_array) -> FloatArray:
         """(row,) standard deviation of linear combinations of the nodes, such as the ratio between them."""
         nodes = np.unique(weights.indices)

@@ -27,7 +27,7 @@ from sim_heating.errors import InputError
 from sim_heating.estimation.result import Estimated
 from sim_heating.files import Declared, check, json_text, raw_text, read_json, shown, write_text_atomic
 from sim_heating.heating_ratio.table import RatioTable, ratio_table_text, read_ratio_table
-from sim_heating.table_update.posterior import Evidence
+from sim_heating.table_update.posterior import Evidence, Posterior, posterior
 from sim_heating.vehicle import Vehicle
 
 FOLDER = "ratio_revisions"
@@ -165,6 +165,19 @@ def read_history(vehicle: Vehicle, point: str) -> History:
         revisions.insert(0, revision)
     _refuse_half_written(vehicle.directory, point, int(number))
     return History(path, raw, table, int(number), read_ratio_table(base), tuple(revisions))
+
+
+def posterior_of(vehicle: Vehicle, point: str) -> Posterior | None:
+    """What is known of a control point's table by its sigma column and the evidence of its revisions; None where it
+    states no sigma.
+
+    raises : InputError where the table was changed after its revision was written
+    """
+    base, evidence = vehicle.control_point(point).ratio, list[Evidence]()
+    if (vehicle.directory / FOLDER / point).is_dir():
+        history = read_history(vehicle, point)
+        base, evidence = history.base, [r.evidence.arrays() for r in history.revisions]
+    return None if base.sigma is None else posterior(base, evidence)
 
 
 def _refuse_half_written(directory: Path, point: str, number: int) -> None:
