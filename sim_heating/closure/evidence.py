@@ -277,7 +277,9 @@ def active(residual: ResidualHeating, ratio: FloatArray | None = None) -> list[A
     for first, last in spans:
         own = slice(first, last + 1)
         over = float(np.mean(d[own] / ratio[own])) if ratio is not None and np.all(ratio[own] > 0.0) else math.nan
-        found.append(Active(float(t[first]) - half, float(t[last]) + half, float(np.mean(d[own])), over))
+        found.append(
+            Active(max(float(t[first]) - half, float(t[0])), float(t[last]) + half, float(np.mean(d[own])), over)
+        )
     told = [a for a in found if a.end_s - a.start_s >= SHORTEST_S]
     return _largest(told)[:MOST_SPANS]
 

@@ -41,7 +41,12 @@ def comparison(predicted: Prediction, before: Prediction, after: Prediction, eff
 
 def heating(before: ResidualHeating, after: ResidualHeating | None, found: Evidence) -> Figure:
     """The residual as a heating ratio against time, and what moved."""
-    figure, axes = new_figure(9.5, 6.0, 2, sharex=True, height_ratios=[2.0, 1.0])
+    flown = before.record.conditions.at(before.time_s)
+    moved = [name for name in ANGLES if np.ptp(flown[name]) > 0.5]
+    if moved:
+        figure, axes = new_figure(9.5, 6.0, 2, sharex=True, height_ratios=[2.0, 1.0])
+    else:
+        figure, axes = new_figure(9.5, 4.0, 1)
     _band(axes[0], before, BEFORE, "derivatives fitted")
     if after is not None:
         _band(axes[0], after, AFTER, "with the effect")
@@ -51,17 +56,16 @@ def heating(before: ResidualHeating, after: ResidualHeating | None, found: Evide
     axes[0].set_ylabel("missing heating ratio")
     axes[0].set_ylim(*_limits(before))
     axes[0].legend(fontsize=8, loc="best")
-    flown = before.record.conditions.at(before.time_s)
-    for name, (label, color) in ANGLES.items():
-        if np.ptp(flown[name]) > 0.5:
-            axes[1].plot(before.time_s, flown[name], color=color, label=label, linewidth=1.1)
-    axes[1].set_ylabel("deg")
-    if axes[1].lines:
+    for name in moved:
+        label, color = ANGLES[name]
+        axes[1].plot(before.time_s, flown[name], color=color, label=label, linewidth=1.1)
+    if moved:
+        axes[1].set_ylabel("deg")
         axes[1].legend(fontsize=8, loc="best", ncols=4)
     for a in axes:
         shade_holdout(a, before.record)
-    axes[1].set_xlim(*before.span_s)
-    axes[1].set_xlabel("time, s; band: 2 sigma; red at the foot: active")
+    axes[-1].set_xlim(*before.span_s)
+    axes[-1].set_xlabel("time, s; band: 2 sigma; red at the foot: active")
     dress(figure, "", axes)
     return figure
 
