@@ -133,8 +133,9 @@ def confusion(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, int]]:
 def run() -> list[Figure]:
     """Make and close what is not finished, in two processes."""
     wanted = jobs()
-    done = run_batches(wanted, made_and_closed, LEDGER, workers=2, progress=lambda f, text: click.echo(text)).done
-    return figures_and_results([json.loads(path.read_text()) for path in done.values()])
+    outcome = run_batches(wanted, made_and_closed, LEDGER, workers=2, progress=lambda f, text: click.echo(text))
+    failed = Figure("records that could not be closed", len(outcome.failed), "", 0, note=", ".join(outcome.failed))
+    return [failed, *figures_and_results([json.loads(path.read_text()) for path in outcome.done.values()])]
 
 
 def figures_and_results(rows: Sequence[dict[str, Any]]) -> list[Figure]:

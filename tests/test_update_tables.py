@@ -492,7 +492,7 @@ def test_what_does_not_belong_together_is_refused_in_one_line(
         (["first.json", "--vehicle", "./orbiter", "--record", "first", "--record", "second"], "name each in order"),
         (["first.json", "--vehicle", "./orbiter", "--check", "first"], "two of them are named first"),
         (["nothing.json", "--vehicle", "./orbiter"], "no such file"),
-        (["first.json", "--vehicle", "./orbiter", "--out", "first.toml/x"], "cannot be written"),
+        (["first.json", "--vehicle", "./orbiter", "--out", "first.toml/x"], "is a file; name a directory"),
     ],
     ids=lambda v: " ".join(v) if isinstance(v, list) else None,
 )
