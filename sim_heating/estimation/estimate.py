@@ -25,16 +25,7 @@ from sim_heating.estimation.innovations import Innovations, fit_innovations
 from sim_heating.estimation.likelihood import likelihood
 from sim_heating.estimation.newton import Fit, Settings, Status, check_parameters, maximise
 from sim_heating.estimation.observation import errors_of
-from sim_heating.estimation.problem import (
-    LONGEST_STEP_S,
-    Part,
-    Problem,
-    Samples,
-    Start,
-    StartMaker,
-    joint_reference,
-    march_times,
-)
+from sim_heating.estimation.problem import Part, Problem, Samples, Start, StartMaker, joint_reference, march_times
 from sim_heating.estimation.process_noise import ProcessNoise
 from sim_heating.estimation.result import AT
 from sim_heating.parameters import CLOCK_SKEW, EFFECT_PREFIX, Parameter
@@ -46,8 +37,6 @@ from sim_heating.temperatures import outside_table
 FloatArray = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-SHORTER_S = (LONGEST_STEP_S, LONGEST_STEP_S / 4.0, LONGEST_STEP_S / 16.0)
-"""Longest steps of the plain march at values found [s], one after the other where a step does not converge."""
 NOISE_ROUNDS = 4
 MISFIT = 1.3
 """RMS of the residuals over that of noise above which a model is said to lack something."""
@@ -253,30 +242,20 @@ def predict_at(part: Part, values: FloatArray) -> Prediction:
     """The plain march of a record at a parameter vector, no measurement assimilated.
 
     It begins where the fit begins and ends with the last sample that is fitted or held out: what a short segment says
-    of the ratio need not hold far from it. NaN elsewhere. Where a step does not converge all are made shorter.
-
-    raises : RunError where the shortest do not either
+    of the ratio need not hold far from it. NaN elsewhere.
     """
     own, record = part.values(values), part.record
     wrong = {s.name: errors_of(s, own) for s in record.sensors}
     asked = record.time_s[record.fit_mask() | record.holdout_mask()]
     begin = part.conditions.time_s[0] if part.start is None else part.start.time_s
     end = min(float(asked.max()) + max(part.shift_s(values), 0.0), part.conditions.time_s[-1])
+    marched = replace(record, conditions=record.conditions.at(march_times(record.conditions, begin, end)))
     model, initial_K = part.altered(values), part.initial_K(values)
     if initial_K is not None:
         profile = {"initial": "profile", "initial_profile": np.column_stack([part.mesh.depth_m, initial_K]).tolist()}
         stack = model.construction.stack.model_copy(update=profile)
         model = replace(model, construction=model.construction.model_copy(update={"stack": stack}))
-    for longest_step_s in SHORTER_S:
-        steps = march_times(record.conditions, begin, end, longest_step_s)
-        marched = replace(record, conditions=record.conditions.at(steps))
-        try:
-            found = predict_record(marched, model, skew_s=-part.shift_s(values), errors=wrong)
-        except RunError:
-            if longest_step_s == SHORTER_S[-1]:
-                raise
-        else:
-            break
+    found = predict_record(marched, model, skew_s=-part.shift_s(values), errors=wrong)
     return replace(found, record=record)
 
 
