@@ -146,6 +146,14 @@ def test_a_study_that_cannot_be_is_told_in_a_line(study, tmp_path, capsys, more,
     assert told in " ".join(capsys.readouterr().err.split())
 
 
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no file system in which nothing can be made")
+def test_a_place_that_cannot_hold_finished_batches_is_told_in_a_line(study, capsys):
+    assert cli.main(["plan", str(study), "--out", "/proc/nowhere"]) == 2
+    said = capsys.readouterr().err.strip().splitlines()
+    assert len(said) == 1
+    assert "finished batches cannot be kept there" in said[0]
+
+
 def test_a_study_that_asks_for_nothing_says_so(study, tmp_path, capsys):
     study.write_text(STUDY.format(more="").split("[dispersion]")[0])
     assert cli.main(["plan", str(study), "--out", str(tmp_path / "out")]) == 2

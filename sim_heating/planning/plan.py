@@ -14,7 +14,8 @@ from typing import Any
 
 from sim_heating.batches import Progress, quiet
 from sim_heating.errors import InputError, RunError
-from sim_heating.files import output_directory, write_json
+from sim_heating.files import output_directory, shown, write_json
+from sim_heating.files.text import reason
 from sim_heating.page import Page, SavedPicture, Section, Table, write_page
 from sim_heating.planning.study import Study
 from sim_heating.results import package_version
@@ -93,7 +94,13 @@ def run_study(study: Study, out: Path, engine: Engine, *, progress: Progress = q
     if not parts:
         raise InputError(f"{study.path}: asks for nothing; give it a table such as [dispersion]")
     plan = Plan(study)
-    engine.ledger.mkdir(parents=True, exist_ok=True)
+    try:
+        engine.ledger.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        where = shown(engine.ledger)
+        raise InputError(
+            f"{where}: finished batches cannot be kept there ({reason(error)}); choose another place"
+        ) from None
     with output_directory(out) as folder, one_thread():
         for i, (name, part) in enumerate(parts.items()):
             try:
