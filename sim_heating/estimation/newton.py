@@ -6,9 +6,10 @@ With log likelihood L(p), gradient g and information M (Gauss-Newton, or observe
 
 on the parameters that are not held by a bound; the step is shortened until the posterior grows and is cut off at the
 bounds (Bertsekas, "Projected Newton Methods for Optimization Problems with Simple Constraints", SIAM J. Control Optim.
-20 (1982)). The whole step is tried first, then all lengths of it in one call. Levenberg damping where M + P is
-singular, more where no length helps. Done when a full step promises a gain below `gain` and moves nothing by more than
-`step` of its sigma.
+20 (1982)). The whole step is tried first, and a few more from its end where it does not help (Chamberlain et al., "The
+watchdog technique for forcing convergence", Math. Programming Study 16 (1982)); then all lengths of it in one call.
+Levenberg damping where M + P is singular, more where no length helps. Done when a full step promises a gain below
+`gain` and moves nothing by more than `step` of its sigma.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import lsq_linear
 
 from sim_heating.errors import InputError
 from sim_heating.estimation.identifiability import (
@@ -40,6 +42,11 @@ BoolArray = NDArray[np.bool_]
 FIRST_DAMPING = 1e-3
 LARGEST_DAMPING = 1e6
 MORE, LESS = 10.0, 0.1
+WATCHED = 3
+"""Whole steps taken on from one that lowered the posterior, before its lengths are tried; none where that was in vain
+the last time."""
+SHORTER = 0.5
+"""By how much `reach` falls where they did not help; it grows again where they do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,7 +251,7 @@ class _Search:
 
     def __init__(self, posterior: _Posterior, settings: Settings, at: FloatArray, told: Told) -> None:
         self.posterior, self.settings, self.told = posterior, settings, told
-        self.damping = 0.0
+        self.damping, self.trust, self.watched = 0.0, 1.0, WATCHED
         self.history = [at]
 
     def move_to(self, at: FloatArray, likelihood: Evaluation) -> None:
@@ -261,7 +268,10 @@ class _Search:
             step = self.step(self.damping)
             if self.done(step):
                 return Status.CONVERGED
-            moved = (yield from self.whole(step)) or (yield from self.along(step))
+            moved = yield from self.whole(step)
+            self.trust = min(self.trust / SHORTER, 1.0) if moved else SHORTER * self.trust
+            self.watched = WATCHED if moved else 0
+            moved = moved or (yield from self.along(step))
             while not moved and self.damping < LARGEST_DAMPING:
                 self.damping = max(FIRST_DAMPING, MORE * self.damping)
                 moved = yield from self.along(self.step(self.damping))
@@ -275,54 +285,62 @@ class _Search:
         return Status.CONVERGED if self.done(self.step(self.damping)) else Status.ITERATIONS
 
     def step(self, damping: float) -> FloatArray:
-        """The damped step of the parameters that no bound holds; what would leave the box stops at its side."""
+        """The damped step of the parameters that no bound holds, the best one within the box."""
         step, free = np.zeros_like(self.at), ~self.held
-        lower, upper = self.box()
-        while free.any():
-            step[free] = self.solved(free, step, damping)
-            beyond = free & ((step < lower) | (step > upper))
-            if not beyond.any():
-                break
-            step[beyond] = np.clip(step, lower, upper)[beyond]
-            free &= ~beyond
+        if not free.any():
+            return step
+        values, vectors = scaled_eigenvectors(self.found.information[np.ix_(free, free)])
+        s = scale(self.found.information[np.ix_(free, free)])
+        lifted = np.where(values > ROUNDING, values, 1.0)  # a singular direction goes uphill as far as one sigma alone
+        root = np.sqrt(lifted + damping)
+        target = vectors.T @ (s * self.found.gradient[free]) / root
+        step[free] = s * (vectors @ (target / root))
+        lower, upper = (side[free] for side in self.box())
+        if np.any((step[free] < lower) | (step[free] > upper)):
+            scaled = lsq_linear(root[:, np.newaxis] * vectors.T, target, (lower / s, upper / s), method="bvls")
+            step[free] = np.clip(s * scaled.x, lower, upper)
         return step
 
     def box(self) -> tuple[FloatArray, FloatArray]:
-        """How far each parameter may go down and up in one step."""
+        """How far each parameter may go down and up: in one step, and those from its end, no further from where it
+        began than `reach`, less where whole steps did not help."""
         if not np.isfinite(self.settings.reach):
             nowhere = np.full_like(self.at, np.inf)
             return -nowhere, nowhere
         known = self.posterior.information
-        reach = self.settings.reach / np.sqrt(np.where(known > 0.0, known, np.finfo(float).tiny))
-        return np.maximum(self.posterior.lower - self.at, -reach), np.minimum(self.posterior.upper - self.at, reach)
-
-    def solved(self, free: BoolArray, step: FloatArray, damping: float) -> FloatArray:
-        """The damped step of the free parameters where the others make theirs."""
-        information = self.found.information[np.ix_(free, free)]
-        gradient = self.found.gradient[free] - self.found.information[np.ix_(free, ~free)] @ step[~free]
-        values, vectors = scaled_eigenvectors(information)
-        s = scale(information)
-        lifted = np.where(values > ROUNDING, values, 1.0)  # a singular direction goes uphill as far as one sigma alone
-        return np.asarray(s * (vectors @ (vectors.T @ (s * gradient) / (lifted + damping))))
+        reach = self.trust * self.settings.reach / np.sqrt(np.where(known > 0.0, known, np.finfo(float).tiny))
+        begin = self.history[-1] - self.at
+        return (
+            np.maximum(self.posterior.lower - self.at, begin - reach),
+            np.minimum(self.posterior.upper - self.at, begin + reach),
+        )
 
     def done(self, step: FloatArray) -> bool:
         """Whether the undamped step promises no gain worth it, and is a small part of each sigma."""
-        if self.damping > 0.0:
-            step = self.step(0.0)
+        if self.damping > 0.0 or self.trust < 1.0:
+            trust, self.trust = self.trust, 1.0
+            step, self.trust = self.step(0.0), trust
         promised = 0.5 * float(self.found.gradient @ step)
         sigma = np.sqrt(np.diag(self.covariance()))
         moved = np.abs(step) <= self.settings.step * np.where(self.held, np.inf, sigma)
         return promised < self.settings.gain and bool(np.all(moved))
 
     def whole(self, step: FloatArray) -> Generator[FloatArray, Any, bool]:
-        """Take a whole step, cut off at the bounds, where it raises the posterior: what Newton's step mostly does."""
-        candidate = np.clip(self.at + step, self.posterior.lower, self.posterior.upper)
-        likelihood: Evaluation = yield candidate
-        reached = likelihood.log_likelihood + float(self.posterior.log_prior(candidate))
-        raised = bool(reached > self.found.log_likelihood)
-        if raised:
-            self.move_to(candidate, likelihood)
-        return raised
+        """Take a whole step, cut off at the bounds, where it raises the posterior: what Newton's step mostly does.
+
+        Where it does not, some more from its end may: along a ridge that bends, every step leaves it a little.
+        """
+        begin, least = (self.at, self.likelihood), self.found.log_likelihood
+        for _ in range(1 + self.watched):
+            candidate = np.clip(self.at + step, self.posterior.lower, self.posterior.upper)
+            self.move_to(candidate, (yield candidate))
+            if self.found.log_likelihood > least:
+                return True
+            if not _finite(self.found):
+                break
+            step = self.step(self.damping)
+        self.move_to(*begin)
+        return False
 
     def along(self, step: FloatArray) -> Generator[FloatArray, Any, bool]:
         """Go the best of the lengths of a step, cut off at the bounds; False where none raises the posterior."""
