@@ -36,9 +36,10 @@ STAGE_IN, STAGE_OUT, ENERGY_IN, ENERGY_OUT = 29, 30, 31, 32
 # The lag of a ratio, one row a stage: its value and what it follows; whether it has a past. Heat content of moisture:
 # taken up [J/kg] about a temperature [K], given off about another, over a width [K]. Part of the film that the surface
 # has, the rest being spent in gaps. Heat that vapour carries from where moisture boils to where it has not yet [W/m].
+# Temperature from which on radiation in depth adds to the conductivity of the tables [K].
 LAG_VALUE, LAG_INPUT, LAG_PAST = 33, 36, 39
-LATENT, BOIL, DEPOSIT, CONDENSE, PHASE_WIDTH, SURFACE_SHARE, VAPOUR = 40, 41, 42, 43, 44, 45, 46
-C_STAGES = 47
+LATENT, BOIL, DEPOSIT, CONDENSE, PHASE_WIDTH, SURFACE_SHARE, VAPOUR, RADIATES_FROM = 40, 41, 42, 43, 44, 45, 46, 47
+C_STAGES = 48
 PARAMETERS = C_STAGES + 3 * N_CONDITIONS
 # The table cell that each lane is in, for the five variables: the variables, where the cell ends (for ever at the edges
 # of the table), its foot and the reciprocal of its width, the ratio at its 32 corners, and what is left of them.

@@ -70,6 +70,7 @@ STACK = (
     Parameter("stack.rsi.heat_capacity_factor", "1", 1.0, 0.1, 1e-3, 10.0, "second layer, over the declared table"),
     Parameter("stack.emissivity_factor", "1", 1.0, 0.035, 0.0, 1.5, "surface emittance over the declared table"),
     Parameter("stack.rsi.radiative_conductivity", "W/(m K)", 0.0, 0.05, -1.0, 10.0, "at 1000 K, grows with T^3"),
+    Parameter("stack.rsi.radiation_from_K", "K", 0.0, 200.0, 0.0, 3000.0, "up to there declared conductivity has it"),
     Parameter("stack.moisture.latent_J_kg", "J/kg", 0.0, 2e4, 0.0, 3e6, "heat taken up as moisture boils"),
     Parameter("stack.moisture.boil_K", "K", 373.0, 20.0, 200.0, 1000.0, "temperature at which it boils"),
     Parameter("stack.moisture.deposit_J_kg", "J/kg", 0.0, 2e4, 0.0, 3e6, "heat given off where vapour condenses"),
@@ -88,6 +89,7 @@ STACK = (
 CURVED = (
     "stack.coating.thickness_factor", "stack.contact_factor", "back.T_K", "stack.moisture.boil_K",
     "stack.moisture.condense_K", "stack.moisture.width_K", "stack.gap.depth_m",
+    "stack.rsi.radiation_from_K",
 )  # fmt: skip
 """Parameters in which the heat balance at given temperatures is not affine; no parameter of an effect need be."""
 

@@ -137,6 +137,19 @@ def test_steady_layer_with_conductivity_in_temperature_obeys_kirchhoff():
     assert kirchhoff == pytest.approx(3e4 * length, rel=1e-8)
 
 
+def test_steady_layer_with_radiation_in_depth_above_a_temperature_obeys_kirchhoff():
+    # k = 1 + k_rad (T^3 - T_0^3) / 1000^3 above T_0 = 500 K
+    length, k_rad, T_0 = 0.02, 1.5, 500.0
+    added = {"stack.rsi.radiative_conductivity": k_rad, "stack.rsi.radiation_from_K": T_0}
+    w = wall((material(), length), back={"h_W_m2K": 1e4, "T_K": 300.0})
+    t = np.linspace(0.0, 1e5, 1001)
+    _, out = heat(w, flight(t, q_add_W_m2=3e4), (length,), nodes=40, parameters=added)
+    surface, back = out[-1, 0], out[-1, 2]
+    radiated = k_rad * 1e-9 * ((surface**4 - T_0**4) / 4.0 - T_0**3 * (surface - T_0))
+    assert back < T_0 < surface - 100.0
+    assert surface - back + radiated == pytest.approx(3e4 * length, rel=1e-7)
+
+
 def test_declared_profile_is_what_the_nodes_start_from():
     profile = [[0.0, 900.0], [0.004, 500.0], [0.01, 400.0]]
     w = wall((material(), 0.01), initial="profile", initial_profile=profile, initial_K=None)

@@ -68,7 +68,8 @@ BASE = {
     "stack.moisture.latent_J_kg": 5e4, "stack.moisture.boil_K": 800.0, "stack.moisture.deposit_J_kg": 2e4,
     "stack.moisture.condense_K": 700.0, "stack.moisture.width_K": 60.0, "stack.moisture.vapour_W_m": 5.0,
     "stack.gap.fraction": 0.05,
-    "stack.rsi.radiative_conductivity": 0.03, "back.h_W_m2K": 12.0, "back.T_K": 310.0, "back.emissivity": 0.4,
+    "stack.rsi.radiative_conductivity": 0.03, "stack.rsi.radiation_from_K": 500.0, "back.h_W_m2K": 12.0,
+    "back.T_K": 310.0, "back.emissivity": 0.4,
 }  # fmt: skip
 """Values at which every parameter of the stack has something to act on."""
 VALUES = {

@@ -5,7 +5,7 @@ emissivity           a factor | after a step | after a ramp | 1 + slope (T - 900
 coating-thickness    factor | factor, and a coating that conducts less
 conductivity         factor | factor that grows with temperature
 heat-capacity        of the insulation | of the coating | of the insulation, growing with temperature
-radiative-conduction k_rad (T / 1000 K)^3 | ^4 | cubic from 600 K up
+radiative-conduction k_rad (T / 1000 K)^3 | ^4 | cubic from 600 K up | linear from there
 backface-cooling     film | radiation | free convection, h ~ |T - T_b|^1/4 | both
 gap-flow             share of the convective flux at depth z: exp(-z/d) | box | exp(-z/d), taken from the surface | bell
 moisture             latent heat as capacity about the boiling point | evaporation at a rate | and condensing further in
@@ -161,7 +161,11 @@ def _draw_radiative(rng: Generator, case: Case, form: str) -> dict[str, Any]:
 
 def _radiative(case: Case, form: str, p: Parameters) -> Nature:
     T = np.array(DENSE_K) / 1000.0
-    more = p["k_rad"] * {"cubic": T**3, "quartic": T**4, "cubic-above": np.maximum(T**3 - 0.6**3, 0.0)}[form]
+    forms = {
+        "cubic": T**3, "quartic": T**4, "cubic-above": np.maximum(T**3 - 0.6**3, 0.0),
+        "linear-above": np.maximum(T - 0.6, 0.0) / 0.4,
+    }  # fmt: skip
+    more = p["k_rad"] * forms[form]
     materials = deepcopy(case.point.materials)
     felt = materials[case.point.stack["layer"][1]["material"]]
     dense = _by_temperature(felt["conductivity_W_mK"], 1.0, 0.0)
@@ -298,6 +302,6 @@ ON_WALL = (
            {"gap_fraction": (0.0, 2e-4, 0.15)}, kinds=INSULATED, least_sensors=3),
     Family("moisture", ("capacity", "evaporating", "migrating"), _draw_moisture, _moisture,
            {"water_kg_m3": (0.0, 0.05, 15.0)}, kinds=(*TILES, "felt"), least_sensors=3),
-    Family("radiative-conduction", ("cubic", "quartic", "cubic-above"), _draw_radiative, _radiative,
+    Family("radiative-conduction", ("cubic", "quartic", "cubic-above", "linear-above"), _draw_radiative, _radiative,
            {"k_rad": (0.0, 1e-3, 0.2)}, kinds=(*TILES, "standoff"), least_sensors=3),
 )  # fmt: skip

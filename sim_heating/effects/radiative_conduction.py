@@ -2,16 +2,33 @@
 
 from __future__ import annotations
 
-from sim_heating.effects import Effect
+from collections.abc import Sequence
+
+import numpy as np
+
+from sim_heating.conditions import Conditions
+from sim_heating.effects import Effect, Try
 from sim_heating.parameters import Parameter
+
+
+def tries(flown: Conditions) -> Sequence[Try]:
+    """None yet: at all temperatures, or above several up to which the declared conductivity holds."""
+    return [
+        Try(("k_rad",), {"k_rad": 0.0, "from_K": 0.0}),
+        *(Try(("k_rad", "from_K"), {"k_rad": 0.0, "from_K": float(T)}) for T in np.arange(400.0, 1300.0, 200.0)),
+    ]
+
 
 EFFECT = Effect(
     name="radiative-conduction",
     mode="model",
     parameters=(
         Parameter("k_rad", "W/(m K)", 0.0, 0.05, -1.0, 10.0, "conductivity added at 1000 K; it grows with T^3"),
+        Parameter("from_K", "K", 0.0, 200.0, 0.0, 3000.0, "temperature up to which the declared conductivity holds"),
     ),
-    places=("stack.rsi.radiative_conductivity",),
-    physics="In fibres that are optically thick radiation diffuses: its conductivity is proportional to T^3.",
+    places=("stack.rsi.radiative_conductivity", "stack.rsi.radiation_from_K"),
+    tries=tries,
+    physics="In fibres that are optically thick radiation diffuses: its conductivity is proportional to T^3. "
+    "A declared conductivity holds it as far as it was measured.",
     source="Rosseland diffusion; Howell, Siegel & Menguc, Thermal Radiation Heat Transfer, 5th ed., ch. 12",
 )

@@ -69,6 +69,7 @@ from sim_heating.layout import (
     PCOL,
     PFRAC,
     PHASE_WIDTH,
+    RADIATES_FROM,
     RESIDUAL,
     SCALAR_ROWS,
     SLOPE,
@@ -203,10 +204,18 @@ def _write_row(
 
 @njit
 def _in_depth(B: FloatArray, a: int, lane: int, T_K: float, dried: float) -> tuple[float, float]:
-    """Kirchhoff's variable [W/m] and conductivity [W/(m K)] of radiation and vapour in the element right of a node."""
-    k_rad = 1e-9 * B[a + K_RAD * LANES + lane] * T_K * T_K * T_K
+    """Kirchhoff's variable [W/m] and conductivity [W/(m K)] of radiation and vapour in the element right of a node.
+
+    Radiation adds k_rad (T^3 - T_0^3) / (1000 K)^3 above T_0, up to which the tables have it.
+    """
+    begin = B[RADIATES_FROM * LANES + lane]
+    above = max(T_K, begin)
+    k_1 = 1e-9 * B[a + K_RAD * LANES + lane]
+    cube, begin_cube = above * above * above, begin * begin * begin
+    k_rad = k_1 * (cube - begin_cube)
+    theta_rad = k_1 * (0.25 * (cube * above - begin_cube * begin) - begin_cube * (above - begin))
     vapour = B[VAPOUR * LANES + lane] if B[a + WET_RIGHT * LANES + lane] > 0.0 else 0.0
-    return 0.25 * k_rad * T_K + vapour * dried, k_rad + vapour * dried * (1.0 - dried) / B[PHASE_WIDTH * LANES + lane]
+    return theta_rad + vapour * dried, k_rad + vapour * dried * (1.0 - dried) / B[PHASE_WIDTH * LANES + lane]
 
 
 @njit

@@ -29,6 +29,7 @@ from sim_heating.layout import (
     NODE_INTS,
     NODE_ROWS,
     PHASE_WIDTH,
+    RADIATES_FROM,
     SURFACE_SHARE,
     VAPOUR,
     WET_LEFT,
@@ -41,9 +42,9 @@ IntArray = NDArray[np.int64]
 
 (
     COATING_THICKNESS, COATING_CONDUCTIVITY, COATING_CAPACITY, RSI_CONDUCTIVITY, RSI_CAPACITY, EMISSIVITY, RADIATIVE,
-    LATENT_HEAT, BOILS, DEPOSITED, CONDENSES, WIDTH, CARRIED, GAP_FRACTION, GAP_DEPTH, CONTACT, H_BEHIND, T_BEHIND,
-    EPS_BEHIND,
-) = range(19)  # fmt: skip
+    RADIATION_FROM, LATENT_HEAT, BOILS, DEPOSITED, CONDENSES, WIDTH, CARRIED, GAP_FRACTION, GAP_DEPTH, CONTACT,
+    H_BEHIND, T_BEHIND, EPS_BEHIND,
+) = range(20)  # fmt: skip
 """Places of parameters.STACK in their order."""
 
 
@@ -92,6 +93,7 @@ def _set_faces(B: FloatArray, J: IntArray, lane: int, p: FloatArray) -> None:
     B[LATENT * LANES + lane], B[BOIL * LANES + lane] = p[LATENT_HEAT], p[BOILS]
     B[DEPOSIT * LANES + lane], B[CONDENSE * LANES + lane] = p[DEPOSITED], p[CONDENSES]
     B[PHASE_WIDTH * LANES + lane], B[VAPOUR * LANES + lane] = p[WIDTH], p[CARRIED]
+    B[RADIATES_FROM * LANES + lane] = p[RADIATION_FROM]
     if p[LATENT_HEAT] > 0.0 or p[DEPOSITED] > 0.0 or p[CARRIED] > 0.0 or p[RADIATIVE] != 0.0:
         J[IN_DEPTH] = 1
 
