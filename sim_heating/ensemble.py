@@ -77,6 +77,7 @@ from sim_heating.march import BLOCK_END, BLOCK_START, INTS_END, INTS_START, adva
 from sim_heating.packing import set_point, set_temperatures
 from sim_heating.parameters import AT_FACES, EFFECT_PREFIX, MODEL, RATIO, Parameter
 from sim_heating.thermal.declare import BackFace, Construction, Material
+from sim_heating.thermal.elements import BOILS, CONDENSES, DEPOSITED, LATENT_HEAT, WIDTH
 from sim_heating.thermal.kernel import compiled
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.tables import PointTables, TableStore, WallEnthalpy
@@ -90,6 +91,10 @@ MODES = ("add", "multiply", "emittance")
 """Effects with a kernel, in the order in which they act."""
 COATING_PREFIX = "stack.coating."
 BACK = ("back.h_W_m2K", "back.T_K", "back.emissivity")
+MOISTURE = (LATENT_HEAT, BOILS, DEPOSITED, CONDENSES, WIDTH)
+RUNS_AWAY = "moisture gives off more heat as it condenses than takes to warm what it condenses in"
+CONDENSES_WITHIN = 8.0
+"""Widths about the temperature at which moisture condenses within which all of it does."""
 PLACES = {name: k for k, name in enumerate(MODEL)}
 """Place of each parameter in PointModel.values."""
 CACHE_LINE = 64
@@ -147,6 +152,22 @@ class PointModel:
             raise InputError(f"{self.name}: two effects with a lag; one at most at one control point")
         if self.ratio is not None and self.parameters.get("ratio.d0", 0.0) != 0.0:
             raise InputError(f"{self.name}: ratio.d0 is 0 where there is a ratio table; use ratio.scale")
+        if self.runs_away:
+            raise InputError(f"{self.name}: {RUNS_AWAY}; lower its deposit_J_kg or raise its width_K")
+
+    @property
+    def runs_away(self) -> bool:
+        """Whether moisture that condenses would give off more heat than takes to warm what it condenses in by as much
+        as that makes it warmer: its temperature would jump."""
+        stack = self.values[len(RATIO) :]
+        latent, boil, deposit, condense, width = (float(stack[k]) for k in MOISTURE)
+        if deposit <= 0.0:
+            return False
+        T = condense + width * np.linspace(-CONDENSES_WITHIN, CONDENSES_WITHIN, 81)
+        up, down = (1.0 / (1.0 + np.exp(-np.clip((T - at) / width, -500.0, 500.0))) for at in (boil, condense))
+        material = self.construction.layer_materials()[insulation_layer(self.construction)]
+        warmed = np.interp(T, *np.array(material.specific_heat_J_kgK, dtype=float).T)
+        return bool(np.any(warmed + (latent * up * (1.0 - up) - deposit * down * (1.0 - down)) / width <= 0.0))
 
     @cached_property
     def values(self) -> FloatArray:
@@ -534,12 +555,16 @@ class Ensemble:
             raise InputError(f"march, flight {flight}, time_s {time:g}: {name} is not a finite number")
 
     def failed(self) -> NDArray[np.bool_]:
-        """(point,) whose step did not converge, or whose temperature is not a number."""
+        """(point,) whose step did not converge, whose temperature is not a number, or whose moisture runs away."""
         surface = np.array([self.state[place.temperature(0)] for place in self.places])
-        return np.asarray((self.scalars(FAILED) > 0.0) | ~np.isfinite(surface))
+        away = np.array([model.runs_away for model in self.models])
+        return np.asarray((self.scalars(FAILED) > 0.0) | ~np.isfinite(surface) | away)
 
     def check(self) -> None:
-        """raises : RunError naming the points whose step did not converge, or whose temperature is not a number."""
+        """raises : RunError naming the points that failed."""
+        away = [model.name for model in self.models if model.runs_away]
+        if away:
+            raise RunError(f"{', '.join(away)}: {RUNS_AWAY}")
         bad = [model.name for model, failed in zip(self.models, self.failed(), strict=True) if failed]
         if bad:
             raise RunError(f"{', '.join(bad)}: the thermal step did not converge; try a smaller longest_step_s")

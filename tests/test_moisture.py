@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from walls import flight, heat, heat_content, material, wall
 
+from sim_heating.errors import InputError
+
 VAPOUR_W_M, BOIL_K, WIDTH_K = 30.0, 360.0, 15.0
 MOIST = {"stack.moisture.vapour_W_m": VAPOUR_W_M, "stack.moisture.boil_K": BOIL_K, "stack.moisture.width_K": WIDTH_K}
 
@@ -42,3 +44,12 @@ def test_vapour_gives_its_heat_off_ahead_of_the_heat_that_is_conducted():
     early = np.arange(20, 60)
     assert np.all(moist[early, 2] > dry[early, 2] + 1.0)
     assert moist[-1, 0] < dry[-1, 0]  # it is the surface that it takes it from
+
+
+def test_moisture_that_would_make_its_place_jump_to_a_higher_temperature_is_refused():
+    # at 340 K deposit / (4 width) = 1250 J/(kg K) is given off where 1000 J/(kg K) warm it
+    wet = {"stack.moisture.condense_K": 340.0, "stack.moisture.width_K": 10.0}
+    insulation = wall((material(0.05, 1000.0, 250.0), 0.03))
+    heat(insulation, flight(np.arange(3.0)), (0.01,), parameters=wet | {"stack.moisture.deposit_J_kg": 3.9e4})
+    with pytest.raises(InputError, match="gives off more heat as it condenses"):
+        heat(insulation, flight(np.arange(3.0)), (0.01,), parameters=wet | {"stack.moisture.deposit_J_kg": 5e4})

@@ -21,13 +21,13 @@ from sim_heating.parameters import Parameter
 def tries(flown: Conditions) -> Sequence[Try]:
     """None yet, at several temperatures."""
     evaporating = ("latent_J_kg", "boil_K", "width_K")
-    condensing = ("latent_J_kg", "boil_K", "deposit_J_kg", "condense_K")
+    condensing = ("latent_J_kg", "boil_K", "deposit_J_kg", "condense_K", "width_K")
     diffusing = ("vapour_W_m", "boil_K", "width_K")
     none = {"latent_J_kg": 0.0, "deposit_J_kg": 0.0, "vapour_W_m": 0.0}
+    at = (340.0, 373.0, 420.0)
     return [
-        Try(names, none | {"boil_K": T, "condense_K": T - 40.0})
-        for names in (evaporating, condensing, diffusing)
-        for T in (340.0, 373.0, 420.0)
+        *(Try(names, none | {"boil_K": T}) for names in (evaporating, diffusing) for T in at),
+        *(Try(condensing, none | {"boil_K": T, "condense_K": T - 40.0}) for T in at),
     ]
 
 
