@@ -54,6 +54,15 @@ def test_transition_rises_from_one_to_its_factor_along_a_logistic(alpha, log10_r
     assert value(use("transition", given_values), alpha=alpha, log10_re=log10_re) == pytest.approx(expected, rel=1e-12)
 
 
+@compiling
+@given(any_re, st.floats(4.0, 8.0), st.floats(1e-3, 0.5), st.floats(1.0, 6.0))
+def test_transition_by_spots_begins_at_its_onset_with_narasimhas_intermittency(log10_re, onset, width, factor):
+    used = use("transition", {"log10_re_onset": onset, "width": width, "factor": factor, "spots": 1.0})
+    past = max((log10_re - onset) / width, 0.0)
+    expected = 1.0 + (factor - 1.0) * (1.0 - math.exp(-0.412 * past**2))
+    assert value(used, alpha=40.0, log10_re=log10_re) == pytest.approx(expected, rel=1e-12)
+
+
 def test_transition_has_come_half_way_at_its_onset():
     used = use("transition", {"log10_re_onset": 6.5, "factor": 4.0})
     assert value(used, alpha=40.0, log10_re=6.5) == pytest.approx(2.5)

@@ -44,6 +44,16 @@ class Candidate:
     start: Mapping[str, float]
     prior: tuple[str, ...] = ()
 
+    @property
+    def form(self) -> tuple[object, ...]:
+        """What is estimated, and the values of what is not: candidates of one form differ in where they start."""
+        return self.names, *(
+            (p.name, value)
+            for used in self.uses
+            for p, value in zip(used.effect.parameters, used.values, strict=True)
+            if f"{EFFECT_PREFIX}{used.effect.name}.{p.name}" not in self.names
+        )
+
 
 def candidates(record: Record, flown: Conditions, taken: Sequence[str] = ()) -> list[Candidate]:
     """All candidates for a record, without the effects that are in the model already.
