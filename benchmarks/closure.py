@@ -67,6 +67,7 @@ def made_and_closed(task: tuple[int, int, str]) -> bytes:
         "effect": answer["effect"], "form": answer["form"], "named": found.names, "cpu_s": seconds,
         "accepted": answer.get("accepted", [answer["effect"]]), "separable": answer.get("separable", True),
         "residual_over_floor": answer.get("residual_over_floor"), "noise_colour": answer["noise_colour"],
+        "lasting": found.rounds[0].base.lasting,
         "after": {k: v["rmse_K"] for k, v in after.items() if v}, "truth": answer["true_rmse_K"],
         "rounds": [
             {"excess": r.excess, "attempts": [[a.name, a.delta_bic, a.weighed, a.excess] for a in r.attempts[:4]]}

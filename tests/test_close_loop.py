@@ -17,8 +17,9 @@ import pytest
 from click.testing import CliRunner
 
 from sim_heating.cli import cli
-from sim_heating.closure.search import search, values_of
+from sim_heating.closure.search import GAIN, search, values_of
 from sim_heating.closure.thinning import LONGEST_S, kept_samples
+from sim_heating.conditions import Conditions
 from sim_heating.effects import EffectUse, use
 from sim_heating.errors import InputError
 from sim_heating.points import conditions_of_record, point_of_record
@@ -42,13 +43,31 @@ def test_a_residual_that_follows_nothing_is_called_unknown() -> None:
     assert found.rounds[0].excess > 10.0
 
 
-def measured_with(record: Record, uses: Sequence[EffectUse]) -> Record:
-    """What the record's thermocouples would show of its declared model with these effects."""
-    predicted, rng = predict(record, point_of_record(record, None, uses)), np.random.default_rng(8)
+def measured_with(
+    record: Record, uses: Sequence[EffectUse] = (), flown: Conditions | None = None, noise: float = 1.0
+) -> Record:
+    """What the record's thermocouples would show of its declared model with these effects, or in other conditions, or
+    with `noise` times the noise."""
+    heated = record if flown is None else replace(record, conditions=flown)
+    predicted, rng = predict(heated, point_of_record(record, None, uses)), np.random.default_rng(8)
     columns = dict(record.thermocouples)
     for sensor, indicated in zip(record.sensors, predicted.indicated_K, strict=True):
-        columns[sensor.column] = quantised(sensor, indicated + rng.normal(0.0, sensor.noise_sigma_K, len(indicated)))
+        noisy = indicated + rng.normal(0.0, noise * sensor.noise_sigma_K, len(indicated))
+        columns[sensor.column] = quantised(sensor, noisy)
     return replace(record, thermocouples=columns)
+
+
+def test_a_residual_that_no_candidate_touches_is_unknown_and_noise_beyond_the_declared_is_none() -> None:
+    record = load_record(PRACTICE / "p06")
+    flown = conditions_of_record(record)
+    ripple = 1.0 + 0.1 * np.sin(2.0 * np.pi * flown.time_s / 11.0)
+    rippled = flown.with_columns(h_ref_kg_m2_s=flown["h_ref_kg_m2_s"] * ripple)
+    untouched = search(measured_with(record, flown=rippled))
+    assert untouched.names == ("unknown",)
+    assert untouched.rounds[0].attempts[0].weighed > -GAIN
+    noisy = search(measured_with(record, noise=2.0))
+    assert noisy.names == ("none",)
+    assert noisy.rounds[0].excess > 1.0
 
 
 def test_two_effects_are_both_named_with_their_sizes() -> None:

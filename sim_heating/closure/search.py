@@ -31,7 +31,7 @@ from sim_heating.closure.candidates import Candidate, candidates
 from sim_heating.closure.thinning import LONGEST_S, thinned
 from sim_heating.effects import EffectUse
 from sim_heating.errors import RunError
-from sim_heating.estimation.estimate import Fitted, estimate, misfit, predict_at
+from sim_heating.estimation.estimate import Fitted, estimate, lasting, misfit, predict_at
 from sim_heating.estimation.identifiability import covariance
 from sim_heating.estimation.likelihood import likelihood
 from sim_heating.estimation.newton import Evaluation, Fit, Settings, Status
@@ -53,6 +53,9 @@ BESIDE = 0.1
 """What a further effect has to explain, over what the first one did: less is left by a first one whose form differs."""
 EXPLAINED = 0.8
 """And what all effects together have to explain to be named at all: a form of our own fits anything a little."""
+LASTING = 0.5
+"""Mean product of neighbouring normalised residuals from which on something is missing though no candidate touches it;
+a recorder's own coloured noise has a fifth of its variance in common between neighbours."""
 MOST_EFFECTS = 3
 AGREEMENT = 0.25
 """Part of their sample interval to which two recorders' clocks are taken to agree unless shown otherwise."""
@@ -74,6 +77,10 @@ STAGES = (
     (0.8, QUICK),
 )  # fmt: skip
 """Part of the best gain that a candidate has to have reached to be fitted further, and how far."""
+PATIENCE = 0.8
+"""Part of the best gain from which on what a candidate promised keeps it in the second stage."""
+CLOSE = 5.0
+"""By how much its log likelihood may stay behind the best where it is fitted to the end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +109,11 @@ class Attempt:
     def excess(self) -> float:
         """Mean square of the normalised residuals, beyond that of noise."""
         return misfit(self.problem.samples(self.fit.values)) ** 2 - 1.0
+
+    @property
+    def lasting(self) -> float:
+        """What of them lasts from one sample to the next."""
+        return lasting(self.problem.samples(self.fit.values))
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +227,8 @@ def _stacked(base: Attempt, effects: Sequence[Attempt], values: Mapping[str, flo
 def _judged(rounds: Sequence[Round], added: Sequence[Attempt]) -> tuple[tuple[Attempt, ...], bool]:
     """What of the attempts stands, and whether what is left is unknown: they explain the residual, or nothing does."""
     first = rounds[0]
-    significant = bool(first.attempts) and first.attempts[0].weighed <= -GAIN
+    touched = bool(first.attempts) and first.attempts[0].weighed <= -GAIN
+    significant = touched or first.base.lasting > LASTING
     left = added[-1].excess if added else first.excess
     if added and first.excess - left >= EXPLAINED * first.excess:
         return tuple(added), False
@@ -255,16 +268,18 @@ def _on_top(base: Attempt, candidate: Candidate) -> Problem:
     """The base's problem with a candidate's unknowns."""
     part = base.problem.parts[0]
     names = tuple(dict.fromkeys((*part.names, *candidate.names)))
-    priors: dict[str, Parameter] = dict(base.problem.priors)
-    if CLOCK_SKEW.name in candidate.names:
-        priors[CLOCK_SKEW.name] = replace(CLOCK_SKEW, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)
-    return _carrying(base, candidate, names, priors=priors, widened=WIDENED)
+    return _carrying(base, candidate, names, widened=WIDENED)
 
 
 def _carrying(base: Attempt, candidate: Candidate, names: Sequence[str], **more: Any) -> Problem:
-    """The base's record with a candidate's effects beside those found, its noise, and what is known of its mesh."""
+    """The base's record with a candidate's effects beside those found, its noise, what is known of its mesh, and a
+    clock that goes no further than in the base unless that is what the candidate moves."""
     part, uses = base.problem.parts[0], (*fitted_uses(base), *candidate.uses)
-    problem = Problem([part.record], names, base.problem.reference, effects=uses, longest_step_s=LONGEST_S, **more)
+    priors: dict[str, Parameter] = dict(base.problem.priors)
+    if CLOCK_SKEW.name in candidate.names:
+        priors[CLOCK_SKEW.name] = replace(CLOCK_SKEW, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)
+    more |= {"effects": uses, "priors": priors, "longest_step_s": LONGEST_S}
+    problem = Problem([part.record], names, base.problem.reference, **more)
     problem.parts[0].sigma_K.update(part.sigma_K)
     problem.parts[0].correction_K = part.correction_K
     return problem
@@ -298,7 +313,7 @@ def one_round(base: Attempt, taken: Sequence[str], progress: Progress) -> Round:
     problems, start = [_on_top(base, tried[i]) for i in chosen], values_of(base)
     firsts = [_first(p, {**start, **tried[i].start}) for p, i in zip(problems, chosen, strict=True)]
     progress(0.3, f"fitting {len(chosen)} of {len(tried)} candidates")
-    fits = in_stages(problems, firsts, base.fit.log_likelihood)
+    fits = in_stages(problems, firsts, base.fit.log_likelihood, [gains[i] for i in chosen])
     best: dict[str, Attempt] = {}
     for i, problem, fit in zip(chosen, problems, fits, strict=True):
         name = tried[i].name
@@ -314,17 +329,17 @@ def one_round(base: Attempt, taken: Sequence[str], progress: Progress) -> Round:
 
 
 def _promising(tried: Sequence[Candidate], gains: Sequence[float], n: int) -> list[int]:
-    """Which candidates are fitted: the most promising starts of each set of parameters, but none that promises much
-    less than the best, or too little to be worth its parameters."""
+    """Which candidates are fitted: the most promising starts of each form, but none that promises much less than the
+    best, or too little to be worth its parameters."""
     most = max(gains, default=0.0)
-    count: dict[tuple[str, ...], int] = {}
+    count: dict[object, int] = {}
     chosen = []
     for i in sorted(range(len(tried)), key=lambda i: -gains[i]):
-        names = tried[i].names
+        form = tried[i].form
         allowed = STARTS_FITTED if gains[i] > NEAR * most else 1
-        worth = gains[i] > max(BEHIND * most, 0.5 * np.log(n) * len(names) - WORTH)
-        if worth and count.get(names, 0) < allowed:
-            count[names] = count.get(names, 0) + 1
+        worth = gains[i] > max(BEHIND * most, 0.5 * np.log(n) * len(tried[i].names) - WORTH)
+        if worth and count.get(form, 0) < allowed:
+            count[form] = count.get(form, 0) + 1
             chosen.append(i)
     return chosen
 
@@ -365,17 +380,38 @@ def _promise(problem: Problem, first: FloatArray, found: Evaluation, known: Floa
     return float(found.log_likelihood + 0.5 * g @ inverse @ g)
 
 
-def in_stages(problems: Sequence[Problem], firsts: Sequence[FloatArray], reached: float) -> list[Fit]:
-    """Fit all a little way, those that came near the best gain over `reached` further, and the best to the end."""
+def in_stages(
+    problems: Sequence[Problem], firsts: Sequence[FloatArray], reached: float, promised: Sequence[float]
+) -> list[Fit]:
+    """Fit all a little way, those that came near the best gain over `reached` further, or promised as much, and the
+    best to the end, but for those that are not going to reach the best."""
     fits = maximise_together(problems, firsts, STAGES[0][1])
-    for within, settings in STAGES[1:]:
-        gains = np.array([f.log_likelihood - reached for f in fits])
-        best = np.nanmax(gains, initial=0.0)
-        again = [k for k, g in enumerate(gains) if fits[k].status is Status.ITERATIONS and g >= within * best]
+    history = [_gains(fits, reached)]
+    for stage, (within, settings) in enumerate(STAGES[1:], start=1):
+        best = float(np.max(history[-1], initial=0.0))
+        near = history[-1] >= within * best
+        if stage == 1:
+            near |= np.array(promised) >= PATIENCE * best
+        elif stage == len(STAGES) - 1:
+            near &= _hoped(history) >= best - CLOSE
+        again = [k for k in range(len(fits)) if near[k] and fits[k].status is Status.ITERATIONS]
         further = maximise_together([problems[k] for k in again], [fits[k].values for k in again], settings)
         for k, fit in zip(again, further, strict=True):
             fits[k] = fit
+        history.append(_gains(fits, reached))
     return fits
+
+
+def _gains(fits: Sequence[Fit], reached: float) -> FloatArray:
+    return np.nan_to_num([f.log_likelihood - reached for f in fits], nan=-np.inf)
+
+
+def _hoped(history: Sequence[FloatArray]) -> FloatArray:
+    """Where gains end if each stage adds the same part of what the one before it did, twice that allowed."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        before, last = history[-2] - history[-3], history[-1] - history[-2]
+        more = np.where(last < before, last**2 / (before - last), np.where(last > 0.0, np.inf, 0.0))
+    return history[-1] + 2.0 * np.nan_to_num(more, nan=np.inf, posinf=np.inf)
 
 
 # Weighing ------------------------------------------------------------------------------------------------------------
@@ -425,9 +461,9 @@ def unlikely(attempt: Attempt) -> float:
 
 
 def forms_of(tried: Sequence[Candidate]) -> dict[str, int]:
-    """How many sets of parameters of each effect there are."""
-    names = dict.fromkeys((c.name, c.names) for c in tried)
-    return dict(Counter(name for name, _ in names))
+    """How many forms of each effect there are."""
+    forms = dict.fromkeys((c.name, c.form) for c in tried)
+    return dict(Counter(name for name, _ in forms))
 
 
 def samples(problem: Problem) -> int:

@@ -311,3 +311,11 @@ def misfit(everything: Sequence[Samples]) -> float:
     scored = [likelihood(s.channel.observed, s.mean_K, s.spread_K) for s in everything]
     squares = sum(float(np.sum(f.score**2)) for f in scored)
     return float(np.sqrt(squares / sum(float(np.sum(f.information)) for f in scored)))
+
+
+def lasting(everything: Sequence[Samples]) -> float:
+    """Mean product of neighbouring residuals over what noise and rounding make of their square: 0 for white noise,
+    however much of it; more where the model is off for longer than a sample."""
+    scored = [likelihood(s.channel.observed, s.mean_K, s.spread_K) for s in everything]
+    products = sum(float(np.sum(f.score[1:] * f.score[:-1])) for f in scored)
+    return products / sum(float(np.sum(f.information)) for f in scored)
