@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 LANES = 8
+END = np.int64(2)
+"""Stage at the end of a step. A plain 2 would have what takes a stage compiled a second time, for 2 alone."""
 
 # Flight conditions of a lane, in contract units (conditions.py); the first five are the variables of a ratio table.
 ALPHA, BETA, LOG10_RE, ELEVON, BODYFLAP = 0, 1, 2, 3, 4

@@ -389,7 +389,7 @@ def test_kernel_that_allocates_is_refused():
         return np.zeros(n).sum()
 
     with pytest.raises(RunError, match="greedy: needs NRT_"):
-        object_code(Function("greedy", greedy), TARGETS["linux"], "x86-64", "greedy_0")
+        object_code([Function("greedy", greedy)], TARGETS["linux"], "x86-64")
 
 
 # The command ---------------------------------------------------------------------------------------------------------

@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from sim_heating.effects import Effect
+from sim_heating.effects.chain import compiled_chain
 from sim_heating.errors import InputError
 from sim_heating.files.text import write_bytes_atomic
 from sim_heating.fmu.description import description
-from sim_heating.fmu.heating import built_in, heating_functions, heating_image
+from sim_heating.fmu.heating import built_in, compiling_beside, heating_functions, heating_image
 from sim_heating.fmu.image import Image
 from sim_heating.fmu.library import TARGETS, Function, library
 from sim_heating.vehicle import Vehicle
@@ -40,7 +41,9 @@ def export_heating(
     columns        : h_ref and H_r are inputs, instead of the vehicle's reference heating
     raises         : InputError for an unknown name, a platform without a compiler, a place that cannot be written
     """
-    model = heating_image(vehicle, control_points, columns=columns)
+    with compiling_beside():
+        model = heating_image(vehicle, control_points, columns=columns)
+        compiled_chain(model.effects)
     write_fmu(out, model.image, heating_functions(model.effects), fmi, platforms, _sources_of(model.effects))
     return model.image
 

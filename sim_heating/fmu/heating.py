@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Mapping, Sequence
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -133,9 +138,30 @@ def built_in(effect: Effect) -> bool:
 
 
 @cache
-def _entries() -> tuple[Any, Any]:
+def entries() -> tuple[Any, Any]:
+    """`start` and `step`, compiled."""
     compile_as = numba.cfunc(FUNCTION, cache=True, error_model="numpy")
     return compile_as(k.start), compile_as(k.step)
+
+
+@contextmanager
+def compiling_beside() -> Iterator[None]:
+    """Within the block a second process compiles `entries` into the cache, where they are not in it yet; they are when
+    the block ends."""
+    folder = Path(numba.config.CACHE_DIR)  # type: ignore[attr-defined]
+    if any(folder.rglob(f"{Path(k.__file__).stem}.{k.step.__name__}-*.nbc")):
+        yield
+        return
+    command = [sys.executable, "-c", f"from {__name__} import entries; entries()"]
+    beside = subprocess.Popen(
+        command, env=os.environ | {"NUMBA_CACHE_DIR": str(folder)}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    try:
+        yield
+        beside.wait()
+    finally:
+        beside.kill()
+        beside.wait()
 
 
 def heating_functions(model_effects: tuple[Effect, ...]) -> list[Function]:
@@ -143,7 +169,7 @@ def heating_functions(model_effects: tuple[Effect, ...]) -> list[Function]:
     begin, advance = compiled()
     chain = compiled_chain(model_effects).function
     names = ("heating_start", "heating_step", "heating_effects", "heating_begin", "heating_advance")
-    return [Function(n, f) for n, f in zip(names, (*_entries(), chain, begin, advance), strict=True)]
+    return [Function(n, f) for n, f in zip(names, (*entries(), chain, begin, advance), strict=True)]
 
 
 def quoted(part: str) -> str:

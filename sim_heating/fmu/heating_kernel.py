@@ -20,6 +20,7 @@ from sim_heating.jit import njit
 from sim_heating.layout import (
     ADDED,
     EMISSIVITY_TABLE,
+    END,
     ENERGY_IN,
     ENERGY_OUT,
     FACTOR_EPS,
@@ -106,7 +107,8 @@ def _apply_parameters(R, N, B: FloatArray, J: IntArray, g: int) -> None:  # type
         lengths, densities = carray(at(R, own[P_LENGTHS]), n), carray(at(R, own[P_DENSITIES]), n)
         stack = carray(at(numbers, P_STACK), STACK_WIDTH)
         first, last = own[P_LANE], own[P_LANE] + own[P_LANES]
-        set_point(B, J, first, last, layers, lengths, densities, own[P_INSULATION], own[P_BOTTOM], stack, numbers)
+        heating = carray(numbers, N_PARAMETERS)
+        set_point(B, J, first, last, layers, lengths, densities, own[P_INSULATION], own[P_BOTTOM], stack, heating)
 
 
 @njit
@@ -148,19 +150,24 @@ def _advance(R, N, A, inputs, time: float, dt: float) -> None:  # type: ignore[n
 
 
 @njit
-def _blocks(R, N, fresh: bool, changed: bool) -> None:  # type: ignore[no-untyped-def]
-    """Write changed parameters into all groups; where the model starts, clear what is counted."""
+def _write_parameters(R, N) -> None:  # type: ignore[no-untyped-def]
+    """Write the parameters into all groups."""
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
     state, ints = carray(at(R, N[STATE]), N[N_STATE]), carray(at(N, N[INTS]), N[N_INTS])
     for g in range(N[N_GROUPS]):
         B = state[groups[g, BLOCK_START] : groups[g, BLOCK_END]]
-        if changed:
-            J = ints[groups[g, INTS_START] : groups[g, INTS_END]]
-            _apply_parameters(R, N, B, J, g)
-        if fresh:
-            for row in (FAILED, ITERATIONS, OUTSIDE, NEGATIVE, ENERGY_IN, ENERGY_OUT):
-                for lane in range(LANES):
-                    B[row * LANES + lane] = 0.0
+        _apply_parameters(R, N, B, ints[groups[g, INTS_START] : groups[g, INTS_END]], g)
+
+
+@njit
+def _clear_counts(R, N) -> None:  # type: ignore[no-untyped-def]
+    """Clear what is counted in all groups."""
+    groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
+    for g in range(N[N_GROUPS]):
+        B = at(R, N[STATE] + groups[g, BLOCK_START])
+        for row in (FAILED, ITERATIONS, OUTSIDE, NEGATIVE, ENERGY_IN, ENERGY_OUT):
+            for lane in range(LANES):
+                B[row * LANES + lane] = 0.0
 
 
 @njit
@@ -178,7 +185,7 @@ def _give_out(R, N, A) -> int:  # type: ignore[no-untyped-def]
         h_ref = R[N[VECTORS] + (own[P_GROUP] * LANES + own[P_LANE]) * N_CONDITIONS + H_REF]
         excess = wall * wall * wall * wall - B[SURROUNDINGS4 * LANES]
         eps = B[FACTOR_EPS * LANES] * _emissivity(at(R, N[TABLE]), J[EMISSIVITY_TABLE], wall)[0]
-        eps *= emittance_factor(block, ints, A[0], own[P_LANE], 2, wall)
+        eps *= emittance_factor(block, ints, A[0], own[P_LANE], END, wall)
         out[SURFACE], out[BONDLINE] = wall, R[N[STATE] + own[P_BONDLINE]]
         out[RATIO] = B[(FILM + 2) * LANES] / h_ref if h_ref > 0.0 else 0.0
         out[RADIATED] = eps * SIGMA * excess
@@ -209,7 +216,8 @@ def start(R, N, A) -> int:  # type: ignore[no-untyped-def]
     bad = _first_problem(given, at(R, N[RANGES]), n)
     if bad != GOOD:
         return bad
-    _blocks(R, N, True, True)
+    _write_parameters(R, N)
+    _clear_counts(R, N)
     _begin(R, N, A, given, R[NOW])
     for k in range(n):
         R[N[HEATED] + k] = given[k]
@@ -231,7 +239,7 @@ def step(R, N, A) -> int:  # type: ignore[no-untyped-def]
         return 2 * n
     jumped = N[CHANGED] != 0
     if jumped:
-        _blocks(R, N, False, True)
+        _write_parameters(R, N)
     for k in range(n):
         jumped = jumped or R[N[HEATED] + k] != now[k]
     if jumped:

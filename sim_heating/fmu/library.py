@@ -142,20 +142,22 @@ def _forbidden(module: llvm.ModuleRef) -> list[str]:
     return sorted(n for n in called if n not in ALLOWED and ".".join(n.split(".")[:2]) not in intrinsic)
 
 
-def object_code(function: Function, target: Target, level: str, symbol: str) -> bytes:
-    """Object file of a compiled function for a platform and a processor.
+def object_code(functions: Sequence[Function], target: Target, level: str, suffix: str = "") -> bytes:
+    """Object file of compiled functions for a platform and a processor, what they share in it once.
 
-    raises : RunError naming what it calls that a host without Python does not have
+    suffix : of their names in C
+    raises : RunError naming what they call that a host without Python does not have
     """
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
-    module = llvm.parse_assembly(_module_text(function, symbol))
     machine = llvm.Target.from_triple(target.triple).create_target_machine(
         cpu=level, opt=3, reloc="pic", codemodel="default"
     )
+    symbols = [f"{f.name}{suffix}" for f in functions]
+    module = _joined([_module_text(f, s) for f, s in zip(functions, symbols, strict=True)])
     module.triple, module.data_layout = target.triple, str(machine.target_data)
     for value in [*module.functions, *module.global_variables]:
-        if not value.is_declaration and value.name != symbol:
+        if not value.is_declaration and value.name not in symbols:
             value.linkage = "internal"
     options = llvm.create_pipeline_tuning_options(speed_level=3)
     llvm.create_pass_builder(machine, options).getModulePassManager().run(
@@ -163,8 +165,17 @@ def object_code(function: Function, target: Target, level: str, symbol: str) -> 
     )
     forbidden = _forbidden(module)
     if forbidden:
-        raise RunError(f"{function.name}: needs {', '.join(forbidden)}, which a host without Python does not have")
+        names = ", ".join(f.name for f in functions)
+        raise RunError(f"{names}: needs {', '.join(forbidden)}, which a host without Python does not have")
     return bytes(machine.emit_object(module))
+
+
+def _joined(texts: Sequence[str]) -> llvm.ModuleRef:
+    """One module of several."""
+    first, *others = map(llvm.parse_assembly, texts)
+    for other in others:
+        first.link_in(other)
+    return first
 
 
 def sources() -> Path:
@@ -237,13 +248,12 @@ def library(functions: Sequence[Function], target: Target, *, more: str = "") ->
 
 def parts(functions: Sequence[Function], target: Target, folder: Path) -> list[Path]:
     """All that a library is linked from, in a folder: the functions for each processor, their table, the wrapper."""
-    found = [folder / "functions.c"]
-    found[0].write_text(_table_of_functions(functions, target))
-    for function in functions:
-        for k, level in enumerate(target.levels):
-            symbol = f"{function.name}_{k}"
-            found.append(folder / f"{symbol}.o")
-            found[-1].write_bytes(object_code(function, target, level, symbol))
+    table = folder / "functions.c"
+    table.write_text(_table_of_functions(functions, target))
+    found = [table]
+    for k, level in enumerate(target.levels):
+        found.append(folder / f"functions_{k}.o")
+        found[-1].write_bytes(object_code(functions, target, level, f"_{k}"))
     return [*found, *sorted(sources().glob("*.c"))]
 
 

@@ -43,6 +43,7 @@ from sim_heating.layout import (
     E_RIGHT,
     E_STAR,
     E_START,
+    END,
     ENERGY_IN,
     ENERGY_OUT,
     ENTRY,
@@ -129,8 +130,8 @@ def _add_energy(B: FloatArray, weight: float) -> None:
 def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, chain) -> None:  # type: ignore[no-untyped-def]
     """Heat contents and net heat of all nodes with the conditions of stage 2, as a step leaves them."""
     n = J[N_NODES]
-    select_pressure(B, J, 2)
-    evaluate_faces(B, J, table, chain, 2)
+    select_pressure(B, J, END)
+    evaluate_faces(B, J, table, chain, END)
     for lane in range(LANES):
         B[STAGE_IN * LANES + lane] = B[(HEAD_ROWS + SOURCE) * LANES + lane]
         back = (HEAD_ROWS + J[BACK_NODE + lane] * NODE_ROWS) * LANES
@@ -321,7 +322,7 @@ def begin(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> No
     forget_cells(B)
     for lane in range(LANES):
         B[LAG_PAST * LANES + lane] = 0.0
-    heat_lanes(B, J, table, chain, 2)
+    heat_lanes(B, J, table, chain, END)
     evaluate_start(B, J, table, chain)
 
 

@@ -36,6 +36,7 @@ from sim_heating.layout import (
     E_LEFT,
     E_RIGHT,
     E_START,
+    END,
     ENTRY,
     GAPS,
     HEAD_ROWS,
@@ -104,9 +105,9 @@ class Places(NamedTuple):
 def rows_at(B: FloatArray, J: IntArray, table: FloatArray, chain, ddt: float) -> None:  # type: ignore[no-untyped-def]
     """Rows of G = E - ddt F at the temperatures present, with the conditions of stage 2; ddt [s] stands for dt."""
     n = J[N_NODES]
-    heat_lanes(B, J, table, chain, 2)
-    select_pressure(B, J, 2)
-    evaluate_faces(B, J, table, chain, 2)
+    heat_lanes(B, J, table, chain, END)
+    select_pressure(B, J, END)
+    evaluate_faces(B, J, table, chain, END)
     for i in range(n):
         assemble(B, J, table, i, ddt)
     assemble_behind(B, n)
@@ -114,8 +115,8 @@ def rows_at(B: FloatArray, J: IntArray, table: FloatArray, chain, ddt: float) ->
 
 def faces_at(B: FloatArray, J: IntArray, table: FloatArray, chain, ddt: float) -> None:  # type: ignore[no-untyped-def]
     """What enters from outside at the temperatures present, with the conditions of stage 2; ddt is not used."""
-    heat_lanes(B, J, table, chain, 2)
-    evaluate_faces(B, J, table, chain, 2)
+    heat_lanes(B, J, table, chain, END)
+    evaluate_faces(B, J, table, chain, END)
 
 
 @cache
