@@ -152,6 +152,26 @@ def test_a_folder_that_is_not_there_is_told(monkeypatch, tmp_path, capsys):
     assert "nowhere is not a directory" in capsys.readouterr().err
 
 
+def test_study_is_told_of_a_folder_of_effects_that_is_not_there(monkeypatch, tmp_path, capsys):
+    monkeypatch.setenv("SIM_HEATING_EFFECTS", str(tmp_path / "nowhere"))
+    assert main(["validate", str(ROOT / "scenarios" / "studies" / "small_envelope.toml")]) == 2
+    assert "SIM_HEATING_EFFECTS: " in (told := capsys.readouterr().err)
+    assert "nowhere is not a directory" in told
+
+
+def test_an_effect_that_has_the_name_of_another_is_refused_by_its_file(own_folder, capsys):
+    own = scenario("own", EFFECT.format(table="", growth=GROWTH))
+    (own_folder / "again.py").write_text(SOURCE)
+    assert main(["validate", own]) == 2
+    told = capsys.readouterr().err
+    assert "steepness.py: " in told
+    assert "again.py has an effect `own-steepness` already; give yours another name" in told
+    (own_folder / "again.py").write_text(SOURCE.replace("own-steepness", "catalysis"))
+    assert main(["validate", own]) == 2
+    told = capsys.readouterr().err
+    assert "again.py: the package has an effect `catalysis` already; give yours another name" in told
+
+
 def test_the_example_peaks_at_its_mach_number_and_has_a_flight_to_try_it_on(monkeypatch):
     monkeypatch.setenv("SIM_HEATING_EFFECTS", str(ROOT / "examples" / "effects"))
     (hidden,) = load_scenario(ROOT / "examples" / "shock_passage.toml").effects("WING_LE", truth=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sim_heating.batches import Job, run_batches
-from sim_heating.effects import FOLDERS_VARIABLE, effects
+from sim_heating.effects import effects, own_files
 from sim_heating.errors import InputError
 from sim_heating.estimation.result import inputs_hash
 from sim_heating.files import write_csv, write_json
@@ -89,9 +88,8 @@ def job_of(record: Path, out: Path) -> Job:
     except InputError:  # told by the job itself
         inputs = "unreadable"
     digest = hashlib.sha256("|".join([inputs, package_version(), *sorted(effects())]).encode())
-    for folder in filter(None, os.environ.get(FOLDERS_VARIABLE, "").split(os.pathsep)):
-        for path in sorted(Path(folder).glob("*.py")):
-            digest.update(path.read_bytes())
+    for path in own_files():
+        digest.update(path.read_bytes())
     return Job(f"{record.resolve().name}-{digest.hexdigest()[:12]}.json", Task(str(record), str(out)))
 
 

@@ -31,7 +31,7 @@ from sim_heating.files import nearest
 from sim_heating.layout import EFFECT_SLOTS, EFFECT_WIDTH
 from sim_heating.parameters import Parameter
 
-__all__ = ["Effect", "EffectUse", "effect", "effects", "use"]
+__all__ = ["Effect", "EffectUse", "effect", "effects", "own_files", "use"]
 
 FOLDERS_VARIABLE = "SIM_HEATING_EFFECTS"
 
@@ -136,22 +136,39 @@ def _built_in() -> list[Effect]:
     return [m.EFFECT for m in modules if hasattr(m, "EFFECT")]
 
 
-@cache
-def _all(folders: str) -> Mapping[str, Effect]:
-    found = {e.name: e for e in _built_in()}
-    for folder in filter(None, folders.split(os.pathsep)):
-        if not Path(folder).is_dir():
+def own_files() -> tuple[Path, ...]:
+    """Python files of the folders in SIM_HEATING_EFFECTS, in the order in which they are read.
+
+    raises : InputError where one of the folders is none
+    """
+    found: list[Path] = []
+    for folder in map(Path, filter(None, os.environ.get(FOLDERS_VARIABLE, "").split(os.pathsep))):
+        if not folder.is_dir():
             raise InputError(f"{FOLDERS_VARIABLE}: {folder} is not a directory; name one that holds effects")
-        for path in sorted(Path(folder).glob("*.py")):
-            own = _from_file(path)
-            if own is not None:
-                found[own.name] = own
+        found += sorted(folder.glob("*.py"))
+    return tuple(found)
+
+
+@cache
+def _all(files: tuple[Path, ...]) -> Mapping[str, Effect]:
+    found = {e.name: e for e in _built_in()}
+    taken = dict.fromkeys(found, "the package")
+    for path in files:
+        own = _from_file(path)
+        if own is None:
+            continue
+        if own.name in found:
+            raise InputError(f"{path}: {taken[own.name]} has an effect `{own.name}` already; give yours another name")
+        found[own.name], taken[own.name] = own, str(path)
     return found
 
 
 def effects() -> Mapping[str, Effect]:
-    """All effects by name: the package's and those of the folders in SIM_HEATING_EFFECTS."""
-    return _all(os.environ.get(FOLDERS_VARIABLE, ""))
+    """All effects by name: the package's and those of the folders in SIM_HEATING_EFFECTS.
+
+    raises : InputError where a folder is none, or a file of one's own is no effect or has the name of another
+    """
+    return _all(own_files())
 
 
 def effect(name: str) -> Effect:

@@ -29,7 +29,7 @@ from typing import Any
 
 from pydantic import Field, model_validator
 
-from sim_heating.effects import FOLDERS_VARIABLE
+from sim_heating.effects import own_files
 from sim_heating.errors import InputError
 from sim_heating.files import Declared, check, raise_problems, read_toml, shown
 from sim_heating.planning.dispersion_spec import Dispersion
@@ -177,9 +177,8 @@ def _hash(place: Path, declared: StudyFile, base: Scenario) -> str:
     for path in _input_files(base.vehicle.directory):
         digest.update(path.relative_to(base.vehicle.directory).as_posix().encode())
         digest.update(path.read_bytes())
-    for folder in filter(None, os.environ.get(FOLDERS_VARIABLE, "").split(os.pathsep)):
-        for path in sorted(Path(folder).glob("*.py")):
-            digest.update(path.read_bytes())
+    for path in own_files():
+        digest.update(path.read_bytes())
     return digest.hexdigest()[:HASH_LENGTH]
 
 
