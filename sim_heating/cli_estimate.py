@@ -148,6 +148,8 @@ def estimate(
     """Estimate heating and thermal parameters from the thermocouples of flight records, jointly, with bounds."""
     noise = _process_noise(node_noise, ratio_noise)
     if segments is not None:
+        if not 0.0 < segments < float("inf"):
+            raise InputError(f"--segments {segments:g}: is not a length in s; give one above 0, as 5")
         if noise is not None:
             raise InputError("--segments: short segments are fitted without noise of the process; leave one out")
         _estimate_trend(records, out, parameters, fit, segments)
@@ -202,6 +204,8 @@ def _estimate_trend(
     CONSOLE.print(f"{len(found.segments)} segments of {length_s:g} s fitted, {len(found.left_out)} left out")
     for line in found.left_out[:3]:
         CONSOLE.print(f"left out: {line}", highlight=False)
+    for line in found.warnings:
+        CONSOLE.print(f"[red]{line}[/red]", highlight=False)
     tell_files(out, names)
 
 

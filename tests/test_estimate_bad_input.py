@@ -53,7 +53,7 @@ def told(capsys, *arguments: object) -> tuple[int, str]:
         (["--start", "profil:600"], "`profil` is no way to start. Nearest: `profile`"),
         (["--start", "profile:soon"], "`soon` is not a time in s"),
         (["--start", "profile:9999"], "a start at 9999 s lies outside the conditions (0 to 1453 s)"),
-        (["--segments", "-3"], "a length of -3 s; give one above 0"),
+        (["--segments", "-3"], "--segments -3: is not a length in s; give one above 0"),
     ],
 )
 def test_request_that_cannot_be_is_answered_in_a_line(capsys, tmp_path, arguments, line):

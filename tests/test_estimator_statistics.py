@@ -11,10 +11,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import binom
+from walls import practice_record
 
 from benchmarks.estimator_cases import CASES, record_of, repeatable
 from benchmarks.estimator_statistics import Repetitions, repeat
-from sim_heating.estimation.problem import LONGEST_STEP_S, Problem, joint_reference, march_times, on_mesh
+from sim_heating.estimation.mesh_correction import on_mesh
+from sim_heating.estimation.problem import LONGEST_STEP_S, Problem, joint_reference, march_times
+from sim_heating.estimation.sequence import state_at
+from sim_heating.record import Record
 from sim_heating.thermal.mesh import refined
 
 TRIALS = 50
@@ -65,6 +69,44 @@ def test_a_coarse_mesh_corrected_predicts_like_a_fine_one() -> None:
     coarse.correct_meshes(at)
     assert before > 0.2
     assert max(errors()) < 0.1 * before
+
+
+def mid_entry(nodes: int, at_s: float, profile: int) -> Problem:
+    """A tile from a time within its entry on, declared with so many nodes and the temperatures there at so many
+    depths."""
+    record = practice_record("p06")[0]
+
+    def declared(of: Record, **changes: object) -> Record:
+        stack = of.declared.stack.model_copy(update=changes)
+        return replace(of, declared=of.declared.model_copy(update={"stack": stack}))
+
+    whole = Problem([declared(record, nodes=100)], ["ratio.scale"], joint_reference([record])).parts[0]
+    depth_m = np.linspace(0.0, whole.mesh.depth_m[-1], profile)
+    then_K = np.interp(depth_m, whole.mesh.depth_m, state_at(whole, np.zeros(1), at_s)[0])
+    begun = declared(record, nodes=nodes, initial="profile", initial_profile=np.column_stack([depth_m, then_K]).tolist())
+    flown = record.conditions.at(np.append(at_s, record.conditions.time_s[record.conditions.time_s > at_s]))
+    fitted = replace(begun, conditions=flown).with_fit([[at_s + 1.0, at_s + 250.0]])
+    return Problem([fitted], ["ratio.scale"], joint_reference([record]))
+
+
+@pytest.mark.parametrize("nodes", [8, 10, 14])
+def test_mesh_of_few_nodes_that_starts_from_a_profile_is_corrected_to_the_exact_march(nodes: int) -> None:
+    at, problem, exact = np.zeros(1), mid_entry(nodes, 300.0, 400), mid_entry(100, 300.0, 400)
+    before = problem.samples(at)
+    for p in (problem, exact):
+        p.correct_meshes(at)
+    pairs = list(zip(before, problem.samples(at), exact.samples(at), strict=True))
+    assert max(np.max(np.abs(b.mean_K - e.mean_K)) for b, _, e in pairs) > 0.2
+    assert max(np.max(np.abs(s.mean_K - e.mean_K)) for _, s, e in pairs) < 0.05
+    assert bool(problem.mesh_lines) == (nodes < 14)
+    assert not exact.mesh_lines
+
+
+def test_fit_on_a_mesh_that_cannot_be_corrected_says_so() -> None:
+    problem = mid_entry(8, 60.0, 3)  # a fall of hundreds of kelvin that begins at the surface
+    problem.correct_meshes(np.zeros(1))
+    (told,) = problem.mesh_lines
+    assert told.startswith("p06: the mesh of 8 nodes could not be corrected, and predictions keep its error")
 
 
 def test_a_profile_on_halved_elements_is_the_same_between_the_nodes() -> None:

@@ -289,6 +289,7 @@ def outside_lines(parts: Sequence[Part]) -> list[str]:
 def warnings(problem: Problem, fit: Fit, samples: Sequence[Samples]) -> list[str]:
     """What a person should know of a fit: no convergence, bounds, directions, a coating that is a clock."""
     found = [] if fit.status is Status.CONVERGED else [fit.status.value]
+    found += problem.mesh_lines
     for u, value, on in zip(problem.unknowns, fit.values, fit.on_bound, strict=True):
         if on:
             found.append(f"{u.label} is on its bound, {value:g}")

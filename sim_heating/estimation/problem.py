@@ -23,6 +23,7 @@ from sim_heating.effects import EffectUse
 from sim_heating.ensemble import PointModel, condition_history, initial_temperatures
 from sim_heating.errors import InputError, RunError
 from sim_heating.estimation.likelihood import scores
+from sim_heating.estimation.mesh_correction import correct_mesh, on_mesh
 from sim_heating.estimation.newton import Evaluation
 from sim_heating.estimation.noise import estimate_noise
 from sim_heating.estimation.observation import Channel, channels, definition, indicated, least_sigma_K
@@ -110,6 +111,7 @@ class Part:
     index      : (unknown of the part,) place of each in the parameter vector: marched, start, other
     time_s     : (step,) the march;  sample_s : (sample,) times that are read
     correction_K : (sensor, sample) what a mesh without error adds to the march (Problem.correct_meshes)
+    mesh_told  : what a person should know of it, or nothing
     """
 
     record: Record
@@ -125,6 +127,7 @@ class Part:
     channels: list[Channel] = field(default_factory=list)
     sigma_K: dict[int, float] = field(default_factory=dict)
     correction_K: FloatArray | float = 0.0
+    mesh_told: str = ""
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -428,29 +431,17 @@ class Problem:
     # The mesh --------------------------------------------------------------------------------------------------------
 
     def correct_meshes(self, vector: FloatArray) -> None:
-        """Take the error of the meshes out of all predictions from now on: 4/3 of what halving every element changes.
+        """Take the error of the meshes out of all predictions from now on (mesh_correction.py).
 
         Many samples tell a parameter better than a mesh that is good to a fraction of one sample's noise. What the
-        correction changes with the parameters is left out: make it near the values found. There is none where the
-        refined mesh cannot be marched.
+        correction changes with the parameters is left out: make it near the values found.
         """
+        in_threads(lambda k: correct_mesh(self.parts[k], vector), len(self.parts))
 
-        def one(k: int) -> None:
-            part = self.parts[k]
-            model, fine = part.altered(vector), refined(part.mesh)
-            tracks = [
-                Track(model, part.mesh, (), part.sample_s, initial_K=part.initial_K(vector)),
-                Track(model, fine, (), part.sample_s, initial_K=part.refined_K(vector)),
-            ]
-            history = condition_history(part.conditions.at(part.time_s))[np.newaxis]
-            try:
-                found = LinearMarch(tracks, part.time_s, history).march([part.shift_s(vector)] * len(tracks))
-            except RunError:
-                part.correction_K = 0.0
-            else:
-                part.correction_K = 4.0 / 3.0 * (found[1].temperature_K - found[0].temperature_K)
-
-        in_threads(one, len(self.parts))
+    @property
+    def mesh_lines(self) -> list[str]:
+        """What a person should know of the corrections."""
+        return [part.mesh_told for part in self.parts if part.mesh_told]
 
     # Noise -----------------------------------------------------------------------------------------------------------
 
@@ -505,12 +496,6 @@ def march_times(
     first = np.repeat(np.cumsum(pieces) - pieces, pieces)
     within = (np.arange(pieces.sum()) - first) * np.repeat(span / pieces, pieces)
     return np.append(np.repeat(knots[:-1], pieces) + within, knots[-1])
-
-
-def on_mesh(profile: FloatArray, mesh: Mesh, other: Mesh) -> FloatArray:
-    """(node,) temperatures [K] of one mesh on another of the same elements or parts of them, linear between nodes."""
-    at, wanted = (np.concatenate(([0.0], np.cumsum(m.length_m))) for m in (mesh, other))
-    return np.interp(wanted, at, profile)
 
 
 R = TypeVar("R")

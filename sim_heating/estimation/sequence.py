@@ -57,12 +57,13 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class Trend:
-    """Short segments of a record, and why some of its time has none."""
+    """Short segments of a record, why some of its time has none, and what else a person should know."""
 
     record: Record
     names: tuple[str, ...]
     segments: tuple[Segment, ...]
     left_out: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
 
 
 def trend(
@@ -78,10 +79,10 @@ def trend(
     raises   : InputError where no segment has enough samples
     """
     if not 0.0 < length_s < np.inf:
-        raise InputError(f"segments: a length of {length_s:g} s; give one above 0")
+        raise InputError(f"trend: segments of {length_s:g} s; give a length above 0")
     chosen = tuple(names) if names is not None else default_names([record])[:1]
     windows = _windows(record, length_s)
-    found, left_out = [], []
+    found, left_out, meshes = [], [], []
     start, last = None, None
     for k, (begin, end) in enumerate(windows):
         progress(k / len(windows), f"segments: {k + 1} of {len(windows)}, {begin:.0f} to {end:.0f} s")
@@ -97,6 +98,7 @@ def trend(
         fit = maximise(problem.evaluate, problem.parameters, first, problem.log_likelihoods)
         if fit.converged:
             problem.correct_meshes(fit.values)
+            meshes += problem.mesh_lines
             fit = maximise(problem.evaluate, problem.parameters, fit.values, problem.log_likelihoods)
         if not fit.converged or not np.all(np.isfinite(fit.covariance)):
             left_out.append(f"{begin:g} to {end:g} s: {fit.words()[0]}")
@@ -105,7 +107,7 @@ def trend(
         found.append(_segment(record, problem, fit, begin, end, count))
     if not found:
         raise InputError(f"{record.name}: no segment of {length_s:g} s can be fitted; {left_out[0]}")
-    return Trend(record, chosen, tuple(found), tuple(left_out))
+    return Trend(record, chosen, tuple(found), tuple(left_out), tuple(meshes[:1]))
 
 
 def _windows(record: Record, length_s: float) -> list[tuple[float, float]]:
