@@ -8,11 +8,13 @@ step, and a vector of heating parameters.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 LANES = 8
-END = np.int64(2)
+END: Any = np.int64(2)
 """Stage at the end of a step. A plain 2 would have what takes a stage compiled a second time, for 2 alone."""
 
 # Flight conditions of a lane, in contract units (conditions.py); the first five are the variables of a ratio table.

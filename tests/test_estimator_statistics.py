@@ -83,7 +83,8 @@ def mid_entry(nodes: int, at_s: float, profile: int) -> Problem:
     whole = Problem([declared(record, nodes=100)], ["ratio.scale"], joint_reference([record])).parts[0]
     depth_m = np.linspace(0.0, whole.mesh.depth_m[-1], profile)
     then_K = np.interp(depth_m, whole.mesh.depth_m, state_at(whole, np.zeros(1), at_s)[0])
-    begun = declared(record, nodes=nodes, initial="profile", initial_profile=np.column_stack([depth_m, then_K]).tolist())
+    start = np.column_stack([depth_m, then_K]).tolist()
+    begun = declared(record, nodes=nodes, initial="profile", initial_profile=start)
     flown = record.conditions.at(np.append(at_s, record.conditions.time_s[record.conditions.time_s > at_s]))
     fitted = replace(begun, conditions=flown).with_fit([[at_s + 1.0, at_s + 250.0]])
     return Problem([fitted], ["ratio.scale"], joint_reference([record]))
