@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +58,7 @@ def _recorded(entry: JSBSimEntry) -> list[FloatArray]:
     return frames
 
 
-def _replay(heating: JSBSimHeating, frames: list[FloatArray]) -> None:
+def _replay(heating: Callable[[FloatArray], object], frames: list[FloatArray]) -> None:
     for frame in frames:
         heating(frame)
 
@@ -104,15 +104,20 @@ def run() -> list[Figure]:
     every = _plugin(scenario, 0.0)
     entry = _entry(scenario)
     heating, heating_every = JSBSimHeating(entry.host, plugin), JSBSimHeating(entry.host, every)
-    _fly(entry, lambda frame: (heating(frame), heating_every(frame))[0], AIRBORNE_S)
+
+    def heat_both(frame: FloatArray) -> None:
+        heating(frame)
+        heating_every(frame)
+
+    _fly(entry, heat_both, AIRBORNE_S)
     frames = _recorded(entry)
     before, before_every = plugin.snapshot(), every.snapshot()
     replays = in_turn(
         {
             "read": lambda: [entry.host.read_frame() for _ in range(FRAMES)],
             "heating": lambda: _replay(heating, frames),
-            "plug-in": lambda: [plugin.step(frame) for frame in frames],
-            "every": lambda: [every.step(frame) for frame in frames],
+            "plug-in": lambda: _replay(plugin.step, frames),
+            "every": lambda: _replay(every.step, frames),
         },
         ROUNDS,
         {

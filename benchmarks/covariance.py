@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from benchmarks.covariance_approximations import APPROXIMATIONS, Case
 from benchmarks.covariance_approximations import fitted as fitted_with
-from benchmarks.measure import Figure, in_turn, save
+from benchmarks.measure import Figure, Task, in_turn, save
 from benchmarks.problems import RECORD, plug
 from sim_heating.ensemble import Ensemble, PointModel, condition_history
 from sim_heating.filter_march import Filtered, FilterMarch, FilterTrack, samples_on_grid
@@ -140,7 +140,7 @@ def differenced(time_s: FloatArray, history: FloatArray, start_K: FloatArray) ->
 def costs(time_s: FloatArray, history: FloatArray, start_K: FloatArray, points: list[FilterTrack]) -> list[Figure]:
     """Times of a full group of repetitions, and how they grow with the nodes."""
     steps, model, group = len(time_s) - 1, point(), points[:LANES]
-    tasks = {
+    tasks: dict[str, Task] = {
         how: FilterMarch([altered(p, how, time_s[0]) for p in group], time_s, history).filter
         for how in ("whole", "held")
     }

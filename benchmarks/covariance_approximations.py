@@ -92,7 +92,7 @@ def gain_of(P: FloatArray, case: Case) -> Gain:
     """Of a covariance (run, node, node) before the readings of a step."""
     cross = P[:, :, case.sensors]
     S = cross[:, case.sensors, :] + case.noise_K2 * np.eye(len(case.sensors))
-    return np.linalg.solve(S, cross.transpose(0, 2, 1)).transpose(0, 2, 1), S
+    return np.asarray(np.linalg.solve(S, cross.transpose(0, 2, 1)).transpose(0, 2, 1), dtype=np.float64), S
 
 
 def updated(P: FloatArray, case: Case, readings: int = 1) -> FloatArray:

@@ -10,6 +10,7 @@ import numpy as np
 from benchmarks.ode import FloatArray, Kinked, System
 from sim_heating.thermal.faces import SIGMA
 
+casadi: Any
 try:
     import casadi
 except ImportError:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from dataclasses import replace
+from functools import partial
 from multiprocessing import get_context
 from multiprocessing.synchronize import Barrier
 from multiprocessing.synchronize import Event as EventType
@@ -198,8 +199,12 @@ def the_joint_fit() -> list[Figure]:
         fit.iteration(1)
         asked.clear()
 
-    tasks = {"one": lambda: fit.iteration(1), "two": lambda: fit.iteration(2), "beside": beside}
-    pause = {"one": lambda: time.sleep(REST_S), "beside": lambda: (asked.set(), time.sleep(REST_S))}
+    def rest_asked() -> None:
+        asked.set()
+        time.sleep(REST_S)
+
+    tasks: dict[str, Task] = {"one": lambda: fit.iteration(1), "two": lambda: fit.iteration(2), "beside": beside}
+    pause: dict[str, Task] = {"one": partial(time.sleep, REST_S), "beside": rest_asked}
     load = os.getloadavg()[0]
     times = in_turn(tasks, ROUNDS, pause)
     done.set()

@@ -73,8 +73,8 @@ def _frames(step_s: float, count: int, start_s: float = 300.0) -> np.ndarray:
 
 def _host(work: Path) -> Path:
     host = work / "host"
-    command = ["gcc", "-std=c11", "-O2", f"-I{sources()}", "-o", host, sources() / "host" / "host.c", "-ldl"]
-    subprocess.run(command, check=True)
+    source = str(sources() / "host" / "host.c")
+    subprocess.run(["gcc", "-std=c11", "-O2", f"-I{sources()}", "-o", str(host), source, "-ldl"], check=True)
     return host
 
 

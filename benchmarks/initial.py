@@ -71,8 +71,8 @@ def compare(name: str) -> dict[str, Result]:
         own = {n: float(s) for n, s in zip(fit.labels, fit.bounds.sigma, strict=True) if n.startswith("ratio.")}
         best = best or own
         error = {n: float(fit.fit.values[fit.labels.index(n)]) - truth["parameters"].get(n, 0.0) for n in own}
-        over = ({n: e / sigma[n] for n, e in error.items() if n in sigma} for sigma in (best, own))
-        found[way] = Result(*over, seconds)
+        over_best, over_own = ({n: e / sigma[n] for n, e in error.items() if n in sigma} for sigma in (best, own))
+        found[way] = Result(over_best, over_own, seconds)
     return found
 
 

@@ -169,8 +169,8 @@ def physical(record: Record, *, k: bool = False, cp: bool = False) -> Record:
         changed["conductivity_W_mK"] = np.column_stack([at, gas(at) + a + b * (1e-3 * at) ** 3]).tolist()
     if cp:
         T, c = np.array(read_toml_dict(SILICA)["specific_heat_J_kgK"]).T
-        at, own = board.specific_heat_J_kgK[0]
-        changed["specific_heat_J_kgK"] = np.column_stack([T, c * own / np.interp(at, T, c)]).tolist()
+        at_K, own = board.specific_heat_J_kgK[0]
+        changed["specific_heat_J_kgK"] = np.column_stack([T, c * own / np.interp(at_K, T, c)]).tolist()
     materials = record.declared.materials | {MATERIAL: board.model_copy(update=changed)}
     return replace(record, declared=record.declared.model_copy(update={"materials": materials}))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -105,7 +106,7 @@ def _in_time() -> tuple[dict[str, list[Run]], float]:
     for name, (method, compiled, tolerances) in SCIPY.items():
         runs[name] = []
         for tolerance in tolerances:
-            out, seconds = _timed(lambda m=method, c=compiled, t=tolerance: _scipy(system, m, t, outputs_s, c), 1)
+            out, seconds = _timed(partial(_scipy, system, method, tolerance, outputs_s, compiled), 1)
             runs[name].append(Run(tolerance, float(np.max(np.abs(out - reference))), seconds))
     if cvodes.casadi is not None:
         runs |= _cvodes(system, outputs_s, reference)
@@ -120,7 +121,7 @@ def _cvodes(system: System, outputs_s: FloatArray, reference: FloatArray) -> dic
         exact = reference if mixing else solve(REFERENCE_TOLERANCE)
         runs[name] = []
         for tolerance in CVODES_TOLERANCES:
-            out, seconds = _timed(lambda s=solve, t=tolerance: s(t), 3)
+            out, seconds = _timed(partial(solve, tolerance), 3)
             runs[name].append(Run(tolerance, float(np.max(np.abs(out - exact))), seconds))
     return runs
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import shutil
 import subprocess
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,7 +44,7 @@ STRICT = ("-O3", "-march=native", "-fopenmp-simd", "-ffp-contract=off", "-fno-ma
 FAST = ("-Ofast", "-march=native", "-fopenmp-simd")
 BIN_K, BINS = 5.0, 600
 """Bins by which march.c finds a segment."""
-EDGES_K = BIN_K * np.arange(BINS + 1)
+EDGES_K: FloatArray = BIN_K * np.arange(BINS + 1, dtype=np.float64)
 
 
 def compiler() -> str | None:
@@ -180,7 +181,7 @@ class Peer:
         """The same with the heating of stages 1 and 2 of each step given, (time, 2, 5, LANES), equal for all groups."""
         self._run(self._library.march_heated, time_s, heating)
 
-    def _run(self, function: ctypes._CFuncPtr, time_s: FloatArray, driving: FloatArray) -> None:
+    def _run(self, function: Callable[..., object], time_s: FloatArray, driving: FloatArray) -> None:
         for group in self._groups:
             function(
                 ctypes.c_void_p(group[1]), ctypes.c_void_p(_address(time_s)), ctypes.c_void_p(_address(driving)),
