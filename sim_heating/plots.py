@@ -71,6 +71,11 @@ def dress(figure: Figure, title: str, axes: np.ndarray) -> None:
         figure.suptitle("\n".join(textwrap.fill(line, width) for line in title.splitlines()), fontsize=12)
 
 
+def legend_above(axes: Axes) -> None:
+    """A legend in rows above the axes, where it covers nothing that is drawn."""
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=8, frameon=False, borderaxespad=0.1)
+
+
 def _shade(axes: Axes, windows: Sequence[Window]) -> None:
     for window in windows:
         axes.axvspan(window.start_s, window.end_s, color="tab:orange", alpha=0.18, linewidth=0)

@@ -19,7 +19,7 @@ from sim_heating.estimation.observation import Channel
 from sim_heating.estimation.plots import AFTER, plot_flown
 from sim_heating.estimation.problem import Part
 from sim_heating.files import write_csv
-from sim_heating.plots import MEASURED, new_figure, save_figure
+from sim_heating.plots import MEASURED, legend_above, new_figure, save_figure
 from sim_heating.smoothing import Smoothed, smooth
 
 FloatArray = NDArray[np.float64]
@@ -109,7 +109,7 @@ def draw_filtered(path: Path, found: FilteredHistory) -> None:
     figure, axes = new_figure(9.5, 1.7 * rows + 0.8, rows, sharex=True, height_ratios=heights)
     for a, s in zip(axes, shown, strict=False):
         _plot_sensor(a, s)
-    axes[0].legend(fontsize=8, loc="best", ncols=2)
+    legend_above(axes[0])
     if found.disturbed:
         a, smoothed = axes[len(shown)], found.smoothed
         _band(a, smoothed.time_s, smoothed.ratio, smoothed.ratio_sigma, SMOOTHED, step="post", drawstyle="steps-post")

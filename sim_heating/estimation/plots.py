@@ -14,7 +14,7 @@ from sim_heating.conditions import Conditions
 from sim_heating.estimation.sequence import Trend
 from sim_heating.heating_ratio.kernel import table_ratios_at
 from sim_heating.layout import LOG10_RE
-from sim_heating.plots import ANGLES, MEASURED, new_figure, save_figure
+from sim_heating.plots import ANGLES, MEASURED, legend_above, new_figure, save_figure
 from sim_heating.predict import Prediction
 from sim_heating.record import Record, pooled_rmse_K
 
@@ -55,7 +55,7 @@ def fit_figure(record: Record, curves: Sequence[tuple[Prediction, str, str]]) ->
         lower.set_ylim(-1.3 * spread - 1.0, 1.3 * spread + 1.0)
         upper.set_ylabel(f"{record.sensors[i].name}\nindicated, K")
         lower.set_ylabel("residual, K")
-        upper.legend(fontsize=8, loc="best")
+        legend_above(upper)
     plot_flown(axes[-1], record.conditions, t[0], t[-1])
     axes[-1].set_xlabel("time, s" + ("; shaded: held out" if record.declared.segments.holdout else ""))
     for a in axes:
@@ -90,7 +90,7 @@ def plot_flown(a: Axes, whole: Conditions, start_s: float, end_s: float) -> None
         a.plot(flown.time_s, flown[LAMP] / 1e3, color="tab:red", label="known flux", linewidth=1.1)
         a.set_ylabel("kW/m2")
     if a.lines:
-        a.legend(fontsize=8, loc="best", ncols=2)
+        legend_above(a)
 
 
 def draw_trend(path: Path, found: Trend) -> None:
