@@ -46,7 +46,8 @@ def plan(study: Path, out: Path, scheduler: str | None, workers: int | None, veh
 def _shown(table: Any) -> Table:
     shown = Table(title=table.caption, title_justify="left")
     for i, head in enumerate(table.heads):
-        shown.add_column(head, justify="left" if i == 0 else "right")
+        is_text = i == 0 or i in table.words
+        shown.add_column(head, justify="left" if is_text else "right", overflow="fold", no_wrap=i == 0)
     for row in table.rows:
         shown.add_row(*row)
     return shown

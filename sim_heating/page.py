@@ -30,13 +30,14 @@ RASTER_DPI = 130
 class Table:
     """Rows of text under their heads; the first column is text, the others stand right.
 
-    strong : numbers of the rows that are marked
+    strong : numbers of the rows that are marked;  words : of further columns that are text
     """
 
     heads: Sequence[str]
     rows: Sequence[Sequence[str]]
     caption: str = ""
     strong: Sequence[int] = ()
+    words: Sequence[int] = ()
 
 
 @dataclass(frozen=True)

@@ -370,7 +370,6 @@ def test_a_trim_that_the_elevon_does_not_reach_is_told_and_not_called_safe(tmp_p
     [
         ('name = "vehicle.cg_fraction"\nsigma = 0.01', "outside 0.65 to 0.675"),
         ('name = "air.density"\nsigma = 1.0\nover = [[0.0, 0.5]]', "makes a factor of"),
-        ('name = "stack.emisivity_factor"\nsigma = 0.1', "Nearest: `stack.emissivity_factor`"),
         ('name = "stack.emissivity_factor"\nsigma = 0.4', "leaves 0 to 1.5"),
         ('name = "ratio.d_alpha"\nsigma = 0.4', "the sigma of the tables says how they err"),
         ('name = "effect.transition.log10_re_onset"\nsigma = 0.1', "there is no parameter"),
@@ -387,6 +386,8 @@ def test_inputs_that_cannot_be_are_told_before_any_flight(tmp_path, text, told):
     ("text", "told"),
     [
         ('name = "entry.gamma_deg"', "give sigma, or low and high"),
+        ('name = "entry.gama_deg"\nsigma = 0.1', "there is no input `entry.gama_deg`. Nearest: `entry.gamma_deg`"),
+        ('name = "stack.emisivity_factor"\nsigma = 0.1', "Nearest: `stack.emissivity_factor`"),
         ('name = "air.density"\nsigma = 1.0', "give `over`"),
         ('name = "entry.gamma_deg"\nsigma = 1.0\nover = [[0.0, 1.0]]', "goes with air.density"),
         ('name = "entry.gamma_deg"\nsigma = 1.0\ncontrol_points = ["NOSECAP"]', "is of the flight"),
@@ -396,6 +397,22 @@ def test_an_input_that_is_declared_wrongly_is_refused_with_its_place(tmp_path, t
     why = refusal(tmp_path, text)
     assert told in why
     assert "[dispersion.input]" in why
+
+
+def test_every_input_is_told_in_words_with_its_size_and_unit(tmp_path):
+    wave = '[[dispersion.input]]\nname = "air.density"\nsigma = 2.0\nover = [[0.0, 0.0], [60000.0, -0.04]]\n{}'
+    entry = entry_of(tmp_path, FLIGHT + wave.format('title = "a wave"\n') + THERMAL, tables=1.0)
+    assert entry.words == [
+        ("path angle at entry", "sigma 0.02 deg"),
+        ("density, relative (profile 1)", "sigma 0.08 at most"),
+        ("wind to the east", "-20 to 20 m/s at most"),
+        ("mass", "sigma 400 kg"),
+        ("density, relative (a wave)", "sigma 0.08 at most"),
+        ("stack.emissivity_factor", "sigma 0.02"),
+        ("stack.rsi.conductivity_factor", "sigma 0.05"),
+        ("ratio tables", "their own sigma"),
+    ]
+    assert len(entry.words) == len(entry.groups)
 
 
 @pytest.mark.parametrize("path", sorted((SCENARIOS / "studies").glob("dispersed_*.toml")), ids=lambda p: p.stem)

@@ -13,12 +13,13 @@ from studies import entry_3dof
 
 from sim_heating.cli import main
 from sim_heating.conditions import Conditions
-from sim_heating.files import read_csv_columns, read_json
+from sim_heating.files import files_made, read_csv_columns, read_json
 from sim_heating.heating_ratio.table import RatioTable, read_ratio_table, write_ratio_table
 from sim_heating.linear_march import LinearMarch, Track
 from sim_heating.planning.case import Base, Case, Flown, alpha_schedule, cross_range_km
 from sim_heating.planning.margins import Evaluated, Judge
 from sim_heating.planning.optimal_spec import LimitedPoint
+from sim_heating.planning.plan import parts_of
 from sim_heating.planning.study import load_study
 from sim_heating.planning.table_errors import informed_root, peaks
 from sim_heating.points import conditions_at_point, histories
@@ -119,7 +120,7 @@ def test_a_trim_that_the_elevon_does_not_reach_is_told_by_how_much() -> None:
 
 def test_outside_a_table_is_told_with_variable_and_distance() -> None:
     found = evaluated(Case(cg_fraction=0.65, bodyflap_deg=22.5))
-    m = found.margins["BODYFLAP ratio table, elevon_deg below -10"]
+    m = found.margins["BODYFLAP ratio table, elevon below -10 deg"]
     assert m.margin == pytest.approx(m.value + 10.0)
     assert m.margin < 0.0
     assert any(line.startswith("BODYFLAP: elevon_deg up to") for line in found.outside)
@@ -331,6 +332,13 @@ def test_every_file_names_vehicle_revision_and_study(planned: Path) -> None:
         assert (out / "envelope" / f"{name}.png").stat().st_size > 10_000
 
 
+def test_a_study_says_before_it_is_done_which_files_it_may_write(planned: Path) -> None:
+    """So that a file of someone else's that is in the way is told before the work."""
+    study = load_study(planned / "study.toml", planned / "later" / "orbiter")
+    announced = {name for part in parts_of(study).values() for name in part.files(study)}
+    assert files_made(planned / "out") - {"study.json", "report.html"} == announced
+
+
 @pytest.mark.parametrize("name", ["alpha_expansion", "cg_expansion", "small_envelope"])
 def test_shipped_studies_are_good(name: str) -> None:
     study = load_study(ROOT / "scenarios" / "studies" / f"{name}.toml")
@@ -351,6 +359,11 @@ def test_shipped_studies_are_good(name: str) -> None:
         ("values = [-14.0, -6.0, 0.0]", "values = [0.0, -6.0]", "must rise"),
         ('control_points = ["V07T9975"]\n[[next', 'control_points = ["NOSECAP"]\n[[next', "`NOSECAP` is not among"),
         ('along = "drag_factor"', 'along = "drag_factor"\nfamily = "cm_shift"', "give both or neither"),
+        ("at = [1.0]", "at = [-0.5, 1.0]", "`along`: drag_factor -0.5 must be above 0"),
+        ("at = [1.0]", "at = [1.0]\nfixed = { cg_fraction = 1.5 }", "cg_fraction 1.5 must be between 0 and 1"),
+        ('along = "drag_factor"', 'along = "alpha_offset_deg"', "is given by `along` and by `across`"),
+        ('along = "drag_factor"', 'along = "station_alpha_deg"', "is held about `alpha_station`: give both"),
+        ("axes = { alpha", "fixed = { alpha_offset_deg = 1.0 }\naxes = { alpha", "is given by `axes` and by `fixed`"),
     ],
 )
 def test_a_study_that_asks_for_what_there_is_not_is_refused_in_one_line(
@@ -361,4 +374,5 @@ def test_a_study_that_asks_for_what_there_is_not_is_refused_in_one_line(
     assert main(["plan", str(tmp_path / "study.toml"), "--out", str(tmp_path / "out"), "--workers", "1"]) == 2
     errors = capsys.readouterr().err.strip().splitlines()
     assert any(told in line for line in errors)
-    assert not (tmp_path / "out" / "study.json").exists()
+    assert all(str(tmp_path / "study.toml") in line for line in errors)
+    assert not (tmp_path / "out").exists()

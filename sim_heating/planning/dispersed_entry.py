@@ -138,6 +138,17 @@ class DispersedEntry:
         return [*single, *([("ratio tables", tables)] if tables else [])]
 
     @cached_property
+    def words(self) -> list[tuple[str, str]]:
+        """What the groups are, and how large with their unit."""
+        several = {i.name for i, label in zip(self.inputs, self.labels, strict=True) if label == f"{i.name}#1"}
+        told = []
+        for i, label, places in zip(self.inputs, self.labels, self.places, strict=True):
+            named = i.title or (f"profile {int(label.rpartition('#')[2]) + 1}" if i.name in several else "")
+            unit = self.lanes.models[places[0][0]].definition(i.name).unit if places else "1"
+            told.append(i.model_copy(update={"title": named}).told(unit))
+        return [*told, ("ratio tables", "their own sigma")][: len(self.groups)]
+
+    @cached_property
     def meshes(self) -> list[Mesh]:
         """Of each point the coarsest mesh whose peaks along the planned flight are right to MESH_TOLERANCE_K."""
         models = [bare_model(self.study.vehicle, p, e) for p, e in zip(self.points, self.effects, strict=True)]

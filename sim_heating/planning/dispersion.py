@@ -243,6 +243,7 @@ def data_of(found: Dispersed) -> dict[str, Any]:
     return {
         "flights": spec.flights, "sampling": spec.sampling, "scrambles": spec.scrambles, "seed": spec.seed,
         "confidence": spec.confidence, "dimensions": entry.dimensions,
+        "inputs": dict(zip(names, map(", ".join, entry.words), strict=True)),
         "bounds": BOUNDS[spec.sampling],
         "steps": {"flight_s": spec.step_s, "thermal_s": spec.thermal_step_s},
         "nodes": {p.point.name: mesh.nodes for p, mesh in zip(entry.points, entry.meshes, strict=True)},
@@ -323,8 +324,9 @@ def notes_of(found: Dispersed) -> list[str]:
         by_variable.setdefault(o.variable, []).append(o)
     for variable, some in by_variable.items():
         worst = max(some, key=lambda o: o.farthest)
+        whose = _which([o.point for o in some], len(found.entry.points), "control points")
         lines.append(
-            f"{variable} lies outside the ratio tables of {', '.join(o.point for o in some)}: {worst.farthest:.3g} "
+            f"{variable} lies outside the ratio tables of {whose}: {worst.farthest:.3g} "
             f"beyond at most, in {max(o.flights for o in some)} of {n} flights; edge values held there, and these "
             "flights are not called safe"
         )
@@ -334,7 +336,9 @@ def notes_of(found: Dispersed) -> list[str]:
             f"trim: the elevon is at an end of its travel in {np.count_nonzero(untrimmed > 0.0)} of {n} flights, for "
             f"{np.max(untrimmed):.0f} s at most; not trimmed there, and these flights are not called safe"
         )
-    if found.checks is not None:
+    if found.checks is not None and np.all(np.isnan(found.checks.largest_K)):
+        lines.append("six degrees of freedom: none of the flights came to its end there; nothing is compared")
+    elif found.checks is not None:
         surface, bondline = (float(np.max(found.checks.largest_K[k])) for k in (0, 1))
         lines.append(
             f"{len(found.checks.apart_K)} flights again in six degrees of freedom: peaks agree within {surface:.1f} K "
@@ -342,5 +346,10 @@ def notes_of(found: Dispersed) -> list[str]:
         )
     fails = [f"{a.point} {place_of(a)}" for a in found.answers if not a.first["holds"]]
     if fails:
-        lines.append(f"first order does not give the counted quantiles of {', '.join(fails)}")
+        lines.append(f"first order does not give the counted quantiles of {_which(fails, len(found.answers), 'peaks')}")
     return lines
+
+
+def _which(names: Sequence[str], of: int, what: str) -> str:
+    """Names, or that it is all of them."""
+    return f"all {of} {what}" if len(names) == of > 1 else ", ".join(names)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-from functools import cache
 from pathlib import Path
 
 from sim_heating.batches import Progress
@@ -20,22 +18,14 @@ from sim_heating.planning.dispersion import (
     place_of,
 )
 from sim_heating.planning.dispersion_plots import draw_distributions, draw_drivers, draw_first_order
-from sim_heating.planning.plan import Engine, Found, Picture
-from sim_heating.planning.study import HASH_LENGTH, Study
+from sim_heating.planning.plan import Engine, Found, Part, Picture, program_digest
+from sim_heating.planning.study import Study
 
-PACKAGE = Path(__file__).resolve().parent.parent
 CSV = "dispersion.csv"
+PEAKS, FIRST_ORDER, DRIVERS = (f"dispersion_{what}.png" for what in ("peaks", "first_order", "drivers"))
+NO_BREAK = "\N{NO-BREAK SPACE}"
 LEAST_INDEX = 0.01
 """Smallest total index that the table of what drives a peak names."""
-
-
-@cache
-def program_digest() -> str:
-    """Digest of the program's own files: batches of another version are not those of this one."""
-    digest = hashlib.sha256()
-    for path in sorted([*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.csv")]):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:HASH_LENGTH]
 
 
 def dispersion_part(study: Study, folder: Path, engine: Engine, progress: Progress) -> Found:
@@ -52,14 +42,17 @@ def dispersion_part(study: Study, folder: Path, engine: Engine, progress: Progre
     merge(files["main"], folder / FLIGHTS_FILE)
     _write_csv(found, folder / CSV)
     title = f"{study.title}\n{study.stamp}"
-    pictures = [Picture("dispersion_peaks.png", "Peak temperatures of all flights, quantiles with bounds, limits.")]
-    draw_distributions(folder / pictures[0].file, title, found)
-    pictures.append(Picture("dispersion_first_order.png", "Quantiles to first order beside those counted."))
-    draw_first_order(folder / pictures[1].file, title, found)
+    pictures = [Picture(PEAKS, "Peak temperatures of all flights, quantiles with bounds, limits.")]
+    draw_distributions(folder / PEAKS, title, found)
+    pictures.append(Picture(FIRST_ORDER, "Quantiles to first order beside those counted."))
+    draw_first_order(folder / FIRST_ORDER, title, found)
     if any(a.indices is not None for a in found.answers):
-        pictures.append(Picture("dispersion_drivers.png", "What drives each peak: total Sobol' indices."))
-        draw_drivers(folder / pictures[2].file, title, found)
+        pictures.append(Picture(DRIVERS, "What drives each peak: total Sobol' indices."))
+        draw_drivers(folder / DRIVERS, title, found)
     return Found(data_of(found), tuple(_tables(found)), tuple(pictures), tuple(_notes(found)))
+
+
+DISPERSION = Part(dispersion_part, lambda _: (FLIGHTS_FILE, CSV, PEAKS, FIRST_ORDER, DRIVERS))
 
 
 def _notes(found: Dispersed) -> list[str]:
@@ -91,16 +84,18 @@ def _tables(found: Dispersed) -> list[Table]:
     driven = [(f"{a.point} {place_of(a)}", _drivers(found, a)) for a in found.answers if a.indices is not None]
     if driven:
         caption = f"What drives the peaks: total Sobol' indices above {LEAST_INDEX:g}, first-order index in brackets"
-        tables.append(Table(("control point", "inputs"), driven, caption))
+        tables.append(Table(("control point", "inputs"), driven, caption, words=(1,)))
     return tables
 
 
 def _row(a: Answer) -> tuple[str, ...]:
     def bounds(low: float | None, high: float | None) -> str:
-        return f" ({'-' if low is None else f'{low:.0f}'} to {'-' if high is None else f'{high:.0f}'})"
+        ends = ("-" if end is None else f"{end:.0f}" for end in (low, high))
+        return f" ({f'{NO_BREAK}to{NO_BREAK}'.join(ends)})"
 
     quantiles = [("-" if q.value is None else f"{q.value:.0f}") + bounds(q.low, q.high) for q in a.quantiles]
-    above = "-" if a.exceeded is None else f"{a.exceeded.value:.4f} ({a.exceeded.low:.4f} to {a.exceeded.high:.4f})"
+    e = a.exceeded
+    above = "-" if e is None else f"{e.value:.4f} ({e.low:.4f}{NO_BREAK}to{NO_BREAK}{e.high:.4f})"
     limit = "-" if a.limit is None else f"{a.limit:.0f}"
     return (f"{a.point} {place_of(a)}", f"{a.mean_K:.0f}", f"{a.sigma_K:.1f}", *quantiles, limit, above)
 
@@ -108,9 +103,9 @@ def _row(a: Answer) -> tuple[str, ...]:
 def _drivers(found: Dispersed, a: Answer) -> str:
     assert a.indices is not None  # the caller's choice
     named = sorted(
-        zip(found.entry.groups, a.indices.total.tolist(), a.indices.first.tolist(), strict=True), key=lambda x: -x[1]
+        zip(found.entry.words, a.indices.total.tolist(), a.indices.first.tolist(), strict=True), key=lambda x: -x[1]
     )
-    return ", ".join(f"{name} {t:.2f} ({f:.2f})" for (name, _), t, f in named if t > LEAST_INDEX)
+    return "; ".join(f"{what} {t:.2f} ({f:.2f})" for (what, _), t, f in named if t > LEAST_INDEX)
 
 
 def _write_csv(found: Dispersed, path: Path) -> None:

@@ -15,6 +15,7 @@ SURFACE, BONDLINE = "tab:red", "tab:blue"
 WIDTH = 0.38
 """Half width of a distribution in the picture."""
 BINS = 40
+HOLDS, FAILS = {"marker": "o", "color": "tab:green"}, {"marker": "X", "color": "tab:red"}
 
 
 def draw_distributions(path: Path, title: str, found: Dispersed) -> None:
@@ -25,12 +26,21 @@ def draw_distributions(path: Path, title: str, found: Dispersed) -> None:
         for answer in (a for a in found.answers if a.quantity == quantity):
             _distribution(ax, points.index(answer.point), answer, found.values(answer), color)
         ax.set_xlabel(f"peak {quantity.removesuffix('_K')} temperature, K")
-        ax.set_yticks(range(len(points)), points)
-        ax.set_ylim(len(points) - 0.4, -0.6)
+        _name_points(ax, points, found, quantity)
     axes[1].plot([], [], "k|", markersize=11, label="limit")
-    axes[1].plot([], [], "o", color="0.2", markersize=4, label=_quantile_label(found))
+    axes[1].plot([], [], "o-", color="0.2", markersize=4, linewidth=1.2, label=_quantile_label(found))
     figure.legend(*axes[1].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8)
     save_figure(figure, path, f"Peak temperatures of {found.entry.spec.flights} dispersed entries\n{title}", axes)
+
+
+def _name_points(ax: Axes, points: list[str], found: Dispersed, quantity: str) -> None:
+    """A row for each point; a wall of one layer has no bondline, and says so."""
+    ax.set_yticks(range(len(points)), points)
+    ax.set_ylim(len(points) - 0.4, -0.6)
+    told = {a.point for a in found.answers if a.quantity == quantity}
+    for row in (i for i, name in enumerate(points) if name not in told):
+        ax.text(0.5, row, "one layer: no bondline", transform=ax.get_yaxis_transform(), fontsize=8, color="0.4",
+                ha="center", va="center")  # fmt: skip
 
 
 def _quantile_label(found: Dispersed) -> str:
@@ -69,15 +79,13 @@ def draw_first_order(path: Path, title: str, found: Dispersed) -> None:
                     ax.plot(
                         [q.low - q.value, q.high - q.value], [y, y], color="0.7", linewidth=4, solid_capstyle="butt"
                     )
-                color = "tab:green" if first["holds"] else "tab:red"
-                ax.plot(first["apart_K"], y, "o", color=color, markersize=4)
+                ax.plot(first["apart_K"], y, markersize=5, linestyle="none", **(HOLDS if first["holds"] else FAILS))
         ax.axvline(0.0, color="0.3", linewidth=0.8)
-        ax.set_yticks(range(len(points)), points)
-        ax.set_ylim(len(points) - 0.4, -0.6)
+        _name_points(ax, points, found, quantity)
         ax.set_xlabel(f"peak {quantity.removesuffix('_K')}: first order less counted, K")
     axes[0].plot([], [], color="0.7", linewidth=4, label="bounds of the counted quantile")
-    axes[0].plot([], [], "o", color="tab:green", markersize=4, label="first order, holds")
-    axes[0].plot([], [], "o", color="tab:red", markersize=4, label="first order, does not hold")
+    axes[0].plot([], [], markersize=5, linestyle="none", label="first order, holds", **HOLDS)
+    axes[0].plot([], [], markersize=5, linestyle="none", label="first order, does not hold", **FAILS)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8)
     told = ", ".join(f"{q:g}" for q in qs)
     save_figure(figure, path, f"First order against counting, quantiles {told} from top to bottom\n{title}", axes)
@@ -86,16 +94,19 @@ def draw_first_order(path: Path, title: str, found: Dispersed) -> None:
 def draw_drivers(path: Path, title: str, found: Dispersed) -> None:
     """Total Sobol' indices of every peak, as a map."""
     answers = [a for a in found.answers if a.indices is not None]
-    names = [name for name, _ in found.entry.groups]
-    total = np.array([a.indices.total for a in answers if a.indices is not None])
-    figure, axes = new_figure(max(3.2 + 0.62 * len(names), 8.0), 2.6 + 0.3 * len(answers), 1)
+    words = [", ".join(told) for told in found.entry.words]
+    total = np.array([a.indices.total for a in answers if a.indices is not None]).T
+    figure, axes = new_figure(max(6.0 + 0.42 * len(answers), 9.0), 3.4 + 0.3 * len(words), 1)
     ax = axes[0]
     image = ax.imshow(np.clip(total, 0.0, 1.0), cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
     for i, row in enumerate(total):
         for k, value in enumerate(row):
             if value >= 0.005:
                 ax.text(k, i, f"{value:.2f}", ha="center", va="center", fontsize=7, color="w" if value > 0.55 else "k")
-    ax.set_xticks(range(len(names)), names, rotation=40, ha="right", fontsize=8)
-    ax.set_yticks(range(len(answers)), [f"{a.point} {place_of(a)}" for a in answers], fontsize=8)
+    ax.set_xticks(
+        range(len(answers)), [f"{a.point} {place_of(a)}" for a in answers], rotation=45, ha="right",
+        rotation_mode="anchor", fontsize=8,
+    )  # fmt: skip
+    ax.set_yticks(range(len(words)), words, fontsize=8)
     figure.colorbar(image, ax=ax, label="total Sobol' index")
     save_figure(figure, path, f"What drives the peaks\n{title}", np.array([]))

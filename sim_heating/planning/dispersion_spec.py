@@ -6,6 +6,7 @@ flights = 8192                      # in all, over `scrambles` independent scram
 name = "entry.gamma_deg"            # FLIGHT_INPUTS, a dotted parameter of the control points, or of an effect of theirs
 sigma = 0.03                        # normal, about what the study declares; or low, high: uniform deviation from it
 over = [[0.0, 0.2], [80e3, 1.0]]    # for `air.*`: the deviation times this, over altitude [m]
+title = "the whole column"          # what tells it from others of its name, in tables and pictures
 control_points = ["NOSECAP"]        # for a parameter of points: these alone; one deviation for all of them
 
 Every input is a deviation from the base entry. Each input is independent of the others; a ratio table that has a sigma
@@ -19,17 +20,29 @@ from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from sim_heating.files import Declared
+from sim_heating.files import Declared, suggestion
+from sim_heating.parameters import EFFECT_PREFIX, MODEL
 
 FLIGHT_INPUTS = {
-    "entry.altitude_m": "m", "entry.velocity_m_s": "m/s", "entry.gamma_deg": "deg", "entry.heading_deg": "deg",
-    "entry.latitude_deg": "deg", "entry.longitude_deg": "deg",
-    "air.density": "1", "air.wind_north_m_s": "m/s", "air.wind_east_m_s": "m/s",
-    "aero.CN": "1", "aero.CA": "1", "aero.Cm": "1",
-    "vehicle.mass_kg": "kg", "vehicle.cg_fraction": "1", "guidance.alpha_deg": "deg",
-}  # fmt: skip
-"""Inputs that change the flight, with their units. `air.density`, `aero.CN` and `aero.CA` are relative deviations;
-`aero.Cm` adds to the pitching moment at all Mach numbers; `guidance.alpha_deg` to the schedule of angle of attack."""
+    "entry.altitude_m": ("altitude at entry", "m"),
+    "entry.velocity_m_s": ("velocity at entry", "m/s"),
+    "entry.gamma_deg": ("path angle at entry", "deg"),
+    "entry.heading_deg": ("heading at entry", "deg"),
+    "entry.latitude_deg": ("latitude at entry", "deg"),
+    "entry.longitude_deg": ("longitude at entry", "deg"),
+    "air.density": ("density, relative", "1"),
+    "air.wind_north_m_s": ("wind to the north", "m/s"),
+    "air.wind_east_m_s": ("wind to the east", "m/s"),
+    "aero.CN": ("normal force CN, relative", "1"),
+    "aero.CA": ("axial force CA, relative", "1"),
+    "aero.Cm": ("pitching moment Cm", "1"),
+    "vehicle.mass_kg": ("mass", "kg"),
+    "vehicle.cg_fraction": ("centre of gravity over length", "1"),
+    "guidance.alpha_deg": ("angle of attack held", "deg"),
+}
+"""Inputs that change the flight, in words and with their units. `air.density`, `aero.CN` and `aero.CA` are relative
+deviations; `aero.Cm` adds to the pitching moment at all Mach numbers; `guidance.alpha_deg` to the schedule of angle of
+attack."""
 PROFILED = ("air.density", "air.wind_north_m_s", "air.wind_east_m_s")
 
 
@@ -42,6 +55,15 @@ class Input(Declared):
     high: float | None = None
     over: list[list[float]] | None = Field(default=None, min_length=1)
     control_points: list[str] | None = Field(default=None, min_length=1)
+    title: str = ""
+
+    @field_validator("name")
+    @classmethod
+    def _is_an_input(cls, name: str) -> str:
+        known = [*FLIGHT_INPUTS, *MODEL]
+        if name not in known and not name.startswith(EFFECT_PREFIX):
+            raise ValueError(f"there is no input `{name}`. {suggestion(name, known)}")
+        return name
 
     @field_validator("over")
     @classmethod
@@ -71,6 +93,15 @@ class Input(Declared):
         if self.low is None or self.high is None:
             return float(self.sigma or 0.0)
         return (self.high - self.low) / math.sqrt(12.0)
+
+    def told(self, unit: str) -> tuple[str, str]:
+        """What it is and how large, in words; a parameter of points, whose unit is given, under its own name."""
+        words, unit = FLIGHT_INPUTS.get(self.name, (self.name, unit))
+        what = f"{words} ({self.title})" if self.title else words
+        most = max((abs(factor) for _, factor in self.over or []), default=1.0)
+        low, high = (0.0 if end is None else end * most for end in (self.low, self.high))
+        size = f"{low:.3g} to {high:.3g}" if self.sigma is None else f"sigma {self.sigma * most:.3g}"
+        return what, f"{size}{'' if unit == '1' else f' {unit}'}{'' if self.over is None else ' at most'}"
 
 
 class Dispersion(Declared):

@@ -25,7 +25,7 @@ from sim_heating.planning.boundary import Allowed, Greatest, Scan, allowed, grea
 from sim_heating.planning.case import Base, Case
 from sim_heating.planning.envelope_spec import Boundary, Envelope, Map
 from sim_heating.planning.margins import Evaluated, Judge, Margin
-from sim_heating.planning.plan import Engine
+from sim_heating.planning.plan import Engine, program_digest
 from sim_heating.planning.study import Study, load_study
 from sim_heating.planning.table_errors import covariance_root, informed_root
 from sim_heating.table_update.posterior import Evidence
@@ -106,7 +106,7 @@ class Flights:
         self.study, self.engine, self.progress = study, engine, progress
         self.base = base_of(study)
         told = {p: {n: _digest(e) for n, e in m.items()} for p, m in (informed or {}).items()}
-        key = hashlib.sha256(f"{study.hash} {sorted(told.items())}".encode()).hexdigest()[:12]
+        key = hashlib.sha256(f"{study.hash} {program_digest()} {sorted(told.items())}".encode()).hexdigest()[:12]
         self._ledger = engine.ledger / f"{FOLDER}-{key}"
         self._source = _Source(study.path.resolve(), study.vehicle.directory.resolve(), key, informed or {})
         self._known: dict[Case, Evaluated] = {}

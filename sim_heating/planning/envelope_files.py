@@ -24,17 +24,23 @@ CLOSED = f"{NOTHING}: "
 
 def revision_of(study: Study) -> str:
     """The vehicle's revision, with the tables of it that flight data have revised."""
-    revised = [
+    revised = _revised(study)
+    return f"revision {study.vehicle.revision}" + (f" with tables {', '.join(revised)}" if revised else "")
+
+
+def _revised(study: Study) -> list[str]:
+    return [
         f"{name} {p.ratio.header.get('revision', '?')}"
         for name, p in study.vehicle.control_points.items()
         if (study.vehicle.directory / REVISIONS / name).is_dir()
     ]
-    return f"revision {study.vehicle.revision}" + (f" with tables {', '.join(revised)}" if revised else "")
 
 
 def stamp_of(study: Study) -> str:
-    """What every file and picture names."""
-    return f"{study.vehicle.name}, study {study.hash}, {revision_of(study)}"
+    """What every picture names: how many tables are revised, and not which; the files beside it say."""
+    count = len(_revised(study))
+    told = f" with {count} revised table{'s' if count > 1 else ''}" if count else ""
+    return f"{study.vehicle.name}, revision {study.vehicle.revision}{told}, study {study.hash}"
 
 
 def about(study: Study, title: str) -> dict[str, str]:

@@ -14,9 +14,9 @@ from sim_heating.page import Table
 from sim_heating.planning import envelope_files as files
 from sim_heating.planning.before_after import Side, compare
 from sim_heating.planning.envelope import FOLDER, Flights, Informed, fly_boundary, fly_map
-from sim_heating.planning.envelope_spec import Envelope
+from sim_heating.planning.envelope_spec import Boundary, Envelope, Map
 from sim_heating.planning.next_flight import Prospect, Ranked, prospect, rank
-from sim_heating.planning.plan import Engine, Found, Picture
+from sim_heating.planning.plan import Engine, Found, Part, Picture
 from sim_heating.planning.study import Study, load_study
 from sim_heating.table_update.posterior import Evidence
 
@@ -25,6 +25,7 @@ NOT_TESTABLE = (
     "tables alone and is not testable by manoeuvre"
 )
 Draw = Callable[[Path, str], None]
+RANKING = "next_flight"
 
 
 @dataclass
@@ -46,7 +47,8 @@ class _Pages:
 
     def draw(self, name: str, title: str, draw: Draw) -> None:
         """Draw a picture; its title names vehicle, revision and study."""
-        draw(self.place(f"{name}.png"), f"{self.study.title}: {title}\n{files.stamp_of(self.study)}")
+        what = f"{title[:1].upper()}{title[1:]}"
+        draw(self.place(f"{name}.png"), f"{what}\n{self.study.title}\n{files.stamp_of(self.study)}")
         self.pictures.append(Picture(f"{FOLDER}/{name}.png", title))
 
     def found(self, data: dict[str, Any]) -> Found:
@@ -68,14 +70,14 @@ def envelope_part(study: Study, folder: Path, engine: Engine, progress: Progress
     flights = Flights(study, engine, progress, _informed(_prospects(study)))
     data: dict[str, Any] = {"sigmas": asked.sigmas, "revision": files.revision_of(study), "maps": {}, "boundaries": {}}
     for flown in [fly_map(declared, flights) for declared in asked.map]:
-        name, title = f"map_{flown.declared.name}", flown.declared.title or flown.declared.name
+        name, title = _map_file(flown.declared), flown.declared.title or flown.declared.name
         files.write_map(pages.place(f"{name}.csv"), study, flown)
         pages.draw(name, title, partial(plots.draw_map, flown=flown, sigmas=asked.sigmas))
         pages.tables.append(files.map_table(flown))
         data["maps"][flown.declared.name] = files.map_data(flown)
     boundaries = [fly_boundary(declared, asked, flights) for declared in asked.boundary]
     for found in boundaries:
-        name, title = f"boundary_{found.declared.name}", found.declared.title or found.declared.name
+        name, title = _boundary_file(found.declared), found.declared.title or found.declared.name
         files.write_boundary(pages.place(f"{name}.csv"), study, found, asked.sigmas)
         pages.draw(name, title, partial(plots.draw_boundaries, found={"": found}, sigmas=asked.sigmas))
         pages.tables.append(files.boundary_table(found))
@@ -86,6 +88,27 @@ def envelope_part(study: Study, folder: Path, engine: Engine, progress: Progress
     if asked.before is not None and boundaries:
         data["before"] = _before(Side(study, boundaries), asked, engine, progress, pages)
     return pages.found(data | {"notes": pages.notes})
+
+
+def _map_file(declared: Map) -> str:
+    return f"map_{declared.name}"
+
+
+def _boundary_file(declared: Boundary) -> str:
+    return f"boundary_{declared.name}"
+
+
+def _files(study: Study) -> list[str]:
+    """All that the part may write."""
+    asked = _asked(study)
+    names = [*map(_map_file, asked.map), *map(_boundary_file, asked.boundary)]
+    sides = [
+        f"{FOLDER}/{name}" for b in asked.boundary for name in (f"before_{b.name}.csv", f"before_after_{b.name}.png")
+    ]
+    return [f"{FOLDER}/{name}.{kind}" for name in names for kind in ("csv", "png")] + sides
+
+
+ENVELOPE = Part(envelope_part, _files)
 
 
 def _before(after: Side, asked: Envelope, engine: Engine, progress: Progress, pages: _Pages) -> dict[str, Any]:
@@ -121,11 +144,13 @@ def next_flight_part(study: Study, folder: Path, engine: Engine, progress: Progr
     if not boundaries:
         raise RunError(f"{study.path}, [next_flight]: needs an [[envelope.boundary]] whose uncertainty it is to shrink")
     ranked = rank(prospects, boundaries, asked.sigmas)
-    pages.draw("next_flight", "what the next flight would tell", partial(plots.draw_ranking, ranked=ranked))
+    pages.draw(RANKING, "what the next flight would tell", partial(plots.draw_ranking, ranked=ranked))
     pages.tables.append(_ranking_table(ranked))
     pages.notes += [line for p in prospects for line in p.notes]
     return pages.found(_ranking_data(ranked))
 
+
+NEXT_FLIGHT = Part(next_flight_part, lambda _: (f"{FOLDER}/{RANKING}.png",))
 
 _PROSPECTS: dict[str, list[Prospect]] = {}
 """What the candidates of the present study would tell, by its hash: both parts ask."""

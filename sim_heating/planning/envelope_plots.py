@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 
 from sim_heating.planning.boundary import END_OF_STUDY
 from sim_heating.planning.envelope import MIDDLE, PERHAPS, SURE, FlownBoundary, FlownMap, Stretch
-from sim_heating.planning.envelope_files import limits_of
+from sim_heating.planning.envelope_files import NOTHING, limits_of
 from sim_heating.planning.margins import Evaluated
 from sim_heating.planning.next_flight import Ranked
 from sim_heating.plots import new_figure, save_figure
@@ -21,20 +21,22 @@ LABELS = {
     "alpha_offset_deg": "offset of angle of attack, deg",
     "alpha_station": "Mach number",
     "station_alpha_deg": "angle of attack, deg",
-    "alpha_stretch": "stretch of the schedule",
-    "drag_factor": "reference drag, factor",
+    "alpha_stretch": "stretch of the schedule over Mach number, factor",
+    "drag_factor": "reference drag over the nominal",
     "cross_range_km": "cross-range, km",
-    "cg_fraction": "centre of gravity, fraction of length from the nose",
+    "cg_fraction": "centre of gravity from the nose, over length",
     "bodyflap_deg": "body flap, deg",
-    "cm_shift": "pitching-moment shift",
+    "cm_shift": "shift of pitching moment Cm",
     "mass_kg": "mass, kg",
-    "density_factor": "density, factor",
+    "density_factor": "density over the nominal",
     "lateral_cg_m": "lateral centre of gravity, m",
 }
 FASTEST_MACH = 100.0
 DRAWN = 7
 """Limits drawn in a map over one axis: those with the least margins."""
 COLOURS = [f"C{i}" for i in range(10)]
+HEAD_WIDTH = 70
+"""Characters of a line above one of several panels."""
 
 
 def draw_map(path: Path, title: str, flown: FlownMap, sigmas: float) -> None:
@@ -62,7 +64,7 @@ def _draw_line_map(path: Path, title: str, flown: FlownMap, sigmas: float) -> No
     a.axhline(0.0, color="k", linewidth=1.0)
     a.set_xlabel(LABELS[name])
     a.set_ylabel(f"margin to the limit, K (band: {sigmas:g} sigma of the ratio tables)")
-    a.legend(fontsize=8)
+    figure.legend(*a.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8)
     save_figure(figure, path, title, axes)
 
 
@@ -112,7 +114,7 @@ def draw_boundaries(path: Path, title: str, found: Mapping[str, FlownBoundary], 
         for row, member in enumerate(first.members()):
             a, own = grid[row, column], boundary.of(member)
             _draw_boundary(a, own, colours)
-            heads = [] if columns == 1 else [textwrap.fill(label, 62)]
+            heads = [] if columns == 1 else [textwrap.fill(label, HEAD_WIDTH)]
             heads += [] if first.family is None else [f"{LABELS[first.family]} {member:g}"]
             a.set_title("\n".join(heads), fontsize=8.5)
             a.set_xlabel(LABELS[first.along])
@@ -121,10 +123,12 @@ def draw_boundaries(path: Path, title: str, found: Mapping[str, FlownBoundary], 
     if first.along == "alpha_station":
         grid[0, 0].invert_xaxis()
     a = grid[0, 0]
-    handles = [a.plot([], [], "o-", color=colours[n], label=n)[0] for n in names]
+    handles = a.plot([], [], "-", color="0.3", linewidth=1.0, label="edge with the tables as they stand; its limit:")
+    for n in names:
+        handles += a.plot([], [], "x" if n.startswith(NOTHING) else "o", color=colours[n], label=n)
     for words, strength in (
         (f"allowed with the tables {sigmas:g} sigma hotter", 0.35),
-        ("allowed with them cooler", 0.12),
+        (f"allowed with the tables {sigmas:g} sigma cooler", 0.12),
     ):
         handles.append(a.fill_between([], [], [], color="tab:green", alpha=strength, label=words))
     figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=8)
@@ -148,7 +152,8 @@ def _draw_boundary(a: Axes, stretches: Sequence[Stretch], colours: Mapping[str, 
     for which, strength in ((PERHAPS, 0.12), (SURE, 0.30)):
         low, high = _ends(stretches, which)
         a.fill_between(x, low, high, color="tab:green", alpha=strength, linewidth=0)
-        a.vlines(x, low, high, color="tab:green", alpha=strength, linewidth=5.0)
+        alone = _alone(np.isfinite(low))
+        a.vlines(x[alone], low[alone], high[alone], color="tab:green", alpha=strength, linewidth=5.0)
     low, high = _ends(stretches, MIDDLE)
     for y, side in ((low, 0), (high, 1)):
         if side == 0 and stretches[0].greatest:
@@ -162,6 +167,12 @@ def _draw_boundary(a: Axes, stretches: Sequence[Stretch], colours: Mapping[str, 
             bad = s.allowed[MIDDLE].least_bad
             at = 0.0 if s.greatest or bad is None else bad.at
             a.plot(s.along, at, "x", color=colours.get(closed, "k"), markersize=8)
+
+
+def _alone(known: np.ndarray) -> np.ndarray:
+    """Which of the known places have no known neighbour, so that nothing is filled there."""
+    beside = np.concatenate(([False], known, [False]))
+    return known & ~beside[:-2] & ~beside[2:]
 
 
 def _ends(stretches: Sequence[Stretch], which: str) -> tuple[np.ndarray, np.ndarray]:

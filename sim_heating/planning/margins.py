@@ -35,7 +35,15 @@ HEATED = 0.1
 comes to 0.1^(1/4) of its hottest, and little goes into the structure. `Evaluated.outside` tells of the whole flight."""
 ROUNDING = -1e-9
 """A margin from here on is kept: a deflection at the end of its table is inside."""
-TABLE_UNITS = dict(zip(RATIO_VARIABLES, ("deg", "deg", "", "deg", "deg"), strict=True))
+TABLE_AXES = dict(
+    zip(
+        RATIO_VARIABLES,
+        (("angle of attack", "deg"), ("sideslip", "deg"), ("log10 Reynolds number", ""), ("elevon", "deg"),
+         ("body flap", "deg")),
+        strict=True,
+    )
+)  # fmt: skip
+"""The variables of a ratio table in words, with their units."""
 SURFACE, BONDLINE, ELEVON, TABLE = "surface", "bondline", "elevon", "table"
 
 
@@ -182,15 +190,17 @@ class Judge:
 
 def _within_table(limited: LimitedPoint, conditions: Conditions) -> dict[str, Margin]:
     """Distances from the ends of the axes of a point's ratio table, where it is heated."""
-    name, found = limited.point.name, {}
+    name, found = limited.point.name, dict[str, Margin]()
     flux = conditions["h_ref_kg_m2_s"] * conditions["H_r_J_kg"]
     heated = flux > HEATED * np.max(flux)
     for variable, axis in zip(RATIO_VARIABLES, limited.point.ratio.axes, strict=True):
         if len(axis) == 1:
             continue
-        x, unit = conditions[variable][heated], TABLE_UNITS[variable]
+        x, (words, unit) = conditions[variable][heated], TABLE_AXES[variable]
         low, high = float(np.min(x)), float(np.max(x))
-        what = f"{name} ratio table, {variable}"
-        found[f"{what} below {axis[0]:g}"] = Margin(TABLE, name, low, float(axis[0]), low - float(axis[0]), unit)
-        found[f"{what} above {axis[-1]:g}"] = Margin(TABLE, name, high, float(axis[-1]), float(axis[-1]) - high, unit)
+        ends = (
+            (f"below {axis[0]:g}", Margin(TABLE, name, low, float(axis[0]), low - float(axis[0]), unit)),
+            (f"above {axis[-1]:g}", Margin(TABLE, name, high, float(axis[-1]), float(axis[-1]) - high, unit)),
+        )
+        found |= {f"{name} ratio table, {words} {end} {unit}".rstrip(): margin for end, margin in ends}
     return found

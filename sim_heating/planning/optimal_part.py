@@ -13,7 +13,7 @@ from sim_heating.files import write_csv
 from sim_heating.page import Table
 from sim_heating.planning.optimal import ROUNDS, OptimalEntry, fly_optimal
 from sim_heating.planning.optimal_plot import draw_optimal
-from sim_heating.planning.plan import Engine, Found, Picture
+from sim_heating.planning.plan import Engine, Found, Part, Picture
 from sim_heating.planning.study import Study
 
 PICTURE, CONDITIONS = "optimal_entry.png", "optimal_conditions.csv"
@@ -34,7 +34,7 @@ def optimal_part(study: Study, folder: Path, _engine: Engine, progress: Progress
         progress(done[0] / ROUNDS, f"round {done[0]}: {line}")
 
     entry = fly_optimal(asked, progress=told)
-    draw_optimal(folder / PICTURE, f"{study.title}, study {study.hash}", {"optimal": entry})
+    draw_optimal(folder / PICTURE, f"{study.title}\n{study.stamp}", {"optimal": entry})
     write_csv(
         folder / CONDITIONS, entry.conditions.columns, ".10g", {"study": study.hash, "vehicle": study.vehicle.name}
     )
@@ -44,6 +44,7 @@ def optimal_part(study: Study, folder: Path, _engine: Engine, progress: Progress
     return Found(_data(entry), tables, (picture,), (head, *entry.notes))
 
 
+OPTIMAL = Part(optimal_part, lambda _: (PICTURE, CONDITIONS))
 HEADS = ("control point", "surface", "limit", "bondline", "limit")
 
 

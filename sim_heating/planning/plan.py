@@ -7,21 +7,24 @@ study gives the same bytes whatever the number of cores, and whatever the proces
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from sim_heating.batches import Progress, quiet
 from sim_heating.errors import InputError, RunError
-from sim_heating.files import output_directory, shown, write_json
-from sim_heating.files.text import reason
+from sim_heating.files import output_directory, write_json
 from sim_heating.page import Page, SavedPicture, Section, Table, write_page
-from sim_heating.planning.study import Study
+from sim_heating.planning.study import HASH_LENGTH, Study
 from sim_heating.results import package_version
 from sim_heating.threads import one_thread
 
 FORMAT = "study-report/1"
+SUMMARY, PAGE = "study.json", "report.html"
+PACKAGE = Path(__file__).resolve().parent.parent
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,15 @@ class Engine:
     ledger: Path
     scheduler: str | None = None
     workers: int | None = None
+
+
+@cache
+def program_digest() -> str:
+    """Digest of the program's own files: batches of another version are not those of this one."""
+    digest = hashlib.sha256()
+    for path in sorted([*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.csv")]):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:HASH_LENGTH]
 
 
 @dataclass(frozen=True)
@@ -59,8 +71,16 @@ class Found:
     notes: tuple[str, ...] = ()
 
 
-Part = Callable[[Study, Path, Engine, Progress], Found]
-"""part(study, folder for its files, engine, progress); its files go below `folder`, named from there in pictures."""
+@dataclass(frozen=True)
+class Part:
+    """What a table of a study asks for.
+
+    run   : (study, folder for its files, engine, progress) -> found; files go below the folder
+    files : study -> names of the files that it may write, from there
+    """
+
+    run: Callable[[Study, Path, Engine, Progress], Found]
+    files: Callable[[Study], Sequence[str]]
 
 
 @dataclass(frozen=True)
@@ -74,14 +94,11 @@ class Plan:
 
 def parts_of(study: Study) -> dict[str, Part]:
     """The parts that a study asks for, by the names of its tables."""
-    from sim_heating.planning.dispersion_part import dispersion_part  # parts know of plans
-    from sim_heating.planning.envelope_part import envelope_part, next_flight_part
-    from sim_heating.planning.optimal_part import optimal_part
+    from sim_heating.planning.dispersion_part import DISPERSION  # parts know of plans
+    from sim_heating.planning.envelope_part import ENVELOPE, NEXT_FLIGHT
+    from sim_heating.planning.optimal_part import OPTIMAL
 
-    parts: dict[str, Part] = {
-        "dispersion": dispersion_part, "envelope": envelope_part, "next_flight": next_flight_part,
-        "optimal": optimal_part,
-    }  # fmt: skip
+    parts = {"dispersion": DISPERSION, "envelope": ENVELOPE, "next_flight": NEXT_FLIGHT, "optimal": OPTIMAL}
     return {name: part for name, part in parts.items() if getattr(study.declared, name) is not None}
 
 
@@ -94,23 +111,17 @@ def run_study(study: Study, out: Path, engine: Engine, *, progress: Progress = q
     if not parts:
         raise InputError(f"{study.path}: asks for nothing; give it a table such as [dispersion]")
     plan = Plan(study)
-    try:
-        engine.ledger.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        where = shown(engine.ledger)
-        raise InputError(
-            f"{where}: finished batches cannot be kept there ({reason(error)}); choose another place"
-        ) from None
-    with output_directory(out) as folder, one_thread():
+    expected = [SUMMARY, PAGE, *(name for part in parts.values() for name in part.files(study))]
+    with output_directory(out, expected) as folder, one_thread():
         for i, (name, part) in enumerate(parts.items()):
             try:
-                plan.found[name] = part(study, folder, engine, _within(progress, name, i, len(parts)))
+                plan.found[name] = part.run(study, folder, engine, _within(progress, name, i, len(parts)))
             except (InputError, RunError) as error:
                 if isinstance(error, InputError) and len(parts) == 1:
                     raise
                 plan.failed[name] = str(error)
-        write_json(folder / "study.json", summary(plan))
-        write_page(folder / "report.html", page_of(plan, folder))
+        write_json(folder / SUMMARY, summary(plan))
+        write_page(folder / PAGE, page_of(plan, folder))
         names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
     return plan, names
 
