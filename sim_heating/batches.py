@@ -245,18 +245,12 @@ def _call(digest: str, packed: bytes, task: Any) -> bytes:
 def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
     """A client of the scheduler at an address, or of local processes that end with it."""
     import dask
-    from distributed import Client, LocalCluster
+    from distributed import Client
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     with dask.config.set(SETTINGS):
         if scheduler is None:
-            with (
-                LocalCluster(
-                    n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0",
-                    silence_logs=logging.CRITICAL, memory_limit=0,
-                ) as cluster,
-                Client(cluster) as client,
-            ):  # fmt: skip
+            with _local_processes(workers) as cluster, Client(cluster) as client:
                 yield client
             return
         try:
@@ -271,3 +265,19 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
             except TimeoutError:
                 raise InputError(f"--scheduler {scheduler}: has no worker; start some with `dask worker`") from None
             yield client
+
+
+def _local_processes(workers: int | None) -> Any:
+    """A cluster of processes on this machine; RunError where they do not come up."""
+    from distributed import LocalCluster
+
+    try:
+        return LocalCluster(
+            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0",
+            silence_logs=logging.CRITICAL, memory_limit=0,
+        )  # fmt: skip
+    except (RuntimeError, OSError) as error:
+        cause = error.__cause__ or error
+        raise RunError(
+            f"the worker processes did not start ({one_line(cause)}); take --workers 1 for this process alone"
+        ) from None

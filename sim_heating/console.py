@@ -14,6 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from sim_heating.errors import InputError
 from sim_heating.files import shown
+from sim_heating.files.text import brief, reason
 
 PLAIN_WIDTH = 110
 """Columns of a table where the output is no terminal."""
@@ -26,7 +27,10 @@ def directory(_: click.Context, __: click.Parameter, value: str) -> Path:
     if not value.strip():
         raise InputError("--out: is empty; name a directory for the results")
     path = Path(value)
-    there = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
+    try:
+        there = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
+    except OSError as error:
+        raise InputError(f"--out {brief(value)}: {reason(error)}; name another directory for the results") from None
     if not there.is_dir():
         raise InputError(f"--out {value}: {shown(there)} is a file; name a directory for the results")
     if not os.access(there, os.W_OK):

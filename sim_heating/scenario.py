@@ -261,8 +261,11 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
     return scenario_of(place, declared, vehicle)
 
 
-def scenario_of(place: Path, declared: ScenarioFile, vehicle: Vehicle) -> Scenario:
-    """A scenario that was read from a place, with a vehicle that is loaded; raises InputError as `load_scenario`."""
+def scenario_of(place: Path, declared: ScenarioFile, vehicle: Vehicle, said_by: Path | None = None) -> Scenario:
+    """A scenario that was read from a place, with a vehicle that is loaded; raises InputError as `load_scenario`.
+
+    said_by : the file that problems are told of, where it is not the scenario's own
+    """
     file = declared.trajectory.file
     if file is not None:
         if not (place.parent / file).is_file():
@@ -270,7 +273,7 @@ def scenario_of(place: Path, declared: ScenarioFile, vehicle: Vehicle) -> Scenar
         declared = declared.model_copy(
             update={"trajectory": declared.trajectory.model_copy(update={"file": str(place.parent / file)})}
         )
-    raise_problems([f"{shown(place)}: {line}" for line in _problems(declared, vehicle)])
+    raise_problems([f"{shown(said_by or place)}: {line}" for line in _problems(declared, vehicle)])
     names = tuple(declared.control_points or vehicle.control_points)
     compare = tuple(_measured_history(vehicle, c) for c in declared.compare if c.control_point in names)
     return Scenario(place, declared, vehicle, names, compare)

@@ -409,6 +409,27 @@ def test_a_file_in_place_of_the_directory_is_told(tmp_path: Path) -> None:
         run(tmp_path / "out", a="1")
 
 
+def test_a_directory_that_came_to_be_meanwhile_keeps_what_is_in_it(tmp_path: Path) -> None:
+    with output_directory(tmp_path / "out") as folder:
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out" / "notes.txt").write_text("mine")
+        write_text_atomic(folder / "results.txt", "found")
+    assert (tmp_path / "out" / "notes.txt").read_text() == "mine"
+    assert (tmp_path / "out" / "results.txt").read_text() == "found"
+
+
+def test_a_directory_of_the_longest_name_is_made(tmp_path: Path) -> None:
+    out = tmp_path / ("x" * 255)
+    with output_directory(out) as folder:
+        write_text_atomic(folder / "results.txt", "found")
+    assert (out / "results.txt").read_text() == "found"
+
+
+def test_a_directory_of_a_longer_name_is_refused_before_the_work(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="results cannot be written there"), output_directory(tmp_path / ("x" * 300)):
+        pytest.fail("there is no work to be done")
+
+
 def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     write_text_atomic(tmp_path / "a", "old")
     with pytest.raises(UnicodeEncodeError):

@@ -145,8 +145,10 @@ def test_a_binary_scenario_is_refused(desk: Path, capsys: pytest.CaptureFixture[
         (["validate", "nowhere"], "no such file"),
         (["run", "short.toml", "--out", "short.toml"], "is a file"),
         (["run", "short.toml", "--out", "short.toml/x"], "short.toml is a file"),
+        (["run", "short.toml", "--out", "x" * 300], "name another directory"),
+        (["run", "short.toml", "--out", f"{'x' * 300}/out"], "name another directory"),
     ],
-    ids=lambda v: " ".join(v) if isinstance(v, list) else None,
+    ids=lambda v: " ".join(v)[:60] if isinstance(v, list) else None,
 )
 def test_wrong_usage_is_told_in_one_line(
     arguments: list[str], hint: str, desk: Path, capsys: pytest.CaptureFixture[str]

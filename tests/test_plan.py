@@ -16,6 +16,7 @@ import pytest
 
 pytest.importorskip("distributed", reason="studies need Dask and pyarrow: pip install 'sim-heating[plan]'")
 
+import dask
 import pyarrow.parquet as pq
 from studies import entry_3dof
 from threadpoolctl import threadpool_limits
@@ -138,6 +139,10 @@ def test_a_scheduler_that_is_away_is_one_clear_line_and_nothing_is_written(study
         ('scenario = "nowhere.toml"', "give one of them"),
         ('[[limit]]\ncontrol_point = "NOSECAP"', "`NOSECAP` is not among the study's control points"),
         ("soak = 3.0", "unknown key `soak`. Nearest: `soak_s`"),
+        (
+            '[[limit]]\ncontrol_point = "V09T9527"\nsurfce_K = 9e2',
+            "[limit] 1: unknown key `surfce_K`. Nearest: `surface_K`",
+        ),
     ],
 )
 def test_a_study_that_cannot_be_is_told_in_a_line(study, tmp_path, capsys, more, told):
@@ -151,7 +156,48 @@ def test_a_place_that_cannot_hold_finished_batches_is_told_in_a_line(study, caps
     assert cli.main(["plan", str(study), "--out", "/proc/nowhere"]) == 2
     said = capsys.readouterr().err.strip().splitlines()
     assert len(said) == 1
-    assert "finished batches cannot be kept there" in said[0]
+    assert "results cannot be written there" in said[0]
+
+
+def test_a_control_point_that_a_study_names_wrongly_is_told_of_the_study_and_not_of_its_scenario(
+    study, tmp_path, capsys
+):
+    text, flown = STUDY.format(more=""), entry_3dof("mach = 2.5")
+    base = ROOT / "scenarios" / "entry_3dof.toml"
+    study.write_text(text.replace(flown, f'scenario = "{base}"\n').replace('"V09T9527"', '"V09T952"'))
+    assert cli.main(["plan", str(study), "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err.strip().splitlines()
+    assert said == [f"error: {study}: vehicle orbiter: there is no control point `V09T952`. Nearest: `V09T9527`."]
+
+
+def test_an_effect_that_a_scenario_names_wrongly_is_told_of_the_scenario(study, tmp_path, capsys):
+    base = tmp_path / "base.toml"
+    head = 'format = "scenario/1"\ntitle = "base"\nvehicle = "orbiter"\n'
+    base.write_text(f'{head}[[effect]]\nname = "gapflow"\n{entry_3dof("mach = 2.5")}')
+    study.write_text(STUDY.format(more="").replace(entry_3dof("mach = 2.5"), 'scenario = "base.toml"\n'))
+    assert cli.main(["plan", str(study), "--out", str(tmp_path / "out")]) == 2
+    assert f"error: {base}: " in capsys.readouterr().err
+
+
+def test_a_page_of_someone_elses_is_told_before_the_work_and_nothing_is_left(study, tmp_path, capsys):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "report.html").write_text("mine")
+    assert cli.main(["plan", str(study), "--out", str(out)]) == 2
+    assert "report.html exists and is not a result of ours" in capsys.readouterr().err
+    assert [p.name for p in out.iterdir()] == ["report.html"]
+    assert (out / "report.html").read_text() == "mine"
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no file system in which nothing can be made")
+def test_worker_processes_that_do_not_start_are_told_in_a_line(study, tmp_path, capsys):
+    """Dask has no folder to start them in."""
+    with dask.config.set({"temporary-directory": "/proc/nowhere"}):
+        assert cli.main(["plan", str(study), "--out", str(tmp_path / "out"), "--workers", "2"]) == 1
+    told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("dispersion:")]
+    assert len(told) == 1
+    assert "the worker processes did not start" in told[0]
+    assert "take --workers 1" in told[0]
 
 
 def test_a_study_that_asks_for_nothing_says_so(study, tmp_path, capsys):

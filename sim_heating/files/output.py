@@ -19,6 +19,8 @@ from sim_heating.files.text import brief, plain, read_text, reason, shown, umask
 
 MARKER = ".sim_heating.json"
 """Name of the list, in an output directory, of the files that this program wrote there."""
+NAME_KEPT = 50
+"""Characters of a directory's name that its temporary one has as well: with more, a long name would be too long."""
 
 
 def json_text(data: Any) -> str:
@@ -83,27 +85,29 @@ def _not_finite(value: Any, place: str) -> str | None:
 
 
 @contextmanager
-def output_directory(path: str | os.PathLike[str]) -> Iterator[Path]:
+def output_directory(path: str | os.PathLike[str], expected: Sequence[str] = ()) -> Iterator[Path]:
     """A directory for results that appear all together when the block succeeds, and not at all when it fails.
 
         with output_directory("out") as folder:
             write_csv(folder / "temperatures.csv", ...)
 
-    A new directory is made aside and renamed. In one that exists, the files of an earlier run of this program
+    A new directory is made aside and renamed. In one that exists by then, the files of an earlier run of this program
     (listed in its `.sim_heating.json`) are replaced and files of other origin stay untouched; where a result
     would overwrite such a file, nothing is done.
-    raises : InputError before the work where the place cannot be used, and after it where a foreign file is in the way
+    expected : names of files that there may be: a foreign one of such a name is told before the work
+    raises   : InputError before the work where the place cannot be used, and after it where a foreign file is in the
+               way
     """
     target = Path(os.path.abspath(path))
-    new_parents = [p for p in target.parents if not p.exists()]
-    partial = _make_partial(target, shown(path))
+    _refuse_foreign(target, expected)
+    partial, new_parents = _make_partial(target, shown(path))
     try:
         yield partial
         marker = partial / MARKER
         files = [p for p in partial.rglob("*") if not p.is_dir() and p != marker]
         names = sorted(p.relative_to(partial).as_posix() for p in files)
         write_json(marker, {"format": "sim_heating-output/1", "files": names})
-        if partial.parent == target:
+        if target.exists():
             _merge(partial, target, names)
         else:
             os.replace(partial, target)
@@ -120,19 +124,22 @@ def _remove_empty(directories: Sequence[Path]) -> None:
             directory.rmdir()
 
 
-def _make_partial(target: Path, name: str) -> Path:
-    """A temporary directory on the same file system: inside the target where it exists, else beside it."""
-    if target.exists() and not target.is_dir():
-        raise InputError(f"{name}: is a file; name a directory for the results")
-    inside = target.is_dir()
+def _make_partial(target: Path, name: str) -> tuple[Path, list[Path]]:
+    """A temporary directory on the same file system: inside the target where it exists, else beside it; and which
+    directories above the target there were not."""
     try:
+        new_parents = [p for p in target.parents if not p.exists()]
+        inside = target.is_dir()
+        if target.exists() and not inside:
+            raise InputError(f"{name}: is a file; name a directory for the results")
         if not inside:
             target.parent.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=f".{target.name}.partial-", dir=target if inside else target.parent))
+        prefix = f".{target.name[:NAME_KEPT]}.partial-"
+        partial = Path(tempfile.mkdtemp(prefix=prefix, dir=target if inside else target.parent))
         partial.chmod(0o777 & ~umask())
     except OSError as error:
         raise InputError(f"{name}: results cannot be written there ({reason(error)}); choose another place") from None
-    return partial
+    return partial, new_parents
 
 
 def files_made(directory: str | os.PathLike[str]) -> set[str]:
@@ -144,14 +151,20 @@ def files_made(directory: str | os.PathLike[str]) -> set[str]:
     return {str(n) for n in listed if ".." not in Path(str(n)).parts and not Path(str(n)).is_absolute()}
 
 
-def _merge(partial: Path, target: Path, names: Sequence[str]) -> None:
-    """Put finished files into an existing directory in place of an earlier run's; undone where it fails half-way."""
+def _refuse_foreign(target: Path, names: Sequence[str]) -> None:
+    """raises : InputError where a file of such a name is there that this program did not write"""
     ours = files_made(target)
-    foreign = [n for n in names if n not in ours and (target / n).exists()]
+    foreign = [n for n in names if n not in ours and os.path.exists(target / n)]
     if foreign:
         raise InputError(
             f"{shown(target)}: {', '.join(foreign)} exists and is not a result of ours; choose another directory"
         )
+
+
+def _merge(partial: Path, target: Path, names: Sequence[str]) -> None:
+    """Put finished files into an existing directory in place of an earlier run's; undone where it fails half-way."""
+    _refuse_foreign(target, names)
+    ours = files_made(target)
     backup = Path(tempfile.mkdtemp(prefix=".replaced-", dir=partial))
     undo: list[tuple[Path, Path]] = []
     try:

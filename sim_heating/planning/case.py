@@ -76,6 +76,11 @@ class Case:
         return ", ".join(f"{k} {v:g}" for k, v in self.changed().items()) or "base entry"
 
 
+BETWEEN = {
+    "alpha_stretch": (0.0, np.inf), "alpha_station": (0.0, np.inf), "drag_factor": (0.0, np.inf),
+    "cg_fraction": (0.0, 1.0), "mass_kg": (0.0, np.inf), "density_factor": (0.0, np.inf),
+}  # fmt: skip
+"""Ends between which alone a value has a meaning; neither is one of its values."""
 AXES = tuple(f.name for f in fields(Case) if f.name != "one_sided")
 
 

@@ -25,21 +25,38 @@ Axes are the numeric fields of `case.Case`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Literal
 
+import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from sim_heating.files import Declared, suggestion
-from sim_heating.planning.case import AXES, Case
+from sim_heating.planning.case import AXES, BETWEEN, Case
 from sim_heating.trajectory.spec import Manoeuvre
 
 Values = list[float]
 
 
-def _check_axis(name: str) -> None:
-    if name not in AXES:
-        raise ValueError(f"there is no axis `{name}`. {suggestion(name, AXES)}")
+def _check_axes(given: Sequence[tuple[str, str, Values]]) -> None:
+    """(key, axis, values) of a table: each axis known and given once, its values with a meaning."""
+    by_axis: dict[str, str] = {}
+    for key, name, values in given:
+        if name not in AXES:
+            raise ValueError(f"there is no axis `{name}`. {suggestion(name, AXES)}")
+        if name in by_axis:
+            raise ValueError(
+                f"`{name}` is given by `{by_axis[name]}` and by `{key}`; take another axis for one of them"
+            )
+        by_axis[name] = key
+        low, high = BETWEEN.get(name, (-np.inf, np.inf))
+        for value in values:
+            if not low < value < high:
+                rule = f"above {low:g}" if np.isinf(high) else f"between {low:g} and {high:g}"
+                raise ValueError(f"`{key}`: {name} {value:g} must be {rule}")
+    if ("station_alpha_deg" in by_axis) != ("alpha_station" in by_axis):
+        raise ValueError("`station_alpha_deg` is held about `alpha_station`: give both of them")
 
 
 def _rising(name: str, values: Values, fewest: int) -> None:
@@ -59,10 +76,10 @@ class Map(Declared):
     @model_validator(mode="after")
     def _check_axes(self) -> Map:
         for name, values in self.axes.items():
-            _check_axis(name)
             _rising(name, values, 1)
-        for name in self.fixed:
-            _check_axis(name)
+        _check_axes(
+            [*(("axes", n, v) for n, v in self.axes.items()), *(("fixed", n, [v]) for n, v in self.fixed.items())]
+        )
         return self
 
     def case(self, places: dict[str, float]) -> Case:
@@ -92,8 +109,9 @@ class Boundary(Declared):
 
     @model_validator(mode="after")
     def _check_axes(self) -> Boundary:
-        for name in (self.along, self.across, *([] if self.family is None else [self.family]), *self.fixed):
-            _check_axis(name)
+        given = [("along", self.along, self.at), ("across", self.across, self.values)]
+        given += [] if self.family is None else [("family", self.family, self.of)]
+        _check_axes([*given, *(("fixed", n, [v]) for n, v in self.fixed.items())])
         if (self.family is None) != (not self.of):
             raise ValueError("`family` names an axis and `of` its values: give both or neither")
         _rising("values", self.values, 2)

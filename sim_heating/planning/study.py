@@ -143,12 +143,15 @@ def _base(place: Path, declared: StudyFile, vehicle: Vehicle) -> Scenario:
         if not source.is_file():
             raise InputError(f"{shown(place)}: `scenario`: there is no {shown(source)}")
         flown = read_toml(source, ScenarioFile)
+        taken = {"trajectory": flown.trajectory, "effect": [e.model_dump() for e in flown.effect]}
+        own = {k: v for k, v in given.items() if k in ("format", "vehicle", "title")}
+        scenario_of(source, check(own | taken, ScenarioFile, shown(source)), vehicle)  # so that the rest is the study's
         given["trajectory"] = flown.trajectory
         given["effect"] = [e.model_dump() for e in (*flown.effect, *declared.effect)]
     else:
         given["trajectory"] = declared.trajectory
     file = check({k: v for k, v in given.items() if v is not None}, ScenarioFile, shown(place))
-    return scenario_of(source, file, vehicle)
+    return scenario_of(source, file, vehicle, said_by=place)
 
 
 def _limited(place: Path, declared: StudyFile, base: Scenario) -> tuple[LimitedPoint, ...]:
