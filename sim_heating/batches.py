@@ -42,8 +42,10 @@ SETTINGS = {
     "distributed.worker.daemon": True,
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "10s",
 }
-"""Of Dask. Its profiler and its 50 looks a second at its own event loops take 3 % of a core from each worker."""
+"""Of Dask. Its profiler and its 50 looks a second at its own event loops take 3 % of a core from each worker; every
+process looks at the machine's load as well, and nobody asks for it."""
 
 
 @dataclass(frozen=True)

@@ -269,8 +269,9 @@ def _checks(found: Dispersed) -> dict[str, Any] | None:
     whole = int(np.count_nonzero(~np.any(np.isnan(apart), axis=(1, 2))))
     data: dict[str, Any] = {"flights": len(apart), "came_to_their_end": whole}
     if whole:
-        for k, quantity in enumerate(QUANTITIES):
-            data[f"largest_{quantity}"] = dict(zip(points, found.checks.largest_K[k].tolist(), strict=True))
+        for quantity, largest in zip(QUANTITIES, found.checks.largest_K, strict=True):
+            told = {a.point for a in found.answers if a.quantity == quantity}
+            data[f"largest_{quantity}"] = {n: float(x) for n, x in zip(points, largest, strict=True) if n in told}
     return data
 
 
@@ -336,14 +337,13 @@ def notes_of(found: Dispersed) -> list[str]:
             f"trim: the elevon is at an end of its travel in {np.count_nonzero(untrimmed > 0.0)} of {n} flights, for "
             f"{np.max(untrimmed):.0f} s at most; not trimmed there, and these flights are not called safe"
         )
-    if found.checks is not None and np.all(np.isnan(found.checks.largest_K)):
+    checks = _checks(found)
+    if checks is not None and checks["came_to_their_end"] == 0:
         lines.append("six degrees of freedom: none of the flights came to its end there; nothing is compared")
-    elif found.checks is not None:
-        surface, bondline = (float(np.max(found.checks.largest_K[k])) for k in (0, 1))
-        lines.append(
-            f"{len(found.checks.apart_K)} flights again in six degrees of freedom: peaks agree within {surface:.1f} K "
-            f"at the surfaces and {bondline:.1f} K at the bondlines"
-        )
+    elif checks is not None:
+        agree = [(f"{q.removesuffix('_K')}s", checks[f"largest_{q}"].values()) for q in QUANTITIES]
+        told = " and ".join(f"{max(apart):.1f} K at the {where}" for where, apart in agree if apart)
+        lines.append(f"{checks['flights']} flights again in six degrees of freedom: peaks agree within {told}")
     fails = [f"{a.point} {place_of(a)}" for a in found.answers if not a.first["holds"]]
     if fails:
         lines.append(f"first order does not give the counted quantiles of {_which(fails, len(found.answers), 'peaks')}")
