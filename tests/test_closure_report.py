@@ -25,15 +25,15 @@ from sim_heating.closure.report import (
     Tried,
     closure_json,
     errors_of,
+    fill_closure,
     page_of,
-    write_closure,
 )
 from sim_heating.closure.residual import residual_heating
 from sim_heating.closure.sanity import SENSOR, Verdict
 from sim_heating.closure.search import posteriors
 from sim_heating.effects import use
 from sim_heating.estimation.estimate import estimate
-from sim_heating.files import read_csv_columns
+from sim_heating.files import files_made, output_directory, read_csv_columns
 from sim_heating.page import Page, Picture, Section, Table, page_html
 from sim_heating.record import pooled_rmse_K
 
@@ -127,8 +127,9 @@ def test_posteriors_are_those_of_equal_priors():
 
 
 def test_the_folder_holds_json_history_and_page(tmp_path):
-    names = write_closure(closed(), tmp_path / "out")
-    assert names == ["closure.json", "report.html", "residual_heating.csv"]
+    with output_directory(tmp_path / "out") as folder:
+        fill_closure(closed(), folder)
+    assert files_made(tmp_path / "out") == {"closure.json", "report.html", "residual_heating.csv"}
     data = json.loads((tmp_path / "out" / "closure.json").read_text())
     table = read_csv_columns(tmp_path / "out" / data["residual_heating"], ("time_s", "delta_ratio", "sigma"))
     np.testing.assert_array_equal(table["delta_ratio"], closed().residual.delta_ratio)
@@ -199,8 +200,8 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shuti
 
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
 def test_a_browser_shows_the_page_with_all_its_pictures(tmp_path: Path):
-    write_closure(closed(), tmp_path / "out")
-    page = (tmp_path / "out" / "report.html").as_uri()
+    fill_closure(closed(), tmp_path)
+    page = (tmp_path / "report.html").as_uri()
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--user-data-dir={tmp_path / 'p'}"]
     shot = tmp_path / "page.png"
     command = [CHROMIUM, *options, "--window-size=1200,6000", f"--screenshot={shot}", page]

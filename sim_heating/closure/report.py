@@ -19,7 +19,7 @@ from sim_heating.closure.residual import NAME as HEATING_NAME
 from sim_heating.closure.residual import ResidualHeating, write_residual_heating
 from sim_heating.closure.sanity import Verdict
 from sim_heating.conditions import RATIO_VARIABLES
-from sim_heating.files import output_directory, write_json
+from sim_heating.files import write_json
 from sim_heating.page import Page, Picture, Section, Table, write_page
 from sim_heating.predict import Prediction
 from sim_heating.record import Record, pooled_rmse_K
@@ -161,13 +161,6 @@ def _finite(value: float) -> float | None:
 
 def _plain(p: Estimated) -> dict[str, Any]:
     return {"value": float(p.value), "sigma": _finite(p.sigma), "unit": p.unit}
-
-
-def write_closure(found: Closure, out: Path) -> list[str]:
-    """Write all of a closure into a folder, or none of it; names of the files."""
-    with output_directory(out) as folder:
-        fill_closure(found, folder)
-        return sorted(p.name for p in folder.iterdir() if p.is_file())
 
 
 def fill_closure(found: Closure, folder: Path) -> None:

@@ -431,18 +431,13 @@ def _weighed(
     if not attempts:
         return Round(base, excess, (), {"none": 1.0}, passed)
     c = max(1.0, 1.0 + min(excess, attempts[0].excess))
-    weighed = sorted(
-        (
-            replace(
-                a, weighed=delta_bic(base, a.fit, a.candidate, c) + 2.0 * float(np.log(forms[a.name])) + unlikely(a)
-            )
-            for a in attempts
-        ),
-        key=lambda a: a.weighed,
-    )
-    posterior = posteriors({"none": 0.0, **{a.name: a.weighed for a in weighed}})
-    told = tuple(replace(a, posterior=posterior[a.name]) for a in weighed)
-    return Round(base, excess, told, posterior, passed)
+    weighed = {
+        a.name: delta_bic(base, a.fit, a.candidate, c) + 2.0 * float(np.log(forms[a.name])) + unlikely(a)
+        for a in attempts
+    }
+    posterior = posteriors({"none": 0.0, **weighed})
+    told = [replace(a, weighed=weighed[a.name], posterior=posterior[a.name]) for a in attempts]
+    return Round(base, excess, tuple(sorted(told, key=lambda a: a.weighed)), posterior, passed)
 
 
 def posteriors(delta_bic: Mapping[str, float]) -> dict[str, float]:
