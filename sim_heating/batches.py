@@ -45,8 +45,7 @@ SETTINGS = {
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
 }
 """Of Dask. Its profiler and its 50 looks a second at its own event loops take 3 % of a core from each worker.
-Its trim threshold of 64 kB has glibc give every array back to the system and fetch it anew: some 3000 page faults for
-each batch of flights, 7 % of its time."""
+Its trim threshold of 64 kB has glibc give every array back to the system and fetch it anew, page by page."""
 
 
 @dataclass(frozen=True)
