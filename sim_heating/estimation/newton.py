@@ -265,7 +265,7 @@ class _Search:
         if not _finite(self.found):
             return Status.NO_START
         for _ in range(self.settings.iterations):
-            step = self.step(self.damping)
+            step = self.step(self.damping, self.trust)
             if self.done(step):
                 return Status.CONVERGED
             moved = yield from self.whole(step)
@@ -274,7 +274,7 @@ class _Search:
             moved = moved or (yield from self.along(step))
             while not moved and self.damping < LARGEST_DAMPING:
                 self.damping = max(FIRST_DAMPING, MORE * self.damping)
-                moved = yield from self.along(self.step(self.damping))
+                moved = yield from self.along(self.step(self.damping, self.trust))
             if not moved:
                 return Status.CONVERGED if self.within_rounding() else Status.STALLED
             self.history.append(self.at)
@@ -282,10 +282,11 @@ class _Search:
             if not _finite(self.found):
                 return Status.STALLED
             self.damping *= LESS if self.damping > FIRST_DAMPING else 0.0
-        return Status.CONVERGED if self.done(self.step(self.damping)) else Status.ITERATIONS
+        return Status.CONVERGED if self.done(self.step(self.damping, self.trust)) else Status.ITERATIONS
 
-    def step(self, damping: float) -> FloatArray:
-        """The damped step of the parameters that no bound holds, the best one within the box."""
+    def step(self, damping: float, trust: float) -> FloatArray:
+        """The damped step of the parameters that no bound holds, the best one within the box; `trust` is the part of
+        `reach` that it has."""
         step, free = np.zeros_like(self.at), ~self.held
         if not free.any():
             return step
@@ -295,20 +296,20 @@ class _Search:
         root = np.sqrt(lifted + damping)
         target = vectors.T @ (s * self.found.gradient[free]) / root
         step[free] = s * (vectors @ (target / root))
-        lower, upper = (side[free] for side in self.box())
+        lower, upper = (side[free] for side in self.box(trust))
         if np.any((step[free] < lower) | (step[free] > upper)):
             scaled = lsq_linear(root[:, np.newaxis] * vectors.T, target, (lower / s, upper / s), method="bvls")
             step[free] = np.clip(s * scaled.x, lower, upper)
         return step
 
-    def box(self) -> tuple[FloatArray, FloatArray]:
+    def box(self, trust: float) -> tuple[FloatArray, FloatArray]:
         """How far each parameter may go down and up: in one step, and those from its end, no further from where it
-        began than `reach`, less where whole steps did not help."""
+        began than `reach`, of which `trust` is left where whole steps did not help."""
         if not np.isfinite(self.settings.reach):
             nowhere = np.full_like(self.at, np.inf)
             return -nowhere, nowhere
         known = self.posterior.information
-        reach = self.trust * self.settings.reach / np.sqrt(np.where(known > 0.0, known, np.finfo(float).tiny))
+        reach = trust * self.settings.reach / np.sqrt(np.where(known > 0.0, known, np.finfo(float).tiny))
         begin = self.history[-1] - self.at
         return (
             np.maximum(self.posterior.lower - self.at, begin - reach),
@@ -318,8 +319,7 @@ class _Search:
     def done(self, step: FloatArray) -> bool:
         """Whether the undamped step promises no gain worth it, and is a small part of each sigma."""
         if self.damping > 0.0 or self.trust < 1.0:
-            trust, self.trust = self.trust, 1.0
-            step, self.trust = self.step(0.0), trust
+            step = self.step(0.0, 1.0)
         promised = 0.5 * float(self.found.gradient @ step)
         sigma = np.sqrt(np.diag(self.covariance()))
         moved = np.abs(step) <= self.settings.step * np.where(self.held, np.inf, sigma)
@@ -338,7 +338,7 @@ class _Search:
                 return True
             if not _finite(self.found):
                 break
-            step = self.step(self.damping)
+            step = self.step(self.damping, self.trust)
         self.move_to(*begin)
         return False
 
@@ -356,7 +356,7 @@ class _Search:
 
     def within_rounding(self) -> bool:
         """Whether what an undamped step promises is below the rounding of the log posterior."""
-        promised = 0.5 * float(self.found.gradient @ self.step(0.0))
+        promised = 0.5 * float(self.found.gradient @ self.step(0.0, self.trust))
         return promised < max(self.settings.gain, 1e-12 * abs(self.found.log_likelihood))
 
     def covariance(self) -> FloatArray:
