@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import re
 import shutil
@@ -79,10 +80,17 @@ if "NUMBA_CACHE_DIR" not in os.environ:
 numba.config.SLP_VECTORIZE = 1  # type: ignore[attr-defined]
 
 
+KERNEL = {"cache": True, "fastmath": False, "error_model": "numpy", "nogil": True}
+
+
 def njit(function: F) -> F:
     """Compile a kernel: no fastmath (bit-equal interpreted, jitted and exported), numpy division, GIL released."""
-    compiled = numba.njit(cache=True, fastmath=False, error_model="numpy", nogil=True)(function)
-    return cast(F, compiled)
+    return cast(F, numba.njit(**KERNEL)(function))
+
+
+def inlined(function: F) -> F:
+    """The same, put in wherever it is called: a loop over lanes with a call left in it takes them one by one."""
+    return cast(F, numba.njit(**KERNEL, forceinline=True)(function))
 
 
 @numba.extending.intrinsic
@@ -109,6 +117,30 @@ def _raw_compiled(array):  # type: ignore[no-untyped-def]
     if isinstance(array, numba.types.Array):
         return lambda array: _data_pointer(array)
     return None
+
+
+WHOLE = 1.5 * 2.0**52
+"""Added to a number below 2^51 in size it leaves no digits behind the point, and its last bits are the integer."""
+
+
+@numba.extending.intrinsic
+def _power_of_two(_typing_context, k):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        number, bits = llvmlite.ir.DoubleType(), llvmlite.ir.IntType(64)
+        whole = builder.bitcast(builder.fadd(args[0], number(WHOLE)), bits)
+        return builder.bitcast(builder.add(builder.shl(whole, bits(52)), bits(1023 << 52)), number)
+
+    return numba.types.float64(numba.types.float64), codegen
+
+
+def power_of_two(k: float) -> float:
+    """2^k of a whole number k from -1022 to 1023, held as a float; compiled, its bits put together."""
+    return math.ldexp(1.0, int(k))
+
+
+@numba.extending.overload(power_of_two, inline="always")
+def _power_of_two_compiled(k):  # type: ignore[no-untyped-def]
+    return lambda k: _power_of_two(k)
 
 
 def _call_through_address(context, builder, signature, args):  # type: ignore[no-untyped-def]

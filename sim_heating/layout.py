@@ -37,13 +37,10 @@ FILM, RECOVERY, ADDED, PCOL, PFRAC, R_BASE = 0, 3, 6, 9, 12, 15
 SURROUNDINGS4, BACK_H, BACK_T, BACK_EPS, FACTOR_EPS = 18, 19, 20, 21, 22
 ACTIVE, FAILED, ITERATIONS, COLUMN, OUTSIDE, NEGATIVE = 23, 24, 25, 26, 27, 28
 STAGE_IN, STAGE_OUT, ENERGY_IN, ENERGY_OUT = 29, 30, 31, 32
-# The lag of a ratio, one row a stage: its value and what it follows; whether it has a past. Heat content of moisture:
-# taken up [J/kg] about a temperature [K], given off about another, over a width [K]. Part of the film that the surface
-# has, the rest being spent in gaps. Heat that vapour carries from where moisture boils to where it has not yet [W/m].
-# Temperature from which on radiation in depth adds to the conductivity of the tables [K].
-LAG_VALUE, LAG_INPUT, LAG_PAST = 33, 36, 39
-LATENT, BOIL, DEPOSIT, CONDENSE, PHASE_WIDTH, SURFACE_SHARE, VAPOUR, RADIATES_FROM = 40, 41, 42, 43, 44, 45, 46, 47
-C_STAGES = 48
+# The lag of a ratio, one row a stage: its value and what it follows; whether it has a past. Part of the film that the
+# surface has, the rest being spent in gaps.
+LAG_VALUE, LAG_INPUT, LAG_PAST, SURFACE_SHARE = 33, 36, 39, 40
+C_STAGES = 41
 PARAMETERS = C_STAGES + 3 * N_CONDITIONS
 # The table cell that each lane is in, for the five variables: the variables, where the cell ends (for ever at the edges
 # of the table), its foot and the reciprocal of its width, the ratio at its 32 corners, and what is left of them.
@@ -71,7 +68,12 @@ LOW, HIGH, FOOT, FOOT_LEFT = 28, 29, 30, 40
 # the temperature at the middle stage of the last step, radiative conductivity at 1000 K of the element to the right
 # [W/(m K)], density times length that moisture sits in, on either side [kg/m2], and the part of the film spent here.
 T_STAGE, K_RAD, WET_LEFT, WET_RIGHT, GAP = 50, 51, 52, 53, 54
-NODE_ROWS = 55
+# What the nodes of a lane share in depth: temperature from which on radiation adds to the conductivity of the tables
+# [K]; heat content of moisture, taken up [J/kg] about a temperature [K], given off about another, over a width, here
+# its reciprocal [1/K]. Heat that vapour carries in the element to the right from where moisture boils to where it has
+# not yet [W/m].
+RADIATES_FROM, LATENT, BOIL, DEPOSIT, CONDENSE, PHASE_RATE, VAPOUR = 55, 56, 57, 58, 59, 60, 61
+NODE_ROWS = 62
 HEAD_ROWS = SCALAR_ROWS + NODE_ROWS
 """A ghost node of zeros before the first and one behind the last end the recurrences along the nodes."""
 NOWHERE = -1e30

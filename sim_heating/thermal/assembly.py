@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.arithmetic import logistic
-from sim_heating.jit import njit
+from sim_heating.jit import inlined, njit
 from sim_heating.layout import (
     ACROSS,
     BOIL,
@@ -68,7 +68,7 @@ from sim_heating.layout import (
     NOWHERE,
     PCOL,
     PFRAC,
-    PHASE_WIDTH,
+    PHASE_RATE,
     RADIATES_FROM,
     RESIDUAL,
     SCALAR_ROWS,
@@ -162,14 +162,14 @@ def _properties(B: FloatArray, a: int, lane: int, foot: int, f: float) -> tuple[
     return _integral(B[x], c0, c1, t), c0 + c1 * t, _integral(theta0, k0, k1, t), k0 + k1 * t
 
 
-@njit
-def _wet(B: FloatArray, lane: int, T_K: float) -> tuple[float, float, float]:
-    """Heat content of moisture [J/kg], its slope [J/(kg K)], and the part that has dried."""
-    w = 1.0 / B[PHASE_WIDTH * LANES + lane]
-    up = logistic((T_K - B[BOIL * LANES + lane]) * w)
-    down = logistic((T_K - B[CONDENSE * LANES + lane]) * w)
-    L, D = B[LATENT * LANES + lane], B[DEPOSIT * LANES + lane]
-    return L * up - D * down, (L * up * (1.0 - up) - D * down * (1.0 - down)) * w, up
+@inlined
+def _radiated(T_K: float, begin_K: float) -> tuple[float, float]:
+    """Kirchhoff's variable [K] and conductivity [-] of radiation in depth, over that at 1000 K: it adds
+    (T^3 - T_0^3) / (1000 K)^3 above T_0, up to which the tables have it."""
+    above = max(T_K, begin_K)
+    cube, begin_cube = above * above * above, begin_K * begin_K * begin_K
+    theta = 0.25 * (cube * above - begin_cube * begin_K) - begin_cube * (above - begin_K)
+    return 1e-9 * theta, 1e-9 * (cube - begin_cube)
 
 
 @njit
@@ -202,45 +202,33 @@ def _write_row(
     B[a + RESIDUAL * LANES + lane] = e_left + e_right - B[a + E_STAR * LANES + lane] - across
 
 
-@njit
-def _in_depth(B: FloatArray, a: int, lane: int, T_K: float, dried: float) -> tuple[float, float]:
-    """Kirchhoff's variable [W/m] and conductivity [W/(m K)] of radiation and vapour in the element right of a node.
-
-    Radiation adds k_rad (T^3 - T_0^3) / (1000 K)^3 above T_0, up to which the tables have it.
-    """
-    begin = B[RADIATES_FROM * LANES + lane]
-    above = max(T_K, begin)
-    k_1 = 1e-9 * B[a + K_RAD * LANES + lane]
-    cube, begin_cube = above * above * above, begin * begin * begin
-    k_rad = k_1 * (cube - begin_cube)
-    theta_rad = k_1 * (0.25 * (cube * above - begin_cube * begin) - begin_cube * (above - begin))
-    vapour = B[VAPOUR * LANES + lane] if B[a + WET_RIGHT * LANES + lane] > 0.0 else 0.0
-    return theta_rad + vapour * dried, k_rad + vapour * dried * (1.0 - dried) / B[PHASE_WIDTH * LANES + lane]
-
-
-@njit
+@inlined
 def _add_in_depth(B: FloatArray, a: int, lane: int, ddt: float) -> None:
     """Add moisture and radiation in depth to the row of a node, that of its left neighbour having them already.
 
-    Apart from the row itself: most walls have neither, and the branch would keep the lanes from going together.
+    Apart from the row itself, as most walls have neither; dry lanes among the others go through the same arithmetic.
     """
     left = a - NODE_ROWS * LANES
-    t = B[a + T * LANES + lane]
+    t, rate = B[a + T * LANES + lane], B[a + PHASE_RATE * LANES + lane]
+    up = logistic((t - B[a + BOIL * LANES + lane]) * rate)
+    down = logistic((t - B[a + CONDENSE * LANES + lane]) * rate)
+    rising, falling = up * (1.0 - up) * rate, down * (1.0 - down) * rate
+    L, D = B[a + LATENT * LANES + lane], B[a + DEPOSIT * LANES + lane]
+    h, c = L * up - D * down, L * rising - D * falling
+    theta_rad, k_rad = _radiated(t, B[a + RADIATES_FROM * LANES + lane])
+    k_1_left, k_1_right = B[left + K_RAD * LANES + lane], B[a + K_RAD * LANES + lane]
+    vapour_left, vapour_right = B[left + VAPOUR * LANES + lane], B[a + VAPOUR * LANES + lane]
     wet_left, wet_right = B[a + WET_LEFT * LANES + lane], B[a + WET_RIGHT * LANES + lane]
-    h, c, dried = 0.0, 0.0, 0.0
-    if wet_left + wet_right > 0.0:
-        h, c, dried = _wet(B, lane, t)
-    theta_right, k_right = _in_depth(B, a, lane, t, dried)
-    theta_left, k_left = _in_depth(B, left, lane, t, dried)
     g_left = ddt * B[left + G * LANES + lane]
-    across = SHARE * wet_left * h - g_left * theta_left
-    entry = SHARE * wet_left * c - g_left * k_left
+    across = SHARE * wet_left * h - g_left * (k_1_left * theta_rad + vapour_left * up)
+    entry = SHARE * wet_left * c - g_left * (k_1_left * k_rad + vapour_left * rising)
+    k_right = k_1_right * k_rad + vapour_right * rising
     lower = SHARE * wet_right * c - ddt * B[a + G * LANES + lane] * k_right
     B[a + E_LEFT * LANES + lane] += wet_left * h
     B[a + C_LEFT * LANES + lane] += wet_left * c
     B[a + E_RIGHT * LANES + lane] += wet_right * h
     B[a + C_RIGHT * LANES + lane] += wet_right * c
-    B[a + THETA_RIGHT * LANES + lane] += theta_right
+    B[a + THETA_RIGHT * LANES + lane] += k_1_right * theta_rad + vapour_right * up
     B[a + ACROSS * LANES + lane] += across
     B[a + ENTRY * LANES + lane] += entry
     B[a + LOWER * LANES + lane] += lower

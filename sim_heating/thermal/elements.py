@@ -28,7 +28,7 @@ from sim_heating.layout import (
     M_RIGHT,
     NODE_INTS,
     NODE_ROWS,
-    PHASE_WIDTH,
+    PHASE_RATE,
     RADIATES_FROM,
     SURFACE_SHARE,
     VAPOUR,
@@ -81,21 +81,30 @@ def set_elements(
         B[right + M_LEFT * LANES] = half
         B[here + WET_RIGHT * LANES] = wet
         B[right + WET_LEFT * LANES] = wet
-    _set_faces(B, J, lane, p)
+    _set_in_depth(B, J, lane, layer, insulation, p)
+    _set_faces(B, lane, p)
     _set_gap(B, J, lane, layer, length_m, bondline, p)
 
 
 @njit
-def _set_faces(B: FloatArray, J: IntArray, lane: int, p: FloatArray) -> None:
+def _set_in_depth(B: FloatArray, J: IntArray, lane: int, layer: IntArray, insulation: int, p: FloatArray) -> None:
+    """Moisture and radiation of every node, where loops over lanes find them."""
+    for i in range(len(layer) + 1):
+        a = (HEAD_ROWS + i * NODE_ROWS) * LANES + lane
+        B[a + RADIATES_FROM * LANES] = p[RADIATION_FROM]
+        B[a + LATENT * LANES], B[a + BOIL * LANES] = p[LATENT_HEAT], p[BOILS]
+        B[a + DEPOSIT * LANES], B[a + CONDENSE * LANES] = p[DEPOSITED], p[CONDENSES]
+        B[a + PHASE_RATE * LANES] = 1.0 / p[WIDTH]
+        B[a + VAPOUR * LANES] = p[CARRIED] if i < len(layer) and layer[i] == insulation else 0.0
+    if p[LATENT_HEAT] > 0.0 or p[DEPOSITED] > 0.0 or p[CARRIED] > 0.0 or p[RADIATIVE] != 0.0:
+        J[IN_DEPTH] = 1
+
+
+@njit
+def _set_faces(B: FloatArray, lane: int, p: FloatArray) -> None:
     B[FACTOR_EPS * LANES + lane] = p[EMISSIVITY]
     B[BACK_H * LANES + lane], B[BACK_T * LANES + lane] = p[H_BEHIND], p[T_BEHIND]
     B[BACK_EPS * LANES + lane] = p[EPS_BEHIND]
-    B[LATENT * LANES + lane], B[BOIL * LANES + lane] = p[LATENT_HEAT], p[BOILS]
-    B[DEPOSIT * LANES + lane], B[CONDENSE * LANES + lane] = p[DEPOSITED], p[CONDENSES]
-    B[PHASE_WIDTH * LANES + lane], B[VAPOUR * LANES + lane] = p[WIDTH], p[CARRIED]
-    B[RADIATES_FROM * LANES + lane] = p[RADIATION_FROM]
-    if p[LATENT_HEAT] > 0.0 or p[DEPOSITED] > 0.0 or p[CARRIED] > 0.0 or p[RADIATIVE] != 0.0:
-        J[IN_DEPTH] = 1
 
 
 @njit
