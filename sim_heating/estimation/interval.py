@@ -25,7 +25,7 @@ FloatArray = NDArray[np.float64]
 
 NEPERS = 46.0
 """Fall of the integrand at which it is left: exp(-46) = 1e-20."""
-PANEL = 3.0
+PANEL = 8.0
 """Width of a panel over the scale on which the integrand changes there."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(14)
 ROOT_HALF = math.sqrt(0.5)
