@@ -43,19 +43,20 @@ def pack(models: Sequence[PointModel], step_s: float = 1.0) -> Ensemble:
 def choose_meshes(models: Sequence[PointModel], step_s: float = 1.0) -> list[tuple[Mesh, float | None]]:
     """Mesh of each point and its error estimate [K] on the pulse; no estimate where the point names its node count.
 
-    The estimate of a stack is made once and remembered.
+    Meshes and estimates are made once for a stack and remembered.
     """
-    automatic = {_key(m, step_s): m for m in models if m.nodes is None}
-    new = {key: m for key, m in automatic.items() if key not in _KNOWN}
-    _KNOWN.update(_climb(new, step_s))
-    return [_KNOWN[_key(m, step_s)] if m.nodes is None else (_asked_for(m, step_s), None) for m in models]
+    new = {key: m for key, m in ((_key(m, step_s), m) for m in models) if key not in _KNOWN}
+    _KNOWN.update({key: (_asked_for(m, step_s), None) for key, m in new.items() if m.nodes is not None})
+    _KNOWN.update(_climb({key: m for key, m in new.items() if m.nodes is None}, step_s))
+    return [_KNOWN[_key(m, step_s)] for m in models]
 
 
-_KNOWN: dict[tuple[str, tuple[float, ...], float], tuple[Mesh, float | None]] = {}
+_Key = tuple[str, tuple[float, ...], int | None, float]
+_KNOWN: dict[_Key, tuple[Mesh, float | None]] = {}
 
 
-def _key(model: PointModel, step_s: float) -> tuple[str, tuple[float, ...], float]:
-    return model.construction.model_dump_json(), model.depths_m, step_s
+def _key(model: PointModel, step_s: float) -> _Key:
+    return model.construction.model_dump_json(), model.depths_m, model.nodes, step_s
 
 
 def _asked_for(model: PointModel, step_s: float) -> Mesh:
