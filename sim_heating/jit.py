@@ -80,17 +80,15 @@ if "NUMBA_CACHE_DIR" not in os.environ:
 numba.config.SLP_VECTORIZE = 1  # type: ignore[attr-defined]
 
 
-KERNEL = {"cache": True, "fastmath": False, "error_model": "numpy", "nogil": True}
-
-
-def njit(function: F) -> F:
+def njit(function: F, inline: bool = False) -> F:
     """Compile a kernel: no fastmath (bit-equal interpreted, jitted and exported), numpy division, GIL released."""
-    return cast(F, numba.njit(**KERNEL)(function))
+    kernel = numba.njit(cache=True, fastmath=False, error_model="numpy", nogil=True, forceinline=inline)
+    return cast(F, kernel(function))
 
 
 def inlined(function: F) -> F:
-    """The same, put in wherever it is called: a loop over lanes with a call left in it takes them one by one."""
-    return cast(F, numba.njit(**KERNEL, forceinline=True)(function))
+    """njit, put in wherever it is called: a loop over lanes with a call left in it takes them one by one."""
+    return njit(function, inline=True)
 
 
 @numba.extending.intrinsic
