@@ -11,7 +11,7 @@ from walls import practice_record
 from sim_heating.effects import EffectUse, use
 from sim_heating.estimation.newton import Settings, Status, maximise
 from sim_heating.estimation.problem import Problem, joint_reference
-from sim_heating.estimation.together import evaluate_together, maximise_together
+from sim_heating.estimation.together import Together, maximise_together
 from sim_heating.record import in_segments
 
 FITTED_S = [(690.0, 760.0)]
@@ -43,7 +43,7 @@ def problems() -> list[Problem]:
 
 
 def test_evaluation_side_by_side_is_that_of_each_alone_to_the_last_bit(problems):
-    together = evaluate_together(problems, firsts(problems))
+    together = Together(problems).evaluate(firsts(problems))
     for found, (effects, more), at in zip(together, SOUGHT, firsts(problems), strict=True):
         alone = problem(effects, more).evaluate(at)
         assert found.log_likelihood == alone.log_likelihood
@@ -53,9 +53,9 @@ def test_evaluation_side_by_side_is_that_of_each_alone_to_the_last_bit(problems)
 
 def test_problem_whose_march_fails_spoils_none_beside_it(problems):
     vectors = firsts(problems)
-    well = evaluate_together(problems, vectors)
+    well = Together(problems).evaluate(vectors)
     vectors[1] = np.full_like(vectors[1], np.nan)
-    found = evaluate_together(problems, vectors)
+    found = Together(problems).evaluate(vectors)
     assert [np.isfinite(f.log_likelihood) for f in found] == [True, False, True, True, True]
     assert all(found[k].log_likelihood == well[k].log_likelihood for k in (0, 2, 3, 4))
 
@@ -76,7 +76,7 @@ def test_fits_side_by_side_are_those_of_each_alone(problems):
 def test_more_problems_than_lanes_and_none_at_all():
     many = [problem() for _ in range(11)]
     at = firsts(many)
-    found = evaluate_together(many, [v + 1e-3 * k for k, v in enumerate(at)])
+    found = Together(many).evaluate([v + 1e-3 * k for k, v in enumerate(at)])
     assert len({f.log_likelihood for f in found}) == 11
-    assert evaluate_together([], []) == []
+    assert Together([]).evaluate([]) == []
     assert maximise_together([]) == []

@@ -503,7 +503,7 @@ R = TypeVar("R")
 
 def in_threads(one: Callable[[int], R], count: int) -> list[R]:
     """one(0), ..., one(count - 1), in threads where there are several."""
-    if min(count, THREADS) == 1:
+    if min(count, THREADS) <= 1:
         return [one(k) for k in range(count)]
     with ThreadPoolExecutor(min(count, THREADS)) as pool:
         return list(pool.map(one, range(count)))

@@ -41,35 +41,30 @@ class Together:
             _Group(tuple(place[part] for part in group), tuple(group), march_of(group)) for group in side_by_side(place)
         ]
 
-    def evaluate(self, vectors: Sequence[FloatArray]) -> list[Evaluation]:
-        """What Problem.evaluate gives at one parameter vector for each problem."""
+    def march(self, vectors: Sequence[FloatArray]) -> list[bool]:
+        """March each problem at a parameter vector, which it then keeps; whether that could be done."""
 
         def one(k: int) -> list[Linearised | None]:
             group = self._groups[k]
             return group.march.attempt(*set_out(group.march, group.parts, [vectors[i] for i, _ in group.members]))
 
-        marched: list[dict[int, Linearised | None]] = [{} for _ in self.problems]
-        for group, found in zip(self._groups, in_threads(one, len(self._groups)), strict=True):
-            for (i, k), result in zip(group.members, found, strict=True):
-                marched[i][k] = result
+        marched: list[dict[int, Linearised]] = [{} for _ in self.problems]
+        for group, results in zip(self._groups, in_threads(one, len(self._groups)), strict=True):
+            for (i, k), result in zip(group.members, results, strict=True):
+                if result is not None:
+                    marched[i][k] = result
+        whole = [len(found) == len(problem.parts) for problem, found in zip(self.problems, marched, strict=True)]
+        for i, problem in enumerate(self.problems):
+            if whole[i]:
+                problem.keep(vectors[i], marched[i])
+        return whole
+
+    def evaluate(self, vectors: Sequence[FloatArray]) -> list[Evaluation]:
+        """What Problem.evaluate gives at one parameter vector for each problem."""
         return [
-            self._evaluation(problem, vector, found)
-            for problem, vector, found in zip(self.problems, vectors, marched, strict=True)
+            problem.evaluate(vector) if marched else problem.nothing()
+            for problem, vector, marched in zip(self.problems, vectors, self.march(vectors), strict=True)
         ]
-
-    @staticmethod
-    def _evaluation(problem: Problem, vector: FloatArray, marched: dict[int, Linearised | None]) -> Evaluation:
-        whole = {k: found for k, found in marched.items() if found is not None}
-        if len(whole) < len(problem.parts):
-            return problem.nothing()
-        problem.keep(vector, whole)
-        return problem.evaluate(vector)
-
-
-def evaluate_together(problems: Sequence[Problem], vectors: Sequence[FloatArray]) -> list[Evaluation]:
-    """What Problem.evaluate gives at one parameter vector for each problem, all marched side by side; NaN for a problem
-    whose march failed."""
-    return Together(problems).evaluate(vectors) if problems else []
 
 
 def maximise_together(
