@@ -6,8 +6,9 @@ sensors have no place in the march: their parameters are those of the record.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +28,17 @@ NEEDS = {
 """Variables that have to move for an effect to be seen."""
 
 
+class Form(NamedTuple):
+    """What is estimated, and the values of what is not."""
+
+    names: frozenset[str]
+    fixed: frozenset[tuple[str, float]]
+
+    def within(self, other: Form) -> bool:
+        """Whether the other estimates all that this one does, and more that has one value here."""
+        return self.names < other.names and other.fixed <= self.fixed
+
+
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """One thing to try.
@@ -35,24 +47,24 @@ class Candidate:
     uses  : the effects that the march carries for it, with the values that it starts from
     names : dotted names of what is estimated on top of what is estimated already
     start : their values to begin with
-    prior : those whose prior says how likely a value is; what is sought over a range of starts has none
+    prior : those whose prior says how likely a value is; what is sought from several starts is left out
     """
 
     name: str
     uses: tuple[EffectUse, ...]
     names: tuple[str, ...]
     start: Mapping[str, float]
-    prior: tuple[str, ...] = ()
+    prior: tuple[str, ...]
 
     @property
-    def form(self) -> tuple[object, ...]:
-        """What is estimated, and the values of what is not: candidates of one form differ in where they start."""
-        return self.names, *(
-            (p.name, value)
+    def form(self) -> Form:
+        """Candidates of one form differ in where they start."""
+        values = {
+            f"{EFFECT_PREFIX}{used.effect.name}.{p.name}": value
             for used in self.uses
             for p, value in zip(used.effect.parameters, used.values, strict=True)
-            if f"{EFFECT_PREFIX}{used.effect.name}.{p.name}" not in self.names
-        )
+        }
+        return Form(frozenset(self.names), frozenset((n, v) for n, v in values.items() if n not in self.names))
 
 
 def candidates(record: Record, flown: Conditions, taken: Sequence[str] = ()) -> list[Candidate]:
@@ -81,10 +93,12 @@ def _moves(name: str, flown: Conditions) -> bool:
 
 def _of_effect(effect: Effect, record: Record, flown: Conditions) -> list[Candidate]:
     if effect.places == (CLOCK_SKEW.name,):
-        return [Candidate(effect.name, (), (CLOCK_SKEW.name,), {})]
+        return [Candidate(effect.name, (), (CLOCK_SKEW.name,), {}, (CLOCK_SKEW.name,))]
+    tries = effect.tried(flown)
+    sought = _sought(tries)
     return [
-        _of_try(effect, one)
-        for one in effect.tried(flown)
+        _of_try(effect, one, sought)
+        for one in tries
         if not still([place for name in one.names for place in _places(effect, name)], [record])
     ]
 
@@ -94,14 +108,23 @@ def _places(effect: Effect, name: str) -> tuple[str, ...]:
     return tuple(p for p, own in zip(effect.places, effect.parameters, strict=False) if own.name == name)
 
 
-def _of_try(effect: Effect, one: Try) -> Candidate:
+def _sought(tries: Sequence[Try]) -> frozenset[str]:
+    """Parameters that tries begin at several values of."""
+    begun: dict[str, set[float]] = {}
+    for one in tries:
+        for name in set(one.names) & set(one.start):
+            begun.setdefault(name, set()).add(one.start[name])
+    return frozenset(name for name, values in begun.items() if len(values) > 1)
+
+
+def _of_try(effect: Effect, one: Try, sought: Collection[str]) -> Candidate:
     limits = {p.name: (p.lower, p.upper) for p in effect.parameters}
     used = use(
         effect.name, {name: min(max(value, limits[name][0]), limits[name][1]) for name, value in one.start.items()}
     )
     values = dict(zip((p.name for p in effect.parameters), used.values, strict=True))
     first = {f"{EFFECT_PREFIX}{effect.name}.{p}": values[p] for p in one.names}
-    prior = tuple(f"{EFFECT_PREFIX}{effect.name}.{p}" for p in one.names if p not in one.start)
+    prior = tuple(f"{EFFECT_PREFIX}{effect.name}.{p}" for p in one.names if p not in sought)
     return Candidate(effect.name, (used,), tuple(first), first, prior)
 
 
@@ -112,5 +135,5 @@ def _of_sensors(record: Record) -> list[Candidate]:
     for sensor in record.used_sensors if len(record.used_sensors) > 1 else []:
         for wrong in (("bias",), ("gain",), ("bias", "gain")):
             start = {f"{SENSOR_PREFIX}{sensor.name}.{what}": SENSOR[what].value for what in wrong}
-            found.append(Candidate(SENSOR_EFFECT, (), tuple(start), start))
+            found.append(Candidate(SENSOR_EFFECT, (), tuple(start), start, tuple(start)))
     return found

@@ -19,24 +19,25 @@ the best starts of each are then fitted, LANES of them side by side.
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.closure.candidates import Candidate, candidates
+from sim_heating.closure.candidates import Candidate, Form, candidates
 from sim_heating.closure.thinning import LONGEST_S, thinned
 from sim_heating.effects import EffectUse
 from sim_heating.errors import RunError
 from sim_heating.estimation.estimate import Fitted, estimate, lasting, misfit, predict_at
 from sim_heating.estimation.identifiability import covariance
-from sim_heating.estimation.likelihood import likelihood
-from sim_heating.estimation.newton import Evaluation, Fit, Settings, Status
+from sim_heating.estimation.likelihood import scores
+from sim_heating.estimation.newton import Fit, Settings, Status
+from sim_heating.estimation.observation import definition
 from sim_heating.estimation.problem import SKEW_SPAN_S, Problem
-from sim_heating.estimation.together import evaluate_together, maximise_together
+from sim_heating.estimation.together import Together, maximise_together
 from sim_heating.parameters import CLOCK_SKEW, EFFECT_PREFIX, Parameter
 from sim_heating.points import conditions_of_record
 from sim_heating.predict import Prediction
@@ -261,7 +262,9 @@ def _base(before: Fitted) -> Attempt:
     except RunError:  # a model so wrong that it cannot be marched everywhere: the quick march stands as it is
         exact = coarse = np.zeros(1)
     problem.parts[0].correction_K = exact - coarse
-    return Attempt("none", Candidate("none", (), (), {}), problem, maximise_together([problem], [at], QUICK)[0], 0.0)
+    return Attempt(
+        "none", Candidate("none", (), (), {}, ()), problem, maximise_together([problem], [at], QUICK)[0], 0.0
+    )
 
 
 def _on_top(base: Attempt, candidate: Candidate) -> Problem:
@@ -309,7 +312,7 @@ def one_round(base: Attempt, taken: Sequence[str], progress: Progress) -> Round:
     flown = conditions_of_record(record)
     tried = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), taken)
     gains = promises(base, tried)
-    chosen = _promising(tried, gains, samples(base.problem))
+    chosen = sorted(_promising(tried, gains, samples(base.problem)))
     problems, start = [_on_top(base, tried[i]) for i in chosen], values_of(base)
     firsts = [_first(p, {**start, **tried[i].start}) for p, i in zip(problems, chosen, strict=True)]
     progress(0.3, f"fitting {len(chosen)} of {len(tried)} candidates")
@@ -332,7 +335,7 @@ def _promising(tried: Sequence[Candidate], gains: Sequence[float], n: int) -> li
     """Which candidates are fitted: the most promising starts of each form, but none that promises much less than the
     best, or too little to be worth its parameters."""
     most = max(gains, default=0.0)
-    count: dict[object, int] = {}
+    count: dict[Form, int] = {}
     chosen = []
     for i in sorted(range(len(tried)), key=lambda i: -gains[i]):
         form = tried[i].form
@@ -356,28 +359,34 @@ def promises(base: Attempt, tried: Sequence[Candidate]) -> list[float]:
     firsts = [_first(p, {**start, **c.start}) for p, c in zip(problems, tried, strict=True)]
     known = np.concatenate([s.own for s in base.problem.samples(base.fit.values)])
     inner = known[:, [k for k, n in enumerate(part.names) if n not in part.other]]
+    scored = cache(lambda number, mean: scores(part.channels[number].observed, np.frombuffer(mean), sigma[number]))
+    sigma = [part.sigma_K[c.number] for c in part.channels]
+    marched = Together(problems).march(firsts)
     return [
-        _promise(problem, first, one, inner) - base.fit.log_likelihood
-        for problem, first, one in zip(problems, firsts, evaluate_together(problems, firsts), strict=True)
+        _promise(problem, first, inner, scored) - base.fit.log_likelihood if done else -np.inf
+        for problem, first, done in zip(problems, firsts, marched, strict=True)
     ]
 
 
-def _promise(problem: Problem, first: FloatArray, found: Evaluation, known: FloatArray) -> float:
+Scored = Callable[[int, bytes], tuple[float, FloatArray, FloatArray]]
+"""likelihood.scores of a channel by its number, for predictions as bytes: those of many candidates are the same."""
+
+
+def _promise(problem: Problem, first: FloatArray, known: FloatArray, scored: Scored) -> float:
     """Log likelihood that a Gauss-Newton step promises; `known` (sample, parameter): the base's sensitivities."""
-    if not np.isfinite(found.log_likelihood):
-        return -np.inf
+    everything = problem.samples(first)
+    found = [scored(number, s.mean_K.tobytes()) for number, s in enumerate(everything)]
+    score, weight = np.concatenate([f[1] for f in found]), np.concatenate([f[2] for f in found])
+    own = np.concatenate([s.own for s in everything])
+    gradient, information = score @ own, weight @ own**2
     lower = np.array([p.lower for p in problem.parameters])
     upper = np.array([p.upper for p in problem.parameters])
-    free = ~(((first <= lower) & (found.gradient <= 0.0)) | ((first >= upper) & (found.gradient >= 0.0)))
-    everything = problem.samples(first)
-    own = np.concatenate([s.own for s in everything])[:, free & (np.diag(found.information) > 0.0)]
-    scored = [likelihood(s.channel.observed, s.mean_K, s.sigma_K) for s in everything]
-    J = np.column_stack([known, own])
-    M = J.T @ (J * np.concatenate([f.information for f in scored])[:, np.newaxis])
-    g = J.T @ np.concatenate([f.score for f in scored])
+    held = ((first <= lower) & (gradient <= 0.0)) | ((first >= upper) & (gradient >= 0.0))
+    J = np.column_stack([known, own[:, ~held & (information > 0.0)]])
+    M, g = J.T @ (J * weight[:, np.newaxis]), J.T @ score
     inverse = covariance(M)
     inverse[~np.isfinite(inverse)] = 0.0
-    return float(found.log_likelihood + 0.5 * g @ inverse @ g)
+    return float(sum(f[0] for f in found) + 0.5 * g @ inverse @ g)
 
 
 def in_stages(
@@ -450,15 +459,17 @@ def posteriors(delta_bic: Mapping[str, float]) -> dict[str, float]:
 
 def unlikely(attempt: Attempt) -> float:
     """By how much priors speak against the values found: the sum of squares of sigmas from what is declared."""
-    model, found = attempt.problem.parts[0].model, values_of(attempt)
-    known = [(model.definition(name), found[name]) for name in attempt.candidate.prior]
-    return float(sum(((value - p.value) / p.sigma) ** 2 for p, value in known))
+    part, found = attempt.problem.parts[0], values_of(attempt)
+    known = {n: definition(part.record, n) or part.model.definition(n) for n in attempt.candidate.prior}
+    return float(sum(((found[n] - p.value) / p.sigma) ** 2 for n, p in known.items()))
 
 
 def forms_of(tried: Sequence[Candidate]) -> dict[str, int]:
-    """How many forms of each effect there are."""
-    forms = dict.fromkeys((c.name, c.form) for c in tried)
-    return dict(Counter(name for name, _ in forms))
+    """How many forms of each effect there are, without those that are another one at one value of what it estimates."""
+    forms: dict[str, set[Form]] = {}
+    for c in tried:
+        forms.setdefault(c.name, set()).add(c.form)
+    return {name: sum(not any(f.within(g) for g in those) for f in those) for name, those in forms.items()}
 
 
 def samples(problem: Problem) -> int:
