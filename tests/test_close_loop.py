@@ -17,7 +17,8 @@ import pytest
 from click.testing import CliRunner
 
 from sim_heating.cli import cli
-from sim_heating.closure.search import GAIN, search, values_of
+from sim_heating.closure.attempt import values_of
+from sim_heating.closure.search import GAIN, search
 from sim_heating.closure.thinning import LONGEST_S, kept_samples
 from sim_heating.conditions import Conditions
 from sim_heating.effects import EffectUse, use

@@ -30,7 +30,7 @@ from sim_heating.closure.report import (
 )
 from sim_heating.closure.residual import residual_heating
 from sim_heating.closure.sanity import SENSOR, Verdict
-from sim_heating.closure.search import posteriors
+from sim_heating.closure.weighing import posteriors
 from sim_heating.effects import use
 from sim_heating.estimation.estimate import estimate
 from sim_heating.files import files_made, output_directory, read_csv_columns

@@ -7,12 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from sim_heating.closure.attempt import QUICK, WIDENED, Attempt, fitted_uses, values_of
 from sim_heating.closure.calibration import false_alarm
 from sim_heating.closure.evidence import evidence, ratio_at
 from sim_heating.closure.report import Closure, Estimated, Named, Tried, errors_of, fill_closure
 from sim_heating.closure.residual import ResidualHeating, residual_heating
 from sim_heating.closure.sanity import CLOCK, Verdict, after_fit, before_fit
-from sim_heating.closure.search import QUICK, WIDENED, Attempt, Search, fitted_uses, search, values_of
+from sim_heating.closure.search import Search, search
 from sim_heating.conditions import RATIO_VARIABLES
 from sim_heating.errors import InputError, RunError
 from sim_heating.estimation.estimate import Fitted, estimate

@@ -1,0 +1,173 @@
+"""The model that candidates are added to, and one candidate fitted on top of it.
+
+A search marches fewer nodes and conditions than a fit; what that and the mesh change at the declared model is taken
+out. Segments that are held out are marched the same way, and never fitted: what a candidate makes of them is evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.closure.candidates import Candidate
+from sim_heating.closure.thinning import LONGEST_S, thinned
+from sim_heating.effects import EffectUse
+from sim_heating.errors import InputError, RunError
+from sim_heating.estimation.estimate import Fitted, lasting, misfit, predict_at
+from sim_heating.estimation.likelihood import scores
+from sim_heating.estimation.newton import Fit, Settings
+from sim_heating.estimation.problem import SKEW_SPAN_S, Part, Problem
+from sim_heating.estimation.together import maximise_together
+from sim_heating.parameters import CLOCK_SKEW, Parameter
+from sim_heating.predict import Prediction
+
+FloatArray = NDArray[np.float64]
+
+AGREEMENT = 0.25
+"""Part of their sample interval to which two recorders' clocks are taken to agree unless shown otherwise."""
+WIDENED = 3.0
+"""Priors of effects' parameters are this much wider in the search: enough to keep a first step within reason."""
+NODES_PART, FEWEST_NODES = 0.5, 14
+"""Nodes that a search marches, over those of a fit; and how many it has at least."""
+QUICK = Settings(gain=0.05, step=0.2, iterations=25, lengths=(0.5, 0.25, 0.1, 0.03, 0.01, 1e-3), reach=0.4)
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """One candidate fitted on top of a model.
+
+    problem   : over the samples that are fitted;  held_out : over those that are not, None where there are none
+    delta_bic : its BIC minus that of the model without it, residuals taken as noise (c = 1)
+    weighed   : the same with c of the best model, and with all else that speaks for or against it
+    posterior : its probability among all candidates that it was weighed with
+    """
+
+    name: str
+    candidate: Candidate
+    problem: Problem
+    held_out: Problem | None
+    fit: Fit
+    delta_bic: float = 0.0
+    weighed: float = 0.0
+    posterior: float = 0.0
+
+    @property
+    def prediction(self) -> Prediction:
+        """The record at the values found."""
+        return predict_at(self.problem.parts[0], self.fit.values)
+
+    @property
+    def excess(self) -> float:
+        """Mean square of the normalised residuals, beyond that of noise."""
+        return misfit(self.problem.samples(self.fit.values)) ** 2 - 1.0
+
+    @property
+    def lasting(self) -> float:
+        """What of them lasts from one sample to the next."""
+        return lasting(self.problem.samples(self.fit.values))
+
+    @property
+    def on_held_out(self) -> tuple[float, float]:
+        """Log likelihood of the samples held out, at the values found, and the mean square of their normalised
+        residuals; none and infinite where they cannot be marched."""
+        if self.held_out is None:
+            return 0.0, 0.0
+        try:
+            everything = self.held_out.samples(self.fit.values)
+        except RunError:
+            return -np.inf, np.inf
+        told = sum(scores(s.channel.observed, s.mean_K, s.sigma_K)[0] for s in everything)
+        return told, misfit(everything) ** 2
+
+
+def base_of(before: Fitted) -> Attempt:
+    """The declared model with its magnitude and derivatives, and a clock that may be a little off."""
+    whole = before.problem.parts[0]
+    start = {**dict(zip(whole.names, before.fit.values, strict=True)), CLOCK_SKEW.name: 0.0}
+    problem = _thinned(before, start, whole.record.fit_mask())
+    held = whole.record.holdout_mask()
+    try:
+        held_out = _thinned(before, start, held) if np.any(held) else None
+    except InputError:  # nothing was measured there
+        held_out = None
+    fit = maximise_together([problem], [first_of(problem, start)], QUICK)[0]
+    return Attempt("none", Candidate("none", (), (), {}, ()), problem, held_out, fit)
+
+
+def _thinned(before: Fitted, start: Mapping[str, float], chosen: NDArray[np.bool_]) -> Problem:
+    """The declared model over some of the samples."""
+    whole = before.problem.parts[0]
+    interval = float(np.median(np.diff(whole.record.time_s)))
+    off = min(AGREEMENT * interval, SKEW_SPAN_S)
+    clock = {CLOCK_SKEW.name: replace(CLOCK_SKEW, lower=-off, upper=off)}
+    names, reference = (*whole.names, CLOCK_SKEW.name), before.problem.reference
+    alike: dict[str, Any] = {"priors": clock, "widened": WIDENED, "chosen": [chosen]}
+    full = Problem([whole.record], names, reference, **alike)
+    quick = thinned(whole.record, max(int(NODES_PART * whole.mesh.nodes), FEWEST_NODES))
+    problem = Problem([quick], names, reference, longest_step_s=LONGEST_S, **alike)
+    for one in (full, problem):
+        one.parts[0].sigma_K.update(whole.sigma_K)
+    at = first_of(full, start)
+    full.correct_meshes(at)
+    try:
+        exact, coarse = (p.parts[0].corrected(p.marched(at)[0]).temperature_K for p in (full, problem))
+    except RunError:  # a model so wrong that it cannot be marched everywhere: the quick march stands as it is
+        exact = coarse = np.zeros(1)
+    problem.parts[0].correction_K = exact - coarse
+    return problem
+
+
+def on_top(base: Attempt, candidate: Candidate) -> Problem:
+    """The base's problem with a candidate's unknowns."""
+    return carrying(base, base.problem.parts[0], candidate, _names(base, candidate), widened=WIDENED)
+
+
+def held_out_on_top(base: Attempt, candidate: Candidate) -> Problem | None:
+    """The same over the samples held out."""
+    if base.held_out is None:
+        return None
+    part = base.held_out.parts[0]
+    chosen = [part.record.holdout_mask()]
+    return carrying(base, part, candidate, _names(base, candidate), widened=WIDENED, chosen=chosen)
+
+
+def _names(base: Attempt, candidate: Candidate) -> tuple[str, ...]:
+    return tuple(dict.fromkeys((*base.problem.parts[0].names, *candidate.names)))
+
+
+def carrying(base: Attempt, part: Part, candidate: Candidate, names: Sequence[str], **more: Any) -> Problem:
+    """A part of the base with a candidate's effects beside those found, its noise, what is known of its mesh, and a
+    clock that goes no further than in the base unless that is what the candidate moves."""
+    uses = (*fitted_uses(base), *candidate.uses)
+    priors: dict[str, Parameter] = dict(base.problem.priors)
+    if CLOCK_SKEW.name in candidate.names:
+        priors[CLOCK_SKEW.name] = replace(CLOCK_SKEW, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)
+    more |= {"effects": uses, "priors": priors, "longest_step_s": LONGEST_S}
+    problem = Problem([part.record], names, base.problem.reference, **more)
+    problem.parts[0].sigma_K.update(part.sigma_K)
+    problem.parts[0].correction_K = part.correction_K
+    return problem
+
+
+def first_of(problem: Problem, start: Mapping[str, float]) -> FloatArray:
+    """Values to start from, those of the priors where none are given."""
+    return np.array([start.get(p.name, p.value) for p in problem.parameters])
+
+
+def values_of(attempt: Attempt) -> dict[str, float]:
+    """Values found, by dotted name."""
+    return dict(zip((u.parameter.name for u in attempt.problem.unknowns), attempt.fit.values, strict=True))
+
+
+def fitted_uses(attempt: Attempt) -> tuple[EffectUse, ...]:
+    """The effects of an attempt's model at the values found."""
+    return attempt.problem.parts[0].altered(attempt.fit.values).effects
+
+
+def samples(problem: Problem) -> int:
+    """Number of its samples."""
+    return sum(len(channel.samples) for part in problem.parts for channel in part.channels)
