@@ -133,7 +133,7 @@ def _power_of_two(_typing_context, k):  # type: ignore[no-untyped-def]
 
 def power_of_two(k: float) -> float:
     """2^k of a whole number k from -1022 to 1023, held as a float; compiled, its bits put together."""
-    return math.ldexp(1.0, int(k))
+    return math.ldexp(1.0, int(k)) if k == k else k
 
 
 @numba.extending.overload(power_of_two, inline="always")

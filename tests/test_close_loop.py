@@ -17,15 +17,18 @@ import pytest
 from click.testing import CliRunner
 
 from sim_heating.cli import cli
-from sim_heating.closure.attempt import values_of
-from sim_heating.closure.search import GAIN, search
+from sim_heating.closure.attempt import base_of, values_of
+from sim_heating.closure.candidates import candidates
+from sim_heating.closure.search import GAIN, one_round, search
 from sim_heating.closure.thinning import LONGEST_S, kept_samples
+from sim_heating.closure.weighing import forms_of
 from sim_heating.conditions import Conditions
 from sim_heating.effects import EffectUse, use
 from sim_heating.errors import InputError
+from sim_heating.estimation.estimate import estimate
 from sim_heating.points import conditions_of_record, point_of_record
 from sim_heating.predict import predict
-from sim_heating.record import Record, load_record
+from sim_heating.record import Record, Segments, load_record
 from sim_heating.sensors import quantised
 
 PRACTICE = Path(__file__).parents[1] / "scenarios" / "records" / "practice"
@@ -83,6 +86,34 @@ def test_two_effects_are_both_named_with_their_sizes() -> None:
         ("effect.conductivity.conductivity_factor", 1.12), ("effect.alpha-curvature.d_alpha2", 1.5e-4),
     ):  # fmt: skip
         assert values[name] == pytest.approx(truth, abs=5.0 * sigma[name])
+
+
+def test_magnitudes_have_priors_and_onsets_that_are_sought_have_none() -> None:
+    record = load_record(PRACTICE / "p06")
+    tried = candidates(record, conditions_of_record(record))
+    known = {c.name: {n.rpartition(".")[2] for n in c.prior} for c in tried if len(c.names) > 1}
+    assert known["transition"] == {"factor", "alpha_sens"}
+    assert known["catalysis"] == {"flow_step"}  # of the last of its forms
+    assert known["sensor-bias"] == {"bias", "gain"}
+
+
+def test_a_form_that_is_another_at_one_value_is_not_counted() -> None:
+    """Transition at any angle of attack is that with no sensitivity to it; a logistic rise is none of spots."""
+    record = load_record(PRACTICE / "p06")
+    forms = forms_of(candidates(record, conditions_of_record(record)))
+    assert forms["transition"] == 2
+    assert forms["radiative-conduction"] == 1
+    assert forms["sensor-bias"] == len(record.used_sensors)
+
+
+def test_segments_held_out_tell_conduction_from_radiation_in_depth_better() -> None:
+    record = measured_with(load_record(PRACTICE / "p06"), [use("conductivity", {"conductivity_factor": 1.05})])
+    fitted_alone = Segments(fit=record.declared.segments.fit)
+    without = replace(record, declared=record.declared.model_copy(update={"segments": fitted_alone}))
+    with_both, alone = (one_round(base_of(estimate([r])), [], lambda fraction, text: None) for r in (record, without))
+    assert alone.posterior["conductivity"] < 0.9 < with_both.posterior["conductivity"]
+    gained = {a.name: a.delta_bic for a in alone.attempts}
+    assert all(a.delta_bic == pytest.approx(gained[a.name], abs=0.1) for a in with_both.attempts[:2])
 
 
 def test_samples_are_left_out_only_where_conditions_are_as_good_as_linear() -> None:
