@@ -56,11 +56,12 @@ def closed() -> Closure:
     }
     bic = -2.0 * (after.fit.log_likelihood - before.fit.log_likelihood) + np.log(2000.0)
     errors = [errors_of(f.after[0]) for f in (before, after)]
+    weighed = {"none": 0.0, "impingement-onset": float(bic)}
     tried = [
-        Tried(name, delta, e["fit"]["rmse_K"], e["holdout"]["rmse_K"])
-        for name, delta, e in zip(("none", "impingement-onset"), (0.0, float(bic)), errors, strict=True)
+        Tried(name, delta, e["fit"]["rmse_K"], e["holdout"]["rmse_K"], posteriors(weighed)[name])
+        for (name, delta), e in zip(weighed.items(), errors, strict=True)
     ]
-    posterior = posteriors({t.name: t.delta_bic for t in tried})["impingement-onset"]
+    posterior = posteriors(weighed)["impingement-onset"]
     named = Named("impingement-onset", posterior, {"slope": parameters["effect.impingement-onset.slope"]})
     return Closure(
         record, before.before[0], before.after[0], after.after[0], record.noise_floor_K(), before.problem.reference,

@@ -165,9 +165,12 @@ def _tried(found: Search) -> list[Tried]:
             continue
     rows += [(name, delta, before) for name, delta in first.passed.items()]
     return [
-        Tried(name, delta, e["fit"]["rmse_K"], e["holdout"]["rmse_K"] if e["holdout"] else None)
+        Tried(
+            name, delta, e["fit"]["rmse_K"], e["holdout"]["rmse_K"] if e["holdout"] else None,
+            first.posterior.get(name, 0.0),
+        )
         for name, delta, e in rows
-    ]
+    ]  # fmt: skip
 
 
 def write_closed(closed: Closed, out: Path) -> list[str]:

@@ -63,12 +63,18 @@ class Named:
 
 @dataclass(frozen=True)
 class Tried:
-    """One candidate: BIC minus that of none, errors of the plain march; holdout None where there is none."""
+    """One candidate: BIC minus that of none, errors of the plain march; holdout None where there is none; its
+    probability by all that was weighed."""
 
     name: str
     delta_bic: float
     fit_rmse_K: float
     holdout_rmse_K: float | None
+    posterior: float
+
+    def numbers(self) -> dict[str, Any]:
+        """For closure.json."""
+        return {n: value for n, value in asdict(self).items() if n != "posterior"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,10 +145,7 @@ def closure_json(found: Closure) -> dict[str, Any]:
         "reference_condition": dict(zip(RATIO_VARIABLES, map(float, found.reference), strict=True)),
         "effect": effects[0],
         **several,
-        "candidates": [
-            asdict(c)
-            for c in sorted(found.candidates, key=lambda c: c.delta_bic)
-        ],
+        "candidates": [c.numbers() for c in sorted(found.candidates, key=lambda c: c.delta_bic)],
         "residual_heating": HEATING_NAME,
         "estimated": {n: _plain(p) for n, p in found.parameters.items()},
         "residual": found.residual.numbers(),
@@ -219,7 +222,8 @@ def _errors(found: Closure) -> Section:
     heads = ["", "RMSE fitted, K", "largest, K", "samples", "RMSE held out, K", "largest, K", "samples"]
     floor = f"Noise floor, from sensor noise and quantisation: {found.noise_floor_K:.2f} K. "
     caption = (
-        floor + "Errors are those of the plain march, no measurement assimilated; held-out samples were never used."
+        f"{floor}Errors are those of the plain march, no measurement assimilated. Held-out samples were fitted by "
+        "nothing; that candidates were weighed on them too is all the use that was made of them."
     )
     return Section("Errors", tables=[Table(heads, rows, caption, strong=[len(rows) - 1])])
 
@@ -264,10 +268,15 @@ def _candidates(found: Closure) -> Section:
     tried = sorted(found.candidates, key=lambda c: c.delta_bic)
     if not tried:
         return Section("Candidates", ["None was tried."])
-    rows = [[c.name, f"{c.delta_bic:+.1f}", f"{c.fit_rmse_K:.2f}", _or_dash(c.holdout_rmse_K)] for c in tried]
+    rows = [
+        [c.name, f"{c.delta_bic:+.1f}", f"{c.fit_rmse_K:.2f}", _or_dash(c.holdout_rmse_K), f"{c.posterior:.3f}"]
+        for c in tried
+    ]
     chosen = [e.name for e in found.effects]
     marked = [i for i, c in enumerate(tried) if c.name in chosen]
-    table = Table(["", "BIC - BIC of none", "RMSE fitted, K", "RMSE held out, K"], rows, strong=marked)
+    caption = "Probabilities weigh more than BIC: segments held out, sizes that nobody would expect, numbers of forms."
+    heads = ["", "BIC - BIC of none", "RMSE fitted, K", "RMSE held out, K", "probability"]
+    table = Table(heads, rows, caption, strong=marked)
     figure = ranking([c.name for c in tried], [c.delta_bic for c in tried], chosen)
     text = [found.false_alarm] if found.false_alarm else []
     return Section(
