@@ -451,7 +451,10 @@ def test_a_missing_aircraft_is_refused(tmp_path: Path) -> None:
         JSBSimHost(tmp_path, "nothing")
 
 
-def test_another_aircraft_is_read_by_its_own_property_names() -> None:
+def test_another_aircraft_is_read_by_its_own_property_names_and_leaves_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     absent = Read("simulation/dt", 0.0)
     reads = dict(VEHICLE_READS) | {"elevon_deg": absent, "bodyflap_deg": absent, "jets": absent}
     host = JSBSimHost(Path(get_default_root_dir()) / "aircraft", "ball", reads=reads, rate_hz=100.0)
@@ -461,6 +464,7 @@ def test_another_aircraft_is_read_by_its_own_property_names() -> None:
     frame = dict(zip(FRAME, host.read_frame(), strict=True))
     assert frame["time_s"] == 1.0
     assert frame["altitude_m"] == approx(30000.0 - 2000.0 * math.sin(math.radians(10.0)), abs=10.0)
+    assert list(tmp_path.iterdir()) == []  # this one declares a CSV file of its own
 
 
 def test_jsbsim_is_silent(capfd: pytest.CaptureFixture[str]) -> None:

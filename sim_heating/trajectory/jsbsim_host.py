@@ -8,6 +8,7 @@ to. All that is read after a frame belongs to that frame.
 from __future__ import annotations
 
 import difflib
+import itertools
 import math
 import os
 import tempfile
@@ -255,7 +256,17 @@ def _load(aircraft_path: Path, model: str, rate_hz: float) -> jsbsim.FGFDMExec:
             os.environ["JSBSIM_DEBUG"] = before
     if not loaded:
         raise InputError(f"{aircraft_path / model}: JSBSim cannot load it")
+    _discard_outputs(fdm)
     return fdm
+
+
+def _discard_outputs(fdm: jsbsim.FGFDMExec) -> None:
+    """An aircraft's own <output> would write files wherever the program was started, switched off or not."""
+    fdm.disable_output()
+    for number in itertools.count():
+        if not fdm.get_output_filename(number):
+            return
+        fdm.set_output_filename(number, os.devnull)
 
 
 def _properties(fdm: jsbsim.FGFDMExec) -> list[str]:
