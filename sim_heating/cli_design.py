@@ -8,13 +8,13 @@ from typing import Any
 import click
 from rich.table import Table
 
-from sim_heating.console import CONSOLE, OUT, PATH, parameter_names, progress_line, tell_files
+from sim_heating.console import CONSOLE, OUT, PATH, listed, progress_line, tell_files
 
 
 @click.command()
 @click.argument("scenario", type=PATH)
 @OUT
-@click.option("--parameters", callback=parameter_names, help="dotted names whose bounds are to be small, with commas")
+@click.option("--parameters", callback=listed, help="dotted names whose bounds are to be small, with commas")
 @click.option("--criterion", type=click.Choice(["D", "A"]), help="volume of the bounds, or their mean square")
 @click.option("--evaluations", type=click.IntRange(1), help="designs that are tried")
 @click.option("--repetitions", type=click.IntRange(0), default=0, help="hold the bounds against so many actual fits")

@@ -9,11 +9,15 @@ import click
 import numpy as np
 from rich.table import Table
 
-from sim_heating.console import CONSOLE, OUT, PATH, parameter_names, progress_line, tell_files
+from sim_heating.console import CONSOLE, OUT, PATH, listed, progress_line, tell_files
 from sim_heating.errors import InputError
 
 ESTIMATED = "estimated"
 """Of a level of noise that is to be found."""
+
+
+HIGHEST = 1e4
+"""No level or time of a noise that means anything is above this."""
 
 
 def _condition(_: click.Context, __: click.Parameter, value: str | None) -> dict[str, float]:
@@ -26,6 +30,8 @@ def _condition(_: click.Context, __: click.Parameter, value: str | None) -> dict
         if not item.strip():
             continue
         name, _equals, number = (part.strip() for part in item.partition("="))
+        if name in found:
+            raise InputError(f"--reference: {name} is given twice; leave one out")
         if name not in RATIO_VARIABLES:
             raise InputError(f"--reference: `{name}` is no ratio variable. {suggestion(name, RATIO_VARIABLES)}")
         try:
@@ -45,8 +51,8 @@ def _fit_segments(_: click.Context, __: click.Parameter, value: tuple[str, ...])
             start, end = (float(part) for part in item.split(","))
         except ValueError:
             raise InputError(f"--fit: `{item}` is not a segment; write --fit 640,760 (start and end in s)") from None
-        if not start < end:
-            raise InputError(f"--fit: {item}: the start must lie before the end")
+        if not -np.inf < start < end < np.inf:
+            raise InputError(f"--fit: {item}: give two finite times in s, the start before the end")
         found.append([start, end])
     return found
 
@@ -96,22 +102,20 @@ def _process_noise(nodes: str | None, ratio: str | None) -> Any:
 
 
 def _level(text: str, hint: str) -> float:
-    """A number that is not negative."""
+    """A number from 0 to HIGHEST."""
     try:
         found = float(text)
     except ValueError:
         raise InputError(hint) from None
-    if not 0.0 <= found < float("inf"):
-        raise InputError(hint)
+    if not 0.0 <= found <= HIGHEST:
+        raise InputError(f"{hint}; {text} is not within 0 to {HIGHEST:g}")
     return found
 
 
 @click.command()
 @click.argument("records", type=PATH, nargs=-1, required=True)
 @OUT
-@click.option(
-    "--parameters", callback=parameter_names, help="dotted names, with commas; default: magnitude and derivatives"
-)
+@click.option("--parameters", callback=listed, help="dotted names, with commas; default: magnitude and derivatives")
 @click.option("--reference", callback=_condition, help="alpha_deg=40,... that derivatives are about")
 @click.option("--start", default="declared", callback=_start, help="declared, or circuit, profile, filter:TIME_S")
 @click.option(
@@ -152,6 +156,8 @@ def estimate(
             raise InputError(f"--segments {segments:g}: is not a length in s; give one above 0, as 5")
         if noise is not None:
             raise InputError("--segments: short segments are fitted without noise of the process; leave one out")
+        if reference or start is not None:
+            raise InputError("--segments: short segments have starts and references of their own; leave those out")
         _estimate_trend(records, out, parameters, fit, segments)
         return
     from sim_heating.estimation.estimate import estimate as fit_records

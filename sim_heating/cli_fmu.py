@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from sim_heating.console import CONSOLE, PATH, progress_line
+from sim_heating.console import CONSOLE, PATH, listed, progress_line
 from sim_heating.errors import InputError
 
 
@@ -14,11 +14,6 @@ def _fmu_file(_: click.Context, __: click.Parameter, value: Path) -> Path:
     if value.suffix != ".fmu":
         raise InputError(f"--out {value}: name a file that ends in .fmu")
     return value
-
-
-def _listed(_: click.Context, __: click.Parameter, value: str | None) -> tuple[str, ...] | None:
-    """`a,b,c` as names."""
-    return None if value is None else tuple(name.strip() for name in value.split(","))
 
 
 FMU_OUT = click.option("--out", required=True, type=PATH, callback=_fmu_file, help="the FMU, a file that ends in .fmu")
@@ -29,7 +24,7 @@ PLATFORMS = click.option(
     "--platforms",
     default="linux",
     show_default=True,
-    callback=_listed,
+    callback=listed,
     help="comma between; others than linux need ziglang",
 )
 
@@ -43,7 +38,7 @@ def fmu() -> None:
 @click.argument("vehicle")
 @FMU_OUT
 @click.option(
-    "--control-points", "points", callback=_listed, help="names, comma between; all of the vehicle's by default"
+    "--control-points", "points", callback=listed, help="names, comma between; all of the vehicle's by default"
 )
 @FMI
 @PLATFORMS

@@ -42,15 +42,15 @@ def optional_directory(context: click.Context, parameter: click.Parameter, value
     return None if value is None else directory(context, parameter, value)
 
 
-def parameter_names(_: click.Context, __: click.Parameter, value: str | None) -> tuple[str, ...] | None:
+def listed(_: click.Context, parameter: click.Parameter, value: str | None) -> tuple[str, ...] | None:
     """`a,b,c` as names, each once."""
     if value is None:
         return None
-    names = tuple(name.strip() for name in value.split(",") if name.strip())
+    option, names = parameter.opts[0], tuple(name.strip() for name in value.split(",") if name.strip())
     if not names:
-        raise InputError("--parameters: names no parameter; give dotted names, as ratio.scale,ratio.d_alpha")
+        raise InputError(f"{option}: names nothing; give one name or more, a comma between")
     if len(set(names)) < len(names):
-        raise InputError(f"--parameters: `{max(set(names), key=names.count)}` stands there twice; name it once")
+        raise InputError(f"{option}: `{max(set(names), key=names.count)}` stands there twice; name it once")
     return names
 
 

@@ -49,8 +49,6 @@ REFERENCE_COLUMNS = ("h_ref_kg_m2_s", "H_r_J_kg")
 OPTIONAL_COLUMNS = ("q_add_W_m2", "jets")
 DECLARATION = "record.toml"
 
-"""A velocity above this is taken for one in ft/s."""
-
 
 # The declaration -----------------------------------------------------------------------------------------------------
 

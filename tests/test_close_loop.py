@@ -19,6 +19,7 @@ from click.testing import CliRunner
 from sim_heating.cli import cli
 from sim_heating.closure.attempt import base_of, values_of
 from sim_heating.closure.candidates import candidates
+from sim_heating.closure.close import close_loop
 from sim_heating.closure.search import GAIN, one_round, search
 from sim_heating.closure.thinning import LONGEST_S, kept_samples
 from sim_heating.closure.weighing import forms_of
@@ -206,3 +207,10 @@ def test_what_cannot_be_closed_is_told_in_a_line(what: str, tmp_path: Path) -> N
     told = CliRunner().invoke(cli, ["close-loop", *given, "--out", str(tmp_path / "out")], standalone_mode=False)
     assert isinstance(told.exception, Exception)
     assert "record" in str(told.exception)
+
+
+def test_a_record_of_a_few_readings_is_refused() -> None:
+    record = load_record(PRACTICE / "p06")
+    few = {name: column[600:606] for name, column in record.thermocouples.items()}
+    with pytest.raises(InputError, match=r"readings at 6 time\(s\); a loop is closed on 10 at least"):
+        close_loop(replace(record, thermocouples=few))

@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from sim_heating.closure.attempt import QUICK, WIDENED, Attempt, fitted_uses, values_of
 from sim_heating.closure.calibration import false_alarm
 from sim_heating.closure.evidence import evidence, ratio_at
@@ -25,6 +27,8 @@ from sim_heating.record import Record
 
 Progress = Callable[[float, str], None]
 
+FEWEST_SAMPLES = 10
+"""Times of readings below which anything goes with what is left."""
 SEARCH_PART = 0.8
 """Part of the time that the search takes."""
 LEFT = 0.2
@@ -53,6 +57,9 @@ def close_loop(record: Record, *, progress: Progress = lambda fraction, text: No
     raises : InputError where its clocks are in two units, InputError, RunError where not even the declared model can
              be fitted
     """
+    times = int(np.count_nonzero(np.isfinite(record.temperatures_K(record.used_sensors)).any(axis=0)))
+    if times < FEWEST_SAMPLES:
+        raise InputError(f"{record.name}: readings at {times} time(s); a loop is closed on {FEWEST_SAMPLES} at least")
     doubts = before_fit(record)
     on_clock = [v.words for v in doubts if v.kind == CLOCK]
     if on_clock:

@@ -76,6 +76,16 @@ class Planned:
         """Whether all limits are kept."""
         return all(margin >= 0.0 for margin in self.margins.values())
 
+    @property
+    def passed(self) -> list[str]:
+        """Limits that are not kept, in words."""
+        told = []
+        for name, margin in self.margins.items():
+            what, _, unit = name.rpartition("_") if "_" in name else (name, "", "")
+            if margin < 0.0:
+                told.append(f"{what.replace('_', ' ')} passes its limit by {-margin:.3g} {unit}".rstrip())
+        return told
+
 
 class Planner:
     """Flies the manoeuvres of a scenario as they may be designed.
@@ -160,6 +170,9 @@ class Planner:
         during = np.zeros(len(flown), dtype=bool)
         for w in flight.windows:
             during |= (flown.time_s >= w.start_s) & (flown.time_s <= w.end_s + self.design.after_s)
+        if not np.any(during):
+            every = float(np.max(np.diff(flown.time_s)))
+            raise InputError(f"sample_s: a sample every {every:g} s, none of them during the manoeuvres; take more")
         for name in ("alpha_deg", "elevon_deg", "qbar_Pa"):
             low, high = getattr(limits, name)
             margins[name] = float(min(np.min(flown[name][during]) - low, high - np.max(flown[name][during])))

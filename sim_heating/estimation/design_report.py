@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -180,15 +179,11 @@ def notes(designed: Designed) -> list[str]:
     """What a person should know of a design, a line each."""
     lines = designed.planner.over_limit()
     if not designed.found.planned.feasible:
-        lines += [f"as planned: {line}" for line in _passed(designed.found.planned.margins)]
+        lines += [f"as planned: {line}" for line in designed.found.planned.passed]
     checked = designed.checked
     if checked is not None and not checked.best.feasible:
-        lines += [f"optimal, flown in {checked.source}: {line}" for line in _passed(checked.best.margins)]
+        lines += [f"optimal, flown in {checked.source}: {line}" for line in checked.best.passed]
     return lines
-
-
-def _passed(margins: Mapping[str, float]) -> list[str]:
-    return [f"{name} passes its limit by {-margin:.3g}" for name, margin in margins.items() if margin < 0.0]
 
 
 def bounds_csv(designed: Designed) -> str:

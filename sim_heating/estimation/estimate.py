@@ -37,6 +37,8 @@ from sim_heating.temperatures import outside_table
 FloatArray = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
+FEWEST_SAMPLES = 3
+"""Times of the samples that a fit has at least."""
 NOISE_ROUNDS = 4
 MISFIT = 1.3
 """RMS of the residuals over that of noise above which a model is said to lack something."""
@@ -116,6 +118,7 @@ def estimate(
     out = still(wanted, records) | unheated(wanted, records)
     left = _left(wanted, out, records)
     problem = Problem(records, left, about, effects=effects, priors=priors, starts=starts)
+    _check_samples(problem)
     begin = _first_values(problem, first or {})
     while True:
         worst = untold(
@@ -149,6 +152,16 @@ def effects_of(names: Sequence[str], given: Sequence[EffectUse] = ()) -> list[Ef
     known = {u.effect.name for u in given}
     wanted = dict.fromkeys(n.split(".")[1] for n in names if n.startswith(EFFECT_PREFIX) and n.count(".") >= 2)
     return [use(name) for name in wanted if name not in known]
+
+
+def _check_samples(problem: Problem) -> None:
+    times = sum(len(part.sample_s) for part in problem.parts)
+    if times < FEWEST_SAMPLES:
+        names = ", ".join(part.record.name for part in problem.parts)
+        raise InputError(
+            f"{names}: readings at {times} time(s) in the fit segments, too few to estimate from; at least "
+            f"{FEWEST_SAMPLES} are needed"
+        )
 
 
 def _check_records(records: Sequence[Record]) -> None:

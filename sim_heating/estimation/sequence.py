@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from sim_heating.conditions import RATIO_VARIABLES
 from sim_heating.ensemble import condition_history, initial_temperatures
 from sim_heating.errors import InputError
+from sim_heating.estimation.estimate import FEWEST_SAMPLES
 from sim_heating.estimation.informed import default_names
 from sim_heating.estimation.newton import Fit, maximise
 from sim_heating.estimation.problem import Part, Problem, Start, joint_reference, march_times
@@ -30,7 +31,6 @@ Progress = Callable[[float, str], None]
 
 DIRECTIONS = 4
 """Directions of the temperatures' covariance that are handed from a segment to the next."""
-FEWEST_SAMPLES = 3
 CONDITION_POINTS = 21
 """Points of a segment that its mean condition is taken over."""
 
@@ -82,6 +82,11 @@ def trend(
         raise InputError(f"trend: segments of {length_s:g} s; give a length above 0")
     chosen = tuple(names) if names is not None else default_names([record])[:1]
     windows = _windows(record, length_s)
+    apart = float(np.median(np.diff(record.time_s))) if len(record.time_s) > 1 else 0.0
+    if length_s < apart:
+        raise InputError(f"{record.name}: segments of {length_s:g} s are shorter than the {apart:g} s between samples")
+    if not windows:
+        raise InputError(f"{record.name}: the fit segments hold no time that was recorded; give others")
     found, left_out, meshes = [], [], []
     start, last = None, None
     for k, (begin, end) in enumerate(windows):

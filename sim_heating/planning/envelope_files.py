@@ -110,7 +110,7 @@ def map_table(flown: FlownMap) -> Table:
             rows.append((*at, "", flight.error or "no limit", ""))
             continue
         name, m = least
-        rows.append((*at, f"{m.margin:.1f} {m.unit}", name, f"{m.sigma:.1f}"))
+        rows.append((*at, f"{m.margin:.1f} {m.unit}", name, f"{m.sigma:.1f} {m.unit}"))
     title = flown.declared.title or flown.declared.name
     heads = (*flown.declared.axes, "least margin", "limit", "sigma")
     return Table(heads, rows, f"Map: {title}")
