@@ -165,7 +165,7 @@ def test_a_segment_can_be_named_without_touching_the_record(desk: Path, tmp_path
 @pytest.mark.parametrize(
     ("options", "hint"),
     [
-        (["--fit", "130,80"], "start must lie before the end"),
+        (["--fit", "130,80"], "the start before the end"),
         (["--fit", "80"], "write --fit 640,760"),
         (["--fit", "500,600"], "no sample of a used sensor lies in the fit segments"),
         (["--parameters", "ratio.sclae"], "ratio.scale"),
