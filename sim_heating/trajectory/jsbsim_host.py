@@ -261,8 +261,8 @@ def _load(aircraft_path: Path, model: str, rate_hz: float) -> jsbsim.FGFDMExec:
 
 
 def _discard_outputs(fdm: jsbsim.FGFDMExec) -> None:
-    """An aircraft's own <output> would write files wherever the program was started, switched off or not."""
-    fdm.disable_output()
+    """An aircraft's own <output> would write files wherever the program was started, switched off or not; what a user
+    of the host adds later is written."""
     for number in itertools.count():
         if not fdm.get_output_filename(number):
             return
