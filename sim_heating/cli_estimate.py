@@ -14,8 +14,6 @@ from sim_heating.errors import InputError
 
 ESTIMATED = "estimated"
 """Of a level of noise that is to be found."""
-
-
 HIGHEST = 1e4
 """No level or time of a noise that means anything is above this."""
 

@@ -231,6 +231,11 @@ class Record:
         """(sensor, sample) measurements of the given sensors, all by default; NaN is a lost sample."""
         return np.array([self.thermocouples[s.column] for s in (self.sensors if sensors is None else sensors)])
 
+    @property
+    def read_mask(self) -> BoolArray:
+        """(sample,) where any used sensor has a reading."""
+        return np.any(np.isfinite(self.temperatures_K(self.used_sensors)), axis=0)
+
     def fit_mask(self, time_s: ArrayLike | None = None) -> BoolArray:
         """Which times [s], by default those of the samples, are fitted: in a fit segment and in no holdout."""
         t = self.time_s if time_s is None else np.asarray(time_s, dtype=float)

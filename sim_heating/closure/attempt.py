@@ -18,7 +18,6 @@ from sim_heating.closure.thinning import LONGEST_S, thinned
 from sim_heating.effects import EffectUse
 from sim_heating.errors import InputError, RunError
 from sim_heating.estimation.estimate import Fitted, lasting, misfit, predict_at
-from sim_heating.estimation.likelihood import scores
 from sim_heating.estimation.newton import Fit, Settings
 from sim_heating.estimation.problem import SKEW_SPAN_S, Part, Problem
 from sim_heating.estimation.together import maximise_together
@@ -71,17 +70,19 @@ class Attempt:
         return lasting(self.problem.samples(self.fit.values))
 
     @property
-    def on_held_out(self) -> tuple[float, float]:
-        """Log likelihood of the samples held out, at the values found, and the mean square of their normalised
-        residuals; none and infinite where they cannot be marched."""
+    def likelihood_held_out(self) -> float:
+        """Log likelihood of the samples held out, at the values found; minus infinity where they cannot be marched."""
         if self.held_out is None:
-            return 0.0, 0.0
-        try:
-            everything = self.held_out.samples(self.fit.values)
-        except RunError:
-            return -np.inf, np.inf
-        told = sum(scores(s.channel.observed, s.mean_K, s.sigma_K)[0] for s in everything)
-        return told, misfit(everything) ** 2
+            return 0.0
+        found = self.held_out.evaluate(self.fit.values).log_likelihood
+        return found if np.isfinite(found) else -np.inf
+
+    @property
+    def square_held_out(self) -> float:
+        """Mean square of their normalised residuals; 0 where there are none, or they cannot be marched."""
+        if self.held_out is None or self.likelihood_held_out == -np.inf:
+            return 0.0
+        return misfit(self.held_out.samples(self.fit.values)) ** 2
 
 
 def base_of(before: Fitted) -> Attempt:

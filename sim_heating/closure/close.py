@@ -57,7 +57,7 @@ def close_loop(record: Record, *, progress: Progress = lambda fraction, text: No
     raises : InputError where its clocks are in two units, InputError, RunError where not even the declared model can
              be fitted
     """
-    times = int(np.count_nonzero(np.isfinite(record.temperatures_K(record.used_sensors)).any(axis=0)))
+    times = int(np.count_nonzero(record.read_mask))
     if times < FEWEST_SAMPLES:
         raise InputError(f"{record.name}: readings at {times} time(s); a loop is closed on {FEWEST_SAMPLES} at least")
     doubts = before_fit(record)

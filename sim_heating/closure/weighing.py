@@ -50,10 +50,10 @@ def weighed(base: Attempt, attempts: Sequence[Attempt], passed: Mapping[str, flo
         return Round(base, excess, (), {"none": 1.0}, passed)
     best = min(attempts, key=lambda a: a.delta_bic)
     c = max(1.0, 1.0 + min(excess, best.excess))
-    held_out, c_held_out = base.on_held_out[0], max(1.0, best.on_held_out[1])
+    held_out, c_held_out = base.likelihood_held_out, max(1.0, best.square_held_out)
     against = {
         a.name: delta_bic(base, a.fit, a.candidate, c)
-        - 2.0 * (a.on_held_out[0] - held_out) / c_held_out
+        - 2.0 * (a.likelihood_held_out - held_out) / c_held_out
         + 2.0 * float(np.log(forms[a.name]))
         + unlikely(a)
         for a in attempts
@@ -66,7 +66,7 @@ def weighed(base: Attempt, attempts: Sequence[Attempt], passed: Mapping[str, flo
 def whole_bic(attempt: Attempt, best: Attempt) -> float:
     """BIC of a whole model, its residuals on the scale of those of the best one, segments held out with theirs."""
     c, parameters = max(1.0, 1.0 + best.excess), len(attempt.problem.unknowns)
-    held_out = attempt.on_held_out[0] / max(1.0, best.on_held_out[1])
+    held_out = attempt.likelihood_held_out / max(1.0, best.square_held_out)
     return -2.0 * (attempt.fit.log_likelihood / c + held_out) + parameters * float(np.log(samples(attempt.problem)))
 
 

@@ -293,7 +293,7 @@ class Problem:
         t = record.time_s
         mask = record.fit_mask() if chosen is None else chosen
         mask = mask & ((t >= begin + slack) & (t <= flown[-1] - slack) if slack else (t >= begin) & (t <= flown[-1]))
-        read = np.isfinite(record.temperatures_K(record.used_sensors)).any(axis=0) & mask
+        read = record.read_mask & mask
         if not np.any(read):
             raise InputError(
                 f"{record.name}: no sample of a used sensor lies in the fit segments and within the conditions "

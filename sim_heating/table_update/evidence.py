@@ -140,7 +140,7 @@ def _path(estimate: Estimate, records: Sequence[Record]) -> Path:
 def _record_path(record: Record, segments: Sequence[Sequence[float]] | None) -> Path:
     t = record.time_s
     fitted = record.fit_mask() if segments is None else in_segments(t, segments) & ~record.holdout_mask()
-    fitted &= np.any(np.isfinite(record.temperatures_K(record.used_sensors)), axis=0)
+    fitted &= record.read_mask
     span = record.conditions.time_s[[0, -1]]
     t = t[fitted & (t >= span[0]) & (t <= span[1])]
     if len(t) == 0:
