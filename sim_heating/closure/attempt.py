@@ -30,7 +30,7 @@ AGREEMENT = 0.25
 """Part of their sample interval to which two recorders' clocks are taken to agree unless shown otherwise."""
 WIDENED = 3.0
 """Priors of effects' parameters are this much wider in the search: enough to keep a first step within reason."""
-NODES_PART, FEWEST_NODES = 0.5, 14
+NODES_PART, FEWEST_NODES = 1.0 / 3.0, 14
 """Nodes that a search marches, over those of a fit; and how many it has at least."""
 QUICK = Settings(gain=0.05, step=0.2, iterations=25, lengths=(0.5, 0.25, 0.1, 0.03, 0.01, 1e-3), reach=0.4)
 

@@ -27,17 +27,19 @@ STARTS_FITTED = 2
 """Starts of a set of parameters that are fitted, the most promising ones."""
 NEAR = 0.5
 """Part of the best promise from which on several starts of a candidate are fitted."""
-BEHIND = 0.1
+BEHIND = 0.25
 """Part of the best promise below which a candidate is not fitted."""
 WORTH = 5.0
 """By how much a promised gain in log likelihood may fall short of what its parameters cost."""
 STAGES = (
-    (0.0, replace(QUICK, iterations=4)), (0.3, replace(QUICK, iterations=8)), (0.5, replace(QUICK, iterations=8)),
+    (0.0, replace(QUICK, iterations=4)), (0.9, replace(QUICK, iterations=8)), (0.5, replace(QUICK, iterations=8)),
     (0.8, QUICK),
 )  # fmt: skip
 """Part of the best gain that a candidate has to have reached to be fitted further, and how far."""
 PATIENCE = 0.8
-"""Part of the best gain from which on what a candidate promised keeps it in the second stage."""
+"""Part of the best gain from which on what a candidate promised at first keeps it in the second stage."""
+HOPE = 3.0
+"""Steps like the next one that keep a candidate in the second stage, if their promises would make it the best."""
 CLOSE = 5.0
 """By how much its log likelihood may stay behind the best where it is fitted to the end."""
 
@@ -117,6 +119,7 @@ def in_stages(
         near = history[-1] >= within * best
         if stage == 1:
             near |= np.array(promised) >= PATIENCE * best
+            near |= history[-1] + HOPE * np.array([f.promised for f in fits]) >= best
         elif stage == len(STAGES) - 1:
             near &= _hoped(history) >= best - CLOSE
         again = [k for k in range(len(fits)) if near[k] and fits[k].status is Status.ITERATIONS]

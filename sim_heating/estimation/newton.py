@@ -116,6 +116,7 @@ class Fit:
     on_bound      : (parameter,) which parameters are held by a bound
     singular      : directions that data and priors together do not tell
     iterations    : steps taken
+    promised      : gain in log posterior that Newton's next step promises along the directions that are told
     history       : (iteration + 1, parameter) values, the start first
     """
 
@@ -130,6 +131,7 @@ class Fit:
     singular: tuple[Direction, ...]
     status: Status
     iterations: int
+    promised: float
     history: FloatArray
 
     @property
@@ -371,10 +373,12 @@ class _Search:
         free = np.flatnonzero(~self.held)
         known = self.found.information[np.ix_(free, free)]
         singular = [] if broken else directions(known, [names[i] for i in free], SINGULAR)
+        C = np.full_like(self.found.information, np.nan) if broken else self.covariance()
+        told = np.where(np.isfinite(C), C, 0.0)
         return Fit(
             names=names,
             values=self.at,
-            covariance=np.full_like(self.found.information, np.nan) if broken else self.covariance(),
+            covariance=C,
             log_likelihood=self.likelihood.log_likelihood,
             log_posterior=self.found.log_likelihood,
             information=self.likelihood.information,
@@ -383,6 +387,7 @@ class _Search:
             singular=tuple(singular),
             status=status,
             iterations=len(self.history) - 1,
+            promised=0.0 if broken else 0.5 * float(self.found.gradient @ told @ self.found.gradient),
             history=np.array(self.history),
         )
 
