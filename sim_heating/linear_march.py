@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 from sim_heating.ensemble import Ensemble, PointModel, initial_temperatures
 from sim_heating.errors import InputError, RunError
 from sim_heating.jit import call_step, handle, njit, raw
-from sim_heating.layout import GAPS, HEAD_ROWS, LANES, N_CONDITIONS, NODE_ROWS, T_STAGE, T_START, T
+from sim_heating.layout import D0, GAPS, HEAD_ROWS, LANES, N_CONDITIONS, NODE_ROWS, T_STAGE, T_START, T
 from sim_heating.march import END_STAGE
-from sim_heating.parameters import CURVED, EFFECT_PREFIX
+from sim_heating.parameters import CURVED, EFFECT_PREFIX, RATIO
 from sim_heating.thermal.kernel import STAGE_WEIGHT, hold
 from sim_heating.thermal.linear import (
     DEPTH,
     FACES,
+    ITSELF,
     NO_SHADOWS,
     WHOLE,
     Groups,
@@ -50,8 +51,11 @@ nine digits each."""
 MOVED_AFFINE = 1e-2
 """And one that is affine, to one side, by this part of it."""
 
-BASE = -1
-"""Column of a shadow that has no parameter moved."""
+LINEAR_RATIO = {p.name: k for k, p in enumerate(RATIO)}
+"""Numbers of the parameters of the linear heating ratio in a lane's vector."""
+RATIO_ITSELF = RATIO[D0].name
+"""The one that is added to the ratio as it is: what another does to a wall is that, times what it does to the ratio.
+Not where a lag remembers the ratio."""
 
 
 @dataclass(frozen=True)
@@ -112,37 +116,44 @@ def moved(model: PointModel, name: str) -> tuple[float, bool]:
 
 @dataclass(frozen=True)
 class _Shadow:
-    """One shadow of a track: its base, or the base with the parameter of a column moved by so much.
+    """One shadow of a track: its base, or the base with a parameter moved by so much, or another table.
 
-    both : whether that is moved to both sides;  at_faces : whether it acts at the faces alone
+    columns : those of the parameter, or of all parameters of the linear ratio, which act as the ratio itself does
+    name    : of the parameter, nothing for the base and for tables
+    both    : whether that is moved to both sides;  at_faces : whether it acts at the faces alone
     """
 
     track: int
-    column: int = BASE
+    columns: tuple[int, ...] = ()
+    name: str = ""
     by: float = 0.0
     both: bool = False
     at_faces: bool = False
 
     def model(self, track: Track, base: PointModel) -> PointModel:
         """The shadow of a point."""
-        if self.column == BASE:
+        if self.name:
+            return base.altered({self.name: base.value(self.name) + self.by})
+        if not self.columns or base.ratio is None:
             return base
-        if self.column < len(track.names):
-            name = track.names[self.column]
-            return base.altered({name: base.value(name) + self.by})
-        error = track.table_errors[self.column - len(track.names)]
-        return base if base.ratio is None else replace(base, ratio=replace(base.ratio, ratio=base.ratio.ratio + error))
+        error = track.table_errors[self.columns[0] - len(track.names)]
+        return replace(base, ratio=replace(base.ratio, ratio=base.ratio.ratio + error))
 
 
 def _shadows_of(i: int, track: Track) -> list[_Shadow]:
     """The shadows of a track, its base's first; none where it has no sensitivities."""
     found = [_Shadow(i)] if track.columns else []
+    remembered = any(used.effect.lags for used in track.model.effects)
+    shared = () if remembered else tuple(k for k, name in enumerate(track.names) if name in LINEAR_RATIO)
+    if shared:
+        found.append(_Shadow(i, shared, RATIO_ITSELF, moved(track.model, RATIO_ITSELF)[0], at_faces=True))
     for column, name in enumerate(track.names):
-        by, both = moved(track.model, name)
-        at_faces = track.model.at_faces(name)
-        found += [_Shadow(i, column, side * by, both, at_faces) for side in ((1.0, -1.0) if both else (1.0,))]
+        if column not in shared:
+            (by, both), at_faces = moved(track.model, name), track.model.at_faces(name)
+            sides = (1.0, -1.0) if both else (1.0,)
+            found += [_Shadow(i, (column,), name, side * by, both, at_faces) for side in sides]
     tables = range(len(track.names), len(track.names) + len(track.table_errors))
-    return found + [_Shadow(i, column, 1.0, at_faces=True) for column in tables]
+    return found + [_Shadow(i, (column,), by=1.0, at_faces=True) for column in tables]
 
 
 class Wanted(NamedTuple):
@@ -209,17 +220,20 @@ class LinearMarch:
     def _find_places(self, m: int, faces: int) -> Places:
         at, inverse = np.zeros(LANES, dtype=np.int64), np.zeros((LANES, m))
         plus, minus, reach = np.zeros((3, LANES, m), dtype=np.int64)
+        linear = np.full((LANES, m), ITSELF)
         stand = () if self.shadows is None else self.shadows.places
         for shadow, place in zip(self._shadows, stand, strict=True):
-            lane, column, first = self._lane_of[shadow.track], shadow.column, place.node_0
-            if column == BASE:
+            lane, columns, first = self._lane_of[shadow.track], list(shadow.columns), place.node_0
+            if not columns:
                 at[lane], plus[lane], minus[lane] = first, first, first
             elif shadow.by < 0.0:
-                minus[lane, column] = first
+                minus[lane, columns] = first
             else:
-                plus[lane, column], inverse[lane, column] = first, (0.5 if shadow.both else 1.0) / shadow.by
-                reach[lane, column] = faces if shadow.at_faces else WHOLE
-        return Places(at, plus, minus, inverse, reach, self._nodes)
+                plus[lane, columns], inverse[lane, columns] = first, (0.5 if shadow.both else 1.0) / shadow.by
+                reach[lane, columns] = faces if shadow.at_faces else WHOLE
+                if shadow.name == RATIO_ITSELF:
+                    linear[lane, columns] = [LINEAR_RATIO[self.tracks[shadow.track].names[k]] for k in columns]
+        return Places(at, plus, minus, inverse, reach, linear, self._nodes)
 
     def set_models(self, models: Sequence[PointModel]) -> None:
         """Give the tracks' points other values of their parameters (PointModel.altered)."""

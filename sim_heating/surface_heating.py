@@ -126,7 +126,20 @@ def _pressure_column(B: FloatArray, J: IntArray, table: FloatArray, lane: int, s
 
 @njit
 def heat_lanes(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int) -> None:  # type: ignore[no-untyped-def]
-    """Turn the conditions of all lanes at one stage into what their surface balances take."""
+    """Turn the conditions of all lanes at one stage into what their surface balances take; count what is off limits."""
+    heat_shadows(B, J, table, chain, stage)
+    for lane in range(LANES):
+        c = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
+        _pressure_column(B, J, table, lane, stage, B[c + P_SURFACE])
+        if stage == 2:
+            outside = axes_outside(table, J[RATIO_TABLE + lane], B, c)
+            B[OUTSIDE * LANES + lane] += 1.0 if outside > 0 else 0.0
+
+
+@njit
+def heat_shadows(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int) -> None:  # type: ignore[no-untyped-def]
+    """The same of lanes whose pressure columns stand there already, and of which nothing is counted but negative
+    ratios."""
     table_ratios(B, J, table, stage)
     for lane in range(LANES):
         c = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
@@ -138,8 +151,5 @@ def heat_lanes(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int)
         B[(FILM + stage) * LANES + lane] = r * B[c + H_REF]
         B[(RECOVERY + stage) * LANES + lane] = B[c + RECOVERY_ENTHALPY]
         B[(ADDED + stage) * LANES + lane] = B[c + Q_ADD]
-        _pressure_column(B, J, table, lane, stage, B[c + P_SURFACE])
         if stage == 2:
             B[NEGATIVE * LANES + lane] += 1.0 if r < 0.0 else 0.0
-            outside = axes_outside(table, J[RATIO_TABLE + lane], B, c)
-            B[OUTSIDE * LANES + lane] += 1.0 if outside > 0 else 0.0

@@ -148,6 +148,23 @@ def linear_ratio(B: FloatArray, p: int, c: int, tabulated: float) -> float:
 
 
 @njit
+def linear_factor(B: FloatArray, p: int, c: int, tabulated: float, k: int) -> float:
+    """Derivative of linear_ratio against its parameter k (layout.py: SCALE, D0, FIRST, SECOND)."""
+    if k == SCALE:
+        return tabulated
+    if k == D0:
+        return 1.0
+    if k < SECOND:
+        return B[c + k - FIRST] - B[p + REFERENCE + k - FIRST]
+    i, beyond = 0, k - SECOND
+    while beyond >= VARIABLES - i:
+        beyond -= VARIABLES - i
+        i += 1
+    j = i + beyond
+    return (B[c + i] - B[p + REFERENCE + i]) * (B[c + j] - B[p + REFERENCE + j])
+
+
+@njit
 def mark_curved(B: FloatArray, p: int) -> None:
     """Note whether any second-order term of the parameters from B[p] on is not 0."""
     B[p + CURVED] = 0.0

@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_heating.heating_ratio.kernel import linear_factor
 from sim_heating.jit import call_step, compiled_step, njit, raw
 from sim_heating.layout import (
     ACROSS,
@@ -32,6 +33,7 @@ from sim_heating.layout import (
     C_LEFT,
     C_RIGHT,
     C_STAGES,
+    CELL_WORK,
     DIAGONAL,
     E_LEFT,
     E_RIGHT,
@@ -47,14 +49,18 @@ from sim_heating.layout import (
     LOWER,
     N_CONDITIONS,
     N_NODES,
+    N_PARAMETERS,
     NET,
     NODE_ROWS,
+    PARAMETERS,
+    PCOL,
+    PFRAC,
     RESIDUAL,
     SOURCE,
     TIME,
     T,
 )
-from sim_heating.surface_heating import heat_lanes
+from sim_heating.surface_heating import heat_shadows
 from sim_heating.thermal.assembly import SHARE, assemble, assemble_behind, select_pressure
 from sim_heating.thermal.faces import evaluate_faces
 from sim_heating.thermal.kernel import BDF_WEIGHT, GAMMA, STAGE_WEIGHT
@@ -66,6 +72,8 @@ NODE = NODE_ROWS * LANES
 """Numbers from a node to the next."""
 NOWHERE, FACES, DEPTH, WHOLE = range(4)
 """Where a parameter acts: not in the march; on what enters at the two faces, or along gaps besides; on whole rows."""
+ITSELF = -1
+"""A parameter whose shadow has itself moved."""
 
 
 class Groups(NamedTuple):
@@ -92,6 +100,8 @@ class Places(NamedTuple):
     plus, minus, inverse : (lane, parameter) the same of the shadows with the parameter moved to either side, or of the
               base's again, and the reciprocal of the difference
     reach   : (lane, parameter) where the parameter acts
+    linear  : (lane, parameter) number of a parameter of the linear heating ratio whose shadow has the ratio itself
+              moved (heating_ratio.kernel.linear_factor), or ITSELF
     """
 
     at: IntArray
@@ -99,13 +109,14 @@ class Places(NamedTuple):
     minus: IntArray
     inverse: FloatArray
     reach: IntArray
+    linear: IntArray
     nodes: IntArray
 
 
 def rows_at(B: FloatArray, J: IntArray, table: FloatArray, chain, ddt: float) -> None:  # type: ignore[no-untyped-def]
     """Rows of G = E - ddt F at the temperatures present, with the conditions of stage 2; ddt [s] stands for dt."""
     n = J[N_NODES]
-    heat_lanes(B, J, table, chain, END)
+    heat_shadows(B, J, table, chain, END)
     select_pressure(B, J, END)
     evaluate_faces(B, J, table, chain, END)
     for i in range(n):
@@ -115,7 +126,7 @@ def rows_at(B: FloatArray, J: IntArray, table: FloatArray, chain, ddt: float) ->
 
 def faces_at(B: FloatArray, J: IntArray, table: FloatArray, chain, ddt: float) -> None:  # type: ignore[no-untyped-def]
     """What enters from outside at the temperatures present, with the conditions of stage 2; ddt is not used."""
-    heat_lanes(B, J, table, chain, END)
+    heat_shadows(B, J, table, chain, END)
     evaluate_faces(B, J, table, chain, END)
 
 
@@ -165,6 +176,8 @@ def assemble_shadows(
             given = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
             for c in range(N_CONDITIONS):
                 X[to + c] = B[given + c]
+            for pressure in (PCOL, PFRAC):
+                X[start + (pressure + END) * LANES + s] = B[(pressure + stage) * LANES + lane]
         x, j = raw(X[start : groups[g, 1]]), raw(J[ints : groups[g, 3]])
         call_step(rows if g < shadows.whole else faces, x, j, raw(table), chain, ddt)
 
@@ -203,9 +216,22 @@ def _subtract_forcing(X: FloatArray, p: Places, lane: int, forced: int, ddt: flo
             for i in range(n):
                 S[i, k] -= (_residual(X, plus + i * NODE) - _residual(X, minus + i * NODE)) * inverse
         elif reach != NOWHERE:
+            if p.linear[lane, k] != ITSELF:
+                inverse *= _against_ratio(X, p.at[lane], p.linear[lane, k])
             for i in range(0, n, n - 1 if reach == FACES else 1):
                 row = i * NODE + SOURCE * LANES
                 S[i, k] += ddt * ((X[plus + row] - X[minus + row]) * inverse)
+
+
+@njit
+def _against_ratio(X: FloatArray, at: int, k: int) -> float:
+    """Derivative of the linear heating ratio against its parameter k, for the shadow whose node 0 begins at X[at]."""
+    first = at - HEAD_ROWS * LANES
+    lane = first % LANES
+    block = first - lane
+    p = block + PARAMETERS * LANES + lane * N_PARAMETERS
+    c = block + C_STAGES * LANES + (END * LANES + lane) * N_CONDITIONS
+    return linear_factor(X, p, c, X[first + CELL_WORK * LANES], k)
 
 
 @njit
