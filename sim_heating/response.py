@@ -78,12 +78,17 @@ class ResponseMarch(FilterMarch):
         self._steps = [np.searchsorted(self.time_s[1:], p.samples.time_s) for p in self.points]
 
     def respond(
-        self, added: Sequence[FloatArray], initial_K: Sequence[FloatArray | None] | None = None
+        self,
+        added: Sequence[FloatArray],
+        initial_K: Sequence[FloatArray | None] | None = None,
+        *,
+        derivative: bool = True,
     ) -> list[Response]:
         """March all points.
 
-        added     : (step,) of each point, what is added to its ratio
-        initial_K : (node,) of each point, temperatures at the start in place of its own
+        added      : (step,) of each point, what is added to its ratio
+        initial_K  : (node,) of each point, temperatures at the start in place of its own
+        derivative : whether transition and rows are wanted; without them they are empty
         raises    : RunError where a step did not converge
         """
         n, lanes = int(self._nodes.max()), len(self.points)
@@ -93,8 +98,9 @@ class ResponseMarch(FilterMarch):
         for i in range(lanes):
             add[self._lane_of[i]] = added[i]
         self._begin([p.initial_K for p in self.points] if initial_K is None else list(initial_K))
+        rows = n if derivative else 0
         told = Told(
-            np.zeros((lanes, steps + 1, n)), np.full((lanes, count), np.nan), np.zeros((lanes, steps, n, n + 1)),
+            np.zeros((lanes, steps + 1, n)), np.full((lanes, count), np.nan), np.zeros((lanes, steps, rows, n + 1)),
             np.zeros((lanes, count, n + 1)),
         )  # fmt: skip
         nothing = State(
@@ -146,8 +152,9 @@ def march_response(
         step_beside_shadows(B, J, table, chain, advance, rows, faces, X, shadows, time_s, histories, which, p, lanes, k)
         for lane in range(lanes):
             n = p.nodes[lane]
-            first_pass(X, p, lane, time_s[k] - time_s[k - 1], state, False, True, w)
-            told.transition[lane, k - 1, :n, : n + 1] = w.end[:n, 1 : n + 2]
+            if told.transition.shape[2] > 0:
+                first_pass(X, p, lane, time_s[k] - time_s[k - 1], state, False, True, w)
+                told.transition[lane, k - 1, :n, : n + 1] = w.end[:n, 1 : n + 2]
             next_reading[lane] = _tell_readings(B, w, lane, n, k, time_s, r, next_reading[lane], told)
             _keep_temperatures(B, lane, n, told.temperature_K[lane, k])
             if k < len(time_s) - 1:

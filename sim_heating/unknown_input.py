@@ -59,7 +59,8 @@ MOST_COARSE = 100
 """Knots on which density and correlation time are looked for."""
 ROUNDS = 12
 CHOSEN, SETTLED = 2.0, 0.2
-"""Change of a reading over its noise below which the noise model stays, and below which the march is linear enough."""
+"""Change of a reading over its noise below which noise model and derivatives stay as they are, and below which the
+march is linear enough."""
 EXCESS = 1.5
 """Noise is taken for larger than declared from this ratio of the variances on."""
 GAINED, LEAST_SHARE = 0.1, 0.02
@@ -190,11 +191,15 @@ def precision(time_s: FloatArray, disturbance: Disturbance) -> tuple[FloatArray,
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """A march at one value u of the unknowns: start, then knots."""
+    """A march at one value u of the unknowns: start, then knots.
+
+    answer : (reading, unknown) derivative of the readings
+    """
 
     u: FloatArray
     response: Response
     scored: Likelihood
+    answer: FloatArray
 
     @property
     def log_likelihood(self) -> float:
@@ -217,16 +222,19 @@ class _Inverse:
         s = track.samples
         self.observed, self.sigma_K = Observed(s.lower_K, s.upper_K), np.sqrt(s.variance_K2)
 
-    def at(self, u: FloatArray) -> _Point:
-        added = self.weights @ u[self.extra :]
-        response = self.march.respond([added], [self.initial_K + self.start @ u[: self.extra]])[0]
-        return _Point(u, response, likelihood(self.observed, response.read_K, self.sigma_K))
+    def at(self, u: FloatArray, answer: FloatArray | None = None) -> _Point:
+        """The march at u; with an answer that is good enough there, without its own."""
+        added, start = self.weights @ u[self.extra :], self.initial_K + self.start @ u[: self.extra]
+        response = self.march.respond([added], [start], derivative=answer is None)[0]
+        if answer is None:
+            answer = response.matrix(self.weights, self.start)
+        return _Point(u, response, likelihood(self.observed, response.read_K, self.sigma_K), answer)
 
     def solved(self, given: Disturbance | None) -> UnknownInput:
         here = first = self.at(np.zeros(self.extra + len(self.knots)))
         chosen, excess, change = given or Disturbance(), 1.0, math.inf
         for _ in range(ROUNDS):
-            G = here.response.matrix(self.weights, self.start)
+            G = here.answer
             A = G.T @ (here.scored.information[:, np.newaxis] * G)
             b = G.T @ here.scored.score + A @ here.u
             if here is first:
@@ -235,7 +243,8 @@ class _Inverse:
                 chosen, excess = self._likeliest(here, A, b, None if here is first else chosen, excess)
             step = self._mean(A / excess, b / excess, chosen) - here.u
             change = float(np.max(np.abs(G @ step) / self._noise_K)) / math.sqrt(excess)
-            there = None if change < SETTLED else self._advanced(here, step, chosen, excess)
+            same = G if change < CHOSEN else None
+            there = None if change < SETTLED else self._advanced(here, step, chosen, excess, same)
             if there is None:
                 break
             here = there
@@ -248,7 +257,9 @@ class _Inverse:
         width = self.observed.upper_K - self.observed.lower_K
         return np.sqrt(self.sigma_K**2 + np.where(np.isfinite(width), width, 0.0) ** 2 / 12.0)
 
-    def _advanced(self, here: _Point, step: FloatArray, chosen: Disturbance, excess: float) -> _Point | None:
+    def _advanced(
+        self, here: _Point, step: FloatArray, chosen: Disturbance, excess: float, answer: FloatArray | None
+    ) -> _Point | None:
         """The march after as much of a step as raises likelihood times prior; None where no part of it does."""
         Q, _ = self._prior(self.knots, chosen)
 
@@ -258,7 +269,7 @@ class _Inverse:
         share, now = 1.0, value(here)
         while share > LEAST_SHARE:
             try:
-                there = self.at(here.u + share * step)
+                there = self.at(here.u + share * step, answer)
             except RunError:
                 share *= 0.25
                 continue
