@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.problems import NOTHING
-from sim_heating.ensemble import Ensemble, PointModel, condition_history
+from sim_heating.ensemble import Ensemble, condition_history
 from sim_heating.estimation.likelihood import observed
 from sim_heating.estimation.problem import Problem, Start, StartMaker, joint_reference
 from sim_heating.parameters import CLOCK_SKEW, Parameter
+from sim_heating.point_model import PointModel
 from sim_heating.points import conditions_of_record, point_of_record
 from sim_heating.record import Record, Segments
 from sim_heating.run import fly_scenario

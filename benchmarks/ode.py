@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 
-from sim_heating.ensemble import PointModel
 from sim_heating.jit import njit
 from sim_heating.layout import H_REF, P_SURFACE, RECOVERY_ENTHALPY, TIME
+from sim_heating.point_model import PointModel
 from sim_heating.thermal.assembly import SHARE
 from sim_heating.thermal.declare import Material, pairs
 from sim_heating.thermal.faces import SIGMA

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim_heating.ensemble import PointModel
 from sim_heating.errors import InputError, RunError
 from sim_heating.filter_arrays import Blocks, Kept, Noise, Readings, State, columns_of, held_of, joint_of
 from sim_heating.filter_kernel import (
@@ -33,6 +32,7 @@ from sim_heating.filter_kernel import (
 )
 from sim_heating.layout import D0, LANES, T, node_rows, parameters_at
 from sim_heating.linear_march import LinearMarch, Track, initial_profile
+from sim_heating.point_model import PointModel
 from sim_heating.thermal.mesh import Mesh
 
 FloatArray = NDArray[np.float64]

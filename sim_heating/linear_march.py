@@ -14,12 +14,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.ensemble import Ensemble, PointModel, initial_temperatures
+from sim_heating.ensemble import Ensemble
 from sim_heating.errors import InputError, RunError
 from sim_heating.jit import call_step, handle, njit, raw
 from sim_heating.layout import D0, GAPS, HEAD_ROWS, LANES, N_CONDITIONS, NODE_ROWS, T_STAGE, T_START, T
 from sim_heating.march import END_STAGE
 from sim_heating.parameters import CURVED, EFFECT_PREFIX, RATIO
+from sim_heating.point_model import PointModel, initial_temperatures
 from sim_heating.thermal.kernel import STAGE_WEIGHT, hold
 from sim_heating.thermal.linear import (
     DEPTH,

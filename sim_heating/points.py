@@ -9,8 +9,9 @@ import numpy as np
 
 from sim_heating.conditions import RATIO_VARIABLES, Conditions, FloatArray
 from sim_heating.effects import EffectUse
-from sim_heating.ensemble import PointModel, condition_history
+from sim_heating.ensemble import condition_history
 from sim_heating.errors import InputError
+from sim_heating.point_model import PointModel
 from sim_heating.record import ConstantHeat, Record
 from sim_heating.reference_heating.models import reference_heating
 from sim_heating.thermal.tables import WallEnthalpy

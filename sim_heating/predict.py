@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from sim_heating.conditions import FloatArray
-from sim_heating.ensemble import PointModel
 from sim_heating.errors import InputError
 from sim_heating.files import output_directory, write_json
+from sim_heating.point_model import PointModel
 from sim_heating.points import conditions_of_record, point_of_record
 from sim_heating.record import Record, pooled_rmse_K
 from sim_heating.results import package_version, write_temperatures_csv

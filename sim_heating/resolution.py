@@ -15,8 +15,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.ensemble import Ensemble, PointModel
+from sim_heating.ensemble import Ensemble
 from sim_heating.layout import CONDITION_COLUMNS, P_SURFACE, Q_ADD
+from sim_heating.point_model import PointModel
 from sim_heating.thermal.declare import pairs
 from sim_heating.thermal.faces import SIGMA
 from sim_heating.thermal.mesh import Mesh, build_mesh, fewest_nodes, refined

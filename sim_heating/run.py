@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from sim_heating.conditions import Conditions, FloatArray
-from sim_heating.ensemble import PointModel
 from sim_heating.files import output_directory, write_csv, write_json
 from sim_heating.plugin import HeatingPlugin
+from sim_heating.point_model import PointModel
 from sim_heating.points import conditions_at_point, mean_condition, point_of_vehicle
 from sim_heating.record import pooled_rmse_K
 from sim_heating.results import package_version, write_netcdf, write_temperatures_csv

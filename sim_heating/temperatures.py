@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sim_heating.conditions import RATIO_VARIABLES, Conditions, FloatArray
-from sim_heating.ensemble import Ensemble, PointModel
+from sim_heating.ensemble import Ensemble
 from sim_heating.errors import InputError
 from sim_heating.layout import FILM
+from sim_heating.point_model import PointModel
 from sim_heating.points import histories
 from sim_heating.resolution import pack
 from sim_heating.thermal.mesh import Mesh, refined

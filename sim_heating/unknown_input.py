@@ -37,10 +37,10 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag, cho_factor, cho_solve, lapack
 from scipy.optimize import minimize
 
-from sim_heating.ensemble import initial_temperatures
 from sim_heating.errors import InputError, RunError
 from sim_heating.estimation.likelihood import Likelihood, Observed, likelihood
 from sim_heating.filter_march import Disturbance, FilterTrack
+from sim_heating.point_model import initial_temperatures
 from sim_heating.response import Response, ResponseMarch
 from sim_heating.threads import one_thread
 

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.ensemble import Ensemble, PointModel
+from sim_heating.ensemble import Ensemble
 from sim_heating.layout import T_STAGE, T, node_rows
+from sim_heating.point_model import PointModel
 from sim_heating.thermal.kernel import GAMMA
 from sim_heating.thermal.mesh import Mesh
 

@@ -16,7 +16,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.sparse import diags
 
 from sim_heating.conditions import RATIO_VARIABLES, Conditions
-from sim_heating.ensemble import PointModel
+from sim_heating.point_model import PointModel
 from sim_heating.thermal.declare import Material, PressureTable
 
 FloatArray = NDArray[np.float64]

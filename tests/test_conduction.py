@@ -32,8 +32,9 @@ from walls import (
     wall,
 )
 
-from sim_heating.ensemble import Ensemble, PointModel, condition_history
+from sim_heating.ensemble import Ensemble, condition_history
 from sim_heating.layout import RECOVERY_ENTHALPY
+from sim_heating.point_model import PointModel
 from sim_heating.resolution import pack
 from sim_heating.thermal.assembly import BIN_K, BINS, PIECE_HEAD
 from sim_heating.thermal.declare import Material

@@ -17,9 +17,10 @@ from hypothesis import strategies as st
 from walls import flight, heat, material, orders, practice_model, practice_record, wall
 
 from sim_heating.effects import EffectUse, effect, effects, use
-from sim_heating.ensemble import PointModel, condition_history
+from sim_heating.ensemble import condition_history
 from sim_heating.errors import InputError
 from sim_heating.layout import ALPHA, FAILED, FILM, JETS, LOG10_RE, N_CONDITIONS
+from sim_heating.point_model import PointModel
 from sim_heating.resolution import pack
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -7,8 +7,9 @@ import pytest
 from walls import flight, heat_content, material, practice_model, practice_record, wall
 
 from sim_heating.effects import use
-from sim_heating.ensemble import Ensemble, PointModel, condition_history
+from sim_heating.ensemble import Ensemble, condition_history
 from sim_heating.layout import ENERGY_IN, ENERGY_OUT
+from sim_heating.point_model import PointModel
 from sim_heating.resolution import pack
 
 CLOSED = 1e-10

@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 from walls import flight, heat_content, material, practice_model, practice_record, wall
 
 from sim_heating.effects import use
-from sim_heating.ensemble import THREADED_POINT_STEPS, Ensemble, PointModel, condition_history
+from sim_heating.ensemble import THREADED_POINT_STEPS, Ensemble, condition_history
 from sim_heating.errors import InputError, RunError
 from sim_heating.layout import CONDITION_COLUMNS, FAILED, LANES, OUTSIDE
+from sim_heating.point_model import PointModel
 from sim_heating.resolution import pack
 from sim_heating.thermal.declare import Construction
 from sim_heating.thermal.mesh import build_mesh

@@ -16,11 +16,12 @@ from test_kernel_interpreted import run_interpreted
 from walls import flight, material, practice_model, practice_record, wall
 
 from sim_heating.effects import use
-from sim_heating.ensemble import Ensemble, PointModel, condition_history
+from sim_heating.ensemble import Ensemble, condition_history
 from sim_heating.errors import InputError, RunError
 from sim_heating.estimation.likelihood import observed
 from sim_heating.filter_march import Disturbance, FilterMarch, FilterTrack, Samples, samples_on_grid
 from sim_heating.linear_march import LinearMarch, Track
+from sim_heating.point_model import PointModel
 from sim_heating.resolution import pack
 from sim_heating.smoothing import smooth
 from sim_heating.thermal.declare import Sensor

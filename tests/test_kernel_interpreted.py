@@ -13,8 +13,9 @@ from walls import flight, material, practice_model, wall
 
 import sim_heating
 from sim_heating.effects import use
-from sim_heating.ensemble import Ensemble, PointModel
+from sim_heating.ensemble import Ensemble
 from sim_heating.layout import ITERATIONS
+from sim_heating.point_model import PointModel
 from sim_heating.resolution import pack
 
 FEW_STEPS_S = np.array([0.0, 0.5, 1.7, 2.7, 2.8])

@@ -17,7 +17,6 @@ import pytest
 from walls import flight, practice_record, wall
 
 from sim_heating.effects import effects, use
-from sim_heating.ensemble import PointModel
 from sim_heating.errors import InputError
 from sim_heating.estimation.initial import profile_start
 from sim_heating.estimation.problem import Problem, joint_reference
@@ -26,6 +25,7 @@ from sim_heating.heating_ratio.table import RatioTable
 from sim_heating.layout import LANES
 from sim_heating.linear_march import LinearMarch, Track
 from sim_heating.parameters import EFFECT_PREFIX, RATIO, STACK
+from sim_heating.point_model import PointModel
 from sim_heating.record import Record, RecordFile, in_segments
 from sim_heating.resolution import choose_meshes
 from sim_heating.thermal.declare import Material

@@ -8,9 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from walls import material, practice_model, practice_record, wall
 
-from sim_heating.ensemble import Ensemble, PointModel, condition_history
+from sim_heating.ensemble import Ensemble, condition_history
 from sim_heating.errors import InputError
 from sim_heating.layout import CONDITION_COLUMNS, P_SURFACE, Q_ADD
+from sim_heating.point_model import PointModel
 from sim_heating.resolution import PULSE_PRESSURE_PA, PULSE_SHAPE, PULSE_TIME_S, TOLERANCE_K, choose_meshes
 from sim_heating.thermal.declare import Construction
 from sim_heating.thermal.mesh import build_mesh, fewest_nodes, refined

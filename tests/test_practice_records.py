@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from walls import practice_model, practice_record
 
-from sim_heating.ensemble import PointModel, condition_history
+from sim_heating.ensemble import condition_history
+from sim_heating.point_model import PointModel
 from sim_heating.record import pooled_rmse_K
 from sim_heating.resolution import pack
 

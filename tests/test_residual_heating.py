@@ -14,10 +14,10 @@ from walls import flight, material, wall
 
 from sim_heating.closure.residual import ResidualHeating, residual_heating, write_residual_heating
 from sim_heating.effects import use
-from sim_heating.ensemble import PointModel
 from sim_heating.estimation.problem import Problem, joint_reference
 from sim_heating.files import read_csv_columns
 from sim_heating.filter_march import FilterTrack, samples_on_grid
+from sim_heating.point_model import PointModel
 from sim_heating.record import Record
 from sim_heating.resolution import pack
 from sim_heating.unknown_input import UnknownInput, unknown_input

@@ -15,8 +15,9 @@ from test_filter import HEATED, START_K, linear_wall, some_covariance, wall_samp
 from test_filter import TIME_S as LINEAR_S
 from walls import flight, practice_model
 
-from sim_heating.ensemble import Ensemble, PointModel
+from sim_heating.ensemble import Ensemble
 from sim_heating.filter_march import Disturbance, FilterMarch, FilterTrack, samples_on_grid
+from sim_heating.point_model import PointModel
 from sim_heating.smoothing import smooth
 from sim_heating.thermal.mesh import Mesh, build_mesh, refined
 from sim_heating.unknown_input import UnknownInput, bandwidth_Hz, unknown_input

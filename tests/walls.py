@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sim_heating.conditions import Conditions
-from sim_heating.ensemble import Ensemble, PointModel, condition_history
+from sim_heating.ensemble import Ensemble, condition_history
 from sim_heating.layout import TIME
+from sim_heating.point_model import PointModel
 from sim_heating.record import Record, load_record
 from sim_heating.resolution import pack
 from sim_heating.thermal.declare import Construction, Layer, Material, Stack

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.ensemble import Ensemble, PointModel
+from sim_heating.ensemble import Ensemble
 from sim_heating.heating_ratio.kernel import VARIABLES, pack_table
 from sim_heating.layout import (
     BACK_EPS,
@@ -34,6 +34,7 @@ from sim_heating.layout import (
     parameters_at,
     scalar_row,
 )
+from sim_heating.point_model import PointModel
 from sim_heating.thermal.declare import Material, pairs
 
 FloatArray = NDArray[np.float64]

@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.ensemble import PointModel, condition_history
+from sim_heating.ensemble import condition_history
 from sim_heating.errors import InputError
 from sim_heating.estimation.observation import Channel, channels, errors_of, least_sigma_K, sensor_parameter
 from sim_heating.estimation.problem import Start, march_times
 from sim_heating.filter_kernel import CONSTANT, PER_RATE, PER_TEMPERATURE
 from sim_heating.filter_march import FilterMarch, FilterTrack, Samples
 from sim_heating.parameters import CLOCK_SKEW
+from sim_heating.point_model import PointModel
 from sim_heating.points import conditions_of_record
 from sim_heating.record import Record
 from sim_heating.thermal.declare import Sensor

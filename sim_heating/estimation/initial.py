@@ -17,11 +17,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.ensemble import Ensemble, PointModel, condition_history, initial_temperatures
+from sim_heating.ensemble import Ensemble, condition_history
 from sim_heating.errors import InputError
 from sim_heating.estimation.filtering import filtered_start
 from sim_heating.estimation.problem import Start, march_times
 from sim_heating.parameters import Parameter
+from sim_heating.point_model import PointModel, initial_temperatures
 from sim_heating.points import conditions_of_record
 from sim_heating.record import Record
 from sim_heating.thermal.declare import Sensor

@@ -26,7 +26,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.ensemble import PointModel, condition_history
+from sim_heating.ensemble import condition_history
 from sim_heating.errors import RunError
 from sim_heating.estimation.filtering import filter_samples
 from sim_heating.estimation.identifiability import scale
@@ -37,6 +37,7 @@ from sim_heating.estimation.problem import Problem, Samples, in_threads
 from sim_heating.estimation.process_noise import CORRELATION, Level, Levels, ProcessNoise
 from sim_heating.filter_march import Filtered, FilterMarch, FilterTrack
 from sim_heating.layout import LANES
+from sim_heating.point_model import PointModel
 
 FloatArray = NDArray[np.float64]
 

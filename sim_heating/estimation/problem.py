@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from sim_heating.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.effects import EffectUse
-from sim_heating.ensemble import PointModel, condition_history, initial_temperatures
+from sim_heating.ensemble import condition_history
 from sim_heating.errors import InputError, RunError
 from sim_heating.estimation.likelihood import scores
 from sim_heating.estimation.mesh_correction import correct_mesh, on_mesh
@@ -31,6 +31,7 @@ from sim_heating.estimation.result import AT
 from sim_heating.layout import LANES
 from sim_heating.linear_march import Linearised, LinearMarch, Track
 from sim_heating.parameters import CLOCK_SKEW, Parameter
+from sim_heating.point_model import PointModel, initial_temperatures
 from sim_heating.points import conditions_of_record, point_of_record
 from sim_heating.record import Record
 from sim_heating.resolution import choose_meshes

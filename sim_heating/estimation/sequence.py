@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.conditions import RATIO_VARIABLES
-from sim_heating.ensemble import condition_history, initial_temperatures
+from sim_heating.ensemble import condition_history
 from sim_heating.errors import InputError
 from sim_heating.estimation.estimate import FEWEST_SAMPLES
 from sim_heating.estimation.informed import default_names
@@ -23,6 +23,7 @@ from sim_heating.estimation.problem import Part, Problem, Start, joint_reference
 from sim_heating.heating_ratio.kernel import table_ratios_at
 from sim_heating.linear_march import LinearMarch, Track
 from sim_heating.parameters import Parameter
+from sim_heating.point_model import initial_temperatures
 from sim_heating.record import Record
 from sim_heating.thermal.mesh import refined
 

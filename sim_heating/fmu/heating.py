@@ -20,14 +20,7 @@ from sim_heating.atmosphere import us76
 from sim_heating.conditions import FRAME, RATIO_VARIABLES
 from sim_heating.effects import Effect, EffectUse, effects
 from sim_heating.effects.chain import compiled_chain
-from sim_heating.ensemble import (
-    Ensemble,
-    PointModel,
-    acting,
-    element_densities,
-    insulation_layer,
-    stack_values,
-)
+from sim_heating.ensemble import Ensemble
 from sim_heating.fmu import heating_kernel as k
 from sim_heating.fmu.image import TEXT_BYTES, Image, Kind, Problem, Role, Variable
 from sim_heating.fmu.library import Function
@@ -57,6 +50,7 @@ from sim_heating.layout import (
 from sim_heating.parameters import RATIO, SENSOR, STACK, UNITS, Parameter
 from sim_heating.plausible import LIMITS
 from sim_heating.plugin import HeatingPlugin
+from sim_heating.point_model import PointModel, acting, element_densities, insulation_layer, stack_values
 from sim_heating.reference_heating.models import COLUMNS
 from sim_heating.sensors import calibration
 from sim_heating.thermal.kernel import compiled

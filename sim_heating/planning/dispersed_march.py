@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sim_heating.conditions import RATIO_VARIABLES
 from sim_heating.effects import EffectUse
-from sim_heating.ensemble import Ensemble, PointModel, element_densities, insulation_layer, stack_values
+from sim_heating.ensemble import Ensemble
 from sim_heating.errors import InputError
 from sim_heating.heating_ratio.kernel import VARIABLES
 from sim_heating.layout import (
@@ -36,6 +36,7 @@ from sim_heating.planning.dispersed_kernel import POINT_NUMBERS, WHOLE, conditio
 from sim_heating.planning.optimal_spec import LimitedPoint
 from sim_heating.planning.soak import still_air
 from sim_heating.plugin_kernel import CODE, HOST_SIZE, LENGTH, RADIUS
+from sim_heating.point_model import PointModel, element_densities, insulation_layer, stack_values
 from sim_heating.points import point_of_vehicle
 from sim_heating.reference_heating.models import reference_model
 from sim_heating.thermal.mesh import Mesh

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim_heating.conditions import RATIO_VARIABLES
-from sim_heating.ensemble import COATING_PREFIX, insulation_layer
 from sim_heating.errors import InputError, RunError
 from sim_heating.estimation.design_flight import Planned, Planner
 from sim_heating.estimation.informed import MAGNITUDES
@@ -25,6 +24,7 @@ from sim_heating.planning.envelope import MIDDLE, SURE, FlownBoundary, Stretch, 
 from sim_heating.planning.envelope_spec import Candidate
 from sim_heating.planning.margins import Margin
 from sim_heating.planning.study import Study
+from sim_heating.point_model import COATING_PREFIX, insulation_layer
 from sim_heating.points import reference_of_record
 from sim_heating.scenario import Design
 from sim_heating.table_update.evidence import evidence_of

@@ -9,7 +9,6 @@ from statistics import NormalDist
 import numpy as np
 
 from sim_heating.conditions import Conditions
-from sim_heating.ensemble import PointModel
 from sim_heating.planning import optimal_dynamics as od
 from sim_heating.planning import optimal_tables as tables
 from sim_heating.planning.optimal_collocation import (
@@ -22,6 +21,7 @@ from sim_heating.planning.optimal_collocation import (
 )
 from sim_heating.planning.optimal_spec import LimitedPoint, OptimalStudy
 from sim_heating.planning.soak import COLD_K, soaked
+from sim_heating.point_model import PointModel
 from sim_heating.points import conditions_at_point, point_of_vehicle
 from sim_heating.temperatures import PointHistory, march_points, outside_table
 from sim_heating.trajectory.trimmed_aero import ELEVON_HIGH, ELEVON_LOW

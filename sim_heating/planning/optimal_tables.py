@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from sim_heating.atmosphere import speed_of_sound, us76
 from sim_heating.conditions import Conditions
-from sim_heating.ensemble import PointModel
 from sim_heating.planning import optimal_dynamics as od
 from sim_heating.planning.optimal_collocation import FloatArray, ca
 from sim_heating.planning.optimal_spec import OptimalStudy
+from sim_heating.point_model import PointModel
 from sim_heating.points import conditions_at_point
 from sim_heating.temperatures import march_points
 from sim_heating.thermal.declare import Construction, Layer

@@ -25,10 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.conditions import RATIO_VARIABLES, Conditions
-from sim_heating.ensemble import PointModel
 from sim_heating.heating_ratio.table import RatioTable
 from sim_heating.layout import LANES
 from sim_heating.linear_march import LinearMarch, Track
+from sim_heating.point_model import PointModel
 from sim_heating.points import histories
 from sim_heating.table_update.posterior import Evidence, node_weights
 from sim_heating.table_update.revisions import posterior_of
