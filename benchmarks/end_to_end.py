@@ -25,7 +25,7 @@ from benchmarks.measure import Figure, save
 from sim_heating.conditions import RATIO_VARIABLES, FloatArray
 from sim_heating.estimation.estimate import Fitted, estimate
 from sim_heating.estimation.initial import STARTS
-from sim_heating.estimation.problem import StartMaker
+from sim_heating.estimation.part import StartMaker
 from sim_heating.estimation.report import result_of
 from sim_heating.estimation.result import NAME, write_estimate
 from sim_heating.heating_ratio.kernel import table_ratios_at

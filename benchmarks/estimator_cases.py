@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from benchmarks.problems import NOTHING
 from sim_heating.ensemble import Ensemble, condition_history
 from sim_heating.estimation.likelihood import observed
-from sim_heating.estimation.problem import Problem, Start, StartMaker, joint_reference
+from sim_heating.estimation.part import Start, StartMaker
+from sim_heating.estimation.problem import Problem, joint_reference
 from sim_heating.parameters import CLOCK_SKEW, Parameter
 from sim_heating.point_model import PointModel
 from sim_heating.points import conditions_of_record, point_of_record

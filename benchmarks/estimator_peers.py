@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from sim_heating.ensemble import Ensemble, condition_history
-from sim_heating.estimation.problem import Part, declared_profile
+from sim_heating.estimation.part import Part, declared_profile
 from sim_heating.point_model import PointModel
 
 try:

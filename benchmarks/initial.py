@@ -20,7 +20,7 @@ from benchmarks.measure import Figure, save
 from benchmarks.tile import PRACTICE
 from sim_heating.estimation.estimate import Fitted, estimate
 from sim_heating.estimation.initial import STARTS
-from sim_heating.estimation.problem import StartMaker
+from sim_heating.estimation.part import StartMaker
 from sim_heating.plots import new_figure, save_figure
 from sim_heating.record import Record, load_record
 

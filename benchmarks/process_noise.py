@@ -28,7 +28,8 @@ from sim_heating.estimation.estimate import coloured_bounds
 from sim_heating.estimation.innovations import Innovations, fit_innovations
 from sim_heating.estimation.likelihood import observed
 from sim_heating.estimation.newton import Fit, maximise
-from sim_heating.estimation.problem import Problem, declared_profile
+from sim_heating.estimation.part import declared_profile
+from sim_heating.estimation.problem import Problem
 from sim_heating.estimation.process_noise import CORRELATION, NODE, RATIO, ProcessNoise
 from sim_heating.estimation.statistics import sensor_residuals
 from sim_heating.sensors import measured

@@ -16,7 +16,8 @@ from walls import practice_record
 from benchmarks.estimator_cases import CASES, record_of, repeatable
 from benchmarks.estimator_statistics import Repetitions, repeat
 from sim_heating.estimation.mesh_correction import on_mesh
-from sim_heating.estimation.problem import LONGEST_STEP_S, Problem, joint_reference, march_times
+from sim_heating.estimation.part import LONGEST_STEP_S, march_times
+from sim_heating.estimation.problem import Problem, joint_reference
 from sim_heating.estimation.sequence import state_at
 from sim_heating.record import Record
 from sim_heating.thermal.mesh import refined

@@ -19,7 +19,8 @@ from sim_heating.effects import EffectUse
 from sim_heating.errors import InputError, RunError
 from sim_heating.estimation.estimate import Fitted, lasting, misfit, predict_at
 from sim_heating.estimation.newton import Fit, Settings
-from sim_heating.estimation.problem import SKEW_SPAN_S, Part, Problem
+from sim_heating.estimation.part import Part
+from sim_heating.estimation.problem import SKEW_SPAN_S, Problem
 from sim_heating.estimation.together import maximise_together
 from sim_heating.parameters import CLOCK_SKEW, Parameter
 from sim_heating.predict import Prediction

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from sim_heating.ensemble import condition_history
 from sim_heating.estimation.filtering import filter_samples
 from sim_heating.estimation.observation import Channel
-from sim_heating.estimation.problem import Part, Problem
+from sim_heating.estimation.part import Part
+from sim_heating.estimation.problem import Problem
 from sim_heating.files import write_csv
 from sim_heating.filter_march import Disturbance, FilterTrack
 from sim_heating.record import Record

@@ -17,7 +17,8 @@ from sim_heating.closure.candidates import Candidate, Form
 from sim_heating.estimation.identifiability import covariance
 from sim_heating.estimation.likelihood import scores
 from sim_heating.estimation.newton import Fit, Status
-from sim_heating.estimation.problem import Problem, Samples
+from sim_heating.estimation.part import Samples
+from sim_heating.estimation.problem import Problem
 from sim_heating.estimation.together import Together, maximise_together
 from sim_heating.parameters import EFFECT_PREFIX
 

@@ -26,7 +26,8 @@ from sim_heating.errors import InputError
 from sim_heating.estimation.identifiability import covariance
 from sim_heating.estimation.informed import variables_of
 from sim_heating.estimation.likelihood import expected_information
-from sim_heating.estimation.problem import Problem, Samples, Start, joint_reference
+from sim_heating.estimation.part import Samples, Start
+from sim_heating.estimation.problem import Problem, joint_reference
 from sim_heating.parameters import CLOCK_SKEW, SENSOR_PREFIX, Parameter
 from sim_heating.record import Record
 from sim_heating.thermal.declare import Sensor

@@ -13,7 +13,8 @@ from sim_heating.errors import RunError
 from sim_heating.estimation.design import Experiment
 from sim_heating.estimation.likelihood import observed
 from sim_heating.estimation.newton import maximise
-from sim_heating.estimation.problem import Problem, Start, joint_reference
+from sim_heating.estimation.part import Start
+from sim_heating.estimation.problem import Problem, joint_reference
 from sim_heating.parameters import Parameter
 from sim_heating.record import Record
 from sim_heating.sensors import quantised

@@ -14,7 +14,8 @@ from sim_heating.errors import InputError
 from sim_heating.estimation.design import PRESSURE, Experiment, experiment
 from sim_heating.estimation.informed import still
 from sim_heating.estimation.initial import free_start
-from sim_heating.estimation.problem import LONGEST_STEP_S, SKEW_SPAN_S, Start, march_times
+from sim_heating.estimation.part import LONGEST_STEP_S, Start, march_times
+from sim_heating.estimation.problem import SKEW_SPAN_S
 from sim_heating.linear_march import LinearMarch, Track
 from sim_heating.parameters import CLOCK_SKEW, SENSOR_PREFIX, SHORT
 from sim_heating.points import conditions_at_point, histories, point_of_vehicle

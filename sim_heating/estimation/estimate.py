@@ -25,7 +25,8 @@ from sim_heating.estimation.innovations import Innovations, fit_innovations
 from sim_heating.estimation.likelihood import likelihood
 from sim_heating.estimation.newton import Fit, Settings, Status, check_parameters, maximise
 from sim_heating.estimation.observation import errors_of
-from sim_heating.estimation.problem import Part, Problem, Samples, Start, StartMaker, joint_reference, march_times
+from sim_heating.estimation.part import Part, Samples, Start, StartMaker, march_times
+from sim_heating.estimation.problem import Problem, joint_reference
 from sim_heating.estimation.process_noise import ProcessNoise
 from sim_heating.estimation.result import AT
 from sim_heating.parameters import CLOCK_SKEW, EFFECT_PREFIX, Parameter

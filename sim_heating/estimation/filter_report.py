@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from sim_heating.estimation.innovations import Innovations
 from sim_heating.estimation.observation import Channel
+from sim_heating.estimation.part import Part
 from sim_heating.estimation.plots import AFTER, plot_flown
-from sim_heating.estimation.problem import Part
 from sim_heating.files import write_csv
 from sim_heating.plots import MEASURED, legend_above, new_figure, save_figure
 from sim_heating.smoothing import Smoothed, smooth

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sim_heating.ensemble import condition_history
 from sim_heating.errors import InputError
 from sim_heating.estimation.observation import Channel, channels, errors_of, least_sigma_K, sensor_parameter
-from sim_heating.estimation.problem import Start, march_times
+from sim_heating.estimation.part import Start, march_times
 from sim_heating.filter_kernel import CONSTANT, PER_RATE, PER_TEMPERATURE
 from sim_heating.filter_march import FilterMarch, FilterTrack, Samples
 from sim_heating.parameters import CLOCK_SKEW

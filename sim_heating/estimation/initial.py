@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from sim_heating.ensemble import Ensemble, condition_history
 from sim_heating.errors import InputError
 from sim_heating.estimation.filtering import filtered_start
-from sim_heating.estimation.problem import Start, march_times
+from sim_heating.estimation.part import Start, march_times
 from sim_heating.parameters import Parameter
 from sim_heating.point_model import PointModel, initial_temperatures
 from sim_heating.points import conditions_of_record

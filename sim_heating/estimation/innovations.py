@@ -33,7 +33,8 @@ from sim_heating.estimation.identifiability import scale
 from sim_heating.estimation.likelihood import likelihood
 from sim_heating.estimation.newton import Evaluation, Fit, Settings, Status, Told, maximise
 from sim_heating.estimation.observation import least_sigma_K
-from sim_heating.estimation.problem import Problem, Samples, in_threads
+from sim_heating.estimation.part import Samples
+from sim_heating.estimation.problem import Problem, in_threads
 from sim_heating.estimation.process_noise import CORRELATION, Level, Levels, ProcessNoise
 from sim_heating.filter_march import Filtered, FilterMarch, FilterTrack
 from sim_heating.layout import LANES

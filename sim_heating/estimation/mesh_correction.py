@@ -23,7 +23,7 @@ from sim_heating.linear_march import LinearMarch, Track
 from sim_heating.thermal.mesh import Mesh, refined
 
 if TYPE_CHECKING:
-    from sim_heating.estimation.problem import Part
+    from sim_heating.estimation.part import Part
 
 FloatArray = NDArray[np.float64]
 

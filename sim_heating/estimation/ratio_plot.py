@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sim_heating.conditions import RATIO_VARIABLES
 from sim_heating.ensemble import condition_history
 from sim_heating.estimation.estimate import Fitted
-from sim_heating.estimation.problem import Part
+from sim_heating.estimation.part import Part
 from sim_heating.estimation.ratio import declared_ratio, declared_sigma, estimated_ratio
 from sim_heating.parameters import RATIO, SHORT
 from sim_heating.plots import new_figure, save_figure

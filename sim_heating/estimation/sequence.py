@@ -19,7 +19,8 @@ from sim_heating.errors import InputError
 from sim_heating.estimation.estimate import FEWEST_SAMPLES
 from sim_heating.estimation.informed import default_names
 from sim_heating.estimation.newton import Fit, maximise
-from sim_heating.estimation.problem import Part, Problem, Start, joint_reference, march_times
+from sim_heating.estimation.part import Part, Start, march_times
+from sim_heating.estimation.problem import Problem, joint_reference
 from sim_heating.heating_ratio.kernel import table_ratios_at
 from sim_heating.linear_march import LinearMarch, Track
 from sim_heating.parameters import Parameter

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sim_heating.estimation.newton import Evaluation, Fit, Iteration, Settings, iteration
-from sim_heating.estimation.problem import Part, Problem, in_threads, march_of, set_out, side_by_side
+from sim_heating.estimation.part import Part, march_of, set_out, side_by_side
+from sim_heating.estimation.problem import Problem, in_threads
 from sim_heating.linear_march import Linearised, LinearMarch
 
 FloatArray = NDArray[np.float64]
