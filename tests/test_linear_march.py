@@ -166,9 +166,9 @@ def test_every_parameter_of_stack_contact_and_back_face():
 
 
 @pytest.mark.parametrize("name", [e.name for e in effects().values() if e.kernel is not None])
-def test_every_parameter_of_every_effect(name):
+def test_every_parameter_of_every_effect_and_the_ratio_that_it_acts_on(name):
     wanted = [f"{EFFECT_PREFIX}{name}.{p.name}" for p in effects()[name].parameters if p.sigma > 0.0]
-    assert_exact(worst(point(name), wanted))
+    assert_exact(worst(point(name), [*wanted, "ratio.scale", "ratio.d_alpha", "ratio.d_alpha_logre"]))
 
 
 def test_gap_that_opens_between_two_marches_takes_heat_from_the_next():

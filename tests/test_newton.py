@@ -83,6 +83,15 @@ def test_a_linear_model_is_solved_by_one_step() -> None:
     np.testing.assert_allclose(fit.covariance, np.linalg.inv(design.T @ design), rtol=1e-10)
 
 
+def test_a_step_of_a_linear_model_gains_what_it_promises() -> None:
+    design = np.random.default_rng(1).normal(size=(20, 3))
+    model, known = line(design, np.random.default_rng(2).normal(size=20)), parameters(3, sigma=2.0)
+    begun = maximise(model, known, [1.0, 2.0, -1.0], Settings(iterations=0))
+    found = maximise(model, known, begun.values)
+    assert begun.promised == approx(found.log_posterior - begun.log_posterior, rel=1e-10)
+    assert found.promised == approx(0.0, abs=1e-12)
+
+
 def test_a_gaussian_prior_and_data_of_equal_weight_meet_halfway() -> None:
     prior = [Parameter("a", "1", 10.0, 2.0)]
     fit = maximise(line(np.array([[0.5]]), np.array([0.0])), prior)
