@@ -195,10 +195,12 @@ class LinearMarch:
             self._flights[lane] = self.tracks[i].flight
 
     def _ensemble(self) -> Ensemble:
-        """The shadows in lanes, those of which whole rows are wanted first."""
+        """The shadows in lanes, those of which whole rows are wanted first; lanes left beside them take others."""
         tracks = [self.tracks[shadow.track] for shadow in self._shadows]
         models = [shadow.model(track, track.model) for shadow, track in zip(self._shadows, tracks, strict=True)]
-        kinds = [int(shadow.at_faces) for shadow in self._shadows]
+        at_faces = np.array([shadow.at_faces for shadow in self._shadows])
+        beside = -np.count_nonzero(~at_faces) % LANES
+        kinds = [int(kind) for kind in at_faces & (np.cumsum(at_faces) > beside)]
         return Ensemble(models, [track.mesh for track in tracks], beside=self.base, kinds=kinds)
 
     @cached_property
