@@ -9,7 +9,7 @@ import re
 import shutil
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TypeVar, cast
 
@@ -27,13 +27,18 @@ CACHE_AGE_S = 14 * 86400.0
 _IMPORT = re.compile(r"^\s*(?:from|import) sim_heating\.([\w.]+)(?: import (?:\(([^)]*)\)|(.*)))?", re.MULTILINE)
 
 
-def _imported(path: Path) -> set[Path]:
+def _modules() -> dict[str, Path]:
+    """File of each module and package in this one, by its dotted name within it."""
+    files = {path.relative_to(PACKAGE).with_suffix("").parts: path for path in PACKAGE.rglob("*.py")}
+    return {".".join(parts[:-1] if parts[-1] == "__init__" else parts): path for parts, path in files.items()}
+
+
+def _imported(path: Path, modules: Mapping[str, Path]) -> set[Path]:
     """Modules of the package that a module imports, by their absolute names."""
     found = set()
     for module, several, one in _IMPORT.findall(path.read_text()):
-        base = PACKAGE.joinpath(*module.split("."))
-        found |= {base, *(base / name for name in re.findall(r"\w+", several + one))}
-    return {p for base in found for p in (base.with_suffix(".py"), base / "__init__.py") if p.is_file()}
+        found |= {module, *(f"{module}.{name}" for name in re.findall(r"\w+", several + one))}
+    return {modules[name] for name in found if name in modules}
 
 
 def source_digest() -> str:
@@ -42,7 +47,8 @@ def source_digest() -> str:
     numba keys its cache by the file of a function alone: a kernel that calls another, or holds a table as a
     constant, would keep what it was compiled with when that changes in another file.
     """
-    imports = {path: _imported(path) for path in PACKAGE.rglob("*.py")}
+    modules = _modules()
+    imports = {path: _imported(path, modules) for path in modules.values()}
     waiting = [path for path, found in imports.items() if Path(__file__).resolve() in found]
     sources: set[Path] = set()
     while waiting:
