@@ -24,6 +24,7 @@ from sim_heating.estimation.problem import SKEW_SPAN_S, Problem
 from sim_heating.estimation.together import maximise_together
 from sim_heating.parameters import CLOCK_SKEW, Parameter
 from sim_heating.predict import Prediction
+from sim_heating.record import Record
 
 FloatArray = NDArray[np.float64]
 
@@ -90,37 +91,47 @@ def base_of(before: Fitted) -> Attempt:
     """The declared model with its magnitude and derivatives, and a clock that may be a little off."""
     whole = before.problem.parts[0]
     start = {**dict(zip(whole.names, before.fit.values, strict=True)), CLOCK_SKEW.name: 0.0}
-    problem = _thinned(before, start, whole.record.fit_mask())
-    held = whole.record.holdout_mask()
+    fitted, held = whole.record.fit_mask(), whole.record.holdout_mask()
+    quick = thinned(whole.record, max(int(NODES_PART * whole.mesh.nodes), FEWEST_NODES))
+    full = _over(before, whole.record, fitted | held)
+    error_K, at_s = _changed_by_thinning(full, _over(before, quick, fitted | held, longest_step_s=LONGEST_S), start)
+
+    def over(chosen: NDArray[np.bool_]) -> Problem:
+        problem = _over(before, quick, chosen, longest_step_s=LONGEST_S)
+        part = problem.parts[0]
+        part.correction_K = error_K[:, np.isin(at_s, part.sample_s)]
+        return problem
+
+    problem = over(fitted)
     try:
-        held_out = _thinned(before, start, held) if np.any(held) else None
+        held_out = over(held) if np.any(held) else None
     except InputError:  # nothing was measured there
         held_out = None
     fit = maximise_together([problem], [first_of(problem, start)], QUICK)[0]
     return Attempt("none", Candidate("none", (), (), {}, ()), problem, held_out, fit)
 
 
-def _thinned(before: Fitted, start: Mapping[str, float], chosen: NDArray[np.bool_]) -> Problem:
-    """The declared model over some of the samples."""
+def _over(before: Fitted, record: Record, chosen: NDArray[np.bool_], **more: Any) -> Problem:
+    """The declared model over some of the samples of a record, whole or thinned."""
     whole = before.problem.parts[0]
     interval = float(np.median(np.diff(whole.record.time_s)))
     off = min(AGREEMENT * interval, SKEW_SPAN_S)
     clock = {CLOCK_SKEW.name: replace(CLOCK_SKEW, lower=-off, upper=off)}
-    names, reference = (*whole.names, CLOCK_SKEW.name), before.problem.reference
-    alike: dict[str, Any] = {"priors": clock, "widened": WIDENED, "chosen": [chosen]}
-    full = Problem([whole.record], names, reference, **alike)
-    quick = thinned(whole.record, max(int(NODES_PART * whole.mesh.nodes), FEWEST_NODES))
-    problem = Problem([quick], names, reference, longest_step_s=LONGEST_S, **alike)
-    for one in (full, problem):
-        one.parts[0].sigma_K.update(whole.sigma_K)
-    at = first_of(full, start)
+    names = (*whole.names, CLOCK_SKEW.name)
+    problem = Problem([record], names, before.problem.reference, priors=clock, widened=WIDENED, chosen=[chosen], **more)
+    problem.parts[0].sigma_K.update(whole.sigma_K)
+    return problem
+
+
+def _changed_by_thinning(full: Problem, quick: Problem, start: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
+    """(sensor, sample) what the record as it is, on a mesh without error, adds to the thinned one, and the times."""
+    at, part = first_of(full, start), full.parts[0]
     full.correct_meshes(at)
     try:
-        exact, coarse = (p.parts[0].corrected(p.marched(at)[0]).temperature_K for p in (full, problem))
+        exact, coarse = (p.parts[0].corrected(p.marched(at)[0]).temperature_K for p in (full, quick))
     except RunError:  # a model so wrong that it cannot be marched everywhere: the quick march stands as it is
-        exact = coarse = np.zeros(1)
-    problem.parts[0].correction_K = exact - coarse
-    return problem
+        return np.zeros((len(part.mesh.sensors), len(part.sample_s))), part.sample_s
+    return exact - coarse, part.sample_s
 
 
 def on_top(base: Attempt, candidate: Candidate) -> Problem:
