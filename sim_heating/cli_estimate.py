@@ -11,6 +11,7 @@ from rich.table import Table
 
 from sim_heating.console import CONSOLE, OUT, PATH, listed, progress_line, tell_files
 from sim_heating.errors import InputError
+from sim_heating.files import require_place
 
 ESTIMATED = "estimated"
 """Of a level of noise that is to be found."""
@@ -159,10 +160,11 @@ def estimate(
         _estimate_trend(records, out, parameters, fit, segments)
         return
     from sim_heating.estimation.estimate import estimate as fit_records
-    from sim_heating.estimation.report import result_of, write_fit
+    from sim_heating.estimation.report import files_of, result_of, write_fit
     from sim_heating.record import load_record
 
     loaded = [_with_fit(load_record(path), fit) for path in records]
+    require_place(out, files_of(loaded, filtered=noise is not None))
     with progress_line("estimate") as progress:
         starts = [start] * len(loaded)
         fitted = fit_records(
@@ -195,13 +197,14 @@ def _estimate_trend(
     records: tuple[Path, ...], out: Path, parameters: tuple[str, ...] | None, fit: list[list[float]], length_s: float
 ) -> None:
     """Short segments of one record, one after the other."""
-    from sim_heating.estimation.report import write_trend
+    from sim_heating.estimation.report import TREND, write_trend
     from sim_heating.estimation.sequence import trend
     from sim_heating.record import load_record
 
     if len(records) > 1:
         raise InputError(f"--segments: {len(records)} records; short segments are of one record, give them one by one")
     record = _with_fit(load_record(records[0]), fit)
+    require_place(out, TREND)
     with progress_line("estimate") as progress:
         found = trend(record, length_s, parameters, progress=progress)
         names = write_trend(found, out)

@@ -8,11 +8,15 @@ import click
 
 from sim_heating.console import CONSOLE, PATH, listed, progress_line
 from sim_heating.errors import InputError
+from sim_heating.files import require_place
 
 
 def _fmu_file(_: click.Context, __: click.Parameter, value: Path) -> Path:
     if value.suffix != ".fmu":
         raise InputError(f"--out {value}: name a file that ends in .fmu")
+    if value.is_dir():
+        raise InputError(f"--out {value}: is a directory; name a file that ends in .fmu")
+    require_place(value.parent)
     return value
 
 

@@ -18,7 +18,7 @@ from scipy.sparse import csr_array
 from sim_heating.conditions import RATIO_VARIABLES, FloatArray
 from sim_heating.errors import InputError
 from sim_heating.estimation.result import AT, NAME, Estimate, Estimated, correlations, inputs_hash, read_estimate
-from sim_heating.files import read_text, shown
+from sim_heating.files import read_text, require_place, shown
 from sim_heating.heating_ratio.table import RatioTable
 from sim_heating.parameters import EFFECT_PREFIX
 from sim_heating.points import point_with_table_of
@@ -312,6 +312,7 @@ def check_place(vehicle: str | os.PathLike[str], out: Path | None) -> None:
         raise InputError(
             f"vehicle {directory.name}: came with the package; name a folder for a copy of yours with --out"
         )
+    require_place(directory)
 
 
 def write_update(update: TableUpdate, out: Path | None, errors: dict[str, dict[str, Any]]) -> tuple[Path, RevisionFile]:
