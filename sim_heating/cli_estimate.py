@@ -23,6 +23,7 @@ def _condition(_: click.Context, __: click.Parameter, value: str | None) -> dict
     """`alpha_deg=40,...` as a condition."""
     from sim_heating.conditions import RATIO_VARIABLES
     from sim_heating.files import suggestion
+    from sim_heating.plausible import beyond, said_of
 
     found = {}
     for item in (value or "").split(","):
@@ -37,8 +38,8 @@ def _condition(_: click.Context, __: click.Parameter, value: str | None) -> dict
             found[name] = float(number)
         except ValueError:
             raise InputError(f"--reference: {name}: `{number}` is not a number; write {name}=40") from None
-        if not np.isfinite(found[name]):
-            raise InputError(f"--reference: {name}: `{number}` is not a finite number; write {name}=40")
+        if beyond(name, found[name]):
+            raise InputError(f"--reference: {name}: {said_of(name, found[name])}; write {name}=40")
     return found
 
 
@@ -151,8 +152,6 @@ def estimate(
     """Estimate heating and thermal parameters from the thermocouples of flight records, jointly, with bounds."""
     noise = _process_noise(node_noise, ratio_noise)
     if segments is not None:
-        if not 0.0 < segments < float("inf"):
-            raise InputError(f"--segments {segments:g}: is not a length in s; give one above 0, as 5")
         if noise is not None:
             raise InputError("--segments: short segments are fitted without noise of the process; leave one out")
         if reference or start is not None:

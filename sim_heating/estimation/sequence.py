@@ -81,7 +81,7 @@ def trend(
     raises   : InputError where no segment has enough samples
     """
     if not 0.0 < length_s < np.inf:
-        raise InputError(f"trend: segments of {length_s:g} s; give a length above 0")
+        raise InputError(f"{record.name}: segments of {length_s:g} s; give a length in s above 0, as 5")
     chosen = tuple(names) if names is not None else default_names([record])[:1]
     windows = _windows(record, length_s)
     apart = float(np.median(np.diff(record.time_s))) if len(record.time_s) > 1 else 0.0
