@@ -31,6 +31,9 @@ from sim_heating.results import package_version
 @click.version_option(package_version(), prog_name="sim-heating")
 def cli() -> None:
     """Aerodynamic heating beside a flight simulator: temperatures from a trajectory, and back."""
+    from sim_heating.effects import own_files
+
+    own_files()  # a folder that is none is refused by all commands alike, whether they use effects or not
 
 
 for command in (close_loop, design, estimate, fmu, plan, update_tables):

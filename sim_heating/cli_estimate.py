@@ -10,7 +10,7 @@ import numpy as np
 from rich.table import Table
 
 from sim_heating.console import CONSOLE, OUT, PATH, listed, progress_line, tell_files
-from sim_heating.errors import InputError
+from sim_heating.errors import InputError, RunError, told_of
 from sim_heating.files import require_place
 
 ESTIMATED = "estimated"
@@ -71,7 +71,12 @@ def _start(_: click.Context, __: click.Parameter, value: str) -> Any:
         time_s = float(at)
     except ValueError:
         raise InputError(f"--start: `{at}` is not a time in s; write {kind}:650") from None
-    return lambda record, model, mesh: STARTS[kind](record, model, mesh, time_s)
+
+    def start(record: Any, model: Any, mesh: Any) -> Any:
+        with told_of(f"--start {value}"):
+            return STARTS[kind](record, model, mesh, time_s)
+
+    return start
 
 
 def _process_noise(nodes: str | None, ratio: str | None) -> Any:
@@ -186,6 +191,8 @@ def estimate(
         CONSOLE.print(fitted.innovations.levels.noise.words(), highlight=False)
     _tell_fit(found)
     tell_files(out, names)
+    if not found.converged:
+        raise RunError(f"estimate: {fitted.fit.status.value}; {out} holds where it ended, which is no estimate")
 
 
 def _with_fit(record: Any, fit: list[list[float]]) -> Any:

@@ -7,8 +7,8 @@ from pathlib import Path
 import click
 
 from sim_heating.console import CONSOLE, PATH, listed, progress_line
-from sim_heating.errors import InputError
-from sim_heating.files import require_place
+from sim_heating.errors import InputError, told_of
+from sim_heating.files import require_place, shown
 
 
 def _fmu_file(_: click.Context, __: click.Parameter, value: Path) -> Path:
@@ -76,13 +76,15 @@ def export(
 @PLATFORMS
 def trajectory(scenario: Path, out: Path, fmi: str, platforms: tuple[str, ...]) -> None:
     """The built-in 3-DOF entry of a scenario as a co-simulation FMU."""
-    from sim_heating.fmu.entry import export_entry
+    from sim_heating.fmu.entry import check_source, export_entry
     from sim_heating.scenario import load_scenario
 
     loaded = load_scenario(scenario)
+    spec, vehicle = loaded.declared.trajectory, loaded.vehicle.directory
+    with told_of(f"{shown(scenario)}, [trajectory]"):
+        check_source(spec)
     with progress_line("fmu trajectory") as progress:
         progress(0.1, "compiling, where that has not been done before")
-        spec, vehicle = loaded.declared.trajectory, loaded.vehicle.directory
         image = export_entry(spec, vehicle, out, title=loaded.title, fmi=int(fmi), platforms=platforms)
     _tell(out, f"{len(image.variables)} variables", fmi, platforms)
 

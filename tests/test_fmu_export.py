@@ -421,6 +421,14 @@ def test_command_refuses_in_one_line(arguments, told, capsys, tmp_path, monkeypa
     assert not list(tmp_path.iterdir())
 
 
+def test_a_scenario_of_another_source_is_told_with_its_file(capsys, tmp_path):
+    out, scenario = tmp_path / "entry.fmu", Path(__file__).parents[1] / "scenarios" / "nominal.toml"
+    assert main(["fmu", "trajectory", str(scenario), "--out", str(out)]) == 2
+    told = capsys.readouterr().err.splitlines()
+    assert len(told) == 1
+    assert 'nominal.toml, [trajectory]: source = "jsbsim" has no FMU of ours' in told[0]
+
+
 def test_no_compiler_is_needed_once_the_library_is_there_and_told_of_where_it_is(fmus, vehicle, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", "")
     monkeypatch.setitem(sys.modules, "ziglang", None)
