@@ -119,7 +119,7 @@ def write_prediction(prediction: Prediction, out: Path) -> list[str]:
     with output_directory(out) as folder:
         write_temperatures_csv(folder / TABLE, history.time_s, history, record.sensors)
         write_json(folder / SUMMARY, summary(prediction))
-        title = f"{record.name}: {record.declared.title or record.declared.control_point}, declared model"
+        title = f"{record.name}: declared model\n{record.declared.title or record.declared.control_point}"
         names = [s.name for s in record.sensors]
         draw_prediction(folder / PICTURE, title, history.time_s, names, record.temperatures_K(), prediction.indicated_K)
         return sorted(p.name for p in folder.iterdir() if p.is_file())
