@@ -57,9 +57,10 @@ def export(
     vehicle: str, out: Path, points: tuple[str, ...] | None, fmi: str, platforms: tuple[str, ...], reference: str
 ) -> None:
     """The heating plug-in of a vehicle as a co-simulation FMU."""
-    from sim_heating.fmu.export import export_heating
+    from sim_heating.fmu.export import export_heating, targets_of
     from sim_heating.vehicle import load_vehicle
 
+    targets_of(platforms, int(fmi))
     with progress_line("fmu export") as progress:
         progress(0.1, "compiling, where that has not been done before")
         loaded = load_vehicle(vehicle)
@@ -77,12 +78,14 @@ def export(
 def trajectory(scenario: Path, out: Path, fmi: str, platforms: tuple[str, ...]) -> None:
     """The built-in 3-DOF entry of a scenario as a co-simulation FMU."""
     from sim_heating.fmu.entry import check_source, export_entry
+    from sim_heating.fmu.export import targets_of
     from sim_heating.scenario import load_scenario
 
     loaded = load_scenario(scenario)
     spec, vehicle = loaded.declared.trajectory, loaded.vehicle.directory
     with told_of(f"{shown(scenario)}, [trajectory]"):
         check_source(spec)
+    targets_of(platforms, int(fmi))
     with progress_line("fmu trajectory") as progress:
         progress(0.1, "compiling, where that has not been done before")
         image = export_entry(spec, vehicle, out, title=loaded.title, fmi=int(fmi), platforms=platforms)

@@ -35,7 +35,7 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def only_line(capsys: pytest.CaptureFixture[str]) -> str:
     """The one line that an error is told in; progress lines end in dots."""
-    err = [line for line in capsys.readouterr().err.splitlines() if line.strip() and not line.endswith("...")]
+    err = [line for line in capsys.readouterr().err.splitlines() if not line.endswith("...")]
     assert len(err) == 1, err
     assert "Traceback" not in err[0]
     return err[0]

@@ -415,7 +415,7 @@ def test_command_writes_an_fmu_and_tells_of_it(tmp_path, capsys):
 def test_command_refuses_in_one_line(arguments, told, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["fmu", "export", *arguments]) == 2
-    error = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error")]
+    error = [line for line in capsys.readouterr().err.splitlines() if not line.endswith("...")]
     assert len(error) == 1
     assert told in error[0]
     assert not list(tmp_path.iterdir())
