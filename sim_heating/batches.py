@@ -29,7 +29,7 @@ from sim_heating.threads import one_thread
 Work = Callable[[Any], bytes]
 Progress = Callable[[float, str], None]
 
-ANSWER_S = 10.0
+ANSWER_S, WORKER_S = 4.0, 10.0
 """How long a scheduler, and then its first worker, is waited for [s]."""
 IN_FLIGHT = 3
 """Jobs a worker has at a time, the next ones waiting beside the one at work; more would only fill its memory."""
@@ -218,6 +218,13 @@ def require_dask() -> None:
         ) from None
 
 
+def require_scheduler(address: str) -> None:
+    """raises : InputError where no scheduler answers at an address, or one without a worker"""
+    require_dask()
+    with _client(address, None):
+        pass
+
+
 def _raised(result: Any) -> BaseException:
     """The error of a job: Dask gives it as (type, error, traceback)."""
     return result[1] if isinstance(result, tuple) else result
@@ -263,7 +270,7 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
             ) from None
         with client:
             try:
-                client.wait_for_workers(1, timeout=ANSWER_S)
+                client.wait_for_workers(1, timeout=WORKER_S)
             except TimeoutError:
                 raise InputError(f"--scheduler {scheduler}: has no worker; start some with `dask worker`") from None
             yield client

@@ -23,6 +23,7 @@ from sim_heating.console import CONSOLE, ERRORS, OUT, PATH
 from sim_heating.console import progress_line as _progress
 from sim_heating.console import tell_files as _tell_files
 from sim_heating.errors import InputError, RunError
+from sim_heating.files import require_place
 from sim_heating.results import package_version
 
 
@@ -30,6 +31,9 @@ from sim_heating.results import package_version
 @click.version_option(package_version(), prog_name="sim-heating")
 def cli() -> None:
     """Aerodynamic heating beside a flight simulator: temperatures from a trajectory, and back."""
+    from sim_heating.effects import own_files
+
+    own_files()  # a folder that is none is refused by all commands alike, whether they use effects or not
 
 
 for command in (close_loop, design, estimate, fmu, plan, update_tables):
@@ -41,10 +45,11 @@ for command in (close_loop, design, estimate, fmu, plan, update_tables):
 @OUT
 def run(scenario: Path, out: Path) -> None:
     """Fly a scenario: trajectory, heating, temperatures, plots."""
-    from sim_heating.run import rmse_by_point, run_scenario, summary, write_run
+    from sim_heating.run import files_of, rmse_by_point, run_scenario, summary, write_run
     from sim_heating.scenario import load_scenario
 
     loaded = load_scenario(scenario)
+    require_place(out, files_of(loaded))
     with _progress(loaded.title) as progress:
         result = run_scenario(loaded, progress=progress)
         names = write_run(result, out, progress=progress)
@@ -113,14 +118,15 @@ def _tell_oddities(points: dict[str, Any]) -> None:
 def synthesize(scenario: Path, out: Path) -> None:
     """Fly a scenario and write it as flight records, with the sensor model applied."""
     from sim_heating.scenario import load_scenario
+    from sim_heating.synthesize import files_of, write_records
     from sim_heating.synthesize import synthesize as fly_and_measure
-    from sim_heating.synthesize import write_records
 
     loaded = load_scenario(scenario)
+    if not any(loaded.vehicle.control_point(name).sensors for name in loaded.names):
+        raise InputError(f"{scenario}: none of its control points has a sensor; choose one that has")
+    require_place(out, files_of(loaded))
     with _progress(loaded.title) as progress:
         records = fly_and_measure(loaded, progress=progress)
-        if not records:
-            raise InputError(f"{scenario}: none of its control points has a sensor; choose one that has")
         names = write_records(loaded, records, out)
     samples = sum(int(np.sum(np.isfinite(r.temperatures_K()))) for r in records.values())
     count = f"{len(records)} record" + ("s" if len(records) > 1 else "")
@@ -132,24 +138,24 @@ def synthesize(scenario: Path, out: Path) -> None:
 @OUT
 def demo(out: Path) -> None:
     """The main job: a JSBSim entry through a Mach-20 POPU, its thermocouple data, and a comparison with STS-96."""
-    from sim_heating.run import run_scenario, summary, write_run
+    from sim_heating import run, synthesize
     from sim_heating.scenario import load_scenario
-    from sim_heating.synthesize import synthesize as fly_and_measure
-    from sim_heating.synthesize import write_records
 
     popu, sts96 = (load_scenario(_scenario_folder() / f"{name}.toml") for name in ("popu_mach20", "sts96"))
+    for home, scenario, made in (("popu", popu, run), ("records", popu, synthesize), ("sts96", sts96, run)):
+        require_place(out / home, made.files_of(scenario))
     spawned = get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=spawned) as beside, _progress("demo") as progress:
         compared = beside.submit(_run_and_write, sts96.path, out / "sts96")
-        flown = run_scenario(popu, progress=lambda f, text: progress(0.6 * f, f"POPU {text}"))
-        names = [f"popu/{n}" for n in write_run(flown, out / "popu")]
+        flown = run.run_scenario(popu, progress=lambda f, text: progress(0.6 * f, f"POPU {text}"))
+        names = [f"popu/{n}" for n in run.write_run(flown, out / "popu")]
         progress(0.6, "measuring the same flight")
-        records = fly_and_measure(popu, flight=flown.flight)
-        names += [f"records/{n}" for n in write_records(popu, records, out / "records")]
+        records = synthesize.synthesize(popu, flight=flown.flight)
+        names += [f"records/{n}" for n in synthesize.write_records(popu, records, out / "records")]
         progress(0.8, "STS-96 entry to landing, in another process")
         rmse, more = compared.result()
     names += [f"sts96/{n}" for n in more]
-    found = summary(flown)
+    found = run.summary(flown)
     CONSOLE.print(_run_table(f"{popu.title}; RMSE of '{sts96.title}'", found, rmse))
     _tell_run(found)
     _tell_files(out, names)
@@ -180,8 +186,8 @@ def _scenario_folder() -> Path:
 def predict(records: tuple[Path, ...], out: Path, vehicle: str | None) -> None:
     """Predict the temperatures of flight records with their declared models, nothing fitted."""
     from sim_heating.points import point_with_table_of
+    from sim_heating.predict import FILES, summary, write_prediction
     from sim_heating.predict import predict as predict_record
-    from sim_heating.predict import summary, write_prediction
     from sim_heating.record import load_record
     from sim_heating.vehicle import load_vehicle
 
@@ -190,6 +196,9 @@ def predict(records: tuple[Path, ...], out: Path, vehicle: str | None) -> None:
     names = [record.name for record in loaded]
     if len(set(names)) < len(names):
         raise InputError(f"records: two of them are named {max(set(names), key=names.count)}; rename one")
+    homes = [out if len(loaded) == 1 else out / name for name in names]
+    for home in homes:
+        require_place(home, FILES)
     table = Table(title="Declared model against measurement", title_justify="left")
     for head in ("record", "control point", "RMSE, fit", "RMSE, holdout", "noise floor"):
         table.add_column(head, justify="left" if head in ("record", "control point") else "right")
@@ -199,8 +208,8 @@ def predict(records: tuple[Path, ...], out: Path, vehicle: str | None) -> None:
         for i, record in enumerate(loaded):
             progress(i / len(loaded), f"marching {record.name}")
             predictions.append(predict_record(record, models[i]))
-        for prediction in predictions:
-            write_prediction(prediction, out if len(loaded) == 1 else out / prediction.record.name)
+        for prediction, home in zip(predictions, homes, strict=True):
+            write_prediction(prediction, home)
     summaries = {p.record.name: summary(p) for p in predictions}
     for record in loaded:
         table.add_row(record.name, record.declared.control_point, *_errors(summaries[record.name]))

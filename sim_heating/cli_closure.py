@@ -10,6 +10,7 @@ from rich.table import Table
 
 from sim_heating.console import CONSOLE, ERRORS, OUT, PATH, progress_line, tell_files
 from sim_heating.errors import RunError
+from sim_heating.files import require_place
 
 
 @click.command("close-loop")
@@ -23,13 +24,14 @@ def close_loop(records: tuple[Path, ...], out: Path, scheduler: str | None, work
     RECORDS are directories of flight records, or directories that hold such; several are each treated by itself.
     """
     from sim_heating.closure.batch import close_all, records_in, row_of
+    from sim_heating.closure.close import FILES, write_closed
     from sim_heating.closure.close import close_loop as close_one
-    from sim_heating.closure.close import write_closed
     from sim_heating.record import load_record
 
     found = records_in(records)
     if len(found) == 1:
         loaded = load_record(found[0])
+        require_place(out, FILES)
         with progress_line(loaded.name) as progress:
             closed = close_one(loaded, progress=progress)
             names = write_closed(closed, out)

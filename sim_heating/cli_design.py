@@ -9,6 +9,7 @@ import click
 from rich.table import Table
 
 from sim_heating.console import CONSOLE, OUT, PATH, listed, progress_line, tell_files
+from sim_heating.files import require_place
 
 
 @click.command()
@@ -27,12 +28,13 @@ def design(
     repetitions: int,
 ) -> None:
     """Design a scenario's manoeuvres: the bounds they would give, the most informative ones, other instruments."""
+    from sim_heating.estimation.design_report import FILES, notes, summary, write_design
     from sim_heating.estimation.design_report import design as design_manoeuvres
-    from sim_heating.estimation.design_report import notes, summary, write_design
     from sim_heating.scenario import load_scenario, with_design
 
     given = {"parameters": parameters and list(parameters), "criterion": criterion, "evaluations": evaluations}
     loaded = with_design(load_scenario(scenario), {k: v for k, v in given.items() if v is not None})
+    require_place(out, FILES)
     with progress_line("design") as progress:
         designed = design_manoeuvres(loaded, repetitions=repetitions, progress=progress)
         progress(0.99, "writing")

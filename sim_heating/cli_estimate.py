@@ -10,7 +10,8 @@ import numpy as np
 from rich.table import Table
 
 from sim_heating.console import CONSOLE, OUT, PATH, listed, progress_line, tell_files
-from sim_heating.errors import InputError
+from sim_heating.errors import InputError, RunError, told_of
+from sim_heating.files import require_place
 
 ESTIMATED = "estimated"
 """Of a level of noise that is to be found."""
@@ -22,6 +23,7 @@ def _condition(_: click.Context, __: click.Parameter, value: str | None) -> dict
     """`alpha_deg=40,...` as a condition."""
     from sim_heating.conditions import RATIO_VARIABLES
     from sim_heating.files import suggestion
+    from sim_heating.plausible import beyond, said_of
 
     found = {}
     for item in (value or "").split(","):
@@ -36,8 +38,8 @@ def _condition(_: click.Context, __: click.Parameter, value: str | None) -> dict
             found[name] = float(number)
         except ValueError:
             raise InputError(f"--reference: {name}: `{number}` is not a number; write {name}=40") from None
-        if not np.isfinite(found[name]):
-            raise InputError(f"--reference: {name}: `{number}` is not a finite number; write {name}=40")
+        if beyond(name, found[name]):
+            raise InputError(f"--reference: {name}: {said_of(name, found[name])}; write {name}=40")
     return found
 
 
@@ -69,7 +71,12 @@ def _start(_: click.Context, __: click.Parameter, value: str) -> Any:
         time_s = float(at)
     except ValueError:
         raise InputError(f"--start: `{at}` is not a time in s; write {kind}:650") from None
-    return lambda record, model, mesh: STARTS[kind](record, model, mesh, time_s)
+
+    def start(record: Any, model: Any, mesh: Any) -> Any:
+        with told_of(f"--start {value}"):
+            return STARTS[kind](record, model, mesh, time_s)
+
+    return start
 
 
 def _process_noise(nodes: str | None, ratio: str | None) -> Any:
@@ -150,8 +157,6 @@ def estimate(
     """Estimate heating and thermal parameters from the thermocouples of flight records, jointly, with bounds."""
     noise = _process_noise(node_noise, ratio_noise)
     if segments is not None:
-        if not 0.0 < segments < float("inf"):
-            raise InputError(f"--segments {segments:g}: is not a length in s; give one above 0, as 5")
         if noise is not None:
             raise InputError("--segments: short segments are fitted without noise of the process; leave one out")
         if reference or start is not None:
@@ -159,10 +164,11 @@ def estimate(
         _estimate_trend(records, out, parameters, fit, segments)
         return
     from sim_heating.estimation.estimate import estimate as fit_records
-    from sim_heating.estimation.report import result_of, write_fit
+    from sim_heating.estimation.report import files_of, result_of, write_fit
     from sim_heating.record import load_record
 
     loaded = [_with_fit(load_record(path), fit) for path in records]
+    require_place(out, files_of(loaded, filtered=noise is not None))
     with progress_line("estimate") as progress:
         starts = [start] * len(loaded)
         fitted = fit_records(
@@ -185,6 +191,8 @@ def estimate(
         CONSOLE.print(fitted.innovations.levels.noise.words(), highlight=False)
     _tell_fit(found)
     tell_files(out, names)
+    if not found.converged:
+        raise RunError(f"estimate: {fitted.fit.status.value}; {out} holds where it ended, which is no estimate")
 
 
 def _with_fit(record: Any, fit: list[list[float]]) -> Any:
@@ -195,13 +203,14 @@ def _estimate_trend(
     records: tuple[Path, ...], out: Path, parameters: tuple[str, ...] | None, fit: list[list[float]], length_s: float
 ) -> None:
     """Short segments of one record, one after the other."""
-    from sim_heating.estimation.report import write_trend
+    from sim_heating.estimation.report import TREND, write_trend
     from sim_heating.estimation.sequence import trend
     from sim_heating.record import load_record
 
     if len(records) > 1:
         raise InputError(f"--segments: {len(records)} records; short segments are of one record, give them one by one")
     record = _with_fit(load_record(records[0]), fit)
+    require_place(out, TREND)
     with progress_line("estimate") as progress:
         found = trend(record, length_s, parameters, progress=progress)
         names = write_trend(found, out)

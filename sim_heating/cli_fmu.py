@@ -7,12 +7,16 @@ from pathlib import Path
 import click
 
 from sim_heating.console import CONSOLE, PATH, listed, progress_line
-from sim_heating.errors import InputError
+from sim_heating.errors import InputError, told_of
+from sim_heating.files import require_place, shown
 
 
 def _fmu_file(_: click.Context, __: click.Parameter, value: Path) -> Path:
     if value.suffix != ".fmu":
         raise InputError(f"--out {value}: name a file that ends in .fmu")
+    if value.is_dir():
+        raise InputError(f"--out {value}: is a directory; name a file that ends in .fmu")
+    require_place(value.parent)
     return value
 
 
@@ -53,9 +57,10 @@ def export(
     vehicle: str, out: Path, points: tuple[str, ...] | None, fmi: str, platforms: tuple[str, ...], reference: str
 ) -> None:
     """The heating plug-in of a vehicle as a co-simulation FMU."""
-    from sim_heating.fmu.export import export_heating
+    from sim_heating.fmu.export import export_heating, targets_of
     from sim_heating.vehicle import load_vehicle
 
+    targets_of(platforms, int(fmi))
     with progress_line("fmu export") as progress:
         progress(0.1, "compiling, where that has not been done before")
         loaded = load_vehicle(vehicle)
@@ -72,13 +77,17 @@ def export(
 @PLATFORMS
 def trajectory(scenario: Path, out: Path, fmi: str, platforms: tuple[str, ...]) -> None:
     """The built-in 3-DOF entry of a scenario as a co-simulation FMU."""
-    from sim_heating.fmu.entry import export_entry
+    from sim_heating.fmu.entry import check_source, export_entry
+    from sim_heating.fmu.export import targets_of
     from sim_heating.scenario import load_scenario
 
     loaded = load_scenario(scenario)
+    spec, vehicle = loaded.declared.trajectory, loaded.vehicle.directory
+    with told_of(f"{shown(scenario)}, [trajectory]"):
+        check_source(spec)
+    targets_of(platforms, int(fmi))
     with progress_line("fmu trajectory") as progress:
         progress(0.1, "compiling, where that has not been done before")
-        spec, vehicle = loaded.declared.trajectory, loaded.vehicle.directory
         image = export_entry(spec, vehicle, out, title=loaded.title, fmi=int(fmi), platforms=platforms)
     _tell(out, f"{len(image.variables)} variables", fmi, platforms)
 

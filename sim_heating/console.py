@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -13,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from sim_heating.errors import InputError
-from sim_heating.files import shown
+from sim_heating.files import require_place, shown
 from sim_heating.files.text import brief, reason
 
 PLAIN_WIDTH = 110
@@ -33,8 +32,7 @@ def directory(_: click.Context, __: click.Parameter, value: str) -> Path:
         raise InputError(f"--out {brief(value)}: {reason(error)}; name another directory for the results") from None
     if not there.is_dir():
         raise InputError(f"--out {value}: {shown(there)} is a file; name a directory for the results")
-    if not os.access(there, os.W_OK):
-        raise InputError(f"--out {value}: nothing may be written in {shown(there)}; choose another place")
+    require_place(path)
     return path
 
 
@@ -62,7 +60,7 @@ PATH = click.Path(path_type=Path)
 def progress_line(title: str) -> Iterator[Callable[[float, str], None]]:
     """A progress line on the terminal; its text lines alone where the output is no terminal."""
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[text]}"), TimeElapsedColumn())
-    with Progress(*columns, console=ERRORS, transient=True) as bar:
+    with Progress(*columns, console=ERRORS, transient=True, disable=not ERRORS.is_terminal) as bar:
         task = bar.add_task(title, total=1.0, text="starting")
         last = [""]
 

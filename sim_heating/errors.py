@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class InputError(ValueError):
     """A file, an argument or a flight condition that cannot be used.
@@ -13,6 +16,15 @@ class InputError(ValueError):
     def __init__(self, *problems: str) -> None:
         self.problems = problems
         super().__init__("\n".join(problems))
+
+
+@contextmanager
+def told_of(place: str) -> Iterator[None]:
+    """Puts a place - file, table, option - before every problem that the block raises."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(*(f"{place}: {problem}" for problem in error.problems)) from None
 
 
 class RunError(RuntimeError):

@@ -42,12 +42,17 @@ HIGH_SPEED_M_S, LOW_M = 3000.0, 1000.0
 def frame_problem(frame: Mapping[str, float]) -> tuple[str, str] | None:
     """The first column of one frame that holds a value that cannot be, and what is said of it."""
     for name, value in frame.items():
-        lowest, highest, rule = LIMITS.get(name, (-np.inf, np.inf, ""))
-        if not lowest <= value <= highest:
-            return name, rule
+        if name in LIMITS and beyond(name, value):
+            return name, LIMITS[name][2]
     if frame["velocity_m_s"] >= HIGH_SPEED_M_S and abs(frame["altitude_m"]) < LOW_M:
         return "altitude_m", LOW_RULE
     return None
+
+
+def beyond(name: str, value: float) -> bool:
+    """Whether a value cannot be one of its column."""
+    lowest, highest, _ = LIMITS[name]
+    return not lowest <= value <= highest
 
 
 def said_of(name: str, value: float) -> str:

@@ -199,7 +199,7 @@ def _plot_moving(axes: Axes, flown: Conditions, shown: np.ndarray, variable: str
         for name in moving:
             label, color = ANGLES[name]
             lines += other.plot(t, flown[name][shown], color=color, linewidth=1.1, linestyle="--", label=label)
-        other.set_ylabel("deg (dashed)")
+        other.set_ylabel(f"{', '.join(ANGLES[name][0] for name in moving)}, deg (dashed)")
     axes.legend(handles=lines, loc="best", fontsize=8)
 
 

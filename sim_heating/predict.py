@@ -25,6 +25,9 @@ from sim_heating.temperatures import (
     outside_table,
 )
 
+FILES = TABLE, SUMMARY, PICTURE = "temperatures.csv", "summary.json", "prediction.png"
+"""What a prediction writes."""
+
 
 @dataclass(frozen=True)
 class Prediction:
@@ -114,11 +117,9 @@ def write_prediction(prediction: Prediction, out: Path) -> list[str]:
 
     record, history = prediction.record, prediction.history
     with output_directory(out) as folder:
-        write_temperatures_csv(folder / "temperatures.csv", history.time_s, history, record.sensors)
-        write_json(folder / "summary.json", summary(prediction))
-        title = f"{record.name}: {record.declared.title or record.declared.control_point}, declared model"
+        write_temperatures_csv(folder / TABLE, history.time_s, history, record.sensors)
+        write_json(folder / SUMMARY, summary(prediction))
+        title = f"{record.name}: declared model\n{record.declared.title or record.declared.control_point}"
         names = [s.name for s in record.sensors]
-        draw_prediction(
-            folder / "prediction.png", title, history.time_s, names, record.temperatures_K(), prediction.indicated_K
-        )
+        draw_prediction(folder / PICTURE, title, history.time_s, names, record.temperatures_K(), prediction.indicated_K)
         return sorted(p.name for p in folder.iterdir() if p.is_file())

@@ -42,6 +42,8 @@ MANOEUVRED = {
     "jet-firing": "jets",
 }
 """Column that a manoeuvre moves."""
+SUMMARY, CONDITIONS, HISTORIES, TABLE = "summary.json", "conditions.csv", "flight.nc", "temperatures.csv"
+TRAJECTORY, TEMPERATURES, COMPARED = "trajectory.png", "temperatures.png", "compared.png"
 PLOTTED_POINTS = 3
 """Control points drawn for one manoeuvre: those whose surface answers it most."""
 PLOTTED_MOVE_K = 2.0
@@ -199,12 +201,25 @@ def summary(result: RunResult) -> dict[str, object]:
     }
 
 
+def files_of(scenario: Scenario) -> list[str]:
+    """Names of all files that a run of a scenario may write."""
+    homes = [""] if len(scenario.names) == 1 else [f"{name}/" for name in scenario.names]
+    flown = scenario.declared.trajectory.manoeuvre
+    manoeuvres = {_picture_of(i, m.kind) for i in range(1, len(flown) + 1) for m in flown}
+    return [SUMMARY, CONDITIONS, HISTORIES, TRAJECTORY, TEMPERATURES, COMPARED,
+            *(f"{home}{TABLE}" for home in homes), *sorted(manoeuvres)]  # fmt: skip
+
+
+def _picture_of(number: int, kind: str) -> str:
+    return f"manoeuvre_{number}_{kind}.png"
+
+
 def write_run(result: RunResult, out: Path, *, progress: Progress = quiet) -> list[str]:
     """Write all files of a run, all together or not at all; returns their names within the directory."""
     with output_directory(out) as folder:
-        write_json(folder / "summary.json", summary(result))
+        write_json(folder / SUMMARY, summary(result))
         flown, said = with_reference_heating(result)
-        write_csv(folder / "conditions.csv", flown.columns, ".12g", said)
+        write_csv(folder / CONDITIONS, flown.columns, ".12g", said)
         _write_histories(result, flown, folder)
         progress(0.92, "drawing")
         draw_run(result, folder)
@@ -229,10 +244,10 @@ def _write_histories(result: RunResult, flown: Conditions, folder: Path) -> None
     for name, point in result.points.items():
         own = folder if len(result.points) == 1 else folder / name
         own.mkdir(exist_ok=True)
-        write_temperatures_csv(own / "temperatures.csv", point.history.time_s, point.history, sensors[name])
+        write_temperatures_csv(own / TABLE, point.history.time_s, point.history, sensors[name])
     about = {"title": result.scenario.title, "vehicle": vehicle.name, "vehicle_revision": vehicle.revision}
     histories = [p.history for p in result.points.values()]
-    write_netcdf(folder / "flight.nc", flown, histories, sensors, about)
+    write_netcdf(folder / HISTORIES, flown, histories, sensors, about)
 
 
 def draw_run(result: RunResult, folder: Path) -> None:
@@ -241,11 +256,11 @@ def draw_run(result: RunResult, folder: Path) -> None:
 
     title, flown, windows = result.scenario.title, result.flight.conditions, result.flight.windows
     histories = [p.history for p in result.points.values()]
-    plots.draw_trajectory(folder / "trajectory.png", title, flown, windows)
-    plots.draw_temperatures(folder / "temperatures.png", title, histories, windows)
+    plots.draw_trajectory(folder / TRAJECTORY, title, flown, windows)
+    plots.draw_temperatures(folder / TEMPERATURES, title, histories, windows)
     for i, window in enumerate(windows, start=1):
         chosen = _most_moved(histories, window)
-        path = folder / f"manoeuvre_{i}_{window.kind}.png"
+        path = folder / _picture_of(i, window.kind)
         drawn = [_outermost_sensor(result.points[h.name]) for h in chosen]
         plots.draw_manoeuvre(path, title, flown, drawn, window, MANOEUVRED[window.kind])
     compared = compare(result)
@@ -255,7 +270,7 @@ def draw_run(result: RunResult, folder: Path) -> None:
              float(c.statistics["rmse_K"]))
             for c in compared
         ]  # fmt: skip
-        plots.draw_comparison(folder / "compared.png", title, panels)
+        plots.draw_comparison(folder / COMPARED, title, panels)
 
 
 def _outermost_sensor(point: PointResult) -> PointHistory:

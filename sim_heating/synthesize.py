@@ -12,7 +12,7 @@ from sim_heating.conditions import RATIO_VARIABLES, Conditions, FloatArray
 from sim_heating.errors import InputError
 from sim_heating.files import check, output_directory, toml_text, write_text_atomic
 from sim_heating.points import mean_condition
-from sim_heating.record import Record, RecordFile, make_record, write_record
+from sim_heating.record import DECLARATION, Record, RecordFile, make_record, write_record
 from sim_heating.run import fly_scenario, models_of, quiet
 from sim_heating.scenario import Scenario
 from sim_heating.sensors import SensorErrors, lost_samples, measured, sample_times
@@ -22,6 +22,7 @@ from sim_heating.trajectory.flight import Flight, Progress
 from sim_heating.vehicle import ControlPoint
 
 TRUTH = "truth.toml"
+CONDITIONS, THERMOCOUPLES, TABLE = "conditions.csv", "thermocouples.csv", "ratio_table.csv"
 
 
 def synthesize(
@@ -98,9 +99,9 @@ def declaration(scenario: Scenario, point: ControlPoint, sensors: Sequence[Senso
         "vehicle": scenario.vehicle.name,
         "control_point": point.name,
         "measured": False,
-        "conditions": {"file": "conditions.csv"},
+        "conditions": {"file": CONDITIONS},
         "thermocouples": {
-            "file": "thermocouples.csv",
+            "file": THERMOCOUPLES,
             "sensor": [s.model_dump(exclude_unset=True, exclude={"rate_hz", "sample_offset_s"}) for s in sensors],
         },
         "stack": point.construction.stack.model_dump(exclude_unset=True),
@@ -109,11 +110,18 @@ def declaration(scenario: Scenario, point: ControlPoint, sensors: Sequence[Senso
             "reference": "columns",
             "nose_radius_m": heating.nose_radius_m,
             "wall_enthalpy": heating.model_dump()["wall_enthalpy"],
-            "ratio_table": "ratio_table.csv",
+            "ratio_table": TABLE,
         },
     }
     data["heating"] = {k: v for k, v in data["heating"].items() if v is not None}
     return check(data, RecordFile, f"record of {point.name}")
+
+
+def files_of(scenario: Scenario) -> list[str]:
+    """Names of all files that the records of a scenario are."""
+    measured = [name for name in scenario.names if scenario.vehicle.control_point(name).sensors]
+    homes = [""] if len(measured) == 1 else [f"{name}/" for name in measured]
+    return [TRUTH, *(f"{home}{n}" for home in homes for n in (DECLARATION, CONDITIONS, THERMOCOUPLES, TABLE))]
 
 
 def write_records(scenario: Scenario, records: dict[str, Record], out: Path) -> list[str]:

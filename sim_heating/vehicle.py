@@ -19,7 +19,7 @@ from typing import ParamSpec, TypeVar
 
 from sim_heating.conditions import Conditions, FloatArray
 from sim_heating.effects import EffectUse, check_count, use
-from sim_heating.errors import InputError
+from sim_heating.errors import InputError, told_of
 from sim_heating.files import check, nearest, raise_problems, read_toml, read_toml_dict, shown
 from sim_heating.heating_ratio.table import RatioTable, read_ratio_table
 from sim_heating.surface_pressure import PressureModel, surface_pressure
@@ -265,10 +265,8 @@ def _read_ratio(owner: Path, ratio_table: str, vehicle: VehicleFile | None) -> R
 
 def _effects(path: Path, file: ControlPointFile) -> tuple[EffectUse, ...]:
     """The declared effects of a point with their parameters."""
-    try:
+    with told_of(f"{shown(path)}, [effect]"):
         uses = tuple(use(effect.name, effect.parameters) for effect in file.effect)
-    except InputError as error:
-        raise InputError(*(f"{shown(path)}, [effect]: {line}" for line in error.problems)) from None
     check_count(uses, shown(path))
     return uses
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import pytest
 from gliding import gliding
 
 from sim_heating.cli import main
+from sim_heating.files import files_made
 
 ROOT = Path(__file__).resolve().parent.parent
 TILE = Path(__file__).parent / "data" / "records" / "tile"
@@ -33,7 +35,7 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def only_line(capsys: pytest.CaptureFixture[str]) -> str:
     """The one line that an error is told in; progress lines end in dots."""
-    err = [line for line in capsys.readouterr().err.splitlines() if line.strip() and not line.endswith("...")]
+    err = [line for line in capsys.readouterr().err.splitlines() if not line.endswith("...")]
     assert len(err) == 1, err
     assert "Traceback" not in err[0]
     return err[0]
@@ -179,6 +181,60 @@ def test_a_file_of_someone_else_is_never_overwritten(desk: Path, capsys: pytest.
     assert main(["run", "short.toml", "--out", "out"]) == 2
     assert "summary.json" in only_line(capsys)
     assert [p.name for p in (desk / "out").iterdir()] == ["summary.json"]
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["run", "short.toml"],
+        ["run", "popu.toml"],
+        ["synthesize", "short.toml"],
+        ["predict", str(TILE)],
+        ["estimate", str(TILE)],
+        ["estimate", str(TILE), "--process-noise", "0.2", "--ratio-noise", "0.01,30"],
+        ["estimate", str(TILE), "--segments", "60"],
+    ],
+    ids=" ".join,
+)
+def test_a_file_of_someone_else_is_told_before_any_work(
+    command: list[str], desk: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    both = SHORT.replace('["V09T9527"]', '["V09T9527", "V07T9975"]')
+    (desk / "popu.toml").write_text(both + POPU + "at_time_s = 20.0\n")
+    assert main([*command, "--out", "out"]) == 0
+    made = files_made("out")
+    assert made
+    capsys.readouterr()
+    for name in made:
+        mine = desk / "theirs" / name
+        mine.parent.mkdir(parents=True)
+        mine.write_text("mine")
+        assert main([*command, "--out", "theirs"]) == 2
+        told = capsys.readouterr().err.splitlines()
+        assert told == [f"error: theirs: {name} exists and is not a result of ours; choose another directory"]
+        assert [p for p in (desk / "theirs").rglob("*") if p.is_file()] == [mine]
+        shutil.rmtree(desk / "theirs")
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no file system in which nothing can be made")
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["run", "short.toml", "--out", "/proc/nowhere"],
+        ["estimate", str(TILE), "--out", "/proc/nowhere/fit"],
+        ["fmu", "export", "capsule", "--out", "/proc/capsule.fmu"],
+        ["fmu", "trajectory", "short.toml", "--out", "/proc/nowhere/entry.fmu"],
+        ["update-tables", "estimate.json", "--vehicle", "orbiter", "--out", "/proc/nowhere"],
+    ],
+    ids=" ".join,
+)
+def test_a_place_where_nothing_can_be_made_is_told_before_any_work(
+    command: list[str], desk: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(command) == 2
+    told = capsys.readouterr().err.splitlines()
+    assert len(told) == 1
+    assert "results cannot be written there" in told[0]
 
 
 # What fails while it runs, with status 1 -----------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from click.testing import CliRunner
 from sim_heating.cli import cli
 from sim_heating.closure.attempt import base_of, values_of
 from sim_heating.closure.candidates import candidates
-from sim_heating.closure.close import close_loop
+from sim_heating.closure.close import FILES, close_loop
 from sim_heating.closure.search import GAIN, one_round, search
 from sim_heating.closure.thinning import LONGEST_S, kept_samples
 from sim_heating.closure.weighing import forms_of
@@ -27,6 +27,7 @@ from sim_heating.conditions import Conditions
 from sim_heating.effects import EffectUse, use
 from sim_heating.errors import InputError
 from sim_heating.estimation.estimate import estimate
+from sim_heating.files import files_made
 from sim_heating.points import conditions_of_record, point_of_record
 from sim_heating.predict import predict
 from sim_heating.record import Record, Segments, load_record
@@ -135,6 +136,7 @@ def test_report_and_files_of_one_record(tmp_path: Path) -> None:
     assert told.exit_code == 0, told.output
     assert "│ p08    │ impingement-onset │" in told.output
     assert ".sim_heating.json" not in told.output
+    assert files_made(out) <= set(FILES)
     found = json.loads((out / "closure.json").read_text())
     assert found["format"] == "closure-report/1"
     assert found["effect"]["name"] == "impingement-onset"
@@ -158,6 +160,18 @@ def test_a_stuck_sensor_is_told_before_anything_that_was_named(tmp_path: Path) -
     assert told.exit_code == 0, told.output
     assert "│ broken sensor (none)" in told.output
     assert "stuck, sensor LS_surface: stands still at 300.0 K" in told.output
+
+
+@pytest.mark.parametrize("name", ["closure.json", "fit.png", "p07/report.html", "summary.csv"])
+def test_a_file_of_someone_else_is_told_before_any_search(name: str, tmp_path: Path) -> None:
+    alone, mine = name in FILES, tmp_path / "out" / name
+    mine.parent.mkdir(parents=True)
+    mine.write_text("mine")
+    records = [str(PRACTICE / r) for r in (("p06",) if alone else ("p06", "p07"))]
+    told = CliRunner().invoke(cli, ["close-loop", *records, "--out", str(tmp_path / "out")])
+    assert isinstance(told.exception, InputError)
+    assert f"{mine.name} exists and is not a result of ours" in str(told.exception)
+    assert [p for p in (tmp_path / "out").rglob("*") if p.is_file()] == [mine]
 
 
 @pytest.mark.parametrize(("wrong", "whose"), [("thermocouples", "thermocouples"), ("conditions", "flight conditions")])

@@ -185,10 +185,14 @@ def test_a_manoeuvre_that_tells_nothing_of_a_parameter_is_refused():
         Search(planner_of(parameters=["ratio.d_bodyflap"]))
 
 
-@pytest.mark.parametrize("key", [{"parameters": ["ratio.d_alfa"]}, {"prior": {"ratio.d_alfa": 1e-4}}])
-def test_a_misspelt_parameter_is_told_with_the_nearest(key):
-    with pytest.raises(InputError, match=r"no parameter `ratio\.d_alfa`. Nearest: `ratio\.d_alpha`"):
-        planner_of(**key)
+@pytest.mark.parametrize(
+    ("key", "names"),
+    [("parameters", ["ratio.d_alfa"]), ("nuisance", ["ratio.d_alfa"]), ("prior", {"ratio.d_alfa": 1e-4})],
+)
+def test_a_misspelt_parameter_is_told_with_its_place_and_the_nearest(key, names):
+    told = rf"toml, \[design\], {key}: .*no parameter `ratio\.d_alfa`. Nearest: `ratio\.d_alpha`"
+    with pytest.raises(InputError, match=told):
+        planner_of(**{key: names})
 
 
 def test_a_whole_design_says_what_was_found():

@@ -15,7 +15,7 @@ from walls import PRACTICE, practice_record
 from sim_heating.cli import main
 from sim_heating.errors import InputError
 from sim_heating.estimation.estimate import estimate
-from sim_heating.files import read_csv_columns, write_csv
+from sim_heating.files import read_csv_columns, read_json, write_csv
 from sim_heating.parameters import MODEL, Parameter
 
 Change = Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]]
@@ -49,16 +49,19 @@ def told(capsys, *arguments: object) -> tuple[int, str]:
         (["--parameters", ","], "names nothing"),
         (["--reference", "alpha_deg"], "alpha_deg: `` is not a number; write alpha_deg=40"),
         (["--reference", "alpha=40"], "`alpha` is no ratio variable. Nearest: `alpha_deg`"),
-        (["--reference", "alpha_deg=nan"], "`nan` is not a finite number"),
+        (["--reference", "alpha_deg=nan"], "alpha_deg: nan is not a finite number"),
+        (["--reference", "alpha_deg=1e9"], "alpha_deg: 1e+09 is not an angle of attack in degrees (-180 to 180)"),
         (["--start", "profil:600"], "`profil` is no way to start. Nearest: `profile`"),
         (["--start", "profile:soon"], "`soon` is not a time in s"),
         (["--start", "profile:9999"], "a start at 9999 s lies outside the conditions (0 to 1453 s)"),
+        (["--start", "filter:-5"], "--start filter:-5: p06: a start at -5 s lies outside the conditions (0 to 1453 s)"),
+        (["--start", "circuit:1e9"], "--start circuit:1e9: p06: a start at 1e+09 s lies outside the conditions"),
         (["--reference", "alpha_deg=40,alpha_deg=41"], "alpha_deg is given twice"),
         (["--fit", "600,inf"], "--fit: 600,inf: give two finite times in s"),
         (["--fit", "600,600.5"], "p06: readings at 1 time(s) in the fit segments, too few to estimate from"),
         (["--process-noise", "1e200"], "1e200 is not within 0 to 10000"),
         (["--ratio-noise", "1e200,30"], "1e200 is not within 0 to 10000"),
-        (["--segments", "-3"], "--segments -3: is not a length in s; give one above 0"),
+        (["--segments", "-3"], "segments of -3 s; give a length in s above 0"),
         (["--segments", "0.001"], "segments of 0.001 s are shorter than the 1 s between samples"),
         (["--segments", "5", "--fit", "5000,6000"], "the fit segments hold no time that was recorded"),
         (["--segments", "5", "--start", "profile:600"], "short segments have starts and references of their own"),
@@ -160,3 +163,12 @@ def test_damaged_record_is_named_with_its_file(capsys, tmp_path):
     (tmp_path / "p06" / "conditions.csv").unlink()
     status, text = told(capsys, tmp_path / "p06", "--out", tmp_path / "out")
     assert (status, "conditions.csv" in text) == (2, True)
+
+
+def test_fit_that_does_not_converge_keeps_its_files_and_fails(capsys, tmp_path):
+    """A tile under a boundary layer that turns turbulent, which no linear derivative says."""
+    out = tmp_path / "out"
+    status, text = told(capsys, PRACTICE.parent / "sts96_480", "--out", out)
+    assert status == 1
+    assert text.endswith(f"is not smooth here; {out} holds where it ended, which is no estimate")
+    assert read_json(out / "estimate.json")["converged"] is False

@@ -152,6 +152,18 @@ def test_a_folder_that_is_not_there_is_told(monkeypatch, tmp_path, capsys):
     assert "nowhere is not a directory" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    "command", [["validate"], ["predict", "--out", "out"], ["estimate", "--out", "out"]], ids="".join
+)
+def test_every_command_is_told_of_it_whether_it_uses_effects_or_not(monkeypatch, tmp_path, capsys, command):
+    monkeypatch.setenv("SIM_HEATING_EFFECTS", str(tmp_path / "nowhere"))
+    assert main([*command, str(ROOT / "tests" / "data" / "records" / "tile")]) == 2
+    told = capsys.readouterr().err.splitlines()
+    assert told == [
+        f"error: SIM_HEATING_EFFECTS: {tmp_path / 'nowhere'} is not a directory; name one that holds effects"
+    ]
+
+
 def test_study_is_told_of_a_folder_of_effects_that_is_not_there(monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("SIM_HEATING_EFFECTS", str(tmp_path / "nowhere"))
     assert main(["validate", str(ROOT / "scenarios" / "studies" / "small_envelope.toml")]) == 2

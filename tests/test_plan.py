@@ -46,6 +46,14 @@ name = "stack.emissivity_factor"
 sigma = 0.02
 """
 
+ENVELOPE = """
+[envelope]
+[[envelope.map]]
+name = "alpha"
+[envelope.map.axes]
+alpha_offset_deg = [-4.0, 0.0]
+"""
+
 
 @pytest.fixture
 def study(tmp_path):
@@ -138,6 +146,7 @@ def test_a_scheduler_that_is_away_is_one_clear_line_and_nothing_is_written(study
         ('revision = "7"', '`revision`: "7" is meant and orbiter is at "1"'),
         ('scenario = "nowhere.toml"', "give one of them"),
         ('[[limit]]\ncontrol_point = "NOSECAP"', "`NOSECAP` is not among the study's control points"),
+        (ENVELOPE.replace("-4.0, 0.0", "-1e9"), "alpha_offset_deg -1e+09 must be between -90 and 90"),
         ("soak = 3.0", "unknown key `soak`. Nearest: `soak_s`"),
         (
             '[[limit]]\ncontrol_point = "V09T9527"\nsurfce_K = 9e2',
@@ -256,13 +265,26 @@ def test_an_optimiser_that_fails_is_one_line_and_the_dispersion_is_kept(study, t
     assert "no flight meets all bounds at once" in (out / "report.html").read_text()
 
 
-def test_a_scheduler_that_is_away_leaves_the_parts_that_need_none(study, tmp_path, capsys, monkeypatch):
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere", ""])
+def test_a_scheduler_that_is_away_is_told_once_and_before_any_part(study, tmp_path, capsys, monkeypatch, address):
     monkeypatch.setattr(batches, "ANSWER_S", 1.0)
     with_optimal(study)
     out = tmp_path / "out"
-    assert cli.main(["plan", str(study), "--out", str(out), "--scheduler", "tcp://127.0.0.1:1"]) == 1
+    assert cli.main(["plan", str(study), "--out", str(out), "--scheduler", address]) == 2
     told = capsys.readouterr().err.splitlines()
-    assert len([line for line in told if "no Dask scheduler answers there" in line]) == 1
-    assert told[-1] == "failed: dispersion: found nothing; optimal is done and kept"
-    assert json.loads((out / "study.json").read_text())["optimal"]["cross_range_deg"] > 0.0
-    assert (out / "optimal_entry.png").exists()
+    assert len(told) == 1
+    assert "no Dask scheduler answers there" in told[0]
+    assert not out.exists()
+
+
+def test_an_envelope_of_which_nothing_can_be_flown_fails_and_says_why(study, tmp_path, capsys):
+    """Straight up, out of the atmosphere."""
+    study.write_text(STUDY.format(more="").split("[dispersion]")[0].replace("-1.2", "89.0") + ENVELOPE)
+    out = tmp_path / "out"
+    assert cli.main(["plan", str(study), "--out", str(out), "--workers", "1"]) == 1
+    told = [line for line in capsys.readouterr().err.splitlines() if not line.endswith("...")]
+    assert len(told) == 2
+    assert told[0].startswith(f"envelope: {study}: none of 2 flights can be flown; first alpha_offset_deg -4: ")
+    assert "outside the atmosphere" in told[0]
+    assert told[1] == "failed: envelope: found nothing"
+    assert list(json.loads((out / "study.json").read_text())["failed"]) == ["envelope"]

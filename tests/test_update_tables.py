@@ -441,9 +441,31 @@ def shared_table() -> None:
     Path("orbiter/control_points/TWIN.toml").write_text(own.replace(f'name = "{POINT}"', 'name = "TWIN"', 1) + limits)
 
 
+NO_PAIR = "first.json, [correlation]: 1 of 1 pairs are missing, `ratio.scale|ratio.d_alpha` first"
+
+
+def scale(**changes: float) -> Callable[[], None]:
+    """The estimate says something else of ratio.scale."""
+
+    def changed(text: str) -> str:
+        found = json.loads(text)
+        found["parameters"]["ratio.scale"] |= changes
+        return json.dumps(found)
+
+    return lambda: edit(Path("first.json"), changed)
+
+
 REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "not converged": (says(converged=False), "did not converge"),
     "estimated with a prior": (says(parameters=WITH_PRIOR, correlation={}), "ratio.scale was estimated with a prior"),
+    "no bound": (scale(sigma=0.0), "first.json, [parameters.ratio.scale]: `sigma`: 0 is not within 1e-12 to 1000"),
+    "too wide a bound": (scale(sigma=1e308), "first.json, [parameters.ratio.scale]: `sigma`: 1e+308 is not within"),
+    "no such value": (scale(value=1e308), "first.json, [parameters.ratio.scale]: `value`: 1e+308 is beyond 1000"),
+    "no correlation": (says(correlation={}), NO_PAIR),
+    "no such condition": (
+        says(reference_condition=dict.fromkeys(RATIO_VARIABLES, 0.0) | {"alpha_deg": 1e308}),
+        "first.json, [reference_condition]: `alpha_deg`: 1e+308 is not an angle of attack in degrees (-180 to 180)",
+    ),
     "no ratio parameter": (says(parameters={}, correlation={}), "no ratio parameter"),
     "cut off": (lambda: edit(Path("first.json"), lambda text: text[:300]), "cut off"),
     "no such record": (says(records=["fitrs"]), "its record `fitrs` is not there"),

@@ -15,12 +15,13 @@ from sim_heating.batches import Job, run_batches
 from sim_heating.effects import effects, own_files
 from sim_heating.errors import InputError
 from sim_heating.estimation.result import inputs_hash
-from sim_heating.files import write_csv, write_json
+from sim_heating.files import output_directory, require_place, write_csv, write_json
 from sim_heating.record import DECLARATION, load_record
 from sim_heating.results import package_version
 
 Progress = Callable[[float, str], None]
 
+SUMMARIES = JSON, CSV = "summary.json", "summary.csv"
 LEDGER = "finished"
 """Folder of what is finished, below the results."""
 
@@ -66,9 +67,13 @@ def close_all(
     A record whose inputs and program are as when it was finished is not done again. One that fails leaves its reason in
     its row, and the others go on. Writes summary.json and summary.csv.
 
-    raises : InputError where the scheduler cannot be used
+    raises : InputError where the scheduler or a folder of results cannot be used
     """
+    from sim_heating.closure.close import FILES
+
     jobs = [job_of(path, out / path.resolve().name) for path in records]
+    for folder, names in ((out, SUMMARIES), *((job.task.out, FILES) for job in jobs)):
+        require_place(folder, names)
     ended = run_batches(jobs, _one, out / LEDGER, scheduler=scheduler, workers=workers, progress=progress)
     rows = []
     for path, job in zip(records, jobs, strict=True):
@@ -76,8 +81,9 @@ def close_all(
             rows.append(json.loads(ended.done[job.id].read_text(encoding="utf-8")))
         else:
             rows.append({"record": path.resolve().name, "failed": ended.failed[job.id]})
-    write_json(out / "summary.json", {"format": "closure-summary/1", "records": rows})
-    _write_table(out / "summary.csv", rows)
+    with output_directory(out) as folder:
+        write_json(folder / JSON, {"format": "closure-summary/1", "records": rows})
+        _write_table(folder / CSV, rows)
     return rows
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from sim_heating.closure.attempt import QUICK, WIDENED, Attempt, fitted_uses, values_of
 from sim_heating.closure.calibration import false_alarm
 from sim_heating.closure.evidence import evidence, ratio_at
+from sim_heating.closure.report import FILES as REPORT_FILES
 from sim_heating.closure.report import Closure, Estimated, Named, Tried, errors_of, fill_closure
 from sim_heating.closure.residual import ResidualHeating, residual_heating
 from sim_heating.closure.sanity import CLOCK, Verdict, after_fit, before_fit
@@ -20,13 +21,16 @@ from sim_heating.conditions import RATIO_VARIABLES
 from sim_heating.errors import InputError, RunError
 from sim_heating.estimation.estimate import Fitted, estimate
 from sim_heating.estimation.newton import Settings
-from sim_heating.estimation.report import noise_floor_K, write_fit
+from sim_heating.estimation.report import FIT_FILES, noise_floor_K, write_fit
+from sim_heating.estimation.result import NAME
 from sim_heating.files import files_made, output_directory
 from sim_heating.parameters import CLOCK_SKEW, EFFECT_PREFIX, SENSOR_PREFIX
 from sim_heating.record import Record
 
 Progress = Callable[[float, str], None]
 
+FILES = (*REPORT_FILES, NAME, *FIT_FILES)
+"""Names of all files that a closed loop may write."""
 FEWEST_SAMPLES = 10
 """Times of readings below which anything goes with what is left."""
 SEARCH_PART = 0.8

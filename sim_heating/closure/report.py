@@ -26,6 +26,7 @@ from sim_heating.record import Record, pooled_rmse_K
 from sim_heating.results import package_version
 
 NAME, PAGE = "closure.json", "report.html"
+FILES = (NAME, PAGE, HEATING_NAME)
 NONE, UNKNOWN = "none", "unknown"
 
 

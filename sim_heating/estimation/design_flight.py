@@ -10,12 +10,13 @@ import numpy as np
 
 from sim_heating.conditions import RATIO_VARIABLES, Conditions, FloatArray
 from sim_heating.ensemble import Ensemble, condition_history
-from sim_heating.errors import InputError
+from sim_heating.errors import InputError, told_of
 from sim_heating.estimation.design import PRESSURE, Experiment, experiment
 from sim_heating.estimation.informed import still
 from sim_heating.estimation.initial import free_start
 from sim_heating.estimation.part import LONGEST_STEP_S, Start, march_times
 from sim_heating.estimation.problem import SKEW_SPAN_S
+from sim_heating.files import shown
 from sim_heating.linear_march import LinearMarch, Track
 from sim_heating.parameters import CLOCK_SKEW, SENSOR_PREFIX, SHORT
 from sim_heating.points import conditions_at_point, histories, point_of_vehicle
@@ -106,7 +107,10 @@ class Planner:
         self.effects = (*self.point.effects, *scenario.effects(self.point.name))
         self.wanted = _wanted(scenario, self.design)
         self.instruments = Instruments(self.point.sensors, scenario.declared.measurements.rate_hz)
-        self._check_names((*self.wanted, *(self.design.nuisance or ()), *self.design.prior))
+        asked = {"parameters": self.wanted, "nuisance": self.design.nuisance or (), "prior": self.design.prior}
+        for key, names in asked.items():
+            with told_of(f"{shown(scenario.path)}, [design], {key}"):
+                self._check_names(tuple(names))
 
     def _check_names(self, names: Sequence[str]) -> None:
         """Refuse names that no unknown of a design has."""

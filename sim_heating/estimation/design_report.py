@@ -20,7 +20,9 @@ from sim_heating.scenario import Scenario
 
 FloatArray = NDArray[np.float64]
 
-NAME = "design.json"
+FILES = NAME, BOUNDS, DESIGN, SWEEPS, INSTRUMENTS = (
+    "design.json", "bounds.csv", "design.png", "sweeps.png", "instruments.png"
+)  # fmt: skip
 SWEEP_POINTS = 7
 
 
@@ -203,8 +205,8 @@ def write_design(designed: Designed, out: Path) -> list[str]:
 
     with output_directory(out) as folder:
         write_json(folder / NAME, summary(designed))
-        write_text_atomic(folder / "bounds.csv", bounds_csv(designed))
-        draw_design(folder / "design.png", designed)
-        draw_sweeps(folder / "sweeps.png", designed)
-        draw_instruments(folder / "instruments.png", designed)
+        write_text_atomic(folder / BOUNDS, bounds_csv(designed))
+        draw_design(folder / DESIGN, designed)
+        draw_sweeps(folder / SWEEPS, designed)
+        draw_instruments(folder / INSTRUMENTS, designed)
         return sorted(p.name for p in folder.iterdir() if p.is_file())

@@ -24,7 +24,7 @@ from sim_heating.smoothing import Smoothed, smooth
 
 FloatArray = NDArray[np.float64]
 
-CSV, PICTURE, RATIO_CSV = "filtered.csv", "filtered.png", "ratio_disturbance.csv"
+FILES = CSV, PICTURE, RATIO_CSV = "filtered.csv", "filtered.png", "ratio_disturbance.csv"
 PRIOR, POSTERIOR = "tab:orange", AFTER
 SMOOTHED = "tab:green"
 SIGMAS = 2.0

@@ -57,6 +57,12 @@ def _read_before(record: Record, sensor: Sensor, time_s: float) -> tuple[FloatAr
     return np.append(record.time_s[held], time_s), np.append(read[held], read[held][-1])
 
 
+def _check_within(record: Record, time_s: float) -> None:
+    begin, end = record.conditions.time_s[[0, -1]]
+    if not begin < time_s <= end:
+        raise InputError(f"{record.name}: a start at {time_s:g} s lies outside the conditions ({begin:g} to {end:g} s)")
+
+
 def circuit_profile(record: Record, model: PointModel, mesh: Mesh, time_s: float) -> FloatArray:
     """(node,) temperatures [K] at a time from the readings before it, by the circuit analogy.
 
@@ -64,6 +70,7 @@ def circuit_profile(record: Record, model: PointModel, mesh: Mesh, time_s: float
     """
     sensors = sorted(record.used_sensors, key=lambda s: s.depth_m)
     t, read = _read_before(record, sensors[0], time_s)
+    _check_within(record, time_s)
     s = diffusion_depths(model.construction, mesh)
     rates = 1.0 / np.maximum(TIME_CONSTANT * s**2, 1e-9)
     profile = initial_temperatures(model.construction, mesh)
@@ -96,10 +103,8 @@ def conducted_profile(record: Record, model: PointModel, mesh: Mesh, time_s: flo
     """
     t, read = _read_before(record, min(record.used_sensors, key=lambda sensor: sensor.depth_m), time_s)
     flown = conditions_of_record(record)
+    _check_within(record, time_s)
     begin, declared = flown.time_s[0], initial_temperatures(model.construction, mesh)
-    if not begin < time_s <= flown.time_s[-1]:
-        span = f"{begin:g} to {flown.time_s[-1]:g} s"
-        raise InputError(f"{record.name}: a start at {time_s:g} s lies outside the conditions ({span})")
     steps = march_times(flown, begin, time_s)
     steps = np.append(steps[steps < time_s], time_s)
     later = t > begin
@@ -128,6 +133,12 @@ def smooth_directions(s: FloatArray) -> FloatArray:
     return vectors[:, ::-1][:, :DIRECTIONS] * np.sqrt(np.maximum(values[::-1][:DIRECTIONS], 0.0))
 
 
+def filter_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) -> Start:
+    """The start of `filtered_start`, at a time within the conditions."""
+    _check_within(record, time_s)
+    return filtered_start(record, model, mesh, time_s)
+
+
 def profile_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) -> Start:
     """A start whose temperatures are estimated: those of the conducting wall, and what it misses."""
     profile = conducted_profile(record, model, mesh, time_s)
@@ -145,5 +156,5 @@ def free_start(time_s: float, profile: FloatArray, model: PointModel, mesh: Mesh
     return Start(time_s, profile, columns, unknowns)
 
 
-STARTS = {"circuit": circuit_start, "profile": profile_start, "filter": filtered_start}
+STARTS = {"circuit": circuit_start, "profile": profile_start, "filter": filter_start}
 """How a fit that starts at a time comes by its temperatures there, by name."""

@@ -31,7 +31,7 @@ def draw_fit(path: Path, before: Prediction, after: Prediction) -> None:
     record = after.record
     figure, axes = fit_figure(record, [(before, BEFORE, "declared"), (after, AFTER, "fitted")])
     title = record.declared.title or record.declared.control_point
-    save_figure(figure, path, f"{record.name}: {title}, declared and fitted", axes)
+    save_figure(figure, path, f"{record.name}: declared and fitted\n{title}", axes)
 
 
 def fit_figure(record: Record, curves: Sequence[tuple[Prediction, str, str]]) -> tuple[Figure, np.ndarray]:
@@ -115,4 +115,4 @@ def draw_trend(path: Path, found: Trend) -> None:
     axes[0].legend(fontsize=8, loc="best")
     length = segments[0].end_s - segments[0].start_s
     title = record.declared.title or record.declared.control_point
-    save_figure(figure, path, f"{record.name}: {title}, segments of {length:g} s", axes)
+    save_figure(figure, path, f"{record.name}: segments of {length:g} s\n{title}", axes)

@@ -28,6 +28,8 @@ LABELS = {
 MARGIN = 1.0
 """How far beyond the flown excursion a panel goes, in excursions."""
 SAMPLES = 241
+COLUMNS = 3
+"""Panels in a row at most."""
 BEFORE, FLOWN, AFTER = "0.45", "tab:orange", "tab:blue"
 
 
@@ -84,15 +86,20 @@ def draw_ratio(path: Path, fitted: Fitted, part: Part) -> bool:
     samples = np.unique(np.concatenate([part.sample_s[c.samples] for c in part.channels]))
     flown = condition_history(part.conditions.at(samples))[:, : len(RATIO_VARIABLES)]
     held, table = panel_variables(names), part.record.ratio_table
-    figure, axes = new_figure(1.5 + 4.7 * len(held), 4.8, 1, len(held), squeeze=False)
-    for a, i in zip(axes[0], held, strict=True):
+    columns = min(len(held), COLUMNS)
+    rows = -(-len(held) // columns)
+    figure, axes = new_figure(1.5 + 3.4 * columns, 0.8 + 3.4 * rows, rows, columns, squeeze=False)
+    for a in axes.flat[len(held) :]:
+        a.set_visible(False)
+    for a, i in zip(axes.flat, held, strict=False):
         x = plotted(i, reference, flown[:, i], None if table is None else table.axes[i])
         if table is not None:
             plot_band(a, x[:, i], declared_ratio(table, x), declared_sigma(table, x), "declared table", BEFORE)
         inside = x[(x[:, i] >= flown[:, i].min()) & (x[:, i] <= flown[:, i].max())]
         plot_flight(a, inside[:, i], *estimated_ratio(names, values, covariance, reference, table, inside))
         a.set_xlabel(LABELS[RATIO_VARIABLES[i]])
-    axes[0, 0].set_ylabel("heating ratio (2 sigma bands)")
+    for a in axes[:, 0]:
+        a.set_ylabel("heating ratio (2 sigma bands)")
     axes[0, 0].legend(fontsize=8, loc="best")
     beside = " without the effects" if part.model.effects else ""
     title = f"{part.record.declared.control_point}: heating ratio{beside}\nabout {about(reference)}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -174,6 +175,19 @@ def _test(test: Test | None) -> dict[str, float] | None:
     return None if test is None else {"statistic": test.statistic, "dof": test.dof, "p_value": test.p_value}
 
 
+TREND = TREND_CSV, TREND_PICTURE = "trend.csv", "trend.png"
+FIT_FILES = TEMPERATURES, FIT_PICTURE, RATIO_PICTURE = "temperatures.csv", "fit.png", "ratio.png"
+
+
+def files_of(records: Sequence[Record], *, filtered: bool = False) -> list[str]:
+    """Names of all files that a fit of some records may write; `filtered` where it has noise of the process."""
+    from sim_heating.estimation import filter_report
+
+    homes = [""] if len(records) == 1 else [f"{record.name}/" for record in records]
+    names = [*FIT_FILES, *(filter_report.FILES if filtered else ())]
+    return [NAME, *(f"{home}{name}" for home in homes for name in names)]
+
+
 def write_trend(found: Trend, out: Path) -> list[str]:
     """Write trend.csv and trend.png; returns the names of the files."""
     from sim_heating.estimation.plots import draw_trend
@@ -191,8 +205,8 @@ def write_trend(found: Trend, out: Path) -> list[str]:
         columns[name] = np.array([s.values[k] for s in segments])
         columns[f"{name}.sigma"] = np.array([s.sigmas[k] for s in segments])
     with output_directory(out) as folder:
-        write_csv(folder / "trend.csv", columns)
-        draw_trend(folder / "trend.png", found)
+        write_csv(folder / TREND_CSV, columns)
+        draw_trend(folder / TREND_PICTURE, found)
         return sorted(p.name for p in folder.iterdir() if p.is_file())
 
 
@@ -208,9 +222,9 @@ def write_fit(fitted: Fitted, out: Path) -> list[str]:
             home = folder if len(fitted.after) == 1 else folder / after.record.name
             home.mkdir(exist_ok=True)
             history = after.history
-            write_temperatures_csv(home / "temperatures.csv", history.time_s, history, after.record.sensors)
-            draw_fit(home / "fit.png", before, after)
-            draw_ratio(home / "ratio.png", fitted, part)
+            write_temperatures_csv(home / TEMPERATURES, history.time_s, history, after.record.sensors)
+            draw_fit(home / FIT_PICTURE, before, after)
+            draw_ratio(home / RATIO_PICTURE, fitted, part)
             if fitted.innovations is not None:
                 write_filtered(home, filtered_history(fitted.innovations, fitted.fit.values, part))
         return sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())

@@ -21,6 +21,7 @@ from sim_heating.conditions import RATIO_VARIABLES, FloatArray
 from sim_heating.errors import InputError
 from sim_heating.files import LocatedError, Location, check, read_json, shown, suggestion, write_json
 from sim_heating.parameters import MODEL
+from sim_heating.plausible import beyond, said_of
 from sim_heating.record import DECLARATION, Record
 
 NAME = "estimate.json"
@@ -70,6 +71,14 @@ class Condition(_Kept):
     log10_re: float
     elevon_deg: float
     bodyflap_deg: float
+
+    @model_validator(mode="after")
+    def _check(self) -> Condition:
+        found = {name: getattr(self, name) for name in RATIO_VARIABLES}
+        problems = [((name,), said_of(name, value)) for name, value in found.items() if beyond(name, value)]
+        if problems:
+            raise LocatedError(*problems)
+        return self
 
     def values(self) -> FloatArray:
         """(5,) in the order of a ratio table."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sim_heating.conditions import RATIO_VARIABLES
 from sim_heating.ensemble import condition_history
-from sim_heating.errors import InputError
+from sim_heating.errors import InputError, RunError
 from sim_heating.estimation.estimate import FEWEST_SAMPLES
 from sim_heating.estimation.informed import default_names
 from sim_heating.estimation.newton import Fit, maximise
@@ -78,10 +78,10 @@ def trend(
     """Fit parameters, by default the magnitude of the ratio alone, to short segments of a record in turn.
 
     length_s : length of a segment [s]
-    raises   : InputError where no segment has enough samples
+    raises   : InputError where no segment has enough samples, RunError where no fit of those that have converges
     """
     if not 0.0 < length_s < np.inf:
-        raise InputError(f"trend: segments of {length_s:g} s; give a length above 0")
+        raise InputError(f"{record.name}: segments of {length_s:g} s; give a length in s above 0, as 5")
     chosen = tuple(names) if names is not None else default_names([record])[:1]
     windows = _windows(record, length_s)
     apart = float(np.median(np.diff(record.time_s))) if len(record.time_s) > 1 else 0.0
@@ -89,7 +89,7 @@ def trend(
         raise InputError(f"{record.name}: segments of {length_s:g} s are shorter than the {apart:g} s between samples")
     if not windows:
         raise InputError(f"{record.name}: the fit segments hold no time that was recorded; give others")
-    found, left_out, meshes = [], [], []
+    found, left_out, in_vain, meshes = [], [], [], []
     start, last = None, None
     for k, (begin, end) in enumerate(windows):
         progress(k / len(windows), f"segments: {k + 1} of {len(windows)}, {begin:.0f} to {end:.0f} s")
@@ -108,12 +108,14 @@ def trend(
             meshes += problem.mesh_lines
             fit = maximise(problem.evaluate, problem.parameters, fit.values, problem.log_likelihoods)
         if not fit.converged or not np.all(np.isfinite(fit.covariance)):
-            left_out.append(f"{begin:g} to {end:g} s: {fit.words()[0]}")
+            in_vain.append(f"{begin:g} to {end:g} s: {fit.words()[0]}")
+            left_out.append(in_vain[-1])
             continue
         last = (problem, fit)
         found.append(_segment(record, problem, fit, begin, end, count))
     if not found:
-        raise InputError(f"{record.name}: no segment of {length_s:g} s can be fitted; {left_out[0]}")
+        nothing = f"{record.name}: no segment of {length_s:g} s can be fitted"
+        raise RunError(f"{nothing}; {in_vain[0]}") if in_vain else InputError(f"{nothing}; {left_out[0]}")
     return Trend(record, chosen, tuple(found), tuple(left_out), tuple(meshes[:1]))
 
 

@@ -4,7 +4,15 @@ A problem is one line, `record.toml, [thermocouples.sensor] 2: unknown key ...` 
 column mach: ...`, where a row is the line of the file as an editor counts it. All problems of a file come at once.
 """
 
-from sim_heating.files.output import MARKER, files_made, json_text, output_directory, read_json, write_json
+from sim_heating.files.output import (
+    MARKER,
+    files_made,
+    json_text,
+    output_directory,
+    read_json,
+    require_place,
+    write_json,
+)
 from sim_heating.files.table import COLDEST_K, CsvTable, celsius_rule, csv_text, read_csv_columns, write_csv
 from sim_heating.files.text import nearest, raise_problems, raw_text, read_text, shown, suggestion, write_text_atomic
 from sim_heating.files.toml import (
@@ -21,6 +29,6 @@ from sim_heating.files.toml import (
 __all__ = [
     "COLDEST_K", "MARKER", "CsvTable", "Declared", "LocatedError", "Location", "celsius_rule", "check", "csv_text",
     "files_made", "json_text", "known_keys", "nearest", "output_directory", "raise_problems", "raw_text",
-    "read_csv_columns", "read_json", "read_text", "read_toml", "read_toml_dict", "shown", "suggestion", "toml_text",
-    "write_csv", "write_json", "write_text_atomic",
+    "read_csv_columns", "read_json", "read_text", "read_toml", "read_toml_dict", "require_place", "shown", "suggestion",
+    "toml_text", "write_csv", "write_json", "write_text_atomic",
 ]  # fmt: skip

@@ -117,6 +117,15 @@ def output_directory(path: str | os.PathLike[str], expected: Sequence[str] = ())
             _remove_empty(new_parents)
 
 
+def require_place(path: str | os.PathLike[str], expected: Sequence[str] = ()) -> None:
+    """Make sure, before any work, that `output_directory` could put results of these names there; nothing is left."""
+    target = Path(os.path.abspath(path))
+    _refuse_foreign(target, expected)
+    partial, new_parents = _make_partial(target, shown(path))
+    partial.rmdir()
+    _remove_empty(new_parents)
+
+
 def _remove_empty(directories: Sequence[Path]) -> None:
     """Remove directories, the innermost first, as far as nothing is in them."""
     with suppress(OSError):

@@ -113,13 +113,18 @@ def entry_functions() -> tuple[Function, ...]:
     return tuple(Function(name, f) for name, f in zip(("entry_start", "entry_step"), compiled, strict=True))
 
 
+def check_source(spec: TrajectorySpec) -> None:
+    """raises : InputError where a trajectory is not of the 3-DOF entry"""
+    if spec.source != "entry-3dof" or spec.initial is None:
+        raise InputError(f'source = "{spec.source}" has no FMU of ours; give one with "entry-3dof"')
+
+
 def entry_image(spec: TrajectorySpec, vehicle_dir: Path, title: str = "") -> Image:
     """The 3-DOF entry of a scenario as an image.
 
     raises : InputError where the scenario is flown by another source
     """
-    if spec.source != "entry-3dof" or spec.initial is None:
-        raise InputError(f'trajectory: source = "{spec.source}" has no FMU of ours; give one with "entry-3dof"')
+    check_source(spec)
     name = re.sub(r"\W", "_", Path(vehicle_dir).name, flags=re.ASCII)
     image = Image(f"{name}_entry", title or f"3-DOF entry of {name}", 1.0 / spec.rate_hz)
     _Packer(image, spec, Entry(spec, vehicle_dir)).pack()

@@ -17,7 +17,7 @@ from sim_heating.files.text import write_bytes_atomic
 from sim_heating.fmu.description import description
 from sim_heating.fmu.heating import built_in, compiling_beside, heating_functions, heating_image
 from sim_heating.fmu.image import Image
-from sim_heating.fmu.library import TARGETS, Function, library
+from sim_heating.fmu.library import TARGETS, Function, Target, library
 from sim_heating.vehicle import Vehicle
 
 STAMP = (1980, 1, 1, 0, 0, 0)
@@ -54,6 +54,17 @@ def _sources_of(used: Sequence[Effect]) -> str:
     return "".join(Path(inspect.getfile(getattr(f, "py_func", f))).read_text() for f in kernels)
 
 
+def targets_of(platforms: Sequence[str], fmi: int) -> list[Target]:
+    """Targets by name; InputError for one that there is not, or that this version of the standard does not know."""
+    unknown = [name for name in platforms if name not in TARGETS]
+    if unknown:
+        raise InputError(f"fmu: there is no platform `{unknown[0]}`. Known: {', '.join(TARGETS)}.")
+    targets = [TARGETS[name] for name in platforms]
+    if fmi == 2 and any(t.fmi2 is None for t in targets):
+        raise InputError("fmu: FMI 2 knows no 64-bit ARM platform; export for FMI 3")
+    return targets
+
+
 def write_fmu(
     out: Path, image: Image, functions: Sequence[Function], fmi: int, platforms: Sequence[str], more: str = ""
 ) -> None:
@@ -61,12 +72,7 @@ def write_fmu(
 
     functions, more : as `library` takes them
     """
-    unknown = [name for name in platforms if name not in TARGETS]
-    if unknown:
-        raise InputError(f"fmu: there is no platform `{unknown[0]}`. Known: {', '.join(TARGETS)}.")
-    targets = [TARGETS[name] for name in platforms]
-    if fmi == 2 and any(t.fmi2 is None for t in targets):
-        raise InputError("fmu: FMI 2 knows no 64-bit ARM platform; export for FMI 3")
+    targets = targets_of(platforms, fmi)
     token = "{" + hashlib.sha256(image.binary("")).hexdigest()[:32] + "}"
     files = {"modelDescription.xml": description(image, token, fmi), "resources/model.bin": image.binary(token)}
     for target in targets:

@@ -24,6 +24,7 @@ from scipy.optimize import brentq
 
 from sim_heating.conditions import Conditions, FloatArray
 from sim_heating.errors import InputError, RunError
+from sim_heating.plausible import LIMITS
 from sim_heating.trajectory import entry3dof
 from sim_heating.trajectory import point_mass as pm
 from sim_heating.trajectory.aero import Aero, flown_aero
@@ -79,6 +80,8 @@ class Case:
 BETWEEN = {
     "alpha_stretch": (0.0, np.inf), "alpha_station": (0.0, np.inf), "drag_factor": (0.0, np.inf),
     "cg_fraction": (0.0, 1.0), "mass_kg": (0.0, np.inf), "density_factor": (0.0, np.inf),
+    "alpha_offset_deg": (-90.0, 90.0), "station_alpha_deg": LIMITS["alpha_deg"][:2],
+    "bodyflap_deg": LIMITS["bodyflap_deg"][:2],
 }  # fmt: skip
 """Ends between which alone a value has a meaning; neither is one of its values."""
 AXES = tuple(f.name for f in fields(Case) if f.name != "one_sided")

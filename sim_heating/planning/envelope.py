@@ -136,6 +136,12 @@ class Flights:
         """All so far."""
         return list(self._known.values())
 
+    def require_one(self) -> None:
+        """raises : RunError where none of them could be flown"""
+        reasons = [f.error for f in self.flown if f.error is not None]
+        if reasons and len(reasons) == len(self.flown):
+            raise RunError(f"{self.study.path}: none of {len(reasons)} flights can be flown; first {reasons[0]}")
+
 
 def _digest(evidence: Evidence) -> str:
     numbers = np.concatenate([a.ravel() for a in (evidence.nodes, evidence.H, evidence.covariance)])

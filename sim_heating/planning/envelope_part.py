@@ -69,13 +69,15 @@ def envelope_part(study: Study, folder: Path, engine: Engine, progress: Progress
     asked, pages = _asked(study), _Pages(study, folder)
     flights = Flights(study, engine, progress, _informed(_prospects(study)))
     data: dict[str, Any] = {"sigmas": asked.sigmas, "revision": files.revision_of(study), "maps": {}, "boundaries": {}}
-    for flown in [fly_map(declared, flights) for declared in asked.map]:
+    maps = [fly_map(declared, flights) for declared in asked.map]
+    boundaries = [fly_boundary(declared, asked, flights) for declared in asked.boundary]
+    flights.require_one()
+    for flown in maps:
         name, title = _map_file(flown.declared), flown.declared.title or flown.declared.name
         files.write_map(pages.place(f"{name}.csv"), study, flown)
         pages.draw(name, title, partial(plots.draw_map, flown=flown, sigmas=asked.sigmas))
         pages.tables.append(files.map_table(flown))
         data["maps"][flown.declared.name] = files.map_data(flown)
-    boundaries = [fly_boundary(declared, asked, flights) for declared in asked.boundary]
     for found in boundaries:
         name, title = _boundary_file(found.declared), found.declared.title or found.declared.name
         files.write_boundary(pages.place(f"{name}.csv"), study, found, asked.sigmas)
@@ -141,6 +143,7 @@ def next_flight_part(study: Study, folder: Path, engine: Engine, progress: Progr
     asked, prospects, pages = _asked(study), _prospects(study), _Pages(study, folder)
     flights = Flights(study, engine, progress, _informed(prospects))
     boundaries = [fly_boundary(declared, asked, flights) for declared in asked.boundary]
+    flights.require_one()
     if not boundaries:
         raise RunError(f"{study.path}, [next_flight]: needs an [[envelope.boundary]] whose uncertainty it is to shrink")
     ranked = rank(prospects, boundaries, asked.sigmas)

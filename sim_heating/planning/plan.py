@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from sim_heating.batches import Progress, quiet
+from sim_heating.batches import Progress, quiet, require_scheduler
 from sim_heating.errors import InputError, RunError
 from sim_heating.files import output_directory, write_json
 from sim_heating.page import Page, SavedPicture, Section, Table, write_page
@@ -105,7 +105,8 @@ def parts_of(study: Study) -> dict[str, Part]:
 def run_study(study: Study, out: Path, engine: Engine, *, progress: Progress = quiet) -> tuple[Plan, list[str]]:
     """Compute all parts of a study and write their files, all together; gives the files' names as well.
 
-    raises : InputError where the study asks for nothing, a place cannot be used, or the one part there is says so
+    raises : InputError where the study asks for nothing, a place or scheduler cannot be used, or the one part there is
+             says so
     """
     parts = parts_of(study)
     if not parts:
@@ -113,6 +114,8 @@ def run_study(study: Study, out: Path, engine: Engine, *, progress: Progress = q
     plan = Plan(study)
     expected = [SUMMARY, PAGE, *(name for part in parts.values() for name in part.files(study))]
     with output_directory(out, expected) as folder, one_thread():
+        if engine.scheduler is not None:
+            require_scheduler(engine.scheduler)
         for i, (name, part) in enumerate(parts.items()):
             try:
                 plan.found[name] = part.run(study, folder, engine, _within(progress, name, i, len(parts)))

@@ -8,6 +8,7 @@ import shutil
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,17 @@ from scipy.sparse import csr_array
 
 from sim_heating.conditions import RATIO_VARIABLES, FloatArray
 from sim_heating.errors import InputError
-from sim_heating.estimation.result import AT, NAME, Estimate, Estimated, correlations, inputs_hash, read_estimate
-from sim_heating.files import read_text, shown
+from sim_heating.estimation.result import (
+    AT,
+    NAME,
+    PAIR,
+    Estimate,
+    Estimated,
+    correlations,
+    inputs_hash,
+    read_estimate,
+)
+from sim_heating.files import read_text, require_place, shown
 from sim_heating.heating_ratio.table import RatioTable
 from sim_heating.parameters import EFFECT_PREFIX
 from sim_heating.points import point_with_table_of
@@ -44,6 +54,8 @@ from sim_heating.vehicle import ControlPoint, Vehicle, load_vehicle, vehicle_dir
 
 RATIO_DIGITS, SIGMA_DIGITS = 6, 4
 """Significant digits of a changed node, far below any sigma."""
+LEAST_SIGMA, HIGHEST = 1e-12, 1e3
+"""Of an estimated ratio parameter: no flight tells one more closely, and none has such a value."""
 SURPRISING = 1e-3
 """Chance of the evidence under the table's own sigma below which a person should look."""
 
@@ -120,6 +132,7 @@ def prepare(
     """
     file = Path(fit) / NAME if Path(fit).is_dir() else Path(fit)
     whole = read_estimate(file)
+    _refuse_unweighable(whole, shown(file))
     estimate, loaded = _of_point(whole, _records(whole, file, records), point_name)
     ours = load_vehicle(vehicle)
     point = ours.control_point(loaded[0].declared.control_point)
@@ -169,6 +182,25 @@ def _records(estimate: Estimate, file: Path, given: Sequence[str | os.PathLike[s
             )
         found.append(load_record(place))
     return found
+
+
+def _refuse_unweighable(estimate: Estimate, name: str) -> None:
+    """raises : InputError where a ratio parameter has no value or sigma that a flight gives, or not all correlations"""
+    labels = [label for label in estimate.parameters if label.startswith("ratio.")]
+    for label in labels:
+        value, sigma = estimate.parameters[label].value, estimate.parameters[label].sigma
+        where = f"{name}, [parameters.{label}]"
+        if abs(value) > HIGHEST:
+            raise InputError(f"{where}: `value`: {value:g} is beyond {HIGHEST:g}, no heating ratio; estimate it anew")
+        if not LEAST_SIGMA <= sigma <= HIGHEST:
+            span = f"{LEAST_SIGMA:g} to {HIGHEST:g}"
+            raise InputError(f"{where}: `sigma`: {sigma:g} is not within {span} and weighs nothing; estimate it anew")
+    of_one_point = [(a, b) for a, b in combinations(labels, 2) if a.partition(AT)[2] == b.partition(AT)[2]]
+    pairs = [(f"{a}{PAIR}{b}", f"{b}{PAIR}{a}") for a, b in of_one_point]
+    missing = [pair for pair, turned in pairs if not {pair, turned} & estimate.correlation.keys()]
+    if missing:
+        told = f"{len(missing)} of {len(pairs)} pairs are missing, `{missing[0]}` first"
+        raise InputError(f"{name}, [correlation]: {told}; estimate it anew, or write 0 for what is uncorrelated")
 
 
 def _of_point(estimate: Estimate, records: Sequence[Record], name: str | None) -> tuple[Estimate, list[Record]]:
@@ -312,6 +344,7 @@ def check_place(vehicle: str | os.PathLike[str], out: Path | None) -> None:
         raise InputError(
             f"vehicle {directory.name}: came with the package; name a folder for a copy of yours with --out"
         )
+    require_place(directory)
 
 
 def write_update(update: TableUpdate, out: Path | None, errors: dict[str, dict[str, Any]]) -> tuple[Path, RevisionFile]:
