@@ -113,7 +113,8 @@ def test_segments_held_out_tell_conduction_from_radiation_in_depth_better() -> N
     fitted_alone = Segments(fit=record.declared.segments.fit)
     without = replace(record, declared=record.declared.model_copy(update={"segments": fitted_alone}))
     with_both, alone = (one_round(base_of(estimate([r])), [], lambda fraction, text: None) for r in (record, without))
-    assert alone.posterior["conductivity"] < 0.9 < with_both.posterior["conductivity"]
+    odds = [r.posterior["conductivity"] / r.posterior["radiative-conduction"] for r in (alone, with_both)]
+    assert 1.0 < 3.0 * odds[0] < odds[1]
     gained = {a.name: a.delta_bic for a in alone.attempts}
     assert all(a.delta_bic == pytest.approx(gained[a.name], abs=0.1) for a in with_both.attempts[:2])
 
