@@ -257,6 +257,10 @@ class Problem:
         for k, group in enumerate(self.groups):
             self._last[k] = (vector.tobytes(), [marched[self.parts.index(part)] for part in group])
 
+    def keeps(self, vector: FloatArray) -> bool:
+        """Whether an evaluation at a parameter vector marches nothing."""
+        return all(known == vector.tobytes() for known, _ in self._last)
+
     def _of_part(self, part: Part, found: Linearised, vector: FloatArray) -> list[Samples]:
         """The channels of a part at a parameter vector."""
         values, samples = part.values(vector), []

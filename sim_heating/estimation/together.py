@@ -43,7 +43,10 @@ class Together:
         ]
 
     def march(self, vectors: Sequence[FloatArray]) -> list[bool]:
-        """March each problem at a parameter vector, which it then keeps; whether that could be done."""
+        """March each problem at a parameter vector, which it then keeps; whether that could be done. Nothing is marched
+        where all keep what they gave there."""
+        if all(problem.keeps(vector) for problem, vector in zip(self.problems, vectors, strict=True)):
+            return [True] * len(self.problems)
 
         def one(k: int) -> list[Linearised | None]:
             group = self._groups[k]
