@@ -89,7 +89,7 @@ class ResponseMarch(FilterMarch):
         added      : (step,) of each point, what is added to its ratio
         initial_K  : (node,) of each point, temperatures at the start in place of its own
         derivative : whether transition and rows are wanted; without them they are empty
-        raises    : RunError where a step did not converge
+        raises     : RunError where a step did not converge
         """
         n, lanes = int(self._nodes.max()), len(self.points)
         readings = self._readings(self.points, 0)
@@ -98,10 +98,10 @@ class ResponseMarch(FilterMarch):
         for i in range(lanes):
             add[self._lane_of[i]] = added[i]
         self._begin([p.initial_K for p in self.points] if initial_K is None else list(initial_K))
-        rows = n if derivative else 0
+        columns = n + 1 if derivative else 0
         told = Told(
-            np.zeros((lanes, steps + 1, n)), np.full((lanes, count), np.nan), np.zeros((lanes, steps, rows, n + 1)),
-            np.zeros((lanes, count, n + 1)),
+            np.zeros((lanes, steps + 1, n)), np.full((lanes, count), np.nan), np.zeros((lanes, steps, n, columns)),
+            np.zeros((lanes, count, columns)),
         )  # fmt: skip
         nothing = State(
             np.zeros((lanes, 0, 0)), np.zeros((lanes, n, 0)), np.zeros(lanes), np.zeros(lanes, dtype=np.int64)
@@ -152,7 +152,7 @@ def march_response(
         step_beside_shadows(B, J, table, chain, advance, rows, faces, X, shadows, time_s, histories, which, p, lanes, k)
         for lane in range(lanes):
             n = p.nodes[lane]
-            if told.transition.shape[2] > 0:
+            if told.transition.shape[3] > 0:
                 first_pass(X, p, lane, time_s[k] - time_s[k - 1], state, False, True, w)
                 told.transition[lane, k - 1, :n, : n + 1] = w.end[:n, 1 : n + 2]
             next_reading[lane] = _tell_readings(B, w, lane, n, k, time_s, r, next_reading[lane], told)
@@ -178,7 +178,7 @@ def _tell_readings(
         a = (HEAD_ROWS + node * NODE_ROWS) * LANES + lane
         w0, w1, w2 = parabola(x)
         told.read_K[lane, q] = w0 * B[a + T_START * LANES] + w1 * B[a + T_STAGE * LANES] + w2 * B[a + T * LANES]
-        for j in range(n + 1):
+        for j in range(min(n + 1, told.rows.shape[2])):
             told.rows[lane, q, j] = read_column(w, 1 + j, node, x, 1.0 if j == node else 0.0)
         q += 1
     return q

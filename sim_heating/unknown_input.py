@@ -193,13 +193,13 @@ def precision(time_s: FloatArray, disturbance: Disturbance) -> tuple[FloatArray,
 class _Point:
     """A march at one value u of the unknowns: start, then knots.
 
-    answer : (reading, unknown) derivative of the readings
+    answer : (reading, unknown) derivative of the readings at another value, where that is good enough
     """
 
     u: FloatArray
     response: Response
     scored: Likelihood
-    answer: FloatArray
+    answer: FloatArray | None
 
     @property
     def log_likelihood(self) -> float:
@@ -226,15 +226,13 @@ class _Inverse:
         """The march at u; with an answer that is good enough there, without its own."""
         added, start = self.weights @ u[self.extra :], self.initial_K + self.start @ u[: self.extra]
         response = self.march.respond([added], [start], derivative=answer is None)[0]
-        if answer is None:
-            answer = response.matrix(self.weights, self.start)
         return _Point(u, response, likelihood(self.observed, response.read_K, self.sigma_K), answer)
 
     def solved(self, given: Disturbance | None) -> UnknownInput:
         here = first = self.at(np.zeros(self.extra + len(self.knots)))
         chosen, excess, change = given or Disturbance(), 1.0, math.inf
         for _ in range(ROUNDS):
-            G = here.answer
+            G = here.response.matrix(self.weights, self.start) if here.answer is None else here.answer
             A = G.T @ (here.scored.information[:, np.newaxis] * G)
             b = G.T @ here.scored.score + A @ here.u
             if here is first:

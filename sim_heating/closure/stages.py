@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sim_heating.closure.attempt import QUICK, Attempt, carrying, first_of, values_of
 from sim_heating.closure.candidates import Candidate, Form
-from sim_heating.estimation.identifiability import covariance
+from sim_heating.estimation.identifiability import covariance, promised_gain
 from sim_heating.estimation.likelihood import scores
 from sim_heating.estimation.newton import Fit, Status
 from sim_heating.estimation.part import Samples
@@ -86,10 +86,8 @@ def _promise(problem: Problem, first: FloatArray, known: FloatArray, scored: _Sc
     upper = np.array([p.upper for p in problem.parameters])
     held = ((first <= lower) & (gradient <= 0.0)) | ((first >= upper) & (gradient >= 0.0))
     J = np.column_stack([known, own[:, ~held & (information > 0.0)]])
-    M, g = J.T @ (J * weight[:, np.newaxis]), J.T @ score
-    inverse = covariance(M)
-    inverse[~np.isfinite(inverse)] = 0.0
-    return float(sum(f[0] for f in found) + 0.5 * g @ inverse @ g)
+    M = J.T @ (J * weight[:, np.newaxis])
+    return sum(f[0] for f in found) + promised_gain(J.T @ score, covariance(M))
 
 
 def promising(tried: Sequence[Candidate], gains: Sequence[float], n: int) -> list[int]:

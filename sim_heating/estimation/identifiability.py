@@ -88,6 +88,12 @@ def covariance(information: FloatArray) -> FloatArray:
     return inverse
 
 
+def promised_gain(gradient: FloatArray, covariance: FloatArray) -> float:
+    """Gain in log likelihood that a whole Newton step promises along the directions that are told."""
+    told = np.where(np.isfinite(covariance), covariance, 0.0)
+    return 0.5 * float(gradient @ told @ gradient)
+
+
 def correlation(covariance: FloatArray) -> FloatArray:
     """Correlation matrix of a covariance, ones on its diagonal; NaN where a variance is not finite."""
     sigma = np.sqrt(np.diag(covariance))

@@ -31,6 +31,7 @@ from sim_heating.estimation.identifiability import (
     Direction,
     covariance,
     directions,
+    promised_gain,
     scale,
     scaled_eigenvectors,
 )
@@ -374,7 +375,6 @@ class _Search:
         known = self.found.information[np.ix_(free, free)]
         singular = [] if broken else directions(known, [names[i] for i in free], SINGULAR)
         C = np.full_like(self.found.information, np.nan) if broken else self.covariance()
-        told = np.where(np.isfinite(C), C, 0.0)
         return Fit(
             names=names,
             values=self.at,
@@ -387,7 +387,7 @@ class _Search:
             singular=tuple(singular),
             status=status,
             iterations=len(self.history) - 1,
-            promised=0.0 if broken else 0.5 * float(self.found.gradient @ told @ self.found.gradient),
+            promised=0.0 if broken else promised_gain(self.found.gradient, C),
             history=np.array(self.history),
         )
 
