@@ -13,7 +13,7 @@ from missing import record_with
 from walls import practice_record
 
 from sim_heating.closure.residual import residual_heating
-from sim_heating.closure.sanity import CLOCK, MATERIAL, SENSOR, TRAJECTORY, Verdict, after_fit, before_fit
+from sim_heating.closure.sanity import CLOCK, MATERIAL, SENSOR, TRAJECTORY, Verdict, after_fit, before_fit, jumps
 from sim_heating.effects import use
 from sim_heating.estimation.estimate import estimate
 from sim_heating.record import Record, load_record
@@ -145,3 +145,7 @@ def test_another_material_is_told(factor):
     words = only(replace(record, declared=record.declared.model_copy(update={"materials": materials})), MATERIAL)
     assert f"`{name}`" in words
     assert f"conductivity {1.0 / factor:.2g}" in words
+
+
+def test_a_steep_steady_rise_is_no_jump() -> None:
+    assert jumps(load_record(RECORDS / "practice" / "p04")) == []

@@ -223,7 +223,7 @@ def still(record: Record, flown_s: FloatArray, indicated_K: FloatArray) -> list[
 
 
 def jumps(record: Record) -> list[Verdict]:
-    """Sensors in depth that jump, and stay, faster than heat diffuses to them."""
+    """Sensors in depth that jump beyond their steady rise, and stay, faster than heat diffuses to them."""
     found = []
     for sensor in record.used_sensors:
         read = record.thermocouples[sensor.column]
@@ -233,8 +233,11 @@ def jumps(record: Record) -> list[Verdict]:
             continue
         floor = float(np.hypot(sensor.noise_sigma_K or 1.0, sensor.lsb_K / np.sqrt(12.0)))
         windows = np.median(np.lib.stride_tricks.sliding_window_view(T, ABOUT), axis=1)
-        step = windows[ABOUT:] - windows[:-ABOUT]
-        sudden = np.where(np.abs(np.diff(T)[ABOUT - 1 : ABOUT - 1 + len(step)]) > 0.5 * JUMP * floor, np.abs(step), 0.0)
+        steps = np.diff(T)
+        rise = np.median(np.lib.stride_tricks.sliding_window_view(steps, 2 * ABOUT - 1), axis=1)
+        step = windows[ABOUT:] - windows[:-ABOUT] - ABOUT * rise
+        alone = np.abs(steps[ABOUT - 1 : ABOUT - 1 + len(step)] - rise) > 0.5 * JUMP * floor
+        sudden = np.where(alone, np.abs(step), 0.0)
         k = int(np.argmax(sudden))
         if sudden[k] > JUMP * floor:
             found.append(
