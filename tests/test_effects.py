@@ -16,11 +16,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from walls import flight, heat, material, orders, practice_model, practice_record, wall
 
-from sim_heating.effects import EffectUse, effect, effects, use
+from sim_heating.closure.candidates import candidates
+from sim_heating.effects import Effect, EffectUse, effect, effects, use
 from sim_heating.ensemble import condition_history
 from sim_heating.errors import InputError
+from sim_heating.estimation.problem import Problem, joint_reference
+from sim_heating.estimation.together import Together
 from sim_heating.layout import ALPHA, FAILED, FILM, JETS, LOG10_RE, N_CONDITIONS
 from sim_heating.point_model import PointModel
+from sim_heating.points import conditions_of_record
 from sim_heating.resolution import pack
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -159,6 +163,27 @@ def test_every_effect_has_a_picture_of_what_it_does():
     for name in effects():
         assert f"(images/effect_{name}.png)" in text
         assert (docs / "images" / f"effect_{name}.png").is_file()
+
+
+def test_neutral_effect_does_nothing_whatever_else_it_has():
+    """Where its magnitudes are neutral, temperatures do not answer to any other of its parameters."""
+    record, _ = practice_record("p06")
+    looked_for = candidates(record, conditions_of_record(record))
+    tried = {c.form: c for c in reversed(looked_for) if len(c.felt) < len(c.names)}.values()
+    assert {c.name for c in tried} == {e.name for e in effects().values() if 0 < len(e.neutral) < len(e.parameters)}
+    problems = [Problem([record], c.names, joint_reference([record]), effects=c.uses) for c in tried]
+    starts = [np.array([c.start[p.name] for p in q.parameters]) for c, q in zip(tried, problems, strict=True)]
+    assert all(Together(problems).march(starts))
+    for c, problem, start in zip(tried, problems, starts, strict=True):
+        own = np.concatenate([s.own for s in problem.samples(start)])
+        moved = {p.name for p, column in zip(problem.parameters, own.T, strict=True) if np.any(column != 0.0)}
+        assert moved, c
+        assert moved <= set(c.felt), c
+
+
+def test_neutral_value_of_no_parameter_is_refused():
+    with pytest.raises(InputError, match="effect mine: `rize` is neutral, which is none of its parameters"):
+        Effect("mine", "multiply", effect("transition").parameters, lambda B, c, p, wall_K: 1.0, neutral={"rize": 0.0})
 
 
 def test_misspelt_effect_is_answered_with_the_nearest():

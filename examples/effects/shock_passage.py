@@ -30,7 +30,7 @@ def passing(B: FloatArray, c: int, p: int, wall_K: float) -> float:
 def tries(flown: Conditions) -> Sequence[Try]:
     """Mach numbers spread over those flown, no rise yet."""
     places = np.quantile(flown["mach"], [0.1, 0.3, 0.5, 0.7, 0.9])
-    return [Try(("rise", "mach_there", "width"), {"rise": 0.0, "mach_there": float(m)}) for m in places]
+    return [Try(("rise", "mach_there", "width"), {"mach_there": float(m)}) for m in places]
 
 
 EFFECT = Effect(
@@ -42,6 +42,7 @@ EFFECT = Effect(
         Parameter("width", "1", 1.5, 1.0, 0.2, 6.0, "how far in Mach number it is felt"),
     ),
     kernel=passing,
+    neutral={"rise": 0.0},
     tries=tries,
     physics="The bow shock moves over the point as the flight slows down.",
     source="an example; the form is a bell, nothing measured",

@@ -108,7 +108,7 @@ def base_of(before: Fitted) -> Attempt:
     except InputError:  # nothing was measured there
         held_out = None
     fit = maximise_together([problem], [first_of(problem, start)], QUICK)[0]
-    return Attempt("none", Candidate("none", (), (), {}, ()), problem, held_out, fit)
+    return Attempt("none", Candidate("none", (), (), {}, (), ()), problem, held_out, fit)
 
 
 def _over(before: Fitted, record: Record, chosen: NDArray[np.bool_], **more: Any) -> Problem:

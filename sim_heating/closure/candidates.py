@@ -47,6 +47,7 @@ class Candidate:
     uses  : the effects that the march carries for it, with the values that it starts from
     names : dotted names of what is estimated on top of what is estimated already
     start : their values to begin with
+    felt  : those that change anything there
     prior : those whose prior says how likely a value is; what is sought from several starts is left out
     """
 
@@ -54,6 +55,7 @@ class Candidate:
     uses: tuple[EffectUse, ...]
     names: tuple[str, ...]
     start: Mapping[str, float]
+    felt: tuple[str, ...]
     prior: tuple[str, ...]
 
     @property
@@ -93,7 +95,8 @@ def _moves(name: str, flown: Conditions) -> bool:
 
 def _of_effect(effect: Effect, record: Record, flown: Conditions) -> list[Candidate]:
     if effect.places == (CLOCK_SKEW.name,):
-        return [Candidate(effect.name, (), (CLOCK_SKEW.name,), {}, (CLOCK_SKEW.name,))]
+        names = (CLOCK_SKEW.name,)
+        return [Candidate(effect.name, (), names, {}, felt=names, prior=names)]
     tries = effect.tried(flown)
     sought = _sought(tries)
     return [
@@ -125,7 +128,8 @@ def _of_try(effect: Effect, one: Try, sought: Collection[str]) -> Candidate:
     values = dict(zip((p.name for p in effect.parameters), used.values, strict=True))
     first = {f"{EFFECT_PREFIX}{effect.name}.{p}": values[p] for p in one.names}
     prior = tuple(f"{EFFECT_PREFIX}{effect.name}.{p}" for p in one.names if p not in sought)
-    return Candidate(effect.name, (used,), tuple(first), first, prior)
+    felt = tuple(f"{EFFECT_PREFIX}{effect.name}.{p}" for p in effect.felt(one.names, values))
+    return Candidate(effect.name, (used,), tuple(first), first, felt, prior)
 
 
 def _of_sensors(record: Record) -> list[Candidate]:
@@ -135,5 +139,5 @@ def _of_sensors(record: Record) -> list[Candidate]:
     for sensor in record.used_sensors if len(record.used_sensors) > 1 else []:
         for wrong in (("bias",), ("gain",), ("bias", "gain")):
             start = {f"{SENSOR_PREFIX}{sensor.name}.{what}": SENSOR[what].value for what in wrong}
-            found.append(Candidate(SENSOR_EFFECT, (), tuple(start), start, tuple(start)))
+            found.append(Candidate(SENSOR_EFFECT, (), tuple(start), start, felt=tuple(start), prior=tuple(start)))
     return found

@@ -53,7 +53,7 @@ def promises(base: Attempt, tried: Sequence[Candidate]) -> list[float]:
     """
     part, start = base.problem.parts[0], values_of(base)
     fixed = {n: start[n] for n in part.marched if not n.startswith(EFFECT_PREFIX)}
-    problems = [carrying(base, part, c, tuple(dict.fromkeys((*part.other, *c.names))), fixed=fixed) for c in tried]
+    problems = [carrying(base, part, c, tuple(dict.fromkeys((*part.other, *c.felt))), fixed=fixed) for c in tried]
     firsts = [first_of(p, {**start, **c.start}) for p, c in zip(problems, tried, strict=True)]
     known = np.concatenate([s.own for s in base.problem.samples(base.fit.values)])
     inner = known[:, [k for k, n in enumerate(part.names) if n not in part.other]]

@@ -19,8 +19,8 @@ import os
 import pkgutil
 import sys
 import traceback
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Literal
@@ -39,8 +39,8 @@ FOLDERS_VARIABLE = "SIM_HEATING_EFFECTS"
 @dataclass(frozen=True)
 class Try:
     """One way to look for an effect: the parameters that are estimated together, and values of any of its parameters
-    from which that starts, nominal where not given. A start without any effect yet is best: what the effect's magnitude
-    would gain is then told exactly by the sensitivity to it."""
+    from which that starts, neutral or else nominal where not given. A start without any effect yet is best: what the
+    effect's magnitude would gain is then told exactly by the sensitivity to it."""
 
     names: tuple[str, ...]
     start: Mapping[str, float] = field(default_factory=dict)
@@ -57,6 +57,7 @@ class Effect:
     needs_wall : whether the kernel's value depends on the wall temperature
     lags       : whether the ratio lags behind itself, its first two parameters being time constant and fraction
     places     : dotted names that the parameters of a "model" effect stand for, in their order
+    neutral    : its magnitudes and the values at which, all of them together, it does nothing whatever else it has
     tries      : for a flight's conditions, how it is looked for in data; by default with all its parameters that have a
                  prior, from their nominal values
     physics    : what it is, in a line
@@ -70,6 +71,7 @@ class Effect:
     needs_wall: bool = False
     lags: bool = False
     places: tuple[str, ...] = ()
+    neutral: Mapping[str, float] = field(default_factory=dict, compare=False)
     tries: Callable[[Conditions], Sequence[Try]] | None = field(default=None, compare=False)
     physics: str = ""
     source: str = ""
@@ -81,6 +83,7 @@ class Effect:
             raise InputError(f"effect {self.name}: a kernel goes with any mode but `model`, and with those always")
         if self.mode == "model" and len(self.places) != len(self.parameters):
             raise InputError(f"effect {self.name}: name a place for each of its {len(self.parameters)} parameters")
+        self._known(self.neutral, "neutral")
 
     def tried(self, flown: Conditions) -> Sequence[Try]:
         """How it is looked for.
@@ -89,11 +92,21 @@ class Effect:
         """
         if self.tries is None:
             return [Try(tuple(p.name for p in self.parameters if p.sigma > 0.0))]
-        found, known = self.tries(flown), {p.name for p in self.parameters}
-        strange = [n for t in found for n in (*t.names, *t.start) if n not in known]
-        if strange:
-            raise InputError(f"effect {self.name}: `{strange[0]}` is tried, which is none of its parameters")
-        return found
+        found = self.tries(flown)
+        self._known([n for t in found for n in (*t.names, *t.start)], "tried")
+        return [replace(t, start={**self.neutral, **t.start}) for t in found]
+
+    def felt(self, names: Sequence[str], start: Mapping[str, float]) -> tuple[str, ...]:
+        """Those of some of its parameters that change anything at a start: where it is neutral, its magnitudes only."""
+        neutral = bool(self.neutral) and all(start[n] == value for n, value in self.neutral.items())
+        return tuple(n for n in names if n in self.neutral or not neutral)
+
+    def _known(self, names: Iterable[str], what: str) -> None:
+        """raises : InputError where one of the names is none of its parameters"""
+        known = {p.name for p in self.parameters}
+        for name in names:
+            if name not in known:
+                raise InputError(f"effect {self.name}: `{name}` is {what}, which is none of its parameters")
 
 
 @dataclass(frozen=True)

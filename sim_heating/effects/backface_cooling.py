@@ -27,6 +27,7 @@ EFFECT = Effect(
         Parameter("back_emissivity", "1", 0.0, 0.3, 0.0, 1.0, "effective emittance behind the wall"),
     ),
     places=("back.h_W_m2K", "back.T_K", "back.emissivity"),
+    neutral={"back_h_W_m2K": 0.0, "back_emissivity": 0.0},
     tries=tries,
     physics="Air from the vents late in the entry, and radiation to cooler structure, limit the skin's peak.",
     source="Ko, Quinn & Gong, NASA TM-86043 and its successors (structure temperatures of STS-1 to STS-5)",

@@ -30,12 +30,12 @@ def tries(flown: Conditions) -> Sequence[Try]:
     greatest = float(np.max(flown["H_r_J_kg"]))
     return [
         *(
-            Try(hot, {"catalysis_step": 0.0, "catalysis_K": T, "catalysis_width_K": width})
+            Try(hot, {"catalysis_K": T, "catalysis_width_K": width})
             for T in (500.0, 700.0, 900.0, 1100.0, 1300.0)
             for width in (60.0, 200.0)
         ),
         *(
-            Try(flow, {"catalysis_step": 0.0, "flow_step": 0.0, "flow_J_kg": part * greatest, "flow_width_J_kg": width})
+            Try(flow, {"flow_J_kg": part * greatest, "flow_width_J_kg": width})
             for part in (0.3, 0.5, 0.7, 0.9)
             for width in (1e6, 3e6)
         ),
@@ -55,6 +55,7 @@ EFFECT = Effect(
     ),
     kernel=catalysis_factor,
     needs_wall=True,
+    neutral={"catalysis_step": 0.0, "flow_step": 0.0},
     tries=tries,
     physics="Recombination of atoms at the wall grows with its temperature and gives up the energy of dissociation.",
     source="Scott, 'Effects of nonequilibrium and wall catalysis on Shuttle heat transfer', in NASA CP-2283",

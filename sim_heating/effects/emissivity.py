@@ -49,6 +49,7 @@ EFFECT = Effect(
     ),
     kernel=emittance_changes,
     needs_wall=True,
+    neutral={"emissivity_factor": 1.0, "emissivity_slope": 0.0},
     tries=tries,
     physics="Coatings age, are contaminated or blistered, and radiate otherwise when hot than their tables say.",
     source="Emittance drift of reused tiles, Williams & Curry, NASA RP-1193 (1992)",

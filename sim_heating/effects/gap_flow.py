@@ -11,7 +11,7 @@ from sim_heating.parameters import Parameter
 
 def tries(flown: Conditions) -> Sequence[Try]:
     """None yet, over several depths."""
-    return [Try(("gap_fraction", "gap_depth_m"), {"gap_fraction": 0.0, "gap_depth_m": d}) for d in (0.002, 0.006, 0.02)]
+    return [Try(("gap_fraction", "gap_depth_m"), {"gap_depth_m": d}) for d in (0.002, 0.006, 0.02)]
 
 
 EFFECT = Effect(
@@ -22,6 +22,7 @@ EFFECT = Effect(
         Parameter("gap_depth_m", "m", 0.005, 0.005, 1e-4, 0.5, "depth over which it falls by e"),
     ),
     places=("stack.gap.fraction", "stack.gap.depth_m"),
+    neutral={"gap_fraction": 0.0},
     tries=tries,
     physics="Gas driven through gaps by pressure gradients heats their sides, each depth by its own temperature.",
     source="Gap heating of the Shuttle tiles, NASA CP-2283 (1983)",

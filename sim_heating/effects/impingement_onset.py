@@ -24,7 +24,7 @@ def impingement(B: FloatArray, c: int, p: int, wall_K: float) -> float:
 def tries(flown: Conditions) -> Sequence[Try]:
     """Onsets spread over the angles of attack flown, no rise yet."""
     onsets = np.quantile(flown["alpha_deg"], [0.3, 0.6, 0.8, 0.9, 0.96, 0.99])
-    return [Try(("alpha_onset_deg", "slope"), {"alpha_onset_deg": float(x), "slope": 0.0}) for x in onsets]
+    return [Try(("alpha_onset_deg", "slope"), {"alpha_onset_deg": float(x)}) for x in onsets]
 
 
 EFFECT = Effect(
@@ -37,6 +37,7 @@ EFFECT = Effect(
         Parameter("slope", "1/deg", 0.002, 0.002, -0.1, 0.1, "rise of the ratio above it"),
     ),
     kernel=impingement,
+    neutral={"slope": 0.0},
     tries=tries,
     physics="Above an angle of attack the flow impinges on the point and the ratio rises with angle of attack.",
     source="OMS pod of STS-2, fig. 14 of 'Trends in Shuttle Entry Heating from the Correlation of Flight Test ...'",

@@ -21,7 +21,7 @@ def jet_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
 
 def tries(flown: Conditions) -> Sequence[Try]:
     """No dependence yet."""
-    return [Try(("jet_gain",), {"jet_gain": 0.0})]
+    return [Try(("jet_gain",))]
 
 
 EFFECT = Effect(
@@ -29,6 +29,7 @@ EFFECT = Effect(
     mode="multiply",
     parameters=(Parameter("jet_gain", "1", 0.1, 0.2, -1.0, 5.0, "relative rise of the ratio while a jet fires"),),
     kernel=jet_factor,
+    neutral={"jet_gain": 0.0},
     tries=tries,
     physics="A firing jet disturbs the flow at the point, or the density that was derived from dynamic pressure.",
     source="Pitch-jet spikes of STS-2 in 'Trends in Shuttle Entry Heating from the Correlation of Flight Test ...'",

@@ -23,11 +23,10 @@ def tries(flown: Conditions) -> Sequence[Try]:
     evaporating = ("latent_J_kg", "boil_K", "width_K")
     condensing = ("latent_J_kg", "boil_K", "deposit_J_kg", "condense_K", "width_K")
     diffusing = ("vapour_W_m", "boil_K", "width_K")
-    none = {"latent_J_kg": 0.0, "deposit_J_kg": 0.0, "vapour_W_m": 0.0}
     at = (340.0, 373.0, 420.0)
     return [
-        *(Try(names, none | {"boil_K": T}) for names in (evaporating, diffusing) for T in at),
-        *(Try(condensing, none | {"boil_K": T, "condense_K": T - 40.0}) for T in at),
+        *(Try(names, {"boil_K": T}) for names in (evaporating, diffusing) for T in at),
+        *(Try(condensing, {"boil_K": T, "condense_K": T - 40.0}) for T in at),
     ]
 
 
@@ -50,6 +49,7 @@ EFFECT = Effect(
         "stack.moisture.width_K",
         "stack.moisture.vapour_W_m",
     ),
+    neutral={"latent_J_kg": 0.0, "deposit_J_kg": 0.0, "vapour_W_m": 0.0},
     tries=tries,
     physics="Adsorbed water boils as heat reaches it; vapour condenses in cooler depths before it leaves.",
     source="Apparent heat capacity: Voller & Swaminathan, Numer. Heat Transfer B 19 (1991) 175; vapour diffusing down "

@@ -26,13 +26,12 @@ def tries(flown: Conditions) -> Sequence[Try]:
     """Short and long lags; an excess that decays fast or slowly from when heating sets in; none of either yet."""
     heating = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
     begins = [float(flown.time_s[int(np.argmax(heating >= part * np.max(heating)))]) for part in (0.1, 0.5)]
-    none = {"lag_fraction": 0.0, "overshoot": 0.0}
     return [
-        *(Try(("lag_s", "lag_fraction"), none | {"lag_s": lag}) for lag in (1.5, 3.0, 6.0)),
+        *(Try(("lag_s", "lag_fraction"), {"lag_s": lag}) for lag in (1.5, 3.0, 6.0)),
         *(
             Try(
                 ("lag_s", "lag_fraction", "overshoot", "decay_s", "decay_begin_s"),
-                none | {"lag_s": 3.0, "decay_s": decay, "decay_begin_s": begin},
+                {"lag_s": 3.0, "decay_s": decay, "decay_begin_s": begin},
             )
             for begin in begins
             for decay in (60.0, 200.0, 500.0)
@@ -52,6 +51,7 @@ EFFECT = Effect(
     ),
     kernel=overshoot_factor,
     lags=True,
+    neutral={"lag_fraction": 0.0, "overshoot": 0.0},
     tries=tries,
     physics="A wall that is colder upstream gives more heat behind the step, less so as both warm: larger, lagging.",
     source="Chapman & Rubesin, J. Aero. Sci. 16 (1949) 547; Kays & Crawford, Convective Heat and Mass Transfer",

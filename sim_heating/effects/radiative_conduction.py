@@ -14,8 +14,8 @@ from sim_heating.parameters import Parameter
 def tries(flown: Conditions) -> Sequence[Try]:
     """None yet: at all temperatures, or above several up to which the declared conductivity holds."""
     return [
-        Try(("k_rad",), {"k_rad": 0.0, "from_K": 0.0}),
-        *(Try(("k_rad", "from_K"), {"k_rad": 0.0, "from_K": float(T)}) for T in np.arange(400.0, 1300.0, 200.0)),
+        Try(("k_rad",), {"from_K": 0.0}),
+        *(Try(("k_rad", "from_K"), {"from_K": float(T)}) for T in np.arange(400.0, 1300.0, 200.0)),
     ]
 
 
@@ -27,6 +27,7 @@ EFFECT = Effect(
         Parameter("from_K", "K", 0.0, 200.0, 0.0, 3000.0, "temperature up to which the declared conductivity holds"),
     ),
     places=("stack.rsi.radiative_conductivity", "stack.rsi.radiation_from_K"),
+    neutral={"k_rad": 0.0},
     tries=tries,
     physics="In fibres that are optically thick radiation diffuses: its conductivity is proportional to T^3. "
     "A declared conductivity holds it as far as it was measured.",

@@ -41,7 +41,7 @@ def tries(flown: Conditions) -> Sequence[Try]:
     names = (*at_any_alpha, "alpha_sens")
     onsets = np.quantile(flown["log10_re"], np.linspace(0.05, 0.98, 14))
     starts = [
-        {"log10_re_onset": float(x), "width": width, "factor": 1.0, "spots": spots}
+        {"log10_re_onset": float(x), "width": width, "spots": spots}
         for x in onsets
         for width, spots in ((0.02, 0.0), (0.1, 0.0), (0.1, 1.0))
     ]
@@ -65,6 +65,7 @@ EFFECT = Effect(
         Parameter("spots", "1", 0.0, 0.0, 0.0, 1.0, "1 for the form of turbulent spots, which begins at the onset"),
     ),
     kernel=transition_factor,
+    neutral={"factor": 1.0},
     tries=tries,
     physics="The boundary layer turns turbulent past a Reynolds number, earlier at higher angle of attack.",
     source="STS-4 Mach 12 manoeuvre in 'Trends in Shuttle Entry Heating from the Correlation of Flight Test "
