@@ -17,6 +17,7 @@ import pytest
 from matplotlib.figure import Figure
 from missing import record_with
 
+from sim_heating.closure.doubts import SENSOR, Verdict
 from sim_heating.closure.evidence import evidence
 from sim_heating.closure.report import (
     Closure,
@@ -29,7 +30,6 @@ from sim_heating.closure.report import (
     page_of,
 )
 from sim_heating.closure.residual import residual_heating
-from sim_heating.closure.sanity import SENSOR, Verdict
 from sim_heating.closure.weighing import posteriors
 from sim_heating.effects import use
 from sim_heating.estimation.estimate import estimate

@@ -12,8 +12,9 @@ import pytest
 from missing import record_with
 from walls import practice_record
 
+from sim_heating.closure.doubts import CLOCK, MATERIAL, SENSOR, TRAJECTORY, Verdict, before_fit, jumps, standing
 from sim_heating.closure.residual import residual_heating
-from sim_heating.closure.sanity import CLOCK, MATERIAL, SENSOR, TRAJECTORY, Verdict, after_fit, before_fit, jumps
+from sim_heating.closure.sanity import after_fit
 from sim_heating.effects import use
 from sim_heating.estimation.estimate import estimate
 from sim_heating.record import Record, load_record
@@ -149,3 +150,43 @@ def test_another_material_is_told(factor):
 
 def test_a_steep_steady_rise_is_no_jump() -> None:
     assert jumps(load_record(RECORDS / "practice" / "p04")) == []
+
+
+def test_telemetry_that_is_lost_for_a_while_is_no_jump() -> None:
+    record = sound()
+    bondline = record.sensors[-1].column
+    lost = (record.time_s > 700.0) & (record.time_s < 850.0)
+    read = record.thermocouples[bondline]
+    assert np.nanmax(read[lost]) - np.nanmin(read[lost]) > 20.0
+    assert jumps(reading(**{bondline: np.where(lost, np.nan, read)})) == []
+
+
+def test_a_word_that_flickers_is_no_jump() -> None:
+    """A bondline that stays where it is, its noise about a step of its recorder."""
+    record = sound()
+    bondline, noise = record.sensors[-1], np.random.default_rng(5)
+    for _ in range(300):
+        T = 270.0 + 0.55 * bondline.lsb_K * noise.standard_normal(len(record.time_s))
+        codes = np.rint((T - 255.0) / bondline.lsb_K)
+        assert jumps(reading(**{bondline.column: 255.0 + codes * bondline.lsb_K})) == []
+
+
+def test_a_recorder_at_the_end_of_its_range_is_no_broken_sensor() -> None:
+    record = sound()
+    surface = record.sensors[0]
+    own = surface.model_copy(update={"range_K": [255.0, 900.0]})
+    assert own.range_K is not None
+    thermocouples = record.declared.thermocouples.model_copy(update={"sensor": [own, *record.sensors[1:]]})
+    declared = record.declared.model_copy(update={"thermocouples": thermocouples})
+    read = np.minimum(record.thermocouples[surface.column], 900.0)
+    clipped = replace(reading(**{surface.column: read}), declared=declared)
+    assert np.count_nonzero(read == 900.0) > 100
+    assert before_fit(clipped) == []
+
+
+def test_what_a_fit_explains_was_no_damage_and_what_it_does_not_was() -> None:
+    bondline = sound().sensors[-1]
+    doubts = [Verdict(SENSOR, "jumps", bondline.name), Verdict(TRAJECTORY, "20 s later")]
+    assert standing(doubts, estimate([sound()]).after[0]) == []
+    jumping = reading(**{bondline.column: sound().thermocouples[bondline.column] + 40.0 * (sound().time_s > 800.0)})
+    assert standing(doubts, estimate([jumping]).after[0]) == doubts

@@ -11,11 +11,12 @@ import numpy as np
 
 from sim_heating.closure.attempt import QUICK, WIDENED, Attempt, fitted_uses, values_of
 from sim_heating.closure.calibration import false_alarm
+from sim_heating.closure.doubts import CLOCK, Verdict, before_fit, standing
 from sim_heating.closure.evidence import evidence, ratio_at
 from sim_heating.closure.report import FILES as REPORT_FILES
 from sim_heating.closure.report import Closure, Estimated, Named, Tried, errors_of, fill_closure
 from sim_heating.closure.residual import ResidualHeating, residual_heating
-from sim_heating.closure.sanity import CLOCK, Verdict, after_fit, before_fit
+from sim_heating.closure.sanity import after_fit
 from sim_heating.closure.search import Search, search
 from sim_heating.conditions import RATIO_VARIABLES
 from sim_heating.errors import InputError, RunError
@@ -120,7 +121,7 @@ def _report(found: Search, fitted: Fitted, doubts: Sequence[Verdict]) -> Closure
         residual=residual,
         residual_after=left,
         evidence=evidence(residual, ratio_at(before.after[0], residual.time_s)),
-        verdicts=[*doubts, *after_fit(fitted.problem, fitted.fit.values, left or residual)],
+        verdicts=[*standing(doubts, after), *after_fit(fitted.problem, fitted.fit.values, left or residual)],
         false_alarm=false_alarm(),
         warnings=[*fitted.warnings, *_left_over(found, left)],
     )

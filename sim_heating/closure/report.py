@@ -13,11 +13,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from sim_heating.closure.doubts import Verdict
 from sim_heating.closure.evidence import Evidence, flight_variables
 from sim_heating.closure.plots import against, comparison, heating, loops_figure, ranking
 from sim_heating.closure.residual import NAME as HEATING_NAME
 from sim_heating.closure.residual import ResidualHeating, write_residual_heating
-from sim_heating.closure.sanity import Verdict
 from sim_heating.conditions import RATIO_VARIABLES
 from sim_heating.files import write_json
 from sim_heating.page import Page, Picture, Section, Table, write_page
