@@ -19,6 +19,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from sim_heating.files import write_text_atomic
+from sim_heating.plots import lay_out
 from sim_heating.results import package_version
 
 TEMPLATE = "page.html.j2"
@@ -51,6 +52,7 @@ class Picture:
     def address(self) -> str:
         """The figure as a data address: vectors, but for what is drawn as `rasterized`."""
         buffer = io.BytesIO()
+        lay_out(self.figure)
         with mpl.rc_context({"svg.hashsalt": TEMPLATE}):  # names within the file are the same each time
             self.figure.savefig(buffer, format="svg", dpi=RASTER_DPI, metadata={"Date": None})
         return _data_address("image/svg+xml", buffer.getvalue())

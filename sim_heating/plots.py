@@ -58,7 +58,16 @@ def new_figure(width: float, height: float, rows: int, columns: int = 1, **keys:
 def save_figure(figure: Figure, path: Path, title: str, axes: np.ndarray) -> None:
     """Grid, title and file of every picture."""
     dress(figure, title, axes)
+    lay_out(figure)
     figure.savefig(path, dpi=DPI)
+
+
+def lay_out(figure: Figure) -> None:
+    """Place what a figure holds, once and for all: saving it would do so twice, the first time in a drawing for it."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine(None)
 
 
 def dress(figure: Figure, title: str, axes: np.ndarray) -> None:
