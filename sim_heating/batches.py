@@ -42,9 +42,11 @@ SETTINGS = {
     "distributed.worker.daemon": True,
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "10s",
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
 }
-"""Of Dask. Its profiler and its 50 looks a second at its own event loops take 3 % of a core from each worker.
+"""Of Dask. Its profiler and its 50 looks a second at its own event loops take 3 % of a core from each worker, its looks
+at the state of the system 1 % from this process.
 Its trim threshold of 64 kB has glibc give every array back to the system and fetch it anew, page by page."""
 
 
