@@ -12,6 +12,7 @@ from typing import Any
 import click
 import numpy as np
 from rich.table import Table
+from rich.text import Text
 
 from sim_heating.cli_closure import close_loop
 from sim_heating.cli_design import design
@@ -77,17 +78,17 @@ def _run_table(title: str, found: dict[str, Any], rmse: dict[str, float]) -> Tab
     return table
 
 
-def _margin(kelvin: float | None) -> str:
+def _margin(kelvin: float | None) -> Text:
     if kelvin is None:
-        return "-"
-    return f"{kelvin:+.0f} K" if kelvin >= 0.0 else f"[red]{kelvin:+.0f} K[/red]"
+        return Text("-")
+    return Text(f"{kelvin:+.0f} K", style="" if kelvin >= 0.0 else "red")
 
 
 def _tell_run(found: dict[str, Any]) -> None:
     """What was odd about a run: manoeuvres not flown, tables left, the plug-in apart from the march."""
     for event in found["events"]:
         if event["what"].endswith("was not reached"):
-            CONSOLE.print(f"[red]{event['what']}[/red]: it was not flown")
+            CONSOLE.print(Text.assemble((event["what"], "red"), ": it was not flown"))
     _tell_oddities(found["control_points"])
     apart = found["plugin_apart_K"]
     if apart:
@@ -215,7 +216,7 @@ def predict(records: tuple[Path, ...], out: Path, vehicle: str | None) -> None:
         table.add_row(record.name, record.declared.control_point, *_errors(summaries[record.name]))
     CONSOLE.print(table)
     _tell_oddities(summaries)
-    CONSOLE.print(f"Wrote {out}: temperatures.csv, summary.json, prediction.png for each record", highlight=False)
+    CONSOLE.print(f"Wrote {out}: temperatures.csv, summary.json, prediction.png for each record")
 
 
 def _errors(found: dict[str, Any]) -> list[str]:
@@ -232,7 +233,7 @@ def validate(paths: tuple[Path, ...]) -> None:
 
     for path in paths:
         found = check(path)
-        CONSOLE.print(f"{path}: good. {found.summary}", highlight=False, soft_wrap=True)
+        CONSOLE.print(f"{path}: good. {found.summary}", soft_wrap=True)
 
 
 def _stop(*_: object) -> None:
@@ -247,16 +248,16 @@ def main(arguments: list[str] | None = None) -> int:
     except click.exceptions.Exit as stop:
         return stop.exit_code
     except click.ClickException as error:
-        ERRORS.print(f"error: {error.format_message()}", markup=False)
+        ERRORS.print(f"error: {error.format_message()}")
         return 2
     except InputError as error:
-        ERRORS.print(f"error: {error}", markup=False)
+        ERRORS.print(f"error: {error}")
         return 2
     except RunError as error:
-        ERRORS.print(f"failed: {error}", markup=False)
+        ERRORS.print(f"failed: {error}")
         return 1
     except (KeyboardInterrupt, click.Abort):
-        ERRORS.print("interrupted: nothing was left half-written", markup=False)
+        ERRORS.print("interrupted: nothing was left half-written")
         return 1
     return 0
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 from rich.table import Table
+from rich.text import Text
 
 from sim_heating.console import CONSOLE, ERRORS, OUT, PATH, progress_line, tell_files
 from sim_heating.errors import RunError
@@ -44,11 +45,11 @@ def close_loop(records: tuple[Path, ...], out: Path, scheduler: str | None, work
     CONSOLE.print(_shown(rows))
     for row in rows:
         for line in row.get("verdicts", ()):
-            CONSOLE.print(line, highlight=False)
-    CONSOLE.print(f"Wrote {out}: summary.json, summary.csv, and a folder for each record", highlight=False)
+            CONSOLE.print(line)
+    CONSOLE.print(f"Wrote {out}: summary.json, summary.csv, and a folder for each record")
     failed = [row for row in rows if "failed" in row]
     for row in failed:
-        ERRORS.print(f"{row['record']}: {row['failed']}", markup=False)
+        ERRORS.print(f"{row['record']}: {row['failed']}")
     if failed:
         raise RunError(f"{len(failed)} of {len(rows)} records failed; the others are done and kept")
 
@@ -62,34 +63,34 @@ def _shown(rows: list[dict[str, Any]]) -> Table:
     errors = [f"{when}_{what}_rmse_K" for what in ("fit", "holdout") for when in ("before", "after")]
     for row in rows:
         if "failed" in row:
-            table.add_row(row["record"], "[red]failed[/red]")
+            table.add_row(row["record"], Text("failed", style="red"))
             continue
         cells = ["-" if row[key] is None else f"{row[key]:.2f} K" for key in (*errors, "noise_floor_K")]
         table.add_row(row["record"], _found(row), f"{row['posterior']:.3f}", *cells)
     return table
 
 
-def _found(row: dict[str, Any]) -> str:
+def _found(row: dict[str, Any]) -> Text:
     """What a row names; where the record itself is in doubt that comes first, and the effect is no finding."""
     effects = " + ".join(row["effects"])
     doubts = ", ".join(dict.fromkeys(row["doubts"]))
-    return f"[red]{doubts}[/red] ({effects})" if doubts else effects
+    return Text.assemble((doubts, "red"), f" ({effects})") if doubts else Text(effects)
 
 
 def _tell(report: Any) -> None:
     """What a person should know beside the table."""
     for verdict in report.verdicts:
-        CONSOLE.print(verdict.words, highlight=False)
+        CONSOLE.print(verdict.words)
     for effect in report.effects:
         told = ", ".join(_value(n, p) for n, p in effect.parameters.items())
         if told:
-            CONSOLE.print(f"{effect.name}: {told}", highlight=False)
+            CONSOLE.print(f"{effect.name}: {told}")
     if report.effects[0].name == "unknown":
         for line in report.evidence.proposal():
-            CONSOLE.print(line, highlight=False)
+            CONSOLE.print(line)
     for line in report.warnings:
-        CONSOLE.print(line, highlight=False)
-    CONSOLE.print(f"Calibration: {report.false_alarm}", highlight=False)
+        CONSOLE.print(line)
+    CONSOLE.print(f"Calibration: {report.false_alarm}")
 
 
 def _value(name: str, parameter: Any) -> str:

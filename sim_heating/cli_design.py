@@ -52,10 +52,10 @@ def design(
     CONSOLE.print(f"{found['tried']} designs tried, {found['kept_limits']} keep the limits")
     for varied in found["varied"]:
         planned, best = (found[k]["manoeuvres"][varied["manoeuvre"] - 1][varied["key"]] for k in ("planned", "optimal"))
-        CONSOLE.print(f"{varied['key']}: {planned:.4g} planned, {best:.4g} optimal", highlight=False)
+        CONSOLE.print(f"{varied['key']}: {planned:.4g} planned, {best:.4g} optimal")
     _tell_checks(found)
     for line in notes(designed):
-        CONSOLE.print(line, highlight=False)
+        CONSOLE.print(line)
     tell_files(out, names)
 
 
@@ -64,9 +64,7 @@ def _tell_checks(found: dict[str, Any]) -> None:
     for name in found["parameters"]:
         if found["checked"] is not None:
             planned, best = (found["checked"][k]["sigma"][name] for k in ("planned", "optimal"))
-            CONSOLE.print(
-                f"{name}: {planned:.3g} and {best:.3g} flown in {found['checked']['source']}", highlight=False
-            )
+            CONSOLE.print(f"{name}: {planned:.3g} and {best:.3g} flown in {found['checked']['source']}")
         if found["fitted"] is not None:
             fitted = found["fitted"]
             CONSOLE.print(

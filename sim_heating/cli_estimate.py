@@ -184,11 +184,11 @@ def estimate(
         table.add_row(name, f"{parameter.value:.5g}", f"{parameter.sigma:.2g}", parameter.unit)
     CONSOLE.print(table)
     for name, why in found.not_estimated.items():
-        CONSOLE.print(f"{name}: not estimated, {why}", highlight=False)
+        CONSOLE.print(f"{name}: not estimated, {why}")
     for line in fitted.warnings:
-        CONSOLE.print(f"[red]{line}[/red]", highlight=False)
+        CONSOLE.print(line, style="red")
     if fitted.innovations is not None:
-        CONSOLE.print(fitted.innovations.levels.noise.words(), highlight=False)
+        CONSOLE.print(fitted.innovations.levels.noise.words())
     _tell_fit(found)
     tell_files(out, names)
     if not found.converged:
@@ -216,9 +216,9 @@ def _estimate_trend(
         names = write_trend(found, out)
     CONSOLE.print(f"{len(found.segments)} segments of {length_s:g} s fitted, {len(found.left_out)} left out")
     for line in found.left_out[:3]:
-        CONSOLE.print(f"left out: {line}", highlight=False)
+        CONSOLE.print(f"left out: {line}")
     for line in found.warnings:
-        CONSOLE.print(f"[red]{line}[/red]", highlight=False)
+        CONSOLE.print(line, style="red")
     tell_files(out, names)
 
 

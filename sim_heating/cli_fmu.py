@@ -94,4 +94,4 @@ def trajectory(scenario: Path, out: Path, fmi: str, platforms: tuple[str, ...]) 
 
 def _tell(out: Path, held: str, fmi: str, platforms: tuple[str, ...]) -> None:
     told = f"FMI {fmi}.0, {held}, {', '.join(platforms)}, {out.stat().st_size / 1e6:.2f} MB"
-    CONSOLE.print(f"Wrote {out}: {told}", highlight=False, soft_wrap=True)
+    CONSOLE.print(f"Wrote {out}: {told}", soft_wrap=True)

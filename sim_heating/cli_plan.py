@@ -34,10 +34,10 @@ def plan(study: Path, out: Path, scheduler: str | None, workers: int | None, veh
         for table in found.tables:
             CONSOLE.print(_shown(table))
         for note in found.notes:
-            CONSOLE.print(note, highlight=False)
+            CONSOLE.print(note)
     tell_files(out, names)
     for name, why in planned.failed.items():
-        ERRORS.print(f"{name}: {why}", markup=False)
+        ERRORS.print(f"{name}: {why}")
     if planned.failed:
         done = f"; {', '.join(planned.found)} is done and kept" if planned.found else ""
         raise RunError(f"{', '.join(planned.failed)}: found nothing{done}")

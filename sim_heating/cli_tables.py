@@ -50,7 +50,7 @@ def update_tables(
         progress(0.1, "predicting with the table before and after")
         errors = errors_before_and_after(update, every)
     for part in report(update, errors):
-        CONSOLE.print(part, highlight=False)
+        CONSOLE.print(part)
     if dry_run:
         CONSOLE.print("Dry run: nothing was written")
         return
@@ -59,7 +59,7 @@ def update_tables(
     picture = " and .png" if why.with_suffix(".png").is_file() else ""
     effects = f" and {point_path(place, made.control_point)}" if made.effects else ""
     told = f"Wrote {place / made.table}{effects}, revision {made.revision}; why: {why}{picture}"
-    CONSOLE.print(told, highlight=False, soft_wrap=True)
+    CONSOLE.print(told, soft_wrap=True)
 
 
 def _revert_table(vehicle: str, point: str | None, more: bool) -> None:
@@ -71,4 +71,4 @@ def _revert_table(vehicle: str, point: str | None, more: bool) -> None:
     if more:
         raise InputError(f"--revert {point}: stands alone; leave out --out and --dry-run")
     undone, now = revert(load_vehicle(vehicle), point)
-    CONSOLE.print(f"{point}: revision {undone} undone, revision {now} is in force, byte for byte", highlight=False)
+    CONSOLE.print(f"{point}: revision {undone} undone, revision {now} is in force, byte for byte")

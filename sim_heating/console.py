@@ -17,8 +17,8 @@ from sim_heating.files.text import brief, reason
 
 PLAIN_WIDTH = 110
 """Columns of a table where the output is no terminal."""
-CONSOLE = Console(width=None if sys.stdout.isatty() else PLAIN_WIDTH)
-ERRORS = Console(stderr=True, soft_wrap=True, highlight=False)
+CONSOLE = Console(width=None if sys.stdout.isatty() else PLAIN_WIDTH, markup=False, highlight=False)
+ERRORS = Console(stderr=True, soft_wrap=True, markup=False, highlight=False)
 
 
 def directory(_: click.Context, __: click.Parameter, value: str) -> Path:
@@ -80,9 +80,9 @@ def tell_files(out: Path, names: list[str]) -> None:
     pictures = [n for n in names if n.endswith(".png")]
     files = [n for n in names if not n.endswith(".png")]
     shown = files if len(files) <= 6 else [*files[:6], f"... {len(files)} files in all"]
-    CONSOLE.print(f"Wrote {out}: {', '.join(shown)}", highlight=False)
+    CONSOLE.print(f"Wrote {out}: {', '.join(shown)}")
     if pictures:
-        CONSOLE.print(f"Plots: {', '.join(pictures)}", highlight=False)
+        CONSOLE.print(f"Plots: {', '.join(pictures)}")
 
 
 def tell_written(usage: str, complete: bool, write: Callable[[], Iterable[Path]]) -> int:
@@ -91,12 +91,12 @@ def tell_written(usage: str, complete: bool, write: Callable[[], Iterable[Path]]
     complete : whether the arguments are those that `usage` asks for;  write : gives the files that it wrote
     """
     if not complete:
-        ERRORS.print(f"usage: {usage}", markup=False)
+        ERRORS.print(f"usage: {usage}")
         return 2
     try:
         for path in write():
-            CONSOLE.print(shown(path), highlight=False, soft_wrap=True)
+            CONSOLE.print(shown(path), soft_wrap=True)
     except InputError as error:
-        ERRORS.print(f"error: {error}", markup=False)
+        ERRORS.print(f"error: {error}")
         return 2
     return 0

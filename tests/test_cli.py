@@ -72,6 +72,14 @@ def test_a_synthetic_record_is_valid_and_can_be_predicted(desk: Path, capsys: py
     assert "good" in capsys.readouterr().out
 
 
+def test_a_name_in_brackets_is_told_as_it_stands(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(TILE, desk / "[red] tile")
+    assert main(["predict", "[red] tile", "--out", "[bold] out"]) == 0
+    said = capsys.readouterr().out
+    assert "[red] tile" in said
+    assert "Wrote [bold] out" in said
+
+
 def test_several_records_are_predicted_each_in_its_own_directory(desk: Path) -> None:
     assert main(["synthesize", "short.toml", "--out", "one"]) == 0
     assert main(["synthesize", "short.toml", "--out", "two"]) == 0
