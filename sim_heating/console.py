@@ -37,6 +37,7 @@ def directory(_: click.Context, __: click.Parameter, value: str) -> Path:
 
 
 def optional_directory(context: click.Context, parameter: click.Parameter, value: str | None) -> Path | None:
+    """The same for a directory that may be left out."""
     return None if value is None else directory(context, parameter, value)
 
 

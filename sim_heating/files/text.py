@@ -87,6 +87,7 @@ def _neighbour(path: Path) -> str:
 
 
 def reason(error: Exception) -> str:
+    """Why a file could not be used, in the system's own words."""
     return getattr(error, "strerror", None) or str(error)
 
 

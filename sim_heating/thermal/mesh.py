@@ -64,6 +64,7 @@ class _Segment:
 
 
 def layer_diffusivities(construction: Construction) -> list[float]:
+    """Diffusivity [m2/s] of each layer, outermost first, at one temperature and pressure."""
     values = []
     for material in construction.layer_materials():
         p_Pa, T_K, k = material.conductivity_grid()
