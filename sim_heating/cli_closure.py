@@ -56,10 +56,11 @@ def close_loop(records: tuple[Path, ...], out: Path, scheduler: str | None, work
 
 def _shown(rows: list[dict[str, Any]]) -> Table:
     table = Table(title="What the declared models lack", title_justify="left")
-    for head in ("record", "found"):
-        table.add_column(head, no_wrap=True)
-    for head in ("posterior", "before, fit", "after, fit", "before, held out", "after, held out", "noise floor"):
-        table.add_column(head, justify="right")
+    table.add_column("record", no_wrap=True)
+    table.add_column("found", min_width=20)
+    table.add_column("posterior", justify="right")
+    for head in ("before, fit", "after, fit", "before, held out", "after, held out", "noise floor"):
+        table.add_column(head, justify="right", max_width=8)
     errors = [f"{when}_{what}_rmse_K" for what in ("fit", "holdout") for when in ("before", "after")]
     for row in rows:
         if "failed" in row:
