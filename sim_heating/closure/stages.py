@@ -40,7 +40,7 @@ STAGES = (
 PATIENCE = 0.8
 """Part of the best gain from which on what a candidate promised at first keeps it in the second stage."""
 HOPE = 3.0
-"""Steps like the next one that keep a candidate in the second stage, if their promises would make it the best."""
+"""Steps like the next one that keep a candidate, if their promises would make it the best; one in the last stage."""
 CLOSE = 5.0
 """By how much its log likelihood may stay behind the best where it is fitted to the end."""
 
@@ -115,12 +115,13 @@ def in_stages(
     history = [_gains(fits, reached)]
     for stage, (within, settings) in enumerate(STAGES[1:], start=1):
         best = float(np.max(history[-1], initial=0.0))
-        near = history[-1] >= within * best
+        near, step = history[-1] >= within * best, np.array([f.promised for f in fits])
         if stage == 1:
-            near |= np.array(promised) >= PATIENCE * best
-            near |= history[-1] + HOPE * np.array([f.promised for f in fits]) >= best
-        elif stage == len(STAGES) - 1:
-            near &= _hoped(history) >= best - CLOSE
+            near |= (np.array(promised) >= PATIENCE * best) | (history[-1] + HOPE * step >= best)
+        elif stage == 2:
+            near &= history[-1] + HOPE * step >= best - CLOSE
+        else:
+            near &= np.minimum(_hoped(history), history[-1] + step) >= best - CLOSE
         again = [k for k in range(len(fits)) if near[k] and fits[k].status is Status.ITERATIONS]
         further = maximise_together([problems[k] for k in again], [fits[k].values for k in again], settings)
         for k, fit in zip(again, further, strict=True):
