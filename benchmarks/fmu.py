@@ -1,7 +1,9 @@
-"""The heating plug-in as an FMU: a step in a plain C host, against the kernel alone and PythonFMU; export; fuzzing."""
+"""The heating plug-in as an FMU: a step in a plain C host, against the kernel alone; export; fuzzing. Beside PythonFMU:
+python_fmu.py."""
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -11,16 +13,15 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
-import fmpy
 import numpy as np
-from fmpy.fmi2 import FMU2Slave
 from numba import njit
 
+from benchmarks import python_fmu
 from benchmarks.measure import Figure, save
 from sim_heating.conditions import FRAME
 from sim_heating.fmu.export import export_heating, write_fmu
-from sim_heating.fmu.heating import heating_functions, heating_image
-from sim_heating.fmu.library import TARGETS, library, parts, sources
+from sim_heating.fmu.heating import heating_image, heating_units
+from sim_heating.fmu.library import TARGETS, parts, sources
 from sim_heating.fmu.native import HELD, INPUTS, INPUTS_NEXT, INPUTS_NOW, N_INPUTS, NEXT, NOW, TIMING
 from sim_heating.run import fly_scenario
 from sim_heating.scenario import load_scenario
@@ -29,39 +30,8 @@ from sim_heating.vehicle import Vehicle, load_vehicle
 ROOT = Path(__file__).parents[1]
 POINTS, NODES, STEP_S, STEPS, ROUNDS = 16, 24, 0.1, 3000, 5
 FUZZED = 20_000
+EXPORTS = 3
 TIMED_S = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)
-
-PYTHON_FMU = """
-import numpy as np
-from pythonfmu import Fmi2Causality, Fmi2Slave, Real
-from sim_heating.conditions import FRAME
-from sim_heating.plugin import HeatingPlugin
-from sim_heating.vehicle import load_vehicle
-
-class Heating(Fmi2Slave):
-    def __init__(self, **kwargs):
-        super().__init__(**kwargs)
-        vehicle = load_vehicle("orbiter")
-        self.plugin = HeatingPlugin(vehicle, list(vehicle.control_points)[:{points}], nodes={nodes}, longest_wait_s=0.0)
-        self.frame = np.zeros(len(FRAME))
-        for i, name in enumerate(FRAME[1:], start=1):
-            get, put = (lambda i=i: self.frame[i]), (lambda v, i=i: self.frame.__setitem__(i, v))
-            self.register_variable(Real(name, causality=Fmi2Causality.input, getter=get, setter=put))
-        for k, name in enumerate(self.plugin.names):
-            get = lambda k=k: float(self.plugin.surface_temperatures()[k])
-            self.register_variable(Real(f"{{name}}.surface_K", causality=Fmi2Causality.output, getter=get))
-
-    def setup_experiment(self, start_time, *more):
-        self.frame[0] = start_time
-
-    def exit_initialization_mode(self):
-        self.plugin.reset(self.frame.copy())
-
-    def do_step(self, current_time, step_size):
-        self.frame[0] = current_time + step_size
-        self.plugin.step(self.frame)
-        return True
-"""
 
 
 def _frames(step_s: float, count: int, start_s: float = 300.0) -> np.ndarray:
@@ -97,7 +67,7 @@ def _write(table: Path, frames: np.ndarray) -> Path:
 
 def _direct(model: Any, frames: np.ndarray) -> float:
     """Fastest step [s] of the compiled functions called from a compiled loop, no FMU about them."""
-    start, step, *called = [f.compiled for f in heating_functions(model.effects)]
+    start, step, *called = [f.compiled for unit in heating_units(model.effects) for f in unit.functions]
     begin, advance = start.ctypes, step.ctypes
     R, N = model.image.R.copy(), model.image.N.copy()
     N[TIMING] = HELD
@@ -125,51 +95,12 @@ def _direct(model: Any, frames: np.ndarray) -> float:
     return best
 
 
-def _in_fmpy(path: Path, frames: np.ndarray, names: list[str]) -> float:
-    """Fastest frame [s] of an FMI 2 FMU in FMPy: set inputs, step, get outputs."""
-    described = fmpy.read_model_description(path, validate=False)
-    refs = {v.name: v.valueReference for v in described.modelVariables}
-    folder = fmpy.extract(path)
-    fmu = FMU2Slave(guid=described.guid, unzipDirectory=folder, instanceName="timed",
-                    modelIdentifier=described.coSimulation.modelIdentifier)  # fmt: skip
-    fmu.instantiate()
-    inputs, outputs = [refs[n] for n in FRAME[1:]], [refs[n] for n in names]
-    if "input_timing" in refs:
-        fmu.setInteger([refs["input_timing"]], [2])
-    fmu.setupExperiment(startTime=frames[0, 0])
-    fmu.enterInitializationMode()
-    fmu.setReal(inputs, frames[0, 1:].tolist())
-    fmu.exitInitializationMode()
-    best, now = np.inf, float(frames[0, 0])
-    for frame in frames[1:]:
-        began = time.perf_counter()
-        fmu.setReal(inputs, frame[1:].tolist())
-        fmu.doStep(now, STEP_S)
-        fmu.getReal(outputs)
-        best, now = min(best, time.perf_counter() - began), now + STEP_S
-    fmu.terminate()
-    fmu.freeInstance()
-    shutil.rmtree(folder)
-    return best
-
-
-def _python_fmu(work: Path) -> Path:
-    script = work / "heating.py"
-    script.write_text(PYTHON_FMU.format(points=POINTS, nodes=NODES))
-    subprocess.run(
-        [sys.executable, "-m", "pythonfmu", "build", "-f", script, "-d", work], check=True, capture_output=True
-    )
-    return next(work.glob("Heating*.fmu"))
-
-
 def _stepping(vehicle: Vehicle, host: Path, work: Path) -> list[Figure]:
     names = list(vehicle.control_points)[:POINTS]
     outputs = [f"{n}.surface_K" for n in names]
     model = heating_image(vehicle, names, nodes=NODES)
-    functions = heating_functions(model.effects)
-    for fmi in (2, 3):
-        write_fmu(work / f"timed{fmi}.fmu", model.image, functions, fmi, ["linux"])
-    zipfile.ZipFile(work / "timed3.fmu").extractall(work / "timed")
+    write_fmu(work / "timed.fmu", model.image, heating_units(model.effects), 3, ["linux"])
+    zipfile.ZipFile(work / "timed.fmu").extractall(work / "timed")
     frames = _frames(STEP_S, STEPS)
     table = _write(work / "timed.csv", frames)
     told, direct = [], []
@@ -183,11 +114,10 @@ def _stepping(vehicle: Vehicle, host: Path, work: Path) -> list[Figure]:
         Figure("the same over the kernel called directly", step_us / direct_us, "x", 1.2, note=f"{direct_us:.1f} us"),
         Figure("instantiate, C host", min(t["instantiate_ms"] for t in told), "ms", 50.0),
     ]
-    few = frames[:400]
-    ours = min(_in_fmpy(work / "timed2.fmu", few, outputs) for _ in range(2))
-    theirs = _in_fmpy(_python_fmu(work), few, outputs)
-    note = f"{1e6 * theirs:.0f} against {1e6 * ours:.0f} us, set, step and get"
-    return [*figures, Figure("PythonFMU over this FMU, both in FMPy", theirs / ours, "x", 10.0, True, note)]
+    beside = [
+        f for n in (POINTS, 1) for f in python_fmu.beside("orbiter", names[:n], NODES, frames, table, work, ROUNDS)
+    ]
+    return [*figures, *beside]
 
 
 # Inputs, export, fuzzing -------------------------------------------------------------------------------------------
@@ -214,24 +144,39 @@ def _timing(vehicle: Vehicle, host: Path, work: Path) -> dict[str, dict[str, flo
     return apart
 
 
-def _exporting(vehicle: Vehicle, work: Path) -> Figure:
-    began = time.perf_counter()
-    export_heating(vehicle, work / "whole.fmu")
-    return Figure("export of all points, library in the cache", time.perf_counter() - began, "s", 20.0)
+def _export(work: Path, cache: Path) -> tuple[float, float]:
+    """Time by the clock and of the processors [s] of the command with this cache of kernels."""
+    command = [sys.executable, "-m", "sim_heating", "fmu", "export", "orbiter", "--out", str(work / "whole.fmu")]
+    before, began = os.times(), time.perf_counter()
+    subprocess.run(command, check=True, capture_output=True, env=os.environ | {"NUMBA_CACHE_DIR": str(cache)})
+    wall, after = time.perf_counter() - began, os.times()
+    spent = after.children_user + after.children_system - before.children_user - before.children_system
+    return wall, spent
 
 
-def _linking(vehicle: Vehicle) -> Figure:
-    model = heating_image(vehicle, ["NOSECAP"])
-    began = time.perf_counter()
-    library(heating_functions(model.effects), TARGETS["linux"], more=str(time.time()))
-    return Figure("making the library, once; kernels compiled before", time.perf_counter() - began, "s")
+def _exporting(work: Path) -> list[Figure]:
+    """Exports of all points by the command, each the fastest of a few: first ever, without the library, once more."""
+    first, linked, again = [], [], []
+    for k in range(EXPORTS):
+        cache = work / f"kernels{k}"
+        first.append(_export(work, cache))
+        shutil.rmtree(cache / "fmu")
+        linked.append(_export(work, cache))
+        again.append(_export(work, cache))
+    rows = (
+        ("first export, nothing compiled before", first),
+        ("export where kernels are compiled and the library is not", linked),
+        ("export where the library is there", again),
+    )
+    spent = "{:.0f} s of the processors'"
+    return [Figure(what, min(found)[0], "s", 20.0, note=spent.format(min(found)[1])) for what, found in rows]
 
 
 def compile_fuzz(vehicle: Vehicle, work: Path) -> list[str]:
     """Command, less seed and number of calls, of the fuzzer with an FMU of two points in it, sanitized."""
     model = heating_image(vehicle, ["NOSECAP", "V09T9527"])
     (work / "model.bin").write_bytes(model.image.binary("{fuzzed}"))
-    made = parts(heating_functions(model.effects), TARGETS["linux"], work)
+    made = parts(heating_units(model.effects), TARGETS["linux"], work)
     flags = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined", f"-I{sources()}"]
     program = work / "fuzz"
     command = ["gcc", *flags, "-o", program, *made, sources() / "host" / "fuzz.c", "-lm"]
@@ -261,8 +206,7 @@ def run() -> list[Figure]:
         host = _host(work)
         figures = [
             *_stepping(vehicle, host, work),
-            _exporting(vehicle, work),
-            _linking(vehicle),
+            *_exporting(work),
             _fuzzing(vehicle, work),
         ]
         apart = _timing(vehicle, host, work)

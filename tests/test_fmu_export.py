@@ -20,7 +20,7 @@ from sim_heating.cli import main
 from sim_heating.conditions import FRAME, Conditions
 from sim_heating.errors import InputError
 from sim_heating.fmu.export import export_heating
-from sim_heating.fmu.heating import heating_functions, heating_image
+from sim_heating.fmu.heating import heating_image, heating_units
 from sim_heating.fmu.library import TARGETS, Function, compiler, object_code, parts
 from sim_heating.heating_ratio.table import read_ratio_table, write_ratio_table
 from sim_heating.plugin import HeatingPlugin
@@ -443,7 +443,7 @@ def linked(vehicle, tmp_path_factory) -> tuple[Path, list[Path], int]:
     folder = tmp_path_factory.mktemp("linked")
     model = heating_image(vehicle, ["NOSECAP", "V09T9527"])
     (folder / "model.bin").write_bytes(model.image.binary("{token}"))
-    made = parts(heating_functions(model.effects), TARGETS["linux"], folder)
+    made = parts(heating_units(model.effects), TARGETS["linux"], folder)
     return folder, made, len(model.image.variables)
 
 

@@ -15,7 +15,7 @@ from sim_heating.errors import InputError
 from sim_heating.fmu import entry_kernel as k
 from sim_heating.fmu.export import write_fmu
 from sim_heating.fmu.image import Image, Kind, Problem, Role, Variable
-from sim_heating.fmu.library import Function
+from sim_heating.fmu.library import Unit
 from sim_heating.fmu.native import (
     FUNCTION,
     INPUT_SLOPES,
@@ -102,15 +102,19 @@ def export_entry(spec: TrajectorySpec, vehicle_dir: Path, out: Path, *, title: s
     raises : InputError for another source, a platform without a compiler, a place that cannot be written
     """
     image = entry_image(spec, vehicle_dir, title)
-    write_fmu(out, image, entry_functions(), fmi, platforms)
+    write_fmu(out, image, ENTRY_UNITS, fmi, platforms)
     return image
 
 
 @cache
-def entry_functions() -> tuple[Function, ...]:
-    """Compiled functions of the library, in the order of native.py."""
-    compiled = (numba.cfunc(FUNCTION, cache=True, error_model="numpy")(f) for f in (k.start, k.step))
-    return tuple(Function(name, f) for name, f in zip(("entry_start", "entry_step"), compiled, strict=True))
+def _entries() -> tuple[Any, Any]:
+    """`start` and `step`, compiled."""
+    compile_as = numba.cfunc(FUNCTION, cache=True, error_model="numpy")
+    return compile_as(k.start), compile_as(k.step)
+
+
+ENTRY_UNITS = (Unit(("entry_start", "entry_step"), _entries),)
+"""Compiled functions of the library, in the order of native.py."""
 
 
 def check_source(spec: TrajectorySpec) -> None:

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-import inspect
 import io
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-from sim_heating.effects import Effect
-from sim_heating.effects.chain import compiled_chain
 from sim_heating.errors import InputError
 from sim_heating.files.text import write_bytes_atomic
 from sim_heating.fmu.description import description
-from sim_heating.fmu.heating import built_in, compiling_beside, heating_functions, heating_image
+from sim_heating.fmu.heating import heating_image, heating_units, making_objects
 from sim_heating.fmu.image import Image
-from sim_heating.fmu.library import TARGETS, Function, Target, library
+from sim_heating.fmu.library import TARGETS, Target, Unit, library
 from sim_heating.vehicle import Vehicle
 
 STAMP = (1980, 1, 1, 0, 0, 0)
@@ -41,17 +37,12 @@ def export_heating(
     columns        : h_ref and H_r are inputs, instead of the vehicle's reference heating
     raises         : InputError for an unknown name, a platform without a compiler, a place that cannot be written
     """
-    with compiling_beside():
+    for name in control_points or ():
+        vehicle.control_point(name)
+    with making_objects(targets_of(platforms, fmi)):
         model = heating_image(vehicle, control_points, columns=columns)
-        compiled_chain(model.effects)
-    write_fmu(out, model.image, heating_functions(model.effects), fmi, platforms, _sources_of(model.effects))
+    write_fmu(out, model.image, heating_units(model.effects), fmi, platforms)
     return model.image
-
-
-def _sources_of(used: Sequence[Effect]) -> str:
-    """Contents of the files that the user's own effects come from."""
-    kernels: list[Any] = [e.kernel for e in used if not built_in(e)]
-    return "".join(Path(inspect.getfile(getattr(f, "py_func", f))).read_text() for f in kernels)
 
 
 def targets_of(platforms: Sequence[str], fmi: int) -> list[Target]:
@@ -65,19 +56,17 @@ def targets_of(platforms: Sequence[str], fmi: int) -> list[Target]:
     return targets
 
 
-def write_fmu(
-    out: Path, image: Image, functions: Sequence[Function], fmi: int, platforms: Sequence[str], more: str = ""
-) -> None:
+def write_fmu(out: Path, image: Image, units: Sequence[Unit], fmi: int, platforms: Sequence[str]) -> None:
     """Write an image and the libraries of its functions as an FMU.
 
-    functions, more : as `library` takes them
+    units : as `library` takes them
     """
     targets = targets_of(platforms, fmi)
     token = "{" + hashlib.sha256(image.binary("")).hexdigest()[:32] + "}"
     files = {"modelDescription.xml": description(image, token, fmi), "resources/model.bin": image.binary(token)}
     for target in targets:
         folder = target.fmi2 if fmi == 2 else target.fmi3
-        made = library(functions, target, more=more)
+        made = library(units, target)
         files[f"binaries/{folder}/{image.name}{target.suffix}"] = made.read_bytes()
     write_bytes_atomic(out, _archive(files))
 

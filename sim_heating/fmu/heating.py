@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import re
 import subprocess
@@ -23,7 +24,7 @@ from sim_heating.effects.chain import compiled_chain
 from sim_heating.ensemble import Ensemble
 from sim_heating.fmu import heating_kernel as k
 from sim_heating.fmu.image import TEXT_BYTES, Image, Kind, Problem, Role, Variable
-from sim_heating.fmu.library import Function
+from sim_heating.fmu.library import TARGETS, Target, Unit, compiler, objects
 from sim_heating.fmu.native import (
     FUNCTION,
     HELD,
@@ -138,19 +139,51 @@ def entries() -> tuple[Any, Any]:
     return compile_as(k.start), compile_as(k.step)
 
 
+ENTRIES = Unit(("heating_start", "heating_step"), entries)
+THERMAL_STEP = Unit(("heating_begin", "heating_advance"), compiled)
+
+
+def heating_units(model_effects: tuple[Effect, ...]) -> tuple[Unit, ...]:
+    """Functions of the library: start and step; in the order of `A`, the effects, begin, advance."""
+
+    def chain() -> tuple[Any]:
+        return (compiled_chain(model_effects).function,)
+
+    return ENTRIES, Unit(("heating_effects",), chain, _sources_of(model_effects)), THERMAL_STEP
+
+
+def _sources_of(used: Sequence[Effect]) -> str:
+    """Contents of the files that the user's own effects come from."""
+    kernels: list[Any] = [e.kernel for e in used if not built_in(e)]
+    return "".join(Path(inspect.getfile(getattr(f, "py_func", f))).read_text() for f in kernels)
+
+
+def _made_beside() -> tuple[Unit, ...]:
+    """Units that a second process makes while the first one makes that of the thermal step."""
+    return heating_units(_library_effects(()))[:2]
+
+
 @contextmanager
-def compiling_beside() -> Iterator[None]:
-    """Within the block a second process compiles `entries` into the cache, where they are not in it yet; they are when
-    the block ends."""
-    folder = Path(numba.config.CACHE_DIR)  # type: ignore[attr-defined]
-    if any(folder.rglob(f"{Path(k.__file__).stem}.{k.step.__name__}-*.nbc")):
+def making_objects(targets: Sequence[Target]) -> Iterator[None]:
+    """Make the object files that libraries of all vehicles share, where they are not in the cache: that of the thermal
+    step before the block begins, the others in a second process meanwhile; they are there when the block ends.
+
+    raises : InputError where there is no compiler that could link them
+    """
+    units = (THERMAL_STEP, *_made_beside())
+    if all(path.is_file() for unit in units for target in targets for path in unit.objects(target)):
         yield
         return
-    command = [sys.executable, "-c", f"from {__name__} import entries; entries()"]
+    for target in targets:
+        compiler(target)
+    names = [name for name, target in TARGETS.items() if target in targets]
+    command = [sys.executable, "-c", f"from {__name__} import make_others; make_others({names})"]
+    folder = str(numba.config.CACHE_DIR)  # type: ignore[attr-defined]
     beside = subprocess.Popen(
-        command, env=os.environ | {"NUMBA_CACHE_DIR": str(folder)}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        command, env=os.environ | {"NUMBA_CACHE_DIR": folder}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
     try:
+        _make([THERMAL_STEP], targets)
         yield
         beside.wait()
     finally:
@@ -158,12 +191,15 @@ def compiling_beside() -> Iterator[None]:
         beside.wait()
 
 
-def heating_functions(model_effects: tuple[Effect, ...]) -> list[Function]:
-    """Compiled functions of the library, in the order of native.py's `A`: the effects, begin, advance."""
-    begin, advance = compiled()
-    chain = compiled_chain(model_effects).function
-    names = ("heating_start", "heating_step", "heating_effects", "heating_begin", "heating_advance")
-    return [Function(n, f) for n, f in zip(names, (*entries(), chain, begin, advance), strict=True)]
+def make_others(platforms: Sequence[str]) -> None:
+    """What the second process of `making_objects` does."""
+    _make(_made_beside(), [TARGETS[name] for name in platforms])
+
+
+def _make(units: Sequence[Unit], targets: Sequence[Target]) -> None:
+    for target in targets:
+        for unit in units:
+            objects(unit, target)
 
 
 def quoted(part: str) -> str:

@@ -18,8 +18,9 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ import llvmlite.binding as llvm
 import numba
 
 from sim_heating.errors import InputError, RunError
+from sim_heating.files.text import write_bytes_atomic
 from sim_heating.fmu.native import source_digest
 
 PACKAGE = Path(__file__).resolve().parents[1]
@@ -94,6 +96,30 @@ class Function:
         """Declaration of the function in C."""
         kinds = [_C_TYPES[str(t)] for t in self.compiled._sig.args]
         return f"{_C_TYPES[str(self.compiled._sig.return_type)]} NAME({', '.join(kinds)})"
+
+
+@dataclass(frozen=True)
+class Unit:
+    """Functions that are compiled into one object file for each processor; what they share is in it once.
+
+    names : of the functions in C, without the suffix of a level
+    make  : gives the compiled functions in this order; not asked where a library or an object is in the cache
+    more  : what they depend on beside the package's own sources
+    """
+
+    names: tuple[str, ...]
+    make: Callable[[], Sequence[Any]]
+    more: str = ""
+
+    @cached_property
+    def functions(self) -> list[Function]:
+        """The functions, compiled."""
+        return [Function(name, f) for name, f in zip(self.names, self.make(), strict=True)]
+
+    def objects(self, target: Target) -> list[Path]:
+        """Where the object files for a platform are kept, one for each level."""
+        folder = _folder([self], target)
+        return [folder / f"{self.names[0]}_{k}.o" for k in range(len(target.levels))]
 
 
 _C_TYPES = {"float64": "double", "int64": "int64_t", "none": "void", "float64*": "double *", "int64*": "int64_t *"}
@@ -215,25 +241,26 @@ def _table_of_functions(functions: Sequence[Function], target: Target) -> str:
     return "\n".join(lines)
 
 
-def _digest(functions: Sequence[Function], target: Target, more: str) -> str:
-    """Digest of all that a library is made of."""
+def _folder(units: Sequence[Unit], target: Target) -> Path:
+    """Place in the cache by all that a library or an object is made of."""
     digest = hashlib.sha256()
-    for part in (source_digest(), numba.__version__, llvmlite.__version__, repr(target), more):
+    for part in (source_digest(), numba.__version__, llvmlite.__version__, repr(target)):
         digest.update(part.encode())
-    digest.update(" ".join(f.name for f in functions).encode())
+    for unit in units:
+        digest.update(" ".join((*unit.names, unit.more)).encode())
     for path in (*sorted(sources().glob("*.[ch]")), Path(inspect.getfile(object_code))):
         digest.update(path.read_bytes())
-    return digest.hexdigest()[:24]
+    return Path(numba.config.CACHE_DIR) / "fmu" / digest.hexdigest()[:24]  # type: ignore[attr-defined]
 
 
-def library(functions: Sequence[Function], target: Target, *, more: str = "") -> Path:
+def library(units: Sequence[Unit], target: Target) -> Path:
     """The shared library of a model for a platform, made where it is not in the cache.
 
-    functions : start, step (native.FUNCTION), and what those call through addresses, in the order of `A`
-    more      : what the functions depend on beside the package's own sources
-    raises    : InputError where there is no compiler, RunError where a function cannot be made or linked
+    units  : whose functions are start, step (native.FUNCTION), and what those call through addresses, in the order
+             of `A`
+    raises : InputError where there is no compiler, RunError where a function cannot be made or linked
     """
-    folder = Path(numba.config.CACHE_DIR) / "fmu" / _digest(functions, target, more)  # type: ignore[attr-defined]
+    folder = _folder(units, target)
     made = folder / f"model{target.suffix}"
     if made.is_file():
         return made
@@ -241,28 +268,37 @@ def library(functions: Sequence[Function], target: Target, *, more: str = "") ->
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder) as work:
         partial = Path(work) / made.name
-        _link(functions, target, command, Path(work), partial)
+        _link(units, target, command, Path(work), partial)
         partial.replace(made)
     return made
 
 
-def parts(functions: Sequence[Function], target: Target, folder: Path) -> list[Path]:
-    """All that a library is linked from, in a folder: the functions for each processor, their table, the wrapper."""
+def objects(unit: Unit, target: Target) -> list[Path]:
+    """Object files of a unit for each processor of a platform, made where they are not in the cache.
+
+    raises : RunError where a function cannot be made
+    """
+    for k, (path, level) in enumerate(zip(unit.objects(target), target.levels, strict=True)):
+        if not path.is_file():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_bytes_atomic(path, object_code(unit.functions, target, level, f"_{k}"))
+    return unit.objects(target)
+
+
+def parts(units: Sequence[Unit], target: Target, folder: Path) -> list[Path]:
+    """All that a library is linked from: objects, the wrapper, and the table of functions, written to a folder."""
+    found = [path for unit in units for path in objects(unit, target)]
     table = folder / "functions.c"
-    table.write_text(_table_of_functions(functions, target))
-    found = [table]
-    for k, level in enumerate(target.levels):
-        found.append(folder / f"functions_{k}.o")
-        found[-1].write_bytes(object_code(functions, target, level, f"_{k}"))
-    return [*found, *sorted(sources().glob("*.c"))]
+    table.write_text(_table_of_functions([f for unit in units for f in unit.functions], target))
+    return [table, *found, *sorted(sources().glob("*.c"))]
 
 
-def _link(functions: Sequence[Function], target: Target, command: Sequence[str], work: Path, out: Path) -> None:
+def _link(units: Sequence[Unit], target: Target, command: Sequence[str], work: Path, out: Path) -> None:
     windows, linux = "windows" in target.triple, "linux" in target.triple
     flags = ["-shared", "-O2", "-std=c11", "-ffp-contract=off", "-fvisibility=hidden", f"-I{sources()}"]
     flags += [] if windows else ["-fPIC", "-lm"]
     flags += ["-Wl,-z,defs", "-Wl,-s"] if linux else []
-    command = [*command, "-o", str(out), *map(str, parts(functions, target, work)), *flags]
+    command = [*command, "-o", str(out), *map(str, parts(units, target, work)), *flags]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise RunError(f"fmu: linking for {target.fmi3} failed: {done.stderr.strip()}")
