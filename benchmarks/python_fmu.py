@@ -122,7 +122,7 @@ def _theirs(plugin: HeatingPlugin, vehicle: str, nodes: int, work: Path) -> Time
     """The plug-in exported by PythonFMU."""
     script = work / "heating.py"
     script.write_text(SLAVE.format(vehicle=vehicle, points=list(plugin.names), nodes=nodes))
-    command = [sys.executable, "-m", "pythonfmu", "build", "-f", script, "-d", work]
+    command = [sys.executable, "-m", "pythonfmu", "build", "-f", str(script), "-d", str(work)]
     subprocess.run(command, check=True, capture_output=True)
     names = [f"{point}.{what}" for point, what in plugin.outputs]
     return Timed(_unpacked(next(work.glob("Heating*.fmu"))), names, False)

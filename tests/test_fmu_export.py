@@ -20,7 +20,7 @@ from sim_heating.cli import main
 from sim_heating.conditions import FRAME, Conditions
 from sim_heating.errors import InputError
 from sim_heating.fmu.export import export_heating
-from sim_heating.fmu.heating import heating_image, heating_units
+from sim_heating.fmu.heating import ENTRIES, THERMAL_STEP, heating_image, heating_units
 from sim_heating.fmu.library import TARGETS, Function, compiler, object_code, parts
 from sim_heating.heating_ratio.table import read_ratio_table, write_ratio_table
 from sim_heating.plugin import HeatingPlugin
@@ -340,7 +340,7 @@ EFFECT = Effect("mach-growth", "multiply", (Parameter("slope", "1", 0.01, 0.01, 
 """
 
 
-def test_effect_of_the_users_own_is_compiled_in(vehicle, flown, tmp_path, monkeypatch):
+def test_effect_of_the_users_own_is_compiled_in(fmus, vehicle, flown, tmp_path, monkeypatch):
     (tmp_path / "effects").mkdir()
     (tmp_path / "effects" / "mach_growth.py").write_text(OWN_EFFECT)
     monkeypatch.setenv("SIM_HEATING_EFFECTS", str(tmp_path / "effects"))
@@ -350,7 +350,10 @@ def test_effect_of_the_users_own_is_compiled_in(vehicle, flown, tmp_path, monkey
         with (folder / "control_points" / f"{name}.toml").open("a") as file:
             file.write('\n[[effect]]\nname = "mach-growth"\nsource = "test"\n')
     own = load_vehicle(folder)
+    shared = [path for unit in (ENTRIES, THERMAL_STEP) for path in unit.objects(TARGETS["linux"])]
+    before = [path.stat().st_mtime_ns for path in shared]
     export_heating(own, tmp_path / "own.fmu", POINTS)
+    assert [path.stat().st_mtime_ns for path in shared] == before  # what all vehicles share is not made anew
     given = frames(flown, 1.0, 400.0)
     with Host(tmp_path / "own.fmu") as host:
         np.testing.assert_array_equal(fmu_temperatures(host, given), plugin_temperatures(own, given))

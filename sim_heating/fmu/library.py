@@ -20,7 +20,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,7 @@ INTRINSICS = {
     "smin", "trunc", "uadd", "umax", "umin", "umul", "usub", "vector",
 }  # fmt: skip
 """Intrinsics `llvm.NAME` that become instructions; those of allowed functions are allowed as well."""
+_package_digest = cache(source_digest)
 
 
 @dataclass(frozen=True)
@@ -244,7 +245,7 @@ def _table_of_functions(functions: Sequence[Function], target: Target) -> str:
 def _folder(units: Sequence[Unit], target: Target) -> Path:
     """Place in the cache by all that a library or an object is made of."""
     digest = hashlib.sha256()
-    for part in (source_digest(), numba.__version__, llvmlite.__version__, repr(target)):
+    for part in (_package_digest(), numba.__version__, llvmlite.__version__, repr(target)):
         digest.update(part.encode())
     for unit in units:
         digest.update(" ".join((*unit.names, unit.more)).encode())
