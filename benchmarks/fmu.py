@@ -1,5 +1,4 @@
-"""The heating plug-in as an FMU: a step in a plain C host, against the kernel alone; export; fuzzing. Beside PythonFMU:
-python_fmu.py."""
+"""The heating plug-in as an FMU: a step in a plain C host, against the kernel alone and PythonFMU; export; fuzzing."""
 
 from __future__ import annotations
 
