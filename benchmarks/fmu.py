@@ -27,9 +27,9 @@ from sim_heating.scenario import load_scenario
 from sim_heating.vehicle import Vehicle, load_vehicle
 
 ROOT = Path(__file__).parents[1]
-POINTS, NODES, STEP_S, STEPS, ROUNDS = 16, 24, 0.1, 3000, 5
+POINTS, NODES, STEP_S, STEPS, ROUNDS = 16, 24, 0.1, 3000, 9
 FUZZED = 20_000
-EXPORTS = 3
+EXPORTS = 2
 TIMED_S = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)
 
 
@@ -154,7 +154,7 @@ def _export(work: Path, cache: Path) -> tuple[float, float]:
 
 
 def _exporting(work: Path) -> list[Figure]:
-    """Exports of all points by the command, each the fastest of a few: first ever, without the library, once more."""
+    """Exports of all points by the command, each the faster of two: first ever, without the library, once more."""
     first, linked, again = [], [], []
     for k in range(EXPORTS):
         cache = work / f"kernels{k}"
