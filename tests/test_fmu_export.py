@@ -395,6 +395,23 @@ def test_kernel_that_allocates_is_refused():
         object_code([Function("greedy", greedy)], TARGETS["linux"], "x86-64")
 
 
+def test_vectors_of_any_machine_are_allowed_and_roundings_of_another_are_not():
+    """What the vectoriser makes of a kernel hangs on the machine that it runs on: one with AVX-512 scatters."""
+    from llvmlite.binding import parse_assembly
+
+    from sim_heating.fmu.library import _forbidden
+
+    declared = """
+        declare void @llvm.masked.scatter.v4f64.v4p0(<4 x double>, <4 x ptr>, <4 x i1>)
+        declare double @llvm.vector.reduce.fadd.v8f64(double, <8 x double>)
+        declare double @llvm.exp.f64(double)
+        declare double @exp(double)
+        declare double @llvm.fma.f64(double, double, double)
+        declare ptr @malloc(i64)
+    """
+    assert _forbidden(parse_assembly(declared)) == ["llvm.fma.f64", "malloc"]
+
+
 # The command ---------------------------------------------------------------------------------------------------------
 
 

@@ -38,11 +38,12 @@ ALLOWED = {
     "pow", "sin", "sqrt", "tan", "tanh",
 }  # fmt: skip
 """Functions of libm and libc that a kernel may call."""
-INTRINSICS = {
-    "abs", "assume", "copysign", "ctpop", "experimental", "fabs", "fshl", "lifetime", "maxnum", "minnum", "smax",
-    "smin", "trunc", "uadd", "umax", "umin", "umul", "usub", "vector",
+CALLED_INTRINSICS = {
+    "cosh", "exp10", "exp2", "fma", "fmuladd", "frexp", "ldexp", "llrint", "llround", "log2", "lrint", "lround", "modf",
+    "nearbyint", "powi", "rint", "round", "roundeven", "sinh",
 }  # fmt: skip
-"""Intrinsics `llvm.NAME` that become instructions; those of allowed functions are allowed as well."""
+"""Intrinsics `llvm.NAME` that become calls beside those of ALLOWED, or rounding of their own (fma). All others become
+instructions; which of them there are depends on what this machine's vectors can do."""
 _package_digest = cache(source_digest)
 
 
@@ -164,9 +165,9 @@ def _module_text(function: Function, symbol: str) -> str:
 
 def _forbidden(module: llvm.ModuleRef) -> list[str]:
     """What a module calls that no host has."""
-    called = [f.name for f in module.functions if f.is_declaration]
-    intrinsic = {f"llvm.{name}" for name in ALLOWED | INTRINSICS}
-    return sorted(n for n in called if n not in ALLOWED and ".".join(n.split(".")[:2]) not in intrinsic)
+    called = {f.name for f in module.functions if f.is_declaration}
+    intrinsics = {name for name in called if name.startswith("llvm.")}
+    return sorted({n for n in intrinsics if n.split(".")[1] in CALLED_INTRINSICS} | (called - intrinsics - ALLOWED))
 
 
 def object_code(functions: Sequence[Function], target: Target, level: str, suffix: str = "") -> bytes:
