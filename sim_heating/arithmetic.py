@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from sim_heating.jit import WHOLE, inlined, power_of_two
+from sim_heating.jit import WHOLE, inlined, power_of_two, split
 
 LN2_HIGH, LN2_LOW, LOG2_E = 6.93147180369123816490e-01, 1.90821492927058770002e-10, 1.4426950408889634
 LARGEST_EXPONENT = 708.0
 TERMS = 14
 """Taylor terms of exp on |x| < ln(2)/2: the first one left out is below 1e-17."""
+LOG10_2_HIGH, LOG10_2_LOW, LOG10_E = 0.3010299955494702, 1.1451100898021838e-10, 0.4342944819032518
+SQRT_HALF = 0.7071067811865476
+SMALLEST = 2.0**-1022
+LOG_TERMS = 10
+"""Terms of log(m) = 2 (s + s^3/3 + ...), s = (m - 1) / (m + 1), behind the first, on |s| < 0.172: the first one left
+out is below 1e-18."""
 
 
 @inlined
@@ -23,6 +29,23 @@ def exp(x: float) -> float:
     for n in range(TERMS, 0, -1):
         total = 1.0 + total * (r * (1.0 / n))
     return total * power_of_two(k)
+
+
+@inlined
+def log10(x: float) -> float:
+    """log10(x) of a finite number, within 2 units in the last place; below 2^-1022 that of 2^-1022.
+
+    No branch and no call: lanes go together.
+    """
+    m, k = split(max(x, SMALLEST))
+    small = 1.0 if m < SQRT_HALF else 0.0
+    m, k = m + small * m, k - small
+    s = (m - 1.0) / (m + 1.0)
+    square = s * s
+    total = 0.0
+    for n in range(LOG_TERMS, 0, -1):
+        total = square * (1.0 / (2 * n + 1) + total)
+    return k * LOG10_2_HIGH + (k * LOG10_2_LOW + (2.0 * LOG10_E) * (s + s * total))
 
 
 @inlined

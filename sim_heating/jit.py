@@ -161,6 +161,32 @@ def _power_of_two_compiled(k):  # type: ignore[no-untyped-def]
     return lambda k: _power_of_two(k)
 
 
+@numba.extending.intrinsic
+def _split(_typing_context, x):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        number, bits = llvmlite.ir.DoubleType(), llvmlite.ir.IntType(64)
+        whole = builder.bitcast(args[0], bits)
+        # The exponent's bits below those of 2^52 are 2^52 + exponent: no conversion of integers, which AVX2 lacks.
+        above = builder.or_(builder.lshr(whole, bits(52)), bits(1075 << 52))
+        exponent = builder.fsub(builder.bitcast(above, number), number(2.0**52 + 1022.0))
+        half = builder.or_(builder.and_(whole, bits((1 << 52) - 1)), bits(1022 << 52))
+        return context.make_tuple(builder, signature.return_type, [builder.bitcast(half, number), exponent])
+
+    float64 = numba.types.float64
+    return numba.types.UniTuple(float64, 2)(float64), codegen
+
+
+def split(x: float) -> tuple[float, float]:
+    """m from 0.5 to below 1 and k with x = m 2^k, for a normal number above 0; compiled, its bits taken apart."""
+    m, k = math.frexp(x)
+    return m, float(k)
+
+
+@numba.extending.overload(split, inline="always")
+def _split_compiled(x):  # type: ignore[no-untyped-def]
+    return lambda x: _split(x)
+
+
 def _call_through_address(context, builder, signature, args):  # type: ignore[no-untyped-def]
     """Code of a call whose first argument is the address of the function, the others its own."""
     void = signature.return_type == numba.types.void

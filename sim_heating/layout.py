@@ -38,9 +38,9 @@ SURROUNDINGS4, BACK_H, BACK_T, BACK_EPS, FACTOR_EPS = 18, 19, 20, 21, 22
 ACTIVE, FAILED, ITERATIONS, COLUMN, OUTSIDE, NEGATIVE = 23, 24, 25, 26, 27, 28
 STAGE_IN, STAGE_OUT, ENERGY_IN, ENERGY_OUT = 29, 30, 31, 32
 # The lag of a ratio, one row a stage: its value and what it follows; whether it has a past. Part of the film that the
-# surface has, the rest being spent in gaps.
-LAG_VALUE, LAG_INPUT, LAG_PAST, SURFACE_SHARE = 33, 36, 39, 40
-C_STAGES = 41
+# surface has, the rest being spent in gaps. The length of the last step [s].
+LAG_VALUE, LAG_INPUT, LAG_PAST, SURFACE_SHARE, LAST_STEP = 33, 36, 39, 40, 41
+C_STAGES = 42
 PARAMETERS = C_STAGES + 3 * N_CONDITIONS
 # The table cell that each lane is in, for the five variables: the variables, where the cell ends (for ever at the edges
 # of the table), its foot and the reciprocal of its width, the ratio at its 32 corners, and what is left of them.
@@ -73,7 +73,10 @@ T_STAGE, K_RAD, WET_LEFT, WET_RIGHT, GAP = 50, 51, 52, 53, 54
 # its reciprocal [1/K]. Heat that vapour carries in the element to the right from where moisture boils to where it has
 # not yet [W/m].
 RADIATES_FROM, LATENT, BOIL, DEPOSIT, CONDENSE, PHASE_RATE, VAPOUR = 55, 56, 57, 58, 59, 60, 61
-NODE_ROWS = 62
+# Of the parabola through the last step, beside RATE, its slope at the end [K/s]: its curvature, half the second
+# derivative [K/s2].
+CURVE = 62
+NODE_ROWS = 63
 HEAD_ROWS = SCALAR_ROWS + NODE_ROWS
 """A ghost node of zeros before the first and one behind the last end the recurrences along the nodes."""
 NOWHERE = -1e30

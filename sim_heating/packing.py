@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sim_heating.heating_ratio.kernel import mark_curved
 from sim_heating.jit import njit
-from sim_heating.layout import HEAD_ROWS, HIGH, LANES, N_PARAMETERS, NODE_ROWS, NOWHERE, PARAMETERS, RATE, T
+from sim_heating.layout import CURVE, HEAD_ROWS, HIGH, LANES, N_PARAMETERS, NODE_ROWS, NOWHERE, PARAMETERS, RATE, T
 from sim_heating.thermal.elements import set_elements
 
 FloatArray = NDArray[np.float64]
@@ -42,4 +42,5 @@ def set_temperatures(B: FloatArray, first: int, last: int, nodes: int, temperatu
         for lane in range(first, last):
             B[at + T * LANES + lane] = temperature_K[min(i, len(temperature_K) - 1)]
             B[at + RATE * LANES + lane] = 0.0
+            B[at + CURVE * LANES + lane] = 0.0
             B[at + HIGH * LANES + lane] = NOWHERE

@@ -30,6 +30,7 @@ from sim_heating.layout import (
     ALPHA,
     BETA,
     BODYFLAP,
+    CURVE,
     ELEVON,
     FAILED,
     H_REF,
@@ -39,9 +40,8 @@ from sim_heating.layout import (
     MACH,
     N_CONDITIONS,
     P_SURFACE,
+    RATE,
     RECOVERY_ENTHALPY,
-    T_STAGE,
-    T_START,
     TIME,
     T,
 )
@@ -50,7 +50,6 @@ from sim_heating.plausible import LIMITS
 from sim_heating.reference_heating.models import reference_kernel
 from sim_heating.reference_heating.stagnation import COLD_WALL_K
 from sim_heating.surface_pressure import pressure_below_rise, stagnation_pressure_coefficient
-from sim_heating.thermal.kernel import GAMMA
 
 IntArray = NDArray[np.int64]
 
@@ -63,7 +62,7 @@ for the next thermal step [s], the last frame, the frame that the thermal model 
 step, a second."""
 PRESSURE_WIDTH = 4
 """Numbers of a pressure model; a point's array holds them and its running length [m]."""
-SHOWN, VALUE, SLOPE, CURVE = range(4)
+SHOWN, VALUE, LINEAR, QUADRATIC = range(4)
 """Rows of what a host reads: the temperatures now [K], and their parabola: T_h, s [K/s], c [K/s2]."""
 
 PUBLISHED_K = 0.01
@@ -151,7 +150,7 @@ def watch_frame(host: FloatArray, shown: FloatArray, frame: FloatArray) -> int:
     for i in range(len(frame)):
         host[SEEN + i] = frame[i]
     for i in range(shown.shape[1]):
-        shown[SHOWN, i] = shown[VALUE, i] + since * (shown[SLOPE, i] + since * shown[CURVE, i])
+        shown[SHOWN, i] = shown[VALUE, i] + since * (shown[LINEAR, i] + since * shown[QUADRATIC, i])
     return GOOD
 
 
@@ -172,7 +171,7 @@ def derive_conditions(
     T_inf, p_inf, mach, log10_re = derive_kernel(frame[F_ALTITUDE], V, rho, host[LENGTH])
     radius, length = host[RADIUS], -1.0
     h_ref, H_r = 0.0, 0.0
-    rise = 0.5 * rho * V * V * stagnation_pressure_coefficient(mach)
+    rise, cos_beta = 0.5 * rho * V * V * stagnation_pressure_coefficient(mach), math.cos(math.radians(beta))
     for i in range(len(lanes)):
         if i > 0 and lanes[i] == lanes[i - 1]:
             for c in range(N_CONDITIONS):
@@ -185,28 +184,23 @@ def derive_conditions(
         then[i, ALPHA], then[i, BETA], then[i, LOG10_RE] = alpha, beta, log10_re
         then[i, ELEVON], then[i, BODYFLAP] = frame[F_ELEVON], frame[F_BODYFLAP]
         then[i, P_SURFACE] = pressure_below_rise(
-            p_inf, rise, alpha, beta, frame[F_ELEVON], frame[F_BODYFLAP], point[0], point[1], point[2], point[3]
+            p_inf, rise, alpha, cos_beta, frame[F_ELEVON], frame[F_BODYFLAP], point[0], point[1], point[2], point[3]
         )
         then[i, H_REF], then[i, RECOVERY_ENTHALPY] = h_ref, H_r
         then[i, JETS], then[i, MACH], then[i, TIME] = frame[F_JETS], mach, frame[F_TIME]
 
 
 @njit
-def _fit_parabola(state: FloatArray, places: IntArray, shown: FloatArray, dt: float, h: float) -> float:
-    """Parabolas through start, middle stage and end of the last step, of h [s]; the largest distance [K] of the old
-    ones, dt [s] on, from its end."""
+def _fit_parabola(state: FloatArray, places: IntArray, shown: FloatArray, dt: float) -> float:
+    """Parabolas through the last step; the largest distance [K] of the old ones, dt [s] on, from its end."""
     largest = 0.0
-    to_stage, from_stage = GAMMA * h, (1.0 - GAMMA) * h
     for i in range(len(places)):
         end = state[places[i]]
-        middle = state[places[i] + (T_STAGE - T) * LANES]
-        start = state[places[i] + (T_START - T) * LANES]
-        expected = shown[VALUE, i] + dt * (shown[SLOPE, i] + dt * shown[CURVE, i])
+        expected = shown[VALUE, i] + dt * (shown[LINEAR, i] + dt * shown[QUADRATIC, i])
         largest = max(largest, abs(end - expected))
-        before, after = (middle - start) / to_stage, (end - middle) / from_stage
-        curve = (after - before) / h
         shown[SHOWN, i], shown[VALUE, i] = end, end
-        shown[SLOPE, i], shown[CURVE, i] = after + curve * from_stage, curve
+        shown[LINEAR, i] = state[places[i] + (RATE - T) * LANES]
+        shown[QUADRATIC, i] = state[places[i] + (CURVE - T) * LANES]
     return largest
 
 
@@ -220,7 +214,7 @@ def _heat_to(
     steps = max(math.ceil(dt / host[LONGEST_STEP] - 1e-9), 1)
     derive_conditions(frame, host, points, lanes, then)
     advance_groups(state, ints, table, chain, advance, groups, then, dt, steps)
-    error = _fit_parabola(state, places, shown, dt, dt / steps)
+    error = _fit_parabola(state, places, shown, dt)
     longer = math.pow(GOAL * PUBLISHED_K / max(error, 1e-9), 1.0 / 3.0)
     host[WAIT] = min(host[LONGEST_WAIT], dt / steps * min(longer, LONGER))
     for i in range(len(frame)):
@@ -249,7 +243,7 @@ def heat_points(
             host[SEEN + i] = frame[i]
         for i in range(len(places)):
             shown[SHOWN, i] = shown[VALUE, i] = state[places[i]]
-            shown[SLOPE, i] = shown[CURVE, i] = 0.0
+            shown[LINEAR, i] = shown[QUADRATIC, i] = 0.0
         return GOOD
     if outcome == BEND and host[SEEN + F_TIME] > host[HEATED + F_TIME]:
         before = host[SEEN : SEEN + len(frame)].copy()

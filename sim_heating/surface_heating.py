@@ -12,12 +12,10 @@ step, not interpolated itself.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.arithmetic import exp
+from sim_heating.arithmetic import exp, log10
 from sim_heating.heating_ratio.kernel import axes_outside, linear_ratio, table_ratios
 from sim_heating.jit import call_chain, njit
 from sim_heating.layout import (
@@ -62,9 +60,6 @@ from sim_heating.layout import (
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-LOWEST_PRESSURE_PA = 1e-30
-"""Keeps the logarithm of a vacuum finite; every table has ended long before."""
-
 
 @njit
 def with_effects(B: FloatArray, J: IntArray, chain, lane: int, stage: int, r: float, wall_K: float) -> float:  # type: ignore[no-untyped-def]
@@ -108,11 +103,12 @@ def emittance_factor(B: FloatArray, J: IntArray, chain, lane: int, stage: int, w
 
 
 @njit
-def _pressure_column(B: FloatArray, J: IntArray, table: FloatArray, lane: int, stage: int, p_Pa: float) -> None:
-    """Column of the property tables left of a pressure, and the fraction of the way to the next in log10(p)."""
+def _pressure_column(B: FloatArray, J: IntArray, table: FloatArray, lane: int, stage: int) -> None:
+    """Column of the property tables left of the pressure whose log10 stands in PFRAC, and in its place the fraction of
+    the way to the next."""
     first = J[PRESSURE_TABLE + lane]
     last = J[N_PRESSURES + lane] - 1
-    x = math.log10(max(p_Pa, LOWEST_PRESSURE_PA))
+    x = B[(PFRAC + stage) * LANES + lane]
     column, fraction = 0, 0.0
     if x >= table[first + last]:
         column, fraction = last - 1, 1.0
@@ -129,8 +125,11 @@ def heat_lanes(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int)
     """Turn the conditions of all lanes at one stage into what their surface balances take; count what is off limits."""
     heat_shadows(B, J, table, chain, stage)
     for lane in range(LANES):
+        p_Pa = B[C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS + P_SURFACE]
+        B[(PFRAC + stage) * LANES + lane] = log10(p_Pa)
+    for lane in range(LANES):
         c = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
-        _pressure_column(B, J, table, lane, stage, B[c + P_SURFACE])
+        _pressure_column(B, J, table, lane, stage)
         if stage == 2:
             outside = axes_outside(table, J[RATIO_TABLE + lane], B, c)
             B[OUTSIDE * LANES + lane] += 1.0 if outside > 0 else 0.0

@@ -92,22 +92,23 @@ def surface_pressure_kernel(
     p_inf, q_inf : freestream static and dynamic pressure [Pa];  mach : true Mach number [-]
     kind, first, elevon_factor, bodyflap_factor : a pressure model's `parameters()`
     """
-    rise = q_inf * stagnation_pressure_coefficient(mach)
+    rise, cos_beta = q_inf * stagnation_pressure_coefficient(mach), math.cos(math.radians(beta_deg))
     return pressure_below_rise(
-        p_inf, rise, alpha_deg, beta_deg, elevon_deg, bodyflap_deg, kind, first, elevon_factor, bodyflap_factor
+        p_inf, rise, alpha_deg, cos_beta, elevon_deg, bodyflap_deg, kind, first, elevon_factor, bodyflap_factor
     )
 
 
 @njit
 def pressure_below_rise(
-    p_inf: float, rise: float, alpha_deg: float, beta_deg: float, elevon_deg: float, bodyflap_deg: float,
+    p_inf: float, rise: float, alpha_deg: float, cos_beta: float, elevon_deg: float, bodyflap_deg: float,
     kind: float, first: float, elevon_factor: float, bodyflap_factor: float,
 ) -> float:  # fmt: skip
-    """The same from the pressure rise at the stagnation point [Pa], which all points of a vehicle share."""
+    """The same from the pressure rise at the stagnation point [Pa] and the cosine of sideslip, which all points of a
+    vehicle share."""
     if kind == FRACTION:
         return p_inf + first * rise
     angle = alpha_deg + first + elevon_factor * elevon_deg + bodyflap_factor * bodyflap_deg
-    normal = math.cos(math.radians(beta_deg)) * math.sin(math.radians(angle))
+    normal = cos_beta * math.sin(math.radians(angle))
     return p_inf + rise * max(0.0, normal) ** 2
 
 

@@ -1,4 +1,4 @@
-"""The kernels' own exp: digits, ends, and the same bits compiled and interpreted."""
+"""The kernels' own exp and log10: digits, ends, and the same bits compiled and interpreted."""
 
 from __future__ import annotations
 
@@ -10,13 +10,18 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from sim_heating.arithmetic import LARGEST_EXPONENT, exp, logistic
+from sim_heating.arithmetic import LARGEST_EXPONENT, SMALLEST, exp, log10, logistic
 from sim_heating.jit import njit
 
 
 @njit
 def compiled_exp(x: float) -> float:
     return exp(x)
+
+
+@njit
+def compiled_log10(x: float) -> float:
+    return log10(x)
 
 
 @njit
@@ -33,6 +38,26 @@ def test_exp_is_within_two_units_in_the_last_place(x):
     with mpmath.workdps(40):
         true = mpmath.exp(mpmath.mpf(x))
         assert abs(mpmath.mpf(compiled_exp(x)) - true) <= 2.0 * np.spacing(float(true))
+
+
+@given(st.floats(SMALLEST, 1.7e308))
+@example(1.0)
+@example(math.nextafter(1.0, 0.0))
+@example(math.nextafter(1.0, 2.0))
+@example(math.sqrt(0.5))
+@example(1000.0)
+def test_log10_is_within_two_units_in_the_last_place(x):
+    with mpmath.workdps(40):
+        true = mpmath.log10(mpmath.mpf(x))
+        assert abs(mpmath.mpf(compiled_log10(x)) - true) <= 2.0 * np.spacing(abs(float(true)))
+
+
+@given(st.floats(-1e308, 1.7e308))
+@example(0.0)
+@example(5e-324)
+def test_log10_is_finite_and_has_the_same_bits_compiled_and_interpreted(x):
+    assert math.isfinite(compiled_log10(x))
+    assert np.float64(compiled_log10(x)).tobytes() == np.float64(log10.py_func(x)).tobytes()
 
 
 @given(st.floats(allow_nan=True, allow_infinity=True))

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from sim_heating.conditions import FRAME, Conditions
 from sim_heating.errors import InputError
+from sim_heating.layout import ITERATIONS
 from sim_heating.plugin import HeatingPlugin
 from sim_heating.plugin_jsbsim import JSBSimHeating
 from sim_heating.points import conditions_at_point, point_of_vehicle
@@ -143,6 +144,17 @@ def test_a_frame_s_values_hold_at_its_end_and_run_linearly_to_it(plugin: Heating
     held = run(plugin, [frame(0.0), frame(1e-6, alpha_deg=45.0), frame(10.0, alpha_deg=45.0)])
     ramped = run(plugin, [frame(0.0), frame(10.0, alpha_deg=45.0)])
     assert held[0] > ramped[0] + 1.0
+
+
+def test_steady_flight_takes_one_newton_iteration_a_stage(
+    unwaiting: HeatingPlugin, twenty_hertz: tuple[Conditions, list[np.ndarray]]
+) -> None:
+    """A step has two stages, and begins along the parabola of the one before."""
+    _, frames = twenty_hertz
+    run(unwaiting, frames)
+    a_step = unwaiting.ensemble.scalars(ITERATIONS) / (len(frames) - 1)
+    assert np.all(a_step >= 2.0)
+    assert np.all(a_step < 2.2), a_step
 
 
 def test_a_second_vehicle_flies_with_the_same_plug_in() -> None:

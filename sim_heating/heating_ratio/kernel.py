@@ -238,7 +238,11 @@ def table_ratios(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> N
         for lane in range(LANES):
             x = B[C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS + a]
             B[(CELL_X + a) * LANES + lane] = x
-            left += 0 if x >= B[(CELL_LOW + a) * LANES + lane] and x < B[(CELL_HIGH + a) * LANES + lane] else 1
+    for a in range(VARIABLES):
+        for lane in range(LANES):
+            x = B[(CELL_X + a) * LANES + lane]
+            inside = (x >= B[(CELL_LOW + a) * LANES + lane]) & (x < B[(CELL_HIGH + a) * LANES + lane])
+            left += 0 if inside else 1
     if left > 0:
         for lane in range(LANES):
             _keep_cell(B, table, J[RATIO_TABLE + lane], lane)
@@ -247,8 +251,7 @@ def table_ratios(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> N
             f = (B[(CELL_X + a) * LANES + lane] - B[(CELL_FOOT + a) * LANES + lane]) * B[
                 (CELL_INVERSE + a) * LANES + lane
             ]
-            f = f if f > 0.0 else 0.0
-            B[(CELL_X + a) * LANES + lane] = f if f < 1.0 else 1.0
+            B[(CELL_X + a) * LANES + lane] = min(max(f, 0.0), 1.0)
     _halve(B, CORNERS, CELL_WORK + 8, 16, 4)
     _halve(B, CELL_WORK + 8, CELL_WORK, 8, 3)
     _halve(B, CELL_WORK, CELL_WORK, 4, 2)

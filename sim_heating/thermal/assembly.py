@@ -133,7 +133,8 @@ def _refresh(B: FloatArray, J: IntArray, table: FloatArray, i: int) -> None:
     outside = 0
     for lane in range(LANES):
         t = B[a + T * LANES + lane]
-        outside += 0 if (t >= B[a + LOW * LANES + lane] and t < B[a + HIGH * LANES + lane]) else 1
+        inside = (t >= B[a + LOW * LANES + lane]) & (t < B[a + HIGH * LANES + lane])  # no branch, unlike `and`
+        outside += 0 if inside else 1
     if outside == 0:
         return
     node = NODE_INTS + i * INTS_PER_NODE

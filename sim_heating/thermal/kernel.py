@@ -37,6 +37,7 @@ from sim_heating.layout import (
     C_LEFT,
     C_RIGHT,
     C_STAGES,
+    CURVE,
     DELTA,
     DIAGONAL,
     E_LEFT,
@@ -57,6 +58,7 @@ from sim_heating.layout import (
     LAG_VALUE,
     LANES,
     LARGEST,
+    LAST_STEP,
     LOWER,
     MOVES,
     N_CONDITIONS,
@@ -96,6 +98,8 @@ NEWTON_TOLERANCE_K = 1e-4
 NEWTON_LIMIT = 25
 COLDEST_K = 1.0
 """No iterate goes below this, and one that is no number becomes this: a failure, for its update is no number either."""
+LONGEST_REACH = 2.0
+"""The curvature of the last step is relied on for so many of its lengths: that of a very short one is rounding."""
 STAGED = (FILM, RECOVERY, ADDED, PCOL, PFRAC, R_BASE, LAG_VALUE, LAG_INPUT)
 """Rows that hold one value a stage."""
 
@@ -160,9 +164,15 @@ def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, chain) -> None
 
 
 @njit
+def _reach(B: FloatArray, dt: float) -> float:
+    """How far into a step of dt the curvature of the last one is relied on [s]; 0 where there was none."""
+    return min(dt, LONGEST_REACH * B[LAST_STEP * LANES])
+
+
+@njit
 def _start(B: FloatArray, n: int, dt: float) -> None:
-    """First stage: E* = E_n + d dt F_n with the F_n that the last step has left, and a guess from its rate of
-    change."""
+    """First stage: E* = E_n + d dt F_n with the F_n that the last step has left, and a guess along its parabola."""
+    ahead, bend = GAMMA * dt, (GAMMA * _reach(B, dt)) ** 2
     for i in range(n):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
         for lane in range(LANES):
@@ -170,12 +180,17 @@ def _start(B: FloatArray, n: int, dt: float) -> None:
             B[a + E_STAR * LANES + lane] = content + STAGE_WEIGHT * dt * net
             temperature = B[a + T * LANES + lane]
             B[a + T_START * LANES + lane] = temperature
-            B[a + T * LANES + lane] = temperature + GAMMA * dt * B[a + RATE * LANES + lane]
+            moved = ahead * B[a + RATE * LANES + lane] + bend * B[a + CURVE * LANES + lane]
+            B[a + T * LANES + lane] = temperature + moved
 
 
 @njit
 def _finish(B: FloatArray, n: int, dt: float) -> None:
-    """E_(n+1), F_(n+1) = (E_(n+1) - E*) / (d dt) of the implicit stage, and the rate of change."""
+    """E_(n+1), F_(n+1) = (E_(n+1) - E*) / (d dt) of the implicit stage, and the parabola through start, stage and
+    end."""
+    to_stage, from_stage = GAMMA * dt, (1.0 - GAMMA) * dt
+    for lane in range(LANES):
+        B[LAST_STEP * LANES + lane] = dt
     for i in range(n):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
         left, right = a - NODE_ROWS * LANES, a + NODE_ROWS * LANES
@@ -185,7 +200,12 @@ def _finish(B: FloatArray, n: int, dt: float) -> None:
             content = own_left + own_right + SHARE * shared
             B[a + NET * LANES + lane] = (content - B[a + E_STAR * LANES + lane]) * (1.0 / (STAGE_WEIGHT * dt))
             B[a + E_START * LANES + lane] = content
-            B[a + RATE * LANES + lane] = (B[a + T * LANES + lane] - B[a + T_START * LANES + lane]) * (1.0 / dt)
+            middle = B[a + T_STAGE * LANES + lane]
+            before = (middle - B[a + T_START * LANES + lane]) * (1.0 / to_stage)
+            after = (B[a + T * LANES + lane] - middle) * (1.0 / from_stage)
+            curve = (after - before) * (1.0 / dt)
+            B[a + CURVE * LANES + lane] = curve
+            B[a + RATE * LANES + lane] = after + curve * from_stage
 
 
 @njit
@@ -276,8 +296,9 @@ def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: in
 
 
 @njit
-def _start_second_stage(B: FloatArray, n: int) -> None:
-    """E* = E_n + (w/d) (E(Y1) - E_n), and a first guess along the first stage."""
+def _start_second_stage(B: FloatArray, n: int, dt: float) -> None:
+    """E* = E_n + (w/d) (E(Y1) - E_n), and a guess along the first stage, bent as the last step was."""
+    bend = (1.0 - GAMMA) * _reach(B, dt) ** 2
     for i in range(n):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
         left, right = a - NODE_ROWS * LANES, a + NODE_ROWS * LANES
@@ -288,7 +309,7 @@ def _start_second_stage(B: FloatArray, n: int) -> None:
             B[a + E_STAR * LANES + lane] = start + BDF_WEIGHT * (own_left + own_right + SHARE * shared - start)
             cold, warm = B[a + T_START * LANES + lane], B[a + T * LANES + lane]
             B[a + T_STAGE * LANES + lane] = warm
-            B[a + T * LANES + lane] = cold + (warm - cold) * (1.0 / GAMMA)
+            B[a + T * LANES + lane] = cold + (warm - cold) * (1.0 / GAMMA) + bend * B[a + CURVE * LANES + lane]
 
 
 @njit
@@ -308,7 +329,7 @@ def step(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> Non
     _start(B, n, dt)
     for stage in range(1, 3):
         if stage == 2:
-            _start_second_stage(B, n)
+            _start_second_stage(B, n, dt)
         _solve_stage(B, J, table, chain, stage, dt)
         _add_energy(B, (EXPLICIT_WEIGHT if stage == 1 else STAGE_WEIGHT) * dt)
     _finish(B, n, dt)
