@@ -74,17 +74,17 @@ def _make_lookup() -> Callable[[float, float], tuple[float, float, float]]:
     return lookup
 
 
-def _make_inverse() -> Callable[[float, float], float]:
-    log_p, T_axis, h_grid, _, _ = _GRID
+def _make_inverse() -> Callable[[float, float], tuple[float, float]]:
+    log_p, T_axis, h_grid, Z_grid, _ = _GRID
     p_first, p_step, p_count = log_p[0], log_p[1] - log_p[0], len(log_p)
     T_first, T_step, last = T_axis[0], T_axis[1] - T_axis[0], len(T_axis) - 1
 
     @njit
-    def inverse(h_J_kg: float, p_Pa: float) -> float:
+    def inverse(h_J_kg: float, p_Pa: float) -> tuple[float, float]:
         i, w = _cell(math.log10(p_Pa), p_first, p_step, p_count)
         h_first = (1.0 - w) * h_grid[i, 0] + w * h_grid[i + 1, 0]
         if h_J_kg <= h_first:
-            return T_first * h_J_kg / h_first
+            return T_first * h_J_kg / h_first, _blend(Z_grid, i, w, 0, 0.0)
         low, high = 0, last
         while high - low > 1:
             middle = (low + high) // 2
@@ -94,7 +94,8 @@ def _make_inverse() -> Callable[[float, float], float]:
                 high = middle
         h_low = (1.0 - w) * h_grid[i, low] + w * h_grid[i + 1, low]
         h_high = (1.0 - w) * h_grid[i, high] + w * h_grid[i + 1, high]
-        return T_first + T_step * (low + min((h_J_kg - h_low) / (h_high - h_low), 1.0))
+        s = min((h_J_kg - h_low) / (h_high - h_low), 1.0)
+        return T_first + T_step * (low + s), _blend(Z_grid, i, w, low, s)
 
     return inverse
 
@@ -102,8 +103,22 @@ def _make_inverse() -> Callable[[float, float], float]:
 # Only arrays and numbers may sit in these closures: a compiled kernel in one would change the cache key at every start.
 air_kernel = _make_lookup()
 """air_kernel(T_K, p_Pa) -> h [J/kg], Z [-], dissociation enthalpy [J/kg] of equilibrium air; p above 0."""
-air_temperature_kernel = _make_inverse()
-"""air_temperature_kernel(h_J_kg, p_Pa) -> T [K]: the exact inverse of the table's h(T, p); held at 12000 K."""
+_air_inverse = _make_inverse()
+"""_air_inverse(h_J_kg, p_Pa) -> T [K], Z [-]: the exact inverse of the table's h(T, p); held at 12000 K."""
+
+
+@njit
+def air_temperature_kernel(h_J_kg: float, p_Pa: float) -> float:
+    """Temperature of equilibrium air [K], the exact inverse of the table's h(T, p); held at 12000 K."""
+    return _air_inverse(h_J_kg, p_Pa)[0]
+
+
+@njit
+def air_density_of_enthalpy_kernel(h_J_kg: float, p_Pa: float) -> float:
+    """Density of equilibrium air [kg/m3] of an enthalpy: air_density_kernel at its temperature, in one look at the
+    table."""
+    T_K, Z = _air_inverse(h_J_kg, p_Pa)
+    return p_Pa / (Z * R_TABLE * T_K)
 
 
 @njit

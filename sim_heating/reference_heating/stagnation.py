@@ -20,6 +20,7 @@ from sim_heating.reference_heating.gas import (
     PRANDTL,
     R_TABLE,
     air_density_kernel,
+    air_density_of_enthalpy_kernel,
     air_kernel,
     air_temperature_kernel,
     viscosity_kernel,
@@ -49,6 +50,11 @@ LEWIS_EXPONENT = 0.52
 NO_LEWIS = 1.0
 """Lewis number of the reference model: 1, the diffusion term left out (1.4 adds about 10 % at 7 km/s)."""
 
+STRONG_SHOCK = 0.08
+"""Density ratio that the search for a shock begins at: that of most of an entry is 0.06 to 0.1."""
+SECANT_STEPS = 12
+NARROWEST, WIDEST = 0.01, 0.999
+"""Density ratios between which a shock is looked for; above there is none."""
 SHOCK_STEPS = 40
 SHOCK_TOLERANCE = 1.0e-10
 
@@ -91,7 +97,7 @@ def _behind_shock(eps: float, rho: float, V: float, p: float, h: float) -> tuple
     """Pressure, enthalpy and density behind a normal shock of density ratio eps = rho_1/rho_2."""
     p_2 = p + rho * V * V * (1.0 - eps)
     h_2 = h + 0.5 * V * V * (1.0 - eps * eps)
-    return p_2, h_2, air_density_kernel(air_temperature_kernel(h_2, p_2), p_2)
+    return p_2, h_2, air_density_of_enthalpy_kernel(h_2, p_2)
 
 
 @njit
@@ -104,9 +110,20 @@ def _shock_residual(eps: float, rho: float, V: float, p: float, h: float) -> flo
 def shock_density_ratio(rho_kg_m3: float, velocity_m_s: float, p_Pa: float, h_J_kg: float) -> float:
     """rho_1/rho_2 across a normal shock in equilibrium air, from mass, momentum and energy; 1 where there is no shock.
 
-    Regula falsi (Illinois) in a shrinking bracket; never more than 40 steps.
+    Secants from a strong shock: three or four of them in an entry. Where one leaves the bracket, or they do not
+    converge, regula falsi (Illinois) in a shrinking bracket, never more than 40 steps.
     """
-    low, high = 0.01, 0.999
+    eps, before, f_before = STRONG_SHOCK, 0.0, 0.0
+    for k in range(SECANT_STEPS):
+        f = _shock_residual(eps, rho_kg_m3, velocity_m_s, p_Pa, h_J_kg)
+        if abs(f) < SHOCK_TOLERANCE:
+            return eps
+        # The first step is what the residual itself says: (1 - eps) f is eps less the ratio that eps leads to.
+        move = (1.0 - eps) * f if k == 0 else f * (eps - before) / (f - f_before)
+        before, f_before, eps = eps, f, eps - move
+        if not NARROWEST < eps < WIDEST:
+            break
+    low, high = NARROWEST, WIDEST
     f_high = _shock_residual(high, rho_kg_m3, velocity_m_s, p_Pa, h_J_kg)
     if not f_high > 0.0:
         return 1.0
@@ -145,7 +162,7 @@ def stagnation_kernel(rho_kg_m3: float, velocity_m_s: float, T_inf_K: float) -> 
     p_0, rho_0 = p_2, rho_2
     for _ in range(3):
         p_0 = p_2 * math.exp(2.0 * (h_0 - h_2) / (p_2 / rho_2 + p_0 / rho_0))
-        rho_0 = air_density_kernel(air_temperature_kernel(h_0, p_0), p_0)
+        rho_0 = air_density_of_enthalpy_kernel(h_0, p_0)
     return p_0, h_0, rho_0, p
 
 
