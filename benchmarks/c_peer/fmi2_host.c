@@ -8,28 +8,15 @@
    On standard error: microseconds of fmi2SetReal, fmi2DoStep and fmi2GetReal, in the fastest run of MEAN frames. */
 
 #include "fmi/fmi2FunctionTypes.h"
+#include "host/host.h"
 
 #include <dlfcn.h>
 #include <stdarg.h>
-#include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
-#include <time.h>
 
-enum { MOST = 256, LINE = 4096, MEAN = 50, SET = 0, STEP, GET, PARTS };
+enum { SET = 0, STEP, GET, PARTS };
 
 typedef struct { fmi2ValueReference refs[MOST]; size_t count; } Refs;
-
-static void stop(const char *what, const char *which) {
-    fprintf(stderr, "fmi2_host: %s%s\n", what, which);
-    exit(1);
-}
-
-static double now(void) {
-    struct timespec t;
-    timespec_get(&t, TIME_UTC);
-    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
-}
 
 static void log_message(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status, fmi2String category,
                         fmi2String message, ...) {
@@ -47,19 +34,6 @@ static Refs references(char *list) {
     for (char *at = strtok(list, ","); at && found.count < MOST; at = strtok(NULL, ","))
         found.refs[found.count++] = (fmi2ValueReference)strtoul(at, NULL, 10);
     return found;
-}
-
-static size_t read_line(FILE *file, double values[]) {
-    char line[LINE], *at = line, *end;
-    size_t count = 0;
-    if (!fgets(line, sizeof line, file)) return 0;
-    for (; count < MOST; at = end + 1) {
-        values[count] = strtod(at, &end);
-        if (end == at) break;
-        count++;
-        if (*end != ',') break;
-    }
-    return count;
 }
 
 static void *function(void *library, const char *name) {

@@ -13,12 +13,10 @@
    On standard error: time to instantiate, and a step's (inputs set and doStep): the fastest mean of MEAN in a row. */
 
 #include "fmi/fmi3FunctionTypes.h"
+#include "host.h"
 
 #include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
-#include <time.h>
 
 #if defined(_WIN32)
 #include <windows.h>
@@ -40,8 +38,6 @@ static void *open_library(const char *path) { return dlopen(path, RTLD_NOW | RTL
 static void *find(void *library, const char *name) { return dlsym(library, name); }
 #endif
 
-enum { MOST = 64, LINE = 4096, MEAN = 50 };
-
 static struct {
     void *library;
     fmi3InstantiateCoSimulationTYPE *instantiate;
@@ -56,17 +52,6 @@ static struct {
 } fmu;
 
 typedef struct { fmi3Instance instance; fmi3ValueReference refs[MOST]; size_t count; double *next; } Flown;
-
-static void stop(const char *what, const char *which) {
-    fprintf(stderr, "host: %s%s\n", what, which);
-    exit(1);
-}
-
-static double now(void) {
-    struct timespec t;
-    timespec_get(&t, TIME_UTC);
-    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
-}
 
 static char *read_whole(const char *path) {
     FILE *file = fopen(path, "rb");
@@ -132,19 +117,6 @@ static void intermediate(fmi3InstanceEnvironment environment, double time, bool 
     (void)time, (void)get, (void)finished, (void)may_stop, (void)stop_asked, (void)stop_time;
     Flown *flown = environment;
     if (set) fmu.set(flown->instance, flown->refs, flown->count, flown->next, flown->count);
-}
-
-static size_t read_line(FILE *file, double values[]) {
-    char line[LINE], *at = line, *end;
-    size_t count = 0;
-    if (!fgets(line, sizeof line, file)) return 0;
-    for (; count < MOST; at = end + 1) {
-        values[count] = strtod(at, &end);
-        if (end == at) break;
-        count++;
-        if (*end != ',') break;
-    }
-    return count;
 }
 
 int main(int n, char *arguments[]) {
