@@ -255,7 +255,7 @@ class Record:
     def noise_floor_K(
         self, mask: ArrayLike | None = None, estimated_sigma_K: Mapping[str, float] | None = None
     ) -> float:
-        """Root mean of noise_sigma^2 + LSB^2 / 12 over the used sensors' samples [K]; NaN where there are none.
+        """Root mean square of the noise floor over the used sensors' samples [K]; NaN where there are none.
 
         mask              : (sample,) which samples; by default those of the fit segments
         estimated_sigma_K : by sensor name, for the sensors that declare no noise
@@ -263,11 +263,10 @@ class Record:
         """
         chosen = self.fit_mask() if mask is None else np.asarray(mask, dtype=bool)
         count = np.array([np.count_nonzero(np.isfinite(T[chosen])) for T in self.temperatures_K(self.used_sensors)])
-        sigma = np.array([self._sigma_K(s, estimated_sigma_K or {}) for s in self.used_sensors])
-        lsb = np.array([s.lsb_K for s in self.used_sensors])
+        floor = np.array([s.noise_floor_K(self._sigma_K(s, estimated_sigma_K or {})) for s in self.used_sensors])
         if count.sum() == 0:
             return math.nan
-        return math.sqrt(float(np.sum(count * (sigma**2 + lsb**2 / 12.0)) / count.sum()))
+        return math.sqrt(float(np.sum(count * floor**2) / count.sum()))
 
     def _sigma_K(self, sensor: Sensor, estimated: Mapping[str, float]) -> float:
         sigma = sensor.noise_sigma_K if sensor.noise_sigma_K is not None else estimated.get(sensor.name)

@@ -273,12 +273,12 @@ def standing(doubts: Sequence[Verdict], after: Prediction) -> list[Verdict]:
 
 
 def _floor_K(sensor: Sensor) -> float:
-    """sqrt(sigma^2 + LSB^2 / 12), sigma 1 K where the record gives none."""
-    return float(np.hypot(sensor.noise_sigma_K or 1.0, sensor.lsb_K / np.sqrt(12.0)))
+    """Noise floor of a sensor, of sigma 1 K where the record gives none."""
+    return sensor.noise_floor_K(sensor.noise_sigma_K or 1.0)
 
 
 def _read_K(record: Record) -> FloatArray:
     """(sensor, sample) measurements; NaN where lost, or at an end of the recorder's range."""
     read = record.temperatures_K()
     seen = [observed(sensor, own) for sensor, own in zip(record.sensors, read, strict=True)]
-    return np.array([np.where(np.isfinite(o.upper_K - o.lower_K), T, np.nan) for o, T in zip(seen, read, strict=True)])
+    return np.array([np.where(o.within, T, np.nan) for o, T in zip(seen, read, strict=True)])

@@ -37,7 +37,7 @@ class SensorLeft:
     """What one sensor shows beyond the model, without and with the best heating history.
 
     time_s, read_K : (sample,) as recorded;  before_K, after_K : (sample,) measured minus indicated
-    floor_K        : sqrt(sigma^2 + LSB^2 / 12)
+    floor_K        : its noise floor [K]
     """
 
     sensor: Sensor
@@ -169,7 +169,7 @@ def _split(part: Part, channels: Sequence[Channel], mean_K: FloatArray, with_K: 
     ends = np.cumsum([len(c.samples) for c in channels])[:-1]
     found = []
     for c, before, after in zip(channels, np.split(mean_K, ends), np.split(with_K, ends), strict=True):
-        t, floor = part.sample_s[c.samples], float(np.hypot(part.sigma_K[c.number], c.sensor.lsb_K / np.sqrt(12.0)))
+        t, floor = part.sample_s[c.samples], c.sensor.noise_floor_K(float(part.sigma_K[c.number]))
         read = part.record.thermocouples[c.sensor.column][np.searchsorted(part.record.time_s, t)]
         found.append(SensorLeft(c.sensor, t, read, read - before, read - after, floor))
     return tuple(found)

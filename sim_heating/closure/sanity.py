@@ -163,8 +163,7 @@ def _rms_in_floors(problem: Problem, values: FloatArray) -> float:
     for s in problem.samples(values):
         middle = s.part.record.thermocouples[s.channel.sensor.column]
         read = middle[np.searchsorted(s.part.record.time_s, s.time_s)]
-        floor = np.hypot(s.sigma_K, s.channel.sensor.lsb_K / np.sqrt(12.0))
-        within = np.isfinite(s.channel.observed.upper_K - s.channel.observed.lower_K)
+        floor, within = s.channel.sensor.noise_floor_K(s.sigma_K), s.channel.observed.within
         squares += float(np.sum(((read - s.mean_K)[within] / floor) ** 2))
         count += int(np.count_nonzero(within))
     return float(np.sqrt(squares / count))

@@ -55,6 +55,11 @@ class Observed:
         """(sample,) which samples were lost."""
         return np.isnan(self.lower_K)
 
+    @property
+    def within(self) -> NDArray[np.bool_]:
+        """(sample,) which samples were neither lost nor at an end of the word's span."""
+        return np.isfinite(self.upper_K - self.lower_K)
+
     def chosen(self, mask: NDArray[np.bool_]) -> Observed:
         """The samples that a mask (sample,) chooses."""
         return Observed(self.lower_K[mask], self.upper_K[mask])

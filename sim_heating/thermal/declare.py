@@ -7,6 +7,7 @@ Property tables are linear between their points and constant beyond the ends; in
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Annotated, Any, Literal
@@ -335,6 +336,11 @@ class Sensor(Declared):
         if self.bits is None or self.range_K is None:
             return 0.0
         return (self.range_K[1] - self.range_K[0]) / (2**self.bits - 1)
+
+    def noise_floor_K(self, sigma_K: float) -> float:
+        """Root mean square error of a reading [K] from noise of sigma [K] and the recorder word,
+        sqrt(sigma^2 + LSB^2 / 12)."""
+        return math.sqrt(sigma_K**2 + self.lsb_K**2 / 12.0)
 
 
 class Construction(Declared):
