@@ -20,8 +20,8 @@ from benchmarks.measure import Figure, save
 from sim_heating.conditions import FRAME
 from sim_heating.fmu.export import export_heating, write_fmu
 from sim_heating.fmu.heating import heating_image, heating_units
-from sim_heating.fmu.library import TARGETS, parts, sources
-from sim_heating.fmu.native import HELD, INPUTS, INPUTS_NEXT, INPUTS_NOW, N_INPUTS, NEXT, NOW, TIMING
+from sim_heating.fmu.library import TARGETS, parts, sources, wrapper_sources
+from sim_heating.fmu.native import BEGINS, HELD, INPUTS, INPUTS_NEXT, INPUTS_NOW, N_INPUTS, NEXT, NOW, TIMING
 from sim_heating.run import fly_scenario
 from sim_heating.scenario import load_scenario
 from sim_heating.vehicle import Vehicle, load_vehicle
@@ -66,8 +66,8 @@ def _write(table: Path, frames: np.ndarray) -> Path:
 
 def _direct(model: Any, frames: np.ndarray) -> float:
     """Fastest step [s] of the compiled functions called from a compiled loop, no FMU about them."""
-    start, step, *called = [f.compiled for unit in heating_units(model.effects) for f in unit.functions]
-    begin, advance = start.ctypes, step.ctypes
+    function, *called = [unit.compiled for unit in heating_units(model.effects)]
+    move = function.ctypes
     R, N = model.image.R.copy(), model.image.N.copy()
     N[TIMING] = HELD
     A = np.array([f.address for f in called], dtype=np.int64)
@@ -80,12 +80,14 @@ def _direct(model: Any, frames: np.ndarray) -> float:
                 R[N[INPUTS_NOW] + k] = R[N[INPUTS_NEXT] + k]
                 R[N[INPUTS_NEXT] + k] = value
             R[NEXT] = frames[i, 0]
-            advance(R.ctypes, N.ctypes, A.ctypes)
+            move(R.ctypes, N.ctypes, A.ctypes)
             R[NOW] = R[NEXT]
 
     R[NOW] = frames[0, 0]
     R[N[INPUTS] : N[INPUTS] + len(FRAME) - 1] = frames[0, 1:]
-    begin(*(a.ctypes.data_as(t) for a, t in zip((R, N, A), begin.argtypes, strict=True)))
+    N[BEGINS] = 1
+    move(*(a.ctypes.data_as(t) for a, t in zip((R, N, A), move.argtypes, strict=True)))
+    N[BEGINS] = 0
     best = np.inf
     for take in range(1, len(frames) - 50, 50):
         began = time.perf_counter()
@@ -178,7 +180,7 @@ def compile_fuzz(vehicle: Vehicle, work: Path) -> list[str]:
     made = parts(heating_units(model.effects), TARGETS["linux"], work)
     flags = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined", f"-I{sources()}"]
     program = work / "fuzz"
-    command = ["gcc", *flags, "-o", program, *made, sources() / "host" / "fuzz.c", "-lm"]
+    command = ["gcc", *flags, "-o", program, *made, *wrapper_sources(), sources() / "host" / "fuzz.c", "-lm"]
     subprocess.run(list(map(str, command)), check=True)
     return [str(program), str(work), "{fuzzed}", str(len(model.image.variables))]
 

@@ -159,11 +159,11 @@ static void has_changed(Instance *m, const Variable *v) {
     if (v->role != ROLE_INPUT) m->N[CHANGED] = 1;
 }
 
-static Status run(Instance *m, Function function);
+static Status run(Instance *m, bool begins);
 
 /* In initialization mode what depends on start values is computed when it is asked for. */
 static Status refresh(Instance *m) {
-    return m->mode == INITIALIZATION && m->stale ? run(m, m->model->start) : OK;
+    return m->mode == INITIALIZATION && m->stale ? run(m, true) : OK;
 }
 
 Status get_numbers(Instance *m, const uint32_t *refs, size_t n, double *values, size_t n_values) {
@@ -267,8 +267,9 @@ Status set_slope(Instance *m, uint32_t ref, double slope) {
 
 /* Time ------------------------------------------------------------------------------------------------------------ */
 
-static Status run(Instance *m, Function function) {
-    int64_t outcome = function(m->R, m->N, m->model->called);
+static Status run(Instance *m, bool begins) {
+    m->N[BEGINS] = begins;
+    int64_t outcome = m->model->move(m->R, m->N, m->model->called);
     if (outcome == GOOD) {
         m->stale = false;
         return OK;
@@ -298,7 +299,7 @@ Status enter_initialization(Instance *m) {
 
 Status exit_initialization(Instance *m) {
     if (!allowed(m, "exit initialization mode", INITIALIZATION)) return ERROR;
-    if (run(m, m->model->start) != OK) return ERROR;
+    if (run(m, true) != OK) return ERROR;
     m->mode = STEPPING;
     return OK;
 }
@@ -323,7 +324,7 @@ Status prepare_step(Instance *m, double time, double length) {
 }
 
 Status finish_step(Instance *m) {
-    if (run(m, m->model->step) != OK) return ERROR;
+    if (run(m, false) != OK) return ERROR;
     m->R[NOW] = m->R[NEXT];
     m->N[CHANGED] = 0;
     return OK;

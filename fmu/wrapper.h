@@ -1,7 +1,7 @@
-/* An FMU around two functions on two arrays: what FMI 2 (fmi2.c) and FMI 3 (fmi3.c) share. No physics here.
+/* An FMU around a function of two arrays: what FMI 2 (fmi2.c) and FMI 3 (fmi3.c) share. No physics here.
 
-   A model is an image in resources/model.bin (image.c) and the functions start and step that work on it; what the first
-   entries of the arrays mean is written in sim_heating/fmu/native.py. */
+   A model is an image in resources/model.bin (image.c) and the function that works on it; what it does, and what the first
+   entries of the arrays mean, is written in sim_heating/fmu/native.py. */
 
 #ifndef wrapper_h
 #define wrapper_h
@@ -13,12 +13,12 @@
 
 /* Compiled functions of a model for one kind of processor; functions.c, written by library.py, names them. */
 typedef int64_t (*Function)(double *R, int64_t *N, int64_t *called);
-typedef struct { Function start, step; int64_t *called; } Model;
+typedef struct { Function move; int64_t *called; } Model;
 extern const Model models[];
 extern const int n_models;
 
 enum { NOW, NEXT };                                                                 /* of R */
-enum { INPUTS, N_INPUTS, INPUTS_NOW, INPUTS_NEXT, INPUT_SLOPES, CHANGED, TIMING };  /* of N */
+enum { INPUTS, N_INPUTS, INPUTS_NOW, INPUTS_NEXT, INPUT_SLOPES, CHANGED, TIMING, BEGINS };  /* of N */
 enum { HELD = 1, REACHED = 2 };                                                     /* values of N[TIMING] */
 enum { GOOD = -1 };
 

@@ -149,7 +149,7 @@ class Ensemble:
         self._chain = chain_of(self._effects)
         self.chain = self._chain.handle
         self._codes = dict(zip(self._effects, self._chain.codes, strict=True))
-        self.begin_handle, self.advance_handle = (handle(f) for f in compiled())
+        self.move_handle = handle(compiled())
         self._tables: TableStore = TableStore() if beside is None else beside._tables
         self._arrange([0] * len(self.models) if kinds is None else kinds)
         self.table = self._tables.values
@@ -323,7 +323,7 @@ class Ensemble:
     def begin(self, now: FloatArray) -> None:
         """Set the conditions that hold now, one vector (layout.CONDITION_COLUMNS) a point."""
         vectors = self.spread(now)
-        begin_groups(self.state, self.ints, self.table, self.chain, self.begin_handle, self.groups, vectors)
+        begin_groups(self.state, self.ints, self.table, self.chain, self.move_handle, self.groups, vectors)
 
     def advance(self, then: FloatArray, dt: float) -> None:
         """One frame of dt [s] to new conditions, linear between, in one step.
@@ -333,7 +333,7 @@ class Ensemble:
         if not 0.0 < dt < np.inf:
             raise InputError(f"advance: dt is {dt:g} s; it must be above 0")
         vectors = self.spread(then)
-        advance_groups(self.state, self.ints, self.table, self.chain, self.advance_handle, self.groups, vectors, dt, 1)
+        advance_groups(self.state, self.ints, self.table, self.chain, self.move_handle, self.groups, vectors, dt, 1)
 
     def march(
         self,
@@ -368,7 +368,7 @@ class Ensemble:
             mine = np.flatnonzero((kept >= start) & (kept < end))
             part = np.empty((len(out), len(mine)))
             march_group(
-                self.block(g), self.integers(g), self.table, self.chain, self.begin_handle, self.advance_handle,
+                self.block(g), self.integers(g), self.table, self.chain, self.move_handle,
                 time_s, histories, flights[g], step, kept[mine] - start, part,
             )  # fmt: skip
             if len(out):

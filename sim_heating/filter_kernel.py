@@ -46,7 +46,7 @@ from sim_heating.layout import (
     T,
 )
 from sim_heating.march import END_STAGE
-from sim_heating.thermal.kernel import COLDEST_K, STAGE_WEIGHT, hold
+from sim_heating.thermal.kernel import BEGIN, COLDEST_K, STAGE_WEIGHT, hold
 from sim_heating.thermal.linear import (
     Groups,
     Places,
@@ -410,19 +410,19 @@ def _lag_now(X: Blocks, groups: IntArray, first: bool) -> None:
 
 @njit
 def begin_march(
-    B: FloatArray, J: IntArray, table: FloatArray, chain, begin,  # type: ignore[no-untyped-def]
+    B: FloatArray, J: IntArray, table: FloatArray, chain, move,  # type: ignore[no-untyped-def]
     histories: FloatArray, which: IntArray,
 ) -> None:  # fmt: skip
     """The first conditions of all lanes of a group."""
     for lane in range(LANES):
         for c in range(N_CONDITIONS):
             B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], 0, c]
-    call_step(begin, raw(B), raw(J), raw(table), chain, 0.0)
+    call_step(move, raw(B), raw(J), raw(table), chain, BEGIN)
 
 
 @njit
 def step_beside_shadows(
-    B: FloatArray, J: IntArray, table: FloatArray, chain, advance, rows, faces,  # type: ignore[no-untyped-def]
+    B: FloatArray, J: IntArray, table: FloatArray, chain, move, rows, faces,  # type: ignore[no-untyped-def]
     X: Blocks, shadows: Groups,
     time_s: FloatArray, histories: FloatArray, which: IntArray, p: Places, lanes: int, k: int,
 ) -> None:  # fmt: skip
@@ -438,7 +438,7 @@ def step_beside_shadows(
     for lane in range(LANES):
         for c in range(N_CONDITIONS):
             B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], k, c]
-    call_step(advance, raw(B), raw(J), raw(table), chain, dt)
+    call_step(move, raw(B), raw(J), raw(table), chain, dt)
     ddt = STAGE_WEIGHT * dt
     assemble_shadows(B, X.middle, shadows, table, chain, rows, faces, T_STAGE, 1, ddt)
     assemble_shadows(B, X.end, shadows, table, chain, rows, faces, T, 2, ddt)
@@ -446,7 +446,7 @@ def step_beside_shadows(
 
 @njit
 def march_filter(
-    B: FloatArray, J: IntArray, table: FloatArray, chain, begin, advance, rows, faces,  # type: ignore[no-untyped-def]
+    B: FloatArray, J: IntArray, table: FloatArray, chain, move, rows, faces,  # type: ignore[no-untyped-def]
     X: Blocks, shadows: Groups, time_s: FloatArray, histories: FloatArray, which: IntArray,
     p: Places, r: Readings, state: State, noise: Noise, held: Held, kept: Kept,
     u: Columns, w: Columns, v: Columns, joint: Joint, out: FloatArray,
@@ -458,9 +458,9 @@ def march_filter(
     lanes, size = state.P.shape[0], state.P.shape[1]
     z, transition = np.zeros(size), np.zeros((size, size))
     next_reading = np.zeros(lanes, dtype=np.int64)
-    begin_march(B, J, table, chain, begin, histories, which)
+    begin_march(B, J, table, chain, move, histories, which)
     for k in range(1, len(time_s)):
-        step_beside_shadows(B, J, table, chain, advance, rows, faces, X, shadows, time_s, histories, which, p, lanes, k)
+        step_beside_shadows(B, J, table, chain, move, rows, faces, X, shadows, time_s, histories, which, p, lanes, k)
         for lane in range(lanes):
             if state.diverged[lane] == 0:
                 next_reading[lane] = filter_lane(

@@ -246,7 +246,7 @@ class FilterMarch(LinearMarch):
         B = self.base.block(0).copy()
         march_filter(
             B, self.base.integers(0), self.base.table, self.base.chain,
-            self.base.begin_handle, self.base.advance_handle, self.rows, self.faces,
+            self.base.move_handle, self.rows, self.faces,
             Blocks(*(self._shadow_state().copy() for _ in range(3))), self._groups,
             self.time_s, self.histories, self._flights, self._places(1 + m), readings, state, noise,
             held_of(after_s, most, n + 1), kept,

@@ -21,7 +21,7 @@ from sim_heating.layout import D0, GAPS, HEAD_ROWS, LANES, N_CONDITIONS, NODE_RO
 from sim_heating.march import END_STAGE
 from sim_heating.parameters import CURVED, EFFECT_PREFIX, RATIO
 from sim_heating.point_model import PointModel, initial_temperatures
-from sim_heating.thermal.kernel import STAGE_WEIGHT, hold
+from sim_heating.thermal.kernel import BEGIN, STAGE_WEIGHT, hold
 from sim_heating.thermal.linear import (
     DEPTH,
     FACES,
@@ -282,7 +282,7 @@ class LinearMarch:
         out = np.empty((len(self.tracks), reads, count, 2 + m))
         march_linear(  # type: ignore[call-arg]
             self.base.block(0), self.base.integers(0), (self.shadows or self.base).table, self.base.chain,
-            self.base.begin_handle, self.base.advance_handle, self.rows, self.faces,
+            self.base.move_handle, self.rows, self.faces,
             self._shadow_state(), self._groups, self._places(m),
             self.time_s, self.histories, self._flights, self._start(m), wanted, out,
         )  # fmt: skip
@@ -362,7 +362,7 @@ def _read_samples(
 
 @njit
 def march_linear(
-    B: FloatArray, J: IntArray, table: FloatArray, chain, begin, advance, rows, faces,  # type: ignore[no-untyped-def]
+    B: FloatArray, J: IntArray, table: FloatArray, chain, move, rows, faces,  # type: ignore[no-untyped-def]
     X: FloatArray, shadows: Groups, p: Places,
     time_s: FloatArray, histories: FloatArray, which: IntArray, start: FloatArray, wanted: Wanted, out: FloatArray,
 ) -> None:  # fmt: skip
@@ -381,7 +381,7 @@ def march_linear(
     for lane in range(LANES):
         for c in range(N_CONDITIONS):
             B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], 0, c]
-    call_step(begin, b, j, t, chain, 0.0)
+    call_step(move, b, j, t, chain, BEGIN)
     assemble_shadows(B, X, shadows, table, chain, rows, faces, T, 2, 1.0)
     for lane in range(LANES):
         if wanted.columns[lane] > 0:
@@ -392,7 +392,7 @@ def march_linear(
         for lane in range(LANES):
             for c in range(N_CONDITIONS):
                 B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], k, c]
-        call_step(advance, b, j, t, chain, dt)
+        call_step(move, b, j, t, chain, dt)
         ddt = STAGE_WEIGHT * dt
         assemble_shadows(B, X, shadows, table, chain, rows, faces, T_STAGE, 1, ddt)
         for lane in range(LANES):

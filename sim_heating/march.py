@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sim_heating.jit import call_step, njit, raw
 from sim_heating.layout import C_STAGES, LANES, N_CONDITIONS
-from sim_heating.thermal.kernel import hold
+from sim_heating.thermal.kernel import BEGIN, hold
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -30,18 +30,18 @@ def set_conditions(B: FloatArray, vectors: FloatArray, first: int, share: float)
 
 @njit
 def begin_groups(
-    state: FloatArray, ints: IntArray, table: FloatArray, chain, begin, groups: IntArray, now: FloatArray
+    state: FloatArray, ints: IntArray, table: FloatArray, chain, move, groups: IntArray, now: FloatArray
 ) -> None:  # type: ignore[no-untyped-def]
     """Set the conditions that hold now, (group * LANES, condition), without moving in time."""
     for g in range(len(groups)):
         B = state[groups[g, BLOCK_START] : groups[g, BLOCK_END]]
         set_conditions(B, now, g * LANES, 1.0)
-        call_step(begin, raw(B), raw(ints[groups[g, INTS_START] : groups[g, INTS_END]]), raw(table), chain, 0.0)
+        call_step(move, raw(B), raw(ints[groups[g, INTS_START] : groups[g, INTS_END]]), raw(table), chain, BEGIN)
 
 
 @njit
 def advance_groups(
-    state: FloatArray, ints: IntArray, table: FloatArray, chain, advance, groups: IntArray, then: FloatArray,  # type: ignore[no-untyped-def]
+    state: FloatArray, ints: IntArray, table: FloatArray, chain, move, groups: IntArray, then: FloatArray,  # type: ignore[no-untyped-def]
     dt: float, steps: int,
 ) -> None:  # fmt: skip
     """A frame of dt [s] in equal steps for all groups, to the conditions `then` (group * LANES, condition), linear
@@ -52,17 +52,17 @@ def advance_groups(
         for s in range(steps):
             hold(b)
             set_conditions(B, then, g * LANES, 1.0 / (steps - s))
-            call_step(advance, b, j, t, chain, dt / steps)
+            call_step(move, b, j, t, chain, dt / steps)
 
 
 @njit
 def march_group(
-    B: FloatArray, J: IntArray, table: FloatArray, chain, begin, advance, time_s: FloatArray, histories: FloatArray,  # type: ignore[no-untyped-def]
+    B: FloatArray, J: IntArray, table: FloatArray, chain, move, time_s: FloatArray, histories: FloatArray,  # type: ignore[no-untyped-def]
     which: IntArray, longest_step_s: float, kept: IntArray, out: FloatArray,
 ) -> None:  # fmt: skip
     """March one group through its flights; conditions are linear between samples.
 
-    begin, advance : handles of the compiled steps
+    move      : handle of the compiled step (thermal/kernel.py)
     histories : (flight, time, condition)
     which     : (LANES,) the flight of each lane
     kept      : (m,) places in the block whose numbers are kept at every sample
@@ -73,7 +73,7 @@ def march_group(
     for lane in range(LANES):
         for c in range(N_CONDITIONS):
             B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], 0, c]
-    call_step(begin, b, j, t, chain, 0.0)
+    call_step(move, b, j, t, chain, BEGIN)
     for m in range(m_kept):
         out[0, m] = B[kept[m]]
     for k in range(1, len(time_s)):
@@ -86,6 +86,6 @@ def march_group(
                 for c in range(N_CONDITIONS):
                     now, then = histories[which[lane], k - 1, c], histories[which[lane], k, c]
                     B[END_STAGE + lane * N_CONDITIONS + c] = then if s == steps else now + f * (then - now)
-            call_step(advance, b, j, t, chain, span / steps)
+            call_step(move, b, j, t, chain, span / steps)
         for m in range(m_kept):
             out[k, m] = B[kept[m]]

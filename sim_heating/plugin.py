@@ -90,7 +90,8 @@ class HeatingPlugin:
     effects        : effects by control point, beside those that the vehicle declares
 
     Attributes: `names` of the control points; `outputs`, (control point, `surface`, `bondline` or sensor) of each of
-    `temperatures()`; `ensemble`, whose state is that at `heated_s`.
+    `temperatures()`; `ensemble`, whose state is that at `heated_s`; `pressures`, (point, PRESSURE_WIDTH + 1) as
+    plugin_kernel.py takes them.
     """
 
     def __init__(
@@ -115,6 +116,7 @@ class HeatingPlugin:
         model = reference_model(vehicle.heating.reference)
         lengths = [p.running_length_m or 1.0 if model.on_plate else 1.0 for p in self.points]
         table = [[*p.pressure.parameters(), length] for p, length in zip(self.points, lengths, strict=True)]
+        self.pressures = np.array(table, dtype=float)
         self._host = np.zeros(HOST_SIZE)
         self._host[:STARTED] = (
             model.code, vehicle.reference_length_m, vehicle.heating.nose_radius_m or 1.0,
@@ -125,8 +127,8 @@ class HeatingPlugin:
         self._shown = np.zeros((4, len(outputs)))
         self.watch = partial(watch_frame, self._host, self._shown)
         self._arguments = (
-            e.state, e.ints, e.table, e.chain, e.begin_handle, e.advance_handle, e.groups,
-            np.array(table, dtype=float), e.lanes, np.zeros((len(e.lanes), N_CONDITIONS)),
+            e.state, e.ints, e.table, e.chain, e.move_handle, e.groups,
+            self.pressures, e.lanes, np.zeros((len(e.lanes), N_CONDITIONS)),
             np.array([place for _, _, place in outputs]), self._host, self._shown,
         )  # fmt: skip
 

@@ -206,14 +206,14 @@ def _fit_parabola(state: FloatArray, places: IntArray, shown: FloatArray, dt: fl
 
 @njit
 def _heat_to(
-    state: FloatArray, ints: IntArray, table: FloatArray, chain, advance, groups: IntArray, points: FloatArray,  # type: ignore[no-untyped-def]
+    state: FloatArray, ints: IntArray, table: FloatArray, chain, move, groups: IntArray, points: FloatArray,  # type: ignore[no-untyped-def]
     lanes: IntArray, then: FloatArray, places: IntArray, host: FloatArray, shown: FloatArray, frame: FloatArray,
 ) -> None:  # fmt: skip
     """One thermal step, or several of LONGEST_STEP, from the frame that the model is at to another."""
     dt = frame[F_TIME] - host[HEATED + F_TIME]
     steps = max(math.ceil(dt / host[LONGEST_STEP] - 1e-9), 1)
     derive_conditions(frame, host, points, lanes, then)
-    advance_groups(state, ints, table, chain, advance, groups, then, dt, steps)
+    advance_groups(state, ints, table, chain, move, groups, then, dt, steps)
     error = _fit_parabola(state, places, shown, dt)
     longer = math.pow(GOAL * PUBLISHED_K / max(error, 1e-9), 1.0 / 3.0)
     host[WAIT] = min(host[LONGEST_WAIT], dt / steps * min(longer, LONGER))
@@ -225,7 +225,7 @@ def _heat_to(
 
 @njit
 def heat_points(
-    state: FloatArray, ints: IntArray, table: FloatArray, chain, begin, advance, groups: IntArray,  # type: ignore[no-untyped-def]
+    state: FloatArray, ints: IntArray, table: FloatArray, chain, move, groups: IntArray,  # type: ignore[no-untyped-def]
     points: FloatArray, lanes: IntArray, then: FloatArray, places: IntArray, host: FloatArray, shown: FloatArray,
     frame: FloatArray, outcome: int,
 ) -> int:  # fmt: skip
@@ -236,7 +236,7 @@ def heat_points(
     """
     if outcome == NO_START:
         derive_conditions(frame, host, points, lanes, then)
-        begin_groups(state, ints, table, chain, begin, groups, then)
+        begin_groups(state, ints, table, chain, move, groups, then)
         host[STARTED] = 1.0
         for i in range(len(frame)):
             host[HEATED + i] = frame[i]
@@ -247,8 +247,8 @@ def heat_points(
         return GOOD
     if outcome == BEND and host[SEEN + F_TIME] > host[HEATED + F_TIME]:
         before = host[SEEN : SEEN + len(frame)].copy()
-        _heat_to(state, ints, table, chain, advance, groups, points, lanes, then, places, host, shown, before)
-    _heat_to(state, ints, table, chain, advance, groups, points, lanes, then, places, host, shown, frame)
+        _heat_to(state, ints, table, chain, move, groups, points, lanes, then, places, host, shown, before)
+    _heat_to(state, ints, table, chain, move, groups, points, lanes, then, places, host, shown, frame)
     failed = 0.0
     for g in range(len(groups)):
         for lane in range(LANES):

@@ -109,7 +109,7 @@ class ResponseMarch(FilterMarch):
         B = self.base.block(0).copy()
         march_response(
             B, self.base.integers(0), self.base.table, self.base.chain,
-            self.base.begin_handle, self.base.advance_handle, self.rows, self.faces,
+            self.base.move_handle, self.rows, self.faces,
             Blocks(*(self._shadow_state().copy() for _ in range(3))), self._groups,
             self.time_s, self.histories, self._flights, self._places(1), readings,
             nothing, add, columns_of(n, n + 2), told,
@@ -134,7 +134,7 @@ class ResponseMarch(FilterMarch):
 
 @njit
 def march_response(
-    B: FloatArray, J: IntArray, table: FloatArray, chain, begin, advance, rows, faces,  # type: ignore[no-untyped-def]
+    B: FloatArray, J: IntArray, table: FloatArray, chain, move, rows, faces,  # type: ignore[no-untyped-def]
     X: Blocks, shadows: Groups, time_s: FloatArray, histories: FloatArray, which: IntArray, p: Places, r: Readings,
     state: State, added: FloatArray, w: Columns, told: Told,
 ) -> None:  # fmt: skip
@@ -147,9 +147,9 @@ def march_response(
     for lane in range(lanes):
         _keep_temperatures(B, lane, p.nodes[lane], told.temperature_K[lane, 0])
         disturb(B, X, shadows, lane, added[lane, 0])
-    begin_march(B, J, table, chain, begin, histories, which)
+    begin_march(B, J, table, chain, move, histories, which)
     for k in range(1, len(time_s)):
-        step_beside_shadows(B, J, table, chain, advance, rows, faces, X, shadows, time_s, histories, which, p, lanes, k)
+        step_beside_shadows(B, J, table, chain, move, rows, faces, X, shadows, time_s, histories, which, p, lanes, k)
         for lane in range(lanes):
             n = p.nodes[lane]
             if told.transition.shape[3] > 0:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sim_heating.arithmetic import exp, log10
 from sim_heating.heating_ratio.kernel import axes_outside, linear_ratio, table_ratios
-from sim_heating.jit import call_chain, njit
+from sim_heating.jit import call_chain, folded, njit
 from sim_heating.layout import (
     ADDED,
     C_STAGES,
@@ -76,7 +76,7 @@ def with_effects(B: FloatArray, J: IntArray, chain, lane: int, stage: int, r: fl
     return r
 
 
-@njit
+@folded
 def _lagged(B: FloatArray, lane: int, stage: int, p: int, r: float) -> float:
     """The ratio with its lag at a stage; time constant [s] and fraction stand in B[p] and B[p + 1]."""
     now = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS + TIME
@@ -102,7 +102,7 @@ def emittance_factor(B: FloatArray, J: IntArray, chain, lane: int, stage: int, w
     return factor
 
 
-@njit
+@folded
 def _pressure_column(B: FloatArray, J: IntArray, table: FloatArray, lane: int, stage: int) -> None:
     """Column of the property tables left of the pressure whose log10 stands in PFRAC, and in its place the fraction of
     the way to the next."""

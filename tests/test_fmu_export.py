@@ -20,8 +20,8 @@ from sim_heating.cli import main
 from sim_heating.conditions import FRAME, Conditions
 from sim_heating.errors import InputError
 from sim_heating.fmu.export import export_heating
-from sim_heating.fmu.heating import ENTRIES, THERMAL_STEP, heating_image, heating_units
-from sim_heating.fmu.library import TARGETS, Function, compiler, object_code, parts
+from sim_heating.fmu.heating import MODEL, THERMAL_STEP, heating_image, heating_units
+from sim_heating.fmu.library import TARGETS, Unit, compiler, object_code, parts, wrapper_sources
 from sim_heating.heating_ratio.table import read_ratio_table, write_ratio_table
 from sim_heating.plugin import HeatingPlugin
 from sim_heating.points import conditions_at_point
@@ -350,7 +350,7 @@ def test_effect_of_the_users_own_is_compiled_in(fmus, vehicle, flown, tmp_path, 
         with (folder / "control_points" / f"{name}.toml").open("a") as file:
             file.write('\n[[effect]]\nname = "mach-growth"\nsource = "test"\n')
     own = load_vehicle(folder)
-    shared = [path for unit in (ENTRIES, THERMAL_STEP) for path in unit.objects(TARGETS["linux"])]
+    shared = [path for unit in (MODEL, THERMAL_STEP) for path in unit.objects(TARGETS["linux"])]
     before = [path.stat().st_mtime_ns for path in shared]
     export_heating(own, tmp_path / "own.fmu", POINTS)
     assert [path.stat().st_mtime_ns for path in shared] == before  # what all vehicles share is not made anew
@@ -392,7 +392,7 @@ def test_kernel_that_allocates_is_refused():
         return np.zeros(n).sum()
 
     with pytest.raises(RunError, match="greedy: needs NRT_"):
-        object_code([Function("greedy", greedy)], TARGETS["linux"], "x86-64")
+        object_code(Unit("greedy", greedy._sig, lambda: greedy), TARGETS["linux"], "x86-64")
 
 
 def test_vectors_of_any_machine_are_allowed_and_roundings_of_another_are_not():
@@ -463,7 +463,7 @@ def linked(vehicle, tmp_path_factory) -> tuple[Path, list[Path], int]:
     folder = tmp_path_factory.mktemp("linked")
     model = heating_image(vehicle, ["NOSECAP", "V09T9527"])
     (folder / "model.bin").write_bytes(model.image.binary("{token}"))
-    made = parts(heating_units(model.effects), TARGETS["linux"], folder)
+    made = [*parts(heating_units(model.effects), TARGETS["linux"], folder), *wrapper_sources()]
     return folder, made, len(model.image.variables)
 
 

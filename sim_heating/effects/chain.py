@@ -16,7 +16,7 @@ import numba
 from numba import types
 
 from sim_heating.effects import Effect
-from sim_heating.jit import call_effect, handle
+from sim_heating.jit import c_function, call_effect, handle
 
 SIGNATURE = types.float64(types.int64, types.CPointer(types.float64), types.int64, types.int64, types.float64)
 """value = chain(code, B, c, p, wall_K)"""
@@ -62,10 +62,7 @@ def _join(kernels: Sequence[Any]) -> Callable[..., float]:
 def compiled_chain(effects: tuple[Effect, ...]) -> Chain:
     """The chain of these effects in one function; the code of an effect is its place among them."""
     function = _join([e.kernel for e in effects]) if effects else _nothing
-    codes = tuple(range(len(effects)))
-    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
-        return Chain(function, codes)
-    return Chain(numba.cfunc(SIGNATURE, cache=not effects, error_model="numpy")(function), codes)
+    return Chain(c_function(SIGNATURE, function, cache=not effects), tuple(range(len(effects))))
 
 
 def chain_of(effects: tuple[Effect, ...]) -> Chain:
@@ -82,10 +79,10 @@ def _call(code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
 
 @cache
 def _compiled_call() -> Any:
-    return numba.cfunc(SIGNATURE, cache=True, error_model="numpy")(_call)
+    return c_function(SIGNATURE, _call)
 
 
 @cache
 def _compiled(kernel: Any) -> Any:
     """The kernel of an effect, compiled when first asked for."""
-    return numba.cfunc(KERNEL, cache=True, error_model="numpy")(kernel.py_func)
+    return c_function(KERNEL, kernel.py_func)

@@ -7,7 +7,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 
 from sim_heating.conditions import FRAME
@@ -27,6 +26,7 @@ from sim_heating.fmu.native import (
     REACHED,
     TIMING,
 )
+from sim_heating.jit import c_function
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import manoeuvres as mv
 from sim_heating.trajectory import point_mass as pm
@@ -107,14 +107,12 @@ def export_entry(spec: TrajectorySpec, vehicle_dir: Path, out: Path, *, title: s
 
 
 @cache
-def _entries() -> tuple[Any, Any]:
-    """`start` and `step`, compiled."""
-    compile_as = numba.cfunc(FUNCTION, cache=True, error_model="numpy")
-    return compile_as(k.start), compile_as(k.step)
+def _move() -> Any:
+    return c_function(FUNCTION, k.move)
 
 
-ENTRY_UNITS = (Unit(("entry_start", "entry_step"), _entries),)
-"""Compiled functions of the library, in the order of native.py."""
+ENTRY_UNITS = (Unit("entry_move", FUNCTION, _move),)
+"""The compiled function of the library."""
 
 
 def check_source(spec: TrajectorySpec) -> None:

@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 
 from sim_heating.atmosphere import HIGHEST_M
-from sim_heating.fmu.native import GOOD, INPUTS, INPUTS_NEXT, INPUTS_NOW, N_INPUTS, NEXT, NOW, at
-from sim_heating.jit import njit
+from sim_heating.fmu.native import BEGINS, GOOD, INPUTS, INPUTS_NEXT, INPUTS_NOW, N_INPUTS, NEXT, NOW, at
+from sim_heating.jit import folded, njit
 from sim_heating.trajectory.entry3dof import DEEPEST_M
 from sim_heating.trajectory.manoeuvres import CHANNEL, ENTRY, PITCH_MODE, PLAN, TRIGGER
 from sim_heating.trajectory.point_mass import (
@@ -85,7 +85,8 @@ def _follow_inputs(R, N, share: float, dt: float) -> None:  # type: ignore[no-un
     runge_kutta_step(state, at(R, N[FLIGHT]), at(R, N[AERO]), at(R, N[WORK]), dt, alpha, bank, beta, elevon, flap)
 
 
-def start(R, N, A) -> int:  # type: ignore[no-untyped-def]
+@folded
+def _start(R, N, A) -> int:  # type: ignore[no-untyped-def]
     """The initial state on the schedule of guidance."""
     for k in range(N[N_INPUTS]):
         R[N[INPUTS_NEXT] + k] = R[N[INPUTS] + k]
@@ -96,7 +97,8 @@ def start(R, N, A) -> int:  # type: ignore[no-untyped-def]
     return _observe(R, N)
 
 
-def step(R, N, A) -> int:  # type: ignore[no-untyped-def]
+@folded
+def _step(R, N, A) -> int:  # type: ignore[no-untyped-def]
     """The flight to the end of a communication step."""
     length = R[NEXT] - R[NOW]
     if not length <= LONGEST_COMMUNICATION_S:
@@ -116,3 +118,10 @@ def step(R, N, A) -> int:  # type: ignore[no-untyped-def]
         if outcome != GOOD:
             return outcome
     return outcome
+
+
+def move(R, N, A) -> int:  # type: ignore[no-untyped-def]
+    """The model (native.py)."""
+    if N[BEGINS] == 1:
+        return _start(R, N, A)
+    return _step(R, N, A)

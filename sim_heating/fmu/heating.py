@@ -20,11 +20,11 @@ import numpy as np
 from sim_heating.atmosphere import us76
 from sim_heating.conditions import FRAME, RATIO_VARIABLES
 from sim_heating.effects import Effect, EffectUse, effects
-from sim_heating.effects.chain import compiled_chain
+from sim_heating.effects.chain import SIGNATURE, compiled_chain
 from sim_heating.ensemble import Ensemble
 from sim_heating.fmu import heating_kernel as k
 from sim_heating.fmu.image import TEXT_BYTES, Image, Kind, Problem, Role, Variable
-from sim_heating.fmu.library import TARGETS, Target, Unit, compiler, objects
+from sim_heating.fmu.library import TARGETS, Target, Unit, compiler, objects, wrapper
 from sim_heating.fmu.native import (
     FUNCTION,
     HELD,
@@ -37,6 +37,7 @@ from sim_heating.fmu.native import (
     TIMING,
 )
 from sim_heating.heating_ratio.table import RatioTable
+from sim_heating.jit import STEP_SIGNATURE, c_function
 from sim_heating.layout import (
     EFFECT_CODES,
     EFFECT_PARAMETERS,
@@ -133,23 +134,21 @@ def built_in(effect: Effect) -> bool:
 
 
 @cache
-def entries() -> tuple[Any, Any]:
-    """`start` and `step`, compiled."""
-    compile_as = numba.cfunc(FUNCTION, cache=True, error_model="numpy")
-    return compile_as(k.start), compile_as(k.step)
+def _move() -> Any:
+    return c_function(FUNCTION, k.move)
 
 
-ENTRIES = Unit(("heating_start", "heating_step"), entries)
-THERMAL_STEP = Unit(("heating_begin", "heating_advance"), compiled)
+MODEL = Unit("heating_move", FUNCTION, _move)
+THERMAL_STEP = Unit("heating_thermal_step", STEP_SIGNATURE, compiled)
 
 
 def heating_units(model_effects: tuple[Effect, ...]) -> tuple[Unit, ...]:
-    """Functions of the library: start and step; in the order of `A`, the effects, begin, advance."""
+    """Functions of the library: the model's; in the order of `A`, the effects, the thermal step."""
 
-    def chain() -> tuple[Any]:
-        return (compiled_chain(model_effects).function,)
+    def chain() -> Any:
+        return compiled_chain(model_effects).function
 
-    return ENTRIES, Unit(("heating_effects",), chain, _sources_of(model_effects)), THERMAL_STEP
+    return MODEL, Unit("heating_effects", SIGNATURE, chain, _sources_of(model_effects)), THERMAL_STEP
 
 
 def _sources_of(used: Sequence[Effect]) -> str:
@@ -166,7 +165,8 @@ def _made_beside() -> tuple[Unit, ...]:
 @contextmanager
 def making_objects(targets: Sequence[Target]) -> Iterator[None]:
     """Make the object files that libraries of all vehicles share, where they are not in the cache: that of the thermal
-    step before the block begins, the others in a second process meanwhile; they are there when the block ends.
+    step before the block begins, the others and the C wrapper in a second process meanwhile; all are there when it
+    ends.
 
     raises : InputError where there is no compiler that could link them
     """
@@ -193,7 +193,10 @@ def making_objects(targets: Sequence[Target]) -> Iterator[None]:
 
 def make_others(platforms: Sequence[str]) -> None:
     """What the second process of `making_objects` does."""
-    _make(_made_beside(), [TARGETS[name] for name in platforms])
+    targets = [TARGETS[name] for name in platforms]
+    _make(_made_beside(), targets)
+    for target in targets:
+        wrapper(target)
 
 
 def _make(units: Sequence[Unit], targets: Sequence[Target]) -> None:
@@ -283,8 +286,7 @@ class _Packer:
         host[:3] = self.plugin._host[:3]
         if self.columns:
             host[k.CODE] = COLUMNS
-        points = self.plugin._arguments[7]
-        return {k.HOST: self.image.numbers(host), k.PRESSURES: self.image.numbers(points)}
+        return {k.HOST: self.image.numbers(host), k.PRESSURES: self.image.numbers(self.plugin.pressures)}
 
     def _pack_points(self, head: Mapping[int, int]) -> dict[int, int]:
         e, image = self.ensemble, self.image

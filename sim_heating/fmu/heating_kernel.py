@@ -15,8 +15,8 @@ from numba import carray
 from numpy.typing import NDArray
 
 from sim_heating.conditions import FRAME
-from sim_heating.fmu.native import CHANGED, GOOD, INPUTS, INPUTS_NEXT, INPUTS_NOW, N_INPUTS, NEXT, NOW, at
-from sim_heating.jit import njit
+from sim_heating.fmu.native import BEGINS, CHANGED, GOOD, INPUTS, INPUTS_NEXT, INPUTS_NOW, N_INPUTS, NEXT, NOW, at
+from sim_heating.jit import folded, njit
 from sim_heating.layout import (
     ADDED,
     EMISSIVITY_TABLE,
@@ -94,7 +94,7 @@ def _first_problem(values, ranges, n: int) -> int:  # type: ignore[no-untyped-de
     return GOOD
 
 
-@njit
+@folded
 def _apply_parameters(R, N, B: FloatArray, J: IntArray, g: int) -> None:  # type: ignore[no-untyped-def]
     """Write the parameters of all points of a group into its block."""
     for i in range(N[N_POINTS]):
@@ -138,7 +138,7 @@ def _begin(R, N, A, inputs, time: float) -> None:  # type: ignore[no-untyped-def
     begin_groups(state, ints, carray(at(R, N[TABLE]), N[N_TABLE]), A[0], A[1], groups, vectors)
 
 
-@njit
+@folded
 def _advance(R, N, A, inputs, time: float, dt: float) -> None:  # type: ignore[no-untyped-def]
     _derive(R, N, inputs, time)
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
@@ -146,7 +146,7 @@ def _advance(R, N, A, inputs, time: float, dt: float) -> None:  # type: ignore[n
     vectors = carray(at(R, N[VECTORS]), (N[N_ROWS], N_CONDITIONS))
     steps = max(math.ceil(dt / R[N[OPTIONS] + LONGEST_STEP] - 1e-9), 1)
     table = carray(at(R, N[TABLE]), N[N_TABLE])
-    advance_groups(state, ints, table, A[0], A[2], groups, vectors, dt, steps)
+    advance_groups(state, ints, table, A[0], A[1], groups, vectors, dt, steps)
 
 
 @njit
@@ -159,7 +159,7 @@ def _write_parameters(R, N) -> None:  # type: ignore[no-untyped-def]
         _apply_parameters(R, N, B, ints[groups[g, INTS_START] : groups[g, INTS_END]], g)
 
 
-@njit
+@folded
 def _clear_counts(R, N) -> None:  # type: ignore[no-untyped-def]
     """Clear what is counted in all groups."""
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
@@ -207,7 +207,8 @@ def _give_out(R, N, A) -> int:  # type: ignore[no-untyped-def]
 # whose step did not converge.
 
 
-def start(R, N, A) -> int:  # type: ignore[no-untyped-def]
+@folded
+def _start(R, N, A) -> int:  # type: ignore[no-untyped-def]
     """The initial temperatures of the stacks in the conditions of the inputs."""
     n = N[N_INPUTS]
     for k in range(n):
@@ -225,7 +226,8 @@ def start(R, N, A) -> int:  # type: ignore[no-untyped-def]
     return GOOD if outcome == GOOD else 2 * n + 1 + outcome
 
 
-def step(R, N, A) -> int:  # type: ignore[no-untyped-def]
+@folded
+def _step(R, N, A) -> int:  # type: ignore[no-untyped-def]
     """All points to the end of a step."""
     n, dt = N[N_INPUTS], R[NEXT] - R[NOW]
     now, then, ranges = at(R, N[INPUTS_NOW]), at(R, N[INPUTS_NEXT]), at(R, N[RANGES])
@@ -249,3 +251,10 @@ def step(R, N, A) -> int:  # type: ignore[no-untyped-def]
         R[N[HEATED] + k] = then[k]
     outcome = _give_out(R, N, A)
     return GOOD if outcome == GOOD else 2 * n + 1 + outcome
+
+
+def move(R, N, A) -> int:  # type: ignore[no-untyped-def]
+    """The model (native.py)."""
+    if N[BEGINS] == 1:
+        return _start(R, N, A)
+    return _step(R, N, A)

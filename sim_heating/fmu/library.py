@@ -84,54 +84,45 @@ TARGETS: Mapping[str, Target] = {
 
 
 @dataclass(frozen=True)
-class Function:
-    """A compiled function of the library: `numba.cfunc(..., error_model="numpy")` of pointers and numbers.
+class Unit:
+    """A function that is compiled into an object file for each processor, with all that it calls by name.
 
-    name : in C, without the suffix of a level
+    name      : in C, without the suffix of a level
+    signature : numba's
+    make      : gives the function, `jit.c_function` of pointers and numbers; not asked where a library or an object is
+                in the cache
+    more      : what it depends on beside the package's own sources
     """
 
     name: str
-    compiled: Any
-
-    @property
-    def prototype(self) -> str:
-        """Declaration of the function in C."""
-        kinds = [_C_TYPES[str(t)] for t in self.compiled._sig.args]
-        return f"{_C_TYPES[str(self.compiled._sig.return_type)]} NAME({', '.join(kinds)})"
-
-
-@dataclass(frozen=True)
-class Unit:
-    """Functions that are compiled into one object file for each processor; what they share is in it once.
-
-    names : of the functions in C, without the suffix of a level
-    make  : gives the compiled functions in this order; not asked where a library or an object is in the cache
-    more  : what they depend on beside the package's own sources
-    """
-
-    names: tuple[str, ...]
-    make: Callable[[], Sequence[Any]]
+    signature: Any
+    make: Callable[[], Any]
     more: str = ""
 
     @cached_property
-    def functions(self) -> list[Function]:
-        """The functions, compiled."""
-        return [Function(name, f) for name, f in zip(self.names, self.make(), strict=True)]
+    def compiled(self) -> Any:
+        """The function, compiled."""
+        return self.make()
+
+    def prototype(self, name: str) -> str:
+        """Declaration in C under this name."""
+        kinds = [_C_TYPES[str(t)] for t in self.signature.args]
+        return f"{_C_TYPES[str(self.signature.return_type)]} {name}({', '.join(kinds)});"
 
     def objects(self, target: Target) -> list[Path]:
         """Where the object files for a platform are kept, one for each level."""
         folder = _folder([self], target)
-        return [folder / f"{self.names[0]}_{k}.o" for k in range(len(target.levels))]
+        return [folder / f"{self.name}_{k}.o" for k in range(len(target.levels))]
 
 
 _C_TYPES = {"float64": "double", "int64": "int64_t", "none": "void", "float64*": "double *", "int64*": "int64_t *"}
 _IR_TYPES = {"float64": "double", "int64": "i64", "none": "void", "float64*": "ptr", "int64*": "ptr"}
 
 
-def _plain_c(function: Function, symbol: str) -> str:
+def _plain_c(unit: Unit, symbol: str) -> str:
     """IR of the function's plain C face. numba's own: status f(result *, exception **, arguments)."""
-    signature = function.compiled._sig
-    native = function.compiled.native_name.removeprefix("cfunc.")
+    signature = unit.signature
+    native = unit.compiled.native_name.removeprefix("cfunc.")
     kinds = [_IR_TYPES[str(t)] for t in signature.args]
     result = _IR_TYPES[str(signature.return_type)]
     given = ", ".join(f"{kind} %a{i}" for i, kind in enumerate(kinds))
@@ -152,15 +143,15 @@ _COUNTING = re.compile(r"^(define [^\n]*@NRT_(?:incref|decref)\([^\n]*\{)\n.*?^\
 _TARGET_LINE = re.compile(r"^target (?:triple|datalayout) = .*$", re.MULTILINE)
 
 
-def _module_text(function: Function, symbol: str) -> str:
-    """IR of a compiled function and all that it calls.
+def _module_text(unit: Unit, symbol: str) -> str:
+    """IR of a unit's function and all that it calls.
 
     Whether it has just been compiled or comes from the cache: `inspect_llvm` knows only the first. Reference counts
     are left out: all memory is the host's, and a kernel that asked for some would be refused.
     """
-    text = str(function.compiled._library._get_module_for_linking())
+    text = str(unit.compiled._library._get_module_for_linking())
     text = _COUNTING.sub(r"\1\n  ret void\n}", _TARGET_LINE.sub("", text))
-    return text + _plain_c(function, symbol)
+    return text + _plain_c(unit, symbol)
 
 
 def _forbidden(module: llvm.ModuleRef) -> list[str]:
@@ -170,40 +161,34 @@ def _forbidden(module: llvm.ModuleRef) -> list[str]:
     return sorted({n for n in intrinsics if n.split(".")[1] in CALLED_INTRINSICS} | (called - intrinsics - ALLOWED))
 
 
-def object_code(functions: Sequence[Function], target: Target, level: str, suffix: str = "") -> bytes:
-    """Object file of compiled functions for a platform and a processor, what they share in it once.
+def object_code(unit: Unit, target: Target, level: str, suffix: str = "") -> bytes:
+    """Object file of a compiled function for a platform and a processor.
 
-    suffix : of their names in C
-    raises : RunError naming what they call that a host without Python does not have
+    suffix : of its name in C
+    raises : RunError naming what it calls that a host without Python does not have
     """
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
     machine = llvm.Target.from_triple(target.triple).create_target_machine(
         cpu=level, opt=3, reloc="pic", codemodel="default"
     )
-    symbols = [f"{f.name}{suffix}" for f in functions]
-    module = _joined([_module_text(f, s) for f, s in zip(functions, symbols, strict=True)])
+    symbol = unit.name + suffix
+    module = llvm.parse_assembly(_module_text(unit, symbol))
     module.triple, module.data_layout = target.triple, str(machine.target_data)
     for value in [*module.functions, *module.global_variables]:
-        if not value.is_declaration and value.name not in symbols:
+        if not value.is_declaration and value.name != symbol:
             value.linkage = "internal"
-    options = llvm.create_pipeline_tuning_options(speed_level=3)
-    llvm.create_pass_builder(machine, options).getModulePassManager().run(
-        module, llvm.create_pass_builder(machine, options)
-    )
+    # numba has optimised the functions already; for the most able processor the whole is looked at once more.
+    builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=1))
+    passes = builder.getModulePassManager()
+    if level != target.levels[-1]:
+        passes = llvm.create_new_module_pass_manager()
+        passes.add_global_dead_code_eliminate_pass()
+    passes.run(module, builder)
     forbidden = _forbidden(module)
     if forbidden:
-        names = ", ".join(f.name for f in functions)
-        raise RunError(f"{names}: needs {', '.join(forbidden)}, which a host without Python does not have")
+        raise RunError(f"{unit.name}: needs {', '.join(forbidden)}, which a host without Python does not have")
     return bytes(machine.emit_object(module))
-
-
-def _joined(texts: Sequence[str]) -> llvm.ModuleRef:
-    """One module of several."""
-    first, *others = map(llvm.parse_assembly, texts)
-    for other in others:
-        first.link_in(other)
-    return first
 
 
 def sources() -> Path:
@@ -228,17 +213,16 @@ def compiler(target: Target) -> list[str]:
     raise InputError(f"fmu: {what} is not here; install one: pip install 'sim-heating[fmu]'")
 
 
-def _table_of_functions(functions: Sequence[Function], target: Target) -> str:
+def _table_of_functions(units: Sequence[Unit], target: Target) -> str:
     """C source that names the functions of each level, the most able one last."""
     levels = range(len(target.levels))
     lines = ['#include "wrapper.h"']
-    for function in functions:
-        lines += [f"{function.prototype.replace('NAME', f'{function.name}_{k}')};" for k in levels]
-    start, step, *called = functions
+    lines += [unit.prototype(f"{unit.name}_{k}") for unit in units for k in levels]
+    model, *called = units
     for k in levels:
-        addresses = ", ".join(f"(int64_t)(intptr_t){f.name}_{k}" for f in called) or "0"
+        addresses = ", ".join(f"(int64_t)(intptr_t){unit.name}_{k}" for unit in called) or "0"
         lines.append(f"static int64_t called_{k}[] = {{{addresses}}};")
-    rows = ", ".join(f"{{{start.name}_{k}, {step.name}_{k}, called_{k}}}" for k in levels)
+    rows = ", ".join(f"{{{model.name}_{k}, called_{k}}}" for k in levels)
     lines += [f"const Model models[] = {{{rows}}};", f"const int n_models = {len(target.levels)};", ""]
     return "\n".join(lines)
 
@@ -249,7 +233,7 @@ def _folder(units: Sequence[Unit], target: Target) -> Path:
     for part in (_package_digest(), numba.__version__, llvmlite.__version__, repr(target)):
         digest.update(part.encode())
     for unit in units:
-        digest.update(" ".join((*unit.names, unit.more)).encode())
+        digest.update(f"{unit.name} {unit.more}".encode())
     for path in (*sorted(sources().glob("*.[ch]")), Path(inspect.getfile(object_code))):
         digest.update(path.read_bytes())
     return Path(numba.config.CACHE_DIR) / "fmu" / digest.hexdigest()[:24]  # type: ignore[attr-defined]
@@ -258,8 +242,7 @@ def _folder(units: Sequence[Unit], target: Target) -> Path:
 def library(units: Sequence[Unit], target: Target) -> Path:
     """The shared library of a model for a platform, made where it is not in the cache.
 
-    units  : whose functions are start, step (native.FUNCTION), and what those call through addresses, in the order
-             of `A`
+    units  : the model (native.py), and what it calls through addresses, in the order of `A`
     raises : InputError where there is no compiler, RunError where a function cannot be made or linked
     """
     folder = _folder(units, target)
@@ -280,27 +263,59 @@ def objects(unit: Unit, target: Target) -> list[Path]:
 
     raises : RunError where a function cannot be made
     """
-    for k, (path, level) in enumerate(zip(unit.objects(target), target.levels, strict=True)):
+    found = unit.objects(target)
+    for k, (path, level) in enumerate(zip(found, target.levels, strict=True)):
         if not path.is_file():
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_bytes_atomic(path, object_code(unit.functions, target, level, f"_{k}"))
-    return unit.objects(target)
+            write_bytes_atomic(path, object_code(unit, target, level, f"_{k}"))
+    return found
 
 
 def parts(units: Sequence[Unit], target: Target, folder: Path) -> list[Path]:
-    """All that a library is linked from: objects, the wrapper, and the table of functions, written to a folder."""
+    """What a library has beside the wrapper: objects, and the table of functions, written to a folder."""
     found = [path for unit in units for path in objects(unit, target)]
     table = folder / "functions.c"
-    table.write_text(_table_of_functions([f for unit in units for f in unit.functions], target))
-    return [table, *found, *sorted(sources().glob("*.c"))]
+    table.write_text(_table_of_functions(units, target))
+    return [table, *found]
+
+
+def wrapper_sources() -> list[Path]:
+    """The C files of the wrapper."""
+    return sorted(sources().glob("*.c"))
+
+
+def wrapper(target: Target) -> list[Path]:
+    """Object files of the C wrapper, which all libraries share, made where they are not in the cache.
+
+    raises : InputError where there is no compiler, RunError where it fails
+    """
+    command = compiler(target)
+    name = "zig" if "ziglang" in command else Path(command[0]).name
+    folder = _folder([], target)
+    made = [folder / f"{source.stem}_{name}.o" for source in wrapper_sources()]
+    folder.mkdir(parents=True, exist_ok=True)
+    for source, out in zip(wrapper_sources(), made, strict=True):
+        if not out.is_file():
+            with tempfile.TemporaryDirectory(dir=folder) as work:
+                partial = Path(work) / out.name
+                _run_compiler([*command, "-c", *_flags(target), "-o", partial, source], target, "compiling")
+                partial.replace(out)
+    return made
+
+
+def _flags(target: Target) -> list[str]:
+    flags = ["-O2", "-std=c11", "-ffp-contract=off", "-fvisibility=hidden", f"-I{sources()}"]
+    return flags if "windows" in target.triple else [*flags, "-fPIC"]
 
 
 def _link(units: Sequence[Unit], target: Target, command: Sequence[str], work: Path, out: Path) -> None:
-    windows, linux = "windows" in target.triple, "linux" in target.triple
-    flags = ["-shared", "-O2", "-std=c11", "-ffp-contract=off", "-fvisibility=hidden", f"-I{sources()}"]
-    flags += [] if windows else ["-fPIC", "-lm"]
-    flags += ["-Wl,-z,defs", "-Wl,-s"] if linux else []
-    command = [*command, "-o", str(out), *map(str, parts(units, target, work)), *flags]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    needed = [] if "windows" in target.triple else ["-lm"]
+    needed += ["-Wl,-z,defs", "-Wl,-s"] if "linux" in target.triple else []
+    files = [*parts(units, target, work), *wrapper(target)]
+    _run_compiler([*command, "-shared", *_flags(target), "-o", out, *files, *needed], target, "linking")
+
+
+def _run_compiler(command: Sequence[str | Path], target: Target, what: str) -> None:
+    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        raise RunError(f"fmu: linking for {target.fmi3} failed: {done.stderr.strip()}")
+        raise RunError(f"fmu: {what} for {target.fmi3} failed: {done.stderr.strip()}")

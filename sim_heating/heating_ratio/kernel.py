@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.heating_ratio.table import RatioTable
-from sim_heating.jit import njit
+from sim_heating.jit import folded, njit
 from sim_heating.layout import (
     C_STAGES,
     CELL_FOOT,
@@ -182,7 +182,7 @@ def forget_cells(B: FloatArray) -> None:
             B[(CELL_HIGH + a) * LANES + lane] = -FAR
 
 
-@njit
+@folded
 def _keep_axis(B: FloatArray, table: FloatArray, lane: int, a: int, first: int, n: int) -> int:
     """Keep the cell of one axis that holds the lane's variable; gives its number, 0 where there is one value."""
     x, i, low, high, foot, inverse = B[(CELL_X + a) * LANES + lane], 0, -FAR, FAR, 0.0, 0.0
@@ -200,7 +200,7 @@ def _keep_axis(B: FloatArray, table: FloatArray, lane: int, a: int, first: int, 
     return i
 
 
-@njit
+@folded
 def _keep_cell(B: FloatArray, table: FloatArray, offset: int, lane: int) -> None:
     """Keep the cell that holds a lane's variables, and the ratio at its corners; a lane without a table has ratio 0."""
     first, node = offset + VARIABLES, 0

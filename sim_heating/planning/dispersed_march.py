@@ -241,7 +241,7 @@ class LaneMarch:
         kept = self._columns[2 * LANES * p : 2 * LANES * (p + 1)] - start
         out = np.empty((len(time_s), 2 * LANES))
         march_group(
-            e.block(g), e.integers(g), e.table, e.chain, e.begin_handle, e.advance_handle, time_s, histories,
+            e.block(g), e.integers(g), e.table, e.chain, e.move_handle, time_s, histories,
             np.arange(LANES), SOAK_STEP_S, kept, out,
         )  # fmt: skip
         return out

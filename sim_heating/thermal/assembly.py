@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.arithmetic import logistic
-from sim_heating.jit import inlined, njit
+from sim_heating.jit import folded, inlined, njit
 from sim_heating.layout import (
     ACROSS,
     BOIL,
@@ -126,7 +126,7 @@ def _gather(B: FloatArray, J: IntArray, table: FloatArray, a: int, lane: int, of
     return row
 
 
-@njit
+@folded
 def _refresh(B: FloatArray, J: IntArray, table: FloatArray, i: int) -> None:
     """Gather the polynomials of node i anew in the lanes that have left the piece that they hold for."""
     a = (HEAD_ROWS + i * NODE_ROWS) * LANES

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.arithmetic import exp
-from sim_heating.jit import njit
+from sim_heating.jit import folded, njit
 from sim_heating.layout import (
     BACK_EPS,
     BACK_H,
@@ -86,7 +86,7 @@ def set_elements(
     _set_gap(B, J, lane, layer, length_m, bondline, p)
 
 
-@njit
+@folded
 def _set_in_depth(B: FloatArray, J: IntArray, lane: int, layer: IntArray, insulation: int, p: FloatArray) -> None:
     """Moisture and radiation of every node, where loops over lanes find them."""
     for i in range(len(layer) + 1):
@@ -100,14 +100,14 @@ def _set_in_depth(B: FloatArray, J: IntArray, lane: int, layer: IntArray, insula
         J[IN_DEPTH] = 1
 
 
-@njit
+@folded
 def _set_faces(B: FloatArray, lane: int, p: FloatArray) -> None:
     B[FACTOR_EPS * LANES + lane] = p[EMISSIVITY]
     B[BACK_H * LANES + lane], B[BACK_T * LANES + lane] = p[H_BEHIND], p[T_BEHIND]
     B[BACK_EPS * LANES + lane] = p[EPS_BEHIND]
 
 
-@njit
+@folded
 def _set_gap(
     B: FloatArray, J: IntArray, lane: int, layer: IntArray, length_m: FloatArray, bondline: int, p: FloatArray
 ) -> None:

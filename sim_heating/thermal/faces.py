@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.jit import njit
+from sim_heating.jit import folded, njit
 from sim_heating.layout import (
     ADDED,
     BACK_EPS,
@@ -58,7 +58,7 @@ WALL_DIFFERENCE_K = 0.01
 sensitivity to 1e-9 wants it small against the width of any effect."""
 
 
-@njit
+@folded
 def _film(B: FloatArray, J: IntArray, chain, lane: int, stage: int, wall: float) -> tuple[float, float]:  # type: ignore[no-untyped-def]
     """Film coefficient of a lane whose effects ask for the wall temperature, and its slope against it."""
     h_ref = B[C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS + H_REF]
@@ -69,7 +69,7 @@ def _film(B: FloatArray, J: IntArray, chain, lane: int, stage: int, wall: float)
     return h_ref * with_effects(B, J, chain, lane, stage, r, wall), h_ref * slope
 
 
-@njit
+@folded
 def _factor(B: FloatArray, J: IntArray, chain, lane: int, stage: int, wall: float) -> tuple[float, float]:  # type: ignore[no-untyped-def]
     """What effects make of the emittance of a lane, and its slope against the wall temperature."""
     above = emittance_factor(B, J, chain, lane, stage, wall + WALL_DIFFERENCE_K)
@@ -117,7 +117,7 @@ def evaluate_faces(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: 
         _evaluate_gaps(B, J, table, stage)
 
 
-@njit
+@folded
 def _evaluate_gaps(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> None:
     """Heat that hot gas brings to the nodes along a gap, each by its own temperature; the film is the surface's."""
     for i in range(J[N_NODES]):
@@ -134,7 +134,7 @@ def _evaluate_gaps(B: FloatArray, J: IntArray, table: FloatArray, stage: int) ->
             B[a + SLOPE * LANES + lane] = slope + (B[a + SLOPE * LANES + lane] if face else 0.0)
 
 
-@njit
+@folded
 def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int) -> None:  # type: ignore[no-untyped-def]
     """Heat that enters at the surface [W/m2] and its slope against the surface temperature [W/(m2 K)]."""
     a = HEAD_ROWS * LANES
@@ -159,7 +159,7 @@ def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, chain, stage
         B[a + SLOPE * LANES + lane] = film_slope * driving - film * cp_w - radiated
 
 
-@njit
+@folded
 def evaluate_back(B: FloatArray, J: IntArray) -> None:
     """Heat that enters at the back face [W/m2] and its slope against the temperature there [W/(m2 K)]."""
     for lane in range(LANES):

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.heating_ratio.kernel import forget_cells
-from sim_heating.jit import compiled_step, njit
+from sim_heating.jit import STEP_SIGNATURE, c_function, folded, njit
 from sim_heating.layout import (
     ACROSS,
     ACTIVE,
@@ -100,11 +100,13 @@ COLDEST_K = 1.0
 """No iterate goes below this, and one that is no number becomes this: a failure, for its update is no number either."""
 LONGEST_REACH = 2.0
 """The curvature of the last step is relied on for so many of its lengths: that of a very short one is rounding."""
+BEGIN = 0.0
+"""Length of a frame that does not move in time."""
 STAGED = (FILM, RECOVERY, ADDED, PCOL, PFRAC, R_BASE, LAG_VALUE, LAG_INPUT)
 """Rows that hold one value a stage."""
 
 
-@njit
+@folded
 def _keep_face_heat(B: FloatArray, J: IntArray) -> None:
     """Heat at the faces of the lanes that have just moved, linearised over the move as the balance of the stage has
     it."""
@@ -130,7 +132,7 @@ def _add_energy(B: FloatArray, weight: float) -> None:
         B[ENERGY_OUT * LANES + lane] += weight * B[STAGE_OUT * LANES + lane]
 
 
-@njit
+@folded
 def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, chain) -> None:  # type: ignore[no-untyped-def]
     """Heat contents and net heat of all nodes with the conditions of stage 2, as a step leaves them."""
     n = J[N_NODES]
@@ -169,7 +171,7 @@ def _reach(B: FloatArray, dt: float) -> float:
     return min(dt, LONGEST_REACH * B[LAST_STEP * LANES])
 
 
-@njit
+@folded
 def _start(B: FloatArray, n: int, dt: float) -> None:
     """First stage: E* = E_n + d dt F_n with the F_n that the last step has left, and a guess along its parabola."""
     ahead, bend = GAMMA * dt, (GAMMA * _reach(B, dt)) ** 2
@@ -184,7 +186,7 @@ def _start(B: FloatArray, n: int, dt: float) -> None:
             B[a + T * LANES + lane] = temperature + moved
 
 
-@njit
+@folded
 def _finish(B: FloatArray, n: int, dt: float) -> None:
     """E_(n+1), F_(n+1) = (E_(n+1) - E*) / (d dt) of the implicit stage, and the parabola through start, stage and
     end."""
@@ -208,7 +210,7 @@ def _finish(B: FloatArray, n: int, dt: float) -> None:
             B[a + RATE * LANES + lane] = after + curve * from_stage
 
 
-@njit
+@folded
 def _reduce(B: FloatArray, i: int) -> None:
     """Eliminate row i, whose right neighbour is assembled."""
     a = (HEAD_ROWS + i * NODE_ROWS) * LANES
@@ -221,7 +223,7 @@ def _reduce(B: FloatArray, i: int) -> None:
         B[a + DELTA * LANES + lane] = -(residual + lower * B[left + DELTA * LANES + lane]) * pivot
 
 
-@njit
+@folded
 def _eliminate(B: FloatArray, J: IntArray, table: FloatArray, ddt: float) -> None:
     """Residual E - E* - d dt F and its tridiagonal matrix, each row reduced while its neighbour is being assembled."""
     n = J[N_NODES]
@@ -234,7 +236,7 @@ def _eliminate(B: FloatArray, J: IntArray, table: FloatArray, ddt: float) -> Non
             _reduce(B, i - 1)
 
 
-@njit
+@folded
 def _update(B: FloatArray, n: int) -> None:
     """Back substitution; lanes that are active (MOVES is 1, else 0) move, and their heat contents with them.
 
@@ -259,7 +261,7 @@ def _update(B: FloatArray, n: int) -> None:
             B[a + LARGEST * LANES + lane] = largest if size <= largest else size
 
 
-@njit
+@folded
 def _retire(B: FloatArray) -> int:
     """Take lanes whose update was small out of the iteration; how many are left in it."""
     left = 0
@@ -273,7 +275,7 @@ def _retire(B: FloatArray) -> int:
     return left
 
 
-@njit
+@folded
 def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int, dt: float) -> None:  # type: ignore[no-untyped-def]
     """Newton iteration for E(Y) - E* - d dt F(Y) = 0, from the temperatures present."""
     n = J[N_NODES]
@@ -295,7 +297,7 @@ def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: in
         B[FAILED * LANES + lane] += B[ACTIVE * LANES + lane]
 
 
-@njit
+@folded
 def _start_second_stage(B: FloatArray, n: int, dt: float) -> None:
     """E* = E_n + (w/d) (E(Y1) - E_n), and a guess along the first stage, bent as the last step was."""
     bend = (1.0 - GAMMA) * _reach(B, dt) ** 2
@@ -312,7 +314,7 @@ def _start_second_stage(B: FloatArray, n: int, dt: float) -> None:
             B[a + T * LANES + lane] = cold + (warm - cold) * (1.0 / GAMMA) + bend * B[a + CURVE * LANES + lane]
 
 
-@njit
+@folded
 def step(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> None:  # type: ignore[no-untyped-def]
     """Advance the node temperatures of one lane group by dt [s] with the stage inputs that the scalar rows hold.
 
@@ -322,7 +324,7 @@ def step(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> Non
     chain : the compiled effects (effects/chain.py)
 
     Heat contents and net heat at the start are those that the last step left (the method's last stage is its end):
-    after a change of temperatures, parameters or conditions from outside, `begin` evaluates them anew.
+    after a change of temperatures, parameters or conditions from outside, `_begin` evaluates them anew.
     """
     n = J[N_NODES]
     _add_energy(B, EXPLICIT_WEIGHT * dt)
@@ -335,11 +337,9 @@ def step(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> Non
     _finish(B, n, dt)
 
 
-def begin(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> None:  # type: ignore[no-untyped-def]
-    """Take the condition vectors of stage 2 as those that hold now: at the start, and after any change from outside.
-
-    dt is not used; it makes the signature that of a step.
-    """
+@folded
+def _begin(B: FloatArray, J: IntArray, table: FloatArray, chain) -> None:  # type: ignore[no-untyped-def]
+    """Take the condition vectors of stage 2 as those that hold now."""
     forget_cells(B)
     for lane in range(LANES):
         B[LAG_PAST * LANES + lane] = 0.0
@@ -347,8 +347,9 @@ def begin(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> No
     evaluate_start(B, J, table, chain)
 
 
-def advance(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> None:  # type: ignore[no-untyped-def]
-    """One frame: from the conditions that held to those in the vectors of stage 0 (now) and 2 (then), linear between.
+@folded
+def _advance(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> None:  # type: ignore[no-untyped-def]
+    """From the conditions that held to those in the vectors of stage 0 (now) and 2 (then) in dt [s], linear between.
 
     The caller has moved the vectors of stage 2 to stage 0 and written new ones (`hold` does the moving).
     """
@@ -367,6 +368,17 @@ def advance(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> 
     step(B, J, table, chain, dt)
 
 
+def move(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> None:  # type: ignore[no-untyped-def]
+    """A frame of dt [s] (`_advance`); one of BEGIN at the start, and after any change from outside (`_begin`).
+
+    One function, as most of what the two consist of is the same, and compiled once.
+    """
+    if dt == BEGIN:
+        _begin(B, J, table, chain)
+    else:
+        _advance(B, J, table, chain, dt)
+
+
 @njit
 def hold(B: FloatArray) -> None:
     """The conditions at the end of the last frame become those at the start of the next."""
@@ -377,6 +389,6 @@ def hold(B: FloatArray) -> None:
 
 
 @cache
-def compiled() -> tuple[Any, Any]:
-    """`begin` and `advance`, compiled when first asked for; jit.handle gives what a kernel takes of them."""
-    return compiled_step(begin), compiled_step(advance)
+def compiled() -> Any:
+    """`move`, compiled when first asked for; jit.handle gives what a kernel takes of it."""
+    return c_function(STEP_SIGNATURE, move)

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.heating_ratio.kernel import linear_factor
-from sim_heating.jit import call_step, compiled_step, njit, raw
+from sim_heating.jit import STEP_SIGNATURE, c_function, call_step, njit, raw
 from sim_heating.layout import (
     ACROSS,
     BACK_NODE,
@@ -133,7 +133,7 @@ def faces_at(B: FloatArray, J: IntArray, table: FloatArray, chain, ddt: float) -
 @cache
 def compiled_shadows() -> tuple[Any, Any]:
     """`rows_at` and `faces_at`, compiled when first asked for."""
-    return compiled_step(rows_at), compiled_step(faces_at)
+    return c_function(STEP_SIGNATURE, rows_at), c_function(STEP_SIGNATURE, faces_at)
 
 
 @njit
