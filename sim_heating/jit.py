@@ -112,25 +112,27 @@ class _KernelCompiler(_Compiler):
         flags.no_cpython_wrapper = any(isinstance(argument, numba.types.CPointer) for argument in self.state.args)
 
 
+_ARITHMETIC: Mapping[str, Any] = {"fastmath": False, "error_model": "numpy"}
+"""What every kernel is compiled with, and what makes its bits."""
+
+
 def njit(function: F, inline: bool = False) -> F:
     """Compile a kernel: no fastmath (bit-equal interpreted, jitted and exported), numpy division, GIL released."""
-    kernel = numba.njit(
-        cache=True, fastmath=False, error_model="numpy", nogil=True, forceinline=inline, pipeline_class=_KernelCompiler
-    )
+    kernel = numba.njit(cache=True, nogil=True, forceinline=inline, pipeline_class=_KernelCompiler, **_ARITHMETIC)
     return cast(F, kernel(function))
 
 
 def folded(function: F) -> F:
     """A kernel that is put into its caller before that is compiled: for one with a single caller, which would otherwise
     be compiled for itself and then once more within it."""
-    return cast(F, numba.njit(inline="always", error_model="numpy")(function))
+    return cast(F, numba.njit(inline="always", **_ARITHMETIC)(function))
 
 
 def c_function(signature: Any, function: Any, cache: bool = True) -> Any:
     """Compile a kernel as a C function with a fixed address; interpreted, the function itself."""
     if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         return function
-    return numba.cfunc(signature, cache=cache, error_model="numpy", pipeline_class=_Compiler)(function)
+    return numba.cfunc(signature, cache=cache, pipeline_class=_Compiler, **_ARITHMETIC)(function)
 
 
 def inlined(function: F) -> F:

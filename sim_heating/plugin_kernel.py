@@ -191,8 +191,8 @@ def derive_conditions(
 
 
 @njit
-def _fit_parabola(state: FloatArray, places: IntArray, shown: FloatArray, dt: float) -> float:
-    """Parabolas through the last step; the largest distance [K] of the old ones, dt [s] on, from its end."""
+def _take_parabola(state: FloatArray, places: IntArray, shown: FloatArray, dt: float) -> float:
+    """Show the parabolas that the last step left; the largest distance [K] of the old ones, dt [s] on, from its end."""
     largest = 0.0
     for i in range(len(places)):
         end = state[places[i]]
@@ -214,7 +214,7 @@ def _heat_to(
     steps = max(math.ceil(dt / host[LONGEST_STEP] - 1e-9), 1)
     derive_conditions(frame, host, points, lanes, then)
     advance_groups(state, ints, table, chain, move, groups, then, dt, steps)
-    error = _fit_parabola(state, places, shown, dt)
+    error = _take_parabola(state, places, shown, dt)
     longer = math.pow(GOAL * PUBLISHED_K / max(error, 1e-9), 1.0 / 3.0)
     host[WAIT] = min(host[LONGEST_WAIT], dt / steps * min(longer, LONGER))
     for i in range(len(frame)):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -106,12 +105,7 @@ def export_entry(spec: TrajectorySpec, vehicle_dir: Path, out: Path, *, title: s
     return image
 
 
-@cache
-def _move() -> Any:
-    return c_function(FUNCTION, k.move)
-
-
-ENTRY_UNITS = (Unit("entry_move", FUNCTION, _move),)
+ENTRY_UNITS = (Unit("entry_move", FUNCTION, lambda: c_function(FUNCTION, k.move)),)
 """The compiled function of the library."""
 
 

@@ -10,7 +10,6 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -133,12 +132,7 @@ def built_in(effect: Effect) -> bool:
     return getattr(effect.kernel, "__module__", "").startswith("sim_heating.effects.")
 
 
-@cache
-def _move() -> Any:
-    return c_function(FUNCTION, k.move)
-
-
-MODEL = Unit("heating_move", FUNCTION, _move)
+MODEL = Unit("heating_move", FUNCTION, lambda: c_function(FUNCTION, k.move))
 THERMAL_STEP = Unit("heating_thermal_step", STEP_SIGNATURE, compiled)
 
 

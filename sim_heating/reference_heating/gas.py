@@ -114,17 +114,22 @@ def air_temperature_kernel(h_J_kg: float, p_Pa: float) -> float:
 
 
 @njit
+def _density(p_Pa: float, Z: float, T_K: float) -> float:
+    return p_Pa / (Z * R_TABLE * T_K)
+
+
+@njit
 def air_density_of_enthalpy_kernel(h_J_kg: float, p_Pa: float) -> float:
     """Density of equilibrium air [kg/m3] of an enthalpy: air_density_kernel at its temperature, in one look at the
     table."""
     T_K, Z = _air_inverse(h_J_kg, p_Pa)
-    return p_Pa / (Z * R_TABLE * T_K)
+    return _density(p_Pa, Z, T_K)
 
 
 @njit
 def air_density_kernel(T_K: float, p_Pa: float) -> float:
     """Density of equilibrium air [kg/m3], p / (Z R T)."""
-    return p_Pa / (air_kernel(T_K, p_Pa)[1] * R_TABLE * T_K)
+    return _density(p_Pa, air_kernel(T_K, p_Pa)[1], T_K)
 
 
 @njit
