@@ -26,6 +26,8 @@ R_TABLE = MOLAR_GAS_CONSTANT / MOLAR_MASS_N2_O2
 """Gas constant of the undissociated mixture [J/(kg K)]."""
 PRANDTL = 0.71
 """Frozen Prandtl number of air; 0.67 to 0.72 up to 5000 K."""
+ENTHALPY_BIN, ENTHALPY_BINS = 2.5e5, 160
+"""Width [J/kg] and number of the bins by which a temperature is looked for; the last goes on for ever."""
 POWER_LAW_EXPONENT = 0.671
 JOIN_K = 633.0
 """Where the power law leaves Sutherland's law: the two cross there."""
@@ -78,6 +80,10 @@ def _make_inverse() -> Callable[[float, float], tuple[float, float]]:
     log_p, T_axis, h_grid, Z_grid, _ = _GRID
     p_first, p_step, p_count = log_p[0], log_p[1] - log_p[0], len(log_p)
     T_first, T_step, last = T_axis[0], T_axis[1] - T_axis[0], len(T_axis) - 1
+    # The temperature that a search may begin at, for bins of the enthalpy: not above it at either pressure of the cell.
+    feet = ENTHALPY_BIN * np.arange(ENTHALPY_BINS)
+    below = np.array([np.maximum(np.searchsorted(row, feet, side="right") - 1, 0) for row in h_grid])
+    begin = np.minimum(below[:-1], below[1:])
 
     @njit
     def inverse(h_J_kg: float, p_Pa: float) -> tuple[float, float]:
@@ -85,15 +91,12 @@ def _make_inverse() -> Callable[[float, float], tuple[float, float]]:
         h_first = (1.0 - w) * h_grid[i, 0] + w * h_grid[i + 1, 0]
         if h_J_kg <= h_first:
             return T_first * h_J_kg / h_first, _blend(Z_grid, i, w, 0, 0.0)
-        low, high = 0, last
-        while high - low > 1:
-            middle = (low + high) // 2
-            if (1.0 - w) * h_grid[i, middle] + w * h_grid[i + 1, middle] <= h_J_kg:
-                low = middle
-            else:
-                high = middle
+        bin_ = h_J_kg * (1.0 / ENTHALPY_BIN)
+        low = begin[i, int(bin_) if bin_ < ENTHALPY_BINS else ENTHALPY_BINS - 1]
+        while low < last - 1 and (1.0 - w) * h_grid[i, low + 1] + w * h_grid[i + 1, low + 1] <= h_J_kg:
+            low += 1
         h_low = (1.0 - w) * h_grid[i, low] + w * h_grid[i + 1, low]
-        h_high = (1.0 - w) * h_grid[i, high] + w * h_grid[i + 1, high]
+        h_high = (1.0 - w) * h_grid[i, low + 1] + w * h_grid[i + 1, low + 1]
         s = min((h_J_kg - h_low) / (h_high - h_low), 1.0)
         return T_first + T_step * (low + s), _blend(Z_grid, i, w, low, s)
 

@@ -93,17 +93,16 @@ def detra_kemp_riddell_kernel(rho_kg_m3: float, velocity_m_s: float, T_inf_K: fl
 
 
 @njit
-def _behind_shock(eps: float, rho: float, V: float, p: float, h: float) -> tuple[float, float, float]:
-    """Pressure, enthalpy and density behind a normal shock of density ratio eps = rho_1/rho_2."""
-    p_2 = p + rho * V * V * (1.0 - eps)
-    h_2 = h + 0.5 * V * V * (1.0 - eps * eps)
-    return p_2, h_2, air_density_of_enthalpy_kernel(h_2, p_2)
+def _behind_shock(eps: float, rho: float, V: float, p: float, h: float) -> tuple[float, float]:
+    """Pressure and enthalpy behind a normal shock of density ratio eps = rho_1/rho_2, from momentum and energy."""
+    return p + rho * V * V * (1.0 - eps), h + 0.5 * V * V * (1.0 - eps * eps)
 
 
 @njit
 def _shock_residual(eps: float, rho: float, V: float, p: float, h: float) -> float:
     """Zero at the shock's density ratio; the trivial root (no shock, eps = 1) is divided out."""
-    return (eps - rho / _behind_shock(eps, rho, V, p, h)[2]) / (1.0 - eps)
+    p_2, h_2 = _behind_shock(eps, rho, V, p, h)
+    return (eps - rho / air_density_of_enthalpy_kernel(h_2, p_2)) / (1.0 - eps)
 
 
 @njit
@@ -158,7 +157,8 @@ def stagnation_kernel(rho_kg_m3: float, velocity_m_s: float, T_inf_K: float) -> 
     p_2, h_2, rho_2 = p, h, rho_kg_m3
     if velocity_m_s * velocity_m_s > GAMMA * R_TABLE * T_inf_K:
         eps = shock_density_ratio(rho_kg_m3, velocity_m_s, p, h)
-        p_2, h_2, rho_2 = _behind_shock(eps, rho_kg_m3, velocity_m_s, p, h)
+        p_2, h_2 = _behind_shock(eps, rho_kg_m3, velocity_m_s, p, h)
+        rho_2 = rho_kg_m3 / eps
     p_0, rho_0 = p_2, rho_2
     for _ in range(3):
         p_0 = p_2 * math.exp(2.0 * (h_0 - h_2) / (p_2 / rho_2 + p_0 / rho_0))
