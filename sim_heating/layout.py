@@ -27,7 +27,7 @@ CONDITION_COLUMNS = (
 )  # fmt: skip
 
 # Heating parameters of a lane: the linear model about a reference condition, then the parameters of its effects.
-SCALE, D0, FIRST, SECOND, REFERENCE, CURVED = 0, 1, 2, 7, 22, 27
+SCALE, D0, FIRST, SECOND, REFERENCE, ORDER = 0, 1, 2, 7, 22, 27
 EFFECT_PARAMETERS = 28
 EFFECT_SLOTS, EFFECT_WIDTH = 4, 10
 N_PARAMETERS = EFFECT_PARAMETERS + EFFECT_SLOTS * EFFECT_WIDTH
@@ -42,41 +42,53 @@ STAGE_IN, STAGE_OUT, ENERGY_IN, ENERGY_OUT = 29, 30, 31, 32
 LAG_VALUE, LAG_INPUT, LAG_PAST, SURFACE_SHARE, LAST_STEP = 33, 36, 39, 40, 41
 C_STAGES = 42
 PARAMETERS = C_STAGES + 3 * N_CONDITIONS
-# The table cell that each lane is in, for the five variables: the variables, where the cell ends (for ever at the edges
-# of the table), its foot and the reciprocal of its width, the ratio at its 32 corners, and what is left of them.
+# The cell that each lane is in, of its ratio table and of the pressures of its property tables: the five variables and
+# log10 of the pressure [Pa], where the cell ends (for ever at the edges of the table), its foot and the reciprocal of
+# its width, the ratio at its 32 corners, what is left of them, how many variables are off the axes; the column of the
+# pressures.
+CELL_AXES = 6
 CELL_X = PARAMETERS + N_PARAMETERS
-CELL_LOW, CELL_HIGH, CELL_FOOT, CELL_INVERSE = CELL_X + 5, CELL_X + 10, CELL_X + 15, CELL_X + 20
-CORNERS = CELL_X + 25
+CELL_LOW, CELL_HIGH, CELL_FOOT, CELL_INVERSE = (CELL_X + k * CELL_AXES for k in range(1, 5))
+CORNERS = CELL_X + 5 * CELL_AXES
 CELL_WORK = CORNERS + 32
-SCALAR_ROWS = CELL_WORK + 24
+OFF_AXES, CELL_COLUMN = CELL_WORK + 24, CELL_WORK + 25
+# What the surface is made of about its temperature, from WALL_LOW to WALL_HIGH [K] in the pressure column WALL_COLUMN:
+# emittance at a foot, and its slope; enthalpy of air at another foot [J/kg] and specific heat, in two columns.
+WALL_LOW, WALL_HIGH, WALL_COLUMN = (CELL_COLUMN + k for k in range(1, 4))
+EPS_FOOT, EPS_AT_FOOT, EPS_SLOPE = (WALL_COLUMN + k for k in range(1, 4))
+AIR_FOOT, AIR = EPS_SLOPE + 1, EPS_SLOPE + 2
+SCALAR_ROWS = AIR + 4
 
-# Rows of a node: what it is and where it stands in time ...
+# Rows of a node. The nodes of a group are to fit the processor's innermost cache: a row serves several numbers whose
+# times do not overlap. What the node is and where it stands in time ...
 T, RATE, T_START, M_LEFT, M_RIGHT, G = 0, 1, 2, 3, 4, 5
-# ... heat content and capacity of the half elements on either side, Kirchhoff's variable, heat that enters from
-# outside ...
-E_LEFT, E_RIGHT, C_LEFT, C_RIGHT, THETA_RIGHT, SOURCE, SLOPE = 6, 7, 8, 9, 10, 11, 12
-# ... the time step at work on it: heat content and net heat at its start, the explicit part, contents of a converged
-# stage ...
-E_START, NET, E_STAR, STAGE_LEFT, STAGE_RIGHT = 13, 14, 15, 16, 17
-# ... its row of the linear system: what crosses the element to its left and how that grows with its own temperature,
-# how what crosses the element to its right does, diagonal and residual; the reduced row, and what is handed along ...
-ACROSS, ENTRY, LOWER, DIAGONAL, RESIDUAL = 18, 19, 20, 21, 22
-UPPER, DELTA, FRACTION, MOVES, LARGEST = 23, 24, 25, 26, 27
-# ... and the property polynomials about its temperature, which hold from LOW to HIGH: foot of the bin, then h, c,
-# its slope and theta, k, its slope in two pressure columns, for the element to the right and to the left.
-LOW, HIGH, FOOT, FOOT_LEFT = 28, 29, 30, 40
+# ... heat content and capacity of the half elements on either side, heat that enters from outside ...
+E_LEFT, E_RIGHT, C_LEFT, C_RIGHT, SOURCE, SLOPE = 6, 7, 8, 9, 10, 11
+# ... the time step at work on it: heat content at its start; net heat there, then the explicit part; contents of a
+# converged stage ...
+E_START, NET, E_STAR, STAGE_LEFT, STAGE_RIGHT = 12, 13, 13, 14, 15
+# ... Kirchhoff's variable, until the right neighbour is assembled; then how what crosses the element between grows with
+# that one's temperature; then the largest update behind. How it grows with this one's ...
+THETA_RIGHT, ENTRY, LARGEST, LOWER = 16, 16, 16, 17
+# ... diagonal and residual of the row of the linear system, then the reduced row; the fraction between pressures,
+# then whether a lane moves, both handed along ...
+DIAGONAL, UPPER, RESIDUAL, DELTA, FRACTION, MOVES = 18, 18, 19, 19, 20, 20
+# ... and the property polynomials about its temperature, which hold from LOW to HIGH: foot of the bin, then h, c, half
+# its slope, theta, k, half its slope in one pressure column, and how much more these are in the next, for the element
+# to the right and to the left.
+LOW, HIGH, FOOT, FOOT_LEFT = 21, 22, 23, 33
 # the temperature at the middle stage of the last step, radiative conductivity at 1000 K of the element to the right
 # [W/(m K)], density times length that moisture sits in, on either side [kg/m2], and the part of the film spent here.
-T_STAGE, K_RAD, WET_LEFT, WET_RIGHT, GAP = 50, 51, 52, 53, 54
+T_STAGE, K_RAD, WET_LEFT, WET_RIGHT, GAP = 43, 44, 45, 46, 47
 # What the nodes of a lane share in depth: temperature from which on radiation adds to the conductivity of the tables
 # [K]; heat content of moisture, taken up [J/kg] about a temperature [K], given off about another, over a width, here
 # its reciprocal [1/K]. Heat that vapour carries in the element to the right from where moisture boils to where it has
 # not yet [W/m].
-RADIATES_FROM, LATENT, BOIL, DEPOSIT, CONDENSE, PHASE_RATE, VAPOUR = 55, 56, 57, 58, 59, 60, 61
+RADIATES_FROM, LATENT, BOIL, DEPOSIT, CONDENSE, PHASE_RATE, VAPOUR = 48, 49, 50, 51, 52, 53, 54
 # Of the parabola through the last step, beside RATE, its slope at the end [K/s]: its curvature, half the second
 # derivative [K/s2].
-CURVE = 62
-NODE_ROWS = 63
+CURVE = 55
+NODE_ROWS = 56
 HEAD_ROWS = SCALAR_ROWS + NODE_ROWS
 """A ghost node of zeros before the first and one behind the last end the recurrences along the nodes."""
 NOWHERE = -1e30

@@ -22,10 +22,13 @@ END_STAGE = C_STAGES * LANES + 2 * LANES * N_CONDITIONS
 def set_conditions(B: FloatArray, vectors: FloatArray, first: int, share: float) -> None:
     """Move a group's conditions a share of the way to the vectors (lane, condition) from row `first` on."""
     for lane in range(LANES):
-        for c in range(N_CONDITIONS):
-            at = END_STAGE + lane * N_CONDITIONS + c
-            then = vectors[first + lane, c]
-            B[at] = then if share >= 1.0 else B[at] + share * (then - B[at])
+        at = END_STAGE + lane * N_CONDITIONS
+        if share >= 1.0:
+            for c in range(N_CONDITIONS):
+                B[at + c] = vectors[first + lane, c]
+        else:
+            for c in range(N_CONDITIONS):
+                B[at + c] += share * (vectors[first + lane, c] - B[at + c])
 
 
 @njit

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.heating_ratio.kernel import mark_curved
+from sim_heating.heating_ratio.kernel import mark_order
 from sim_heating.jit import njit
 from sim_heating.layout import CURVE, HEAD_ROWS, HIGH, LANES, N_PARAMETERS, NODE_ROWS, NOWHERE, PARAMETERS, RATE, T
 from sim_heating.thermal.elements import set_elements
@@ -30,7 +30,7 @@ def set_point(
         p = PARAMETERS * LANES + lane * N_PARAMETERS
         for k in range(N_PARAMETERS):
             B[p + k] = heating[k]
-        mark_curved(B, p)
+        mark_order(B, p)
 
 
 @njit

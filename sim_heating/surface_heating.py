@@ -16,12 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.arithmetic import exp, log10
-from sim_heating.heating_ratio.kernel import axes_outside, linear_ratio, table_ratios
+from sim_heating.heating_ratio.kernel import VARIABLES, fraction, keep_axis, lanes_left, linear_ratio, table_ratios
 from sim_heating.jit import call_chain, folded, njit
 from sim_heating.layout import (
     ADDED,
     C_STAGES,
+    CELL_COLUMN,
     CELL_WORK,
+    CELL_X,
     EFFECT_CODES,
     EFFECT_PARAMETERS,
     EFFECT_SLOTS,
@@ -42,6 +44,7 @@ from sim_heating.layout import (
     N_PRESSURES,
     NEGATIVE,
     NONE,
+    OFF_AXES,
     OUTSIDE,
     P_SURFACE,
     PARAMETERS,
@@ -50,7 +53,6 @@ from sim_heating.layout import (
     PRESSURE_TABLE,
     Q_ADD,
     R_BASE,
-    RATIO_TABLE,
     RECOVERY,
     RECOVERY_ENTHALPY,
     TIME,
@@ -59,6 +61,9 @@ from sim_heating.layout import (
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+PRESSURE = VARIABLES
+"""Number of the axis of pressures among the cells that a lane keeps."""
 
 
 @njit
@@ -102,37 +107,32 @@ def emittance_factor(B: FloatArray, J: IntArray, chain, lane: int, stage: int, w
     return factor
 
 
-@folded
-def _pressure_column(B: FloatArray, J: IntArray, table: FloatArray, lane: int, stage: int) -> None:
-    """Column of the property tables left of the pressure whose log10 stands in PFRAC, and in its place the fraction of
+@njit
+def _pressure_columns(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> None:
+    """Column of the property tables left of the pressure of each lane, which stands in CELL_X [Pa], and the fraction of
     the way to the next."""
-    first = J[PRESSURE_TABLE + lane]
-    last = J[N_PRESSURES + lane] - 1
-    x = B[(PFRAC + stage) * LANES + lane]
-    column, fraction = 0, 0.0
-    if x >= table[first + last]:
-        column, fraction = last - 1, 1.0
-    elif x > table[first]:
-        while x >= table[first + column + 1]:
-            column += 1
-        fraction = (x - table[first + column]) / (table[first + column + 1] - table[first + column])
-    B[(PCOL + stage) * LANES + lane] = float(column)
-    B[(PFRAC + stage) * LANES + lane] = fraction
+    for lane in range(LANES):
+        B[(CELL_X + PRESSURE) * LANES + lane] = log10(B[(CELL_X + PRESSURE) * LANES + lane])
+    if lanes_left(B, PRESSURE) > 0:
+        for lane in range(LANES):
+            column = keep_axis(B, table, lane, PRESSURE, J[PRESSURE_TABLE + lane], J[N_PRESSURES + lane])
+            B[CELL_COLUMN * LANES + lane] = float(column)
+    for lane in range(LANES):
+        B[(PCOL + stage) * LANES + lane] = B[CELL_COLUMN * LANES + lane]
+        B[(PFRAC + stage) * LANES + lane] = min(max(fraction(B, PRESSURE, lane), 0.0), 1.0)
 
 
 @njit
 def heat_lanes(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int) -> None:  # type: ignore[no-untyped-def]
     """Turn the conditions of all lanes at one stage into what their surface balances take; count what is off limits."""
     heat_shadows(B, J, table, chain, stage)
+    c = C_STAGES * LANES + stage * LANES * N_CONDITIONS
     for lane in range(LANES):
-        p_Pa = B[C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS + P_SURFACE]
-        B[(PFRAC + stage) * LANES + lane] = log10(p_Pa)
-    for lane in range(LANES):
-        c = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
-        _pressure_column(B, J, table, lane, stage)
-        if stage == 2:
-            outside = axes_outside(table, J[RATIO_TABLE + lane], B, c)
-            B[OUTSIDE * LANES + lane] += 1.0 if outside > 0 else 0.0
+        B[(CELL_X + PRESSURE) * LANES + lane] = B[c + (lane * N_CONDITIONS + P_SURFACE)]
+    _pressure_columns(B, J, table, stage)
+    if stage == 2:
+        for lane in range(LANES):
+            B[OUTSIDE * LANES + lane] += 1.0 if B[OFF_AXES * LANES + lane] > 0.0 else 0.0
 
 
 @njit

@@ -80,6 +80,19 @@ def test_neighbour_that_fails_does_not_touch_the_others(entry):
     np.testing.assert_array_equal(ensemble.node_temperatures(0), expected.node_temperatures(0))
 
 
+@pytest.mark.parametrize("flux", [1e200, 1e308])
+def test_point_that_failed_marches_as_if_new_once_it_is_reset(entry, flux):
+    time, history = entry
+    burst = history.copy()
+    burst[..., 250:, CONDITION_COLUMNS.index("q_add_W_m2")] = flux
+    model = practice_model("p07")
+    ensemble = pack([model])
+    with pytest.raises(RunError, match="p07"):
+        ensemble.march(time, burst)
+    ensemble.reset()
+    np.testing.assert_array_equal(ensemble.march(time, history), alone(model, entry))
+
+
 def test_neighbour_with_other_pressure_columns_moves_a_point_by_rounding_alone(entry):
     odd = {"p_Pa": [3.0, 30.0, 3000.0], "T_K": [300.0, 900.0], "k": [[0.1, 0.2, 0.3], [0.2, 0.3, 0.4]]}
     neighbour = PointModel("neighbour", wall((material(k=odd, emissivity=0.8), 0.02)), nodes=24)

@@ -12,9 +12,9 @@ from walls import practice_record
 
 from sim_heating.conditions import RATIO_VARIABLES
 from sim_heating.heating_ratio.kernel import (
-    axes_outside,
     forget_cells,
     linear_ratio,
+    mark_order,
     pack_table,
     table_ratio,
     table_ratios,
@@ -22,13 +22,13 @@ from sim_heating.heating_ratio.kernel import (
 from sim_heating.heating_ratio.table import RatioTable
 from sim_heating.layout import (
     CELL_WORK,
-    CURVED,
     D0,
     FIRST,
     LANES,
     N_CONDITIONS,
     N_PARAMETERS,
     NO_TABLE,
+    OFF_AXES,
     RATIO_TABLE,
     REFERENCE,
     SCALE,
@@ -96,14 +96,6 @@ def test_ratio_stays_between_the_least_and_the_greatest_of_the_table(table, frac
     assert np.min(table.ratio) - slack <= lookup(table, within(table, fractions)) <= np.max(table.ratio) + slack
 
 
-@compiling
-@given(tables(), points)
-def test_variables_outside_are_counted_save_those_of_a_single_value(table, fractions):
-    x = within(table, fractions)
-    expected = sum(len(a) > 1 and not a[0] <= v <= a[-1] for a, v in zip(table.axes, x, strict=True))
-    assert axes_outside(pack_table(table), 0, x, 0) == expected
-
-
 def test_declared_table_of_a_record_equals_scipy_along_its_flight():
     record, _ = practice_record("p06")
     table, packed = record.ratio_table, pack_table(record.ratio_table)
@@ -130,6 +122,21 @@ def test_lanes_look_up_what_one_point_looks_up_also_outside_the_table(table, pla
             assert B[scalar_row(CELL_WORK)][lane] == pytest.approx(alone, rel=1e-12, abs=1e-12)
 
 
+@compiling
+@given(tables(), points)
+def test_variables_outside_are_counted_save_those_of_a_single_value(table, fractions):
+    packed, J, B = pack_table(table), np.zeros(integers_size(2), dtype=np.int64), np.zeros(block_size(2))
+    x = within(
+        table, np.where(np.abs(fractions - 1.0) < 1e-9, 1.0, fractions)
+    )  # the edge itself is inside, to rounding
+    expected = sum(len(a) > 1 and not a[0] <= v <= a[-1] for a, v in zip(table.axes, x, strict=True))
+    for lane in range(LANES):
+        B[conditions_at(1, lane) :][:5] = x
+    forget_cells(B)
+    table_ratios(B, J, packed, 1)
+    assert np.all(B[scalar_row(OFF_AXES)] == expected)
+
+
 def test_lane_without_a_table_has_tabulated_ratio_zero():
     J, B = np.zeros(integers_size(2), dtype=np.int64), np.ones(block_size(2))
     forget_cells(B)
@@ -150,7 +157,7 @@ def model_ratio(x: np.ndarray, about: np.ndarray, table: RatioTable | None = Non
     for key, value in parameters.items():
         B[int(key.removeprefix("at_"))] = value
     B[REFERENCE : REFERENCE + 5] = about
-    B[CURVED] = float(np.any(B[SECOND:REFERENCE]))
+    mark_order(B, 0)
     B[CONDITIONS_FIRST : CONDITIONS_FIRST + 5] = x
     return linear_ratio(B, 0, CONDITIONS_FIRST, 0.0 if table is None else lookup(table, x))
 

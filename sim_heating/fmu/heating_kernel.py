@@ -31,6 +31,7 @@ from sim_heating.layout import (
     ITERATIONS,
     LANES,
     N_CONDITIONS,
+    N_EMITTING,
     N_PARAMETERS,
     NEGATIVE,
     OUTSIDE,
@@ -47,7 +48,7 @@ from sim_heating.reference_heating.models import COLUMNS
 from sim_heating.sensors import indicated
 from sim_heating.surface_heating import emittance_factor
 from sim_heating.thermal.elements import EPS_BEHIND
-from sim_heating.thermal.faces import SIGMA, _emissivity
+from sim_heating.thermal.faces import SIGMA, emittance
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -184,8 +185,9 @@ def _give_out(R, N, A) -> int:  # type: ignore[no-untyped-def]
         wall = B[(HEAD_ROWS + T) * LANES]
         h_ref = R[N[VECTORS] + (own[P_GROUP] * LANES + own[P_LANE]) * N_CONDITIONS + H_REF]
         excess = wall * wall * wall * wall - B[SURROUNDINGS4 * LANES]
-        eps = B[FACTOR_EPS * LANES] * _emissivity(at(R, N[TABLE]), J[EMISSIVITY_TABLE], wall)[0]
-        eps *= emittance_factor(block, ints, A[0], own[P_LANE], END, wall)
+        eps = B[FACTOR_EPS * LANES] * emittance(at(R, N[TABLE]), J[EMISSIVITY_TABLE], wall)
+        if J[N_EMITTING] > 0:
+            eps *= emittance_factor(block, ints, A[0], own[P_LANE], END, wall)
         out[SURFACE], out[BONDLINE] = wall, R[N[STATE] + own[P_BONDLINE]]
         out[RATIO] = B[(FILM + 2) * LANES] / h_ref if h_ref > 0.0 else 0.0
         out[RADIATED] = eps * SIGMA * excess

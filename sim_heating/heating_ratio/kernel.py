@@ -13,10 +13,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_heating.arithmetic import lanes_outside
 from sim_heating.heating_ratio.table import RatioTable
-from sim_heating.jit import folded, njit
+from sim_heating.jit import folded, inlined, njit
 from sim_heating.layout import (
     C_STAGES,
+    CELL_AXES,
     CELL_FOOT,
     CELL_HIGH,
     CELL_INVERSE,
@@ -24,12 +26,13 @@ from sim_heating.layout import (
     CELL_WORK,
     CELL_X,
     CORNERS,
-    CURVED,
     D0,
     FIRST,
     LANES,
     N_CONDITIONS,
     NO_TABLE,
+    OFF_AXES,
+    ORDER,
     RATIO_TABLE,
     REFERENCE,
     SCALE,
@@ -118,27 +121,13 @@ def table_ratios_at(table: RatioTable, x: FloatArray) -> FloatArray:
 
 
 @njit
-def axes_outside(table: FloatArray, offset: int, x: FloatArray, at: int) -> int:
-    """How many of the five variables lie outside the axes of a table (an axis of one value has no outside)."""
-    if offset == NO_TABLE:
-        return 0
-    first = offset + VARIABLES
-    outside = 0
-    for i in range(VARIABLES):
-        n = int(table[offset + i])
-        if n > 1 and not table[first] <= x[at + i] <= table[first + n - 1]:
-            outside += 1
-        first += n
-    return outside
-
-
-@njit
 def linear_ratio(B: FloatArray, p: int, c: int, tabulated: float) -> float:
     """Ratio [-] before effects from the tabulated one; parameters from B[p] on, conditions from B[c] on (layout.py)."""
     r = tabulated * (1.0 + B[p + SCALE]) + B[p + D0]
-    for i in range(VARIABLES):
-        r += B[p + FIRST + i] * (B[c + i] - B[p + REFERENCE + i])
-    if B[p + CURVED] != 0.0:
+    if B[p + ORDER] >= 1.0:
+        for i in range(VARIABLES):
+            r += B[p + FIRST + i] * (B[c + i] - B[p + REFERENCE + i])
+    if B[p + ORDER] >= 2.0:
         k = p + SECOND
         for i in range(VARIABLES):
             for j in range(i, VARIABLES):
@@ -165,25 +154,25 @@ def linear_factor(B: FloatArray, p: int, c: int, tabulated: float, k: int) -> fl
 
 
 @njit
-def mark_curved(B: FloatArray, p: int) -> None:
-    """Note whether any second-order term of the parameters from B[p] on is not 0."""
-    B[p + CURVED] = 0.0
-    for k in range(p + SECOND, p + REFERENCE):
-        if B[k] != 0.0:
-            B[p + CURVED] = 1.0
+def mark_order(B: FloatArray, p: int) -> None:
+    """Note the highest order of the linear model whose derivatives, from B[p] on, are not all 0."""
+    B[p + ORDER] = 0.0
+    for k in range(FIRST, REFERENCE):
+        if B[p + k] != 0.0:
+            B[p + ORDER] = 2.0 if k >= SECOND else 1.0
 
 
 @njit
 def forget_cells(B: FloatArray) -> None:
-    """Make every lane find its table cell anew: tables or temperatures of a group have been set from outside."""
-    for a in range(VARIABLES):
+    """Make every lane find its cells anew: tables or temperatures of a group have been set from outside."""
+    for a in range(CELL_AXES):
         for lane in range(LANES):
             B[(CELL_LOW + a) * LANES + lane] = FAR
             B[(CELL_HIGH + a) * LANES + lane] = -FAR
 
 
-@folded
-def _keep_axis(B: FloatArray, table: FloatArray, lane: int, a: int, first: int, n: int) -> int:
+@njit
+def keep_axis(B: FloatArray, table: FloatArray, lane: int, a: int, first: int, n: int) -> int:
     """Keep the cell of one axis that holds the lane's variable; gives its number, 0 where there is one value."""
     x, i, low, high, foot, inverse = B[(CELL_X + a) * LANES + lane], 0, -FAR, FAR, 0.0, 0.0
     if n > 1:
@@ -206,7 +195,7 @@ def _keep_cell(B: FloatArray, table: FloatArray, offset: int, lane: int) -> None
     first, node = offset + VARIABLES, 0
     for a in range(VARIABLES):
         n = 1 if offset == NO_TABLE else int(table[offset + a])
-        node = node * n + _keep_axis(B, table, lane, a, first, n)
+        node = node * n + keep_axis(B, table, lane, a, first, n)
         first += n
     for corner in range(32):
         at, stride = first + node, 1
@@ -227,33 +216,50 @@ def _halve(B: FloatArray, corners: int, into: int, half: int, a: int) -> None:
             B[(into + c) * LANES + lane] = low + f * (B[(corners + half + c) * LANES + lane] - low)
 
 
-@njit
-def table_ratios(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> None:
-    """Tabulated ratio of all lanes at a stage, into the first row of CELL_WORK: `table_ratio` for many at once.
+@inlined
+def lanes_left(B: FloatArray, a: int) -> int:
+    """Number of pairs of lanes that have left the cell of one axis that they keep."""
+    return lanes_outside(B, (CELL_X + a) * LANES, (CELL_LOW + a) * LANES, (CELL_HIGH + a) * LANES)
 
-    The corners of a lane's cell stay beside it until it leaves the cell.
-    """
+
+@inlined
+def fraction(B: FloatArray, a: int, lane: int) -> float:
+    """How far a lane's variable is through the cell of one axis: below 0 or above 1 off the ends of the axis."""
+    return (B[(CELL_X + a) * LANES + lane] - B[(CELL_FOOT + a) * LANES + lane]) * B[(CELL_INVERSE + a) * LANES + lane]
+
+
+@njit
+def _interpolate(B: FloatArray, J: IntArray, table: FloatArray) -> None:
+    """Ratio of all lanes from the variables in CELL_X, and how many of these are off the axes of the table."""
     left = 0
     for a in range(VARIABLES):
-        for lane in range(LANES):
-            x = B[C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS + a]
-            B[(CELL_X + a) * LANES + lane] = x
-    for a in range(VARIABLES):
-        for lane in range(LANES):
-            x = B[(CELL_X + a) * LANES + lane]
-            inside = (x >= B[(CELL_LOW + a) * LANES + lane]) & (x < B[(CELL_HIGH + a) * LANES + lane])
-            left += 0 if inside else 1
+        left += lanes_left(B, a)
     if left > 0:
         for lane in range(LANES):
             _keep_cell(B, table, J[RATIO_TABLE + lane], lane)
+    for lane in range(LANES):
+        B[OFF_AXES * LANES + lane] = 0.0
     for a in range(VARIABLES):
         for lane in range(LANES):
-            f = (B[(CELL_X + a) * LANES + lane] - B[(CELL_FOOT + a) * LANES + lane]) * B[
-                (CELL_INVERSE + a) * LANES + lane
-            ]
+            f = fraction(B, a, lane)
+            B[OFF_AXES * LANES + lane] += 0.0 if (f >= 0.0) & (f <= 1.0) else 1.0
             B[(CELL_X + a) * LANES + lane] = min(max(f, 0.0), 1.0)
     _halve(B, CORNERS, CELL_WORK + 8, 16, 4)
     _halve(B, CELL_WORK + 8, CELL_WORK, 8, 3)
     _halve(B, CELL_WORK, CELL_WORK, 4, 2)
     _halve(B, CELL_WORK, CELL_WORK, 2, 1)
     _halve(B, CELL_WORK, CELL_WORK, 1, 0)
+
+
+@njit
+def table_ratios(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> None:
+    """Tabulated ratio of all lanes at a stage, into the first row of CELL_WORK: `table_ratio` for many at once; into
+    OFF_AXES how many of the five variables lie outside the table (an axis of one value has no outside).
+
+    The corners of a lane's cell stay beside it until it leaves the cell.
+    """
+    c = C_STAGES * LANES + stage * LANES * N_CONDITIONS
+    for a in range(VARIABLES):
+        for lane in range(LANES):
+            B[(CELL_X + a) * LANES + lane] = B[c + (lane * N_CONDITIONS + a)]
+    _interpolate(B, J, table)

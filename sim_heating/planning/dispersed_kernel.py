@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sim_heating.atmosphere import HIGHEST_M
 from sim_heating.conditions import FRAME
-from sim_heating.heating_ratio.kernel import mark_curved
+from sim_heating.heating_ratio.kernel import mark_order
 from sim_heating.jit import njit, raw
 from sim_heating.layout import H_REF, LANES, N_CONDITIONS, N_PARAMETERS, P_SURFACE, PARAMETERS, Q_ADD, TIME
 from sim_heating.plugin_kernel import PRESSURE_WIDTH, derive_conditions
@@ -106,4 +106,4 @@ def set_lanes(
         p = PARAMETERS * LANES + lane * N_PARAMETERS
         for k in range(N_PARAMETERS):
             B[p + k] = heating[lane, k]
-        mark_curved(B, p)
+        mark_order(B, p)

@@ -26,18 +26,20 @@ lane share is handed on from node to node (FRACTION, MOVES, LARGEST).
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.arithmetic import logistic
+from sim_heating.arithmetic import lanes_outside, logistic
 from sim_heating.jit import folded, inlined, njit
 from sim_heating.layout import (
-    ACROSS,
     BOIL,
     C_LEFT,
     C_RIGHT,
     COLUMN,
     CONDENSE,
+    DELTA,
     DEPOSIT,
     DIAGONAL,
     E_LEFT,
@@ -75,6 +77,7 @@ from sim_heating.layout import (
     SLOPE,
     SOURCE,
     THETA_RIGHT,
+    UPPER,
     VAPOUR,
     WET_LEFT,
     WET_RIGHT,
@@ -93,6 +96,9 @@ BIN_K = 5.0
 """Width of a property-table bin [K]."""
 BINS = 600
 """Bins of a property table; the last one goes on for ever."""
+REDUCED: Any = np.bool_(True)
+WHOLE_ROWS: Any = np.bool_(False)
+"""Whether `assemble` reduces the rows. Plain True and False would have it compiled once for each."""
 PIECE_HEAD = 3
 """Numbers before the polynomials of a piece: where it begins and ends, and its foot [K]."""
 
@@ -107,22 +113,17 @@ def property_bin(temperature: float) -> int:
 
 
 @njit
-def _integral(value: float, first: float, slope: float, t: float) -> float:
-    """value + integral from 0 to t of (first + slope t)."""
-    return value + t * (first + 0.5 * slope * t)
-
-
-@njit
 def _gather(B: FloatArray, J: IntArray, table: FloatArray, a: int, lane: int, offset: int, into: int) -> int:
     """Copy the property polynomials about the temperature of a node beside it, for one element; gives their place."""
     piece = int(table[offset + property_bin(B[a + T * LANES + lane])])
     row = offset + BINS + piece * (PIECE_HEAD + 3 + 3 * J[N_PRESSURES + lane])
+    column = row + PIECE_HEAD + 3 + 3 * int(B[COLUMN * LANES + lane])
     B[a + into * LANES + lane] = table[row + 2]
     for k in range(3):
-        B[a + (into + 1 + k) * LANES + lane] = table[row + PIECE_HEAD + k]
-    column = row + PIECE_HEAD + 3 + 3 * int(B[COLUMN * LANES + lane])
-    for k in range(6):
-        B[a + (into + 4 + k) * LANES + lane] = table[column + k]
+        half = 0.5 if k == 2 else 1.0
+        B[a + (into + 1 + k) * LANES + lane] = half * table[row + PIECE_HEAD + k]
+        B[a + (into + 4 + k) * LANES + lane] = half * table[column + k]
+        B[a + (into + 7 + k) * LANES + lane] = half * (table[column + 3 + k] - table[column + k])
     return row
 
 
@@ -130,12 +131,7 @@ def _gather(B: FloatArray, J: IntArray, table: FloatArray, a: int, lane: int, of
 def _refresh(B: FloatArray, J: IntArray, table: FloatArray, i: int) -> None:
     """Gather the polynomials of node i anew in the lanes that have left the piece that they hold for."""
     a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-    outside = 0
-    for lane in range(LANES):
-        t = B[a + T * LANES + lane]
-        inside = (t >= B[a + LOW * LANES + lane]) & (t < B[a + HIGH * LANES + lane])  # no branch, unlike `and`
-        outside += 0 if inside else 1
-    if outside == 0:
+    if lanes_outside(B, a + T * LANES, a + LOW * LANES, a + HIGH * LANES) == 0:
         return
     node = NODE_INTS + i * INTS_PER_NODE
     for lane in range(LANES):
@@ -150,17 +146,24 @@ def _refresh(B: FloatArray, J: IntArray, table: FloatArray, i: int) -> None:
             B[a + HIGH * LANES + lane] = high
 
 
+@inlined
+def _integral(value: float, first: float, half: float, t: float) -> tuple[float, float]:
+    """value + integral from 0 to t of (first + slope t), half being half the slope, and first + slope t."""
+    bent = half * t
+    return value + t * (first + bent), first + (bent + bent)
+
+
 @njit
 def _properties(B: FloatArray, a: int, lane: int, foot: int, f: float) -> tuple[float, float, float, float]:
     """Enthalpy, specific heat, theta and k at the node's temperature, a fraction f between two pressure columns."""
     t = B[a + T * LANES + lane] - B[a + foot * LANES + lane]
     x = a + (foot + 1) * LANES + lane
-    c0, c1 = B[x + LANES], B[x + 2 * LANES]
-    theta_a, k_a, slope_a = B[x + 3 * LANES], B[x + 4 * LANES], B[x + 5 * LANES]
-    theta0 = theta_a + f * (B[x + 6 * LANES] - theta_a)
-    k0 = k_a + f * (B[x + 7 * LANES] - k_a)
-    k1 = slope_a + f * (B[x + 8 * LANES] - slope_a)
-    return _integral(B[x], c0, c1, t), c0 + c1 * t, _integral(theta0, k0, k1, t), k0 + k1 * t
+    h, c = _integral(B[x], B[x + LANES], B[x + 2 * LANES], t)
+    theta0 = B[x + 3 * LANES] + f * B[x + 6 * LANES]
+    k0 = B[x + 4 * LANES] + f * B[x + 7 * LANES]
+    half = B[x + 5 * LANES] + f * B[x + 8 * LANES]
+    theta, k = _integral(theta0, k0, half, t)
+    return h, c, theta, k
 
 
 @inlined
@@ -178,8 +181,7 @@ def _write_row(
     B: FloatArray, a: int, lane: int, ddt: float,
     h_left: float, c_left: float, theta_left: float, k_left: float, h: float, c: float, theta: float, k: float,
 ) -> None:  # fmt: skip
-    """Row of a node with its properties on either side; what its right neighbour adds is in that one's ACROSS and
-    ENTRY.
+    """Row of a node with its properties on either side, and what it adds to the row of its left neighbour.
 
     What crosses an element, heat conducted in d dt and heat content shared, is taken together.
     """
@@ -196,8 +198,8 @@ def _write_row(
     B[a + E_RIGHT * LANES + lane] = e_right
     B[a + C_RIGHT * LANES + lane] = cap_right
     B[a + THETA_RIGHT * LANES + lane] = theta
-    B[a + ACROSS * LANES + lane] = across
-    B[a + ENTRY * LANES + lane] = entry
+    B[left + RESIDUAL * LANES + lane] += across
+    B[left + ENTRY * LANES + lane] = entry
     B[a + LOWER * LANES + lane] = lower
     B[a + DIAGONAL * LANES + lane] = cap_left + cap_right - entry - lower
     B[a + RESIDUAL * LANES + lane] = e_left + e_right - B[a + E_STAR * LANES + lane] - across
@@ -230,15 +232,15 @@ def _add_in_depth(B: FloatArray, a: int, lane: int, ddt: float) -> None:
     B[a + E_RIGHT * LANES + lane] += wet_right * h
     B[a + C_RIGHT * LANES + lane] += wet_right * c
     B[a + THETA_RIGHT * LANES + lane] += k_1_right * theta_rad + vapour_right * up
-    B[a + ACROSS * LANES + lane] += across
-    B[a + ENTRY * LANES + lane] += entry
+    B[left + RESIDUAL * LANES + lane] += across
+    B[left + ENTRY * LANES + lane] += entry
     B[a + LOWER * LANES + lane] += lower
     B[a + DIAGONAL * LANES + lane] += (wet_left + wet_right) * c - entry - lower
     B[a + RESIDUAL * LANES + lane] += (wet_left + wet_right) * h - across
 
 
-@njit
-def assemble(B: FloatArray, J: IntArray, table: FloatArray, i: int, ddt: float) -> None:
+@folded
+def _assemble(B: FloatArray, J: IntArray, table: FloatArray, i: int, ddt: float) -> None:
     """Row of node i at its present temperatures, heat from outside included."""
     a = (HEAD_ROWS + i * NODE_ROWS) * LANES
     left = a - NODE_ROWS * LANES
@@ -265,13 +267,38 @@ def assemble(B: FloatArray, J: IntArray, table: FloatArray, i: int, ddt: float) 
             B[a + DIAGONAL * LANES + lane] -= ddt * B[a + SLOPE * LANES + lane]
 
 
-@njit
-def assemble_behind(B: FloatArray, n: int) -> None:
-    """What crosses to the ghost behind the last node: content that padding shares with it, nothing where there is
-    none."""
-    last = (HEAD_ROWS + (n - 1) * NODE_ROWS) * LANES
+@folded
+def _reduce(B: FloatArray, i: int) -> None:
+    """Eliminate row i, whose right neighbour is assembled."""
+    a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+    left = a - NODE_ROWS * LANES
     for lane in range(LANES):
-        B[last + (NODE_ROWS + ACROSS) * LANES + lane] = -SHARE * B[last + E_RIGHT * LANES + lane]
+        lower = B[left + LOWER * LANES + lane]
+        pivot = 1.0 / (B[a + DIAGONAL * LANES + lane] - lower * B[left + UPPER * LANES + lane])
+        residual = B[a + RESIDUAL * LANES + lane] + lower * B[left + DELTA * LANES + lane]
+        B[a + UPPER * LANES + lane] = B[a + ENTRY * LANES + lane] * pivot
+        B[a + DELTA * LANES + lane] = -residual * pivot
+
+
+@njit
+def assemble(B: FloatArray, J: IntArray, table: FloatArray, ddt: float, reduces: bool) -> None:
+    """Residual E - E* - d dt F of all nodes at their present temperatures and its tridiagonal matrix, heat from outside
+    included; if wanted, each row is reduced while its neighbour is being assembled."""
+    n = J[N_NODES]
+    before, last = SCALAR_ROWS * LANES, (HEAD_ROWS + (n - 1) * NODE_ROWS) * LANES
+    for lane in range(LANES):  # the ghost before takes 0 times the first node's theta, which an infinite one would mark
+        B[before + RESIDUAL * LANES + lane] = 0.0
+        B[before + THETA_RIGHT * LANES + lane] = 0.0
+    for i in range(n):
+        _assemble(B, J, table, i, ddt)
+        if reduces and i > 0:
+            _reduce(B, i - 1)
+    # What crosses to the ghost behind: content that padding shares with it, nothing where there is none.
+    for lane in range(LANES):
+        B[last + RESIDUAL * LANES + lane] -= SHARE * B[last + E_RIGHT * LANES + lane]
+        B[last + ENTRY * LANES + lane] = 0.0
+    if reduces:
+        _reduce(B, n - 1)
 
 
 @njit

@@ -12,9 +12,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.jit import folded, njit
+from sim_heating.arithmetic import lanes_outside
+from sim_heating.jit import folded, inlined, njit
 from sim_heating.layout import (
     ADDED,
+    AIR,
+    AIR_FOOT,
     BACK_EPS,
     BACK_H,
     BACK_NODE,
@@ -22,6 +25,9 @@ from sim_heating.layout import (
     C_STAGES,
     EMISSIVITY_TABLE,
     ENTHALPY_TABLE,
+    EPS_AT_FOOT,
+    EPS_FOOT,
+    EPS_SLOPE,
     FACTOR_EPS,
     FILM,
     GAP,
@@ -42,11 +48,14 @@ from sim_heating.layout import (
     SOURCE,
     SURFACE_SHARE,
     SURROUNDINGS4,
+    WALL_COLUMN,
     WALL_EFFECTS,
+    WALL_HIGH,
+    WALL_LOW,
     T,
 )
 from sim_heating.surface_heating import emittance_factor, with_effects
-from sim_heating.thermal.assembly import BIN_K, property_bin
+from sim_heating.thermal.assembly import BIN_K, BINS, FAR, property_bin
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -77,35 +86,63 @@ def _factor(B: FloatArray, J: IntArray, chain, lane: int, stage: int, wall: floa
     return emittance_factor(B, J, chain, lane, stage, wall), (above - below) * (0.5 / WALL_DIFFERENCE_K)
 
 
+@inlined
+def _air(h_a: float, cp_a: float, h_b: float, cp_b: float, f: float, t: float) -> tuple[float, float]:
+    """Enthalpy of air [J/kg] t [K] above the foot of a bin, a fraction f between two columns of pressure, and its
+    specific heat [J/(kg K)]."""
+    cp = cp_a + f * (cp_b - cp_a)
+    return h_a + f * (h_b - h_a) + t * cp, cp
+
+
 @njit
+def _air_row(B: FloatArray, J: IntArray, lane: int, stage: int, j: int) -> int:
+    """Place in the tables of a lane's bin j of the enthalpy of air, at the pressure of a stage."""
+    return J[ENTHALPY_TABLE + lane] + 2 * (j * J[N_PRESSURES + lane] + int(B[(PCOL + stage) * LANES + lane]))
+
+
+@folded
 def _wall_enthalpy(
     B: FloatArray, J: IntArray, table: FloatArray, lane: int, stage: int, T_K: float
 ) -> tuple[float, float]:
-    """Enthalpy of air [J/kg] at a temperature and the pressure of a stage, and its specific heat [J/(kg K)]."""
+    """Enthalpy of air at a temperature and the pressure of a stage, and its specific heat."""
     j = property_bin(T_K)
+    row = _air_row(B, J, lane, stage, j)
     f = B[(PFRAC + stage) * LANES + lane]
-    row = J[ENTHALPY_TABLE + lane] + 2 * (j * J[N_PRESSURES + lane] + int(B[(PCOL + stage) * LANES + lane]))
-    cp = table[row + 1] + f * (table[row + 3] - table[row + 1])
-    return table[row] + f * (table[row + 2] - table[row]) + (T_K - BIN_K * j) * cp, cp
+    return _air(table[row], table[row + 1], table[row + 2], table[row + 3], f, T_K - BIN_K * j)
 
 
 @njit
-def _emissivity(table: FloatArray, first: int, wall: float) -> tuple[float, float]:
-    """Emittance and its slope [1/K]: linear between the points of the table, constant beyond its ends.
+def emittance_piece(table: FloatArray, first: int, wall: float) -> tuple[float, float, float, float, float]:
+    """Ends of the piece of an emittance that holds a temperature [K], its foot [K], emittance there, slope [1/K]:
+    linear between the points of the table, constant beyond its ends.
 
     The points are kept as they are, without bins: radiation feels a corner that is cut.
     """
     n = int(table[first])
     T_K, eps = first + 1, first + 1 + n
-    if n == 1 or not wall > table[T_K]:
-        return table[eps], 0.0
-    if wall >= table[T_K + n - 1]:
-        return table[eps + n - 1], 0.0
     i = 0
-    while wall >= table[T_K + i + 1]:
+    while i < n and wall >= table[T_K + i]:
         i += 1
-    slope = (table[eps + i + 1] - table[eps + i]) / (table[T_K + i + 1] - table[T_K + i])
-    return table[eps + i] + slope * (wall - table[T_K + i]), slope
+    low, high = -FAR if i == 0 else table[T_K + i - 1], FAR if i == n else table[T_K + i]
+    foot = max(i - 1, 0)
+    slope = 0.0
+    if 0 < i < n:
+        slope = (table[eps + i] - table[eps + i - 1]) / (high - low)
+    return low, high, table[T_K + foot], table[eps + foot], slope
+
+
+@njit
+def emittance(table: FloatArray, first: int, wall: float) -> float:
+    """Emittance of the table at `first` at a temperature [K]."""
+    _, _, foot, eps, slope = emittance_piece(table, first, wall)
+    return eps + slope * (wall - foot)
+
+
+@folded
+def forget_walls(B: FloatArray) -> None:
+    """Make every lane find anew what its surface is made of."""
+    for lane in range(LANES):
+        B[WALL_HIGH * LANES + lane] = -FAR
 
 
 @njit
@@ -135,28 +172,81 @@ def _evaluate_gaps(B: FloatArray, J: IntArray, table: FloatArray, stage: int) ->
 
 
 @folded
+def _keep_wall(B: FloatArray, J: IntArray, table: FloatArray, lane: int, stage: int) -> None:
+    """Keep what the surface of a lane is made of about its temperature."""
+    wall = B[(HEAD_ROWS + T) * LANES + lane]
+    low, high, foot, eps, slope = emittance_piece(table, J[EMISSIVITY_TABLE + lane], wall)
+    j = property_bin(wall)
+    row = _air_row(B, J, lane, stage, j)
+    B[WALL_LOW * LANES + lane] = low if j == 0 else max(low, BIN_K * j)
+    B[WALL_HIGH * LANES + lane] = high if j == BINS - 1 else min(high, BIN_K * (j + 1))
+    B[WALL_COLUMN * LANES + lane] = B[(PCOL + stage) * LANES + lane]
+    B[EPS_FOOT * LANES + lane], B[EPS_AT_FOOT * LANES + lane], B[EPS_SLOPE * LANES + lane] = foot, eps, slope
+    B[AIR_FOOT * LANES + lane] = BIN_K * j
+    for k in range(4):
+        B[(AIR + k) * LANES + lane] = table[row + k]
+
+
+@inlined
+def _balance(
+    B: FloatArray, lane: int, stage: int, eps: float, eps_slope: float, film: float, film_slope: float
+) -> None:
+    """Heat that enters at the surface of a lane and its slope, with an emittance and a film and their slopes."""
+    a = HEAD_ROWS * LANES + lane
+    wall, share, factor = B[a + T * LANES], B[SURFACE_SHARE * LANES + lane], B[FACTOR_EPS * LANES + lane]
+    f, t = B[(PFRAC + stage) * LANES + lane], wall - B[AIR_FOOT * LANES + lane]
+    h_a, cp_a, h_b, cp_b = (
+        B[AIR * LANES + lane], B[(AIR + 1) * LANES + lane], B[(AIR + 2) * LANES + lane], B[(AIR + 3) * LANES + lane],
+    )  # fmt: skip
+    H_w, cp_w = _air(h_a, cp_a, h_b, cp_b, f, t)
+    film, film_slope = film * share, film_slope * share
+    driving = B[(RECOVERY + stage) * LANES + lane] - H_w
+    cube = wall * wall * wall
+    excess = cube * wall - B[SURROUNDINGS4 * LANES + lane]
+    radiated = factor * eps * SIGMA * excess
+    B[a + SOURCE * LANES] = film * driving + B[(ADDED + stage) * LANES + lane] - radiated
+    radiated = factor * SIGMA * (4.0 * eps * cube + eps_slope * excess)
+    B[a + SLOPE * LANES] = film_slope * driving - film * cp_w - radiated
+
+
+@inlined
+def _emittance(B: FloatArray, lane: int) -> float:
+    """Emittance of a lane's surface from the piece that it keeps, without effects."""
+    wall = B[(HEAD_ROWS + T) * LANES + lane]
+    return B[EPS_AT_FOOT * LANES + lane] + B[EPS_SLOPE * LANES + lane] * (wall - B[EPS_FOOT * LANES + lane])
+
+
+@folded
 def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int) -> None:  # type: ignore[no-untyped-def]
     """Heat that enters at the surface [W/m2] and its slope against the surface temperature [W/(m2 K)]."""
-    a = HEAD_ROWS * LANES
+    left = lanes_outside(B, (HEAD_ROWS + T) * LANES, WALL_LOW * LANES, WALL_HIGH * LANES)
+    affected = 0
     for lane in range(LANES):
-        wall = B[a + T * LANES + lane]
-        factor = B[FACTOR_EPS * LANES + lane]
-        eps, eps_slope = _emissivity(table, J[EMISSIVITY_TABLE + lane], wall)
-        if J[N_EMITTING + lane] > 0:
-            more, more_slope = _factor(B, J, chain, lane, stage, wall)
-            eps, eps_slope = eps * more, eps_slope * more + eps * more_slope
-        H_w, cp_w = _wall_enthalpy(B, J, table, lane, stage, wall)
-        film, film_slope = B[(FILM + stage) * LANES + lane], 0.0
-        if J[WALL_EFFECTS + lane] > 0:
-            film, film_slope = _film(B, J, chain, lane, stage, wall)
-        film, film_slope = film * B[SURFACE_SHARE * LANES + lane], film_slope * B[SURFACE_SHARE * LANES + lane]
-        driving = B[(RECOVERY + stage) * LANES + lane] - H_w
-        cube = wall * wall * wall
-        excess = cube * wall - B[SURROUNDINGS4 * LANES + lane]
-        radiated = factor * eps * SIGMA * excess
-        B[a + SOURCE * LANES + lane] = film * driving + B[(ADDED + stage) * LANES + lane] - radiated
-        radiated = factor * SIGMA * (4.0 * eps * cube + eps_slope * excess)
-        B[a + SLOPE * LANES + lane] = film_slope * driving - film * cp_w - radiated
+        left += 0 if B[(PCOL + stage) * LANES + lane] == B[WALL_COLUMN * LANES + lane] else 1
+        affected += J[N_EMITTING + lane] + J[WALL_EFFECTS + lane]
+    if left > 0:
+        for lane in range(LANES):
+            _keep_wall(B, J, table, lane, stage)
+    for lane in range(LANES):
+        eps, film = _emittance(B, lane), B[(FILM + stage) * LANES + lane]
+        _balance(B, lane, stage, eps, B[EPS_SLOPE * LANES + lane], film, 0.0)
+    if affected > 0:
+        for lane in range(LANES):
+            _balance_with_effects(B, J, chain, lane, stage)
+
+
+@folded
+def _balance_with_effects(B: FloatArray, J: IntArray, chain, lane: int, stage: int) -> None:  # type: ignore[no-untyped-def]
+    """The same of a lane whose effects ask for the wall temperature."""
+    wall = B[(HEAD_ROWS + T) * LANES + lane]
+    eps, eps_slope = _emittance(B, lane), B[EPS_SLOPE * LANES + lane]
+    if J[N_EMITTING + lane] > 0:
+        more, more_slope = _factor(B, J, chain, lane, stage, wall)
+        eps, eps_slope = eps * more, eps_slope * more + eps * more_slope
+    film, film_slope = B[(FILM + stage) * LANES + lane], 0.0
+    if J[WALL_EFFECTS + lane] > 0:
+        film, film_slope = _film(B, J, chain, lane, stage, wall)
+    _balance(B, lane, stage, eps, eps_slope, film, film_slope)
 
 
 @folded

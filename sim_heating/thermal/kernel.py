@@ -28,9 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.heating_ratio.kernel import forget_cells
-from sim_heating.jit import STEP_SIGNATURE, c_function, folded, njit
+from sim_heating.jit import STEP_SIGNATURE, c_function, folded, inlined, njit
 from sim_heating.layout import (
-    ACROSS,
     ACTIVE,
     ADDED,
     BACK_NODE,
@@ -39,7 +38,6 @@ from sim_heating.layout import (
     C_STAGES,
     CURVE,
     DELTA,
-    DIAGONAL,
     E_LEFT,
     E_RIGHT,
     E_STAR,
@@ -47,7 +45,6 @@ from sim_heating.layout import (
     END,
     ENERGY_IN,
     ENERGY_OUT,
-    ENTRY,
     FAILED,
     FILM,
     GAPS,
@@ -59,7 +56,6 @@ from sim_heating.layout import (
     LANES,
     LARGEST,
     LAST_STEP,
-    LOWER,
     MOVES,
     N_CONDITIONS,
     N_NODES,
@@ -83,8 +79,8 @@ from sim_heating.layout import (
     T,
 )
 from sim_heating.surface_heating import heat_lanes
-from sim_heating.thermal.assembly import SHARE, assemble, assemble_behind, select_pressure
-from sim_heating.thermal.faces import evaluate_faces
+from sim_heating.thermal.assembly import REDUCED, SHARE, WHOLE_ROWS, assemble, select_pressure
+from sim_heating.thermal.faces import evaluate_faces, forget_walls
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -106,23 +102,27 @@ STAGED = (FILM, RECOVERY, ADDED, PCOL, PFRAC, R_BASE, LAG_VALUE, LAG_INPUT)
 """Rows that hold one value a stage."""
 
 
+@inlined
+def _moved(B: FloatArray, a: int, lane: int) -> float:
+    """Heat that enters a lane at the node at B[a] [W/m2], linearised over its last move as the balance of the stage
+    has it."""
+    return B[a + SOURCE * LANES + lane] + B[a + SLOPE * LANES + lane] * B[a + DELTA * LANES + lane]
+
+
 @folded
 def _keep_face_heat(B: FloatArray, J: IntArray) -> None:
-    """Heat at the faces of the lanes that have just moved, linearised over the move as the balance of the stage has
-    it."""
+    """Heat at the faces of the lanes that have just moved."""
     front = HEAD_ROWS * LANES
     for lane in range(LANES):
+        moves = B[ACTIVE * LANES + lane] > 0.0
+        heat = _moved(B, front, lane)
+        B[STAGE_IN * LANES + lane] = heat if moves else B[STAGE_IN * LANES + lane]
+    for lane in range(LANES):
         if B[ACTIVE * LANES + lane] > 0.0:
-            moved = B[front + SLOPE * LANES + lane] * B[front + DELTA * LANES + lane]
-            B[STAGE_IN * LANES + lane] = B[front + SOURCE * LANES + lane] + moved
-            back = (HEAD_ROWS + J[BACK_NODE + lane] * NODE_ROWS) * LANES
-            moved = B[back + SLOPE * LANES + lane] * B[back + DELTA * LANES + lane]
-            B[STAGE_OUT * LANES + lane] = -B[back + SOURCE * LANES + lane] - moved
+            B[STAGE_OUT * LANES + lane] = -_moved(B, (HEAD_ROWS + J[BACK_NODE + lane] * NODE_ROWS) * LANES, lane)
             if J[GAPS] == 1:
                 for i in range(1, J[BACK_NODE + lane]):
-                    a = front + i * NODE_ROWS * LANES
-                    moved = B[a + SLOPE * LANES + lane] * B[a + DELTA * LANES + lane]
-                    B[STAGE_IN * LANES + lane] += B[a + SOURCE * LANES + lane] + moved
+                    B[STAGE_IN * LANES + lane] += _moved(B, front + i * NODE_ROWS * LANES, lane)
 
 
 @njit
@@ -145,24 +145,20 @@ def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, chain) -> None
         if J[GAPS] == 1:
             for i in range(1, J[BACK_NODE + lane]):
                 B[STAGE_IN * LANES + lane] += B[(HEAD_ROWS + i * NODE_ROWS + SOURCE) * LANES + lane]
-    for ddt in range(
-        2
-    ):  # what crosses an element in no time is heat content shared, in a second conducted heat besides
-        for i in range(n):
-            assemble(B, J, table, i, float(ddt))
-        assemble_behind(B, n)
+    for i in range(n):
+        for row in (E_STAR, STAGE_LEFT, STAGE_RIGHT):  # contents that are no numbers, of a failed step, would stay so
+            for lane in range(LANES):
+                B[(HEAD_ROWS + i * NODE_ROWS + row) * LANES + lane] = 0.0
+    for ddt in range(2):  # with E* = 0 the residual is the heat content in no time, less the net heat in a second
+        assemble(B, J, table, float(ddt), WHOLE_ROWS)
         for i in range(n):
             a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-            right = a + NODE_ROWS * LANES
             for lane in range(LANES):
-                crossing = B[right + ACROSS * LANES + lane] - B[a + ACROSS * LANES + lane]
+                residual = B[a + RESIDUAL * LANES + lane]
                 if ddt == 0:
-                    own = B[a + E_LEFT * LANES + lane] + B[a + E_RIGHT * LANES + lane]
-                    B[a + E_START * LANES + lane] = own + crossing
-                    B[a + NET * LANES + lane] = crossing
+                    B[a + E_START * LANES + lane] = residual
                 else:
-                    conducted = B[a + NET * LANES + lane] - crossing
-                    B[a + NET * LANES + lane] = conducted + B[a + SOURCE * LANES + lane]
+                    B[a + NET * LANES + lane] = B[a + E_START * LANES + lane] - residual
 
 
 @njit
@@ -208,32 +204,6 @@ def _finish(B: FloatArray, n: int, dt: float) -> None:
             curve = (after - before) * (1.0 / dt)
             B[a + CURVE * LANES + lane] = curve
             B[a + RATE * LANES + lane] = after + curve * from_stage
-
-
-@folded
-def _reduce(B: FloatArray, i: int) -> None:
-    """Eliminate row i, whose right neighbour is assembled."""
-    a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-    left, right = a - NODE_ROWS * LANES, a + NODE_ROWS * LANES
-    for lane in range(LANES):
-        lower = B[left + LOWER * LANES + lane]
-        pivot = 1.0 / (B[a + DIAGONAL * LANES + lane] - lower * B[left + UPPER * LANES + lane])
-        residual = B[a + RESIDUAL * LANES + lane] + B[right + ACROSS * LANES + lane]
-        B[a + UPPER * LANES + lane] = B[right + ENTRY * LANES + lane] * pivot
-        B[a + DELTA * LANES + lane] = -(residual + lower * B[left + DELTA * LANES + lane]) * pivot
-
-
-@folded
-def _eliminate(B: FloatArray, J: IntArray, table: FloatArray, ddt: float) -> None:
-    """Residual E - E* - d dt F and its tridiagonal matrix, each row reduced while its neighbour is being assembled."""
-    n = J[N_NODES]
-    for i in range(n + 1):
-        if i < n:
-            assemble(B, J, table, i, ddt)
-        else:
-            assemble_behind(B, n)
-        if i > 0:
-            _reduce(B, i - 1)
 
 
 @folded
@@ -285,7 +255,7 @@ def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: in
         B[ACTIVE * LANES + lane] = 1.0
     for _ in range(NEWTON_LIMIT):
         evaluate_faces(B, J, table, chain, stage)
-        _eliminate(B, J, table, STAGE_WEIGHT * dt)
+        assemble(B, J, table, STAGE_WEIGHT * dt, REDUCED)
         for lane in range(LANES):
             B[behind + MOVES * LANES + lane] = B[ACTIVE * LANES + lane]
             B[behind + LARGEST * LANES + lane] = 0.0
@@ -341,6 +311,7 @@ def step(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> Non
 def _begin(B: FloatArray, J: IntArray, table: FloatArray, chain) -> None:  # type: ignore[no-untyped-def]
     """Take the condition vectors of stage 2 as those that hold now."""
     forget_cells(B)
+    forget_walls(B)
     for lane in range(LANES):
         B[LAG_PAST * LANES + lane] = 0.0
     heat_lanes(B, J, table, chain, END)

@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 from sim_heating.heating_ratio.kernel import linear_factor
 from sim_heating.jit import STEP_SIGNATURE, c_function, call_step, njit, raw
 from sim_heating.layout import (
-    ACROSS,
     BACK_NODE,
     C_LEFT,
     C_RIGHT,
@@ -61,7 +60,7 @@ from sim_heating.layout import (
     T,
 )
 from sim_heating.surface_heating import heat_shadows
-from sim_heating.thermal.assembly import SHARE, assemble, assemble_behind, select_pressure
+from sim_heating.thermal.assembly import SHARE, WHOLE_ROWS, assemble, select_pressure
 from sim_heating.thermal.faces import evaluate_faces
 from sim_heating.thermal.kernel import BDF_WEIGHT, GAMMA, STAGE_WEIGHT
 
@@ -115,13 +114,10 @@ class Places(NamedTuple):
 
 def rows_at(B: FloatArray, J: IntArray, table: FloatArray, chain, ddt: float) -> None:  # type: ignore[no-untyped-def]
     """Rows of G = E - ddt F at the temperatures present, with the conditions of stage 2; ddt [s] stands for dt."""
-    n = J[N_NODES]
     heat_shadows(B, J, table, chain, END)
     select_pressure(B, J, END)
     evaluate_faces(B, J, table, chain, END)
-    for i in range(n):
-        assemble(B, J, table, i, ddt)
-    assemble_behind(B, n)
+    assemble(B, J, table, ddt, WHOLE_ROWS)
 
 
 def faces_at(B: FloatArray, J: IntArray, table: FloatArray, chain, ddt: float) -> None:  # type: ignore[no-untyped-def]
@@ -191,19 +187,13 @@ def _content(X: FloatArray, a: int) -> float:
 
 
 @njit
-def _residual(X: FloatArray, a: int) -> float:
-    """G of a node [J/m2] whose first number is X[a]."""
-    return X[a + RESIDUAL * LANES] + X[a + NODE + ACROSS * LANES]
-
-
-@njit
 def start_from_shadow(B: FloatArray, lane: int, X: FloatArray, at: int, n: int) -> None:
     """Heat contents and net heat of a lane from its shadow at X[at], assembled with ddt = 1 s where the lane stands:
     what `begin` evaluates, for one lane alone."""
     for i in range(n):
         content, a = _content(X, at + i * NODE), (HEAD_ROWS + i * NODE_ROWS) * LANES + lane
         B[a + E_START * LANES] = content
-        B[a + NET * LANES] = content - _residual(X, at + i * NODE)
+        B[a + NET * LANES] = content - X[at + i * NODE + RESIDUAL * LANES]
 
 
 @njit
@@ -214,7 +204,8 @@ def _subtract_forcing(X: FloatArray, p: Places, lane: int, forced: int, ddt: flo
         plus, minus, inverse, reach = p.plus[lane, k], p.minus[lane, k], p.inverse[lane, k], p.reach[lane, k]
         if reach == WHOLE:
             for i in range(n):
-                S[i, k] -= (_residual(X, plus + i * NODE) - _residual(X, minus + i * NODE)) * inverse
+                row = i * NODE + RESIDUAL * LANES
+                S[i, k] -= (X[plus + row] - X[minus + row]) * inverse
         elif reach != NOWHERE:
             if p.linear[lane, k] != ITSELF:
                 inverse *= _against_ratio(X, p.at[lane], p.linear[lane, k])
@@ -263,7 +254,7 @@ def begin_columns(
         a = p.at[lane] + i * NODE
         diagonal = X[a + DIAGONAL * LANES]
         lower = X[a - NODE + LOWER * LANES] if i > 0 else 0.0
-        entry = X[a + NODE + ENTRY * LANES] if i < n - 1 else 0.0
+        entry = X[a + ENTRY * LANES] if i < n - 1 else 0.0
         above, below = max(i - 1, 0), min(i + 1, n - 1)
         for k in range(m):
             f[i, k] = e[i, k] - diagonal * S[i, k] - lower * S[above, k] - entry * S[below, k]
@@ -283,7 +274,7 @@ def solve_columns(
         a = p.at[lane] + i * NODE
         lower = X[a - NODE + LOWER * LANES] if i > 0 else 0.0
         pivot = 1.0 / (X[a + DIAGONAL * LANES] - lower * before)
-        before = X[a + NODE + ENTRY * LANES] * pivot
+        before = X[a + ENTRY * LANES] * pivot
         reduced[i] = before
         share, above = lower * pivot, max(i - 1, 0)
         for k in range(m):
