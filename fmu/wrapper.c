@@ -177,7 +177,8 @@ Status get_numbers(Instance *m, const uint32_t *refs, size_t n, double *values, 
         const Variable *v = variable(m, refs[k], KIND_NUMBER);
         if (!v) return ERROR;
         if ((size_t)v->count > n_values - at) return fail(m, "get: %zu values hold less than the variables", n_values);
-        memcpy(values + at, m->R + v->place, (size_t)v->count * sizeof(double));
+        if (v->count == 1) values[at] = m->R[v->place];
+        else memcpy(values + at, m->R + v->place, (size_t)v->count * sizeof(double));
         at += (size_t)v->count;
     }
     return at == n_values ? OK : fail(m, "get: %zu values hold more than the variables", n_values);

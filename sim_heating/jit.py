@@ -124,7 +124,8 @@ def njit(function: F, inline: bool = False) -> F:
 
 def folded(function: F) -> F:
     """A kernel that is put into its caller before that is compiled: for one with a single caller, which would otherwise
-    be compiled for itself and then once more within it."""
+    be compiled for itself and then once more within it. Not for a large one: numba copies all of it, twice, and again
+    with every caller around it, in a time that grows as its square."""
     return cast(F, numba.njit(inline="always", **_ARITHMETIC)(function))
 
 

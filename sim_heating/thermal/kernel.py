@@ -245,7 +245,7 @@ def _retire(B: FloatArray) -> int:
     return left
 
 
-@folded
+@njit
 def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int, dt: float) -> None:  # type: ignore[no-untyped-def]
     """Newton iteration for E(Y) - E* - d dt F(Y) = 0, from the temperatures present."""
     n = J[N_NODES]
@@ -284,7 +284,7 @@ def _start_second_stage(B: FloatArray, n: int, dt: float) -> None:
             B[a + T * LANES + lane] = cold + (warm - cold) * (1.0 / GAMMA) + bend * B[a + CURVE * LANES + lane]
 
 
-@folded
+@njit
 def step(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> None:  # type: ignore[no-untyped-def]
     """Advance the node temperatures of one lane group by dt [s] with the stage inputs that the scalar rows hold.
 
