@@ -65,7 +65,9 @@ def export(
         progress(0.1, "compiling, where that has not been done before")
         loaded = load_vehicle(vehicle)
         columns = reference == "columns"
-        image = export_heating(loaded, out, points, fmi=int(fmi), platforms=platforms, columns=columns)
+        image = export_heating(
+            loaded, out, points, fmi=int(fmi), platforms=platforms, columns=columns, progress=progress
+        )
     count = len(loaded.control_points if points is None else points)
     _tell(out, f"{count} control points, {len(image.variables)} variables", fmi, platforms)
 
@@ -88,7 +90,9 @@ def trajectory(scenario: Path, out: Path, fmi: str, platforms: tuple[str, ...]) 
     targets_of(platforms, int(fmi))
     with progress_line("fmu trajectory") as progress:
         progress(0.1, "compiling, where that has not been done before")
-        image = export_entry(spec, vehicle, out, title=loaded.title, fmi=int(fmi), platforms=platforms)
+        image = export_entry(
+            spec, vehicle, out, title=loaded.title, fmi=int(fmi), platforms=platforms, progress=progress
+        )
     _tell(out, f"{len(image.variables)} variables", fmi, platforms)
 
 

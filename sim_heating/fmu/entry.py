@@ -11,7 +11,7 @@ import numpy as np
 from sim_heating.conditions import FRAME
 from sim_heating.errors import InputError
 from sim_heating.fmu import entry_kernel as k
-from sim_heating.fmu.export import write_fmu
+from sim_heating.fmu.export import Progress, write_fmu
 from sim_heating.fmu.image import Image, Kind, Problem, Role, Variable
 from sim_heating.fmu.library import Unit
 from sim_heating.fmu.native import (
@@ -92,16 +92,24 @@ SEEN = (
 NOMINAL = {"altitude_m": 1e5, "velocity_m_s": 7e3, "rho_kg_m3": 1e-4}
 
 
-def export_entry(spec: TrajectorySpec, vehicle_dir: Path, out: Path, *, title: str = "", fmi: int = 3,
-                 platforms: tuple[str, ...] = ("linux",)) -> Image:  # fmt: skip
+def export_entry(
+    spec: TrajectorySpec,
+    vehicle_dir: Path,
+    out: Path,
+    *,
+    title: str = "",
+    fmi: int = 3,
+    platforms: tuple[str, ...] = ("linux",),
+    progress: Progress = lambda fraction, text: None,
+) -> Image:
     """Write the 3-DOF entry of a scenario as a co-simulation FMU; gives its image.
 
     spec   : [trajectory] of a scenario with source "entry-3dof"; its stop is left to the host
-    fmi, platforms : as in `write_fmu`
+    fmi, platforms, progress : as in `write_fmu`
     raises : InputError for another source, a platform without a compiler, a place that cannot be written
     """
     image = entry_image(spec, vehicle_dir, title)
-    write_fmu(out, image, ENTRY_UNITS, fmi, platforms)
+    write_fmu(out, image, ENTRY_UNITS, fmi, platforms, progress)
     return image
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from sim_heating.errors import InputError
@@ -15,6 +15,8 @@ from sim_heating.fmu.heating import heating_image, heating_units, making_objects
 from sim_heating.fmu.image import Image
 from sim_heating.fmu.library import TARGETS, Target, Unit, library
 from sim_heating.vehicle import Vehicle
+
+Progress = Callable[[float, str], None]
 
 STAMP = (1980, 1, 1, 0, 0, 0)
 """Time of the files in the archive: the same model gives the same bytes, but for the date in its description."""
@@ -28,6 +30,7 @@ def export_heating(
     fmi: int = 3,
     platforms: Sequence[str] = ("linux",),
     columns: bool = False,
+    progress: Progress = lambda fraction, text: None,
 ) -> Image:
     """Write the heating plug-in of a vehicle as a co-simulation FMU; gives its image.
 
@@ -35,13 +38,14 @@ def export_heating(
     fmi            : version, 2 or 3
     platforms      : keys of library.TARGETS
     columns        : h_ref and H_r are inputs, instead of the vehicle's reference heating
+    progress       : told the fraction done and what is being done
     raises         : InputError for an unknown name, a platform without a compiler, a place that cannot be written
     """
     for name in control_points or ():
         vehicle.control_point(name)
     with making_objects(targets_of(platforms, fmi)):
         model = heating_image(vehicle, control_points, columns=columns)
-    write_fmu(out, model.image, heating_units(model.effects), fmi, platforms)
+    write_fmu(out, model.image, heating_units(model.effects), fmi, platforms, progress)
     return model.image
 
 
@@ -56,15 +60,25 @@ def targets_of(platforms: Sequence[str], fmi: int) -> list[Target]:
     return targets
 
 
-def write_fmu(out: Path, image: Image, units: Sequence[Unit], fmi: int, platforms: Sequence[str]) -> None:
+def write_fmu(
+    out: Path,
+    image: Image,
+    units: Sequence[Unit],
+    fmi: int,
+    platforms: Sequence[str],
+    progress: Progress = lambda fraction, text: None,
+) -> None:
     """Write an image and the libraries of its functions as an FMU.
 
-    units : as `library` takes them
+    units    : as `library` takes them
+    progress : told the fraction done and what is being done
     """
     targets = targets_of(platforms, fmi)
     token = "{" + hashlib.sha256(image.binary("")).hexdigest()[:32] + "}"
     files = {"modelDescription.xml": description(image, token, fmi), "resources/model.bin": image.binary(token)}
-    for target in targets:
+    for k, (platform, target) in enumerate(zip(platforms, targets, strict=True)):
+        first = "" if target.native else ", whose C library ziglang builds when it first links for it"
+        progress(0.5 * (1.0 + k / len(targets)), f"library for {platform}{first}")
         folder = target.fmi2 if fmi == 2 else target.fmi3
         made = library(units, target)
         files[f"binaries/{folder}/{image.name}{target.suffix}"] = made.read_bytes()
