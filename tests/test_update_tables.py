@@ -461,6 +461,7 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "no bound": (scale(sigma=0.0), "first.json, [parameters.ratio.scale]: `sigma`: 0 is not within 1e-12 to 1000"),
     "too wide a bound": (scale(sigma=1e308), "first.json, [parameters.ratio.scale]: `sigma`: 1e+308 is not within"),
     "no such value": (scale(value=1e308), "first.json, [parameters.ratio.scale]: `value`: 1e+308 is beyond 1000"),
+    "no heating left": (scale(value=-1.2), "first.json, [parameters.ratio.scale]: `value`: -1.2 leaves no heating"),
     "no correlation": (says(correlation={}), NO_PAIR),
     "no such condition": (
         says(reference_condition=dict.fromkeys(RATIO_VARIABLES, 0.0) | {"alpha_deg": 1e308}),

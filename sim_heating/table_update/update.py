@@ -192,6 +192,8 @@ def _refuse_unweighable(estimate: Estimate, name: str) -> None:
         where = f"{name}, [parameters.{label}]"
         if abs(value) > HIGHEST:
             raise InputError(f"{where}: `value`: {value:g} is beyond {HIGHEST:g}, no heating ratio; estimate it anew")
+        if label.partition(AT)[0] == "ratio.scale" and value <= -1.0:
+            raise InputError(f"{where}: `value`: {value:g} leaves no heating (-1 is none at all); estimate it anew")
         if not LEAST_SIGMA <= sigma <= HIGHEST:
             span = f"{LEAST_SIGMA:g} to {HIGHEST:g}"
             raise InputError(f"{where}: `sigma`: {sigma:g} is not within {span} and weighs nothing; estimate it anew")
