@@ -80,6 +80,9 @@ def connections(trajectory: Unit, heating: Unit) -> list[str]:
         units = trajectory.variables[name].unit, heating.variables[name].unit
         if units[0] != units[1]:
             raise SystemExit(f"{name}: is in {units[0]} in the trajectory and in {units[1]} in the heating")
+    left = [name for name in heating.names("input") if name not in given]
+    if left:
+        print(f"not connected, as the trajectory has no such output: {', '.join(left)}")
     return shared
 
 

@@ -35,11 +35,12 @@ static int hex(char c) { return c >= '0' && c <= '9' ? c - '0' : c >= 'a' && c <
 /* file:///path, file:/path or file://localhost/path as a path; a path stays one. */
 static bool path_of_uri(const char *uri, char *path, size_t size) {
     if (!uri) return false;
+    bool file = false;
     if (strncmp(uri, "file:", 5) == 0) {
         uri += 5;
         if (strncmp(uri, "//localhost/", 12) == 0) uri += 11;
         else if (strncmp(uri, "///", 3) == 0) uri += 2;
-        if (uri[0] == '/' && uri[1] && uri[2] == ':') uri++;
+        file = true;
     }
     size_t at = 0;
     for (; *uri; uri++) {
@@ -52,6 +53,7 @@ static bool path_of_uri(const char *uri, char *path, size_t size) {
         }
     }
     path[at] = 0;
+    if (file && at > 2 && path[0] == '/' && path[2] == ':') memmove(path, path + 1, at);  /* /C:/... */
     return true;
 }
 
@@ -59,7 +61,12 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
                               const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging) {
     (void)visible;
     char path[4096];
-    if (!functions || type != fmi2CoSimulation) return NULL;
+    if (!functions) return NULL;
+    if (type != fmi2CoSimulation) {
+        if (functions->logger)
+            functions->logger(functions->componentEnvironment, name, fmi2Error, "logStatusError", "this FMU is for co-simulation");
+        return NULL;
+    }
     bool found = path_of_uri(location, path, sizeof path);
     Instance *m = new_instance(name, guid, found ? path : NULL, functions->componentEnvironment, (void *)functions->logger, tell);
     if (m) m->logging = logging != fmi2False;

@@ -10,7 +10,7 @@
 #include <windows.h>
 #endif
 
-static const char MAGIC[16] = "sim-heating-fmu1";
+static const char MAGIC[16] = "sim-heating-fmu2";
 enum { COUNTS = 7 };
 
 static FILE *open_file(const char *path) {
@@ -41,11 +41,15 @@ char *read_file(const char *path, size_t *size) {
     return bytes;
 }
 
+/* The numbers are those of splitmix64 (Steele, Lea and Flood, 2014). */
 uint64_t checksum(const void *bytes, size_t size) {
     uint64_t sum = 0, word;
     for (size_t k = 0; k < size / sizeof word; k++) {
         memcpy(&word, (const char *)bytes + k * sizeof word, sizeof word);
-        sum += word * (2 * k + 1);
+        word += (k + 1) * 0x9e3779b97f4a7c15u;
+        word = (word ^ word >> 30) * 0xbf58476d1ce4e5b9u;
+        word = (word ^ word >> 27) * 0x94d049bb133111ebu;
+        sum += word ^ word >> 31;
     }
     return sum;
 }

@@ -25,9 +25,9 @@ static Locale plain_locale(void) { return newlocale(LC_NUMERIC_MASK, "C", (Local
 static void drop_locale(Locale locale) { freelocale(locale); }
 #endif
 
-enum { VARIABLES = 5, COLUMNS = 6, MOST_COLUMNS = 16, NAME = 32 };
-static const char *const NAMES[COLUMNS] = {"alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg", "ratio"};
-static const double LIMITS[COLUMNS] = {180.0, 180.0, 20.0, 180.0, 180.0, 1e3};
+enum { VARIABLES = 5, RATIO = 5, SIGMA = 6, COLUMNS = 7, NAME = 32 };
+static const char *const NAMES[COLUMNS] = {"alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg", "ratio", "sigma"};
+static const double LIMITS[COLUMNS] = {180.0, 180.0, 20.0, 180.0, 180.0, 1e3, INFINITY};
 
 typedef struct { double (*rows)[COLUMNS]; size_t count, room; } Rows;
 typedef struct { double *values; size_t count; } Axis;
@@ -48,17 +48,17 @@ static bool next_cell(char **at, char **cell) {
     return true;
 }
 
-/* Which of COLUMNS each column of the file is, -1 for sigma. */
+/* Which of COLUMNS each column of the file is. */
 static int read_names(char *line, int columns[], char *why, size_t size) {
     int count = 0, found = 0;
     for (char *at = line, *cell; next_cell(&at, &cell); count++) {
-        if (count == MOST_COLUMNS) return snprintf(why, size, "more than %d columns", MOST_COLUMNS), 0;
-        columns[count] = strcmp(cell, "sigma") == 0 ? -1 : COLUMNS;
-        for (int k = 0; k < COLUMNS; k++)
-            if (strcmp(cell, NAMES[k]) == 0) columns[count] = k, found |= 1 << k;
-        if (columns[count] == COLUMNS) return snprintf(why, size, "unknown column %.*s", NAME, cell), 0;
+        int k = 0;
+        while (k < COLUMNS && strcmp(cell, NAMES[k]) != 0) k++;
+        if (k == COLUMNS) return snprintf(why, size, "unknown column %.*s", NAME, cell), 0;
+        if (found & 1 << k) return snprintf(why, size, "two columns %s", NAMES[k]), 0;
+        columns[count] = k, found |= 1 << k;
     }
-    for (int k = 0; k < COLUMNS; k++)
+    for (int k = 0; k < SIGMA; k++)
         if (!(found & 1 << k)) return snprintf(why, size, "there is no column %s", NAMES[k]), 0;
     return count;
 }
@@ -67,9 +67,9 @@ static bool read_row(char *line, int count, const int columns[], Locale locale, 
     int k = 0;
     for (char *at = line, *cell, *end; next_cell(&at, &cell); k++) {
         if (k == count) return snprintf(why, size, "more cells than names"), false;
-        if (columns[k] < 0) continue;
         double value = strtod_l(cell, &end, locale);
-        if (end == cell || *end || !isfinite(value) || fabs(value) > LIMITS[columns[k]])
+        bool number = end > cell && !*end && !strpbrk(cell, "xX") && isfinite(value);
+        if (!number || fabs(value) > LIMITS[columns[k]] || (columns[k] == SIGMA && value < 0.0))
             return snprintf(why, size, "%s: \"%.*s\" cannot be", NAMES[columns[k]], NAME, cell), false;
         row[columns[k]] = value;
     }
@@ -88,15 +88,17 @@ static bool same_reference(const char *line, const char *reference, char *why, s
 }
 
 static bool read_rows(char *text, const char *reference, Rows *all, Locale locale, char *why, size_t size) {
-    int columns[MOST_COLUMNS], count = 0, number = 0;
+    int columns[COLUMNS], count = 0, number = 0;
     char reason[160] = "";
     for (char *line = text, *next; line; line = next) {
         next = strchr(line, '\n');
         if (next) *next++ = 0;
         number++;
-        if (strspn(line, " \t\r") == strlen(line)) continue;
-        bool good = true;
-        if (line[0] == '#') {
+        bool good = true, blank = strspn(line, " \t\r") == strlen(line);
+        if (blank && (count == 0 || !next || strspn(next, " \t\r\n") == strlen(next))) continue;
+        if (blank) {
+            good = (snprintf(reason, sizeof reason, "is blank"), false);
+        } else if (line[0] == '#' && count == 0) {
             good = same_reference(line, reference, reason, sizeof reason);
         } else if (count == 0) {
             good = (count = read_names(line, columns, reason, sizeof reason)) > 0;
@@ -113,6 +115,12 @@ static bool read_rows(char *text, const char *reference, Rows *all, Locale local
     }
     if (all->count == 0) return snprintf(why, size, "there are no rows"), false;
     return true;
+}
+
+int64_t table_size(const double *table) {
+    int64_t nodes = 1, size = VARIABLES;
+    for (int k = 0; k < VARIABLES; k++) size += (int64_t)table[k], nodes *= (int64_t)table[k];
+    return size + nodes;
 }
 
 static size_t node_of(const Axis *axis, double value) {
@@ -164,7 +172,7 @@ static double *pack(const Rows *all, int64_t *count, char *why, size_t size) {
             free(table);
             return NULL;
         }
-        ratio[node] = all->rows[i][COLUMNS - 1];
+        ratio[node] = all->rows[i][RATIO];
     }
     return table;
 }

@@ -1,5 +1,5 @@
-/* Instances, variables, steps and states, for FMI 2 and FMI 3 alike. No function but new_instance, set_text, get_state
-   and deserialize allocates memory. */
+/* Instances, variables, steps and states, for FMI 2 and FMI 3 alike. Memory is allocated for an instance and for states,
+   and where a table takes the place of another; nothing else allocates any. */
 
 #include "wrapper.h"
 
@@ -84,6 +84,7 @@ static bool has_avx2(void) {
 static const Model *best_model(void) { return &models[n_models > 1 && has_avx2() ? 1 : 0]; }
 
 static void load(Instance *m) {
+    m->n_R = m->image.n_R;
     memcpy(m->R, m->image.R, (size_t)m->image.n_R * sizeof(double));
     memcpy(m->N, m->image.N, (size_t)m->image.n_N * sizeof(int64_t));
     m->mode = INSTANTIATED;
@@ -154,6 +155,8 @@ static bool may_set(Instance *m, const Variable *v) {
     return false;
 }
 
+static Status drop_file(Instance *m, const Variable *ratios);
+
 static void has_changed(Instance *m, const Variable *v) {
     m->stale = true;
     if (v->role != ROLE_INPUT) m->N[CHANGED] = 1;
@@ -203,6 +206,7 @@ Status set_numbers(Instance *m, const uint32_t *refs, size_t n, const double *va
         if ((size_t)v->count > n_values - at) return fail(m, "set: %zu values are less than the variables hold", n_values);
         for (int64_t i = 0; i < v->count; i++)
             if (check(m, v, values[at + (size_t)i]) != OK) return ERROR;
+        if (v->role == ROLE_FIXED && drop_file(m, v) != OK) return ERROR;
         memcpy(m->R + v->place, values + at, (size_t)v->count * sizeof(double));
         at += (size_t)v->count;
         has_changed(m, v);
@@ -232,29 +236,71 @@ Status get_text(Instance *m, uint32_t ref, const char **value) {
     return OK;
 }
 
-/* The path of a table: read now, put behind everything else in R, and taken by the lanes that stand behind the text:
-   where tables begin in R, the place of the name of the reference heating, how many lanes, their places. */
+/* What stands in N behind a table's path: where tables begin in R, the place of the name of the reference heating, the
+   table inside, how many lanes take their ratios from the one in force, and where each says which that is. Tables are
+   counted from where they begin. */
+enum { TABLES, REFERENCE_NAME, INSIDE, N_LANES, LANES };
+
+static int64_t *behind(Instance *m, const Variable *v) { return m->N + v->place + TEXT_BYTES / 8; }
+
+/* The table from a file in force for a variable, in these numbers; NULL where it is the one inside. */
+static const double *from_file(Instance *m, const Variable *v, const double *R) {
+    const int64_t *own = behind(m, v);
+    int64_t at = m->N[own[LANES]];
+    return at == own[INSIDE] ? NULL : R + own[TABLES] + at;
+}
+
+/* Put a table of `count` numbers into force for a variable, or the one inside where it is NULL. Tables from files stand
+   behind the image, in the order of their variables. False where there is no memory. */
+static bool put_table(Instance *m, const Variable *changed, const double *table, int64_t count) {
+    const Variable *first = m->image.variables, *last = first + m->image.n_variables;
+    int64_t end = m->image.n_R, needed = end + count;
+    for (const Variable *v = first; v < last; v++)
+        if (v->kind == KIND_TABLE && v != changed && from_file(m, v, m->R)) needed += table_size(from_file(m, v, m->R));
+    const double *R = m->R;
+    void *memory = m->R_memory;
+    m->R_memory = NULL;
+    if (!make_R(m, needed)) return m->R_memory = memory, false;
+    for (const Variable *v = first; v < last; v++) {
+        if (v->kind != KIND_TABLE) continue;
+        const double *kept = v == changed ? table : from_file(m, v, R);
+        const int64_t *own = behind(m, v), size = kept ? table_size(kept) : 0;
+        if (kept) memcpy(m->R + end, kept, (size_t)size * sizeof(double));
+        for (int64_t k = 0; k < own[N_LANES]; k++) m->N[own[LANES + k]] = kept ? end - own[TABLES] : own[INSIDE];
+        end += size;
+    }
+    free(memory);
+    return true;
+}
+
+/* The path of a table, read now; none, and the table inside is in force. */
 Status set_text(Instance *m, uint32_t ref, const char *value) {
     const Variable *v = variable(m, ref, KIND_TABLE);
     if (!v || !may_set(m, v)) return ERROR;
     const char *name = m->image.text + v->name;
     if (!value || strlen(value) >= TEXT_BYTES) return fail(m, "%s: a path of less than %d bytes is needed", name, TEXT_BYTES);
-    int64_t *text = m->N + v->place, *lanes = text + TEXT_BYTES / 8;
-    if (value[0] == 0 && ((char *)text)[0] == 0) return OK;
     char why[800];
-    int64_t count = 0, end = m->n_R;
-    double *table = read_ratio_table(value, m->image.text + lanes[1], &count, why, sizeof why);
-    if (!table) return fail(m, "%s: %s", name, why);
-    if (!make_R(m, end + count)) {
-        free(table);
-        return fail(m, "%s: there is no memory for %.200s", name, value);
-    }
-    memcpy(m->R + end, table, (size_t)count * sizeof(double));
+    int64_t count = 0;
+    double *table = value[0] ? read_ratio_table(value, m->image.text + behind(m, v)[REFERENCE_NAME], &count, why, sizeof why) : NULL;
+    if (value[0] && !table) return fail(m, "%s: %s", name, why);
+    bool put = put_table(m, v, table, count);
     free(table);
-    for (int64_t k = 0; k < lanes[2]; k++) m->N[lanes[3 + k]] = end - lanes[0];
-    memset(text, 0, TEXT_BYTES);
-    memcpy(text, value, strlen(value));
+    if (!put) return fail(m, "%s: there is no memory for %.200s", name, value);
+    memset(m->N + v->place, 0, TEXT_BYTES);
+    memcpy(m->N + v->place, value, strlen(value));
     has_changed(m, v);
+    return OK;
+}
+
+/* Ratios set as an array are those of the table inside, which then takes the place of a file's: what is set last holds. */
+static Status drop_file(Instance *m, const Variable *ratios) {
+    for (int64_t i = 0; i < m->image.n_variables; i++) {
+        const Variable *v = &m->image.variables[i];
+        if (v->kind != KIND_TABLE || !*(const char *)(m->N + v->place)) continue;
+        const int64_t *own = behind(m, v), inside = own[TABLES] + own[INSIDE];
+        if (ratios->place < inside || ratios->place >= inside + table_size(m->R + inside)) continue;
+        if (set_text(m, (uint32_t)i, "") != OK) return ERROR;
+    }
     return OK;
 }
 
@@ -279,7 +325,9 @@ static Status run(Instance *m, bool begins) {
     const Problem *p = &m->image.problems[outcome];
     const char *name = m->image.text + p->name, *rule = m->image.text + p->rule;
     if (p->place < 0) return fail(m, "time %.9g s, %s: %s", m->R[NEXT], name, rule);
-    return fail(m, "time %.9g s: %s is %g; %s", m->R[NEXT], name, m->R[p->place], rule);
+    int64_t k = p->place - m->N[INPUTS_NOW];
+    double time = m->R[k >= 0 && k < m->N[N_INPUTS] ? NOW : NEXT];
+    return fail(m, "time %.9g s: %s is %g; %s", time, name, m->R[p->place], rule);
 }
 
 Status set_experiment(Instance *m, double start, bool stop_defined, double stop) {
@@ -309,7 +357,8 @@ Status prepare_step(Instance *m, double time, double length) {
     if (!allowed(m, "do step", STEPPING)) return ERROR;
     double now = m->R[NOW], end = time + length;
     if (!(fabs(time - now) <= CLOCK * (1.0 + fabs(now)))) return fail(m, "the step begins at %.9g s, but the time is %.9g s", time, now);
-    if (!isfinite(end) || !(length > 0.0) || !(end > now)) return fail(m, "a step of %g s cannot be made; it must be above 0", length);
+    if (!isfinite(end) || !(length > 0.0)) return fail(m, "a step of %g s cannot be made; it must be above 0", length);
+    if (!(end > now)) return fail(m, "a step of %g s is lost in rounding at %.9g s; take a longer one", length, now);
     if (m->stop_defined && end > m->stop + CLOCK * (1.0 + fabs(m->stop)))
         return fail(m, "the step ends at %.9g s, behind the stop time %.9g s", end, m->stop);
     m->R[NEXT] = end;
@@ -420,7 +469,6 @@ Status deserialize(Instance *m, const void *bytes, size_t size, void **state) {
         free(head);
         return refuse(m, "deserialize state", "is damaged, or of another model");
     }
-    if (*state && ((StateHead *)*state)->kind == STATE) free(*state);
     *state = head;
     return OK;
 }

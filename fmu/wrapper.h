@@ -42,7 +42,8 @@ typedef struct {
 /* Read resources/model.bin; false, with the reason in `why`, where that is not possible. */
 bool read_image(Image *image, const char *folder, char *why, size_t size);
 
-/* Sum over all words of 8 bytes, each times an odd number of its own: bytes that were changed or moved change it. */
+/* Sum over all words of 8 bytes, each mixed with its place so that every bit of it bears on every bit: one changed or moved
+   word changes the sum, several leave it with a chance of 2^-64. */
 uint64_t checksum(const void *bytes, size_t size);
 
 /* A file's whole contents, with a 0 behind them; NULL where it cannot be read. The path is UTF-8. */
@@ -50,6 +51,9 @@ char *read_file(const char *path, size_t *size);
 
 /* Nodes and ratios of a heating-ratio table (a contract CSV), packed as the kernel reads it; NULL, with the reason. */
 double *read_ratio_table(const char *path, const char *reference, int64_t *count, char *why, size_t size);
+
+/* How many numbers a packed table has. */
+int64_t table_size(const double *table);
 
 typedef enum { OK = 0, WARNING = 1, ERROR = 3 } Status;      /* numbers of FMI 2 and of FMI 3 */
 typedef enum {
@@ -63,7 +67,7 @@ typedef struct Instance {
     const Model *model;
     double *R;
     int64_t *N;
-    int64_t n_R;                   /* grows where a table is replaced by a longer one */
+    int64_t n_R;                   /* more than the image's where tables come from files */
     void *R_memory;
     Mode mode;
     bool stop_defined, stale, logging;

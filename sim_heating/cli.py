@@ -242,7 +242,10 @@ def _stop(*_: object) -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; 0 done, 1 a run that failed or was interrupted, 2 bad usage or input."""
-    signal.signal(signal.SIGTERM, _stop)
+    for name in ("SIGTERM", "SIGHUP"):  # Windows has but the first; nohup ignores the second
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _stop)
     try:
         cli.main(arguments, prog_name="sim-heating", standalone_mode=False)
     except click.exceptions.Exit as stop:
@@ -255,6 +258,9 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     except RunError as error:
         ERRORS.print(f"failed: {error}")
+        return 1
+    except OSError as error:
+        ERRORS.print(f"failed: {error.filename or 'system'}: {error.strerror or error}")
         return 1
     except (KeyboardInterrupt, click.Abort):
         ERRORS.print("interrupted: nothing was left half-written")

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from sim_heating.console import CONSOLE, PATH, listed, progress_line
 from sim_heating.errors import InputError, told_of
 from sim_heating.files import require_place, shown
+
+if TYPE_CHECKING:
+    from sim_heating.fmu.image import Image
 
 
 def _fmu_file(_: click.Context, __: click.Parameter, value: Path) -> Path:
@@ -69,7 +73,7 @@ def export(
             loaded, out, points, fmi=int(fmi), platforms=platforms, columns=columns, progress=progress
         )
     count = len(loaded.control_points if points is None else points)
-    _tell(out, f"{count} control points, {len(image.variables)} variables", fmi, platforms)
+    _tell(out, f"{count} control points, ", image, fmi, platforms)
 
 
 @fmu.command("trajectory")
@@ -93,9 +97,12 @@ def trajectory(scenario: Path, out: Path, fmi: str, platforms: tuple[str, ...]) 
         image = export_entry(
             spec, vehicle, out, title=loaded.title, fmi=int(fmi), platforms=platforms, progress=progress
         )
-    _tell(out, f"{len(image.variables)} variables", fmi, platforms)
+    _tell(out, "", image, fmi, platforms)
 
 
-def _tell(out: Path, held: str, fmi: str, platforms: tuple[str, ...]) -> None:
-    told = f"FMI {fmi}.0, {held}, {', '.join(platforms)}, {out.stat().st_size / 1e6:.2f} MB"
+def _tell(out: Path, held: str, image: Image, fmi: str, platforms: tuple[str, ...]) -> None:
+    from sim_heating.fmu.description import variables_of
+
+    count = sum(1 for _ in variables_of(image, int(fmi)))
+    told = f"FMI {fmi}.0, {held}{count} variables, {', '.join(platforms)}, {out.stat().st_size / 1e6:.2f} MB"
     CONSOLE.print(f"Wrote {out}: {told}", soft_wrap=True)

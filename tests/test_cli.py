@@ -256,7 +256,8 @@ def test_a_flight_out_of_the_atmosphere_fails_with_status_1(desk: Path, capsys: 
     assert not (desk / "out").exists()
 
 
-def test_an_interrupted_run_leaves_nothing_behind(desk: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_an_interrupted_run_leaves_nothing_behind(desk: Path, number: signal.Signals) -> None:
     long = SHORT.replace("entry-3dof", "jsbsim").replace("time_s = 60.0", "time_s = 1000.0")
     (desk / "long.toml").write_text(long.replace('source = "jsbsim"', 'source = "jsbsim"\nrate_hz = 1000.0'))
     command = [sys.executable, "-m", "sim_heating", "run", "long.toml", "--out", "out"]
@@ -265,12 +266,38 @@ def test_an_interrupted_run_leaves_nothing_behind(desk: Path) -> None:
         assert process.stderr is not None
         while "flying" not in process.stderr.readline():
             time.sleep(0.01)
-        process.send_signal(signal.SIGTERM)
+        process.send_signal(number)
         said = process.stderr.read()
         assert process.wait(timeout=60) == 1
     assert "interrupted" in said
     assert "Traceback" not in said
     assert sorted(p.name for p in desk.iterdir()) == ["long.toml", "short.toml"]
+
+
+INTERRUPTED = """
+import sys
+class Interrupt:
+    def find_spec(self, name, path=None, target=None):
+        if name == "sim_heating.cli":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupt())
+from sim_heating.__main__ import main
+sys.exit(main())
+"""
+
+
+def test_an_interrupt_while_modules_load_is_one_line() -> None:
+    done = subprocess.run([sys.executable, "-c", INTERRUPTED], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (1, "interrupted: nothing was begun\n")
+
+
+def test_a_cache_that_cannot_be_made_is_one_line(desk: Path) -> None:
+    command = [sys.executable, "-m", "sim_heating", "fmu", "export", "orbiter", "--out", "x.fmu"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": "/proc/nowhere"}
+    done = subprocess.run(command, cwd=desk, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1] == "failed: /proc/nowhere: No such file or directory"
+    assert sorted(p.name for p in desk.iterdir()) == ["short.toml"]
 
 
 # What would otherwise be quiet ---------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ import threading
 from itertools import pairwise
 from pathlib import Path
 
+import fmpy
 import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
@@ -90,6 +91,7 @@ def fmu_temperatures(host: Host, given: list[Frame]) -> np.ndarray:
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_validates_without_a_remark(fmus, fmi):
     assert validate_fmu(fmus[fmi]) == []
+    assert all(unit.baseUnit for unit in fmpy.read_model_description(fmus[fmi]).unitDefinitions)
 
 
 @pytest.mark.parametrize(("fmi", "step_s"), [(3, 0.5), (2, 1.0), (3, 0.7), (2, 3.0)])
@@ -202,14 +204,16 @@ def test_state_goes_back_and_through_bytes_to_another_instance(fmus, flown, fmi)
         host.drop(state)
 
 
-def test_damaged_state_is_refused_with_a_message(fmus, flown):
+@pytest.mark.parametrize("words", [(1000,), (1000, 3000), (20, 21, 40000)])
+def test_damaged_state_is_refused_with_a_message(fmus, flown, words):
+    """Highest bits too: a sum that is linear in the words loses two of them in each other."""
     with Host(fmus[3]) as host:
         host.start(frames(flown, 1.0, 1.0)[0])
         state = host.save()
-        data = bytearray(host.to_bytes(state))
-        data[len(data) // 2] ^= 1
+        data = np.frombuffer(host.to_bytes(state), dtype=np.uint64).copy()
+        data[list(words)] ^= np.uint64(1 << 63)
         with pytest.raises(FMICallException):
-            host.from_bytes(bytes(data))
+            host.from_bytes(data.tobytes())
         host.drop(state)
         assert "is damaged, or of another model" in host.messages[-1]
 
@@ -258,17 +262,30 @@ def test_value_that_cannot_be_is_an_error_with_a_message_and_reset_makes_good(fm
         host.step(then)
 
 
-def test_steps_that_are_none_are_refused(fmus, flown):
-    first = frames(flown, 1.0, 1.5)[0]
-    t = first["time_s"]
-    for time, length, told in (
-        (t + 5.0, 1.0, "the step begins at"), (t, 0.0, "must be above 0"), (t, 601.0, "longer than 600 s")
-    ):  # fmt: skip
-        with Host(fmus[3]) as host:
-            host.start(first)
-            with pytest.raises(FMICallException):
-                host.fmu.doStep(currentCommunicationPoint=time, communicationStepSize=length)
-            assert told in host.messages[-1]
+@pytest.mark.parametrize(
+    ("starts", "time", "length", "told"),
+    [
+        (0.0, 5.0, 1.0, "the step begins at"),
+        (0.0, 0.0, 0.0, "must be above 0"),
+        (0.0, 0.0, 601.0, "longer than 600 s"),
+        (1e9, 1e9, 1e-8, "lost in rounding"),
+    ],
+)
+def test_step_that_is_none_is_refused(fmus, flown, starts, time, length, told):
+    with Host(fmus[3]) as host:
+        host.start(frames(flown, 1.0, 1.5)[0] | {"time_s": starts})
+        with pytest.raises(FMICallException):
+            host.fmu.doStep(currentCommunicationPoint=time, communicationStepSize=length)
+        assert told in host.messages[-1]
+
+
+def test_held_input_out_of_range_is_told_at_the_start_of_the_step(fmus, flown):
+    with Host(fmus[3], timing="held") as host:
+        host.start(frames(flown, 1.0, 1.0)[0])
+        host.set({"alpha_deg": 181.0})
+        with pytest.raises(FMICallException):
+            host.fmu.doStep(currentCommunicationPoint=0.0, communicationStepSize=1.0)
+        assert host.messages[-1].startswith("time 0 s: alpha_deg is 181; ")
 
 
 # Tables and effects --------------------------------------------------------------------------------------------------
@@ -301,10 +318,20 @@ def test_revised_table_appears_in_a_re_export_by_path_and_as_an_array(fmus, flow
         declared = fmu_temperatures(host, given)
     np.testing.assert_array_equal(by_path, exported)
     np.testing.assert_array_equal(as_array, exported)
+    with Host(fmus[3]) as host:  # what is set last holds
+        host.fmu.setString([host.refs["BODYFLAP.ratio_table.file"]], [str(revised / "ratio_tables" / "BODYFLAP.csv")])
+        host.fmu.setString([host.refs["NOSECAP.ratio_table.file"]], [str(revised / "ratio_tables" / "BODYFLAP.csv")])
+        host.fmu.setFloat64([host.refs["NOSECAP.ratio_table.ratio"]], table.ratio.ravel().tolist())
+        assert host.fmu.getString([host.refs["NOSECAP.ratio_table.file"]]) == [""]
+        np.testing.assert_array_equal(fmu_temperatures(host, given), exported)
+    with Host(fmus[3]) as host:
+        for path in (str(revised / "ratio_tables" / "NOSECAP.csv"), ""):
+            host.fmu.setString([host.refs["NOSECAP.ratio_table.file"]], [path])
+        np.testing.assert_array_equal(fmu_temperatures(host, given), declared)
     assert np.max(exported[:, 1] - declared[:, 1]) > 10.0  # K
 
 
-@pytest.mark.parametrize(
+DAMAGED_TABLES = pytest.mark.parametrize(
     ("change", "told"),
     [
         (
@@ -312,10 +339,32 @@ def test_revised_table_appears_in_a_re_export_by_path_and_as_an_array(fmus, flow
             "these ratios|is over sutton-graves",
         ),
         (lambda t: t.replace("ratio", "rato"), "unknown column rato"),
+        (lambda t: t.replace("sigma", "ratio"), "two columns ratio"),
+        (lambda t: re.sub(r",[^,]*$", ",-1.0", t, count=2, flags=re.M), 'sigma: "-1.0" cannot be|unknown column'),
+        (lambda t: t + "# an afterthought\n", "cannot be"),
         (lambda t: "\n".join(t.splitlines()[:-1]), "do not fill the grid"),
         (lambda t: re.sub(r",[^,]*,([^,]*)$", r",nan,\1", t, count=1, flags=re.M), "cannot be|unknown column"),
     ],
 )
+
+
+def test_table_set_again_and_again_takes_no_more_room(fmus, revised):
+    """A state holds all that an instance has."""
+    sizes = []
+    with Host(fmus[3]) as host:
+        for k in range(20):
+            name = ("NOSECAP", "BODYFLAP")[k % 2]
+            host.fmu.setString([host.refs["NOSECAP.ratio_table.file"]], [str(revised / f"ratio_tables/{name}.csv")])
+            if k == 10:
+                host.fmu.reset()
+            state = host.save()
+            sizes.append(len(host.to_bytes(state)))
+            host.drop(state)
+    assert len(set(sizes[2:10])) <= 2
+    assert sizes[-2:] == sizes[:2]
+
+
+@DAMAGED_TABLES
 def test_damaged_table_is_refused_with_its_path(fmus, tmp_path, change, told):
     path = tmp_path / "table.csv"
     path.write_text(change((ROOT / "aircraft_data/orbiter/ratio_tables/NOSECAP.csv").read_text()))
@@ -327,6 +376,8 @@ def test_damaged_table_is_refused_with_its_path(fmus, tmp_path, change, told):
 
 
 OWN_EFFECT = """
+import math
+
 from sim_heating.effects import Effect
 from sim_heating.jit import njit
 from sim_heating.layout import MACH
@@ -340,16 +391,26 @@ EFFECT = Effect("mach-growth", "multiply", (Parameter("slope", "1", 0.01, 0.01, 
 """
 
 
-def test_effect_of_the_users_own_is_compiled_in(fmus, vehicle, flown, tmp_path, monkeypatch):
+def own_effect(name: str, body: str) -> str:
+    """The source of an effect with another body."""
+    return OWN_EFFECT.replace("return 1.0 + B[p] * B[c + MACH]", body).replace("mach-growth", name)
+
+
+def vehicle_with_effect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, source: str) -> Path:
+    """The Orbiter with an effect of the user's own at all points."""
     (tmp_path / "effects").mkdir()
-    (tmp_path / "effects" / "mach_growth.py").write_text(OWN_EFFECT)
+    (tmp_path / "effects" / "own.py").write_text(source)
     monkeypatch.setenv("SIM_HEATING_EFFECTS", str(tmp_path / "effects"))
     folder = tmp_path / "orbiter"
     shutil.copytree(ROOT / "aircraft_data" / "orbiter", folder)
-    for name in POINTS:
-        with (folder / "control_points" / f"{name}.toml").open("a") as file:
-            file.write('\n[[effect]]\nname = "mach-growth"\nsource = "test"\n')
-    own = load_vehicle(folder)
+    for point in POINTS:
+        with (folder / "control_points" / f"{point}.toml").open("a") as file:
+            file.write(f'\n[[effect]]\nname = "{name}"\nsource = "test"\n')
+    return folder
+
+
+def test_effect_of_the_users_own_is_compiled_in(fmus, vehicle, flown, tmp_path, monkeypatch):
+    own = load_vehicle(vehicle_with_effect(tmp_path, monkeypatch, "mach-growth", OWN_EFFECT))
     shared = [path for unit in (MODEL, THERMAL_STEP) for path in unit.objects(TARGETS["linux"])]
     before = [path.stat().st_mtime_ns for path in shared]
     export_heating(own, tmp_path / "own.fmu", POINTS)
@@ -358,6 +419,37 @@ def test_effect_of_the_users_own_is_compiled_in(fmus, vehicle, flown, tmp_path, 
     with Host(tmp_path / "own.fmu") as host:
         np.testing.assert_array_equal(fmu_temperatures(host, given), plugin_temperatures(own, given))
         assert host.get("NOSECAP.effect.'mach-growth'.slope")[0] == 0.01
+
+
+KERNELS = {
+    "raises": (
+        "if wall_K > 500.0:\n        raise ValueError(wall_K)\n    return 1.0",
+        "raises, prints or takes memory",
+    ),
+    "unknown": ("return math.nosuch(wall_K)", "cannot be compiled: module 'math' has no attribute 'nosuch'"),
+    "prints": ("print(wall_K)\n    return 1.0", "raises, prints or takes memory"),
+    "of-numba": ("return math.gamma(wall_K)", "needs numba_gamma, which a host without Python lacks"),
+}
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_effect_that_no_host_could_run_is_refused_by_its_name(name, tmp_path, monkeypatch):
+    body, told = KERNELS[name]
+    own = load_vehicle(vehicle_with_effect(tmp_path, monkeypatch, name, own_effect(name, body)))
+    with pytest.raises(InputError, match=rf"effect `{name}` \(.*own.py\).*{told}"):
+        export_heating(own, tmp_path / "own.fmu", POINTS)
+    assert not (tmp_path / "own.fmu").exists()
+
+
+def test_effect_may_call_the_mathematical_functions_of_c(flown, tmp_path, monkeypatch):
+    functions = ("erf", "erfc", "sinh", "cosh", "asinh", "expm1", "log1p", "log2", "hypot", "atan2")
+    called = [f"math.{f}(u{', 2.0' if f in ('hypot', 'atan2') else ''})" for f in functions]
+    body = f"u = 0.1 + B[p] * B[c + MACH]\n    return 1.0 + 1e-3 * ({' + '.join(called)} + round(u, 0))"
+    own = load_vehicle(vehicle_with_effect(tmp_path, monkeypatch, "of-c", own_effect("of-c", body)))
+    export_heating(own, tmp_path / "own.fmu", POINTS)
+    given = frames(flown, 1.0, 60.0)
+    with Host(tmp_path / "own.fmu") as host:
+        np.testing.assert_array_equal(fmu_temperatures(host, given), plugin_temperatures(own, given))
 
 
 # The library ---------------------------------------------------------------------------------------------------------
@@ -371,8 +463,8 @@ def test_library_needs_libc_and_libm_alone(fmus, tmp_path):
     assert set(re.findall(r"NEEDED\s+(\S+)", needed)) <= {"libm.so.6", "libc.so.6"}
     names = {re.split(r"@", line.split()[-1])[0] for line in undefined.splitlines()}
     maths = {"cos", "exp", "log10", "log", "pow", "sin", "sincos", "ceil", "floor"}
-    memory = {"malloc", "calloc", "realloc", "free", "memcpy", "memset", "memcmp", "bsearch", "qsort"}
-    text = {"snprintf", "vsnprintf", "strlen", "strcmp", "strncmp", "strncpy", "strchr", "strspn", "strcspn"}
+    memory = {"malloc", "calloc", "realloc", "free", "memcpy", "memmove", "memset", "memcmp", "bsearch", "qsort"}
+    text = {"snprintf", "vsnprintf", "strlen", "strcmp", "strncmp", "strncpy", "strchr", "strspn", "strcspn", "strpbrk"}
     text |= {"strtod_l", "newlocale", "freelocale"}
     files = {"fopen", "fclose", "fread", "fseek", "ftell"}
     loader = {"__cxa_finalize", "__gmon_start__", "_ITM_deregisterTMCloneTable", "_ITM_registerTMCloneTable",
@@ -420,6 +512,25 @@ def test_command_writes_an_fmu_and_tells_of_it(tmp_path, capsys):
     assert main(["fmu", "export", "orbiter", "--out", str(out), "--control-points", "NOSECAP", "--fmi", "2"]) == 0
     assert "FMI 2.0, 1 control points" in capsys.readouterr().out
     assert validate_fmu(out) == []
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_odd_titles_and_names_make_a_valid_description(fmi, tmp_path):
+    """A folder that begins with a digit, a bell in the title, quotes, backslashes and umlauts in names of sensors."""
+    folder = tmp_path / "2stage"
+    shutil.copytree(ROOT / "aircraft_data" / "orbiter", folder)
+    vehicle, point = folder / "vehicle.toml", folder / "control_points" / "NOSECAP.toml"
+    text = vehicle.read_text().replace('"orbiter"', '"2stage"')
+    vehicle.write_text(re.sub(r'^title = ".*"$', r'title = "Bell \\u0007"', text, flags=re.M))
+    names = ("it's", "it_s", "Schwärze", "a" + 2 * chr(92) + "b")
+    sensors = [f'[[sensor]]\nname = "{name}"\ncolumn = "T{k}_K"\ndepth_m = 0.0\n' for k, name in enumerate(names)]
+    point.write_text(point.read_text().replace("[limits]", "\n".join([*sensors, "[limits]"])))
+    export_heating(load_vehicle(folder), tmp_path / "odd.fmu", ["NOSECAP"], fmi=fmi)
+    assert validate_fmu(tmp_path / "odd.fmu") == []
+    described = fmpy.read_model_description(tmp_path / "odd.fmu")
+    assert described.coSimulation.modelIdentifier == "_2stage_heating"
+    shown = [v.name for v in described.modelVariables if v.name.endswith("indicated_K")]
+    assert len(set(shown)) == len(shown) == len(names) + 1
 
 
 @pytest.mark.parametrize(

@@ -138,8 +138,14 @@ static void states(Slot *s, bool two) {
         took(two ? (int)fmi2SerializeFMUstate(c, *state, bytes, size) : (int)fmi3SerializeFMUState(c, *state, (fmi3Byte *)bytes, size));
         size_t given = one_of(3) ? size : (size_t)one_of((int)size);
         if (one_of(2)) bytes[one_of((int)size)] ^= (char)(1 << one_of(8));
-        took(two ? (int)fmi2DeSerializeFMUstate(c, bytes, given, state) : (int)fmi3DeserializeFMUState(c, (fmi3Byte *)bytes, given, state));
+        void *made = (void *)(uintptr_t)1;  /* an output: what stands there is not looked at */
+        int outcome = two ? (int)fmi2DeSerializeFMUstate(c, bytes, given, &made) : (int)fmi3DeserializeFMUState(c, (fmi3Byte *)bytes, given, &made);
+        took(outcome);
         free(bytes);
+        if (outcome == 0) {
+            took(two ? (int)fmi2FreeFMUstate(c, state) : (int)fmi3FreeFMUState(c, state));
+            *state = made;
+        }
         return;
     }
     unsigned ref = 0;

@@ -85,6 +85,11 @@ class Effect:
             raise InputError(f"effect {self.name}: name a place for each of its {len(self.parameters)} parameters")
         self._known(self.neutral, "neutral")
 
+    @property
+    def built_in(self) -> bool:
+        """Whether it is one of the package's."""
+        return getattr(self.kernel, "__module__", "").startswith(f"{__name__}.")
+
     def tried(self, flown: Conditions) -> Sequence[Try]:
         """How it is looked for.
 

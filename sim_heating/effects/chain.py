@@ -7,15 +7,20 @@ which the code of an effect is its place.
 
 from __future__ import annotations
 
+import inspect
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numba
 from numba import types
 
 from sim_heating.effects import Effect
+from sim_heating.errors import InputError
+from sim_heating.files import shown
 from sim_heating.jit import c_function, call_effect, handle
 
 SIGNATURE = types.float64(types.int64, types.CPointer(types.float64), types.int64, types.int64, types.float64)
@@ -60,16 +65,25 @@ def _join(kernels: Sequence[Any]) -> Callable[..., float]:
 
 @cache
 def compiled_chain(effects: tuple[Effect, ...]) -> Chain:
-    """The chain of these effects in one function; the code of an effect is its place among them."""
+    """The chain of these effects in one function; the code of an effect is its place among them.
+
+    raises : InputError naming one of the user's own that cannot be compiled
+    """
+    for own in effects:
+        if not own.built_in:
+            compiled_kernel(own)
     function = _join([e.kernel for e in effects]) if effects else _nothing
     return Chain(c_function(SIGNATURE, function, cache=not effects), tuple(range(len(effects))))
 
 
 def chain_of(effects: tuple[Effect, ...]) -> Chain:
-    """The chain of these effects in this process."""
+    """The chain of these effects in this process.
+
+    raises : InputError naming one that cannot be compiled
+    """
     if numba.config.DISABLE_JIT or not effects:  # type: ignore[attr-defined]
         return compiled_chain(effects)
-    return Chain(_compiled_call(), tuple(_compiled(e.kernel).address for e in effects))
+    return Chain(_compiled_call(), tuple(compiled_kernel(e).address for e in effects))
 
 
 def _call(code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
@@ -82,7 +96,34 @@ def _compiled_call() -> Any:
     return c_function(SIGNATURE, _call)
 
 
+def place_of(effect: Effect) -> str:
+    """`effect NAME (file)`."""
+    kernel: Any = effect.kernel
+    return f"effect `{effect.name}` ({shown(Path(inspect.getfile(kernel.py_func)))})"
+
+
+def compiled_kernel(effect: Effect) -> Any:
+    """The kernel of an effect, compiled when first asked for.
+
+    raises : InputError where it cannot be, or has an exception (to print and to take memory are some), which nobody
+             could catch
+    """
+    try:
+        made, raises = _compiled(effect.kernel)
+    except Exception as error:  # whatever the compiler finds in a user's kernel
+        lines = [line.strip(' "') for line in str(error).splitlines()]
+        said = next((line for line in lines if line and not line.startswith("Failed in")), repr(error))
+        number = re.search(r"line (\d+)", str(error))
+        at = f", line {number[1]}" if number else ""
+        raise InputError(f"{place_of(effect)}{at}: cannot be compiled: {said}") from error
+    if raises:
+        raise InputError(f"{place_of(effect)}: raises, prints or takes memory, which no step can; always give a number")
+    return made
+
+
 @cache
-def _compiled(kernel: Any) -> Any:
-    """The kernel of an effect, compiled when first asked for."""
-    return c_function(KERNEL, kernel.py_func)
+def _compiled(kernel: Any) -> tuple[Any, bool]:
+    """A kernel as a function of C, and whether an exception is left in it: numba keeps each as a constant."""
+    made = c_function(KERNEL, kernel.py_func)
+    constants = made._library._get_module_for_linking().global_variables
+    return made, any(constant.name.startswith(".const.picklebuf") for constant in constants)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from xml.etree import ElementTree as ET
@@ -17,7 +18,7 @@ BASE_UNITS: dict[str, dict[str, float]] = {
     "W/m2": {"kg": 1, "s": -3}, "W/(m2 K)": {"kg": 1, "s": -3, "K": -1}, "W/(m K)": {"kg": 1, "m": 1, "s": -3, "K": -1},
     "1/K": {"K": -1}, "1/s": {"s": -1}, "deg": {"rad": 1}, "1/deg": {"rad": -1}, "1/deg2": {"rad": -2},
     "deg/s": {"rad": 1, "s": -1}, "m/s2": {"m": 1, "s": -2}, "m2": {"m": 2}, "kg": {"kg": 1},
-    "N": {"kg": 1, "m": 1, "s": -2},
+    "N": {"kg": 1, "m": 1, "s": -2}, "W/m": {"kg": 1, "m": 1, "s": -3},
 }  # fmt: skip
 """Exponents of the SI base units; what is in degrees has a factor besides."""
 CAUSALITY = {
@@ -49,7 +50,7 @@ def _root(image: Image, token: str, version: str, token_name: str) -> ET.Element
             "fmiVersion": version, "modelName": image.name, token_name: token, "description": image.title,
             "version": package_version(), "generationTool": f"sim-heating {package_version()}",
             "generationDateAndTime": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
-            "variableNamingConvention": "structured",
+            "variableNamingConvention": "structured" if all(v.name.isascii() for v in image.variables) else "flat",
         },
     )  # fmt: skip
 
@@ -86,7 +87,14 @@ def _experiment(root: ET.Element, image: Image) -> None:
     ET.SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="100.0", stepSize=_number(image.step_s))
 
 
+NO_TEXT = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
+"""Characters that XML cannot hold."""
+
+
 def _text(root: ET.Element) -> bytes:
+    for element in root.iter():
+        for name, value in element.items():
+            element.set(name, NO_TEXT.sub(" ", value))
     ET.indent(root)
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
 

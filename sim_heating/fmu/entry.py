@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ from sim_heating.conditions import FRAME
 from sim_heating.errors import InputError
 from sim_heating.fmu import entry_kernel as k
 from sim_heating.fmu.export import Progress, write_fmu
-from sim_heating.fmu.image import Image, Kind, Problem, Role, Variable
+from sim_heating.fmu.image import Image, Kind, Problem, Role, Variable, identifier
 from sim_heating.fmu.library import Unit
 from sim_heating.fmu.native import (
     FUNCTION,
@@ -26,6 +25,7 @@ from sim_heating.fmu.native import (
     TIMING,
 )
 from sim_heating.jit import c_function
+from sim_heating.plausible import LIMITS
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import manoeuvres as mv
 from sim_heating.trajectory import point_mass as pm
@@ -129,7 +129,7 @@ def entry_image(spec: TrajectorySpec, vehicle_dir: Path, title: str = "") -> Ima
     raises : InputError where the scenario is flown by another source
     """
     check_source(spec)
-    name = re.sub(r"\W", "_", Path(vehicle_dir).name, flags=re.ASCII)
+    name = identifier(Path(vehicle_dir).name)
     image = Image(f"{name}_entry", title or f"3-DOF entry of {name}", 1.0 / spec.rate_hz)
     _Packer(image, spec, Entry(spec, vehicle_dir)).pack()
     return image
@@ -246,7 +246,8 @@ class _Packer:
         self.head |= {k.STATE: state, k.WORK: work, k.ROW: row}
         for i, name in enumerate(ROW[1:], start=1):
             text = f"{name.rsplit('_', 1)[0].replace('_', ' ')}, as in a frame" if i < len(FRAME) else "of the flight"
-            self._add(name, Kind.NUMBER, Role.OUTPUT, row + i, text, unit_of(name), nominal=NOMINAL.get(name))
+            lower, upper, _ = LIMITS.get(name, (-np.inf, np.inf, ""))
+            self._add(name, Kind.NUMBER, Role.OUTPUT, row + i, text, unit_of(name), lower, upper, NOMINAL.get(name))
         for name, place, unit in SEEN:
             self._add(name, Kind.NUMBER, Role.OUTPUT, work + place, "as guidance sees it", unit)
         for m in range(n):

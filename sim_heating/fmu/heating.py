@@ -19,11 +19,12 @@ import numpy as np
 from sim_heating.atmosphere import us76
 from sim_heating.conditions import FRAME, RATIO_VARIABLES
 from sim_heating.effects import Effect, EffectUse, effects
-from sim_heating.effects.chain import SIGNATURE, compiled_chain
+from sim_heating.effects.chain import KERNEL, SIGNATURE, compiled_chain, compiled_kernel, place_of
 from sim_heating.ensemble import Ensemble
+from sim_heating.errors import InputError
 from sim_heating.fmu import heating_kernel as k
-from sim_heating.fmu.image import TEXT_BYTES, Image, Kind, Problem, Role, Variable
-from sim_heating.fmu.library import TARGETS, Target, Unit, compiler, objects, wrapper
+from sim_heating.fmu.image import TEXT_BYTES, Image, Kind, Problem, Role, Variable, identifier
+from sim_heating.fmu.library import TARGETS, Target, Unit, compiler, needs, objects, wrapper
 from sim_heating.fmu.native import (
     FUNCTION,
     HELD,
@@ -112,24 +113,15 @@ def heating_image(vehicle: Vehicle, control_points: Sequence[str] | None = None,
     """
     plugin = HeatingPlugin(vehicle, control_points, nodes=nodes)
     known = _library_effects(plugin.ensemble.models)
-    image = Image(f"{_identifier(vehicle.name)}_heating", f"Heating of {vehicle.title}", 1.0)
+    image = Image(f"{identifier(vehicle.name)}_heating", f"Heating of {vehicle.title}", 1.0)
     _Packer(image, vehicle, plugin, known, columns).pack()
     return HeatingModel(image, known)
-
-
-def _identifier(name: str) -> str:
-    return re.sub(r"\W", "_", name, flags=re.ASCII)
 
 
 def _library_effects(models: Sequence[PointModel]) -> tuple[Effect, ...]:
     """Effects of the library: all that the package has, so that one library serves all vehicles, and the user's own."""
     own = dict.fromkeys(u.effect for m in models for u in acting(m))
-    return tuple(dict.fromkeys([*(e for e in effects().values() if e.kernel and built_in(e)), *own]))
-
-
-def built_in(effect: Effect) -> bool:
-    """Whether an effect is one of the package's."""
-    return getattr(effect.kernel, "__module__", "").startswith("sim_heating.effects.")
+    return tuple(dict.fromkeys([*(e for e in effects().values() if e.kernel and e.built_in), *own]))
 
 
 MODEL = Unit("heating_move", FUNCTION, lambda: c_function(FUNCTION, k.move))
@@ -140,14 +132,25 @@ def heating_units(model_effects: tuple[Effect, ...]) -> tuple[Unit, ...]:
     """Functions of the library: the model's; in the order of `A`, the effects, the thermal step."""
 
     def chain() -> Any:
+        for own in model_effects:
+            if not own.built_in:
+                _refuse_unportable(own)
         return compiled_chain(model_effects).function
 
     return MODEL, Unit("heating_effects", SIGNATURE, chain, _sources_of(model_effects)), THERMAL_STEP
 
 
+def _refuse_unportable(effect: Effect) -> None:
+    """raises : InputError naming an effect of the user's own that needs what a host without Python does not have"""
+    missing = needs(Unit("effect", KERNEL, lambda: compiled_kernel(effect)))
+    if missing:
+        hint = "a kernel takes and gives numbers, and may call the mathematical functions of C"
+        raise InputError(f"{place_of(effect)}: needs {', '.join(missing)}, which a host without Python lacks; {hint}")
+
+
 def _sources_of(used: Sequence[Effect]) -> str:
     """Contents of the files that the user's own effects come from."""
-    kernels: list[Any] = [e.kernel for e in used if not built_in(e)]
+    kernels: list[Any] = [e.kernel for e in used if not e.built_in]
     return "".join(Path(inspect.getfile(getattr(f, "py_func", f))).read_text() for f in kernels)
 
 
@@ -200,8 +203,9 @@ def _make(units: Sequence[Unit], targets: Sequence[Target]) -> None:
 
 
 def quoted(part: str) -> str:
-    """A part of a structured name: as it is where it is an identifier, else in quotes."""
-    return part if re.fullmatch(r"[A-Za-z_]\w*", part, flags=re.ASCII) else "'" + re.sub(r"['\\]", "_", part) + "'"
+    """A part of a structured name: as it is where it is an identifier, else in quotes, with those within it escaped."""
+    plain = re.fullmatch(r"[A-Za-z_]\w*", part, flags=re.ASCII)
+    return part if plain else "'" + re.sub(r"(['\\])", r"\\\1", part) + "'"
 
 
 class _Packer:
@@ -323,8 +327,9 @@ class _Packer:
         declared = point.limits
         have = {"limit.surface_margin_K": declared.surface_K, "limit.bondline_margin_K": declared.bondline_K}
         for i, (what, unit, nominal, text) in enumerate(OUTPUTS):
+            lower = 0.0 if what in ("surface_K", "bondline_K") else -np.inf
             if what not in have or have[what] is not None:
-                self._add(f"{name}.{what}", Role.OUTPUT, numbers + k.P_OUT + i, text, unit, nominal=nominal)
+                self._add(f"{name}.{what}", Role.OUTPUT, numbers + k.P_OUT + i, text, unit, lower, nominal=nominal)
         for i, p in enumerate(RATIO):
             self._name_parameter(f"{name}.{p.name}", p, numbers + i)
         for i, p in enumerate(STACK):
@@ -381,11 +386,12 @@ class _Packer:
         lanes = np.flatnonzero(e.lanes[place.group * LANES : (place.group + 1) * LANES] == i)
         places = head[k.INTS] + e.groups[place.group, 2] + RATIO_TABLE + lanes
         reference = self.image.text(self.vehicle.heating.reference)
-        first = self.image.integers([*np.zeros(TEXT_BYTES // 8), head[k.TABLE], reference, len(places), *places])
+        inside = int(e.integers(place.group)[RATIO_TABLE + lanes[0]])
+        own = [head[k.TABLE], reference, inside, len(places), *places]
+        first = self.image.integers([*np.zeros(TEXT_BYTES // 8), *own])
         text = "path of a ratio table (CSV) in place of the one inside"
         self.image.variables.append(Variable(f"{name}.file", Kind.TABLE, Role.FIXED, first, text))
-        at = head[k.TABLE] + int(e.integers(place.group)[RATIO_TABLE + lanes[0]])
-        self._name_table(name, point.ratio, at)
+        self._name_table(name, point.ratio, head[k.TABLE] + inside)
 
     def _name_table(self, name: str, table: RatioTable, at: int) -> None:
         shape = tuple(len(axis) for axis in table.axes)

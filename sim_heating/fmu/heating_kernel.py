@@ -233,12 +233,12 @@ def _step(R, N, A) -> int:  # type: ignore[no-untyped-def]
     """All points to the end of a step."""
     n, dt = N[N_INPUTS], R[NEXT] - R[NOW]
     now, then, ranges = at(R, N[INPUTS_NOW]), at(R, N[INPUTS_NEXT]), at(R, N[RANGES])
-    bad = _first_problem(then, ranges, n)
-    if bad != GOOD:
-        return bad
     bad = _first_problem(now, ranges, n)
     if bad != GOOD:
         return n + bad
+    bad = _first_problem(then, ranges, n)
+    if bad != GOOD:
+        return bad
     if not dt <= LONGEST_COMMUNICATION_S:
         return 2 * n
     jumped = N[CHANGED] != 0

@@ -2,18 +2,19 @@
 
 `model.bin`, little-endian, 8 bytes a number, no gaps:
 
-    16 bytes            "sim-heating-fmu1"
+    16 bytes            "sim-heating-fmu2"
     int64[7]            numbers in R and in N, variables, problems, bytes of text, place of the token, checksum
     variables           int64 kind, role, place, count, place of the name; float64 lower, upper
     problems            int64 place of the name and of the rule in the text, place of the value in R or -1
     R, N                float64, int64
     text                UTF-8, each piece ended by a 0, filled up with zeros to a whole number of words
 
-The checksum is the sum of all words behind it, the k-th times 2 k + 1, modulo 2^64.
+The checksum is the sum of all words behind it, each mixed with its place, modulo 2^64 (`checksum`).
 """
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -22,7 +23,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-MAGIC = b"sim-heating-fmu1"
+MAGIC = b"sim-heating-fmu2"
 LINE = 8
 """Numbers of a cache line, on which a block begins."""
 TEXT_BYTES = 1024
@@ -172,6 +173,12 @@ class Image:
         return MAGIC + struct.pack("<6qQ", *counts, checksum(body)) + body
 
 
+def identifier(name: str) -> str:
+    """A name as an identifier of C."""
+    plain = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return f"_{plain}" if plain[:1].isdigit() else plain
+
+
 def _append(text: bytearray, piece: str) -> int:
     at = len(text)
     text.extend(piece.encode() + b"\0")
@@ -179,6 +186,12 @@ def _append(text: bytearray, piece: str) -> int:
 
 
 def checksum(body: bytes) -> int:
-    """Sum of the words, the k-th times 2 k + 1, modulo 2^64."""
+    """Sum of the words modulo 2^64, each plus a multiple of its place and then mixed as splitmix64 does.
+
+    One changed or moved word changes the sum, several leave it with a chance of 2^-64 (Steele, Lea and Flood, 2014).
+    """
     words = np.frombuffer(body, dtype="<u8")
-    return int(np.sum(words * (2 * np.arange(len(words), dtype=np.uint64) + 1), dtype=np.uint64))
+    z = words + np.arange(1, len(words) + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return int(np.sum(z ^ (z >> np.uint64(31)), dtype=np.uint64))

@@ -34,16 +34,15 @@ from sim_heating.fmu.native import source_digest
 
 PACKAGE = Path(__file__).resolve().parents[1]
 ALLOWED = {
-    "acos", "asin", "atan", "atan2", "ceil", "cos", "exp", "floor", "log", "log10", "memcpy", "memmove", "memset",
-    "pow", "sin", "sqrt", "tan", "tanh",
+    "acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cbrt", "ceil", "copysign", "cos", "cosh",
+    "erf", "erfc", "exp", "exp2", "expm1", "fabs", "floor", "fmax", "fmin", "fmod", "frexp", "hypot", "ldexp",
+    "lgamma", "log", "log10", "log1p", "log2", "memcpy", "memmove", "memset", "modf", "nearbyint", "pow",
+    "remainder", "rint", "round", "sin", "sinh", "sqrt", "tan", "tanh", "tgamma", "trunc",
 }  # fmt: skip
-"""Functions of libm and libc that a kernel may call."""
-CALLED_INTRINSICS = {
-    "cosh", "exp10", "exp2", "fma", "fmuladd", "frexp", "ldexp", "llrint", "llround", "log2", "lrint", "lround", "modf",
-    "nearbyint", "powi", "rint", "round", "roundeven", "sinh",
-}  # fmt: skip
-"""Intrinsics `llvm.NAME` that become calls beside those of ALLOWED, or rounding of their own (fma). All others become
-instructions; which of them there are depends on what this machine's vectors can do."""
+"""Functions of C99 that a kernel may call: every platform's libm or libc has them."""
+CALLED_INTRINSICS = {"exp10", "fma", "fmuladd", "powi", "roundeven"}
+"""Intrinsics `llvm.NAME` that become calls that not every platform has, or round as the machine does (fma). All others
+become instructions or calls of ALLOWED; which of them there are depends on what this machine's vectors can do."""
 _package_digest = cache(source_digest)
 
 
@@ -167,6 +166,21 @@ def object_code(unit: Unit, target: Target, level: str, suffix: str = "") -> byt
     suffix : of its name in C
     raises : RunError naming what it calls that a host without Python does not have
     """
+    module, machine = _module_and_machine(unit, target, level, suffix)
+    forbidden = _forbidden(module)
+    if forbidden:
+        raise RunError(f"{unit.name}: needs {', '.join(forbidden)}, which a host without Python does not have")
+    return bytes(machine.emit_object(module))
+
+
+def needs(unit: Unit) -> list[str]:
+    """What a compiled function calls that a host without Python does not have."""
+    target = TARGETS["linux"]
+    return _forbidden(_module_and_machine(unit, target, target.levels[0])[0])
+
+
+def _module_and_machine(unit: Unit, target: Target, level: str, suffix: str = "") -> tuple[llvm.ModuleRef, Any]:
+    """A unit's function with what it calls, and nothing else, for a processor; what makes code of it."""
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
     machine = llvm.Target.from_triple(target.triple).create_target_machine(
@@ -185,10 +199,7 @@ def object_code(unit: Unit, target: Target, level: str, suffix: str = "") -> byt
         passes = llvm.create_new_module_pass_manager()
         passes.add_global_dead_code_eliminate_pass()
     passes.run(module, builder)
-    forbidden = _forbidden(module)
-    if forbidden:
-        raise RunError(f"{unit.name}: needs {', '.join(forbidden)}, which a host without Python does not have")
-    return bytes(machine.emit_object(module))
+    return module, machine
 
 
 def sources() -> Path:
