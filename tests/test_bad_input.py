@@ -14,9 +14,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sim_heating.errors import InputError
-from sim_heating.files import toml_text
+from sim_heating.files import check, toml_text
 from sim_heating.record import load_record
 from sim_heating.thermal.declare import construct
+from sim_heating.trajectory.spec import FmuSource
 from sim_heating.validate import validate
 
 TILE = Path(__file__).parent / "data" / "records" / "tile"
@@ -250,6 +251,22 @@ def test_all_problems_of_a_file_are_told_at_once(tile: Path) -> None:
         load_record(tile)
     assert len(caught.value.problems) == 3
     assert all("\n" not in p and "record.toml" in p for p in caught.value.problems)
+
+
+@pytest.mark.parametrize(
+    ("columns", "expected"),
+    [
+        ({"mach": ["M"]}, '[columns]: `mach`: ["M"] is not a text in quotes, a number or a table'),
+        ({"mach": float("nan")}, "[columns]: `mach`: NaN is not a finite number"),
+        ({"mach": {"variable": "M", "unit": 5}}, "[columns.mach]: `unit`: 5 is not a text in quotes"),
+        ({"mach": {"variable": "M", "units": "1"}}, "[columns.mach]: unknown key `units`. Nearest: `unit`."),
+        ({"mach": {"unit": "1"}}, "[columns.mach]: key `variable` is missing"),
+    ],
+)
+def test_a_value_that_may_be_several_kinds_is_answered_once(columns: dict[str, object], expected: str) -> None:
+    with pytest.raises(InputError) as caught:
+        check({"columns": columns}, FmuSource, "fmu.toml")
+    assert caught.value.problems == (f"fmu.toml, {expected}",)
 
 
 def test_a_line_break_in_a_name_stays_inside_the_line(tile: Path) -> None:

@@ -79,11 +79,34 @@ def check(data: Any, model: type[M], where: str) -> M:
         # every key is wrong, and that alone is told.
         found = error.errors(include_url=False)
         other_format = [e for e in found if e["loc"] == ("format",) and e["type"] != "missing"]
-        errors = other_format or sorted(found, key=lambda e: e["type"] != "extra_forbidden")
+        errors = other_format or _branches_told_once(sorted(found, key=lambda e: e["type"] != "extra_forbidden"), data)
         problems = [p for e in errors for p in _problems_of(e, data, model, where)]
         raise InputError(*dict.fromkeys(one_line(p) for p in problems)) from None
     except RecursionError:
         raise InputError(f"{where}: tables or lists are nested too deeply") from None
+
+
+def _branches_told_once(errors: Sequence[Any], data: Any) -> list[Any]:
+    """Of a value that is of no branch of a union: what is wrong within the branch that it is meant for, else one error
+    that names all the kinds that it may be."""
+    places = [_in_data(tuple(e["loc"]), data, keep_last=e["type"] == "missing") for e in errors]
+    kept, told = [], set()
+    for error, place in zip(errors, places, strict=True):
+        same = [(e, p) for e, p in zip(errors, places, strict=True) if p[: len(place)] == place]
+        if not _of_another_kind(error):
+            kept.append(error)
+        elif place not in told and all(_of_another_kind(e) and p == place for e, p in same):
+            told.add(place)
+            *kinds, last = dict.fromkeys(_EXPECTED.get(e["type"], "one of its words") for e, _ in same)
+            kept.append(error | {"kinds": f"{', '.join(kinds)} or {last}" if kinds else last})
+    return kept
+
+
+def _of_another_kind(error: Any) -> bool:
+    """Whether a value is no text, number, table or whatever else it should be."""
+    if error["type"] == "literal_error":
+        return isinstance(error["input"], (dict, list))
+    return error["type"] in _EXPECTED and error["type"] != "finite_number"
 
 
 def _problems_of(error: Any, data: Any, model: type[BaseModel], where: str) -> list[str]:
@@ -194,8 +217,8 @@ def _rule(error: Any, loc: Location, model: type[BaseModel]) -> str:
     told = _description(model, loc)
     if kind == "missing":
         return f"key `{key}` is missing{_told(told)}"
-    if kind in _EXPECTED:
-        return f"{brief(value)} is not {_EXPECTED[kind]}{_told(told)}"
+    if "kinds" in error or kind in _EXPECTED:
+        return f"{brief(value)} is not {error.get('kinds') or _EXPECTED[kind]}{_told(told)}"
     if kind in _COMPARED:
         name, words = _COMPARED[kind]
         return f"{brief(value)} {words} {ctx[name]:g}{_told(told)}"
