@@ -16,7 +16,8 @@ needs_compiler = pytest.mark.skipif(COMPILER is None, reason="there is no C comp
 
 FAULTS = (
     "none", "fails", "discards", "returns early", "gives NaN", "crashes", "hangs", "ends", "exits",
-    "chatters and fails",
+    "chatters and fails", "forks and crashes", "forks and hangs", "starts a process and fails", "logs and fails",
+    "ends far ahead", "ends at no time", "returns at the end",
 )  # fmt: skip
 UNITS = {
     "km": 'm="1" factor="1000"', "ft/s": 'm="1" s="-1" factor="0.3048"', "rad": 'rad="1"', "m/s": 'm="1" s="-1"',

@@ -269,6 +269,13 @@ def test_a_value_that_may_be_several_kinds_is_answered_once(columns: dict[str, o
     assert caught.value.problems == (f"fmu.toml, {expected}",)
 
 
+def test_a_dotted_name_without_quotes_is_answered_with_quotes() -> None:
+    with pytest.raises(InputError) as caught:
+        check({"start": {"body": {"mass": 3.0}}}, FmuSource, "fmu.toml")
+    told = 'a name with dots stands in quotes, "body.mass" = ...'
+    assert caught.value.problems == (f"fmu.toml, [start]: {told}",)
+
+
 def test_a_line_break_in_a_name_stays_inside_the_line(tile: Path) -> None:
     assert "unknown key `mea\\nsured`" in problem(
         tile, "record.toml", swap("measured = false", '"mea\\nsured" = false')

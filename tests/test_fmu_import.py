@@ -101,6 +101,7 @@ def test_start_values_reach_the_fmu_in_its_own_units(glide: Path) -> None:
     [
         ("ft", "m", 0.3048), ("ft/s", "m/s", 0.3048), ("km/h", "m/s", 1.0 / 3.6), ("slug/ft3", "kg/m3", 515.3788184),
         ("rad", "deg", 180.0 / math.pi), ("kg.m-3", "kg/m3", 1.0), ("knot", "m/s", 1852.0 / 3600.0),
+        ("m·s⁻¹", "m/s", 1.0), ("m s^(-1)", "m/s", 1.0), ("W/(m2.K)", "W.m**-2.K^-1", 1.0), ("m / s2", "m/s/s", 1.0),
     ],
 )  # fmt: skip
 def test_units_as_fmus_write_them(unit: str, wanted: str, factor: float) -> None:
@@ -111,6 +112,17 @@ def test_units_as_fmus_write_them(unit: str, wanted: str, factor: float) -> None
     assert found is not None
     assert found(1.0) == approx(factor, rel=1e-9)
     assert found.back(found(3.7)) == approx(3.7)
+
+
+@pytest.mark.parametrize(
+    "unit",
+    [
+        "m.", "m*", "m-", "m/", "1/", "'m'", "(", "m)", "g0", "m,s", "slug/cu.ft", "1/s.m", "9**9**9", "m^9^9^9",
+        "10^3 m", "m^1000", "lambda()", "a" * 60 + "#",
+    ],
+)  # fmt: skip
+def test_what_is_no_unit_is_none(unit: str) -> None:
+    assert known_unit(unit) is None
 
 
 def test_celsius_has_an_offset_and_an_angle_is_no_number() -> None:
@@ -132,6 +144,12 @@ def test_an_fmus_own_degrees_with_fifteen_digits_leave_every_bit() -> None:
 def test_a_definition_that_contradicts_its_name_is_refused() -> None:
     with pytest.raises(InputError, match=r"defines `ft` as 1 m, which by its name is 0\.3048 m; give `unit`"):
         unit_of_fmu("ft", BaseUnit(m=1))
+
+
+@pytest.mark.parametrize("factor", [0.0, math.nan, math.inf])
+def test_a_definition_that_measures_nothing_is_refused(factor: float) -> None:
+    with pytest.raises(InputError, match=rf"defines `blah` by factor {factor:g} and offset 0, which measures nothing"):
+        unit_of_fmu("blah", BaseUnit(m=1, factor=factor))
 
 
 @needs_compiler
@@ -193,6 +211,26 @@ def test_a_column_is_found_by_its_usual_name_and_that_is_told(glide: Path) -> No
     flight = fly(glide, {k: v for k, v in COLUMNS.items() if k not in ("altitude_m", "alpha_deg")})
     assert flight.conditions["altitude_m"][0] == approx(70e3)
     assert "altitude_m is `h`, by its usual name" in [text for _, text in flight.events]
+
+
+@needs_compiler
+def test_an_output_of_a_usual_name_without_a_unit_is_not_used_and_that_is_told(binary: Path, tmp_path: Path) -> None:
+    density = (
+        '<ScalarVariable name="rho" valueReference="2" causality="output"><Real/></ScalarVariable></ModelVariables>'
+    )
+    text = description("2").replace("</ModelVariables>", density)
+    flight = fly(pack(tmp_path / "glide.fmu", text, binary, platform_folder("2")))
+    written = 'rho_kg_m3 = { variable = "rho", unit = "kg/m3" }'
+    told = f"`rho` is not used, as its unit is not known; if it is rho_kg_m3, write {written}"
+    assert told in [text for _, text in flight.events]
+
+
+@needs_compiler
+def test_mach_that_is_mapped_tells_the_speed_beside_an_output_of_that_name(binary: Path, tmp_path: Path) -> None:
+    text = description("2").replace('name="speed"', 'name="velocity"')
+    path = pack(tmp_path / "glide.fmu", text, binary, platform_folder("2"))
+    c = fly(path, {k: v for k, v in COLUMNS.items() if k != "velocity_m_s"} | {"mach": 20.0}).conditions
+    assert c["mach"] == approx(np.full(21, 20.0))
 
 
 # ---- inputs and ends ----------------------------------------------------------------------------------------------

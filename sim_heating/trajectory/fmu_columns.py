@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -49,8 +50,10 @@ COLUMNS = (*FRAME[1:], *EXTRAS, *MOTION, *ATTITUDE, *FORCES)
 
 AIR_PATH = ("velocity_m_s", "gamma_deg", "heading_deg")
 ANGLES = ("alpha_deg", "beta_deg", "bank_deg")
-FOLLOWS = ((set(MOTION[:3]), AIR_PATH), (set(ATTITUDE), ANGLES))
-"""What follows from velocity and from attitude."""
+FOLLOWS = ((set(MOTION[:3]), AIR_PATH), ({"mach"}, AIR_PATH[:1]), (set(ATTITUDE), ANGLES))
+"""What follows from velocity, from Mach, and from attitude."""
+SPEEDS = (set(AIR_PATH[:1]), set(MOTION[:3]))
+"""What tells the speed before Mach does."""
 
 UNITS = (
     ("_kg_m3", "kg/m3"), ("_m_s2", "m/s2"), ("_m_s", "m/s"), ("_deg", "deg"), ("_m", "m"), ("_g", "standard_gravity"),
@@ -128,6 +131,9 @@ class ColumnsOfFmu:
                     found.append(Reading(column, variable.name, way))
                 except InputError as error:
                     problems += error.problems
+        if "mach" in spec.fmu.columns:
+            other = [", ".join(sorted(names)) for names in SPEEDS if names <= set(spec.fmu.columns)]
+            problems += [f"[trajectory.fmu.columns]: `mach` and {o} both tell the speed; remove one" for o in other]
         if problems:
             raise InputError(*problems)
         mapped = {r.column for r in found} | set(self._constants)
@@ -149,14 +155,24 @@ class ColumnsOfFmu:
             chosen = exact or [v for v in outputs if names[v.name] in USUAL_NAMES.get(column, ())]
             if len(chosen) != 1:
                 continue
+            name = chosen[0].name
             try:
-                way = model.conversion(model.number(chosen[0].name, column), None, unit_of(column), column)
+                way = model.conversion(model.number(name, column), None, unit_of(column), column)
             except InputError:
+                self._tell_unused(model, name, column)
                 continue
-            found.append(Reading(column, chosen[0].name, way))
-            if chosen[0].name != column:
-                self.notes.append(f"{column} is `{chosen[0].name}`, by its usual name")
+            found.append(Reading(column, name, way))
+            if name != column:
+                self.notes.append(f"{column} is `{name}`, by its usual name")
         return found
+
+    def _tell_unused(self, model: FmuModel, name: str, column: str) -> None:
+        """A note on an output of a usual name that is not used as nobody knows its unit."""
+        unit = unit_of(column)
+        with suppress(InputError):  # one that measures something else is no such column
+            model.conversion(model.number(name, column), unit, unit, column)
+            written = f'{column} = {{ variable = "{name}", unit = "{unit}" }}'
+            self.notes.append(f"`{name}` is not used, as its unit is not known; if it is {column}, write {written}")
 
     def frame(self, time_s: float, values: list[float]) -> Frame:
         """All columns at a time from the FMU's outputs."""

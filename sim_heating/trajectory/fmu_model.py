@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import zipfile
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from pathlib import Path, PurePosixPath
 
 import fmpy
-from fmpy.model_description import ModelDescription, ModelVariable
+from fmpy.model_description import ModelDescription, ModelVariable, ValidationError
+from fmpy.simulation import settable_in_initialization_mode, settable_in_instantiated
 
-from sim_heating.errors import InputError
+from sim_heating.errors import InputError, told_of
 from sim_heating.files import shown, suggestion
+from sim_heating.files.text import one_line
 from sim_heating.trajectory.fmu_units import NO_DIMENSION, Conversion, Scale, conversion, known_unit, unit_of_fmu
+from sim_heating.trajectory.fmu_values import Value, fitting
 from sim_heating.trajectory.spec import FmuSource, FmuValue
 
+DESCRIPTION = "modelDescription.xml"
 VERSIONS = ("2.0", "3.")
 NUMBERS = ("Real", "Float", "Integer", "Int", "UInt", "Boolean", "Enumeration")
 NEAREST_OF = 12
 """Variables that an error lists where no name is near."""
+SCHEMA_PROBLEMS = 3
+"""Problems that an error lists of a description that is not valid."""
 
 
 @dataclass(frozen=True)
@@ -90,32 +95,52 @@ class FmuModel:
         assert target is not None
         found = conversion(scale, target)
         if found is None:
-            name = unit or self.unit_name(variable)
+            name = self.unit_name(variable) if unit is None else unit or "1"
             raise InputError(f"{where}: `{variable.name}` of {self} is in `{name}`, which is no `{wanted}`")
         return found
 
-    def start_values(self, source: FmuSource) -> dict[str, Any]:
-        """The scenario's start values in the FMU's units."""
-        found: dict[str, Any] = {}
+    def start_values(self, source: FmuSource) -> dict[str, Value]:
+        """The scenario's start values in the FMU's units.
+
+        raises : InputError, all problems at once
+        """
+        found: dict[str, Value] = {}
+        problems: list[str] = []
         for name, value in source.start.items():
-            where = f"[trajectory.fmu.start], `{name}`"
-            text = self.variables.get(name)
-            if isinstance(value, str) and text is not None and text.type == "String":
-                found[text.name] = value
-                continue
-            variable = self.number(name, where)
-            if isinstance(value, str):
-                raise InputError(f"{where}: `{value}` is not a number, and `{name}` of {self} is a {variable.type}")
-            if isinstance(value, FmuValue):
-                if self.unit_name(variable) is None:
-                    raise InputError(f"{where}: `{name}` of {self} has no unit; give a plain number")
-                scale = self.scale(variable, None, where)
-                way = None if (given := known_unit(value.unit)) is None else conversion(given, scale)
-                if way is None:
-                    raise InputError(f"{where}: `{value.unit}` is no unit of it; it is in `{variable.unit}`")
-                value = way(value.value)
-            found[variable.name] = value
+            try:
+                variable, own = self._start_value(name, value, f"[trajectory.fmu.start], `{name}`")
+                found[variable.name] = own
+            except InputError as error:
+                problems += error.problems
+        if problems:
+            raise InputError(*problems)
         return found
+
+    def _start_value(self, name: str, value: Value | FmuValue, where: str) -> tuple[ModelVariable, Value]:
+        variable = self.variables.get(name)
+        if variable is None or variable.type != "String" or not isinstance(value, str):
+            variable = self.number(name, where)
+        if not (settable_in_instantiated(variable) or settable_in_initialization_mode(variable)):
+            raise InputError(
+                f"{where}: {self} takes no start value for this {variable.causality}; give parameters and inputs alone"
+            )
+        if isinstance(value, FmuValue):
+            value = self._converted(variable, value, where)
+        if variable.type == "String":
+            return variable, value
+        with told_of(where):
+            return variable, fitting(variable, value)
+
+    def _converted(self, variable: ModelVariable, given: FmuValue, where: str) -> float:
+        """A start value with a unit, in the FMU's."""
+        unit = self.unit_name(variable)
+        if unit is None:
+            raise InputError(f"{where}: `{variable.name}` of {self} has no unit; give a plain number")
+        scale, known = self.scale(variable, None, where), known_unit(given.unit)
+        way = None if known is None else conversion(known, scale)
+        if way is None:
+            raise InputError(f"{where}: `{given.unit}` is no unit of it; it is in `{unit}`")
+        return way(given.value)
 
     def __str__(self) -> str:
         return shown(self.path)
@@ -129,12 +154,19 @@ def read_fmu(path: Path, interface: str | None = None) -> FmuModel:
     """
     name = shown(path)
     try:
-        description = fmpy.read_model_description(path, validate=False)
-        platforms = fmpy.supported_platforms(path)
+        with zipfile.ZipFile(path) as archive:
+            entries = archive.namelist()
     except (OSError, zipfile.BadZipFile) as error:
         raise InputError(f"{name}: is not an FMU ({error})") from None
-    except Exception as error:  # FMPy raises plain Exceptions, lxml its own
-        raise InputError(f"{name}: modelDescription.xml cannot be read ({' '.join(str(error).split())})") from None
+    if DESCRIPTION not in entries:
+        raise InputError(f"{name}: is not an FMU (there is no {DESCRIPTION} in it)")
+    if strays := [entry for entry in entries if _leads_out(entry)]:
+        raise InputError(f"{name}: holds `{one_line(strays[0])}`, which leads out of it; nothing of it is unpacked")
+    description = _description(path)
+    for interface_of in (description.coSimulation, description.modelExchange):
+        if interface_of is not None and not interface_of.modelIdentifier:
+            raise InputError(f"{name}: {DESCRIPTION} is not valid: an interface has no modelIdentifier")
+    platforms = fmpy.supported_platforms(path)
     if not str(description.fmiVersion).startswith(VERSIONS):
         raise InputError(f"{name}: is of FMI {description.fmiVersion}; FMI 2.0 and 3.0 can be flown")
     has = {
@@ -149,3 +181,29 @@ def read_fmu(path: Path, interface: str | None = None) -> FmuModel:
         found = ", ".join(p for p in platforms if p != "c-code") or "none"
         raise InputError(f"{name}: has no library for this platform ({fmpy.platform}); platforms in it: {found}")
     return FmuModel(path, description, chosen)
+
+
+def _leads_out(entry: str) -> bool:
+    """Whether an archive's entry would be unpacked elsewhere than in its folder, here or on another platform."""
+    return ".." in PurePosixPath(entry).parts or entry.startswith("/") or "\\" in entry or ":" in entry
+
+
+def _description(path: Path) -> ModelDescription:
+    try:
+        return fmpy.read_model_description(path, validate=False)
+    except Exception as error:  # FMPy raises plain Exceptions in words, lxml its own, and both Python's
+        raise InputError(f"{shown(path)}: {DESCRIPTION} {_invalid(path, error)}") from None
+
+
+def _invalid(path: Path, error: Exception) -> str:
+    """What is wrong with a description that FMPy cannot read, by its schema where FMPy has no words for it."""
+    if not isinstance(error, AttributeError | TypeError | ValueError | LookupError):
+        return f"cannot be read ({one_line(' '.join(str(error).split()))})"
+    try:
+        fmpy.read_model_description(path, validate=True)
+    except ValidationError as invalid:
+        problems = "; ".join(str(p) for p in invalid.problems[:SCHEMA_PROBLEMS])
+        return f"is not valid: {one_line(' '.join(problems.split()))}"
+    except Exception:  # without a version there is no schema; or FMPy stumbles over what its schema allows
+        pass
+    return "is not valid; its root must be an fmiModelDescription with an fmiVersion"

@@ -13,12 +13,14 @@ from pathlib import Path
 import numpy as np
 
 from sim_heating.atmosphere import speed_of_sound_kernel, us76_kernel
-from sim_heating.errors import InputError
+from sim_heating.errors import InputError, told_of
+from sim_heating.files import suggestion
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory.flight import Window
 from sim_heating.trajectory.fmu_columns import Frame, unit_of
 from sim_heating.trajectory.fmu_model import FmuModel
-from sim_heating.trajectory.manoeuvres import ManoeuvreScript
+from sim_heating.trajectory.fmu_values import fitting, item_named
+from sim_heating.trajectory.manoeuvres import ManoeuvreScript, moved
 from sim_heating.trajectory.schedules import pack, scheduled
 from sim_heating.trajectory.spec import FmuInput, TrajectorySpec
 
@@ -94,6 +96,7 @@ class InputsOfFmu:
                 self.names.append(name)
             except InputError as error:
                 problems += error.problems
+        problems += _unheard(model, spec) + _unmoved(model, spec)
         if problems:
             raise InputError(*problems)
         self.pilot = Pilot(spec, vehicle_dir, have) if spec.fmu.commands else None
@@ -112,6 +115,28 @@ class InputsOfFmu:
         return [] if self.pilot is None else [*self.pilot.events, *self.pilot.script.events(end_s)]
 
 
+def _unheard(model: FmuModel, spec: TrajectorySpec) -> list[str]:
+    """What is wrong with inputs of an FMU whose own `pilot` commands, as the exported 3-DOF entry has one."""
+    pilot = model.variables.get("pilot")
+    host = None if pilot is None else item_named(pilot, "host")
+    if pilot is None or host is None or not spec.fmu.inputs:
+        return []
+    if float(spec.fmu.start.get("pilot", pilot.start) or 0) == host:
+        return []
+    return [f"[trajectory.fmu.inputs]: {model} looks at its inputs only with pilot = {host} in [trajectory.fmu.start]"]
+
+
+def _unmoved(model: FmuModel, spec: TrajectorySpec) -> list[str]:
+    """Manoeuvres that no input of an FMU takes."""
+    inputs = [v.name for v in model.description.modelVariables if v.causality == "input"]
+    return [
+        f"manoeuvre {number} ({m.kind}): no input takes its {moved(m)}; name one in [trajectory.fmu.inputs]. "
+        + (suggestion(f"command.{moved(m)}", inputs) if inputs else f"{model} has no inputs")
+        for number, m in enumerate(spec.manoeuvre, start=1)
+        if moved(m) not in spec.fmu.commands
+    ]
+
+
 def _value(model: FmuModel, name: str, given: FmuInput) -> Callable[[Frame, Frame], float]:
     """How one input is made of a frame and the commands, in the FMU's unit."""
     where = f"[trajectory.fmu.inputs], `{name}`"
@@ -119,6 +144,9 @@ def _value(model: FmuModel, name: str, given: FmuInput) -> Callable[[Frame, Fram
     if variable.causality != "input":
         raise InputError(f"{where}: it is a {variable.causality} of {model}, not an input")
     if given.command is None:
+        with told_of(where):
+            for _, value in given.schedule or ():
+                fitting(variable, value)
         block = pack((), [given.schedule or ()])
         if given.unit is not None:
             model.scale(variable, given.unit, where)

@@ -8,14 +8,18 @@ its own and speaks with it; nothing else of the package is imported. Whatever th
     each further   {"time_s", "step_s", "inputs": [...]}
     answer         {"time_s", "values": [...], "ended"}  or  {"error": "what went wrong"}
 
-`ended` is true where the FMU itself asks to end; time_s is then the time that it reached.
+`ended` is true where the FMU itself asks to end; time_s is then the time that it reached. The process is the first of
+its group and has its parent's id as its argument: when that is gone it kills the group, whatever the FMU is doing.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
+import threading
+import time
 from typing import Any
 
 from fmpy import read_model_description
@@ -30,11 +34,14 @@ from fmpy.simulation import (
 INTERFACES = {"co-simulation": "CoSimulation", "model-exchange": "ModelExchange"}
 DISCARD = 2
 """fmi2Discard and fmi3Discard."""
+STATUS = dict(enumerate(("OK", "WARNING", "DISCARD", "ERROR", "FATAL", "PENDING")))
 LAST_SUCCESSFUL_TIME, TERMINATED = 2, 3
 """What fmi2GetRealStatus and fmi2GetBooleanStatus may be asked after a discarded step."""
 SOLVER_TOLERANCE = 1e-6
 """Relative tolerance of CVode where neither scenario nor FMU names one."""
 SAME_TIME_S = 1e-9
+WATCH_S = 0.5
+"""How often the process looks whether its parent is there."""
 
 
 class Refusal(Exception):
@@ -53,7 +60,7 @@ class Instance:
         self.by_name = {v.name: v for v in self.model.modelVariables}
         self.read = self._accessors("get", request["outputs"])
         self.inputs = self._accessors("set", request["inputs"])
-        self.fmu = instantiate_fmu(request["folder"], self.model, INTERFACES[request["interface"]])
+        self.fmu = instantiate_fmu(request["folder"], self.model, INTERFACES[request["interface"]], logger=_say)
         self._initialise(request)
 
     def _accessors(self, verb: str, names: list[str]) -> list[tuple[str, list[int], list[int]]]:
@@ -74,9 +81,7 @@ class Instance:
             self.fmu.setupExperiment(**times)
         start = apply_start_values(self.fmu, self.model, start, settable_in_instantiated)
         self.fmu.enterInitializationMode(**(times if self.three else {}))
-        start = apply_start_values(self.fmu, self.model, start, settable_in_initialization_mode)
-        if start:
-            raise Refusal(f"takes no start value for {', '.join(start)}: give parameters and inputs alone")
+        apply_start_values(self.fmu, self.model, start, settable_in_initialization_mode)
         self.fmu.exitInitializationMode()
 
     def values(self) -> list[float]:
@@ -112,9 +117,11 @@ class CoSimulation(Instance):
         if not self.three:
             return time_s + step_s, False
         _, ended, early, reached_s = done
+        if ended or early:
+            reached_s = _within(reached_s, time_s, time_s + step_s)
         if ended:
             return reached_s, True
-        if early:
+        if early and reached_s < time_s + step_s:
             raise Refusal(f"returned early, at {reached_s:.9g} s, from a step to {time_s + step_s:.9g} s; {_SHORTER}")
         return time_s + step_s, False
 
@@ -123,11 +130,27 @@ class CoSimulation(Instance):
         if not self.three:
             reached_s = self.fmu.getRealStatus(LAST_SUCCESSFUL_TIME)
             if self.fmu.getBooleanStatus(TERMINATED):
-                return reached_s, True
+                return _within(reached_s, time_s, time_s + step_s), True
         raise Refusal(f"discarded the step of {step_s:.9g} s at {time_s:.9g} s; {_SHORTER}")
 
 
 _SHORTER = "give shorter steps (rate_hz)"
+
+
+def _within(reached_s: float, begin_s: float, end_s: float) -> float:
+    """A time that an FMU says it has reached, which must be one of its step."""
+    for bound_s in (begin_s, end_s):
+        if abs(reached_s - bound_s) <= SAME_TIME_S:
+            return bound_s
+    if not begin_s < reached_s < end_s:
+        raise Refusal(f"says that it reached {reached_s:.9g} s, which is not in its step to {end_s:.9g} s")
+    return reached_s
+
+
+def _say(*heard: Any) -> None:
+    """Print what an FMU logs: status, category and message are the last that FMI 2 and 3 hand over."""
+    status, _, message = heard[-3:]
+    print(f"[{STATUS.get(status, status)}] {(message or b'').decode('utf-8', 'replace')}", flush=True)
 
 
 class _Held:
@@ -231,7 +254,16 @@ def serve(requests: Any, answers: Any) -> None:
         answer(error=str(error) or type(error).__name__)
 
 
+def outlive_nobody(parent: int) -> None:
+    """Kill this process and all that it started as soon as its parent is another; where the platform has groups."""
+    while os.getppid() == parent:
+        time.sleep(WATCH_S)
+    os.killpg(os.getpid(), signal.SIGKILL)
+
+
 if __name__ == "__main__":
+    if hasattr(os, "killpg"):
+        threading.Thread(target=outlive_nobody, args=[int(sys.argv[1])], daemon=True).start()
     private = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     serve(sys.stdin, private)

@@ -1,12 +1,15 @@
 """An FMU in a process of its own (`fmu_process`), stepped from here: a crash or a hang there is one clear line here.
 
 The FMU is unpacked into a temporary folder, which is also the process's working directory; both are gone when the
-session ends, however it ends.
+session ends, however it ends. So is what the FMU started: where the platform has them, the process has a session and
+group of its own, and the group is killed. An interrupt from the terminal therefore reaches it from here alone.
 """
 
 from __future__ import annotations
 
 import json
+import os
+import re
 import signal
 import subprocess
 import sys
@@ -14,7 +17,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
@@ -23,6 +26,7 @@ import fmpy
 
 from sim_heating.errors import InputError, RunError
 from sim_heating.files import shown
+from sim_heating.files.text import reason
 
 PROCESS = Path(__file__).with_name("fmu_process.py")
 READY_S = 120.0
@@ -33,6 +37,10 @@ GOODBYE_S = 5.0
 """Longest time that an FMU may take to terminate."""
 LAST_WORDS = 300
 """Characters of what the FMU printed last that an error tells."""
+OVER = b"\0\n"
+"""What the watch says in place of an answer that will not come."""
+UNPRINTED = re.compile(r"\x1b\[[0-9;?]*[@-~]|[\x00-\x1f\x7f-\x9f]")
+"""What a terminal would obey."""
 
 
 class Answer(NamedTuple):
@@ -54,51 +62,71 @@ class FmuSession:
     def __init__(self, path: Path, timeout_s: float) -> None:
         self.path = path
         self.timeout_s = timeout_s
+        self._deadline: float | None = None
 
     def __enter__(self) -> FmuSession:
-        self._folder = tempfile.TemporaryDirectory(prefix="sim_heating_fmu_", ignore_cleanup_errors=True)
-        try:
-            place = Path(self._folder.name)
-            (place / "run").mkdir()
-            self._unpack(place / "fmu")
-            self._log = (place / "printed.txt").open("w+b")
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", str(PROCESS)],
-                cwd=place / "run", stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._log,
-            )  # fmt: skip
-        except BaseException:
-            self._folder.cleanup()
-            raise
-        self._deadline: float | None = None
-        self._over, self._hung = threading.Event(), False
-        threading.Thread(target=self._watch, daemon=True).start()
-        try:
+        with ExitStack() as undo:
+            try:
+                self._begin(undo)
+            except OSError as error:
+                raise RunError(
+                    f"{shown(self.path)}: cannot be unpacked and started ({reason(error)}); "
+                    "make room for temporary files or set TMPDIR to another place"
+                ) from None
             self._answer("before it was loaded", READY_S)
-        except BaseException as error:
-            self.__exit__(type(error), error, None)
-            raise
+            self._undo = undo.pop_all()
         return self
+
+    def _begin(self, undo: ExitStack) -> None:
+        """Unpack the FMU and start its process and the watch."""
+        folder = tempfile.TemporaryDirectory(prefix="sim_heating_fmu_", ignore_cleanup_errors=True)
+        self._folder = Path(undo.enter_context(folder))
+        (self._folder / "run").mkdir()
+        self._unpack(self._folder / "fmu")
+        self._log = undo.enter_context((self._folder / "printed.txt").open("w+b"))
+        ours, theirs = os.pipe()
+        self._answers = undo.enter_context(os.fdopen(ours, "rb"))
+        self._tell = undo.enter_context(os.fdopen(theirs, "wb", 0))
+        self._over, self._hung = threading.Event(), False
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", str(PROCESS), str(os.getpid())], cwd=self._folder / "run", stdin=subprocess.PIPE,
+            stdout=self._tell, stderr=self._log, start_new_session=True,
+        )  # fmt: skip
+        undo.push(self._end)
+        threading.Thread(target=self._watch, daemon=True).start()
 
     def _unpack(self, place: Path) -> None:
         try:
             fmpy.extract(self.path, place)
+        except OSError:
+            raise
         except Exception as error:  # FMPy raises plain Exceptions, zipfile and zlib their own
             raise InputError(f"{shown(self.path)}: cannot be unpacked ({error}); it is damaged") from None
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._undo.__exit__(kind, error, at)
+
+    def _end(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Take leave of the process where all went well; then nothing that it started goes on."""
         self._over.set()
         try:
+            if kind is not None:
+                self._kill()
             if self._process.stdin is not None:
                 self._process.stdin.close()
-            self._process.wait(GOODBYE_S if kind is None else 0.0)
+            self._process.wait(GOODBYE_S)
         except (subprocess.TimeoutExpired, OSError):
-            self._process.kill()
-            self._process.wait()
+            pass
         finally:
-            if self._process.stdout is not None:
-                self._process.stdout.close()
-            self._log.close()
-            self._folder.cleanup()
+            self._kill()
+            self._process.wait()
+
+    def _kill(self) -> None:
+        with suppress(ProcessLookupError, PermissionError):
+            if hasattr(os, "killpg"):
+                os.killpg(self._process.pid, signal.SIGKILL)
+            else:
+                self._process.kill()
 
     def start(
         self, interface: str, start: Mapping[str, Any], inputs: Sequence[str], outputs: Sequence[str], *,
@@ -106,7 +134,7 @@ class FmuSession:
     ) -> Answer:  # fmt: skip
         """Instantiate and initialise at 0 s: start values by name, names of inputs and outputs; outputs at 0 s."""
         request = {
-            "folder": str(Path(self._folder.name) / "fmu"), "interface": interface, "start": dict(start),
+            "folder": str(self._folder / "fmu"), "interface": interface, "start": dict(start),
             "inputs": list(inputs), "outputs": list(outputs), "start_s": 0.0, "stop_s": stop_s, "tolerance": tolerance,
         }  # fmt: skip
         return self._ask(request, "while it was instantiated and initialised")
@@ -129,12 +157,10 @@ class FmuSession:
 
     def _answer(self, when: str, patience_s: float) -> dict[str, Any]:
         """What the process says next."""
-        stdout = self._process.stdout
-        assert stdout is not None
         self._deadline = time.monotonic() + patience_s
-        line = stdout.readline()
+        line = self._answers.readline()
         self._deadline = None
-        if not line.endswith(b"\n"):
+        if line.endswith(OVER):
             raise RunError(f"{shown(self.path)}: {self._death(when)}{self._last_words()}")
         found: dict[str, Any] = json.loads(line)
         return found
@@ -151,14 +177,19 @@ class FmuSession:
     def _last_words(self) -> str:
         """What the FMU printed last, on one line."""
         self._log.seek(0)
-        said = " ".join(self._log.read().decode("utf-8", "replace").split())
+        said = " ".join(UNPRINTED.sub(" ", self._log.read().decode("utf-8", "replace")).split())
         return f"; it said: {said[-LAST_WORDS:]}" if said else ""
 
     def _watch(self) -> None:
-        """Stops the process when an answer is overdue."""
+        """Tells the reader when there will be no answer: the process has ended, or is killed as the answer is overdue.
+
+        The end of the answers would not do: what the FMU started may keep them open.
+        """
         while not self._over.wait(WATCH_S):
-            deadline = self._deadline
-            if deadline is not None and time.monotonic() > deadline:
-                self._hung = True
-                self._process.kill()
+            deadline, ended = self._deadline, self._process.poll() is not None
+            self._hung = not ended and deadline is not None and time.monotonic() > deadline
+            if ended or self._hung:
+                self._kill()
+                with suppress(OSError, ValueError):  # the session ended meanwhile
+                    self._tell.write(OVER)
                 return

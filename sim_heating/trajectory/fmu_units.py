@@ -30,6 +30,14 @@ BASE = {
 """FMI's base units and pint's names of them."""
 NO_DIMENSION = ("", "1", "-")
 
+RAISED = str.maketrans("·⁻⁰¹²³⁴⁵⁶⁷⁸⁹", ".-0123456789")
+"""Signs of printed units and how FMUs write them."""
+POWER = r"(?:(?:\*\*|\^)?[+-]?[0-9]{1,2}|(?:\*\*|\^)\([+-]?[0-9]{1,2}\))(?!\w|\.[0-9])"
+WRITTEN = re.compile(rf"(?:(?:[^\W\d]|[°%])++(?:{POWER})?|\)(?:{POWER})?|(?<![\w.])1(?![\w.])|[ .*/(])+")
+"""Names with powers of at most two digits, parentheses, products, quotients, and 1: all that pint is given to read."""
+UNCLEAR = re.compile(r"/ *[^()/ .*]+ *[ .*] *[^ /]")
+"""A product after a quotient, `1/s.m`, of which nobody knows where it stands."""
+
 
 class Scale(NamedTuple):
     """A unit: value in base units = factor * value + offset; dimension is ((pint's base unit, exponent), ...)."""
@@ -61,28 +69,35 @@ def _registry() -> pint.UnitRegistry[Any]:
 
 def _in_words(name: str) -> str:
     """A unit as FMUs write it (`kg.m-3`, `m/s2`) as pint reads it (`kg*m**-3`, `m/s**2`)."""
-    product = re.sub(r"(?<!\d)\.|\.(?!\d)", "*", name)
-    return re.sub(r"(?<=[A-Za-z])\^?(-?\d+)", r"**\1", product)
+    return re.sub(r"(?<=[^\W\d_])\^?([+-]?\d+)", r"**\1", name.replace(".", "*"))
 
 
 @cache
 def known_unit(name: str) -> Scale | None:
-    """What pint knows of a unit's name, None where it knows none."""
+    """What pint knows of a unit's name, None where it knows none or nobody can tell how it is to be read."""
     if name in NO_DIMENSION:
         return Scale((), 1.0)
+    plain = name.translate(RAISED)
+    if WRITTEN.fullmatch(plain) is None or UNCLEAR.search(plain.replace("**", "^")) is not None:
+        return None
     registry = _registry()
     try:
-        unit = registry.parse_units(_in_words(name))
+        unit = registry.parse_units(_in_words(plain))
         zero, one = (registry.Quantity(v, unit).to_base_units() for v in (0.0, 1.0))
-    except (pint.errors.PintError, ValueError, TypeError, AttributeError, ArithmeticError):
+        scale = Scale(_dimension(dict(one.unit_items())), float(one.magnitude - zero.magnitude), float(zero.magnitude))
+    except Exception:  # pint raises its own, Python's tokenizer others
         return None
-    return Scale(_dimension(dict(one.unit_items())), float(one.magnitude - zero.magnitude), float(zero.magnitude))
+    return scale if _measures(scale) else None
 
 
 def defined_unit(base: BaseUnit) -> Scale:
     """What an FMU defines."""
     exponents = {long: getattr(base, short) for short, long in BASE.items()}
     return Scale(_dimension(exponents), float(base.factor), float(base.offset))
+
+
+def _measures(scale: Scale) -> bool:
+    return math.isfinite(scale.factor) and math.isfinite(scale.offset) and scale.factor != 0.0
 
 
 def _dimension(exponents: dict[str, Any]) -> tuple[tuple[str, float], ...]:
@@ -92,7 +107,7 @@ def _dimension(exponents: dict[str, Any]) -> tuple[tuple[str, float], ...]:
 def unit_of_fmu(name: str, definition: BaseUnit | None) -> Scale:
     """The scale of a unit that an FMU names, by its own definition where it gives one.
 
-    raises : InputError where nobody knows the unit, or where the definition contradicts the name
+    raises : InputError where nobody knows the unit, or where the definition measures nothing or contradicts the name
     """
     known = known_unit(name)
     if definition is None:
@@ -100,6 +115,11 @@ def unit_of_fmu(name: str, definition: BaseUnit | None) -> Scale:
             raise InputError(f"unit `{name}` is defined neither by the FMU nor by pint; give `unit`")
         return known
     own = defined_unit(definition)
+    if not _measures(own):
+        raise InputError(
+            f"the FMU defines `{name}` by factor {own.factor:g} and offset {own.offset:g}, which measures nothing; "
+            "give `unit`"
+        )
     if known is not None and not _agree(own, known):
         raise InputError(
             f"the FMU defines `{name}` as {_told(own)}, which by its name is {_told(known)}; give `unit` to settle it"

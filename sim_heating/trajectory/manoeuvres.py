@@ -109,6 +109,11 @@ def polygon(manoeuvre: Manoeuvre) -> Polygon:
     return _SHAPES[manoeuvre.kind][1](manoeuvre)
 
 
+def moved(manoeuvre: Manoeuvre) -> str:
+    """The command that a manoeuvre is added to."""
+    return Offsets._fields[_SHAPES[manoeuvre.kind][0]]
+
+
 def _pitch(manoeuvre: Manoeuvre) -> float:
     if getattr(manoeuvre, "alpha", "held") == "free":
         return OPEN

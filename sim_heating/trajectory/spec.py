@@ -7,10 +7,10 @@ true Mach number, V over the local speed of sound ('Mach 20' of the Shuttle's pa
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 Axis = Literal["mach", "velocity_m_s"]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -347,16 +347,27 @@ class FmuSource(Table):
     """
 
     interface: Literal["co-simulation", "model-exchange"] | None = None
-    columns: dict[str, str | float | FmuVariable] = {}
+    columns: dict[str, str | Annotated[float, Field(strict=True)] | FmuVariable] = {}
     start: dict[str, bool | int | float | str | FmuValue] = {}
     inputs: dict[str, Command | FmuInput] = {}
     tolerance: Positive | None = None
     timeout_s: Positive = 30.0
 
+    @field_validator("start", "inputs", mode="before")
+    @classmethod
+    def _names_stand_in_quotes(cls, given: Any, info: ValidationInfo) -> Any:
+        """A name with dots and without quotes is a table of TOML."""
+        known = (FmuValue if info.field_name == "start" else FmuInput).model_fields
+        for name, table in given.items() if isinstance(given, dict) else ():
+            if isinstance(table, dict) and table and not known.keys() & table.keys():
+                raise ValueError(f'a name with dots stands in quotes, "{name}.{next(iter(table))}" = ...')
+        return given
+
     @property
-    def commands(self) -> bool:
-        """Whether guidance and manoeuvres command any input."""
-        return any(isinstance(i, str) or i.command is not None for i in self.inputs.values())
+    def commands(self) -> set[str]:
+        """What guidance and manoeuvres command of the FMU."""
+        given = {i if isinstance(i, str) else i.command for i in self.inputs.values()}
+        return {command for command in given if command is not None}
 
 
 class TrajectorySpec(Table):
@@ -408,5 +419,3 @@ class TrajectorySpec(Table):
             raise ValueError('source = "fmu" needs `file`, an FMU')
         if self.initial is not None:
             raise ValueError("an FMU starts as its own start values say: remove `initial`, give [trajectory.fmu.start]")
-        if self.manoeuvre and not self.fmu.commands:
-            raise ValueError("manoeuvres need an input that they command: name it in [trajectory.fmu.inputs]")

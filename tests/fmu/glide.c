@@ -13,13 +13,21 @@
 #include "fmi3Functions.h"
 
 enum { H, SPEED, ALPHA, COMMAND, SINK, DRAG, FAULT_TIME, HEIGHT0, SPEED0, FAULT, NUMBER, DER_H, DER_SPEED };
-enum { NONE, FAILS, DISCARDS, RETURNS_EARLY, GIVES_NAN, CRASHES, HANGS, ENDS, EXITS, CHATTERS_AND_FAILS };
+enum { NONE, FAILS, DISCARDS, RETURNS_EARLY, GIVES_NAN, CRASHES, HANGS, ENDS, EXITS, CHATTERS_AND_FAILS,
+       FORKS_AND_CRASHES, FORKS_AND_HANGS, STARTS_A_PROCESS_AND_FAILS, LOGS_AND_FAILS, ENDS_FAR_AHEAD, ENDS_AT_NO_TIME,
+       RETURNS_AT_THE_END };
 
 #define EVENT_TIME 10.0
 #define OUTPUT_KM 1000.0
 #define OUTPUT_FT 0.3048
+#define LOG "the \033[31mwing\007 came\xff off"
 
-typedef struct { double value[FAULT], time; int fault, late, ended; } Glide;
+typedef struct {
+    double value[FAULT], time;
+    int fault, late, ended;
+    fmi2CallbackLogger log2;
+    fmi3LogMessageCallback log3;
+} Glide;
 
 static Glide *new_glide(void) {
 #ifdef CRASH_AT_INSTANTIATE
@@ -50,7 +58,24 @@ static void break_down(Glide *g) {
     if (g->fault == CRASHES) raise(11);
     if (g->fault == HANGS) for (;;) sleep(1);
     if (g->fault == EXITS) exit(7);
+    if ((g->fault == FORKS_AND_CRASHES || g->fault == FORKS_AND_HANGS) && fork() == 0) { sleep(30); _exit(0); }
+    if (g->fault == FORKS_AND_CRASHES) raise(11);
+    if (g->fault == FORKS_AND_HANGS) for (;;) sleep(1);
+    if (g->fault == STARTS_A_PROCESS_AND_FAILS && system("sleep 30.25 >/dev/null 2>&1 &")) abort();
+    if (g->fault == LOGS_AND_FAILS && g->log2) g->log2(NULL, "", fmi2Error, "error", "%s", LOG);
+    if (g->fault == LOGS_AND_FAILS && g->log3) g->log3(NULL, fmi3Error, "error", LOG);
     if (g->fault == CHATTERS_AND_FAILS) { printf("the wing came off\n"); fflush(stdout); }
+}
+
+static int fails(const Glide *g) {
+    return g->fault == FAILS || g->fault == CHATTERS_AND_FAILS || g->fault == STARTS_A_PROCESS_AND_FAILS ||
+           g->fault == LOGS_AND_FAILS;
+}
+
+static int ends(const Glide *g) { return g->fault == ENDS || g->fault == ENDS_FAR_AHEAD || g->fault == ENDS_AT_NO_TIME; }
+
+static double said_to_be_at(const Glide *g, double time) {
+    return g->fault == ENDS_FAR_AHEAD ? 1e7 : g->fault == ENDS_AT_NO_TIME ? NAN : time;
 }
 
 static void move(Glide *g, double dt) {
@@ -78,7 +103,11 @@ static double get(const Glide *g, unsigned vr) {
 /* ---- FMI 2 ---- */
 #define G ((Glide *)c)
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String where,
-                              const fmi2CallbackFunctions *f, fmi2Boolean visible, fmi2Boolean on) { return new_glide(); }
+                              const fmi2CallbackFunctions *f, fmi2Boolean visible, fmi2Boolean on) {
+    Glide *g = new_glide();
+    if (g) g->log2 = f->logger;
+    return g;
+}
 void fmi2FreeInstance(fmi2Component c) { free(c); }
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean d, fmi2Real t, fmi2Real s, fmi2Boolean e, fmi2Real x) { return fmi2OK; }
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return fmi2OK; }
@@ -104,14 +133,17 @@ fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real dt, fmi2Boolean n) {
     if (is_due(G, t + dt)) {
         break_down(c);
-        if (G->fault == FAILS || G->fault == CHATTERS_AND_FAILS) return fmi2Error;
+        if (fails(c)) return fmi2Error;
         if (G->fault == DISCARDS || G->fault == RETURNS_EARLY) return fmi2Discard;
-        if (G->fault == ENDS) { move(c, dt); G->ended = 1; return fmi2Discard; }
+        if (ends(c)) { move(c, dt); G->ended = 1; return fmi2Discard; }
     }
     move(c, dt);
     return fmi2OK;
 }
-fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind k, fmi2Real *v) { *v = G->time; return fmi2OK; }
+fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind k, fmi2Real *v) {
+    *v = said_to_be_at(c, G->time);
+    return fmi2OK;
+}
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind k, fmi2Boolean *v) { *v = G->ended; return fmi2OK; }
 fmi2Status fmi2EnterEventMode(fmi2Component c) { return fmi2OK; }
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *e) {
@@ -148,7 +180,11 @@ fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x[], size
 fmi3Instance fmi3InstantiateCoSimulation(
     fmi3String name, fmi3String token, fmi3String where, fmi3Boolean visible, fmi3Boolean on, fmi3Boolean events,
     fmi3Boolean early, const fmi3ValueReference vr[], size_t n, fmi3InstanceEnvironment e, fmi3LogMessageCallback log,
-    fmi3IntermediateUpdateCallback update) { return new_glide(); }
+    fmi3IntermediateUpdateCallback update) {
+    Glide *g = new_glide();
+    if (g) g->log3 = log;
+    return g;
+}
 fmi3Instance fmi3InstantiateModelExchange(
     fmi3String name, fmi3String token, fmi3String where, fmi3Boolean visible, fmi3Boolean on,
     fmi3InstanceEnvironment e, fmi3LogMessageCallback log) { return new_glide(); }
@@ -177,10 +213,11 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 dt, fmi3Boolean
     *event = *end = *early = 0, *last = t + dt;
     if (is_due(G, t + dt)) {
         break_down(c);
-        if (G->fault == FAILS || G->fault == CHATTERS_AND_FAILS) return fmi3Error;
+        if (fails(c)) return fmi3Error;
         if (G->fault == DISCARDS) return fmi3Discard;
         if (G->fault == RETURNS_EARLY) { move(c, dt / 2); *early = 1, *last = t + dt / 2; return fmi3OK; }
-        if (G->fault == ENDS) *end = 1;
+        if (G->fault == RETURNS_AT_THE_END) *early = 1;
+        if (ends(c)) *end = 1, *last = said_to_be_at(c, t + dt);
     }
     move(c, dt);
     return fmi3OK;
