@@ -50,7 +50,7 @@ THERMOCOUPLE: dict[str, Any] = {
 
 def new_figure(width: float, height: float, rows: int, columns: int = 1, **keys: Any) -> tuple[Figure, np.ndarray]:
     """A figure of this size in inches and its axes, at least one."""
-    figure = Figure(figsize=(width, height), layout="constrained")
+    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")  # letters are as wide when it is laid out
     FigureCanvasAgg(figure)
     return figure, np.atleast_1d(figure.subplots(rows, columns, **keys))
 
