@@ -24,10 +24,10 @@ from typing import Any
 
 from sim_heating.errors import InputError, RunError
 from sim_heating.files.text import write_bytes_atomic, write_text_atomic
+from sim_heating.progress import Progress, quiet
 from sim_heating.threads import one_thread
 
 Work = Callable[[Any], bytes]
-Progress = Callable[[float, str], None]
 
 ANSWER_S, WORKER_S = 4.0, 10.0
 """How long a scheduler, and then its first worker, is waited for [s]."""
@@ -72,10 +72,6 @@ class Outcome:
 
     done: dict[str, Path]
     failed: dict[str, str]
-
-
-def quiet(_: float, __: str) -> None:
-    """Progress that nobody is told of."""
 
 
 def run_batches(

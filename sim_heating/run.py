@@ -12,12 +12,13 @@ from sim_heating.files import output_directory, write_csv, write_json
 from sim_heating.plugin import HeatingPlugin
 from sim_heating.point_model import PointModel
 from sim_heating.points import conditions_at_point, mean_condition, point_of_vehicle
+from sim_heating.progress import Progress, quiet
 from sim_heating.record import pooled_rmse_K
 from sim_heating.results import package_version, write_netcdf, write_temperatures_csv
 from sim_heating.scenario import MeasuredHistory, Scenario
 from sim_heating.temperatures import PointHistory, march_points, outside_table, summary_of
 from sim_heating.trajectory import entry3dof, jsbsim, recorded
-from sim_heating.trajectory.flight import Flight, OnFrame, Progress, Window
+from sim_heating.trajectory.flight import Flight, OnFrame, Window
 from sim_heating.trajectory.spec import TrajectorySpec
 
 
@@ -87,10 +88,6 @@ class Comparison:
         """rmse_K, max_abs_K and n over the samples within the flight."""
         found = pooled_rmse_K(self.residual_K)
         return {"rmse_K": float("nan"), "max_abs_K": float("nan"), "n": 0} if found is None else found
-
-
-def quiet(_: float, __: str) -> None:
-    """Progress that nobody is told of."""
 
 
 def fly_scenario(scenario: Scenario, *, progress: Progress = quiet, on_frame: OnFrame | None = None) -> Flight:

@@ -12,13 +12,14 @@ from sim_heating.conditions import RATIO_VARIABLES, Conditions, FloatArray
 from sim_heating.errors import InputError
 from sim_heating.files import check, output_directory, toml_text, write_text_atomic
 from sim_heating.points import mean_condition
+from sim_heating.progress import Progress, quiet
 from sim_heating.record import DECLARATION, Record, RecordFile, make_record, write_record
-from sim_heating.run import fly_scenario, models_of, quiet
+from sim_heating.run import fly_scenario, models_of
 from sim_heating.scenario import Scenario
 from sim_heating.sensors import SensorErrors, lost_samples, measured, sample_times
 from sim_heating.temperatures import PointHistory, at_times, march_points
 from sim_heating.thermal.declare import Sensor
-from sim_heating.trajectory.flight import Flight, Progress
+from sim_heating.trajectory.flight import Flight
 from sim_heating.vehicle import ControlPoint
 
 TRUTH = "truth.toml"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,9 @@ from sim_heating.effects import effects, own_files
 from sim_heating.errors import InputError
 from sim_heating.estimation.result import inputs_hash
 from sim_heating.files import output_directory, require_place, write_csv, write_json
+from sim_heating.progress import Progress, quiet
 from sim_heating.record import DECLARATION, load_record
 from sim_heating.results import package_version
-
-Progress = Callable[[float, str], None]
 
 SUMMARIES = JSON, CSV = "summary.json", "summary.csv"
 LEDGER = "finished"
@@ -60,7 +59,7 @@ def close_all(
     *,
     scheduler: str | None = None,
     workers: int | None = None,
-    progress: Progress = lambda fraction, text: None,
+    progress: Progress = quiet,
 ) -> list[dict[str, Any]]:
     """Close the loop on every record into DIR/<record>; a row of the summary for each, in their order.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -26,9 +26,8 @@ from sim_heating.estimation.report import FIT_FILES, noise_floor_K, write_fit
 from sim_heating.estimation.result import NAME
 from sim_heating.files import files_made, output_directory
 from sim_heating.parameters import CLOCK_SKEW, EFFECT_PREFIX, SENSOR_PREFIX
+from sim_heating.progress import Progress, quiet
 from sim_heating.record import Record
-
-Progress = Callable[[float, str], None]
 
 FILES = (*REPORT_FILES, NAME, *FIT_FILES)
 """Names of all files that a closed loop may write."""
@@ -56,7 +55,7 @@ class Closed:
     report: Closure
 
 
-def close_loop(record: Record, *, progress: Progress = lambda fraction, text: None) -> Closed:
+def close_loop(record: Record, *, progress: Progress = quiet) -> Closed:
     """Find what a record's declared model lacks, add it, refit.
 
     raises : InputError where its clocks are in two units, InputError, RunError where not even the declared model can

@@ -8,7 +8,7 @@ earlier one is weighed anew beside it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,9 +29,8 @@ from sim_heating.closure.weighing import Round, delta_bic, forms_of, weighed, wh
 from sim_heating.estimation.estimate import Fitted, estimate
 from sim_heating.estimation.together import maximise_together
 from sim_heating.points import conditions_of_record
+from sim_heating.progress import Progress, quiet
 from sim_heating.record import Record
-
-Progress = Callable[[float, str], None]
 
 GAIN = 10.0
 """How much lower the BIC of an effect has to be than that of none."""
@@ -68,7 +67,7 @@ class Search:
         return tuple(a.name for a in self.added) or (("unknown",) if self.unknown else ("none",))
 
 
-def search(record: Record, *, progress: Progress = lambda fraction, text: None) -> Search:
+def search(record: Record, *, progress: Progress = quiet) -> Search:
     """Look for what the declared model of a record lacks.
 
     raises : InputError, RunError where not even the declared model can be fitted

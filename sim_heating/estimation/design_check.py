@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,12 +16,12 @@ from sim_heating.estimation.newton import maximise
 from sim_heating.estimation.part import Start
 from sim_heating.estimation.problem import Problem, joint_reference
 from sim_heating.parameters import Parameter
+from sim_heating.progress import Progress, quiet
 from sim_heating.record import Record
 from sim_heating.sensors import quantised
 from sim_heating.thermal.declare import Sensor
 
 FloatArray = NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ def repeated_fits(
     reference: Mapping[str, float] | None = None,
     repetitions: int = 200,
     seed: int = 1,
-    progress: Progress = lambda fraction, text: None,
+    progress: Progress = quiet,
 ) -> Repeated:
     """Measure and fit a record again and again; `told` gives the unknowns, PRESSURE not among them, and their priors.
 

@@ -13,8 +13,9 @@ from sim_heating.estimation.design import PRESSURE, Experiment, merit
 from sim_heating.estimation.design_check import Repeated, repeated_fits
 from sim_heating.estimation.design_flight import SEARCHED, Planned, Planner
 from sim_heating.estimation.design_instruments import Variant, instrumentation
-from sim_heating.estimation.design_search import Found, Progress, Search, Sweep
+from sim_heating.estimation.design_search import Found, Search, Sweep
 from sim_heating.files import output_directory, write_json, write_text_atomic
+from sim_heating.progress import Progress, quiet
 from sim_heating.results import package_version
 from sim_heating.scenario import Scenario
 
@@ -64,7 +65,7 @@ def design(
     scenario: Scenario,
     *,
     repetitions: int = 0,
-    progress: Progress = lambda fraction, text: None,
+    progress: Progress = quiet,
 ) -> Designed:
     """Search the manoeuvres of a scenario, and what other instruments would buy.
 

@@ -6,7 +6,7 @@ behind whatever keeps all, by how far it breaks them; the best design that was f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,11 +19,11 @@ from sim_heating.errors import InputError, RunError
 from sim_heating.estimation.design import Experiment, check_wanted, merit
 from sim_heating.estimation.design_flight import Planned, Planner
 from sim_heating.estimation.informed import still
+from sim_heating.progress import Progress, quiet
 from sim_heating.scenario import Vary
 from sim_heating.trajectory.spec import Manoeuvre
 
 FloatArray = NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 BROKEN = 10.0
 """Worth of a design that breaks a limit, and more by how far; no other is worse."""
@@ -142,7 +142,7 @@ class Search:
         self.tried.append(found)
         return found
 
-    def run(self, progress: Progress = lambda fraction, text: None) -> Found:
+    def run(self, progress: Progress = quiet) -> Found:
         """Search.
 
         raises : RunError where no design keeps the limits

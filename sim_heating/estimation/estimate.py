@@ -9,7 +9,7 @@ fit without it being where the search begins.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,11 +32,11 @@ from sim_heating.estimation.result import AT
 from sim_heating.parameters import CLOCK_SKEW, EFFECT_PREFIX, Parameter
 from sim_heating.predict import Prediction
 from sim_heating.predict import predict as predict_record
+from sim_heating.progress import Progress, quiet
 from sim_heating.record import Record
 from sim_heating.temperatures import outside_table
 
 FloatArray = NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 FEWEST_SAMPLES = 3
 """Times of the samples that a fit has at least."""
@@ -96,7 +96,7 @@ def estimate(
     first: Mapping[str, float] | None = None,
     settings: Settings | None = None,
     process_noise: ProcessNoise | None = None,
-    progress: Progress = lambda fraction, text: None,
+    progress: Progress = quiet,
 ) -> Fitted:
     """Fit parameters to records, jointly.
 

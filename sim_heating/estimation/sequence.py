@@ -7,7 +7,7 @@ refined mesh that corrects the predictions (Problem.correct_meshes) goes along f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,11 +25,11 @@ from sim_heating.heating_ratio.kernel import table_ratios_at
 from sim_heating.linear_march import LinearMarch, Track
 from sim_heating.parameters import Parameter
 from sim_heating.point_model import initial_temperatures
+from sim_heating.progress import Progress, quiet
 from sim_heating.record import Record
 from sim_heating.thermal.mesh import refined
 
 FloatArray = NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 DIRECTIONS = 4
 """Directions of the temperatures' covariance that are handed from a segment to the next."""
@@ -73,7 +73,7 @@ def trend(
     length_s: float,
     names: Sequence[str] | None = None,
     *,
-    progress: Progress = lambda fraction, text: None,
+    progress: Progress = quiet,
 ) -> Trend:
     """Fit parameters, by default the magnitude of the ratio alone, to short segments of a record in turn.
 

@@ -10,7 +10,7 @@ import numpy as np
 from sim_heating.conditions import FRAME
 from sim_heating.errors import InputError
 from sim_heating.fmu import entry_kernel as k
-from sim_heating.fmu.export import Progress, write_fmu
+from sim_heating.fmu.export import write_fmu
 from sim_heating.fmu.image import Image, Kind, Problem, Role, Variable, identifier
 from sim_heating.fmu.library import Unit
 from sim_heating.fmu.native import (
@@ -26,6 +26,7 @@ from sim_heating.fmu.native import (
 )
 from sim_heating.jit import c_function
 from sim_heating.plausible import LIMITS
+from sim_heating.progress import Progress, quiet
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import manoeuvres as mv
 from sim_heating.trajectory import point_mass as pm
@@ -100,7 +101,7 @@ def export_entry(
     title: str = "",
     fmi: int = 3,
     platforms: tuple[str, ...] = ("linux",),
-    progress: Progress = lambda fraction, text: None,
+    progress: Progress = quiet,
 ) -> Image:
     """Write the 3-DOF entry of a scenario as a co-simulation FMU; gives its image.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from sim_heating.errors import InputError
@@ -14,9 +14,8 @@ from sim_heating.fmu.description import description
 from sim_heating.fmu.heating import heating_image, heating_units, making_objects
 from sim_heating.fmu.image import Image
 from sim_heating.fmu.library import TARGETS, Target, Unit, library
+from sim_heating.progress import Progress, quiet
 from sim_heating.vehicle import Vehicle
-
-Progress = Callable[[float, str], None]
 
 STAMP = (1980, 1, 1, 0, 0, 0)
 """Time of the files in the archive: the same model gives the same bytes, but for the date in its description."""
@@ -30,7 +29,7 @@ def export_heating(
     fmi: int = 3,
     platforms: Sequence[str] = ("linux",),
     columns: bool = False,
-    progress: Progress = lambda fraction, text: None,
+    progress: Progress = quiet,
 ) -> Image:
     """Write the heating plug-in of a vehicle as a co-simulation FMU; gives its image.
 
@@ -66,7 +65,7 @@ def write_fmu(
     units: Sequence[Unit],
     fmi: int,
     platforms: Sequence[str],
-    progress: Progress = lambda fraction, text: None,
+    progress: Progress = quiet,
 ) -> None:
     """Write an image and the libraries of its functions as an FMU.
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.batches import Job, Progress, run_batches
+from sim_heating.batches import Job, run_batches
 from sim_heating.conditions import RATIO_VARIABLES
 from sim_heating.errors import InputError, RunError
 from sim_heating.planning.dispersed_entry import BATCH, INDEX, RANDOM, TWICE, Batch, DispersedEntry
@@ -27,6 +27,7 @@ from sim_heating.planning.dispersion_statistics import (
 from sim_heating.planning.first_order import NEAR, FirstOrder, axis_batches, first_order
 from sim_heating.planning.spot_checks import SpotChecks, told_apart
 from sim_heating.planning.study import Study
+from sim_heating.progress import Progress
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

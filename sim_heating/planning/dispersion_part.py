@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sim_heating.batches import Progress
 from sim_heating.files import write_text_atomic
 from sim_heating.page import Table
 from sim_heating.planning.dispersion import (
@@ -20,6 +19,7 @@ from sim_heating.planning.dispersion import (
 from sim_heating.planning.dispersion_plots import draw_distributions, draw_drivers, draw_first_order
 from sim_heating.planning.plan import Engine, Found, Part, Picture, program_digest
 from sim_heating.planning.study import Study
+from sim_heating.progress import Progress
 
 CSV = "dispersion.csv"
 PEAKS, FIRST_ORDER, DRIVERS = (f"dispersion_{what}.png" for what in ("peaks", "first_order", "drivers"))

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from sim_heating.batches import Job, Progress, run_batches
+from sim_heating.batches import Job, run_batches
 from sim_heating.errors import RunError
 from sim_heating.files import json_text
 from sim_heating.planning.boundary import Allowed, Greatest, Scan, allowed, greatest, scan
@@ -28,6 +28,7 @@ from sim_heating.planning.margins import Evaluated, Judge, Margin
 from sim_heating.planning.plan import Engine, program_digest
 from sim_heating.planning.study import Study, load_study
 from sim_heating.planning.table_errors import covariance_root, informed_root
+from sim_heating.progress import Progress
 from sim_heating.table_update.posterior import Evidence
 
 FOLDER = "envelope"

@@ -8,7 +8,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from sim_heating.batches import Progress
 from sim_heating.errors import RunError
 from sim_heating.page import Table
 from sim_heating.planning import envelope_files as files
@@ -18,6 +17,7 @@ from sim_heating.planning.envelope_spec import Boundary, Envelope, Map
 from sim_heating.planning.next_flight import Prospect, Ranked, prospect, rank
 from sim_heating.planning.plan import Engine, Found, Part, Picture
 from sim_heating.planning.study import Study, load_study
+from sim_heating.progress import Progress
 from sim_heating.table_update.posterior import Evidence
 
 NOT_TESTABLE = (

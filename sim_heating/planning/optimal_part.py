@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from sim_heating.batches import Progress
 from sim_heating.errors import InputError
 from sim_heating.files import write_csv
 from sim_heating.page import Table
@@ -15,6 +14,7 @@ from sim_heating.planning.optimal import ROUNDS, OptimalEntry, fly_optimal
 from sim_heating.planning.optimal_plot import draw_optimal
 from sim_heating.planning.plan import Engine, Found, Part, Picture
 from sim_heating.planning.study import Study
+from sim_heating.progress import Progress
 
 PICTURE, CONDITIONS = "optimal_entry.png", "optimal_conditions.csv"
 

@@ -14,11 +14,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from sim_heating.batches import Progress, quiet, require_scheduler
+from sim_heating.batches import require_scheduler
 from sim_heating.errors import InputError, RunError
 from sim_heating.files import output_directory, write_json
 from sim_heating.page import Page, SavedPicture, Section, Table, write_page
 from sim_heating.planning.study import HASH_LENGTH, Study
+from sim_heating.progress import Progress, quiet
 from sim_heating.results import package_version
 from sim_heating.threads import one_thread
 

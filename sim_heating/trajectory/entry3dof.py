@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from sim_heating.atmosphere import HIGHEST_M
 from sim_heating.conditions import FRAME
 from sim_heating.errors import InputError, RunError
+from sim_heating.progress import Progress
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import manoeuvres as mv
 from sim_heating.trajectory import point_mass as pm
 from sim_heating.trajectory.aero import Aero, flown_aero
-from sim_heating.trajectory.flight import ROW, Flight, OnFrame, Progress, Sampler, reference_length_m
+from sim_heating.trajectory.flight import ROW, Flight, OnFrame, Sampler, reference_length_m
 from sim_heating.trajectory.schedules import pack
 from sim_heating.trajectory.spec import Guidance, Initial, TrajectorySpec
 from sim_heating.trajectory.trimmed_aero import aero_block, low_speed_rows

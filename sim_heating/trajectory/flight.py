@@ -16,7 +16,6 @@ from sim_heating.errors import InputError
 
 FloatArray = NDArray[np.float64]
 OnFrame = Callable[[FloatArray], None]
-Progress = Callable[[float, str], None]
 
 EXTRAS = ("bank_deg", "gamma_deg", "heading_deg", "latitude_deg", "longitude_deg", "axial_accel_g")
 """What a source adds to FRAME in each row. `axial_accel_g`: sensed acceleration along the body axis, positive aft,

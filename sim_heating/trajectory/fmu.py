@@ -17,7 +17,8 @@ from sim_heating.atmosphere import HIGHEST_M, LOWEST_M, speed_of_sound_kernel, u
 from sim_heating.conditions import FRAME, Conditions
 from sim_heating.errors import InputError, RunError
 from sim_heating.plausible import frame_problem
-from sim_heating.trajectory.flight import ROW, Flight, OnFrame, Progress, Sampler, reference_length_m
+from sim_heating.progress import Progress
+from sim_heating.trajectory.flight import ROW, Flight, OnFrame, Sampler, reference_length_m
 from sim_heating.trajectory.fmu_columns import ColumnsOfFmu, Frame
 from sim_heating.trajectory.fmu_model import FmuModel, read_fmu
 from sim_heating.trajectory.fmu_pilot import InputsOfFmu

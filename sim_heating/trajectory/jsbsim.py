@@ -11,8 +11,9 @@ from pathlib import Path
 
 from sim_heating.atmosphere import speed_of_sound_kernel, us76_kernel
 from sim_heating.errors import InputError, RunError
+from sim_heating.progress import Progress
 from sim_heating.trajectory.aero import Aero, flown_aero
-from sim_heating.trajectory.flight import Flight, OnFrame, Progress, Sampler, reference_length_m
+from sim_heating.trajectory.flight import Flight, OnFrame, Sampler, reference_length_m
 from sim_heating.trajectory.guidance import (
     ALPHA_COMMAND,
     EntryGuidance,

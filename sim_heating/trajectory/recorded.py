@@ -16,7 +16,8 @@ from sim_heating.conditions import FRAME, HEATING, STATE, Conditions
 from sim_heating.errors import InputError
 from sim_heating.files import CsvTable, raise_problems, read_csv_columns
 from sim_heating.plausible import implausible
-from sim_heating.trajectory.flight import EXTRAS, Flight, OnFrame, Progress, reference_length_m
+from sim_heating.progress import Progress
+from sim_heating.trajectory.flight import EXTRAS, Flight, OnFrame, reference_length_m
 from sim_heating.trajectory.spec import TrajectorySpec
 
 FloatArray = NDArray[np.float64]
