@@ -255,9 +255,11 @@ static const double *from_file(Instance *m, const Variable *v, const double *R) 
 static bool put_table(Instance *m, const Variable *changed, const double *table, int64_t count) {
     const Variable *first = m->image.variables, *last = first + m->image.n_variables;
     int64_t end = m->image.n_R, needed = end + count;
-    for (const Variable *v = first; v < last; v++)
-        if (v->kind == KIND_TABLE && v != changed && from_file(m, v, m->R)) needed += table_size(from_file(m, v, m->R));
     const double *R = m->R;
+    for (const Variable *v = first; v < last; v++) {
+        const double *kept = v->kind == KIND_TABLE && v != changed ? from_file(m, v, R) : NULL;
+        if (kept) needed += table_size(kept);
+    }
     void *memory = m->R_memory;
     m->R_memory = NULL;
     if (!make_R(m, needed)) return m->R_memory = memory, false;
@@ -279,6 +281,7 @@ Status set_text(Instance *m, uint32_t ref, const char *value) {
     if (!v || !may_set(m, v)) return ERROR;
     const char *name = m->image.text + v->name;
     if (!value || strlen(value) >= TEXT_BYTES) return fail(m, "%s: a path of less than %d bytes is needed", name, TEXT_BYTES);
+    if (!value[0] && !from_file(m, v, m->R)) return OK;
     char why[800];
     int64_t count = 0;
     double *table = value[0] ? read_ratio_table(value, m->image.text + behind(m, v)[REFERENCE_NAME], &count, why, sizeof why) : NULL;
@@ -296,7 +299,7 @@ Status set_text(Instance *m, uint32_t ref, const char *value) {
 static Status drop_file(Instance *m, const Variable *ratios) {
     for (int64_t i = 0; i < m->image.n_variables; i++) {
         const Variable *v = &m->image.variables[i];
-        if (v->kind != KIND_TABLE || !*(const char *)(m->N + v->place)) continue;
+        if (v->kind != KIND_TABLE || !from_file(m, v, m->R)) continue;
         const int64_t *own = behind(m, v), inside = own[TABLES] + own[INSIDE];
         if (ratios->place < inside || ratios->place >= inside + table_size(m->R + inside)) continue;
         if (set_text(m, (uint32_t)i, "") != OK) return ERROR;

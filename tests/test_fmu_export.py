@@ -331,23 +331,6 @@ def test_revised_table_appears_in_a_re_export_by_path_and_as_an_array(fmus, flow
     assert np.max(exported[:, 1] - declared[:, 1]) > 10.0  # K
 
 
-DAMAGED_TABLES = pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        (
-            lambda t: t.replace("reference: fay-riddell", "reference: sutton-graves"),
-            "these ratios|is over sutton-graves",
-        ),
-        (lambda t: t.replace("ratio", "rato"), "unknown column rato"),
-        (lambda t: t.replace("sigma", "ratio"), "two columns ratio"),
-        (lambda t: re.sub(r",[^,]*$", ",-1.0", t, count=2, flags=re.M), 'sigma: "-1.0" cannot be|unknown column'),
-        (lambda t: t + "# an afterthought\n", "cannot be"),
-        (lambda t: "\n".join(t.splitlines()[:-1]), "do not fill the grid"),
-        (lambda t: re.sub(r",[^,]*,([^,]*)$", r",nan,\1", t, count=1, flags=re.M), "cannot be|unknown column"),
-    ],
-)
-
-
 def test_table_set_again_and_again_takes_no_more_room(fmus, revised):
     """A state holds all that an instance has."""
     sizes = []
@@ -364,7 +347,21 @@ def test_table_set_again_and_again_takes_no_more_room(fmus, revised):
     assert sizes[-2:] == sizes[:2]
 
 
-@DAMAGED_TABLES
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (
+            lambda t: t.replace("reference: fay-riddell", "reference: sutton-graves"),
+            "these ratios|is over sutton-graves",
+        ),
+        (lambda t: t.replace("ratio", "rato"), "unknown column rato"),
+        (lambda t: t.replace("sigma", "ratio"), "two columns ratio"),
+        (lambda t: re.sub(r",[^,]*$", ",-1.0", t, count=2, flags=re.M), 'sigma: "-1.0" cannot be|unknown column'),
+        (lambda t: t + "# an afterthought\n", "cannot be"),
+        (lambda t: "\n".join(t.splitlines()[:-1]), "do not fill the grid"),
+        (lambda t: re.sub(r",[^,]*,([^,]*)$", r",nan,\1", t, count=1, flags=re.M), "cannot be|unknown column"),
+    ],
+)
 def test_damaged_table_is_refused_with_its_path(fmus, tmp_path, change, told):
     path = tmp_path / "table.csv"
     path.write_text(change((ROOT / "aircraft_data/orbiter/ratio_tables/NOSECAP.csv").read_text()))

@@ -22,6 +22,7 @@ from fmus import FAULTS, UNITS, description, glide_fmu, library, needs_compiler,
 from sim_heating.cli import main
 from sim_heating.errors import InputError, RunError
 from sim_heating.trajectory import fmu
+from sim_heating.trajectory.flight import Flight
 from sim_heating.trajectory.spec import TrajectorySpec
 
 pytestmark = needs_compiler
@@ -63,13 +64,14 @@ def nothing_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator
     assert list(own.iterdir()) == []
 
 
-def fly(path: Path, columns: dict[str, Any] | None = None, **more: Any) -> None:
+def fly(path: Path, columns: dict[str, Any] | None = None, **more: Any) -> Flight:
     table = {"source": "fmu", "file": str(path), "rate_hz": 4.0, "stop": {"time_s": 10.0}}
-    fmu.fly(TrajectorySpec.model_validate(table | {"fmu": {"columns": COLUMNS | (columns or {})} | more}), VEHICLE)
+    spec = TrajectorySpec.model_validate(table | {"fmu": {"columns": COLUMNS | (columns or {})} | more})
+    return fmu.fly(spec, VEHICLE)
 
 
-def faulty(path: Path, fault: str, **more: Any) -> None:
-    fly(path, start={"fault": FAULTS.index(fault), "fault_time": 5.0}, **more)
+def faulty(path: Path, fault: str, **more: Any) -> Flight:
+    return fly(path, start={"fault": FAULTS.index(fault), "fault_time": 5.0}, **more)
 
 
 # ---- in a step ----------------------------------------------------------------------------------------------------
@@ -105,7 +107,8 @@ def test_a_fault_in_a_step_is_told_with_its_time(fault: str, told: str, fmi: str
 
 
 def test_a_return_at_the_very_end_of_a_step_is_none_before_it(binary: Path, tmp_path: Path) -> None:
-    faulty(glide_fmu(tmp_path / "glide.fmu", binary, "3"), "returns at the end")
+    flight = faulty(glide_fmu(tmp_path / "glide.fmu", binary, "3"), "returns at the end")
+    assert flight.conditions.time_s[-1] == 10.0
 
 
 def test_an_early_return_that_nobody_allowed_is_refused(binary: Path, tmp_path: Path) -> None:

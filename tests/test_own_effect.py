@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -194,6 +197,25 @@ def test_the_example_peaks_at_its_mach_number_and_has_a_flight_to_try_it_on(monk
         flown[MACH] = mach
         value = effect.kernel(np.concatenate([flown, parameters]), 0, N_CONDITIONS, 300.0)
         assert value == pytest.approx(factor, abs=1e-12)
+
+
+INTERPRETED = """
+from sim_heating.effects import effect
+from sim_heating.effects.chain import chain_of
+from sim_heating.layout import MACH, N_CONDITIONS
+flown = [0.0] * N_CONDITIONS
+flown[MACH] = 13.0
+print(chain_of((effect("shock-passage"),)).function(0, [*flown, 0.25, 13.0, 1.5], 0, N_CONDITIONS, 300.0))
+"""
+
+
+def test_an_effect_is_heard_where_nothing_is_compiled():
+    environment = os.environ | {
+        "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT), "SIM_HEATING_EFFECTS": str(ROOT / "examples" / "effects"),
+    }  # fmt: skip
+    command = [sys.executable, "-c", INTERPRETED]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert float(done.stdout) == 1.25
 
 
 def test_a_record_is_closed_anew_where_an_effect_of_ones_own_has_changed(own_folder):

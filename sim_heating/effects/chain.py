@@ -65,13 +65,7 @@ def _join(kernels: Sequence[Any]) -> Callable[..., float]:
 
 @cache
 def compiled_chain(effects: tuple[Effect, ...]) -> Chain:
-    """The chain of these effects in one function; the code of an effect is its place among them.
-
-    raises : InputError naming one of the user's own that cannot be compiled
-    """
-    for own in effects:
-        if not own.built_in:
-            compiled_kernel(own)
+    """The chain of these effects in one function; the code of an effect is its place among them."""
     function = _join([e.kernel for e in effects]) if effects else _nothing
     return Chain(c_function(SIGNATURE, function, cache=not effects), tuple(range(len(effects))))
 
@@ -96,10 +90,15 @@ def _compiled_call() -> Any:
     return c_function(SIGNATURE, _call)
 
 
+def file_of(effect: Effect) -> Path:
+    """The file that an effect's kernel comes from, compiled or not."""
+    kernel: Any = effect.kernel
+    return Path(inspect.getfile(getattr(kernel, "py_func", kernel)))
+
+
 def place_of(effect: Effect) -> str:
     """`effect NAME (file)`."""
-    kernel: Any = effect.kernel
-    return f"effect `{effect.name}` ({shown(Path(inspect.getfile(kernel.py_func)))})"
+    return f"effect `{effect.name}` ({shown(file_of(effect))})"
 
 
 def compiled_kernel(effect: Effect) -> Any:

@@ -90,15 +90,17 @@ def _branches_told_once(errors: Sequence[Any], data: Any) -> list[Any]:
     """Of a value that is of no branch of a union: what is wrong within the branch that it is meant for, else one error
     that names all the kinds that it may be."""
     places = [_in_data(tuple(e["loc"]), data, keep_last=e["type"] == "missing") for e in errors]
-    kept, told = [], set()
+    meant = {place[:k] for place in places for k in range(len(place))}
+    meant |= {place for error, place in zip(errors, places, strict=True) if not _of_another_kind(error)}
+    kept: list[Any] = []
+    kinds: dict[Location, list[str]] = {}
     for error, place in zip(errors, places, strict=True):
-        same = [(e, p) for e, p in zip(errors, places, strict=True) if p[: len(place)] == place]
         if not _of_another_kind(error):
             kept.append(error)
-        elif place not in told and all(_of_another_kind(e) and p == place for e, p in same):
-            told.add(place)
-            *kinds, last = dict.fromkeys(_EXPECTED.get(e["type"], "one of its words") for e, _ in same)
-            kept.append(error | {"kinds": f"{', '.join(kinds)} or {last}" if kinds else last})
+        elif place not in meant:
+            if place not in kinds:
+                kept.append(error | {"kinds": kinds.setdefault(place, [])})
+            kinds[place].append(_EXPECTED.get(error["type"], "one of its words"))
     return kept
 
 
@@ -218,7 +220,8 @@ def _rule(error: Any, loc: Location, model: type[BaseModel]) -> str:
     if kind == "missing":
         return f"key `{key}` is missing{_told(told)}"
     if "kinds" in error or kind in _EXPECTED:
-        return f"{brief(value)} is not {error.get('kinds') or _EXPECTED[kind]}{_told(told)}"
+        *others, last = dict.fromkeys(error.get("kinds") or [_EXPECTED[kind]])
+        return f"{brief(value)} is not {', '.join(others) + ' or ' if others else ''}{last}{_told(told)}"
     if kind in _COMPARED:
         name, words = _COMPARED[kind]
         return f"{brief(value)} {words} {ctx[name]:g}{_told(told)}"

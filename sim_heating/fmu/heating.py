@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import os
 import re
 import subprocess
@@ -10,7 +9,6 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numba
@@ -19,7 +17,7 @@ import numpy as np
 from sim_heating.atmosphere import us76
 from sim_heating.conditions import FRAME, RATIO_VARIABLES
 from sim_heating.effects import Effect, EffectUse, effects
-from sim_heating.effects.chain import KERNEL, SIGNATURE, compiled_chain, compiled_kernel, place_of
+from sim_heating.effects.chain import KERNEL, SIGNATURE, compiled_chain, compiled_kernel, file_of, place_of
 from sim_heating.ensemble import Ensemble
 from sim_heating.errors import InputError
 from sim_heating.fmu import heating_kernel as k
@@ -81,16 +79,22 @@ TIMINGS = (
     ("reached", "inputs are values at the end of a step, reached along a straight line from the last ones"),
 )
 OUTPUTS = (
-    ("surface_K", "K", 1000.0, "surface temperature"),
-    ("bondline_K", "K", 400.0, "temperature at the outer face of the last layer"),
-    ("heating.ratio", "1", 1.0, "heating ratio with all corrections and effects; 0 where h_ref is 0"),
-    ("heating.convected_W_m2", "W/m2", 1e5, "flux that the flow brings to the surface, at the wall's temperature"),
-    ("heating.radiated_W_m2", "W/m2", 1e5, "net flux that the surface radiates"),
-    ("heating.absorbed_W_m2", "W/m2", 1e4, "flux that goes into the wall"),
-    ("limit.surface_margin_K", "K", 100.0, "limit of the surface less its temperature"),
-    ("limit.bondline_margin_K", "K", 100.0, "limit of the bondline less its temperature"),
+    ("surface_K", "K", 0.0, 1000.0, "surface temperature"),
+    ("bondline_K", "K", 0.0, 400.0, "temperature at the outer face of the last layer"),
+    ("heating.ratio", "1", -np.inf, 1.0, "heating ratio with all corrections and effects; 0 where h_ref is 0"),
+    (
+        "heating.convected_W_m2",
+        "W/m2",
+        -np.inf,
+        1e5,
+        "flux that the flow brings to the surface, at the wall's temperature",
+    ),
+    ("heating.radiated_W_m2", "W/m2", -np.inf, 1e5, "net flux that the surface radiates"),
+    ("heating.absorbed_W_m2", "W/m2", -np.inf, 1e4, "flux that goes into the wall"),
+    ("limit.surface_margin_K", "K", -np.inf, 100.0, "limit of the surface less its temperature"),
+    ("limit.bondline_margin_K", "K", -np.inf, 100.0, "limit of the bondline less its temperature"),
 )
-"""What each control point gives out, in the order of the kernel."""
+"""What each control point gives out, in the order of the kernel: name, unit, least and nominal value, meaning."""
 HOTTEST_LIMIT_K = 1e5
 
 
@@ -150,8 +154,7 @@ def _refuse_unportable(effect: Effect) -> None:
 
 def _sources_of(used: Sequence[Effect]) -> str:
     """Contents of the files that the user's own effects come from."""
-    kernels: list[Any] = [e.kernel for e in used if not e.built_in]
-    return "".join(Path(inspect.getfile(getattr(f, "py_func", f))).read_text() for f in kernels)
+    return "".join(file_of(e).read_text() for e in used if not e.built_in)
 
 
 def _made_beside() -> tuple[Unit, ...]:
@@ -326,8 +329,7 @@ class _Packer:
         name = quoted(point.name)
         declared = point.limits
         have = {"limit.surface_margin_K": declared.surface_K, "limit.bondline_margin_K": declared.bondline_K}
-        for i, (what, unit, nominal, text) in enumerate(OUTPUTS):
-            lower = 0.0 if what in ("surface_K", "bondline_K") else -np.inf
+        for i, (what, unit, lower, nominal, text) in enumerate(OUTPUTS):
             if what not in have or have[what] is not None:
                 self._add(f"{name}.{what}", Role.OUTPUT, numbers + k.P_OUT + i, text, unit, lower, nominal=nominal)
         for i, p in enumerate(RATIO):

@@ -110,13 +110,12 @@ class FmuSession:
         """Take leave of the process where all went well; then nothing that it started goes on."""
         self._over.set()
         try:
-            if kind is not None:
-                self._kill()
-            if self._process.stdin is not None:
-                self._process.stdin.close()
-            self._process.wait(GOODBYE_S)
-        except (subprocess.TimeoutExpired, OSError):
-            pass
+            with suppress(subprocess.TimeoutExpired, OSError):
+                if kind is not None:
+                    self._kill()
+                if self._process.stdin is not None:
+                    self._process.stdin.close()
+                self._process.wait(GOODBYE_S)
         finally:
             self._kill()
             self._process.wait()
