@@ -9,8 +9,8 @@ from pathlib import Path
 from setuptools import setup
 from setuptools.command.build_py import build_py
 
-DATA = {"aircraft_data": "aircraft_data", "scenarios": "scenarios", "fmu": "fmu/c"}
-"""Folder of a checkout -> where it stands in the package; fmu holds the C side of exported FMUs."""
+DATA = {"aircraft_data": "aircraft_data", "scenarios": "scenarios", "fmu": "fmu"}
+"""Folder of a checkout -> where it is in the package; fmu holds the C side of exported FMUs."""
 
 
 class BuildWithData(build_py):

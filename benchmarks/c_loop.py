@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from benchmarks.c_peer.build import FAST, STRICT, Peer, compile_peer, compiler
 from benchmarks.measure import Figure, Times, in_turn, one_thread, save
 from benchmarks.problems import NOTHING, ensemble_of, entry, points
-from sim_heating.ensemble import Ensemble
-from sim_heating.jit import njit, raw
-from sim_heating.layout import ADDED, FILM, LANES, PCOL, PFRAC, RECOVERY
-from sim_heating.march import BLOCK_END, BLOCK_START, INTS_END, INTS_START
-from sim_heating.thermal.kernel import step
+from sim_heating.base.kernels.block import ADDED, FILM, LANES, PCOL, PFRAC, RECOVERY
+from sim_heating.base.kernels.jit import njit, raw
+from sim_heating.march.ensemble import Ensemble
+from sim_heating.march.frames import BLOCK_END, BLOCK_START, INTS_END, INTS_START
+from sim_heating.thermal.step import step
 
 FloatArray = NDArray[np.float64]
 

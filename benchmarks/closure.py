@@ -27,12 +27,12 @@ from scipy.stats import beta
 from benchmarks.generator.families import FAMILIES
 from benchmarks.generator.record import make_and_write
 from benchmarks.measure import RESULTS, Figure, save, table
-from sim_heating.batches import Job, run_batches
-from sim_heating.files import toml_text, write_json
-from sim_heating.record import load_record
+from sim_heating.base.files import toml_text, write_json
+from sim_heating.base.parallel import Job, run_batches
+from sim_heating.inputs.record import load_record
 
 if TYPE_CHECKING:
-    from sim_heating.closure.search import Search
+    from sim_heating.closure.search.search import Search
 
 SEED = 2026
 EFFECTS, NULLS = 315, 210
@@ -40,7 +40,7 @@ EFFECTS, NULLS = 315, 210
 LEFT = 1.1
 """RMSE after over that of the truth itself, which is noise, up to which nothing is left."""
 LEDGER = Path("out") / "closure_benchmark"
-CALIBRATION = RESULTS.parents[1] / "sim_heating" / "data" / "closure_calibration.json"
+CALIBRATION = RESULTS.parents[1] / "sim_heating" / "closure" / "closure_calibration.json"
 NAMES = tuple(name for name in FAMILIES if name != "none")
 UNKNOWN = "unknown"
 
@@ -56,7 +56,7 @@ def jobs() -> list[Job]:
 def made_and_closed(task: tuple[int, int, str]) -> bytes:
     """Make a record, close its loop, and say what was named and what is left."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from sim_heating.closure.search import search
+    from sim_heating.closure.search.search import search
 
     with tempfile.TemporaryDirectory() as folder:
         name, answer, _ = make_and_write((*task, Path(folder)))
@@ -98,10 +98,10 @@ def beyond(after: Mapping[str, float], other: Mapping[str, float]) -> bool:
 
 def knowing(found: Search, effect: str) -> Search:
     """The search as it would have been with no other candidates than those of one effect."""
-    from sim_heating.closure.attempt import base_of
-    from sim_heating.closure.candidates import SENSOR_EFFECT
-    from sim_heating.closure.search import one_round
-    from sim_heating.effects import effects
+    from sim_heating.closure.search.candidates import SENSOR_EFFECT
+    from sim_heating.closure.search.search import one_round
+    from sim_heating.closure.search.trial_fit import base_of
+    from sim_heating.heating.effects import effects
 
     others = {*effects(), SENSOR_EFFECT} - {effect}
     one = one_round(base_of(found.before), sorted(others), lambda fraction, text: None)

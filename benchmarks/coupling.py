@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.measure import Figure, in_turn, save
-from sim_heating.conditions import FloatArray
-from sim_heating.plugin import LONGEST_WAIT_S, HeatingPlugin
-from sim_heating.plugin_jsbsim import JSBSimHeating
-from sim_heating.scenario import Scenario, load_scenario
+from sim_heating.base.arrays import FloatArray
+from sim_heating.inputs.scenario import Scenario, load_scenario
+from sim_heating.simulation.plugin import LONGEST_WAIT_S, HeatingPlugin
+from sim_heating.simulation.plugin_jsbsim import JSBSimHeating
 from sim_heating.trajectory.flight import OnFrame
-from sim_heating.trajectory.jsbsim import JSBSimEntry
+from sim_heating.trajectory.jsbsim.entry import JSBSimEntry
 
 SCENARIO = Path(__file__).parents[1] / "scenarios" / "popu_mach20.toml"
 POINTS = 10

@@ -26,13 +26,13 @@ from benchmarks.covariance_approximations import APPROXIMATIONS, Case
 from benchmarks.covariance_approximations import fitted as fitted_with
 from benchmarks.measure import Figure, Task, in_turn, save
 from benchmarks.problems import RECORD, plug
-from sim_heating.ensemble import Ensemble, condition_history
-from sim_heating.filter_march import Filtered, FilterMarch, FilterTrack, samples_on_grid
-from sim_heating.layout import LANES
-from sim_heating.linear_march import LinearMarch, Track
-from sim_heating.point_model import PointModel
-from sim_heating.points import conditions_of_record
-from sim_heating.record import load_record
+from sim_heating.base.kernels.block import LANES
+from sim_heating.estimation.filter.march import Filtered, FilterMarch, FilterTrack, samples_on_grid
+from sim_heating.inputs.points import conditions_of_record
+from sim_heating.inputs.record import load_record
+from sim_heating.march.ensemble import Ensemble, condition_history
+from sim_heating.march.linearised import LinearMarch, Track
+from sim_heating.march.point import PointModel
 from sim_heating.thermal.mesh import Mesh, build_mesh
 
 FloatArray = NDArray[np.float64]

@@ -22,10 +22,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.filter_march import FilterTrack
-from sim_heating.layout import LANES
-from sim_heating.linear_march import LinearMarch, Track
-from sim_heating.response import ResponseMarch
+from sim_heating.base.kernels.block import LANES
+from sim_heating.estimation.filter.march import FilterTrack
+from sim_heating.estimation.filter.response import ResponseMarch
+from sim_heating.march.linearised import LinearMarch, Track
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

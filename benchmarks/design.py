@@ -6,9 +6,8 @@ import time
 from pathlib import Path
 
 from benchmarks.measure import Figure, save
-from sim_heating.estimation.design_plots import draw_instruments, draw_sweeps
-from sim_heating.estimation.design_report import Designed, design, summary
-from sim_heating.scenario import load_scenario
+from sim_heating.estimation.design.report import Designed, design, draw_instruments, draw_sweeps, summary
+from sim_heating.inputs.scenario import load_scenario
 
 ROOT = Path(__file__).parent.parent
 IMAGES = ROOT / "docs" / "images"

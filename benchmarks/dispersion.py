@@ -20,16 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measure import Figure, save
-from sim_heating.batches import Job, run_batches
-from sim_heating.layout import LANES
-from sim_heating.planning.dispersed_entry import BATCH, SOBOL, Batch, DispersedEntry
-from sim_heating.planning.dispersed_flight import fleet, fly_many
-from sim_heating.planning.dispersed_kernel import condition_kernel
-from sim_heating.planning.dispersed_march import LaneMarch
-from sim_heating.planning.sampling import deviations
+from sim_heating.base.kernels.block import LANES
+from sim_heating.base.parallel import Job, run_batches
+from sim_heating.base.threads import one_thread
+from sim_heating.march.mesh_choice import choose_meshes
+from sim_heating.planning.dispersion.entry import BATCH, SOBOL, Batch, DispersedEntry
+from sim_heating.planning.dispersion.flight import condition_kernel, fleet, fly_many
+from sim_heating.planning.dispersion.march import LaneMarch
+from sim_heating.planning.dispersion.statistics import deviations
 from sim_heating.planning.study import load_study
-from sim_heating.resolution import choose_meshes
-from sim_heating.threads import one_thread
 
 FloatArray = NDArray[np.float64]
 

@@ -22,24 +22,25 @@ import click
 import numpy as np
 
 from benchmarks.measure import Figure, save
-from sim_heating.conditions import RATIO_VARIABLES, FloatArray
-from sim_heating.estimation.estimate import Fitted, estimate
-from sim_heating.estimation.initial import STARTS
-from sim_heating.estimation.part import StartMaker
-from sim_heating.estimation.report import result_of
-from sim_heating.estimation.result import NAME, write_estimate
-from sim_heating.heating_ratio.kernel import table_ratios_at
-from sim_heating.heating_ratio.table import RatioTable
-from sim_heating.points import conditions_of_record, mean_condition
-from sim_heating.record import Record, Segments, load_record
-from sim_heating.run import fly_scenario
-from sim_heating.scenario import Scenario, Truth, load_scenario
-from sim_heating.synthesize import synthesize, write_records
-from sim_heating.table_update.evidence import basis
-from sim_heating.table_update.posterior import prior_covariance
-from sim_heating.table_update.update import errors_before_and_after, prepare
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.closure.revise.evidence import basis
+from sim_heating.closure.revise.update import errors_before_and_after, prepare
+from sim_heating.estimation.fit import Fitted, estimate
+from sim_heating.estimation.record_fit import StartMaker
+from sim_heating.estimation.report.estimate_file import NAME, write_estimate
+from sim_heating.estimation.report.report import result_of
+from sim_heating.estimation.starts import STARTS
+from sim_heating.heating.ratio.lookup import table_ratios_at
+from sim_heating.heating.ratio.table import RatioTable
+from sim_heating.heating.ratio.uncertainty import prior_covariance
+from sim_heating.inputs.points import conditions_of_record, mean_condition
+from sim_heating.inputs.record import Record, Segments, load_record
+from sim_heating.inputs.scenario import Scenario, Truth, load_scenario
+from sim_heating.inputs.vehicle import ControlPoint
+from sim_heating.simulation.run import fly_scenario
+from sim_heating.simulation.synthesize import synthesize, write_records
 from sim_heating.trajectory.flight import Flight, Window
-from sim_heating.vehicle import ControlPoint
 
 SCENARIOS = Path(__file__).resolve().parent.parent / "scenarios"
 POINTS = {

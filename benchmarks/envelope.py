@@ -16,8 +16,8 @@ from pathlib import Path
 import click
 
 from benchmarks.measure import Figure, save
+from sim_heating.base.files import read_json
 from sim_heating.cli import main
-from sim_heating.files import read_json
 
 ROOT = Path(__file__).resolve().parent.parent
 STUDIES = ("alpha_expansion", "cg_expansion")

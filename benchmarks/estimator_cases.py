@@ -16,18 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.problems import NOTHING
-from sim_heating.ensemble import Ensemble, condition_history
-from sim_heating.estimation.likelihood import observed
-from sim_heating.estimation.part import Start, StartMaker
+from sim_heating.base.parameters import CLOCK_SKEW, Parameter
+from sim_heating.estimation.inference.likelihood import observed
 from sim_heating.estimation.problem import Problem, joint_reference
-from sim_heating.parameters import CLOCK_SKEW, Parameter
-from sim_heating.point_model import PointModel
-from sim_heating.points import conditions_of_record, point_of_record
-from sim_heating.record import Record, Segments
-from sim_heating.run import fly_scenario
-from sim_heating.scenario import Scenario, load_scenario
-from sim_heating.sensors import measured
-from sim_heating.synthesize import synthesize
+from sim_heating.estimation.record_fit import Start, StartMaker
+from sim_heating.inputs.points import conditions_of_record, point_of_record
+from sim_heating.inputs.record import Record, Segments
+from sim_heating.inputs.scenario import Scenario, load_scenario
+from sim_heating.inputs.sensor_model import measured
+from sim_heating.march.ensemble import Ensemble, condition_history
+from sim_heating.march.point import PointModel
+from sim_heating.simulation.run import fly_scenario
+from sim_heating.simulation.synthesize import synthesize
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.trajectory.flight import Flight
 

@@ -21,12 +21,12 @@ from scipy.stats import binom
 
 from benchmarks.generator.record import make_and_write
 from benchmarks.measure import Figure, save
-from sim_heating.estimation.estimate import estimate
-from sim_heating.estimation.newton import maximise
-from sim_heating.estimation.report import residuals_of
-from sim_heating.files import toml_text
-from sim_heating.parameters import SHORT
-from sim_heating.record import load_record
+from sim_heating.base.files import toml_text
+from sim_heating.base.parameters import SHORT
+from sim_heating.estimation.fit import estimate
+from sim_heating.estimation.inference.newton import maximise
+from sim_heating.estimation.report.report import residuals_of
+from sim_heating.inputs.record import load_record
 
 RECORDS, SEED, PROCESSES = 120, 20, 2
 NAMES = ("ratio.scale", *(f"ratio.d_{short}" for short in SHORT))

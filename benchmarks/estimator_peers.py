@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from sim_heating.ensemble import Ensemble, condition_history
-from sim_heating.estimation.part import Part, declared_profile
-from sim_heating.point_model import PointModel
+from sim_heating.estimation.record_fit import Part, declared_profile
+from sim_heating.march.ensemble import Ensemble, condition_history
+from sim_heating.march.point import PointModel
 
 try:
     from filterpy.kalman import ExtendedKalmanFilter

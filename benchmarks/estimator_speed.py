@@ -25,19 +25,19 @@ from benchmarks.estimator_peers import (
 )
 from benchmarks.measure import Figure, Task, Times, in_turn, save
 from benchmarks.problems import RECORD, mesh_of
-from sim_heating.effects import effects, use
-from sim_heating.ensemble import condition_history
+from sim_heating.base.kernels.block import LANES
 from sim_heating.estimation import problem as fitting
-from sim_heating.estimation.estimate import estimate
-from sim_heating.estimation.informed import default_names
-from sim_heating.estimation.newton import maximise
+from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, samples_on_grid
+from sim_heating.estimation.fit import estimate
+from sim_heating.estimation.inference.newton import maximise
+from sim_heating.estimation.inference.observability import default_names
 from sim_heating.estimation.problem import Problem, joint_reference
-from sim_heating.estimation.together import Together
-from sim_heating.filter_march import FilterMarch, FilterTrack, samples_on_grid
-from sim_heating.layout import LANES
-from sim_heating.linear_march import LinearMarch, Track
-from sim_heating.points import conditions_of_record
-from sim_heating.record import Record, load_record
+from sim_heating.estimation.side_by_side import Together
+from sim_heating.heating.effects import effects, use
+from sim_heating.inputs.points import conditions_of_record
+from sim_heating.inputs.record import Record, load_record
+from sim_heating.march.ensemble import condition_history
+from sim_heating.march.linearised import LinearMarch, Track
 
 FloatArray = NDArray[np.float64]
 

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from benchmarks.estimator_cases import CASES, Repeatable, repeatable
 from benchmarks.measure import Figure, save
-from sim_heating.estimation.estimate import coloured_bounds
-from sim_heating.estimation.newton import maximise
-from sim_heating.estimation.statistics import sensor_residuals
+from sim_heating.estimation.fit import coloured_bounds
+from sim_heating.estimation.inference.newton import maximise
+from sim_heating.estimation.inference.residual_tests import sensor_residuals
 
 FloatArray = NDArray[np.float64]
 

@@ -17,14 +17,27 @@ from numba import njit
 
 from benchmarks import python_fmu
 from benchmarks.measure import Figure, save
-from sim_heating.conditions import FRAME
-from sim_heating.fmu.export import export_heating, write_fmu
-from sim_heating.fmu.heating import heating_image, heating_units
-from sim_heating.fmu.library import TARGETS, parts, sources, wrapper_sources
-from sim_heating.fmu.native import BEGINS, HELD, INPUTS, INPUTS_NEXT, INPUTS_NOW, N_INPUTS, NEXT, NOW, TIMING
-from sim_heating.run import fly_scenario
-from sim_heating.scenario import load_scenario
-from sim_heating.vehicle import Vehicle, load_vehicle
+from sim_heating.base.conditions import FRAME
+from sim_heating.inputs.scenario import load_scenario
+from sim_heating.inputs.vehicle import Vehicle, load_vehicle
+from sim_heating.simulation.fmu_export.export import export_heating, write_fmu
+from sim_heating.simulation.fmu_export.heating import heating_image, heating_units
+from sim_heating.simulation.fmu_export.library import (
+    BEGINS,
+    HELD,
+    INPUTS,
+    INPUTS_NEXT,
+    INPUTS_NOW,
+    N_INPUTS,
+    NEXT,
+    NOW,
+    TARGETS,
+    TIMING,
+    parts,
+    sources,
+    wrapper_sources,
+)
+from sim_heating.simulation.run import fly_scenario
 
 ROOT = Path(__file__).parents[1]
 POINTS, NODES, STEP_S, STEPS, ROUNDS = 16, 24, 0.1, 3000, 9

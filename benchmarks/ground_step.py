@@ -11,9 +11,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from benchmarks.measure import Figure, save
-from sim_heating.estimation.estimate import estimate
-from sim_heating.ground_step import step_record
-from sim_heating.vehicle import load_vehicle
+from sim_heating.estimation.fit import estimate
+from sim_heating.inputs.vehicle import load_vehicle
+from sim_heating.simulation.ground_step import step_record
 
 POINT = "V09T9527"
 TRUTH = {"stack.coating.thickness_factor": 1.3, "stack.rsi.conductivity_factor": 0.9}

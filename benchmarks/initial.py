@@ -18,11 +18,11 @@ import numpy as np
 
 from benchmarks.measure import Figure, save
 from benchmarks.tile import PRACTICE
-from sim_heating.estimation.estimate import Fitted, estimate
-from sim_heating.estimation.initial import STARTS
-from sim_heating.estimation.part import StartMaker
-from sim_heating.plots import new_figure, save_figure
-from sim_heating.record import Record, load_record
+from sim_heating.base.report.figure import new_figure, save_figure
+from sim_heating.estimation.fit import Fitted, estimate
+from sim_heating.estimation.record_fit import StartMaker
+from sim_heating.estimation.starts import STARTS
+from sim_heating.inputs.record import Record, load_record
 
 PICTURE = Path(__file__).parent.parent / "docs" / "images" / "starts_compared.png"
 FLIGHTS = {"p06": 690.0, "p07": 676.0}

@@ -18,14 +18,14 @@ import numpy as np
 from benchmarks.deposited_heat import Deposit, Slab, deposited_heat
 from benchmarks.measure import Figure, save
 from benchmarks.quick_fit import Model, quick_fit
-from sim_heating.conditions import FloatArray
-from sim_heating.effects import use
-from sim_heating.errors import RunError
-from sim_heating.files.toml import read_toml_dict
-from sim_heating.parameters import Parameter
-from sim_heating.points import point_of_record
-from sim_heating.predict import predict
-from sim_heating.record import Record, load_record
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import RunError
+from sim_heating.base.files.toml import read_toml_dict
+from sim_heating.base.parameters import Parameter
+from sim_heating.heating.effects import use
+from sim_heating.inputs.points import point_of_record
+from sim_heating.inputs.record import Record, load_record
+from sim_heating.simulation.predict import predict
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim_heating import ensemble
+from sim_heating.march import ensemble
 
 RESULTS = Path(__file__).with_name("results")
 

@@ -2,7 +2,7 @@
 
 It is the very system that the march steps through: same mesh, same property tables, same sharing of mass between nodes,
 and conditions linear between the samples of the entry. It is written down here a second time, from the equations at the
-head of thermal/kernel.py; what the integrators have in common is therefore checked too.
+head of thermal/step.py; what the integrators have in common is therefore checked too.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 
-from sim_heating.jit import njit
-from sim_heating.layout import H_REF, P_SURFACE, RECOVERY_ENTHALPY, TIME
-from sim_heating.point_model import PointModel
+from sim_heating.base.kernels.block import H_REF, P_SURFACE, RECOVERY_ENTHALPY, TIME
+from sim_heating.base.kernels.jit import njit
+from sim_heating.march.point import PointModel
 from sim_heating.thermal.assembly import SHARE
-from sim_heating.thermal.declare import Material, pairs
 from sim_heating.thermal.faces import SIGMA
 from sim_heating.thermal.mesh import Mesh
+from sim_heating.thermal.stack import Material, pairs
 
 FloatArray = NDArray[np.float64]
 

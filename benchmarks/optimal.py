@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.betts import PUBLISHED, betts_bounds, betts_guess, betts_problem
 from benchmarks.measure import Figure, save
-from sim_heating.planning.optimal import OptimalEntry, fly_optimal
-from sim_heating.planning.optimal_betts import PUBLISHED, betts_bounds, betts_guess, betts_problem
-from sim_heating.planning.optimal_collocation import Motion, Transcription, refined_mesh
-from sim_heating.planning.optimal_plot import draw_optimal
-from sim_heating.planning.optimal_spec import load_optimal_study, without_limits
+from sim_heating.planning.optimal.collocation import Motion, Transcription, refined_mesh
+from sim_heating.planning.optimal.report import draw_optimal
+from sim_heating.planning.optimal.search import OptimalEntry, fly_optimal
+from sim_heating.planning.optimal.spec import load_optimal_study, without_limits
 
 ROOT = Path(__file__).parent.parent
 STUDIES = ROOT / "scenarios" / "studies"

@@ -66,7 +66,7 @@ def one_core() -> Iterator[None]:
 def timed(folder: Path) -> Row:
     """Close the loop on a record, here and as a command."""
     from sim_heating.closure.close import close_loop
-    from sim_heating.record import load_record
+    from sim_heating.inputs.record import load_record
 
     record, seconds, named = load_record(folder), [], ""
     for _ in range(ROUNDS):

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.ensemble import Ensemble, condition_history
-from sim_heating.layout import CONDITION_COLUMNS, FILM, H_REF, LANES, TIME
-from sim_heating.point_model import PointModel
-from sim_heating.points import conditions_of_record, point_of_record
-from sim_heating.record import load_record
+from sim_heating.base.kernels.block import CONDITION_COLUMNS, FILM, H_REF, LANES, TIME
+from sim_heating.inputs.points import conditions_of_record, point_of_record
+from sim_heating.inputs.record import load_record
+from sim_heating.march.ensemble import Ensemble, condition_history
+from sim_heating.march.point import PointModel
 from sim_heating.thermal.mesh import Mesh, build_mesh
 
 FloatArray = NDArray[np.float64]

@@ -23,16 +23,16 @@ from numpy.typing import NDArray
 from benchmarks.estimator_cases import CASES, Repeatable, repeatable
 from benchmarks.measure import Figure, save
 from benchmarks.problems import NOTHING
-from sim_heating.ensemble import Ensemble, condition_history
-from sim_heating.estimation.estimate import coloured_bounds
-from sim_heating.estimation.innovations import Innovations, fit_innovations
-from sim_heating.estimation.likelihood import observed
-from sim_heating.estimation.newton import Fit, maximise
-from sim_heating.estimation.part import declared_profile
+from sim_heating.estimation.filter.innovations import Innovations, fit_innovations
+from sim_heating.estimation.filter.process_noise import CORRELATION, NODE, RATIO, ProcessNoise
+from sim_heating.estimation.fit import coloured_bounds
+from sim_heating.estimation.inference.likelihood import observed
+from sim_heating.estimation.inference.newton import Fit, maximise
+from sim_heating.estimation.inference.residual_tests import sensor_residuals
 from sim_heating.estimation.problem import Problem
-from sim_heating.estimation.process_noise import CORRELATION, NODE, RATIO, ProcessNoise
-from sim_heating.estimation.statistics import sensor_residuals
-from sim_heating.sensors import measured
+from sim_heating.estimation.record_fit import declared_profile
+from sim_heating.inputs.sensor_model import measured
+from sim_heating.march.ensemble import Ensemble, condition_history
 
 FloatArray = NDArray[np.float64]
 

@@ -24,12 +24,12 @@ from fmpy.model_description import ModelDescription
 from numpy.typing import NDArray
 
 from benchmarks.measure import Figure
-from sim_heating.conditions import FRAME
-from sim_heating.fmu.export import write_fmu
-from sim_heating.fmu.heating import heating_image, heating_units, quoted
-from sim_heating.fmu.library import sources
-from sim_heating.plugin import HeatingPlugin
-from sim_heating.vehicle import load_vehicle
+from sim_heating.base.conditions import FRAME
+from sim_heating.inputs.vehicle import load_vehicle
+from sim_heating.simulation.fmu_export.export import write_fmu
+from sim_heating.simulation.fmu_export.heating import heating_image, heating_units, quoted
+from sim_heating.simulation.fmu_export.library import sources
+from sim_heating.simulation.plugin import HeatingPlugin
 
 FloatArray = NDArray[np.float64]
 HOST = Path(__file__).parent / "c_peer" / "fmi2_host.c"

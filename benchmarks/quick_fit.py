@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_heating.conditions import FloatArray
-from sim_heating.effects import EffectUse
-from sim_heating.errors import RunError
-from sim_heating.estimation.estimate import coloured_bounds, predict_at
-from sim_heating.estimation.newton import Fit, Settings, maximise
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import RunError
+from sim_heating.base.parameters import Parameter
+from sim_heating.estimation.fit import coloured_bounds, predict_at
+from sim_heating.estimation.inference.newton import Fit, Settings, maximise
 from sim_heating.estimation.problem import Problem, joint_reference
-from sim_heating.parameters import Parameter
-from sim_heating.predict import predict
-from sim_heating.record import Record
+from sim_heating.heating.effects import EffectUse
+from sim_heating.inputs.record import Record
+from sim_heating.simulation.predict import predict
 
 SETTLED = Settings(gain=1e-2, step=3e-2, iterations=20)
 

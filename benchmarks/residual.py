@@ -13,20 +13,20 @@ import numpy as np
 
 from benchmarks.measure import Figure, in_turn, save
 from benchmarks.problems import RECORD
-from sim_heating.closure.residual import residual_heating
-from sim_heating.effects import use
-from sim_heating.ensemble import condition_history
-from sim_heating.estimation.likelihood import observed
+from sim_heating.closure.clues.residual_heating import residual_heating
+from sim_heating.estimation.filter.heating_input import unknown_input
+from sim_heating.estimation.filter.march import Disturbance, FilterMarch, FilterTrack, samples_on_grid
+from sim_heating.estimation.filter.smoother import smooth
+from sim_heating.estimation.inference.likelihood import observed
 from sim_heating.estimation.problem import Problem, joint_reference
-from sim_heating.filter_march import Disturbance, FilterMarch, FilterTrack, samples_on_grid
-from sim_heating.points import conditions_of_record, point_of_record
-from sim_heating.record import Record, load_record
-from sim_heating.resolution import pack
-from sim_heating.sensors import measured
-from sim_heating.smoothing import smooth
-from sim_heating.temperatures import at_times, march_points
-from sim_heating.thermal.declare import Sensor
-from sim_heating.unknown_input import unknown_input
+from sim_heating.heating.effects import use
+from sim_heating.inputs.points import conditions_of_record, point_of_record
+from sim_heating.inputs.record import Record, load_record
+from sim_heating.inputs.sensor_model import measured
+from sim_heating.march.ensemble import condition_history
+from sim_heating.march.history import at_times, march_points
+from sim_heating.march.mesh_choice import pack
+from sim_heating.thermal.stack import Sensor
 
 ROUNDS, SEED = 7, 1
 BEGIN_S, END_S, RISE = 500.0, 580.0, 0.1

@@ -14,9 +14,9 @@ import numpy as np
 
 from benchmarks.measure import Figure, save
 from benchmarks.tile import NOISE_8_BIT, Tile, record
-from sim_heating.estimation.estimate import Fitted, estimate
-from sim_heating.parameters import CLOCK_SKEW, MODEL
-from sim_heating.plots import new_figure, save_figure
+from sim_heating.base.parameters import CLOCK_SKEW, MODEL
+from sim_heating.base.report.figure import new_figure, save_figure
+from sim_heating.estimation.fit import Fitted, estimate
 
 PICTURE = Path(__file__).parent.parent / "docs" / "images" / "skew_coating.png"
 COATINGS_MIL = (10.0, 15.0, 20.0)

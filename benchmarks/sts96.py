@@ -17,14 +17,14 @@ import numpy as np
 
 from benchmarks.measure import Figure, save
 from benchmarks.tile_fits import TRANSITION, Clock, Tile, as_nominal, fitted_clock, rms, tiles_of
-from sim_heating.compared_records import compared_records
-from sim_heating.conditions import Conditions
-from sim_heating.errors import RunError
-from sim_heating.files.toml import read_toml_dict
-from sim_heating.predict import predict
-from sim_heating.record import load_record
-from sim_heating.run import fly_scenario
-from sim_heating.scenario import Scenario, load_scenario
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.errors import RunError
+from sim_heating.base.files.toml import read_toml_dict
+from sim_heating.inputs.record import load_record
+from sim_heating.inputs.scenario import Scenario, load_scenario
+from sim_heating.simulation.measured_records import compared_records
+from sim_heating.simulation.predict import predict
+from sim_heating.simulation.run import fly_scenario
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt

@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.conditions import Conditions
-from sim_heating.files import check
-from sim_heating.points import point_of_record
-from sim_heating.predict import predict
-from sim_heating.record import Record, RecordFile, load_record, make_record
-from sim_heating.sensors import measured
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.files import check
+from sim_heating.inputs.points import point_of_record
+from sim_heating.inputs.record import Record, RecordFile, load_record, make_record
+from sim_heating.inputs.sensor_model import measured
+from sim_heating.simulation.predict import predict
 
 FloatArray = NDArray[np.float64]
 

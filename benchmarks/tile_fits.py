@@ -17,15 +17,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.quick_fit import Model, quick_fit
-from sim_heating.compared_records import compared_records
-from sim_heating.conditions import Conditions, FloatArray
-from sim_heating.effects import use
-from sim_heating.errors import RunError
-from sim_heating.estimation.informed import default_names, still
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.errors import RunError
+from sim_heating.base.parameters import Parameter
+from sim_heating.estimation.inference.observability import default_names, still
 from sim_heating.estimation.problem import Problem, joint_reference
-from sim_heating.parameters import Parameter
-from sim_heating.record import Record
-from sim_heating.scenario import Scenario
+from sim_heating.heating.effects import use
+from sim_heating.inputs.record import Record
+from sim_heating.inputs.scenario import Scenario
+from sim_heating.simulation.measured_records import compared_records
 
 EFFECT = "effect.transition."
 TRANSITION = tuple(EFFECT + name for name in ("log10_re_onset", "width", "factor"))

@@ -14,9 +14,9 @@ from benchmarks import cvodes
 from benchmarks.measure import RESULTS, Figure, one_thread, save
 from benchmarks.ode import FloatArray, System, arguments, jacobian, rate, rate_in_numpy, system_of
 from benchmarks.problems import entry, mesh_of, plug, prescribed
-from sim_heating.ensemble import Ensemble
-from sim_heating.layout import TIME
-from sim_heating.point_model import PointModel
+from sim_heating.base.kernels.block import TIME
+from sim_heating.march.ensemble import Ensemble
+from sim_heating.march.point import PointModel
 from sim_heating.thermal.assembly import SHARE
 from sim_heating.thermal.mesh import Mesh
 

@@ -16,16 +16,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.conditions import Conditions
-from sim_heating.effects import Effect, effects, use
-from sim_heating.ensemble import PointModel
-from sim_heating.files import write_text_atomic
-from sim_heating.plots import ANGLES, new_figure, save_figure
-from sim_heating.points import conditions_at_point, mean_condition, point_of_vehicle
-from sim_heating.run import fly_scenario
-from sim_heating.scenario import load_scenario
-from sim_heating.temperatures import PointHistory, march_points
-from sim_heating.thermal.declare import Sensor
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.files import write_text_atomic
+from sim_heating.base.report.figure import ANGLES, new_figure, save_figure
+from sim_heating.heating.effects import Effect, effects, use
+from sim_heating.inputs.points import conditions_at_point, mean_condition, point_of_vehicle
+from sim_heating.inputs.scenario import load_scenario
+from sim_heating.march.ensemble import PointModel
+from sim_heating.march.history import PointHistory, march_points
+from sim_heating.simulation.run import fly_scenario
+from sim_heating.thermal.stack import Sensor
 
 FloatArray = NDArray[np.float64]
 

@@ -1,7 +1,7 @@
 /* An FMU around a function of two arrays: what FMI 2 (fmi2.c) and FMI 3 (fmi3.c) share. No physics here.
 
    A model is an image in resources/model.bin (image.c) and the function that works on it; what it does, and what the first
-   entries of the arrays mean, is written in sim_heating/fmu/native.py. */
+   entries of the arrays mean, is written in sim_heating/simulation/fmu_export/library.py. */
 
 #ifndef wrapper_h
 #define wrapper_h

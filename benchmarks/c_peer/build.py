@@ -12,9 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.ensemble import Ensemble
-from sim_heating.heating_ratio.kernel import VARIABLES, pack_table
-from sim_heating.layout import (
+from sim_heating.base.kernels.block import (
     BACK_EPS,
     BACK_H,
     BACK_T,
@@ -34,8 +32,10 @@ from sim_heating.layout import (
     parameters_at,
     scalar_row,
 )
-from sim_heating.point_model import PointModel
-from sim_heating.thermal.declare import Material, pairs
+from sim_heating.heating.ratio.lookup import VARIABLES, pack_table
+from sim_heating.march.ensemble import Ensemble
+from sim_heating.march.point import PointModel
+from sim_heating.thermal.stack import Material, pairs
 
 FloatArray = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-/* The same march as sim_heating/march.py and thermal/kernel.py, written by hand in C: the peer of the benchmark.
+/* The same march as sim_heating/march/frames.py and thermal/step.py, written by hand in C: the peer of the benchmark.
  *
  * TR-BDF2 for the heat content, linear elements with the mass shared (SHARE = 1/6), Kirchhoff's variable, Newton to 1e-4 K
  * lane by lane with the same first guesses, eight control points side by side. It is written for speed, not as a copy:

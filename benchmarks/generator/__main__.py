@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.generator.families import FAMILIES
 from benchmarks.generator.record import make_and_write
-from sim_heating.files import toml_text, write_text_atomic
+from sim_heating.base.files import toml_text, write_text_atomic
 
 
 def effect_names(asked: str) -> list[str]:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from benchmarks.generator.conduction import STEP_S, Forcing, build_wall, march, wall_enthalpy
 from benchmarks.generator.flight import Flight, draw_flight
 from benchmarks.generator.point import VARIABLES, Point, draw_point
-from sim_heating.conditions import Conditions
-from sim_heating.reference_heating.models import reference_heating
+from sim_heating.base.conditions import Conditions
+from sim_heating.heating.reference.models import reference_heating
 
 FloatArray = NDArray[np.float64]
 Generator = np.random.Generator

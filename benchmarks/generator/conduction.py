@@ -18,7 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from sim_heating.reference_heating.gas import wall_enthalpy_grid
+from sim_heating.heating.reference.gas import wall_enthalpy_grid
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
-from sim_heating.atmosphere import derive, us76_kernel
+from sim_heating.heating.atmosphere import derive, us76_kernel
 
 FloatArray = NDArray[np.float64]
 Generator = np.random.Generator

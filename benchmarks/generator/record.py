@@ -18,7 +18,7 @@ from benchmarks.generator.measure import Recorder, add_words, draw_recorder, dra
 from benchmarks.generator.point import DERIVATIVES, KINDS, VARIABLES
 from benchmarks.generator.rivals import accepted, rivals
 from benchmarks.generator.visibility import Bench, Seen, bench, see
-from sim_heating.files import output_directory, toml_text, write_csv, write_text_atomic
+from sim_heating.base.files import output_directory, toml_text, write_csv, write_text_atomic
 
 FloatArray = NDArray[np.float64]
 Generator = np.random.Generator

@@ -11,11 +11,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim_heating.conditions import Conditions, FloatArray
-from sim_heating.effects import Effect, Try
-from sim_heating.jit import njit
-from sim_heating.layout import MACH
-from sim_heating.parameters import Parameter
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.kernels.block import MACH
+from sim_heating.base.kernels.jit import njit
+from sim_heating.base.parameters import Parameter
+from sim_heating.heating.effects import Effect, Try
 
 RISE, MACH_THERE, WIDTH = range(3)
 

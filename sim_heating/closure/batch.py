@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from sim_heating.batches import Job, run_batches
-from sim_heating.effects import effects, own_files
-from sim_heating.errors import InputError
-from sim_heating.estimation.result import inputs_hash
-from sim_heating.files import output_directory, require_place, write_csv, write_json
-from sim_heating.progress import Progress, quiet
-from sim_heating.record import DECLARATION, load_record
-from sim_heating.results import package_version
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import output_directory, require_place, write_csv, write_json
+from sim_heating.base.files.package import package_version
+from sim_heating.base.parallel import Job, run_batches
+from sim_heating.base.progress import Progress, quiet
+from sim_heating.estimation.report.estimate_file import inputs_hash
+from sim_heating.heating.effects import effects, own_files
+from sim_heating.inputs.record import DECLARATION, load_record
 
 SUMMARIES = JSON, CSV = "summary.json", "summary.csv"
 LEDGER = "finished"

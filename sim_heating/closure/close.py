@@ -9,25 +9,24 @@ from pathlib import Path
 
 import numpy as np
 
-from sim_heating.closure.attempt import QUICK, WIDENED, Attempt, fitted_uses, values_of
-from sim_heating.closure.calibration import false_alarm
-from sim_heating.closure.doubts import CLOCK, Verdict, before_fit, standing
-from sim_heating.closure.evidence import evidence, ratio_at
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.files import files_made, output_directory
+from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, SENSOR_PREFIX
+from sim_heating.base.progress import Progress, quiet
+from sim_heating.closure.clues.correlation import evidence, ratio_at
+from sim_heating.closure.clues.residual_heating import ResidualHeating, residual_heating
+from sim_heating.closure.fit_checks import after_fit
+from sim_heating.closure.record_checks import CLOCK, Verdict, before_fit, standing
 from sim_heating.closure.report import FILES as REPORT_FILES
-from sim_heating.closure.report import Closure, Estimated, Named, Tried, errors_of, fill_closure
-from sim_heating.closure.residual import ResidualHeating, residual_heating
-from sim_heating.closure.sanity import after_fit
-from sim_heating.closure.search import Search, search
-from sim_heating.conditions import RATIO_VARIABLES
-from sim_heating.errors import InputError, RunError
-from sim_heating.estimation.estimate import Fitted, estimate
-from sim_heating.estimation.newton import Settings
-from sim_heating.estimation.report import FIT_FILES, noise_floor_K, write_fit
-from sim_heating.estimation.result import NAME
-from sim_heating.files import files_made, output_directory
-from sim_heating.parameters import CLOCK_SKEW, EFFECT_PREFIX, SENSOR_PREFIX
-from sim_heating.progress import Progress, quiet
-from sim_heating.record import Record
+from sim_heating.closure.report import Closure, Estimated, Named, Tried, errors_of, false_alarm, fill_closure
+from sim_heating.closure.search.search import Search, search
+from sim_heating.closure.search.trial_fit import QUICK, WIDENED, Attempt, fitted_uses, values_of
+from sim_heating.estimation.fit import Fitted, estimate
+from sim_heating.estimation.inference.newton import Settings
+from sim_heating.estimation.report.estimate_file import NAME
+from sim_heating.estimation.report.report import FIT_FILES, noise_floor_K, write_fit
+from sim_heating.inputs.record import Record
 
 FILES = (*REPORT_FILES, NAME, *FIT_FILES)
 """Names of all files that a closed loop may write."""

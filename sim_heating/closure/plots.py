@@ -9,14 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sim_heating.closure.evidence import Evidence
-from sim_heating.closure.residual import ResidualHeating
-from sim_heating.closure.shapes import TIME
-from sim_heating.estimation.plots import AFTER, BEFORE, fit_figure, shade_holdout
-from sim_heating.plots import ANGLES, dress, new_figure
-from sim_heating.predict import Prediction
-
-FloatArray = NDArray[np.float64]
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.report.figure import ANGLES, dress, new_figure
+from sim_heating.closure.clues.correlation import Evidence
+from sim_heating.closure.clues.residual_heating import ResidualHeating
+from sim_heating.closure.clues.shapes import TIME
+from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_figure, shade_holdout
+from sim_heating.simulation.predict import Prediction
 
 PREDICTED = "0.62"
 LABELS = {n: f"{label}, deg" for n, (label, _) in ANGLES.items()} | {

@@ -3,6 +3,8 @@
 closure.json is the format "closure-report/1"; beside its keys stand `estimated` (all parameters of the last fit),
 `residual` (size and bandwidth of the residual heating, what no heating explains), `evidence`, `verdicts` on the record
 itself, `false_alarm` and `warnings`.
+
+How often an effect is named where there is none: counted over records made without one, and said in every report.
 """
 
 from __future__ import annotations
@@ -13,17 +15,19 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from sim_heating.closure.doubts import Verdict
-from sim_heating.closure.evidence import Evidence, flight_variables
+from scipy.stats import beta
+
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.files import read_json, write_json
+from sim_heating.base.files.package import PACKAGE, package_version
+from sim_heating.base.report.page import Page, Picture, Section, Table, write_page
+from sim_heating.closure.clues.correlation import Evidence, flight_variables
+from sim_heating.closure.clues.residual_heating import NAME as HEATING_NAME
+from sim_heating.closure.clues.residual_heating import ResidualHeating, write_residual_heating
 from sim_heating.closure.plots import against, comparison, heating, loops_figure, ranking
-from sim_heating.closure.residual import NAME as HEATING_NAME
-from sim_heating.closure.residual import ResidualHeating, write_residual_heating
-from sim_heating.conditions import RATIO_VARIABLES
-from sim_heating.files import write_json
-from sim_heating.page import Page, Picture, Section, Table, write_page
-from sim_heating.predict import Prediction
-from sim_heating.record import Record, pooled_rmse_K
-from sim_heating.results import package_version
+from sim_heating.closure.record_checks import Verdict
+from sim_heating.inputs.record import Record, pooled_rmse_K
+from sim_heating.simulation.predict import Prediction
 
 NAME, PAGE = "closure.json", "report.html"
 FILES = (NAME, PAGE, HEATING_NAME)
@@ -344,3 +348,18 @@ def _beyond(found: Closure) -> Section:
         "the sensor, its clock."
     ]
     return Section("What no heating explains", text, points=[s.words() for s in found.residual.sensors])
+
+
+CALIBRATION = PACKAGE / "closure" / "closure_calibration.json"
+LEVEL = 0.95
+
+
+def false_alarm() -> str:
+    """The chance of a false alarm, and what it rests on, in a line."""
+    counted = read_json(CALIBRATION)
+    named, records = int(counted["named"]), int(counted["records"])
+    limit = float(beta.ppf(LEVEL, named + 1, records - named))
+    return (
+        f"An effect was named in {named} of {records} synthetic records that had none: chance of a false alarm below "
+        f"{limit:.1%} with {LEVEL:.0%} confidence on such records"
+    )

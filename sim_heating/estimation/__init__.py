@@ -1,0 +1,1 @@
+"""HEATEST: heating derivatives and thermal parameters from thermocouples, with their bounds."""

@@ -1,9 +1,9 @@
 """What is fitted to what: records, their unknown parameters, and the likelihood of all samples as a function of them.
 
-Every record is marched with its sensitivities (linear_march.py), its samples are compared with what its sensors should
-show (observation.py), and log likelihood, gradient and information add up over the records. Parameters of heating and
-stack are those of a control point, shared by all its records; those of clocks, sensors and initial profiles belong to
-one record. Records on common times are marched side by side, others in threads.
+Every record is marched with its sensitivities (march/linearised.py), its samples are compared with what its sensors
+should show (observation.py), and log likelihood, gradient and information add up over the records. Parameters of
+heating and stack are those of a control point, shared by all its records; those of clocks, sensors and initial profiles
+belong to one record. Records on common times are marched side by side, others in threads.
 """
 
 from __future__ import annotations
@@ -17,16 +17,17 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.conditions import RATIO_VARIABLES
-from sim_heating.effects import EffectUse
-from sim_heating.ensemble import condition_history
-from sim_heating.errors import InputError, RunError
-from sim_heating.estimation.likelihood import scores
-from sim_heating.estimation.mesh_correction import correct_mesh
-from sim_heating.estimation.newton import Evaluation
-from sim_heating.estimation.noise import estimate_noise
-from sim_heating.estimation.observation import channels, definition, indicated, least_sigma_K
-from sim_heating.estimation.part import (
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.kernels.block import LANES
+from sim_heating.base.parameters import AT, CLOCK_SKEW, Parameter
+from sim_heating.estimation._mesh_correction import correct_mesh
+from sim_heating.estimation._observation import channels, definition, indicated, least_sigma_K
+from sim_heating.estimation.inference.likelihood import scores
+from sim_heating.estimation.inference.newton import Evaluation
+from sim_heating.estimation.inference.noise import estimate_noise
+from sim_heating.estimation.record_fit import (
     LONGEST_STEP_S,
     Part,
     Samples,
@@ -37,17 +38,14 @@ from sim_heating.estimation.part import (
     set_out,
     side_by_side,
 )
-from sim_heating.estimation.result import AT
-from sim_heating.layout import LANES
-from sim_heating.linear_march import Linearised, LinearMarch
-from sim_heating.parameters import CLOCK_SKEW, Parameter
-from sim_heating.point_model import PointModel
-from sim_heating.points import conditions_of_record, point_of_record
-from sim_heating.record import Record
-from sim_heating.resolution import choose_meshes
+from sim_heating.heating.effects import EffectUse
+from sim_heating.inputs.points import conditions_of_record, point_of_record
+from sim_heating.inputs.record import Record
+from sim_heating.march.ensemble import condition_history
+from sim_heating.march.linearised import Linearised, LinearMarch
+from sim_heating.march.mesh_choice import choose_meshes
+from sim_heating.march.point import PointModel
 from sim_heating.thermal.mesh import Mesh
-
-FloatArray = NDArray[np.float64]
 
 THREADS = os.cpu_count() or 1
 SKEW_SPAN_S = 5.0

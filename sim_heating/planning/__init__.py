@@ -1,0 +1,1 @@
+"""Missions planned with the tables: studies of dispersions, envelopes and optimal entries."""

@@ -7,81 +7,22 @@ study gives the same bytes whatever the number of cores, and whatever the proces
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any
 
-from sim_heating.batches import require_scheduler
-from sim_heating.errors import InputError, RunError
-from sim_heating.files import output_directory, write_json
-from sim_heating.page import Page, SavedPicture, Section, Table, write_page
-from sim_heating.planning.study import HASH_LENGTH, Study
-from sim_heating.progress import Progress, quiet
-from sim_heating.results import package_version
-from sim_heating.threads import one_thread
+from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.files import output_directory, write_json
+from sim_heating.base.files.package import package_version
+from sim_heating.base.parallel import require_scheduler
+from sim_heating.base.progress import Progress, quiet
+from sim_heating.base.report.page import Page, SavedPicture, Section, write_page
+from sim_heating.base.threads import one_thread
+from sim_heating.planning.part import Engine, Found, Part
+from sim_heating.planning.study import Study
 
 FORMAT = "study-report/1"
 SUMMARY, PAGE = "study.json", "report.html"
-PACKAGE = Path(__file__).resolve().parent.parent
-
-
-@dataclass(frozen=True)
-class Engine:
-    """Where many flights are computed.
-
-    ledger    : folder for finished batches, one below it for each kind
-    scheduler, workers : as `batches.run_batches` takes them
-    """
-
-    ledger: Path
-    scheduler: str | None = None
-    workers: int | None = None
-
-
-@cache
-def program_digest() -> str:
-    """Digest of the program's own files: batches of another version are not those of this one."""
-    digest = hashlib.sha256()
-    for path in sorted([*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.csv")]):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:HASH_LENGTH]
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A picture: its file, relative to the output, and what it shows."""
-
-    file: str
-    caption: str
-
-
-@dataclass(frozen=True)
-class Found:
-    """What a part found.
-
-    data     : for study.json, plain values
-    tables, pictures, notes : for the page; a note is one line
-    """
-
-    data: Mapping[str, Any]
-    tables: tuple[Table, ...] = ()
-    pictures: tuple[Picture, ...] = ()
-    notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Part:
-    """What a table of a study asks for.
-
-    run   : (study, folder for its files, engine, progress) -> found; files go below the folder
-    files : study -> names of the files that it may write, from there
-    """
-
-    run: Callable[[Study, Path, Engine, Progress], Found]
-    files: Callable[[Study], Sequence[str]]
 
 
 @dataclass(frozen=True)
@@ -95,9 +36,9 @@ class Plan:
 
 def parts_of(study: Study) -> dict[str, Part]:
     """The parts that a study asks for, by the names of its tables."""
-    from sim_heating.planning.dispersion_part import DISPERSION  # parts know of plans
-    from sim_heating.planning.envelope_part import ENVELOPE, NEXT_FLIGHT
-    from sim_heating.planning.optimal_part import OPTIMAL
+    from sim_heating.planning.dispersion.report import DISPERSION  # parts know of plans
+    from sim_heating.planning.envelope.report import ENVELOPE, NEXT_FLIGHT
+    from sim_heating.planning.optimal.report import OPTIMAL
 
     parts = {"dispersion": DISPERSION, "envelope": ENVELOPE, "next_flight": NEXT_FLIGHT, "optimal": OPTIMAL}
     return {name: part for name, part in parts.items() if getattr(study.declared, name) is not None}

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim_heating.atmosphere import SEA_LEVEL_PA
-from sim_heating.conditions import Conditions
-from sim_heating.thermal.declare import Construction, pairs
+from sim_heating.base.conditions import Conditions
+from sim_heating.heating.atmosphere import SEA_LEVEL_PA
+from sim_heating.inputs.vehicle import ControlPoint
 from sim_heating.thermal.faces import SIGMA
-from sim_heating.vehicle import ControlPoint
+from sim_heating.thermal.stack import Construction, pairs
 
 COLD_K = 290.0
 """Temperature of the surroundings in the soak [K]."""

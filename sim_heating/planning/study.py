@@ -10,10 +10,10 @@ scenario = "../entry_3dof.toml"     # the base entry: [trajectory], [[effect]] o
 control_points = ["NOSECAP"]        # all where absent
 soak_s = 1800.0                     # how long heat goes on to the bondline after the entry, unheated from outside
 [[limit]]                           # control_point; surface_K and bondline_K where not the vehicle's own
-[dispersion]                        # planning/dispersion_spec.py
-[envelope]                          # maps and boundaries, planning/envelope_spec.py
-[next_flight]                       # manoeuvres that may be flown next, planning/envelope_spec.py
-[optimal]                           # an optimal entry, keys as in planning/optimal_spec.py
+[dispersion]                        # planning/dispersion/spec.py
+[envelope]                          # maps and boundaries, planning/envelope/spec.py
+[next_flight]                       # manoeuvres that may be flown next, planning/envelope/spec.py
+[optimal]                           # an optimal entry, keys as in planning/optimal/spec.py
 
 A table that is absent asks nothing. The hash of a study is that of all it says and of every file that it reads.
 """
@@ -29,15 +29,16 @@ from typing import Any
 
 from pydantic import Field, model_validator
 
-from sim_heating.effects import own_files
-from sim_heating.errors import InputError
-from sim_heating.files import Declared, check, raise_problems, read_toml, shown
-from sim_heating.planning.dispersion_spec import Dispersion
-from sim_heating.planning.envelope_spec import Envelope, NextFlight
-from sim_heating.planning.optimal_spec import Limit, LimitedPoint, OptimalStudy, OptimalStudyFile, optimal_study
-from sim_heating.scenario import Scenario, ScenarioEffect, ScenarioFile, scenario_of
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import Declared, check, raise_problems, read_toml, shown
+from sim_heating.heating.effects import own_files
+from sim_heating.inputs.scenario import Scenario, ScenarioEffect, ScenarioFile, scenario_of
+from sim_heating.inputs.vehicle import Vehicle, load_vehicle
+from sim_heating.planning.dispersion.spec import Dispersion
+from sim_heating.planning.envelope.spec import Envelope, NextFlight
+from sim_heating.planning.limited_point import LimitedPoint
+from sim_heating.planning.optimal.spec import Limit, OptimalStudy, OptimalStudyFile, optimal_study
 from sim_heating.trajectory.spec import TrajectorySpec
-from sim_heating.vehicle import Vehicle, load_vehicle
 
 HASH_LENGTH = 12
 """Characters of the hash that a figure names."""

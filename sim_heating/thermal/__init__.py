@@ -1,0 +1,1 @@
+"""One-dimensional conduction through a stack of layers: mesh, finite elements, implicit step, sensitivities."""

@@ -19,9 +19,9 @@ Radiation through a porous material adds k_r (T / 1000 K)^3 to its conductivity;
 
 to its heat content: latent heat L taken up about T_boil, heat D given off where vapour from hotter depths condenses.
 
-Everything lives in one flat float64 block (layout.py). Loops over lanes touch rows of one node and its neighbours
-only, at constant distances: that is what lets the compiler vectorise them without alias checks. What all nodes of a
-lane share is handed on from node to node (FRACTION, MOVES, LARGEST).
+Everything lives in one flat float64 block (base/kernels/block.py). Loops over lanes touch rows of one node and its
+neighbours only, at constant distances: that is what lets the compiler vectorise them without alias checks. What all
+nodes of a lane share is handed on from node to node (FRACTION, MOVES, LARGEST).
 """
 
 from __future__ import annotations
@@ -29,11 +29,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sim_heating.arithmetic import lanes_outside, logistic
-from sim_heating.jit import folded, inlined, njit
-from sim_heating.layout import (
+from sim_heating.base.arrays import FloatArray, IntArray
+from sim_heating.base.kernels.block import (
     BOIL,
     C_LEFT,
     C_RIGHT,
@@ -84,9 +82,8 @@ from sim_heating.layout import (
     G,
     T,
 )
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from sim_heating.base.kernels.elementary import lanes_outside, logistic
+from sim_heating.base.kernels.jit import folded, inlined, njit
 
 SHARE = 1.0 / 6.0
 """0 gives the lumped mass matrix, 1/3 the consistent one."""

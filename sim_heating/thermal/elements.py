@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from sim_heating.arithmetic import exp
-from sim_heating.jit import folded, njit
-from sim_heating.layout import (
+from sim_heating.base.arrays import FloatArray, IntArray
+from sim_heating.base.kernels.block import (
     BACK_EPS,
     BACK_H,
     BACK_T,
@@ -36,9 +32,8 @@ from sim_heating.layout import (
     WET_RIGHT,
     G,
 )
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from sim_heating.base.kernels.elementary import exp
+from sim_heating.base.kernels.jit import folded, njit
 
 (
     COATING_THICKNESS, COATING_CONDUCTIVITY, COATING_CAPACITY, RSI_CONDUCTIVITY, RSI_CAPACITY, EMISSIVITY, RADIATIVE,

@@ -9,12 +9,8 @@ At the surface, at the back, and at every node along a gap that hot gas flows in
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from sim_heating.arithmetic import lanes_outside
-from sim_heating.jit import folded, inlined, njit
-from sim_heating.layout import (
+from sim_heating.base.arrays import FloatArray, IntArray
+from sim_heating.base.kernels.block import (
     ADDED,
     AIR,
     AIR_FOOT,
@@ -54,11 +50,10 @@ from sim_heating.layout import (
     WALL_LOW,
     T,
 )
-from sim_heating.surface_heating import emittance_factor, with_effects
+from sim_heating.base.kernels.elementary import lanes_outside
+from sim_heating.base.kernels.jit import folded, inlined, njit
+from sim_heating.heating.film import emittance_factor, with_effects
 from sim_heating.thermal.assembly import BIN_K, BINS, FAR, property_bin
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 SIGMA = 5.670374419e-8
 """Stefan-Boltzmann constant [W/(m2 K4)], CODATA 2018."""

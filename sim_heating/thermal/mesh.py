@@ -7,7 +7,7 @@ same for all materials. The density of nodes in s is
 
 S chosen so that UNIFORM is the share of evenly spaced nodes to graded ones: the graded part serves the surface, the
 even one the steep gradients in depth. Halving every element keeps the grading, which makes the difference of two
-such meshes an estimate of the error (resolution.py).
+such meshes an estimate of the error (march/mesh_choice.py).
 """
 
 from __future__ import annotations
@@ -17,10 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.errors import InputError
-from sim_heating.thermal.declare import Construction, pairs
-
-FloatArray = NDArray[np.float64]
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import InputError
+from sim_heating.thermal.stack import Construction, pairs
 
 GROWTH, UNIFORM = 0.6, 0.5
 """Of 15 pairs tried (growth 0.35 to 1, uniform 0 to 4) on entries of HRSI, FRSI and the five-thermocouple plug with
@@ -160,3 +159,9 @@ def refined(mesh: Mesh) -> Mesh:
     layer = np.repeat(mesh.layer, times)
     depth = np.concatenate(([0.0], np.cumsum(np.where(layer < 0, 0.0, length))))
     return Mesh(length, layer, depth, tuple(int(first[i]) for i in mesh.sensors), int(first[mesh.bondline]))
+
+
+def on_mesh(profile: FloatArray, mesh: Mesh, other: Mesh) -> FloatArray:
+    """(node,) temperatures [K] of one mesh on another of the same elements or parts of them, linear between nodes."""
+    at, wanted = (np.concatenate(([0.0], np.cumsum(m.length_m))) for m in (mesh, other))
+    return np.interp(wanted, at, profile)

@@ -15,11 +15,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.reference_heating.gas import wall_enthalpy_grid
+from sim_heating.base.arrays import FloatArray
+from sim_heating.heating.reference.gas import wall_enthalpy_grid
 from sim_heating.thermal.assembly import BIN_K, BINS, FAR
-from sim_heating.thermal.declare import Material, pairs
+from sim_heating.thermal.stack import Material, pairs
 
-FloatArray = NDArray[np.float64]
 EDGES_K = BIN_K * np.arange(BINS + 1)
 STRAIGHT = 1e-11
 """A property goes on straight where its change over a bin differs by less than this part of its value."""

@@ -23,12 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from sim_heating.errors import InputError
-from sim_heating.files import CsvTable, read_csv_columns, read_toml, shown
-from sim_heating.jit import njit
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import CsvTable, read_csv_columns, read_toml, shown
+from sim_heating.base.kernels.jit import njit
 from sim_heating.trajectory.spec import TrajectorySpec
 
-FloatArray = NDArray[np.float64]
 Positive = Annotated[float, Field(gt=0.0)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 Span = tuple[float, float]

@@ -10,12 +10,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sim_heating.atmosphere import HIGHEST_M
-from sim_heating.conditions import FRAME
-from sim_heating.errors import InputError, RunError
-from sim_heating.progress import Progress
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import FRAME
+from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.progress import Progress
+from sim_heating.heating.atmosphere import HIGHEST_M
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import manoeuvres as mv
 from sim_heating.trajectory import point_mass as pm
@@ -24,8 +24,6 @@ from sim_heating.trajectory.flight import ROW, Flight, OnFrame, Sampler, referen
 from sim_heating.trajectory.schedules import pack
 from sim_heating.trajectory.spec import Guidance, Initial, TrajectorySpec
 from sim_heating.trajectory.trimmed_aero import aero_block, low_speed_rows
-
-FloatArray = NDArray[np.float64]
 
 DEEPEST_M = -20.0
 """A vehicle below this has flown into the ground; one that stops at 0 m has passed it by less within a frame."""

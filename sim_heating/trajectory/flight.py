@@ -8,13 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sim_heating.atmosphere import derive
-from sim_heating.conditions import FRAME, STATE, Conditions
-from sim_heating.errors import InputError
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import FRAME, STATE, Conditions
+from sim_heating.base.errors import InputError
+from sim_heating.heating.atmosphere import derive
 
-FloatArray = NDArray[np.float64]
 OnFrame = Callable[[FloatArray], None]
 
 EXTRAS = ("bank_deg", "gamma_deg", "heading_deg", "latitude_deg", "longitude_deg", "axial_accel_g")
@@ -61,8 +60,8 @@ def reference_length_m(vehicle_dir: Path) -> float:
 def conditions_from_rows(rows: FloatArray, length_m: float) -> Conditions:
     """Conditions in the contract's columns from (time, len(ROW)) rows.
 
-    Temperature, pressure, Mach and Reynolds number come from sim_heating.atmosphere; bank, heading and longitude
-    are made continuous, so that a value between two samples can be taken linearly (they may pass 180 deg).
+    Temperature, pressure, Mach and Reynolds number come from sim_heating.heating.atmosphere; bank, heading and
+    longitude are made continuous, so that a value between two samples can be taken linearly (they may pass 180 deg).
     """
     given = {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(ROW)}
     for i in TURNING:

@@ -25,15 +25,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sim_heating.errors import InputError
-from sim_heating.files import read_toml
-from sim_heating.jit import njit, raw
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import read_toml
+from sim_heating.base.kernels.jit import njit, raw
 from sim_heating.trajectory.schedules import pack, places, schedule_slope, scheduled
 from sim_heating.trajectory.spec import Approach, Guidance, GuidanceChanges
-
-FloatArray = NDArray[np.float64]
 
 TOUCHDOWN_RATE_M_S = 1.0
 """Sink rate that the flare ends with."""

@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sim_heating.jit import njit
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.kernels.jit import njit
 from sim_heating.trajectory.flight import Window
 from sim_heating.trajectory.spec import (
     BodyflapPulse,
@@ -24,9 +24,8 @@ from sim_heating.trajectory.spec import (
     Manoeuvre,
     Popu,
     SideslipDoublet,
-)  # fmt: skip
+)
 
-FloatArray = NDArray[np.float64]
 Polygon = list[tuple[float, float]]
 
 ALPHA, BETA, ELEVON, BODYFLAP, JETS, PITCH = range(6)

@@ -17,11 +17,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from sim_heating.atmosphere import speed_of_sound_kernel, us76_kernel
-from sim_heating.jit import njit, raw
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.kernels.jit import njit, raw
+from sim_heating.heating.atmosphere import speed_of_sound_kernel, us76_kernel
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import manoeuvres as mv
 from sim_heating.trajectory.guidance import clipped, first_memory_kernel, guidance_kernel
@@ -29,8 +27,6 @@ from sim_heating.trajectory.manoeuvres import offsets_kernel, trigger_kernel
 from sim_heating.trajectory.schedules import places, scheduled
 from sim_heating.trajectory.spec import MACH_COUNTS_BELOW_M
 from sim_heating.trajectory.trimmed_aero import lift_drag_kernel
-
-FloatArray = NDArray[np.float64]
 
 WGS84_MU_M3_S2 = 3.986004418e14
 WGS84_RADIUS_M = 6378137.0

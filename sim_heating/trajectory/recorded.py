@@ -1,7 +1,7 @@
 """A flight as it was recorded: conditions from a CSV file in the contract's columns.
 
 What a host would give must be there; temperature, pressure, Mach and Reynolds number are taken as recorded, and derived
-by sim_heating.atmosphere where a column is absent. Further columns of numbers are kept.
+by sim_heating.heating.atmosphere where a column is absent. Further columns of numbers are kept.
 """
 
 from __future__ import annotations
@@ -9,18 +9,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sim_heating.atmosphere import HIGHEST_M, LOWEST_M, derive
-from sim_heating.conditions import FRAME, HEATING, STATE, Conditions
-from sim_heating.errors import InputError
-from sim_heating.files import CsvTable, raise_problems, read_csv_columns
-from sim_heating.plausible import implausible
-from sim_heating.progress import Progress
+from sim_heating.base.conditions import FRAME, HEATING, STATE, Conditions
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import CsvTable, raise_problems, read_csv_columns
+from sim_heating.base.limits import implausible
+from sim_heating.base.progress import Progress
+from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, derive
 from sim_heating.trajectory.flight import EXTRAS, Flight, OnFrame, reference_length_m
 from sim_heating.trajectory.spec import TrajectorySpec
-
-FloatArray = NDArray[np.float64]
 
 DERIVED = ("T_inf_K", "p_inf_Pa", "mach", "log10_re")
 REQUIRED = tuple(name for name in STATE if name not in DERIVED)

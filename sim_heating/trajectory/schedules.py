@@ -12,11 +12,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sim_heating.jit import njit
-
-FloatArray = NDArray[np.float64]
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.kernels.jit import njit
 
 
 def pack(scalars: Sequence[float], schedules: Sequence[Sequence[tuple[float, float]]]) -> FloatArray:

@@ -13,15 +13,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sim_heating.errors import InputError
-from sim_heating.files import read_csv_columns
-from sim_heating.jit import njit
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import read_csv_columns
+from sim_heating.base.kernels.jit import njit
 from sim_heating.trajectory.aero import Aero, Grid
 from sim_heating.trajectory.guidance import clipped
-
-FloatArray = NDArray[np.float64]
 
 ARM, CM_SHIFT, SHIFT_LOW, SHIFT_HIGH, ELEVON_LOW, ELEVON_HIGH = range(6)
 """First numbers of a flight's block: (x_cg - x_ref) / c, flight-found Cm, its Mach numbers, elevon travel [deg]."""

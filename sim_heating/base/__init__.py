@@ -1,0 +1,1 @@
+"""What all folders use: errors, files, progress, batches of jobs, parameters, kernels, pages and figures."""

@@ -1,0 +1,94 @@
+"""Flight conditions: one named array per column, SI, linear in time between samples."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import InputError
+
+STATE = (
+    "time_s", "altitude_m", "velocity_m_s", "mach", "alpha_deg", "beta_deg", "log10_re",
+    "elevon_deg", "bodyflap_deg", "rho_kg_m3", "T_inf_K", "p_inf_Pa",
+)  # fmt: skip
+"""Columns that every flight has."""
+
+HEATING = ("p_surface_Pa", "h_ref_kg_m2_s", "H_r_J_kg")
+"""Columns that the heating of one control point needs beside STATE."""
+
+RATIO_VARIABLES = ("alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg")
+"""The variables of a heating-ratio table, in the order of its axes."""
+
+FRAME = (
+    "time_s", "altitude_m", "velocity_m_s", "alpha_deg", "beta_deg",
+    "elevon_deg", "bodyflap_deg", "rho_kg_m3", "jets",
+)  # fmt: skip
+"""What a host gives at each frame; temperature, Mach and Reynolds number are derived from it."""
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Time histories of a flight.
+
+    columns : name -> (time,) float64; `time_s` strictly increasing; every value finite
+    raises  : InputError naming column and row where that does not hold
+    """
+
+    columns: Mapping[str, FloatArray]
+
+    def __post_init__(self) -> None:
+        time = self.columns.get("time_s")
+        if time is None or len(time) == 0:
+            raise InputError("conditions: there is no time_s; give at least one sample")
+        for name, values in self.columns.items():
+            if len(values) != len(time):
+                raise InputError(f"conditions, column {name}: {len(values)} values against {len(time)} times")
+            if not np.all(np.isfinite(values)):
+                row = int(np.flatnonzero(~np.isfinite(values))[0])
+                raise InputError(f"conditions, row {row + 1}, column {name}: {values[row]} is not a finite number")
+        if np.any(np.diff(time) <= 0.0):
+            row = int(np.flatnonzero(np.diff(time) <= 0.0)[0]) + 1
+            raise InputError(
+                f"conditions, row {row + 1}, column time_s: {time[row]} does not come after {time[row - 1]}"
+            )
+
+    def __getitem__(self, name: str) -> FloatArray:
+        return self.columns[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.columns
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    @property
+    def time_s(self) -> FloatArray:
+        """(time,) sample times [s]."""
+        return self.columns["time_s"]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all columns, in their order."""
+        return tuple(self.columns)
+
+    def with_columns(self, **arrays: ArrayLike) -> Conditions:
+        """The same samples with columns added or replaced; scalars are spread over all samples."""
+        new = {name: np.broadcast_to(np.asarray(a, dtype=float), self.time_s.shape) for name, a in arrays.items()}
+        return Conditions({**self.columns, **new})
+
+    def at(self, time_s: ArrayLike) -> Conditions:
+        """Conditions at other times [s], linear between samples.
+
+        raises : InputError where a time lies outside the samples (nothing is extrapolated)
+        """
+        t = np.atleast_1d(np.asarray(time_s, dtype=float))
+        first, last = self.time_s[0], self.time_s[-1]
+        if np.any(t < first) or np.any(t > last):
+            raise InputError(f"conditions: asked for {t.min()} to {t.max()} s, sampled from {first} to {last} s")
+        return Conditions(
+            {"time_s": t} | {n: np.interp(t, self.time_s, v) for n, v in self.columns.items() if n != "time_s"}
+        )

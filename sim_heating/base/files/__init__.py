@@ -1,0 +1,42 @@
+"""Files in and out: what is read is checked and answered with file, place, value and rule; what is written is whole.
+
+A problem is one line, `record.toml, [thermocouples.sensor] 2: unknown key ...` or `conditions.csv, row 14,
+column mach: ...`, where a row is the line of the file as an editor counts it. All problems of a file come at once.
+"""
+
+from sim_heating.base.files.csv_table import COLDEST_K, CsvTable, celsius_rule, csv_text, read_csv_columns, write_csv
+from sim_heating.base.files.results import (
+    MARKER,
+    files_made,
+    json_text,
+    output_directory,
+    read_json,
+    require_place,
+    write_json,
+)
+from sim_heating.base.files.text import (
+    nearest,
+    raise_problems,
+    raw_text,
+    read_text,
+    shown,
+    suggestion,
+    write_text_atomic,
+)
+from sim_heating.base.files.toml import (
+    Declared,
+    LocatedError,
+    Location,
+    check,
+    known_keys,
+    read_toml,
+    read_toml_dict,
+    toml_text,
+)
+
+__all__ = [
+    "COLDEST_K", "MARKER", "CsvTable", "Declared", "LocatedError", "Location", "celsius_rule", "check", "csv_text",
+    "files_made", "json_text", "known_keys", "nearest", "output_directory", "raise_problems", "raw_text",
+    "read_csv_columns", "read_json", "read_text", "read_toml", "read_toml_dict", "require_place", "shown", "suggestion",
+    "toml_text", "write_csv", "write_json", "write_text_atomic",
+]  # fmt: skip

@@ -1,0 +1,248 @@
+"""CSV tables: a row of names, numbers below; every problem told by row (the line in an editor) and column."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.files.text import brief, nearest, raise_problems, read_text, shown, write_text_atomic
+
+COLDEST_K = 100.0
+"""Below this a temperature of a flight is taken for one in Celsius [K]."""
+
+
+@dataclass(frozen=True)
+class CsvTable:
+    """A CSV file by columns.
+
+    columns : name -> (row,) float64 in the order of the file; NaN only where an empty cell was allowed
+    header  : `# key: value` lines before the names
+    path    : the file, for messages
+    lines   : (row,) line of the file that each row stands on
+    text    : name -> cells of the columns that were asked for as text
+    """
+
+    columns: dict[str, FloatArray]
+    header: dict[str, str]
+    path: Path
+    lines: NDArray[np.int64]
+    text: dict[str, list[str]] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> FloatArray:
+        return self.columns[name]
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def problem(self, index: int, column: str, rule: str) -> str:
+        """`file, row 14, column x: value rule`."""
+        return f"{shown(self.path)}, row {self.lines[index]}, column {column}: {self.columns[column][index]:g} {rule}"
+
+    def where_not(self, column: str, holds: ArrayLike, rule: str) -> list[str]:
+        """One problem line for a column where a condition does not hold in every row, naming the first such row."""
+        bad = np.flatnonzero(~np.asarray(holds, dtype=bool))
+        if bad.size == 0:
+            return []
+        more = f" (and {bad.size - 1} more rows)" if bad.size > 1 else ""
+        return [self.problem(int(bad[0]), column, rule) + more]
+
+    def not_increasing(self, column: str = "time_s") -> list[str]:
+        """Problems of a column that must increase from row to row."""
+        values = self.columns[column]
+        bad = np.flatnonzero(~(np.diff(values) > 0.0)) + 1
+        if bad.size == 0:
+            return []
+        before = f"does not come after {values[bad[0] - 1]:.10g}; sort the rows by {column} and remove repeated ones"
+        value = f"{values[bad[0]]:.10g}"
+        return [f"{shown(self.path)}, row {self.lines[bad[0]]}, column {column}: {value} {before}"]
+
+    def not_kelvin(self, column: str) -> list[str]:
+        """Problems of a temperature column [K]; values below 100 K are taken for Celsius. NaN passes."""
+        return self.where_not(column, ~(self.columns[column] < COLDEST_K), celsius_rule())
+
+
+def celsius_rule() -> str:
+    """What is said of a temperature that is too cold to be in K."""
+    return f"is below {COLDEST_K:g} K and looks like Celsius; give K (Celsius + 273.15)"
+
+
+def read_csv_columns(
+    path: str | os.PathLike[str],
+    required: Sequence[str],
+    optional: Sequence[str] = (),
+    *,
+    allow_empty: Iterable[str] = (),
+    keep_other: bool = True,
+    text: Sequence[str] = (),
+) -> CsvTable:
+    """Read a CSV file with one row of names and numbers below it.
+
+    required    : columns that must be there
+    optional    : columns with a meaning that may be there; a near miss of an absent one is an error
+    allow_empty : columns in which an empty cell is a lost sample (NaN)
+    keep_other  : keep further columns too (they must be numbers all the same)
+    text        : columns that are kept as text
+    raises      : InputError naming row, column and value, all problems at once
+    """
+    names, rows, lines, header = _cells(Path(path))
+    problems = _name_problems(shown(path), names, required, optional)
+    wanted = [n for n in names if n and (keep_other or n in {*required, *optional, *text})]
+    raise_problems(problems)
+    ragged = [
+        f"{shown(path)}, row {line}: {len(row)} cells against {len(names)} columns; the row is damaged or cut off"
+        for row, line in zip(rows, lines, strict=True)
+        if len(row) != len(names)
+    ]
+    raise_problems(_first_and_count(ragged))
+    cells = dict(zip(names, zip(*rows, strict=True), strict=True))
+    lost = set(allow_empty)
+    columns: dict[str, FloatArray] = {}
+    for name in (n for n in wanted if n not in text):
+        columns[name], bad = _numbers(cells[name], name in lost)
+        problems += [f"{shown(path)}, row {lines[i]}, column {name}: {what}" for i, what in bad]
+    raise_problems(problems)
+    texts = {n: [c.strip() for c in cells[n]] for n in wanted if n in text}
+    return CsvTable(columns, header, Path(path), np.array(lines, dtype=np.int64), texts)
+
+
+def _cells(path: Path) -> tuple[list[str], list[list[str]], list[int], dict[str, str]]:
+    """Names, rows of cells, the line of each row, and the `# key: value` header."""
+    content = read_text(path).replace("\r\n", "\n").replace("\r", "\n").rstrip().split("\n")
+    first = next((i for i, line in enumerate(content) if line.strip() and not line.startswith("#")), None)
+    if first is None:
+        raise InputError(f"{shown(path)}: there is no row of column names; the file holds comments only")
+    header = dict(_header_entry(line) for line in content[:first] if ":" in line)
+    reader = csv.reader(content[first:])
+    try:
+        rows = [(row, first + reader.line_num) for row in reader]
+    except csv.Error as error:
+        raise InputError(f"{shown(path)}, row {first + reader.line_num}: is not CSV ({error})") from None
+    names = [name.strip() for name in rows[0][0]]
+    if len(rows) < 2:
+        raise InputError(f"{shown(path)}: there are column names and no rows; the file may have been cut off")
+    blank = [f"{shown(path)}, row {line}: the row is blank; remove it" for row, line in rows if not row]
+    raise_problems(_first_and_count(blank))
+    return names, [row for row, _ in rows[1:]], [line for _, line in rows[1:]], header
+
+
+def _header_entry(line: str) -> tuple[str, str]:
+    key, _, value = line.lstrip("# ").partition(":")
+    return key.strip(), value.strip()
+
+
+def _first_and_count(problems: list[str]) -> list[str]:
+    if len(problems) > 1:
+        return [f"{problems[0]} (and {len(problems) - 1} more rows)"]
+    return problems
+
+
+def _name_problems(file: str, names: list[str], required: Sequence[str], optional: Sequence[str]) -> list[str]:
+    """Problems of the row of names: missing, repeated, empty, misspelt."""
+    other = [n for n in names if n not in {*required, *optional}]
+    missing = [n for n in required if n not in names]
+    if missing and len(names) == 1 and (sign := next((s for s in (";", "\t") if s in names[0]), None)):
+        return [f"{file}, row of names: cells are separated by {sign!r}; separate them by commas"]
+    problems = [f"{file}: there is no column `{n}`.{_nearest_column(n, other)}" for n in missing]
+    problems += [f"{file}: column `{n}` is there twice; remove one" for n in dict.fromkeys(names) if names.count(n) > 1]
+    problems += [f"{file}: column {i + 1} has no name; name or remove it" for i, n in enumerate(names) if not n]
+    for name in optional:
+        close = nearest(name, other, cutoff=0.85)
+        if name not in names and close:
+            problems.append(f"{file}: unknown column `{close}`. Nearest: `{name}`.")
+    return problems
+
+
+def _nearest_column(name: str, other: list[str]) -> str:
+    close = nearest(name, other)
+    return f" Nearest in the file: `{close}`." if close else " Add it."
+
+
+def _numbers(cells: Sequence[str], may_be_empty: bool) -> tuple[FloatArray, list[tuple[int, str]]]:
+    """Numbers of a column, and (row index, problem) of its first bad cell with the count of the others."""
+    values = _all_numbers(cells)
+    if values is not None:
+        return values, []
+    parsed = [_number(cell, may_be_empty) for cell in cells]
+    bad = [(i, p) for i, p in enumerate(parsed) if isinstance(p, str)]
+    if bad:
+        more = f" (and {len(bad) - 1} more rows)" if len(bad) > 1 else ""
+        return np.empty(0), [(bad[0][0], bad[0][1] + more)]
+    return np.array(parsed, dtype=np.float64), []
+
+
+def _all_numbers(cells: Sequence[str]) -> FloatArray | None:
+    """All cells at once; None where one of them is not a plain finite number."""
+    try:
+        values = np.array(cells, dtype=np.float64)
+    except ValueError:
+        return None
+    return values if np.all(np.isfinite(values)) and not any("_" in c for c in cells) else None
+
+
+def _number(cell: str, may_be_empty: bool) -> float | str:
+    """The number in a cell, or what is wrong with it."""
+    stripped = cell.strip()
+    if not stripped:
+        return math.nan if may_be_empty else "the cell is empty; give a number"
+    try:
+        value = float(stripped) if "_" not in stripped else None
+    except ValueError:
+        value = None
+    if value is None:
+        return f"{brief(stripped)} is not a number"
+    if not math.isfinite(value):
+        hint = "; leave the cell of a lost sample empty" if may_be_empty else ""
+        return f"{stripped} is not a finite number{hint}"
+    return value
+
+
+def csv_text(
+    columns: Mapping[str, ArrayLike],
+    formats: Mapping[str, str] | str | None = None,
+    header: Mapping[str, object] | None = None,
+) -> str:
+    """Columns as CSV text: `# key: value` lines, names, one row a sample; NaN is an empty cell.
+
+    formats : format of a number by column, or one for all, as in `".2f"`; without one a number reads back equal
+    raises  : RunError where a number is infinite or columns differ in length
+    """
+    formatted = [_formatted(name, np.asarray(v), formats) for name, v in columns.items()]
+    if len({len(c) for c in formatted}) > 1:
+        raise RunError(f"columns {', '.join(columns)} differ in length")
+    head = [f"# {key}: {' '.join(str(value).split())}" for key, value in (header or {}).items()]
+    names = ",".join(_quoted(name) for name in columns)
+    return "\n".join([*head, names, *(",".join(row) for row in zip(*formatted, strict=True))]) + "\n"
+
+
+def _formatted(name: str, values: NDArray[Any], formats: Mapping[str, str] | str | None) -> list[str]:
+    if values.dtype.kind not in "fiub":
+        return [_quoted(str(v)) for v in values]
+    if np.any(np.isinf(values)):
+        raise RunError(f"column {name} holds an infinite number; nothing was written")
+    spec = formats if isinstance(formats, str) else (formats or {}).get(name)
+    as_text: Callable[[Any], str] = repr if spec is None else lambda v: format(v, spec)
+    return ["" if v != v else as_text(v) for v in values.tolist()]
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text
+
+
+def write_csv(
+    path: str | os.PathLike[str],
+    columns: Mapping[str, ArrayLike],
+    formats: Mapping[str, str] | str | None = None,
+    header: Mapping[str, object] | None = None,
+) -> None:
+    """Write columns as CSV, whole or not at all; see csv_text."""
+    write_text_atomic(path, csv_text(columns, formats, header))

@@ -1,0 +1,138 @@
+"""Text files in and out, and how a message names things: files, nearest names, values."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import os
+import tempfile
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim_heating.base.errors import InputError
+
+
+def shown(path: str | os.PathLike[str]) -> str:
+    """A path as a message names it: relative where it lies below the working directory, else as given."""
+    try:
+        return str(Path(path).resolve().relative_to(Path.cwd()))
+    except (ValueError, OSError):
+        return str(path)
+
+
+def nearest(name: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
+    """The known name closest to a wrong one, whatever its case, or None where none is close."""
+    by_lower = {k.lower(): k for k in known}
+    found = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=cutoff)
+    return by_lower[found[0]] if found else None
+
+
+def suggestion(name: str, known: Iterable[str]) -> str:
+    """`Nearest: x.`, or the list of what is known where nothing is near."""
+    names = list(known)
+    near = nearest(name, names)
+    return f"Nearest: `{near}`." if near else f"Known: {', '.join(f'`{n}`' for n in names)}."
+
+
+def raise_problems(problems: Sequence[str]) -> None:
+    """Raise all problems of a file at once, if there are any."""
+    if problems:
+        raise InputError(*(one_line(p) for p in problems))
+
+
+def one_line(text: str) -> str:
+    """A message with what does not print (a line break in a key, say) written as its escape."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def read_text(path: str | os.PathLike[str]) -> str:
+    """The text of a file.
+
+    raises : InputError, one line, where it is missing, a directory, unreadable, empty, binary or not UTF-8
+    """
+    name = shown(path)
+    try:
+        raw = Path(path).read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{name}: there is no such file{_neighbour(Path(path))}") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{name}: cannot be read ({reason(error)}); give a text file") from None
+    if not raw.strip():
+        raise InputError(f"{name}: the file is empty")
+    if b"\0" in raw:
+        raise InputError(f"{name}: is a binary file (byte {raw.index(0)} is 0); give a text file")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        bad = f"byte 0x{raw[error.start]:02x}"
+        raise InputError(f"{name}, line {line}: {bad} is not UTF-8 text; save the file as UTF-8") from None
+
+
+def raw_text(path: str | os.PathLike[str]) -> str:
+    """The text of a file with its line ends and byte-order mark as they are; raises as `read_text`."""
+    read_text(path)
+    return Path(path).read_bytes().decode("utf-8")
+
+
+def _neighbour(path: Path) -> str:
+    try:
+        near = nearest(path.name, sorted(p.name for p in path.parent.iterdir()), cutoff=0.7)
+    except OSError:
+        return ""
+    return f". Nearest: `{near}`." if near else ""
+
+
+def reason(error: Exception) -> str:
+    """Why a file could not be used, in the system's own words."""
+    return getattr(error, "strerror", None) or str(error)
+
+
+def brief(value: Any) -> str:
+    """A value as a message shows it: on one line, cut after 60 characters."""
+    text = json.dumps(value, default=str, ensure_ascii=False)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def plain(value: Any) -> Any:
+    """numpy scalars and arrays as Python's own."""
+    return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
+
+
+def write_text_atomic(path: str | os.PathLike[str], text: str) -> None:
+    """Write a text file so that it is either there whole or not at all; missing parent directories are made.
+
+    raises : InputError where the place cannot be written
+    """
+    write_bytes_atomic(path, text.encode("utf-8"))
+
+
+def write_bytes_atomic(path: str | os.PathLike[str], data: bytes) -> None:
+    """The same for a file of bytes."""
+    target = Path(path)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        handle, partial = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
+    except OSError as error:
+        raise InputError(f"{shown(path)}: cannot be written ({reason(error)}); choose another place") from None
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(data)
+        os.chmod(partial, 0o666 & ~umask())
+        os.replace(partial, target)
+    except OSError as error:
+        Path(partial).unlink(missing_ok=True)
+        raise InputError(f"{shown(path)}: cannot be written ({reason(error)})") from None
+    except BaseException:
+        Path(partial).unlink(missing_ok=True)
+        raise
+
+
+def umask() -> int:
+    """The process's file mode mask, which can only be read by setting it."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

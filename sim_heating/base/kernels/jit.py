@@ -1,0 +1,288 @@
+"""The one way kernels are compiled: strict IEEE arithmetic, no exceptions, cached where a cache can be written."""
+
+from __future__ import annotations
+
+import gc
+import hashlib
+import math
+import os
+import re
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import llvmlite.ir
+import numba
+import numba.core.compiler
+import numba.extending
+
+F = TypeVar("F", bound=Callable[..., object])
+
+PACKAGE = Path(__file__).resolve().parents[2]
+CACHE_AGE_S = 14 * 86400.0
+"""Caches of other versions of the package that nobody has used for so long are removed [s]."""
+
+
+_IMPORT = re.compile(r"^\s*(?:from|import) sim_heating\.([\w.]+)(?: import (?:\(([^)]*)\)|(.*)))?", re.MULTILINE)
+
+
+def _modules() -> dict[str, Path]:
+    """File of each module and package in this one, by its dotted name within it."""
+    files = {path.relative_to(PACKAGE).with_suffix("").parts: path for path in PACKAGE.rglob("*.py")}
+    return {".".join(parts[:-1] if parts[-1] == "__init__" else parts): path for parts, path in files.items()}
+
+
+def _imported(path: Path, modules: Mapping[str, Path]) -> set[Path]:
+    """Modules of the package that a module imports, by their absolute names."""
+    found = set()
+    for module, several, one in _IMPORT.findall(path.read_text()):
+        found |= {module, *(f"{module}.{name}" for name in re.findall(r"\w+", several + one))}
+    return {modules[name] for name in found if name in modules}
+
+
+def source_digest() -> str:
+    """Digest of everything that compiled kernels are made of: modules that import this one, what those import, data.
+
+    numba keys its cache by the file of a function alone: a kernel that calls another, or holds a table as a
+    constant, would keep what it was compiled with when that changes in another file.
+    """
+    modules = _modules()
+    imports = {path: _imported(path, modules) for path in modules.values()}
+    waiting = [path for path, found in imports.items() if Path(__file__).resolve() in found]
+    sources: set[Path] = set()
+    while waiting:
+        path = waiting.pop()
+        if path not in sources:
+            sources.add(path)
+            waiting += imports[path]
+    digest = hashlib.sha256(numba.__version__.encode())
+    for path in sorted([*sources, *PACKAGE.rglob("*.csv")]):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _cache_folder() -> str:
+    """A writable folder for compiled kernels of just this version: in the user's cache, else temporary."""
+    home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "sim_heating"
+    folder = home / f"kernels-{source_digest()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            folder.touch()
+        for other in home.glob("kernels-*"):
+            if time.time() - other.stat().st_mtime > CACHE_AGE_S:
+                shutil.rmtree(other, ignore_errors=True)
+        return str(folder)
+    except OSError:
+        return tempfile.mkdtemp(prefix="sim_heating_kernels_")
+
+
+if "NUMBA_CACHE_DIR" not in os.environ:
+    numba.config.CACHE_DIR = _cache_folder()  # type: ignore[attr-defined]
+
+# Loops over a few lanes are unrolled before the loop vectoriser sees them; this pass packs them back into vectors. It
+# reorders no arithmetic: results keep their bits.
+numba.config.SLP_VECTORIZE = 1  # type: ignore[attr-defined]
+
+
+class _Compiler(numba.core.compiler.Compiler):
+    """Compiles without Python looking for garbage meanwhile, a tenth of the time: the compiler leaves hardly any."""
+
+    def compile_extra(self, function: Any) -> Any:
+        if not gc.isenabled():
+            return super().compile_extra(function)
+        gc.disable()
+        try:
+            return super().compile_extra(function)
+        finally:
+            gc.enable()
+
+
+class _KernelCompiler(_Compiler):
+    """Leaves out the faces of a kernel that nobody calls, an eighth of the time: the one for C (c_function makes its
+    own), and the one for Python where a kernel takes pointers, which Python cannot give."""
+
+    def __init__(self, *given: Any) -> None:
+        super().__init__(*given)
+        flags = self.state.flags
+        flags.no_cfunc_wrapper = True
+        flags.no_cpython_wrapper = any(isinstance(argument, numba.types.CPointer) for argument in self.state.args)
+
+
+_ARITHMETIC: Mapping[str, Any] = {"fastmath": False, "error_model": "numpy"}
+"""What every kernel is compiled with, and what makes its bits."""
+
+
+def njit(function: F, inline: bool = False) -> F:
+    """Compile a kernel: no fastmath (bit-equal interpreted, jitted and exported), numpy division, GIL released."""
+    kernel = numba.njit(cache=True, nogil=True, forceinline=inline, pipeline_class=_KernelCompiler, **_ARITHMETIC)
+    return cast(F, kernel(function))
+
+
+def folded(function: F) -> F:
+    """A kernel that is put into its caller before that is compiled: for one with a single caller, which would otherwise
+    be compiled for itself and then once more within it. Not for a large one: numba copies all of it, twice, and again
+    with every caller around it, in a time that grows as its square."""
+    return cast(F, numba.njit(inline="always", **_ARITHMETIC)(function))
+
+
+def c_function(signature: Any, function: Any, cache: bool = True) -> Any:
+    """Compile a kernel as a C function with a fixed address; interpreted, the function itself."""
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return function
+    return numba.cfunc(signature, cache=cache, pipeline_class=_Compiler, **_ARITHMETIC)(function)
+
+
+def inlined(function: F) -> F:
+    """njit, put in wherever it is called: a loop over lanes with a call left in it takes them one by one."""
+    return njit(function, inline=True)
+
+
+@numba.extending.intrinsic
+def _data_pointer(_typing_context: object, array: numba.types.Array):  # type: ignore[no-untyped-def]
+    pointer = numba.types.CPointer(array.dtype)
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        return context.make_array(signature.args[0])(context, builder, args[0]).data
+
+    return pointer(array), codegen
+
+
+def raw(array):  # type: ignore[no-untyped-def]
+    """The data of a contiguous array as a kernel takes it: a bare C pointer compiled, the array itself interpreted.
+
+    A pointer is what an exported library hands over as well, and its index arithmetic knows no negative indices, which
+    an array's does: kernels on pointers vectorise across lanes and kernels on arrays do not.
+    """
+    return array
+
+
+@numba.extending.overload(raw, inline="always")
+def _raw_compiled(array):  # type: ignore[no-untyped-def]
+    if isinstance(array, numba.types.Array):
+        return lambda array: _data_pointer(array)
+    return None
+
+
+WHOLE = 1.5 * 2.0**52
+"""Added to a number below 2^51 in size it leaves no digits behind the point, and its last bits are the integer."""
+
+
+@numba.extending.intrinsic
+def _power_of_two(_typing_context, k):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        number, bits = llvmlite.ir.DoubleType(), llvmlite.ir.IntType(64)
+        whole = builder.bitcast(builder.fadd(args[0], number(WHOLE)), bits)
+        return builder.bitcast(builder.add(builder.shl(whole, bits(52)), bits(1023 << 52)), number)
+
+    return numba.types.float64(numba.types.float64), codegen
+
+
+def power_of_two(k: float) -> float:
+    """2^k of a whole number k from -1022 to 1023, held as a float; compiled, its bits put together."""
+    return math.ldexp(1.0, int(k)) if k == k else k
+
+
+@numba.extending.overload(power_of_two, inline="always")
+def _power_of_two_compiled(k):  # type: ignore[no-untyped-def]
+    return lambda k: _power_of_two(k)
+
+
+@numba.extending.intrinsic
+def _split(_typing_context, x):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        number, bits = llvmlite.ir.DoubleType(), llvmlite.ir.IntType(64)
+        whole = builder.bitcast(args[0], bits)
+        # The exponent's bits below those of 2^52 are 2^52 + exponent: no conversion of integers, which AVX2 lacks.
+        above = builder.or_(builder.lshr(whole, bits(52)), bits(1075 << 52))
+        exponent = builder.fsub(builder.bitcast(above, number), number(2.0**52 + 1022.0))
+        half = builder.or_(builder.and_(whole, bits((1 << 52) - 1)), bits(1022 << 52))
+        return context.make_tuple(builder, signature.return_type, [builder.bitcast(half, number), exponent])
+
+    float64 = numba.types.float64
+    return numba.types.UniTuple(float64, 2)(float64), codegen
+
+
+def split(x: float) -> tuple[float, float]:
+    """m from 0.5 to below 1 and k with x = m 2^k, for a normal number above 0; compiled, its bits taken apart."""
+    m, k = math.frexp(x)
+    return m, float(k)
+
+
+@numba.extending.overload(split, inline="always")
+def _split_compiled(x):  # type: ignore[no-untyped-def]
+    return lambda x: _split(x)
+
+
+def _call_through_address(context, builder, signature, args):  # type: ignore[no-untyped-def]
+    """Code of a call whose first argument is the address of the function, the others its own."""
+    void = signature.return_type == numba.types.void
+    result = llvmlite.ir.VoidType() if void else context.get_value_type(signature.return_type)
+    kinds = [context.get_value_type(t) for t in signature.args[1:]]
+    function = llvmlite.ir.FunctionType(result, kinds).as_pointer()
+    returned = builder.call(builder.inttoptr(args[0], function), args[1:])
+    return context.get_dummy_value() if void else returned
+
+
+@numba.extending.intrinsic
+def _call_chain(_typing_context, address, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
+    return numba.types.float64(address, code, B, c, p, wall_K), _call_through_address
+
+
+def call_chain(chain, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
+    """chain(code, B, c, p, wall_K) -> float, the chain being its address when compiled, a function interpreted.
+
+    An address is passed to a kernel for nothing, where handing over a function object costs 35 us a call.
+    """
+    return chain(code, B, c, p, wall_K)
+
+
+@numba.extending.overload(call_chain, inline="always")
+def _call_chain_compiled(chain, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
+    if isinstance(chain, numba.types.Integer):
+        return lambda chain, code, B, c, p, wall_K: _call_chain(chain, code, B, c, p, wall_K)
+    return None
+
+
+@numba.extending.intrinsic
+def call_effect(_typing_context, address, B, c, p, wall_K):  # type: ignore[no-untyped-def]
+    """The compiled kernel of an effect at an address, called: kernel(B, c, p, wall_K) -> float."""
+    return numba.types.float64(address, B, c, p, wall_K), _call_through_address
+
+
+@numba.extending.intrinsic
+def _call_step(_typing_context, address, B, J, table, chain, dt):  # type: ignore[no-untyped-def]
+    return numba.types.void(address, B, J, table, chain, dt), _call_through_address
+
+
+def call_step(step, B, J, table, chain, dt):  # type: ignore[no-untyped-def]
+    """step(B, J, table, chain, dt), the step being its address when compiled, a function interpreted.
+
+    The large compiled step is made once this way; a loop that called it by name would compile it into itself anew.
+    """
+    step(B, J, table, chain, dt)
+
+
+@numba.extending.overload(call_step, inline="always")
+def _call_step_compiled(step, B, J, table, chain, dt):  # type: ignore[no-untyped-def]
+    if isinstance(step, numba.types.Integer):
+        return lambda step, B, J, table, chain, dt: _call_step(step, B, J, table, chain, dt)
+    return None
+
+
+STEP_SIGNATURE = numba.types.void(
+    numba.types.CPointer(numba.types.float64),
+    numba.types.CPointer(numba.types.int64),
+    numba.types.CPointer(numba.types.float64),
+    numba.types.int64,
+    numba.types.float64,
+)
+"""step(B, J, table, chain, dt): what a host's C sees of a compiled step."""
+
+
+def handle(function):  # type: ignore[no-untyped-def]
+    """What a kernel takes for a function that it calls: the address of a compiled one, else the function itself."""
+    return getattr(function, "address", function)

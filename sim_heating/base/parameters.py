@@ -1,0 +1,114 @@
+"""What can be estimated, altered or exported: a dotted name, a unit, a prior, bounds, and one line of what it is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from sim_heating.base.conditions import RATIO_VARIABLES
+
+EFFECT_PREFIX = "effect."
+"""Parameters of effects are named `effect.NAME.PARAMETER`."""
+SHORT = ("alpha", "beta", "logre", "elevon", "bodyflap")
+"""The ratio variables as they stand in parameter names."""
+UNITS = ("deg", "deg", "1", "deg", "deg")
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter.
+
+    name  : dotted name for a model (`ratio.d_alpha`), plain within an effect (`log10_re_onset`)
+    unit  : contract unit, "1" where it has none
+    value : nominal value, and mean of the prior
+    sigma : standard deviation of the prior; infinite for a flat one
+    lower, upper : bounds
+    text  : what it is, in a line
+    """
+
+    name: str
+    unit: str
+    value: float
+    sigma: float = math.inf
+    lower: float = -math.inf
+    upper: float = math.inf
+    text: str = ""
+
+
+def per(*units: str) -> str:
+    """Unit of a derivative against variables of these units: 1/deg, 1/deg2, 1."""
+    angles = sum(u == "deg" for u in units)
+    return {0: "1", 1: "1/deg", 2: "1/deg2"}[angles]
+
+
+def _second_order_name(i: int, j: int) -> str:
+    return f"ratio.d_{SHORT[i]}2" if i == j else f"ratio.d_{SHORT[i]}_{SHORT[j]}"
+
+
+SECOND_ORDER = tuple((i, j) for i in range(len(SHORT)) for j in range(i, len(SHORT)))
+"""Pairs of variables of the second-order terms, in the order of the kernel."""
+
+RATIO = (
+    Parameter("ratio.scale", "1", 0.0, text="relative error of the tabulated ratio"),
+    Parameter("ratio.d0", "1", 0.0, text="ratio at the reference condition where there is no table"),
+    *(
+        Parameter(f"ratio.d_{s}", per(u), 0.0, text=f"derivative of the ratio against {v}")
+        for s, u, v in zip(SHORT, UNITS, RATIO_VARIABLES, strict=True)
+    ),
+    *(
+        Parameter(_second_order_name(i, j), per(UNITS[i], UNITS[j]), 0.0, text="second-order term, no factor 1/2")
+        for i, j in SECOND_ORDER
+    ),
+)
+"""Parameters of the linear heating model, in the order of the kernel's parameter vector."""
+
+STACK = (
+    Parameter("stack.coating.thickness_factor", "1", 1.0, 0.3, 1e-3, 10.0, "first layer, over the declared thickness"),
+    Parameter("stack.coating.conductivity_factor", "1", 1.0, 0.3, 1e-3, 10.0, "first layer, over the declared table"),
+    Parameter("stack.coating.heat_capacity_factor", "1", 1.0, 0.3, 1e-3, 10.0, "first layer, over the declared table"),
+    Parameter("stack.rsi.conductivity_factor", "1", 1.0, 0.18, 1e-3, 10.0, "second layer, over the declared table"),
+    Parameter("stack.rsi.heat_capacity_factor", "1", 1.0, 0.1, 1e-3, 10.0, "second layer, over the declared table"),
+    Parameter("stack.emissivity_factor", "1", 1.0, 0.035, 0.0, 1.5, "surface emittance over the declared table"),
+    Parameter("stack.rsi.radiative_conductivity", "W/(m K)", 0.0, 0.05, -1.0, 10.0, "at 1000 K, grows with T^3"),
+    Parameter("stack.rsi.radiation_from_K", "K", 0.0, 200.0, 0.0, 3000.0, "up to there declared conductivity has it"),
+    Parameter("stack.moisture.latent_J_kg", "J/kg", 0.0, 2e4, 0.0, 3e6, "heat taken up as moisture boils"),
+    Parameter("stack.moisture.boil_K", "K", 373.0, 20.0, 200.0, 1000.0, "temperature at which it boils"),
+    Parameter("stack.moisture.deposit_J_kg", "J/kg", 0.0, 2e4, 0.0, 3e6, "heat given off where vapour condenses"),
+    Parameter("stack.moisture.condense_K", "K", 330.0, 20.0, 200.0, 1000.0, "temperature at which it condenses"),
+    Parameter("stack.moisture.width_K", "K", 8.0, 4.0, 0.5, 200.0, "width of either in temperature"),
+    Parameter("stack.moisture.vapour_W_m", "W/m", 0.0, 2.0, 0.0, 200.0, "conductivity of its vapour, up to boiling"),
+    Parameter("stack.gap.fraction", "1", 0.0, 0.1, 0.0, 0.95, "part of the film spent along a gap"),
+    Parameter("stack.gap.depth_m", "m", 0.005, 0.005, 1e-4, 0.5, "depth over which it falls by e"),
+    Parameter("stack.contact_factor", "1", 1.0, 0.5, 1e-3, 100.0, "contact resistances, over the declared ones"),
+    Parameter("back.h_W_m2K", "W/(m2 K)", 0.0, 10.0, 0.0, 1e4, "film coefficient behind the wall"),
+    Parameter("back.T_K", "K", 300.0, 30.0, 1.0, 2000.0, "temperature behind the wall"),
+    Parameter("back.emissivity", "1", 0.0, 0.3, 0.0, 1.0, "effective emittance behind the wall"),
+)
+"""Parameters of the thermal model; `back.*` start from what the stack declares."""
+
+CURVED = (
+    "stack.coating.thickness_factor", "stack.contact_factor", "back.T_K", "stack.moisture.boil_K",
+    "stack.moisture.condense_K", "stack.moisture.width_K", "stack.gap.depth_m",
+    "stack.rsi.radiation_from_K",
+)  # fmt: skip
+"""Parameters in which the heat balance at given temperatures is not affine; no parameter of an effect need be."""
+
+AT_FACES = (
+    *(p.name for p in RATIO), "stack.emissivity_factor", "back.h_W_m2K", "back.T_K", "back.emissivity",
+)  # fmt: skip
+"""Parameters that change what enters a wall from outside and nothing within it, like those of effects with a kernel."""
+
+CLOCK_SKEW = Parameter("clock.skew", "s", 0.0, 0.5, -10.0, 10.0, "recorded T(t) = true T(t - skew): above 0, it lags")
+"""The one parameter of a record's clocks."""
+
+SENSOR_PREFIX = "sensor."
+SENSOR = {
+    "bias": Parameter("bias", "K", 0.0, 5.0, -500.0, 500.0, "what a thermocouple reads too much"),
+    "gain": Parameter("gain", "1", 1.0, 0.01, 0.2, 5.0, "indicated over true temperature"),
+}
+"""Parameters of a thermocouple, `sensor.NAME.bias` and `sensor.NAME.gain`."""
+
+MODEL = {p.name: p for p in (*RATIO, *STACK)}
+"""Every parameter of a control point's model by its name, effects left out."""
+AT = "@"
+"""Between a parameter and the record or control point that it belongs to, in a fit of several."""

@@ -1,0 +1,71 @@
+"""The look of all figures: size, resolution, grid, legends, colours of what is drawn most."""
+
+from __future__ import annotations
+
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+DPI = 110
+ANGLES = {
+    "alpha_deg": ("angle of attack", "tab:blue"),
+    "elevon_deg": ("elevon", "tab:green"),
+    "bodyflap_deg": ("body flap", "tab:purple"),
+    "beta_deg": ("sideslip", "tab:orange"),
+}
+NAMES = {
+    "popu": "pushover-pullup",
+    "elevon-pulse": "elevon pulses",
+    "elevon-sweep": "elevon sweep",
+    "bodyflap-pulse": "body-flap pulses",
+    "bodyflap-sweep": "flap manoeuvre",
+    "sideslip-doublet": "sideslip doublet",
+    "jet-firing": "jet firing",
+}
+MEASURED: dict[str, Any] = {"color": "0.35", "marker": "o", "markersize": 2.2, "linestyle": "none"}
+SURFACE: dict[str, Any] = {"color": "tab:red", "label": "surface, predicted"}
+THERMOCOUPLE: dict[str, Any] = {
+    "color": "0.15", "marker": "o", "markersize": 3.0, "linewidth": 0.8, "label": "outermost thermocouple, predicted",
+}  # fmt: skip
+
+
+def new_figure(width: float, height: float, rows: int, columns: int = 1, **keys: Any) -> tuple[Figure, np.ndarray]:
+    """A figure of this size in inches and its axes, at least one."""
+    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")  # letters are as wide when it is laid out
+    FigureCanvasAgg(figure)
+    return figure, np.atleast_1d(figure.subplots(rows, columns, **keys))
+
+
+def save_figure(figure: Figure, path: Path, title: str, axes: np.ndarray) -> None:
+    """Grid, title and file of every picture."""
+    dress(figure, title, axes)
+    lay_out(figure)
+    figure.savefig(path, dpi=DPI)
+
+
+def lay_out(figure: Figure) -> None:
+    """Place what a figure holds, once and for all: saving it would do so twice, the first time in a drawing for it."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine(None)
+
+
+def dress(figure: Figure, title: str, axes: np.ndarray) -> None:
+    """Grid and title of every picture."""
+    for a in axes.ravel():
+        a.grid(alpha=0.3)
+        a.set_axisbelow(True)
+    width = int(figure.get_figwidth() * 9.0)
+    if title:
+        figure.suptitle("\n".join(textwrap.fill(line, width) for line in title.splitlines()), fontsize=12)
+
+
+def legend_above(axes: Axes) -> None:
+    """A legend in rows above the axes, where it covers nothing that is drawn."""
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=8, frameon=False, borderaxespad=0.1)

@@ -1,0 +1,121 @@
+"""A self-contained HTML page of sections with text, tables and figures: one look for all reports.
+
+    write_page(path, Page("Title", "what it is", [Section("Errors", tables=[Table(...)], figures=[...])]))
+
+Nothing is loaded from elsewhere: style and figures are in the file.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+import jinja2
+import matplotlib as mpl
+from matplotlib.figure import Figure
+
+from sim_heating.base.files import write_text_atomic
+from sim_heating.base.files.package import package_version
+from sim_heating.base.report.figure import lay_out
+
+TEMPLATE = "page.html.j2"
+RASTER_DPI = 130
+"""Of what a figure holds as `rasterized`."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text under their heads; the first column is text, the others stand right.
+
+    strong : numbers of the rows that are marked;  words : of further columns that are text
+    """
+
+    heads: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    caption: str = ""
+    strong: Sequence[int] = ()
+    words: Sequence[int] = ()
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure, what it shows, and that again for those who do not see it."""
+
+    figure: Figure
+    caption: str = ""
+
+    @property
+    def address(self) -> str:
+        """The figure as a data address: vectors, but for what is drawn as `rasterized`."""
+        buffer = io.BytesIO()
+        lay_out(self.figure)
+        with mpl.rc_context({"svg.hashsalt": TEMPLATE}):  # names within the file are the same each time
+            self.figure.savefig(buffer, format="svg", dpi=RASTER_DPI, metadata={"Date": None})
+        return _data_address("image/svg+xml", buffer.getvalue())
+
+
+@dataclass(frozen=True)
+class SavedPicture:
+    """A PNG file, and what it shows."""
+
+    path: Path
+    caption: str = ""
+
+    @property
+    def address(self) -> str:
+        """The file as a data address."""
+        return _data_address("image/png", self.path.read_bytes())
+
+
+def _data_address(media: str, content: bytes) -> str:
+    return f"data:{media};base64,{base64.b64encode(content).decode()}"
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading with paragraphs, points, tables and pictures, in this order."""
+
+    title: str
+    text: Sequence[str] = ()
+    points: Sequence[str] = ()
+    tables: Sequence[Table] = ()
+    pictures: Sequence[Picture | SavedPicture] = ()
+
+
+@dataclass(frozen=True)
+class Page:
+    """A report.
+
+    title, subtitle : at its head
+    verdict         : what it comes to, in a few words, and a line below
+    warnings        : what a reader has to know first
+    """
+
+    title: str
+    subtitle: str
+    sections: Sequence[Section]
+    verdict: tuple[str, str] | None = None
+    warnings: Sequence[str] = field(default=())
+
+
+def page_html(page: Page) -> str:
+    """The page as text; everything in it is escaped."""
+    return _template().render(page=page, program=f"sim-heating {package_version()}")
+
+
+def write_page(path: Path, page: Page) -> None:
+    """Write the page, whole or not at all."""
+    write_text_atomic(path, page_html(page))
+
+
+@cache
+def _template() -> jinja2.Template:
+    loader = jinja2.FileSystemLoader(Path(__file__).parent)
+    environment = jinja2.Environment(
+        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.get_template(TEMPLATE)

@@ -1,0 +1,88 @@
+"""The command `sim-heating`: a group whose commands are imported when they are asked for.
+
+`sim-heating --help` and `--version` answer in a fraction of a second because a command's module imports the program's
+own modules only within its functions.
+"""
+
+from __future__ import annotations
+
+import signal
+from importlib import import_module
+
+import click
+
+from sim_heating.base.errors import InputError, RunError
+from sim_heating.cli.console import ERRORS
+
+COMMANDS = {
+    "run": "simulate",
+    "synthesize": "simulate",
+    "predict": "simulate",
+    "demo": "simulate",
+    "validate": "validate",
+    "estimate": "estimate",
+    "design": "estimate",
+    "close-loop": "close_loop",
+    "update-tables": "tables",
+    "ratio-tables": "tables",
+    "measured-records": "tables",
+    "plan": "plan",
+    "fmu": "fmu",
+}
+"""Command -> module of this folder that defines it; the order is that of the help text."""
+
+
+class LazyGroup(click.Group):
+    """A group that imports the module of a command when the command is asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS:
+            return None
+        module = import_module(f"{__name__}.{COMMANDS[cmd_name]}")
+        command = getattr(module, cmd_name.replace("-", "_"))
+        assert isinstance(command, click.Command)
+        return command
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(package_name="sim-heating", prog_name="sim-heating")
+def cli() -> None:
+    """Aerodynamic heating alongside a flight simulator: temperatures from a trajectory, and back."""
+    from sim_heating.heating.effects import own_files
+
+    own_files()  # a folder that does not exist is refused by all commands alike, whether they use effects or not
+
+
+def _stop(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; 0 done, 1 a run that failed or was interrupted, 2 bad usage or input."""
+    for name in ("SIGTERM", "SIGHUP"):  # Windows has but the first; nohup ignores the second
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _stop)
+    try:
+        cli.main(arguments, prog_name="sim-heating", standalone_mode=False)
+    except click.exceptions.Exit as stop:
+        return stop.exit_code
+    except click.ClickException as error:
+        ERRORS.print(f"error: {error.format_message()}")
+        return 2
+    except InputError as error:
+        ERRORS.print(f"error: {error}")
+        return 2
+    except RunError as error:
+        ERRORS.print(f"failed: {error}")
+        return 1
+    except OSError as error:
+        ERRORS.print(f"failed: {error.filename or 'system'}: {error.strerror or error}")
+        return 1
+    except (KeyboardInterrupt, click.Abort):
+        ERRORS.print("interrupted: nothing was left half-written")
+        return 1
+    return 0

@@ -1,0 +1,87 @@
+"""What all commands share: where results go, progress, words on the terminal."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from sim_heating.base.errors import InputError
+
+PLAIN_WIDTH = 110
+"""Columns of a table where the output is no terminal."""
+CONSOLE = Console(width=None if sys.stdout.isatty() else PLAIN_WIDTH, markup=False, highlight=False)
+ERRORS = Console(stderr=True, soft_wrap=True, markup=False, highlight=False)
+
+
+def directory(_: click.Context, __: click.Parameter, value: str) -> Path:
+    """The directory of results, refused before any work where it cannot be one."""
+    from sim_heating.base.files import require_place, shown
+    from sim_heating.base.files.text import brief, reason
+
+    if not value.strip():
+        raise InputError("--out: is empty; name a directory for the results")
+    path = Path(value)
+    try:
+        there = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
+    except OSError as error:
+        raise InputError(f"--out {brief(value)}: {reason(error)}; name another directory for the results") from None
+    if not there.is_dir():
+        raise InputError(f"--out {value}: {shown(there)} is a file; name a directory for the results")
+    require_place(path)
+    return path
+
+
+def optional_directory(context: click.Context, parameter: click.Parameter, value: str | None) -> Path | None:
+    """The same for a directory that may be left out."""
+    return None if value is None else directory(context, parameter, value)
+
+
+def listed(_: click.Context, parameter: click.Parameter, value: str | None) -> tuple[str, ...] | None:
+    """`a,b,c` as names, each once."""
+    if value is None:
+        return None
+    option, names = parameter.opts[0], tuple(name.strip() for name in value.split(",") if name.strip())
+    if not names:
+        raise InputError(f"{option}: names nothing; give one name or more, a comma between")
+    if len(set(names)) < len(names):
+        raise InputError(f"{option}: `{max(set(names), key=names.count)}` stands there twice; name it once")
+    return names
+
+
+OUT = click.option("--out", required=True, callback=directory, help="directory for the results")
+PATH = click.Path(path_type=Path)
+
+
+@contextmanager
+def progress_line(title: str) -> Iterator[Callable[[float, str], None]]:
+    """A progress line on the terminal; its text lines alone where the output is no terminal."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[text]}"), TimeElapsedColumn())
+    with Progress(*columns, console=ERRORS, transient=True, disable=not ERRORS.is_terminal) as bar:
+        task = bar.add_task(title, total=1.0, text="starting")
+        last = [""]
+
+        def tell(fraction: float, text: str) -> None:
+            bar.update(task, completed=fraction, text=text)
+            stage = text.split(":")[0]
+            if not ERRORS.is_terminal and stage != last[0]:
+                last[0] = stage
+                ERRORS.print(f"{title}: {stage} ...")
+
+        yield tell
+
+
+def tell_files(out: Path, names: list[str]) -> None:
+    """The files that were written into a directory, but for the list of them that stands there hidden."""
+    names = [n for n in names if not Path(n).name.startswith(".")]
+    pictures = [n for n in names if n.endswith(".png")]
+    files = [n for n in names if not n.endswith(".png")]
+    shown = files if len(files) <= 6 else [*files[:6], f"... {len(files)} files in all"]
+    CONSOLE.print(f"Wrote {out}: {', '.join(shown)}")
+    if pictures:
+        CONSOLE.print(f"Plots: {', '.join(pictures)}")

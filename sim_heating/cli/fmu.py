@@ -1,0 +1,110 @@
+"""The commands `sim-heating fmu export` and `sim-heating fmu trajectory`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from sim_heating.base.errors import InputError, told_of
+from sim_heating.cli.console import CONSOLE, PATH, listed, progress_line
+
+if TYPE_CHECKING:
+    from sim_heating.simulation.fmu_export.image import Image
+
+
+def _fmu_file(_: click.Context, __: click.Parameter, value: Path) -> Path:
+    from sim_heating.base.files import require_place
+
+    if value.suffix != ".fmu":
+        raise InputError(f"--out {value}: name a file that ends in .fmu")
+    if value.is_dir():
+        raise InputError(f"--out {value}: is a directory; name a file that ends in .fmu")
+    require_place(value.parent)
+    return value
+
+
+FMU_OUT = click.option("--out", required=True, type=PATH, callback=_fmu_file, help="the FMU, a file that ends in .fmu")
+FMI = click.option(
+    "--fmi", type=click.Choice(["2", "3"]), default="3", show_default=True, help="version of the standard"
+)
+PLATFORMS = click.option(
+    "--platforms",
+    default="linux",
+    show_default=True,
+    callback=listed,
+    help="comma between; others than linux need ziglang",
+)
+
+
+@click.group()
+def fmu() -> None:
+    """Models as FMUs that need no Python where they run."""
+
+
+@fmu.command("export")
+@click.argument("vehicle")
+@FMU_OUT
+@click.option(
+    "--control-points", "points", callback=listed, help="names, comma between; all of the vehicle's by default"
+)
+@FMI
+@PLATFORMS
+@click.option(
+    "--reference",
+    type=click.Choice(["vehicle", "columns"]),
+    default="vehicle",
+    show_default=True,
+    help="where h_ref and H_r come from: the vehicle's reference heating, or inputs of their own",
+)
+def export(
+    vehicle: str, out: Path, points: tuple[str, ...] | None, fmi: str, platforms: tuple[str, ...], reference: str
+) -> None:
+    """The heating plug-in of a vehicle as a co-simulation FMU."""
+    from sim_heating.inputs.vehicle import load_vehicle
+    from sim_heating.simulation.fmu_export.export import export_heating, targets_of
+
+    targets_of(platforms, int(fmi))
+    with progress_line("fmu export") as progress:
+        progress(0.1, "compiling, where that has not been done before")
+        loaded = load_vehicle(vehicle)
+        columns = reference == "columns"
+        image = export_heating(
+            loaded, out, points, fmi=int(fmi), platforms=platforms, columns=columns, progress=progress
+        )
+    count = len(loaded.control_points if points is None else points)
+    _tell(out, f"{count} control points, ", image, fmi, platforms)
+
+
+@fmu.command("trajectory")
+@click.argument("scenario", type=PATH)
+@FMU_OUT
+@FMI
+@PLATFORMS
+def trajectory(scenario: Path, out: Path, fmi: str, platforms: tuple[str, ...]) -> None:
+    """The built-in 3-DOF entry of a scenario as a co-simulation FMU."""
+    from sim_heating.base.files import shown
+    from sim_heating.inputs.scenario import load_scenario
+    from sim_heating.simulation.fmu_export.entry import check_source, export_entry
+    from sim_heating.simulation.fmu_export.export import targets_of
+
+    loaded = load_scenario(scenario)
+    spec, vehicle = loaded.declared.trajectory, loaded.vehicle.directory
+    with told_of(f"{shown(scenario)}, [trajectory]"):
+        check_source(spec)
+    targets_of(platforms, int(fmi))
+    with progress_line("fmu trajectory") as progress:
+        progress(0.1, "compiling, where that has not been done before")
+        image = export_entry(
+            spec, vehicle, out, title=loaded.title, fmi=int(fmi), platforms=platforms, progress=progress
+        )
+    _tell(out, "", image, fmi, platforms)
+
+
+def _tell(out: Path, held: str, image: Image, fmi: str, platforms: tuple[str, ...]) -> None:
+    from sim_heating.simulation.fmu_export.description import variables_of
+
+    count = sum(1 for _ in variables_of(image, int(fmi)))
+    told = f"FMI {fmi}.0, {held}{count} variables, {', '.join(platforms)}, {out.stat().st_size / 1e6:.2f} MB"
+    CONSOLE.print(f"Wrote {out}: {told}", soft_wrap=True)

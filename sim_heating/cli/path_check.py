@@ -1,0 +1,140 @@
+"""Say of a path what it is - record, ratio table, vehicle, scenario, study - and what is wrong with it."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import read_text, read_toml, read_toml_dict, shown, suggestion
+from sim_heating.heating.ratio.table import RatioTable, read_ratio_table
+from sim_heating.inputs.record import DECLARATION, Record, load_record
+from sim_heating.thermal.stack import Material
+
+VEHICLE = "vehicle.toml"
+FORMATS = ("flight-record/1", "vehicle/1", "scenario/1", "study/1")
+
+
+@dataclass(frozen=True)
+class Validated:
+    """What a path was found to be, without fault; `summary` is one line for a person."""
+
+    kind: str
+    path: Path
+    summary: str
+
+
+def check_path(path: str | os.PathLike[str]) -> Validated:
+    """Recognise a record, vehicle, scenario, study, ratio table or material by what is there, and check it whole.
+
+    raises : InputError with everything that is wrong, or that the path is none of these
+    """
+    place = Path(path)
+    if not os.path.lexists(place):
+        if place.name == str(path) and place.name in _vehicle_names():
+            return _vehicle(place)
+        read_text(place)
+    if place.is_dir():
+        return _directory(place)
+    if place.suffix == ".toml":
+        return _toml(place)
+    return _csv(place)
+
+
+def _directory(place: Path) -> Validated:
+    held = sorted(p.name for p in place.iterdir())
+    if DECLARATION in held and VEHICLE in held:
+        raise InputError(f"{shown(place)}: holds both {DECLARATION} and {VEHICLE}; a directory is one or the other")
+    if DECLARATION in held:
+        return Validated("record", place, describe_record(load_record(place)))
+    if VEHICLE in held:
+        return _vehicle(place)
+    found = f"; it holds {', '.join(held[:8])}" if held else "; it is empty"
+    raise InputError(f"{shown(place)}: is neither a record ({DECLARATION}) nor a vehicle ({VEHICLE}){found}")
+
+
+def _toml(place: Path) -> Validated:
+    if place.name in (DECLARATION, VEHICLE):
+        return _directory(place.parent)
+    data = read_toml_dict(place)
+    if data.get("format") == "scenario/1":
+        return _scenario(place)
+    if data.get("format") == "study/1":
+        return _study(place)
+    if place.parent.name in ("control_points", "materials") and (place.parent.parent / VEHICLE).is_file():
+        return _vehicle(place.parent.parent)
+    if "density_kg_m3" in data:
+        read_toml(place, Material)
+        return Validated("material", place, f"material {place.stem}")
+    raise InputError(f"{shown(place)}: {_format_rule(data.get('format'))}")
+
+
+def _format_rule(found: object) -> str:
+    if found is None:
+        return f'key `format` is missing; a scenario begins with format = "scenario/1" (known: {", ".join(FORMATS)})'
+    return f"`format`: {found!r} is not a file of this kind. {suggestion(str(found), FORMATS)}"
+
+
+def _csv(place: Path) -> Validated:
+    text = read_text(place)
+    names = next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")
+    columns = {name.strip() for name in names.split(",")}
+    if "time_s" in columns and (place.parent / DECLARATION).is_file():
+        return _directory(place.parent)
+    if columns & {*RATIO_VARIABLES, "ratio"} and "time_s" not in columns:
+        return Validated("ratio table", place, describe_table(read_ratio_table(place)))
+    kinds = "a ratio table has columns " + ", ".join((*RATIO_VARIABLES, "ratio"))
+    raise InputError(f"{shown(place)}: is no record, vehicle, scenario or ratio table; {kinds}")
+
+
+# The two loaders stand later in the data's way than this module's other needs; they are imported where they are used,
+# so that a record is checked without them.
+
+
+def _vehicle_names() -> list[str]:
+    from sim_heating.inputs.vehicle import vehicle_names
+
+    return vehicle_names()
+
+
+def _vehicle(place: Path) -> Validated:
+    from sim_heating.inputs.vehicle import load_vehicle
+
+    vehicle = load_vehicle(place)
+    points = len(vehicle.control_points)
+    return Validated("vehicle", place, f"vehicle {getattr(vehicle, 'name', place.name)}: {points} control points")
+
+
+def _scenario(place: Path) -> Validated:
+    from sim_heating.inputs.scenario import load_scenario
+
+    scenario = load_scenario(place)
+    return Validated("scenario", place, f"scenario {getattr(scenario, 'title', '') or place.stem}")
+
+
+def _study(place: Path) -> Validated:
+    from sim_heating.planning.study import load_study
+
+    study = load_study(place)
+    if study.declared.dispersion is not None:
+        from sim_heating.planning.dispersion.entry import DispersedEntry
+
+        DispersedEntry(study).check()
+    return Validated("study", place, f"study of {study.stamp}: {study.title}")
+
+
+def describe_record(record: Record) -> str:
+    """One line on a record: control point, sensors, samples, times, layers."""
+    t, layers = record.conditions.time_s, record.declared.stack.layer
+    sensors = f"{len(record.sensors)} sensors ({len(record.used_sensors)} used), {len(record.time_s)} samples"
+    stack = " / ".join(layer.material for layer in layers)
+    return f"record of {record.declared.control_point}: {sensors}, {t[0]:g} to {t[-1]:g} s, {stack}"
+
+
+def describe_table(table: RatioTable) -> str:
+    """One line on a ratio table: nodes, range, sigma."""
+    shape = " x ".join(str(n) for n in table.ratio.shape)
+    sigma = "with sigma" if table.sigma is not None else "without sigma"
+    return f"ratio table of {shape} nodes, ratio {table.ratio.min():.4g} to {table.ratio.max():.4g}, {sigma}"

@@ -1,0 +1,54 @@
+"""The command `sim-heating plan`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.table import Table
+
+from sim_heating.base.errors import RunError
+from sim_heating.cli.console import CONSOLE, ERRORS, OUT, PATH, progress_line, tell_files
+
+LEDGER = "batches"
+"""Folder of finished batches below the results."""
+
+
+@click.command()
+@click.argument("study", type=PATH)
+@OUT
+@click.option("--scheduler", metavar="ADDRESS", help="a Dask scheduler, as tcp://host:8786; default: local processes")
+@click.option("--workers", type=click.IntRange(1), help="number of local processes; default: one a core")
+@click.option("--vehicle", help="fly this vehicle, a name or directory, and not the study's own")
+def plan(study: Path, out: Path, scheduler: str | None, workers: int | None, vehicle: str | None) -> None:
+    """Plan missions with the tables: dispersions, envelopes, optimal entries of a study."""
+    from sim_heating.planning.part import Engine
+    from sim_heating.planning.plan import run_study
+    from sim_heating.planning.study import load_study
+
+    loaded = load_study(study, vehicle)
+    engine = Engine(out / LEDGER, scheduler, workers)
+    with progress_line(loaded.title) as progress:
+        planned, names = run_study(loaded, out, engine, progress=progress)
+    for found in planned.found.values():
+        for table in found.tables:
+            CONSOLE.print(_shown(table))
+        for note in found.notes:
+            CONSOLE.print(note)
+    tell_files(out, names)
+    for name, why in planned.failed.items():
+        ERRORS.print(f"{name}: {why}")
+    if planned.failed:
+        done = f"; {', '.join(planned.found)} is done and kept" if planned.found else ""
+        raise RunError(f"{', '.join(planned.failed)}: found nothing{done}")
+
+
+def _shown(table: Any) -> Table:
+    shown = Table(title=table.caption, title_justify="left")
+    for i, head in enumerate(table.heads):
+        is_text = i == 0 or i in table.words
+        shown.add_column(head, justify="left" if is_text else "right", overflow="fold", no_wrap=i == 0)
+    for row in table.rows:
+        shown.add_row(*row)
+    return shown

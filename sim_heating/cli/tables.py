@@ -1,0 +1,105 @@
+"""Commands that make tables and records: `update-tables`, `ratio-tables`, `measured-records`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from sim_heating.base.errors import InputError
+from sim_heating.cli.console import CONSOLE, OUT, PATH, optional_directory, progress_line
+
+
+@click.command("update-tables")
+@click.argument("fit", type=PATH, required=False)
+@click.option("--vehicle", required=True, help="name or directory of the vehicle whose table is revised")
+@click.option("--out", callback=optional_directory, help="put a copy of the vehicle there and revise that")
+@click.option(
+    "--record", "records", type=PATH, multiple=True, help="the estimate's records, where it does not find them"
+)
+@click.option("--point", help="the control point, where the estimate is of several")
+@click.option("--check", "checked", type=PATH, multiple=True, help="another record to predict before and after")
+@click.option("--dry-run", is_flag=True, help="show what would change and write nothing")
+@click.option("--revert", metavar="POINT", help="put table and effects of this point back to the parent revision")
+def update_tables(
+    fit: Path | None,
+    vehicle: str,
+    out: Path | None,
+    records: tuple[Path, ...],
+    point: str | None,
+    checked: tuple[Path, ...],
+    dry_run: bool,
+    revert: str | None,
+) -> None:
+    """Write derivatives and effects of an estimate (FIT: an estimate.json or its directory) into the vehicle."""
+    from sim_heating.closure.revise.report import draw_update, report
+    from sim_heating.closure.revise.revisions import point_path, revision_path
+    from sim_heating.closure.revise.update import check_place, errors_before_and_after, prepare, write_update
+    from sim_heating.inputs.record import load_record
+
+    if not dry_run:
+        check_place(vehicle, out)
+    if fit is None:
+        _revert_table(vehicle, revert, out is not None or dry_run)
+        return
+    if revert is not None:
+        raise InputError(f"--revert {revert}: stands alone; leave out {fit}")
+    update = prepare(fit, vehicle, records, point)
+    every = [*update.records, *(load_record(path) for path in checked)]
+    with progress_line("update-tables") as progress:
+        progress(0.1, "predicting with the table before and after")
+        errors = errors_before_and_after(update, every)
+    for part in report(update, errors):
+        CONSOLE.print(part)
+    if dry_run:
+        CONSOLE.print("Dry run: nothing was written")
+        return
+    place, made = write_update(update, out, errors, draw_update)
+    why = revision_path(place, made.control_point, made.revision, "json")
+    picture = " and .png" if why.with_suffix(".png").is_file() else ""
+    effects = f" and {point_path(place, made.control_point)}" if made.effects else ""
+    told = f"Wrote {place / made.table}{effects}, revision {made.revision}; why: {why}{picture}"
+    CONSOLE.print(told, soft_wrap=True)
+
+
+def _revert_table(vehicle: str, point: str | None, more: bool) -> None:
+    from sim_heating.closure.revise.revisions import revert
+    from sim_heating.inputs.vehicle import load_vehicle
+
+    if point is None:
+        raise InputError("update-tables: give FIT, an estimate.json or its directory, or --revert POINT")
+    if more:
+        raise InputError(f"--revert {point}: stands alone; leave out --out and --dry-run")
+    undone, now = revert(load_vehicle(vehicle), point)
+    CONSOLE.print(f"{point}: revision {undone} undone, revision {now} is in force, byte for byte")
+
+
+@click.command("ratio-tables")
+@click.argument("vehicles", nargs=-1, required=True)
+def ratio_tables(vehicles: tuple[str, ...]) -> None:
+    """Write the heating-ratio tables of VEHICLES from the descriptions in their folders `ratio_sources`.
+
+    VEHICLES are directories, or names of vehicles. A table that flight data revised is not overwritten.
+    """
+    from sim_heating.base.files import shown
+    from sim_heating.inputs.ratio_sources import write_tables
+
+    for vehicle in vehicles:
+        for path in write_tables(vehicle):
+            CONSOLE.print(shown(path), soft_wrap=True)
+
+
+@click.command("measured-records")
+@click.argument("scenario", type=PATH)
+@OUT
+def measured_records(scenario: Path, out: Path) -> None:
+    """Write the measured histories that a SCENARIO compares with as flight records along its simulated flight.
+
+    Each [[compare]] of the scenario becomes one record, named after its control point.
+    """
+    from sim_heating.base.files import shown
+    from sim_heating.inputs.scenario import load_scenario
+    from sim_heating.simulation.measured_records import write_compared_records
+
+    for path in write_compared_records(load_scenario(scenario), out):
+        CONSOLE.print(shown(path), soft_wrap=True)

@@ -1,0 +1,1 @@
+"""What a residual indicates: heating histories, correlations, shapes, hysteresis, axial force."""

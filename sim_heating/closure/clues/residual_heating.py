@@ -1,0 +1,179 @@
+"""What a fit leaves, as the heating that would explain it, and what no heating explains.
+
+The smoother of estimation/filter/heating_input.py on the samples and at the values of a fit: a history delta_ratio(t)
+that, added to the heating ratio, makes the measured samples likely, with its sigma. What the sensors show beyond that
+history is not heating at the surface: conduction, a sensor, a clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.files import write_csv
+from sim_heating.estimation._observation import Channel
+from sim_heating.estimation.filter.heating_input import UnknownInput, unknown_input
+from sim_heating.estimation.filter.march import Disturbance, FilterTrack
+from sim_heating.estimation.filter.records import filter_samples
+from sim_heating.estimation.problem import Problem
+from sim_heating.estimation.record_fit import Part
+from sim_heating.inputs.record import Record
+from sim_heating.march.ensemble import condition_history
+from sim_heating.thermal.mesh import Mesh
+from sim_heating.thermal.stack import Sensor
+
+NAME = "residual_heating.csv"
+
+
+@dataclass(frozen=True, eq=False)
+class SensorLeft:
+    """What one sensor shows beyond the model, without and with the best heating history.
+
+    time_s, read_K : (sample,) as recorded;  before_K, after_K : (sample,) measured minus indicated
+    floor_K        : its noise floor [K]
+    """
+
+    sensor: Sensor
+    time_s: FloatArray
+    read_K: FloatArray
+    before_K: FloatArray
+    after_K: FloatArray
+    floor_K: float
+
+    @property
+    def before_rmse_K(self) -> float:
+        """Without the history."""
+        return float(np.sqrt(np.mean(self.before_K**2)))
+
+    @property
+    def after_rmse_K(self) -> float:
+        """With it."""
+        return float(np.sqrt(np.mean(self.after_K**2)))
+
+    def words(self) -> str:
+        """A line."""
+        times = self.after_rmse_K / self.floor_K
+        told = (
+            f"{self.sensor.name}: {self.before_rmse_K:.2f} K, {self.after_rmse_K:.2f} K with the best heating history"
+        )
+        if times < 1.3:
+            return f"{told}, which is its noise ({self.floor_K:.2f} K)"
+        return f"{told}, {times:.1f} times its noise: that part is no heating at the surface"
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualHeating:
+    """The residual of one record as a heating ratio.
+
+    input    : the history with its sigma, and how the readings answer to it
+    sensors  : what each used sensor shows, without and with it
+    jacobian : (reading, unknown) sensitivities to what the fit has estimated, readings as those of `input`
+    prior_information : (unknown,) 1 / sigma^2 of the fit's priors
+    names    : (unknown,) labels of what the fit has estimated
+    span_s   : (2,) first and last time that was fitted
+    march_s, mesh : (time,) and nodes of `input.temperature_K`
+    """
+
+    record: Record
+    input: UnknownInput
+    sensors: tuple[SensorLeft, ...]
+    jacobian: FloatArray
+    prior_information: FloatArray
+    names: tuple[str, ...]
+    span_s: tuple[float, float]
+    march_s: FloatArray
+    mesh: Mesh
+
+    @property
+    def time_s(self) -> FloatArray:
+        """(knot,) [s]."""
+        return self.input.time_s
+
+    @property
+    def delta_ratio(self) -> FloatArray:
+        """(knot,) what is to be added to the ratio."""
+        return self.input.delta_ratio
+
+    @property
+    def sigma(self) -> FloatArray:
+        """(knot,) its standard deviation."""
+        return self.input.sigma
+
+    @property
+    def fitted(self) -> NDArray[np.bool_]:
+        """(knot,) which lie within the times that were fitted."""
+        return np.asarray((self.time_s >= self.span_s[0]) & (self.time_s <= self.span_s[1]))
+
+    def numbers(self) -> dict[str, Any]:
+        """For closure.json: size, gain, bandwidth, and what no heating explains."""
+        here = self.fitted
+        return {
+            "rms_delta_ratio": float(np.sqrt(np.mean(self.delta_ratio[here] ** 2))),
+            "median_sigma": float(np.median(self.sigma[here])),
+            "gain_log_likelihood": self.input.gain_log_likelihood,
+            "half_amplitude_Hz": self.input.half_amplitude_Hz,
+            "median_bandwidth_Hz": float(np.median(self.input.bandwidth_Hz[here])),
+            "noise_over_declared": float(np.sqrt(self.input.excess)),
+            "noise_model": {
+                "sigma": self.input.disturbance.start_sigma, "correlation_s": self.input.disturbance.correlation_s,
+            },
+            "beyond_heating": [
+                {
+                    "sensor": s.sensor.name, "before_rmse_K": s.before_rmse_K, "after_rmse_K": s.after_rmse_K,
+                    "noise_floor_K": s.floor_K, "n": len(s.time_s),
+                }
+                for s in self.sensors
+            ],
+        }  # fmt: skip
+
+
+def residual_heating(
+    problem: Problem, values: FloatArray, part: int = 0, disturbance: Disturbance | None = None, without: str = ""
+) -> ResidualHeating:
+    """The heating history that explains what a fit leaves of one of its records.
+
+    problem, values : the fit; its samples are the readings, its values the model
+    disturbance     : noise model of the history; by the largest likelihood, where None
+    without         : name of a sensor that is left out
+    raises          : RunError where the model cannot be marched
+    """
+    own = problem.parts[part]
+    shift, channels = own.shift_s(values), [c for c in own.channels if c.sensor.name != without]
+    samples, order = filter_samples(
+        channels, own.sample_s + shift, own.mesh, own.sigma_K, own.values(values), own.correction_K
+    )
+    track = FilterTrack(own.altered(values), own.mesh, samples, (), own.initial_K(values))
+    history = condition_history(own.conditions.at(own.time_s))[np.newaxis]
+    found = unknown_input(track, own.time_s, history, disturbance)
+    fitted = [s for s in problem.samples(values) if s.part is own and s.channel in channels]
+    mean_K = np.concatenate([s.mean_K for s in fitted])
+    with_K = np.empty_like(mean_K)
+    with_K[order] = found.read_K
+    jacobian = np.concatenate([s.jacobian for s in fitted])[order]
+    prior = np.array([p.sigma**-2.0 for p in problem.parameters])
+    names = tuple(u.label for u in problem.unknowns)
+    sensors = _split(own, channels, mean_K, with_K)
+    span = (float(own.sample_s[0]), float(own.sample_s[-1]))
+    return ResidualHeating(own.record, found, sensors, jacobian, prior, names, span, own.time_s, own.mesh)
+
+
+def _split(part: Part, channels: Sequence[Channel], mean_K: FloatArray, with_K: FloatArray) -> tuple[SensorLeft, ...]:
+    """What channels one after the other show, sensor by sensor."""
+    ends = np.cumsum([len(c.samples) for c in channels])[:-1]
+    found = []
+    for c, before, after in zip(channels, np.split(mean_K, ends), np.split(with_K, ends), strict=True):
+        t, floor = part.sample_s[c.samples], c.sensor.noise_floor_K(float(part.sigma_K[c.number]))
+        read = part.record.thermocouples[c.sensor.column][np.searchsorted(part.record.time_s, t)]
+        found.append(SensorLeft(c.sensor, t, read, read - before, read - after, floor))
+    return tuple(found)
+
+
+def write_residual_heating(path: Path, found: ResidualHeating) -> None:
+    """time_s, delta_ratio, sigma."""
+    write_csv(path, {"time_s": found.time_s, "delta_ratio": found.delta_ratio, "sigma": found.sigma})

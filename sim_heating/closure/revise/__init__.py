@@ -1,0 +1,1 @@
+"""Ratio tables and effects of a vehicle revised from estimates, with the evidence for each revision."""

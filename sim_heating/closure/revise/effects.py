@@ -1,0 +1,214 @@
+"""Fitted effects as `[[effect]]` of a control point's file, with everything else in the file as it was.
+
+An effect goes there with all values that it had in the fit, estimated or held: with others the estimated ones would
+mean something else. A fitted effect takes the place of a declared one of the same name; the others stay.
+
+The table's own sigma draws the ratio parameters theta to other values than the fit's, and the effects' e follow with
+what the fit knows of both together, the mean of a normal distribution given theta:
+
+    e = e_hat + C_e,theta C_theta^-1 (theta_table - theta_hat),    no farther than its bounds
+
+Source: Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), eq. A.6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import check, raw_text, shown
+from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, SENSOR_PREFIX
+from sim_heating.closure.revise.evidence import Informed, is_effect
+from sim_heating.estimation.report.estimate_file import Estimate
+from sim_heating.heating.effects import EffectUse, check_count, effect, use
+from sim_heating.heating.ratio.uncertainty import Posterior
+from sim_heating.inputs.vehicle import ControlPoint
+from sim_heating.inputs.vehicle_files import ControlPointFile
+
+DIGITS = 6
+"""Significant digits of a written value, far below any sigma."""
+OF_RECORD = "is of the record, not of the vehicle"
+BOM = "\ufeff"
+
+
+@dataclass(frozen=True)
+class FittedEffects:
+    """What a fit says of a control point's effects.
+
+    path        : the control point's file;  raw : its text;  text : the new one, the same where nothing is written
+    before      : the effects that it declares;  after : those that it will
+    written     : names of the fitted ones
+    moved       : estimated parameter -> how far it is from the fit, in its sigma
+    not_written : estimated parameter or effect -> why it is not in the file
+    missing     : declared effects that the fit did not have
+    """
+
+    path: Path
+    raw: str
+    text: str
+    before: tuple[EffectUse, ...]
+    after: tuple[EffectUse, ...]
+    written: tuple[str, ...]
+    moved: dict[str, float]
+    not_written: dict[str, str]
+    missing: tuple[str, ...]
+
+    def changes(self) -> list[dict[str, Any]]:
+        """Each written effect: name, its values, and those that were declared before, None where it was not."""
+        before, after = ({u.effect.name: values_of(u) for u in uses} for uses in (self.before, self.after))
+        return [{"name": n, "parameters": after[n], "before": before.get(n)} for n in self.written]
+
+
+def values_of(used: EffectUse) -> dict[str, float]:
+    """All parameters of an effect by name."""
+    return {p.name: v for p, v in zip(used.effect.parameters, used.values, strict=True)}
+
+
+def effects_of_fit(
+    estimate: Estimate, informed: Informed, table: Posterior, path: Path, point: ControlPoint, flown: str, made: str
+) -> FittedEffects:
+    """What an estimate of one control point says of its effects.
+
+    informed, table : the estimate as evidence, and the ratio table updated by it
+    path            : the control point's file
+    flown, made     : records and times, and the revision's own file, for the `source` of an effect
+    raises : InputError where an effect is unknown, a value outside its bounds, or the file cannot be edited
+    """
+    beside = _beside_table(estimate, informed, table)
+    estimated = _by_effect(beside)
+    in_force = {e.name: e.parameters for e in estimate.effects}
+    found, not_written = [], _of_record(estimate)
+    for name in dict.fromkeys((*in_force, *estimated)):
+        used = use(name, in_force.get(name, {}) | estimated.get(name, {}))
+        if CLOCK_SKEW.name in used.effect.places:
+            not_written[f"{EFFECT_PREFIX}{name}"] = OF_RECORD
+        elif name not in estimated:
+            not_written[f"{EFFECT_PREFIX}{name}"] = "was in the fit, but nothing of it was estimated"
+        else:
+            found.append(use(name, {n: float(f"{v:.{DIGITS}g}") for n, v in values_of(used).items()}))
+    after = _replaced(point.effects, found)
+    check_count(after, point.name)
+    raw = raw_text(path)
+    declared = [_declared(u, estimate, tuple(estimated[u.effect.name]), flown, made) for u in found]
+    return FittedEffects(
+        path=path,
+        raw=raw,
+        text=edited(raw, declared, path) if found else raw,
+        before=point.effects,
+        after=after,
+        written=tuple(u.effect.name for u in found),
+        moved={
+            n: abs(v - estimate.parameters[n].value) / estimate.parameters[n].sigma
+            for n, v in beside.items()
+            if estimate.parameters[n].sigma > 0.0
+        },
+        not_written=not_written,
+        missing=tuple(u.effect.name for u in point.effects if u.effect.name not in {*in_force, *estimated}),
+    )
+
+
+def _beside_table(estimate: Estimate, informed: Informed, table: Posterior) -> dict[str, float]:
+    """Values of the effects' parameters with the ratio of the updated table, by label."""
+    ratio, effects = informed.evidence.names, tuple(n for n in estimate.parameters if is_effect(n))
+    rho = estimate.correlation_matrix((*ratio, *effects))
+    k = len(ratio)
+    moved = informed.rows @ table.ratio.ravel() - informed.at_zero - estimate.values(ratio)
+    scale = np.array([estimate.parameters[n].sigma for n in ratio])
+    scaled = np.divide(moved, scale, out=np.zeros(k), where=scale > 0.0)
+    follow = rho[k:, :k] @ np.linalg.lstsq(rho[:k, :k], scaled, rcond=None)[0] if k else np.zeros(len(effects))
+    sigma = np.array([estimate.parameters[n].sigma for n in effects])
+    values = estimate.values(effects)
+    return {
+        n: _within(n, v, v + d) for n, v, d in zip(effects, values.tolist(), (sigma * follow).tolist(), strict=True)
+    }
+
+
+def _within(label: str, fitted: float, value: float) -> float:
+    """A value drawn away from the fitted one, no farther than the bounds of the parameter."""
+    name, _, parameter = label.removeprefix(EFFECT_PREFIX).rpartition(".")
+    limits = next((p for p in effect(name).parameters if p.name == parameter), None)
+    if limits is None:
+        return value
+    return min(max(value, min(limits.lower, fitted)), max(limits.upper, fitted))
+
+
+def _by_effect(values: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    """Effect -> its estimated values."""
+    found: dict[str, dict[str, float]] = {}
+    for label, value in values.items():
+        name, _, parameter = label.removeprefix(EFFECT_PREFIX).rpartition(".")
+        found.setdefault(name, {})[parameter] = value
+    return found
+
+
+def _of_record(estimate: Estimate) -> dict[str, str]:
+    stems = (CLOCK_SKEW.name, SENSOR_PREFIX)
+    return dict.fromkeys((n for n in estimate.parameters if n.startswith(stems)), OF_RECORD)
+
+
+def _replaced(declared: Sequence[EffectUse], fitted: Sequence[EffectUse]) -> tuple[EffectUse, ...]:
+    """The declared effects with the fitted ones in their places, new ones last."""
+    new = {u.effect.name: u for u in fitted}
+    return (*(new.pop(u.effect.name, u) for u in declared), *new.values())
+
+
+def _declared(used: EffectUse, estimate: Estimate, estimated: Sequence[str], flown: str, made: str) -> dict[str, Any]:
+    """An effect as a control point's file declares it: what was estimated, and what is not nominal."""
+    nominal = {p.name: p.value for p in used.effect.parameters}
+    parameters = {n: v for n, v in values_of(used).items() if n in estimated or v != nominal[n]}
+    name = used.effect.name
+    sigma = ", ".join(f"{n} +- {estimate.parameters[f'{EFFECT_PREFIX}{name}.{n}'].sigma:.2g}" for n in estimated)
+    return {"name": name, "parameters": parameters, "source": f"flight {flown}; {sigma}; {made}"}
+
+
+def edited(raw: str, declared: Sequence[Mapping[str, Any]], path: Path) -> str:
+    """A control point's file with these effects, each in place of one of its name or at the end; comments stay.
+
+    raises : InputError where the file has a form that cannot be edited so
+    """
+    mark, text = (BOM, raw[1:]) if raw.startswith(BOM) else ("", raw)
+    try:
+        wanted = tomlkit.parse(text).unwrap()
+        wanted["effect"] = [*wanted.get("effect", [])]
+        for one in declared:
+            text = _with_effect(text, one)
+            at = next((i for i, e in enumerate(wanted["effect"]) if e["name"] == one["name"]), len(wanted["effect"]))
+            wanted["effect"][at : at + 1] = [dict(one)]
+        found = tomlkit.parse(text).unwrap()
+    except TOMLKitError as error:
+        raise InputError(f"{shown(path)}: cannot be edited ({error}); write its [[effect]] by hand") from None
+    if found != wanted:
+        raise InputError(f"{shown(path)}: cannot take the effect without other changes; write its [[effect]] by hand")
+    check(found, ControlPointFile, shown(path))
+    return mark + text
+
+
+def _with_effect(text: str, declared: Mapping[str, Any]) -> str:
+    document = tomlkit.parse(text)
+    held = next((e for e in document.get("effect", []) if e["name"] == declared["name"]), None)
+    if held is None:
+        return text.rstrip() + _end_of_line(text) * 2 + _block(declared).replace("\n", _end_of_line(text))
+    held["parameters"], held["source"] = _parameters(declared), declared["source"]
+    return tomlkit.dumps(document)
+
+
+def _block(declared: Mapping[str, Any]) -> str:
+    table = tomlkit.table()
+    table.update({**declared, "parameters": _parameters(declared)})
+    return "[[effect]]\n" + table.as_string()
+
+
+def _parameters(declared: Mapping[str, Any]) -> Any:
+    """The parameters of an effect as they stand in a file, with blanks within the braces."""
+    return tomlkit.value("{ " + ", ".join(f"{n} = {float(v)!r}" for n, v in declared["parameters"].items()) + " }")
+
+
+def _end_of_line(text: str) -> str:
+    return "\r\n" if "\r\n" in text else "\n"

@@ -1,0 +1,190 @@
+"""From an estimate and the records it was made from to evidence on the nodes of a control point's ratio table.
+
+The estimate says that along the flown path the ratio is
+
+    r(x_t) = r_declared(x_t) + sum_k b_k(x_t) theta_k,   theta = theta_hat +- C
+    b = r_declared for ratio.scale, 1 for ratio.d0, dx_i, dx_i dx_j for the derivatives
+
+and the table's own ratio along it is W n (multilinear weights). Both are compared as functions of the same few
+parameters: W n - r_declared projected on b by least squares, weights O = (h_ref H_r)^2 as heat flux, gives what the
+table says theta is, P (W n - r_declared) with P = (B' O B)^-1 B' O. So H = P W, y = theta_hat + P r_declared, and the
+rank of the evidence is the number of parameters, however many samples the path has: nothing is counted twice.
+
+A parameter that the table cannot hold (the derivative against a variable with one node, the curvature within one cell)
+and one that is no ratio's is averaged over: its row and column of C are left out. An estimate of effects alone is
+evidence of rank 0: the table stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim_heating.base.arrays import BoolArray, FloatArray
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.errors import InputError
+from sim_heating.base.parameters import EFFECT_PREFIX, RATIO, SECOND_ORDER
+from sim_heating.estimation.report.estimate_file import Estimate
+from sim_heating.heating.ratio._shares import basis
+from sim_heating.heating.ratio.table import RatioTable
+from sim_heating.heating.ratio.uncertainty import Evidence, node_weights
+from sim_heating.inputs.points import check_reference, conditions_of_record
+from sim_heating.inputs.record import Record, in_segments
+from sim_heating.inputs.vehicle import ControlPoint, Vehicle
+
+OUTSIDE_SHARE = 0.1
+"""Share of the fitted samples outside a table's axes above which it is not updated."""
+SINGULAR = 1e-6
+"""Singular value of the scaled basis below which two parameters cannot be told apart along the path."""
+
+
+@dataclass(frozen=True)
+class Path:
+    """The samples that were fitted.
+
+    x        : (sample, 5) ratio variables
+    weight   : (sample,) weight in the projection
+    declared : (sample,) ratio of the record's own table, 0 without one
+    """
+
+    x: FloatArray
+    weight: FloatArray
+    declared: FloatArray
+
+    def only(self, chosen: BoolArray) -> Path:
+        """Some of the samples."""
+        return Path(self.x[chosen], self.weight[chosen], self.declared[chosen])
+
+
+@dataclass(frozen=True)
+class Informed:
+    """An estimate as evidence.
+
+    evidence    : on the nodes of the table
+    path        : the samples behind it, those inside the table
+    rows        : (k, node) what the evidence's parameters are of the nodes, less `at_zero`
+    at_zero     : (k,) what they would be of a ratio of 0
+    left_out    : how many samples lay outside the table
+    not_written : parameter -> why it is not in the table
+    """
+
+    evidence: Evidence
+    rows: FloatArray
+    at_zero: FloatArray
+    path: Path
+    left_out: int
+    not_written: dict[str, str]
+
+
+def is_effect(label: str) -> bool:
+    """Whether a parameter's label is that of an effect."""
+    return label.startswith(EFFECT_PREFIX)
+
+
+def ratio_names(estimate: Estimate) -> tuple[str, ...]:
+    """The estimated parameters of the linear heating model, in the model's order."""
+    return tuple(p.name for p in RATIO if p.name in estimate.parameters)
+
+
+def evidence_of(estimate: Estimate, records: Sequence[Record], vehicle: Vehicle, point: ControlPoint) -> Informed:
+    """What an estimate says of the nodes of a control point's table.
+
+    raises : InputError where the ratio is over another reference heating, the path leaves the table, or the records
+             are not those of the estimate
+    """
+    if not estimate.converged:
+        raise InputError("the estimate did not converge; nothing of it is written into a table")
+    if point.ratio.sigma is None:
+        raise InputError(f"{point.declared.ratio_table}: has no sigma column to weigh the flight against; add one")
+    names = ratio_names(estimate)
+    others = [n for n in estimate.parameters if n not in names]
+    effects = any(is_effect(n) for n in others)
+    if not names and not effects:
+        raise InputError("the estimate holds no ratio parameter and no effect, so it says nothing of the vehicle")
+    held_back = next((n for n in names if estimate.parameters[n].prior_sigma is not None), None)
+    if held_back is not None:
+        raise InputError(
+            f"{held_back} was estimated with a prior, which the table is already; estimate it with a flat one"
+        )
+    for record in records:
+        check_reference(record, vehicle, point)
+    path, left_out = _path(estimate, records), 0
+    H, at_zero, held = np.zeros((0, point.ratio.ratio.size)), np.zeros(0), np.zeros(0, dtype=bool)
+    if names:
+        path, left_out = _inside(path, point)
+        H, at_zero = _projection(names, path, estimate.reference_condition.values(), point.ratio)
+        held = _held(names, path, point.ratio)
+    kept = tuple(n for n, h in zip(names, held, strict=True) if h)
+    if not kept and not effects:
+        raise InputError(f"the table of {point.name} can hold none of {', '.join(names)}; give it nodes there")
+    rows = H[held]
+    nodes = np.flatnonzero(np.any(rows != 0.0, axis=0))
+    value = estimate.values(kept) + at_zero[held]
+    evidence = Evidence(kept, nodes, rows[:, nodes], value, estimate.covariance(kept))
+    not_written = dict.fromkeys(set(names) - set(kept), "the nodes of the table cannot hold it")
+    not_written |= dict.fromkeys((n for n in others if not is_effect(n)), "is neither of the ratio table nor an effect")
+    return Informed(evidence, rows, at_zero[held], path, left_out, dict(sorted(not_written.items())))
+
+
+def _path(estimate: Estimate, records: Sequence[Record]) -> Path:
+    """The fitted samples of all records."""
+    segments = estimate.segments
+    parts = [_record_path(r, None if segments is None else segments[i]) for i, r in enumerate(records)]
+    return Path(*(np.concatenate([getattr(p, key) for p in parts]) for key in ("x", "weight", "declared")))
+
+
+def _record_path(record: Record, segments: Sequence[Sequence[float]] | None) -> Path:
+    t = record.time_s
+    fitted = record.fit_mask() if segments is None else in_segments(t, segments) & ~record.holdout_mask()
+    fitted &= record.read_mask
+    span = record.conditions.time_s[[0, -1]]
+    t = t[fitted & (t >= span[0]) & (t <= span[1])]
+    if len(t) == 0:
+        raise InputError(f"{record.name}: no sample lies in the segments of the estimate; is it the record of the fit?")
+    flown = conditions_of_record(record).at(t)
+    x = np.stack([flown[v] for v in RATIO_VARIABLES], axis=1)
+    table = record.ratio_table
+    declared = np.zeros(len(t)) if table is None else node_weights(table.axes, x) @ table.ratio.ravel()
+    return Path(x, (flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]) ** 2, declared)
+
+
+def _inside(path: Path, point: ControlPoint) -> tuple[Path, int]:
+    """The samples inside the table's axes (an axis of one value has no outside), and how many are not."""
+    out = np.zeros(len(path.x), dtype=bool)
+    for name, axis, x in zip(RATIO_VARIABLES, point.ratio.axes, path.x.T, strict=True):
+        beyond = (len(axis) > 1) & ((x < axis[0]) | (x > axis[-1]))
+        if np.mean(beyond) > OUTSIDE_SHARE:
+            raise InputError(
+                f"{point.declared.ratio_table}: {name} lay outside its {axis[0]:g} to {axis[-1]:g} for "
+                f"{np.mean(beyond):.0%} of the fitted samples ({x.min():.4g} to {x.max():.4g}); extend the table first"
+            )
+        out |= beyond
+    return path.only(~out), int(np.count_nonzero(out))
+
+
+def _projection(
+    names: Sequence[str], path: Path, reference: FloatArray, table: RatioTable
+) -> tuple[FloatArray, FloatArray]:
+    """(k, node) H = P W, and (k,) P r_declared."""
+    B = basis(names, path.x, reference, path.declared)
+    root = np.sqrt(path.weight / np.sum(path.weight))
+    scale = np.sqrt(np.sum((B * root[:, None]) ** 2, axis=0))
+    U, s, V = np.linalg.svd(B * root[:, None] / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
+    if len(B) < len(names) or s[-1] < SINGULAR:
+        least = V[-1] if len(s) else np.ones(len(names))
+        alike = " and ".join(n for n, v in zip(names, least, strict=True) if abs(v) > 0.3)
+        raise InputError(f"the fitted samples do not tell {alike} apart; are the records those of the estimate?")
+    P = (V.T / s) @ U.T * root / scale[:, None]
+    W = node_weights(table.axes, path.x)
+    return np.asarray((W.T @ P.T).T), P @ path.declared
+
+
+def _held(names: Sequence[str], path: Path, table: RatioTable) -> BoolArray:
+    """(k,) whether the nodes can hold each parameter: a slope needs two nodes, a curvature one within the excursion."""
+    moved = [len(axis) > 1 for axis in table.axes]
+    bent = [np.any((a > x.min()) & (a < x.max())) for a, x in zip(table.axes, path.x.T, strict=True)]
+    second = [bent[i] if i == j else moved[i] and moved[j] for i, j in SECOND_ORDER]
+    held = dict(zip((p.name for p in RATIO), (True, True, *moved, *second), strict=True))
+    return np.array([held[name] for name in names], dtype=bool)

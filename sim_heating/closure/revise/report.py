@@ -1,0 +1,177 @@
+"""A table update as a person reads it: the difference node by node, parameters, effects, errors.
+
+Picture of a table update: heating ratio against each variable that was flown, with bands, as the founding paper's
+figures 8 and 12: the table before, the flight's estimate where it flew, the table after.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from rich.table import Table
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.parameters import EFFECT_PREFIX, SHORT
+from sim_heating.base.report.figure import new_figure, save_figure
+from sim_heating.closure.revise.evidence import ratio_names
+from sim_heating.closure.revise.update import SURPRISING, TableUpdate, changed_nodes
+from sim_heating.estimation.report.ratio_plot import (
+    AFTER,
+    BEFORE,
+    LABELS,
+    about,
+    line,
+    panel_variables,
+    plot_band,
+    plot_flight,
+    plotted,
+)
+from sim_heating.heating.ratio._shares import estimated_ratio
+from sim_heating.heating.ratio.uncertainty import Posterior, node_weights
+
+ROWS = 16
+"""Nodes that are shown; the revision's file holds all."""
+ROUNDING = 1e-6
+"""Part of its sigma below which a value is no more than rounding."""
+DRAWN = 1.0
+"""A parameter of an effect that the table draws farther from the fit, in its sigma, is told."""
+
+
+def report(update: TableUpdate, errors: dict[str, dict[str, Any]]) -> Iterator[Table | str]:
+    """What is printed of an update, one after the other."""
+    if np.any(update.changed):
+        yield _difference(update)
+    else:
+        yield f"{update.point.name}: no node of the ratio table changes"
+    if update.informed.evidence.names:
+        yield _parameters(update)
+    if update.effects.written:
+        yield _effects(update)
+    yield _errors(errors)
+    yield from _oddities(update)
+
+
+def _difference(update: TableUpdate) -> Table:
+    """The nodes that move most, by their sigma before."""
+    nodes = {name: np.array(values) for name, values in changed_nodes(update).items()}
+    moved = np.abs(nodes["ratio_after"] - nodes["ratio_before"]) / np.maximum(nodes["sigma_before"], 1e-300)
+    shown = np.sort(np.argsort(-moved, kind="stable")[:ROWS])
+    many = f"{len(moved)} of {update.table.ratio.size} nodes change"
+    some = f", the {len(shown)} that move most by their sigma" if len(shown) < len(moved) else ""
+    old = update.history.revision
+    table = Table(title=f"{update.point.name}, revision {old} to {old + 1}: {many}{some}", title_justify="left")
+    for head in (*SHORT, "ratio before", "after", "", "sigma before", "after"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for i in shown:
+        before, after = nodes["ratio_before"][i], nodes["ratio_after"][i]
+        at = (f"{nodes[v][i]:g}" for v in RATIO_VARIABLES)
+        change = f"{after / before - 1.0:+.1%}" if before > 0.0 else f"{after - before:+.3g}"
+        sigma = (f"{nodes[f'sigma_{w}'][i]:.3g}" for w in ("before", "after"))
+        table.add_row(*at, f"{before:.5g}", f"{after:.5g}", change, *sigma)
+    return table
+
+
+def _parameters(update: TableUpdate) -> Table:
+    table = Table(title="Each parameter: as estimated, and as the table has it", title_justify="left")
+    table.add_column("parameter")
+    for head in ("estimate", "table before", "table after"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for name, *pairs in update.parameter_views():
+        table.add_row(name, *(_with_sigma(v, s) for v, s in zip(pairs[::2], pairs[1::2], strict=True)))
+    return table
+
+
+def _with_sigma(value: float, sigma: float) -> str:
+    """A value with its bound; what rounding leaves of 0 is 0."""
+    return f"{value if abs(value) > ROUNDING * sigma else 0.0:.4g} +- {sigma:.2g}"
+
+
+def _effects(update: TableUpdate) -> Table:
+    name = update.effects.path.name
+    table = Table(title=f"Effects in {name}", title_justify="left")
+    for head in ("effect", "parameter"):
+        table.add_column(head, no_wrap=True)
+    for head in ("estimate", "before", "after"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for effect in update.effects.changes():
+        for parameter, value in effect["parameters"].items():
+            estimated = update.parameters.get(f"{EFFECT_PREFIX}{effect['name']}.{parameter}")
+            told = _with_sigma(estimated.value, estimated.sigma) if estimated else "held"
+            before = "-" if effect["before"] is None else f"{effect['before'][parameter]:.4g}"
+            table.add_row(effect["name"], parameter, told, before, f"{value:.4g}")
+    return table
+
+
+def _errors(errors: dict[str, dict[str, Any]]) -> Table:
+    table = Table(title="RMSE of plain predictions with the vehicle before and after", title_justify="left")
+    table.add_column("record")
+    for head in ("fit, before", "after", "holdout, before", "after"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for name, parts in errors.items():
+        every = (parts[part][when] for part in ("fit", "holdout") for when in ("before", "after"))
+        table.add_row(name, *("-" if e is None else f"{e['rmse_K']:.2f} K" for e in every))
+    return table
+
+
+def _oddities(update: TableUpdate) -> Iterator[str]:
+    """What a person should know before trusting the revision."""
+    for name, why in update.not_written.items():
+        yield f"{name}: not written, {why}"
+    for name, moved in update.effects.moved.items():
+        if moved > DRAWN:
+            yield f"{name}: the table's sigma draws it {moved:.1f} sigma from the fit, along straight lines"
+    for name in update.effects.missing:
+        yield (
+            f"{name}: is declared at {update.point.name} and was not in the fit, whose ratio may hold it too; "
+            f"estimate with {EFFECT_PREFIX}{name}.*"
+        )
+    if update.informed.left_out:
+        yield f"{update.informed.left_out} fitted samples lay outside the table and were left out"
+    if update.after.surprise < SURPRISING:
+        n = len(update.after.innovation)
+        yield (
+            "The flight is farther from the table than its sigma allows (chi-square "
+            f"{update.after.chi_square:.1f} on {n}, chance {update.after.surprise:.1g}): the sigma column or the "
+            "estimate's bounds are too small"
+        )
+    negative = int(np.count_nonzero((update.table.ratio < 0.0) & (update.history.table.ratio >= 0.0)))
+    if negative:
+        yield f"{negative} nodes become negative, where little but the table's reach speaks for them; see the picture"
+
+
+def draw_update(path: Path, update: TableUpdate) -> None:
+    """One panel for each variable whose derivative was written (angle of attack where none was); bands are 2 sigma."""
+    held = panel_variables(update.informed.evidence.names)
+    figure, axes = new_figure(1.5 + 4.7 * len(held), 4.8, 1, len(held), squeeze=False)
+    for a, i in zip(axes[0], held, strict=True):
+        _panel(a, update, i)
+    axes[0, 0].set_ylabel("heating ratio (2 sigma bands)")
+    axes[0, 0].legend(fontsize=8, loc="best")
+    old, where = update.history.revision, about(update.estimate.reference_condition.values())
+    save_figure(figure, path, f"{update.point.name}: ratio table, revision {old} to {old + 1}\nabout {where}", axes)
+
+
+def _panel(a: Axes, update: TableUpdate, i: int) -> None:
+    axis, flown = update.history.table.axes[i], update.informed.path.x[:, i]
+    reference = update.estimate.reference_condition.values()
+    x = plotted(i, reference, flown, axis)
+    nodes = line(reference, i, axis[(axis >= x[0, i]) & (axis <= x[-1, i])])
+    _table(a, i, update.before, x, nodes, "table before", BEFORE)
+    _table(a, i, update.after, x, nodes, "table after", AFTER)
+    inside = x[(x[:, i] >= flown.min()) & (x[:, i] <= flown.max())]
+    names = ratio_names(update.estimate)
+    values, covariance = update.estimate.values(names), update.estimate.covariance(names)
+    declared = update.records[0].ratio_table
+    plot_flight(a, inside[:, i], *estimated_ratio(names, values, covariance, reference, declared, inside))
+    a.set_xlabel(LABELS[RATIO_VARIABLES[i]])
+
+
+def _table(a: Axes, i: int, table: Posterior, x: FloatArray, nodes: FloatArray, label: str, color: str) -> None:
+    W = node_weights(table.prior.axes, x)
+    plot_band(a, x[:, i], W @ table.ratio.ravel(), table.sigma_along(W), label, color)
+    a.plot(nodes[:, i], node_weights(table.prior.axes, nodes) @ table.ratio.ravel(), "o", color=color, markersize=4)

@@ -1,0 +1,287 @@
+"""Revisions of a control point's ratio table and effects as files of the vehicle: written, read back, undone.
+
+    ratio_tables/P.csv                     the table in force; its header says `revision` and `parent_revision`
+    ratio_revisions/P/revision_1.csv       an earlier one, byte for byte
+    ratio_revisions/P/revision_2.json      what made revision 2 of revision 1: provenance, evidence, changed nodes
+    ratio_revisions/P/revision_2.png       and its picture, where nodes changed
+    ratio_revisions/P/revision_1.toml      control_points/P.toml before revision 2, where that wrote effects
+
+The table is replaced last and in one step; what fails before leaves the vehicle as it was. A program that is killed
+between the two files is found out by `read_history`. Evidence is kept whole: a later update starts from the table
+before the first one and takes all of it together.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import Declared, check, json_text, raw_text, read_json, shown, write_text_atomic
+from sim_heating.estimation.report.estimate_file import Estimated
+from sim_heating.heating.ratio.table import RatioTable, ratio_table_text, read_ratio_table
+from sim_heating.heating.ratio.uncertainty import Evidence, Posterior, posterior
+from sim_heating.inputs.vehicle import Vehicle
+
+FOLDER = "ratio_revisions"
+
+
+class UsedRecord(Declared):
+    """A record that informs a revision: its files by hash, and which times of it."""
+
+    record: str
+    inputs: str
+    segments: list[list[float]]
+
+
+class StoredEvidence(Declared):
+    """posterior.Evidence as a file holds it."""
+
+    names: list[str]
+    nodes: list[int]
+    H: list[list[float]]
+    value: list[float]
+    covariance: list[list[float]]
+
+    def arrays(self) -> Evidence:
+        """As the update takes it."""
+        nodes = np.array(self.nodes, dtype=np.int64)
+        return Evidence(tuple(self.names), nodes, np.array(self.H), np.array(self.value), np.array(self.covariance))
+
+
+class WrittenEffect(Declared):
+    """An effect that was written: its values, and those that were declared before."""
+
+    name: str
+    parameters: dict[str, float]
+    before: dict[str, float] | None
+
+
+class RevisionFile(Declared):
+    """Contents of ratio_revisions/P/revision_N.json.
+
+    table        : path of the table below the vehicle
+    parent       : number of the revision that it was made of
+    parent_hash, table_hash : of the two files' bytes
+    estimate     : hash of the estimate's file
+    parameters   : what was estimated of the ratio and of written effects
+    effects      : what was written into the control point's file
+    point_parent_hash, point_hash : of that file's bytes before and after; None where no effect was written
+    not_written  : what was estimated and is not in the vehicle, with the reason
+    reach        : distances at which the errors of two nodes are taken to be independent
+    chi_square   : of all evidence against the table before any of it
+    changed      : nodes with another value: the five variables, ratio and sigma before and after
+    """
+
+    format: Literal["ratio-revision/1"] = "ratio-revision/1"
+    control_point: str
+    table: str
+    revision: int
+    parent: int
+    parent_hash: str
+    table_hash: str
+    program: str
+    estimate: str
+    records: list[UsedRecord]
+    reference_condition: dict[str, float]
+    parameters: dict[str, Estimated]
+    effects: list[WrittenEffect] = Field(default=[])
+    point_parent_hash: str | None = None
+    point_hash: str | None = None
+    not_written: dict[str, str]
+    reach: dict[str, float]
+    chi_square: float
+    degrees_of_freedom: int
+    evidence: StoredEvidence
+    errors_K: dict[str, dict[str, Any]] = Field(description="record -> fit, holdout -> before, after")
+    changed: dict[str, list[float]]
+
+
+@dataclass(frozen=True)
+class History:
+    """A table with all that made it.
+
+    path      : the table in force
+    raw       : its text
+    table     : read
+    revision  : its number
+    base      : the table before the first update, itself where there was none
+    revisions : what has been added to `base` since, the oldest first
+    """
+
+    path: Path
+    raw: str
+    table: RatioTable
+    revision: int
+    base: RatioTable
+    revisions: tuple[RevisionFile, ...]
+
+
+def table_path(vehicle: Vehicle, point: str) -> Path:
+    """The file of a control point's table.
+
+    raises : InputError where it is an earlier revision, or the table of other points too
+    """
+    name = vehicle.control_point(point).declared.ratio_table
+    if Path(name).parts[0] == FOLDER:
+        raise InputError(f"{point}: its `ratio_table` is {name}, an earlier revision; name the one in force first")
+    sharing = [p.name for p in vehicle.control_points.values() if p.declared.ratio_table == name and p.name != point]
+    if sharing:
+        raise InputError(f"{name}: is the table of {', '.join(sharing)} too; give {point} a copy of its own first")
+    return vehicle.directory / name
+
+
+def read_history(vehicle: Vehicle, point: str) -> History:
+    """The table of a control point and what made it.
+
+    raises : InputError where its number is none, or the table was changed after its revision was written
+    """
+    path = table_path(vehicle, point)
+    raw = raw_text(path)
+    table = read_ratio_table(path)
+    number = table.header.get("revision", "")
+    if not number.isdecimal():
+        raise InputError(f"{shown(path)}, header `revision`: {number!r} is not a whole number; number the table")
+    revisions: list[RevisionFile] = []
+    base, text, at = path, raw, int(number)
+    while (made := revision_path(vehicle.directory, point, at, "json")).is_file():
+        revision = check(read_json(made), RevisionFile, shown(made))
+        if revision.table_hash != content_hash(text):
+            raise InputError(
+                f"{shown(base)}: was changed after {shown(made)} was written; revert the change, or give the table a "
+                "`revision` of its own"
+            )
+        base = revision_path(vehicle.directory, point, revision.parent, "csv")
+        text, at = raw_text(base), revision.parent
+        if revision.parent_hash != content_hash(text):
+            raise InputError(f"{shown(base)}: is not the table that {shown(made)} was made of; restore it")
+        revisions.insert(0, revision)
+    _refuse_half_written(vehicle.directory, point, int(number))
+    return History(path, raw, table, int(number), read_ratio_table(base), tuple(revisions))
+
+
+def posterior_of(vehicle: Vehicle, point: str) -> Posterior | None:
+    """What is known of a control point's table by its sigma column and the evidence of its revisions; None where it
+    states no sigma.
+
+    raises : InputError where the table was changed after its revision was written
+    """
+    base, evidence = vehicle.control_point(point).ratio, list[Evidence]()
+    if (vehicle.directory / FOLDER / point).is_dir():
+        history = read_history(vehicle, point)
+        base, evidence = history.base, [r.evidence.arrays() for r in history.revisions]
+    return None if base.sigma is None else posterior(base, evidence)
+
+
+def _refuse_half_written(directory: Path, point: str, number: int) -> None:
+    """Refuse a vehicle with the effects of the next revision and the table of this one."""
+    made, file = revision_path(directory, point, number + 1, "json"), point_path(directory, point)
+    if not made.is_file():
+        return
+    revision = check(read_json(made), RevisionFile, shown(made))
+    if revision.point_hash is not None and revision.point_hash == content_hash(raw_text(file)):
+        kept = revision_path(directory, point, number, "toml")
+        raise InputError(f"{shown(file)}: an update ended before its table was written; copy {shown(kept)} over it")
+
+
+def content_hash(text: str) -> str:
+    """`sha256:...` of a text as UTF-8."""
+    return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
+
+
+def write_revision(
+    vehicle: Vehicle, history: History, table: RatioTable, made: Mapping[str, Any], point_text: str | None = None
+) -> RevisionFile:
+    """Write the next revision: the old files kept, what made the new ones, the effects, then the table itself.
+
+    made       : the fields of a RevisionFile that are not of the files
+    point_text : the new text of the control point's file, None where it stays
+    """
+    file = point_path(vehicle.directory, made["control_point"])
+    old_point = raw_text(file)
+    text = ratio_table_text(table, _short_axes(table))
+    data = {
+        **made,
+        "table": history.path.relative_to(vehicle.directory).as_posix(),
+        "revision": history.revision + 1,
+        "parent": history.revision,
+        "parent_hash": content_hash(history.raw),
+        "table_hash": content_hash(text),
+        "point_parent_hash": None if point_text is None else content_hash(old_point),
+        "point_hash": None if point_text is None else content_hash(point_text),
+    }
+    revision = check(data, RevisionFile, f"revision {history.revision + 1}")
+    point = revision.control_point
+    write_text_atomic(revision_path(vehicle.directory, point, history.revision, "csv"), history.raw)
+    if point_text is not None:
+        write_text_atomic(revision_path(vehicle.directory, point, history.revision, "toml"), old_point)
+    write_text_atomic(
+        revision_path(vehicle.directory, point, revision.revision, "json"), json_text(revision.model_dump())
+    )
+    try:
+        if point_text is not None:
+            write_text_atomic(file, point_text)
+        write_text_atomic(history.path, text)
+    except BaseException:
+        if point_text is not None:
+            write_text_atomic(file, old_point)
+        raise
+    return revision
+
+
+def _short_axes(table: RatioTable) -> dict[str, str]:
+    """Formats of the axes that read back equal without trailing zeros, so that unchanged rows keep their text."""
+    axes = zip(RATIO_VARIABLES, table.axes, strict=True)
+    return {name: "g" for name, axis in axes if all(float(f"{v:g}") == v for v in axis)}
+
+
+def revert(vehicle: Vehicle, point: str) -> tuple[int, int]:
+    """Put the parent of a revision back, byte for byte; numbers of the revision undone and of the one in force.
+
+    raises : InputError where there is none, or the control point's file was changed since
+    """
+    history = read_history(vehicle, point)
+    if not history.revisions:
+        raise InputError(f"{shown(history.path)}: revision {history.revision} was not made from flight data; kept")
+    undone = history.revisions[-1]
+    kept = revision_path(vehicle.directory, point, undone.parent, "csv")
+    old_point = revision_path(vehicle.directory, point, undone.parent, "toml")
+    if undone.point_hash is not None:
+        _revert_point(point_path(vehicle.directory, point), old_point, undone)
+    write_text_atomic(history.path, raw_text(kept))
+    made = (revision_path(vehicle.directory, point, undone.revision, kind) for kind in ("json", "png"))
+    for path in (kept, old_point, *made):
+        path.unlink(missing_ok=True)
+    if not any(kept.parent.iterdir()):
+        kept.parent.rmdir()
+    return undone.revision, undone.parent
+
+
+def _revert_point(file: Path, kept: Path, undone: RevisionFile) -> None:
+    """Put a control point's file back, unless a person has changed it since."""
+    text = raw_text(kept)
+    if content_hash(text) != undone.point_parent_hash:
+        raise InputError(f"{shown(kept)}: is not the file that revision {undone.revision} was made of; restore it")
+    if content_hash(raw_text(file)) not in (undone.point_hash, undone.point_parent_hash):
+        raise InputError(
+            f"{shown(file)}: was changed after revision {undone.revision}, which wrote effects into it, and the change "
+            "would be lost; take it back first"
+        )
+    write_text_atomic(file, text)
+
+
+def point_path(directory: Path, point: str) -> Path:
+    """The file of a control point in a vehicle."""
+    return directory / "control_points" / f"{point}.toml"
+
+
+def revision_path(directory: Path, point: str, revision: int, kind: str) -> Path:
+    """Where a revision's table (csv), control point (toml), evidence (json) or picture (png) is kept in a vehicle."""
+    return directory / FOLDER / point / f"revision_{revision}.{kind}"

@@ -1,0 +1,1 @@
+"""Manoeuvres designed for what they would tell of the parameters, before anyone flies them."""

@@ -1,0 +1,98 @@
+"""Predicted bounds against actual fits: truths drawn from the priors, measured, fitted; how far off the fits are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import RunError
+from sim_heating.base.parameters import Parameter
+from sim_heating.base.progress import Progress, quiet
+from sim_heating.estimation.design.information import Experiment
+from sim_heating.estimation.inference.likelihood import observed
+from sim_heating.estimation.inference.newton import maximise
+from sim_heating.estimation.problem import Problem, joint_reference
+from sim_heating.estimation.record_fit import Start
+from sim_heating.heating.effects import EffectUse
+from sim_heating.inputs.record import Record
+from sim_heating.inputs.sensor_model import quantised
+from sim_heating.thermal.stack import Sensor
+
+
+@dataclass(frozen=True, eq=False)
+class Repeated:
+    """Errors of repeated fits.
+
+    names  : (parameter,);  error : (fit, parameter) estimate less truth
+    failed : fits that did not converge, which are not in `error`
+    """
+
+    names: tuple[str, ...]
+    error: FloatArray
+    failed: int
+
+    def spread(self, wanted: Sequence[str]) -> FloatArray:
+        """(wanted,) root mean square errors."""
+        at = [self.names.index(n) for n in wanted]
+        return np.sqrt(np.mean(self.error[:, at] ** 2, axis=0))
+
+
+def repeated_fits(
+    record: Record,
+    told: Experiment,
+    *,
+    effects: Sequence[EffectUse] = (),
+    start: Start | None = None,
+    reference: Mapping[str, float] | None = None,
+    repetitions: int = 200,
+    seed: int = 1,
+    progress: Progress = quiet,
+) -> Repeated:
+    """Measure and fit a record again and again; `told` gives the unknowns, PRESSURE not among them, and their priors.
+
+    raises : RunError where no fit converges
+    """
+    known = {p.name: p for p in told.unknowns}
+    of_start = {} if start is None else {u.name: known[u.name] for u in start.unknowns}
+    begin = None if start is None else replace(start, unknowns=tuple(of_start.values()))
+    names = [n for n in told.names if n not in of_start]
+    about = joint_reference([record], reference)
+    problem = Problem([record], names, about, effects=effects, priors=known, starts=[begin])
+    parameters, part = problem.parameters, problem.parts[0]
+    rng = np.random.default_rng(seed)
+    errors, failed = [], 0
+    for k in range(repetitions):
+        truth = drawn(parameters, rng)
+        part.channels = [
+            replace(s.channel, observed=observed(s.channel.sensor, _read(s.channel.sensor, s.mean_K, s.sigma_K, rng)))
+            for s in problem.samples(truth)
+        ]
+        fit = maximise(problem.evaluate, parameters, log_likelihoods=problem.log_likelihoods)
+        if fit.converged:
+            errors.append(fit.values - truth)
+        else:
+            failed += 1
+        progress((k + 1) / repetitions, f"fits: {k + 1} of {repetitions}")
+    if not errors:
+        raise RunError(f"design: none of {repetitions} fits converged")
+    return Repeated(tuple(p.name for p in parameters), np.array(errors), failed)
+
+
+def drawn(parameters: Sequence[Parameter], rng: np.random.Generator) -> FloatArray:
+    """(parameter,) truths from the priors, drawn anew where outside the bounds; the value itself where one is flat."""
+    values = []
+    for p in parameters:
+        value = p.value
+        while np.isfinite(p.sigma):
+            value = rng.normal(p.value, p.sigma)
+            if p.lower < value < p.upper:
+                break
+        values.append(value)
+    return np.array(values)
+
+
+def _read(sensor: Sensor, mean_K: FloatArray, sigma_K: float, rng: np.random.Generator) -> FloatArray:
+    return quantised(sensor, mean_K + rng.normal(0.0, sigma_K, len(mean_K)))

@@ -1,0 +1,84 @@
+"""What other instruments would buy on a given flight, and which thermocouples are not needed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.parameters import CLOCK_SKEW
+from sim_heating.estimation.design.information import PRESSURE, Experiment
+from sim_heating.estimation.design.planned_flight import Instruments, Planned, Planner
+from sim_heating.thermal.stack import Sensor
+
+BITS = (8, 10, 12)
+RATES_HZ = (1.0, 5.0, 10.0)
+CLOCKS_S = (1.0, 0.5, 0.1, 0.01)
+"""Standard deviations of the clock's skew."""
+PRESSURE_KNOWN = 0.02
+"""Relative standard deviation of a measured surface pressure."""
+DEEPER_M = 0.004
+"""Depth of an extra thermocouple below the coating."""
+BONDLINE_RANGE_K = [255.0, 477.0]
+NEAR_M = 0.0005
+"""A thermocouple nearer than this to another tells what that one does."""
+
+
+@dataclass(frozen=True, eq=False)
+class Variant:
+    """Bounds with other instruments: of which kind the change is, what it is, (wanted,) bounds."""
+
+    kind: str
+    what: str
+    sigma: FloatArray
+
+
+def instrumentation(
+    planner: Planner, flown: Planned, names: tuple[str, ...], priors: dict[str, float]
+) -> list[Variant]:
+    """Bounds on the wanted parameters with the declared instruments, which come first, and with others."""
+    told = planner.experiment(flown, names, priors)
+    every = [("as declared", "as declared", told), *_reread(told), *_rebuilt(planner, flown, names, priors)]
+    return [Variant(kind, what, e.sigma(planner.wanted)) for kind, what, e in every]
+
+
+def _reread(told: Experiment) -> Iterator[tuple[str, str, Experiment]]:
+    """Changes that need no other march."""
+    for bits in BITS:
+        yield "word", f"{bits} bits", told.with_bits(bits)
+    if CLOCK_SKEW.name in told.names:
+        for sigma in CLOCKS_S:
+            yield "clock", f"within {sigma:g} s", told.with_priors({CLOCK_SKEW.name: sigma})
+    if PRESSURE.name in told.names:
+        yield "pressure", f"measured to {PRESSURE_KNOWN:.0%}", told.with_priors({PRESSURE.name: PRESSURE_KNOWN})
+    sensors = [c.sensor.name for c in told.channels]
+    for name in sensors if len(sensors) > 1 else []:
+        yield "without", name, told.without([name])
+    outermost = min(told.channels, key=lambda c: c.sensor.depth_m).sensor.name
+    if len(sensors) > 2:
+        yield "without", f"all but {outermost}", told.without([n for n in sensors if n != outermost])
+
+
+def _rebuilt(
+    planner: Planner, flown: Planned, names: tuple[str, ...], priors: dict[str, float]
+) -> Iterator[tuple[str, str, Experiment]]:
+    """Changes that do: sample rates, and thermocouples at other depths."""
+    sensors = planner.instruments.sensors
+    for rate in RATES_HZ:
+        yield "rate", f"{rate:g} Hz", planner.experiment(flown, names, priors, Instruments(sensors, rate))
+    for what, extra in _extra_sensors(planner):
+        instruments = Instruments((*sensors, extra), planner.instruments.rate_hz)
+        yield "extra sensor", what, planner.experiment(flown, names, priors, instruments)
+
+
+def _extra_sensors(planner: Planner) -> Iterator[tuple[str, Sensor]]:
+    """A thermocouple in the insulation and one at the bondline, with a recorder like the outermost one's."""
+    stack, sensors = planner.point.construction.stack, planner.instruments.sensors
+    like = min(sensors, key=lambda s: s.depth_m)
+    deeper = stack.layer[0].thickness_m + DEEPER_M
+    places = {f"{1e3 * DEEPER_M:g} mm below the coating": (deeper, like.range_K)}
+    places["bondline"] = (stack.bondline_m, BONDLINE_RANGE_K)
+    for what, (depth, span) in places.items():
+        if depth < stack.bondline_m + NEAR_M and all(abs(depth - s.depth_m) > NEAR_M for s in sensors):
+            update = {"name": what, "column": f"extra_{1e6 * depth:.0f}_K", "depth_m": depth, "range_K": span}
+            yield what, like.model_copy(update=update)

@@ -1,0 +1,311 @@
+"""A planned flight: a scenario flown with manoeuvres as designed, held against its limits, and as a record to come."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
+from sim_heating.base.errors import InputError, told_of
+from sim_heating.base.files import shown
+from sim_heating.base.parameters import CLOCK_SKEW, SENSOR_PREFIX, SHORT
+from sim_heating.estimation.design.information import PRESSURE, Experiment, experiment
+from sim_heating.estimation.inference.observability import still
+from sim_heating.estimation.problem import SKEW_SPAN_S
+from sim_heating.estimation.record_fit import LONGEST_STEP_S, Start, march_times
+from sim_heating.estimation.starts import free_start
+from sim_heating.heating.ratio.uncertainty import REACH, node_weights
+from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
+from sim_heating.inputs.record import Record, Segments, make_record
+from sim_heating.inputs.scenario import Design, Scenario
+from sim_heating.inputs.sensor_model import calibrated, sample_times
+from sim_heating.inputs.vehicle import ControlPoint
+from sim_heating.march.ensemble import Ensemble, condition_history, histories
+from sim_heating.march.linearised import LinearMarch, Track
+from sim_heating.march.mesh_choice import choose_meshes, pack
+from sim_heating.simulation.run import SOURCES, models_of
+from sim_heating.simulation.synthesize import declaration
+from sim_heating.thermal.stack import Sensor
+from sim_heating.trajectory.flight import Flight, Window
+from sim_heating.trajectory.spec import Manoeuvre
+
+WANTED = {
+    "popu": ("ratio.d_alpha",),
+    "elevon-pulse": ("ratio.d_elevon",),
+    "elevon-sweep": ("ratio.d_elevon",),
+    "bodyflap-pulse": ("ratio.d_elevon", "ratio.d_bodyflap"),
+    "bodyflap-sweep": ("ratio.d_elevon", "ratio.d_bodyflap"),
+    "sideslip-doublet": ("ratio.d_beta",),
+    "jet-firing": (),
+}
+"""What a kind of manoeuvre is flown for."""
+NUISANCE = (
+    "ratio.scale", "stack.coating.thickness_factor", "stack.rsi.conductivity_factor", CLOCK_SKEW.name, PRESSURE.name,
+)  # fmt: skip
+"""What is not known beside it, and the derivatives that the table of the point knows."""
+SEARCHED = {"source": "entry-3dof", "rate_hz": 4.0}
+"""What designs are flown with while they are tried."""
+ADDED_K = 5.0
+"""What a manoeuvre may add to a temperature that passes its limit without it [K]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Instruments:
+    """Thermocouples, and samples a second; None: the sensors' own."""
+
+    sensors: tuple[Sensor, ...]
+    rate_hz: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """A flight with manoeuvres.
+
+    conditions : at the control point
+    margins    : distance from each limit, in its unit, not below 0 where it is kept
+    """
+
+    manoeuvres: tuple[Manoeuvre, ...]
+    flight: Flight
+    conditions: Conditions
+    margins: dict[str, float]
+
+    @property
+    def feasible(self) -> bool:
+        """Whether all limits are kept."""
+        return all(margin >= 0.0 for margin in self.margins.values())
+
+    @property
+    def passed(self) -> list[str]:
+        """Limits that are not kept, in words."""
+        told = []
+        for name, margin in self.margins.items():
+            what, _, unit = name.rpartition("_") if "_" in name else (name, "", "")
+            if margin < 0.0:
+                told.append(f"{what.replace('_', ' ')} passes its limit by {-margin:.3g} {unit}".rstrip())
+        return told
+
+
+class Planner:
+    """Flies the manoeuvres of a scenario as they may be designed.
+
+    raises : InputError where the scenario has nothing to design
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        spec = scenario.declared.trajectory
+        if spec.source == "recorded":
+            raise InputError(f"{scenario.path}: a recorded flight is what it is; give a source that flies manoeuvres")
+        if not spec.manoeuvre:
+            raise InputError(f"{scenario.path}: there is no manoeuvre to design; add a [[trajectory.manoeuvre]]")
+        self.scenario = scenario
+        self.design: Design = scenario.declared.design or Design()
+        self.point = _point(scenario, self.design)
+        self.effects = (*self.point.effects, *scenario.effects(self.point.name))
+        self.wanted = _wanted(scenario, self.design)
+        self.instruments = Instruments(self.point.sensors, scenario.declared.measurements.rate_hz)
+        asked = {"parameters": self.wanted, "nuisance": self.design.nuisance or (), "prior": self.design.prior}
+        for key, names in asked.items():
+            with told_of(f"{shown(scenario.path)}, [design], {key}"):
+                self._check_names(tuple(names))
+
+    def _check_names(self, names: Sequence[str]) -> None:
+        """Refuse names that no unknown of a design has."""
+        model = point_of_vehicle(self.scenario.vehicle, self.point, effects=self.scenario.effects(self.point.name))
+        for name in names:
+            if name not in (CLOCK_SKEW.name, PRESSURE.name) and not name.startswith((SENSOR_PREFIX, "initial.")):
+                model.definition(name)
+
+    # Flight ----------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def bare(self) -> Flight:
+        """The flight without manoeuvres."""
+        return self._fly((), searched=True)
+
+    @cached_property
+    def _bare_peaks(self) -> dict[str, float]:
+        return self._peaks(self.bare)
+
+    def _fly(self, manoeuvres: tuple[Manoeuvre, ...], searched: bool) -> Flight:
+        spec = self.scenario.declared.trajectory
+        spec = spec.model_copy(update={"manoeuvre": manoeuvres, **(SEARCHED if searched else {})})
+        return SOURCES[spec.source](spec, self.scenario.vehicle.directory)
+
+    def fly(self, manoeuvres: Sequence[Manoeuvre], searched: bool = True) -> Planned:
+        """Fly manoeuvres with the 3-DOF entry, or, not `searched`, with the scenario's own source."""
+        flown = tuple(manoeuvres)
+        flight = self._fly(flown, searched)
+        return Planned(
+            flown,
+            flight,
+            conditions_at_point(self.scenario.vehicle, self.point, flight.conditions),
+            self._margins(flown, flight),
+        )
+
+    # Limits ----------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _ensemble(self) -> Ensemble:
+        return pack(models_of(self.scenario, self.bare.conditions)[0], LONGEST_STEP_S)
+
+    def _peaks(self, flight: Flight) -> dict[str, float]:
+        """Highest surface and bondline temperatures [K] of the control points that limit them."""
+        ensemble, vehicle = self._ensemble, self.scenario.vehicle
+        points = [vehicle.control_point(name) for name in self.scenario.names]
+        flown = histories([conditions_at_point(vehicle, p, flight.conditions) for p in points])
+        ensemble.reset()
+        faces = [[place.temperature(0) for place in ensemble.places]]
+        faces += [[p.temperature(mesh.bondline) for p, mesh in zip(ensemble.places, ensemble.meshes, strict=True)]]
+        highest = np.max(ensemble.march(flight.conditions.time_s, flown, keep=np.ravel(faces)), axis=0)
+        peaks = {f"{p.name} surface_K": float(peak) for p, peak in zip(points, highest, strict=False)}
+        for p, peak in zip(points, highest[len(points) :], strict=True):
+            if p.limits.bondline_K is not None:
+                peaks[f"{p.name} bondline_K"] = float(peak)
+        return peaks
+
+    def _margins(self, manoeuvres: tuple[Manoeuvre, ...], flight: Flight) -> dict[str, float]:
+        limits, flown = self.design.limits, flight.conditions
+        if len(flight.windows) < len(manoeuvres):
+            return {"manoeuvres reached": float(len(flight.windows) - len(manoeuvres))}
+        margins = {"duration_s": limits.duration_s - max(w.end_s - w.start_s for w in flight.windows)}
+        during = np.zeros(len(flown), dtype=bool)
+        for w in flight.windows:
+            during |= (flown.time_s >= w.start_s) & (flown.time_s <= w.end_s + self.design.after_s)
+        if not np.any(during):
+            every = float(np.max(np.diff(flown.time_s)))
+            raise InputError(f"sample_s: a sample every {every:g} s, none of them during the manoeuvres; take more")
+        for name in ("alpha_deg", "elevon_deg", "qbar_Pa"):
+            low, high = getattr(limits, name)
+            margins[name] = float(min(np.min(flown[name][during]) - low, high - np.max(flown[name][during])))
+        without = np.interp(flown.time_s, self.bare.conditions.time_s, self.bare.conditions["altitude_m"])
+        change = np.max(np.abs(flown["altitude_m"] - without)[during])
+        margins["altitude_change_m"] = float(limits.altitude_change_m - change)
+        if min(margins.values()) < 0.0:
+            return margins  # temperatures of a flight that is not flown are not worth a march
+        return margins | {name: self.limit(name) - peak for name, peak in self._peaks(flight).items()}
+
+    def limit(self, name: str) -> float:
+        """Limit of a control point's temperature, such as "V09T9527 surface_K" [K], less the margin asked for.
+
+        Where the flight without manoeuvres passes it: its peak and ADDED_K.
+        """
+        point, _, what = name.partition(" ")
+        own = getattr(self.scenario.vehicle.control_point(point).limits, what)
+        margin = getattr(self.design.limits, what.replace("_K", "_margin_K"))
+        allowed = float(own) - margin
+        return allowed if self._bare_peaks[name] <= allowed else self._bare_peaks[name] + ADDED_K
+
+    def over_limit(self) -> list[str]:
+        """Temperatures that pass their limit without any manoeuvre."""
+        return [
+            f"{name}: {peak:.0f} K without any manoeuvre, above its limit; manoeuvres may add {ADDED_K:g} K to it"
+            for name, peak in self._bare_peaks.items()
+            if self.limit(name) == peak + ADDED_K
+        ]
+
+    # Information -----------------------------------------------------------------------------------------------------
+
+    def names(self, planned: Planned) -> tuple[str, ...]:
+        """What is unknown: the wanted, and the nuisances that the planned flight moves."""
+        if self.design.nuisance is not None:
+            return tuple(dict.fromkeys((*self.wanted, *self.design.nuisance)))
+        assert self.point.ratio is not None
+        known = [f"ratio.d_{s}" for s, axis in zip(SHORT, self.point.ratio.axes, strict=True) if len(axis) > 1]
+        unmoved = still(known, [self.record(planned, self.instruments)[0]])
+        return tuple(dict.fromkeys((*self.wanted, *(n for n in known if n not in unmoved), *NUISANCE)))
+
+    def priors(self, names: Sequence[str], planned: Planned) -> dict[str, float]:
+        """Standard deviations before the flight: as declared; of derivatives beside the wanted, as the table says."""
+        condition = _mean_condition(planned, self.design)
+        table = {n: s for n, s in self._table_sigma(condition).items() if n in names and n not in self.wanted}
+        return table | self.design.prior
+
+    def _table_sigma(self, condition: FloatArray) -> dict[str, float]:
+        """Standard deviation of the table's own derivatives.
+
+        Errors of the ratio with the correlation (1 - d/l)^3 (1 + 3 d/l) of table_update.posterior, whose second
+        derivative at 0 is -12 / l^2, have a slope of standard deviation sqrt(12) sigma / l.
+        """
+        ratio = self.point.ratio
+        if ratio.sigma is None:
+            return {}
+        sigma = float((node_weights(ratio.axes, condition[np.newaxis]) @ ratio.sigma.ravel())[0])
+        return {
+            f"ratio.d_{short}": np.sqrt(12.0) * sigma / REACH[v]
+            for short, v in zip(SHORT, RATIO_VARIABLES, strict=True)
+        }
+
+    def record(self, planned: Planned, instruments: Instruments) -> tuple[Record, Start | None]:
+        """The record that a planned flight would bring, its readings the model's own, and where its march begins."""
+        flown, design = planned.conditions, self.design
+        spans = [_span(w, flown, design) for w in planned.flight.windows]
+        first, last = spans[0][0], max(end for _, end in spans)
+        begin = max(flown.time_s[0], first - SKEW_SPAN_S) if design.start == "profile" else float(flown.time_s[0])
+        clock = sample_times(instruments.sensors, flown.time_s[0], flown.time_s[-1], rate_hz=instruments.rate_hz)
+        clock = clock[(clock >= first) & (clock <= last)]
+        start, read = self._marched(flown, instruments.sensors, begin, clock)
+        declared = declaration(self.scenario, self.point, instruments.sensors)
+        declared = declared.model_copy(update={"segments": Segments(fit=[list(s) for s in spans])})
+        columns = {s.column: calibrated(s, T) for s, T in zip(instruments.sensors, read, strict=True)}
+        record = make_record(declared, flown, {"time_s": clock, **columns}, self.point.ratio, self.point.name)
+        return record, start if design.start == "profile" else None
+
+    def _marched(
+        self, flown: Conditions, sensors: Sequence[Sensor], begin_s: float, clock: FloatArray
+    ) -> tuple[Start, FloatArray]:
+        """A start at a time with its temperatures unknown, and (sensor, sample) temperatures [K]."""
+        point = replace(self.point, sensors=tuple(sensors))
+        model = point_of_vehicle(self.scenario.vehicle, point, effects=self.scenario.effects(point.name))
+        mesh = choose_meshes([model], LONGEST_STEP_S)[0][0]
+        times = march_times(flown, flown.time_s[0], float(clock[-1]))
+        track = Track(model, mesh, (), np.concatenate([[begin_s], clock]), tuple(range(mesh.nodes)))
+        history = condition_history(flown.at(times))[np.newaxis]
+        T = LinearMarch([track], times, history).march()[0].temperature_K
+        return free_start(begin_s, T[:, 0], model, mesh), T[list(mesh.sensors), 1:]
+
+    def experiment(
+        self, planned: Planned, names: Sequence[str], priors: dict[str, float], instruments: Instruments | None = None
+    ) -> Experiment:
+        """What a planned flight would tell."""
+        record, start = self.record(planned, instruments or self.instruments)
+        return experiment(record, names, effects=self.effects, start=start).with_priors(priors)
+
+
+def _point(scenario: Scenario, design: Design) -> ControlPoint:
+    points = [scenario.vehicle.control_point(n) for n in scenario.names]
+    if design.control_point is not None:
+        points = [scenario.vehicle.control_point(design.control_point)]
+    for point in points:
+        if point.sensors:
+            return point
+    raise InputError(f"{scenario.path}: {points[0].name} has no thermocouple; choose a control point that has")
+
+
+def _wanted(scenario: Scenario, design: Design) -> tuple[str, ...]:
+    if design.parameters is not None:
+        return tuple(dict.fromkeys(design.parameters))
+    wanted = tuple(dict.fromkeys(n for m in scenario.declared.trajectory.manoeuvre for n in WANTED[m.kind]))
+    if not wanted:
+        raise InputError(f"{scenario.path}, [design]: name the `parameters` that the manoeuvre is to tell")
+    return wanted
+
+
+def _span(window: Window, flown: Conditions, design: Design) -> tuple[float, float]:
+    """Times [s] that are read around a manoeuvre."""
+    start = max(window.start_s - design.before_s, flown.time_s[0])
+    return float(start), float(min(window.end_s + design.after_s, flown.time_s[-1]))
+
+
+def _mean_condition(planned: Planned, design: Design) -> FloatArray:
+    """(5,) mean condition over what is read."""
+    flown = planned.conditions
+    read = np.zeros(len(flown), dtype=bool)
+    for window in planned.flight.windows:
+        start, end = _span(window, flown, design)
+        read |= (flown.time_s >= start) & (flown.time_s <= end)
+    return np.array([np.mean(flown[v][read]) for v in RATIO_VARIABLES])

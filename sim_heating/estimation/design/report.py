@@ -1,0 +1,316 @@
+"""A design from scenario to files: design.json, bounds.csv and pictures.
+
+Pictures of a design: planned and optimal manoeuvre, bounds along each number, and what instruments would buy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.files import output_directory, write_json, write_text_atomic
+from sim_heating.base.files.package import package_version
+from sim_heating.base.progress import Progress, quiet
+from sim_heating.base.report.figure import ANGLES, new_figure, save_figure
+from sim_heating.estimation.design.check import Repeated, repeated_fits
+from sim_heating.estimation.design.information import PRESSURE, Experiment, merit
+from sim_heating.estimation.design.instruments import Variant, instrumentation
+from sim_heating.estimation.design.planned_flight import SEARCHED, Planned, Planner
+from sim_heating.estimation.design.search import Found, Search, Sweep
+from sim_heating.inputs.scenario import Scenario
+from sim_heating.simulation.run import MANOEUVRED
+from sim_heating.trajectory.flight import Window
+
+FILES = NAME, BOUNDS, DESIGN, SWEEPS, INSTRUMENTS = (
+    "design.json", "bounds.csv", "design.png", "sweeps.png", "instruments.png"
+)  # fmt: skip
+SWEEP_POINTS = 7
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """Planned and best design flown with the scenario's own source: margins, and (wanted,) bounds."""
+
+    source: str
+    planned: Planned
+    planned_sigma: FloatArray
+    best: Planned
+    best_sigma: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Designed:
+    """A finished design.
+
+    instruments : bounds of the best design with other instruments, as declared first
+    checked     : by the scenario's own source where that is not the 3-DOF entry
+    fitted      : errors of actual fits of the best design and the bounds for them, where they were asked for
+    """
+
+    scenario: Scenario
+    planner: Planner
+    found: Found
+    sweeps: list[Sweep]
+    instruments: list[Variant]
+    checked: Checked | None
+    fitted: tuple[Repeated, Experiment] | None
+
+    @property
+    def wanted(self) -> tuple[str, ...]:
+        """Parameters that the manoeuvres are to tell."""
+        return self.planner.wanted
+
+
+def design(
+    scenario: Scenario,
+    *,
+    repetitions: int = 0,
+    progress: Progress = quiet,
+) -> Designed:
+    """Search the manoeuvres of a scenario, and what other instruments would buy.
+
+    repetitions : actual fits of the best design against which its bounds are held
+    raises      : InputError where there is nothing to design, RunError where no design keeps the limits
+    """
+    planner = Planner(scenario)
+    progress(0.0, "flying as planned")
+    search = Search(planner)
+    found = search.run(lambda f, text: progress(0.6 * f, text))
+    progress(0.6, "bounds along each number")
+    sweeps = search.sweep(found, SWEEP_POINTS)
+    progress(0.8, "other instruments")
+    instruments = instrumentation(planner, found.best, found.names, found.priors)
+    progress(0.85, "checking")
+    fitted = None
+    if repetitions:
+        fitted = _fitted(planner, found, repetitions, lambda f, text: progress(0.9 + 0.1 * f, text))
+    return Designed(scenario, planner, found, sweeps, instruments, _checked(planner, found), fitted)
+
+
+def _checked(planner: Planner, found: Found) -> Checked | None:
+    source = planner.scenario.declared.trajectory.source
+    if source == SEARCHED["source"]:
+        return None
+    planned, best = (planner.fly(p.manoeuvres, searched=False) for p in (found.planned, found.best))
+    sigma = [planner.experiment(p, found.names, found.priors).sigma(planner.wanted) for p in (planned, best)]
+    return Checked(source, planned, sigma[0], best, sigma[1])
+
+
+def _fitted(planner: Planner, found: Found, repetitions: int, progress: Progress) -> tuple[Repeated, Experiment]:
+    """Actual fits of the best design, the surface pressure taken as known in them and in the bounds."""
+    record, start = planner.record(found.best, planner.instruments)
+    names = tuple(n for n in found.names if n != PRESSURE.name)
+    told = planner.experiment(found.best, names, found.priors)
+    fits = repeated_fits(record, told, effects=planner.effects, start=start, repetitions=repetitions, progress=progress)
+    return fits, told
+
+
+def summary(designed: Designed) -> dict[str, Any]:
+    """The contents of design.json."""
+    found, wanted, declared = designed.found, designed.wanted, designed.planner.design
+    planned, best = found.planned_told, found.best_told
+    return {
+        "format": "design/1",
+        "scenario": designed.scenario.title,
+        "vehicle": designed.scenario.vehicle.name,
+        "control_point": designed.planner.point.name,
+        "criterion": declared.criterion,
+        "criterion_over_planned": merit(declared.criterion, best.covariance(wanted), planned.covariance(wanted)),
+        "unknowns": {p.name: p.sigma if np.isfinite(p.sigma) else None for p in best.unknowns},
+        "parameters": {
+            name: {
+                "unit": best.unknowns[best.names.index(name)].unit,
+                "planned_sigma": float(planned.sigma(wanted)[k]),
+                "optimal_sigma": float(best.sigma(wanted)[k]),
+                "after_flights": {str(n): float(best.sigma(wanted, n)[k]) for n in declared.flights},
+            }
+            for k, name in enumerate(wanted)
+        },
+        "planned": _flight(found.planned),
+        "optimal": _flight(found.best),
+        "varied": [v.model_dump() for v in found.vary],
+        "tried": len(found.tried),
+        "kept_limits": sum(t.feasible for t in found.tried),
+        "instruments": [
+            {"kind": v.kind, "what": v.what, "sigma": _by_name(wanted, v.sigma)} for v in designed.instruments
+        ],
+        "checked": _check_summary(designed),
+        "fitted": _fit_summary(designed),
+        "notes": notes(designed),
+        "program": f"sim-heating {package_version()}",
+    }
+
+
+def _by_name(names: tuple[str, ...], sigma: FloatArray) -> dict[str, float | None]:
+    """By name; None where nothing is told."""
+    return {n: float(s) if np.isfinite(s) else None for n, s in zip(names, sigma, strict=True)}
+
+
+def _flight(flown: Planned) -> dict[str, Any]:
+    return {
+        "manoeuvres": [m.model_dump(exclude_none=True) for m in flown.manoeuvres],
+        "windows_s": [[w.start_s, w.end_s] for w in flown.flight.windows],
+        "margins": flown.margins,
+        "keeps_limits": flown.feasible,
+    }
+
+
+def _check_summary(designed: Designed) -> dict[str, Any] | None:
+    checked = designed.checked
+    if checked is None:
+        return None
+    pairs = {"planned": (checked.planned, checked.planned_sigma), "optimal": (checked.best, checked.best_sigma)}
+    return {"source": checked.source} | {
+        what: {"sigma": _by_name(designed.wanted, sigma), "keeps_limits": flown.feasible, "margins": flown.margins}
+        for what, (flown, sigma) in pairs.items()
+    }
+
+
+def _fit_summary(designed: Designed) -> dict[str, Any] | None:
+    if designed.fitted is None:
+        return None
+    fits, told = designed.fitted
+    return {
+        "fits": len(fits.error),
+        "failed": fits.failed,
+        "rms_error": _by_name(designed.wanted, fits.spread(designed.wanted)),
+        "predicted": _by_name(designed.wanted, told.sigma(designed.wanted)),
+    }
+
+
+def notes(designed: Designed) -> list[str]:
+    """What a person should know of a design, a line each."""
+    lines = designed.planner.over_limit()
+    if not designed.found.planned.feasible:
+        lines += [f"as planned: {line}" for line in designed.found.planned.passed]
+    checked = designed.checked
+    if checked is not None and not checked.best.feasible:
+        lines += [f"optimal, flown in {checked.source}: {line}" for line in checked.best.passed]
+    return lines
+
+
+def bounds_csv(designed: Designed) -> str:
+    """Bounds of the wanted parameters, a line a parameter."""
+    found, flights = summary(designed)["parameters"], designed.planner.design.flights
+    head = ["parameter", "unit", "planned_sigma", "optimal_sigma", *(f"after_{n}_flights_sigma" for n in flights)]
+    rows = [
+        [name, p["unit"], *(f"{x:.6g}" for x in (p["planned_sigma"], p["optimal_sigma"], *p["after_flights"].values()))]
+        for name, p in found.items()
+    ]
+    return "\n".join(",".join(row) for row in [head, *rows]) + "\n"
+
+
+def write_design(designed: Designed, out: Path) -> list[str]:
+    """Write design.json, bounds.csv and pictures; returns the names of the files."""
+
+    with output_directory(out) as folder:
+        write_json(folder / NAME, summary(designed))
+        write_text_atomic(folder / BOUNDS, bounds_csv(designed))
+        draw_design(folder / DESIGN, designed)
+        draw_sweeps(folder / SWEEPS, designed)
+        draw_instruments(folder / INSTRUMENTS, designed)
+        return sorted(p.name for p in folder.iterdir() if p.is_file())
+
+
+PLANNED, OPTIMAL = "tab:orange", "tab:blue"
+MARKS = ("o", "s", "^", "D", "v")
+LABELS = {
+    "at_velocity_m_s": "speed at the start, m/s",
+    "at_mach": "Mach number at the start",
+    "rate_deg_s": "rate, deg/s",
+    "hold_s": "hold, s",
+    "down_deg": "down, deg",
+    "up_deg": "up, deg",
+    "amplitude_deg": "amplitude, deg",
+}
+
+
+def draw_design(path: Path, designed: Designed) -> None:
+    """The variable of each manoeuvre, and the outermost thermocouple's temperature, as planned and as designed."""
+    found, count = designed.found, len(designed.found.planned.manoeuvres)
+    figure, axes = new_figure(8.5, 3.0 * (count + 1), count + 1)
+    for flown, told, color, label in (
+        (found.planned, found.planned_told, PLANNED, "planned"),
+        (found.best, found.best_told, OPTIMAL, "optimal"),
+    ):
+        for k, window in enumerate(flown.flight.windows):
+            variable = MANOEUVRED[window.kind]
+            speed = float(flown.flight.conditions.at([window.start_s])["velocity_m_s"][0])
+            t, y = _about(flown, window, variable, designed.planner.design.before_s, designed.planner.design.after_s)
+            axes[k].plot(t, y, color=color, label=f"{label}, at {speed:.0f} m/s")
+            axes[k].set_ylabel(f"{ANGLES.get(variable, ('jets', ''))[0]}{', deg' if variable in ANGLES else ''}")
+            axes[k].set_xlabel("time from the start of the manoeuvre, s")
+        outermost = min(told.channels, key=lambda c: c.sensor.depth_m)
+        since = outermost.time_s - flown.flight.windows[0].start_s
+        axes[-1].plot(since, outermost.mean_K, ".-", color=color, label=label)
+    axes[-1].set_ylabel(f"{outermost.sensor.name}, K")
+    axes[-1].set_xlabel("time from the start of the first manoeuvre, s")
+    for a in axes:
+        a.legend(fontsize=8)
+    save_figure(
+        figure, path, f"{designed.scenario.title}\n{designed.planner.point.name}: as planned, and optimal", axes
+    )
+
+
+def _about(
+    flown: Planned, window: Window, variable: str, before_s: float, after_s: float
+) -> tuple[np.ndarray, np.ndarray]:
+    t = flown.conditions.time_s
+    shown = (t >= window.start_s - before_s) & (t <= window.end_s + after_s)
+    return t[shown] - window.start_s, flown.conditions[variable][shown]
+
+
+def draw_sweeps(path: Path, designed: Designed) -> None:
+    """Bounds over those of the optimal design along each number that was varied; open where a limit is passed."""
+    sweeps, best = designed.sweeps, designed.found.best_told.sigma(designed.wanted)
+    columns = min(3, len(sweeps))
+    rows = -(-len(sweeps) // columns)
+    figure, axes = new_figure(3.9 * columns, 3.2 * rows + 0.6, rows, columns, sharey=True, squeeze=False)
+    for a, sweep in zip(axes.ravel(), sweeps, strict=False):
+        for k, name in enumerate(designed.wanted):
+            y, color = sweep.sigma[:, k] / best[k], f"C{k}"
+            a.plot(sweep.value, y, color=color, linewidth=1.2, label=name)
+            for kept, face in ((True, color), (False, "white")):
+                at = sweep.feasible == kept
+                a.plot(sweep.value[at], y[at], MARKS[k % len(MARKS)], color=color, markerfacecolor=face, markersize=5)
+        chosen = getattr(designed.found.best.manoeuvres[sweep.vary.manoeuvre - 1], sweep.vary.key)
+        a.axvline(chosen, color="0.4", linestyle=":", linewidth=1.0)
+        a.set_xlabel(LABELS.get(sweep.vary.key, sweep.vary.key))
+        a.set_yscale("log")
+        a.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
+        a.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        a.yaxis.set_minor_locator(NullLocator())
+    for a in axes.ravel()[len(sweeps) :]:
+        a.set_visible(False)
+    for a in axes[:, 0]:
+        a.set_ylabel("bound over that of the optimal design")
+    axes[0, 0].legend(fontsize=8)
+    title = f"{designed.scenario.title}\nbounds about the optimal design (dotted); open: passes a limit"
+    save_figure(figure, path, title, axes)
+
+
+def draw_instruments(path: Path, designed: Designed) -> None:
+    """Bounds with other instruments over those with the declared ones."""
+    base, others = designed.instruments[0].sigma, designed.instruments[1:]
+    figure, axes = new_figure(8.5, 0.33 * len(others) * max(1, len(designed.wanted) * 0.7) + 1.8, 1)
+    height = 0.8 / len(base)
+    rows = np.arange(len(others))[::-1]
+    ratio = np.array([v.sigma / base for v in others])
+    highest = 1.15 * float(np.max(ratio[np.isfinite(ratio) & (ratio < 10.0)], initial=1.0))
+    for k, name in enumerate(designed.wanted):
+        shown = np.where(ratio[:, k] < highest, ratio[:, k], highest)
+        axes[0].barh(rows - k * height, shown, height, color=f"C{k}", label=name)
+        for row, value, at in zip(rows, ratio[:, k], shown, strict=True):
+            text = f"{value:.2f}" if value < 1000.0 else "not told"
+            axes[0].text(at, row - k * height, f" {text}", va="center", fontsize=7.5)
+    axes[0].axvline(1.0, color="0.3", linewidth=0.9)
+    axes[0].set_xlim(0.0, 1.12 * highest)
+    axes[0].set_yticks(rows - 0.5 * height * (len(base) - 1), [f"{v.kind}: {v.what}" for v in others], fontsize=8)
+    axes[0].set_xlabel("bound over that with the declared instruments")
+    axes[0].legend(fontsize=8, loc="best")
+    save_figure(figure, path, f"{designed.scenario.title}\nwhat other instruments would buy", axes)

@@ -1,0 +1,325 @@
+"""The likelihood of a fit with noise of the process: that of the innovations of the Kalman filter.
+
+Every sample is compared with what the filter predicts from all samples before it (estimation/filter/march.py); the
+innovations are independent of each other where noise is as it is taken, so that log likelihoods, residual tests and
+bounds are those of a fit without such noise, predictions m_i and their variances S_i in the place of the march and of
+sensor noise:
+
+    log L = sum_i log p(y_i | m_i(theta), S_i(theta)),    information sum_i I_i dm_i/dtheta dm_i/dtheta'.
+
+dm/dtheta are the filter's own sensitivities, which leave out how the gain changes; the gradient of log L is complete,
+by central differences over filters that are marched side by side in the lanes of a group. Levels of noise that are not
+given are those of the largest likelihood with the parameters integrated out (Laplace),
+
+    log L + g' M^-1 g / 2 - log det M / 2,    g and M gradient and information, priors included,
+
+in turn with the parameters: a likelihood at the values found would take what the parameters have taken of the wandering
+for none. R. E. Maine and K. W. Iliff, "Formulation and
+Implementation of a Practical Algorithm for Parameter Estimation with Process and Measurement Noise", SIAM J. Appl.
+Math. 41 (1981).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import RunError
+from sim_heating.base.kernels.block import LANES
+from sim_heating.estimation._observation import least_sigma_K
+from sim_heating.estimation.filter.march import Filtered, FilterMarch, FilterTrack
+from sim_heating.estimation.filter.process_noise import CORRELATION, Level, Levels, ProcessNoise
+from sim_heating.estimation.filter.records import filter_samples
+from sim_heating.estimation.inference.identifiability import scale
+from sim_heating.estimation.inference.likelihood import likelihood
+from sim_heating.estimation.inference.newton import Evaluation, Fit, Settings, Status, Told, maximise
+from sim_heating.estimation.problem import Problem, in_threads
+from sim_heating.estimation.record_fit import Samples
+from sim_heating.march.ensemble import condition_history
+from sim_heating.march.point import PointModel
+
+SETTINGS = Settings(gain=1e-4, step=1e-2)
+"""A hundredth of a sigma: differences of a log likelihood tell a gradient no better than that."""
+STEP = 0.1
+"""Parameters are moved by this part of their sigma, the others being known, for the gradient."""
+WIDE, NARROW = (60.0, 6.0, 2.0), (2.0,)
+"""Factors to either side within which a level is looked for, first and again; candidates fill the lanes of a group."""
+SETTLED = 0.05
+"""Levels are settled where they change by less than this part."""
+ROUNDS = 6
+
+
+class Innovations:
+    """The samples of a problem against the predictions of a Kalman filter.
+
+    problem : parameters, records and samples;  levels : noise as it is taken
+    """
+
+    def __init__(self, problem: Problem, noise: ProcessNoise) -> None:
+        self.problem = problem
+        undeclared = {
+            (k, c.number): part.sigma_K[c.number]
+            for k, part in enumerate(problem.parts)
+            for c in part.channels
+            if c.sensor.noise_sigma_K is None
+        }
+        self.levels = Levels(noise, undeclared)
+        self._histories = [condition_history(p.conditions.at(p.time_s))[np.newaxis] for p in problem.parts]
+        self._bare: dict[tuple[int, int], FilterMarch] = {}
+        self._whole: list[FilterMarch | None] = [None] * len(problem.parts)
+        self._levelled: list[FilterMarch | None] = [None] * len(problem.parts)
+        self._last: tuple[bytes, Levels, list[Filtered]] | None = None
+
+    # Likelihood ------------------------------------------------------------------------------------------------------
+
+    def evaluate(self, vector: FloatArray) -> Evaluation:
+        """Log likelihood of all samples, its gradient, and Gauss-Newton's information; NaN where a filter diverged."""
+        try:
+            samples = self.samples(vector)
+        except RunError:
+            return self.problem.nothing()
+        m = len(self.problem.unknowns)
+        total, information = 0.0, np.zeros((m, m))
+        for s in samples:
+            found = likelihood(s.channel.observed, s.mean_K, s.spread_K)
+            total += float(np.sum(found.log_likelihood))
+            own = s.jacobian
+            information += (own.T * found.information) @ own
+        return Evaluation(total, self._gradient(vector, information), information)
+
+    def log_likelihoods(self, vectors: FloatArray) -> FloatArray:
+        """(candidate,) log likelihoods of several parameter vectors, filtered side by side."""
+        chunks = [slice(i, i + LANES) for i in range(0, len(vectors), LANES)]
+        jobs = [(k, c) for k in range(len(self.problem.parts)) for c in range(len(chunks))]
+        found = in_threads(lambda j: self._several(*jobs[j], vectors[chunks[jobs[j][1]]]), len(jobs))
+        total = np.zeros(len(vectors))
+        for (_, c), of_part in zip(jobs, found, strict=True):
+            total[chunks[c]] += of_part
+        return total
+
+    def _gradient(self, vector: FloatArray, information: FloatArray) -> FloatArray:
+        """(parameter,) central differences of the log likelihood; one-sided at a bound."""
+        parameters, gradient = self.problem.parameters, np.zeros(len(vector))
+        known = np.diag(information) + np.array([p.sigma**-2.0 for p in parameters])
+        moves = []
+        for i, (p, told) in enumerate(zip(parameters, known, strict=True)):
+            if told > 0.0:
+                by = STEP / np.sqrt(told)
+                moves.append((i, max(vector[i] - by, p.lower), min(vector[i] + by, p.upper)))
+        moved = np.tile(vector, (2 * len(moves), 1))
+        for row, (i, low, high) in enumerate(moves):
+            moved[2 * row, i], moved[2 * row + 1, i] = low, high
+        found = self.log_likelihoods(moved)
+        for row, (i, low, high) in enumerate(moves):
+            gradient[i] = (found[2 * row + 1] - found[2 * row]) / (high - low)
+        return gradient
+
+    # Levels of noise -------------------------------------------------------------------------------------------------
+
+    def settle(self, vector: FloatArray, *, again: bool = False) -> float:
+        """Set the levels that are looked for to their most likely values; gives the largest relative change."""
+        before = self.levels
+        for level in before.unknown():
+            if level not in self.levels.unknown():
+                continue
+            for width in NARROW if again else WIDE:
+                self._search(level, vector, width)
+        for (k, number), sigma in self.levels.sigma_K.items():
+            self.problem.parts[k].sigma_K[number] = sigma
+        return _change(before, self.levels)
+
+    def _search(self, level: Level, vector: FloatArray, width: float) -> None:
+        """The likeliest of some factors to a level; 0 too, for noise that may not be there at all."""
+        factors = np.geomspace(1.0 / width, width, LANES - 1)
+        if not isinstance(level, tuple) and level != CORRELATION:
+            factors = np.append(0.0, factors)
+        tried = [self.levels.scaled(level, float(f)) for f in factors]
+        found = self._of_levels(vector, [self._at_least(t) for t in tried])
+        if not np.any(np.isfinite(found)):
+            return
+        best = int(np.argmax(found))
+        factor = float(factors[best])
+        inner = factors[0] > 0.0 or best > 1
+        if 0 < best < len(factors) - 1 and inner and np.all(np.isfinite(found[best - 1 : best + 2])):
+            a, b, c = found[best - 1 : best + 2]
+            spacing = np.log(factors[best + 1] / factors[best])
+            factor *= float(np.exp(0.5 * spacing * (a - c) / (a - 2.0 * b + c)))
+        self.levels = self._at_least(self.levels.scaled(level, factor))
+
+    def _at_least(self, levels: Levels) -> Levels:
+        """No sensor better than one can be."""
+        floor = {(k, c.number): least_sigma_K(c.sensor) for k, p in enumerate(self.problem.parts) for c in p.channels}
+        return replace(levels, sigma_K={key: max(s, floor[key]) for key, s in levels.sigma_K.items()})
+
+    def _of_levels(self, vector: FloatArray, tried: Sequence[Levels]) -> FloatArray:
+        """(level,) log likelihoods, parameters about a vector integrated out; LANES of them at most."""
+        found = in_threads(lambda k: self._one_at_levels(k, vector, tried), len(self.problem.parts))
+        return np.array([self._marginal(vector, of_level) for of_level in zip(*found, strict=True)])
+
+    def _marginal(self, vector: FloatArray, found: Sequence[Filtered | None]) -> float:
+        """Log likelihood of all records with the parameters integrated out; -inf where a filter diverged."""
+        parameters = self.problem.parameters
+        known = np.array([p.sigma**-2.0 for p in parameters])
+        g, M = known * (np.array([p.value for p in parameters]) - vector), np.diag(known)
+        total = 0.0
+        for part, f in zip(self.problem.parts, found, strict=True):
+            if f is None:
+                return -np.inf
+            total += float(np.sum(f.log_likelihood))
+            g[part.index] += f.score()
+            M[np.ix_(part.index, part.index)] += f.information()
+        s = scale(M)
+        M, g = M * np.outer(s, s), g * s
+        sign, log_det = np.linalg.slogdet(M)
+        if sign <= 0.0:
+            return -np.inf
+        return total + 0.5 * float(g @ np.linalg.solve(M, g)) - 0.5 * float(log_det) + float(np.sum(np.log(s)))
+
+    def _one_at_levels(self, k: int, vector: FloatArray, tried: Sequence[Levels]) -> list[Filtered | None]:
+        """A record filtered with sensitivities at several levels; None where its filter diverged."""
+        part, march = self.problem.parts[k], self._levelled[k]
+        tracks = [self._track(k, vector, levels)[0] for levels in tried]
+        tracks += [tracks[-1]] * (LANES - len(tracks))
+        if march is None:
+            march = self._levelled[k] = FilterMarch(tracks, part.time_s, self._histories[k])
+        march.set_models([part.altered(vector)] * LANES)
+        try:
+            return list(march.filter(tracks)[: len(tried)])
+        except RunError:
+            return [_alone(march, t) for t in tracks[: len(tried)]]
+
+    # Filters ---------------------------------------------------------------------------------------------------------
+
+    def samples(self, vector: FloatArray) -> list[Samples]:
+        """All channels at a parameter vector: means are predictions from the samples before, sigma is theirs and that
+        of the sensor together.
+
+        raises : RunError where a filter diverged
+        """
+        found = self._filtered(vector)
+        return [s for k, filtered in enumerate(found) for s in self._of_part(k, filtered, vector)]
+
+    def filtered(self, vector: FloatArray, k: int) -> tuple[FilterTrack, Filtered, NDArray[np.int64]]:
+        """One record with all that a smoother needs, and the places of its readings among those of its channels."""
+        part = self.problem.parts[k]
+        track, order = self._track(k, vector, self.levels, sensitive=False)
+        march = FilterMarch([track], part.time_s, self._histories[k])
+        march.set_models([part.altered(vector)])
+        return track, march.filter(keep=True)[0], order
+
+    def _filtered(self, vector: FloatArray) -> list[Filtered]:
+        """Every record filtered with sensitivities; the last ones are kept."""
+        if self._last is None or self._last[:2] != (vector.tobytes(), self.levels):
+            found = in_threads(lambda k: self._one(k, vector), len(self.problem.parts))
+            self._last = (vector.tobytes(), self.levels, found)
+        return self._last[2]
+
+    def _one(self, k: int, vector: FloatArray) -> Filtered:
+        part, track = self.problem.parts[k], self._track(k, vector, self.levels)[0]
+        march = self._whole[k]
+        if march is None:
+            march = self._whole[k] = FilterMarch([track], part.time_s, self._histories[k])
+        march.set_models([part.altered(vector)])
+        return march.filter([track])[0]
+
+    def _track(
+        self, k: int, vector: FloatArray, levels: Levels, *, sensitive: bool = True
+    ) -> tuple[FilterTrack, NDArray[np.int64]]:
+        """A record as the filter takes it, and the places of its readings among those of the channels."""
+        part = self.problem.parts[k]
+        values, time_s = part.values(vector), part.sample_s + part.shift_s(vector)
+        sigma = {c.number: levels.sigma_K.get((k, c.number), part.sigma_K[c.number]) for c in part.channels}
+        samples, order = filter_samples(
+            part.channels, time_s, part.mesh, sigma, values, part.correction_K, part.names if sensitive else ()
+        )
+        start, noise = part.start, levels.noise
+        columns = np.zeros((part.mesh.nodes, len(part.names) - len(part.marched)))
+        if start is not None:
+            columns[:, : start.columns.shape[1]] = start.columns
+        track = FilterTrack(
+            part.model, part.mesh, samples, part.marched if sensitive else (), part.initial_K(vector),
+            columns if sensitive else None, None if start is None else start.covariance_K2, noise.node_K_sqrt_s**2,
+            noise.disturbance,
+        )  # fmt: skip
+        return track, order
+
+    def _several(self, k: int, chunk: int, vectors: FloatArray, levels: Sequence[Levels] | None = None) -> FloatArray:
+        """(candidate,) log likelihoods of a record; NaN where its filter diverged."""
+        part, padding = self.problem.parts[k], LANES - len(vectors)
+        noise = [self.levels] * len(vectors) if levels is None else list(levels)
+        tracks = [self._track(k, v, n, sensitive=False)[0] for v, n in zip(vectors, noise, strict=True)]
+        models = [part.altered(v) for v in vectors]
+        march = self._bare.get((k, chunk))
+        if march is None:
+            march = self._bare[k, chunk] = FilterMarch([tracks[0]] * LANES, part.time_s, self._histories[k])
+        try:
+            march.set_models([*models, *[models[-1]] * padding])
+            found = march.filter([*tracks, *[tracks[-1]] * padding])
+        except RunError:
+            return np.array([self._log_likelihood(march, m, t) for m, t in zip(models, tracks, strict=True)])
+        return np.array([float(np.sum(f.log_likelihood)) for f in found[: len(vectors)]])
+
+    @staticmethod
+    def _log_likelihood(march: FilterMarch, model: PointModel, track: FilterTrack) -> float:
+        """Of one candidate; NaN where its filter diverged."""
+        try:
+            march.set_models([model] * LANES)
+        except RunError:
+            return float("nan")
+        found = _alone(march, track)
+        return float("nan") if found is None else float(np.sum(found.log_likelihood))
+
+    def _of_part(self, k: int, filtered: Filtered, vector: FloatArray) -> list[Samples]:
+        """The channels of a record as its filter predicts them."""
+        part, order = self.problem.parts[k], self._track(k, vector, self.levels, sensitive=False)[1]
+        mean, variance = np.empty((2, len(order)))
+        own = np.empty((len(order), len(part.names)))
+        mean[order], variance[order] = filtered.predicted_K, filtered.predicted_variance_K2
+        own[order] = filtered.sensitivity
+        ends = np.cumsum([len(c.samples) for c in part.channels])[:-1]
+        split = zip(part.channels, *(np.split(x, ends) for x in (mean, own, variance)), strict=True)
+        found = []
+        for c, m, s, v in split:
+            sigma = self.levels.sigma_K.get((k, c.number), part.sigma_K[c.number])
+            known = np.sqrt(np.maximum(v - sigma**2, 0.0))
+            time_s = part.sample_s[c.samples]
+            found.append(Samples(part, c, time_s, m, s, len(self.problem.unknowns), sigma, known))
+        return found
+
+
+def _alone(march: FilterMarch, track: FilterTrack) -> Filtered | None:
+    """One track in all lanes; None where its filter diverged."""
+    try:
+        return march.filter([track] * LANES)[0]
+    except RunError:
+        return None
+
+
+def _change(before: Levels, after: Levels) -> float:
+    """Largest relative change of a level; 1 for one that has become 0."""
+    pairs = [(before.sigma_K[key], after.sigma_K[key]) for key in before.sigma_K]
+    pairs += [(getattr(before.noise, n), getattr(after.noise, n)) for n in before.noise.estimated]
+    return max((abs(b / a - 1.0) for a, b in pairs if a > 0.0), default=0.0)
+
+
+def fit_innovations(
+    problem: Problem, noise: ProcessNoise, start: FloatArray, told: Told = lambda at, log_posterior: None
+) -> tuple[Fit, Innovations]:
+    """The most probable values with noise of the process, its levels in turn with the parameters.
+
+    start : (parameter,) values of a fit without it
+    """
+    found = Innovations(problem, noise)
+    looked_for = bool(found.levels.unknown())
+    if looked_for:
+        found.settle(start)
+    fit = maximise(found.evaluate, problem.parameters, start, found.log_likelihoods, SETTINGS, told)
+    for _ in range(ROUNDS if looked_for else 0):
+        if fit.status is not Status.CONVERGED or found.settle(fit.values, again=True) < SETTLED:
+            break
+        fit = maximise(found.evaluate, problem.parameters, fit.values, found.log_likelihoods, SETTINGS, told)
+    return fit, found

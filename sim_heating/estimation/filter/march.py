@@ -1,0 +1,358 @@
+"""Points marched with an extended Kalman filter on their temperatures: readings in, temperatures with covariance out.
+
+The equations are those of estimation/filter/kernel.py: covariance and sensitivities go through the same factorised step
+as in march/linearised.py, readings may lie anywhere in a step, and the heating ratio may carry a disturbance of its
+own. Without noise of the process and with a known start the filter is the plain march, and the sensitivities of its
+innovations are exact (output error); else they leave out how the gain changes with a parameter.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sim_heating.base.arrays import FloatArray, IntArray
+from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.kernels.block import D0, LANES, T, node_rows, parameters_at
+from sim_heating.estimation.filter.arrays import Blocks, Kept, Noise, Readings, State, columns_of, held_of, joint_of
+from sim_heating.estimation.filter.kernel import (
+    INNOVATION,
+    LOG_LIKELIHOOD,
+    N_OUT,
+    POSTERIOR,
+    POSTERIOR_VARIANCE,
+    PREDICTED,
+    PREDICTED_VARIANCE,
+    PRIOR,
+    PRIOR_VARIANCE,
+    VARIANCE,
+    march_filter,
+)
+from sim_heating.march.linearised import LinearMarch, Track, initial_profile
+from sim_heating.march.point import PointModel
+from sim_heating.thermal.mesh import Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Readings of one point, in order of time: gain * (temperature of a node) + bias + noise.
+
+    time_s, node     : (reading,)
+    lower_K, upper_K : (reading,) interval in which the noisy value lay, equal where nothing was rounded; where they are
+                       NaN the temperature is predicted and nothing is read: a lost sample, one held out, a surface
+    variance_K2      : (reading,) of the noise
+    gain, bias_K     : (reading,)
+    direct           : (reading, parameter, 3) what a parameter adds to the derivative of a reading itself: a constant,
+                       times the temperature, times its rate (bias 1, 0, 0; gain 0, 1, 0; skew 0, 0, -gain)
+    """
+
+    time_s: FloatArray
+    node: IntArray
+    lower_K: FloatArray
+    upper_K: FloatArray
+    variance_K2: FloatArray
+    gain: FloatArray
+    bias_K: FloatArray
+    direct: FloatArray | None = None
+
+
+def samples_on_grid(
+    time_s: ArrayLike, nodes: Sequence[int], lower_K: ArrayLike, sigma_K: ArrayLike, upper_K: ArrayLike | None = None
+) -> Samples:
+    """Samples of sensors that are read at common times.
+
+    time_s : (sample,);  nodes, sigma_K : (sensor,);  lower_K, upper_K : (sensor, sample), NaN where nothing is read
+    """
+    t, lower = np.asarray(time_s, dtype=float), np.atleast_2d(np.asarray(lower_K, dtype=float))
+    upper = lower if upper_K is None else np.atleast_2d(np.asarray(upper_K, dtype=float))
+    count, sensors = len(t), len(nodes)
+    sigma = np.broadcast_to(np.asarray(sigma_K, dtype=float), sensors)
+    flat = np.zeros(count * sensors)
+    return Samples(
+        np.repeat(t, sensors), np.tile(np.asarray(nodes, dtype=np.int64), count), lower.T.ravel(), upper.T.ravel(),
+        np.tile(sigma**2, count), flat + 1.0, flat,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """First-order noise on the heating ratio, additive like ratio.d0, constant over a step.
+
+    start_sigma   : its standard deviation at the start
+    correlation_s : the time after which a part 1/e is left of it; infinite for a random walk
+    density_1_s   : of the white noise that drives it: its variance grows by so much a second
+    """
+
+    start_sigma: float = 0.0
+    correlation_s: float = math.inf
+    density_1_s: float = 0.0
+
+    @staticmethod
+    def gauss_markov(sigma: float, correlation_s: float) -> Disturbance:
+        """A stationary one: covariance sigma^2 exp(-|t| / correlation_s)."""
+        return Disturbance(sigma, correlation_s, 2.0 * sigma**2 / correlation_s)
+
+
+@dataclass(frozen=True, eq=False)
+class FilterTrack:
+    """One point on its way through a flight with its readings.
+
+    model, mesh, names, initial_K, initial_columns, flight : as of linear_march.Track
+    samples       : what is read, and what is only predicted
+    covariance_K2 : (node, node) of the temperatures at the start; known, where None
+    noise_K2_s    : white noise of the process on every node, or (node,)
+    disturbance   : of the heating ratio
+    hold_after_s  : time after which the gains of one step serve for all that have readings at the same places in it: an
+                    approximation, see `python -m benchmarks covariance`
+    """
+
+    model: PointModel
+    mesh: Mesh
+    samples: Samples
+    names: tuple[str, ...] = ()
+    initial_K: FloatArray | None = None
+    initial_columns: FloatArray | None = None
+    covariance_K2: FloatArray | None = None
+    noise_K2_s: float | FloatArray = 0.0
+    disturbance: Disturbance = field(default_factory=Disturbance)
+    flight: int = 0
+    hold_after_s: float = math.inf
+
+    @property
+    def parameters(self) -> int:
+        """Number of sensitivities."""
+        return len(self.names) + (0 if self.initial_columns is None else self.initial_columns.shape[1])
+
+    def linear(self) -> Track:
+        """The same point for a march, ratio.d0 before its parameters."""
+        return Track(
+            self.model, self.mesh, ("ratio.d0", *self.names), self.samples.time_s, (), self.initial_K,
+            self.initial_columns, self.flight,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """What a filter leaves for the smoother. The state is the node temperatures and the disturbance of the ratio.
+
+    time_s     : (time,) ends of the steps, the start first
+    mean, covariance : (time, state), (time, state, state) after all readings up to each time
+    transition : (step, state, state) derivative of the state after a step and its readings against that before it
+    rows       : (reading, state) of a reading's innovation against the state before its step
+    step       : (reading,) number of its step
+    """
+
+    time_s: FloatArray
+    mean: FloatArray
+    covariance: FloatArray
+    transition: FloatArray
+    rows: FloatArray
+    step: IntArray
+
+    @property
+    def bytes(self) -> int:
+        """Memory taken, 16 bytes for each step and pair of states in the main."""
+        return sum(a.nbytes for a in (self.mean, self.covariance, self.transition, self.rows))
+
+
+@dataclass(frozen=True, eq=False)
+class Filtered:
+    """What the filter found; (reading,) where not said otherwise, NaN where nothing was read.
+
+    prior_K, posterior_K : temperature before and after all readings of its time, with their variances [K2]
+    predicted_K, predicted_variance_K2 : what it should show, the readings before it taken, with the variance of that
+                     and its noise together
+    innovation_K   : reading minus prediction from all readings before it; of an interval, that of the unrounded reading
+                     that would move mean and variance as it does
+    variance_K2    : its variance
+    log_likelihood : 0 where nothing was read
+    sensitivity    : (reading, parameter) of the prediction
+    temperature_K, ratio, covariance : at the end: (node,), the disturbance, (node + 1, node + 1)
+    history        : for the smoother, where it was asked for
+    """
+
+    prior_K: FloatArray
+    prior_variance_K2: FloatArray
+    posterior_K: FloatArray
+    posterior_variance_K2: FloatArray
+    predicted_K: FloatArray
+    predicted_variance_K2: FloatArray
+    innovation_K: FloatArray
+    variance_K2: FloatArray
+    log_likelihood: FloatArray
+    sensitivity: FloatArray
+    temperature_K: FloatArray
+    ratio: float
+    covariance: FloatArray
+    history: History | None
+
+    @property
+    def read(self) -> NDArray[np.bool_]:
+        """(reading,) which were taken."""
+        return np.isfinite(self.innovation_K) & np.isfinite(self.variance_K2)
+
+    def score(self) -> FloatArray:
+        """(parameter,) gradient of the log likelihood; exact without noise of the process and of the start."""
+        weight = np.where(self.read, self.innovation_K / self.variance_K2, 0.0)
+        return weight @ self.sensitivity
+
+    def information(self) -> FloatArray:
+        """(parameter, parameter) Gauss-Newton information of the readings."""
+        weight = np.where(self.read, 1.0 / self.variance_K2, 0.0)
+        return (self.sensitivity.T * weight) @ self.sensitivity
+
+
+class FilterMarch(LinearMarch):
+    """Up to LANES points on common times, filtered together; each is filtered as if it were alone.
+
+    points    : what is filtered; `set_models` changes their parameters
+    time_s    : (time,) steps [s];  histories : (flight, time, condition)
+    """
+
+    def __init__(self, points: Sequence[FilterTrack], time_s: FloatArray, histories: FloatArray) -> None:
+        self.points = tuple(points)
+        super().__init__([p.linear() for p in self.points], time_s, histories)
+
+    def filter(self, points: Sequence[FilterTrack] | None = None, *, keep: bool = False) -> list[Filtered]:
+        """Filter all points.
+
+        points : the same ones with other readings, noise or start; models are those of `set_models`
+        keep   : whether to keep what a smoother needs (History.bytes)
+        raises : InputError for readings outside the march or noise that is none, RunError where a filter diverged or a
+                 step did not converge
+        """
+        points = self.points if points is None else tuple(points)
+        for point in points:
+            _check(point, self.time_s)
+        n = int(self._nodes.max())
+        m = max(p.parameters for p in points)
+        steps = [np.searchsorted(self.time_s[1:], p.samples.time_s) for p in points]
+        most = max([int(np.max(np.bincount(s), initial=0)) for s in steps])
+        state, noise, kept = self._state(points, n, m), self._noise(points, n), self._kept(points, n, keep)
+        readings, after_s = self._readings(points, m), np.zeros(len(points))
+        for i, point in enumerate(points):
+            after_s[self._lane_of[i]] = point.hold_after_s
+        if keep and np.any(np.isfinite(after_s)):
+            raise InputError("filter: a smoother wants the covariance of every step; leave hold_after_s out")
+        out = np.full((len(points), readings.time_s.shape[1], N_OUT + m), np.nan)
+        out[..., LOG_LIKELIHOOD] = 0.0
+        self._begin([point.initial_K for point in points])
+        B = self.base.block(0).copy()
+        march_filter(
+            B, self.base.integers(0), self.base.table, self.base.chain,
+            self.base.move_handle, self.rows, self.faces,
+            Blocks(*(self._shadow_state().copy() for _ in range(3))), self._groups,
+            self.time_s, self.histories, self._flights, self._places(1 + m), readings, state, noise,
+            held_of(after_s, most, n + 1), kept,
+            columns_of(n, 1 + m), columns_of(n, 1 + m + (2 if keep else 1) * (n + 1)), columns_of(n, n + 1 + most),
+            joint_of(most, n + 1, m), out,
+        )  # fmt: skip
+        self._leave(B)
+        for i, point in enumerate(points):
+            step = state.diverged[self._lane_of[i]]
+            if step:
+                raise RunError(
+                    f"{point.model.name}: the filter diverged at {self.time_s[step]:g} s: a temperature fell below "
+                    "0 K or is not a number; the noise declared does not fit the readings"
+                )
+        self.base.check()
+        return [self._filtered(i, points[i], steps[i], out, state, kept) for i in range(len(points))]
+
+    def _leave(self, B: FloatArray) -> None:
+        """Take over the block of a march that is done, its ratios undisturbed again."""
+        own = self.base.block(0)
+        d0 = [parameters_at(lane) + D0 for lane in range(LANES)]
+        B[d0] = own[d0]
+        own[:] = B
+
+    def _state(self, points: Sequence[FilterTrack], n: int, m: int) -> State:
+        lanes = len(points)
+        P, S, d = np.zeros((lanes, n + 1, n + 1)), np.zeros((lanes, n + 1, m)), np.zeros(lanes)
+        for i, point in enumerate(points):
+            lane, own = self._lane_of[i], point.mesh.nodes
+            if point.covariance_K2 is not None:
+                P[lane, :own, :own] = point.covariance_K2
+            P[lane, own, own] = point.disturbance.start_sigma**2
+            if point.initial_columns is not None:
+                S[lane, :own, len(point.names) : point.parameters] = point.initial_columns
+        return State(P, S, d, np.zeros(lanes, dtype=np.int64))
+
+    def _noise(self, points: Sequence[FilterTrack], n: int) -> Noise:
+        lanes = len(points)
+        nodes, decay, density = np.zeros((lanes, n)), np.zeros(lanes), np.zeros(lanes)
+        for i, point in enumerate(points):
+            lane = self._lane_of[i]
+            nodes[lane, : point.mesh.nodes] = point.noise_K2_s
+            decay[lane], density[lane] = 1.0 / point.disturbance.correlation_s, point.disturbance.density_1_s
+        return Noise(nodes, decay, density)
+
+    def _kept(self, points: Sequence[FilterTrack], n: int, keep: bool) -> Kept:
+        lanes, steps = len(points), len(self.time_s) - 1 if keep else -1
+        count = max(len(p.samples.time_s) for p in points) if keep else 0
+        size = (steps + 1, n + 1, n + 1)
+        kept = Kept(
+            np.zeros((lanes, *size[:2])), np.zeros((lanes, *size)), np.zeros((lanes, max(steps, 0), *size[1:])),
+            np.zeros((lanes, count, n + 1)),
+        )  # fmt: skip
+        for i, point in enumerate(points if keep else ()):
+            lane, own = self._lane_of[i], point.mesh.nodes
+            kept.mean[lane, 0, :own] = initial_profile(self.tracks[i])
+            kept.covariance[lane, 0, :own, :own] = 0.0 if point.covariance_K2 is None else point.covariance_K2
+            kept.covariance[lane, 0, own, own] = point.disturbance.start_sigma**2
+        return kept
+
+    def _readings(self, points: Sequence[FilterTrack], m: int) -> Readings:
+        lanes, most = len(points), max(1, *(len(p.samples.time_s) for p in points))
+        count, node = np.zeros(lanes, dtype=np.int64), np.zeros((lanes, most), dtype=np.int64)
+        time_s, gain, bias, variance, lower, upper = np.full((6, lanes, most), np.nan)
+        direct = np.zeros((lanes, most, m, 3))
+        for i, point in enumerate(points):
+            lane, s = self._lane_of[i], point.samples
+            own = slice(len(s.time_s))
+            count[lane], time_s[lane, own], node[lane, own] = len(s.time_s), s.time_s, s.node
+            gain[lane, own], bias[lane, own], variance[lane, own] = s.gain, s.bias_K, s.variance_K2
+            lower[lane, own], upper[lane, own] = s.lower_K, s.upper_K
+            if s.direct is not None:
+                direct[lane, own, : point.parameters] = s.direct
+        return Readings(count, time_s, node, gain, bias, variance, lower, upper, direct)
+
+    def _filtered(
+        self, i: int, point: FilterTrack, step: IntArray, out: FloatArray, state: State, kept: Kept
+    ) -> Filtered:
+        lane, own = self._lane_of[i], point.mesh.nodes + 1
+        told = out[lane, : len(point.samples.time_s)]
+        history = None
+        if kept.mean.shape[1]:
+            history = History(
+                self.time_s, kept.mean[lane, :, :own], kept.covariance[lane, :, :own, :own],
+                kept.transition[lane, :, :own, :own], kept.rows[lane, : len(told), :own], step,
+            )  # fmt: skip
+        return Filtered(
+            told[:, PRIOR], told[:, PRIOR_VARIANCE], told[:, POSTERIOR], told[:, POSTERIOR_VARIANCE],
+            told[:, PREDICTED], told[:, PREDICTED_VARIANCE],
+            told[:, INNOVATION], told[:, VARIANCE], told[:, LOG_LIKELIHOOD],
+            told[:, N_OUT : N_OUT + point.parameters],
+            node_rows(self.base.block(0))[: own - 1, T, lane].copy(), float(state.d[lane]),
+            state.P[lane, :own, :own], history,
+        )  # fmt: skip
+
+
+def _check(point: FilterTrack, time_s: FloatArray) -> None:
+    name, s = point.model.name, point.samples
+    if np.any(np.diff(s.time_s) < 0.0):
+        raise InputError(f"{name}: readings are not in order of time; sort them")
+    outside = np.count_nonzero((s.time_s < time_s[0]) | (s.time_s > time_s[-1]))
+    if outside:
+        raise InputError(f"{name}: {outside} readings lie outside the march; leave them out")
+    if np.any((s.node < 0) | (s.node >= point.mesh.nodes)):
+        raise InputError(f"{name}: a reading is of a node that the mesh has not (0 to {point.mesh.nodes - 1})")
+    read = ~np.isnan(s.lower_K)
+    if not np.all(s.variance_K2[read] > 0.0):
+        raise InputError(f"{name}: the noise variance of a reading is not above 0; declare or estimate noise_sigma_K")
+    d = point.disturbance
+    if not (np.all(np.asarray(point.noise_K2_s) >= 0.0) and d.density_1_s >= 0.0 and d.correlation_s > 0.0):
+        raise InputError(f"{name}: noise of the process must not be negative, and its correlation time above 0 s")

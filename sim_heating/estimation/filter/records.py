@@ -1,0 +1,119 @@
+"""Records to the filter: their readings as it takes them, and a start for a fit from all data before it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import InputError
+from sim_heating.base.parameters import CLOCK_SKEW
+from sim_heating.estimation._observation import Channel, channels, errors_of, least_sigma_K, sensor_parameter
+from sim_heating.estimation.filter.heating_input import likeliest
+from sim_heating.estimation.filter.kernel import CONSTANT, PER_RATE, PER_TEMPERATURE
+from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, Samples
+from sim_heating.estimation.record_fit import Start, march_times
+from sim_heating.inputs.points import conditions_of_record
+from sim_heating.inputs.record import Record
+from sim_heating.march.ensemble import condition_history
+from sim_heating.march.point import PointModel
+from sim_heating.thermal.mesh import Mesh
+from sim_heating.thermal.stack import Sensor
+
+START_SIGMA_K = 5.0
+"""How far the declared temperatures may be off at the first row of the conditions, all nodes alike [K]."""
+UNDECLARED_SIGMA_K = 1.0
+"""Noise of a sensor that declares none [K]."""
+TURNS = 8
+"""Newton steps that turn a reading back into a temperature."""
+
+
+def calibration_line(sensor: Sensor, read_K: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Slope and constant of a sensor's calibration about the temperatures at which it shows read_K."""
+    curve = np.polynomial.Polynomial(sensor.calibration or [0.0, 1.0])
+    slope, T = curve.deriv(), np.array(read_K, dtype=float)
+    for _ in range(TURNS):
+        T = T - (curve(T) - read_K) / slope(T)
+    return slope(T), curve(T) - slope(T) * T
+
+
+def filter_samples(
+    found: Sequence[Channel], time_s: FloatArray, mesh: Mesh, sigma_K: Mapping[int, float],
+    values: Mapping[str, float] | None = None, added_K: FloatArray | float = 0.0, names: Sequence[str] = (),
+) -> tuple[Samples, NDArray[np.int64]]:  # fmt: skip
+    """Channels as the filter reads them, a calibration as its tangent at each reading, and the place of each reading
+    among those of the channels one after the other.
+
+    time_s : (sample,) times that the channels' places are of;  sigma_K : noise by the number of the sensor
+    values : parameters that say what is wrong with sensors;  added_K : (sensor, sample) on top of the march
+    names  : parameters of the filter, of which clock and sensors act on the readings themselves
+    """
+    rows, added = [], np.zeros((len(mesh.sensors), len(time_s))) + added_K
+    direct = []
+    for channel in found:
+        low, high = channel.observed.lower_K, channel.observed.upper_K
+        middle = np.where(np.isfinite(low), np.where(np.isfinite(high), 0.5 * (low + high), low), high)
+        slope, constant = calibration_line(channel.sensor, middle)
+        wrong, own = errors_of(channel.sensor, values or {}), added[channel.number, channel.samples]
+        constant = constant + slope * (wrong.gain * own + wrong.bias_K)
+        direct.append(_direct(channel.sensor, names, slope, wrong.gain, own))
+        variance, node = (np.full(len(low), x) for x in (sigma_K[channel.number] ** 2, mesh.sensors[channel.number]))
+        rows.append(np.array([time_s[channel.samples], node, low, high, variance, slope * wrong.gain, constant]))
+    t, node, low, high, variance, gain, constant = np.concatenate(rows, axis=1)
+    order = np.argsort(t, kind="stable")
+    samples = Samples(
+        t[order], node[order].astype(np.int64), low[order], high[order], variance[order], gain[order], constant[order],
+        np.concatenate(direct)[order] if names else None,
+    )  # fmt: skip
+    return samples, order
+
+
+def _direct(sensor: Sensor, names: Sequence[str], slope: FloatArray, gain: float, added_K: FloatArray) -> FloatArray:
+    """(reading, parameter, 3) what parameters add to the derivative of readings themselves (filter_march.Samples)."""
+    found = np.zeros((len(slope), len(names), 3))
+    for k, name in enumerate(names):
+        if name == CLOCK_SKEW.name:
+            found[:, k, PER_RATE] = -slope * gain
+        elif name == sensor_parameter(sensor, "bias"):
+            found[:, k, CONSTANT] = slope
+        elif name == sensor_parameter(sensor, "gain"):
+            found[:, k, CONSTANT], found[:, k, PER_TEMPERATURE] = slope * added_K, slope
+    return found
+
+
+def track_of_record(
+    record: Record, model: PointModel, mesh: Mesh, end_s: float | None = None
+) -> tuple[FilterTrack, FloatArray, FloatArray]:
+    """A record up to a time for the filter: the point with all readings but those held out, its steps, its history.
+
+    raises : InputError where no used sensor is read by then
+    """
+    conditions, t = conditions_of_record(record), record.time_s
+    begin, end = conditions.time_s[0], min(conditions.time_s[-1], np.inf if end_s is None else end_s)
+    chosen = (t >= begin) & (t <= end) & ~record.holdout_mask()
+    found = channels(record, t[chosen], chosen)
+    if not found:
+        raise InputError(f"{record.name}: no used sensor is read between {begin:g} and {end:g} s; nothing to filter")
+    sigma = {c.number: max(c.sensor.noise_sigma_K or UNDECLARED_SIGMA_K, least_sigma_K(c.sensor)) for c in found}
+    samples, _ = filter_samples(found, t[chosen], mesh, sigma)
+    covariance = np.full((mesh.nodes, mesh.nodes), START_SIGMA_K**2)
+    steps = march_times(conditions, begin, end)
+    steps = np.append(steps[steps < end], end)
+    history = condition_history(conditions.at(steps))[np.newaxis]
+    return FilterTrack(model, mesh, samples, covariance_K2=covariance), steps, history
+
+
+def filtered_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) -> Start:
+    """A start at the temperatures that the filter has from all readings before it, the heating ratio free to wander as
+    those readings ask for.
+
+    raises : InputError where nothing is read before that time
+    """
+    track, steps, history = track_of_record(record, model, mesh, time_s)
+    point = replace(track, disturbance=likeliest(track, steps, history))
+    filtered = FilterMarch([point], steps, history).filter()[0]
+    nothing, known = np.zeros((mesh.nodes, 0)), filtered.covariance[:-1, :-1]
+    return Start(time_s, filtered.temperature_K, nothing, covariance_K2=known)

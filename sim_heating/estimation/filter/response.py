@@ -1,0 +1,181 @@
+"""A point marched with a history added to its heating ratio, and how its readings answer to that history.
+
+With d_k what is added in step k (like ratio.d0, constant over the step) and F = [Phi, Gamma] the derivative of the
+step against its start and d_k,
+
+    dT_(k+1) = Phi_k dT_k + Gamma_k d_k,    d(reading) = gain (row . [dT_k, d_k]),
+
+row that of a reading within step k. Phi, Gamma and rows come from the factorised step itself
+(estimation/filter/kernel.py), about the temperatures that the added history makes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray, IntArray
+from sim_heating.base.errors import RunError
+from sim_heating.base.kernels.block import HEAD_ROWS, LANES, NODE_ROWS, T_STAGE, T_START, T
+from sim_heating.base.kernels.jit import njit
+from sim_heating.estimation.filter.arrays import Blocks, Columns, Readings, State, Told, columns_of
+from sim_heating.estimation.filter.kernel import begin_march, disturb, first_pass, read_column, step_beside_shadows
+from sim_heating.estimation.filter.march import FilterMarch, FilterTrack
+from sim_heating.thermal.sensitivity import Groups, Places, parabola
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """A point's march with a history added to its ratio.
+
+    temperature_K : (time, node) at the ends of the steps, the start first
+    read_K        : (reading,) what each reading should show
+    transition    : (step, node, node + 1) [Phi, Gamma]
+    rows          : (reading, node + 1) of each reading against the temperatures at the start of its step and d in it
+    step          : (reading,) number of the step
+    """
+
+    temperature_K: FloatArray
+    read_K: FloatArray
+    transition: FloatArray
+    rows: FloatArray
+    step: IntArray
+
+    def matrix(self, weights: FloatArray, start: FloatArray | None = None) -> FloatArray:
+        """(reading, start | knot) derivative of the readings.
+
+        weights : (step, knot) what is added in each step for one unit at a knot, causal: its columns in order of time
+        start   : (node, k) temperatures at the start for one unit of k more unknowns, or None
+        """
+        nodes, extra = self.transition.shape[1], 0 if start is None else start.shape[1]
+        columns = np.concatenate([np.zeros((len(weights), extra)), weights], axis=1)
+        reached = columns.shape[1] - np.argmax(columns[:, ::-1] != 0.0, axis=1)
+        state, answer = np.zeros((nodes + 1, columns.shape[1])), np.zeros((len(self.step), columns.shape[1]))
+        if start is not None:
+            state[:nodes, :extra] = start
+        own = np.searchsorted(self.step, np.arange(len(weights) + 1))
+        for k, (F, a) in enumerate(zip(self.transition, np.maximum.accumulate(reached), strict=True)):
+            state[nodes, :a] = columns[k, :a]
+            answer[own[k] : own[k + 1], :a] = self.rows[own[k] : own[k + 1]] @ state[:, :a]
+            state[:nodes, :a] = F @ state[:, :a]
+        return answer
+
+
+class ResponseMarch(FilterMarch):
+    """Up to LANES points on common times, each marched with a history of its own added to its ratio.
+
+    points    : what is marched; only times, places and gains of their readings count
+    time_s    : (time,) steps [s];  histories : (flight, time, condition)
+    """
+
+    def __init__(self, points: Sequence[FilterTrack], time_s: FloatArray, histories: FloatArray) -> None:
+        super().__init__(points, time_s, histories)
+        self._steps = [np.searchsorted(self.time_s[1:], p.samples.time_s) for p in self.points]
+
+    def respond(
+        self,
+        added: Sequence[FloatArray],
+        initial_K: Sequence[FloatArray | None] | None = None,
+        *,
+        derivative: bool = True,
+    ) -> list[Response]:
+        """March all points.
+
+        added      : (step,) of each point, what is added to its ratio
+        initial_K  : (node,) of each point, temperatures at the start in place of its own
+        derivative : whether transition and rows are wanted; without them they are empty
+        raises     : RunError where a step did not converge
+        """
+        n, lanes = int(self._nodes.max()), len(self.points)
+        readings = self._readings(self.points, 0)
+        count, steps = readings.time_s.shape[1], len(self.time_s) - 1
+        add = np.zeros((lanes, steps))
+        for i in range(lanes):
+            add[self._lane_of[i]] = added[i]
+        self._begin([p.initial_K for p in self.points] if initial_K is None else list(initial_K))
+        columns = n + 1 if derivative else 0
+        told = Told(
+            np.zeros((lanes, steps + 1, n)), np.full((lanes, count), np.nan), np.zeros((lanes, steps, n, columns)),
+            np.zeros((lanes, count, columns)),
+        )  # fmt: skip
+        nothing = State(
+            np.zeros((lanes, 0, 0)), np.zeros((lanes, n, 0)), np.zeros(lanes), np.zeros(lanes, dtype=np.int64)
+        )
+        B = self.base.block(0).copy()
+        march_response(
+            B, self.base.integers(0), self.base.table, self.base.chain,
+            self.base.move_handle, self.rows, self.faces,
+            Blocks(*(self._shadow_state().copy() for _ in range(3))), self._groups,
+            self.time_s, self.histories, self._flights, self._places(1), readings,
+            nothing, add, columns_of(n, n + 2), told,
+        )  # fmt: skip
+        self._leave(B)
+        self.base.check()
+        return [self._response(i, told, self._steps[i]) for i in range(lanes)]
+
+    def _response(self, i: int, told: Told, step: IntArray) -> Response:
+        point, lane = self.points[i], self._lane_of[i]
+        own, s = point.mesh.nodes, point.samples
+        z = slice(own + 1)
+        found = Response(
+            told.temperature_K[lane, :, :own], s.gain * told.read_K[lane, : len(step)] + s.bias_K,
+            told.transition[lane, :, :own, z], s.gain[:, np.newaxis] * told.rows[lane, : len(step), z],
+            step,
+        )  # fmt: skip
+        if not np.all(np.isfinite(found.read_K)):
+            raise RunError(f"{point.model.name}: a temperature is not a number")
+        return found
+
+
+@njit
+def march_response(
+    B: FloatArray, J: IntArray, table: FloatArray, chain, move, rows, faces,  # type: ignore[no-untyped-def]
+    X: Blocks, shadows: Groups, time_s: FloatArray, histories: FloatArray, which: IntArray, p: Places, r: Readings,
+    state: State, added: FloatArray, w: Columns, told: Told,
+) -> None:  # fmt: skip
+    """March one group; blocks B and X are changed and lost.
+
+    state : without covariance and sensitivities;  added : (lane, step)
+    """
+    lanes = added.shape[0]
+    next_reading = np.zeros(lanes, dtype=np.int64)
+    for lane in range(lanes):
+        _keep_temperatures(B, lane, p.nodes[lane], told.temperature_K[lane, 0])
+        disturb(B, X, shadows, lane, added[lane, 0])
+    begin_march(B, J, table, chain, move, histories, which)
+    for k in range(1, len(time_s)):
+        step_beside_shadows(B, J, table, chain, move, rows, faces, X, shadows, time_s, histories, which, p, lanes, k)
+        for lane in range(lanes):
+            n = p.nodes[lane]
+            if told.transition.shape[3] > 0:
+                first_pass(X, p, lane, time_s[k] - time_s[k - 1], state, False, True, w)
+                told.transition[lane, k - 1, :n, : n + 1] = w.end[:n, 1 : n + 2]
+            next_reading[lane] = _tell_readings(B, w, lane, n, k, time_s, r, next_reading[lane], told)
+            _keep_temperatures(B, lane, n, told.temperature_K[lane, k])
+            if k < len(time_s) - 1:
+                disturb(B, X, shadows, lane, added[lane, k] - added[lane, k - 1])
+
+
+@njit
+def _keep_temperatures(B: FloatArray, lane: int, n: int, out: FloatArray) -> None:
+    for i in range(n):
+        out[i] = B[(HEAD_ROWS + i * NODE_ROWS + T) * LANES + lane]
+
+
+@njit
+def _tell_readings(
+    B: FloatArray, w: Columns, lane: int, n: int, k: int, time_s: FloatArray, r: Readings, first: int, told: Told
+) -> int:
+    """Temperatures and rows of the readings of step k; gives the number of the next reading."""
+    q = first
+    while q < r.number[lane] and r.time_s[lane, q] <= time_s[k]:
+        x, node = (r.time_s[lane, q] - time_s[k - 1]) / (time_s[k] - time_s[k - 1]), r.node[lane, q]
+        a = (HEAD_ROWS + node * NODE_ROWS) * LANES + lane
+        w0, w1, w2 = parabola(x)
+        told.read_K[lane, q] = w0 * B[a + T_START * LANES] + w1 * B[a + T_STAGE * LANES] + w2 * B[a + T * LANES]
+        for j in range(min(n + 1, told.rows.shape[2])):
+            told.rows[lane, q, j] = read_column(w, 1 + j, node, x, 1.0 if j == node else 0.0)
+        q += 1
+    return q

@@ -1,0 +1,340 @@
+"""The fit of heating and thermal parameters to flight records, from the records to values with honest bounds.
+
+Magnitude and derivatives of the heating ratio, and whatever else is named, are those that make the measured samples
+most likely (problem.py, newton.py). What the data cannot tell is left out and said; the noise of sensors that declare
+none is estimated beside; bounds are corrected for coloured residuals; errors are those of the plain march at the values
+found. With noise of the process the innovations of a Kalman filter take the place of residuals (innovations.py), the
+fit without it being where the search begins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.parameters import AT, CLOCK_SKEW, EFFECT_PREFIX, Parameter
+from sim_heating.base.progress import Progress, quiet
+from sim_heating.estimation._observation import errors_of
+from sim_heating.estimation.filter.innovations import Innovations, fit_innovations
+from sim_heating.estimation.filter.process_noise import ProcessNoise
+from sim_heating.estimation.inference.bounds import Bounds, bounds
+from sim_heating.estimation.inference.bounds import Channel as Residuals
+from sim_heating.estimation.inference.identifiability import correlation
+from sim_heating.estimation.inference.likelihood import likelihood
+from sim_heating.estimation.inference.newton import Fit, Settings, Status, check_parameters, maximise
+from sim_heating.estimation.inference.observability import (
+    default_names,
+    mean_ratio,
+    still,
+    unheated,
+    untold,
+    without_stuck,
+)
+from sim_heating.estimation.problem import Problem, joint_reference
+from sim_heating.estimation.record_fit import Part, Samples, Start, StartMaker, march_times
+from sim_heating.heating.effects import EffectUse, use
+from sim_heating.inputs.record import Record
+from sim_heating.march.history import outside_table
+from sim_heating.simulation.predict import Prediction
+from sim_heating.simulation.predict import predict as predict_record
+
+FEWEST_SAMPLES = 3
+"""Times of the samples that a fit has at least."""
+NOISE_ROUNDS = 4
+MISFIT = 1.3
+"""RMS of the residuals over that of noise above which a model is said to lack something."""
+NOISE_CHANGE = 0.01
+"""Noise is settled where it changes by less than this part."""
+MAGNITUDES_TRIED = np.geomspace(0.002, 2.0, 8)
+"""Ratios tried as the start of a fit that has no table to start from."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """What a fit found.
+
+    problem       : what was fitted to what;  fit : the most probable values
+    bounds        : covariance corrected for coloured residuals, and without that correction
+    not_estimated : parameters left out, and why
+    before, after : each record predicted by the declared model, and at the values found
+    warnings      : what a person should know, a line each
+    innovations   : of the filter, in a fit with noise of the process
+    """
+
+    problem: Problem
+    fit: Fit
+    bounds: Bounds
+    not_estimated: dict[str, str]
+    before: tuple[Prediction, ...]
+    after: tuple[Prediction, ...]
+    warnings: tuple[str, ...]
+    innovations: Innovations | None = None
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the estimated parameters."""
+        return tuple(u.label for u in self.problem.unknowns)
+
+    @property
+    def correlation(self) -> FloatArray:
+        """(parameter, parameter)."""
+        return correlation(self.bounds.covariance)
+
+    def samples(self) -> list[Samples]:
+        """The fitted channels at the values found, as the march or the filter predicts them."""
+        return (self.innovations or self.problem).samples(self.fit.values)
+
+
+def estimate(
+    records: Sequence[Record],
+    names: Sequence[str] | None = None,
+    *,
+    reference: Mapping[str, float] | None = None,
+    effects: Sequence[EffectUse] = (),
+    priors: Mapping[str, Parameter] | None = None,
+    starts: Sequence[Start | StartMaker | None] | None = None,
+    first: Mapping[str, float] | None = None,
+    settings: Settings | None = None,
+    process_noise: ProcessNoise | None = None,
+    progress: Progress = quiet,
+) -> Fitted:
+    """Fit parameters to records, jointly.
+
+    names     : dotted names; by default magnitude and five derivatives, as far as the records tell of them
+    reference : values of ratio variables that derivatives are about, where not the records' own
+    effects   : effects beside the declared model, their parameters estimated where `names` says so
+    priors    : dotted name -> Parameter with another prior or other bounds
+    starts    : where the march of each record begins (problem.Start, initial.STARTS)
+    first     : values of parameters that the iteration begins with, where not those of their priors
+    settings  : when the iteration stops, and how far it may step
+    process_noise : given or to be estimated; None for none, an output-error fit
+    raises    : InputError where nothing can be estimated, RunError where the fit diverged
+    """
+    _check_records(records)
+    checked = [without_stuck(record) for record in records]
+    records, stuck = [record for record, _ in checked], [line for _, told in checked for line in told]
+    wanted = tuple(names) if names is not None else default_names(records)
+    effects = (*effects, *effects_of(wanted, effects))
+    about = joint_reference(records, reference)
+    out = still(wanted, records) | unheated(wanted, records)
+    left = _left(wanted, out, records)
+    problem = Problem(records, left, about, effects=effects, priors=priors, starts=starts)
+    _check_samples(problem)
+    begin = _first_values(problem, first or {})
+    while True:
+        worst = untold(
+            [u.label for u in problem.unknowns], _information(problem, begin), _ratio(problem, begin), records
+        )
+        if not worst:
+            break
+        out |= worst
+        left = _left([n for n in left if n not in {label.partition(AT)[0] for label in worst}], out, records)
+        problem = Problem(records, left, about, effects=effects, priors=priors, starts=starts)
+        begin = _first_values(problem, first or {})
+    fit, innovations = _fit(problem, begin, settings, progress), None
+    if process_noise is not None and fit.status is not Status.NO_START:
+        fit, innovations = _fit_filtered(problem, process_noise, fit, progress)
+    return _finished(problem, fit, out, stuck, innovations)
+
+
+def _left(names: Sequence[str], out: Mapping[str, str], records: Sequence[Record]) -> list[str]:
+    """The names that are not left out.
+
+    raises : InputError that says why where none is left
+    """
+    left = [n for n in names if n not in out]
+    if not left:
+        raise InputError(f"{records[0].name}: nothing to estimate: {'; '.join(dict.fromkeys(out.values()))}")
+    return left
+
+
+def effects_of(names: Sequence[str], given: Sequence[EffectUse] = ()) -> list[EffectUse]:
+    """The effects that parameters name and that are not given, at their nominal values."""
+    known = {u.effect.name for u in given}
+    wanted = dict.fromkeys(n.split(".")[1] for n in names if n.startswith(EFFECT_PREFIX) and n.count(".") >= 2)
+    return [use(name) for name in wanted if name not in known]
+
+
+def _check_samples(problem: Problem) -> None:
+    times = sum(len(part.sample_s) for part in problem.parts)
+    if times < FEWEST_SAMPLES:
+        names = ", ".join(part.record.name for part in problem.parts)
+        raise InputError(
+            f"{names}: readings at {times} time(s) in the fit segments, too few to estimate from; at least "
+            f"{FEWEST_SAMPLES} are needed"
+        )
+
+
+def _check_records(records: Sequence[Record]) -> None:
+    if not records:
+        raise InputError("estimate: there is no record; give at least one")
+    names = [r.name for r in records]
+    if len(set(names)) < len(names):
+        raise InputError(f"records: two of them are named {max(set(names), key=names.count)}; rename one")
+    models = {r.declared.heating.reference for r in records}
+    if len(models) > 1:
+        raise InputError(f"records: ratios over different reference heatings ({', '.join(sorted(models))}) are not one")
+
+
+def _first_values(problem: Problem, given: Mapping[str, float]) -> FloatArray:
+    """Where the fit starts: as given, prior means, and for a ratio without a table the likeliest of some magnitudes."""
+    first = np.array([given.get(p.name, p.value) for p in problem.parameters])
+    bare = [k for k, u in enumerate(problem.unknowns) if u.parameter.name == "ratio.d0" and first[k] == 0.0]
+    for k in bare:
+        tried = np.tile(first, (len(MAGNITUDES_TRIED), 1))
+        tried[:, k] = MAGNITUDES_TRIED
+        first = tried[int(np.nanargmax(problem.log_likelihoods(tried)))]
+    return first
+
+
+def _information(problem: Problem, values: FloatArray) -> FloatArray:
+    check_parameters(problem.parameters)
+    found = problem.evaluate(values)
+    if not np.isfinite(found.log_likelihood):
+        raise RunError("estimate: the declared model cannot be marched along the record; see `sim-heating predict`")
+    return found.information + np.diag([p.sigma**-2.0 for p in problem.parameters])
+
+
+def _ratio(problem: Problem, values: FloatArray) -> float:
+    """A typical heating ratio of the fit: d0, else the declared one; NaN where there is neither."""
+    d0 = [abs(v) for u, v in zip(problem.unknowns, values, strict=True) if u.parameter.name == "ratio.d0"]
+    known = d0 or [r for r in (mean_ratio(part.record) for part in problem.parts) if np.isfinite(r)]
+    return float(np.mean(known)) if known else float("nan")
+
+
+def _fit(problem: Problem, first: FloatArray, settings: Settings | None, progress: Progress) -> Fit:
+    """Newton's iteration, and around it the noise of the sensors that declare none."""
+    steps = [0]
+
+    def told(at: FloatArray, log_posterior: float) -> None:
+        steps[0] += 1
+        progress(min(0.9, 0.1 * steps[0]), f"iteration {steps[0]}: log posterior {log_posterior:.2f}")
+
+    unknown_noise = any(c.sensor.noise_sigma_K is None for part in problem.parts for c in part.channels)
+    if unknown_noise:
+        problem.settle_noise(first)
+
+    def fitted(start: FloatArray) -> Fit:
+        return maximise(problem.evaluate, problem.parameters, start, problem.log_likelihoods, settings, told)
+
+    fit = fitted(first)
+    for _ in range(NOISE_ROUNDS if unknown_noise else 0):
+        if fit.status is not Status.CONVERGED or problem.settle_noise(fit.values) < NOISE_CHANGE:
+            break
+        fit = fitted(fit.values)
+    if fit.status in (Status.CONVERGED, Status.ITERATIONS):
+        problem.correct_meshes(fit.values)
+        fit = fitted(fit.values)
+    return replace(fit, iterations=steps[0])
+
+
+def _fit_filtered(problem: Problem, noise: ProcessNoise, first: Fit, progress: Progress) -> tuple[Fit, Innovations]:
+    """The fit on the innovations of the filter, from one without noise of the process on."""
+    steps = [first.iterations]
+
+    def told(at: FloatArray, log_posterior: float) -> None:
+        steps[0] += 1
+        progress(min(0.9, 0.1 * steps[0]), f"iteration {steps[0]}: log posterior {log_posterior:.2f}, filtered")
+
+    fit, innovations = fit_innovations(problem, noise, first.values, told)
+    return replace(fit, iterations=steps[0]), innovations
+
+
+def _finished(
+    problem: Problem, fit: Fit, out: dict[str, str], told: Sequence[str], innovations: Innovations | None
+) -> Fitted:
+    if fit.status is Status.NO_START:
+        raise RunError(f"estimate: {fit.words()[0]}")
+    samples = (innovations or problem).samples(fit.values)
+    after = tuple(predict_at(part, fit.values) for part in problem.parts)
+    before = tuple(predict_record(part.record) for part in problem.parts)
+    told = (*told, *outside_lines(problem.parts), *warnings(problem, fit, samples))
+    return Fitted(problem, fit, coloured_bounds(samples, fit), out, before, after, told, innovations)
+
+
+def predict_at(part: Part, values: FloatArray) -> Prediction:
+    """The plain march of a record at a parameter vector, no measurement assimilated.
+
+    It begins where the fit begins and ends with the last sample that is fitted or held out: what a short segment says
+    of the ratio need not hold far from it. NaN elsewhere.
+    """
+    own, record = part.values(values), part.record
+    wrong = {s.name: errors_of(s, own) for s in record.sensors}
+    asked = record.time_s[record.fit_mask() | record.holdout_mask()]
+    begin = part.conditions.time_s[0] if part.start is None else part.start.time_s
+    end = min(float(asked.max()) + max(part.shift_s(values), 0.0), part.conditions.time_s[-1])
+    marched = replace(record, conditions=record.conditions.at(march_times(record.conditions, begin, end)))
+    model, initial_K = part.altered(values), part.initial_K(values)
+    if initial_K is not None:
+        profile = {"initial": "profile", "initial_profile": np.column_stack([part.mesh.depth_m, initial_K]).tolist()}
+        stack = model.construction.stack.model_copy(update=profile)
+        model = replace(model, construction=model.construction.model_copy(update={"stack": stack}))
+    found = predict_record(marched, model, skew_s=-part.shift_s(values), errors=wrong)
+    return replace(found, record=record)
+
+
+def coloured_bounds(samples: Sequence[Samples], fit: Fit) -> Bounds:
+    """Bounds of the values found, from the samples there; those held by a parameter's bound are zero."""
+    channels = []
+    for s in samples:
+        found = likelihood(s.channel.observed, s.mean_K, s.spread_K)
+        name = f"{s.part.record.name}/{s.channel.sensor.name}"
+        channels.append(Residuals(name, s.time_s, found.score, found.information, s.jacobian[:, ~fit.on_bound]))
+    free = bounds(channels, fit.prior_information[~fit.on_bound])
+    place = np.ix_(~fit.on_bound, ~fit.on_bound)
+    whole, white = np.zeros_like(fit.covariance), np.zeros_like(fit.covariance)
+    whole[place], white[place] = free.covariance, free.white
+    return replace(free, covariance=whole, white=white)
+
+
+def outside_lines(parts: Sequence[Part]) -> list[str]:
+    """A line for every variable that leaves the ratio table over the fit segments."""
+    lines = []
+    for part in parts:
+        t = part.conditions.time_s
+        for o in outside_table(part.model, part.conditions.at(t[part.record.fit_mask(t)])):
+            lines.append(
+                f"{part.record.name}: {o.variable} is up to {o.farthest:.3g} outside its ratio table over the fit "
+                f"segments, from {o.first_s:g} s on; the table's edge stands in, and estimates take up the difference"
+            )
+    return lines
+
+
+def warnings(problem: Problem, fit: Fit, samples: Sequence[Samples]) -> list[str]:
+    """What a person should know of a fit: no convergence, bounds, directions, a coating that is a clock."""
+    found = [] if fit.status is Status.CONVERGED else [fit.status.value]
+    found += problem.mesh_lines
+    for u, value, on in zip(problem.unknowns, fit.values, fit.on_bound, strict=True):
+        if on:
+            found.append(f"{u.label} is on its bound, {value:g}")
+        if on and u.parameter.name == "stack.coating.thickness_factor" and value < 1.0:
+            found.append(
+                "a coating that would have to be thinner than none is mostly a clock: the thermocouples lead the "
+                f"flight conditions; estimate {CLOCK_SKEW.name} as well"
+            )
+    excess = misfit(samples)
+    if excess > MISFIT:
+        found.append(
+            f"residuals are {excess:.1f} times what noise would leave: the model lacks something, and the bounds are "
+            "those of a model that is wrong"
+        )
+    return found + [f"{d.words()}: their bounds are wide" for d in fit.singular]
+
+
+def misfit(everything: Sequence[Samples]) -> float:
+    """RMS of the residuals over what noise and rounding make of them: 1 for the true model."""
+    scored = [likelihood(s.channel.observed, s.mean_K, s.spread_K) for s in everything]
+    squares = sum(float(np.sum(f.score**2)) for f in scored)
+    return float(np.sqrt(squares / sum(float(np.sum(f.information)) for f in scored)))
+
+
+def lasting(everything: Sequence[Samples]) -> float:
+    """Mean product of neighbouring residuals over what noise and rounding make of their square: 0 for white noise,
+    however much of it; more where the model is off for longer than a sample."""
+    scored = [likelihood(s.channel.observed, s.mean_K, s.spread_K) for s in everything]
+    products = sum(float(np.sum(f.score[1:] * f.score[:-1])) for f in scored)
+    return products / sum(float(np.sum(f.information)) for f in scored)

@@ -1,0 +1,1 @@
+"""Statistics of a fit: likelihood, Newton-Raphson, bounds, identifiability, residual tests."""

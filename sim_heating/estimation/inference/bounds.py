@@ -1,0 +1,257 @@
+"""Parameter bounds when residuals are coloured: the Cramer-Rao bound with the residuals' own autocovariance.
+
+    cov = M^-1 [sum_i sum_j A_i c(i - j) A_j' + P] M^-1,     M = sum_i A_i A_i' + P,
+
+with P the information of the priors, A_i = S_i sqrt(I_i), S_i the sensitivity (parameter,) of sample i and I_i its
+information, 1 / R for an unrounded one; e_i = u_i / sqrt(I_i) is the residual in its own unit, from the score u_i, and
+c its autocovariance, 1 at lag 0 and 0 elsewhere where the noise is white and as declared. R. E. Maine and K. W. Iliff,
+"The Theory and Practice of Estimating the Accuracy of Dynamic Flight-Determined Coefficients", NASA
+RP-1077 (1981); E. A. Morelli and V. Klein, "Accuracy of Aerodynamic Model Parameters Estimated from Flight Test Data",
+J. Guid. Control Dyn. 20 (1997).
+
+What a fit leaves is less coloured than what it was given: with Q = 1 - A M^-1 A' the sums over residuals at each lag
+have the expectation sum_l c(l) tr(W_k Q T_l Q), T_l being 1 where two samples are l apart, W_k the same with weights
+sqrt(I_i I_j); that linear system is solved for c. Lags end where autocorrelation does, with a flat-top taper:
+D. N. Politis, "Adaptive Bandwidth Choice", J. Nonparametr. Stat. 15 (2003). Sensors are taken as independent of
+each other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import lstsq
+from scipy.stats import t as student
+
+from sim_heating.base.arrays import FloatArray, IntArray
+from sim_heating.base.errors import InputError
+from sim_heating.estimation.inference.identifiability import covariance, scale
+
+QUIET_LAGS = 5
+"""Lags without significant autocorrelation after which none is looked for."""
+LARGEST_PART = 0.2
+"""Longest lag over the number of a channel's samples."""
+LARGEST_ROOT = 2.0
+"""Longest lag over the square root of that number."""
+MOST_LAGS = 100
+"""Longest lag; colour that lasts longer is not seen."""
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """One sensor's samples in one segment, lost ones left out.
+
+    time_s      : (sample,) increasing
+    score       : (sample,) d log L / d mean [1/K], residual / sigma^2 where nothing is rounded
+    information : (sample,) on the mean [1/K2], 1 / sigma^2 where nothing is rounded
+    sensitivity : (sample, parameter) of the mean [K / unit]
+    """
+
+    name: str
+    time_s: FloatArray
+    score: FloatArray
+    information: FloatArray
+    sensitivity: FloatArray
+
+    @property
+    def weighted(self) -> FloatArray:
+        """(sample, parameter) sensitivity over the standard deviation that a sample's information stands for."""
+        return self.sensitivity * np.sqrt(self.information)[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """Bounds of parameters.
+
+    covariance      : (parameter, parameter) corrected for colour
+    white           : (parameter, parameter) inverse of the information, noise white and as declared
+    dof             : degrees of freedom of the residuals' spectrum at frequency 0, which the correction rests on
+    autocovariance  : by channel, (lag,) of the residuals in their own unit, tapered
+    """
+
+    covariance: FloatArray
+    white: FloatArray
+    dof: float
+    autocovariance: dict[str, FloatArray]
+
+    @property
+    def sigma(self) -> FloatArray:
+        """(parameter,) standard deviations."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def half_width(self, level: float = 0.95) -> FloatArray:
+        """(parameter,) half width of the interval that covers the truth with this probability, Student's t."""
+        return self.sigma * float(student.ppf(0.5 + 0.5 * level, self.dof))
+
+
+def grid_index(time_s: FloatArray) -> IntArray:
+    """Places of samples on a grid of their median interval: gaps and lost samples leave places free."""
+    if len(time_s) < 2:
+        return np.zeros(len(time_s), dtype=np.int64)
+    steps = np.diff(time_s)
+    if np.any(steps <= 0.0):
+        raise InputError("sample times of a residual do not increase; sort them")
+    places = np.maximum(np.rint(steps / np.median(steps)), 1.0).astype(np.int64)
+    return np.concatenate([[0], np.cumsum(places)])
+
+
+def on_grid(index: IntArray, values: FloatArray) -> FloatArray:
+    """Values (sample, ...) at their places of the grid, 0 where there is none."""
+    placed = np.zeros((int(index[-1]) + 1 if len(index) else 0, *values.shape[1:]))
+    placed[index] = values
+    return placed
+
+
+def lagged(values: FloatArray, last: int) -> FloatArray:
+    """(lag, place) sums of the values (place,) one lag before and after each place; for lag 0 the values themselves."""
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, last), 2 * last + 1)
+    sums = (windows[:, last:] + windows[:, last::-1]).T
+    sums[0] = values
+    return sums
+
+
+@dataclass(frozen=True, eq=False)
+class _Gridded:
+    """A channel on its grid. present is 1 where there is a sample, D = sqrt(I), A = D S, u the score."""
+
+    present: FloatArray
+    D: FloatArray
+    A: FloatArray
+    u: FloatArray
+
+    @classmethod
+    def of(cls, channel: Channel) -> _Gridded:
+        index = grid_index(channel.time_s)
+        D, u = on_grid(index, np.sqrt(channel.information)), on_grid(index, channel.score)
+        return cls(on_grid(index, np.ones(len(index))), D, on_grid(index, channel.weighted), u)
+
+    def spread(self, values: FloatArray, last: int) -> FloatArray:
+        """(lag, place): T_l times values (place,), nothing where there is no sample."""
+        return lagged(values, last) * self.present
+
+    def weighted_spread(self, values: FloatArray, last: int) -> FloatArray:
+        """(lag, place): W_l times values (place,)."""
+        return lagged(values * self.D, last) * self.D
+
+
+def significant_lags(autocovariance: FloatArray, samples: int) -> int:
+    """Number of lags beyond 0 that the taper reaches: twice the last one with a significant autocorrelation."""
+    longest = len(autocovariance) - 1
+    limit = 2.0 * math.sqrt(math.log10(samples) / samples) * abs(autocovariance[0])
+    last = 0
+    for lag in range(1, longest + 1):
+        if abs(autocovariance[lag]) > limit:
+            last = lag
+        elif lag - last >= QUIET_LAGS:
+            break
+    return min(2 * last, longest)
+
+
+def taper(lags: int) -> FloatArray:
+    """(lag,) flat-top weights: 1 to half the lags, then linearly to 0 one lag beyond the last."""
+    return np.clip(2.0 * (1.0 - np.arange(lags + 1) / (lags + 1.0)), 0.0, 1.0)
+
+
+def autocovariances(channels: Sequence[Channel], inverse: FloatArray) -> list[FloatArray]:
+    """(lag,) autocovariance of each channel's residuals e, corrected for what the fit took of them; not tapered.
+
+    inverse : M^-1
+
+    Solved twice: for the lags that a channel's length allows, and for those of them that are significant.
+    """
+    gridded = [_Gridded.of(c) for c in channels]
+    samples = [len(c.time_s) for c in channels]
+    allowed = [int(min(LARGEST_PART * n, LARGEST_ROOT * math.sqrt(n), MOST_LAGS)) for n in samples]
+    broad = _solved(gridded, allowed, inverse)
+    return _solved(gridded, [significant_lags(c, n) for c, n in zip(broad, samples, strict=True)], inverse)
+
+
+def _solved(gridded: Sequence[_Gridded], lags: Sequence[int], inverse: FloatArray) -> list[FloatArray]:
+    """Autocovariances up to a number of lags a channel, from the expectation of the sums over residuals."""
+    parts = [_Expectation.of(g, last, inverse) for g, last in zip(gridded, lags, strict=True)]
+    weighted = np.concatenate([p.weighted for p in parts])
+    system = weighted @ np.concatenate([p.plain for p in parts]).T
+    ends = np.cumsum([last + 1 for last in lags])
+    for part, end, last in zip(parts, ends, lags, strict=True):
+        own = slice(end - last - 1, end)
+        system[own, own] += part.own
+    sums = np.concatenate([p.sums for p in parts])
+    solved = lstsq(system, sums, cond=1e-10, lapack_driver="gelsy")[0]
+    return list(np.split(solved, ends[:-1]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Expectation:
+    """What tr(W_k Q T_l Q) is made of, for one channel.
+
+    sums     : (lag,) u' T_k u
+    own      : (lag, lag) tr(W_k T_l) - 2 tr(W_k A M^-1 A' T_l)
+    weighted : (lag, parameter x parameter) A' W_k A M^-1
+    plain    : (lag, parameter x parameter) M^-1 A' T_l A
+    """
+
+    sums: FloatArray
+    own: FloatArray
+    weighted: FloatArray
+    plain: FloatArray
+
+    @classmethod
+    def of(cls, g: _Gridded, last: int, inverse: FloatArray) -> _Expectation:
+        own = np.diag(lagged(g.D, last) @ g.D)
+        weighted, plain = [], []
+        for a, taken in zip(g.A.T, inverse @ g.A.T, strict=True):
+            rows, columns = g.weighted_spread(taken, last), g.spread(a, last)
+            own -= 2.0 * rows @ columns.T
+            weighted.append(rows @ g.A)
+            plain.append(columns @ g.A @ inverse)
+        flat = (last + 1, -1)
+        return cls(
+            lagged(g.u, last) @ g.u,
+            own,
+            np.stack(weighted, axis=2).reshape(flat),
+            np.stack(plain, axis=2).reshape(flat),
+        )
+
+
+def bounds(channels: Sequence[Channel], prior_information: FloatArray | float = 0.0) -> Bounds:
+    """Bounds of the parameters of a fit from its residuals.
+
+    prior_information : (parameter,) 1 / sigma^2
+    raises            : InputError where there are no more samples than parameters
+
+    Colour may widen a bound and never narrows it below that of white residuals of the same variance. A channel of few
+    correlation times does not tell its own colour: below some ten dof, intervals cover less than they state.
+    """
+    parameters = channels[0].sensitivity.shape[1] if channels else 0
+    samples = sum(len(c.time_s) for c in channels)
+    if samples <= parameters:
+        raise InputError(f"{samples} samples for {parameters} parameters; fit a longer segment or fewer parameters")
+    A = np.concatenate([c.weighted for c in channels])
+    prior = np.diag(np.broadcast_to(prior_information, parameters))
+    information = A.T @ A + prior
+    white = covariance(information)
+    inverse = np.where(np.isfinite(white), white, 0.0)
+    found = autocovariances(channels, inverse)
+    middle, free = prior.astype(float), 0.0
+    tapered = {}
+    for channel, c in zip(channels, found, strict=True):
+        w = taper(len(c) - 1)
+        g = _Gridded.of(channel)
+        filtered = np.stack([w * c @ g.spread(a, len(c) - 1) for a in g.A.T], axis=1)
+        middle += _at_least(g.A.T @ filtered, c[0] * g.A.T @ g.A)
+        free += len(channel.time_s) / (2.0 * float(w @ w) - 1.0)
+        tapered[channel.name] = w * c
+    corrected = inverse @ middle @ inverse
+    corrected = np.where(np.isfinite(white), corrected, white)
+    return Bounds(corrected, white, max(free * (1.0 - parameters / samples), 1.0), tapered)
+
+
+def _at_least(matrix: FloatArray, floor: FloatArray) -> FloatArray:
+    """The matrix, raised in the directions where it is below another."""
+    s = scale(floor)
+    values, vectors = np.linalg.eigh((matrix - floor) * np.outer(s, s))
+    raised = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return floor + raised / np.outer(s, s)

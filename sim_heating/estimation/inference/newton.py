@@ -1,0 +1,398 @@
+"""Newton-Raphson on a log posterior: the most probable parameters within their bounds, and why where there are none.
+
+With log likelihood L(p), gradient g and information M (Gauss-Newton, or observed), priors N(value, sigma^2):
+
+    (M + P) step = g + P (value - p),   P = diag(1 / sigma^2),   0 for a flat prior
+
+on the parameters that are not held by a bound; the step is shortened until the posterior grows and is cut off at the
+bounds (Bertsekas, "Projected Newton Methods for Optimization Problems with Simple Constraints", SIAM J. Control Optim.
+20 (1982)). The whole step is tried first, and a few more from its end where it does not help (Chamberlain et al., "The
+watchdog technique for forcing convergence", Math. Programming Study 16 (1982)); then all lengths of it in one call.
+Levenberg damping where M + P is singular, more where no length helps. Done when a full step promises a gain below
+`gain` and moves nothing by more than `step` of its sigma.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import lsq_linear
+
+from sim_heating.base.arrays import BoolArray, FloatArray
+from sim_heating.base.errors import InputError
+from sim_heating.base.parameters import Parameter
+from sim_heating.estimation.inference.identifiability import (
+    ROUNDING,
+    SINGULAR,
+    Direction,
+    covariance,
+    directions,
+    promised_gain,
+    scale,
+    scaled_eigenvectors,
+)
+
+FIRST_DAMPING = 1e-3
+LARGEST_DAMPING = 1e6
+MORE, LESS = 10.0, 0.1
+WATCHED = 3
+"""Whole steps taken on from one that lowered the posterior, before its lengths are tried; none where that was in vain
+the last time."""
+SHORTER = 0.5
+"""By how much `reach` falls where they did not help; it grows again where they do."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """The log likelihood at one parameter vector.
+
+    log_likelihood : its value; not finite where the model cannot be evaluated
+    gradient       : (parameter,) d/dp
+    information    : (parameter, parameter) -d2/dp2 or what Gauss-Newton takes for it, positive semidefinite
+    """
+
+    log_likelihood: float
+    gradient: FloatArray
+    information: FloatArray
+
+
+Evaluate = Callable[[FloatArray], Evaluation]
+"""(parameter,) -> Evaluation."""
+LogLikelihoods = Callable[[FloatArray], FloatArray]
+"""(candidate, parameter) -> (candidate,) log likelihoods, not finite where the model cannot be evaluated."""
+
+Told = Callable[[FloatArray, float], None]
+"""(parameter,) values and log posterior after a step."""
+Iteration = Generator[FloatArray, Any, "Fit"]
+"""An iteration that is asked what it wants: it gives a (parameter,) vector and takes the Evaluation there, or gives
+(candidate, parameter) vectors and takes their log likelihoods; it ends with the fit."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """When to stop, and which lengths of a step are tried at once.
+
+    gain       : gain in log posterior that a full step must promise for another iteration
+    step       : change of a parameter over its sigma that a full step must make for another iteration
+    iterations : number of steps at most
+    lengths    : fractions of the full step, the best of which is taken
+    reach      : how far a step may move a parameter, over the sigma of its prior: where the model is far from linear
+    """
+
+    gain: float = 1e-6
+    step: float = 1e-3
+    iterations: int = 50
+    lengths: tuple[float, ...] = tuple(0.5**k for k in range(8))
+    reach: float = math.inf
+
+
+class Status(Enum):
+    """How an iteration ended."""
+
+    CONVERGED = "converged"
+    ITERATIONS = "not converged within the iterations allowed; start nearer or allow more"
+    STALLED = "diverged: no step, however short, raises the likelihood; its gradient or the model is not smooth here"
+    NO_START = "diverged: the model cannot be evaluated at the start"
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The most probable parameters.
+
+    names         : (parameter,)
+    values        : (parameter,)
+    covariance    : (parameter, parameter) Cramer-Rao bound, inverse of information and prior on the parameters that
+                    no bound holds; 0 for those held, infinite for those that the data do not tell
+    log_likelihood, log_posterior : at the values; the posterior without its constant
+    information   : (parameter, parameter) of the data alone
+    prior_information : (parameter,) 1 / sigma^2
+    on_bound      : (parameter,) which parameters are held by a bound
+    singular      : directions that data and priors together do not tell
+    iterations    : steps taken
+    promised      : gain in log posterior that Newton's next step promises along the directions that are told
+    history       : (iteration + 1, parameter) values, the start first
+    """
+
+    names: tuple[str, ...]
+    values: FloatArray
+    covariance: FloatArray
+    log_likelihood: float
+    log_posterior: float
+    information: FloatArray
+    prior_information: FloatArray
+    on_bound: BoolArray
+    singular: tuple[Direction, ...]
+    status: Status
+    iterations: int
+    promised: float
+    history: FloatArray
+
+    @property
+    def converged(self) -> bool:
+        """Whether the posterior has its maximum here, be it on a bound or along a direction that is not told."""
+        return self.status is Status.CONVERGED
+
+    @property
+    def sigma(self) -> FloatArray:
+        """(parameter,) square root of the covariance's diagonal."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def words(self) -> list[str]:
+        """One line a fact: the status, parameters on their bounds, directions that cannot be told."""
+        held = zip(self.names, self.values, self.on_bound, strict=True)
+        return [
+            self.status.value,
+            *(f"{name} is on its bound, {value:g}" for name, value, on in held if on),
+            *(direction.words() for direction in self.singular),
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Posterior:
+    """Priors and bounds as arrays, and what they add to a likelihood."""
+
+    mean: FloatArray
+    information: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+    @classmethod
+    def of(cls, parameters: Sequence[Parameter]) -> _Posterior:
+        check_parameters(parameters)
+        sigma = np.array([p.sigma for p in parameters], dtype=float)
+        return cls(
+            np.array([p.value for p in parameters], dtype=float),
+            1.0 / sigma**2,
+            np.array([p.lower for p in parameters], dtype=float),
+            np.array([p.upper for p in parameters], dtype=float),
+        )
+
+    def log_prior(self, values: FloatArray) -> FloatArray:
+        """Of (..., parameter) values, without its constant."""
+        return np.asarray(-0.5 * np.sum(self.information * (values - self.mean) ** 2, axis=-1))
+
+    def added_to(self, at: FloatArray, found: Evaluation) -> Evaluation:
+        """The evaluation of the posterior."""
+        return Evaluation(
+            found.log_likelihood + float(self.log_prior(at)),
+            found.gradient + self.information * (self.mean - at),
+            found.information + np.diag(self.information),
+        )
+
+    def held(self, at: FloatArray, gradient: FloatArray) -> BoolArray:
+        """Parameters on a bound that the gradient would push beyond it."""
+        return ((at <= self.lower) & (gradient <= 0.0)) | ((at >= self.upper) & (gradient >= 0.0))
+
+
+def check_parameters(parameters: Sequence[Parameter]) -> None:
+    """raises : InputError for a prior or bounds that cannot be, or where there is no parameter"""
+    problems = []
+    for p in parameters:
+        if not (math.isfinite(p.value) and p.sigma > 0.0):
+            problems.append(f"{p.name}: prior {p.value:g} +- {p.sigma:g}; give a finite value and a sigma above 0")
+        elif not p.lower < p.upper:
+            problems.append(f"{p.name}: bounds {p.lower:g} to {p.upper:g}; give the lower one first")
+        elif not p.lower <= p.value <= p.upper:
+            problems.append(f"{p.name}: prior value {p.value:g} is outside its bounds {p.lower:g} to {p.upper:g}")
+    if not parameters:
+        problems.append("there is no parameter to estimate; name one at least")
+    if problems:
+        raise InputError(*problems)
+
+
+def maximise(
+    evaluate: Evaluate,
+    parameters: Sequence[Parameter],
+    start: ArrayLike | None = None,
+    log_likelihoods: LogLikelihoods | None = None,
+    settings: Settings | None = None,
+    told: Told = lambda at, log_posterior: None,
+) -> Fit:
+    """The most probable values of parameters with priors and bounds.
+
+    evaluate        : log likelihood, gradient and information at a parameter vector
+    start           : (parameter,) first values; by default those of the priors
+    log_likelihoods : log likelihood of several parameter vectors at once; by default `evaluate` one after another
+    told            : called with values and log posterior after every step
+    raises          : InputError for a prior or bounds that cannot be
+    """
+    several = log_likelihoods or (lambda values: np.array([evaluate(v).log_likelihood for v in values]))
+    search = iteration(parameters, start, settings, told)
+    asked = next(search)
+    while True:
+        try:
+            asked = search.send(evaluate(asked) if asked.ndim == 1 else several(asked))
+        except StopIteration as ended:
+            fit: Fit = ended.value
+            return fit
+
+
+def iteration(
+    parameters: Sequence[Parameter],
+    start: ArrayLike | None = None,
+    settings: Settings | None = None,
+    told: Told = lambda at, log_posterior: None,
+) -> Iteration:
+    """The iteration of `maximise` with its evaluations left to the caller, who may make those of many fits at once."""
+    posterior = _Posterior.of(parameters)
+    at = np.clip(posterior.mean if start is None else np.asarray(start, dtype=float), posterior.lower, posterior.upper)
+    search = _Search(posterior, settings or Settings(), at, told)
+    status = yield from search.run()
+    return search.fit(tuple(p.name for p in parameters), status)
+
+
+class _Search:
+    """The state of an iteration: where it is, what it found there, how strongly it is damped."""
+
+    def __init__(self, posterior: _Posterior, settings: Settings, at: FloatArray, told: Told) -> None:
+        self.posterior, self.settings, self.told = posterior, settings, told
+        self.damping, self.trust, self.watched = 0.0, 1.0, WATCHED
+        self.history = [at]
+
+    def move_to(self, at: FloatArray, likelihood: Evaluation) -> None:
+        self.at, self.likelihood = at, likelihood
+        self.found = self.posterior.added_to(at, self.likelihood)
+        self.held = self.posterior.held(at, self.found.gradient)
+
+    def run(self) -> Generator[FloatArray, Any, Status]:
+        start = self.history[0]
+        self.move_to(start, (yield start))
+        if not _finite(self.found):
+            return Status.NO_START
+        for _ in range(self.settings.iterations):
+            step = self.step(self.damping, self.trust)
+            if self.done(step):
+                return Status.CONVERGED
+            moved = yield from self.whole(step)
+            self.trust = min(self.trust / SHORTER, 1.0) if moved else SHORTER * self.trust
+            self.watched = WATCHED if moved else 0
+            moved = moved or (yield from self.along(step))
+            while not moved and self.damping < LARGEST_DAMPING:
+                self.damping = max(FIRST_DAMPING, MORE * self.damping)
+                moved = yield from self.along(self.step(self.damping, self.trust))
+            if not moved:
+                return Status.CONVERGED if self.within_rounding() else Status.STALLED
+            self.history.append(self.at)
+            self.told(self.at, self.found.log_likelihood)
+            if not _finite(self.found):
+                return Status.STALLED
+            self.damping *= LESS if self.damping > FIRST_DAMPING else 0.0
+        return Status.CONVERGED if self.done(self.step(self.damping, self.trust)) else Status.ITERATIONS
+
+    def step(self, damping: float, trust: float) -> FloatArray:
+        """The damped step of the parameters that no bound holds, the best one within the box; `trust` is the part of
+        `reach` that it has."""
+        step, free = np.zeros_like(self.at), ~self.held
+        if not free.any():
+            return step
+        values, vectors = scaled_eigenvectors(self.found.information[np.ix_(free, free)])
+        s = scale(self.found.information[np.ix_(free, free)])
+        lifted = np.where(values > ROUNDING, values, 1.0)  # a singular direction goes uphill as far as one sigma alone
+        root = np.sqrt(lifted + damping)
+        target = vectors.T @ (s * self.found.gradient[free]) / root
+        step[free] = s * (vectors @ (target / root))
+        lower, upper = (side[free] for side in self.box(trust))
+        if np.any((step[free] < lower) | (step[free] > upper)):
+            scaled = lsq_linear(root[:, np.newaxis] * vectors.T, target, (lower / s, upper / s), method="bvls")
+            step[free] = np.clip(s * scaled.x, lower, upper)
+        return step
+
+    def box(self, trust: float) -> tuple[FloatArray, FloatArray]:
+        """How far each parameter may go down and up: in one step, and those from its end, no further from where it
+        began than `reach`, of which `trust` is left where whole steps did not help."""
+        if not np.isfinite(self.settings.reach):
+            nowhere = np.full_like(self.at, np.inf)
+            return -nowhere, nowhere
+        known = self.posterior.information
+        reach = trust * self.settings.reach / np.sqrt(np.where(known > 0.0, known, np.finfo(float).tiny))
+        begin = self.history[-1] - self.at
+        return (
+            np.maximum(self.posterior.lower - self.at, begin - reach),
+            np.minimum(self.posterior.upper - self.at, begin + reach),
+        )
+
+    def done(self, step: FloatArray) -> bool:
+        """Whether the undamped step promises no gain worth it, and is a small part of each sigma."""
+        if self.damping > 0.0 or self.trust < 1.0:
+            step = self.step(0.0, 1.0)
+        promised = 0.5 * float(self.found.gradient @ step)
+        sigma = np.sqrt(np.diag(self.covariance()))
+        moved = np.abs(step) <= self.settings.step * np.where(self.held, np.inf, sigma)
+        return promised < self.settings.gain and bool(np.all(moved))
+
+    def whole(self, step: FloatArray) -> Generator[FloatArray, Any, bool]:
+        """Take a whole step, cut off at the bounds, where it raises the posterior: what Newton's step mostly does.
+
+        Where it does not, some more from its end may: along a ridge that bends, every step leaves it a little.
+        """
+        begin, least = (self.at, self.likelihood), self.found.log_likelihood
+        for _ in range(1 + self.watched):
+            candidate = np.clip(self.at + step, self.posterior.lower, self.posterior.upper)
+            self.move_to(candidate, (yield candidate))
+            if self.found.log_likelihood > least:
+                return True
+            if not _finite(self.found):
+                break
+            step = self.step(self.damping, self.trust)
+        self.move_to(*begin)
+        return False
+
+    def along(self, step: FloatArray) -> Generator[FloatArray, Any, bool]:
+        """Go the best of the lengths of a step, cut off at the bounds; False where none raises the posterior."""
+        lengths = np.array(self.settings.lengths)[:, None]
+        candidates = np.clip(self.at + lengths * step, self.posterior.lower, self.posterior.upper)
+        reached = np.asarray((yield candidates), dtype=float) + self.posterior.log_prior(candidates)
+        reached = np.where(np.isfinite(reached), reached, -np.inf)
+        best = int(np.argmax(reached))
+        raised = bool(reached[best] > self.found.log_likelihood)
+        if raised:
+            self.move_to(candidates[best], (yield candidates[best]))
+        return raised
+
+    def within_rounding(self) -> bool:
+        """Whether what an undamped step promises is below the rounding of the log posterior."""
+        promised = 0.5 * float(self.found.gradient @ self.step(0.0, self.trust))
+        return promised < max(self.settings.gain, 1e-12 * abs(self.found.log_likelihood))
+
+    def covariance(self) -> FloatArray:
+        """Of the parameters that no bound holds; 0 for the others."""
+        free = np.ix_(~self.held, ~self.held)
+        whole = np.zeros_like(self.found.information)
+        whole[free] = covariance(self.found.information[free])
+        return whole
+
+    def fit(self, names: tuple[str, ...], status: Status) -> Fit:
+        broken = status is Status.NO_START or not _finite(self.found)
+        free = np.flatnonzero(~self.held)
+        known = self.found.information[np.ix_(free, free)]
+        singular = [] if broken else directions(known, [names[i] for i in free], SINGULAR)
+        C = np.full_like(self.found.information, np.nan) if broken else self.covariance()
+        return Fit(
+            names=names,
+            values=self.at,
+            covariance=C,
+            log_likelihood=self.likelihood.log_likelihood,
+            log_posterior=self.found.log_likelihood,
+            information=self.likelihood.information,
+            prior_information=self.posterior.information,
+            on_bound=self.held,
+            singular=tuple(singular),
+            status=status,
+            iterations=len(self.history) - 1,
+            promised=0.0 if broken else promised_gain(self.found.gradient, C),
+            history=np.array(self.history),
+        )
+
+
+def _finite(found: Evaluation) -> bool:
+    return bool(
+        np.isfinite(found.log_likelihood)
+        and np.all(np.isfinite(found.gradient))
+        and np.all(np.isfinite(found.information))
+    )

@@ -1,0 +1,97 @@
+"""Noise of a sensor from what a fit leaves: maximum likelihood, also where rounding hides the noise.
+
+    maximise  sum_i log L_i(sigma) + (p / 2) log(sigma^2 + step^2 / 12)
+
+over sigma at the fitted predictions; the last term gives back what p fitted parameters took of the residuals (without
+rounding sigma^2 = sum of squares / (n - p)). Limits are where twice the log likelihood has fallen by the 95% point
+of chi-square.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq, minimize_scalar
+from scipy.stats import chi2
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import InputError
+from sim_heating.estimation.inference.likelihood import Observed, log_likelihood
+
+FLOOR = 0.1
+"""Least sigma over the step of a word: below it a sample is its interval and nothing more."""
+FALL = 0.5 * float(chi2.ppf(0.95, 1))
+"""Fall of the log likelihood at the 95% limits."""
+POINTS = 32
+"""Values of sigma among which the maximum is sought first."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Estimated noise of a sensor [K].
+
+    sigma_K          : the most likely one, at least a tenth of a step of the word
+    lower_K, upper_K : 95% limits by the likelihood ratio; lower_K is 0 where rounding hides how small the noise is
+    """
+
+    sigma_K: float
+    lower_K: float
+    upper_K: float
+
+    @property
+    def told(self) -> bool:
+        """Whether the data say how large the noise is, and not only how large it is at most."""
+        return self.lower_K > 0.0
+
+    def words(self, sensor: str) -> str:
+        """The estimate in a line."""
+        if self.told:
+            return f"sensor {sensor}: noise {self.sigma_K:.3g} K ({self.lower_K:.3g} to {self.upper_K:.3g})"
+        return f"sensor {sensor}: rounding hides the noise, it is below {self.upper_K:.3g} K; declare noise_sigma_K"
+
+
+def estimate_noise(samples: Observed, mean_K: FloatArray, fitted: float = 0.0) -> Noise:
+    """Noise of a sensor whose samples were predicted as mean_K [K].
+
+    fitted : number of parameters that these samples determined; a share of it where other sensors took part
+    raises : InputError for too few samples, and for samples that agree with the predictions in every digit
+    """
+    there = ~samples.lost
+    kept, mean = samples.chosen(there), np.asarray(mean_K, dtype=float)[there]
+    if len(mean) <= fitted + 1.0:
+        raise InputError(f"{len(mean)} samples are too few to estimate noise beside {fitted:g} fitted parameters")
+    inner = kept.upper_K - kept.lower_K
+    if not np.isfinite(inner).any():
+        raise InputError("every sample is at an end of its word's span; nothing tells of noise, declare it")
+    step = float(np.min(inner))
+    distance = np.maximum(np.maximum(kept.lower_K - mean, mean - kept.upper_K), 0.0)
+    largest = float(np.sqrt(np.mean((distance + step) ** 2)))
+    if largest == 0.0:
+        raise InputError("samples and predictions agree in every digit; there is no noise to estimate, declare it")
+
+    def value(log_sigma: float) -> float:
+        sigma = math.exp(log_sigma)
+        taken = 0.5 * fitted * math.log(sigma**2 + step**2 / 12.0)
+        return float(np.sum(log_likelihood(kept, mean, sigma))) + taken
+
+    least = FLOOR * step if step > 0.0 else 1e-3 * largest
+    return _limits(value, math.log(least), math.log(30.0 * largest))
+
+
+def _limits(value: Callable[[float], float], least: float, most: float) -> Noise:
+    """Maximum of a log likelihood over log sigma, and where it has fallen by FALL to either side."""
+    grid = np.linspace(least, most, POINTS)
+    k = int(np.argmax([value(x) for x in grid]))
+    around = (grid[max(k - 1, 0)], grid[min(k + 1, POINTS - 1)])
+    found = minimize_scalar(lambda x: -value(x), bounds=around, method="bounded", options={"xatol": 1e-8})
+    best = float(found.x) if -found.fun > value(least) else least
+    top = value(best)
+
+    def fallen(x: float) -> float:
+        return value(x) - top + FALL
+
+    lower = math.exp(brentq(fallen, least, best)) if fallen(least) < 0.0 else 0.0
+    return Noise(math.exp(best), lower, math.exp(brentq(fallen, best, most)))

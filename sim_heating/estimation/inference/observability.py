@@ -1,0 +1,148 @@
+"""Which parameters a record can tell of, and in words why not the others.
+
+A derivative is told where its variable moves over the fit segments, where no other parameter does the same to all
+samples, and where its bound over the variable's own excursion is below the heating ratio itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.errors import InputError
+from sim_heating.base.parameters import AT, MODEL, SHORT
+from sim_heating.estimation.inference.identifiability import SINGULAR, covariance, directions
+from sim_heating.heating.ratio.lookup import table_ratios_at
+from sim_heating.inputs.points import conditions_of_record
+from sim_heating.inputs.record import Record
+from sim_heating.simulation.predict import predict
+
+STILL = {"alpha_deg": 0.05, "beta_deg": 0.02, "log10_re": 0.01, "elevon_deg": 0.05, "bodyflap_deg": 0.05}
+"""A variable whose standard deviation over the fit segments is below this does not move."""
+FEWEST_STUCK = 10
+STUCK = 10.0
+"""A sensor that should have moved by this many of its steps, or sigmas, and did not, is stuck."""
+MAGNITUDES = ("ratio.scale", "ratio.d0")
+DERIVATIVES = tuple(f"ratio.d_{short}" for short in SHORT)
+
+
+def default_names(records: Sequence[Record]) -> tuple[str, ...]:
+    """Magnitude and the five derivatives: what is estimated where no parameters are named."""
+    with_table = all(r.ratio_table is not None for r in records)
+    return (MAGNITUDES[0] if with_table else MAGNITUDES[1], *DERIVATIVES)
+
+
+def deviations(records: Sequence[Record]) -> FloatArray:
+    """(5,) standard deviation of each ratio variable over the fit segments of all records."""
+    rows = [np.column_stack([r.conditions[v] for v in RATIO_VARIABLES])[_fitted(r)] for r in records]
+    every = np.concatenate(rows)
+    return np.std(every, axis=0) if len(every) else np.zeros(len(RATIO_VARIABLES))
+
+
+def _fitted(record: Record) -> NDArray[np.bool_]:
+    """(row of the conditions,) within the span of the fit segments that has samples."""
+    t, mask = record.conditions.time_s, record.fit_mask(record.conditions.time_s)
+    samples = record.time_s[record.fit_mask()]
+    return mask & (t >= samples.min(initial=np.inf)) & (t <= samples.max(initial=-np.inf))
+
+
+def variables_of(name: str) -> tuple[int, ...]:
+    """Numbers of the ratio variables that a derivative is against; none for any other parameter."""
+    stem = name.partition(AT)[0]
+    if not stem.startswith("ratio.d_") or stem not in MODEL:
+        return ()
+    parts = stem.removeprefix("ratio.d_").split("_")
+    return tuple(SHORT.index(p.removesuffix("2")) for p in parts)
+
+
+def still(names: Sequence[str], records: Sequence[Record]) -> dict[str, str]:
+    """Derivatives against variables that do not move, and why they are left out."""
+    moved = deviations(records)
+    found = {}
+    for name in names:
+        for i in variables_of(name):
+            if moved[i] < STILL[RATIO_VARIABLES[i]]:
+                found[name] = (
+                    f"{RATIO_VARIABLES[i]} does not move over the fit segments (standard deviation {moved[i]:.2g}); "
+                    "a manoeuvre in it would tell"
+                )
+    return found
+
+
+def unheated(names: Sequence[str], records: Sequence[Record]) -> dict[str, str]:
+    """Parameters of the heating ratio where there is no aerodynamic heating at all, and why they are left out."""
+    if any(np.any(conditions_of_record(r)["h_ref_kg_m2_s"] != 0.0) for r in records):
+        return {}
+    why = "h_ref is 0 throughout, so nothing depends on a heating ratio; name parameters of stack, clock or sensors"
+    return {n: why for n in names if n.startswith("ratio.")}
+
+
+def mean_ratio(record: Record) -> float:
+    """Mean of the declared ratio over the fit segments [-]; NaN where the record has no table."""
+    if record.ratio_table is None:
+        return float("nan")
+    x = np.column_stack([record.conditions[v] for v in RATIO_VARIABLES])[_fitted(record)]
+    return float(np.mean(table_ratios_at(record.ratio_table, x))) if len(x) else float("nan")
+
+
+def untold(labels: Sequence[str], information: FloatArray, ratio: float, records: Sequence[Record]) -> dict[str, str]:
+    """The derivative that the data tell least, and why, where it should be left out; nothing where all are told.
+
+    Else the last parameter of which neither data nor a prior say anything.
+
+    information : (parameter, parameter) of data and priors;  ratio : typical heating ratio [-]
+    """
+    singular = directions(information, list(labels), SINGULAR)
+    sigma = np.sqrt(np.abs(np.diag(covariance(information))))
+    moved = deviations(records)
+    worst, name, reason = 1.0, "", ""
+    for k, label in enumerate(labels):
+        variables = variables_of(label)
+        if not variables:
+            continue
+        bound = float(sigma[k] * np.prod(moved[list(variables)]))
+        if not np.isfinite(bound):
+            bound = np.inf
+        if bound > worst * ratio:
+            worst, name = bound / ratio, label
+            excursion = " x ".join(f"{moved[i]:.2g} of {RATIO_VARIABLES[i]}" for i in variables)
+            reason = f"its bound over the excursion flown ({excursion}) is {bound / ratio:.1f} times the ratio itself"
+            if singular:
+                reason = f"{reason}; {singular[0].words()}"
+    if not name and singular and not np.all(np.isfinite(sigma)):
+        name = [label for label, s in zip(labels, sigma, strict=True) if not np.isfinite(s)][-1]
+        reason = singular[0].words()
+    return {name: reason} if name else {}
+
+
+def without_stuck(record: Record) -> tuple[Record, list[str]]:
+    """A record without its sensors that read one value throughout though the declared model moves them, and why.
+
+    raises : InputError where that is every used sensor
+    """
+    mask, told = record.fit_mask(), []
+    indicated = predict(record).indicated_K[:, mask]
+    stuck = []
+    for sensor, read, expected in zip(record.sensors, record.temperatures_K()[:, mask], indicated, strict=True):
+        known = np.isfinite(read) & np.isfinite(expected)
+        if not sensor.used or np.count_nonzero(known) < FEWEST_STUCK or np.ptp(read[known]) > 0.0:
+            continue
+        moves = float(np.ptp(expected[known]))
+        if moves > STUCK * max(sensor.lsb_K, sensor.noise_sigma_K or 1.0):
+            stuck.append(sensor.name)
+            told.append(
+                f"{record.name}, sensor {sensor.name}: never moves, it reads {read[known][0]:g} K in all "
+                f"{np.count_nonzero(known)} samples where the declared model moves by {moves:.0f} K; left out"
+            )
+    if not stuck:
+        return record, []
+    if len(stuck) == len(record.used_sensors):
+        raise InputError(f"{'; '.join(told)}; no sensor is left to estimate from")
+    sensors = [s.model_copy(update={"used": s.used and s.name not in stuck}) for s in record.sensors]
+    thermocouples = record.declared.thermocouples.model_copy(update={"sensor": sensors})
+    return replace(record, declared=record.declared.model_copy(update={"thermocouples": thermocouples})), told

@@ -1,0 +1,142 @@
+"""What a fit leaves, held against what it should: white, normal, of the declared size.
+
+Tests take residuals that are N(0, 1) for the true model: those of likelihood.quantile_residuals, as the residual of a
+rounded sample is not normal even where everything is right.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2, shapiro
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import InputError
+from sim_heating.estimation.inference.bounds import grid_index, lagged, on_grid
+from sim_heating.estimation.inference.likelihood import Observed, quantile_residuals
+
+FEWEST = 8
+"""Samples below which nothing is tested."""
+MOST_FOR_SHAPIRO = 5000
+"""Samples up to which the p-value of Shapiro and Wilk holds."""
+
+
+@dataclass(frozen=True)
+class Test:
+    """A test of one hypothesis.
+
+    statistic : its value
+    dof       : degrees of freedom, or number of samples where it has none
+    p_value   : probability of a value as odd as this one where the hypothesis holds
+    """
+
+    __test__ = False  # not one of pytest's
+
+    statistic: float
+    dof: float
+    p_value: float
+
+
+def chi_square(residual: FloatArray, fitted: float = 0.0) -> Test:
+    """Sum of squared unit residuals of a fit, chi-square for noise as declared; both a small and a large one are odd.
+
+    residual : (sample,) N(0, 1) for the true model, lost samples NaN
+    fitted   : number of parameters fitted to them
+    raises   : InputError where no degree of freedom is left
+    """
+    left = residual[np.isfinite(residual)]
+    dof = left.size - fitted
+    if dof <= 0.0:
+        raise InputError(f"{left.size} samples for {fitted:g} fitted parameters leave no chi-square; fit fewer")
+    total = float(left @ left)
+    return Test(total, dof, float(2.0 * min(chi2.sf(total, dof), chi2.cdf(total, dof))))
+
+
+def whiteness(time_s: FloatArray, residual: FloatArray, lags: int | None = None) -> Test:
+    """Portmanteau test of autocorrelation up to a number of lags, lost samples (NaN) and gaps left out of the pairs.
+
+        Q = (n + 2) / n sum_k n_k rho_k^2,    rho_k = mean of products k apart / mean square
+
+    with n_k pairs k sampling intervals apart. With no sample lost that is the statistic of G. M. Ljung and
+    G. E. P. Box, "On a Measure of Lack of Fit in Time Series Models", Biometrika 65 (1978).
+
+    lags   : by default a fifth of the samples, 10 at most
+    raises : InputError for fewer samples than can be tested
+    """
+    heard = np.isfinite(residual)
+    n = int(np.count_nonzero(heard))
+    _enough(n)
+    index, values = grid_index(time_s[heard]), residual[heard]
+    power = float(values @ values) / n
+    if power == 0.0:
+        raise InputError("residuals are all 0; there is no noise to test for colour")
+    e, there = on_grid(index, values), on_grid(index, np.ones(n))
+    last = min(10, n // 5) if lags is None else lags
+    pairs, products = 0.5 * (lagged(there, last) @ there)[1:], 0.5 * (lagged(e, last) @ e)[1:]
+    met = pairs > 0.0
+    total = float(np.sum(products[met] ** 2 / pairs[met])) * (n + 2) / n / power**2
+    used = int(np.count_nonzero(met))
+    return Test(total, used, float(chi2.sf(total, used)))
+
+
+def normality(residual: FloatArray) -> Test:
+    """Shapiro and Wilk's test of the shape, mean and variance free; longer series are thinned evenly.
+
+    raises : InputError for fewer samples than can be tested, and for residuals that are all the same
+    """
+    left = residual[np.isfinite(residual)]
+    _enough(left.size)
+    if np.ptp(left) == 0.0:
+        raise InputError(f"residuals are all {left[0]:g}; there is no noise to test for normality")
+    thinned = left[:: math.ceil(left.size / MOST_FOR_SHAPIRO)]
+    statistic, p_value = shapiro(thinned)
+    return Test(float(statistic), float(thinned.size), float(p_value))
+
+
+def _enough(samples: int) -> None:
+    if samples < FEWEST:
+        raise InputError(f"{samples} samples are too few to test residuals, {FEWEST} are needed; fit a longer segment")
+
+
+@dataclass(frozen=True, eq=False)
+class SensorResiduals:
+    """Normalised residuals of one sensor.
+
+    residual : (sample,) N(0, 1) for the true model, NaN for a lost sample
+    mean, rms, n : of the samples that are there
+    whiteness, normality : tests, None where the samples are too few or have no noise
+    """
+
+    name: str
+    residual: FloatArray
+    mean: float
+    rms: float
+    n: int
+    whiteness: Test | None
+    normality: Test | None
+
+
+def sensor_residuals(
+    name: str,
+    time_s: FloatArray,
+    samples: Observed,
+    mean_K: FloatArray,
+    sigma_K: FloatArray | float,
+    rng: np.random.Generator,
+) -> SensorResiduals:
+    """Normalised residuals of a sensor's samples against predictions [K] with noise sigma [K], and their tests.
+
+    raises : InputError where every sample is lost
+    """
+    residual = quantile_residuals(samples, mean_K, sigma_K, rng)
+    left = residual[np.isfinite(residual)]
+    if left.size == 0:
+        raise InputError(f"sensor {name}: every sample of the segment is lost; leave the sensor or the segment out")
+    white = normal = None
+    if left.size >= FEWEST and np.ptp(left) > 0.0:
+        white, normal = whiteness(time_s, residual), normality(residual)
+    return SensorResiduals(
+        name, residual, float(left.mean()), float(np.sqrt(np.mean(left**2))), int(left.size), white, normal
+    )

@@ -1,0 +1,1 @@
+"""Estimates as files, tables, figures and pages."""

@@ -1,0 +1,263 @@
+"""What an estimate says, as `estimate.json` holds it: values, bounds and correlations, and what they were made from.
+
+The keys are those of the format "estimate/1"; beside them stand what a later reader needs to use the result: the
+control point, the segments that were fitted, the excursions that were flown in them, the program, and a hash of each
+record's files. Further keys are kept. The covariance is C_ij = rho_ij sigma_i sigma_j; a pair that is not listed is
+uncorrelated.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import LocatedError, Location, check, read_json, shown, suggestion, write_json
+from sim_heating.base.limits import beyond, said_of
+from sim_heating.base.parameters import AT, MODEL
+from sim_heating.inputs.record import DECLARATION, Record
+
+NAME = "estimate.json"
+PAIR = "|"
+"""Between the two names of a correlation."""
+SLACK = 1e-6
+"""How far below zero rounding may take an eigenvalue of a correlation matrix."""
+
+
+class _Kept(BaseModel):
+    """Base of what is read from JSON: checked, with unknown keys kept."""
+
+    model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class Estimated(_Kept):
+    """One parameter.
+
+    value, sigma : with one standard deviation, corrected for coloured residuals
+    unit         : contract unit
+    white_sigma  : before that correction
+    prior_sigma  : of the prior that was used; None where it was flat
+    """
+
+    value: float
+    sigma: float = Field(ge=0.0, description="one standard deviation")
+    unit: str
+    white_sigma: float | None = Field(default=None, ge=0.0)
+    prior_sigma: float | None = Field(default=None, ge=0.0)
+
+
+class Errors(_Kept):
+    """Pooled residuals of the plain march at the estimated parameters."""
+
+    rmse_K: float = Field(ge=0.0)
+    max_abs_K: float = Field(ge=0.0)
+    n: int = Field(ge=0)
+
+
+class Condition(_Kept):
+    """The condition that the derivatives are about."""
+
+    alpha_deg: float
+    beta_deg: float
+    log10_re: float
+    elevon_deg: float
+    bodyflap_deg: float
+
+    @model_validator(mode="after")
+    def _check(self) -> Condition:
+        found = {name: getattr(self, name) for name in RATIO_VARIABLES}
+        problems = [((name,), said_of(name, value)) for name, value in found.items() if beyond(name, value)]
+        if problems:
+            raise LocatedError(*problems)
+        return self
+
+    def values(self) -> FloatArray:
+        """(5,) in the order of a ratio table."""
+        return np.array([getattr(self, name) for name in RATIO_VARIABLES])
+
+
+class Excursion(_Kept):
+    """Least and greatest value of a variable over the fitted samples."""
+
+    min: float
+    max: float
+
+
+class EffectInForce(_Kept):
+    """An effect of the fitted model with all its values, estimated or held; of which point, in a fit of several."""
+
+    name: str
+    parameters: dict[str, float]
+    control_point: str | None = None
+
+
+class Estimate(_Kept):
+    """Contents of estimate.json.
+
+    records             : directories of the records, as given to the command
+    parameters          : by dotted name
+    not_estimated       : name -> why
+    correlation         : "a|b" -> correlation of two parameters
+    fit, holdout        : errors over the segments; None where there is none
+    control_point       : whose parameters they are; None in a fit of several points
+    vehicle             : as the record names it
+    segments            : fitted [start, end] times [s] of each record; None: as the records declare
+    excursions          : by variable, over the fitted samples
+    inputs              : record -> hash of its files, `inputs_hash`
+    effects             : those that the fitted model had, on top of what the records declare
+    program             : name and version
+    """
+
+    format: Literal["estimate/1"]
+    records: list[str] = Field(min_length=1, description="directories of the records")
+    converged: bool
+    iterations: int = Field(ge=0)
+    reference_condition: Condition
+    parameters: dict[str, Estimated]
+    not_estimated: dict[str, str] = {}
+    correlation: dict[str, float] = {}
+    noise_floor_K: float | None = None
+    fit: Errors | None = None
+    holdout: Errors | None = None
+    control_point: str | None = None
+    vehicle: str | None = None
+    segments: list[list[list[float]]] | None = None
+    excursions: dict[str, Excursion] = {}
+    inputs: dict[str, str] = {}
+    effects: list[EffectInForce] = []
+    program: str | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Estimate:
+        problems = [*self._parameter_problems(), *self._correlation_problems()]
+        if self.segments is not None and len(self.segments) != len(self.records):
+            problems.append((("segments",), f"has {len(self.segments)} entries for {len(self.records)} records"))
+        for i, record in enumerate(self.segments or []):
+            problems += [
+                (("segments", i, j), f"{s} is not a segment; give [start_s, end_s] with start before end")
+                for j, s in enumerate(record)
+                if len(s) != 2 or s[0] > s[1]
+            ]
+        if problems:
+            raise LocatedError(*problems)
+        if np.linalg.eigvalsh(self.correlation_matrix(tuple(self.parameters))).min(initial=1.0) < -SLACK:
+            raise LocatedError((("correlation",), "is not that of any parameters (a negative eigenvalue)"))
+        return self
+
+    def _parameter_problems(self) -> list[tuple[Location, str]]:
+        """Ratio parameters that there are none of, or in another unit."""
+        known = [name for name in MODEL if name.startswith("ratio.")]
+        problems: list[tuple[Location, str]] = []
+        for label, p in self.parameters.items():
+            name = label.partition(AT)[0]
+            if name.startswith("ratio.") and name not in MODEL:
+                problems.append((("parameters", name), f"there is no such parameter. {suggestion(name, known)}"))
+            elif name in MODEL and p.unit != MODEL[name].unit:
+                rule = f'"{p.unit}" is not the unit of {name}; it is "{MODEL[name].unit}"'
+                problems.append((("parameters", name, "unit"), rule))
+        return problems
+
+    def _correlation_problems(self) -> list[tuple[Location, str]]:
+        problems: list[tuple[Location, str]] = []
+        for pair, rho in self.correlation.items():
+            names = pair.split(PAIR)
+            strange = [n for n in names if n not in self.parameters]
+            if len(names) != 2 or names[0] == names[1]:
+                problems.append((("correlation", pair), 'is not a pair; write "a|b" with two parameters'))
+            elif strange:
+                problems.append((("correlation", pair), f"{strange[0]} is not among the parameters"))
+            elif abs(rho) > 1.0:
+                problems.append((("correlation", pair), f"{rho:g} must lie within -1 to 1"))
+            elif self.correlation.get(PAIR.join(reversed(names)), rho) != rho:
+                problems.append((("correlation", pair), "stands there both ways round with two values; remove one"))
+        return problems
+
+    def correlation_matrix(self, names: Sequence[str]) -> FloatArray:
+        """(n, n) correlation of the named parameters."""
+        rho = np.eye(len(names))
+        for i, a in enumerate(names):
+            for j, b in enumerate(names):
+                if i != j:
+                    rho[i, j] = self.correlation.get(f"{a}{PAIR}{b}", self.correlation.get(f"{b}{PAIR}{a}", 0.0))
+        return rho
+
+    def values(self, names: Sequence[str]) -> FloatArray:
+        """(n,) estimated values of the named parameters."""
+        return np.array([self.parameters[n].value for n in names])
+
+    def covariance(self, names: Sequence[str]) -> FloatArray:
+        """(n, n) covariance of the named parameters, whatever the others are."""
+        sigma = np.array([self.parameters[n].sigma for n in names])
+        return self.correlation_matrix(names) * np.outer(sigma, sigma)
+
+
+def correlations(names: Sequence[str], covariance: FloatArray) -> dict[str, float]:
+    """The entries of `correlation` for a covariance matrix: each pair once, in the order of the names."""
+    sigma = np.sqrt(np.diag(covariance))
+    scale = np.where(sigma > 0.0, sigma, 1.0)
+    return {
+        f"{a}{PAIR}{b}": float(np.clip(covariance[i, j] / (scale[i] * scale[j]), -1.0, 1.0))
+        for i, a in enumerate(names)
+        for j, b in enumerate(names)
+        if i < j
+    }
+
+
+def read_estimate(path: str | os.PathLike[str]) -> Estimate:
+    """Read an estimate.json, or the one in a directory.
+
+    raises : InputError with one line a problem, naming file, key and value
+    """
+    file = Path(path)
+    file = file / NAME if file.is_dir() else file
+    data = read_json(file)
+    if data.get("format") == "closure-report/1":
+        raise InputError(f"{shown(file)}: is a closure report; give an estimate.json")
+    return check(data, Estimate, shown(file))
+
+
+def write_estimate(path: str | os.PathLike[str], estimate: Estimate) -> None:
+    """Write an estimate, whole or not at all; it reads back equal. What is empty beyond the format is left out."""
+    data = estimate.model_dump()
+    data["parameters"] = {n: {k: v for k, v in p.items() if v is not None} for n, p in data["parameters"].items()}
+    optional = ("control_point", "vehicle", "segments", "excursions", "inputs", "effects", "program")
+    data["effects"] = [{k: v for k, v in e.items() if v is not None} for e in data["effects"]]
+    write_json(path, {k: v for k, v in data.items() if k not in optional or v not in (None, {}, [])})
+
+
+def inputs_hash(record: Record) -> str:
+    """`sha256:...` over the names and bytes of a record's files, those that its declaration names.
+
+    raises : InputError where one cannot be read
+    """
+    declared = record.declared
+    names = (DECLARATION, declared.conditions.file, declared.thermocouples.file, declared.heating.ratio_table)
+    digest = hashlib.sha256()
+    for name in (n for n in names if n is not None):
+        try:
+            content = (record.directory / name).read_bytes()
+        except OSError:
+            raise InputError(f"{shown(record.directory / name)}: cannot be read; write the record first") from None
+        digest.update(f"{name}\0{len(content)}\0".encode())
+        digest.update(content)
+    return f"sha256:{digest.hexdigest()}"
+
+
+def excursions(conditions: Sequence[FloatArray]) -> dict[str, Excursion]:
+    """Least and greatest values of the ratio variables over fitted samples.
+
+    conditions : (sample, 5) for each record
+    """
+    every = np.concatenate(conditions)
+    return {
+        name: Excursion(min=float(every[:, i].min()), max=float(every[:, i].max()))
+        for i, name in enumerate(RATIO_VARIABLES)
+    }

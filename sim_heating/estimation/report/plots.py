@@ -1,0 +1,118 @@
+"""Pictures of a fit: measured against predicted, before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.kernels.block import LOG10_RE
+from sim_heating.base.report.figure import ANGLES, MEASURED, legend_above, new_figure, save_figure
+from sim_heating.estimation.trend import Trend
+from sim_heating.heating.ratio.lookup import table_ratios_at
+from sim_heating.inputs.record import Record, pooled_rmse_K
+from sim_heating.simulation.predict import Prediction
+
+BEFORE, AFTER = "tab:orange", "tab:blue"
+MOVES_DEG = 0.5
+LAMP = "q_add_W_m2"
+MARGIN = 0.2
+"""How much is shown to either side of what is fitted, over its length."""
+
+
+def draw_fit(path: Path, before: Prediction, after: Prediction) -> None:
+    """A panel a sensor with its residual below, declared and fitted; holdout segments shaded, angles flown at the
+    foot."""
+    record = after.record
+    figure, axes = fit_figure(record, [(before, BEFORE, "declared"), (after, AFTER, "fitted")])
+    title = record.declared.title or record.declared.control_point
+    save_figure(figure, path, f"{record.name}: declared and fitted\n{title}", axes)
+
+
+def fit_figure(record: Record, curves: Sequence[tuple[Prediction, str, str]]) -> tuple[Figure, np.ndarray]:
+    """Measured against some predictions (prediction, colour, label), the second of which sets the span of residuals"""
+    shown, sensors = _shown(record), [i for i, s in enumerate(record.sensors) if s.used]
+    t, fitted = record.time_s[shown], record.fit_mask()
+    heights = [2.0, 1.0] * len(sensors) + [1.0]
+    figure, axes = new_figure(9.5, 2.4 * len(sensors) + 2.2, len(heights), sharex=True, height_ratios=heights)
+    for k, i in enumerate(sensors):
+        upper, lower = axes[2 * k], axes[2 * k + 1]
+        upper.plot(t, record.temperatures_K()[i][shown], label="measured", rasterized=True, **MEASURED)
+        for prediction, color, label in curves:
+            residual = prediction.residual_K[i]
+            found = pooled_rmse_K(residual, fitted)
+            error = "" if found is None else f", RMSE {found['rmse_K']:.2f} K"
+            upper.plot(t, prediction.indicated_K[i][shown], color=color, linewidth=1.3, label=f"{label}{error}")
+            lower.plot(t, residual[shown], ".", color=color, markersize=2.5, rasterized=True)
+        lower.axhline(0.0, color="0.3", linewidth=0.8)
+        scale = curves[1 if len(curves) > 2 else 0][0].residual_K[i][fitted]
+        spread = np.nanpercentile(np.abs(scale), 99.0) if np.any(np.isfinite(scale)) else 1.0
+        lower.set_ylim(-1.3 * spread - 1.0, 1.3 * spread + 1.0)
+        upper.set_ylabel(f"{record.sensors[i].name}\nindicated, K")
+        lower.set_ylabel("residual, K")
+        legend_above(upper)
+    plot_flown(axes[-1], record.conditions, t[0], t[-1])
+    axes[-1].set_xlabel("time, s" + ("; shaded: held out" if record.declared.segments.holdout else ""))
+    for a in axes:
+        shade_holdout(a, record)
+    axes[-1].set_xlim(t[0], t[-1])
+    figure.align_ylabels(axes)
+    return figure, axes
+
+
+def shade_holdout(a: Axes, record: Record) -> None:
+    """What is held out, in grey."""
+    for start, end in record.declared.segments.holdout:
+        a.axvspan(start, end, color="0.85", linewidth=0)
+
+
+def _shown(record: Record) -> NDArray[np.bool_]:
+    """(sample,) from some time before the first sample that is fitted or held out to some time after the last."""
+    t, asked = record.time_s, record.time_s[record.fit_mask() | record.holdout_mask()]
+    margin = MARGIN * float(np.ptp(asked))
+    return np.asarray((t >= asked.min() - margin) & (t <= asked.max() + margin))
+
+
+def plot_flown(a: Axes, whole: Conditions, start_s: float, end_s: float) -> None:
+    """The angles that moved, or what a lamp gave where none did."""
+    times = whole.time_s[(whole.time_s >= start_s) & (whole.time_s <= end_s)]
+    flown = whole.at(times if len(times) else whole.time_s)
+    moved = {n: how for n, how in ANGLES.items() if np.ptp(flown[n]) > MOVES_DEG}
+    for name, (label, color) in moved.items():
+        a.plot(flown.time_s, flown[name], color=color, label=label, linewidth=1.1)
+    a.set_ylabel("deg")
+    if not moved and LAMP in flown.columns:
+        a.plot(flown.time_s, flown[LAMP] / 1e3, color="tab:red", label="known flux", linewidth=1.1)
+        a.set_ylabel("kW/m2")
+    if a.lines:
+        legend_above(a)
+
+
+def draw_trend(path: Path, found: Trend) -> None:
+    """Heating ratio over short segments against time and against Reynolds number, the declared table beside it."""
+    segments, record = found.segments, found.record
+    middle = np.array([0.5 * (s.start_s + s.end_s) for s in segments])
+    conditions = np.array([s.condition for s in segments])
+    ratio, sigma = np.array([s.ratio for s in segments]), np.array([s.sigma for s in segments])
+    figure, axes = new_figure(10.5, 4.6, 1, 2, sharey=True)
+    for a, x, label in ((axes[0], middle, "time, s"), (axes[1], conditions[:, LOG10_RE], "log10 of Reynolds number")):
+        a.errorbar(x, ratio, 2.0 * sigma, fmt="o", color=AFTER, markersize=3, linewidth=0.8, label="segments, 2 sigma")
+        if record.ratio_table is not None:
+            declared = table_ratios_at(record.ratio_table, conditions)
+            order = np.argsort(x)
+            a.plot(x[order], declared[order], color=BEFORE, linewidth=1.2, label="declared table, same conditions")
+        a.set_xlabel(label)
+    sure = sigma < 0.5 * np.abs(ratio)
+    if np.any(sure):
+        low, high = np.min((ratio - 2 * sigma)[sure]), np.max((ratio + 2 * sigma)[sure])
+        axes[0].set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
+    axes[0].set_ylabel("heating ratio")
+    axes[0].legend(fontsize=8, loc="best")
+    length = segments[0].end_s - segments[0].start_s
+    title = record.declared.title or record.declared.control_point
+    save_figure(figure, path, f"{record.name}: segments of {length:g} s\n{title}", axes)

@@ -1,0 +1,105 @@
+"""Heating ratio against each variable that was flown, with bands, as figures 8, 12 and 14 of the founding paper."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.parameters import RATIO, SHORT
+from sim_heating.base.report.figure import new_figure, save_figure
+from sim_heating.estimation.fit import Fitted
+from sim_heating.estimation.record_fit import Part
+from sim_heating.heating.ratio._shares import declared_ratio, declared_sigma, estimated_ratio
+from sim_heating.march.ensemble import condition_history
+
+LABELS = {
+    "alpha_deg": "angle of attack, deg",
+    "beta_deg": "sideslip, deg",
+    "log10_re": "log10 of Reynolds number",
+    "elevon_deg": "elevon, deg",
+    "bodyflap_deg": "body flap, deg",
+}
+MARGIN = 1.0
+"""How far beyond the flown excursion a panel goes, in excursions."""
+SAMPLES = 241
+COLUMNS = 3
+"""Panels in a row at most."""
+BEFORE, FLOWN, AFTER = "0.45", "tab:orange", "tab:blue"
+
+
+def panel_variables(names: tuple[str, ...]) -> list[int]:
+    """Numbers of the variables whose derivatives are among the names; angle of attack where none is."""
+    return [i for i, s in enumerate(SHORT) if f"ratio.d_{s}" in names] or [0]
+
+
+def about(reference: FloatArray) -> str:
+    """A condition in words."""
+    return ", ".join(f"{short} {value:.3g}" for short, value in zip(SHORT, reference, strict=True))
+
+
+def line(reference: FloatArray, i: int, values: FloatArray) -> FloatArray:
+    """(sample, 5) a condition with one variable replaced."""
+    x = np.tile(reference, (len(values), 1))
+    x[:, i] = values
+    return x
+
+
+def plotted(i: int, reference: FloatArray, flown: FloatArray, axis: FloatArray | None) -> FloatArray:
+    """(sample, 5) the conditions of a panel: the flown excursion of variable i and MARGIN beyond, within a table.
+
+    flown : (sample,) of the variable;  axis : of the table, or None
+    """
+    width = MARGIN * (flown.max() - flown.min())
+    low, high = flown.min() - width, flown.max() + width
+    if axis is not None and len(axis) > 1:
+        low, high = max(axis[0], low), min(axis[-1], high)
+    return line(reference, i, np.linspace(low, high, SAMPLES))
+
+
+def plot_band(a: Axes, x: FloatArray, ratio: FloatArray, sigma: FloatArray | None, label: str, color: str) -> None:
+    """A ratio and its 2 sigma."""
+    if sigma is not None:
+        a.fill_between(x, ratio - 2 * sigma, ratio + 2 * sigma, color=color, alpha=0.2, linewidth=0)
+    a.plot(x, ratio, color=color, linewidth=1.6, label=label)
+
+
+def plot_flight(a: Axes, x: FloatArray, ratio: FloatArray, sigma: FloatArray) -> None:
+    """What the flight says, where it flew."""
+    a.fill_between(x, ratio - 2 * sigma, ratio + 2 * sigma, color=FLOWN, alpha=0.3, linewidth=0)
+    a.plot(x, ratio, color=FLOWN, linestyle="--", linewidth=1.6, label="flight estimate")
+
+
+def draw_ratio(path: Path, fitted: Fitted, part: Part) -> bool:
+    """Declared table and flight estimate of a record's control point, a panel for each derivative; whether drawn."""
+    chosen = {n: int(k) for n, k in zip(part.names, part.index, strict=True) if n in {p.name for p in RATIO}}
+    if not chosen:
+        return False
+    names, index = tuple(chosen), list(chosen.values())
+    reference = np.array(fitted.problem.reference)
+    values, covariance = fitted.fit.values[index], fitted.bounds.covariance[np.ix_(index, index)]
+    samples = np.unique(np.concatenate([part.sample_s[c.samples] for c in part.channels]))
+    flown = condition_history(part.conditions.at(samples))[:, : len(RATIO_VARIABLES)]
+    held, table = panel_variables(names), part.record.ratio_table
+    columns = min(len(held), COLUMNS)
+    rows = -(-len(held) // columns)
+    figure, axes = new_figure(1.5 + 3.4 * columns, 0.8 + 3.4 * rows, rows, columns, squeeze=False)
+    for a in axes.flat[len(held) :]:
+        a.set_visible(False)
+    for a, i in zip(axes.flat, held, strict=False):
+        x = plotted(i, reference, flown[:, i], None if table is None else table.axes[i])
+        if table is not None:
+            plot_band(a, x[:, i], declared_ratio(table, x), declared_sigma(table, x), "declared table", BEFORE)
+        inside = x[(x[:, i] >= flown[:, i].min()) & (x[:, i] <= flown[:, i].max())]
+        plot_flight(a, inside[:, i], *estimated_ratio(names, values, covariance, reference, table, inside))
+        a.set_xlabel(LABELS[RATIO_VARIABLES[i]])
+    for a in axes[:, 0]:
+        a.set_ylabel("heating ratio (2 sigma bands)")
+    axes[0, 0].legend(fontsize=8, loc="best")
+    beside = " without the effects" if part.model.effects else ""
+    title = f"{part.record.declared.control_point}: heating ratio{beside}\nabout {about(reference)}"
+    save_figure(figure, path, title, axes)
+    return True

@@ -1,0 +1,231 @@
+"""What a fit leaves in a folder: estimate.json, temperatures and pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.files import output_directory, write_csv
+from sim_heating.base.files.package import package_version
+from sim_heating.estimation.design.information import would_buy
+from sim_heating.estimation.fit import Fitted
+from sim_heating.estimation.inference.residual_tests import SensorResiduals, Test, chi_square, sensor_residuals
+from sim_heating.estimation.report.estimate_file import (
+    NAME,
+    Condition,
+    Errors,
+    Estimate,
+    correlations,
+    excursions,
+    inputs_hash,
+    write_estimate,
+)
+from sim_heating.estimation.trend import Trend
+from sim_heating.inputs.record import Record, pooled_rmse_K
+from sim_heating.march.ensemble import condition_history
+from sim_heating.simulation.predict import Prediction
+from sim_heating.simulation.results import write_temperatures_csv
+
+
+def result_of(fitted: Fitted) -> Estimate:
+    """The contents of estimate.json."""
+    problem, sigma = fitted.problem, fitted.bounds.sigma
+    records = [part.record for part in problem.parts]
+    points = {r.declared.control_point for r in records}
+    white = np.sqrt(np.diag(fitted.bounds.white))
+    return Estimate.model_validate(
+        {
+            "format": "estimate/1",
+            "records": [str(r.directory) for r in records],
+            "converged": fitted.fit.converged,
+            "iterations": fitted.fit.iterations,
+            "reference_condition": Condition(**dict(zip(RATIO_VARIABLES, problem.reference, strict=True))),
+            "parameters": {
+                u.label: {
+                    "value": float(value),
+                    "sigma": float(s),
+                    "unit": u.parameter.unit,
+                    "white_sigma": float(w),
+                    "prior_sigma": float(u.parameter.sigma) if np.isfinite(u.parameter.sigma) else None,
+                }
+                for u, value, s, w in zip(problem.unknowns, fitted.fit.values, sigma, white, strict=True)
+            },
+            "not_estimated": fitted.not_estimated,
+            "correlation": correlations(fitted.labels, fitted.bounds.covariance),
+            "noise_floor_K": noise_floor_K(fitted),
+            "fit": _errors(fitted.after, "fit"),
+            "holdout": _errors(fitted.after, "holdout"),
+            "predicted": {what: _errors(fitted.before, what) for what in ("fit", "holdout")},
+            "degrees_of_freedom": fitted.bounds.dof,
+            "log_likelihood": fitted.fit.log_likelihood,
+            "process_noise": _process_noise(fitted),
+            "statistics": statistics_of(fitted),
+            "would_buy": _would_buy(fitted),
+            "warnings": list(fitted.warnings),
+            "control_point": points.pop() if len(points) == 1 else None,
+            "vehicle": records[0].declared.vehicle,
+            "segments": [_segments(r) for r in records],
+            "excursions": excursions([condition_history(r.conditions)[_flown(r), :5] for r in records]),
+            "inputs": {str(r.directory): inputs_hash(r) for r in records if r.directory.is_dir()},
+            "effects": _effects(fitted),
+            "program": f"sim-heating {package_version()}",
+        }
+    )
+
+
+def _effects(fitted: Fitted) -> list[dict[str, Any]]:
+    """The effects of each control point's model at the values found."""
+    models = {p.record.declared.control_point: p.altered(fitted.fit.values) for p in fitted.problem.parts}
+    return [
+        {
+            "name": used.effect.name,
+            "parameters": {p.name: float(v) for p, v in zip(used.effect.parameters, used.values, strict=True)},
+            **({"control_point": point} if len(models) > 1 else {}),
+        }
+        for point, model in models.items()
+        for used in model.effects
+    ]
+
+
+def _process_noise(fitted: Fitted) -> dict[str, Any] | None:
+    """Levels of the noise of the process, and which of them were found; None in an output-error fit."""
+    return None if fitted.innovations is None else asdict(fitted.innovations.levels.noise)
+
+
+def _segments(record: Record) -> list[list[float]]:
+    """Fitted [start, end] times [s]."""
+    return record.declared.segments.fit or [[float(record.time_s[0]), float(record.time_s[-1])]]
+
+
+def _flown(record: Record) -> np.ndarray:
+    """Rows of the conditions within the fitted samples."""
+    t = record.conditions.time_s
+    samples = record.time_s[record.fit_mask()]
+    return record.fit_mask(t) & (t >= samples.min()) & (t <= samples.max())
+
+
+def _errors(predictions: tuple[Prediction, ...], what: str) -> Errors | None:
+    """Errors of the used sensors of all records over their fit or holdout segments."""
+    residuals = []
+    for p in predictions:
+        used = [i for i, sensor in enumerate(p.record.sensors) if sensor.used]
+        mask = p.record.fit_mask() if what == "fit" else p.record.holdout_mask()
+        residuals.append(p.residual_K[used][:, mask].ravel())
+    found = pooled_rmse_K(np.concatenate(residuals))
+    return None if found is None else Errors.model_validate(found)
+
+
+def _would_buy(fitted: Fitted) -> dict[str, dict[str, float]]:
+    """Standard deviations of the derivatives with twice the excursions, and with twice as many samples."""
+    factors = would_buy(fitted.labels, fitted.fit.information, fitted.fit.prior_information)
+    now = dict(zip(fitted.labels, fitted.bounds.sigma, strict=True))
+    return {n: {f"{k}_sigma": f * float(now[n]) for k, f in found.items()} for n, found in factors.items()}
+
+
+def noise_floor_K(fitted: Fitted) -> float | None:
+    """Noise floor of all fit segments [K], the estimated noise standing in where a sensor declares none."""
+    total, count = 0.0, 0
+    for part in fitted.problem.parts:
+        sigma = {c.sensor.name: part.sigma_K[c.number] for c in part.channels}
+        n = sum(len(c.samples) for c in part.channels)
+        floor = part.record.noise_floor_K(estimated_sigma_K=sigma)
+        total, count = total + n * floor**2, count + n
+    return float(np.sqrt(total / count)) if count and np.isfinite(total) else None
+
+
+def residuals_of(fitted: Fitted) -> list[SensorResiduals]:
+    """Normalised residuals of every sensor that was fitted, and their tests; the draws are the same every time."""
+    rng = np.random.default_rng(0)
+    several = len(fitted.problem.parts) > 1
+    return [
+        sensor_residuals(
+            f"{s.part.record.name}/{s.channel.sensor.name}" if several else s.channel.sensor.name,
+            s.time_s, s.channel.observed, s.mean_K, s.spread_K, rng,
+        )
+        for s in fitted.samples()
+    ]  # fmt: skip
+
+
+def statistics_of(fitted: Fitted) -> dict[str, Any]:
+    """Chi-square of the fit, and by sensor: samples, noise taken, normalised mean and RMS, whiteness, normality."""
+    residuals = residuals_of(fitted)
+    noise = [s.sigma_K for s in fitted.samples()]
+    every = np.concatenate([r.residual for r in residuals])
+    return {
+        "chi_square": _test(chi_square(every, float(len(fitted.labels)))),
+        "sensors": {
+            r.name: {
+                "n": r.n,
+                "noise_sigma_K": sigma,
+                "normalised_mean": r.mean,
+                "normalised_rms": r.rms,
+                "whiteness": _test(r.whiteness),
+                "normality": _test(r.normality),
+            }
+            for r, sigma in zip(residuals, noise, strict=True)
+        },
+    }
+
+
+def _test(test: Test | None) -> dict[str, float] | None:
+    return None if test is None else {"statistic": test.statistic, "dof": test.dof, "p_value": test.p_value}
+
+
+TREND = TREND_CSV, TREND_PICTURE = "trend.csv", "trend.png"
+FIT_FILES = TEMPERATURES, FIT_PICTURE, RATIO_PICTURE = "temperatures.csv", "fit.png", "ratio.png"
+
+
+def files_of(records: Sequence[Record], *, filtered: bool = False) -> list[str]:
+    """Names of all files that a fit of some records may write; `filtered` where it has noise of the process."""
+    from sim_heating.estimation.report import filtered as filter_report
+
+    homes = [""] if len(records) == 1 else [f"{record.name}/" for record in records]
+    names = [*FIT_FILES, *(filter_report.FILES if filtered else ())]
+    return [NAME, *(f"{home}{name}" for home in homes for name in names)]
+
+
+def write_trend(found: Trend, out: Path) -> list[str]:
+    """Write trend.csv and trend.png; returns the names of the files."""
+    from sim_heating.estimation.report.plots import draw_trend
+
+    segments = found.segments
+    columns = {
+        "start_s": np.array([s.start_s for s in segments]),
+        "end_s": np.array([s.end_s for s in segments]),
+        "samples": np.array([float(s.samples) for s in segments]),
+        **{v: np.array([s.condition[i] for s in segments]) for i, v in enumerate(RATIO_VARIABLES)},
+        "ratio": np.array([s.ratio for s in segments]),
+        "sigma": np.array([s.sigma for s in segments]),
+    }
+    for k, name in enumerate(found.names):
+        columns[name] = np.array([s.values[k] for s in segments])
+        columns[f"{name}.sigma"] = np.array([s.sigmas[k] for s in segments])
+    with output_directory(out) as folder:
+        write_csv(folder / TREND_CSV, columns)
+        draw_trend(folder / TREND_PICTURE, found)
+        return sorted(p.name for p in folder.iterdir() if p.is_file())
+
+
+def write_fit(fitted: Fitted, out: Path) -> list[str]:
+    """Write estimate.json, temperatures and pictures; returns the names of the files."""
+    from sim_heating.estimation.report.filtered import filtered_history, write_filtered
+    from sim_heating.estimation.report.plots import draw_fit  # matplotlib is slow to import, and wanted only here
+    from sim_heating.estimation.report.ratio_plot import draw_ratio
+
+    with output_directory(out) as folder:
+        write_estimate(folder / NAME, result_of(fitted))
+        for part, before, after in zip(fitted.problem.parts, fitted.before, fitted.after, strict=True):
+            home = folder if len(fitted.after) == 1 else folder / after.record.name
+            home.mkdir(exist_ok=True)
+            history = after.history
+            write_temperatures_csv(home / TEMPERATURES, history.time_s, history, after.record.sensors)
+            draw_fit(home / FIT_PICTURE, before, after)
+            draw_ratio(home / RATIO_PICTURE, fitted, part)
+            if fitted.innovations is not None:
+                write_filtered(home, filtered_history(fitted.innovations, fitted.fit.values, part))
+        return sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())

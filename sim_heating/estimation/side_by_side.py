@@ -1,0 +1,109 @@
+"""Problems that differ in what their models carry, marched side by side: eight cost little more than one.
+
+Candidates for what a declared model lacks are problems over one record that differ in effects and unknowns. Parts of
+all of them that are on common times share lane groups (problem.side_by_side); the likelihoods are each problem's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from numpy.typing import ArrayLike
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.estimation.inference.newton import Evaluation, Fit, Iteration, Settings, iteration
+from sim_heating.estimation.problem import Problem, in_threads
+from sim_heating.estimation.record_fit import Part, march_of, set_out, side_by_side
+from sim_heating.march.linearised import Linearised, LinearMarch
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Parts marched together; members : (problem, part) numbers of each."""
+
+    members: tuple[tuple[int, int], ...]
+    parts: tuple[Part, ...]
+    march: LinearMarch
+
+
+class Together:
+    """The marches of several problems.
+
+    problems : what is evaluated; no problem twice
+    """
+
+    def __init__(self, problems: Sequence[Problem]) -> None:
+        self.problems = tuple(problems)
+        place = {part: (i, k) for i, p in enumerate(problems) for k, part in enumerate(p.parts)}
+        self._groups = [
+            _Group(tuple(place[part] for part in group), tuple(group), march_of(group)) for group in side_by_side(place)
+        ]
+
+    def march(self, vectors: Sequence[FloatArray]) -> list[bool]:
+        """March each problem at a parameter vector, which it then keeps; whether that could be done. Nothing is marched
+        where all keep what they gave there."""
+        if all(problem.keeps(vector) for problem, vector in zip(self.problems, vectors, strict=True)):
+            return [True] * len(self.problems)
+
+        def one(k: int) -> list[Linearised | None]:
+            group = self._groups[k]
+            return group.march.attempt(*set_out(group.march, group.parts, [vectors[i] for i, _ in group.members]))
+
+        marched: list[dict[int, Linearised]] = [{} for _ in self.problems]
+        for group, results in zip(self._groups, in_threads(one, len(self._groups)), strict=True):
+            for (i, k), result in zip(group.members, results, strict=True):
+                if result is not None:
+                    marched[i][k] = result
+        whole = [len(found) == len(problem.parts) for problem, found in zip(self.problems, marched, strict=True)]
+        for i, problem in enumerate(self.problems):
+            if whole[i]:
+                problem.keep(vectors[i], marched[i])
+        return whole
+
+    def evaluate(self, vectors: Sequence[FloatArray]) -> list[Evaluation]:
+        """What Problem.evaluate gives at one parameter vector for each problem."""
+        return [
+            problem.evaluate(vector) if marched else problem.nothing()
+            for problem, vector, marched in zip(self.problems, vectors, self.march(vectors), strict=True)
+        ]
+
+
+def maximise_together(
+    problems: Sequence[Problem], starts: Sequence[ArrayLike | None] | None = None, settings: Settings | None = None
+) -> list[Fit]:
+    """The fit of each problem as newton.maximise finds it, all of them iterated side by side.
+
+    starts : first values of each; by default those of the priors
+    raises : InputError for a prior or bounds that cannot be
+    """
+    begin = [None] * len(problems) if starts is None else list(starts)
+    searches = [iteration(p.parameters, first, settings) for p, first in zip(problems, begin, strict=True)]
+    asked = {k: next(search) for k, search in enumerate(searches)}
+    fits: dict[int, Fit] = {}
+    together, marched = None, tuple(asked)
+    while asked:
+        if together is None or len(asked) < len(marched):
+            marched = tuple(asked)
+            together = Together([problems[k] for k in marched])
+        found = together.evaluate([asked[k] for k in marched])
+        for k, evaluation in zip(marched, found, strict=True):
+            answer = _next(searches[k], evaluation, problems[k])
+            if isinstance(answer, Fit):
+                fits[k] = answer
+                del asked[k]
+            else:
+                asked[k] = answer
+    return [fits[k] for k in range(len(problems))]
+
+
+def _next(search: Iteration, evaluation: Evaluation, problem: Problem) -> FloatArray | Fit:
+    """The next parameter vector that an iteration wants evaluated, or its fit; lengths of a step are tried at once."""
+    try:
+        asked = search.send(evaluation)
+        while asked.ndim == 2:
+            asked = search.send(problem.log_likelihoods(asked))
+    except StopIteration as ended:
+        fit: Fit = ended.value
+        return fit
+    return asked

@@ -1,0 +1,195 @@
+"""Short segments one after the other: the heating ratio over each, as a trend against what the flight passes through.
+
+Each segment starts at the temperatures where the one before ended, with the uncertainty that its fit left them: the
+covariance of the node temperatures, its largest directions kept, is the prior of as many unknowns of the start. The
+refined mesh that corrects the predictions (Problem.correct_meshes) goes along from segment to segment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.parameters import Parameter
+from sim_heating.base.progress import Progress, quiet
+from sim_heating.estimation.fit import FEWEST_SAMPLES
+from sim_heating.estimation.inference.newton import Fit, maximise
+from sim_heating.estimation.inference.observability import default_names
+from sim_heating.estimation.problem import Problem, joint_reference
+from sim_heating.estimation.record_fit import Part, Start, march_times
+from sim_heating.heating.ratio.lookup import table_ratios_at
+from sim_heating.inputs.record import Record
+from sim_heating.march.ensemble import condition_history
+from sim_heating.march.linearised import LinearMarch, Track
+from sim_heating.march.point import initial_temperatures
+from sim_heating.thermal.mesh import refined
+
+DIRECTIONS = 4
+"""Directions of the temperatures' covariance that are handed from a segment to the next."""
+CONDITION_POINTS = 21
+"""Points of a segment that its mean condition is taken over."""
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """One short segment.
+
+    start_s, end_s : its times [s];  samples : how many were fitted
+    condition : means of the five ratio variables over it
+    ratio, sigma : heating ratio at that mean condition, and its standard deviation [-]
+    values, sigmas : of the estimated parameters
+    """
+
+    start_s: float
+    end_s: float
+    samples: int
+    condition: tuple[float, ...]
+    ratio: float
+    sigma: float
+    values: FloatArray
+    sigmas: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Trend:
+    """Short segments of a record, why some of its time has none, and what else a person should know."""
+
+    record: Record
+    names: tuple[str, ...]
+    segments: tuple[Segment, ...]
+    left_out: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+
+
+def trend(
+    record: Record,
+    length_s: float,
+    names: Sequence[str] | None = None,
+    *,
+    progress: Progress = quiet,
+) -> Trend:
+    """Fit parameters, by default the magnitude of the ratio alone, to short segments of a record in turn.
+
+    length_s : length of a segment [s]
+    raises   : InputError where no segment has enough samples, RunError where no fit of those that have converges
+    """
+    if not 0.0 < length_s < np.inf:
+        raise InputError(f"{record.name}: segments of {length_s:g} s; give a length in s above 0, as 5")
+    chosen = tuple(names) if names is not None else default_names([record])[:1]
+    windows = _windows(record, length_s)
+    apart = float(np.median(np.diff(record.time_s))) if len(record.time_s) > 1 else 0.0
+    if length_s < apart:
+        raise InputError(f"{record.name}: segments of {length_s:g} s are shorter than the {apart:g} s between samples")
+    if not windows:
+        raise InputError(f"{record.name}: the fit segments hold no time that was recorded; give others")
+    found, left_out, in_vain, meshes = [], [], [], []
+    start, last = None, None
+    for k, (begin, end) in enumerate(windows):
+        progress(k / len(windows), f"segments: {k + 1} of {len(windows)}, {begin:.0f} to {end:.0f} s")
+        mask = record.fit_mask() & (record.time_s >= begin) & (record.time_s < end)
+        count = int(np.count_nonzero(np.isfinite(record.temperatures_K(record.used_sensors)[:, mask])))
+        if count < max(FEWEST_SAMPLES, len(chosen)):
+            left_out.append(f"{begin:g} to {end:g} s: {count} samples for {len(chosen)} parameters")
+            continue
+        if last is not None:
+            start = _handed_over(*last, begin)
+        problem = Problem([record], chosen, joint_reference([record]), starts=[start], chosen=[mask])
+        first = np.array([p.value for p in problem.parameters]) if last is None else _carried(problem, *last)
+        fit = maximise(problem.evaluate, problem.parameters, first, problem.log_likelihoods)
+        if fit.converged:
+            problem.correct_meshes(fit.values)
+            meshes += problem.mesh_lines
+            fit = maximise(problem.evaluate, problem.parameters, fit.values, problem.log_likelihoods)
+        if not fit.converged or not np.all(np.isfinite(fit.covariance)):
+            in_vain.append(f"{begin:g} to {end:g} s: {fit.words()[0]}")
+            left_out.append(in_vain[-1])
+            continue
+        last = (problem, fit)
+        found.append(_segment(record, problem, fit, begin, end, count))
+    if not found:
+        nothing = f"{record.name}: no segment of {length_s:g} s can be fitted"
+        raise RunError(f"{nothing}; {in_vain[0]}") if in_vain else InputError(f"{nothing}; {left_out[0]}")
+    return Trend(record, chosen, tuple(found), tuple(left_out), tuple(meshes[:1]))
+
+
+def _windows(record: Record, length_s: float) -> list[tuple[float, float]]:
+    """Start and end of the short segments within the fit segments."""
+    first = max(record.time_s[0], record.conditions.time_s[0])
+    last = min(record.time_s[-1], record.conditions.time_s[-1])
+    windows = []
+    for a, b in record.declared.segments.fit or [[first, last]]:
+        begin, end = max(a, first), min(b, last)
+        edges = np.arange(begin, end, length_s)
+        windows += [(float(t), float(t + length_s)) for t in edges]
+    return sorted(windows)
+
+
+def _carried(problem: Problem, before: Problem, fit: Fit) -> FloatArray:
+    """First values of a segment: those of the segment before it, nothing added to its start."""
+    known = dict(zip((u.label for u in before.unknowns), fit.values, strict=True))
+    own = {*problem.parts[0].marched, *problem.parts[0].other}
+    return np.array([known[p.name] if p.name in own else p.value for p in problem.parameters])
+
+
+def _handed_over(problem: Problem, fit: Fit, time_s: float) -> Start:
+    """A start at a later time from a fit: temperatures, and the largest directions of their covariance."""
+    part = problem.parts[0]
+    T, S = state_at(part, fit.values, time_s)
+    own = fit.covariance[np.ix_(part.index[: part.read], part.index[: part.read])]
+    values, vectors = np.linalg.eigh(own)
+    U, s, _ = np.linalg.svd(S @ (vectors * np.sqrt(np.maximum(values, 0.0))), full_matrices=False)
+    kept = min(DIRECTIONS, len(s))
+    unknowns = tuple(
+        Parameter(f"initial.{k + 1}", "1", 0.0, 1.0, text="along a direction of the temperatures handed over")
+        for k in range(kept)
+    )
+    return Start(time_s, T, U[:, :kept] * s[:kept], unknowns, refined_at(part, fit.values, time_s))
+
+
+def state_at(part: Part, values: FloatArray, time_s: float) -> tuple[FloatArray, FloatArray]:
+    """Node temperatures (node,) [K] of a part at a time [s], and their sensitivities (node, unknown of the march)."""
+    begin = part.conditions.time_s[0] if part.start is None else part.start.time_s
+    if time_s <= begin:
+        profile = part.initial_K(values)
+        columns = np.zeros((part.mesh.nodes, part.read)) if part.start is None else part.start.columns
+        if profile is None:
+            profile = initial_temperatures(part.model.construction, part.mesh)
+        return profile, columns
+    time = march_times(part.conditions, begin, time_s)
+    declared = part.track(values)
+    nodes = tuple(range(part.mesh.nodes))
+    track = Track(
+        part.altered(values), part.mesh, part.marched, np.array([time_s]), nodes, declared.initial_K,
+        declared.initial_columns,
+    )  # fmt: skip
+    found = LinearMarch([track], time, condition_history(part.conditions.at(time))[np.newaxis]).march()[0]
+    return found.temperature_K[:, 0], found.sensitivity[:, 0]
+
+
+def refined_at(part: Part, values: FloatArray, time_s: float) -> FloatArray:
+    """Temperatures (node,) [K] on the refined mesh of a part at a time [s]."""
+    mesh, initial = refined(part.mesh), part.refined_K(values)
+    begin = part.conditions.time_s[0] if part.start is None else part.start.time_s
+    if time_s <= begin:
+        return initial_temperatures(part.model.construction, mesh) if initial is None else initial
+    time = march_times(part.conditions, begin, time_s)
+    track = Track(part.altered(values), mesh, (), np.array([time_s]), tuple(range(mesh.nodes)), initial)
+    found = LinearMarch([track], time, condition_history(part.conditions.at(time))[np.newaxis]).march()[0]
+    return found.temperature_K[:, 0]
+
+
+def _segment(record: Record, problem: Problem, fit: Fit, begin: float, end: float, count: int) -> Segment:
+    flown = record.conditions.at(np.linspace(begin, min(end, record.conditions.time_s[-1]), CONDITION_POINTS))
+    condition = tuple(float(np.mean(flown[v])) for v in RATIO_VARIABLES)
+    m = len(problem.parts[0].marched)
+    values, sigmas = fit.values[:m], fit.sigma[:m]
+    size = 1.0
+    if problem.parts[0].marched[0] == "ratio.scale" and record.ratio_table is not None:
+        size = float(table_ratios_at(record.ratio_table, np.array([condition]))[0])
+    ratio = size * (1.0 + values[0]) if problem.parts[0].marched[0] == "ratio.scale" else values[0]
+    return Segment(begin, end, count, condition, float(ratio), float(abs(size) * sigmas[0]), values, sigmas)

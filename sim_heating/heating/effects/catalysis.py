@@ -1,0 +1,63 @@
+"""Surface recombination: a hotter wall is more catalytic, and a flow of higher enthalpy has more atoms to recombine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.kernels.block import RECOVERY_ENTHALPY
+from sim_heating.base.kernels.elementary import logistic
+from sim_heating.base.kernels.jit import njit
+from sim_heating.base.parameters import Parameter
+from sim_heating.heating.effects import Effect, Try
+
+STEP, MIDDLE_K, WIDTH_K, FLOW_STEP, MIDDLE_J_KG, WIDTH_J_KG = range(6)
+
+
+@njit
+def catalysis_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
+    """1 + step S((T_w - T_c) / width_T) + flow step S((H_r - H_c) / width_H), S(x) = 1 / (1 + exp(-x)) [-]."""
+    hot = B[p + STEP] * logistic((wall_K - B[p + MIDDLE_K]) / B[p + WIDTH_K])
+    return 1.0 + hot + B[p + FLOW_STEP] * logistic((B[c + RECOVERY_ENTHALPY] - B[p + MIDDLE_J_KG]) / B[p + WIDTH_J_KG])
+
+
+def tries(flown: Conditions) -> Sequence[Try]:
+    """Rises at several wall temperatures, or at several enthalpies of the flow, none yet."""
+    hot = ("catalysis_step", "catalysis_K", "catalysis_width_K")
+    flow = ("flow_step", "flow_J_kg", "flow_width_J_kg")
+    greatest = float(np.max(flown["H_r_J_kg"]))
+    return [
+        *(
+            Try(hot, {"catalysis_K": T, "catalysis_width_K": width})
+            for T in (500.0, 700.0, 900.0, 1100.0, 1300.0)
+            for width in (60.0, 200.0)
+        ),
+        *(
+            Try(flow, {"flow_J_kg": part * greatest, "flow_width_J_kg": width})
+            for part in (0.3, 0.5, 0.7, 0.9)
+            for width in (1e6, 3e6)
+        ),
+    ]
+
+
+EFFECT = Effect(
+    name="catalysis",
+    mode="multiply",
+    parameters=(
+        Parameter("catalysis_step", "1", 0.2, 0.2, -0.9, 3.0, "relative rise of the ratio from cold to hot wall"),
+        Parameter("catalysis_K", "K", 1100.0, 150.0, 300.0, 2500.0, "wall temperature of half the rise"),
+        Parameter("catalysis_width_K", "K", 60.0, 40.0, 1.0, 1000.0, "width of the rise"),
+        Parameter("flow_step", "1", 0.0, 0.2, -0.9, 3.0, "relative rise from low to high enthalpy of the flow"),
+        Parameter("flow_J_kg", "J/kg", 1.5e7, 5e6, 1e5, 1e8, "recovery enthalpy of half that rise"),
+        Parameter("flow_width_J_kg", "J/kg", 2e6, 1e6, 1e4, 1e8, "width of that rise"),
+    ),
+    kernel=catalysis_factor,
+    needs_wall=True,
+    neutral={"catalysis_step": 0.0, "flow_step": 0.0},
+    tries=tries,
+    physics="Recombination of atoms at the wall grows with its temperature and gives up the energy of dissociation.",
+    source="Scott, 'Effects of nonequilibrium and wall catalysis on Shuttle heat transfer', in NASA CP-2283",
+)

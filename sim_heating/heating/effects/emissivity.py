@@ -1,0 +1,57 @@
+"""Emittance: off by a factor, changing at some time, or changing with temperature."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.kernels.block import TIME
+from sim_heating.base.kernels.elementary import logistic
+from sim_heating.base.kernels.jit import njit
+from sim_heating.base.parameters import Parameter
+from sim_heating.heating.effects import Effect, Try
+
+FACTOR, CHANGE, SLOPE, DURATION = range(4)
+REFERENCE_K = 1000.0
+
+
+@njit
+def emittance_changes(B: FloatArray, c: int, p: int, wall_K: float) -> float:
+    """1 + (factor - 1) S((t - change) / duration) + slope (T_w - 1000 K), not below 0 [-]."""
+    changed = (B[p + FACTOR] - 1.0) * logistic((B[c + TIME] - B[p + CHANGE]) / B[p + DURATION])
+    return max(1.0 + changed + B[p + SLOPE] * (wall_K - REFERENCE_K), 0.0)
+
+
+def tries(flown: Conditions) -> Sequence[Try]:
+    """As declared; for a change in time, at several times."""
+    times = np.quantile(flown.time_s, [0.2, 0.35, 0.5, 0.65, 0.8])
+    return [
+        Try(("emissivity_factor",)),
+        Try(("emissivity_slope",)),
+        *(
+            Try(("emissivity_factor", "change_s", "duration_s"), {"change_s": float(t), "duration_s": duration})
+            for t in times
+            for duration in (3.0, 25.0)
+        ),
+    ]
+
+
+EFFECT = Effect(
+    name="emissivity",
+    mode="emittance",
+    parameters=(
+        Parameter("emissivity_factor", "1", 1.0, 0.1, 0.05, 2.0, "emittance over the declared one"),
+        Parameter("change_s", "s", -1e4, 100.0, -1e5, 1e5, "time from which it holds; long before the flight: always"),
+        Parameter("emissivity_slope", "1/K", 0.0, 1e-4, -2e-3, 2e-3, "relative change of the emittance a kelvin"),
+        Parameter("duration_s", "s", 2.0, 20.0, 0.2, 1e3, "time constant of the change"),
+    ),
+    kernel=emittance_changes,
+    needs_wall=True,
+    neutral={"emissivity_factor": 1.0, "emissivity_slope": 0.0},
+    tries=tries,
+    physics="Coatings age, are contaminated or blistered, and radiate otherwise when hot than their tables say.",
+    source="Emittance drift of reused tiles, Williams & Curry, NASA RP-1193 (1992)",
+)

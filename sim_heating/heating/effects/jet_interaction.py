@@ -1,0 +1,37 @@
+"""Reaction-jet firings: heating, or the density derived from a disturbed air-data reading, follows the jets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.kernels.block import JETS
+from sim_heating.base.kernels.jit import njit
+from sim_heating.base.parameters import Parameter
+from sim_heating.heating.effects import Effect, Try
+
+GAIN = 0
+
+
+@njit
+def jet_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
+    """1 + jet_gain jets [-], jets from 0 (off) to 1 (firing)."""
+    return 1.0 + B[p + GAIN] * B[c + JETS]
+
+
+def tries(flown: Conditions) -> Sequence[Try]:
+    """No dependence yet."""
+    return [Try(("jet_gain",))]
+
+
+EFFECT = Effect(
+    name="jet-interaction",
+    mode="multiply",
+    parameters=(Parameter("jet_gain", "1", 0.1, 0.2, -1.0, 5.0, "relative rise of the ratio while a jet fires"),),
+    kernel=jet_factor,
+    neutral={"jet_gain": 0.0},
+    tries=tries,
+    physics="A firing jet disturbs the flow at the point, or the density that was derived from dynamic pressure.",
+    source="Pitch-jet spikes of STS-2 in 'Trends in Shuttle Entry Heating from the Correlation of Flight Test ...'",
+)

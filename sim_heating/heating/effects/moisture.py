@@ -1,0 +1,57 @@
+"""Moisture: latent heat taken up at a phase change in depth, and given off where vapour condenses.
+
+With u = 1 / (1 + exp(-(T - boil) / width)) the part that has dried, the insulation takes up latent u per mass. Vapour
+over moist fibres has a density that grows with temperature as u does, exponentially up to boiling; it diffuses to where
+fibres are cooler and condenses there. Its heat is conducted with
+
+    k_vapour = vapour du/dT,    vapour = D L rho_v    [W/m]
+
+(diffusivity, latent heat, density of vapour where it dries: some 20 W/m over wet fibres at 370 K, less as humidity).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.parameters import Parameter
+from sim_heating.heating.effects import Effect, Try
+
+
+def tries(flown: Conditions) -> Sequence[Try]:
+    """None yet, at several temperatures."""
+    evaporating = ("latent_J_kg", "boil_K", "width_K")
+    condensing = ("latent_J_kg", "boil_K", "deposit_J_kg", "condense_K", "width_K")
+    diffusing = ("vapour_W_m", "boil_K", "width_K")
+    at = (340.0, 373.0, 420.0)
+    return [
+        *(Try(names, {"boil_K": T}) for names in (evaporating, diffusing) for T in at),
+        *(Try(condensing, {"boil_K": T, "condense_K": T - 40.0}) for T in at),
+    ]
+
+
+EFFECT = Effect(
+    name="moisture",
+    mode="model",
+    parameters=(
+        Parameter("latent_J_kg", "J/kg", 5000.0, 2e4, 0.0, 3e6, "heat taken up as it boils, per mass of insulation"),
+        Parameter("boil_K", "K", 373.0, 20.0, 200.0, 1000.0, "temperature at which it boils"),
+        Parameter("deposit_J_kg", "J/kg", 0.0, 2e4, 0.0, 3e6, "heat given off where vapour condenses"),
+        Parameter("condense_K", "K", 330.0, 20.0, 200.0, 1000.0, "temperature at which it condenses"),
+        Parameter("width_K", "K", 8.0, 4.0, 0.5, 200.0, "width of either in temperature"),
+        Parameter("vapour_W_m", "W/m", 0.0, 2.0, 0.0, 200.0, "integral of its vapour's conductivity, up to boiling"),
+    ),
+    places=(
+        "stack.moisture.latent_J_kg",
+        "stack.moisture.boil_K",
+        "stack.moisture.deposit_J_kg",
+        "stack.moisture.condense_K",
+        "stack.moisture.width_K",
+        "stack.moisture.vapour_W_m",
+    ),
+    neutral={"latent_J_kg": 0.0, "deposit_J_kg": 0.0, "vapour_W_m": 0.0},
+    tries=tries,
+    physics="Adsorbed water boils as heat reaches it; vapour condenses in cooler depths before it leaves.",
+    source="Apparent heat capacity: Voller & Swaminathan, Numer. Heat Transfer B 19 (1991) 175; vapour diffusing down "
+    "its density: Philip & de Vries, Trans. Am. Geophys. Union 38 (1957) 222",
+)

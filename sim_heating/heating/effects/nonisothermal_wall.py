@@ -1,0 +1,59 @@
+"""Non-isothermal wall: behind an upstream step of wall temperature heating lags, overshoots, and decays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.kernels.block import TIME
+from sim_heating.base.kernels.elementary import exp
+from sim_heating.base.kernels.jit import njit
+from sim_heating.base.parameters import Parameter
+from sim_heating.heating.effects import Effect, Try
+
+LAG, FRACTION, OVERSHOOT, DECAY, BEGIN = range(5)
+
+
+@njit
+def overshoot_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
+    """1 + overshoot exp(-max(t - begin, 0) / decay) [-]; the lag itself is the model's (heating/film.py)."""
+    return 1.0 + B[p + OVERSHOOT] * exp(-max(B[c + TIME] - B[p + BEGIN], 0.0) / B[p + DECAY])
+
+
+def tries(flown: Conditions) -> Sequence[Try]:
+    """Short and long lags; an excess that decays fast or slowly from when heating sets in; none of either yet."""
+    heating = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
+    begins = [float(flown.time_s[int(np.argmax(heating >= part * np.max(heating)))]) for part in (0.1, 0.5)]
+    return [
+        *(Try(("lag_s", "lag_fraction"), {"lag_s": lag}) for lag in (1.5, 3.0, 6.0)),
+        *(
+            Try(
+                ("lag_s", "lag_fraction", "overshoot", "decay_s", "decay_begin_s"),
+                {"lag_s": 3.0, "decay_s": decay, "decay_begin_s": begin},
+            )
+            for begin in begins
+            for decay in (60.0, 200.0, 500.0)
+        ),
+    ]
+
+
+EFFECT = Effect(
+    name="nonisothermal-wall",
+    mode="multiply",
+    parameters=(
+        Parameter("lag_s", "s", 3.0, 2.0, 0.05, 100.0, "time constant of the lag"),
+        Parameter("lag_fraction", "1", 0.5, 0.4, -1.0, 1.5, "part of the ratio that lags"),
+        Parameter("overshoot", "1", 0.1, 0.2, -0.9, 3.0, "relative excess of heating before it decays"),
+        Parameter("decay_s", "s", 200.0, 100.0, 5.0, 5000.0, "time constant of its decay"),
+        Parameter("decay_begin_s", "s", 250.0, 50.0, -1e4, 1e4, "time at which it begins to decay"),
+    ),
+    kernel=overshoot_factor,
+    lags=True,
+    neutral={"lag_fraction": 0.0, "overshoot": 0.0},
+    tries=tries,
+    physics="A wall that is colder upstream gives more heat behind the step, less so as both warm: larger, lagging.",
+    source="Chapman & Rubesin, J. Aero. Sci. 16 (1949) 547; Kays & Crawford, Convective Heat and Mass Transfer",
+)

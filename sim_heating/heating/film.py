@@ -1,0 +1,149 @@
+"""From flight conditions to the heating of a wall, compiled: film coefficient, recovery enthalpy, pressure of each
+stage.
+
+    film = r h_ref,    r = ratio of the linear model, then effects that add, then a lag, then effects that multiply.
+
+A lag makes the ratio r' = (1 - f) r + f m of what it was, dm/dt = (r - m) / tau, exact for a ratio that is linear in
+time over a step; it starts without a past, m = r.
+
+Conditions are linear in time between samples; the ratio is evaluated at the conditions of each stage of the time
+step, not interpolated itself.
+"""
+
+from __future__ import annotations
+
+from sim_heating.base.arrays import FloatArray, IntArray
+from sim_heating.base.kernels.block import (
+    ADDED,
+    C_STAGES,
+    CELL_COLUMN,
+    CELL_WORK,
+    CELL_X,
+    EFFECT_CODES,
+    EFFECT_PARAMETERS,
+    EFFECT_SLOTS,
+    EFFECT_WIDTH,
+    FILM,
+    H_REF,
+    HEAD_ROWS,
+    LAG_INPUT,
+    LAG_PAST,
+    LAG_SLOT,
+    LAG_VALUE,
+    LANES,
+    N_ADDING,
+    N_CONDITIONS,
+    N_EFFECTS,
+    N_EMITTING,
+    N_PARAMETERS,
+    N_PRESSURES,
+    NEGATIVE,
+    NONE,
+    OFF_AXES,
+    OUTSIDE,
+    P_SURFACE,
+    PARAMETERS,
+    PCOL,
+    PFRAC,
+    PRESSURE_TABLE,
+    Q_ADD,
+    R_BASE,
+    RECOVERY,
+    RECOVERY_ENTHALPY,
+    TIME,
+    T,
+)
+from sim_heating.base.kernels.elementary import exp, log10
+from sim_heating.base.kernels.jit import call_chain, folded, njit
+from sim_heating.heating.ratio.lookup import VARIABLES, fraction, keep_axis, lanes_left, linear_ratio, table_ratios
+
+PRESSURE = VARIABLES
+"""Number of the axis of pressures among the cells that a lane keeps."""
+
+
+@njit
+def with_effects(B: FloatArray, J: IntArray, chain, lane: int, stage: int, r: float, wall_K: float) -> float:  # type: ignore[no-untyped-def]
+    """The ratio r [-] of a lane with its effects on it, at a wall temperature [K]."""
+    c = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
+    p = PARAMETERS * LANES + lane * N_PARAMETERS + EFFECT_PARAMETERS
+    adding = J[N_ADDING + lane]
+    for k in range(adding):
+        r += call_chain(chain, J[EFFECT_CODES + lane * EFFECT_SLOTS + k], B, c, p + k * EFFECT_WIDTH, wall_K)
+    if J[LAG_SLOT + lane] != NONE:
+        r = _lagged(B, lane, stage, p + J[LAG_SLOT + lane] * EFFECT_WIDTH, r)
+    for k in range(adding, J[N_EFFECTS + lane]):
+        r *= call_chain(chain, J[EFFECT_CODES + lane * EFFECT_SLOTS + k], B, c, p + k * EFFECT_WIDTH, wall_K)
+    return r
+
+
+@folded
+def _lagged(B: FloatArray, lane: int, stage: int, p: int, r: float) -> float:
+    """The ratio with its lag at a stage; time constant [s] and fraction stand in B[p] and B[p + 1]."""
+    now = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS + TIME
+    start = C_STAGES * LANES + lane * N_CONDITIONS + TIME
+    m = r
+    if B[LAG_PAST * LANES + lane] > 0.0 and B[now] > B[start]:
+        x = (B[now] - B[start]) / B[p]
+        behind = (r - B[LAG_INPUT * LANES + lane]) / x
+        m = r - behind + (B[LAG_VALUE * LANES + lane] - B[LAG_INPUT * LANES + lane] + behind) * exp(-x)
+    B[(LAG_VALUE + stage) * LANES + lane] = m
+    B[(LAG_INPUT + stage) * LANES + lane] = r
+    return r + B[p + 1] * (m - r)
+
+
+@njit
+def emittance_factor(B: FloatArray, J: IntArray, chain, lane: int, stage: int, wall_K: float) -> float:  # type: ignore[no-untyped-def]
+    """Product of the effects of a lane on its emittance [-], at a wall temperature [K]."""
+    c = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
+    p = PARAMETERS * LANES + lane * N_PARAMETERS + EFFECT_PARAMETERS
+    first, factor = J[N_EFFECTS + lane], 1.0
+    for k in range(first, first + J[N_EMITTING + lane]):
+        factor *= call_chain(chain, J[EFFECT_CODES + lane * EFFECT_SLOTS + k], B, c, p + k * EFFECT_WIDTH, wall_K)
+    return factor
+
+
+@njit
+def _pressure_columns(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> None:
+    """Column of the property tables left of the pressure of each lane, which stands in CELL_X [Pa], and the fraction of
+    the way to the next."""
+    for lane in range(LANES):
+        B[(CELL_X + PRESSURE) * LANES + lane] = log10(B[(CELL_X + PRESSURE) * LANES + lane])
+    if lanes_left(B, PRESSURE) > 0:
+        for lane in range(LANES):
+            column = keep_axis(B, table, lane, PRESSURE, J[PRESSURE_TABLE + lane], J[N_PRESSURES + lane])
+            B[CELL_COLUMN * LANES + lane] = float(column)
+    for lane in range(LANES):
+        B[(PCOL + stage) * LANES + lane] = B[CELL_COLUMN * LANES + lane]
+        B[(PFRAC + stage) * LANES + lane] = min(max(fraction(B, PRESSURE, lane), 0.0), 1.0)
+
+
+@njit
+def heat_lanes(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int) -> None:  # type: ignore[no-untyped-def]
+    """Turn the conditions of all lanes at one stage into what their surface balances take; count what is off limits."""
+    heat_shadows(B, J, table, chain, stage)
+    c = C_STAGES * LANES + stage * LANES * N_CONDITIONS
+    for lane in range(LANES):
+        B[(CELL_X + PRESSURE) * LANES + lane] = B[c + (lane * N_CONDITIONS + P_SURFACE)]
+    _pressure_columns(B, J, table, stage)
+    if stage == 2:
+        for lane in range(LANES):
+            B[OUTSIDE * LANES + lane] += 1.0 if B[OFF_AXES * LANES + lane] > 0.0 else 0.0
+
+
+@njit
+def heat_shadows(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int) -> None:  # type: ignore[no-untyped-def]
+    """The same of lanes whose pressure columns stand there already, and of which nothing is counted but negative
+    ratios."""
+    table_ratios(B, J, table, stage)
+    for lane in range(LANES):
+        c = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
+        p = PARAMETERS * LANES + lane * N_PARAMETERS
+        r = linear_ratio(B, p, c, B[CELL_WORK * LANES + lane])
+        B[(R_BASE + stage) * LANES + lane] = r
+        if J[N_EFFECTS + lane] > 0:
+            r = with_effects(B, J, chain, lane, stage, r, B[(HEAD_ROWS + T) * LANES + lane])
+        B[(FILM + stage) * LANES + lane] = r * B[c + H_REF]
+        B[(RECOVERY + stage) * LANES + lane] = B[c + RECOVERY_ENTHALPY]
+        B[(ADDED + stage) * LANES + lane] = B[c + Q_ADD]
+        if stage == 2:
+            B[NEGATIVE * LANES + lane] += 1.0 if r < 0.0 else 0.0

@@ -1,0 +1,264 @@
+"""Heating ratio of one control point, compiled: table lookup and the linear model about a reference condition.
+
+    r = r_table(x) (1 + scale) + d0 + sum_i d_i (x_i - x_i0) + sum_(i<=j) d_ij (x_i - x_i0) (x_j - x_j0)
+
+with x = alpha, beta [deg], log10 Re, elevon, body flap [deg]; no factor 1/2. Source: "Trends in Shuttle Entry
+Heating from the Correlation of Flight Test Maneuvers", eq. 2, and its second-order terms.
+
+A table is stored as five axis lengths, the axes one after the other, and the ratios with the last variable fastest.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray, IntArray
+from sim_heating.base.kernels.block import (
+    C_STAGES,
+    CELL_AXES,
+    CELL_FOOT,
+    CELL_HIGH,
+    CELL_INVERSE,
+    CELL_LOW,
+    CELL_WORK,
+    CELL_X,
+    CORNERS,
+    D0,
+    FIRST,
+    LANES,
+    N_CONDITIONS,
+    NO_TABLE,
+    OFF_AXES,
+    ORDER,
+    RATIO_TABLE,
+    REFERENCE,
+    SCALE,
+    SECOND,
+)
+from sim_heating.base.kernels.elementary import lanes_outside
+from sim_heating.base.kernels.jit import folded, inlined, njit
+from sim_heating.heating.ratio.table import RatioTable
+
+VARIABLES = 5
+FAR = 1e300
+"""End of a cell that goes on for ever."""
+
+
+def pack_table(table: RatioTable) -> FloatArray:
+    """The flat form of a ratio table that the kernel reads."""
+    lengths = np.array([float(len(axis)) for axis in table.axes])
+    return np.concatenate([lengths, *table.axes, np.ascontiguousarray(table.ratio).ravel()])
+
+
+@njit
+def _cell(axis: FloatArray, first: int, n: int, x: float) -> tuple[int, float]:
+    """Cell of an increasing axis that holds x and the fraction of the way through it; the edge value holds outside."""
+    if n == 1 or not x > axis[first]:
+        return 0, 0.0
+    if x >= axis[first + n - 1]:
+        return n - 1, 0.0
+    i = 0
+    while x >= axis[first + i + 1]:
+        i += 1
+    low = axis[first + i]
+    return i, (x - low) / (axis[first + i + 1] - low)
+
+
+@njit
+def _along_5(r: FloatArray, at: int, f: float) -> float:
+    return r[at] if f == 0.0 else r[at] + f * (r[at + 1] - r[at])
+
+
+@njit
+def _along_4(r: FloatArray, at: int, s4: int, f4: float, f5: float) -> float:
+    low = _along_5(r, at, f5)
+    return low if f4 == 0.0 else low + f4 * (_along_5(r, at + s4, f5) - low)
+
+
+@njit
+def _along_3(r: FloatArray, at: int, s3: int, s4: int, f3: float, f4: float, f5: float) -> float:
+    low = _along_4(r, at, s4, f4, f5)
+    return low if f3 == 0.0 else low + f3 * (_along_4(r, at + s3, s4, f4, f5) - low)
+
+
+@njit
+def _along_2(r: FloatArray, at: int, s2: int, s3: int, s4: int, f2: float, f3: float, f4: float, f5: float) -> float:
+    low = _along_3(r, at, s3, s4, f3, f4, f5)
+    return low if f2 == 0.0 else low + f2 * (_along_3(r, at + s2, s3, s4, f3, f4, f5) - low)
+
+
+@njit
+def table_ratio(table: FloatArray, offset: int, x: FloatArray, at: int) -> float:
+    """Multilinear ratio [-] of the table at an offset, for the five variables from x[at] on; edges hold outside."""
+    n1, n2, n3 = int(table[offset]), int(table[offset + 1]), int(table[offset + 2])
+    n4, n5 = int(table[offset + 3]), int(table[offset + 4])
+    first = offset + VARIABLES
+    i1, f1 = _cell(table, first, n1, x[at])
+    first += n1
+    i2, f2 = _cell(table, first, n2, x[at + 1])
+    first += n2
+    i3, f3 = _cell(table, first, n3, x[at + 2])
+    first += n3
+    i4, f4 = _cell(table, first, n4, x[at + 3])
+    first += n4
+    i5, f5 = _cell(table, first, n5, x[at + 4])
+    first += n5
+    s4 = n5
+    s3 = n4 * s4
+    s2 = n3 * s3
+    s1 = n2 * s2
+    node = first + i1 * s1 + i2 * s2 + i3 * s3 + i4 * s4 + i5
+    low = _along_2(table, node, s2, s3, s4, f2, f3, f4, f5)
+    return low if f1 == 0.0 else low + f1 * (_along_2(table, node + s1, s2, s3, s4, f2, f3, f4, f5) - low)
+
+
+def table_ratios_at(table: RatioTable, x: FloatArray) -> FloatArray:
+    """(sample,) ratio [-] of a table at (sample, 5) conditions; edges hold outside."""
+    packed = pack_table(table)
+    return np.array([table_ratio(packed, 0, row, 0) for row in np.ascontiguousarray(x, dtype=float)])
+
+
+@njit
+def linear_ratio(B: FloatArray, p: int, c: int, tabulated: float) -> float:
+    """Ratio [-] before effects from the tabulated one; parameters from B[p] on, conditions from B[c] on
+    (base/kernels/block.py)."""
+    r = tabulated * (1.0 + B[p + SCALE]) + B[p + D0]
+    if B[p + ORDER] >= 1.0:
+        for i in range(VARIABLES):
+            r += B[p + FIRST + i] * (B[c + i] - B[p + REFERENCE + i])
+    if B[p + ORDER] >= 2.0:
+        k = p + SECOND
+        for i in range(VARIABLES):
+            for j in range(i, VARIABLES):
+                r += B[k] * (B[c + i] - B[p + REFERENCE + i]) * (B[c + j] - B[p + REFERENCE + j])
+                k += 1
+    return r
+
+
+@njit
+def linear_factor(B: FloatArray, p: int, c: int, tabulated: float, k: int) -> float:
+    """Derivative of linear_ratio against its parameter k (base/kernels/block.py: SCALE, D0, FIRST, SECOND)."""
+    if k == SCALE:
+        return tabulated
+    if k == D0:
+        return 1.0
+    if k < SECOND:
+        return B[c + k - FIRST] - B[p + REFERENCE + k - FIRST]
+    i, beyond = 0, k - SECOND
+    while beyond >= VARIABLES - i:
+        beyond -= VARIABLES - i
+        i += 1
+    j = i + beyond
+    return (B[c + i] - B[p + REFERENCE + i]) * (B[c + j] - B[p + REFERENCE + j])
+
+
+@njit
+def mark_order(B: FloatArray, p: int) -> None:
+    """Note the highest order of the linear model whose derivatives, from B[p] on, are not all 0."""
+    B[p + ORDER] = 0.0
+    for k in range(FIRST, REFERENCE):
+        if B[p + k] != 0.0:
+            B[p + ORDER] = 2.0 if k >= SECOND else 1.0
+
+
+@njit
+def forget_cells(B: FloatArray) -> None:
+    """Make every lane find its cells anew: tables or temperatures of a group have been set from outside."""
+    for a in range(CELL_AXES):
+        for lane in range(LANES):
+            B[(CELL_LOW + a) * LANES + lane] = FAR
+            B[(CELL_HIGH + a) * LANES + lane] = -FAR
+
+
+@njit
+def keep_axis(B: FloatArray, table: FloatArray, lane: int, a: int, first: int, n: int) -> int:
+    """Keep the cell of one axis that holds the lane's variable; gives its number, 0 where there is one value."""
+    x, i, low, high, foot, inverse = B[(CELL_X + a) * LANES + lane], 0, -FAR, FAR, 0.0, 0.0
+    if n > 1:
+        while i < n - 2 and x >= table[first + i + 1]:
+            i += 1
+        foot = table[first + i]
+        inverse = 1.0 / (table[first + i + 1] - foot)
+        low = foot if i > 0 else -FAR
+        high = table[first + i + 1] if i < n - 2 else FAR
+    B[(CELL_LOW + a) * LANES + lane] = low
+    B[(CELL_HIGH + a) * LANES + lane] = high
+    B[(CELL_FOOT + a) * LANES + lane] = foot
+    B[(CELL_INVERSE + a) * LANES + lane] = inverse
+    return i
+
+
+@folded
+def _keep_cell(B: FloatArray, table: FloatArray, offset: int, lane: int) -> None:
+    """Keep the cell that holds a lane's variables, and the ratio at its corners; a lane without a table has ratio 0."""
+    first, node = offset + VARIABLES, 0
+    for a in range(VARIABLES):
+        n = 1 if offset == NO_TABLE else int(table[offset + a])
+        node = node * n + keep_axis(B, table, lane, a, first, n)
+        first += n
+    for corner in range(32):
+        at, stride = first + node, 1
+        for a in range(VARIABLES - 1, -1, -1):
+            n = 1 if offset == NO_TABLE else int(table[offset + a])
+            at += stride if (corner >> a) & 1 == 1 and n > 1 else 0
+            stride *= n
+        B[(CORNERS + corner) * LANES + lane] = 0.0 if offset == NO_TABLE else table[at]
+
+
+@njit
+def _halve(B: FloatArray, corners: int, into: int, half: int, a: int) -> None:
+    """Interpolate corners along variable a, whose fraction stands in its row: half of them are left."""
+    for c in range(half):
+        for lane in range(LANES):
+            low = B[(corners + c) * LANES + lane]
+            f = B[(CELL_X + a) * LANES + lane]
+            B[(into + c) * LANES + lane] = low + f * (B[(corners + half + c) * LANES + lane] - low)
+
+
+@inlined
+def lanes_left(B: FloatArray, a: int) -> int:
+    """Number of pairs of lanes that have left the cell of one axis that they keep."""
+    return lanes_outside(B, (CELL_X + a) * LANES, (CELL_LOW + a) * LANES, (CELL_HIGH + a) * LANES)
+
+
+@inlined
+def fraction(B: FloatArray, a: int, lane: int) -> float:
+    """How far a lane's variable is through the cell of one axis: below 0 or above 1 off the ends of the axis."""
+    return (B[(CELL_X + a) * LANES + lane] - B[(CELL_FOOT + a) * LANES + lane]) * B[(CELL_INVERSE + a) * LANES + lane]
+
+
+@njit
+def _interpolate(B: FloatArray, J: IntArray, table: FloatArray) -> None:
+    """Ratio of all lanes from the variables in CELL_X, and how many of these are off the axes of the table."""
+    left = 0
+    for a in range(VARIABLES):
+        left += lanes_left(B, a)
+    if left > 0:
+        for lane in range(LANES):
+            _keep_cell(B, table, J[RATIO_TABLE + lane], lane)
+    for lane in range(LANES):
+        B[OFF_AXES * LANES + lane] = 0.0
+    for a in range(VARIABLES):
+        for lane in range(LANES):
+            f = fraction(B, a, lane)
+            B[OFF_AXES * LANES + lane] += 0.0 if (f >= 0.0) & (f <= 1.0) else 1.0
+            B[(CELL_X + a) * LANES + lane] = min(max(f, 0.0), 1.0)
+    _halve(B, CORNERS, CELL_WORK + 8, 16, 4)
+    _halve(B, CELL_WORK + 8, CELL_WORK, 8, 3)
+    _halve(B, CELL_WORK, CELL_WORK, 4, 2)
+    _halve(B, CELL_WORK, CELL_WORK, 2, 1)
+    _halve(B, CELL_WORK, CELL_WORK, 1, 0)
+
+
+@njit
+def table_ratios(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> None:
+    """Tabulated ratio of all lanes at a stage, into the first row of CELL_WORK: `table_ratio` for many at once; into
+    OFF_AXES how many of the five variables lie outside the table (an axis of one value has no outside).
+
+    The corners of a lane's cell stay beside it until it leaves the cell.
+    """
+    c = C_STAGES * LANES + stage * LANES * N_CONDITIONS
+    for a in range(VARIABLES):
+        for lane in range(LANES):
+            B[(CELL_X + a) * LANES + lane] = B[c + (lane * N_CONDITIONS + a)]
+    _interpolate(B, J, table)

@@ -1,0 +1,179 @@
+"""Node values of a ratio table, given what flights say of linear combinations of them: exact linear-Gaussian update.
+
+    prior       n ~ N(n_0, K),  K_ij = sigma_i sigma_j rho(x_i, x_j)
+    evidence    y = H n + e,  e ~ N(0, C)
+    posterior   n_0 + K H' S^-1 (y - H n_0),  covariance K - K H' S^-1 H K,  S = H K H' + C
+
+Errors of a table are common to neighbouring nodes (one tunnel, one model, one scaling), so rho is a product over the
+axes of Wendland's (1 - d/l)^3 (1 + 3 d/l), which is positive definite, smooth, and exactly 0 from the distance l on:
+nodes farther than l in any variable from every node that the data weigh keep their values. Several pieces of evidence
+are taken together, from the table that none of them has changed: their order does not matter, none is approximated.
+
+Sources: Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), eqs. 2.23 and 2.24, with linear
+functionals for values; Wendland, Adv. Comput. Math. 4 (1995) 389, function phi_1,1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.sparse import csr_array
+from scipy.stats import chi2
+
+from sim_heating.base.arrays import FloatArray, IntArray
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.errors import InputError
+from sim_heating.heating.ratio.table import RatioTable
+
+REACH = {"alpha_deg": 30.0, "beta_deg": 20.0, "log10_re": 2.0, "elevon_deg": 30.0, "bodyflap_deg": 30.0}
+"""Distance l at which the errors of two nodes are independent, by variable; see docs/table_updates.md."""
+
+SINGULAR = 1e-8
+"""Least diagonal of the root of a correlation matrix that can be divided by."""
+
+
+def correlation(variable: str, distance: FloatArray) -> FloatArray:
+    """Correlation of the table's errors at a distance along one variable [-]."""
+    d = np.abs(distance) / REACH[variable]
+    return np.where(d < 1.0, (1.0 - np.minimum(d, 1.0)) ** 3 * (1.0 + 3.0 * d), 0.0)
+
+
+def node_weights(axes: Sequence[FloatArray], x: FloatArray) -> csr_array:
+    """Weights of the nodes in the multilinear ratio: ratio(x) = W n; edge values hold outside.
+
+    x       : (sample, 5)
+    returns : (sample, node) sparse, nodes in the order of a table's ravelled ratio
+    """
+    nodes = np.zeros((len(x), 1), dtype=np.int64)
+    weights = np.ones((len(x), 1))
+    for axis, values in zip(axes, x.T, strict=True):
+        low = np.clip(np.searchsorted(axis, values, side="right") - 1, 0, max(len(axis) - 2, 0))
+        high = np.minimum(low + 1, len(axis) - 1)
+        width = np.where(high > low, axis[high] - axis[low], 1.0)
+        f = np.clip((values - axis[low]) / width, 0.0, 1.0)
+        ends = np.stack([low, high], axis=1)
+        share = np.stack([1.0 - f, f], axis=1)
+        nodes = (nodes[:, :, None] * len(axis) + ends[:, None, :]).reshape(len(x), -1)
+        weights = (weights[:, :, None] * share[:, None, :]).reshape(len(x), -1)
+    rows = np.repeat(np.arange(len(x)), nodes.shape[1])
+    shape = (len(x), math.prod(len(a) for a in axes))
+    matrix = csr_array((weights.ravel(), (rows, nodes.ravel())), shape=shape)
+    matrix.eliminate_zeros()
+    return matrix
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What one estimate says of the nodes: y = H n + e.
+
+    names      : (k,) the parameters that the rows stand for
+    nodes      : (m,) ravelled numbers of the nodes with a weight
+    H          : (k, m)
+    value      : (k,) y
+    covariance : (k, k) of e
+    """
+
+    names: tuple[str, ...]
+    nodes: IntArray
+    H: FloatArray
+    value: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """A table updated by evidence.
+
+    prior        : the table before
+    ratio, sigma : on its grid
+    innovation   : (k,) y - H n_0, all evidence one after the other
+    chi_square   : innovation' S^-1 innovation; about k where the table's sigma and the estimates' bounds are right
+    root         : (node, k) A with K - A A' the posterior covariance
+    """
+
+    prior: RatioTable
+    ratio: FloatArray
+    sigma: FloatArray
+    innovation: FloatArray
+    chi_square: float
+    root: FloatArray
+
+    @property
+    def surprise(self) -> float:
+        """Chance of evidence as far from the table as this, by the table's own sigma."""
+        return float(chi2.sf(self.chi_square, len(self.innovation)))
+
+    def covariance(self, first: IntArray, second: IntArray) -> FloatArray:
+        """(first, second) what is left of the covariance of the errors of two lists of nodes."""
+        return prior_covariance(self.prior, first, second) - self.root[first] @ self.root[second].T
+
+    def sigma_along(self, weights: csr_array) -> FloatArray:
+        """(row,) standard deviation of linear combinations of the nodes, such as the ratio between them."""
+        nodes = np.unique(weights.indices)
+        W = weights[:, nodes].toarray()
+        prior = np.sum((W @ prior_covariance(self.prior, nodes, nodes)) * W, axis=1)
+        return np.sqrt(np.maximum(prior - np.sum((W @ self.root[nodes]) ** 2, axis=1), 0.0))
+
+
+def prior_covariance(table: RatioTable, first: IntArray, second: IntArray) -> FloatArray:
+    """(first, second) covariance of the errors of two lists of nodes, from the table's sigma column."""
+    shape = table.ratio.shape
+    assert table.sigma is not None  # posterior asks for it
+    sigma = table.sigma.ravel()
+    K = np.outer(sigma[first], sigma[second])
+    places = zip(np.unravel_index(first, shape), np.unravel_index(second, shape), strict=True)
+    for name, axis, (i, j) in zip(RATIO_VARIABLES, table.axes, places, strict=True):
+        if len(axis) > 1:
+            K *= correlation(name, axis[:, None] - axis[None, :])[np.ix_(i, j)]
+    return K
+
+
+def posterior(table: RatioTable, evidence: Sequence[Evidence]) -> Posterior:
+    """The table given all evidence together; without any, the table as it is.
+
+    raises : InputError where the table has no sigma, or evidence without uncertainty repeats other such evidence
+    """
+    if table.sigma is None:
+        raise InputError("ratio table: has no sigma column, so there is nothing to weigh the flight against; add one")
+    evidence = [e for e in evidence if e.names]
+    if not evidence:
+        return Posterior(table, table.ratio, table.sigma, np.zeros(0), 0.0, np.zeros((table.ratio.size, 0)))
+    nodes = np.unique(np.concatenate([e.nodes for e in evidence]))
+    H = np.vstack([_spread(e, nodes) for e in evidence])
+    value = np.concatenate([e.value for e in evidence])
+    G = prior_covariance(table, np.arange(table.ratio.size), nodes) @ H.T
+    S = H @ G[nodes]
+    first = 0
+    for e in evidence:
+        rows = slice(first, first + len(e.names))
+        S[rows, rows] += e.covariance
+        first += len(e.names)
+    innovation = value - H @ table.ratio.ravel()[nodes]
+    scale = np.sqrt(np.maximum(np.diag(S), np.finfo(float).tiny))
+    L = _root(S / np.outer(scale, scale))
+    root = solve_triangular(L, (G / scale).T, lower=True).T
+    whitened = solve_triangular(L, innovation / scale, lower=True)
+    ratio = table.ratio + (root @ whitened).reshape(table.ratio.shape)
+    variance = table.sigma**2 - np.sum(root**2, axis=1).reshape(table.ratio.shape)
+    sigma = np.sqrt(np.clip(variance, 0.0, table.sigma**2))
+    return Posterior(table, ratio, sigma, innovation, float(whitened @ whitened), root)
+
+
+def _root(S: FloatArray) -> FloatArray:
+    try:
+        L: FloatArray = cholesky(S, lower=True)
+    except np.linalg.LinAlgError:
+        L = np.zeros_like(S)
+    if np.min(np.diag(L)) < SINGULAR:
+        raise InputError("ratio table: the estimates repeat one another without uncertainty; state their sigma")
+    return L
+
+
+def _spread(evidence: Evidence, nodes: IntArray) -> FloatArray:
+    H = np.zeros((len(evidence.names), len(nodes)))
+    H[:, np.searchsorted(nodes, evidence.nodes)] = evidence.H
+    return H

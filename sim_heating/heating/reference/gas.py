@@ -1,0 +1,222 @@
+"""Equilibrium air: enthalpy, density and viscosity of hot air, and the enthalpy of air at the wall.
+
+The enthalpies are zero at 0 K. The table is `data/equilibrium_air.csv` (its source is in the file): 200 to 12000 K,
+1 Pa to 1 MPa, linear in T and in log10 p. Outside in pressure the edge's composition is held (the density still follows
+p); below 200 K the enthalpy runs linearly to zero at 0 K; above 12000 K the edge is held. Between its points the table
+is within 0.4 % in h, 0.2 % in Z and 15 K in T(h, p) of the equilibrium it was computed from.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import InputError
+from sim_heating.base.files.package import read_package_table
+from sim_heating.base.kernels.jit import njit
+from sim_heating.heating.atmosphere import (
+    MOLAR_GAS_CONSTANT,
+    sutherland_kernel,
+    sutherland_viscosity,
+)
+
+MOLAR_MASS_N2_O2 = 28.85064
+"""Of the table's undissociated 79/21 mixture [kg/kmol]; 0.4 % below that of air with argon."""
+R_TABLE = MOLAR_GAS_CONSTANT / MOLAR_MASS_N2_O2
+"""Gas constant of the undissociated mixture [J/(kg K)]."""
+PRANDTL = 0.71
+"""Frozen Prandtl number of air; 0.67 to 0.72 up to 5000 K."""
+ENTHALPY_BIN, ENTHALPY_BINS = 2.5e5, 160
+"""Width [J/kg] and number of the bins by which a temperature is looked for; the last goes on for ever."""
+POWER_LAW_EXPONENT = 0.671
+JOIN_K = 633.0
+"""Where the power law leaves Sutherland's law: the two cross there."""
+POWER_LAW_PA_S = float(sutherland_viscosity(JOIN_K)) / JOIN_K**POWER_LAW_EXPONENT
+"""4.12e-7 to 4e-5 of it, which makes the join exact. 4.12e-7 T^0.671 Pa s is within -3/+10 % of the mixture transport
+of equilibrium air from 500 to 6000 K, 100 Pa to 100 kPa (Cantera, species transport of gri30.yaml)."""
+
+
+def _load_grid() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Axes log10 p and T, and h, Z and dissociation enthalpy as (pressure, temperature)."""
+    table = read_package_table("heating/data/equilibrium_air.csv")
+    log_p, T = np.unique(table["log10_p_Pa"]), np.unique(table["T_K"])
+    h, Z, h_D = (table[name].reshape(len(log_p), len(T)) for name in ("h_J_kg", "Z", "dissociation_J_kg"))
+    return log_p, T, h, Z, h_D
+
+
+@njit
+def _cell(x: float, first: float, step: float, count: int) -> tuple[int, float]:
+    """Interval of a uniform axis and the fraction within it; held at both ends."""
+    s = min(max((x - first) / step, 0.0), count - 1.0)
+    i = min(int(s), count - 2)
+    return i, s - i
+
+
+@njit
+def _blend(f: FloatArray, i: int, w: float, j: int, s: float) -> float:
+    """Bilinear value in cell (i, j)."""
+    return (1.0 - w) * ((1.0 - s) * f[i, j] + s * f[i, j + 1]) + w * ((1.0 - s) * f[i + 1, j] + s * f[i + 1, j + 1])
+
+
+_GRID = _load_grid()
+
+
+def _make_lookup() -> Callable[[float, float], tuple[float, float, float]]:
+    log_p, T_axis, h_grid, Z_grid, D_grid = _GRID
+    p_first, p_step, p_count = log_p[0], log_p[1] - log_p[0], len(log_p)
+    T_first, T_step, T_count = T_axis[0], T_axis[1] - T_axis[0], len(T_axis)
+
+    @njit
+    def lookup(T_K: float, p_Pa: float) -> tuple[float, float, float]:
+        i, w = _cell(math.log10(p_Pa), p_first, p_step, p_count)
+        j, s = _cell(T_K, T_first, T_step, T_count)
+        h = _blend(h_grid, i, w, j, s) * min(T_K / T_first, 1.0)
+        return h, _blend(Z_grid, i, w, j, s), _blend(D_grid, i, w, j, s)
+
+    return lookup
+
+
+def _make_inverse() -> Callable[[float, float], tuple[float, float]]:
+    log_p, T_axis, h_grid, Z_grid, _ = _GRID
+    p_first, p_step, p_count = log_p[0], log_p[1] - log_p[0], len(log_p)
+    T_first, T_step, last = T_axis[0], T_axis[1] - T_axis[0], len(T_axis) - 1
+    # The temperature that a search may begin at, for bins of the enthalpy: not above it at either pressure of the cell.
+    feet = ENTHALPY_BIN * np.arange(ENTHALPY_BINS)
+    below = np.array([np.maximum(np.searchsorted(row, feet, side="right") - 1, 0) for row in h_grid])
+    begin = np.minimum(below[:-1], below[1:])
+
+    @njit
+    def inverse(h_J_kg: float, p_Pa: float) -> tuple[float, float]:
+        i, w = _cell(math.log10(p_Pa), p_first, p_step, p_count)
+        h_first = (1.0 - w) * h_grid[i, 0] + w * h_grid[i + 1, 0]
+        if h_J_kg <= h_first:
+            return T_first * h_J_kg / h_first, _blend(Z_grid, i, w, 0, 0.0)
+        bin_ = h_J_kg * (1.0 / ENTHALPY_BIN)
+        low = begin[i, int(bin_) if bin_ < ENTHALPY_BINS else ENTHALPY_BINS - 1]
+        while low < last - 1 and (1.0 - w) * h_grid[i, low + 1] + w * h_grid[i + 1, low + 1] <= h_J_kg:
+            low += 1
+        h_low = (1.0 - w) * h_grid[i, low] + w * h_grid[i + 1, low]
+        h_high = (1.0 - w) * h_grid[i, low + 1] + w * h_grid[i + 1, low + 1]
+        s = min((h_J_kg - h_low) / (h_high - h_low), 1.0)
+        return T_first + T_step * (low + s), _blend(Z_grid, i, w, low, s)
+
+    return inverse
+
+
+# Only arrays and numbers may sit in these closures: a compiled kernel in one would change the cache key at every start.
+air_kernel = _make_lookup()
+"""air_kernel(T_K, p_Pa) -> h [J/kg], Z [-], dissociation enthalpy [J/kg] of equilibrium air; p above 0."""
+_air_inverse = _make_inverse()
+"""_air_inverse(h_J_kg, p_Pa) -> T [K], Z [-]: the exact inverse of the table's h(T, p); held at 12000 K."""
+
+
+@njit
+def air_temperature_kernel(h_J_kg: float, p_Pa: float) -> float:
+    """Temperature of equilibrium air [K], the exact inverse of the table's h(T, p); held at 12000 K."""
+    return _air_inverse(h_J_kg, p_Pa)[0]
+
+
+@njit
+def _density(p_Pa: float, Z: float, T_K: float) -> float:
+    return p_Pa / (Z * R_TABLE * T_K)
+
+
+@njit
+def air_density_of_enthalpy_kernel(h_J_kg: float, p_Pa: float) -> float:
+    """Density of equilibrium air [kg/m3] of an enthalpy: air_density_kernel at its temperature, in one look at the
+    table."""
+    T_K, Z = _air_inverse(h_J_kg, p_Pa)
+    return _density(p_Pa, Z, T_K)
+
+
+@njit
+def air_density_kernel(T_K: float, p_Pa: float) -> float:
+    """Density of equilibrium air [kg/m3], p / (Z R T)."""
+    return _density(p_Pa, air_kernel(T_K, p_Pa)[1], T_K)
+
+
+@njit
+def viscosity_kernel(T_K: float) -> float:
+    """Viscosity of air [Pa s]: Sutherland's law up to 633 K, 4.12e-7 T^0.671 above."""
+    if T_K <= JOIN_K:
+        return sutherland_kernel(T_K)
+    return POWER_LAW_PA_S * T_K**POWER_LAW_EXPONENT
+
+
+@njit
+def _enthalpy_grid(T_K: FloatArray, p_Pa: FloatArray, out: FloatArray) -> None:
+    for i in range(len(T_K)):
+        for j in range(len(p_Pa)):
+            out[i, j] = air_kernel(T_K[i], p_Pa[j])[0]
+
+
+@njit
+def _viscosity_loop(T_K: FloatArray, out: FloatArray) -> None:
+    for i in range(len(T_K)):
+        out[i] = viscosity_kernel(T_K[i])
+
+
+def _grid(name: str, values: ArrayLike) -> FloatArray:
+    a = np.atleast_1d(np.asarray(values, dtype=float))
+    if a.ndim != 1 or a.size == 0:
+        raise InputError(f"{name}: give one row of values, not an array of shape {a.shape}")
+    if not np.all(np.isfinite(a) & (a > 0.0)):
+        raise InputError(f"{name}: {a[~(np.isfinite(a) & (a > 0.0))][0]} must be finite and above 0")
+    return np.ascontiguousarray(a)
+
+
+def viscosity(T_K: ArrayLike) -> FloatArray:
+    """Viscosity of air valid to entry conditions [Pa s].
+
+    T_K    : (n,) temperature [K], 100 to 6000 (power law continued above: 11 % high at 8000 K)
+    raises : InputError where T is not positive
+
+    Sutherland's law (US76 eq. 51) to 633 K, 4.12e-7 T^0.671 above; Sutherland alone is 13-20 % low at 3000-5000 K
+    against mixture transport of equilibrium air.
+    """
+    T = _grid("T_K", T_K)
+    out = np.empty_like(T)
+    _viscosity_loop(T, out)
+    return out
+
+
+def enthalpy(T_K: ArrayLike, p_Pa: ArrayLike) -> FloatArray:
+    """Enthalpy of equilibrium air above 0 K [J/kg], (T, p), on a grid of temperatures [K] and pressures [Pa].
+
+    raises : InputError where T or p is not positive. Validity: the module's docstring.
+    """
+    T, p = _grid("T_K", T_K), _grid("p_Pa", p_Pa)
+    out = np.empty((len(T), len(p)))
+    _enthalpy_grid(T, p, out)
+    return out
+
+
+def wall_enthalpy_grid(
+    kind: str | float | Mapping[str, float], T_grid_K: ArrayLike, p_grid_Pa: ArrayLike
+) -> FloatArray:
+    """Enthalpy of air at the wall temperature, H_w(T, p) [J/kg], zero at 0 K.
+
+    kind      : "equilibrium-air", or a constant cp as a number [J/(kg K)] or {"cp_J_kgK": number}: then cp T, exactly
+    T_grid_K  : (T,) wall temperatures [K]
+    p_grid_Pa : (p,) pressures at the wall [Pa]; without effect on a constant cp
+    returns   : (T, p)
+    raises    : InputError for another kind, a cp that is not positive, a temperature or pressure that is not positive
+    """
+    if kind == "equilibrium-air":
+        return enthalpy(T_grid_K, p_grid_Pa)
+    cp = _constant_cp(kind)
+    T, p = _grid("T_grid_K", T_grid_K), _grid("p_grid_Pa", p_grid_Pa)
+    return np.repeat((cp * T)[:, None], len(p), axis=1)
+
+
+def _constant_cp(kind: str | float | Mapping[str, float]) -> float:
+    cp = kind.get("cp_J_kgK") if isinstance(kind, Mapping) else kind
+    if isinstance(cp, bool) or not isinstance(cp, int | float):
+        raise InputError(f'heating.wall_enthalpy: {kind!r} is neither "equilibrium-air" nor {{ cp_J_kgK = 1004.5 }}')
+    if not (math.isfinite(cp) and cp > 0.0):
+        raise InputError(f"heating.wall_enthalpy, cp_J_kgK: {cp} is not a specific heat (must be above 0)")
+    return float(cp)

@@ -1,0 +1,185 @@
+"""Reference heating by name: film coefficient h_ref [kg/(m2 s)] and recovery enthalpy H_r [J/kg] of a flight.
+
+One compiled kernel serves a frame of a host and, in a loop, a whole flight. A heating ratio is over one of these
+models; its table says which.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.errors import InputError
+from sim_heating.base.kernels.jit import njit
+from sim_heating.heating.atmosphere import CP_AIR
+from sim_heating.heating.reference.flat_plate import eckert_kernel
+from sim_heating.heating.reference.stagnation import (
+    COLD_WALL_K,
+    NO_LEWIS,
+    detra_kemp_riddell_kernel,
+    fay_riddell_kernel,
+    sutton_graves_kernel,
+)
+
+NONE, COLUMNS, SUTTON_GRAVES, DETRA_KEMP_RIDDELL, FAY_RIDDELL, ECKERT_LAMINAR, ECKERT_TURBULENT = range(7)
+
+
+@dataclass(frozen=True)
+class ReferenceModel:
+    """A reference heating.
+
+    name  : as in a record's `heating.reference` and in a ratio table's header
+    code  : of `reference_kernel`
+    title : what it is, and the source
+    needs : columns of the conditions that it reads; running_length_m in addition where `on_plate`
+    """
+
+    name: str
+    code: int
+    title: str
+    needs: tuple[str, ...] = ("rho_kg_m3", "velocity_m_s", "T_inf_K")
+    on_plate: bool = False
+
+
+_PLATE = ("rho_kg_m3", "velocity_m_s", "T_inf_K", "alpha_deg")
+_ALL = (
+    ReferenceModel("none", NONE, "h_ref = 0: only the added flux heats", ("velocity_m_s", "T_inf_K")),
+    ReferenceModel("columns", COLUMNS, "columns h_ref_kg_m2_s and H_r_J_kg as given", ("h_ref_kg_m2_s", "H_r_J_kg")),
+    ReferenceModel("sutton-graves", SUTTON_GRAVES, "sphere, Sutton & Graves, NASA TR R-376 (1971)"),
+    ReferenceModel("detra-kemp-riddell", DETRA_KEMP_RIDDELL, "sphere, Detra, Kemp & Riddell (1957)"),
+    ReferenceModel("fay-riddell", FAY_RIDDELL, "sphere, equilibrium air, Fay & Riddell (1958), Lewis number 1"),
+    ReferenceModel("eckert-laminar", ECKERT_LAMINAR, "windward flat plate, Eckert (1956), laminar", _PLATE, True),
+    ReferenceModel("eckert-turbulent", ECKERT_TURBULENT, "windward flat plate, Eckert (1956), turbulent", _PLATE, True),
+)
+
+REFERENCE_MODELS: Mapping[str, ReferenceModel] = MappingProxyType({model.name: model for model in _ALL})
+"""Every reference heating by the name that files use."""
+
+
+def reference_model(name: str) -> ReferenceModel:
+    """The model of that name; raises InputError naming the nearest known one."""
+    if name in REFERENCE_MODELS:
+        return REFERENCE_MODELS[name]
+    near = difflib.get_close_matches(str(name), REFERENCE_MODELS, n=1, cutoff=0.4)
+    hint = f"Nearest: `{near[0]}`." if near else f"Known: {', '.join(REFERENCE_MODELS)}."
+    raise InputError(f"heating.reference: there is no reference heating `{name}`. {hint}")
+
+
+@njit
+def recovery_enthalpy_kernel(velocity_m_s: float, T_inf_K: float) -> float:
+    """H_r = V^2/2 + cp T_inf [J/kg], cp = 1004.5: the total enthalpy, whatever the reference model."""
+    return 0.5 * velocity_m_s * velocity_m_s + CP_AIR * T_inf_K
+
+
+@njit
+def reference_kernel(
+    code: int,
+    rho_kg_m3: float,
+    velocity_m_s: float,
+    T_inf_K: float,
+    alpha_deg: float,
+    nose_radius_m: float,
+    running_length_m: float,
+    wall_temperature_K: float,
+) -> tuple[float, float]:
+    """h_ref [kg/(m2 s)] and H_r [J/kg] of one flight condition.
+
+    code               : `ReferenceModel.code`; NONE and COLUMNS give h_ref = 0
+    alpha_deg, running_length_m : read by the Eckert models only; nose_radius_m by the others
+    wall_temperature_K : of the reference wall, 300 by definition; read by Fay-Riddell and Eckert (the two
+                         correlations have theirs built in)
+    Density, temperature, radius and length above 0; nothing is checked here.
+    """
+    H_r = recovery_enthalpy_kernel(velocity_m_s, T_inf_K)
+    h_ref = 0.0
+    if code == SUTTON_GRAVES:
+        h_ref = sutton_graves_kernel(rho_kg_m3, velocity_m_s, T_inf_K, nose_radius_m)
+    elif code == DETRA_KEMP_RIDDELL:
+        h_ref = detra_kemp_riddell_kernel(rho_kg_m3, velocity_m_s, T_inf_K, nose_radius_m)
+    elif code == FAY_RIDDELL:
+        h_ref = fay_riddell_kernel(rho_kg_m3, velocity_m_s, T_inf_K, nose_radius_m, wall_temperature_K, NO_LEWIS)
+    elif code in (ECKERT_LAMINAR, ECKERT_TURBULENT):
+        turbulent = code == ECKERT_TURBULENT
+        h_ref = eckert_kernel(
+            rho_kg_m3, velocity_m_s, T_inf_K, alpha_deg, running_length_m, wall_temperature_K, turbulent, False
+        )
+    return h_ref, H_r
+
+
+@njit
+def _reference_loop(
+    code: int,
+    rho: FloatArray,
+    V: FloatArray,
+    T_inf: FloatArray,
+    alpha_deg: FloatArray,
+    geometry: tuple[float, float, float],
+    h_ref: FloatArray,
+    H_r: FloatArray,
+) -> None:
+    radius, length, T_w = geometry
+    for i in range(len(V)):
+        h_ref[i], H_r[i] = reference_kernel(code, rho[i], V[i], T_inf[i], alpha_deg[i], radius, length, T_w)
+
+
+def _check_geometry(model: ReferenceModel, nose_radius_m: float, running_length_m: float | None, T_w_K: float) -> None:
+    given = {"heating.nose_radius_m": nose_radius_m, "wall_temperature_K": T_w_K}
+    if model.on_plate:
+        if running_length_m is None:
+            raise InputError(f"heating.running_length_m: `{model.name}` needs one (from the leading edge)")
+        given["heating.running_length_m"] = running_length_m
+    bad = {key: value for key, value in given.items() if not 0.0 < value < np.inf}
+    problems = [f"{key}: {value} (must be finite and above 0)" for key, value in bad.items()]
+    if problems:
+        raise InputError(*problems)
+
+
+def _check_columns(model: ReferenceModel, conditions: Conditions) -> None:
+    missing = [name for name in model.needs if name not in conditions]
+    if missing:
+        raise InputError(f"conditions: column {missing[0]} is missing; reference heating `{model.name}` needs it")
+    for name in {"rho_kg_m3", "T_inf_K"} & set(model.needs):
+        bad = np.flatnonzero(conditions[name] <= 0.0)
+        if bad.size:
+            value = conditions[name][bad[0]]
+            raise InputError(f"conditions, row {bad[0] + 1}, column {name}: {value} (must be above 0)")
+
+
+def reference_heating(
+    name: str,
+    conditions: Conditions,
+    *,
+    nose_radius_m: float = 0.3048,
+    running_length_m: float | None = None,
+    wall_temperature_K: float = COLD_WALL_K,
+) -> tuple[FloatArray, FloatArray]:
+    """Reference film coefficient and recovery enthalpy along a flight.
+
+    name               : a key of REFERENCE_MODELS
+    conditions         : with velocity_m_s, T_inf_K, rho_kg_m3 and, for the Eckert models, alpha_deg; `columns` reads
+                         h_ref_kg_m2_s and H_r_J_kg instead
+    nose_radius_m      : of the reference sphere [m]
+    running_length_m   : of the Eckert models [m]
+    wall_temperature_K : of the reference wall; keep 300, the definition, unless a table says otherwise
+    returns            : h_ref (time,) [kg/(m2 s)], H_r (time,) [J/kg], H_r = V^2/2 + cp T_inf
+    raises             : InputError for an unknown name, a missing column, a density, temperature or length not above 0
+    """
+    model = reference_model(name)
+    _check_geometry(model, nose_radius_m, running_length_m, wall_temperature_K)
+    _check_columns(model, conditions)
+    if model.code == COLUMNS:
+        return conditions["h_ref_kg_m2_s"].copy(), conditions["H_r_J_kg"].copy()
+    still = np.zeros(len(conditions))
+    inputs = [conditions[n] if n in model.needs else still for n in _PLATE]
+    # Copies: a read-only column would be another type to the compiler.
+    rho, V, T_inf, alpha = (np.array(a, dtype=float) for a in inputs)
+    h_ref, H_r = np.empty(len(conditions)), np.empty(len(conditions))
+    geometry = (float(nose_radius_m), float(running_length_m or 1.0), float(wall_temperature_K))
+    _reference_loop(model.code, rho, V, T_inf, alpha, geometry, h_ref, H_r)
+    return h_ref, H_r

@@ -1,0 +1,1 @@
+"""What a user declares: vehicles, control points, scenarios, flight records, sensors."""

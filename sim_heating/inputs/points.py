@@ -1,0 +1,150 @@
+"""From a vehicle or a record to the models that the kernels take, and from a flight to their conditions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
+from sim_heating.base.errors import InputError
+from sim_heating.heating.effects import EffectUse
+from sim_heating.heating.reference.models import reference_heating
+from sim_heating.inputs.record import ConstantHeat, Record
+from sim_heating.inputs.vehicle import ControlPoint, Vehicle
+from sim_heating.march.point import PointModel
+from sim_heating.thermal.tables import WallEnthalpy
+
+HEATING_APART = 0.01
+"""Mean relative difference at which two reference heatings are not the same one."""
+
+
+def wall_enthalpy_of(declared: ConstantHeat | str) -> WallEnthalpy:
+    """A declared wall enthalpy as the property tables take it: cp [J/(kg K)] or the name of a gas model."""
+    return declared if isinstance(declared, str) else declared.cp_J_kgK
+
+
+def mean_condition(conditions: Conditions) -> tuple[float, ...]:
+    """Means of the five ratio variables over all samples."""
+    return tuple(float(np.mean(conditions[v])) for v in RATIO_VARIABLES)
+
+
+def point_of_vehicle(
+    vehicle: Vehicle,
+    point: ControlPoint,
+    parameters: Mapping[str, float] | None = None,
+    effects: Sequence[EffectUse] = (),
+    reference: tuple[float, ...] = (0.0,) * len(RATIO_VARIABLES),
+) -> PointModel:
+    """The model of a vehicle's control point, with parameters and effects beside its own."""
+    return PointModel(
+        name=point.name,
+        construction=point.construction,
+        depths_m=tuple(s.depth_m for s in point.sensors),
+        ratio=point.ratio,
+        wall_enthalpy=wall_enthalpy_of(vehicle.heating.wall_enthalpy),
+        nodes=point.construction.stack.nodes,
+        parameters=dict(parameters or {}),
+        reference=reference,
+        effects=(*point.effects, *effects),
+    )
+
+
+def conditions_at_point(vehicle: Vehicle, point: ControlPoint, flown: Conditions) -> Conditions:
+    """A flight's conditions with surface pressure and reference heating of one control point."""
+    h_ref, H_r = reference_heating(
+        vehicle.heating.reference,
+        flown,
+        nose_radius_m=vehicle.heating.nose_radius_m or 1.0,
+        running_length_m=point.running_length_m,
+    )
+    return flown.with_columns(p_surface_Pa=point.surface_pressure(flown), h_ref_kg_m2_s=h_ref, H_r_J_kg=H_r)
+
+
+def reference_of_record(record: Record) -> tuple[float, ...]:
+    """The condition that a record's derivatives are about: as declared, else means over the fit segments."""
+    fitted = record.fit_mask(record.conditions.time_s)
+    declared = record.declared.reference_condition
+    chosen = fitted if np.any(fitted) else np.ones(len(record.conditions), dtype=bool)
+    return tuple(
+        float(np.mean(record.conditions[v][chosen]))
+        if declared is None or getattr(declared, v) is None
+        else float(getattr(declared, v))
+        for v in RATIO_VARIABLES
+    )
+
+
+def point_of_record(
+    record: Record, parameters: Mapping[str, float] | None = None, effects: Sequence[EffectUse] = ()
+) -> PointModel:
+    """The declared model of a record."""
+    return PointModel(
+        name=record.declared.control_point,
+        construction=record.construction,
+        depths_m=tuple(s.depth_m for s in record.sensors),
+        ratio=record.ratio_table,
+        wall_enthalpy=wall_enthalpy_of(record.declared.heating.wall_enthalpy),
+        nodes=record.declared.stack.nodes,
+        parameters=dict(parameters or {}),
+        reference=reference_of_record(record),
+        effects=tuple(effects),
+    )
+
+
+def conditions_of_record(record: Record) -> Conditions:
+    """A record's conditions with its reference heating as columns."""
+    heating = record.declared.heating
+    h_ref, H_r = reference_heating(
+        heating.reference,
+        record.conditions,
+        nose_radius_m=heating.nose_radius_m or 1.0,
+        running_length_m=heating.running_length_m,
+    )
+    return record.conditions.with_columns(h_ref_kg_m2_s=h_ref, H_r_J_kg=H_r)
+
+
+def check_reference(record: Record, vehicle: Vehicle, point: ControlPoint) -> None:
+    """Refuse a record whose ratio is over another reference heating than the vehicle's tables.
+
+    raises : InputError naming both, by name where the record has one, else by value
+    """
+    heating, wanted = record.declared.heating, vehicle.heating
+    named: str = heating.reference
+    if named == "columns":
+        named = (record.ratio_table.reference if record.ratio_table is not None else None) or wanted.reference
+    if named != wanted.reference:
+        raise InputError(
+            f"{record.name}: its ratio is over `{named}`, the tables of {vehicle.name} over `{wanted.reference}`; "
+            "fit the record over the vehicle's reference heating"
+        )
+    if wall_enthalpy_of(heating.wall_enthalpy) != wall_enthalpy_of(wanted.wall_enthalpy):
+        raise InputError(
+            f"{record.name}: its wall enthalpy is {_enthalpy(heating.wall_enthalpy)}, that of {vehicle.name} "
+            f"{_enthalpy(wanted.wall_enthalpy)}; the ratios are not of one kind"
+        )
+    flown, ours = conditions_of_record(record), conditions_at_point(vehicle, point, record.conditions)
+    weight = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
+    for column in ("h_ref_kg_m2_s", "H_r_J_kg"):
+        apart = float(np.sum(weight * np.abs(flown[column] / ours[column] - 1.0)) / np.sum(weight))
+        if not apart < HEATING_APART:
+            raise InputError(
+                f"{record.name}: its {column} is {apart:.1%} from that of `{wanted.reference}` on {vehicle.name}; "
+                "a ratio over one is not a ratio over the other"
+            )
+
+
+def _enthalpy(declared: ConstantHeat | str) -> str:
+    value = wall_enthalpy_of(declared)
+    return value if isinstance(value, str) else f"cp = {value:g} J/(kg K)"
+
+
+def point_with_table_of(record: Record, vehicle: Vehicle) -> PointModel:
+    """The declared model of a record with the vehicle's ratio table and effects of that control point in place of the
+    record's table.
+
+    raises : InputError where the vehicle has no such point or its table is over another reference heating
+    """
+    point = vehicle.control_point(record.declared.control_point)
+    check_reference(record, vehicle, point)
+    return replace(point_of_record(record, effects=point.effects), ratio=point.ratio)

@@ -1,0 +1,231 @@
+"""Heating-ratio tables of a vehicle from compact descriptions, so that no number of a table is typed twice.
+
+    sim-heating ratio-tables aircraft_data/orbiter
+
+reads every `ratio_sources/*.toml` of a vehicle and writes `ratio_tables/<control point>.csv`. A source says, for one or
+more control points,
+
+    ratio(alpha, beta, log10_re, elevon, bodyflap) = base(alpha, log10_re) * factor_1 * factor_2 * ...
+    (sigma / ratio)^2 = relative_sigma^2 + sum of the sigma curves^2
+
+and, where it has [scaling], how the product is taken from the wind tunnel to flight
+(heating/ratio/tunnel_to_flight.py). The format is told in docs/vehicle_format.md. The same description always gives the
+same bytes.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import Declared, LocatedError, read_csv_columns, read_toml, shown
+from sim_heating.heating.ratio.table import RatioTable, read_ratio_table, write_ratio_table
+from sim_heating.heating.ratio.tunnel_to_flight import (
+    REFERENCE,
+    Scaling,
+    deflection_factor,
+    scale_table,
+    windward_trend,
+)
+from sim_heating.inputs.vehicle import vehicle_directory
+from sim_heating.inputs.vehicle_files import ControlPointFile, VehicleFile
+
+Variable = Literal["alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg"]
+Points = list[list[float]]
+"""[[x, value], ...], x increasing; linear between the points, held beyond the ends."""
+
+FORMATS = dict.fromkeys(RATIO_VARIABLES, "g") | {"ratio": ".5g", "sigma": ".2g"}
+"""Digits of a table: far below any sigma, and the same bytes on every machine."""
+
+
+class Curve(Declared):
+    """A piecewise linear function of one variable."""
+
+    variable: Variable
+    points: Points = Field(min_length=1, description="[[x, value], ...], x increasing")
+
+    @model_validator(mode="after")
+    def _check(self) -> Curve:
+        if any(len(p) != 2 for p in self.points):
+            raise LocatedError((("points",), f"{self.points} is not a curve; give [[x, value], ...]"))
+        x = [p[0] for p in self.points]
+        if x != sorted(set(x)):
+            raise LocatedError((("points",), f"{x} does not increase; sort the points and remove repeated ones"))
+        return self
+
+    def at(self, x: FloatArray) -> FloatArray:
+        """Values at x, held beyond the ends."""
+        xs, values = np.array(self.points).T
+        return np.interp(x, xs, values)
+
+
+class CurveFactor(Curve):
+    """A factor that follows a curve."""
+
+    kind: Literal["curve"]
+
+
+class DeflectionFactor(Declared):
+    """A factor for the Newtonian pressure on a deflected surface, `scaling.deflection_factor`."""
+
+    kind: Literal["newtonian-deflection"]
+    variable: Literal["elevon_deg", "bodyflap_deg"]
+    pressure_exponent: float = Field(gt=0.0, le=1.0, description="0.5 laminar, 0.8 turbulent")
+
+
+class FileBase(Declared):
+    """Ratios in alpha and log10_re from a CSV file, scaled to the control point's length.
+
+    Between the nodes of the file linear, beyond them held, except in alpha below the lowest, where the windward trend
+    sin(alpha) sqrt(cos(alpha)) continues.
+    """
+
+    file: str = Field(description="CSV beside the source, with columns alpha_deg, log10_re and `column`")
+    column: str
+    file_length_over_L: float = Field(gt=0.0, description="length that the file holds for, over the reference length")
+    length: Literal["x_over_L", "running_length_m"] = Field(description="key of the control point file")
+    length_exponent: float = Field(description="-0.5 laminar, -0.2 turbulent")
+
+
+class Axes(Declared):
+    """Nodes of the table."""
+
+    alpha_deg: list[float] = Field(min_length=1)
+    beta_deg: list[float] = Field(min_length=1)
+    log10_re: list[float] = Field(min_length=1)
+    elevon_deg: list[float] = Field(min_length=1)
+    bodyflap_deg: list[float] = Field(min_length=1)
+
+    def arrays(self) -> tuple[FloatArray, ...]:
+        """The five axes in the order of a ratio table."""
+        return tuple(np.array(getattr(self, name), dtype=float) for name in RATIO_VARIABLES)
+
+
+def _base_kind(value: Any) -> str:
+    return "file" if isinstance(value, FileBase) or (isinstance(value, dict) and "file" in value) else "curve"
+
+
+class RatioSource(Declared):
+    """Contents of ratio_sources/<NAME>.toml."""
+
+    format: Literal["ratio-source/1"]
+    control_points: list[str] = Field(min_length=1, description="control points that get a table")
+    source: str
+    confidence: str
+    revision: str
+    relative_sigma: float = Field(gt=0.0, description="one standard deviation over the ratio, above 0")
+    note: str = ""
+    axes: Axes
+    base: Annotated[Annotated[FileBase, Tag("file")] | Annotated[Curve, Tag("curve")], Discriminator(_base_kind)] = (
+        Field(description="a file or a curve")
+    )
+    factor: list[Annotated[CurveFactor | DeflectionFactor, Field(discriminator="kind")]] = Field(default=[])
+    sigma: list[Curve] = Field(default=[])
+    scaling: Scaling | None = None
+
+
+def build_tables(vehicle: str | os.PathLike[str]) -> dict[str, RatioTable]:
+    """The ratio tables that a vehicle's ratio_sources describe, by control point.
+
+    raises : InputError where a source, or a file that it names, cannot be used, or two sources make one table
+    """
+    directory = vehicle_directory(vehicle)
+    file = read_toml(directory / "vehicle.toml", VehicleFile)
+    tables: dict[str, RatioTable] = {}
+    for path in sorted((directory / "ratio_sources").glob("*.toml")):
+        source = read_toml(path, RatioSource)
+        if source.scaling is not None and file.heating.reference != REFERENCE:
+            raise InputError(f"{shown(path)}, [scaling]: takes ratios over `{REFERENCE}`, not {file.heating.reference}")
+        for name in source.control_points:
+            if name in tables:
+                raise InputError(f"{shown(path)}: `control_points`: {name} has a table from another source; remove one")
+            point = read_toml(directory / "control_points" / f"{name}.toml", ControlPointFile)
+            tables[name] = _build(source, path, point, file)
+    return tables
+
+
+def write_tables(vehicle: str | os.PathLike[str]) -> list[Path]:
+    """Build all tables of a vehicle and write them where its control points look for them; the files written.
+
+    raises : InputError where one of them has been revised from flight data; nothing is written
+    """
+    directory = vehicle_directory(vehicle)
+    tables, written = build_tables(directory), []
+    for name in tables:
+        _refuse_flown(directory / "ratio_tables" / f"{name}.csv")
+    for name, table in tables.items():
+        written.append(directory / "ratio_tables" / f"{name}.csv")
+        write_ratio_table(written[-1], table, FORMATS)
+    return written
+
+
+def _refuse_flown(path: Path) -> None:
+    """Refuse to replace a table that flight data have revised."""
+    if path.is_file() and "parent_revision" in (header := read_ratio_table(path).header):
+        raise InputError(
+            f"{shown(path)}: is revision {header.get('revision')}, from flight data; revert it, or take its control "
+            "point out of the ratio source"
+        )
+
+
+def _build(source: RatioSource, path: Path, point: ControlPointFile, vehicle: VehicleFile) -> RatioTable:
+    axes = source.axes.arrays()
+    grid = dict(zip(RATIO_VARIABLES, np.meshgrid(*axes, indexing="ij"), strict=True))
+    ratio = _base(source.base, path, point, vehicle.reference_length_m, grid)
+    for factor in source.factor:
+        ratio = ratio * _factor(factor, grid)
+    relative = np.sqrt(source.relative_sigma**2 + sum(s.at(grid[s.variable]) ** 2 for s in source.sigma))
+    header = {
+        "control_point": point.name,
+        "source": source.source,
+        "confidence": source.confidence,
+        "revision": source.revision,
+        "reference": vehicle.heating.reference,
+        "made_from": f"ratio_sources/{path.name}",
+    }
+    if np.any(ratio <= 0.0):
+        raise InputError(f"{shown(path)}: the ratio of {point.name} is {ratio.min():g} somewhere; it must be above 0")
+    table = RatioTable(axes, ratio, relative * ratio, header)
+    return table if source.scaling is None else scale_table(table, source.scaling)
+
+
+def _base(
+    base: FileBase | Curve, path: Path, point: ControlPointFile, reference_length_m: float, grid: dict[str, FloatArray]
+) -> FloatArray:
+    if isinstance(base, Curve):
+        return base.at(grid[base.variable])
+    length = point.x_over_L if base.length == "x_over_L" else (point.running_length_m or 0.0) / reference_length_m
+    if length <= 0.0:
+        raise InputError(f"{shown(path)}, [base]: `length`: {point.name} has no {base.length} above 0; give one")
+    at_length = (length / base.file_length_over_L) ** base.length_exponent
+    return at_length * _from_file(base, path.parent / base.file, grid["alpha_deg"], grid["log10_re"])
+
+
+def _from_file(base: FileBase, path: Path, alpha_deg: FloatArray, log10_re: FloatArray) -> FloatArray:
+    """The file's ratio, bilinear in alpha and log10_re, held beyond its ends; windward trend below its lowest alpha."""
+    table = read_csv_columns(path, ("alpha_deg", "log10_re", base.column))
+    a, re = np.unique(table["alpha_deg"]), np.unique(table["log10_re"])
+    values = np.full((len(a), len(re)), np.nan)
+    values[np.searchsorted(a, table["alpha_deg"]), np.searchsorted(re, table["log10_re"])] = table[base.column]
+    if not np.all(np.isfinite(values)):
+        raise InputError(f"{shown(path)}: the rows do not fill a grid of alpha_deg and log10_re")
+    at_alpha = np.stack([np.interp(alpha_deg, a, column) for column in values.T])
+    i = np.clip(np.searchsorted(re, log10_re, side="right") - 1, 0, max(len(re) - 2, 0))
+    j = np.minimum(i + 1, len(re) - 1)
+    w = np.where(j > i, np.clip((log10_re - re[i]) / np.where(j > i, re[j] - re[i], 1.0), 0.0, 1.0), 0.0)
+    low, high = (np.take_along_axis(at_alpha, k[None], 0)[0] for k in (i, j))
+    trend = windward_trend(np.minimum(alpha_deg, a[0])) / windward_trend(a[:1])
+    return ((1.0 - w) * low + w * high) * trend
+
+
+def _factor(factor: CurveFactor | DeflectionFactor, grid: dict[str, FloatArray]) -> FloatArray:
+    if isinstance(factor, CurveFactor):
+        return factor.at(grid[factor.variable])
+    return deflection_factor(grid["alpha_deg"], grid[factor.variable], factor.pressure_exponent)

@@ -1,0 +1,474 @@
+"""A flight record: what was flown, what it was flown on, what was measured; one directory, format flight-record/1.
+
+    record.toml         the declaration
+    conditions.csv      flight conditions, one row a sample
+    thermocouples.csv   measurements, one column a sensor; an empty cell is a lost sample
+    ratio_table.csv     optional: the declared heating-ratio table
+
+Everything is checked before anything is returned.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import Discriminator, Field, Tag, field_validator, model_validator
+
+from sim_heating.base.arrays import BoolArray, FloatArray
+from sim_heating.base.conditions import HEATING, STATE, Conditions
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import (
+    CsvTable,
+    Declared,
+    LocatedError,
+    Location,
+    output_directory,
+    raise_problems,
+    read_csv_columns,
+    read_toml,
+    shown,
+    suggestion,
+    toml_text,
+    write_csv,
+    write_text_atomic,
+)
+from sim_heating.base.limits import HOTTEST_K, implausible
+from sim_heating.heating.ratio.table import RatioTable, read_ratio_table, write_ratio_table
+from sim_heating.thermal.stack import Construction, Sensor, sensor_problems
+
+REFERENCE_COLUMNS = ("h_ref_kg_m2_s", "H_r_J_kg")
+OPTIONAL_COLUMNS = ("q_add_W_m2", "jets")
+DECLARATION = "record.toml"
+
+
+# The declaration -----------------------------------------------------------------------------------------------------
+
+
+class FileReference(Declared):
+    """A file of the record by its name."""
+
+    file: str = Field(min_length=1, description="a file name in the record's directory")
+
+    @field_validator("file")
+    @classmethod
+    def _check_file(cls, file: str) -> str:
+        return _inside(file)
+
+
+def _inside(file: str) -> str:
+    path = PurePosixPath(file)
+    if path.is_absolute() or ".." in path.parts or path.name in ("", DECLARATION) or not file.isprintable():
+        raise ValueError(f"`{file}` is not a file of this record; name one inside its directory")
+    return file
+
+
+class Thermocouples(FileReference):
+    """The measurements and the sensors that made them."""
+
+    file: str = Field(default="thermocouples.csv", min_length=1)
+    sensor: list[Sensor] = Field(min_length=1, description="[[thermocouples.sensor]], at least one")
+
+
+class ConditionsFile(FileReference):
+    """The flight conditions."""
+
+    file: str = Field(default="conditions.csv", min_length=1)
+
+
+class ConstantHeat(Declared):
+    """Enthalpy of air at the wall as cp T."""
+
+    cp_J_kgK: float = Field(gt=0.0, description="specific heat of air in J/(kg K), above 0")
+
+
+def _is_enthalpy(value: Any) -> str:
+    return "constant" if isinstance(value, (dict, ConstantHeat)) else "named"
+
+
+STAGNATION = ("sutton-graves", "detra-kemp-riddell", "fay-riddell")
+FLAT_PLATE = ("eckert-laminar", "eckert-turbulent")
+
+
+class Heating(Declared):
+    """The reference heating that ratios are over, the wall enthalpy, and the declared ratio."""
+
+    reference: Literal[
+        "columns", "sutton-graves", "detra-kemp-riddell", "fay-riddell", "eckert-laminar", "eckert-turbulent", "none"
+    ] = Field(description='"columns", a model of reference heating, or "none"')
+    nose_radius_m: float | None = Field(default=None, gt=0.0, description="radius of the reference sphere in m")
+    running_length_m: float | None = Field(default=None, gt=0.0, description="length from the leading edge in m")
+    wall_enthalpy: Annotated[
+        Annotated[Literal["equilibrium-air"], Tag("named")] | Annotated[ConstantHeat, Tag("constant")],
+        Discriminator(_is_enthalpy),
+    ] = Field(description='{ cp_J_kgK = ... } or "equilibrium-air"')
+    ratio_table: str | None = Field(default=None, description="file of the declared heating ratio")
+
+    @field_validator("ratio_table")
+    @classmethod
+    def _check_file(cls, file: str | None) -> str | None:
+        return None if file is None else _inside(file)
+
+    @model_validator(mode="after")
+    def _check_lengths(self) -> Heating:
+        for names, key in ((STAGNATION, "nose_radius_m"), (FLAT_PLATE, "running_length_m")):
+            if self.reference in names and getattr(self, key) is None:
+                raise LocatedError((("reference",), f'"{self.reference}" needs `{key}`; add it'))
+        return self
+
+
+class ReferenceCondition(Declared):
+    """The condition that derivatives are taken about; what is absent follows from the fit segments."""
+
+    alpha_deg: float | None = None
+    beta_deg: float | None = None
+    log10_re: float | None = None
+    elevon_deg: float | None = None
+    bodyflap_deg: float | None = None
+
+
+class Segments(Declared):
+    """Times to fit and times to hold out, [[start, end], ...] in s, both ends included."""
+
+    fit: list[list[float]] | None = Field(default=None, description="[[start_s, end_s], ...]")
+    holdout: list[list[float]] = Field(default_factory=list, description="[[start_s, end_s], ...]")
+
+    @field_validator("fit", "holdout")
+    @classmethod
+    def _check(cls, segments: list[list[float]] | None) -> list[list[float]] | None:
+        problems: list[tuple[Location, str]] = [
+            ((i,), f"{s} is not a segment; give [start_s, end_s] with start before end")
+            for i, s in enumerate(segments or [])
+            if len(s) != 2 or s[0] > s[1]
+        ]
+        if problems:
+            raise LocatedError(*problems)
+        return segments
+
+
+class RecordFile(Construction):
+    """record.toml. The stack and the materials are those of a Construction."""
+
+    format: Literal["flight-record/1"] = Field(description='"flight-record/1"')
+    title: str = ""
+    vehicle: str = ""
+    control_point: str = Field(min_length=1, description="name of the control point")
+    measured: bool = Field(description="true for a measurement, false for synthetic data")
+    conditions: ConditionsFile = Field(default_factory=lambda: ConditionsFile(file="conditions.csv"))
+    thermocouples: Thermocouples = Field(description="[[thermocouples.sensor]] and the file of samples")
+    heating: Heating
+    reference_condition: ReferenceCondition | None = None
+    segments: Segments = Field(default_factory=Segments)
+
+    @model_validator(mode="after")
+    def _check_record(self) -> RecordFile:
+        problems: list[tuple[Location, str]] = [
+            (("thermocouples", "sensor", *place), text)
+            for place, text in sensor_problems(self.stack, self.thermocouples.sensor)
+        ]
+        files = (self.conditions.file, self.thermocouples.file, self.heating.ratio_table)
+        if len({f for f in files if f}) < sum(f is not None for f in files):
+            problems.append((("conditions", "file"), "two parts of the record name one file; give each its own"))
+        if problems:
+            raise LocatedError(*problems)
+        return self
+
+
+# The record ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """A checked flight record.
+
+    declared      : record.toml
+    conditions    : flight conditions on their own times
+    thermocouples : column -> (sample,) of the measurement file; `time_s`, a column a sensor [K], NaN a lost sample
+    ratio_table   : the declared heating ratio, or None
+    directory     : where it was read from, for messages and names of results
+    """
+
+    declared: RecordFile
+    conditions: Conditions
+    thermocouples: Mapping[str, FloatArray]
+    ratio_table: RatioTable | None = None
+    directory: Path = field(default=Path("record"))
+
+    @property
+    def name(self) -> str:
+        """Name of the record's directory."""
+        return Path(os.path.abspath(self.directory)).name
+
+    @property
+    def time_s(self) -> FloatArray:
+        """(sample,) times of the measurements [s]."""
+        return self.thermocouples["time_s"]
+
+    @property
+    def sensors(self) -> list[Sensor]:
+        """All sensors in the order of the declaration."""
+        return self.declared.thermocouples.sensor
+
+    @property
+    def used_sensors(self) -> list[Sensor]:
+        """The sensors that may be fitted."""
+        return [s for s in self.sensors if s.used]
+
+    @property
+    def construction(self) -> Construction:
+        """Stack and materials, as the thermal model takes them."""
+        return Construction(stack=self.declared.stack, materials=self.declared.materials)
+
+    def temperatures_K(self, sensors: Sequence[Sensor] | None = None) -> FloatArray:
+        """(sensor, sample) measurements of the given sensors, all by default; NaN is a lost sample."""
+        return np.array([self.thermocouples[s.column] for s in (self.sensors if sensors is None else sensors)])
+
+    @property
+    def read_mask(self) -> BoolArray:
+        """(sample,) where any used sensor has a reading."""
+        return np.any(np.isfinite(self.temperatures_K(self.used_sensors)), axis=0)
+
+    def fit_mask(self, time_s: ArrayLike | None = None) -> BoolArray:
+        """Which times [s], by default those of the samples, are fitted: in a fit segment and in no holdout."""
+        t = self.time_s if time_s is None else np.asarray(time_s, dtype=float)
+        fit = self.declared.segments.fit
+        return (np.ones(t.shape, dtype=bool) if fit is None else in_segments(t, fit)) & ~self.holdout_mask(t)
+
+    def holdout_mask(self, time_s: ArrayLike | None = None) -> BoolArray:
+        """Which times [s], by default those of the samples, are held out."""
+        t = self.time_s if time_s is None else np.asarray(time_s, dtype=float)
+        return in_segments(t, self.declared.segments.holdout)
+
+    def with_fit(self, segments: Sequence[Sequence[float]]) -> Record:
+        """The record with other fit segments [[start_s, end_s], ...]."""
+        other = Segments(fit=[list(s) for s in segments], holdout=self.declared.segments.holdout)
+        return replace(self, declared=self.declared.model_copy(update={"segments": other}))
+
+    def noise_floor_K(
+        self, mask: ArrayLike | None = None, estimated_sigma_K: Mapping[str, float] | None = None
+    ) -> float:
+        """Root mean square of the noise floor over the used sensors' samples [K]; NaN where there are none.
+
+        mask              : (sample,) which samples; by default those of the fit segments
+        estimated_sigma_K : by sensor name, for the sensors that declare no noise
+        raises            : InputError where a sensor has neither
+        """
+        chosen = self.fit_mask() if mask is None else np.asarray(mask, dtype=bool)
+        count = np.array([np.count_nonzero(np.isfinite(T[chosen])) for T in self.temperatures_K(self.used_sensors)])
+        floor = np.array([s.noise_floor_K(self._sigma_K(s, estimated_sigma_K or {})) for s in self.used_sensors])
+        if count.sum() == 0:
+            return math.nan
+        return math.sqrt(float(np.sum(count * floor**2) / count.sum()))
+
+    def _sigma_K(self, sensor: Sensor, estimated: Mapping[str, float]) -> float:
+        sigma = sensor.noise_sigma_K if sensor.noise_sigma_K is not None else estimated.get(sensor.name)
+        if sigma is None:
+            raise InputError(f"{self.name}, sensor {sensor.name}: declares no noise_sigma_K; declare or estimate it")
+        return sigma
+
+
+def in_segments(time_s: ArrayLike, segments: Sequence[Sequence[float]]) -> BoolArray:
+    """Which times [s] lie in any of the segments [start, end], both ends included."""
+    t = np.asarray(time_s, dtype=float)
+    held = np.zeros(t.shape, dtype=bool)
+    for start, end in segments:
+        held |= (t >= start) & (t <= end)
+    return held
+
+
+def pooled_rmse_K(residual_K: ArrayLike, mask: ArrayLike | None = None) -> dict[str, float | int] | None:
+    """RMSE, largest magnitude and count of the residuals of all sensors together; lost samples (NaN) do not count.
+
+    residual_K : (sensor, sample) measured minus predicted [K]
+    mask       : (sample,) which samples
+    returns    : rmse_K, max_abs_K, n, as results files hold them; None where no sample is left
+    """
+    residual = np.atleast_2d(np.asarray(residual_K, dtype=float))
+    if mask is not None:
+        residual = residual[:, np.asarray(mask, dtype=bool)]
+    left = residual[np.isfinite(residual)]
+    if left.size == 0:
+        return None
+    largest = float(np.max(np.abs(left)))
+    return {"rmse_K": float(np.sqrt(np.mean(left**2))), "max_abs_K": largest, "n": int(left.size)}
+
+
+# Reading -------------------------------------------------------------------------------------------------------------
+
+
+def load_record(directory: str | os.PathLike[str]) -> Record:
+    """Read and check a flight record.
+
+    raises : InputError with one line a problem, naming file, row and column or table and key
+    """
+    home = Path(directory)
+    if not home.is_dir():
+        raise InputError(f"{shown(home)}: is not a directory; a record is a directory with a {DECLARATION}")
+    declared = read_toml(home / DECLARATION, RecordFile)
+    reference = REFERENCE_COLUMNS if declared.heating.reference == "columns" else ()
+    required = (*STATE, "p_surface_Pa", *reference)
+    optional = (*(c for c in HEATING if c not in required), *OPTIONAL_COLUMNS)
+    conditions = read_csv_columns(home / declared.conditions.file, required, optional)
+    columns = [s.column for s in declared.thermocouples.sensor]
+    thermocouples = read_csv_columns(
+        home / declared.thermocouples.file, ("time_s", *columns), allow_empty=columns, keep_other=False
+    )
+    table = None if declared.heating.ratio_table is None else read_ratio_table(home / declared.heating.ratio_table)
+    return _checked(declared, conditions, thermocouples, table, home)
+
+
+def make_record(
+    declared: RecordFile,
+    conditions: Conditions,
+    thermocouples: Mapping[str, ArrayLike],
+    ratio_table: RatioTable | None = None,
+    directory: str | os.PathLike[str] = "record",
+) -> Record:
+    """A record of parts in memory, checked like one that is read.
+
+    raises : InputError as for the files that write_record would make of the parts
+    """
+    home = Path(directory)
+    measured = {name: np.asarray(values, dtype=float) for name, values in thermocouples.items()}
+    raise_problems(_array_problems(measured, declared, shown(home / declared.thermocouples.file)))
+    if (declared.heating.ratio_table is None) != (ratio_table is None):
+        raise InputError(f"{shown(home / DECLARATION)}, [heating]: `ratio_table` and the table given do not agree")
+    flown = _as_table(conditions.columns, home / declared.conditions.file)
+    return _checked(declared, flown, _as_table(measured, home / declared.thermocouples.file), ratio_table, home)
+
+
+def _array_problems(measured: Mapping[str, FloatArray], declared: RecordFile, where: str) -> list[str]:
+    """Measurements in memory that could not have come from a file: absent, of unequal length, not finite."""
+    missing = [n for n in ("time_s", *(s.column for s in declared.thermocouples.sensor)) if n not in measured]
+    if missing:
+        return [f"{where}: there is no column `{name}`. Add it." for name in missing]
+    shape = measured["time_s"].shape
+    odd = [name for name, values in measured.items() if values.shape != shape or len(shape) != 1 or shape == (0,)]
+    bad = [name for name, values in measured.items() if np.any(np.isinf(values))]
+    bad += ["time_s"] if np.any(np.isnan(measured["time_s"])) else []
+    return [
+        *(f"{where}, column {name}: needs one value a sample, and a sample at least" for name in odd),
+        *(f"{where}, column {name}: holds a value that is not a finite number" for name in bad),
+    ]
+
+
+def _as_table(columns: Mapping[str, FloatArray], path: Path) -> CsvTable:
+    """Columns as the file that they would make: names on row 1, samples from row 2 on."""
+    samples = len(columns["time_s"])
+    return CsvTable(dict(columns), {}, path, np.arange(2, samples + 2))
+
+
+def _checked(
+    declared: RecordFile, conditions: CsvTable, thermocouples: CsvTable, table: RatioTable | None, home: Path
+) -> Record:
+    raise_problems(
+        [
+            *_condition_problems(conditions, declared.heating),
+            *_measurement_problems(thermocouples, declared.thermocouples.sensor),
+            *_clock_problems(conditions, thermocouples),
+            *_segment_problems(declared, thermocouples, home),
+            *_table_problems(declared.heating, table, home),
+        ]
+    )
+    return Record(declared, Conditions(conditions.columns), thermocouples.columns, table, home)
+
+
+def _condition_problems(table: CsvTable, heating: Heating) -> list[str]:
+    """Time that does not increase, values that cannot be, values in another unit, columns that a reference lacks."""
+    absent = _missing_columns(table, heating)
+    if absent:
+        return absent
+    return table.not_increasing() + implausible(table)
+
+
+def _missing_columns(table: CsvTable, heating: Heating) -> list[str]:
+    """Columns that a record in memory lacks; a file without them is refused when it is read."""
+    needed = ["p_surface_Pa", *(REFERENCE_COLUMNS if heating.reference == "columns" else ())]
+    absent = [name for name in (*STATE, *needed) if name not in table.columns]
+    return [f"{shown(table.path)}: there is no column `{name}`. Add it." for name in absent]
+
+
+def _measurement_problems(table: CsvTable, sensors: Sequence[Sensor]) -> list[str]:
+    """Time that does not increase, temperatures in Celsius or beyond the recorder, used sensors without a sample."""
+    problems = table.not_increasing()
+    for sensor in sensors:
+        T = table[sensor.column]
+        if sensor.calibration is None:
+            problems += table.not_kelvin(sensor.column)
+        problems += table.where_not(sensor.column, ~(np.abs(T) > HOTTEST_K), "is not a temperature of a wall")
+        if sensor.bits is not None and sensor.range_K is not None:
+            low, high = sensor.range_K
+            outside = (low - sensor.lsb_K > T) | (high + sensor.lsb_K < T)
+            rule = f"is outside range_K = [{low:g}, {high:g}] of sensor {sensor.name}; correct the sample or the range"
+            problems += table.where_not(sensor.column, ~outside | (T < 100.0), rule)
+        if sensor.used and np.all(np.isnan(T)):
+            rule = f"sensor {sensor.name} has no sample; set used = false or remove it"
+            problems.append(f"{shown(table.path)}, column {sensor.column}: {rule}")
+    return problems
+
+
+def _clock_problems(conditions: CsvTable, thermocouples: CsvTable) -> list[str]:
+    """Measurements of which none lies in the time of the conditions."""
+    first, last = conditions["time_s"][0], conditions["time_s"][-1]
+    t = thermocouples["time_s"]
+    if np.any((t >= first) & (t <= last)):
+        return []
+    rule = f"no sample lies in the {first:g} to {last:g} s of the conditions; put both files on one clock"
+    return [f"{shown(thermocouples.path)}, column time_s: {rule}"]
+
+
+def _segment_problems(declared: RecordFile, thermocouples: CsvTable, home: Path) -> list[str]:
+    """Segments that lie wholly outside the measured time."""
+    first, last = thermocouples["time_s"][0], thermocouples["time_s"][-1]
+    where = f"{shown(home / DECLARATION)}, [segments]"
+    return [
+        f"{where}: `{key}`, row {i + 1}: {segment} lies outside the measured {first:g} to {last:g} s; correct it"
+        for key in ("fit", "holdout")
+        for i, segment in enumerate(getattr(declared.segments, key) or [])
+        if segment[1] < first or segment[0] > last
+    ]
+
+
+def _table_problems(heating: Heating, table: RatioTable | None, home: Path) -> list[str]:
+    """A ratio table over a reference heating that is none, or over another than the record's."""
+    if table is None or table.reference is None:
+        return []
+    file = shown(home / str(heating.ratio_table))
+    known = (*STAGNATION, *FLAT_PLATE)
+    if table.reference not in known:
+        rule = f"there is no reference heating `{table.reference}`. {suggestion(table.reference, known)}"
+        return [f"{file}, header `reference`: {rule}"]
+    if heating.reference in ("columns", "none", table.reference):
+        return []
+    rule = f"is over `{table.reference}`, the record's heating.reference is `{heating.reference}`; they must agree"
+    return [f"{file}, header `reference`: {rule}"]
+
+
+# Writing -------------------------------------------------------------------------------------------------------------
+
+
+def write_record(
+    record: Record,
+    directory: str | os.PathLike[str],
+    formats: Mapping[str, str] | None = None,
+    comment: str = "",
+) -> None:
+    """Write a record as a directory, whole or not at all; without formats it reads back equal.
+
+    formats : number format by column of the CSV files, as in {"time_s": ".2f"}
+    comment : lines put before record.toml
+    raises  : InputError where the directory holds other people's files of these names
+    """
+    declared = record.declared
+    with output_directory(directory) as folder:
+        write_text_atomic(folder / DECLARATION, toml_text(declared.model_dump(exclude_unset=True), comment))
+        write_csv(folder / declared.conditions.file, record.conditions.columns, formats)
+        write_csv(folder / declared.thermocouples.file, record.thermocouples, formats)
+        if record.ratio_table is not None and declared.heating.ratio_table is not None:
+            write_ratio_table(folder / declared.heating.ratio_table, record.ratio_table, formats)

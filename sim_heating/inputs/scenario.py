@@ -1,0 +1,373 @@
+"""A scenario: which vehicle flies what, what is looked at, how it is measured, and where the truth differs from the
+tables.
+
+format = "scenario/1"
+title = "..."
+vehicle = "orbiter"                 # a vehicle's name, or its directory relative to the scenario
+control_points = ["V09T9527"]       # all where absent
+[trajectory]                        # trajectory/spec.py, with [[trajectory.manoeuvre]]
+[heating]                           # longest_step_s, alongside
+[[effect]]                          # declared beside those of the vehicle: name, control_points, parameters
+[measurements]                      # seed, clock_skew_s, lost samples, gaps, errors of sensors
+[truth]                             # what `synthesize` alters and does not tell: parameters, [[truth.effect]]
+[[compare]]                         # measured histories to hold the prediction against
+[design]                            # what the manoeuvres are to tell, and how they may be changed
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import (
+    Declared,
+    check,
+    nearest,
+    raise_problems,
+    read_csv_columns,
+    read_toml,
+    shown,
+    suggestion,
+)
+from sim_heating.base.parameters import MODEL
+from sim_heating.heating.effects import EffectUse, use
+from sim_heating.inputs.record import Segments
+from sim_heating.inputs.vehicle import Vehicle, load_vehicle
+from sim_heating.trajectory.spec import TrajectorySpec
+
+
+class HeatingRun(Declared):
+    """How heating is computed along the flight."""
+
+    longest_step_s: float = Field(default=1.0, gt=0.0, le=60.0, description="longest thermal step in s")
+    alongside: bool = Field(default=False, description="step the plug-in beside the host and compare")
+
+
+class ScenarioEffect(Declared):
+    """An effect at some control points, at all where none is named."""
+
+    name: str
+    control_points: list[str] | None = None
+    parameters: dict[str, float] = Field(default={})
+
+
+class SensorFault(Declared):
+    """A sensor's offset and gain error."""
+
+    sensor: str
+    bias_K: float = 0.0
+    gain: float = Field(default=1.0, gt=0.0, description="gain, above 0")
+
+
+class Measurements(Declared):
+    """How `synthesize` measures."""
+
+    seed: int = Field(default=1, ge=0, description="a whole number, 0 or above")
+    rate_hz: float | None = Field(
+        default=None, gt=0.0, le=1000.0, description="samples a second, up to 1000; the sensors' own where absent"
+    )
+    sample_offset_s: float = Field(default=0.0, description="time of the first sample after the start in s")
+    clock_skew_s: float = Field(default=0.0, description="recorded T(t) = true T(t - skew) in s")
+    lost_fraction: float = Field(default=0.0, ge=0.0, lt=1.0, description="fraction of samples lost at random")
+    gaps_s: list[list[float]] = Field(default=[], description="[[start_s, end_s], ...] without telemetry")
+    fault: list[SensorFault] = Field(default=[])
+
+    @field_validator("gaps_s")
+    @classmethod
+    def _check_gaps(cls, gaps: list[list[float]]) -> list[list[float]]:
+        for gap in gaps:
+            if len(gap) != 2 or gap[0] > gap[1]:
+                raise ValueError(f"{gap} is not a gap; give [start_s, end_s] with start before end")
+        return gaps
+
+
+class Truth(Declared):
+    """Where the truth differs from the declared tables; goes to truth.toml, not into the record."""
+
+    parameters: dict[str, float] = Field(default={}, description="dotted model parameters by name")
+    effect: list[ScenarioEffect] = Field(default=[])
+
+    @field_validator("parameters")
+    @classmethod
+    def _check_parameters(cls, parameters: dict[str, float]) -> dict[str, float]:
+        for name in parameters:
+            if name not in MODEL:
+                near = nearest(name, MODEL)
+                raise ValueError(f"there is no parameter `{name}`." + (f" Nearest: `{near}`." if near else ""))
+        return parameters
+
+
+class Compare(Declared):
+    """A measured surface-temperature history of a control point: CSV with time_s, temperature_K and sigma_K."""
+
+    control_point: str
+    file: str = Field(description="CSV relative to the vehicle's directory")
+    label: str
+    until_s: float | None = Field(default=None, description="end of the comparison in s, all where absent")
+    fit_s: list[list[float]] | None = Field(default=None, description="fit segments of a record made of it, in s")
+    holdout_s: list[list[float]] = Field(default=[], description="segments that are held out there, in s")
+
+
+class Vary(Declared):
+    """A number of a manoeuvre that a design may change, from `low` to `high`."""
+
+    manoeuvre: int = Field(default=1, ge=1, description="number of the manoeuvre in the scenario, from 1")
+    key: str = Field(description="key of the manoeuvre")
+    low: float
+    high: float
+
+
+class DesignLimits(Declared):
+    """What a designed flight must keep; the temperature limits are those of the scenario's control points.
+
+    surface_margin_K, bondline_margin_K : least distance of the peaks of the whole flight from the limits
+    alpha_deg, elevon_deg, qbar_Pa      : [low, high] during the manoeuvres and `after_s` after them
+    altitude_change_m                   : from the flight without manoeuvres, over the same time
+    duration_s                          : of one manoeuvre
+    """
+
+    surface_margin_K: float = 0.0
+    bondline_margin_K: float = 0.0
+    alpha_deg: list[float] = Field(default=[30.0, 48.0], description="[low, high] in deg")
+    elevon_deg: list[float] = Field(default=[-20.0, 15.0], description="[low, high] in deg")
+    qbar_Pa: list[float] = Field(default=[0.0, 16000.0], description="[low, high] in Pa")
+    altitude_change_m: float = Field(default=3000.0, gt=0.0, description="in m, above 0")
+    duration_s: float = Field(default=60.0, gt=0.0, description="in s, above 0")
+
+    @field_validator("alpha_deg", "elevon_deg", "qbar_Pa")
+    @classmethod
+    def _check_range(cls, pair: list[float]) -> list[float]:
+        if len(pair) != 2 or not pair[0] < pair[1]:
+            raise ValueError(f"{pair} is no range; give [low, high]")
+        return pair
+
+
+class Design(Declared):
+    """What the manoeuvres of a scenario are to tell.
+
+    control_point  : whose thermocouples; the first of the scenario's that has some, where absent
+    parameters     : whose bounds are to be small; by the kind of manoeuvre where absent
+    nuisance       : also unknown; magnitude, derivatives, coating, conductivity, skew and pressure where absent
+    prior          : standard deviation of parameters before the flight, by dotted name
+    criterion      : "D": volume of the bounds' ellipsoid; "A": mean square of the bounds over the planned ones
+    start          : "profile": temperatures before the manoeuvre are unknown; "declared": known from entry interface on
+    before_s, after_s : samples that are read around a manoeuvre
+    evaluations    : designs that are tried
+    flights        : numbers of like flights to tell bounds for
+    """
+
+    control_point: str | None = None
+    parameters: list[str] | None = Field(default=None, min_length=1)
+    nuisance: list[str] | None = None
+    prior: dict[str, float] = Field(default={}, description="standard deviations above 0, by dotted name")
+    criterion: Literal["D", "A"] = "D"
+    start: Literal["profile", "declared"] = "profile"
+    before_s: float = Field(default=20.0, ge=0.0, le=1000.0)
+    after_s: float = Field(default=40.0, ge=0.0, le=1000.0)
+    evaluations: int = Field(default=64, ge=1, le=100_000)
+    flights: list[int] = Field(default=[1, 2, 4], min_length=1)
+    vary: list[Vary] = Field(default=[])
+    limits: DesignLimits = DesignLimits()
+
+    @field_validator("prior")
+    @classmethod
+    def _check_prior(cls, prior: dict[str, float]) -> dict[str, float]:
+        for name, sigma in prior.items():
+            if not sigma > 0.0:
+                raise ValueError(f"{name}: {sigma:g} is no standard deviation; give one above 0")
+        return prior
+
+    @field_validator("flights")
+    @classmethod
+    def _check_flights(cls, flights: list[int]) -> list[int]:
+        if min(flights) < 1:
+            raise ValueError(f"{min(flights)} is no number of flights; give 1 or more")
+        return flights
+
+
+class ScenarioFile(Declared):
+    """Contents of a scenario file."""
+
+    format: str = Field(pattern="^scenario/1$", description='"scenario/1"')
+    title: str
+    vehicle: str
+    note: str = ""
+    control_points: list[str] | None = None
+    trajectory: TrajectorySpec
+    heating: HeatingRun = HeatingRun()
+    effect: list[ScenarioEffect] = Field(default=[])
+    measurements: Measurements = Measurements()
+    truth: Truth = Truth()
+    compare: list[Compare] = Field(default=[])
+    design: Design | None = None
+
+
+@dataclass(frozen=True)
+class MeasuredHistory:
+    """A measured history to compare with: (sample,) times [s] and temperatures [K] with their sigma [K].
+
+    segments : those of a record that is made of it
+    """
+
+    control_point: str
+    label: str
+    time_s: np.ndarray
+    temperature_K: np.ndarray
+    sigma_K: np.ndarray
+    segments: Segments = field(default_factory=Segments)
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A checked scenario with its vehicle.
+
+    names    : control points looked at, in order
+    compare  : measured histories
+    """
+
+    path: Path
+    declared: ScenarioFile
+    vehicle: Vehicle
+    names: tuple[str, ...]
+    compare: tuple[MeasuredHistory, ...]
+
+    @property
+    def title(self) -> str:
+        """Title of the scenario."""
+        return self.declared.title
+
+    def effects(self, point: str, *, truth: bool = False) -> tuple[EffectUse, ...]:
+        """Effects of a control point beside its vehicle's: the scenario's, and with `truth` the undeclared ones too."""
+        chosen = [*self.declared.effect, *(self.declared.truth.effect if truth else [])]
+        return tuple(use(e.name, e.parameters) for e in chosen if e.control_points is None or point in e.control_points)
+
+
+def load_scenario(path: str | os.PathLike[str]) -> Scenario:
+    """Read and check a scenario and everything that it names.
+
+    raises : InputError with one line a problem
+    """
+    place = Path(path)
+    declared = read_toml(place, ScenarioFile)
+    beside = place.parent / declared.vehicle
+    vehicle = load_vehicle(beside if (beside / "vehicle.toml").is_file() else declared.vehicle)
+    return scenario_of(place, declared, vehicle)
+
+
+def scenario_of(place: Path, declared: ScenarioFile, vehicle: Vehicle, said_by: Path | None = None) -> Scenario:
+    """A scenario that was read from a place, with a vehicle that is loaded; raises InputError as `load_scenario`.
+
+    said_by : the file that problems are told of, where it is not the scenario's own
+    """
+    file = declared.trajectory.file
+    if file is not None:
+        if not (place.parent / file).is_file():
+            raise InputError(f"{shown(place)}, [trajectory]: `file`: there is no {shown(place.parent / file)}")
+        declared = declared.model_copy(
+            update={"trajectory": declared.trajectory.model_copy(update={"file": str(place.parent / file)})}
+        )
+    raise_problems([f"{shown(said_by or place)}: {line}" for line in _problems(declared, vehicle)])
+    names = tuple(declared.control_points or vehicle.control_points)
+    compare = tuple(_measured_history(vehicle, c) for c in declared.compare if c.control_point in names)
+    return Scenario(place, declared, vehicle, names, compare)
+
+
+def with_design(scenario: Scenario, given: Mapping[str, Any]) -> Scenario:
+    """A scenario with single keys of its [design] replaced.
+
+    raises : InputError as for a scenario that says so
+    """
+    old = scenario.declared.design or Design()
+    design = check({**old.model_dump(), **given}, Design, f"{shown(scenario.path)}, [design]")
+    return replace(scenario, declared=scenario.declared.model_copy(update={"design": design}))
+
+
+def _problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
+    """Control points, effects and sensors that are named and do not exist."""
+    named = [*(declared.control_points or []), *(c.control_point for c in declared.compare)]
+    named += [declared.design.control_point] if declared.design and declared.design.control_point else []
+    uses = [*declared.effect, *declared.truth.effect]
+    named += [p for e in uses for p in e.control_points or []]
+    sensors = {s.name for p in vehicle.control_points.values() for s in p.sensors}
+    return [
+        *_attempts(lambda name: vehicle.control_point(name), named),
+        *_attempts(lambda e: use(e.name, e.parameters), uses),
+        *(
+            f"[measurements], fault: no sensor `{f.sensor}`. Nearest: `{nearest(f.sensor, sensors, 0.0)}`."
+            for f in declared.measurements.fault
+            if f.sensor not in sensors
+        ),
+        *(["control_points: the list is empty; leave it out for all"] if declared.control_points == [] else []),
+        *_not_looked_at(declared, vehicle),
+        *_fmu_problems(declared.trajectory, vehicle),
+        *_design_problems(declared),
+    ]
+
+
+def _fmu_problems(spec: TrajectorySpec, vehicle: Vehicle) -> Sequence[str]:
+    """What is wrong between the scenario and its FMU, where it flies one."""
+    if spec.source != "fmu":
+        return ()
+    from sim_heating.trajectory.fmu.flight import problems_of  # FMPy and pint are slow to import, and wanted only here
+
+    return problems_of(spec, vehicle.directory)
+
+
+def _design_problems(declared: ScenarioFile) -> list[str]:
+    """Numbers of manoeuvres that a design is to vary and that there are not."""
+    lines, flown = [], declared.trajectory.manoeuvre
+    for i, vary in enumerate(declared.design.vary if declared.design else []):
+        where = f"[design], vary {i + 1}"
+        if vary.manoeuvre > len(flown):
+            lines.append(f"{where}: there is no manoeuvre {vary.manoeuvre}; the scenario has {len(flown)}")
+            continue
+        value = getattr(flown[vary.manoeuvre - 1], vary.key, None)
+        if not isinstance(value, float):
+            known = [k for k, v in flown[vary.manoeuvre - 1] if isinstance(v, float)]
+            lines.append(f"{where}: `{vary.key}` is no number that this manoeuvre gives. {suggestion(vary.key, known)}")
+        elif not vary.low <= value <= vary.high or not vary.low < vary.high:
+            lines.append(f"{where}: {vary.key} = {value:g} as planned is not within {vary.low:g} to {vary.high:g}")
+    return lines
+
+
+def _not_looked_at(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
+    """Control points named twice, and what is asked of one that is not looked at."""
+    chosen = declared.control_points
+    if not chosen:
+        return []
+    twice = [f"control_points: `{name}` stands twice; name it once" for name in chosen if chosen.count(name) > 1]
+    asked = [c.control_point for c in declared.compare]
+    asked += [p for p in [declared.design.control_point if declared.design else None] if p is not None]
+    asked += [p for e in (*declared.effect, *declared.truth.effect) for p in e.control_points or []]
+    owner = {s.name: p.name for p in vehicle.control_points.values() for s in p.sensors}
+    asked += [owner[f.sensor] for f in declared.measurements.fault if f.sensor in owner]
+    absent = [name for name in dict.fromkeys(asked) if name in vehicle.control_points and name not in chosen]
+    return twice[:1] + [f"`{name}` is asked for and not among control_points; add it" for name in absent]
+
+
+def _attempts(call: Callable[[Any], object], items: Iterable[Any]) -> list[str]:
+    lines: list[str] = []
+    for item in items:
+        try:
+            call(item)
+        except InputError as error:
+            lines += error.problems
+    return lines
+
+
+def _measured_history(vehicle: Vehicle, compare: Compare) -> MeasuredHistory:
+    table = read_csv_columns(vehicle.directory / compare.file, ("time_s", "temperature_K", "sigma_K"))
+    raise_problems([*table.not_increasing(), *table.not_kelvin("temperature_K")])
+    time = table["time_s"]
+    until = np.inf if compare.until_s is None else compare.until_s
+    held = time <= until
+    columns = {name: table[name][held] for name in ("time_s", "temperature_K", "sigma_K")}
+    segments = check({"fit": compare.fit_s, "holdout": compare.holdout_s}, Segments, f"[[compare]] {compare.label}")
+    return MeasuredHistory(compare.control_point, compare.label, **columns, segments=segments)

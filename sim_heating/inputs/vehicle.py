@@ -1,0 +1,306 @@
+"""A vehicle as data: a directory of materials, layer stacks, control points, limits and heating-ratio tables.
+
+    vehicle.toml                 name, reference length and area, the reference heating that all ratios are over
+    materials/<NAME>.toml        one material each, whole or `based_on` another one
+    control_points/<NAME>.toml   position, stack, sensors, limits, pressure model, ratio table of one point
+    ratio_tables/<NAME>.csv      heating ratio in alpha, beta, log10_re, elevon and body flap
+
+The format is told in docs/vehicle_format.md. Loading reads all of it, checks it, and tells all problems at once.
+Positions are in m from the nose: x aft, y to starboard, z up.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.errors import InputError, told_of
+from sim_heating.base.files import check, nearest, raise_problems, read_toml, read_toml_dict, shown
+from sim_heating.base.files.package import data_folders
+from sim_heating.heating.effects import EffectUse, check_count, use
+from sim_heating.heating.ratio.table import RatioTable, read_ratio_table
+from sim_heating.heating.surface_pressure import PressureModel, surface_pressure
+from sim_heating.inputs.vehicle_files import ControlPointFile, DerivedMaterial, Limits, ReferenceHeating, VehicleFile
+from sim_heating.thermal.stack import Construction, Material, Sensor, construct
+
+T = TypeVar("T")
+P = ParamSpec("P")
+
+FOLDER = "aircraft_data"
+ENVIRONMENT = "SIM_HEATING_AIRCRAFT_DATA"
+"""Environment variable that names a folder of vehicles."""
+
+
+@dataclass(frozen=True)
+class ControlPoint:
+    """One place of the vehicle's surface, ready to be computed.
+
+    construction     : layer stack with its materials
+    sensors          : thermocouples, in the order of the file
+    ratio            : heating ratio over the vehicle's reference heating
+    running_length_m : length of the boundary layer up to the point [m], None where it has no meaning (leeside)
+    turbulent_factor : turbulent over laminar film coefficient [-], None where not declared
+    effects          : effects that are part of the declared model, none as a rule
+    declared         : the file itself, with sources and notes
+    """
+
+    name: str
+    title: str
+    position_m: tuple[float, float, float]
+    x_over_L: float
+    running_length_m: float | None
+    construction: Construction
+    sensors: tuple[Sensor, ...]
+    limits: Limits
+    pressure: PressureModel
+    ratio: RatioTable
+    turbulent_factor: float | None
+    effects: tuple[EffectUse, ...]
+    declared: ControlPointFile
+
+    def surface_pressure(self, conditions: Conditions) -> FloatArray:
+        """Pressure at the surface of the point along a flight [Pa], one value a sample."""
+        return surface_pressure(self.pressure, conditions)
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """A vehicle, read and checked.
+
+    directory          : where it came from
+    reference_length_m : length of the Reynolds number [m]
+    heating            : what all its ratio tables are over
+    control_points     : name -> control point, sorted by name
+    materials          : name -> material, all of the vehicle's
+    """
+
+    name: str
+    title: str
+    revision: str
+    directory: Path
+    reference_length_m: float
+    reference_area_m2: float
+    heating: ReferenceHeating
+    control_points: dict[str, ControlPoint]
+    materials: dict[str, Material]
+    declared: VehicleFile
+
+    def control_point(self, name: str) -> ControlPoint:
+        """The control point of a name.
+
+        raises : InputError that says which name is nearest
+        """
+        if name not in self.control_points:
+            known = nearest(name, self.control_points)
+            hint = f"Nearest: `{known}`." if known else f"Known: {', '.join(self.control_points)}."
+            raise InputError(f"vehicle {self.name}: there is no control point `{name}`. {hint}")
+        return self.control_points[name]
+
+
+class _Problems:
+    """Collects what is wrong in many files, so that all of it can be told at once."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def attempt(self, read: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T | None:
+        """The result of a reader, or None where it found problems, which are kept."""
+        try:
+            return read(*args, **kwargs)
+        except InputError as error:
+            self.lines += error.problems
+            return None
+
+    def add(self, line: str) -> None:
+        self.lines.append(line)
+
+
+def load_vehicle(vehicle: str | os.PathLike[str]) -> Vehicle:
+    """Read a vehicle by name or by path and check all of it.
+
+    vehicle : a directory with a vehicle.toml, or a name, looked for as `vehicle_directory` says
+    raises  : InputError with one line a problem, those of all files together
+    """
+    directory = vehicle_directory(vehicle)
+    problems = _Problems()
+    file = problems.attempt(read_toml, directory / "vehicle.toml", VehicleFile)
+    if file is not None and file.name != directory.resolve().name:
+        problems.add(f'{shown(directory / "vehicle.toml")}: `name`: "{file.name}" is not the name of its directory')
+    materials = _read_materials(directory, problems)
+    points = _read_control_points(directory, materials, file, problems)
+    raise_problems(problems.lines)
+    assert file is not None  # else there was a problem
+    return Vehicle(
+        name=file.name,
+        title=file.title,
+        revision=file.revision,
+        directory=directory,
+        reference_length_m=file.reference_length_m,
+        reference_area_m2=file.reference_area_m2,
+        heating=file.heating,
+        control_points=points,
+        materials=materials,
+        declared=file,
+    )
+
+
+def vehicle_directory(vehicle: str | os.PathLike[str]) -> Path:
+    """The directory of a vehicle.
+
+    A path to a directory with a vehicle.toml (or to that file) is taken as it is. A name is looked for in
+    ./aircraft_data, in the folder that SIM_HEATING_AIRCRAFT_DATA names, and in the data that came with the package.
+    raises : InputError that names the nearest vehicle
+    """
+    path = Path(vehicle)
+    if path.name == "vehicle.toml" and path.is_file():
+        return path.parent
+    if (path / "vehicle.toml").is_file():
+        return path
+    text = os.fspath(vehicle)
+    if os.sep in text or "/" in text:
+        raise InputError(f"{text}: there is no vehicle here; a vehicle is a directory with a vehicle.toml")
+    for folder in vehicle_folders():
+        if text and (folder / text / "vehicle.toml").is_file():
+            return folder / text
+    known = vehicle_names()
+    near = nearest(text, known)
+    hint = f"Nearest: `{near}`." if near else f"Known: {', '.join(known) or 'none'}; or give a directory."
+    raise InputError(f"vehicle `{text}`: there is no vehicle of this name. {hint}")
+
+
+def vehicle_folders() -> list[Path]:
+    """Folders in which vehicles are looked for by name, in that order; those that exist."""
+    named = os.environ.get(ENVIRONMENT)
+    places = [Path(FOLDER), *([Path(named)] if named else []), *data_folders(FOLDER)]
+    return [place for place in places if place.is_dir()]
+
+
+def vehicle_names() -> list[str]:
+    """Names of all vehicles that can be loaded by name, sorted."""
+    return sorted({p.parent.name for folder in vehicle_folders() for p in folder.glob("*/vehicle.toml")})
+
+
+def _files(directory: Path, pattern: str, problems: _Problems) -> Iterator[Path]:
+    found = sorted(directory.glob(pattern))
+    if not found:
+        problems.add(f"{shown(directory)}: there is no {pattern}; a vehicle has at least one")
+    yield from found
+
+
+def _read_materials(directory: Path, problems: _Problems) -> dict[str, Material]:
+    """All materials of a vehicle, derived ones worked out; faulty ones are told and left out."""
+    whole: dict[str, Material] = {}
+    derived: dict[str, tuple[Path, DerivedMaterial]] = {}
+    for path in _files(directory, "materials/*.toml", problems):
+        read = problems.attempt(_read_material, path)
+        if isinstance(read, Material):
+            whole[path.stem] = read
+        elif read is not None:
+            derived[path.stem] = (path, read)
+    worked_out = {}
+    for name, (path, material) in derived.items():
+        made = problems.attempt(_derive, path, material, whole)
+        if made is not None:
+            worked_out[name] = made
+    return dict(sorted((whole | worked_out).items()))
+
+
+def _read_material(path: Path) -> Material | DerivedMaterial:
+    data = read_toml_dict(path)
+    if "based_on" in data:
+        return check(data, DerivedMaterial, shown(path))
+    return check(data, Material, shown(path))
+
+
+def _derive(path: Path, material: DerivedMaterial, whole: Mapping[str, Material]) -> Material:
+    if material.based_on not in whole:
+        near = nearest(material.based_on, whole)
+        hint = f" Nearest: `{near}`." if near else ""
+        raise InputError(
+            f"{shown(path)}: `based_on`: there is no material `{material.based_on}` that is given whole.{hint}"
+        )
+    return check(material.apply(whole[material.based_on]), Material, shown(path))
+
+
+def _read_control_points(
+    directory: Path, materials: Mapping[str, Material], vehicle: VehicleFile | None, problems: _Problems
+) -> dict[str, ControlPoint]:
+    points: dict[str, ControlPoint] = {}
+    for path in _files(directory, "control_points/*.toml", problems):
+        file = problems.attempt(read_toml, path, ControlPointFile)
+        if file is None:
+            continue
+        if file.name != path.stem:
+            problems.add(f'{shown(path)}: `name`: "{file.name}" is not the name of the file')
+        construction = problems.attempt(construct, file.stack, materials, shown(path))
+        ratio = problems.attempt(_read_ratio, path, file.ratio_table, vehicle)
+        effects = problems.attempt(_effects, path, file)
+        if construction is not None and ratio is not None and effects is not None:
+            points[file.name] = _control_point(file, construction, ratio, effects)
+    for line in _repeated_sensors(directory, points):
+        problems.add(line)
+    return points
+
+
+def _read_ratio(owner: Path, ratio_table: str, vehicle: VehicleFile | None) -> RatioTable:
+    """The ratio table of a control point file, over the vehicle's own reference heating."""
+    path = owner.parent.parent / ratio_table
+    if not path.is_file():
+        near = nearest(path.name, sorted(p.name for p in path.parent.glob("*.csv")))
+        hint = f"Nearest: `{near}`." if near else "Write one, or describe it in ratio_sources and build it."
+        raise InputError(f"{shown(owner)}: `ratio_table`: there is no file `{ratio_table}`. {hint}")
+    table = read_ratio_table(path)
+    declared = table.reference
+    if vehicle is not None and declared != vehicle.heating.reference:
+        told = f"is `{declared}`" if declared else "is not stated"
+        raise InputError(
+            f"{shown(path)}, header `reference`: {told}; the vehicle's tables are over `{vehicle.heating.reference}`"
+        )
+    return table
+
+
+def _effects(path: Path, file: ControlPointFile) -> tuple[EffectUse, ...]:
+    """The declared effects of a point with their parameters."""
+    with told_of(f"{shown(path)}, [effect]"):
+        uses = tuple(use(effect.name, effect.parameters) for effect in file.effect)
+    check_count(uses, shown(path))
+    return uses
+
+
+def _control_point(
+    file: ControlPointFile, construction: Construction, ratio: RatioTable, effects: tuple[EffectUse, ...]
+) -> ControlPoint:
+    x, y, z = file.position_m
+    return ControlPoint(
+        name=file.name,
+        title=file.title,
+        position_m=(x, y, z),
+        x_over_L=file.x_over_L,
+        running_length_m=file.running_length_m,
+        construction=construction,
+        sensors=tuple(file.sensor),
+        limits=file.limits,
+        pressure=file.pressure,
+        ratio=ratio,
+        turbulent_factor=None if file.turbulent is None else file.turbulent.factor,
+        effects=effects,
+        declared=file,
+    )
+
+
+def _repeated_sensors(directory: Path, points: Mapping[str, ControlPoint]) -> list[str]:
+    """A sensor's name names it on the whole vehicle."""
+    owners: dict[str, str] = {}
+    lines = []
+    for point in points.values():
+        where = shown(directory / "control_points" / f"{point.name}.toml")
+        for i, sensor in enumerate(point.sensors):
+            first = owners.setdefault(sensor.name, point.name)
+            if first != point.name:
+                lines.append(f"{where}, [sensor] {i + 1}: `name`: `{sensor.name}` is also one of {first}; rename one")
+    return lines

@@ -1,0 +1,142 @@
+"""What the files of a vehicle directory may say: vehicle.toml, derived materials, control points.
+
+The format is told in docs/vehicle_format.md; `vehicle.load_vehicle` reads and joins the files. Positions are in m from
+the nose: x aft, y to starboard, z up.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Discriminator, Field, Tag, field_validator, model_validator
+
+from sim_heating.base.files import Declared, LocatedError, Location
+from sim_heating.heating.surface_pressure import PressureModel
+from sim_heating.inputs.record import STAGNATION, ConstantHeat
+from sim_heating.thermal.stack import Material, Sensor, Stack, Table, sensor_problems
+
+NAME = r"[A-Za-z_][A-Za-z0-9_]*"
+"""Names of control points: elsewhere they become properties, parameters and folders."""
+
+
+class ReferenceHeating(Declared):
+    """What a heating ratio is over: a model, its nose radius, and the enthalpy of air at the wall."""
+
+    reference: Literal["sutton-graves", "detra-kemp-riddell", "fay-riddell", "eckert-laminar", "eckert-turbulent"]
+    nose_radius_m: float | None = Field(default=None, gt=0.0, description="radius of the reference sphere in m")
+    wall_enthalpy: Annotated[
+        Annotated[Literal["equilibrium-air"], Tag("text")] | Annotated[ConstantHeat, Tag("table")],
+        Discriminator(lambda value: "text" if isinstance(value, str) else "table"),
+    ] = Field(description='"equilibrium-air" or { cp_J_kgK }')
+
+    @model_validator(mode="after")
+    def _check(self) -> ReferenceHeating:
+        if self.nose_radius_m is None and self.reference in STAGNATION:
+            raise LocatedError((("reference",), f'"{self.reference}" needs `nose_radius_m`; add it'))
+        return self
+
+
+class VehicleFile(Declared):
+    """Contents of vehicle.toml."""
+
+    format: Literal["vehicle/1"]
+    name: str = Field(min_length=1)
+    title: str
+    revision: str
+    reference_length_m: float = Field(gt=0.0, description="length of the Reynolds number in m")
+    reference_area_m2: float = Field(gt=0.0, description="reference area in m2")
+    heating: ReferenceHeating
+    source: str
+    confidence: str
+    note: str = ""
+
+
+class DerivedMaterial(Declared):
+    """A material that is another one with some properties replaced or multiplied by a factor."""
+
+    based_on: str = Field(description="name of a material that is given whole")
+    density_kg_m3: float | None = Field(default=None, gt=0.0, description="density in kg/m3, above 0")
+    emissivity: Table | None = Field(default=None, description="[[T_K, value], ...], value above 0, up to 1")
+    specific_heat_factor: float = Field(default=1.0, gt=0.0, description="factor, above 0")
+    conductivity_factor: float = Field(default=1.0, gt=0.0, description="factor, above 0")
+    max_use_K: float | None = Field(default=None, gt=0.0, description="highest temperature of use in K")
+    source: str
+    confidence: str
+    note: str | None = None
+
+    def apply(self, base: Material) -> dict[str, Any]:
+        """The keys of the derived material; its limit is its own, never inherited."""
+        data = base.model_dump()
+        data["specific_heat_J_kgK"] = [[T, c * self.specific_heat_factor] for T, c in data["specific_heat_J_kgK"]]
+        k = data["conductivity_W_mK"]
+        if isinstance(k, dict):
+            k["k"] = [[value * self.conductivity_factor for value in row] for row in k["k"]]
+        else:
+            data["conductivity_W_mK"] = [[T, value * self.conductivity_factor] for T, value in k]
+        replaced = {"density_kg_m3": self.density_kg_m3, "emissivity": self.emissivity}
+        data.update({key: value for key, value in replaced.items() if value is not None})
+        told = {"max_use_K": self.max_use_K, "source": self.source, "confidence": self.confidence, "note": self.note}
+        return data | told
+
+
+class Limits(Declared):
+    """Temperatures that a mission may not pass; a point without a bond has no bondline limit."""
+
+    surface_K: float = Field(gt=0.0, description="highest surface temperature in K")
+    bondline_K: float | None = Field(default=None, gt=0.0, description="highest bondline temperature in K")
+    source: str
+
+
+class Turbulent(Declared):
+    """Turbulent over laminar film coefficient at the point, for effects that switch between them."""
+
+    factor: float = Field(ge=1.0, description="1 or more")
+    source: str
+
+
+class DeclaredEffect(Declared):
+    """An effect that the declared model of the point has, with the parameters that are not nominal."""
+
+    name: str = Field(description="name of an effect")
+    parameters: dict[str, float] = Field(default={}, description="values by name; what is left out is nominal")
+    source: str = Field(description="the evidence for it")
+
+
+class ControlPointFile(Declared):
+    """Contents of control_points/<NAME>.toml."""
+
+    name: str = Field(pattern=f"^{NAME}$", description="letters, digits and _, the name of the file")
+    title: str
+    heat_shield: str = Field(description="kind of heat shield, free text")
+    position_m: list[float] = Field(min_length=3, max_length=3, description="[x aft, y starboard, z up] from the nose")
+    x_over_L: float = Field(ge=0.0, description="distance from the nose over the reference length")
+    running_length_m: float | None = Field(default=None, gt=0.0, description="length of the boundary layer in m")
+    ratio_table: str = Field(description="path below the vehicle directory")
+    source: str
+    confidence: str
+    note: str = ""
+    stack: Stack
+    sensor: list[Sensor] = Field(default=[])
+    limits: Limits
+    pressure: PressureModel
+    turbulent: Turbulent | None = None
+    effect: list[DeclaredEffect] = Field(default=[])
+
+    @field_validator("ratio_table")
+    @classmethod
+    def _check_ratio_table(cls, path: str) -> str:
+        if Path(path).is_absolute() or ".." in Path(path).parts:
+            raise ValueError(f"`{path}` leads out of the vehicle directory; give a path below it")
+        return path
+
+    @model_validator(mode="after")
+    def _check(self) -> ControlPointFile:
+        problems: list[tuple[Location, str]] = [
+            (("sensor", *location), text) for location, text in sensor_problems(self.stack, self.sensor)
+        ]
+        if self.limits.bondline_K is not None and len(self.stack.layer) == 1:
+            problems.append((("limits", "bondline_K"), "a stack of one layer has no bondline; remove it"))
+        if problems:
+            raise LocatedError(*problems)
+        return self

@@ -1,0 +1,440 @@
+"""Control points packed for the compiled march: the one model, whether stepped beside a host or marched through a
+flight.
+
+An Ensemble holds many, of one flight or of many, in groups of LANES, and is all the state there is: a snapshot of it is
+a copy of one array.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sim_heating.base.arrays import FloatArray, IntArray
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.kernels.block import (
+    BACK_NODE,
+    COLUMN,
+    CONDITION_COLUMNS,
+    EFFECT_CODES,
+    EFFECT_SLOTS,
+    EMISSIVITY_TABLE,
+    ENERGY_IN,
+    ENERGY_OUT,
+    ENTHALPY_TABLE,
+    FAILED,
+    HEAD_ROWS,
+    IS_FACE,
+    IS_INTERFACE,
+    ITERATIONS,
+    LAG_PAST,
+    LAG_SLOT,
+    LANES,
+    M_RIGHT,
+    MATERIAL_TABLE,
+    N_ADDING,
+    N_CONDITIONS,
+    N_EFFECTS,
+    N_EMITTING,
+    N_NODES,
+    N_PRESSURES,
+    NEGATIVE,
+    NO_TABLE,
+    NODE_ROWS,
+    NONE,
+    OUTSIDE,
+    PRESSURE_TABLE,
+    RATIO_TABLE,
+    SURROUNDINGS4,
+    WALL_EFFECTS,
+    T,
+    block_size,
+    integers_size,
+    node_integers,
+    node_rows,
+    scalar_row,
+)
+from sim_heating.base.kernels.jit import handle
+from sim_heating.heating.effects import Effect
+from sim_heating.heating.effects.compiled import chain_of
+from sim_heating.heating.ratio.lookup import pack_table
+from sim_heating.heating.ratio.table import RatioTable
+from sim_heating.march.frames import (
+    BLOCK_END,
+    BLOCK_START,
+    INTS_END,
+    INTS_START,
+    advance_groups,
+    begin_groups,
+    march_group,
+)
+from sim_heating.march.point import (
+    RUNS_AWAY,
+    PointModel,
+    acting,
+    element_densities,
+    heating_vector,
+    initial_temperatures,
+    insulation_layer,
+    stack_values,
+)
+from sim_heating.thermal._packing import set_point, set_temperatures
+from sim_heating.thermal.mesh import Mesh
+from sim_heating.thermal.stack import Material
+from sim_heating.thermal.step import compiled
+from sim_heating.thermal.tables import PointTables, TableStore
+
+CONTACT = Material(density_kg_m3=1.0, specific_heat_J_kgK=[[300.0, 1.0]], conductivity_W_mK=[[300.0, 1.0]])
+"""What a contact resistance is made of: an element without mass whose "length" is the resistance."""
+CACHE_LINE = 64
+"""Bytes."""
+THREADED_POINT_STEPS = 20_000
+"""Below this many point-steps a march is not worth a second thread."""
+
+
+def condition_history(conditions: Conditions) -> FloatArray:
+    """(time, condition) what the kernels read of a flight; columns that a flight may lack are 0."""
+    columns = [conditions[c] if c in conditions else np.zeros(len(conditions)) for c in CONDITION_COLUMNS]
+    return np.ascontiguousarray(np.column_stack(columns))
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where a model stands: group, its lanes from `lane` to before `end`, and the first number of the group's block."""
+
+    group: int
+    lane: int
+    end: int
+    start: int
+
+    def temperature(self, node: int) -> int:
+        return self.start + (HEAD_ROWS + node * NODE_ROWS + T) * LANES + self.lane
+
+    @property
+    def node_0(self) -> int:
+        """The first number of node 0."""
+        return self.start + HEAD_ROWS * LANES + self.lane
+
+    def scalar(self, row: int) -> int:
+        return self.start + row * LANES + self.lane
+
+
+class Ensemble:
+    """Control points in lanes, with their temperatures.
+
+    models : the control points; results keep their order
+    meshes : the mesh of each (resolution.pack chooses them)
+    step_s : the longest time step [s] that a march takes
+    beside : an ensemble of points with the same tables and effects, whose tables this one shares
+    kinds   : (point,) numbers; points of different ones share no group, those of the lowest come first
+
+    Attributes: `meshes`, `table` with all property and ratio tables, and `state`, which holds everything that changes.
+    """
+
+    def __init__(
+        self,
+        models: Sequence[PointModel],
+        meshes: Sequence[Mesh],
+        step_s: float = 1.0,
+        beside: Ensemble | None = None,
+        kinds: Sequence[int] | None = None,
+    ) -> None:
+        if not models:
+            raise InputError("there is no control point; give at least one")
+        self.models = list(models)
+        self.step_s = step_s
+        self.meshes = tuple(meshes)
+        self._effects = _distinct_effects(self.models)
+        self._chain = chain_of(self._effects)
+        self.chain = self._chain.handle
+        self._codes = dict(zip(self._effects, self._chain.codes, strict=True))
+        self.move_handle = handle(compiled())
+        self._tables: TableStore = TableStore() if beside is None else beside._tables
+        self._arrange([0] * len(self.models) if kinds is None else kinds)
+        self.table = self._tables.values
+        self.reset()
+
+    # Packing ---------------------------------------------------------------------------------------------------------
+
+    def point_tables(self, model: PointModel) -> PointTables:
+        """Where the property tables of a point stand in `table`."""
+        return self._tables.add_point(model.construction.layer_materials(), CONTACT, model.wall_enthalpy)
+
+    def _add_ratio_table(self, table: RatioTable | None) -> int:
+        return NO_TABLE if table is None else self._tables.place(("ratio", id(table)), lambda: pack_table(table))
+
+    def _arrange(self, kinds: Sequence[int]) -> None:
+        """Put models of one kind and like node counts into groups of LANES; the last one of a group fills it up."""
+        order = sorted(range(len(self.models)), key=lambda i: (kinds[i], -self.meshes[i].nodes, i))
+        alike = [list(group) for _, group in groupby(order, key=lambda i: kinds[i])]
+        members = [group[k : k + LANES] for group in alike for k in range(0, len(group), LANES)]
+        nodes = [self.meshes[group[0]].nodes for group in members]
+        blocks = np.concatenate(([0], np.cumsum([block_size(n) for n in nodes])))
+        integers = np.concatenate(([0], np.cumsum([integers_size(n) for n in nodes])))
+        self.groups = np.column_stack([blocks[:-1], blocks[1:], integers[:-1], integers[1:]]).astype(np.int64)
+        self.state = aligned_zeros(int(blocks[-1]))
+        self.ints = np.zeros(integers[-1], dtype=np.int64)
+        self.lanes = np.array([group + [group[-1]] * (LANES - len(group)) for group in members]).ravel()
+        self.places = [_Place(0, 0, 0, 0)] * len(self.models)
+        self._densities = [
+            element_densities(m.construction, mesh) for m, mesh in zip(self.models, self.meshes, strict=True)
+        ]
+        for g, group in enumerate(members):
+            for lane, i in enumerate(group):
+                end = LANES if i == group[-1] else lane + 1
+                self.places[i] = _Place(g, lane, end, int(blocks[g]))
+            self._pack_group(g)
+
+    def block(self, group: int) -> FloatArray:
+        """The numbers of a group (a view)."""
+        return self.state[self.groups[group, BLOCK_START] : self.groups[group, BLOCK_END]]
+
+    def integers(self, group: int) -> IntArray:
+        """The integers of a group (a view)."""
+        return self.ints[self.groups[group, INTS_START] : self.groups[group, INTS_END]]
+
+    def _pack_group(self, g: int) -> None:
+        J = self.integers(g)
+        members = list(dict.fromkeys(self.lanes[g * LANES : (g + 1) * LANES]))
+        J[N_NODES] = self.meshes[members[0]].nodes
+        for i in members:
+            self._pack_stack(i)
+            self._pack_heating(i)
+        nodes = node_integers(J)
+        materials = nodes[:, MATERIAL_TABLE:]
+        nodes[1:-1, IS_INTERFACE] = np.any(materials[1:-1] != materials[:-2], axis=1)
+        for i in members:
+            self.set_model(i, self.models[i])
+
+    def _pack_stack(self, i: int) -> None:
+        """What of the stack of a point does not change with its parameters."""
+        model, mesh, place = self.models[i], self.meshes[i], self.places[i]
+        B, J, lanes = self.block(place.group), self.integers(place.group), slice(place.lane, place.end)
+        tables = self.point_tables(model)
+        nodes = node_integers(J)
+        materials = np.array(tables.materials)[mesh.layer]
+        nodes[:, MATERIAL_TABLE:][: len(materials), lanes] = materials[:, np.newaxis]
+        nodes[:, MATERIAL_TABLE:][len(materials) :, lanes] = materials[-1]
+        nodes[[0, mesh.nodes - 1], IS_FACE] = 1
+        node_rows(B)[mesh.nodes :, M_RIGHT, lanes] = 1.0
+        B[scalar_row(SURROUNDINGS4)][lanes] = model.construction.stack.surroundings_K**4
+        for row, value in (
+            (BACK_NODE, mesh.nodes - 1), (N_PRESSURES, tables.columns), (PRESSURE_TABLE, tables.pressures),
+            (EMISSIVITY_TABLE, tables.emissivity), (ENTHALPY_TABLE, tables.enthalpy),
+        ):  # fmt: skip
+            J[row + place.lane : row + place.end] = value
+
+    def _pack_heating(self, i: int) -> None:
+        """What of the heating of a point does not change with its parameters."""
+        place, uses = self.places[i], acting(self.models[i])
+        J = self.integers(place.group)
+        modes = [u.effect.mode for u in uses]
+        lagging = [k for k, u in enumerate(uses) if u.effect.lags]
+        for row, value in (
+            (RATIO_TABLE, self._add_ratio_table(self.models[i].ratio)), (N_ADDING, modes.count("add")),
+            (N_EMITTING, modes.count("emittance")), (N_EFFECTS, len(uses) - modes.count("emittance")),
+            (WALL_EFFECTS, any(u.effect.needs_wall and u.effect.mode != "emittance" for u in uses)),
+            (LAG_SLOT, lagging[0] if lagging else NONE),
+        ):  # fmt: skip
+            J[row + place.lane : row + place.end] = value
+        for lane in range(place.lane, place.end):
+            for k, used in enumerate(uses):
+                J[EFFECT_CODES + lane * EFFECT_SLOTS + k] = self._codes[used.effect]
+
+    def set_model(self, model: int, altered: PointModel) -> None:
+        """Give a point other parameters: `altered` is its present model but for their values (PointModel.altered).
+
+        A march then begins with `reset` or `set_profile`.
+        """
+        place, mesh = self.places[model], self.meshes[model]
+        self.models[model] = altered
+        set_point(
+            self.block(place.group), self.integers(place.group), place.lane, place.end, mesh.layer, mesh.length_m,
+            self._densities[model], insulation_layer(altered.construction), mesh.bondline,
+            stack_values(altered), heating_vector(altered),
+        )  # fmt: skip
+
+    # State -----------------------------------------------------------------------------------------------------------
+
+    def reset(self) -> None:
+        """Put every point back to the initial temperatures of its stack."""
+        self.clear()
+        for i, (model, mesh) in enumerate(zip(self.models, self.meshes, strict=True)):
+            self._set_profile(i, initial_temperatures(model.construction, mesh))
+
+    def clear(self) -> None:
+        """Set to zero what is counted over a march."""
+        for g in range(len(self.groups)):
+            B = self.block(g)
+            for row in (FAILED, ITERATIONS, OUTSIDE, NEGATIVE, ENERGY_IN, ENERGY_OUT, LAG_PAST):
+                B[scalar_row(row)] = 0.0
+            B[scalar_row(COLUMN)] = -1.0
+
+    def _set_profile(self, i: int, temperature_K: FloatArray) -> None:
+        place = self.places[i]
+        B, J = self.block(place.group), self.integers(place.group)
+        set_temperatures(B, place.lane, place.end, J[N_NODES], temperature_K)
+
+    def set_profile(self, model: int, temperature_K: ArrayLike) -> None:
+        """Set all node temperatures [K] of one point; the next march begins with them, a step needs `begin` first."""
+        temperature = np.ascontiguousarray(temperature_K, dtype=float)
+        if temperature.shape != (self.meshes[model].nodes,) or not np.all((temperature > 0.0) & (temperature < np.inf)):
+            raise InputError(f"{self.models[model].name}: give {self.meshes[model].nodes} temperatures above 0 K")
+        self._set_profile(model, temperature)
+
+    def snapshot(self) -> FloatArray:
+        """Everything that changes, as one array; `restore` takes it back."""
+        return self.state.copy()
+
+    def restore(self, snapshot: FloatArray) -> None:
+        """Go back to a snapshot of this ensemble."""
+        if snapshot.shape != self.state.shape:
+            raise InputError(
+                f"snapshot: {snapshot.size} numbers, this model has {self.state.size}; it is of another model"
+            )
+        self.state[:] = snapshot
+
+    # Reading ---------------------------------------------------------------------------------------------------------
+
+    def node_temperatures(self, model: int) -> FloatArray:
+        """(node,) temperatures of a point [K], outermost first."""
+        place = self.places[model]
+        nodes = node_rows(self.block(place.group))
+        return nodes[: self.meshes[model].nodes, T, place.lane].copy()
+
+    def outputs(self) -> IntArray:
+        """Places in `state` of surface, bondline and each sensor of each point, in this order."""
+        at = []
+        for mesh, place in zip(self.meshes, self.places, strict=True):
+            at += [place.temperature(node) for node in (0, mesh.bondline, *mesh.sensors)]
+        return np.array(at, dtype=np.int64)
+
+    def scalars(self, row: int) -> FloatArray:
+        """(point,) one scalar row of the block, such as layout.ENERGY_IN."""
+        return np.array([self.state[place.scalar(row)] for place in self.places])
+
+    # Moving ----------------------------------------------------------------------------------------------------------
+
+    def spread(self, vectors: FloatArray) -> FloatArray:
+        """(group * LANES, condition) from one condition vector a point."""
+        return vectors[self.lanes]
+
+    def begin(self, now: FloatArray) -> None:
+        """Set the conditions that hold now, one vector (layout.CONDITION_COLUMNS) a point."""
+        vectors = self.spread(now)
+        begin_groups(self.state, self.ints, self.table, self.chain, self.move_handle, self.groups, vectors)
+
+    def advance(self, then: FloatArray, dt: float) -> None:
+        """One frame of dt [s] to new conditions, linear between, in one step.
+
+        raises : InputError where dt is not above 0; `check` says whether the step converged
+        """
+        if not 0.0 < dt < np.inf:
+            raise InputError(f"advance: dt is {dt:g} s; it must be above 0")
+        vectors = self.spread(then)
+        advance_groups(self.state, self.ints, self.table, self.chain, self.move_handle, self.groups, vectors, dt, 1)
+
+    def march(
+        self,
+        time_s: FloatArray,
+        histories: FloatArray,
+        which: Sequence[int] | None = None,
+        *,
+        longest_step_s: float | None = None,
+        keep: IntArray | None = None,
+    ) -> FloatArray:
+        """March all points through their flights from the present temperatures.
+
+        time_s    : (time,) samples [s], common to all flights
+        histories : (flight, time, condition) as condition_history gives them
+        which     : flight of each point; by default the flights are one for each point, or one for all
+        keep      : places in `state` to keep at each sample, `outputs()` by default; an empty array keeps nothing
+        returns   : (time, kept)
+        raises    : InputError for times or histories that are not of this form or hold values that are no numbers;
+                    RunError where the step of a point did not converge
+        """
+        if which is None:
+            which = [0] * len(self.models) if len(histories) == 1 else list(range(len(self.models)))
+        self._check_march(time_s, histories, which, longest_step_s)
+        kept = self.outputs() if keep is None else keep
+        out = np.empty((len(time_s), len(kept)) if len(kept) else (0, 0))
+        flights = np.asarray(which, dtype=np.int64)[self.lanes].reshape(-1, LANES)
+        step = self.step_s if longest_step_s is None else longest_step_s
+        time_s, histories = np.ascontiguousarray(time_s, dtype=float), np.ascontiguousarray(histories, dtype=float)
+
+        def one(g: int) -> None:
+            start, end = self.groups[g, BLOCK_START], self.groups[g, BLOCK_END]
+            mine = np.flatnonzero((kept >= start) & (kept < end))
+            part = np.empty((len(out), len(mine)))
+            march_group(
+                self.block(g), self.integers(g), self.table, self.chain, self.move_handle,
+                time_s, histories, flights[g], step, kept[mine] - start, part,
+            )  # fmt: skip
+            if len(out):
+                out[:, mine] = part
+
+        groups = range(len(self.groups))
+        if len(groups) > 1 and len(time_s) * len(self.models) > THREADED_POINT_STEPS:
+            with ThreadPoolExecutor(min(len(groups), os.cpu_count() or 1)) as pool:
+                list(pool.map(one, groups))
+        else:
+            for g in groups:
+                one(g)
+        self.check()
+        return out
+
+    def _check_march(
+        self, time_s: FloatArray, histories: FloatArray, which: Sequence[int], longest_step_s: float | None
+    ) -> None:
+        shape = np.shape(histories)
+        if np.ndim(time_s) != 1 or len(shape) != 3 or shape[1:] != (len(time_s), N_CONDITIONS):
+            wanted = f"(flight, {len(time_s)} times, {N_CONDITIONS} conditions)"
+            raise InputError(f"march: histories are {shape}; they must be {wanted}")
+        if len(time_s) == 0 or not np.all(np.isfinite(time_s)) or np.any(np.diff(time_s) <= 0.0):
+            raise InputError("march: time_s must be finite and increase from sample to sample")
+        if len(which) != len(self.models) or not all(0 <= w < shape[0] for w in which):
+            raise InputError(f"march: {shape[0]} flights for {len(self.models)} points; name the flight of each point")
+        if longest_step_s is not None and not longest_step_s > 0.0:
+            raise InputError(f"march: longest_step_s is {longest_step_s:g}; it must be above 0")
+        if not np.all(np.isfinite(histories)):
+            flight, sample, column = np.argwhere(~np.isfinite(histories))[0]
+            name, time = CONDITION_COLUMNS[column], np.asarray(time_s)[sample]
+            raise InputError(f"march, flight {flight}, time_s {time:g}: {name} is not a finite number")
+
+    def failed(self) -> NDArray[np.bool_]:
+        """(point,) whose step did not converge, whose temperature is not a number, or whose moisture runs away."""
+        surface = np.array([self.state[place.temperature(0)] for place in self.places])
+        away = np.array([model.runs_away for model in self.models])
+        return np.asarray((self.scalars(FAILED) > 0.0) | ~np.isfinite(surface) | away)
+
+    def check(self) -> None:
+        """raises : RunError naming the points that failed."""
+        away = [model.name for model in self.models if model.runs_away]
+        if away:
+            raise RunError(f"{', '.join(away)}: {RUNS_AWAY}")
+        bad = [model.name for model, failed in zip(self.models, self.failed(), strict=True) if failed]
+        if bad:
+            raise RunError(f"{', '.join(bad)}: the thermal step did not converge; try a smaller longest_step_s")
+
+
+def aligned_zeros(count: int) -> FloatArray:
+    """Zeros that begin on a cache line: where every second vector load splits a line, a step takes a fifth longer."""
+    memory = np.zeros(count + CACHE_LINE // 8)
+    first = (-memory.ctypes.data % CACHE_LINE) // 8
+    return memory[first : first + count]
+
+
+def _distinct_effects(models: Iterable[PointModel]) -> tuple[Effect, ...]:
+    return tuple(dict.fromkeys(u.effect for m in models for u in m.effects if u.effect.kernel))
+
+
+def histories(flights: Sequence[Conditions]) -> FloatArray:
+    """(flight, time, condition) of flights on common times, as a march takes them."""
+    return np.stack([condition_history(flight) for flight in flights])

@@ -1,0 +1,411 @@
+"""Points marched together with the sensitivity of their temperatures to any of their parameters.
+
+At a sample between two steps temperatures and sensitivities are read from the parabola through the start, the middle
+stage and the end of the step, which has the order of the step itself; a skew of clocks is then a continuous parameter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray, IntArray
+from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.kernels.block import D0, GAPS, HEAD_ROWS, LANES, N_CONDITIONS, NODE_ROWS, T_STAGE, T_START, T
+from sim_heating.base.kernels.jit import call_step, handle, njit, raw
+from sim_heating.base.parameters import CURVED, EFFECT_PREFIX, RATIO
+from sim_heating.march.ensemble import Ensemble
+from sim_heating.march.frames import END_STAGE
+from sim_heating.march.point import PointModel, initial_temperatures
+from sim_heating.thermal.mesh import Mesh
+from sim_heating.thermal.sensitivity import (
+    DEPTH,
+    FACES,
+    ITSELF,
+    NO_SHADOWS,
+    WHOLE,
+    Groups,
+    Places,
+    assemble_shadows,
+    begin_columns,
+    compiled_shadows,
+    content_columns,
+    first_star,
+    net_columns,
+    parabola,
+    parabola_rate,
+    second_star,
+    solve_columns,
+)
+from sim_heating.thermal.step import BEGIN, STAGE_WEIGHT, hold
+
+MOVED = 1e-5
+"""A parameter that is not affine is moved to either side by this part of its scale: rounding and curvature then cost
+nine digits each."""
+MOVED_AFFINE = 1e-2
+"""And one that is affine, to one side, by this part of it."""
+
+LINEAR_RATIO = {p.name: k for k, p in enumerate(RATIO)}
+"""Numbers of the parameters of the linear heating ratio in a lane's vector."""
+RATIO_ITSELF = RATIO[D0].name
+"""The one that is added to the ratio as it is: what another does to a wall is that, times what it does to the ratio.
+Not where a lag remembers the ratio."""
+
+
+@dataclass(frozen=True)
+class Track:
+    """One point on its way through a flight.
+
+    model    : the point, `mesh` its mesh
+    names    : (m,) dotted names of the parameters whose sensitivities are wanted
+    sample_s : (sample,) times [s] at which they are wanted, increasing, within the march
+    nodes    : nodes at which they are wanted; those of the sensors where None
+    initial_K, initial_columns : (node,) temperatures at the start, and (node, extra) their sensitivities to `extra`
+               more parameters, which come after the others; as the stack declares, and none, where None
+    flight   : number of the flight
+    table_errors : each an array of the shape of the ratio table: the sensitivity to its factor c in ratio + c error
+               comes after the named ones
+    """
+
+    model: PointModel
+    mesh: Mesh
+    names: tuple[str, ...]
+    sample_s: FloatArray
+    nodes: tuple[int, ...] | None = None
+    initial_K: FloatArray | None = None
+    initial_columns: FloatArray | None = None
+    flight: int = 0
+    table_errors: tuple[FloatArray, ...] = ()
+
+    @property
+    def read_nodes(self) -> tuple[int, ...]:
+        """The nodes that are read."""
+        return self.mesh.sensors if self.nodes is None else self.nodes
+
+    @property
+    def columns(self) -> int:
+        """Number of sensitivities."""
+        extra = 0 if self.initial_columns is None else self.initial_columns.shape[1]
+        return len(self.names) + len(self.table_errors) + extra
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """What a track gave: temperature [K] and its rate [K/s], (node read, sample), and sensitivity (node read, sample,
+    parameter) in K over the unit of the parameter."""
+
+    temperature_K: FloatArray
+    rate_K_s: FloatArray
+    sensitivity: FloatArray
+
+
+def moved(model: PointModel, name: str) -> tuple[float, bool]:
+    """By how much a parameter is moved for its derivative, and whether to both sides."""
+    definition, value = model.definition(name), abs(model.value(name))
+    known = 0.0 < definition.sigma < np.inf
+    scale = definition.sigma if known else max(value, 1.0)
+    curved = name in CURVED or name.startswith(EFFECT_PREFIX)
+    return (MOVED if curved else MOVED_AFFINE) * scale, curved
+
+
+@dataclass(frozen=True)
+class _Shadow:
+    """One shadow of a track: its base, or the base with a parameter moved by so much, or another table.
+
+    columns : those of the parameter, or of all parameters of the linear ratio, which act as the ratio itself does
+    name    : of the parameter, nothing for the base and for tables
+    both    : whether that is moved to both sides;  at_faces : whether it acts at the faces alone
+    """
+
+    track: int
+    columns: tuple[int, ...] = ()
+    name: str = ""
+    by: float = 0.0
+    both: bool = False
+    at_faces: bool = False
+
+    def model(self, track: Track, base: PointModel) -> PointModel:
+        """The shadow of a point."""
+        if self.name:
+            return base.altered({self.name: base.value(self.name) + self.by})
+        if not self.columns or base.ratio is None:
+            return base
+        error = track.table_errors[self.columns[0] - len(track.names)]
+        return replace(base, ratio=replace(base.ratio, ratio=base.ratio.ratio + error))
+
+
+def _shadows_of(i: int, track: Track) -> list[_Shadow]:
+    """The shadows of a track, its base's first; none where it has no sensitivities."""
+    found = [_Shadow(i)] if track.columns else []
+    remembered = any(used.effect.lags for used in track.model.effects)
+    shared = () if remembered else tuple(k for k, name in enumerate(track.names) if name in LINEAR_RATIO)
+    if shared:
+        found.append(_Shadow(i, shared, RATIO_ITSELF, moved(track.model, RATIO_ITSELF)[0], at_faces=True))
+    for column, name in enumerate(track.names):
+        if column not in shared:
+            (by, both), at_faces = moved(track.model, name), track.model.at_faces(name)
+            sides = (1.0, -1.0) if both else (1.0,)
+            found += [_Shadow(i, (column,), name, side * by, both, at_faces) for side in sides]
+    tables = range(len(track.names), len(track.names) + len(track.table_errors))
+    return found + [_Shadow(i, (column,), by=1.0, at_faces=True) for column in tables]
+
+
+class Wanted(NamedTuple):
+    """What is wanted of each lane: number of sensitivities; times of its samples [s] and how many they are; nodes that
+    are read and how many they are."""
+
+    columns: IntArray
+    time_s: FloatArray
+    samples: IntArray
+    nodes: IntArray
+    reads: IntArray
+
+
+class LinearMarch:
+    """Up to LANES tracks on common times, marched and linearised together.
+
+    tracks    : what is marched; parameters are changed with `set_models`, times and names stay
+    time_s    : (time,) steps [s] that the march takes; conditions are linear between them
+    histories : (flight, time, condition) as ensemble.condition_history gives them
+    """
+
+    def __init__(self, tracks: Sequence[Track], time_s: FloatArray, histories: FloatArray) -> None:
+        if not 0 < len(tracks) <= LANES:
+            raise InputError(f"linear march: {len(tracks)} tracks; 1 to {LANES} go together")
+        self.tracks = tuple(tracks)
+        self.time_s = np.ascontiguousarray(time_s, dtype=float)
+        self.histories = np.ascontiguousarray(histories, dtype=float)
+        self.base = Ensemble([t.model for t in self.tracks], [t.mesh for t in self.tracks])
+        self._shadows = [shadow for i, track in enumerate(self.tracks) for shadow in _shadows_of(i, track)]
+        self.shadows = self._ensemble() if self._shadows else None
+        self.rows, self.faces = (handle(f) for f in compiled_shadows())
+        self._kept_places: dict[tuple[int, int], Places] = {}
+        self._lane_of = np.array([p.lane for p in self.base.places])
+        self._nodes, self._flights = np.zeros((2, LANES), dtype=np.int64)
+        for i, track in enumerate(self.tracks):
+            self._nodes[self._lane_of[i]] = track.mesh.nodes
+        for lane, i in enumerate(self.base.lanes):
+            self._flights[lane] = self.tracks[i].flight
+
+    def _ensemble(self) -> Ensemble:
+        """The shadows in lanes, those of which whole rows are wanted first; lanes left beside them take others."""
+        tracks = [self.tracks[shadow.track] for shadow in self._shadows]
+        models = [shadow.model(track, track.model) for shadow, track in zip(self._shadows, tracks, strict=True)]
+        at_faces = np.array([shadow.at_faces for shadow in self._shadows])
+        beside = -np.count_nonzero(~at_faces) % LANES
+        kinds = [int(kind) for kind in at_faces & (np.cumsum(at_faces) > beside)]
+        return Ensemble(models, [track.mesh for track in tracks], beside=self.base, kinds=kinds)
+
+    @cached_property
+    def _groups(self) -> Groups:
+        """The shadows as the kernel takes them."""
+        e = self.shadows
+        if e is None:
+            return NO_SHADOWS
+        owner = np.array([shadow.track for shadow in self._shadows])
+        whole = {place.group for place, shadow in zip(e.places, self._shadows, strict=True) if not shadow.at_faces}
+        return Groups(e.ints, e.groups, len(whole), self._lane_of[owner][e.lanes].astype(np.int64))
+
+    def _places(self, m: int) -> Places:
+        """Where the shadows of each lane stand, m columns to a lane."""
+        faces = DEPTH if self.base.integers(0)[GAPS] == 1 else FACES
+        if (m, faces) not in self._kept_places:
+            self._kept_places[m, faces] = self._find_places(m, faces)
+        return self._kept_places[m, faces]
+
+    def _find_places(self, m: int, faces: int) -> Places:
+        at, inverse = np.zeros(LANES, dtype=np.int64), np.zeros((LANES, m))
+        plus, minus, reach = np.zeros((3, LANES, m), dtype=np.int64)
+        linear = np.full((LANES, m), ITSELF)
+        stand = () if self.shadows is None else self.shadows.places
+        for shadow, place in zip(self._shadows, stand, strict=True):
+            lane, columns, first = self._lane_of[shadow.track], list(shadow.columns), place.node_0
+            if not columns:
+                at[lane], plus[lane], minus[lane] = first, first, first
+            elif shadow.by < 0.0:
+                minus[lane, columns] = first
+            else:
+                plus[lane, columns], inverse[lane, columns] = first, (0.5 if shadow.both else 1.0) / shadow.by
+                reach[lane, columns] = faces if shadow.at_faces else WHOLE
+                if shadow.name == RATIO_ITSELF:
+                    linear[lane, columns] = [LINEAR_RATIO[self.tracks[shadow.track].names[k]] for k in columns]
+        return Places(at, plus, minus, inverse, reach, linear, self._nodes)
+
+    def set_models(self, models: Sequence[PointModel]) -> None:
+        """Give the tracks' points other values of their parameters (PointModel.altered)."""
+        for i, model in enumerate(models):
+            self.base.set_model(i, model)
+        if self.shadows is not None:
+            for k, shadow in enumerate(self._shadows):
+                self.shadows.set_model(k, shadow.model(self.tracks[shadow.track], models[shadow.track]))
+
+    def march(
+        self, shifts_s: Sequence[float] | None = None, initial_K: Sequence[FloatArray | None] | None = None
+    ) -> list[Linearised]:
+        """March all tracks from their initial temperatures.
+
+        shifts_s  : what is added to the sample times of each track [s]; nothing by default
+        initial_K : temperatures at the start in place of those of each track
+        raises   : InputError where a shifted sample lies outside the march, RunError where a step did not converge
+        """
+        found = self.attempt(shifts_s, initial_K)
+        self.base.check()
+        return [self._checked(track, result) for track, result in zip(self.tracks, found, strict=True)]
+
+    @staticmethod
+    def _checked(track: Track, result: Linearised | None) -> Linearised:
+        if result is None:
+            raise RunError(f"{track.model.name}: a temperature or sensitivity is not a number")
+        return result
+
+    def attempt(
+        self, shifts_s: Sequence[float] | None = None, initial_K: Sequence[FloatArray | None] | None = None
+    ) -> list[Linearised | None]:
+        """`march`, with None for a track that failed: the others are what they are without it."""
+        shifts = [0.0] * len(self.tracks) if shifts_s is None else list(shifts_s)
+        times = [track.sample_s + shift for track, shift in zip(self.tracks, shifts, strict=True)]
+        for track, t in zip(self.tracks, times, strict=True):
+            outside = np.count_nonzero((t < self.time_s[0]) | (t > self.time_s[-1]))
+            if outside:
+                raise InputError(f"{track.model.name}: {outside} samples lie outside the march; leave them out")
+        self._begin([t.initial_K for t in self.tracks] if initial_K is None else initial_K)
+        m = max(track.columns for track in self.tracks)
+        wanted = self._wanted(times)
+        reads, count = wanted.nodes.shape[1], wanted.time_s.shape[1]
+        out = np.empty((len(self.tracks), reads, count, 2 + m))
+        march_linear(  # type: ignore[call-arg]
+            self.base.block(0), self.base.integers(0), (self.shadows or self.base).table, self.base.chain,
+            self.base.move_handle, self.rows, self.faces,
+            self._shadow_state(), self._groups, self._places(m),
+            self.time_s, self.histories, self._flights, self._start(m), wanted, out,
+        )  # fmt: skip
+        failed = self.base.failed()
+        return [None if failed[i] else self._result(i, out) for i in range(len(self.tracks))]
+
+    def _begin(self, initial_K: Sequence[FloatArray | None]) -> None:
+        """Put bases and shadows to the start."""
+        self.base.reset()
+        if self.shadows is not None:
+            self.shadows.clear()
+        for i, profile in enumerate(initial_K):
+            if profile is not None:
+                self.base.set_profile(i, profile)
+
+    def _shadow_state(self) -> FloatArray:
+        """Blocks of the shadows."""
+        return np.zeros(0) if self.shadows is None else self.shadows.state
+
+    def _start(self, m: int) -> FloatArray:
+        """(LANES, node, m) sensitivities at the start."""
+        start = np.zeros((LANES, int(self._nodes.max()), m))
+        for i, track in enumerate(self.tracks):
+            if track.initial_columns is not None:
+                first = track.columns - track.initial_columns.shape[1]
+                start[self._lane_of[i], : track.mesh.nodes, first : track.columns] = track.initial_columns
+        return start
+
+    def _wanted(self, times: Sequence[FloatArray]) -> Wanted:
+        """What is read of each lane; a lane without a track has no samples and no columns."""
+        columns, samples, reads = np.zeros((3, LANES), dtype=np.int64)
+        sample_s = np.full((LANES, max(1, *(len(t) for t in times))), np.inf)
+        nodes = np.zeros((LANES, max(1, *(len(t.read_nodes) for t in self.tracks))), dtype=np.int64)
+        for i, (track, t) in enumerate(zip(self.tracks, times, strict=True)):
+            lane = self._lane_of[i]
+            columns[lane], samples[lane], reads[lane] = track.columns, len(t), len(track.read_nodes)
+            sample_s[lane, : len(t)], nodes[lane, : len(track.read_nodes)] = t, track.read_nodes
+        return Wanted(columns, sample_s, samples, nodes, reads)
+
+    def _result(self, i: int, out: FloatArray) -> Linearised | None:
+        track = self.tracks[i]
+        own = out[self._lane_of[i], : len(track.read_nodes), : len(track.sample_s), : 2 + track.columns]
+        if not np.all(np.isfinite(own)):
+            return None
+        return Linearised(own[..., 0], own[..., 1], own[..., 2:])
+
+
+def initial_profile(track: Track) -> FloatArray:
+    """(node,) temperatures [K] at the start of a track."""
+    if track.initial_K is not None:
+        return track.initial_K
+    return initial_temperatures(track.model.construction, track.mesh)
+
+
+@njit
+def _read_samples(
+    B: FloatArray, lane: int, begun_s: float, dt: float, S_start: FloatArray, S_stage: FloatArray, S: FloatArray,
+    wanted: Wanted, first: int, out: FloatArray,
+) -> int:  # fmt: skip
+    """Temperatures, rates and sensitivities at the samples of a lane in one step; gives the next sample's number."""
+    k, m = first, wanted.columns[lane]
+    while k < wanted.samples[lane] and wanted.time_s[lane, k] <= begun_s + dt:
+        x = (wanted.time_s[lane, k] - begun_s) / dt
+        w0, w1, w2 = parabola(x)
+        d0, d1, d2 = parabola_rate(x, dt)
+        for j in range(wanted.reads[lane]):
+            i = wanted.nodes[lane, j]
+            a = (HEAD_ROWS + i * NODE_ROWS) * LANES + lane
+            T0, T1, T2 = B[a + T_START * LANES], B[a + T_STAGE * LANES], B[a + T * LANES]
+            out[j, k, 0] = w0 * T0 + w1 * T1 + w2 * T2
+            out[j, k, 1] = d0 * T0 + d1 * T1 + d2 * T2
+            for q in range(m):
+                out[j, k, 2 + q] = w0 * S_start[i, q] + w1 * S_stage[i, q] + w2 * S[i, q]
+        k += 1
+    return k
+
+
+@njit
+def march_linear(
+    B: FloatArray, J: IntArray, table: FloatArray, chain, move, rows, faces,  # type: ignore[no-untyped-def]
+    X: FloatArray, shadows: Groups, p: Places,
+    time_s: FloatArray, histories: FloatArray, which: IntArray, start: FloatArray, wanted: Wanted, out: FloatArray,
+) -> None:  # fmt: skip
+    """March one group with the sensitivities of its lanes; arrays as LinearMarch makes them.
+
+    start : (LANES, node, m) sensitivities at the start
+    out   : (LANES, node read, sample, 2 + m)
+    """
+    b, j, t = raw(B), raw(J), raw(table)
+    n, m = start.shape[1], start.shape[2]
+    S, S_stage, S_start = start.copy(), np.zeros((LANES, n, m)), start.copy()
+    e, f = np.zeros((LANES, n, m)), np.zeros((LANES, n, m))
+    star, middle = np.zeros((LANES, n, m)), np.zeros((LANES, n, m))
+    reduced = np.zeros(n)
+    next_sample = np.zeros(LANES, dtype=np.int64)
+    for lane in range(LANES):
+        for c in range(N_CONDITIONS):
+            B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], 0, c]
+    call_step(move, b, j, t, chain, BEGIN)
+    assemble_shadows(B, X, shadows, table, chain, rows, faces, T, 2, 1.0)
+    for lane in range(LANES):
+        if wanted.columns[lane] > 0:
+            begin_columns(X, p, lane, m, S[lane], e[lane], f[lane])
+    for k in range(1, len(time_s)):
+        dt = time_s[k] - time_s[k - 1]
+        hold(b)
+        for lane in range(LANES):
+            for c in range(N_CONDITIONS):
+                B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], k, c]
+        call_step(move, b, j, t, chain, dt)
+        ddt = STAGE_WEIGHT * dt
+        assemble_shadows(B, X, shadows, table, chain, rows, faces, T_STAGE, 1, ddt)
+        for lane in range(LANES):
+            if wanted.columns[lane] > 0:
+                S_start[lane] = S[lane]
+                first_star(e[lane], f[lane], dt, star[lane])
+                solve_columns(X, p, lane, m, ddt, star[lane], S_stage[lane], reduced)
+                content_columns(X, p, lane, m, S_stage[lane], middle[lane])
+        assemble_shadows(B, X, shadows, table, chain, rows, faces, T, 2, ddt)
+        for lane in range(LANES):
+            if wanted.columns[lane] > 0:
+                second_star(e[lane], middle[lane], star[lane])
+                solve_columns(X, p, lane, m, ddt, star[lane], S[lane], reduced)
+                content_columns(X, p, lane, m, S[lane], e[lane])
+                net_columns(e[lane], star[lane], dt, f[lane])
+        for lane in range(LANES):
+            next_sample[lane] = _read_samples(
+                B, lane, time_s[k - 1], dt, S_start[lane], S_stage[lane], S[lane], wanted, next_sample[lane], out[lane]
+            )

@@ -1,0 +1,114 @@
+"""How many nodes a stack needs: the same heating pulse on a mesh and on its refinement.
+
+The pulse is an entry in small: the surface is driven towards a radiation equilibrium near its highest use
+temperature in 300 s, held there with a doublet of 15 % in flux, and left to cool. What halving every element
+changes, times 4/3 for a second-order method, estimates the error of the coarser mesh; the coarsest mesh below the
+tolerance is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.kernels.block import CONDITION_COLUMNS, P_SURFACE, Q_ADD
+from sim_heating.march.ensemble import Ensemble
+from sim_heating.march.point import PointModel
+from sim_heating.thermal.faces import SIGMA
+from sim_heating.thermal.mesh import Mesh, build_mesh, fewest_nodes, refined
+from sim_heating.thermal.stack import pairs
+
+TOLERANCE_K = 0.3
+"""Error estimate that the automatic mesh keeps at surface, bondline and sensors [K], on a pulse to the highest
+temperature of use; a flight that heats less has less."""
+LADDER = (14, 16, 20, 24, 28, 32, 40, 48, 64, 80, 100)
+"""Node counts tried; few different ones, so that points share lane groups."""
+PULSE_TIME_S = np.array([0.0, 300.0, 440.0, 450.0, 460.0, 470.0, 600.0, 900.0, 1200.0])
+PULSE_SHAPE = np.array([0.0, 1.0, 1.0, 0.85, 1.15, 1.0, 0.9, 0.1, 0.0])
+PULSE_PRESSURE_PA = 1000.0
+NOMINAL_SURFACE_K = 1300.0
+"""Surface temperature of the pulse where the first layer names no highest temperature of use."""
+
+
+def pack(models: Sequence[PointModel], step_s: float = 1.0) -> Ensemble:
+    """An ensemble of these points on meshes chosen for them; step_s is the longest time step [s] to come."""
+    return Ensemble(models, [mesh for mesh, _ in choose_meshes(models, step_s)], step_s)
+
+
+def choose_meshes(models: Sequence[PointModel], step_s: float = 1.0) -> list[tuple[Mesh, float | None]]:
+    """Mesh of each point and its error estimate [K] on the pulse; no estimate where the point names its node count.
+
+    Meshes and estimates are made once for a stack and remembered.
+    """
+    new = {key: m for key, m in ((_key(m, step_s), m) for m in models) if key not in _KNOWN}
+    _KNOWN.update({key: (_asked_for(m, step_s), None) for key, m in new.items() if m.nodes is not None})
+    _KNOWN.update(_climb({key: m for key, m in new.items() if m.nodes is None}, step_s))
+    return [_KNOWN[_key(m, step_s)] for m in models]
+
+
+_Key = tuple[str, tuple[float, ...], int | None, float]
+_KNOWN: dict[_Key, tuple[Mesh, float | None]] = {}
+
+
+def _key(model: PointModel, step_s: float) -> _Key:
+    return model.construction.model_dump_json(), model.depths_m, model.nodes, step_s
+
+
+def _asked_for(model: PointModel, step_s: float) -> Mesh:
+    return mesh_of_nodes(model, model.nodes or 0, step_s)
+
+
+def mesh_of_nodes(model: PointModel, nodes: int, step_s: float) -> Mesh:
+    """A point's mesh of so many nodes, or of the fewest that it can have."""
+    depths = np.array(model.depths_m, dtype=float)
+    return build_mesh(model.construction, depths, max(nodes, fewest_nodes(model.construction, depths)), step_s)
+
+
+Key = TypeVar("Key")
+
+
+def _climb(models: Mapping[Key, PointModel], step_s: float) -> dict[Key, tuple[Mesh, float | None]]:
+    """Take all models up the ladder together, eight in a lane group, until the error of each is small."""
+    bare = {key: PointModel(m.name, m.construction, m.depths_m) for key, m in models.items()}
+    fewest = {key: fewest_nodes(m.construction, np.array(m.depths_m)) for key, m in bare.items()}
+    done: dict[Key, tuple[Mesh, float | None]] = {}
+    for nodes in LADDER:
+        trying = [key for key in bare if key not in done and (fewest[key] <= nodes or nodes == LADDER[-1])]
+        if not trying:
+            continue
+        points = [bare[key] for key in trying]
+        meshes = [_asked_for(replace(point, nodes=nodes), step_s) for point in points]
+        errors = _estimate(points, meshes, step_s)
+        for key, mesh, error in zip(trying, meshes, errors, strict=True):
+            if error < TOLERANCE_K or nodes == LADDER[-1]:
+                done[key] = (mesh, error)
+    return done
+
+
+def _estimate(points: Sequence[PointModel], meshes: Sequence[Mesh], step_s: float) -> list[float]:
+    """Largest change of surface, bondline and sensor temperatures when every element is halved, times 4/3 [K]."""
+    coarse = _pulse(points, meshes, step_s)
+    fine = _pulse(points, [refined(mesh) for mesh in meshes], step_s)
+    change = np.max(np.abs(coarse - fine), axis=0)
+    ends = np.cumsum([2 + len(point.depths_m) for point in points])
+    return [float(4.0 / 3.0 * np.max(part)) for part in np.split(change, ends[:-1])]
+
+
+def _pulse_flux(point: PointModel) -> float:
+    """Flux [W/m2] that the surface radiates at its highest temperature of use."""
+    outer = point.construction.layer_materials()[0]
+    hottest = outer.max_use_K or NOMINAL_SURFACE_K
+    return float(np.interp(hottest, *pairs(outer.emissivity or [[hottest, 1.0]])) * SIGMA * hottest**4)
+
+
+def _pulse(points: Sequence[PointModel], meshes: Sequence[Mesh], step_s: float) -> FloatArray:
+    step = max(step_s, 1.0)
+    time = np.linspace(0.0, PULSE_TIME_S[-1], int(np.ceil(PULSE_TIME_S[-1] / step)) + 1)
+    history = np.zeros((len(points), len(time), len(CONDITION_COLUMNS)))
+    history[:, :, Q_ADD] = np.outer([_pulse_flux(p) for p in points], np.interp(time, PULSE_TIME_S, PULSE_SHAPE))
+    history[:, :, P_SURFACE] = PULSE_PRESSURE_PA
+    return Ensemble(points, meshes, step).march(time, history, range(len(points)), longest_step_s=step)

@@ -1,0 +1,217 @@
+"""What a control point is to the kernels: construction, sensors, ratio table, parameters, effects, and the numbers that
+a lane takes of them."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import nearest
+from sim_heating.base.kernels.block import EFFECT_PARAMETERS, EFFECT_WIDTH, N_PARAMETERS, REFERENCE
+from sim_heating.base.parameters import AT_FACES, EFFECT_PREFIX, MODEL, RATIO, Parameter
+from sim_heating.heating.effects import EffectUse, check_count
+from sim_heating.heating.ratio.table import RatioTable
+from sim_heating.thermal.elements import BOILS, CONDENSES, DEPOSITED, LATENT_HEAT, WIDTH
+from sim_heating.thermal.mesh import Mesh
+from sim_heating.thermal.stack import BackFace, Construction
+from sim_heating.thermal.tables import WallEnthalpy
+
+MODES = ("add", "multiply", "emittance")
+"""Effects with a kernel, in the order in which they act."""
+COATING_PREFIX = "stack.coating."
+BACK = ("back.h_W_m2K", "back.T_K", "back.emissivity")
+MOISTURE = (LATENT_HEAT, BOILS, DEPOSITED, CONDENSES, WIDTH)
+RUNS_AWAY = "moisture gives off more heat as it condenses than takes to warm what it condenses in"
+CONDENSES_WITHIN = 8.0
+"""Widths about the temperature at which moisture condenses within which all of it does."""
+PLACES = {name: k for k, name in enumerate(MODEL)}
+"""Place of each parameter in PointModel.values."""
+
+
+def _unknown(point: str, name: str, known: Iterable[str]) -> str:
+    near = nearest(name, known)
+    return f"{point}: there is no parameter `{name}`." + (f" Nearest: `{near}`." if near else "")
+
+
+@dataclass(frozen=True)
+class PointModel:
+    """One control point as the kernels take it.
+
+    name          : for messages and columns
+    construction  : stack and materials
+    depths_m      : depths of the sensors; each gets a node
+    ratio         : declared table, or None for ratio.d0 alone
+    wall_enthalpy : constant cp [J/(kg K)] or the name of a gas model
+    nodes         : number of nodes, or None to have it chosen
+    parameters    : dotted name -> value, where not nominal (parameters.MODEL)
+    reference     : values of the five ratio variables that derivatives are about
+    effects       : effects with their parameters
+    """
+
+    name: str
+    construction: Construction
+    depths_m: tuple[float, ...] = ()
+    ratio: RatioTable | None = None
+    wall_enthalpy: WallEnthalpy = 1004.5
+    nodes: int | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    reference: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    effects: tuple[EffectUse, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_count(self.effects, self.name)
+        for key, value in self.parameters.items():
+            if key not in MODEL:
+                raise InputError(_unknown(self.name, key, MODEL))
+            if not MODEL[key].lower <= value <= MODEL[key].upper:
+                lower, upper = MODEL[key].lower, MODEL[key].upper
+                raise InputError(f"{self.name}, {key}: {value:g} is outside its bounds {lower:g} to {upper:g}")
+        stack = self.construction.stack
+        for depth in self.depths_m:
+            if not stack.holds(depth):
+                thickness = stack.thickness_m
+                raise InputError(f"{self.name}: a sensor at {depth:g} m is outside the stack (0 to {thickness:g} m)")
+        if not isinstance(self.wall_enthalpy, str) and not 0.0 < self.wall_enthalpy < np.inf:
+            raise InputError(f"{self.name}, wall_enthalpy: cp {self.wall_enthalpy:g} J/(kg K) must be above 0")
+        if sum(use.effect.lags for use in self.effects) > 1:
+            raise InputError(f"{self.name}: two effects with a lag; one at most at one control point")
+        if self.ratio is not None and self.parameters.get("ratio.d0", 0.0) != 0.0:
+            raise InputError(f"{self.name}: ratio.d0 is 0 where there is a ratio table; use ratio.scale")
+        if self.runs_away:
+            raise InputError(f"{self.name}: {RUNS_AWAY}; lower its deposit_J_kg or raise its width_K")
+
+    @property
+    def runs_away(self) -> bool:
+        """Whether moisture that condenses would give off more heat than takes to warm what it condenses in by as much
+        as that makes it warmer: its temperature would jump."""
+        stack = self.values[len(RATIO) :]
+        latent, boil, deposit, condense, width = (float(stack[k]) for k in MOISTURE)
+        if deposit <= 0.0:
+            return False
+        T = condense + width * np.linspace(-CONDENSES_WITHIN, CONDENSES_WITHIN, 81)
+        up, down = (1.0 / (1.0 + np.exp(-np.clip((T - at) / width, -500.0, 500.0))) for at in (boil, condense))
+        material = self.construction.layer_materials()[insulation_layer(self.construction)]
+        warmed = np.interp(T, *np.array(material.specific_heat_J_kgK, dtype=float).T)
+        return bool(np.any(warmed + (latent * up * (1.0 - up) - deposit * down * (1.0 - down)) / width <= 0.0))
+
+    @cached_property
+    def values(self) -> FloatArray:
+        """Values of the parameters of parameters.MODEL, in their order."""
+        values = np.array([self.parameters.get(name, p.value) for name, p in MODEL.items()], dtype=float)
+        for name in BACK:
+            if name not in self.parameters:
+                values[PLACES[name]] = self._declared_back(name)
+        for used in reversed(self.effects):
+            for place, value in zip(used.effect.places, used.values, strict=False):
+                if place in PLACES:
+                    values[PLACES[place]] = value
+        return values
+
+    def value(self, name: str) -> float:
+        """A parameter's value, nominal where it is not set; `effect.NAME.PARAMETER` as well."""
+        if name.startswith(EFFECT_PREFIX):
+            use, k = self._effect_place(name)
+            return float(self.effects[use].values[k])
+        return float(self.values[PLACES[name]])
+
+    def _declared_back(self, name: str) -> float:
+        back = self.construction.stack.back
+        declared = getattr(back, name.removeprefix("back.")) if isinstance(back, BackFace) else None
+        return float(MODEL[name].value if declared is None else declared)
+
+    def definition(self, name: str) -> Parameter:
+        """What a dotted name stands for in this model.
+
+        raises : InputError with the nearest name where the model has no such parameter
+        """
+        if name.startswith(EFFECT_PREFIX):
+            use, k = self._effect_place(name)
+            return self.effects[use].effect.parameters[k]
+        if name not in MODEL:
+            raise InputError(_unknown(self.name, name, MODEL))
+        if name.startswith(COATING_PREFIX) and insulation_layer(self.construction) == 0:
+            raise InputError(f"{self.name}: `{name}`: a wall of one layer has no coating; its layer is `stack.rsi.*`")
+        return MODEL[name]
+
+    def at_faces(self, name: str) -> bool:
+        """Whether a parameter changes what enters the wall from outside and nothing within it."""
+        if name.startswith(EFFECT_PREFIX):
+            use, k = self._effect_place(name)
+            effect = self.effects[use].effect
+            return effect.kernel is not None or effect.places[k] in AT_FACES
+        return name in AT_FACES
+
+    def _effect_place(self, name: str) -> tuple[int, int]:
+        known = {
+            f"{EFFECT_PREFIX}{use.effect.name}.{p.name}": (i, k)
+            for i, use in enumerate(self.effects)
+            for k, p in enumerate(use.effect.parameters)
+        }
+        if name not in known:
+            raise InputError(_unknown(self.name, name, known))
+        return known[name]
+
+    def altered(self, values: Mapping[str, float]) -> PointModel:
+        """The same point with parameters set by their dotted names, within their bounds or beyond: nothing is checked
+        but the names."""
+        parameters, effects = dict(self.parameters), [list(use.values) for use in self.effects]
+        for name, value in values.items():
+            if name.startswith(EFFECT_PREFIX):
+                use, k = self._effect_place(name)
+                effects[use][k] = value
+            else:
+                self.definition(name)
+                parameters[name] = value
+        other = copy.copy(self)
+        used = tuple(EffectUse(u.effect, tuple(v)) for u, v in zip(self.effects, effects, strict=True))
+        other.__dict__.pop("values", None)
+        object.__setattr__(other, "parameters", parameters)
+        object.__setattr__(other, "effects", used)
+        return other
+
+
+def element_densities(construction: Construction, mesh: Mesh) -> FloatArray:
+    """(element,) density [kg/m3]; a contact has none."""
+    return np.array([*(m.density_kg_m3 for m in construction.layer_materials()), 0.0])[mesh.layer]
+
+
+def acting(model: PointModel) -> list[EffectUse]:
+    """The effects of a point that have a kernel, in the order of their slots; the others stand for parameters."""
+    return sorted((u for u in model.effects if u.effect.kernel), key=lambda u: MODES.index(u.effect.mode))
+
+
+def heating_vector(model: PointModel) -> FloatArray:
+    """(N_PARAMETERS,) the heating parameters of a point as its lane has them (base/kernels/block.py)."""
+    vector = np.zeros(N_PARAMETERS)
+    vector[: len(RATIO)] = model.values[: len(RATIO)]
+    vector[REFERENCE : REFERENCE + len(RATIO_VARIABLES)] = model.reference
+    for k, used in enumerate(acting(model)):
+        first = EFFECT_PARAMETERS + k * EFFECT_WIDTH
+        vector[first : first + len(used.values)] = used.values
+    return vector
+
+
+def stack_values(model: PointModel) -> FloatArray:
+    """Values of parameters.STACK."""
+    return model.values[len(RATIO) :]
+
+
+def insulation_layer(construction: Construction) -> int:
+    """Number of the layer that `stack.rsi.*` is about: the second, behind a coating; of one layer, that one."""
+    return min(1, len(construction.stack.layer) - 1)
+
+
+def initial_temperatures(construction: Construction, mesh: Mesh) -> FloatArray:
+    """(node,) initial temperatures [K] as the stack declares them, a profile linear between its points."""
+    stack = construction.stack
+    if stack.initial_profile is not None:
+        x, temperature = np.array(stack.initial_profile).T
+        return np.interp(mesh.depth_m, x, temperature)
+    return np.full(mesh.nodes, float(stack.initial_K or 0.0))

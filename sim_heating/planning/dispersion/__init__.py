@@ -1,0 +1,1 @@
+"""Dispersed entries: sampled flights, their peak temperatures, and statistics of those."""

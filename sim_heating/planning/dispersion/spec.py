@@ -1,0 +1,146 @@
+"""What is uncertain about an entry, and how much: the [dispersion] table of a study.
+
+[dispersion]
+flights = 8192                      # in all, over `scrambles` independent scrambles of a Sobol' sequence
+[[dispersion.input]]
+name = "entry.gamma_deg"            # FLIGHT_INPUTS, a dotted parameter of the control points, or of an effect of theirs
+sigma = 0.03                        # normal, about what the study declares; or low, high: uniform deviation from it
+over = [[0.0, 0.2], [80e3, 1.0]]    # for `air.*`: the deviation times this, over altitude [m]
+title = "the whole column"          # what tells it from others of its name, in tables and pictures
+control_points = ["NOSECAP"]        # for a parameter of points: these alone; one deviation for all of them
+
+Every input is a deviation from the base entry. Each input is independent of the others; a ratio table that has a sigma
+is uncertain by itself, correlated between its nodes (`table_modes.py`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from sim_heating.base.files import Declared, suggestion
+from sim_heating.base.parameters import EFFECT_PREFIX, MODEL
+
+FLIGHT_INPUTS = {
+    "entry.altitude_m": ("altitude at entry", "m"),
+    "entry.velocity_m_s": ("velocity at entry", "m/s"),
+    "entry.gamma_deg": ("path angle at entry", "deg"),
+    "entry.heading_deg": ("heading at entry", "deg"),
+    "entry.latitude_deg": ("latitude at entry", "deg"),
+    "entry.longitude_deg": ("longitude at entry", "deg"),
+    "air.density": ("density, relative", "1"),
+    "air.wind_north_m_s": ("wind to the north", "m/s"),
+    "air.wind_east_m_s": ("wind to the east", "m/s"),
+    "aero.CN": ("normal force CN, relative", "1"),
+    "aero.CA": ("axial force CA, relative", "1"),
+    "aero.Cm": ("pitching moment Cm", "1"),
+    "vehicle.mass_kg": ("mass", "kg"),
+    "vehicle.cg_fraction": ("centre of gravity over length", "1"),
+    "guidance.alpha_deg": ("angle of attack held", "deg"),
+}
+"""Inputs that change the flight, in words and with their units. `air.density`, `aero.CN` and `aero.CA` are relative
+deviations; `aero.Cm` adds to the pitching moment at all Mach numbers; `guidance.alpha_deg` to the schedule of angle of
+attack."""
+PROFILED = ("air.density", "air.wind_north_m_s", "air.wind_east_m_s")
+
+
+class Input(Declared):
+    """One uncertain input: normal with `sigma`, or uniform from `low` to `high`; both as deviations."""
+
+    name: str
+    sigma: float | None = Field(default=None, gt=0.0, description="standard deviation, above 0")
+    low: float | None = None
+    high: float | None = None
+    over: list[list[float]] | None = Field(default=None, min_length=1)
+    control_points: list[str] | None = Field(default=None, min_length=1)
+    title: str = ""
+
+    @field_validator("name")
+    @classmethod
+    def _is_an_input(cls, name: str) -> str:
+        known = [*FLIGHT_INPUTS, *MODEL]
+        if name not in known and not name.startswith(EFFECT_PREFIX):
+            raise ValueError(f"there is no input `{name}`. {suggestion(name, known)}")
+        return name
+
+    @field_validator("over")
+    @classmethod
+    def _is_a_profile(cls, over: list[list[float]] | None) -> list[list[float]] | None:
+        if over is not None and (any(len(pair) != 2 for pair in over) or sorted(over) != over):
+            raise ValueError("a profile is [[altitude_m, factor], ...] with rising altitudes")
+        return over
+
+    @model_validator(mode="after")
+    def _has_one_distribution(self) -> Input:
+        uniform = self.low is not None and self.high is not None and self.low < self.high
+        if (self.sigma is None) != uniform or (self.sigma is not None and (self.low, self.high) != (None, None)):
+            raise ValueError(f"`{self.name}`: give sigma, or low and high with low below high")
+        if (self.over is not None) != (self.name in PROFILED):
+            raise ValueError(
+                f"`{self.name}`: give `over`, [[altitude_m, factor], ...]"
+                if self.over is None
+                else f"`{self.name}`: `over` goes with {', '.join(PROFILED)} alone"
+            )
+        if self.control_points is not None and self.name in FLIGHT_INPUTS:
+            raise ValueError(f"`{self.name}`: is of the flight, not of control points; leave `control_points` out")
+        return self
+
+    @property
+    def standard_deviation(self) -> float:
+        """Of the deviation."""
+        if self.low is None or self.high is None:
+            return float(self.sigma or 0.0)
+        return (self.high - self.low) / math.sqrt(12.0)
+
+    def told(self, unit: str) -> tuple[str, str]:
+        """What it is and how large, in words; a parameter of points, whose unit is given, under its own name."""
+        words, unit = FLIGHT_INPUTS.get(self.name, (self.name, unit))
+        what = f"{words} ({self.title})" if self.title else words
+        most = max((abs(factor) for _, factor in self.over or []), default=1.0)
+        low, high = (0.0 if end is None else end * most for end in (self.low, self.high))
+        size = f"{low:.3g} to {high:.3g}" if self.sigma is None else f"sigma {self.sigma * most:.3g}"
+        return what, f"{size}{'' if unit == '1' else f' {unit}'}{'' if self.over is None else ' at most'}"
+
+
+class Dispersion(Declared):
+    """How many flights, of what, and what is told of them.
+
+    sampling      : "sobol": scrambled Sobol' sequences; "random": independent flights
+    scrambles     : independent scrambles that the flights are shared among
+    index_flights : N of the sensitivity indices, which cost N (inputs + 2) flights; 0 leaves them out
+    quantiles     : of peak temperatures;  confidence : of their bounds and of those of probabilities
+    tables        : factor on the sigma of the ratio tables; 0 takes them as they stand
+    step_s        : of the flight;  thermal_step_s : of the thermal march, a whole number of them
+    spot_checks   : flights that are flown again in six degrees of freedom (JSBSim)
+    """
+
+    flights: int = Field(default=1024, ge=8, le=10_000_000)
+    sampling: Literal["sobol", "random"] = "sobol"
+    scrambles: int = Field(default=8, ge=2, le=1024)
+    seed: int = Field(default=1, ge=0)
+    index_flights: int = Field(default=0, ge=0, le=1_000_000)
+    quantiles: list[float] = Field(default=[0.5, 0.95, 0.99], min_length=1)
+    confidence: float = Field(default=0.95, gt=0.5, lt=1.0)
+    tables: float = Field(default=1.0, ge=0.0, le=10.0)
+    step_s: float = Field(default=0.5, gt=0.0, le=5.0)
+    thermal_step_s: float = Field(default=4.0, gt=0.0, le=60.0)
+    spot_checks: int = Field(default=0, ge=0, le=100)
+    input: list[Input] = Field(default=[])
+
+    @field_validator("quantiles")
+    @classmethod
+    def _are_quantiles(cls, quantiles: list[float]) -> list[float]:
+        if not all(0.0 < q < 1.0 for q in quantiles):
+            raise ValueError(f"{quantiles}: quantiles lie between 0 and 1")
+        return sorted(quantiles)
+
+    @model_validator(mode="after")
+    def _divides(self) -> Dispersion:
+        if self.flights % self.scrambles:
+            raise ValueError(f"flights: {self.flights} do not divide into {self.scrambles} scrambles of the same size")
+        ratio = self.thermal_step_s / self.step_s
+        if abs(ratio - round(ratio)) > 1e-9 or round(ratio) < 1:
+            raise ValueError(f"thermal_step_s: {self.thermal_step_s:g} is no whole number of step_s {self.step_s:g}")
+        return self

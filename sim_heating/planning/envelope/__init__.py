@@ -1,0 +1,1 @@
+"""Envelopes: boundaries and maps of what can be flown within temperature limits."""

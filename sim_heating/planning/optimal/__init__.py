@@ -1,0 +1,1 @@
+"""Entries of largest cross-range below temperature limits, by collocation."""

@@ -1,0 +1,130 @@
+"""A study of an optimal entry as a file: who flies from where to where, and which temperatures may not be passed.
+
+format = "optimal-entry/1"
+title = "..."
+vehicle = "orbiter"                 # a vehicle's name, or its directory relative to the study
+probability = 0.95                  # of keeping all limits, tables as sure as their sigma; left out: as they stand
+[initial]                           # as in a scenario's [trajectory.initial]
+[end]                               # altitude_m, velocity_m_s, gamma_deg
+[state]                             # as in a scenario's [trajectory.vehicle]
+[[limit]]                           # control_point; surface_K and bondline_K where not the vehicle's own
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from pydantic import Field, field_validator
+
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import Declared, raise_problems, read_toml, shown
+from sim_heating.inputs.vehicle import Vehicle, load_vehicle
+from sim_heating.planning.limited_point import LimitedPoint
+from sim_heating.trajectory.spec import Initial, VehicleState
+
+
+class End(Declared):
+    """State at the end of the entry."""
+
+    altitude_m: float = Field(gt=0.0, description="altitude in m")
+    velocity_m_s: float = Field(gt=0.0, description="speed in m/s")
+    gamma_deg: float = Field(ge=-80.0, le=80.0, description="path angle in deg")
+
+
+class Limit(Declared):
+    """Temperatures that one control point may not pass; what is left out is the vehicle's own limit."""
+
+    control_point: str
+    surface_K: float | None = Field(default=None, gt=0.0, description="highest surface temperature in K")
+    bondline_K: float | None = Field(default=None, gt=0.0, description="highest bondline temperature in K")
+
+
+class OptimalStudyFile(Declared):
+    """Contents of a study file.
+
+    alpha_limits_deg, bank_limits_deg : bank to the left is negative; cross-range is sought on the side it leans to
+    soak_s      : how long heat goes on to the bondline after the end, without heating from outside
+    tolerance_K : how closely a limit that binds is met
+    intervals   : of the first mesh;  mesh_tolerance : error of an interval over the typical size of a state
+    """
+
+    format: str = Field(pattern="^optimal-entry/1$", description='"optimal-entry/1"')
+    title: str
+    vehicle: str
+    note: str = ""
+    initial: Initial
+    end: End
+    state: VehicleState = VehicleState()
+    alpha_limits_deg: list[float] = Field(min_length=2, max_length=2, description="[lowest, highest] in deg")
+    bank_limits_deg: list[float] = Field(default=[-89.0, 1.0], min_length=2, max_length=2)
+    duration_s: list[float] = Field(default=[600.0, 5000.0], min_length=2, max_length=2)
+    probability: float | None = Field(default=None, gt=0.5, lt=1.0, description="above 0.5, below 1")
+    limit: list[Limit] = Field(default=[])
+    soak_s: float = Field(default=1800.0, ge=0.0, le=36000.0)
+    tolerance_K: float = Field(default=1.0, gt=0.0, le=50.0)
+    intervals: int = Field(default=40, ge=5, le=500)
+    mesh_tolerance: float = Field(default=1e-5, gt=0.0, lt=0.1)
+
+    @field_validator("alpha_limits_deg", "bank_limits_deg", "duration_s")
+    @classmethod
+    def _rises(cls, pair: list[float]) -> list[float]:
+        if len(pair) == 2 and pair[0] >= pair[1]:
+            raise ValueError(f"the lower limit {pair[0]:g} must be below the upper limit {pair[1]:g}")
+        return pair
+
+
+@dataclass(frozen=True)
+class OptimalStudy:
+    """A checked study with its vehicle."""
+
+    declared: OptimalStudyFile
+    vehicle: Vehicle
+    points: tuple[LimitedPoint, ...]
+
+    @property
+    def title(self) -> str:
+        """Title of the study."""
+        return self.declared.title
+
+
+def without_limits(study: OptimalStudy) -> OptimalStudy:
+    """The same study with its points watched and not limited."""
+    points = tuple(LimitedPoint(p.point, math.inf, None) for p in study.points)
+    return replace(study, points=points, declared=study.declared.model_copy(update={"probability": None}))
+
+
+def load_optimal_study(path: str | os.PathLike[str]) -> OptimalStudy:
+    """Read and check a study and its vehicle.
+
+    raises : InputError with one line a problem
+    """
+    place = Path(path)
+    declared = read_toml(place, OptimalStudyFile)
+    beside = place.parent / declared.vehicle
+    vehicle = load_vehicle(beside if (beside / "vehicle.toml").is_file() else declared.vehicle)
+    return optimal_study(declared, vehicle, shown(place))
+
+
+def optimal_study(declared: OptimalStudyFile, vehicle: Vehicle, where: str = "study") -> OptimalStudy:
+    """A study of a vehicle that is loaded; raises InputError for a control point that is not there, or has no sigma."""
+    points: list[LimitedPoint] = []
+    problems: list[str] = []
+    for limit in declared.limit:
+        try:
+            point = vehicle.control_point(limit.control_point)
+        except InputError as error:
+            problems += [f"{where}, [limit]: {line}" for line in error.problems]
+            continue
+        if declared.probability is not None and point.ratio.sigma is None:
+            problems.append(f"{where}, probability: the ratio table of {point.name} has no sigma; add that column")
+        if point.name in (p.point.name for p in points):
+            problems.append(f"{where}, [limit]: `{point.name}` stands twice; name it once")
+        bondline = point.limits.bondline_K if limit.bondline_K is None else limit.bondline_K
+        points.append(LimitedPoint(point, limit.surface_K or point.limits.surface_K, bondline))
+    if declared.initial.velocity_m_s <= declared.end.velocity_m_s:
+        problems.append(f"{where}, [end]: `velocity_m_s`: an entry ends slower than it begins")
+    raise_problems(problems)
+    return OptimalStudy(declared, vehicle, tuple(points))

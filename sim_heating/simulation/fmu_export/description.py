@@ -1,0 +1,203 @@
+"""modelDescription.xml of an image, FMI 2.0 and FMI 3.0."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from sim_heating.base.files.package import package_version
+from sim_heating.simulation.fmu_export.image import Image, Kind, Role, Variable
+
+BASE_UNITS: dict[str, dict[str, float]] = {
+    "s": {"s": 1}, "m": {"m": 1}, "m/s": {"m": 1, "s": -1}, "K": {"K": 1}, "Pa": {"kg": 1, "m": -1, "s": -2},
+    "kg/m3": {"kg": 1, "m": -3}, "kg/(m2 s)": {"kg": 1, "m": -2, "s": -1}, "J/kg": {"m": 2, "s": -2},
+    "W/m2": {"kg": 1, "s": -3}, "W/(m2 K)": {"kg": 1, "s": -3, "K": -1}, "W/(m K)": {"kg": 1, "m": 1, "s": -3, "K": -1},
+    "1/K": {"K": -1}, "1/s": {"s": -1}, "deg": {"rad": 1}, "1/deg": {"rad": -1}, "1/deg2": {"rad": -2},
+    "deg/s": {"rad": 1, "s": -1}, "m/s2": {"m": 1, "s": -2}, "m2": {"m": 2}, "kg": {"kg": 1},
+    "N": {"kg": 1, "m": 1, "s": -2}, "W/m": {"kg": 1, "m": 1, "s": -3},
+}  # fmt: skip
+"""Exponents of the SI base units; what is in degrees has a factor besides."""
+CAUSALITY = {
+    Role.INDEPENDENT: ("independent", "continuous"), Role.INPUT: ("input", "continuous"),
+    Role.TUNABLE: ("parameter", "tunable"), Role.FIXED: ("parameter", "fixed"),
+    Role.OUTPUT: ("output", "continuous"), Role.CONSTANT: ("local", "fixed"),
+}  # fmt: skip
+CATEGORIES = (("logStatusError", "why a call was refused"),)
+
+
+def description(image: Image, token: str, fmi: int) -> bytes:
+    """The description of an image, with variables that the version of FMI knows."""
+    return _fmi3(image, token) if fmi == 3 else _fmi2(image, token)
+
+
+def variables_of(image: Image, fmi: int) -> Iterator[tuple[int, Variable]]:
+    """Value reference and variable; FMI 2 has no arrays."""
+    return ((i, v) for i, v in enumerate(image.variables) if fmi == 3 or not v.shape)
+
+
+def _number(value: float) -> str:
+    return repr(float(value))
+
+
+def _root(image: Image, token: str, version: str, token_name: str) -> ET.Element:
+    return ET.Element(
+        "fmiModelDescription",
+        {
+            "fmiVersion": version, "modelName": image.name, token_name: token, "description": image.title,
+            "version": package_version(), "generationTool": f"sim-heating {package_version()}",
+            "generationDateAndTime": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+            "variableNamingConvention": "structured" if all(v.name.isascii() for v in image.variables) else "flat",
+        },
+    )  # fmt: skip
+
+
+def _units(root: ET.Element, image: Image, fmi: int) -> None:
+    used = sorted({v.unit for _, v in variables_of(image, fmi) if v.kind is Kind.NUMBER and v.unit != "1"})
+    parent = ET.SubElement(root, "UnitDefinitions")
+    for unit in used:
+        element = ET.SubElement(parent, "Unit", name=unit)
+        if unit in BASE_UNITS:
+            exponents = {name: str(n) for name, n in BASE_UNITS[unit].items()}
+            degrees = BASE_UNITS[unit].get("rad", 0)
+            factor = {"factor": _number((np.pi / 180.0) ** degrees)} if degrees else {}
+            ET.SubElement(element, "BaseUnit", exponents | factor)
+
+
+def _limits(v: Variable) -> dict[str, str]:
+    """min, max and nominal, unit, as far as there are any."""
+    given = {"min": v.lower, "max": v.upper, "nominal": v.nominal}
+    found = {name: _number(x) for name, x in given.items() if x is not None and np.isfinite(x)}
+    return found | ({} if v.unit == "1" or v.kind is not Kind.NUMBER else {"unit": v.unit})
+
+
+def _has_start(v: Variable) -> bool:
+    return v.role in (Role.INPUT, Role.TUNABLE, Role.FIXED)
+
+
+def _start(image: Image, v: Variable) -> str:
+    value = image.value(v)
+    return value if isinstance(value, str) else str(value) if isinstance(value, int) else " ".join(map(_number, value))
+
+
+def _experiment(root: ET.Element, image: Image) -> None:
+    ET.SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="100.0", stepSize=_number(image.step_s))
+
+
+NO_TEXT = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
+"""Characters that XML cannot hold."""
+
+
+def _text(root: ET.Element) -> bytes:
+    for element in root.iter():
+        for name, value in element.items():
+            element.set(name, NO_TEXT.sub(" ", value))
+    ET.indent(root)
+    return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+
+
+# FMI 3 ---------------------------------------------------------------------------------------------------------------
+
+
+def _fmi3(image: Image, token: str) -> bytes:
+    root = _root(image, token, "3.0", "instantiationToken")
+    ET.SubElement(
+        root, "CoSimulation", modelIdentifier=image.name, canHandleVariableCommunicationStepSize="true",
+        canGetAndSetFMUState="true", canSerializeFMUState="true", providesIntermediateUpdate="true",
+    )  # fmt: skip
+    _units(root, image, 3)
+    types = ET.SubElement(root, "TypeDefinitions")
+    for v in image.variables:
+        if v.choices:
+            items = ET.SubElement(types, "EnumerationType", name=f"{v.name}_type")
+            _items(items, v)
+    categories = ET.SubElement(root, "LogCategories")
+    for name, text in CATEGORIES:
+        ET.SubElement(categories, "Category", name=name, description=text)
+    _experiment(root, image)
+    parent = ET.SubElement(root, "ModelVariables")
+    for i, v in variables_of(image, 3):
+        _variable3(parent, image, i, v)
+    structure = ET.SubElement(root, "ModelStructure")
+    for kind in ("Output", "InitialUnknown"):
+        for i, v in variables_of(image, 3):
+            if v.role is Role.OUTPUT:
+                ET.SubElement(structure, kind, valueReference=str(i))
+    return _text(root)
+
+
+def _items(parent: ET.Element, v: Variable) -> None:
+    for value, (name, text) in enumerate(v.choices, start=1):
+        ET.SubElement(parent, "Item", name=name, value=str(value), description=text)
+
+
+def _variable3(parent: ET.Element, image: Image, i: int, v: Variable) -> None:
+    causality, variability = CAUSALITY[v.role]
+    given = {"name": v.name, "valueReference": str(i), "description": v.text, "causality": causality}
+    given["variability"] = variability
+    if v.role is Role.INPUT:
+        given["intermediateUpdate"] = "true"
+    if v.role in (Role.OUTPUT, Role.CONSTANT):
+        given["initial"] = "calculated"
+    if v.kind is Kind.TABLE:
+        ET.SubElement(ET.SubElement(parent, "String", given), "Start", value=_start(image, v))
+        return
+    if v.kind is Kind.INTEGER:
+        ET.SubElement(parent, "Enumeration", given, declaredType=f"{v.name}_type", start=_start(image, v))
+        return
+    start = {"start": _start(image, v)} if _has_start(v) else {}
+    element = ET.SubElement(parent, "Float64", given | _limits(v) | start)
+    for n in v.shape:
+        ET.SubElement(element, "Dimension", start=str(n))
+
+
+# FMI 2 ---------------------------------------------------------------------------------------------------------------
+
+
+def _fmi2(image: Image, token: str) -> bytes:
+    root = _root(image, token, "2.0", "guid")
+    ET.SubElement(
+        root, "CoSimulation", modelIdentifier=image.name, canHandleVariableCommunicationStepSize="true",
+        canInterpolateInputs="true", canGetAndSetFMUstate="true", canSerializeFMUstate="true",
+        canNotUseMemoryManagementFunctions="true",
+    )  # fmt: skip
+    _units(root, image, 2)
+    types = ET.SubElement(root, "TypeDefinitions")
+    for v in image.variables:
+        if v.choices:
+            simple = ET.SubElement(types, "SimpleType", name=f"{v.name}_type")
+            _items(ET.SubElement(simple, "Enumeration"), v)
+    categories = ET.SubElement(root, "LogCategories")
+    for name, text in CATEGORIES:
+        ET.SubElement(categories, "Category", name=name, description=text)
+    _experiment(root, image)
+    parent = ET.SubElement(root, "ModelVariables")
+    listed = list(variables_of(image, 2))
+    for i, v in listed:
+        _variable2(parent, image, i, v)
+    structure = ET.SubElement(root, "ModelStructure")
+    for kind in ("Outputs", "InitialUnknowns"):
+        unknowns = ET.SubElement(structure, kind)
+        for index, (_, v) in enumerate(listed, start=1):
+            if v.role is Role.OUTPUT:
+                ET.SubElement(unknowns, "Unknown", index=str(index))
+    return _text(root)
+
+
+def _variable2(parent: ET.Element, image: Image, i: int, v: Variable) -> None:
+    causality, variability = CAUSALITY[v.role]
+    given = {"name": v.name, "valueReference": str(i), "description": v.text, "causality": causality}
+    given["variability"] = variability
+    if v.role is Role.OUTPUT:
+        given["initial"] = "calculated"
+    element = ET.SubElement(parent, "ScalarVariable", given)
+    start = {"start": _start(image, v)} if _has_start(v) else {}
+    if v.kind is Kind.TABLE:
+        ET.SubElement(element, "String", start)
+    elif v.kind is Kind.INTEGER:
+        ET.SubElement(element, "Enumeration", start, declaredType=f"{v.name}_type")
+    else:
+        ET.SubElement(element, "Real", _limits(v) | start)

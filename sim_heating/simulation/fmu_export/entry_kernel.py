@@ -1,0 +1,130 @@
+"""The 3-DOF entry as functions of two arrays (native.py), made of the kernels that `trajectory.entry3dof` runs.
+
+A communication step is one frame of the entry, or as many equal ones as are needed to keep each within `frame_s`.
+Guidance and manoeuvres inside command angle of attack and bank; or, where PILOT says so, the inputs do, which are
+reached at the end of a step along a straight line. Nothing ends a flight here: that is the host's to say.
+"""
+
+from __future__ import annotations
+
+import math
+
+from sim_heating.base.kernels.jit import folded, njit
+from sim_heating.heating.atmosphere import HIGHEST_M
+from sim_heating.simulation.fmu_export.library import (
+    BEGINS,
+    GOOD,
+    INPUTS,
+    INPUTS_NEXT,
+    INPUTS_NOW,
+    N_INPUTS,
+    NEXT,
+    NOW,
+    at,
+)
+from sim_heating.trajectory.entry3dof import DEEPEST_M
+from sim_heating.trajectory.manoeuvres import CHANNEL, ENTRY, PITCH_MODE, PLAN, TRIGGER
+from sim_heating.trajectory.point_mass import JETS, T, first_state_kernel, move_kernel, observe_kernel, runge_kutta_step
+
+(
+    PILOT, MANOEUVRES, CHOICES, INITIAL, FLIGHT, GUIDANCE, SCRIPT, AERO, STATE, WORK, ROW, OPTIONS,
+) = range(8, 20)  # fmt: skip
+"""Integers of the model behind those of native.py: who commands, how many manoeuvres there are, and where arrays begin;
+the choices (three a manoeuvre) in N, all others in R."""
+N_MODEL = 24
+INSIDE, HOST = 1, 2
+"""Values of PILOT: guidance and manoeuvres inside, or the host through the inputs."""
+TRIGGER_CHOICE, CHANNEL_CHOICE, PITCH_CHOICE = range(3)
+CHOICES_EACH = 3
+FRAME_S = 0
+"""Of the options: longest frame [s]."""
+LONGEST_COMMUNICATION_S = 600.0
+
+IN_ALPHA, IN_BANK, IN_BETA, IN_ELEVON, IN_FLAP, IN_JETS = range(6)
+"""Inputs, in the order of their places."""
+
+TOO_LONG, TOO_HIGH, TOO_LOW, NO_NUMBER = range(4)
+"""Problems of the image, by number."""
+ALTITUDE_IN_ROW, SPEED_IN_ROW = 1, 2
+
+
+@njit
+def _choose(R, N) -> None:  # type: ignore[no-untyped-def]
+    """Write what manoeuvres are triggered by and move into their script."""
+    for m in range(N[MANOEUVRES]):
+        own, entry = at(N, N[CHOICES] + CHOICES_EACH * m), N[SCRIPT] + PLAN + ENTRY * m
+        R[entry + TRIGGER] = own[TRIGGER_CHOICE] - 1.0
+        R[entry + CHANNEL] = own[CHANNEL_CHOICE] - 1.0
+        R[entry + PITCH_MODE] = own[PITCH_CHOICE] - 1.0
+
+
+@njit
+def _observe(R, N) -> int:  # type: ignore[no-untyped-def]
+    """Write the frame, and what guidance sees; the problem with it, if there is one."""
+    row = at(R, N[ROW])
+    observe_kernel(at(R, N[STATE]), at(R, N[FLIGHT]), at(R, N[AERO]), at(R, N[WORK]), row)
+    if not (math.isfinite(row[ALTITUDE_IN_ROW]) and math.isfinite(row[SPEED_IN_ROW])):
+        return NO_NUMBER
+    if row[ALTITUDE_IN_ROW] > HIGHEST_M:
+        return TOO_HIGH
+    if row[ALTITUDE_IN_ROW] < DEEPEST_M:
+        return TOO_LOW
+    return GOOD
+
+
+@njit
+def _follow_inputs(R, N, share: float, dt: float) -> None:  # type: ignore[no-untyped-def]
+    """One frame with the commands of the inputs, a share of the way through the communication step at its end."""
+    state, before, after = at(R, N[STATE]), at(R, N[INPUTS_NOW]), at(R, N[INPUTS_NEXT])
+    alpha = before[IN_ALPHA] + share * (after[IN_ALPHA] - before[IN_ALPHA])
+    bank = before[IN_BANK] + share * (after[IN_BANK] - before[IN_BANK])
+    beta = before[IN_BETA] + share * (after[IN_BETA] - before[IN_BETA])
+    elevon = before[IN_ELEVON] + share * (after[IN_ELEVON] - before[IN_ELEVON])
+    flap = before[IN_FLAP] + share * (after[IN_FLAP] - before[IN_FLAP])
+    if share == 1.0:
+        alpha, bank, beta = after[IN_ALPHA], after[IN_BANK], after[IN_BETA]
+        elevon, flap = after[IN_ELEVON], after[IN_FLAP]
+    state[JETS] = min(max(after[IN_JETS], 0.0), 1.0)
+    runge_kutta_step(state, at(R, N[FLIGHT]), at(R, N[AERO]), at(R, N[WORK]), dt, alpha, bank, beta, elevon, flap)
+
+
+@folded
+def _start(R, N, A) -> int:  # type: ignore[no-untyped-def]
+    """The initial state on the schedule of guidance."""
+    for k in range(N[N_INPUTS]):
+        R[N[INPUTS_NEXT] + k] = R[N[INPUTS] + k]
+    _choose(R, N)
+    state = at(R, N[STATE])
+    first_state_kernel(at(R, N[INITIAL]), at(R, N[FLIGHT]), at(R, N[GUIDANCE]), N[MANOEUVRES], state)
+    state[T] = R[NOW]
+    return _observe(R, N)
+
+
+@folded
+def _step(R, N, A) -> int:  # type: ignore[no-untyped-def]
+    """The flight to the end of a communication step."""
+    length = R[NEXT] - R[NOW]
+    if not length <= LONGEST_COMMUNICATION_S:
+        return TOO_LONG
+    frames = max(math.ceil(length / R[N[OPTIONS] + FRAME_S] - 1e-9), 1)
+    dt, outcome = length / frames, GOOD
+    state = at(R, N[STATE])
+    for frame in range(frames):
+        if N[PILOT] == HOST:
+            _follow_inputs(R, N, (frame + 1.0) / frames, dt)
+        else:
+            flight, guidance, script = at(R, N[FLIGHT]), at(R, N[GUIDANCE]), at(R, N[SCRIPT])
+            move_kernel(state, flight, guidance, script, at(R, N[AERO]), dt, at(R, N[WORK]))
+        if frame == frames - 1:
+            state[T] = R[NEXT]
+        outcome = _observe(R, N)
+        if outcome != GOOD:
+            return outcome
+    return outcome
+
+
+def move(R, N, A) -> int:  # type: ignore[no-untyped-def]
+    """The model (native.py)."""
+    if N[BEGINS] == 1:
+        return _start(R, N, A)
+    return _step(R, N, A)

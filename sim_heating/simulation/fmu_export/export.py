@@ -1,0 +1,92 @@
+"""An FMU as a file: description, resources and a library for each platform in one archive."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from sim_heating.base.errors import InputError
+from sim_heating.base.files.text import write_bytes_atomic
+from sim_heating.base.progress import Progress, quiet
+from sim_heating.inputs.vehicle import Vehicle
+from sim_heating.simulation.fmu_export.description import description
+from sim_heating.simulation.fmu_export.heating import heating_image, heating_units, making_objects
+from sim_heating.simulation.fmu_export.image import Image
+from sim_heating.simulation.fmu_export.library import TARGETS, Target, Unit, library
+
+STAMP = (1980, 1, 1, 0, 0, 0)
+"""Time of the files in the archive: the same model gives the same bytes, but for the date in its description."""
+
+
+def export_heating(
+    vehicle: Vehicle,
+    out: Path,
+    control_points: Sequence[str] | None = None,
+    *,
+    fmi: int = 3,
+    platforms: Sequence[str] = ("linux",),
+    columns: bool = False,
+    progress: Progress = quiet,
+) -> Image:
+    """Write the heating plug-in of a vehicle as a co-simulation FMU; gives its image.
+
+    control_points : names; all by default
+    fmi            : version, 2 or 3
+    platforms      : keys of library.TARGETS
+    columns        : h_ref and H_r are inputs, instead of the vehicle's reference heating
+    progress       : told the fraction done and what is being done
+    raises         : InputError for an unknown name, a platform without a compiler, a place that cannot be written
+    """
+    for name in control_points or ():
+        vehicle.control_point(name)
+    with making_objects(targets_of(platforms, fmi)):
+        model = heating_image(vehicle, control_points, columns=columns)
+    write_fmu(out, model.image, heating_units(model.effects), fmi, platforms, progress)
+    return model.image
+
+
+def targets_of(platforms: Sequence[str], fmi: int) -> list[Target]:
+    """Targets by name; InputError for one that there is not, or that this version of the standard does not know."""
+    unknown = [name for name in platforms if name not in TARGETS]
+    if unknown:
+        raise InputError(f"fmu: there is no platform `{unknown[0]}`. Known: {', '.join(TARGETS)}.")
+    targets = [TARGETS[name] for name in platforms]
+    if fmi == 2 and any(t.fmi2 is None for t in targets):
+        raise InputError("fmu: FMI 2 knows no 64-bit ARM platform; export for FMI 3")
+    return targets
+
+
+def write_fmu(
+    out: Path,
+    image: Image,
+    units: Sequence[Unit],
+    fmi: int,
+    platforms: Sequence[str],
+    progress: Progress = quiet,
+) -> None:
+    """Write an image and the libraries of its functions as an FMU.
+
+    units    : as `library` takes them
+    progress : told the fraction done and what is being done
+    """
+    targets = targets_of(platforms, fmi)
+    token = "{" + hashlib.sha256(image.binary("")).hexdigest()[:32] + "}"
+    files = {"modelDescription.xml": description(image, token, fmi), "resources/model.bin": image.binary(token)}
+    for k, (platform, target) in enumerate(zip(platforms, targets, strict=True)):
+        first = "" if target.native else ", whose C library ziglang builds when it first links for it"
+        progress(0.5 * (1.0 + k / len(targets)), f"library for {platform}{first}")
+        folder = target.fmi2 if fmi == 2 else target.fmi3
+        made = library(units, target)
+        files[f"binaries/{folder}/{image.name}{target.suffix}"] = made.read_bytes()
+    write_bytes_atomic(out, _archive(files))
+
+
+def _archive(files: dict[str, bytes]) -> bytes:
+    memory = io.BytesIO()
+    with zipfile.ZipFile(memory, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in files.items():
+            archive.writestr(zipfile.ZipInfo(name, STAMP), data, zipfile.ZIP_DEFLATED)
+    return memory.getvalue()

@@ -1,0 +1,94 @@
+"""A ground step test: a lamp's step of known flux on an installed thermocouple, as a flight record.
+
+There is no flow: `heating.reference = "none"`, h_ref is 0, and the known absorbed flux is the column `q_add_W_m2`.
+Stack and clock are estimated, so that neither is in doubt when a manoeuvre is flown, as the founding paper suggests.
+A test is planned with the records that this module makes; measured records have the same form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from sim_heating.base.conditions import STATE, Conditions
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import check
+from sim_heating.inputs.points import point_of_record
+from sim_heating.inputs.record import Record, RecordFile, make_record
+from sim_heating.inputs.sensor_model import SensorErrors, measured, sample_times
+from sim_heating.inputs.vehicle import ControlPoint, Vehicle
+from sim_heating.simulation.predict import predict
+
+AT_REST = {"rho_kg_m3": 1.225, "T_inf_K": 288.15, "p_inf_Pa": 101325.0, "p_surface_Pa": 101325.0}
+"""Air about a vehicle on the ground, U.S. Standard Atmosphere at sea level."""
+BEFORE_S = 10.0
+"""Time of the record before the lamp [s]: longer than a skew that is looked for."""
+RISE_S = 0.1
+"""Time in which the lamp's shutter opens or closes [s]."""
+TRUE_NODES, TRUE_STEP_S = 160, 0.1
+"""Mesh and spacing of conditions that synthetic readings are made with, finer than those of a fit."""
+
+
+def step_record(
+    vehicle: Vehicle,
+    point: ControlPoint,
+    flux_W_m2: float,
+    *,
+    lit_s: float = 60.0,
+    after_s: float = 240.0,
+    parameters: Mapping[str, float] | None = None,
+    skew_s: float = 0.0,
+    errors: Mapping[str, SensorErrors] | None = None,
+    seed: int = 1,
+) -> Record:
+    """What a step of absorbed flux would be measured as: a record that declares the point's own stack.
+
+    lit_s, after_s : how long the lamp is on, and how long is recorded after that
+    parameters     : dotted model parameters in which the truth differs from the declaration
+    skew_s, errors : by how much the thermocouples' clock lags, and what is wrong with sensors, by name
+    raises         : InputError where the point has no sensor
+    """
+    if not point.sensors:
+        raise InputError(f"control point {point.name}: has no sensor to test; choose one that has")
+    end_s = BEFORE_S + lit_s + after_s
+    clock = sample_times(point.sensors, 0.0, end_s)
+    declared = check(_declaration(vehicle, point, flux_W_m2), RecordFile, f"ground step test of {point.name}")
+    empty = {"time_s": clock} | {s.column: np.full(len(clock), 300.0) for s in point.sensors}
+    fine = make_record(declared, _conditions(flux_W_m2, lit_s, end_s, TRUE_STEP_S), empty, None, point.name)
+    model = replace(point_of_record(fine, parameters), nodes=TRUE_NODES)
+    wrong, rng = errors or {}, np.random.default_rng([seed, *point.name.encode()])
+    true = predict(fine, model, skew_s=skew_s).history.sensors_K
+    columns = {"time_s": clock}
+    for sensor, T in zip(point.sensors, true, strict=True):
+        columns[sensor.column] = measured(sensor, np.nan_to_num(T, nan=300.0), rng, wrong.get(sensor.name), np.isnan(T))
+    return make_record(declared, _conditions(flux_W_m2, lit_s, end_s, 1.0), columns, None, point.name)
+
+
+def _conditions(flux_W_m2: float, lit_s: float, end_s: float, spacing_s: float) -> Conditions:
+    on, off = BEFORE_S, BEFORE_S + lit_s
+    edges = [on, on + RISE_S, off, off + RISE_S]
+    time = np.union1d(np.round(np.arange(0.0, end_s + 0.5 * spacing_s, spacing_s), 6), np.round(edges, 6))
+    still = {name: np.zeros(len(time)) for name in STATE} | {n: np.full(len(time), v) for n, v in AT_REST.items()}
+    flux = np.interp(time, edges, [0.0, flux_W_m2, flux_W_m2, 0.0])
+    return Conditions(still | {"time_s": time, "q_add_W_m2": flux})
+
+
+def _declaration(vehicle: Vehicle, point: ControlPoint, flux_W_m2: float) -> dict[str, Any]:
+    initial_K = AT_REST["T_inf_K"]
+    stack = point.construction.stack.model_dump(exclude_unset=True) | {"surroundings_K": initial_K}
+    return {
+        "format": "flight-record/1",
+        "title": f"Ground step test, {flux_W_m2 / 1e3:g} kW/m2: {point.title}",
+        "vehicle": vehicle.name,
+        "control_point": point.name,
+        "measured": False,
+        "thermocouples": {
+            "sensor": [s.model_dump(exclude_unset=True, exclude={"rate_hz", "sample_offset_s"}) for s in point.sensors]
+        },
+        "stack": stack | {"initial": "uniform", "initial_K": initial_K},
+        "materials": {n: m.model_dump(exclude_unset=True) for n, m in point.construction.materials.items()},
+        "heating": {"reference": "none", "wall_enthalpy": vehicle.heating.model_dump()["wall_enthalpy"]},
+    }

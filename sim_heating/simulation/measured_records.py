@@ -1,0 +1,83 @@
+"""Measured histories that a scenario compares with, as flight records along the scenario's own flight.
+
+    sim-heating measured-records SCENARIO --out DIRECTORY
+
+makes DIRECTORY/<control point> of every [[compare]]: what an estimator takes, where temperatures of a flight are at
+hand and its trajectory is not. The clock of the measured history may lag that of the flight and run at another rate,
+
+    recorded time = shift + stretch (time of the flight).
+
+Noise is the median sigma of the history; the sigma of each sample is kept in a column of its own.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import shown
+from sim_heating.inputs.points import conditions_at_point
+from sim_heating.inputs.record import Record, make_record, write_record
+from sim_heating.inputs.scenario import MeasuredHistory, Scenario
+from sim_heating.simulation.run import fly_scenario
+from sim_heating.simulation.synthesize import declaration
+
+KEPT_DIGITS = ".7g"
+"""Format of numbers in a record's files: finer than any of them is known."""
+
+
+def compared_records(
+    scenario: Scenario, *, flown: Conditions | None = None, shift_s: float = 0.0, stretch: float = 1.0
+) -> dict[str, Record]:
+    """A record of every measured history of a scenario, by control point.
+
+    flown           : the flight, where it has been flown already
+    shift_s, stretch: of the recorded clock against that of the flight
+    raises          : InputError where the scenario compares with nothing, or a control point has no sensor
+    """
+    if not scenario.compare:
+        raise InputError(f"{shown(scenario.path)}: compares with no measured history; add a [[compare]]")
+    if flown is None:
+        flown = fly_scenario(scenario).conditions
+    flown = flown.with_columns(time_s=shift_s + stretch * flown.time_s)
+    return {m.control_point: _record(scenario, m, flown) for m in scenario.compare}
+
+
+def _record(scenario: Scenario, measured: MeasuredHistory, flown: Conditions) -> Record:
+    point = scenario.vehicle.control_point(measured.control_point)
+    if len(point.sensors) != 1:
+        raise InputError(
+            f"{shown(scenario.path)}, [[compare]]: {point.name} has {len(point.sensors)} sensors; a measured history "
+            "is that of one"
+        )
+    sensor = point.sensors[0].model_copy(
+        update={"bits": None, "range_K": None, "rate_hz": None, "noise_sigma_K": float(np.median(measured.sigma_K))}
+    )
+    declared = declaration(scenario, point, [sensor])
+    title = f"{measured.label}: {scenario.title}"
+    declared = declared.model_copy(update={"title": title, "measured": True, "segments": measured.segments})
+    columns = {"time_s": measured.time_s, sensor.column: measured.temperature_K, "sigma_K": measured.sigma_K}
+    return make_record(declared, conditions_at_point(scenario.vehicle, point, flown), columns, point.ratio, point.name)
+
+
+def write_compared_records(scenario: Scenario, directory: Path) -> list[Path]:
+    """Write the records of a scenario's measured histories.
+
+    returns : the directories, of the control points' names in lower case
+    raises  : as compared_records and write_record
+    """
+    note = "\n".join(
+        (
+            "Temperatures measured in flight, along a simulated flight that is not the one that was flown.",
+            f"Made by sim-heating measured-records of scenarios/{scenario.path.name}, which states how.",
+        )
+    )
+    written = []
+    for name, record in compared_records(scenario).items():
+        formats = dict.fromkeys((*record.conditions.columns, *record.thermocouples), KEPT_DIGITS)
+        written.append(directory / name.lower())
+        write_record(record, written[-1], formats, note)
+    return written

@@ -1,0 +1,206 @@
+"""Pictures of a flight and its temperatures; each function draws one file and shows nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.report.figure import ANGLES, MEASURED, NAMES, SURFACE, THERMOCOUPLE, new_figure, save_figure
+from sim_heating.march.history import PointHistory
+from sim_heating.trajectory.flight import Window
+
+BEFORE_S, AFTER_S = 15.0, 25.0
+"""How much of the flight around a manoeuvre is drawn."""
+SHUTTLE_MACH_M_S = 304.8
+"""1000 ft/s, the 'Mach' of the Shuttle's literature."""
+HOT_STRUCTURE = 0.95
+"""A point whose bondline comes this close to its surface's peak is not insulated; it is left out of bondlines."""
+MOVES_DEG = 0.5
+"""An angle that moves less during a manoeuvre is not drawn beside the one that is flown."""
+
+
+def _shade(axes: Axes, windows: Sequence[Window]) -> None:
+    for window in windows:
+        axes.axvspan(window.start_s, window.end_s, color="tab:orange", alpha=0.18, linewidth=0)
+
+
+def _name_windows(axes: Axes, windows: Sequence[Window]) -> None:
+    """What was flown in each shaded span, above it."""
+    for window in windows:
+        place = (0.5 * (window.start_s + window.end_s), 1.02)
+        axes.annotate(
+            NAMES.get(window.kind, window.kind), place, xycoords=("data", "axes fraction"), rotation=30, fontsize=7.5
+        )
+
+
+def _twin(axes: Axes, x: FloatArray, y: FloatArray, label: str, color: str) -> None:
+    """A second quantity on the right, its axis in the colour of its line."""
+    other = axes.twinx()
+    other.plot(x, y, color=color)
+    other.set_ylabel(label, color=color)
+    other.tick_params(axis="y", colors=color)
+
+
+def draw_trajectory(path: Path, title: str, flown: Conditions, windows: Sequence[Window]) -> None:
+    """Altitude, velocity, angles and dynamic pressure against time, manoeuvres shaded and named."""
+    figure, axes = new_figure(9.0, 9.5, 4, sharex=True)
+    t = flown.time_s
+    axes[0].plot(t, flown["altitude_m"] / 1e3, color="tab:blue")
+    axes[0].set_ylabel("altitude, km", color="tab:blue")
+    axes[0].tick_params(axis="y", colors="tab:blue")
+    _twin(axes[0], t, flown["velocity_m_s"] / 1e3, "velocity, km/s", "tab:red")
+    _plot_angles(axes[1], flown, ("alpha_deg", "beta_deg"))
+    if "bank_deg" in flown:
+        axes[2].plot(t, flown["bank_deg"], color="tab:blue")
+    axes[2].set_ylabel("bank, deg", color="tab:blue")
+    axes[2].tick_params(axis="y", colors="tab:blue")
+    _twin(axes[2], t, flown["qbar_Pa"] / 1e3 if "qbar_Pa" in flown else np.full(len(t), np.nan), "q, kPa", "tab:red")
+    _plot_angles(axes[3], flown, ("elevon_deg", "bodyflap_deg"))
+    axes[3].set_ylabel("deg, trailing edge down +")
+    for a in axes:
+        _shade(a, windows)
+    _name_windows(axes[0], windows)
+    axes[-1].set_xlabel("time, s")
+    save_figure(figure, path, f"{title}: trajectory", axes)
+
+
+def _plot_angles(axes: Axes, flown: Conditions, names: Sequence[str]) -> None:
+    for name in names:
+        label, color = ANGLES[name]
+        axes.plot(flown.time_s, flown[name], color=color, label=label)
+    axes.set_ylabel("deg")
+    axes.legend(loc="best", fontsize=8)
+
+
+def draw_temperatures(path: Path, title: str, points: Sequence[PointHistory], windows: Sequence[Window]) -> None:
+    """Surface and bondline temperatures of all control points against time, legends in the order of the peaks."""
+    figure, axes = new_figure(10.0, 9.0, 2, sharex=True)
+    hottest = sorted(points, key=lambda p: -float(np.max(p.surface_K)))
+    colors = mpl.colormaps["turbo"](np.linspace(0.95, 0.05, len(hottest)))
+    style = {
+        p.name: {"color": colors[i], "linestyle": ("-", "--", "-.")[i % 3], "linewidth": 1.4}
+        for i, p in enumerate(hottest)
+    }
+    _plot_by_peak(axes[0], {p.name: (p.time_s, p.surface_K) for p in hottest}, style, "surface")
+    insulated = [p for p in hottest if np.max(p.bondline_K) < HOT_STRUCTURE * np.max(p.surface_K)]
+    _plot_by_peak(axes[1], {p.name: (p.time_s, p.bondline_K) for p in insulated}, style, "bondline")
+    axes[1].set_xlabel("time, s")
+    for a in axes:
+        _shade(a, windows)
+    _name_windows(axes[0], windows)
+    left_out = [p.name for p in hottest if p not in insulated]
+    if left_out:
+        axes[1].set_title(f"hot structure, no bondline: {', '.join(left_out)}", fontsize=8, loc="left")
+    save_figure(figure, path, title, axes)
+
+
+def _plot_by_peak(
+    axes: Axes, lines: Mapping[str, tuple[FloatArray, FloatArray]], style: Mapping[str, dict[str, Any]], what: str
+) -> None:
+    for name in sorted(lines, key=lambda n: -float(np.max(lines[n][1]))):
+        t, T = lines[name]
+        axes.plot(t, T, label=f"{name}  {np.max(T):.0f} K", **style[name])
+    axes.set_ylabel(f"{what} temperature, K")
+    if lines:
+        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=7.5, title="peak", title_fontsize=8)
+
+
+def draw_manoeuvre(
+    path: Path, title: str, flown: Conditions, points: Sequence[PointHistory], window: Window, variable: str
+) -> None:
+    """Thermocouple and surface temperatures about one manoeuvre; below, the angle that is flown and what moves with it.
+
+    As figures 5, 10 and 13 of the founding paper.
+    """
+    figure, axes = new_figure(8.0, 2.1 * len(points) + 3.2, len(points) + 1, sharex=True)
+    shown = (flown.time_s >= window.start_s - BEFORE_S) & (flown.time_s <= window.end_s + AFTER_S)
+    t = flown.time_s[shown]
+    for a, point in zip(axes[:-1], points, strict=True):
+        a.plot(t, point.surface_K[shown], **SURFACE)
+        if len(point.sensors_K):
+            a.plot(t, point.sensors_K[0][shown], **THERMOCOUPLE)
+        a.set_ylabel(f"{point.name}\ntemperature, K")
+    axes[0].legend(loc="best", fontsize=8)
+    _plot_moving(axes[-1], flown, shown, variable)
+    axes[-1].set_xlabel("time, s")
+    for a in axes:
+        _shade(a, [window])
+    figure.align_ylabels(axes)
+    save_figure(figure, path, f"{_speed(flown, window)}\n{title}", axes)
+
+
+def _plot_moving(axes: Axes, flown: Conditions, shown: np.ndarray, variable: str) -> None:
+    """The manoeuvred variable, and dashed on the right the other angles that move meanwhile."""
+    t = flown.time_s[shown]
+    label, color = ANGLES.get(variable, ("reaction jets, 0 to 1", "tab:red"))
+    lines = axes.plot(t, flown[variable][shown], color=color, linewidth=2.2, label=label)
+    axes.set_ylabel(f"{label}{', deg' if variable in ANGLES else ''}", color=color)
+    axes.tick_params(axis="y", colors=color)
+    moving = [n for n in ANGLES if n != variable and np.ptp(flown[n][shown]) > MOVES_DEG]
+    if moving:
+        other = axes.twinx()
+        for name in moving:
+            label, color = ANGLES[name]
+            lines += other.plot(t, flown[name][shown], color=color, linewidth=1.1, linestyle="--", label=label)
+        other.set_ylabel(f"{', '.join(ANGLES[name][0] for name in moving)}, deg (dashed)")
+    axes.legend(handles=lines, loc="best", fontsize=8)
+
+
+def _speed(flown: Conditions, window: Window) -> str:
+    """What was flown at which speed, in both ways of counting Mach."""
+    begin = flown.at([window.start_s])
+    V, mach = float(begin["velocity_m_s"][0]), float(begin["mach"][0])
+    what = NAMES.get(window.kind, window.kind)
+    return f"{what[0].upper()}{what[1:]} at {V:.0f} m/s (Shuttle 'Mach' {V / SHUTTLE_MACH_M_S:.1f}, V/a {mach:.1f})"
+
+
+def draw_comparison(
+    path: Path,
+    title: str,
+    panels: Sequence[tuple[str, PointHistory, FloatArray, FloatArray, FloatArray, float]],
+) -> None:
+    """Predicted surface temperature against a measured history, one panel each.
+
+    panels : (label, prediction, time_s, temperature_K, sigma_K, rmse_K)
+    """
+    columns = 2 if len(panels) > 1 else 1
+    rows = -(-len(panels) // columns)
+    figure, axes = new_figure(5.2 * columns, 3.5 * rows + 0.6, rows, columns, sharex=True, sharey=True, squeeze=False)
+    for a, (label, point, time_s, temperature_K, sigma_K, rmse_K) in zip(axes.ravel(), panels, strict=False):
+        low, high = temperature_K - 2 * sigma_K, temperature_K + 2 * sigma_K
+        a.fill_between(time_s, low, high, color="0.82", linewidth=0, label="2 sigma of the digitised figure")
+        a.plot(time_s, temperature_K, label="measured in flight", **MEASURED)
+        a.plot(point.time_s, point.surface_K, color="tab:red", label="predicted, declared model")
+        a.set_title(f"{label}: RMSE {rmse_K:.0f} K", fontsize=10)
+    for a in axes.ravel()[len(panels) :]:
+        a.set_visible(False)
+    for a in axes[-1]:
+        a.set_xlabel("time from entry interface, s")
+    for a in axes[:, 0]:
+        a.set_ylabel("surface temperature, K")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=9)
+    save_figure(figure, path, title, axes)
+
+
+def draw_prediction(
+    path: Path, title: str, time_s: FloatArray, names: Sequence[str], measured_K: FloatArray, predicted_K: FloatArray
+) -> None:
+    """Each sensor of a record, measured and predicted, with the residual below."""
+    figure, axes = new_figure(9.5, 7.0, 2, sharex=True, height_ratios=[2, 1])
+    for i, name in enumerate(names):
+        axes[0].plot(time_s, measured_K[i], ".", color=f"C{i}", markersize=2.5, alpha=0.5)
+        axes[0].plot(time_s, predicted_K[i], color=f"C{i}", linewidth=1.2, label=name)
+        axes[1].plot(time_s, measured_K[i] - predicted_K[i], ".", color=f"C{i}", markersize=2.5)
+    axes[0].set_ylabel("temperature at the sensor, K")
+    axes[0].legend(title="line: predicted\ndots: measured", fontsize=8, title_fontsize=8)
+    axes[1].axhline(0.0, color="0.3", linewidth=0.8)
+    axes[1].set_ylabel("measured - predicted, K")
+    axes[1].set_xlabel("time, s")
+    save_figure(figure, path, title, axes)

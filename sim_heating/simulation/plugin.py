@@ -1,0 +1,296 @@
+"""The heating plug-in: a vehicle's control points stepped frame by frame beside a flight simulator.
+
+A host gives what it knows well, the columns of conditions.FRAME; temperature, Mach and Reynolds number, reference
+heating and surface pressures are derived here. A frame's values are those at its end, and the temperatures that the
+host reads after it are those at its end. The thermal model itself steps as often as that needs
+(simulation/plugin_kernel.py): with every frame where temperatures or conditions turn, every `longest_wait_s` where they
+do not.
+
+    plugin = HeatingPlugin(load_vehicle("orbiter"))
+    plugin.reset(frame)                    # temperatures of the stacks, conditions of the first frame
+    plugin.step(frame)                     # dt is the difference of the frames' times
+    plugin.surface_K["V09T9527"]
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import FRAME
+from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.kernels.block import FAILED, N_CONDITIONS, NEGATIVE, OUTSIDE
+from sim_heating.base.limits import said_of
+from sim_heating.heating.effects import EffectUse
+from sim_heating.heating.reference.models import reference_model
+from sim_heating.inputs.points import point_of_vehicle
+from sim_heating.inputs.vehicle import ControlPoint, Vehicle
+from sim_heating.march.ensemble import Ensemble
+from sim_heating.march.mesh_choice import pack
+from sim_heating.simulation.plugin_kernel import (
+    BEND,
+    CLOCK,
+    F_TIME,
+    GOOD,
+    HEAT,
+    HEATED,
+    HOST_SIZE,
+    LAST_SPIKE,
+    LONGEST_FRAME_S,
+    NO_START,
+    SEEN,
+    SHOWN,
+    SPIKES,
+    STARTED,
+    STUCK,
+    heat_points,
+    implausible,
+    watch_frame,
+)
+
+
+@dataclass(frozen=True)
+class Flags:
+    """What was odd about the frames since the reset.
+
+    density_spikes : frames with a sudden change of density that altitude does not explain
+    last_spike_s   : time of the last one [s], None where there was none
+    """
+
+    density_spikes: int
+    last_spike_s: float | None
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """All state of a plug-in at a time, to go back to."""
+
+    time_s: float
+    host: FloatArray
+    shown: FloatArray
+    state: FloatArray
+
+
+LONGEST_WAIT_S = 0.25
+"""Longest time between thermal steps [s] unless another is asked for: a ratio table may have a corner ahead."""
+
+
+class HeatingPlugin:
+    """Temperatures of a vehicle's control points beside a host.
+
+    control_points : names; all of the vehicle's by default
+    longest_step_s : longest thermal step [s]; a longer frame is divided
+    longest_wait_s : longest time between thermal steps [s]. Frames between carry the temperatures on along the last
+                     step (simulation/plugin_kernel.py), within about 0.01 K of a step with every frame; 0 steps with
+                     every frame
+    nodes          : nodes of each point at least; chosen for accuracy (march/mesh_choice.py) where not given. Fewer
+                     cost accuracy and save time
+    parameters     : dotted model parameters, the same for all points
+    effects        : effects by control point, beside those that the vehicle declares
+
+    Attributes: `names` of the control points; `outputs`, (control point, `surface`, `bondline` or sensor) of each of
+    `temperatures()`; `ensemble`, whose state is that at `heated_s`; `pressures`, (point, PRESSURE_WIDTH + 1) as
+    simulation/plugin_kernel.py takes them.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        control_points: Sequence[str] | None = None,
+        *,
+        longest_step_s: float = 1.0,
+        longest_wait_s: float = LONGEST_WAIT_S,
+        nodes: int | None = None,
+        parameters: Mapping[str, float] | None = None,
+        effects: Mapping[str, Sequence[EffectUse]] | None = None,
+    ) -> None:
+        names = list(vehicle.control_points) if control_points is None else list(control_points)
+        self.points = [vehicle.control_point(name) for name in names]
+        self.names = tuple(names)
+        self.longest_step_s = longest_step_s
+        models = [point_of_vehicle(vehicle, p, parameters, (effects or {}).get(p.name, ())) for p in self.points]
+        if nodes is not None:
+            models = [replace(model, nodes=nodes) for model in models]
+        self.ensemble = e = pack(models, longest_step_s)
+        model = reference_model(vehicle.heating.reference)
+        lengths = [p.running_length_m or 1.0 if model.on_plate else 1.0 for p in self.points]
+        table = [[*p.pressure.parameters(), length] for p, length in zip(self.points, lengths, strict=True)]
+        self.pressures = np.array(table, dtype=float)
+        self._host = np.zeros(HOST_SIZE)
+        self._host[:STARTED] = (
+            model.code, vehicle.reference_length_m, vehicle.heating.nose_radius_m or 1.0,
+            longest_step_s, longest_wait_s,
+        )  # fmt: skip
+        outputs = _outputs(self.points, e)
+        self.outputs = tuple((point, what) for point, what, _ in outputs)
+        self._shown = np.zeros((4, len(outputs)))
+        self.watch = partial(watch_frame, self._host, self._shown)
+        self._arguments = (
+            e.state, e.ints, e.table, e.chain, e.move_handle, e.groups,
+            self.pressures, e.lanes, np.zeros((len(e.lanes), N_CONDITIONS)),
+            np.array([place for _, _, place in outputs]), self._host, self._shown,
+        )  # fmt: skip
+
+    # Moving ----------------------------------------------------------------------------------------------------------
+
+    def reset(self, frame: FloatArray | Mapping[str, float]) -> None:
+        """Start anew: initial temperatures of the stacks at the time and conditions of this frame."""
+        values = _values(frame)
+        bad = implausible(values)
+        if bad != GOOD:
+            raise InputError(_value_problem(values, bad))
+        self.ensemble.reset()
+        self._host[STARTED:] = 0.0
+        heat_points(*self._arguments, values, NO_START)
+
+    def step(self, frame: FloatArray | Mapping[str, float]) -> None:
+        """Advance to the time of a frame, conditions linear between thermal steps; the same time again is a pause.
+
+        frame  : values in the order of conditions.FRAME (the fast way), or by name
+        raises : InputError for a value that is no number or out of range, and for a clock that goes back or jumps;
+                 the state stays as it was; RunError where a step did not converge: reset or restore
+        """
+        values = _values(frame)
+        outcome = self.watch(values)
+        if outcome != GOOD:
+            self.attend(values, outcome)
+
+    def attend(self, frame: FloatArray, outcome: int) -> None:
+        """What a frame asks for whose `watch` was not GOOD: thermal steps, or an error. The two together are `step`
+        without its checks of the array's form, for a caller that knows its frames."""
+        if outcome in (HEAT, BEND):
+            outcome = heat_points(*self._arguments, frame, outcome)
+        if outcome == STUCK:
+            self.check()
+        if outcome != GOOD:
+            raise InputError(self._problem(frame, outcome))
+
+    @property
+    def time_s(self) -> float:
+        """Time of the last frame [s]; not a number before the first."""
+        return float(self._host[SEEN + F_TIME]) if self._host[STARTED] else float("nan")
+
+    @property
+    def heated_s(self) -> float:
+        """Time of the last thermal step [s]: that of the last frame, or up to longest_wait_s before it."""
+        return float(self._host[HEATED + F_TIME]) if self._host[STARTED] else float("nan")
+
+    @property
+    def flags(self) -> Flags:
+        """What was odd about the frames since the reset."""
+        spikes = int(self._host[SPIKES])
+        return Flags(spikes, float(self._host[LAST_SPIKE]) if spikes else None)
+
+    def _problem(self, values: FloatArray, outcome: int) -> str:
+        if outcome == NO_START:
+            return "plug-in: step before reset; call reset with the first frame"
+        if outcome != CLOCK:
+            return _value_problem(values, outcome)
+        now, then = self.time_s, values[F_TIME]
+        if then < now:
+            return f"plug-in: the clock went back from {now:g} to {then:g} s; restore a snapshot or reset"
+        return f"plug-in: the clock jumped from {now:g} to {then:g} s; a frame is {LONGEST_FRAME_S:g} s at most"
+
+    # Going back ------------------------------------------------------------------------------------------------------
+
+    def snapshot(self) -> Snapshot:
+        """All state now; `restore` goes back to it exactly."""
+        return Snapshot(self.time_s, self._host.copy(), self._shown.copy(), self.ensemble.snapshot())
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go back, or forward, to a snapshot of this plug-in."""
+        self.ensemble.restore(snapshot.state)
+        self._host[:] = snapshot.host
+        self._shown[:] = snapshot.shown
+
+    # Reading ---------------------------------------------------------------------------------------------------------
+
+    def temperatures(self) -> FloatArray:
+        """Temperatures [K] in the order of `outputs`, as a view that every step renews: the fast way to read."""
+        return self._shown[SHOWN]
+
+    def surface_temperatures(self) -> FloatArray:
+        """(point,) surface temperatures [K] in the order of `names`."""
+        return self._shown[SHOWN, : len(self.names)].copy()
+
+    def bondline_temperatures(self) -> FloatArray:
+        """(point,) temperatures at the outer face of the last layer [K]."""
+        return self._shown[SHOWN, len(self.names) : 2 * len(self.names)].copy()
+
+    @property
+    def surface_K(self) -> dict[str, float]:
+        """Surface temperature [K] by control point."""
+        return dict(zip(self.names, self.surface_temperatures().tolist(), strict=True))
+
+    @property
+    def bondline_K(self) -> dict[str, float]:
+        """Bondline temperature [K] by control point."""
+        return dict(zip(self.names, self.bondline_temperatures().tolist(), strict=True))
+
+    @property
+    def sensors_K(self) -> dict[str, float]:
+        """Temperature at each sensor [K] by the name of the sensor, without lag, noise or quantisation."""
+        first = 2 * len(self.names)
+        names = [sensor for _, sensor in self.outputs[first:]]
+        return dict(zip(names, self._shown[SHOWN, first:].tolist(), strict=True))
+
+    @property
+    def steps_outside(self) -> dict[str, int]:
+        """Thermal steps at whose end a point's conditions lay outside its ratio table, since the reset; points with
+        none left out."""
+        return _counted(self.names, self.ensemble.scalars(OUTSIDE))
+
+    @property
+    def steps_negative(self) -> dict[str, int]:
+        """Thermal steps at whose end a point's heating ratio was negative, since the reset; points with none left
+        out."""
+        return _counted(self.names, self.ensemble.scalars(NEGATIVE))
+
+    def check(self) -> None:
+        """raises : RunError naming the points whose step did not converge since the reset."""
+        failed = _counted(self.names, self.ensemble.scalars(FAILED))
+        if failed:
+            raise RunError(f"plug-in, time_s {self.time_s:g}: the thermal step of {', '.join(failed)} did not converge")
+
+
+def _counted(names: Sequence[str], counts: FloatArray) -> dict[str, int]:
+    return {name: int(count) for name, count in zip(names, counts, strict=True) if count > 0}
+
+
+def _outputs(points: Sequence[ControlPoint], ensemble: Ensemble) -> list[tuple[str, str, int]]:
+    """(control point, `surface`, `bondline` or sensor, place in the state): all surfaces, all bondlines, all
+    sensors."""
+    packed = list(zip(points, ensemble.meshes, ensemble.places, strict=True))
+    surfaces = [(point.name, "surface", place.temperature(0)) for point, _, place in packed]
+    bondlines = [(point.name, "bondline", place.temperature(mesh.bondline)) for point, mesh, place in packed]
+    sensors = [
+        (point.name, sensor.name, place.temperature(node))
+        for point, mesh, place in packed
+        for sensor, node in zip(point.sensors, mesh.sensors, strict=True)
+    ]
+    return surfaces + bondlines + sensors
+
+
+def _value_problem(values: FloatArray, bad: int) -> str:
+    return f"plug-in, time_s {values[F_TIME]:g}: {FRAME[bad]} {said_of(FRAME[bad], float(values[bad]))}"
+
+
+_SHAPE, _DTYPE = (len(FRAME),), np.dtype(np.float64)
+
+
+def _values(frame: FloatArray | Mapping[str, float]) -> FloatArray:
+    """A frame as (len(FRAME),) float64."""
+    if isinstance(frame, np.ndarray):
+        if frame.shape != _SHAPE or frame.dtype != _DTYPE:
+            raise InputError(f"plug-in: a frame is {len(FRAME)} float64 values: {', '.join(FRAME)}")
+        return frame
+    unknown = [name for name in frame if name not in FRAME]
+    missing = [name for name in FRAME if name not in frame and name != "jets"]
+    if unknown or missing:
+        what = f"unknown `{unknown[0]}`" if unknown else f"there is no `{missing[0]}`"
+        raise InputError(f"plug-in: {what}; a frame has {', '.join(FRAME)}")
+    return np.array([float(frame.get(name, 0.0)) for name in FRAME])

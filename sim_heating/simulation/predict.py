@@ -1,0 +1,119 @@
+"""The declared model along the conditions of a flight record, nothing fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import output_directory, write_json
+from sim_heating.base.files.package import package_version
+from sim_heating.inputs.points import conditions_of_record, point_of_record
+from sim_heating.inputs.record import Record, pooled_rmse_K
+from sim_heating.inputs.sensor_model import SensorErrors, calibrated
+from sim_heating.march.history import Outside, PointHistory, at_times, march_points, negative_ratio_s, outside_table
+from sim_heating.march.point import PointModel
+from sim_heating.simulation.results import write_temperatures_csv
+
+FILES = TABLE, SUMMARY, PICTURE = "temperatures.csv", "summary.json", "prediction.png"
+"""What a prediction writes."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Temperatures of a record's declared model at the record's own sample times.
+
+    history     : at the times of the measurements; NaN where they lie outside the conditions
+    indicated_K : (sensor, sample) what each sensor would show, calibration applied, without noise
+    residual_K  : (sensor, sample) measured minus indicated
+    """
+
+    record: Record
+    history: PointHistory
+    indicated_K: FloatArray
+    residual_K: FloatArray
+    outside: tuple[Outside, ...]
+
+
+def predict(
+    record: Record,
+    model: PointModel | None = None,
+    *,
+    skew_s: float = 0.0,
+    errors: Mapping[str, SensorErrors] | None = None,
+) -> Prediction:
+    """Predict a record; `model` is its declared one unless given.
+
+    skew_s : by how much the thermocouples' clock lags [s];  errors : what is wrong with sensors, by name
+    raises : InputError where no sample lies within the conditions, RunError where a step did not converge
+    """
+    model = point_of_record(record) if model is None else model
+    conditions = conditions_of_record(record)
+    t, span = record.time_s - skew_s, conditions.time_s[[0, -1]]
+    within = t[(t >= span[0]) & (t <= span[1])]
+    if len(within) == 0:
+        raise InputError(f"{record.name}: no measurement lies within the conditions ({span[0]:g} to {span[1]:g} s)")
+    marched = march_points([model], [conditions], extra_times_s=within)[0]
+    history = replace(_resampled(marched, t), time_s=record.time_s)
+    pairs = zip(record.sensors, history.sensors_K, strict=True)
+    wrong = errors or {}
+    indicated = np.array([calibrated(sensor, values, wrong.get(sensor.name)) for sensor, values in pairs])
+    residual = record.temperatures_K() - indicated
+    return Prediction(record, history, indicated, residual, tuple(outside_table(model, conditions)))
+
+
+def _resampled(marched: PointHistory, time_s: FloatArray) -> PointHistory:
+    def held(values: FloatArray) -> FloatArray:
+        return at_times(marched.time_s, values, time_s)
+
+    return replace(
+        marched,
+        time_s=time_s,
+        surface_K=held(marched.surface_K),
+        bondline_K=held(marched.bondline_K),
+        sensors_K=held(marched.sensors_K),
+        ratio=held(marched.ratio),
+    )
+
+
+def summary(prediction: Prediction) -> dict[str, object]:
+    """Errors over fit and holdout segments, pooled over the used sensors, as summary.json holds them."""
+    record = prediction.record
+    used = [i for i, sensor in enumerate(record.sensors) if sensor.used]
+    residual = prediction.residual_K[used]
+    by_sensor = {
+        s.name: pooled_rmse_K(prediction.residual_K[i], record.fit_mask()) for i, s in enumerate(record.sensors)
+    }
+    floor = None
+    if all(s.noise_sigma_K is not None for s in record.used_sensors):
+        floor = record.noise_floor_K()
+    return {
+        "format": "predict-summary/1",
+        "program": f"sim-heating {package_version()}",
+        "record": record.name,
+        "control_point": record.declared.control_point,
+        "fit": pooled_rmse_K(residual, record.fit_mask()),
+        "holdout": pooled_rmse_K(residual, record.holdout_mask()),
+        "noise_floor_K": None if floor is None or not np.isfinite(floor) else floor,
+        "sensors": by_sensor,
+        "outside_table": [vars(o) for o in prediction.outside],
+        "negative_ratio_s": negative_ratio_s(prediction.history),
+    }
+
+
+def write_prediction(prediction: Prediction, out: Path) -> list[str]:
+    """Write temperatures.csv, summary.json and a picture; returns the names of the files."""
+    from sim_heating.simulation.plots import draw_prediction  # matplotlib is slow to import, and wanted only here
+
+    record, history = prediction.record, prediction.history
+    with output_directory(out) as folder:
+        write_temperatures_csv(folder / TABLE, history.time_s, history, record.sensors)
+        write_json(folder / SUMMARY, summary(prediction))
+        title = f"{record.name}: declared model\n{record.declared.title or record.declared.control_point}"
+        names = [s.name for s in record.sensors]
+        draw_prediction(folder / PICTURE, title, history.time_s, names, record.temperatures_K(), prediction.indicated_K)
+        return sorted(p.name for p in folder.iterdir() if p.is_file())

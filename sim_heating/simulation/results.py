@@ -1,0 +1,87 @@
+"""Results as files: one self-describing NetCDF file, CSV for everybody, and a summary in JSON.
+
+NetCDF (through xarray) because time histories of many points and sensors share their axes, carry units and long
+names, and are opened by MATLAB, Julia, Panoply, ncdump and spreadsheets with a plug-in; a table format would repeat
+or split them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.files import write_csv
+from sim_heating.base.files.package import package_version
+from sim_heating.march.history import PointHistory
+from sim_heating.thermal.stack import Sensor
+
+UNITS = {
+    "time_s": "s", "altitude_m": "m", "velocity_m_s": "m s-1", "mach": "1", "alpha_deg": "degree", "beta_deg": "degree",
+    "log10_re": "1", "elevon_deg": "degree", "bodyflap_deg": "degree", "rho_kg_m3": "kg m-3", "T_inf_K": "K",
+    "p_inf_Pa": "Pa", "p_surface_Pa": "Pa", "h_ref_kg_m2_s": "kg m-2 s-1", "H_r_J_kg": "J kg-1", "q_add_W_m2": "W m-2",
+    "jets": "1", "bank_deg": "degree", "gamma_deg": "degree", "heading_deg": "degree", "latitude_deg": "degree_north",
+    "longitude_deg": "degree_east", "qbar_Pa": "Pa", "axial_accel_g": "1",
+}  # fmt: skip
+"""Units of the conditions in the spelling of the CF conventions."""
+
+LONG_NAMES = {
+    "surface_K": "temperature of the outer surface",
+    "bondline_K": "temperature at the outer face of the last layer",
+    "ratio": "heating ratio with all corrections and effects",
+    "sensor_K": "temperature at the sensor, without lag, noise and quantisation",
+    "p_surface_Pa": "pressure at the surface of the control point",
+}
+
+
+def write_temperatures_csv(path: Path, time_s: FloatArray, history: PointHistory, sensors: Sequence[Sensor]) -> None:
+    """temperatures.csv of one control point: time_s, surface_K, bondline_K, then each sensor under its column's
+    name."""
+    columns = {"time_s": time_s, "surface_K": history.surface_K, "bondline_K": history.bondline_K}
+    columns |= {s.column: values for s, values in zip(sensors, history.sensors_K, strict=True)}
+    write_csv(path, columns, {"time_s": ".10g"} | {name: ".4f" for name in columns if name != "time_s"})
+
+
+def write_netcdf(
+    path: Path,
+    flown: Conditions,
+    points: Sequence[PointHistory],
+    sensors: Mapping[str, Sequence[Sensor]],
+    attributes: Mapping[str, str],
+) -> None:
+    """All histories of a flight in one NetCDF file.
+
+    flown   : conditions on the points' times
+    sensors : sensors of each point by its name
+    """
+    import xarray as xr  # slow to import, and wanted only where results are written
+
+    names = [s.name for p in points for s in sensors[p.name]]
+    per_point = ("control_point", "time")
+    data: dict[str, Any] = {
+        key: (per_point, np.array([getattr(p, key) for p in points]), _attributes(key))
+        for key in ("surface_K", "bondline_K", "ratio")
+    }
+    data["sensor_K"] = (
+        ("sensor", "time"),
+        np.concatenate([p.sensors_K for p in points]) if names else np.zeros((0, len(flown))),
+        _attributes("sensor_K"),
+    )
+    data |= {name: ("time", flown[name], _attributes(name)) for name in flown.names if name != "time_s"}
+    coordinates = {
+        "time": ("time", flown.time_s, {"units": "s", "long_name": "time from the start of the flight"}),
+        "control_point": [p.name for p in points],
+        "sensor": names,
+        "sensor_control_point": ("sensor", [p.name for p in points for _ in sensors[p.name]]),
+    }
+    history = {"Conventions": "CF-1.10", "source": f"sim-heating {package_version()}"}
+    xr.Dataset(data, coordinates, {**attributes, **history}).to_netcdf(path)
+
+
+def _attributes(name: str) -> dict[str, str]:
+    unit = UNITS.get(name, "K" if name.endswith("_K") else "1")
+    return {"units": unit} | ({"long_name": LONG_NAMES[name]} if name in LONG_NAMES else {})

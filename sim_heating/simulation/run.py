@@ -1,0 +1,293 @@
+"""Fly a scenario and predict the temperatures: trajectory, heating, march, comparison, files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.files import output_directory, write_csv, write_json
+from sim_heating.base.files.package import package_version
+from sim_heating.base.progress import Progress, quiet
+from sim_heating.inputs.points import conditions_at_point, mean_condition, point_of_vehicle
+from sim_heating.inputs.record import pooled_rmse_K
+from sim_heating.inputs.scenario import MeasuredHistory, Scenario
+from sim_heating.march.history import PointHistory, march_points, outside_table, summary_of
+from sim_heating.march.point import PointModel
+from sim_heating.simulation.plugin import HeatingPlugin
+from sim_heating.simulation.results import write_netcdf, write_temperatures_csv
+from sim_heating.trajectory import entry3dof, recorded
+from sim_heating.trajectory.flight import Flight, OnFrame, Window
+from sim_heating.trajectory.jsbsim import entry as jsbsim
+from sim_heating.trajectory.spec import TrajectorySpec
+
+
+def fly_fmu(
+    spec: TrajectorySpec, vehicle_dir: Path, *, on_frame: OnFrame | None = None, progress: Progress | None = None
+) -> Flight:
+    """`trajectory.fmu.fly`; FMPy and pint are slow to import, and wanted only here."""
+    from sim_heating.trajectory.fmu import flight as fmu
+
+    return fmu.fly(spec, vehicle_dir, on_frame=on_frame, progress=progress)
+
+
+SOURCES = {"jsbsim": jsbsim.fly, "entry-3dof": entry3dof.fly, "recorded": recorded.fly, "fmu": fly_fmu}
+
+MANOEUVRED = {
+    "popu": "alpha_deg",
+    "elevon-pulse": "elevon_deg",
+    "elevon-sweep": "elevon_deg",
+    "bodyflap-pulse": "bodyflap_deg",
+    "bodyflap-sweep": "bodyflap_deg",
+    "sideslip-doublet": "beta_deg",
+    "jet-firing": "jets",
+}
+"""Column that a manoeuvre moves."""
+SUMMARY, CONDITIONS, HISTORIES, TABLE = "summary.json", "conditions.csv", "flight.nc", "temperatures.csv"
+TRAJECTORY, TEMPERATURES, COMPARED = "trajectory.png", "temperatures.png", "compared.png"
+PLOTTED_POINTS = 3
+"""Control points drawn for one manoeuvre: those whose surface answers it most."""
+PLOTTED_MOVE_K = 2.0
+"""A surface that moves less about its trend is drawn only where none moves more."""
+
+
+@dataclass(frozen=True)
+class PointResult:
+    """One control point of a flown scenario."""
+
+    model: PointModel
+    conditions: Conditions
+    history: PointHistory
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """A flown scenario.
+
+    points         : by control point, in the scenario's order
+    plugin_apart_K : largest difference of surface temperature between the plug-in beside the host and the march, by
+    point
+    """
+
+    scenario: Scenario
+    flight: Flight
+    points: dict[str, PointResult]
+    plugin_apart_K: dict[str, float] | None = None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A prediction against a measured history."""
+
+    measured: MeasuredHistory
+    history: PointHistory
+    residual_K: FloatArray
+
+    @property
+    def statistics(self) -> dict[str, float | int]:
+        """rmse_K, max_abs_K and n over the samples within the flight."""
+        found = pooled_rmse_K(self.residual_K)
+        return {"rmse_K": float("nan"), "max_abs_K": float("nan"), "n": 0} if found is None else found
+
+
+def fly_scenario(scenario: Scenario, *, progress: Progress = quiet, on_frame: OnFrame | None = None) -> Flight:
+    """The trajectory of a scenario from its source."""
+    spec = scenario.declared.trajectory
+    return SOURCES[spec.source](spec, scenario.vehicle.directory, on_frame=on_frame, progress=progress)
+
+
+def models_of(
+    scenario: Scenario, flown: Conditions, *, truth: bool = False
+) -> tuple[list[PointModel], list[Conditions]]:
+    """Models and conditions of a scenario's control points; with `truth` altered as its [truth] says."""
+    parameters = scenario.declared.truth.parameters if truth else {}
+    reference = mean_condition(flown)
+    points = [scenario.vehicle.control_point(name) for name in scenario.names]
+    models = [
+        point_of_vehicle(scenario.vehicle, p, parameters, scenario.effects(p.name, truth=truth), reference)
+        for p in points
+    ]
+    return models, [conditions_at_point(scenario.vehicle, p, flown) for p in points]
+
+
+def run_scenario(scenario: Scenario, *, progress: Progress = quiet) -> RunResult:
+    """Fly a scenario and march its control points along the flight.
+
+    progress : called with fractions from 0 to 1
+    """
+    heating = scenario.declared.heating
+    beside = _Beside(scenario) if heating.alongside else None
+    flight = fly_scenario(scenario, progress=lambda f, text: progress(0.7 * f, f"flying: {text}"), on_frame=beside)
+    progress(0.7, "marching the control points")
+    models, flights = models_of(scenario, flight.conditions)
+    histories = march_points(models, flights, longest_step_s=heating.longest_step_s)
+    points = {m.name: PointResult(m, c, h) for m, c, h in zip(models, flights, histories, strict=True)}
+    progress(0.85, "temperatures done")
+    return RunResult(scenario, flight, points, None if beside is None else beside.apart(histories))
+
+
+class _Beside:
+    """The plug-in as a host's frame callback, keeping surface temperatures at whole samples."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        effects = {name: scenario.effects(name) for name in scenario.names}
+        self.plugin = HeatingPlugin(scenario.vehicle, scenario.names, effects=effects)
+        self._sample_s = scenario.declared.trajectory.sample_s
+        self._times: list[float] = []
+        self._surface: list[FloatArray] = []
+
+    def __call__(self, frame: FloatArray) -> None:
+        if not self._times:
+            self.plugin.reset(frame)
+        else:
+            self.plugin.step(frame)
+        time = float(frame[0])
+        due = self._times[0] + len(self._times) * self._sample_s if self._times else time
+        if abs(time - due) < 1e-6:
+            self._times.append(time)
+            self._surface.append(self.plugin.surface_temperatures())
+
+    def apart(self, histories: list[PointHistory]) -> dict[str, float]:
+        self.plugin.check()
+        beside = np.array(self._surface)
+        count = min(len(beside), len(histories[0].time_s))
+        return {h.name: float(np.max(np.abs(h.surface_K[:count] - beside[:count, i]))) for i, h in enumerate(histories)}
+
+
+def compare(result: RunResult) -> list[Comparison]:
+    """The measured histories of a scenario against its prediction, at their samples within the flight."""
+    comparisons = []
+    for measured in result.scenario.compare:
+        history = result.points[measured.control_point].history
+        t = measured.time_s
+        within = (t >= history.time_s[0]) & (t <= history.time_s[-1])
+        kept = replace(
+            measured, time_s=t[within], temperature_K=measured.temperature_K[within], sigma_K=measured.sigma_K[within]
+        )
+        predicted = np.interp(kept.time_s, history.time_s, history.surface_K)
+        comparisons.append(Comparison(kept, history, kept.temperature_K - predicted))
+    return comparisons
+
+
+def rmse_by_point(result: RunResult) -> dict[str, float]:
+    """RMSE [K] of a run against its measured histories, by control point."""
+    return {c.measured.control_point: float(c.statistics["rmse_K"]) for c in compare(result)}
+
+
+def summary(result: RunResult) -> dict[str, object]:
+    """What a run found, as summary.json holds it."""
+    scenario, flown = result.scenario, result.flight.conditions
+    points = {}
+    for name, point in result.points.items():
+        limits = scenario.vehicle.control_point(name).limits
+        bounds = {"surface_K": limits.surface_K, "bondline_K": limits.bondline_K}
+        points[name] = summary_of(point.history, bounds, outside_table(point.model, point.conditions))
+    return {
+        "format": "run-summary/1",
+        "program": f"sim-heating {package_version()}",
+        "scenario": scenario.title,
+        "vehicle": scenario.vehicle.name,
+        "revision": scenario.vehicle.revision,
+        "duration_s": float(flown.time_s[-1] - flown.time_s[0]),
+        "end": {name: float(flown[name][-1]) for name in ("altitude_m", "velocity_m_s", "mach")},
+        "events": [{"time_s": t, "what": text} for t, text in result.flight.events],
+        "manoeuvres": [vars(w) for w in result.flight.windows],
+        "control_points": points,
+        "compared": {c.measured.label: c.statistics for c in compare(result)},
+        "plugin_apart_K": result.plugin_apart_K,
+    }
+
+
+def files_of(scenario: Scenario) -> list[str]:
+    """Names of all files that a run of a scenario may write."""
+    homes = [""] if len(scenario.names) == 1 else [f"{name}/" for name in scenario.names]
+    flown = scenario.declared.trajectory.manoeuvre
+    manoeuvres = {_picture_of(i, m.kind) for i in range(1, len(flown) + 1) for m in flown}
+    return [SUMMARY, CONDITIONS, HISTORIES, TRAJECTORY, TEMPERATURES, COMPARED,
+            *(f"{home}{TABLE}" for home in homes), *sorted(manoeuvres)]  # fmt: skip
+
+
+def _picture_of(number: int, kind: str) -> str:
+    return f"manoeuvre_{number}_{kind}.png"
+
+
+def write_run(result: RunResult, out: Path, *, progress: Progress = quiet) -> list[str]:
+    """Write all files of a run, all together or not at all; returns their names within the directory."""
+    with output_directory(out) as folder:
+        write_json(folder / SUMMARY, summary(result))
+        flown, said = with_reference_heating(result)
+        write_csv(folder / CONDITIONS, flown.columns, ".12g", said)
+        _write_histories(result, flown, folder)
+        progress(0.92, "drawing")
+        draw_run(result, folder)
+        names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
+    progress(1.0, "done")
+    return names
+
+
+def with_reference_heating(result: RunResult) -> tuple[Conditions, dict[str, str]]:
+    """The flight's conditions with h_ref and H_r, and what is said at the head of their file where h_ref is left out:
+    a flat plate's depends on the running length, so that each control point has its own."""
+    columns = {name: [p.conditions[name] for p in result.points.values()] for name in ("h_ref_kg_m2_s", "H_r_J_kg")}
+    common = {name: c[0] for name, c in columns.items() if all(np.array_equal(own, c[0]) for own in c)}
+    reference = result.scenario.vehicle.heating.reference
+    why = f"left out, as `{reference}` has another at each control point, by its running length"
+    return result.flight.conditions.with_columns(**common), {name: why for name in columns if name not in common}
+
+
+def _write_histories(result: RunResult, flown: Conditions, folder: Path) -> None:
+    vehicle = result.scenario.vehicle
+    sensors = {name: vehicle.control_point(name).sensors for name in result.points}
+    for name, point in result.points.items():
+        own = folder if len(result.points) == 1 else folder / name
+        own.mkdir(exist_ok=True)
+        write_temperatures_csv(own / TABLE, point.history.time_s, point.history, sensors[name])
+    about = {"title": result.scenario.title, "vehicle": vehicle.name, "vehicle_revision": vehicle.revision}
+    histories = [p.history for p in result.points.values()]
+    write_netcdf(folder / HISTORIES, flown, histories, sensors, about)
+
+
+def draw_run(result: RunResult, folder: Path) -> None:
+    """Pictures of a run: trajectory, temperatures, each manoeuvre, measured against predicted."""
+    from sim_heating.simulation import plots  # matplotlib is slow to import, and wanted only here
+
+    title, flown, windows = result.scenario.title, result.flight.conditions, result.flight.windows
+    histories = [p.history for p in result.points.values()]
+    plots.draw_trajectory(folder / TRAJECTORY, title, flown, windows)
+    plots.draw_temperatures(folder / TEMPERATURES, title, histories, windows)
+    for i, window in enumerate(windows, start=1):
+        chosen = _most_moved(histories, window)
+        path = folder / _picture_of(i, window.kind)
+        drawn = [_outermost_sensor(result.points[h.name]) for h in chosen]
+        plots.draw_manoeuvre(path, title, flown, drawn, window, MANOEUVRED[window.kind])
+    compared = compare(result)
+    if compared:
+        panels = [
+            (c.measured.label, c.history, c.measured.time_s, c.measured.temperature_K, c.measured.sigma_K,
+             float(c.statistics["rmse_K"]))
+            for c in compared
+        ]  # fmt: skip
+        plots.draw_comparison(folder / COMPARED, title, panels)
+
+
+def _outermost_sensor(point: PointResult) -> PointHistory:
+    """The history of a point with its outermost thermocouple alone."""
+    if not point.model.depths_m:
+        return point.history
+    outermost = int(np.argmin(point.model.depths_m))
+    return replace(point.history, sensors_K=point.history.sensors_K[[outermost]])
+
+
+def _most_moved(histories: list[PointHistory], window: Window) -> list[PointHistory]:
+    """The points whose surface temperature moves most about its trend during a manoeuvre."""
+
+    def moved(history: PointHistory) -> float:
+        held = (history.time_s >= window.start_s) & (history.time_s <= window.end_s + 5.0)
+        t, surface = history.time_s[held], history.surface_K[held]
+        return float(np.ptp(surface - np.interp(t, t[[0, -1]], surface[[0, -1]]))) if len(t) > 2 else 0.0
+
+    ordered = sorted(histories, key=moved, reverse=True)
+    return [h for h in ordered[:PLOTTED_POINTS] if moved(h) > PLOTTED_MOVE_K] or ordered[:1]

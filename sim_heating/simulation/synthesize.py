@@ -1,0 +1,150 @@
+"""A flown scenario as flight records: the truth marched, the sensor model applied, the declared tables told."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import check, output_directory, toml_text, write_text_atomic
+from sim_heating.base.progress import Progress, quiet
+from sim_heating.inputs.points import mean_condition
+from sim_heating.inputs.record import DECLARATION, Record, RecordFile, make_record, write_record
+from sim_heating.inputs.scenario import Scenario
+from sim_heating.inputs.sensor_model import SensorErrors, lost_samples, measured, sample_times
+from sim_heating.inputs.vehicle import ControlPoint
+from sim_heating.march.history import PointHistory, at_times, march_points
+from sim_heating.simulation.run import fly_scenario, models_of
+from sim_heating.thermal.stack import Sensor
+from sim_heating.trajectory.flight import Flight
+
+TRUTH = "truth.toml"
+CONDITIONS, THERMOCOUPLES, TABLE = "conditions.csv", "thermocouples.csv", "ratio_table.csv"
+
+
+def synthesize(
+    scenario: Scenario, *, flight: Flight | None = None, halvings: int = 0, progress: Progress = quiet
+) -> dict[str, Record]:
+    """Fly a scenario with its truth and measure it: one record a control point that has sensors.
+
+    What a flight crew would have is in the records: declared tables and stacks, and nothing of the truth.
+    flight   : the scenario's flight where it has been flown already
+    halvings : how often the elements of the meshes are halved; a fit corrects for the error of its mesh, and sees that
+               of the data's
+    """
+    if flight is None:
+        flight = fly_scenario(scenario, progress=lambda f, text: progress(0.7 * f, f"flying: {text}"))
+    progress(0.7, "marching the truth")
+    flown = flight.conditions
+    models, flights = models_of(scenario, flown, truth=True)
+    wanted = scenario.declared.measurements
+    points = [scenario.vehicle.control_point(name) for name in scenario.names]
+    measurable = [(p, m, c) for p, m, c in zip(points, models, flights, strict=True) if p.sensors]
+    clocks = [_clock(scenario, p, flown) for p, _, _ in measurable]
+    true_times = [_within(clock - wanted.clock_skew_s, flown) for clock in clocks]
+    histories = march_points(
+        [m for _, m, _ in measurable],
+        [c for _, _, c in measurable],
+        extra_times_s=np.unique(np.concatenate(true_times)),
+        longest_step_s=scenario.declared.heating.longest_step_s,
+        halvings=halvings,
+    )
+    progress(0.9, "measuring")
+    return {
+        p.name: _record(scenario, p, c, h, clock)
+        for (p, _, c), h, clock in zip(measurable, histories, clocks, strict=True)
+    }
+
+
+def _clock(scenario: Scenario, point: ControlPoint, flown: Conditions) -> FloatArray:
+    wanted = scenario.declared.measurements
+    start, end = flown.time_s[0], flown.time_s[-1]
+    return sample_times(point.sensors, start, end, rate_hz=wanted.rate_hz, offset_s=wanted.sample_offset_s)
+
+
+def _within(time_s: FloatArray, flown: Conditions) -> FloatArray:
+    return time_s[(time_s >= flown.time_s[0]) & (time_s <= flown.time_s[-1])]
+
+
+def _record(
+    scenario: Scenario, point: ControlPoint, conditions: Conditions, history: PointHistory, clock: FloatArray
+) -> Record:
+    wanted = scenario.declared.measurements
+    rng = np.random.default_rng([wanted.seed, *point.name.encode()])
+    faults = {f.sensor: SensorErrors(f.bias_K, f.gain) for f in wanted.fault}
+    true = at_times(history.time_s, history.sensors_K, clock - wanted.clock_skew_s)
+    columns: dict[str, FloatArray] = {"time_s": clock}
+    for sensor, temperature in zip(point.sensors, true, strict=True):
+        lost = lost_samples(clock, rng, wanted.lost_fraction, wanted.gaps_s) | np.isnan(temperature)
+        known = np.where(np.isnan(temperature), 0.0, temperature)
+        columns[sensor.column] = measured(sensor, known, rng, faults.get(sensor.name), lost)
+        if np.all(np.isnan(columns[sensor.column])):
+            span = f"{conditions.time_s[0]:g} to {conditions.time_s[-1]:g} s"
+            raise InputError(
+                f"{scenario.path}, [measurements]: skew, offset, gaps and losses leave no sample of {sensor.name} "
+                f"within the flight ({span}); change them"
+            )
+    return make_record(declaration(scenario, point, point.sensors), conditions, columns, point.ratio, point.name)
+
+
+def declaration(scenario: Scenario, point: ControlPoint, sensors: Sequence[Sensor]) -> RecordFile:
+    """The declaration of a record of a control point with these sensors."""
+    heating = scenario.vehicle.heating
+    data: dict[str, Any] = {
+        "format": "flight-record/1",
+        "title": f"{scenario.title}: {point.title}",
+        "vehicle": scenario.vehicle.name,
+        "control_point": point.name,
+        "measured": False,
+        "conditions": {"file": CONDITIONS},
+        "thermocouples": {
+            "file": THERMOCOUPLES,
+            "sensor": [s.model_dump(exclude_unset=True, exclude={"rate_hz", "sample_offset_s"}) for s in sensors],
+        },
+        "stack": point.construction.stack.model_dump(exclude_unset=True),
+        "materials": {n: m.model_dump(exclude_unset=True) for n, m in point.construction.materials.items()},
+        "heating": {
+            "reference": "columns",
+            "nose_radius_m": heating.nose_radius_m,
+            "wall_enthalpy": heating.model_dump()["wall_enthalpy"],
+            "ratio_table": TABLE,
+        },
+    }
+    data["heating"] = {k: v for k, v in data["heating"].items() if v is not None}
+    return check(data, RecordFile, f"record of {point.name}")
+
+
+def files_of(scenario: Scenario) -> list[str]:
+    """Names of all files that the records of a scenario are."""
+    measured = [name for name in scenario.names if scenario.vehicle.control_point(name).sensors]
+    homes = [""] if len(measured) == 1 else [f"{name}/" for name in measured]
+    return [TRUTH, *(f"{home}{n}" for home in homes for n in (DECLARATION, CONDITIONS, THERMOCOUPLES, TABLE))]
+
+
+def write_records(scenario: Scenario, records: dict[str, Record], out: Path) -> list[str]:
+    """Write the records, in `out` itself where there is one, and beside them what the truth was; names of what was
+    made."""
+    comment = f"Synthetic: {scenario.title}. Made by sim-heating synthesize."
+    with output_directory(out) as folder:
+        for name, record in records.items():
+            write_record(record, folder if len(records) == 1 else folder / name, comment=comment)
+        flown = next(iter(records.values())).conditions
+        write_text_atomic(folder / TRUTH, _truth_text(scenario, flown))
+        return sorted(p.name for p in folder.iterdir() if not p.name.startswith("."))
+
+
+def _truth_text(scenario: Scenario, flown: Conditions) -> str:
+    truth, wanted = scenario.declared.truth, scenario.declared.measurements
+    data = {
+        "scenario": scenario.title,
+        "parameters": dict(truth.parameters),
+        "reference_condition": dict(zip(RATIO_VARIABLES, mean_condition(flown), strict=True)),
+        "effect": [e.model_dump(exclude_none=True) for e in (*truth.effect, *scenario.declared.effect)],
+        "measurements": wanted.model_dump(exclude_none=True),
+    }
+    return toml_text(data, "What the records were made with beyond what they declare.")

@@ -1,0 +1,325 @@
+"""The time step differentiated: sensitivity of every node temperature to any parameters, from the step's own matrix.
+
+With G(T; p) = E(T; p) - d dt F(T; p) the two stages of a step (kernel.py) are G(Y1) = E_n + d dt F_n and
+G(Y2) = E_n + (w/d) (E(Y1) - E_n), so that for S = dT/dp, e = dE/dp and f = dF/dp, all total,
+
+    A1 S1 = e_n + d dt f_n             - G_p(Y1),      A = dG/dT at the converged stage,
+    A2 S2 = e_n + (w/d) (e(Y1) - e_n)  - G_p(Y2),      e = E_T S + E_p,
+    f_(n+1) = (e(Y2) - e_n - (w/d) (e(Y1) - e_n)) / (d dt)
+
+which is exact for the discrete model (implicit function theorem). A is assembled once at the temperatures of the stage;
+every parameter costs one more right-hand side. G_p and E_p come from the model itself: beside the base stand shadows of
+it, one lane for each parameter with that parameter moved (two, to either side, where G is not affine in it), at
+the temperatures of the base. Their rows are the model's own, so that no equation has a second, differentiated form;
+for affine parameters the difference is exact to rounding. A parameter of what enters at the faces changes that alone:
+G_p = -d dt dF/dp there, E_p = 0, and its shadow needs no rows.
+
+Arrays of a lane: (node, parameter), parameters contiguous.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray, IntArray
+from sim_heating.base.kernels.block import (
+    BACK_NODE,
+    C_LEFT,
+    C_RIGHT,
+    C_STAGES,
+    CELL_WORK,
+    DIAGONAL,
+    E_LEFT,
+    E_RIGHT,
+    E_START,
+    END,
+    ENTRY,
+    GAPS,
+    HEAD_ROWS,
+    LAG_INPUT,
+    LAG_PAST,
+    LAG_VALUE,
+    LANES,
+    LOWER,
+    N_CONDITIONS,
+    N_NODES,
+    N_PARAMETERS,
+    NET,
+    NODE_ROWS,
+    PARAMETERS,
+    PCOL,
+    PFRAC,
+    RESIDUAL,
+    SOURCE,
+    TIME,
+    T,
+)
+from sim_heating.base.kernels.jit import STEP_SIGNATURE, c_function, call_step, njit, raw
+from sim_heating.heating.film import heat_shadows
+from sim_heating.heating.ratio.lookup import linear_factor
+from sim_heating.thermal.assembly import SHARE, WHOLE_ROWS, assemble, select_pressure
+from sim_heating.thermal.faces import evaluate_faces
+from sim_heating.thermal.step import BDF_WEIGHT, GAMMA, STAGE_WEIGHT
+
+NODE = NODE_ROWS * LANES
+"""Numbers from a node to the next."""
+NOWHERE, FACES, DEPTH, WHOLE = range(4)
+"""Where a parameter acts: not in the march; on what enters at the two faces, or along gaps besides; on whole rows."""
+ITSELF = -1
+"""A parameter whose shadow has itself moved."""
+
+
+class Groups(NamedTuple):
+    """Groups of shadows.
+
+    ints   : their integers;  groups : as in march/frames.py
+    whole  : number of groups, the first ones, whose rows are assembled; of the others only what enters at the faces
+    source : (group * LANES,) lane of the base of each shadow
+    """
+
+    ints: IntArray
+    groups: IntArray
+    whole: int
+    source: IntArray
+
+
+NO_SHADOWS = Groups(np.zeros(0, dtype=np.int64), np.zeros((0, 4), dtype=np.int64), 0, np.zeros(0, dtype=np.int64))
+
+
+class Places(NamedTuple):
+    """Where the shadows of each lane stand in their blocks.
+
+    at      : (lane,) first number of node 0 of the base's shadow;  nodes : (lane,) node count
+    plus, minus, inverse : (lane, parameter) the same of the shadows with the parameter moved to either side, or of the
+              base's again, and the reciprocal of the difference
+    reach   : (lane, parameter) where the parameter acts
+    linear  : (lane, parameter) number of a parameter of the linear heating ratio whose shadow has the ratio itself
+              moved (heating_ratio.kernel.linear_factor), or ITSELF
+    """
+
+    at: IntArray
+    plus: IntArray
+    minus: IntArray
+    inverse: FloatArray
+    reach: IntArray
+    linear: IntArray
+    nodes: IntArray
+
+
+def rows_at(B: FloatArray, J: IntArray, table: FloatArray, chain, ddt: float) -> None:  # type: ignore[no-untyped-def]
+    """Rows of G = E - ddt F at the temperatures present, with the conditions of stage 2; ddt [s] stands for dt."""
+    heat_shadows(B, J, table, chain, END)
+    select_pressure(B, J, END)
+    evaluate_faces(B, J, table, chain, END)
+    assemble(B, J, table, ddt, WHOLE_ROWS)
+
+
+def faces_at(B: FloatArray, J: IntArray, table: FloatArray, chain, ddt: float) -> None:  # type: ignore[no-untyped-def]
+    """What enters from outside at the temperatures present, with the conditions of stage 2; ddt is not used."""
+    heat_shadows(B, J, table, chain, END)
+    evaluate_faces(B, J, table, chain, END)
+
+
+@cache
+def compiled_shadows() -> tuple[Any, Any]:
+    """`rows_at` and `faces_at`, compiled when first asked for."""
+    return c_function(STEP_SIGNATURE, rows_at), c_function(STEP_SIGNATURE, faces_at)
+
+
+@njit
+def _stand(B: FloatArray, X: FloatArray, start: int, source: IntArray, g: int, i: int, row: int) -> None:
+    """Put node i of a group of shadows at the temperatures of the bases."""
+    for s in range(LANES):
+        at = (HEAD_ROWS + i * NODE_ROWS) * LANES
+        X[start + at + T * LANES + s] = B[at + row * LANES + source[g * LANES + s]]
+
+
+@njit
+def assemble_shadows(
+    B: FloatArray, X: FloatArray, shadows: Groups, table: FloatArray, chain, rows, faces, row: int, stage: int,  # type: ignore[no-untyped-def]
+    ddt: float,
+) -> None:  # fmt: skip
+    """Put the shadows at the temperatures and conditions that their bases have at a stage, and assemble their rows.
+
+    B : block of the bases;  row, stage : where their temperatures and conditions of the stage stand
+    X : blocks of the shadows
+    """
+    J, groups, source = shadows.ints, shadows.groups, shadows.source
+    for g in range(len(groups)):
+        start, ints = groups[g, 0], groups[g, 2]
+        if g < shadows.whole or J[ints + GAPS] == 1:
+            for i in range(J[ints + N_NODES]):
+                _stand(B, X, start, source, g, i, row)
+        else:
+            _stand(B, X, start, source, g, 0, row)
+            for s in range(LANES):
+                _stand(B, X, start, source, g, J[ints + BACK_NODE + s], row)
+        for s in range(LANES):
+            lane = source[g * LANES + s]
+            if stage == 1:
+                X[start + LAG_PAST * LANES + s] = 1.0
+                X[start + LAG_VALUE * LANES + s] = X[start + (LAG_VALUE + 2) * LANES + s]
+                X[start + LAG_INPUT * LANES + s] = X[start + (LAG_INPUT + 2) * LANES + s]
+            begun = C_STAGES * LANES + lane * N_CONDITIONS + TIME
+            X[start + C_STAGES * LANES + s * N_CONDITIONS + TIME] = B[begun]
+            to = start + C_STAGES * LANES + (2 * LANES + s) * N_CONDITIONS
+            given = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
+            for c in range(N_CONDITIONS):
+                X[to + c] = B[given + c]
+            for pressure in (PCOL, PFRAC):
+                X[start + (pressure + END) * LANES + s] = B[(pressure + stage) * LANES + lane]
+        x, j = raw(X[start : groups[g, 1]]), raw(J[ints : groups[g, 3]])
+        call_step(rows if g < shadows.whole else faces, x, j, raw(table), chain, ddt)
+
+
+@njit
+def _content(X: FloatArray, a: int) -> float:
+    """Heat content of a node [J/m2] whose first number is X[a]."""
+    left, right = X[a + E_LEFT * LANES], X[a + E_RIGHT * LANES]
+    shared = X[a + NODE + E_LEFT * LANES] - right - left + X[a - NODE + E_RIGHT * LANES]
+    return left + right + SHARE * shared
+
+
+@njit
+def start_from_shadow(B: FloatArray, lane: int, X: FloatArray, at: int, n: int) -> None:
+    """Heat contents and net heat of a lane from its shadow at X[at], assembled with ddt = 1 s where the lane stands:
+    what `begin` evaluates, for one lane alone."""
+    for i in range(n):
+        content, a = _content(X, at + i * NODE), (HEAD_ROWS + i * NODE_ROWS) * LANES + lane
+        B[a + E_START * LANES] = content
+        B[a + NET * LANES] = content - X[at + i * NODE + RESIDUAL * LANES]
+
+
+@njit
+def _subtract_forcing(X: FloatArray, p: Places, lane: int, forced: int, ddt: float, S: FloatArray) -> None:
+    """S - G_p in the first `forced` columns, the shadows being assembled with ddt [s]."""
+    n = p.nodes[lane]
+    for k in range(forced):
+        plus, minus, inverse, reach = p.plus[lane, k], p.minus[lane, k], p.inverse[lane, k], p.reach[lane, k]
+        if reach == WHOLE:
+            for i in range(n):
+                row = i * NODE + RESIDUAL * LANES
+                S[i, k] -= (X[plus + row] - X[minus + row]) * inverse
+        elif reach != NOWHERE:
+            if p.linear[lane, k] != ITSELF:
+                inverse *= _against_ratio(X, p.at[lane], p.linear[lane, k])
+            for i in range(0, n, n - 1 if reach == FACES else 1):
+                row = i * NODE + SOURCE * LANES
+                S[i, k] += ddt * ((X[plus + row] - X[minus + row]) * inverse)
+
+
+@njit
+def _against_ratio(X: FloatArray, at: int, k: int) -> float:
+    """Derivative of the linear heating ratio against its parameter k, for the shadow whose node 0 begins at X[at]."""
+    first = at - HEAD_ROWS * LANES
+    lane = first % LANES
+    block = first - lane
+    p = block + PARAMETERS * LANES + lane * N_PARAMETERS
+    c = block + C_STAGES * LANES + (END * LANES + lane) * N_CONDITIONS
+    return linear_factor(X, p, c, X[first + CELL_WORK * LANES], k)
+
+
+@njit
+def content_columns(X: FloatArray, p: Places, lane: int, forced: int, S: FloatArray, e: FloatArray) -> None:
+    """e = E_T S + E_p of a lane; columns beyond the first `forced` have no E_p."""
+    n, m = p.nodes[lane], S.shape[1]
+    for i in range(n):
+        a = p.at[lane] + i * NODE
+        own = (1.0 - SHARE) * (X[a + C_LEFT * LANES] + X[a + C_RIGHT * LANES])
+        left, right = SHARE * X[a - NODE + C_RIGHT * LANES], SHARE * X[a + NODE + C_LEFT * LANES]
+        above, below = max(i - 1, 0), min(i + 1, n - 1)
+        for k in range(m):
+            e[i, k] = own * S[i, k] + left * S[above, k] + right * S[below, k]
+    for k in range(forced):
+        if p.reach[lane, k] == WHOLE:
+            plus, minus, inverse = p.plus[lane, k], p.minus[lane, k], p.inverse[lane, k]
+            for i in range(n):
+                e[i, k] += (_content(X, plus + i * NODE) - _content(X, minus + i * NODE)) * inverse
+
+
+@njit
+def begin_columns(
+    X: FloatArray, p: Places, lane: int, forced: int, S: FloatArray, e: FloatArray, f: FloatArray
+) -> None:
+    """e and f from S, the shadows being assembled with ddt = 1 s: after a start, or a change of S from outside."""
+    n, m = p.nodes[lane], S.shape[1]
+    content_columns(X, p, lane, forced, S, e)
+    for i in range(n):
+        a = p.at[lane] + i * NODE
+        diagonal = X[a + DIAGONAL * LANES]
+        lower = X[a - NODE + LOWER * LANES] if i > 0 else 0.0
+        entry = X[a + ENTRY * LANES] if i < n - 1 else 0.0
+        above, below = max(i - 1, 0), min(i + 1, n - 1)
+        for k in range(m):
+            f[i, k] = e[i, k] - diagonal * S[i, k] - lower * S[above, k] - entry * S[below, k]
+    _subtract_forcing(X, p, lane, forced, 1.0, f)
+
+
+@njit
+def solve_columns(
+    X: FloatArray, p: Places, lane: int, forced: int, ddt: float, star: FloatArray, S: FloatArray, reduced: FloatArray
+) -> None:
+    """S from A S = star - G_p, A and G_p as the shadows have been assembled with ddt [s]; `reduced` (node,) is work."""
+    n, m = p.nodes[lane], S.shape[1]
+    _copy(star, S)
+    _subtract_forcing(X, p, lane, forced, ddt, S)
+    before = 0.0
+    for i in range(n):
+        a = p.at[lane] + i * NODE
+        lower = X[a - NODE + LOWER * LANES] if i > 0 else 0.0
+        pivot = 1.0 / (X[a + DIAGONAL * LANES] - lower * before)
+        before = X[a + ENTRY * LANES] * pivot
+        reduced[i] = before
+        share, above = lower * pivot, max(i - 1, 0)
+        for k in range(m):
+            S[i, k] = S[i, k] * pivot - share * S[above, k]
+    for i in range(n - 2, -1, -1):
+        for k in range(m):
+            S[i, k] -= reduced[i] * S[i + 1, k]
+
+
+@njit
+def _copy(given: FloatArray, to: FloatArray) -> None:
+    given, to = given.ravel(), to.ravel()
+    for k in range(len(to)):
+        to[k] = given[k]
+
+
+@njit
+def first_star(e: FloatArray, f: FloatArray, dt: float, star: FloatArray) -> None:
+    """Right-hand side of the first stage."""
+    e, f, star = e.ravel(), f.ravel(), star.ravel()
+    for k in range(len(star)):
+        star[k] = e[k] + STAGE_WEIGHT * dt * f[k]
+
+
+@njit
+def second_star(e: FloatArray, middle: FloatArray, star: FloatArray) -> None:
+    """Right-hand side of the second stage; `middle` is e at the first."""
+    e, middle, star = e.ravel(), middle.ravel(), star.ravel()
+    for k in range(len(star)):
+        star[k] = e[k] + BDF_WEIGHT * (middle[k] - e[k])
+
+
+@njit
+def net_columns(e: FloatArray, star: FloatArray, dt: float, f: FloatArray) -> None:
+    """f at the end of the step."""
+    e, star, f = e.ravel(), star.ravel(), f.ravel()
+    for k in range(len(f)):
+        f[k] = (e[k] - star[k]) * (1.0 / (STAGE_WEIGHT * dt))
+
+
+@njit
+def parabola(x: float) -> tuple[float, float, float]:
+    """Weights of start, middle stage and end of a step in a value at the fraction x of it."""
+    return (x - GAMMA) * (x - 1.0) / GAMMA, x * (x - 1.0) / (GAMMA * (GAMMA - 1.0)), x * (x - GAMMA) / (1.0 - GAMMA)
+
+
+@njit
+def parabola_rate(x: float, dt: float) -> tuple[float, float, float]:
+    """The same for the rate of change [1/s]."""
+    start, middle = (2.0 * x - GAMMA - 1.0) / (GAMMA * dt), (2.0 * x - 1.0) / (GAMMA * (GAMMA - 1.0) * dt)
+    return start, middle, (2.0 * x - GAMMA) / ((1.0 - GAMMA) * dt)

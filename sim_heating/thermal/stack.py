@@ -1,0 +1,396 @@
+"""What a heated wall is made of, as it is declared in a file: materials, layers, stack, sensors.
+
+One schema for flight records and vehicle directories. Lengths in m from the outer surface, temperatures in K,
+pressures in Pa.
+Property tables are linear between their points and constant beyond the ends; in pressure linear in log10(p).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Discriminator, Field, Tag, field_validator, model_validator
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.files import COLDEST_K, Declared, LocatedError, Location, celsius_rule, check, nearest
+from sim_heating.base.limits import HOTTEST_K
+
+Table = list[list[float]]
+"""[[T_K, value], ...]"""
+
+THICKEST_M = 5.0
+"""A layer above this is taken for one in millimetres [m]."""
+
+LEAST, MOST = 1e-9, 1e9
+"""A property or a thickness outside these is in no SI unit that the wall of a vehicle is described in."""
+
+
+def _is_table(value: Any) -> str:
+    return "at pressures" if isinstance(value, (dict, PressureTable)) else "in temperature"
+
+
+def _pair_problems(table: Table, what: str) -> list[tuple[Location, str]]:
+    """Problems of [[x, value], ...] that hold for any table: shape and increasing first entry."""
+    if not table:
+        return [((), f"the table is empty; give [[{what}], ...], one row for a constant")]
+    odd: list[tuple[Location, str]] = [
+        ((i,), f"{row} is not a pair [{what}]") for i, row in enumerate(table) if len(row) != 2
+    ]
+    if odd:
+        return odd
+    steps = pairwise(table)
+    return [
+        ((i + 1, 0), f"{b[0]:g} does not come after {a[0]:g}; sort the rows and remove repeated ones")
+        for i, (a, b) in enumerate(steps)
+        if b[0] <= a[0]
+    ]
+
+
+def _property_problems(table: Table, name: str, largest: float = MOST) -> list[tuple[Location, str]]:
+    """Problems of a table [[T_K, value], ...] of a positive property."""
+    problems = _pair_problems(table, "T_K, value")
+    if problems:
+        return problems
+    rule = "K is below absolute zero; give K, not Celsius"
+    cold: list[tuple[Location, str]] = [((i, 0), f"{row[0]:g} {rule}") for i, row in enumerate(table) if row[0] < 0.0]
+    limits = f"above 0, up to {largest:g}" if largest < MOST else "above 0"
+    bad: list[tuple[Location, str]] = [
+        ((i, 1), f"{row[1]:g} is not {name} (must be {limits})")
+        for i, row in enumerate(table)
+        if not LEAST <= row[1] <= min(largest, MOST)
+    ]
+    return cold + bad + _hot_problems(table)
+
+
+def _hot_problems(table: Table) -> list[tuple[Location, str]]:
+    """The last, and so the highest, temperature of a table that is no temperature."""
+    last = len(table) - 1
+    return [((last, 0), f"{table[last][0]:g} K is no temperature of a wall")] if table[last][0] > HOTTEST_K else []
+
+
+def _raise_located(problems: Sequence[tuple[Location, str]]) -> None:
+    if problems:
+        raise LocatedError(*problems)
+
+
+def _axis_problems(key: str, values: list[float]) -> list[tuple[Location, str]]:
+    if not values:
+        return [((key,), "the axis is empty; give at least one value")]
+    problems: list[tuple[Location, str]] = [
+        ((key, i + 1), f"{b:g} does not come after {a:g}; an axis increases")
+        for i, (a, b) in enumerate(pairwise(values))
+        if b <= a
+    ]
+    lowest_ok = values[0] > 0.0 if key == "p_Pa" else values[0] >= 0.0
+    return problems if lowest_ok else [*problems, ((key, 0), f"{values[0]:g} must be above 0")]
+
+
+class PressureTable(Declared):
+    """Conductivity in temperature and pressure: k[T][p] [W/(m K)], linear in T and in log10(p)."""
+
+    p_Pa: list[float] = Field(description="increasing pressures above 0")
+    T_K: list[float] = Field(description="increasing temperatures")
+    k: Table = Field(description="one row per T_K, one column per p_Pa, W/(m K)")
+
+    @model_validator(mode="after")
+    def _check(self) -> PressureTable:
+        problems = _axis_problems("p_Pa", self.p_Pa) + _axis_problems("T_K", self.T_K)
+        if len(self.k) != len(self.T_K):
+            problems.append((("k",), f"has {len(self.k)} rows against {len(self.T_K)} values of T_K; one row per T_K"))
+        for i, row in enumerate(self.k):
+            if len(row) != len(self.p_Pa):
+                rule = f"has {len(row)} values against {len(self.p_Pa)} of p_Pa; one column per p_Pa"
+                problems.append((("k", i), rule))
+            problems += [
+                (("k", i, j), f"{value:g} is not a conductivity (must be above 0)")
+                for j, value in enumerate(row)
+                if not LEAST <= value <= MOST
+            ]
+        _raise_located(problems)
+        return self
+
+
+class Material(Declared):
+    """A material of a layer: density, specific heat, conductivity, and emissivity where it faces outward."""
+
+    density_kg_m3: float = Field(gt=0.0, le=MOST, description="density in kg/m3, above 0")
+    emissivity: Table | None = Field(default=None, description="[[T_K, value], ...], value above 0, up to 1")
+    specific_heat_J_kgK: Table = Field(description="[[T_K, value], ...] in J/(kg K)")
+    conductivity_W_mK: Annotated[
+        Annotated[Table, Tag("in temperature")] | Annotated[PressureTable, Tag("at pressures")],
+        Discriminator(_is_table),
+    ] = Field(description="[[T_K, value], ...] or { p_Pa, T_K, k } in W/(m K)")
+    max_use_K: float | None = Field(
+        default=None, gt=COLDEST_K, le=HOTTEST_K, description="highest temperature of use in K"
+    )
+    source: str | None = None
+    confidence: str | None = None
+    note: str | None = None
+
+    @field_validator("emissivity")
+    @classmethod
+    def _check_emissivity(cls, table: Table | None) -> Table | None:
+        if table is not None:
+            _raise_located(_property_problems(table, "an emissivity", largest=1.0))
+        return table
+
+    @field_validator("specific_heat_J_kgK")
+    @classmethod
+    def _check_specific_heat(cls, table: Table) -> Table:
+        _raise_located(_property_problems(table, "a specific heat"))
+        return table
+
+    @field_validator("conductivity_W_mK")
+    @classmethod
+    def _check_conductivity(cls, table: Table | PressureTable) -> Table | PressureTable:
+        if not isinstance(table, PressureTable):
+            _raise_located(_property_problems(table, "a conductivity"))
+        return table
+
+    def conductivity_grid(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(p,) pressures [Pa], (T,) temperatures [K], (T, p) conductivity [W/(m K)]; one pressure where k has none."""
+        table = self.conductivity_W_mK
+        if isinstance(table, PressureTable):
+            return np.array(table.p_Pa), np.array(table.T_K), np.array(table.k)
+        T_K, k = pairs(table)
+        return np.array([1.0]), T_K, k[:, np.newaxis]
+
+
+def pairs(table: Table) -> tuple[FloatArray, FloatArray]:
+    """The two columns of [[x, value], ...] as float64 arrays."""
+    both = np.array(table, dtype=np.float64)
+    return np.ascontiguousarray(both[:, 0]), np.ascontiguousarray(both[:, 1])
+
+
+class Layer(Declared):
+    """One layer of a stack; contact_m2K_W is the contact resistance at its inner face."""
+
+    material: str = Field(description="name of a material")
+    thickness_m: float = Field(gt=0.0, description="thickness in m, above 0; leave out a layer that is not there")
+    contact_m2K_W: float = Field(default=0.0, ge=0.0, le=MOST, description="contact resistance in m2 K/W")
+
+    @field_validator("thickness_m")
+    @classmethod
+    def _check_metres(cls, thickness_m: float) -> float:
+        if thickness_m < LEAST:
+            raise ValueError(f"{thickness_m:g} is thinner than an atom; give m, or leave out a layer that is not there")
+        if thickness_m > THICKEST_M:
+            raise ValueError(f"{thickness_m:g} is thicker than {THICKEST_M:g} m and looks like millimetres; give m")
+        return thickness_m
+
+
+class BackFace(Declared):
+    """A back face that convects and radiates to T_K: q = h (T - T_K) + emissivity sigma (T^4 - T_K^4)."""
+
+    h_W_m2K: float = Field(default=0.0, ge=0.0, le=MOST, description="film coefficient in W/(m2 K)")
+    T_K: float = Field(ge=0.0, le=HOTTEST_K, description="temperature behind the wall in K")
+    emissivity: float = Field(default=0.0, ge=0.0, le=1.0, description="0 to 1")
+
+
+def _is_back(value: Any) -> str:
+    return "cooled" if isinstance(value, (dict, BackFace)) else "adiabatic"
+
+
+class Stack(Declared):
+    """Layers from the outermost inward, with the initial temperature and what the two faces see."""
+
+    nodes: int | None = Field(default=None, ge=3, le=10_000, description="a hint, 14 to 100 as a rule")
+    surroundings_K: float = Field(default=0.0, ge=0.0, le=HOTTEST_K, description="temperature radiated to in K")
+    initial: Literal["uniform", "profile"] = "uniform"
+    initial_K: float | None = Field(default=None, le=HOTTEST_K, description="temperature in K")
+    initial_profile: Table | None = Field(default=None, description="[[x_m, T_K], ...]")
+    back: Annotated[
+        Annotated[Literal["adiabatic"], Tag("adiabatic")] | Annotated[BackFace, Tag("cooled")], Discriminator(_is_back)
+    ] = Field(description='"adiabatic" or { h_W_m2K, T_K, emissivity }')
+    layer: list[Layer] = Field(min_length=1, description="[[stack.layer]], outermost first")
+
+    @field_validator("initial_K")
+    @classmethod
+    def _check_initial(cls, initial_K: float | None) -> float | None:
+        if initial_K is not None and initial_K < COLDEST_K:
+            raise ValueError(f"{initial_K:g} {celsius_rule()}")
+        return initial_K
+
+    @field_validator("initial_profile")
+    @classmethod
+    def _check_profile(cls, table: Table | None) -> Table | None:
+        if table is not None:
+            problems = _pair_problems(table, "x_m, T_K")
+            if not problems:
+                problems = [
+                    ((i, 1), f"{T_K:g} {celsius_rule() if T_K < COLDEST_K else 'K is no temperature of a wall'}")
+                    for i, (_, T_K) in enumerate(table)
+                    if not COLDEST_K <= T_K <= HOTTEST_K
+                ]
+            _raise_located(problems)
+        return table
+
+    @model_validator(mode="after")
+    def _check(self) -> Stack:
+        _raise_located([*self._initial_problems(), *self._profile_depth_problems(), *self._contact_problems()])
+        return self
+
+    def _initial_problems(self) -> list[tuple[Location, str]]:
+        needed = "initial_K" if self.initial == "uniform" else "initial_profile"
+        problems: list[tuple[Location, str]] = []
+        if getattr(self, needed) is None:
+            problems.append((("initial",), f'"{self.initial}" needs `{needed}`; add it'))
+        if self.initial == "uniform" and self.initial_profile is not None:
+            problems.append((("initial_profile",), 'is given with initial = "uniform"; say initial = "profile"'))
+        return problems
+
+    def _profile_depth_problems(self) -> list[tuple[Location, str]]:
+        rows = self.initial_profile or []
+        return [
+            (("initial_profile", i, 0), f"{row[0]:g} m is outside the stack (0 to {self.thickness_m:g} m)")
+            for i, row in enumerate(rows)
+            if not self.holds(row[0])
+        ]
+
+    def _contact_problems(self) -> list[tuple[Location, str]]:
+        if self.layer[-1].contact_m2K_W == 0.0:
+            return []
+        last = len(self.layer) - 1
+        return [(("layer", last, "contact_m2K_W"), "the last layer touches no other at its inner face; remove it")]
+
+    @property
+    def thickness_m(self) -> float:
+        """Thickness of the whole stack [m]."""
+        return float(sum(layer.thickness_m for layer in self.layer))
+
+    @property
+    def interfaces_m(self) -> FloatArray:
+        """(layer + 1,) depths of the faces of the layers from the outer surface [m], 0 and the thickness included."""
+        return np.concatenate(([0.0], np.cumsum([layer.thickness_m for layer in self.layer])))
+
+    @property
+    def bondline_m(self) -> float:
+        """Depth of the outer face of the last layer [m]."""
+        return float(self.interfaces_m[-2])
+
+    def holds(self, depth_m: float) -> bool:
+        """Whether a depth [m] lies in the stack, its faces included (to rounding of summed thicknesses)."""
+        slack = 1e-9 * self.thickness_m
+        return -slack <= depth_m <= self.thickness_m + slack
+
+
+class Sensor(Declared):
+    """A thermocouple: where it sits and what its recorder does to the temperature."""
+
+    name: str = Field(min_length=1)
+    column: str = Field(min_length=1, description="column of the measurements, ending in _K")
+    depth_m: float = Field(ge=0.0, description="depth from the outer surface in m")
+    noise_sigma_K: float | None = Field(default=None, ge=0.0, le=HOTTEST_K, description="random part in K")
+    bits: int | None = Field(default=None, ge=1, le=32, description="bits of the recorder word")
+    range_K: list[float] | None = Field(default=None, description="[lowest, highest] in K")
+    calibration: list[float] | None = Field(default=None, min_length=2, description="[c0, c1, ...], indicated K")
+    used: bool = True
+    rate_hz: float | None = Field(default=None, gt=0.0, description="samples a second")
+    sample_offset_s: float = Field(default=0.0, description="time of the first sample in s")
+
+    @field_validator("range_K")
+    @classmethod
+    def _check_range(cls, range_K: list[float] | None) -> list[float] | None:
+        if range_K is None:
+            return None
+        if len(range_K) != 2 or not range_K[0] < range_K[1]:
+            raise ValueError(f"{range_K} is not [lowest, highest]; give two increasing temperatures in K")
+        if range_K[1] > HOTTEST_K:
+            raise LocatedError(((1,), f"{range_K[1]:g} K is no temperature of a wall"))
+        if range_K[0] < 0.0:
+            raise LocatedError(((0,), f"{range_K[0]:g} K is below absolute zero; give K, not Celsius"))
+        return range_K
+
+    @field_validator("column")
+    @classmethod
+    def _check_column(cls, column: str) -> str:
+        if column != column.strip() or column == "time_s":
+            raise ValueError(f"`{column}` is not a sensor's column; name a column of the thermocouple file")
+        if column.endswith(("_C", "_degC", "_F", "_degF")):
+            raise ValueError(f"`{column}` ends in a unit that is not K; convert it and end its name in _K")
+        return column
+
+    @field_validator("calibration")
+    @classmethod
+    def _check_calibration(cls, calibration: list[float] | None) -> list[float] | None:
+        if calibration is not None and not any(calibration[1:]):
+            raise ValueError(f"{calibration} is constant; [0.0, 1.0] leaves the temperature as it is")
+        return calibration
+
+    @model_validator(mode="after")
+    def _check(self) -> Sensor:
+        if self.bits is not None and self.range_K is None:
+            raise LocatedError((("bits",), f"{self.bits} bits need `range_K`, the span that the word covers; add it"))
+        return self
+
+    @property
+    def lsb_K(self) -> float:
+        """Step of the recorder word [K], span / (2^bits - 1); 0 where nothing is quantised."""
+        if self.bits is None or self.range_K is None:
+            return 0.0
+        return (self.range_K[1] - self.range_K[0]) / (2**self.bits - 1)
+
+    def noise_floor_K(self, sigma_K: float) -> float:
+        """Root mean square error of a reading [K] from noise of sigma [K] and the recorder word,
+        sqrt(sigma^2 + LSB^2 / 12)."""
+        return math.sqrt(sigma_K**2 + self.lsb_K**2 / 12.0)
+
+
+class Construction(Declared):
+    """A stack together with the materials of its layers: all that conduction needs to know of a wall."""
+
+    stack: Stack
+    materials: dict[str, Material] = Field(description="[materials.NAME], one table a material")
+
+    @model_validator(mode="after")
+    def _check_materials(self) -> Construction:
+        _raise_located(material_problems(self.stack, self.materials))
+        return self
+
+    def layer_materials(self) -> list[Material]:
+        """The material of each layer, outermost first."""
+        return [self.materials[layer.material] for layer in self.stack.layer]
+
+
+def material_problems(stack: Stack, materials: Mapping[str, Material]) -> list[tuple[Location, str]]:
+    """Layers without a material, and an outermost layer without emissivity."""
+    problems: list[tuple[Location, str]] = []
+    for i, layer in enumerate(stack.layer):
+        if layer.material not in materials:
+            near = nearest(layer.material, materials)
+            hint = f" Nearest: `{near}`." if near else f" Add [materials.{layer.material}]."
+            problems.append((("stack", "layer", i, "material"), f"there is no material `{layer.material}`.{hint}"))
+    outer = materials.get(stack.layer[0].material)
+    if outer is not None and outer.emissivity is None:
+        rule = "the outermost layer radiates; add `emissivity` = [[T_K, value], ...]"
+        problems.append((("materials", stack.layer[0].material), rule))
+    return problems
+
+
+def sensor_problems(stack: Stack, sensors: Sequence[Sensor]) -> list[tuple[Location, str]]:
+    """Sensors outside the stack, and names or columns used twice; locations are (index, key)."""
+    problems: list[tuple[Location, str]] = []
+    for i, sensor in enumerate(sensors):
+        if not stack.holds(sensor.depth_m):
+            rule = f"{sensor.depth_m:g} m is outside the stack (0 to {stack.thickness_m:g} m)"
+            problems.append(((i, "depth_m"), rule))
+        for key in ("name", "column"):
+            value = getattr(sensor, key)
+            if value in [getattr(other, key) for other in sensors[:i]]:
+                problems.append(((i, key), f"`{value}` belongs to an earlier sensor; give each its own"))
+    return problems
+
+
+def construct(stack: Stack, materials: Mapping[str, Material], where: str = "construction") -> Construction:
+    """A construction of parts that come from different files; materials that no layer uses are left out.
+
+    raises : InputError as in a file named `where`
+    """
+    parts = {"stack": stack.model_dump(), "materials": {name: m.model_dump() for name, m in materials.items()}}
+    whole = check(parts, Construction, where)
+    used = {layer.material for layer in stack.layer}
+    return whole.model_copy(update={"materials": {n: m for n, m in whole.materials.items() if n in used}})

@@ -1,0 +1,1 @@
+"""Trajectories from an imported FMU, stepped in a process of its own."""

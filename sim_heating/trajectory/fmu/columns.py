@@ -1,0 +1,337 @@
+"""From an FMU's variables to the columns of a flight: the mapping, units, usual names, and what can be derived.
+
+What an FMU does not give is derived where physics allows it, in this order:
+
+    wind           u = v_NED - wind(altitude)                      [trajectory.dispersions]
+    speed          V = |u|, or Mach times the speed of sound of US76
+    path, heading  sin(gamma) = -u_D / V or altitude rate / V,  heading = atan2(u_E, u_N)
+    attitude       body axes from roll, pitch, yaw (z, y, x), u in them:  alpha = atan2(w, u),  beta = asin(v / V),
+                   bank about the velocity from the body's y and z axes
+    density        US76 times [trajectory.dispersions].density_factor
+    body flap      the schedule of the 3-DOF entry;  elevon: in trim, by the vehicle's tables
+    jets           0
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sim_heating.base.conditions import FRAME
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import suggestion
+from sim_heating.heating.atmosphere import speed_of_sound_kernel, us76_kernel
+from sim_heating.trajectory import point_mass as pm
+from sim_heating.trajectory.aero import flown_aero
+from sim_heating.trajectory.entry3dof import flight_block
+from sim_heating.trajectory.flight import EXTRAS
+from sim_heating.trajectory.fmu.model import FmuModel
+from sim_heating.trajectory.fmu.units import Conversion
+from sim_heating.trajectory.guidance import clipped, resolve_guidance
+from sim_heating.trajectory.jsbsim.host import air_kernel, dispersion_block
+from sim_heating.trajectory.spec import FmuVariable, TrajectorySpec
+from sim_heating.trajectory.trimmed_aero import aero_block, lift_drag_kernel, low_speed_rows
+
+Frame = dict[str, float]
+Step = Callable[[Frame], None]
+
+MOTION = ("velocity_north_m_s", "velocity_east_m_s", "velocity_down_m_s", "altitude_rate_m_s", "mach")
+ATTITUDE = ("roll_deg", "pitch_deg", "yaw_deg")
+FORCES = ("drag_m_s2", "lift_m_s2", "net_gravity_m_s2")
+"""What guidance sees beside the frame."""
+COLUMNS = (*FRAME[1:], *EXTRAS, *MOTION, *ATTITUDE, *FORCES)
+"""Columns that a mapping may name; speed, path angle and heading are relative to the air, MOTION to the Earth."""
+
+AIR_PATH = ("velocity_m_s", "gamma_deg", "heading_deg")
+ANGLES = ("alpha_deg", "beta_deg", "bank_deg")
+FOLLOWS = ((set(MOTION[:3]), AIR_PATH), ({"mach"}, AIR_PATH[:1]), (set(ATTITUDE), ANGLES))
+"""What follows from velocity, from Mach, and from attitude."""
+SPEEDS = (set(AIR_PATH[:1]), set(MOTION[:3]))
+"""What tells the speed before Mach does."""
+
+UNITS = (
+    ("_kg_m3", "kg/m3"), ("_m_s2", "m/s2"), ("_m_s", "m/s"), ("_deg", "deg"), ("_m", "m"), ("_g", "standard_gravity"),
+)  # fmt: skip
+"""Ending of a column -> its unit; a plain number where none fits."""
+
+USUAL_NAMES = {
+    "altitude_m": ("altitude", "alt", "height", "h"),
+    "velocity_m_s": ("airspeed", "trueairspeed", "tas", "velocity"),
+    "alpha_deg": ("alpha", "angleofattack", "aoa"),
+    "beta_deg": ("beta", "sideslip", "angleofsideslip"),
+    "elevon_deg": ("elevon",),
+    "bodyflap_deg": ("bodyflap",),
+    "rho_kg_m3": ("rho", "density", "airdensity"),
+    "bank_deg": ("bank", "bankangle"),
+    "gamma_deg": ("gamma", "flightpathangle", "fpa"),
+    "heading_deg": ("heading",),
+    "latitude_deg": ("latitude", "lat"),
+    "longitude_deg": ("longitude", "lon"),
+    "roll_deg": ("roll", "phi"),
+    "pitch_deg": ("pitch", "theta"),
+    "yaw_deg": ("yaw", "psi"),
+    "mach": ("mach", "machnumber"),
+}
+"""Names that a variable may have, letters alone and small, where the scenario does not name it."""
+
+
+def unit_of(column: str) -> str:
+    """The unit of a column."""
+    return next((unit for ending, unit in UNITS if column.endswith(ending)), "1")
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One column from one variable."""
+
+    column: str
+    variable: str
+    convert: Conversion
+
+
+class ColumnsOfFmu:
+    """How each frame of a flight is made of an FMU's outputs.
+
+    outputs  : names of the variables to ask for
+    missing  : columns of flight.EXTRAS that nothing gives
+    notes    : what was taken by its usual name or derived, for people
+    raises   : InputError, all problems at once
+    """
+
+    def __init__(self, model: FmuModel, spec: TrajectorySpec, vehicle_dir: Path) -> None:
+        self.notes: list[str] = []
+        self._constants: Frame = {}
+        self._readings = self._mapped(model, spec)
+        self.outputs = [r.variable for r in self._readings]
+        self._derive = Derivation({*self._constants, *(r.column for r in self._readings)}, spec, vehicle_dir)
+        self.notes += self._derive.notes
+        self.missing = [name for name in EXTRAS if name not in self._derive.have]
+        self.have = self._derive.have
+
+    def _mapped(self, model: FmuModel, spec: TrajectorySpec) -> list[Reading]:
+        found: list[Reading] = []
+        problems: list[str] = []
+        for column, given in spec.fmu.columns.items():
+            where = f"[trajectory.fmu.columns], `{column}`"
+            if column not in COLUMNS:
+                problems.append(f"{where}: there is no such column. {suggestion(column, COLUMNS)}")
+            elif isinstance(given, float):
+                self._constants[column] = given
+            else:
+                named = given if isinstance(given, FmuVariable) else FmuVariable(variable=given)
+                try:
+                    variable = model.number(named.variable, where)
+                    way = model.conversion(variable, named.unit, unit_of(column), where)
+                    found.append(Reading(column, variable.name, way))
+                except InputError as error:
+                    problems += error.problems
+        if "mach" in spec.fmu.columns:
+            other = [", ".join(sorted(names)) for names in SPEEDS if names <= set(spec.fmu.columns)]
+            problems += [f"[trajectory.fmu.columns]: `mach` and {o} both tell the speed; remove one" for o in other]
+        if problems:
+            raise InputError(*problems)
+        mapped = {r.column for r in found} | set(self._constants)
+        return found + self._by_usual_name(model, mapped, {r.variable for r in found})
+
+    def _by_usual_name(self, model: FmuModel, mapped: set[str], taken: set[str]) -> list[Reading]:
+        """Outputs whose names leave no doubt: the column's own, or a usual one that only one output has.
+
+        Not what the mapping holds already, and not a column that follows from what it holds.
+        """
+        mapped = mapped.union(*(made for needed, made in FOLLOWS if needed <= mapped))
+        outputs = [v for v in model.description.modelVariables if v.causality == "output" and v.name not in taken]
+        names = {v.name: re.sub("[^a-z]", "", v.name.lower()) for v in outputs}
+        found = []
+        for column in COLUMNS:
+            if column in mapped:
+                continue
+            exact = [v for v in outputs if v.name == column]
+            chosen = exact or [v for v in outputs if names[v.name] in USUAL_NAMES.get(column, ())]
+            if len(chosen) != 1:
+                continue
+            name = chosen[0].name
+            try:
+                way = model.conversion(model.number(name, column), None, unit_of(column), column)
+            except InputError:
+                self._tell_unused(model, name, column)
+                continue
+            found.append(Reading(column, name, way))
+            if name != column:
+                self.notes.append(f"{column} is `{name}`, by its usual name")
+        return found
+
+    def _tell_unused(self, model: FmuModel, name: str, column: str) -> None:
+        """A note on an output of a usual name that is not used as nobody knows its unit."""
+        unit = unit_of(column)
+        with suppress(InputError):  # one that measures something else is no such column
+            model.conversion(model.number(name, column), unit, unit, column)
+            written = f'{column} = {{ variable = "{name}", unit = "{unit}" }}'
+            self.notes.append(f"`{name}` is not used, as its unit is not known; if it is {column}, write {written}")
+
+    def frame(self, time_s: float, values: list[float]) -> Frame:
+        """All columns at a time from the FMU's outputs."""
+        frame: Frame = {"time_s": time_s, **self._constants}
+        for reading, value in zip(self._readings, values, strict=True):
+            frame[reading.column] = reading.convert(value)
+        self._derive(frame)
+        return frame
+
+    def told(self, column: str) -> str:
+        """Where a column comes from, for an error."""
+        return next((f"`{r.variable}` gives {column}" for r in self._readings if r.column == column), column)
+
+
+class Derivation:
+    """The steps that complete a frame, chosen once from what an FMU gives.
+
+    have   : columns after all steps
+    raises : InputError naming every column of conditions.FRAME that stays unknown
+    """
+
+    def __init__(self, given: set[str], spec: TrajectorySpec, vehicle_dir: Path) -> None:
+        self.have = {"time_s", *given}
+        self.notes: list[str] = []
+        self._steps: list[Step] = []
+        self._air = dispersion_block(spec.dispersions)
+        self._choose_motion()
+        self._choose({"altitude_m"}, ("rho_kg_m3",), self._standard_density, "density is US76's")
+        self._choose(set(), ("jets",), _no_jets, "")
+        if not {"elevon_deg", "bodyflap_deg"} <= self.have:
+            self._choose_trim(spec, vehicle_dir)
+        problems = [_unknown(column) for column in FRAME if column not in self.have]
+        if problems:
+            raise InputError(*problems)
+
+    def __call__(self, frame: Frame) -> None:
+        """Complete a frame in place."""
+        for step in self._steps:
+            step(frame)
+
+    def _choose(self, needed: set[str], made: tuple[str, ...], step: Step, note: str) -> None:
+        """Take a step where it makes something new of what there is; a column that is given stays as given."""
+        if needed <= self.have and not set(made) <= self.have:
+            keep = [name for name in made if name in self.have]
+            self._steps.append(_keeping(step, keep) if keep else step)
+            self.have |= set(made)
+            if note:
+                self.notes.append(note)
+
+    def _choose_motion(self) -> None:
+        north, east, down, rate, mach = MOTION
+        self._choose({north, east, down, "altitude_m"}, AIR_PATH, self._from_components, "speed is that of velocity")
+        self._choose({mach, "altitude_m"}, ("velocity_m_s",), _from_mach, "speed is Mach times US76's speed of sound")
+        self._choose({rate, "velocity_m_s"}, ("gamma_deg",), _from_rate, "")
+        note = "alpha, beta, bank are those of attitude and velocity, where not given"
+        self._choose({*AIR_PATH[1:], *ATTITUDE}, ANGLES, _from_attitude, note)
+
+    def _choose_trim(self, spec: TrajectorySpec, vehicle_dir: Path) -> None:
+        try:
+            trim = _Trim(spec, vehicle_dir)
+        except InputError as error:
+            ways = "map elevon_deg and bodyflap_deg or give numbers"
+            raise InputError(f"[trajectory.fmu.columns]: {ways}; trim needs the vehicle's tables: {error}") from None
+        note = "elevon and body flap are in trim and on schedule, where not given"
+        self._choose({"altitude_m", "velocity_m_s", "alpha_deg"}, ("elevon_deg", "bodyflap_deg"), trim, note)
+
+    def _standard_density(self, f: Frame) -> None:
+        f["rho_kg_m3"] = air_kernel(f["altitude_m"], self._air)[2]
+
+    def _from_components(self, f: Frame) -> None:
+        _, _, _, wind_north, wind_east = air_kernel(f["altitude_m"], self._air)
+        north, east = f["velocity_north_m_s"] - wind_north, f["velocity_east_m_s"] - wind_east
+        down = f["velocity_down_m_s"]
+        speed = math.sqrt(north * north + east * east + down * down)
+        f["velocity_m_s"] = speed
+        f["gamma_deg"] = math.degrees(math.asin(clipped(-down / max(speed, 1e-9), -1.0, 1.0)))
+        f["heading_deg"] = math.degrees(math.atan2(east, north))
+
+
+def _keeping(step: Step, names: list[str]) -> Step:
+    """A step that leaves some columns as they are."""
+
+    def kept(frame: Frame) -> None:
+        before = {name: frame[name] for name in names}
+        step(frame)
+        frame |= before
+
+    return kept
+
+
+def _unknown(column: str) -> str:
+    """What is said of a column that neither the FMU nor physics gives."""
+    ways = {
+        "velocity_m_s": "map it, `mach`, or velocity_north_m_s, velocity_east_m_s, velocity_down_m_s",
+        "alpha_deg": "map it, or roll_deg, pitch_deg, yaw_deg and the velocity's components",
+        "beta_deg": "map it or its attitude as for alpha_deg, or give a number: beta_deg = 0.0",
+    }
+    way = ways.get(column, "map it to a variable or give a number")
+    return f"[trajectory.fmu.columns]: `{column}` is not known; {way}"
+
+
+def _no_jets(f: Frame) -> None:
+    f["jets"] = 0.0
+
+
+def _from_mach(f: Frame) -> None:
+    f["velocity_m_s"] = f["mach"] * speed_of_sound_kernel(us76_kernel(f["altitude_m"])[0])
+
+
+def _from_rate(f: Frame) -> None:
+    sine = f["altitude_rate_m_s"] / max(f["velocity_m_s"], 1e-9)
+    f["gamma_deg"] = math.degrees(math.asin(clipped(sine, -1.0, 1.0)))
+
+
+def _from_attitude(f: Frame) -> None:
+    f["alpha_deg"], f["beta_deg"], f["bank_deg"] = aerodynamic_angles(
+        f["roll_deg"], f["pitch_deg"], f["yaw_deg"], f["gamma_deg"], f["heading_deg"]
+    )
+
+
+def aerodynamic_angles(
+    roll_deg: float, pitch_deg: float, yaw_deg: float, gamma_deg: float, heading_deg: float
+) -> tuple[float, float, float]:
+    """Angle of attack, sideslip and bank about the velocity [deg] of a body that flies along gamma and heading.
+
+    Body axes after yaw, pitch and roll from north, east, down. Bank is the angle from the vertical plane through the
+    velocity to the plane of lift, right wing down positive: of the body's z axis across the velocity.
+    """
+    r, p, y = (math.radians(a) for a in (roll_deg, pitch_deg, yaw_deg))
+    g, h = math.radians(gamma_deg), math.radians(heading_deg)
+    cr, sr, cp, sp, cy, sy = math.cos(r), math.sin(r), math.cos(p), math.sin(p), math.cos(y), math.sin(y)
+    body_x = (cp * cy, cp * sy, -sp)
+    body_y = (sr * sp * cy - cr * sy, sr * sp * sy + cr * cy, sr * cp)
+    body_z = (cr * sp * cy + sr * sy, cr * sp * sy - sr * cy, cr * cp)
+    along = (math.cos(g) * math.cos(h), math.cos(g) * math.sin(h), -math.sin(g))
+    level = (-math.sin(h), math.cos(h), 0.0)
+    below = (math.sin(g) * math.cos(h), math.sin(g) * math.sin(h), math.cos(g))
+    u, v, w = pm.dot(along, body_x), pm.dot(along, body_y), pm.dot(along, body_z)
+    alpha, beta = math.atan2(w, u), math.asin(clipped(v, -1.0, 1.0))
+    # The wind axes' z: body_z turned back by alpha, which lies across the velocity.
+    s, c = math.sin(alpha), math.cos(alpha)
+    wind_z = (c * body_z[0] - s * body_x[0], c * body_z[1] - s * body_x[1], c * body_z[2] - s * body_x[2])
+    bank = math.atan2(-pm.dot(wind_z, level), pm.dot(wind_z, below))
+    return math.degrees(alpha), math.degrees(beta), math.degrees(bank)
+
+
+class _Trim:
+    """Body flap on its schedule and the elevon that trims the vehicle, as the 3-DOF entry has them."""
+
+    def __init__(self, spec: TrajectorySpec, vehicle_dir: Path) -> None:
+        aero = flown_aero(spec, vehicle_dir)
+        self._flight = flight_block(spec, aero, resolve_guidance(spec.guidance, vehicle_dir))
+        self._tables = aero_block(aero, low_speed_rows(vehicle_dir, aero.basic.mach[0]))
+
+    def __call__(self, f: Frame) -> None:
+        speed = f["velocity_m_s"]
+        mach = speed / speed_of_sound_kernel(us76_kernel(f["altitude_m"])[0])
+        flap = f.get("bodyflap_deg", np.nan)
+        if math.isnan(flap):
+            flap = pm.flap_kernel(self._flight, mach, speed, 0.0)
+        f["bodyflap_deg"] = flap
+        f["elevon_deg"] = lift_drag_kernel(mach, f["alpha_deg"], flap, 0.0, self._flight, self._tables)[3]

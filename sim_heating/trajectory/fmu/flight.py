@@ -1,0 +1,282 @@
+"""A flight from an FMU, stepped alongside: one communication step a frame, commands of guidance where it takes them.
+
+The FMU runs in a process of its own (`fmu_session`). What its variables mean is in [trajectory.fmu] (`fmu_columns`);
+temperature, pressure, Mach and Reynolds number are derived here as for every source. An input holds over a step: a
+schedule is taken at the step's beginning, a command is the one that is to be reached at its end.
+
+What an FMU's inputs are given: schedules over time, or the commands of guidance and manoeuvres.
+
+Commands are those of the 3-DOF entry: guidance acts on the frame at the beginning of a step, manoeuvres start where
+speed, extrapolated to its end, passes their trigger, and both are to be reached at its end.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from sim_heating.base.conditions import FRAME, Conditions
+from sim_heating.base.errors import InputError, RunError, told_of
+from sim_heating.base.files import suggestion
+from sim_heating.base.limits import frame_problem
+from sim_heating.base.progress import Progress
+from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, speed_of_sound_kernel, us76_kernel
+from sim_heating.trajectory import guidance as gd
+from sim_heating.trajectory.flight import ROW, Flight, OnFrame, Sampler, Window, reference_length_m
+from sim_heating.trajectory.fmu.columns import ColumnsOfFmu, Frame, unit_of
+from sim_heating.trajectory.fmu.model import FmuModel, fitting, item_named, read_fmu
+from sim_heating.trajectory.fmu.session import Answer, FmuSession
+from sim_heating.trajectory.manoeuvres import ManoeuvreScript, moved
+from sim_heating.trajectory.schedules import pack, scheduled
+from sim_heating.trajectory.spec import FmuInput, TrajectorySpec
+
+REPORT_S = 20.0
+
+
+class FmuFlight:
+    """What a scenario's [trajectory] makes of an FMU, checked against it before any of its code runs.
+
+    raises : InputError, all problems of one kind at once
+    """
+
+    def __init__(self, spec: TrajectorySpec, vehicle_dir: Path) -> None:
+        if spec.file is None:
+            raise InputError('trajectory: source = "fmu" needs `file`, an FMU')
+        self.spec = spec
+        self.model: FmuModel = read_fmu(Path(spec.file), spec.fmu.interface)
+        self.columns = ColumnsOfFmu(self.model, spec, vehicle_dir)
+        self.start = self.model.start_values(spec.fmu)
+        self.inputs = InputsOfFmu(self.model, spec, vehicle_dir, self.columns.have)
+        self.sampler = Sampler(spec.sample_s, reference_length_m(vehicle_dir))
+
+    def fly(self, on_frame: OnFrame | None, progress: Progress | None) -> Flight:
+        """Step the FMU until the flight ends."""
+        spec, step_s = self.spec, 1.0 / self.spec.rate_hz
+        events = [(0.0, note) for note in self.columns.notes]
+        with FmuSession(self.model.path, spec.fmu.timeout_s) as session:
+            answer = session.start(
+                self.model.interface, self.start, self.inputs.names, self.columns.outputs,
+                stop_s=math.ceil(spec.stop.time_s * spec.rate_hz - 1e-6) / spec.rate_hz, tolerance=spec.fmu.tolerance,
+            )  # fmt: skip
+            frame = self._frame(0.0, answer)
+            first_speed, frames = frame["velocity_m_s"], 0
+            self._keep(frame, on_frame)
+            while not self._ended(frame):
+                time_s = frames / spec.rate_hz
+                answer = session.step(time_s, step_s, self.inputs.values(frame, step_s))
+                frames += 1
+                reached_s = answer.time_s if answer.ended else frames / spec.rate_hz
+                if reached_s > time_s:
+                    frame = self._frame(reached_s, answer)
+                    self._keep(frame, on_frame)
+                if answer.ended:
+                    events.append((reached_s, "the FMU ended the flight"))
+                    break
+                if progress is not None and reached_s % REPORT_S < step_s:
+                    done = _done(frame, first_speed, spec)
+                    progress(done, f"{frame['altitude_m'] / 1e3:.1f} km, {frame['velocity_m_s']:.0f} m/s")
+        end_s = frame["time_s"]
+        events += self.inputs.events(end_s)
+        return Flight(self._conditions(), sorted(events, key=lambda e: e[0]), self.inputs.windows(end_s))
+
+    def _frame(self, time_s: float, answer: Answer) -> Frame:
+        """The columns of one answer.
+
+        raises : RunError where a value is no number or cannot be; InputError where that is so from the start
+        """
+        kind = InputError if time_s == 0.0 else RunError
+        for name, value in zip(self.columns.outputs, answer.values, strict=True):
+            if not math.isfinite(value):
+                raise RunError(f"{self.model}: output `{name}` is {value} at {time_s:.9g} s")
+        frame = self.columns.frame(time_s, answer.values)
+        problem = frame_problem(frame)
+        if problem is not None:
+            column, rule = problem
+            raise kind(
+                f"{self.model}: at {time_s:.9g} s {self.columns.told(column)} = {frame[column]:.6g}, which {rule}; "
+                "check the mapping and its units"
+            )
+        if not LOWEST_M <= frame["altitude_m"] <= HIGHEST_M:
+            raise kind(
+                f"{self.model}: at {time_s:.9g} s the vehicle is at {frame['altitude_m']:.0f} m, outside the "
+                f"atmosphere ({LOWEST_M:.0f} to {HIGHEST_M:.0f} m); give a stop"
+            )
+        return frame
+
+    def _keep(self, frame: Frame, on_frame: OnFrame | None) -> None:
+        row = np.array([frame.get(name, 0.0) for name in ROW])
+        self.sampler.add(row)
+        if on_frame is not None:
+            on_frame(row[: len(FRAME)])
+
+    def _ended(self, f: Frame) -> bool:
+        mach = f["velocity_m_s"] / speed_of_sound_kernel(us76_kernel(f["altitude_m"])[0])
+        return self.spec.stop.passed(f["time_s"], f["altitude_m"], f["velocity_m_s"], mach)
+
+    def _conditions(self) -> Conditions:
+        """The samples without the columns that nobody knows."""
+        whole = self.sampler.conditions()
+        return Conditions({n: v for n, v in whole.columns.items() if n not in self.columns.missing})
+
+
+def fly(
+    spec: TrajectorySpec, vehicle_dir: Path, *, on_frame: OnFrame | None = None, progress: Progress | None = None
+) -> Flight:
+    """Fly a scenario's trajectory with the FMU of spec.file, from 0 s on.
+
+    on_frame : called at the start and after each communication step with the values of conditions.FRAME
+    progress : called every 20 s of flight with the fraction of the flight done and a line of text
+    raises   : InputError for an FMU or mapping that cannot be flown; RunError where the FMU fails, crashes, hangs, or
+               gives what is no flight
+    """
+    return FmuFlight(spec, vehicle_dir).fly(on_frame, progress)
+
+
+def problems_of(spec: TrajectorySpec, vehicle_dir: Path) -> Sequence[str]:
+    """What is wrong between a scenario and its FMU, found without running the FMU."""
+    try:
+        FmuFlight(spec, vehicle_dir)
+    except InputError as error:
+        return error.problems
+    return ()
+
+
+def _done(frame: Frame, first_speed: float, spec: TrajectorySpec) -> float:
+    last = spec.stop.velocity_m_s or 300.0 * (spec.stop.mach or 0.0)
+    by_speed = (first_speed - frame["velocity_m_s"]) / max(first_speed - last, 1.0)
+    return float(min(max(by_speed, frame["time_s"] / spec.stop.time_s, 0.0), 1.0))
+
+
+SEEN = (
+    "altitude_m", "velocity_m_s", "gamma_deg", "heading_deg", "latitude_deg", "longitude_deg", "alpha_deg",
+    "rho_kg_m3", "drag_m_s2", "lift_m_s2", "net_gravity_m_s2",
+)  # fmt: skip
+"""Columns that guidance needs; the altitude rate is V sin(gamma) where it is not given."""
+
+
+class Pilot:
+    """Guidance and manoeuvres beside an FMU, one call a frame."""
+
+    def __init__(self, spec: TrajectorySpec, vehicle_dir: Path, have: set[str]) -> None:
+        missing = [name for name in SEEN if name not in have]
+        if missing:
+            raise InputError(f"[trajectory.fmu.columns]: guidance needs {', '.join(missing)}; map them")
+        self.script = ManoeuvreScript(spec.manoeuvre)
+        self.events: list[tuple[float, str]] = []
+        self._block = gd.guidance_block(gd.resolve_guidance(spec.guidance, vehicle_dir))
+        self._memory: np.ndarray | None = None
+        self._before = (0.0, 0.0)
+
+    def commands(self, f: Frame, step_s: float) -> Frame:
+        """Commands to be reached at the end of the step that begins with a frame."""
+        speed = f["velocity_m_s"]
+        mach = speed / speed_of_sound_kernel(us76_kernel(f["altitude_m"])[0])
+        if self._memory is None:
+            self._memory = gd.first_memory(self._block, mach, speed)
+            self._before = (speed, mach)
+        sign, phase = self._memory[gd.SIGN], self._memory[gd.PHASE]
+        gd.guide(self._block, self._memory, _seen(f, speed, mach), step_s)
+        self.events += gd.guidance_events(f["time_s"], sign, phase, self._memory)
+        ahead = 2.0 * speed - self._before[0], 2.0 * mach - self._before[1]
+        offsets = self.script.offsets(f["time_s"] + step_s, *ahead)
+        self._before = (speed, mach)
+        alpha = gd.clipped(
+            self._memory[gd.ALPHA_COMMAND] + offsets.alpha_deg, self._block[gd.ALPHA_LOW], self._block[gd.ALPHA_HIGH]
+        )
+        return {
+            "alpha_deg": alpha,
+            "bank_deg": float(self._memory[gd.BANK_COMMAND]),
+            "beta_deg": offsets.beta_deg,
+            "elevon_deg": offsets.elevon_deg,
+            "bodyflap_deg": offsets.bodyflap_deg,
+            "jets": gd.clipped(offsets.jets, 0.0, 1.0),
+        }
+
+
+def _seen(f: Frame, speed: float, mach: float) -> np.ndarray:
+    climb = f.get("altitude_rate_m_s", speed * math.sin(math.radians(f["gamma_deg"])))
+    qbar = 0.5 * f["rho_kg_m3"] * speed * speed
+    return np.array([
+        f["time_s"], f["altitude_m"], speed, mach, climb, f["drag_m_s2"], f["lift_m_s2"], f["net_gravity_m_s2"], qbar,
+        f["alpha_deg"], f["heading_deg"], f["latitude_deg"], f["longitude_deg"],
+    ])  # fmt: skip
+
+
+class InputsOfFmu:
+    """The inputs of a flight's FMU, by name, and their values frame by frame.
+
+    raises : InputError, all problems at once
+    """
+
+    def __init__(self, model: FmuModel, spec: TrajectorySpec, vehicle_dir: Path, have: set[str]) -> None:
+        self.names: list[str] = []
+        self._values: list[Callable[[Frame, Frame], float]] = []
+        problems: list[str] = []
+        for name, given in spec.fmu.inputs.items():
+            whole = given if isinstance(given, FmuInput) else FmuInput(command=given)
+            try:
+                self._values.append(_value(model, name, whole))
+                self.names.append(name)
+            except InputError as error:
+                problems += error.problems
+        problems += _unheard(model, spec) + _unmoved(model, spec)
+        if problems:
+            raise InputError(*problems)
+        self.pilot = Pilot(spec, vehicle_dir, have) if spec.fmu.commands else None
+
+    def values(self, frame: Frame, step_s: float) -> list[float]:
+        """Values over the step that begins with a frame."""
+        commands = {} if self.pilot is None else self.pilot.commands(frame, step_s)
+        return [value(frame, commands) for value in self._values]
+
+    def windows(self, end_s: float) -> list[Window]:
+        """Manoeuvres flown."""
+        return [] if self.pilot is None else self.pilot.script.windows(end_s)
+
+    def events(self, end_s: float) -> list[tuple[float, str]]:
+        """What guidance and manoeuvres did."""
+        return [] if self.pilot is None else [*self.pilot.events, *self.pilot.script.events(end_s)]
+
+
+def _unheard(model: FmuModel, spec: TrajectorySpec) -> list[str]:
+    """What is wrong with inputs of an FMU whose own `pilot` commands, as the exported 3-DOF entry has one."""
+    pilot = model.variables.get("pilot")
+    host = None if pilot is None else item_named(pilot, "host")
+    if pilot is None or host is None or not spec.fmu.inputs:
+        return []
+    if float(spec.fmu.start.get("pilot", pilot.start) or 0) == host:
+        return []
+    return [f"[trajectory.fmu.inputs]: {model} looks at its inputs only with pilot = {host} in [trajectory.fmu.start]"]
+
+
+def _unmoved(model: FmuModel, spec: TrajectorySpec) -> list[str]:
+    """Manoeuvres that no input of an FMU takes."""
+    inputs = [v.name for v in model.description.modelVariables if v.causality == "input"]
+    return [
+        f"manoeuvre {number} ({m.kind}): no input takes its {moved(m)}; name one in [trajectory.fmu.inputs]. "
+        + (suggestion(f"command.{moved(m)}", inputs) if inputs else f"{model} has no inputs")
+        for number, m in enumerate(spec.manoeuvre, start=1)
+        if moved(m) not in spec.fmu.commands
+    ]
+
+
+def _value(model: FmuModel, name: str, given: FmuInput) -> Callable[[Frame, Frame], float]:
+    """How one input is made of a frame and the commands, in the FMU's unit."""
+    where = f"[trajectory.fmu.inputs], `{name}`"
+    variable = model.number(name, where)
+    if variable.causality != "input":
+        raise InputError(f"{where}: it is a {variable.causality} of {model}, not an input")
+    if given.command is None:
+        with told_of(where):
+            for _, value in given.schedule or ():
+                fitting(variable, value)
+        block = pack((), [given.schedule or ()])
+        if given.unit is not None:
+            model.scale(variable, given.unit, where)
+        return lambda frame, _: scheduled(block, 0, frame["time_s"])
+    command = given.command
+    to_command = model.conversion(variable, given.unit, unit_of(command), where)
+    return lambda _, commands: to_command.back(commands[command])

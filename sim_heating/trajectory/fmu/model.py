@@ -1,0 +1,254 @@
+"""What an FMU says of itself: its interfaces, its variables and their units, read without running any of its code.
+
+Which values a variable of an FMU takes: any number, whole ones of its type's range, an item, or true and false.
+"""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+import fmpy
+from fmpy.model_description import ModelDescription, ModelVariable, ValidationError
+from fmpy.simulation import settable_in_initialization_mode, settable_in_instantiated
+
+from sim_heating.base.errors import InputError, told_of
+from sim_heating.base.files import shown, suggestion
+from sim_heating.base.files.text import one_line
+from sim_heating.trajectory.fmu.units import NO_DIMENSION, Conversion, Scale, conversion, known_unit, unit_of_fmu
+from sim_heating.trajectory.spec import FmuSource, FmuValue
+
+DESCRIPTION = "modelDescription.xml"
+VERSIONS = ("2.0", "3.")
+NUMBERS = ("Real", "Float", "Integer", "Int", "UInt", "Boolean", "Enumeration")
+NEAREST_OF = 12
+"""Variables that an error lists where no name is near."""
+SCHEMA_PROBLEMS = 3
+"""Problems that an error lists of a description that is not valid."""
+
+
+@dataclass(frozen=True)
+class FmuModel:
+    """A readable FMU for this platform, and the interface to use."""
+
+    path: Path
+    description: ModelDescription
+    interface: str
+
+    @property
+    def variables(self) -> dict[str, ModelVariable]:
+        """Variables by name, those that share another's value by their own names too."""
+        found = {v.name: v for v in self.description.modelVariables}
+        aliases = {a.name: v for v in self.description.modelVariables for a in v.aliases}
+        return aliases | found
+
+    def number(self, name: str, where: str) -> ModelVariable:
+        """A scalar variable that is a number.
+
+        raises : InputError naming the nearest one
+        """
+        variable = self.variables.get(name)
+        if variable is None:
+            known = [v for v, held in self.variables.items() if held.causality in ("output", "input", "parameter")]
+            raise InputError(f"{where}: {self} has no variable `{name}`. {suggestion(name, known[:NEAREST_OF] or '-')}")
+        if not str(variable.type).startswith(NUMBERS) or variable.shape:
+            kind = "an array" if variable.shape else f"a {variable.type}"
+            raise InputError(f"{where}: `{name}` of {self} is {kind}; name a variable that is one number")
+        return variable
+
+    def scale(self, variable: ModelVariable, unit: str | None, where: str) -> Scale:
+        """The unit of a variable: as the scenario says, which must not be another than the FMU's, or the FMU's own.
+
+        raises : InputError where it is unknown, told by nobody, or told in two ways
+        """
+        name = self.unit_name(variable)
+        given = None if unit is None else known_unit(unit)
+        if unit is not None and given is None:
+            raise InputError(f"{where}: `{unit}` is not a unit; write it like m, ft/s, kg/m3, deg")
+        if name is None:
+            if given is None:
+                raise InputError(f"{where}: `{variable.name}` of {self} has no unit; give `unit`")
+            return given
+        definitions = {u.name: u.baseUnit for u in self.description.unitDefinitions}
+        try:
+            own = unit_of_fmu(name, definitions.get(name))
+        except InputError as error:
+            if given is None:
+                raise InputError(f"{where}: `{variable.name}` of {self}: {error}") from None
+            return given
+        if given is not None and conversion(given, own) != Conversion(1.0, 0.0):
+            raise InputError(f"{where}: `{variable.name}` is in `{name}` in {self}, not in `{unit}`; remove `unit`")
+        return own
+
+    @staticmethod
+    def unit_name(variable: ModelVariable) -> str | None:
+        """The unit that the FMU names for a variable or its type."""
+        return variable.unit or (variable.declaredType.unit if variable.declaredType is not None else None)
+
+    def conversion(self, variable: ModelVariable, unit: str | None, wanted: str, where: str) -> Conversion:
+        """From a variable's unit to a wanted one; what is to be a plain number needs none.
+
+        raises : InputError where they do not measure the same
+        """
+        if unit is None and wanted in NO_DIMENSION and self.unit_name(variable) is None:
+            return Conversion(1.0, 0.0)
+        scale, target = self.scale(variable, unit, where), known_unit(wanted)
+        assert target is not None
+        found = conversion(scale, target)
+        if found is None:
+            name = self.unit_name(variable) if unit is None else unit or "1"
+            raise InputError(f"{where}: `{variable.name}` of {self} is in `{name}`, which is no `{wanted}`")
+        return found
+
+    def start_values(self, source: FmuSource) -> dict[str, Value]:
+        """The scenario's start values in the FMU's units.
+
+        raises : InputError, all problems at once
+        """
+        found: dict[str, Value] = {}
+        problems: list[str] = []
+        for name, value in source.start.items():
+            try:
+                variable, own = self._start_value(name, value, f"[trajectory.fmu.start], `{name}`")
+                found[variable.name] = own
+            except InputError as error:
+                problems += error.problems
+        if problems:
+            raise InputError(*problems)
+        return found
+
+    def _start_value(self, name: str, value: Value | FmuValue, where: str) -> tuple[ModelVariable, Value]:
+        variable = self.variables.get(name)
+        if variable is None or variable.type != "String" or not isinstance(value, str):
+            variable = self.number(name, where)
+        if not (settable_in_instantiated(variable) or settable_in_initialization_mode(variable)):
+            raise InputError(
+                f"{where}: {self} takes no start value for this {variable.causality}; give parameters and inputs alone"
+            )
+        if isinstance(value, FmuValue):
+            value = self._converted(variable, value, where)
+        if variable.type == "String":
+            return variable, value
+        with told_of(where):
+            return variable, fitting(variable, value)
+
+    def _converted(self, variable: ModelVariable, given: FmuValue, where: str) -> float:
+        """A start value with a unit, in the FMU's."""
+        unit = self.unit_name(variable)
+        if unit is None:
+            raise InputError(f"{where}: `{variable.name}` of {self} has no unit; give a plain number")
+        scale, known = self.scale(variable, None, where), known_unit(given.unit)
+        way = None if known is None else conversion(known, scale)
+        if way is None:
+            raise InputError(f"{where}: `{given.unit}` is no unit of it; it is in `{unit}`")
+        return way(given.value)
+
+    def __str__(self) -> str:
+        return shown(self.path)
+
+
+def read_fmu(path: Path, interface: str | None = None) -> FmuModel:
+    """Read an FMU's description and choose the interface.
+
+    raises : InputError where the file is no FMU of a known version, lacks the interface, or has nothing for this
+             platform
+    """
+    name = shown(path)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            entries = archive.namelist()
+    except (OSError, zipfile.BadZipFile) as error:
+        raise InputError(f"{name}: is not an FMU ({error})") from None
+    if DESCRIPTION not in entries:
+        raise InputError(f"{name}: is not an FMU (there is no {DESCRIPTION} in it)")
+    if strays := [entry for entry in entries if _leads_out(entry)]:
+        raise InputError(f"{name}: holds `{one_line(strays[0])}`, which leads out of it; nothing of it is unpacked")
+    description = _description(path)
+    for interface_of in (description.coSimulation, description.modelExchange):
+        if interface_of is not None and not interface_of.modelIdentifier:
+            raise InputError(f"{name}: {DESCRIPTION} is not valid: an interface has no modelIdentifier")
+    platforms = fmpy.supported_platforms(path)
+    if not str(description.fmiVersion).startswith(VERSIONS):
+        raise InputError(f"{name}: is of FMI {description.fmiVersion}; FMI 2.0 and 3.0 can be flown")
+    has = {
+        "co-simulation": description.coSimulation is not None,
+        "model-exchange": description.modelExchange is not None,
+    }
+    chosen = interface or next((k for k, there in has.items() if there), "co-simulation")
+    if not has[chosen]:
+        others = [k for k, there in has.items() if there]
+        raise InputError(f"{name}: has no {chosen} interface" + (f"; it has {', '.join(others)}" if others else ""))
+    if fmpy.platform not in platforms:
+        found = ", ".join(p for p in platforms if p != "c-code") or "none"
+        raise InputError(f"{name}: has no library for this platform ({fmpy.platform}); platforms in it: {found}")
+    return FmuModel(path, description, chosen)
+
+
+def _leads_out(entry: str) -> bool:
+    """Whether an archive's entry would be unpacked elsewhere than in its folder, here or on another platform."""
+    return ".." in PurePosixPath(entry).parts or entry.startswith("/") or "\\" in entry or ":" in entry
+
+
+def _description(path: Path) -> ModelDescription:
+    try:
+        return fmpy.read_model_description(path, validate=False)
+    except Exception as error:  # FMPy raises plain Exceptions in words, lxml its own, and both Python's
+        raise InputError(f"{shown(path)}: {DESCRIPTION} {_invalid(path, error)}") from None
+
+
+def _invalid(path: Path, error: Exception) -> str:
+    """What is wrong with a description that FMPy cannot read, by its schema where FMPy has no words for it."""
+    if not isinstance(error, AttributeError | TypeError | ValueError | LookupError):
+        return f"cannot be read ({one_line(' '.join(str(error).split()))})"
+    try:
+        fmpy.read_model_description(path, validate=True)
+    except ValidationError as invalid:
+        problems = "; ".join(str(p) for p in invalid.problems[:SCHEMA_PROBLEMS])
+        return f"is not valid: {one_line(' '.join(problems.split()))}"
+    except Exception:  # without a version there is no schema; or FMPy stumbles over what its schema allows
+        pass
+    return "is not valid; its root must be an fmiModelDescription with an fmiVersion"
+
+
+Value = bool | int | float | str
+
+
+def fitting(variable: ModelVariable, value: Value) -> bool | int | float:
+    """A scenario's value as a variable takes it.
+
+    raises : InputError where it takes no such value, with those that it takes
+    """
+    told = str(value).lower() if isinstance(value, bool) else str(value)
+    if variable.type == "Boolean":
+        if value in (0, 1):
+            return bool(value)
+        raise InputError(f"`{told}` is neither true nor false")
+    if items := _items(variable):
+        if value in items and not isinstance(value, bool):
+            return int(value)
+        raise InputError(f"`{told}` is none of its items: {', '.join(f'{k} ({n})' for k, n in items.items())}")
+    if isinstance(value, bool | str):
+        raise InputError(f"`{told}` is not a number, and `{variable.name}` is a {variable.type}")
+    if str(variable.type).startswith(("Real", "Float")):
+        return value
+    lowest, highest = _range(str(variable.type))
+    if not lowest <= value <= highest or value != int(value):
+        raise InputError(f"`{told}` is no whole number from {lowest} to {highest}, as `{variable.name}` takes")
+    return int(value)
+
+
+def item_named(variable: ModelVariable, name: str) -> int | None:
+    """The number of an enumeration's item."""
+    return next((number for number, own in _items(variable).items() if own == name), None)
+
+
+def _items(variable: ModelVariable) -> dict[int, str]:
+    return {} if variable.declaredType is None else {int(i.value): i.name for i in variable.declaredType.items}
+
+
+def _range(kind: str) -> tuple[int, int]:
+    """Least and greatest value of FMI 3's Int8 to UInt64; FMI 2's Integer and an enumeration have 32 bits."""
+    unsigned, bits = kind.startswith("U"), int((re.search(r"\d+", kind) or ["32"])[0])
+    return (0, 2**bits - 1) if unsigned else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)

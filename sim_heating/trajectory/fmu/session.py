@@ -1,0 +1,194 @@
+"""An FMU in a process of its own (`fmu_process`), stepped from here: a crash or a hang there is one clear line here.
+
+The FMU is unpacked into a temporary folder, which is also the process's working directory; both are gone when the
+session ends, however it ends. So is what the FMU started: where the platform has them, the process has a session and
+group of its own, and the group is killed. An interrupt from the terminal therefore reaches it from here alone.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple
+
+import fmpy
+
+from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.files import shown
+from sim_heating.base.files.text import reason
+
+PROCESS = Path(__file__).with_name("process.py")
+READY_S = 120.0
+"""Longest time for the process itself to start."""
+WATCH_S = 0.05
+"""How often the watch looks at the clock."""
+GOODBYE_S = 5.0
+"""Longest time that an FMU may take to terminate."""
+LAST_WORDS = 300
+"""Characters of what the FMU printed last that an error tells."""
+OVER = b"\0\n"
+"""What the watch says in place of an answer that will not come."""
+UNPRINTED = re.compile(r"\x1b\[[0-9;?]*[@-~]|[\x00-\x1f\x7f-\x9f]")
+"""What a terminal would obey."""
+
+
+class Answer(NamedTuple):
+    """Time that the FMU reached [s], its outputs in the order asked for, and whether it wants to end."""
+
+    time_s: float
+    values: list[float]
+    ended: bool
+
+
+class FmuSession:
+    """One FMU, instantiated and initialised at `start`, then moved on by `step`; a context manager.
+
+    path      : the FMU
+    timeout_s : longest time that one call into the FMU may take [s]
+    raises    : RunError with what happened, when and what the FMU said; InputError where it cannot be unpacked
+    """
+
+    def __init__(self, path: Path, timeout_s: float) -> None:
+        self.path = path
+        self.timeout_s = timeout_s
+        self._deadline: float | None = None
+
+    def __enter__(self) -> FmuSession:
+        with ExitStack() as undo:
+            try:
+                self._begin(undo)
+            except OSError as error:
+                raise RunError(
+                    f"{shown(self.path)}: cannot be unpacked and started ({reason(error)}); "
+                    "make room for temporary files or set TMPDIR to another place"
+                ) from None
+            self._answer("before it was loaded", READY_S)
+            self._undo = undo.pop_all()
+        return self
+
+    def _begin(self, undo: ExitStack) -> None:
+        """Unpack the FMU and start its process and the watch."""
+        folder = tempfile.TemporaryDirectory(prefix="sim_heating_fmu_", ignore_cleanup_errors=True)
+        self._folder = Path(undo.enter_context(folder))
+        (self._folder / "run").mkdir()
+        self._unpack(self._folder / "fmu")
+        self._log = undo.enter_context((self._folder / "printed.txt").open("w+b"))
+        ours, theirs = os.pipe()
+        self._answers = undo.enter_context(os.fdopen(ours, "rb"))
+        self._tell = undo.enter_context(os.fdopen(theirs, "wb", 0))
+        self._over, self._hung = threading.Event(), False
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", str(PROCESS), str(os.getpid())], cwd=self._folder / "run", stdin=subprocess.PIPE,
+            stdout=self._tell, stderr=self._log, start_new_session=True,
+        )  # fmt: skip
+        undo.push(self._end)
+        threading.Thread(target=self._watch, daemon=True).start()
+
+    def _unpack(self, place: Path) -> None:
+        try:
+            fmpy.extract(self.path, place)
+        except OSError:
+            raise
+        except Exception as error:  # FMPy raises plain Exceptions, zipfile and zlib their own
+            raise InputError(f"{shown(self.path)}: cannot be unpacked ({error}); it is damaged") from None
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._undo.__exit__(kind, error, at)
+
+    def _end(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Take leave of the process where all went well; then nothing that it started goes on."""
+        self._over.set()
+        try:
+            with suppress(subprocess.TimeoutExpired, OSError):
+                if kind is not None:
+                    self._kill()
+                if self._process.stdin is not None:
+                    self._process.stdin.close()
+                self._process.wait(GOODBYE_S)
+        finally:
+            self._kill()
+            self._process.wait()
+
+    def _kill(self) -> None:
+        with suppress(ProcessLookupError, PermissionError):
+            if hasattr(os, "killpg"):
+                os.killpg(self._process.pid, signal.SIGKILL)
+            else:
+                self._process.kill()
+
+    def start(
+        self, interface: str, start: Mapping[str, Any], inputs: Sequence[str], outputs: Sequence[str], *,
+        stop_s: float, tolerance: float | None,
+    ) -> Answer:  # fmt: skip
+        """Instantiate and initialise at 0 s: start values by name, names of inputs and outputs; outputs at 0 s."""
+        request = {
+            "folder": str(self._folder / "fmu"), "interface": interface, "start": dict(start),
+            "inputs": list(inputs), "outputs": list(outputs), "start_s": 0.0, "stop_s": stop_s, "tolerance": tolerance,
+        }  # fmt: skip
+        return self._ask(request, "while it was instantiated and initialised")
+
+    def step(self, time_s: float, step_s: float, inputs: Sequence[float]) -> Answer:
+        """One communication step from time_s with inputs held at the given values."""
+        request = {"time_s": time_s, "step_s": step_s, "inputs": list(inputs)}
+        return self._ask(request, f"in its step at {time_s:.9g} s")
+
+    def _ask(self, request: Mapping[str, Any], when: str) -> Answer:
+        stdin = self._process.stdin
+        assert stdin is not None
+        with suppress(BrokenPipeError):  # a process that is gone has no answer either
+            stdin.write(json.dumps(request).encode() + b"\n")
+            stdin.flush()
+        answer = self._answer(when, self.timeout_s)
+        if "error" in answer:
+            raise RunError(f"{shown(self.path)}: the FMU failed {when}: {answer['error']}{self._last_words()}")
+        return Answer(**answer)
+
+    def _answer(self, when: str, patience_s: float) -> dict[str, Any]:
+        """What the process says next."""
+        self._deadline = time.monotonic() + patience_s
+        line = self._answers.readline()
+        self._deadline = None
+        if line.endswith(OVER):
+            raise RunError(f"{shown(self.path)}: {self._death(when)}{self._last_words()}")
+        found: dict[str, Any] = json.loads(line)
+        return found
+
+    def _death(self, when: str) -> str:
+        status = self._process.wait()
+        if self._hung:
+            return f"the FMU hung {when}: no answer within {self.timeout_s:g} s (timeout_s); it was stopped"
+        if status < 0:
+            name = signal.Signals(-status).name if -status in set(signal.Signals) else f"signal {-status}"
+            return f"the FMU crashed {when} ({name})"
+        return f"the FMU ended its process {when} (exit status {status})"
+
+    def _last_words(self) -> str:
+        """What the FMU printed last, on one line."""
+        self._log.seek(0)
+        said = " ".join(UNPRINTED.sub(" ", self._log.read().decode("utf-8", "replace")).split())
+        return f"; it said: {said[-LAST_WORDS:]}" if said else ""
+
+    def _watch(self) -> None:
+        """Tells the reader when there will be no answer: the process has ended, or is killed as the answer is overdue.
+
+        The end of the answers would not do: what the FMU started may keep them open.
+        """
+        while not self._over.wait(WATCH_S):
+            deadline, ended = self._deadline, self._process.poll() is not None
+            self._hung = not ended and deadline is not None and time.monotonic() > deadline
+            if ended or self._hung:
+                self._kill()
+                with suppress(OSError, ValueError):  # the session ended meanwhile
+                    self._tell.write(OVER)
+                return

@@ -1,0 +1,1 @@
+"""Trajectories from JSBSim: the vehicle's model, its pilot, and the host."""

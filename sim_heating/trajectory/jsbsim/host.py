@@ -1,0 +1,332 @@
+"""JSBSim as a host: one fresh executive, named properties, the standard atmosphere injected, one frame at a time.
+
+JSBSim's own atmosphere is frozen at 187 K above 86 km and up to a quarter too thin, so density, temperature and
+pressure of US76 (times a dispersion) and the wind are written before each frame, for the altitude that the frame leads
+to. All that is read after a frame belongs to that frame.
+"""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+import math
+import os
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import NamedTuple
+
+import jsbsim
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import FRAME
+from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.kernels.jit import njit
+from sim_heating.heating.atmosphere import HIGHEST_M, us76_kernel
+from sim_heating.trajectory.aero import Aero, load_aero
+from sim_heating.trajectory.jsbsim.model import write_aircraft
+from sim_heating.trajectory.schedules import pack, scheduled
+from sim_heating.trajectory.spec import Dispersions
+
+FT_M = 0.3048
+PSF_PA = 47.88025898
+SLUG_FT3_KG_M3 = 515.3788184
+RANKINE_K = 1.0 / 1.8
+
+LOWEST_M = -1000.0
+"""A vehicle below this has flown into the ground."""
+
+DENSITY_FACTOR, WIND_NORTH, WIND_EAST = 0, 2, 4
+
+
+class Read(NamedTuple):
+    """A property and what its value is multiplied with to be in SI."""
+
+    name: str
+    factor: float = 1.0
+
+
+VEHICLE_READS: Mapping[str, Read] = MappingProxyType({
+    "altitude_m": Read("position/h-sl-ft", FT_M),
+    "velocity_m_s": Read("velocities/vt-fps", FT_M),
+    "alpha_deg": Read("aero/alpha-deg"),
+    "beta_deg": Read("aero/beta-deg"),
+    "elevon_deg": Read("fcs/elevon-pos-deg"),
+    "bodyflap_deg": Read("fcs/bodyflap-pos-deg"),
+    "rho_kg_m3": Read("atmosphere/rho-slugs_ft3", SLUG_FT3_KG_M3),
+    "jets": Read("control/jet-firing"),
+})  # fmt: skip
+"""Where the columns of conditions.FRAME stand in this package's models; another aircraft has other names."""
+
+
+class InitialState(NamedTuple):
+    """State at the start; velocity, path angle and heading are relative to the air."""
+
+    altitude_m: float
+    velocity_m_s: float
+    gamma_deg: float
+    heading_deg: float
+    latitude_deg: float
+    longitude_deg: float = 0.0
+    alpha_deg: float = 0.0
+    bank_deg: float = 0.0
+
+
+@njit
+def air_kernel(altitude_m: float, dispersions: FloatArray) -> tuple[float, float, float, float, float]:
+    """Temperature [K], pressure [Pa], density [kg/m3] and wind to north and east [m/s] at an altitude."""
+    T, p, rho = us76_kernel(altitude_m)
+    factor = scheduled(dispersions, DENSITY_FACTOR, altitude_m)
+    north, east = scheduled(dispersions, WIND_NORTH, altitude_m), scheduled(dispersions, WIND_EAST, altitude_m)
+    return T, factor * p, factor * rho, north, east
+
+
+def dispersion_block(d: Dispersions) -> FloatArray:
+    """Density factor and winds over altitude as `air_kernel` reads them."""
+    return pack((), [d.density_factor or ((0.0, 1.0),), d.wind_north_m_s or (), d.wind_east_m_s or ()])
+
+
+class JSBSimHost:
+    """One aircraft in one fresh JSBSim executive.
+
+    aircraft_path : folder that holds <model>/<model>.xml
+    rate_hz       : frames a second
+    reads         : where the columns of conditions.FRAME (but time_s) are read
+    dispersions   : of the injected US76 atmosphere; None leaves JSBSim its own atmosphere and wind
+    raises        : InputError where the aircraft does not load or lacks a property that is to be read
+
+    Use: `start(state)`, then `step()` and `read_frame(buffer)` in turn. Hosts in one process do not disturb each other.
+    """
+
+    def __init__(
+        self,
+        aircraft_path: Path,
+        model: str,
+        *,
+        rate_hz: float = 60.0,
+        reads: Mapping[str, Read] = VEHICLE_READS,
+        dispersions: Dispersions | None = None,
+    ) -> None:
+        self.rate_hz = rate_hz
+        self.frames = 0
+        self._published: list[str] = []
+        self.fdm = _load(Path(aircraft_path), model, rate_hz)
+        self.frame_values = np.zeros(len(FRAME))
+        self._frame_view = self.frame_values.data.cast("B").cast("d")  # an array takes twice as long for a number
+        self._reads = [(i + 1, self.getter(reads[name].name), reads[name].factor) for i, name in enumerate(FRAME[1:])]
+        self._altitude_ft = self.getter("position/h-sl-ft")
+        self._climb_fps = self.getter("velocities/h-dot-fps")
+        self._run = self.fdm.run
+        self._air = None if dispersions is None else _AirInjection(self, dispersions)
+
+    @property
+    def time_s(self) -> float:
+        """Time since the start [s]; counted in frames, so that it does not drift as JSBSim's sum does."""
+        return self.frames / self.rate_hz
+
+    def node(self, name: str) -> jsbsim.FGPropertyNode:
+        """A property that exists, as a node: `get_double_value()` and `set_double_value(x)` cost 0.02 us.
+
+        raises : InputError with the nearest name where there is no such property
+        """
+        found = self.fdm.get_property_manager().get_node(name)
+        if found is None:
+            known = [*_properties(self.fdm), *self._published]
+            near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)
+            raise InputError(f"{name}: this aircraft has no such JSBSim property. Nearest: {near[0]}")
+        return found
+
+    def getter(self, name: str) -> Callable[[], float]:
+        """The reading function of a property; see `node`."""
+        return self.node(name).get_double_value
+
+    def publish(self, name: str) -> jsbsim.FGPropertyNode:
+        """A property made where it is missing, to be written each frame: `heating/nose/surface-K`.
+
+        raises : InputError where JSBSim cannot have a property of that name
+        """
+        created = self.fdm.get_property_manager().get_node(name, True) if _is_name(name) else None
+        self._published.append(name)
+        if created is None:
+            raise InputError(f"{name}: not a JSBSim property name (letters, digits, . _ -; parts begin with a letter)")
+        return created
+
+    def start(self, state: InitialState) -> None:
+        """Put the vehicle at a state at time 0, without rotation; commands must have been written before."""
+        air = None if self._air is None else self._air.write(state.altitude_m)
+        for name, value in _initial_conditions(state, (0.0, 0.0) if air is None else air).items():
+            self.node(f"ic/{name}").set_double_value(value)
+        self._guarded(self.fdm.run_ic)
+        self.frames = 0
+
+    def step(self) -> None:
+        """One frame.
+
+        raises : RunError with time and state where the vehicle left the atmosphere, hit the ground or is not a number
+        """
+        altitude_m = (self._altitude_ft() + self._climb_fps() / self.rate_hz) * FT_M
+        if not LOWEST_M < altitude_m < HIGHEST_M:
+            raise RunError(f"JSBSim: the state {_what_is_wrong(altitude_m)} {self.describe()}")
+        if self._air is not None:
+            self._air.write(altitude_m)
+        if not self._guarded(self._run):
+            raise RunError(f"JSBSim ended the run by itself; {self.describe()}")
+        self.frames += 1
+
+    def read_frame(self, buffer: FloatArray | None = None) -> FloatArray:
+        """The columns of conditions.FRAME after the last frame, into buffer or into `frame_values`."""
+        out: FloatArray | memoryview[float] = self._frame_view if buffer is None else buffer
+        out[0] = self.frames / self.rate_hz
+        for i, get, factor in self._reads:
+            out[i] = get() * factor
+        return self.frame_values if buffer is None else buffer
+
+    def describe(self) -> str:
+        """Time and state in words, for a report."""
+        f = dict(zip(FRAME, self.read_frame(np.zeros(len(FRAME))).tolist(), strict=True))
+        return (
+            f"at {f['time_s']:.2f} s: altitude {f['altitude_m'] / 1e3:.2f} km, velocity {f['velocity_m_s']:.0f} m/s, "
+            f"alpha {f['alpha_deg']:.1f} deg, beta {f['beta_deg']:.1f} deg"
+        )
+
+    def _guarded(self, call: Callable[[], bool]) -> bool:
+        try:
+            return call()
+        except jsbsim.BaseError as error:
+            raise RunError(f"JSBSim stopped ({' '.join(str(error).split())}); {self.describe()}") from error
+
+
+class _AirInjection:
+    """Writes US76 with its dispersions into JSBSim's override properties."""
+
+    def __init__(self, host: JSBSimHost, dispersions: Dispersions) -> None:
+        self._block = dispersion_block(dispersions)
+        self._setters = [
+            host.publish(f"atmosphere/override/{name}").set_double_value
+            for name in ("temperature", "pressure", "density")
+        ]
+        self._has_wind = bool(dispersions.wind_north_m_s or dispersions.wind_east_m_s)
+        self._winds = [host.node(f"atmosphere/wind-{d}-fps").set_double_value for d in ("north", "east")]
+
+    def write(self, altitude_m: float) -> tuple[float, float]:
+        """Air at an altitude for the next frame; returns the wind to north and east [m/s]."""
+        T, p, rho, north, east = air_kernel(altitude_m, self._block)
+        temperature, pressure, density = self._setters
+        temperature(T / RANKINE_K)
+        pressure(p / PSF_PA)
+        density(rho / SLUG_FT3_KG_M3)
+        if self._has_wind:
+            self._winds[0](north / FT_M)
+            self._winds[1](east / FT_M)
+        return north, east
+
+
+def open_vehicle(
+    vehicle_dir: Path, aero: Aero | None = None, *, rate_hz: float = 60.0, dispersions: Dispersions | None = None
+) -> JSBSimHost:
+    """A host with a vehicle of this package in it.
+
+    aero   : its aerodynamics with mass, centre of gravity and moment shift as flown; None for the vehicle's own
+    raises : InputError where the vehicle lacks what JSBSim needs
+    """
+    with tempfile.TemporaryDirectory(prefix="sim_heating_jsbsim_") as folder:
+        model = write_aircraft(aero or load_aero(vehicle_dir), vehicle_dir, Path(folder))
+        return JSBSimHost(Path(folder), model, rate_hz=rate_hz, dispersions=dispersions or Dispersions())
+
+
+def _load(aircraft_path: Path, model: str, rate_hz: float) -> jsbsim.FGFDMExec:
+    before = os.environ.get("JSBSIM_DEBUG")
+    os.environ["JSBSIM_DEBUG"] = "0"  # read when the executive is made: silences its banner
+    try:
+        fdm = jsbsim.FGFDMExec(None)
+        fdm.set_debug_level(0)
+        fdm.set_aircraft_path(str(aircraft_path))
+        fdm.set_dt(1.0 / rate_hz)  # before loading: control components keep the step that they were loaded with
+        loaded = fdm.load_model(model)
+    except jsbsim.BaseError as error:
+        raise InputError(f"{aircraft_path / model}: JSBSim cannot load it: {' '.join(str(error).split())}") from error
+    finally:
+        if before is None:
+            del os.environ["JSBSIM_DEBUG"]
+        else:
+            os.environ["JSBSIM_DEBUG"] = before
+    if not loaded:
+        raise InputError(f"{aircraft_path / model}: JSBSim cannot load it")
+    _discard_outputs(fdm)
+    return fdm
+
+
+def _discard_outputs(fdm: jsbsim.FGFDMExec) -> None:
+    """An aircraft's own <output> would write files wherever the program was started, switched off or not; what a user
+    of the host adds later is written."""
+    for number in itertools.count():
+        if not fdm.get_output_filename(number):
+            return
+        fdm.set_output_filename(number, os.devnull)
+
+
+def _properties(fdm: jsbsim.FGFDMExec) -> list[str]:
+    return [line.split(" (")[0] for line in fdm.query_property_catalog("").splitlines() if line]
+
+
+def _what_is_wrong(altitude_m: float) -> str:
+    if math.isnan(altitude_m):
+        return "is not a number"
+    return "is below ground" if altitude_m <= LOWEST_M else "is above the atmosphere's table"
+
+
+def _is_name(name: str) -> bool:
+    parts = name.split("/")
+    return all(p and p[0].isalpha() and all(c.isalnum() or c in "._-[]" for c in p) and p.isascii() for p in parts)
+
+
+def _initial_conditions(state: InitialState, wind: tuple[float, float]) -> dict[str, float]:
+    """JSBSim's `ic/` properties, in an order that sets the state exactly."""
+    north, east, down = _velocity_over_ground(state, wind)
+    phi, theta, psi = euler_angles(state.alpha_deg, state.bank_deg, state.gamma_deg, state.heading_deg)
+    return {
+        "lat-geod-deg": state.latitude_deg,
+        "long-gc-deg": state.longitude_deg,
+        "h-sl-ft": state.altitude_m / FT_M,
+        "vw-mag-fps": math.hypot(*wind) / FT_M,
+        "vw-dir-deg": math.degrees(math.atan2(wind[1], wind[0])),  # where it blows to
+        "vn-fps": north / FT_M,
+        "ve-fps": east / FT_M,
+        "vd-fps": down / FT_M,
+        "phi-rad": phi,
+        "theta-rad": theta,
+        "psi-true-rad": psi,
+    }
+
+
+def _velocity_over_ground(state: InitialState, wind: tuple[float, float]) -> tuple[float, float, float]:
+    gamma, heading = math.radians(state.gamma_deg), math.radians(state.heading_deg)
+    level = state.velocity_m_s * math.cos(gamma)
+    return (
+        level * math.cos(heading) + wind[0],
+        level * math.sin(heading) + wind[1],
+        -state.velocity_m_s * math.sin(gamma),
+    )
+
+
+def euler_angles(alpha_deg: float, bank_deg: float, gamma_deg: float, heading_deg: float) -> tuple[float, float, float]:
+    """Roll, pitch and yaw [rad] of a body without sideslip: R_y(alpha) R_x(bank) R_y(gamma) R_z(heading)."""
+    R = _about_y(alpha_deg) @ _about_x(bank_deg) @ _about_y(gamma_deg) @ _about_z(heading_deg)
+    return math.atan2(R[1, 2], R[2, 2]), -math.asin(min(max(R[0, 2], -1.0), 1.0)), math.atan2(R[0, 1], R[0, 0])
+
+
+def _about_x(deg: float) -> FloatArray:
+    s, c = math.sin(math.radians(deg)), math.cos(math.radians(deg))
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]])
+
+
+def _about_y(deg: float) -> FloatArray:
+    s, c = math.sin(math.radians(deg)), math.cos(math.radians(deg))
+    return np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
+
+
+def _about_z(deg: float) -> FloatArray:
+    s, c = math.sin(math.radians(deg)), math.cos(math.radians(deg))
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])

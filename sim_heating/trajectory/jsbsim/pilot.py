@@ -1,0 +1,140 @@
+"""What stands between guidance and JSBSim: what guidance sees of the vehicle, and what it commands of it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import FRAME
+from sim_heating.trajectory.aero import Aero
+from sim_heating.trajectory.flight import ROW
+from sim_heating.trajectory.guidance import Observed, clipped
+from sim_heating.trajectory.jsbsim.host import FT_M, PSF_PA, JSBSimHost
+from sim_heating.trajectory.manoeuvres import CLOSED, OPEN, Offsets
+from sim_heating.trajectory.schedules import pack, scheduled
+from sim_heating.trajectory.spec import Guidance, VehicleState
+
+G0_FT_S2 = 9.80665 / FT_M
+
+
+class Observer:
+    """Reads the state that guidance and the samples need, after a frame."""
+
+    def __init__(self, host: JSBSimHost) -> None:
+        self._host = host
+        self._north, self._east, self._down = (host.getter(f"velocities/v-{d}-fps") for d in ("north", "east", "down"))
+        self._wind_north, self._wind_east = (host.getter(f"atmosphere/total-wind-{d}-fps") for d in ("north", "east"))
+        self._drag, self._lift = host.getter("forces/fwx-aero-lbs"), host.getter("forces/fwz-aero-lbs")
+        self._axial = host.getter("forces/fbx-aero-lbs"), host.getter("forces/fbx-external-lbs")
+        self._mass = host.getter("inertia/mass-slugs")
+        self._gravity = host.getter("accelerations/gravity-ft_sec2")
+        self._radius = host.getter("position/radius-to-vehicle-ft")
+        self._inertial = host.getter("velocities/eci-velocity-mag-fps")
+        self._speed, self._altitude = host.getter("velocities/vt-fps"), host.getter("position/h-sl-ft")
+        self._mach, self._qbar = host.getter("velocities/mach"), host.getter("aero/qbar-psf")
+        self._alpha, self._alpha_wanted = host.getter("aero/alpha-deg"), host.getter("control/alpha-cmd-deg")
+        self._beta = host.getter("aero/beta-deg")
+        self._bank = host.getter("control/bank-rad")
+        self._latitude, self._longitude = host.getter("position/lat-geod-deg"), host.getter("position/long-gc-deg")
+        self._row = np.empty(len(ROW))
+
+    def observe(self) -> Observed:
+        """What guidance measures."""
+        climb, mass = -self._down(), self._mass()
+        horizontal2 = self._inertial() ** 2 - climb * climb
+        return Observed(
+            time_s=self._host.time_s,
+            altitude_m=self._altitude() * FT_M,
+            velocity_m_s=self._speed() * FT_M,
+            mach=self._mach(),
+            altitude_rate_m_s=climb * FT_M,
+            drag_m_s2=self._drag() / mass * FT_M,
+            lift_m_s2=self._lift() / mass * FT_M,
+            net_gravity_m_s2=(self._gravity() - horizontal2 / self._radius()) * FT_M,
+            qbar_Pa=self._qbar() * PSF_PA,
+            alpha_deg=self._alpha(),
+            heading_deg=self._heading_deg(),
+            latitude_deg=self._latitude(),
+            longitude_deg=self._longitude(),
+        )
+
+    def row(self) -> FloatArray:
+        """One sample in the order of flight.ROW; the array is reused."""
+        row = self._row
+        self._host.read_frame(row[: len(FRAME)])
+        row[len(FRAME) :] = (
+            math.degrees(self._bank()),
+            math.degrees(math.asin(clipped(-self._down() / self._speed(), -1.0, 1.0))),
+            self._heading_deg(),
+            self._latitude(),
+            self._longitude(),
+            -sum(get() for get in self._axial) / (self._mass() * G0_FT_S2),
+        )
+        return row
+
+    def attitude_error_deg(self) -> float:
+        """The larger of sideslip and the distance of the angle of attack from the one commanded; NaN where one is."""
+        alpha, beta = abs(self._alpha() - self._alpha_wanted()), abs(self._beta())
+        return alpha if alpha > beta or math.isnan(alpha) else beta
+
+    def _heading_deg(self) -> float:
+        return math.degrees(math.atan2(self._east() - self._wind_east(), self._north() - self._wind_north()))
+
+
+class Commands:
+    """Writes what guidance and manoeuvres want into the vehicle's attitude control.
+
+    While a manoeuvre pulses the elevon, or opens the pitch loop, the elevon is where it was when that began plus the
+    offset; the jets hold the angle of attack, or nothing does.
+    """
+
+    def __init__(self, host: JSBSimHost, aero: Aero, guidance: Guidance, state: VehicleState) -> None:
+        self._host = host
+        names = (
+            "alpha-cmd-deg", "beta-cmd-deg", "bank-cmd-deg", "bodyflap-cmd-deg", "elevon-direct", "elevon-direct-deg",
+            "pitch-open", "jet-firing",
+        )  # fmt: skip
+        self._set = {name: host.node(f"control/{name}").set_double_value for name in names}
+        self._elevon_deg = host.getter("fcs/elevon-pos-deg")
+        self._frozen_deg: float | None = None
+        self._alpha_limits = guidance.alpha_limits_deg
+        self._against_mach = state.bodyflap_deg is None or state.bodyflap_against == "mach"
+        trimmed = aero.bodyflap_schedule(guidance.alpha_deg, guidance.alpha_against)
+        self._bodyflap = pack((), [state.bodyflap_deg or trimmed])
+
+    def write(self, alpha_deg: float, bank_deg: float, offsets: Offsets, mach: float, velocity_m_s: float) -> None:
+        """Commands from now on; the angle of attack is kept within guidance's limits."""
+        put = self._set
+        put["alpha-cmd-deg"](clipped(alpha_deg + offsets.alpha_deg, *self._alpha_limits))
+        put["bank-cmd-deg"](bank_deg)
+        put["beta-cmd-deg"](offsets.beta_deg)
+        put["bodyflap-cmd-deg"](self.bodyflap_deg(mach, velocity_m_s) + offsets.bodyflap_deg)
+        put["jet-firing"](clipped(offsets.jets, 0.0, 1.0))
+        self._write_pitch(offsets)
+
+    def bodyflap_deg(self, mach: float, velocity_m_s: float) -> float:
+        """Scheduled body flap [deg]."""
+        return scheduled(self._bodyflap, 0, mach if self._against_mach else velocity_m_s)
+
+    def first(self, alpha_deg: float, bank_deg: float, elevon_deg: float, mach: float, velocity_m_s: float) -> None:
+        """Commands before the start: the lags of the control stand where they point, the elevon rests in trim."""
+        self.write(alpha_deg, bank_deg, Offsets(), mach, velocity_m_s)
+        for state in ("lag1", "lag2", "ref"):
+            self._host.node(f"control/alpha-{state}-deg").set_double_value(alpha_deg)
+            self._host.node(f"control/bank-{state}-deg").set_double_value(bank_deg)
+        self._host.node("control/elevon-park-deg").set_double_value(elevon_deg)
+
+    def _write_pitch(self, offsets: Offsets) -> None:
+        if offsets.pitch == CLOSED:
+            if self._frozen_deg is not None:
+                self._set["elevon-direct"](0.0)
+                self._set["pitch-open"](0.0)
+                self._frozen_deg = None
+            return
+        if self._frozen_deg is None:
+            self._frozen_deg = self._elevon_deg()
+            self._set["elevon-direct"](1.0)
+        self._set["pitch-open"](1.0 if offsets.pitch == OPEN else 0.0)
+        self._set["elevon-direct-deg"](self._frozen_deg + offsets.elevon_deg)

@@ -1,0 +1,145 @@
+"""The engine for many jobs: the same bytes whoever computes them, and what survives kills, deaths and errors."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from sim_heating.base import parallel as batches
+from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.parallel import Job, run_batches
+from tests.support import batch_jobs
+from tests.support.batch_jobs import jobs
+
+pytest.importorskip("distributed", reason="many processes need Dask: pip install 'sim-heating[plan]'")
+
+SCRIPT = Path(batch_jobs.__file__)
+
+
+def contents(folder):
+    return {p.name: p.read_bytes() for p in sorted(folder.iterdir())}
+
+
+def test_one_process_and_two_leave_the_same_bytes(tmp_path):
+    (tmp_path / "notes").mkdir()
+    function = partial(batch_jobs.square, tmp_path / "notes")
+    for workers in (1, 2):
+        outcome = run_batches(jobs(12), function, tmp_path / str(workers), workers=workers)
+        assert list(outcome.done) == [j.id for j in jobs(12)]
+        assert not outcome.failed
+    assert contents(tmp_path / "1") == contents(tmp_path / "2")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_job_that_raises_is_told_and_the_others_go_on(tmp_path, workers):
+    outcome = run_batches(jobs(6), batch_jobs.square_but_three, tmp_path, workers=workers)
+    assert outcome.failed == {"job-003": "ValueError: three is not for me"}
+    assert sorted(outcome.done) == [f"job-{k:03d}" for k in (0, 1, 2, 4, 5)]
+    again = run_batches(jobs(6), _square, tmp_path, workers=1)
+    assert not again.failed
+    assert again.done["job-003"].read_bytes() == b"9\n"
+    assert not (tmp_path / "job-003.error").exists()
+
+
+def _square(task):
+    return f"{task * task}\n".encode()
+
+
+def test_a_worker_that_dies_has_its_jobs_done_by_another(tmp_path):
+    (tmp_path / "notes").mkdir()
+    function = partial(batch_jobs.square_that_dies_once, tmp_path / "notes")
+    outcome = run_batches(jobs(8), function, tmp_path / "out", workers=2)
+    assert not outcome.failed
+    assert len(outcome.done) == 8
+    assert (tmp_path / "notes" / "died").exists()
+
+
+def test_a_job_that_kills_every_worker_fails_alone(tmp_path):
+    outcome = run_batches(jobs(6), batch_jobs.square_that_kills, tmp_path, workers=2)
+    assert list(outcome.failed) == ["job-003"]
+    assert "died" in outcome.failed["job-003"]
+    assert len(outcome.done) == 5
+
+
+def test_a_run_killed_at_any_moment_goes_on_where_it_was(tmp_path):
+    count, random_moments = 40, random.Random(5)
+    whole = tmp_path / "whole"
+    _start(whole, tmp_path / "a", count, 1).wait()
+    out, notes = tmp_path / "out", tmp_path / "b"
+    kills = 0
+    for _ in range(3):
+        run = _start(out, notes, count, 2)
+        before = _finished(out)
+        wanted = before + random_moments.randint(1, 6)
+        while run.poll() is None and _finished(out) < wanted:
+            time.sleep(0.002)
+        if run.poll() is None:
+            time.sleep(random_moments.uniform(0.0, 0.05))
+            os.killpg(run.pid, signal.SIGKILL)
+            kills += 1
+        run.wait()
+    assert _start(out, notes, count, 2).wait() == 0
+    assert kills == 3
+    done = {p.name: p.read_bytes() for p in out.iterdir() if not p.name.startswith(".")}
+    assert done == contents(whole)
+    lost = len(list(notes.iterdir())) - count
+    assert lost <= kills * 2 * 3  # what two workers had in hand at each kill
+
+
+def _finished(out):
+    return sum(1 for p in out.iterdir() if not p.name.startswith(".")) if out.exists() else 0
+
+
+def _start(out, notes, count, workers):
+    notes.mkdir(exist_ok=True)
+    arguments = [sys.executable, str(SCRIPT), str(out), str(notes), str(count), str(workers)]
+    path = os.pathsep.join([str(SCRIPT.parent.parent), os.environ.get("PYTHONPATH", "")])
+    return subprocess.Popen(arguments, env=os.environ | {"PYTHONPATH": path}, start_new_session=True)
+
+
+def test_a_scheduler_that_is_away_is_one_clear_line(tmp_path, monkeypatch):
+    monkeypatch.setattr(batches, "ANSWER_S", 1.0)
+    with pytest.raises(InputError, match="no Dask scheduler answers there") as told:
+        run_batches(jobs(2), batch_jobs.square_but_three, tmp_path, scheduler="tcp://127.0.0.1:1")
+    assert len(str(told.value).splitlines()) == 1
+
+
+def test_an_existing_scheduler_does_the_work(tmp_path):
+    from distributed import LocalCluster
+
+    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
+        outcome = run_batches(jobs(5), _square, tmp_path, scheduler=cluster.scheduler_address)
+    assert [outcome.done[j.id].read_bytes() for j in jobs(5)] == [b"0\n", b"1\n", b"4\n", b"9\n", b"16\n"]
+
+
+def test_a_scheduler_that_is_lost_on_the_way_is_one_line_and_what_is_finished_stays(tmp_path):
+    from distributed import LocalCluster
+
+    (tmp_path / "notes").mkdir()
+    function, out = partial(batch_jobs.square, tmp_path / "notes"), tmp_path / "out"
+    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
+
+        def lose(done, _text):
+            if done > 0.0:
+                cluster.close()
+
+        with pytest.raises(RunError, match=r"lost with \d+ batches to go; run the command again") as told:
+            run_batches(jobs(12), function, out, scheduler=cluster.scheduler_address, progress=lose)
+    assert len(str(told.value).splitlines()) == 1
+    kept = contents(out)
+    assert 0 < len(kept) < 12
+    assert run_batches(jobs(12), function, out, workers=1).failed == {}
+    assert kept.items() <= contents(out).items()
+
+
+def test_jobs_that_share_an_id_are_refused(tmp_path):
+    with pytest.raises(InputError, match="stands twice"):
+        run_batches([Job("a", 1), Job("a", 2)], _square, tmp_path, workers=1)

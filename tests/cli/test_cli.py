@@ -1,0 +1,369 @@
+"""The command as a person uses it: what it writes, its exit status, and one line where it cannot."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from sim_heating.base.files import files_made
+from sim_heating.cli import main
+from tests.support.gliding import gliding
+from tests.support.paths import ROOT, TILE
+
+SHORT = gliding(60.0, "V09T9527", vehicle="orbiter")
+POPU = '[[trajectory.manoeuvre]]\nkind = "popu"\n'
+
+
+@pytest.fixture
+def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working directory with one good scenario in it, the vehicles found by name."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("SIM_HEATING_AIRCRAFT_DATA", str(ROOT / "aircraft_data"))
+    (tmp_path / "short.toml").write_text(SHORT)
+    return tmp_path
+
+
+def only_line(capsys: pytest.CaptureFixture[str]) -> str:
+    """The one line that an error is told in; progress lines end in dots."""
+    err = [line for line in capsys.readouterr().err.splitlines() if not line.endswith("...")]
+    assert len(err) == 1, err
+    assert "Traceback" not in err[0]
+    return err[0]
+
+
+# What a good run leaves ----------------------------------------------------------------------------------------------
+
+
+def test_run_writes_tables_pictures_and_a_summary(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "short.toml", "--out", "out"]) == 0
+    made = {p.name for p in (desk / "out").iterdir()}
+    assert made >= {"temperatures.csv", "conditions.csv", "flight.nc", "summary.json", "trajectory.png"}
+    said = capsys.readouterr().out
+    assert "V09T9527" in said
+    assert "temperatures.png" in said
+    point = json.loads((desk / "out" / "summary.json").read_text())["control_points"]["V09T9527"]
+    assert 900.0 < point["peak_surface_K"] < 1300.0
+
+
+def test_a_second_run_replaces_the_first_and_keeps_what_is_not_ours(desk: Path) -> None:
+    assert main(["run", "short.toml", "--out", "out"]) == 0
+    (desk / "out" / "notes.txt").write_text("mine")
+    assert main(["run", "short.toml", "--out", "out"]) == 0
+    assert (desk / "out" / "notes.txt").read_text() == "mine"
+
+
+def test_a_synthetic_record_is_valid_and_can_be_predicted(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["synthesize", "short.toml", "--out", "record"]) == 0
+    assert main(["validate", "record", "short.toml"]) == 0
+    assert main(["predict", "record", "--out", "predicted"]) == 0
+    fit = json.loads((desk / "predicted" / "summary.json").read_text())["fit"]
+    floor = json.loads((desk / "predicted" / "summary.json").read_text())["noise_floor_K"]
+    assert fit["rmse_K"] == pytest.approx(floor, rel=0.15)  # 305 samples: 3 sigma of an RMSE is 12 %
+    assert "good" in capsys.readouterr().out
+
+
+def test_a_name_in_brackets_is_told_as_it_stands(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(TILE, desk / "[red] tile")
+    assert main(["predict", "[red] tile", "--out", "[bold] out"]) == 0
+    said = capsys.readouterr().out
+    assert "[red] tile" in said
+    assert "Wrote [bold] out" in said
+
+
+def test_several_records_are_predicted_each_in_its_own_directory(desk: Path) -> None:
+    assert main(["synthesize", "short.toml", "--out", "one"]) == 0
+    assert main(["synthesize", "short.toml", "--out", "two"]) == 0
+    assert main(["predict", "one", "two", "--out", "predicted"]) == 0
+    assert {p.name for p in (desk / "predicted").iterdir()} == {"one", "two"}
+
+
+def test_validate_recognises_a_vehicle_a_table_and_a_record(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    capsule = ROOT / "aircraft_data" / "capsule"
+    assert main(["validate", str(capsule), str(capsule / "ratio_tables" / "FACE.csv"), str(TILE)]) == 0
+    assert capsys.readouterr().out.count("good") == 3
+
+
+# What is refused, with one line and status 2 -------------------------------------------------------------------------
+
+DAMAGED = {
+    "unknown key": (SHORT.replace("title =", 'titel = "x"\ntitle ='), "Nearest: `title`"),
+    "unknown control point": (SHORT.replace("V09T9527", "V09T9257"), "Nearest: `V09T9527`"),
+    "unknown vehicle": (SHORT.replace('"orbiter"', '"orbitr"'), "Nearest: `orbiter`"),
+    "no control points": (SHORT.replace('["V09T9527"]', "[]"), "the list is empty"),
+    "missing key": (SHORT.replace("altitude_m = 75000.0", ""), "`altitude_m` is missing"),
+    "text for a number": (SHORT.replace("75000.0", '"75 km"'), "is not a number"),
+    "NaN": (SHORT.replace("75000.0", "nan"), "not a finite number"),
+    "NaN between bounds": (SHORT.replace("-0.1", "nan"), "`gamma_deg`: NaN is not a finite number"),
+    "no trigger": (SHORT + POPU, "exactly one of"),
+    "two triggers": (SHORT + POPU + "at_mach = 20.0\nat_time_s = 3.0\n", "exactly one of"),
+    "unknown manoeuvre": (SHORT + '[[trajectory.manoeuvre]]\nkind = "popo"\nat_time_s = 3.0\n', "Nearest: `popu`"),
+    "manoeuvre of no kind": (SHORT + "[[trajectory.manoeuvre]]\nat_time_s = 3.0\n", "key `kind` is missing"),
+    "manoeuvre backwards": (SHORT + POPU + "at_time_s = 3.0\nrate_deg_s = -1.0\n", "must be above 0"),
+    "unknown effect": (SHORT + '[[effect]]\nname = "transitoin"\n', "Nearest: `transition`"),
+    "effect out of bounds": (
+        SHORT + '[[effect]]\nname = "transition"\nparameters = { factor = 50.0 }\n', "1 to 20"
+    ),
+    "unknown truth": (SHORT + '[truth]\nparameters = { "ratio.sclae" = 0.1 }\n', "Nearest: `ratio.scale`"),
+    "fault of no sensor": (SHORT + '[[measurements.fault]]\nsensor = "V09T9528"\n', "Nearest: `V09T9527`"),
+    "gap backwards": (SHORT + "[measurements]\ngaps_s = [[20.0, 10.0]]\n", "start before end"),
+    "no measured file": (
+        SHORT + '[[compare]]\ncontrol_point = "V09T9527"\nfile = "none.csv"\nlabel = "x"\n', "no such file"
+    ),
+    "recorded without a file": (SHORT.replace("entry-3dof", "recorded"), "needs `file`"),
+    "empty": ("", "empty"),
+    "cut off": (SHORT[: SHORT.index("75000") + 2].replace("altitude_m = 75", "altitude_m = ["), "cut off"),
+    "another format": (
+        SHORT.replace("scenario/1", "study/1") + "[envelope]\n", '`format`: "study/1" is not "scenario/1"'
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_a_damaged_scenario_is_refused_in_one_line(name: str, desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text, hint = DAMAGED[name]
+    (desk / "bad.toml").write_text(text)
+    assert main(["run", "bad.toml", "--out", "out/here"]) == 2
+    assert hint in only_line(capsys)
+    assert not (desk / "out").exists()
+
+
+def test_a_binary_scenario_is_refused(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (desk / "bad.toml").write_bytes(bytes(range(256)))
+    assert main(["synthesize", "bad.toml", "--out", "out"]) == 2
+    assert "binary" in only_line(capsys)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "hint"),
+    [
+        (["run", "short.toml"], "--out"),
+        (["run", "nothing.toml", "--out", "out"], "no such file"),
+        (["rum", "short.toml", "--out", "out"], "run"),
+        (["predict", "--out", "out"], "RECORDS"),
+        (["predict", ".", "--out", "out"], "record.toml"),
+        (["validate", "."], "neither a record"),
+        (["validate", "nowhere"], "no such file"),
+        (["run", "short.toml", "--out", "short.toml"], "is a file"),
+        (["run", "short.toml", "--out", "short.toml/x"], "short.toml is a file"),
+        (["run", "short.toml", "--out", "x" * 300], "name another directory"),
+        (["run", "short.toml", "--out", f"{'x' * 300}/out"], "name another directory"),
+    ],
+    ids=lambda v: " ".join(v)[:60] if isinstance(v, list) else None,
+)
+def test_wrong_usage_is_told_in_one_line(
+    arguments: list[str], hint: str, desk: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    assert hint in only_line(capsys)
+    assert not (desk / "out").exists()
+
+
+def test_two_records_of_one_name_are_refused(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["predict", str(TILE), str(TILE), "--out", "out"]) == 2
+    assert "rename" in only_line(capsys)
+
+
+def test_a_damaged_record_leaves_no_directory(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["synthesize", "short.toml", "--out", "record"])
+    capsys.readouterr()
+    file = desk / "record" / "thermocouples.csv"
+    file.write_text(file.read_text().replace("V09T9527_K", "V09T9527_C"))
+    assert main(["predict", "record", "--out", "out"]) == 2
+    assert "V09T9527_K" in only_line(capsys)
+    assert not (desk / "out").exists()
+
+
+def test_a_file_of_someone_else_is_never_overwritten(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (desk / "out").mkdir()
+    (desk / "out" / "summary.json").write_text("mine")
+    assert main(["run", "short.toml", "--out", "out"]) == 2
+    assert "summary.json" in only_line(capsys)
+    assert [p.name for p in (desk / "out").iterdir()] == ["summary.json"]
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["run", "short.toml"],
+        ["run", "popu.toml"],
+        ["synthesize", "short.toml"],
+        ["predict", str(TILE)],
+        ["estimate", str(TILE)],
+        ["estimate", str(TILE), "--process-noise", "0.2", "--ratio-noise", "0.01,30"],
+        ["estimate", str(TILE), "--segments", "60"],
+    ],
+    ids=" ".join,
+)
+def test_a_file_of_someone_else_is_told_before_any_work(
+    command: list[str], desk: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    both = SHORT.replace('["V09T9527"]', '["V09T9527", "V07T9975"]')
+    (desk / "popu.toml").write_text(both + POPU + "at_time_s = 20.0\n")
+    assert main([*command, "--out", "out"]) == 0
+    made = files_made("out")
+    assert made
+    capsys.readouterr()
+    for name in made:
+        mine = desk / "theirs" / name
+        mine.parent.mkdir(parents=True)
+        mine.write_text("mine")
+        assert main([*command, "--out", "theirs"]) == 2
+        told = capsys.readouterr().err.splitlines()
+        assert told == [f"error: theirs: {name} exists and is not a result of ours; choose another directory"]
+        assert [p for p in (desk / "theirs").rglob("*") if p.is_file()] == [mine]
+        shutil.rmtree(desk / "theirs")
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no file system in which nothing can be made")
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["run", "short.toml", "--out", "/proc/nowhere"],
+        ["estimate", str(TILE), "--out", "/proc/nowhere/fit"],
+        ["fmu", "export", "capsule", "--out", "/proc/capsule.fmu"],
+        ["fmu", "trajectory", "short.toml", "--out", "/proc/nowhere/entry.fmu"],
+        ["update-tables", "estimate.json", "--vehicle", "orbiter", "--out", "/proc/nowhere"],
+    ],
+    ids=" ".join,
+)
+def test_a_place_where_nothing_can_be_made_is_told_before_any_work(
+    command: list[str], desk: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(command) == 2
+    told = capsys.readouterr().err.splitlines()
+    assert len(told) == 1
+    assert "results cannot be written there" in told[0]
+
+
+# What fails while it runs, with status 1 -----------------------------------------------------------------------------
+
+
+def test_a_flight_out_of_the_atmosphere_fails_with_status_1(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    up = SHORT.replace("6800.0", "12000.0").replace("-0.1", "20.0").replace("time_s = 60.0", "time_s = 900.0")
+    (desk / "up.toml").write_text(up)
+    assert main(["run", "up.toml", "--out", "out"]) == 1
+    assert "outside the atmosphere" in only_line(capsys)
+    assert not (desk / "out").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_an_interrupted_run_leaves_nothing_behind(desk: Path, number: signal.Signals) -> None:
+    long = SHORT.replace("entry-3dof", "jsbsim").replace("time_s = 60.0", "time_s = 1000.0")
+    (desk / "long.toml").write_text(long.replace('source = "jsbsim"', 'source = "jsbsim"\nrate_hz = 1000.0'))
+    command = [sys.executable, "-m", "sim_heating", "run", "long.toml", "--out", "out"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(command, cwd=desk, env=environment, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        while "flying" not in process.stderr.readline():
+            time.sleep(0.01)
+        process.send_signal(number)
+        said = process.stderr.read()
+        assert process.wait(timeout=60) == 1
+    assert "interrupted" in said
+    assert "Traceback" not in said
+    assert sorted(p.name for p in desk.iterdir()) == ["long.toml", "short.toml"]
+
+
+INTERRUPTED = """
+import sys
+class Interrupt:
+    def find_spec(self, name, path=None, target=None):
+        if name == "sim_heating.cli.__init__":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupt())
+from sim_heating.__main__ import main
+sys.exit(main())
+"""
+
+
+def test_an_interrupt_while_modules_load_is_one_line() -> None:
+    done = subprocess.run([sys.executable, "-c", INTERRUPTED], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (1, "interrupted: nothing was begun\n")
+
+
+def test_a_cache_that_cannot_be_made_is_one_line(desk: Path) -> None:
+    command = [sys.executable, "-m", "sim_heating", "fmu", "export", "orbiter", "--out", "x.fmu"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": "/proc/nowhere"}
+    done = subprocess.run(command, cwd=desk, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1] == "failed: /proc/nowhere: No such file or directory"
+    assert sorted(p.name for p in desk.iterdir()) == ["short.toml"]
+
+
+# What would otherwise be quiet ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ("[measurements]\nseed = -1\n", "`seed`: -1"),
+        ("[measurements]\nrate_hz = 1e9\n", "`rate_hz`: "),
+        ("[measurements]\nclock_skew_s = 9999.0\n", "[measurements]: skew, offset, gaps and losses leave no sample"),
+    ],
+)
+def test_measurements_that_cannot_be_made_are_one_line(
+    desk: Path, capsys: pytest.CaptureFixture[str], more: str, said: str
+) -> None:
+    (desk / "odd.toml").write_text(SHORT + more)
+    assert main(["synthesize", "odd.toml", "--out", "out"]) == 2
+    assert said in only_line(capsys)
+    assert not (desk / "out").exists()
+
+
+def test_a_control_point_named_twice_is_refused(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (desk / "twice.toml").write_text(SHORT.replace('["V09T9527"]', '["V09T9527", "V09T9527"]'))
+    assert main(["validate", "twice.toml"]) == 2
+    assert "`V09T9527` stands twice" in only_line(capsys)
+
+
+def test_a_manoeuvre_whose_speed_is_never_reached_is_told(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (desk / "fast.toml").write_text(SHORT + POPU + "at_velocity_m_s = 20000.0\n")
+    assert main(["run", "fast.toml", "--out", "out"]) == 0
+    assert "was not reached" in capsys.readouterr().out
+
+
+def test_a_flight_of_its_own_is_read_back_from_its_conditions(desk: Path) -> None:
+    assert main(["run", "short.toml", "--out", "first"]) == 0
+    head = SHORT[: SHORT.index("[trajectory]")]
+    (desk / "again.toml").write_text(head + '[trajectory]\nsource = "recorded"\nfile = "first/conditions.csv"\n')
+    assert main(["run", "again.toml", "--out", "second"]) == 0
+    last = [(desk / d / "temperatures.csv").read_text().splitlines()[-1] for d in ("first", "second")]
+    first, second = (line.split(",") for line in last)
+    assert [float(x) for x in second] == pytest.approx([float(x) for x in first], abs=0.001)
+
+
+@pytest.mark.parametrize(("column", "factor"), [("velocity_m_s", 1.0 / 0.3048), ("altitude_m", 1e-3)])
+def test_a_recorded_flight_in_another_unit_is_refused(
+    desk: Path, capsys: pytest.CaptureFixture[str], column: str, factor: float
+) -> None:
+    assert main(["run", "short.toml", "--out", "first"]) == 0
+    header, *rows = (desk / "first" / "conditions.csv").read_text().splitlines()
+    place = header.split(",").index(column)
+    cells = [row.split(",") for row in rows]
+    damaged = [",".join([*c[:place], repr(float(c[place]) * factor), *c[place + 1 :]]) for c in cells]
+    (desk / "odd.csv").write_text("\n".join([header, *damaged]))
+    head = SHORT[: SHORT.index("[trajectory]")]
+    (desk / "odd.toml").write_text(head + '[trajectory]\nsource = "recorded"\nfile = "odd.csv"\n')
+    capsys.readouterr()
+    assert main(["run", "odd.toml", "--out", "out"]) == 2
+    assert f"column {column}" in only_line(capsys)
+
+
+def test_predict_tells_of_a_negative_heating_ratio(desk: Path) -> None:
+    assert main(["synthesize", "short.toml", "--out", "record"]) == 0
+    header, *rows = [x for x in (desk / "record" / "ratio_table.csv").read_text().splitlines() if x[0] != "#"]
+    place = header.split(",").index("ratio")
+    cells = [row.split(",") for row in rows]
+    (desk / "record" / "ratio_table.csv").write_text(
+        "\n".join([header, *(",".join([*c[:place], "-0.0001", *c[place + 1 :]]) for c in cells)])
+    )
+    assert main(["predict", "record", "--out", "out"]) == 0
+    assert json.loads((desk / "out" / "summary.json").read_text())["negative_ratio_s"] > 50.0

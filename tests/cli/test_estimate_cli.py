@@ -1,0 +1,211 @@
+"""`estimate` as a user has it: from a flight's records to values with bounds, and on into the tables, by commands."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from pathlib import Path
+from typing import Any
+
+import matplotlib.image as mpl_image
+import numpy as np
+import pytest
+
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.files import read_json
+from sim_heating.cli import main
+from sim_heating.estimation.report.estimate_file import read_estimate
+from tests.support.paths import ROOT
+
+PRACTICE = ROOT / "scenarios" / "records" / "practice" / "p06"
+PLUG, POD = "V09T9527", "V07T9975"
+TRUTH = {"ratio.scale": 0.15, "ratio.d_alpha": 0.0006}
+SKEW_S = 0.6
+CONTRACT = {
+    "format", "records", "converged", "iterations", "reference_condition", "parameters", "not_estimated",
+    "correlation", "noise_floor_K", "fit", "holdout",
+}  # fmt: skip
+
+GLIDE = """
+format = "scenario/1"
+title = "A POPU in a glide"
+vehicle = "orbiter"
+control_points = {points}
+[trajectory]
+source = "entry-3dof"
+[trajectory.initial]
+altitude_m = {altitude_m}
+velocity_m_s = {velocity_m_s}
+gamma_deg = -0.1
+heading_deg = 60.0
+latitude_deg = 10.0
+[trajectory.stop]
+time_s = 160.0
+[[trajectory.manoeuvre]]
+kind = "popu"
+at_time_s = 90.0
+[measurements]
+seed = {seed}
+clock_skew_s = {skew_s}
+[truth]
+parameters = {{ "ratio.scale" = 0.15, "ratio.d_alpha" = 0.0006 }}
+"""
+FLIGHTS: dict[str, dict[str, Any]] = {
+    "first": {"altitude_m": 74000.0, "velocity_m_s": 6800.0, "seed": 1, "skew_s": 0.0, "points": [PLUG]},
+    "second": {"altitude_m": 70000.0, "velocity_m_s": 6000.0, "seed": 2, "skew_s": SKEW_S, "points": [PLUG]},
+    "both": {"altitude_m": 74000.0, "velocity_m_s": 6800.0, "seed": 3, "skew_s": 0.0, "points": [PLUG, POD]},
+}
+
+
+@pytest.fixture(scope="module")
+def hangar(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three synthesized flights whose truth differs from the Orbiter's tables."""
+    home = tmp_path_factory.mktemp("hangar")
+    for name, flight in FLIGHTS.items():
+        (home / f"{name}.toml").write_text(GLIDE.format(**flight | {"points": json.dumps(flight["points"])}))
+        assert main(["synthesize", str(home / f"{name}.toml"), "--out", str(home / name)]) == 0
+    return home
+
+
+@pytest.fixture
+def desk(hangar: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(hangar)
+    return hangar
+
+
+def estimate(*arguments: str, out: Path) -> dict[str, Any]:
+    assert main(["estimate", *arguments, "--out", str(out)]) == 0
+    return read_json(out / "estimate.json")
+
+
+def off(parameter: dict[str, Any], true: float) -> float:
+    """Error over sigma."""
+    return abs(parameter["value"] - true) / parameter["sigma"]
+
+
+def test_from_a_scenario_to_a_better_prediction_by_commands_alone(desk: Path, tmp_path: Path) -> None:
+    names = ",".join(TRUTH)
+    found = estimate("first", "--parameters", names, out=tmp_path / "fit")
+    assert main(["update-tables", str(tmp_path / "fit"), "--vehicle", "orbiter", "--out", str(tmp_path)]) == 0
+    errors = {}
+    for vehicle in ("orbiter", str(tmp_path / "orbiter")):
+        place = tmp_path / "predicted" / Path(vehicle).parent.name
+        assert main(["predict", "second", "--vehicle", vehicle, "--out", str(place)]) == 0
+        errors[vehicle] = read_json(place / "summary.json")["fit"]["rmse_K"]
+    assert found["fit"]["rmse_K"] == pytest.approx(found["noise_floor_K"], rel=0.15)
+    before, after = errors.values()
+    assert after < 0.35 * before  # of another flight, whose clock lags by 0.6 s and whose alpha mean differs
+
+
+def test_estimate_json_holds_what_the_contract_names(desk: Path, tmp_path: Path) -> None:
+    found = estimate("first", "--reference", "alpha_deg=40", out=tmp_path / "fit")
+    assert set(found) >= CONTRACT
+    assert found["format"] == "estimate/1"
+    assert found["records"] == ["first"]
+    assert found["converged"] is True
+    assert found["iterations"] >= 1
+    assert set(found["reference_condition"]) == set(RATIO_VARIABLES)
+    assert found["reference_condition"]["alpha_deg"] == 40.0
+    for name, parameter in found["parameters"].items():
+        assert set(parameter) >= {"value", "sigma", "unit"}
+        assert parameter["unit"] == ("1" if name in ("ratio.scale", "ratio.d_logre") else "1/deg")
+    names = list(found["parameters"])
+    pairs = {f"{a}|{b}" for i, a in enumerate(names) for b in names[i + 1 :]}
+    assert set(found["correlation"]) == pairs
+    assert all(isinstance(why, str) for why in found["not_estimated"].values())
+    five = {"ratio.scale", *(f"ratio.d_{s}" for s in ("alpha", "beta", "logre", "elevon", "bodyflap"))}
+    assert set(found["parameters"]) | set(found["not_estimated"]) == five
+    assert set(found["fit"]) == {"rmse_K", "max_abs_K", "n"}
+    assert found["holdout"] is None
+    assert (
+        read_estimate(tmp_path / "fit").parameters["ratio.scale"].value == found["parameters"]["ratio.scale"]["value"]
+    )
+
+
+def test_progress_is_told_by_iteration(desk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = estimate("first", "--parameters", "ratio.scale", out=tmp_path / "fit")
+    said = capsys.readouterr()
+    for i in range(1, found["iterations"] + 1):
+        assert f"iteration {i} " in said.err
+    assert "Noise floor" in said.out
+
+
+def test_two_flights_of_one_point_share_its_ratio_and_keep_their_clocks(desk: Path, tmp_path: Path) -> None:
+    found = estimate("first", "second", "--parameters", ",".join([*TRUTH, "clock.skew"]), out=tmp_path / "fit")
+    assert set(found["parameters"]) == {*TRUTH, "clock.skew@first", "clock.skew@second"}
+    assert off(found["parameters"]["clock.skew@first"], 0.0) < 3.0
+    assert off(found["parameters"]["clock.skew@second"], SKEW_S) < 3.0
+    for flight in ("first", "second"):
+        assert {p.name for p in (tmp_path / "fit" / flight).iterdir()} == {"temperatures.csv", "fit.png", "ratio.png"}
+
+
+def test_two_points_of_one_flight_have_a_ratio_each(desk: Path, tmp_path: Path) -> None:
+    records = [f"both/{PLUG}", f"both/{POD}"]
+    found = estimate(*records, "--parameters", "ratio.scale,ratio.d_alpha", out=tmp_path / "fit")
+    assert set(found["parameters"]) == {f"{n}@{p}" for n in TRUTH for p in (PLUG, POD)}
+    assert found["records"] == records
+    alone = estimate(records[1], "--parameters", "ratio.scale,ratio.d_alpha", out=tmp_path / "alone")
+    for name in TRUTH:  # about the joint mean condition and about its own one, which are the same flight's
+        joint, single = found["parameters"][f"{name}@{POD}"], alone["parameters"][name]
+        assert joint["value"] == pytest.approx(single["value"], abs=0.05 * single["sigma"])
+
+
+def test_a_segment_can_be_named_without_touching_the_record(desk: Path, tmp_path: Path) -> None:
+    whole = estimate("first", "--parameters", "ratio.scale", out=tmp_path / "whole")
+    short = estimate("first", "--parameters", "ratio.scale", "--fit", "80,130", out=tmp_path / "short")
+    assert short["segments"] == [[[80.0, 130.0]]]
+    assert short["fit"]["n"] == 51 * 5
+    assert whole["fit"]["n"] == 161 * 5
+    assert short["parameters"]["ratio.scale"]["sigma"] > whole["parameters"]["ratio.scale"]["sigma"]
+    twice = estimate("first", "--parameters", "ratio.scale", "--fit", "80,99", "--fit", "111,130", out=tmp_path / "two")
+    assert twice["fit"]["n"] == 40 * 5
+
+
+@pytest.mark.parametrize(
+    ("options", "hint"),
+    [
+        (["--fit", "130,80"], "the start before the end"),
+        (["--fit", "80"], "write --fit 640,760"),
+        (["--fit", "500,600"], "no sample of a used sensor lies in the fit segments"),
+        (["--parameters", "ratio.sclae"], "ratio.scale"),
+        (["--reference", "alpha=40"], "Nearest: `alpha_deg`"),
+        (["--start", "circut:80"], "Nearest: `circuit`"),
+    ],
+)
+def test_what_cannot_be_is_said_in_a_line_and_leaves_nothing(
+    options: list[str], hint: str, desk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["estimate", "first", *options, "--out", str(tmp_path / "fit")]) == 2
+    said = capsys.readouterr().err
+    assert hint in said
+    assert "Traceback" not in said
+    assert not (tmp_path / "fit").exists()
+
+
+def test_a_record_of_no_known_vehicle_is_fitted(tmp_path: Path) -> None:
+    brought = tmp_path / "brought"
+    shutil.copytree(PRACTICE, brought)
+    lines = (brought / "record.toml").read_text().splitlines()
+    kept = [line for line in lines if not line.startswith("vehicle")]
+    assert len(kept) == len(lines) - 1
+    (brought / "record.toml").write_text("\n".join(kept) + "\n")
+    found = estimate(str(brought), out=tmp_path / "fit")
+    assert found["converged"]
+    assert found["holdout"]["rmse_K"] < 1.1 * found["noise_floor_K"]
+    assert found["parameters"]["ratio.d_alpha"]["sigma"] > 0.0
+
+
+def test_pictures_are_drawn_with_something_in_them(desk: Path, tmp_path: Path) -> None:
+    estimate("first", "--parameters", ",".join(TRUTH), out=tmp_path / "fit")
+    for name in ("fit.png", "ratio.png"):
+        picture = mpl_image.imread(tmp_path / "fit" / name)
+        colours = np.unique((picture[..., :3] * 255).astype(int).reshape(-1, 3), axis=0)
+        assert len(colours) > 50
+        assert math.prod(picture.shape[:2]) > 200_000
+
+
+def test_a_fit_of_the_stack_alone_draws_no_ratio(desk: Path, tmp_path: Path) -> None:
+    estimate("first", "--parameters", "stack.coating.thickness_factor", out=tmp_path / "fit")
+    assert (tmp_path / "fit" / "fit.png").exists()
+    assert not (tmp_path / "fit" / "ratio.png").exists()

@@ -1,0 +1,206 @@
+"""The report of a closed loop: closure.json to the letter of its format, and a page that a browser shows."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from functools import cache
+from html.parser import HTMLParser
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from sim_heating.base.files import files_made, output_directory, read_csv_columns
+from sim_heating.base.report.page import Page, Picture, Section, Table, page_html
+from sim_heating.closure.clues.correlation import evidence
+from sim_heating.closure.clues.residual_heating import residual_heating
+from sim_heating.closure.record_checks import SENSOR, Verdict
+from sim_heating.closure.report import Closure, Estimated, Named, Tried, closure_json, errors_of, fill_closure, page_of
+from sim_heating.closure.search.ranking import posteriors
+from sim_heating.estimation.fit import estimate
+from sim_heating.heating.effects import use
+from sim_heating.inputs.record import pooled_rmse_K
+from tests.support.missing import record_with
+
+ONSET = use("impingement-onset", {"alpha_onset_deg": 41.0, "slope": 0.002})
+
+
+@cache
+def closed() -> Closure:
+    """A record with an onset that its tables lack, fitted without and with it."""
+    record, _ = record_with([ONSET], 5)
+    before = estimate([record])
+    names = [u.label for u in before.problem.unknowns]
+    after = estimate([record], [*names, "effect.impingement-onset.slope"], effects=[ONSET])
+    residual = residual_heating(before.problem, before.fit.values)
+    left = residual_heating(after.problem, after.fit.values)
+    sigma = after.bounds.sigma
+    parameters = {
+        u.label: Estimated(float(v), float(s), u.parameter.unit)
+        for u, v, s in zip(after.problem.unknowns, after.fit.values, sigma, strict=True)
+    }
+    bic = -2.0 * (after.fit.log_likelihood - before.fit.log_likelihood) + np.log(2000.0)
+    errors = [errors_of(f.after[0]) for f in (before, after)]
+    weighed = {"none": 0.0, "impingement-onset": float(bic)}
+    tried = [
+        Tried(name, delta, e["fit"]["rmse_K"], e["holdout"]["rmse_K"], posteriors(weighed)[name])
+        for (name, delta), e in zip(weighed.items(), errors, strict=True)
+    ]
+    posterior = posteriors(weighed)["impingement-onset"]
+    named = Named("impingement-onset", posterior, {"slope": parameters["effect.impingement-onset.slope"]})
+    return Closure(
+        record, before.before[0], before.after[0], after.after[0], record.noise_floor_K(), before.problem.reference,
+        [named], tried, parameters, residual, left, evidence(residual), (), "Calibrated on null records: 2 %.",
+    )  # fmt: skip
+
+
+def test_every_field_of_the_format_is_there_with_its_unit_and_meaning():
+    data = json.loads(json.dumps(closure_json(closed())))
+    record = closed().record
+    assert data["format"] == "closure-report/1"
+    assert data["records"] == [str(record.directory)]
+    assert data["sensors"] == [s.name for s in record.used_sensors]
+    for stage in ("predicted", "before", "after"):
+        assert set(data[stage]) == {"fit", "holdout"}
+        for errors in data[stage].values():
+            assert set(errors) == {"rmse_K", "max_abs_K", "n"}
+    used = [i for i, s in enumerate(record.sensors) if s.used]
+    mask = record.holdout_mask()
+    assert data["after"]["holdout"] == pooled_rmse_K(closed().after.residual_K[used], mask)
+    assert data["noise_floor_K"] == pytest.approx(record.noise_floor_K())
+    assert list(data["reference_condition"]) == ["alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg"]
+    effect = data["effect"]
+    assert effect["name"] == "impingement-onset"
+    assert 0.99 < effect["posterior"] <= 1.0
+    assert set(effect["parameters"]["slope"]) == {"value", "sigma", "unit"}
+    assert effect["parameters"]["slope"]["unit"] == "1/deg"
+    assert effect["parameters"]["slope"]["value"] == pytest.approx(0.002, rel=0.2)
+    assert [set(c) for c in data["candidates"]] == [{"name", "delta_bic", "fit_rmse_K", "holdout_rmse_K"}] * 2
+    assert data["candidates"][0]["delta_bic"] < data["candidates"][1]["delta_bic"] == 0.0
+    assert data["residual_heating"] == "residual_heating.csv"
+    assert "effects" not in data
+
+
+def test_errors_fall_towards_the_noise_floor_as_the_model_grows():
+    data = closure_json(closed())
+    predicted, before, after = (data[stage]["fit"]["rmse_K"] for stage in ("predicted", "before", "after"))
+    assert predicted > before > after
+    assert after == pytest.approx(data["noise_floor_K"], rel=0.05)
+
+
+def test_several_effects_stand_in_the_order_in_which_they_were_added():
+    more = Named("catalysis", 0.9, {})
+    data = closure_json(replace(closed(), effects=[*closed().effects, more]))
+    assert [e["name"] for e in data["effects"]] == ["impingement-onset", "catalysis"]
+    assert data["effect"] == data["effects"][0]
+
+
+def test_a_record_without_holdout_says_null():
+    record = closed().record
+    bare = replace(
+        record,
+        declared=record.declared.model_copy(
+            update={"segments": record.declared.segments.model_copy(update={"holdout": []})}
+        ),
+    )
+    assert errors_of(replace(closed().after, record=bare))["holdout"] is None
+
+
+def test_posteriors_are_those_of_equal_priors():
+    found = posteriors({"none": 0.0, "a": -2.0 * np.log(3.0), "b": 1e4})
+    assert found["a"] == pytest.approx(0.75)
+    assert sum(found.values()) == pytest.approx(1.0)
+
+
+def test_the_folder_holds_json_history_and_page(tmp_path):
+    with output_directory(tmp_path / "out") as folder:
+        fill_closure(closed(), folder)
+    assert files_made(tmp_path / "out") == {"closure.json", "report.html", "residual_heating.csv"}
+    data = json.loads((tmp_path / "out" / "closure.json").read_text())
+    table = read_csv_columns(tmp_path / "out" / data["residual_heating"], ("time_s", "delta_ratio", "sigma"))
+    np.testing.assert_array_equal(table["delta_ratio"], closed().residual.delta_ratio)
+
+
+class Elements(HTMLParser):
+    """What a page refers to, its text, and whether every element is closed."""
+
+    VOID = ("meta", "img", "link", "br")
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.addresses: list[str] = []
+        self.text: list[str] = []
+        self.feed(html)
+
+    def handle_starttag(self, tag, attrs):
+        if tag not in self.VOID:
+            self.open.append(tag)
+        self.addresses += [v for k, v in attrs if k in ("src", "href")]
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def test_the_page_loads_nothing_from_elsewhere_and_holds_what_a_review_asks_for():
+    html = page_html(page_of(closed()))
+    found = Elements(html)
+    assert found.open == []
+    assert all(a.startswith(("data:image/svg+xml;base64,", "#")) for a in found.addresses)
+    assert "url(" not in html.split("</style>")[0]
+    text = " ".join(found.text)
+    for wanted in ("Found: impingement-onset", "Noise floor", "RMSE held out", "sigma", "Calibrated on null records"):
+        assert wanted in text
+    for section in ("Errors", "Measured against predicted", "Candidates", "Residual as heating", "Evidence"):
+        assert f">{section}</h2>" in html
+    after = closure_json(closed())["after"]["holdout"]["rmse_K"]
+    assert f"{after:.2f}" in text
+
+
+def test_a_verdict_on_the_record_stands_before_any_finding():
+    page = page_of(replace(closed(), verdicts=[Verdict(SENSOR, "TC1 is stuck")]))
+    assert page.verdict == ("No aerothermal finding: broken sensor", "TC1 is stuck")
+    assert 'role="alert">TC1 is stuck' in page_html(page)
+
+
+def test_nothing_from_a_record_becomes_markup():
+    page = Page("<script>x</script>", "a & b", [Section("s", ["<b>"], tables=[Table(["<i>"], [["<u>"]])])])
+    html = page_html(page)
+    assert not re.search(r"<(script|b|i|u)>", html)
+
+
+def test_a_figure_is_drawn_the_same_each_time():
+    def picture() -> str:
+        figure = Figure()
+        figure.subplots().plot([0.0, 1.0])
+        return Picture(figure).address
+
+    assert picture() == picture()
+
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
+def test_a_browser_shows_the_page_with_all_its_pictures(tmp_path: Path):
+    fill_closure(closed(), tmp_path)
+    page = (tmp_path / "report.html").as_uri()
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--user-data-dir={tmp_path / 'p'}"]
+    shot = tmp_path / "page.png"
+    command = [CHROMIUM, *options, "--window-size=1200,6000", f"--screenshot={shot}", page]
+    subprocess.run(command, check=True, timeout=120, capture_output=True)
+    pixels = matplotlib.image.imread(shot)[..., :3]
+    inked = np.mean(np.any(pixels < 0.97, axis=2), axis=1) > 0.3  # rows with much on them: axes of pictures
+    assert pixels.shape[:2] == (6000, 1200)
+    assert np.count_nonzero(inked) > 300
+    coloured = np.ptp(pixels, axis=2) > 0.2
+    assert np.mean(coloured) > 0.003

@@ -1,0 +1,532 @@
+"""`update-tables`: what a flight said of the ratio goes into the table that it is about, and can be taken out again."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import check, read_json
+from sim_heating.base.parameters import MODEL
+from sim_heating.cli import main
+from sim_heating.closure.revise.evidence import evidence_of
+from sim_heating.closure.revise.report import draw_update
+from sim_heating.closure.revise.revisions import revert
+from sim_heating.closure.revise.update import TableUpdate, prepare, write_update
+from sim_heating.estimation.report.estimate_file import Estimate, correlations, read_estimate, write_estimate
+from sim_heating.heating.ratio.table import read_ratio_table, write_ratio_table
+from sim_heating.inputs.points import point_of_record, reference_of_record
+from sim_heating.inputs.ratio_sources import write_tables
+from sim_heating.inputs.record import Record, load_record
+from sim_heating.inputs.scenario import load_scenario
+from sim_heating.inputs.vehicle import load_vehicle
+from sim_heating.simulation.predict import predict
+from sim_heating.simulation.synthesize import synthesize, write_records
+from tests.support.paths import ROOT
+
+POINT = "V09T9527"
+TRUTH = {"ratio.scale": -0.2, "ratio.d_alpha": 0.001}
+
+GLIDE = """
+format = "scenario/1"
+title = "A POPU in a glide"
+vehicle = "orbiter"
+control_points = ["V09T9527"]
+[trajectory]
+source = "entry-3dof"
+[trajectory.initial]
+altitude_m = {altitude_m}
+velocity_m_s = {velocity_m_s}
+gamma_deg = -0.1
+heading_deg = 60.0
+latitude_deg = 10.0
+[trajectory.stop]
+time_s = 160.0
+[[trajectory.manoeuvre]]
+kind = "popu"
+at_time_s = 90.0
+down_deg = {sweep_deg}
+up_deg = {sweep_deg}
+[truth]
+parameters = {{ "ratio.scale" = -0.2, "ratio.d_alpha" = 0.001 }}
+"""
+
+
+def one_point_orbiter(home: Path) -> Path:
+    """The Orbiter with one control point."""
+    source = ROOT / "aircraft_data" / "orbiter"
+    for name in ("vehicle.toml", f"control_points/{POINT}.toml", f"ratio_tables/{POINT}.csv"):
+        (home / "orbiter" / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(source / name, home / "orbiter" / name)
+    shutil.copytree(source / "materials", home / "orbiter" / "materials")
+    for name in ("aero", "guidance.toml"):
+        place = source / name
+        (shutil.copytree if place.is_dir() else shutil.copy)(place, home / "orbiter" / name)
+    return home / "orbiter"
+
+
+@pytest.fixture(scope="session")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A hangar with the vehicle, two flights of it whose truth differs from its tables, and the estimate of one."""
+    home = tmp_path_factory.mktemp("hangar")
+    one_point_orbiter(home)
+    for name, flight in (
+        ("first", {"altitude_m": 74000.0, "velocity_m_s": 6800.0, "sweep_deg": 5.0}),
+        ("second", {"altitude_m": 70000.0, "velocity_m_s": 6000.0, "sweep_deg": 3.0}),
+    ):
+        (home / f"{name}.toml").write_text(GLIDE.format(**flight))
+        scenario = load_scenario(home / f"{name}.toml")
+        write_records(scenario, synthesize(scenario), home / name)
+        write_estimate(home / f"{name}.json", fitted(load_record(home / name), tuple(TRUTH)))
+    return home
+
+
+def fitted(record: Record, names: tuple[str, ...]) -> Estimate:
+    """Least squares on the outermost thermocouple by differences: an estimate that owes the estimator nothing."""
+
+    def residual(theta: FloatArray) -> FloatArray:
+        model = point_of_record(record, dict(zip(names, theta.tolist(), strict=True)))
+        return predict(record, model).residual_K[0]
+
+    theta, step = np.zeros(len(names)), np.array([1e-3 if MODEL[n].unit == "1" else 1e-5 for n in names])
+    for _ in range(4):
+        start = residual(theta)
+        slopes = np.stack([(residual(theta + h) - start) / h[i] for i, h in enumerate(np.diag(step))], axis=1)
+        theta -= np.linalg.lstsq(slopes, start, rcond=None)[0]
+    noise = record.noise_floor_K()
+    return stated(record, dict(zip(names, theta, strict=True)), noise**2 * np.linalg.inv(slopes.T @ slopes))
+
+
+def stated(record: Record, values: Mapping[str, float], covariance: FloatArray, **more: Any) -> Estimate:
+    """An estimate that says this."""
+    names, sigma = tuple(values), np.sqrt(np.diag(covariance))
+    data = {
+        "format": "estimate/1",
+        "records": [record.name],
+        "converged": True,
+        "iterations": 4,
+        "reference_condition": dict(zip(RATIO_VARIABLES, reference_of_record(record), strict=True)),
+        "parameters": {
+            n: {"value": float(v), "sigma": float(s), "unit": MODEL[n].unit}
+            for (n, v), s in zip(values.items(), sigma, strict=True)
+        },
+        "correlation": correlations(names, covariance),
+    }
+    return check(data | more, Estimate, "estimate")
+
+
+def edit(path: Path, change: Callable[[str], str]) -> None:
+    text = path.read_text()
+    assert change(text) != text
+    path.write_text(change(text))
+
+
+def table_of(vehicle: Path) -> Path:
+    return vehicle / "ratio_tables" / f"{POINT}.csv"
+
+
+def update_and_write(fit: str = "first.json", vehicle: str = "orbiter") -> TableUpdate:
+    update = prepare(fit, Path(vehicle).resolve())
+    write_update(update, None, {}, draw_update)
+    return update
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+# From a flight to better predictions ---------------------------------------------------------------------------------
+
+
+def test_a_revised_table_predicts_the_fitted_and_another_manoeuvre(
+    desk: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["update-tables", "first.json", "--vehicle", "./orbiter", "--check", "second"]
+    assert main(arguments) == 0
+    made = read_json(desk / "orbiter" / "ratio_revisions" / POINT / "revision_2.json")
+    floor = load_record(desk / "first").noise_floor_K()
+    fit = {name: parts["fit"] for name, parts in made["errors_K"].items()}
+    assert fit["first"]["before"]["rmse_K"] > 10.0 * floor
+    assert fit["first"]["after"]["rmse_K"] < 1.5 * floor
+    assert fit["second"]["after"]["rmse_K"] < 0.2 * fit["second"]["before"]["rmse_K"]
+    said = capsys.readouterr().out
+    assert "revision 1 to 2" in said
+    assert "ratio.d_alpha" in said
+
+    assert main(["predict", "first", "--vehicle", "./orbiter", "--out", "after"]) == 0
+    assert read_json(desk / "after" / "summary.json")["fit"] == pytest.approx(fit["first"]["after"])
+
+
+def test_later_flights_declare_the_revised_table(desk: Path) -> None:
+    update_and_write()
+    assert main(["synthesize", "first.toml", "--out", "third"]) == 0
+    np.testing.assert_array_equal(
+        read_ratio_table(desk / "third" / "ratio_table.csv").ratio, read_ratio_table(table_of(desk / "orbiter")).ratio
+    )
+
+
+def test_the_true_ratio_lies_within_the_bounds_of_the_revised_table(desk: Path) -> None:
+    update = prepare("first.json", "./orbiter")
+    views = {name: row for name, *row in update.parameter_views()}
+    for name, true in TRUTH.items():
+        _, _, before, wide, after, narrow = views[name]
+        assert before == pytest.approx(0.0, abs=1e-12)
+        assert narrow < 0.2 * wide
+        assert abs(after - TRUTH[name]) < 4.0 * narrow, (after, true)
+
+
+# What the estimate says of the nodes ---------------------------------------------------------------------------------
+
+
+def test_a_table_that_differs_by_the_parameters_is_seen_to_differ_by_them(desk: Path) -> None:
+    record, vehicle = load_record(desk / "first"), load_vehicle("./orbiter")
+    values = {"ratio.scale": -0.07, "ratio.d_alpha": 0.0004, "ratio.d_logre": 0.01}
+    estimate = stated(record, values, np.diag([1e-4, 1e-8, 1e-4]))
+    point, about = vehicle.control_point(POINT), estimate.reference_condition
+    alpha, _, log10_re, _, _ = np.meshgrid(*point.ratio.axes, indexing="ij")
+    moved = 0.93 * point.ratio.ratio + 0.0004 * (alpha - about.alpha_deg) + 0.01 * (log10_re - about.log10_re)
+    other = replace(point, ratio=replace(point.ratio, ratio=moved))
+    informed = evidence_of(estimate, [record], vehicle, other)
+    np.testing.assert_allclose(informed.rows @ moved.ravel() - informed.at_zero, list(values.values()), rtol=1e-8)
+
+
+def test_a_table_that_differs_by_a_product_of_two_variables_is_seen_to(desk: Path) -> None:
+    record, vehicle = load_record(desk / "first"), load_vehicle("./orbiter")
+    values = {"ratio.scale": 0.1, "ratio.d_alpha": 0.0, "ratio.d_logre": 0.0, "ratio.d_alpha_logre": 0.002}
+    estimate = stated(record, values, np.diag([1e-4, 1e-8, 1e-4, 1e-6]))
+    point, about = vehicle.control_point(POINT), estimate.reference_condition
+    alpha, _, log10_re, _, _ = np.meshgrid(*point.ratio.axes, indexing="ij")
+    moved = 1.1 * point.ratio.ratio + 0.002 * (alpha - about.alpha_deg) * (log10_re - about.log10_re)
+    other = replace(point, ratio=replace(point.ratio, ratio=moved))
+    informed = evidence_of(estimate, [record], vehicle, other)
+    seen = informed.rows @ moved.ravel() - informed.at_zero
+    np.testing.assert_allclose(seen, list(values.values()), rtol=1e-6, atol=1e-9)
+
+
+def test_more_samples_of_the_same_path_say_no_more(desk: Path) -> None:
+    one = prepare("first.json", "./orbiter")
+    edit(desk / "first" / "thermocouples.csv", lambda t: "\n".join(_every_second(t.splitlines())) + "\n")
+    other = prepare("first.json", "./orbiter")
+    assert len(other.informed.path.x) < 0.6 * len(one.informed.path.x)
+    np.testing.assert_allclose(other.after.sigma, one.after.sigma, rtol=0.02)
+
+
+def _every_second(lines: list[str]) -> list[str]:
+    return [lines[0], *lines[1::2]]
+
+
+def test_an_estimate_over_another_declared_table_says_the_same_of_the_ratio(desk: Path) -> None:
+    one = prepare("first.json", "./orbiter")
+    declared = read_ratio_table(desk / "first" / "ratio_table.csv")
+    write_ratio_table(desk / "first" / "ratio_table.csv", replace(declared, ratio=1.25 * declared.ratio))
+    first = read_estimate("first.json")
+    smaller = np.diag([1.0 / 1.25, 1.0])
+    scale, slope = first.values(tuple(TRUTH))
+    values = {"ratio.scale": (1.0 + scale) / 1.25 - 1.0, "ratio.d_alpha": slope}
+    C = smaller @ first.covariance(tuple(TRUTH)) @ smaller
+    write_estimate("first.json", stated(load_record("first"), values, C))
+    other = prepare("first.json", "./orbiter")
+    np.testing.assert_allclose(other.after.ratio, one.after.ratio, rtol=1e-9)
+    np.testing.assert_allclose(other.after.sigma, one.after.sigma, rtol=1e-6)
+
+
+def test_what_the_table_cannot_hold_is_told_and_its_value_changes_nothing(desk: Path) -> None:
+    record, known = load_record(desk / "first"), read_estimate("first.json")
+    C = np.zeros((4, 4))
+    C[:2, :2], C[2:, 2:] = known.covariance(tuple(TRUTH)), np.diag([1e-8, 1e-4])
+    updates = []
+    for elevon, coating in ((0.3, 1.2), (-0.3, 0.9)):
+        values = {**TRUTH, "ratio.d_elevon": elevon, "stack.coating.thickness_factor": coating}
+        write_estimate("more.json", stated(record, values, C))
+        updates.append(prepare("more.json", "./orbiter"))
+    assert set(updates[0].informed.not_written) == {"ratio.d_elevon", "stack.coating.thickness_factor"}
+    assert updates[0].informed.evidence.names == tuple(TRUTH)
+    np.testing.assert_array_equal(updates[0].table.ratio, updates[1].table.ratio)
+
+
+def test_a_joint_estimate_of_several_points_updates_the_one_that_is_named(desk: Path) -> None:
+    alone = read_estimate("first.json")
+    shutil.copytree("first", "elsewhere")
+    edit(desk / "elsewhere" / "record.toml", lambda t: t.replace(f'control_point = "{POINT}"', 'control_point = "B"'))
+    both = alone.model_dump() | {
+        "records": ["elsewhere", "first"],
+        "parameters": {
+            f"{n}@{p}": q.model_dump() | {"value": q.value * (p == POINT)}
+            for p in ("B", POINT)
+            for n, q in alone.parameters.items()
+        },
+        "correlation": {
+            "|".join(f"{n}@{p}" for n in pair.split("|")): rho
+            for pair, rho in alone.correlation.items()
+            for p in ("B", POINT)
+        },
+    }
+    write_estimate("both.json", check(both, Estimate, "both"))
+    with pytest.raises(InputError, match=f"is of B, {POINT}; name one of them with --point"):
+        prepare("both.json", "./orbiter")
+    one, other = prepare("first.json", "./orbiter"), prepare("both.json", "./orbiter", point_name=POINT)
+    np.testing.assert_array_equal(one.table.ratio, other.table.ratio)
+    assert [u.record for u in other.used] == ["first"]
+
+
+def test_a_second_flight_is_weighed_together_with_the_first_whatever_their_order(desk: Path) -> None:
+    shutil.copytree("orbiter", "other/orbiter")
+    for fit in ("first.json", "second.json"):
+        update_and_write(fit)
+    for fit in ("second.json", "first.json"):
+        update_and_write(fit, "other/orbiter")
+    one, other = (read_ratio_table(table_of(desk / v)) for v in ("orbiter", "other/orbiter"))
+    assert one.header["revision"] == other.header["revision"] == "3"
+    np.testing.assert_allclose(one.ratio, other.ratio, rtol=2e-6)
+
+
+# Revisions as files --------------------------------------------------------------------------------------------------
+
+
+def test_a_revision_says_what_made_it(desk: Path) -> None:
+    update = update_and_write()
+    header = read_ratio_table(table_of(desk / "orbiter")).header
+    assert (header["revision"], header["parent_revision"], header["reference"]) == ("2", "1", "fay-riddell")
+    assert "first 0 to 160 s" in header["revised_from"]
+    assert "ratio.scale -0.1999 +- 0.0003" in header["revised_parameters"]
+    made = read_json(desk / "orbiter" / header["evidence"])
+    assert made["parameters"]["ratio.scale"]["sigma"] == update.estimate.parameters["ratio.scale"].sigma
+    assert made["records"][0]["inputs"].startswith("sha256:")
+    assert len(made["changed"]["ratio_after"]) == np.count_nonzero(update.changed)
+    assert main(["validate", "orbiter"]) == 0
+
+
+def test_rows_of_nodes_that_did_not_change_keep_their_text(desk: Path) -> None:
+    before = table_of(desk / "orbiter").read_text().splitlines()
+    update = update_and_write()
+    rows = [line for line in table_of(desk / "orbiter").read_text().splitlines() if line[0].isdigit()]
+    kept = [line for line in before if line[0].isdigit()]
+    same = np.array([a == b for a, b in zip(kept, rows, strict=True)])
+    np.testing.assert_array_equal(same, ~update.changed.ravel())
+    assert 0 < np.count_nonzero(same) < len(same)
+
+
+@pytest.mark.parametrize("line_end", ["\n", "\r\n"])
+def test_reverting_twice_gives_back_the_vehicle_byte_for_byte(desk: Path, line_end: str) -> None:
+    table = table_of(desk / "orbiter")
+    table.write_bytes(table.read_text().replace("\n", line_end).encode())
+    start = contents(desk / "orbiter")
+    update_and_write("first.json")
+    between = contents(desk / "orbiter")
+    update_and_write("second.json")
+    assert main(["update-tables", "--vehicle", "./orbiter", "--revert", POINT]) == 0
+    assert contents(desk / "orbiter") == between
+    assert revert(load_vehicle("./orbiter"), POINT) == (2, 1)
+    assert contents(desk / "orbiter") == start
+
+
+def test_an_update_interrupted_before_its_last_step_leaves_the_old_table_in_force(
+    desk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, real = table_of(desk / "orbiter").read_bytes(), os.replace
+
+    def interrupted(old: Any, new: Any) -> None:
+        if Path(new).name == f"{POINT}.csv":
+            raise KeyboardInterrupt
+        real(old, new)
+
+    update = prepare("first.json", "./orbiter")
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "replace", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            write_update(update, None, {}, draw_update)
+    assert table_of(desk / "orbiter").read_bytes() == before
+    assert not list((desk / "orbiter" / "ratio_tables").glob(".*"))
+    update_and_write()
+    assert read_ratio_table(table_of(desk / "orbiter")).header["revision"] == "2"
+
+
+def test_a_dry_run_writes_nothing(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = contents(desk)
+    assert main(["update-tables", "first.json", "--vehicle", "./orbiter", "--dry-run"]) == 0
+    assert "nothing was written" in capsys.readouterr().out
+    assert contents(desk) == before
+
+
+def test_out_revises_a_copy_and_leaves_the_vehicle_alone(desk: Path) -> None:
+    before = contents(desk / "orbiter")
+    assert main(["update-tables", "first.json", "--vehicle", "./orbiter", "--out", "mine"]) == 0
+    assert contents(desk / "orbiter") == before
+    assert read_ratio_table(table_of(desk / "mine" / "orbiter")).header["revision"] == "2"
+    assert [p.name for p in (desk / "mine").iterdir()] == ["orbiter"]
+
+
+def test_sources_do_not_overwrite_a_table_that_flight_data_revised(desk: Path) -> None:
+    source = ROOT / "aircraft_data" / "orbiter" / "ratio_sources"
+    (desk / "orbiter" / "ratio_sources").mkdir()
+    for name in ("lower_surface.csv", "windward.toml"):
+        shutil.copy(source / name, desk / "orbiter" / "ratio_sources" / name)
+    edit(
+        desk / "orbiter" / "ratio_sources" / "windward.toml",
+        lambda t: re.sub(r"(?s)^control_points = \[.*?\]", f'control_points = ["{POINT}"]', t, flags=re.MULTILINE),
+    )
+    write_tables("./orbiter")
+    update_and_write()
+    after = table_of(desk / "orbiter").read_bytes()
+    with pytest.raises(InputError, match="is revision 2, from flight data"):
+        write_tables("./orbiter")
+    assert table_of(desk / "orbiter").read_bytes() == after
+
+
+# What is refused, in one line ----------------------------------------------------------------------------------------
+
+
+CONTROL_POINT = f"orbiter/control_points/{POINT}.toml"
+TABLE = f"orbiter/ratio_tables/{POINT}.csv"
+VEHICLE = "orbiter/vehicle.toml"
+BETA = {"ratio.d_beta": {"value": 0.1, "sigma": 0.01, "unit": "1/deg"}}
+
+WITH_PRIOR = {"ratio.scale": {"value": -0.1, "sigma": 0.01, "unit": "1", "prior_sigma": 0.2}}
+
+
+def says(**changes: Any) -> Callable[[], None]:
+    """The estimate says something else."""
+    return lambda: edit(Path("first.json"), lambda text: json.dumps(json.loads(text) | changes))
+
+
+def in_file(name: str, old: str, new: str) -> Callable[[], None]:
+    return lambda: edit(Path(name), lambda text: text.replace(old, new))
+
+
+def without_sigma() -> None:
+    write_ratio_table(TABLE, replace(read_ratio_table(TABLE), sigma=None))
+
+
+def only_high_alpha() -> None:
+    def kept(row: str) -> bool:
+        return not row[0].isdigit() or float(row.split(",")[0]) >= 45.0
+
+    edit(Path(TABLE), lambda text: "\n".join(filter(kept, text.splitlines())) + "\n")
+
+
+def renamed_point() -> None:
+    Path(CONTROL_POINT).rename("orbiter/control_points/V09T9999.toml")
+    in_file("orbiter/control_points/V09T9999.toml", f'name = "{POINT}"\ntitle', 'name = "V09T9999"\ntitle')()
+
+
+def over_another_sphere() -> None:
+    in_file(VEHICLE, "fay-riddell", "sutton-graves")()
+    in_file(TABLE, "fay-riddell", "sutton-graves")()
+
+
+def edited_after_its_revision() -> None:
+    update_and_write()
+    in_file(TABLE, "confidence: C", "confidence: A")()
+
+
+def earlier_revision_in_force() -> None:
+    Path("orbiter/ratio_revisions").mkdir()
+    shutil.copy(TABLE, "orbiter/ratio_revisions/old.csv")
+    in_file(CONTROL_POINT, f"ratio_tables/{POINT}.csv", "ratio_revisions/old.csv")()
+
+
+def shared_table() -> None:
+    text = Path(CONTROL_POINT).read_text()
+    own, _, rest = text.partition("[[sensor]]")
+    limits = rest[rest.index("[limits]") :]
+    Path("orbiter/control_points/TWIN.toml").write_text(own.replace(f'name = "{POINT}"', 'name = "TWIN"', 1) + limits)
+
+
+NO_PAIR = "first.json, [correlation]: 1 of 1 pairs are missing, `ratio.scale|ratio.d_alpha` first"
+
+
+def scale(**changes: float) -> Callable[[], None]:
+    """The estimate says something else of ratio.scale."""
+
+    def changed(text: str) -> str:
+        found = json.loads(text)
+        found["parameters"]["ratio.scale"] |= changes
+        return json.dumps(found)
+
+    return lambda: edit(Path("first.json"), changed)
+
+
+REFUSED: dict[str, tuple[Callable[[], object], str]] = {
+    "not converged": (says(converged=False), "did not converge"),
+    "estimated with a prior": (says(parameters=WITH_PRIOR, correlation={}), "ratio.scale was estimated with a prior"),
+    "no bound": (scale(sigma=0.0), "first.json, [parameters.ratio.scale]: `sigma`: 0 is not within 1e-12 to 1000"),
+    "too wide a bound": (scale(sigma=1e308), "first.json, [parameters.ratio.scale]: `sigma`: 1e+308 is not within"),
+    "no such value": (scale(value=1e308), "first.json, [parameters.ratio.scale]: `value`: 1e+308 is beyond 1000"),
+    "no heating left": (scale(value=-1.2), "first.json, [parameters.ratio.scale]: `value`: -1.2 leaves no heating"),
+    "no correlation": (says(correlation={}), NO_PAIR),
+    "no such condition": (
+        says(reference_condition=dict.fromkeys(RATIO_VARIABLES, 0.0) | {"alpha_deg": 1e308}),
+        "first.json, [reference_condition]: `alpha_deg`: 1e+308 is not an angle of attack in degrees (-180 to 180)",
+    ),
+    "no ratio parameter": (says(parameters={}, correlation={}), "no ratio parameter"),
+    "cut off": (lambda: edit(Path("first.json"), lambda text: text[:300]), "cut off"),
+    "no such record": (says(records=["fitrs"]), "its record `fitrs` is not there"),
+    "several points": (says(control_point="LOWER_AFT"), "the estimate is of LOWER_AFT, not of V09T9527"),
+    "record changed since": (says(inputs={"first": "sha256:0"}), "was changed since the estimate"),
+    "segments without samples": (says(segments=[[[900.0, 950.0]]]), "no sample lies in the segments"),
+    "a variable that did not move": (says(parameters=BETA, correlation={}), "do not tell ratio.d_beta"),
+    "vehicle without the point": (renamed_point, "no control point `V09T9527`. Nearest: `V09T9999`"),
+    "other reference by name": (over_another_sphere, "over `fay-riddell`, the tables of orbiter over `sutton-graves`"),
+    "other reference by value": (in_file(VEHICLE, "= 0.3048", "= 0.5"), "its h_ref_kg_m2_s is 28"),
+    "other wall enthalpy": (in_file(VEHICLE, '"equilibrium-air"', "{ cp_J_kgK = 1004.5 }"), "cp = 1004.5"),
+    "table without sigma": (without_sigma, "has no sigma column"),
+    "flown outside the table": (only_high_alpha, "alpha_deg lay outside its 45 to 50"),
+    "revision that is no number": (in_file(TABLE, "revision: 1", "revision: A"), "'A' is not a whole number"),
+    "the same flight again": (update_and_write, "is in revision 2 already"),
+    "table edited after its revision": (edited_after_its_revision, "was changed after"),
+    "earlier revision in force": (earlier_revision_in_force, "an earlier revision"),
+    "table of two points": (shared_table, "is the table of TWIN too"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_does_not_belong_together_is_refused_in_one_line(
+    name: str, desk: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    damage, hint = REFUSED[name]
+    damage()
+    before = contents(desk)
+    assert main(["update-tables", "first.json", "--vehicle", "./orbiter"]) == 2
+    said = [line for line in capsys.readouterr().err.splitlines() if line.strip()]
+    assert len(said) == 1, said
+    assert hint in said[0]
+    assert contents(desk) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "hint"),
+    [
+        (["--vehicle", "./orbiter"], "give FIT"),
+        (["first.json", "--vehicle", "./orbiter", "--revert", POINT], "stands alone"),
+        (["--vehicle", "./orbiter", "--revert", POINT], "was not made from flight data"),
+        (["--vehicle", "./orbiter", "--revert", "V09T9257"], "Nearest: `V09T9527`"),
+        (["first.json", "--vehicle", "orbitr"], "no vehicle of this name"),
+        (["first.json", "--vehicle", "orbiter"], "came with the package; name a folder for a copy of yours with --out"),
+        (["first.json", "--vehicle", "./orbiter", "--out", "."], "holds orbiter already"),
+        (["first.json", "--vehicle", "./orbiter", "--record", "first", "--record", "second"], "name each in order"),
+        (["first.json", "--vehicle", "./orbiter", "--check", "first"], "two of them are named first"),
+        (["nothing.json", "--vehicle", "./orbiter"], "no such file"),
+        (["first.json", "--vehicle", "./orbiter", "--out", "first.toml/x"], "is a file; name a directory"),
+    ],
+    ids=lambda v: " ".join(v) if isinstance(v, list) else None,
+)
+def test_wrong_usage_is_told_in_one_line(
+    arguments: list[str], hint: str, desk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if arguments[-1] == "orbiter":  # by name, from a place that has none of its own
+        shutil.move("orbiter", "elsewhere")
+    assert main(["update-tables", *arguments]) == 2
+    said = [line for line in capsys.readouterr().err.splitlines() if line.strip() and not line.endswith("...")]
+    assert len(said) == 1, said
+    assert hint in said[0]

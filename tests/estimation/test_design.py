@@ -1,0 +1,237 @@
+"""Manoeuvre design: bounds before a flight are those of actual fits, and the search keeps its limits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.parameters import CLOCK_SKEW, Parameter
+from sim_heating.estimation.design.check import repeated_fits
+from sim_heating.estimation.design.information import (
+    PRESSURE,
+    Experiment,
+    Seen,
+    experiment,
+    merit,
+    taken_out,
+    would_buy,
+)
+from sim_heating.estimation.design.planned_flight import Planned, Planner
+from sim_heating.estimation.design.report import design, summary
+from sim_heating.estimation.design.search import Search
+from sim_heating.inputs.scenario import load_scenario, with_design
+from sim_heating.thermal.stack import Sensor
+from tests.support.paths import SCENARIOS
+from tests.support.walls import practice_record
+
+SCENARIO = SCENARIOS / "design_popu.toml"
+D_ALPHA = "ratio.d_alpha"
+COATING = "stack.coating.thickness_factor"
+NAMES = (D_ALPHA, "ratio.scale", COATING, CLOCK_SKEW.name, PRESSURE.name)
+
+
+def planner_of(**keys: object) -> Planner:
+    """The shipped scenario, one control point and the 3-DOF entry alone."""
+    loaded = load_scenario(SCENARIO)
+    spec = loaded.declared.trajectory.model_copy(update={"source": "entry-3dof", "rate_hz": 4.0})
+    loaded = replace(loaded, names=("V09T9527",), declared=loaded.declared.model_copy(update={"trajectory": spec}))
+    return Planner(with_design(loaded, keys))
+
+
+@pytest.fixture(scope="module")
+def planner() -> Planner:
+    return planner_of()
+
+
+@pytest.fixture(scope="module")
+def planned(planner: Planner) -> Planned:
+    return planner.fly(planner.scenario.declared.trajectory.manoeuvre)
+
+
+@pytest.fixture(scope="module")
+def told(planner: Planner, planned: Planned) -> Experiment:
+    return planner.experiment(planned, NAMES, {})
+
+
+def line(x: np.ndarray, bits: int | None = None, **prior: float) -> Experiment:
+    """A sensor that reads a + b x with a noise of 1 K."""
+    sensor = Sensor(name="s", column="s_K", depth_m=0.0, noise_sigma_K=1.0, bits=bits, range_K=[255.0, 1533.0])
+    unknowns = tuple(Parameter(n, "K", 0.0, prior.get(n, np.inf)) for n in ("a", "b"))
+    return Experiment(unknowns, (Seen(sensor, x, 500.0 + x, np.column_stack([np.ones_like(x), x]), 1.0),))
+
+
+def test_bounds_of_a_straight_line_are_those_of_least_squares():
+    x = np.linspace(-1.0, 2.0, 7)
+    design_matrix = np.column_stack([np.ones_like(x), x])
+    expected = np.linalg.inv(design_matrix.T @ design_matrix)
+    assert line(x).covariance(("b", "a")) == pytest.approx(expected[::-1, ::-1], rel=1e-9)
+
+
+def test_a_prior_adds_its_information():
+    x = np.linspace(-1.0, 1.0, 9)  # a and b are independent
+    assert line(x, b=0.5).sigma(("b",))[0] ** -2 == pytest.approx(np.sum(x**2) + 4.0, rel=1e-9)
+
+
+def test_what_is_not_told_has_no_bound():
+    assert np.isinf(line(np.zeros(5)).sigma(("b",))[0])
+
+
+def test_two_like_flights_halve_the_variance_of_what_no_prior_tells():
+    x = np.linspace(0.0, 1.0, 6)
+    assert line(x).sigma(("b",), 2) == pytest.approx(line(x).sigma(("b",)) / np.sqrt(2.0))
+
+
+def test_a_clock_of_its_own_in_each_flight_is_averaged_and_a_coating_is_not(told):
+    shared, private = told.with_priors({CLOCK_SKEW.name: 1e-6}), told.with_priors({COATING: 1e-6})
+    assert private.sigma((D_ALPHA,), 4)[0] < 0.51 * private.sigma((D_ALPHA,))[0]
+    assert shared.sigma((COATING,), 4)[0] > 0.51 * shared.sigma((COATING,))[0]  # its prior is not repeated
+
+
+def test_private_unknowns_taken_out_leave_the_schur_complement():
+    rng = np.random.default_rng(3)
+    S = rng.normal(size=(20, 5))
+    M, prior = S.T @ S, np.array([0.0, 0.0, 1.0, 0.0, 2.0])
+    private = np.array([False, True, False, True, False])
+    whole = np.linalg.inv(M + np.diag(np.where(private, prior, 0.0)))
+    assert np.linalg.inv(taken_out(M, prior, private)) == pytest.approx(whole[np.ix_(~private, ~private)], rel=1e-9)
+
+
+def test_criteria_are_ratios_of_bounds():
+    planned = np.diag([4.0, 100.0])
+    assert merit("A", planned, planned) == merit("D", planned, planned) == pytest.approx(1.0)
+    assert merit("D", np.diag([1.0, 100.0]), planned) == pytest.approx(np.sqrt(0.5))
+    assert merit("A", np.diag([1.0, 100.0]), planned) == pytest.approx(np.sqrt((0.25 + 1.0) / 2.0))
+
+
+def test_a_criterion_does_not_depend_on_units():
+    rng = np.random.default_rng(1)
+    a, b = (m @ m.T for m in rng.normal(size=(2, 3, 3)))
+    units = np.outer(*2 * [np.array([1e-4, 1.0, 1e5])])
+    for criterion in ("A", "D"):
+        assert merit(criterion, a * units, b * units) == pytest.approx(merit(criterion, a, b))
+
+
+def test_twice_the_excursion_halves_a_bound_and_twice_the_samples_take_it_to_its_root():
+    information = np.array([[2.0, 0.4], [0.4, 1.0]])
+    found = would_buy(("ratio.d_alpha", "ratio.scale"), information, np.zeros(2))
+    assert found == {"ratio.d_alpha": pytest.approx({"larger": 0.5, "longer": np.sqrt(0.5)})}
+
+
+def test_a_known_parameter_gains_less_than_an_unknown_one():
+    found = would_buy(("ratio.d_alpha",), np.array([[1.0]]), np.array([1.0]))
+    assert found["ratio.d_alpha"]["larger"] == pytest.approx(np.sqrt(2.0 / 5.0))
+
+
+def test_longer_words_faster_samples_and_better_clocks_never_hurt(told):
+    def bound(e: Experiment) -> float:
+        return float(e.sigma((D_ALPHA,))[0])
+
+    words = [bound(told.with_bits(bits)) for bits in (8, 10, 12, 16)]
+    assert np.all(np.diff(words) < 0.0)
+    assert words[-1] == pytest.approx(bound(told.with_bits(None)), rel=1e-3)
+    assert bound(told.with_priors({CLOCK_SKEW.name: 0.1})) < bound(told.with_priors({CLOCK_SKEW.name: 0.5}))
+    assert bound(told.with_priors({PRESSURE.name: 0.02})) <= bound(told)
+    for channel in told.channels:
+        assert bound(told.without([channel.sensor.name])) >= bound(told)
+
+
+def test_more_pressure_conducts_more_so_that_the_coating_cools_and_the_tile_warms(told):
+    k = told.names.index(PRESSURE.name)
+    outermost, inch_deep = told.channels[0].jacobian[:, k], told.channels[3].jacobian[:, k]
+    assert np.all(outermost < 0.0)
+    assert np.all(inch_deep > 0.0)
+
+
+def test_readings_of_a_record_are_not_looked_at():
+    record, _ = practice_record("p06")
+    other = {
+        n: v if n == "time_s" else np.where(np.isfinite(v), 400.0, np.nan) for n, v in record.thermocouples.items()
+    }
+    names = ("ratio.scale", D_ALPHA)
+    found = [experiment(r, names).sigma(names) for r in (record, replace(record, thermocouples=other))]
+    assert found[0] == pytest.approx(found[1], rel=1e-12)
+
+
+def test_predicted_bounds_are_those_of_actual_fits():
+    # of 200 fits a root mean square is known to 5 %
+    planner = planner_of(before_s=5.0, after_s=15.0)
+    planned = planner.fly(planner.scenario.declared.trajectory.manoeuvre)
+    record, start = planner.record(planned, planner.instruments)
+    assert start is not None
+    known = replace(start, columns=start.columns[:, :0], unknowns=())
+    names = (D_ALPHA, "ratio.scale", COATING, CLOCK_SKEW.name)
+    told = experiment(record, names, start=known).with_priors({COATING: 0.05, CLOCK_SKEW.name: 0.1})
+    fits = repeated_fits(record, told, start=known, repetitions=200)
+    assert fits.failed == 0
+    assert fits.spread(names) == pytest.approx(told.sigma(names), rel=0.10)
+
+
+def test_a_search_never_leaves_its_limits_and_beats_the_plan(planner):
+    search = Search(planner_of(evaluations=12))
+    found = search.run()
+    assert found.best.feasible
+    assert min(t.merit for t in found.tried) < 1.0
+    during = found.best.flight.conditions
+    window = found.best.flight.windows[0]
+    flown = (during.time_s >= window.start_s) & (during.time_s <= window.end_s)
+    assert during["alpha_deg"][flown].min() >= 32.0
+    assert window.end_s - window.start_s <= 40.0
+    assert found.best_told.sigma((D_ALPHA,))[0] < found.planned_told.sigma((D_ALPHA,))[0]
+
+
+def test_limits_that_no_design_keeps_are_told():
+    limits = {"alpha_deg": [39.9, 40.1]}
+    with pytest.raises(RunError, match="none of 4 designs keeps the limits; the nearest passes that of alpha_deg"):
+        Search(planner_of(evaluations=4, limits=limits)).run()
+
+
+def test_a_manoeuvre_that_tells_nothing_of_a_parameter_is_refused():
+    with pytest.raises(InputError, match=r"ratio\.d_bodyflap: bodyflap_deg does not move"):
+        Search(planner_of(parameters=["ratio.d_bodyflap"]))
+
+
+@pytest.mark.parametrize(
+    ("key", "names"),
+    [("parameters", ["ratio.d_alfa"]), ("nuisance", ["ratio.d_alfa"]), ("prior", {"ratio.d_alfa": 1e-4})],
+)
+def test_a_misspelt_parameter_is_told_with_its_place_and_the_nearest(key, names):
+    told = rf"toml, \[design\], {key}: .*no parameter `ratio\.d_alfa`. Nearest: `ratio\.d_alpha`"
+    with pytest.raises(InputError, match=told):
+        planner_of(**{key: names})
+
+
+def test_a_whole_design_says_what_was_found():
+    designed = design(planner_of(evaluations=3, vary=[{"key": "hold_s", "low": 0.0, "high": 6.0}]).scenario)
+    found = summary(designed)
+    parameter = found["parameters"][D_ALPHA]
+    assert parameter["optimal_sigma"] <= parameter["planned_sigma"]
+    assert found["tried"] == 3
+    kinds = {i["kind"] for i in found["instruments"]}
+    assert kinds >= {"word", "rate", "clock", "pressure", "without", "extra sensor"}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('key = "hold_s"', 'key = "hold"', "`hold` is no number that this manoeuvre gives. Nearest: `hold_s`"),
+        ('criterion = "D"', 'criterion = "E"', "criterion"),
+        ("low = 4600.0", "low = 6500.0", "as planned is not within 6500 to 6700"),
+        ("alpha_deg = [32.0, 46.0]", "alpha_deg = [46.0, 32.0]", "is no range"),
+        ('control_point = "V09T9527"', 'control_point = "V09T9528"', "no control point `V09T9528`"),
+        ("flights = [1, 2, 4]", "flights = [0]", "0 is no number of flights"),
+    ],
+)
+def test_a_wrong_design_table_is_told(tmp_path, old, new, told):
+    text = SCENARIO.read_text(encoding="utf-8")
+    assert old in text
+    (tmp_path / "wrong.toml").write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(InputError, match=told.replace("[", r"\[").replace(".", r"\.")):
+        load_scenario(tmp_path / "wrong.toml")
+
+
+@pytest.mark.parametrize("path", sorted(SCENARIO.parent.glob("design_*.toml")), ids=lambda p: p.stem)
+def test_a_shipped_design_is_checked_and_names_what_it_wants(path):
+    assert Planner(load_scenario(path)).wanted

@@ -1,0 +1,174 @@
+"""What an estimate says of records and requests that it cannot use, and what it still estimates."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import read_csv_columns, read_json, write_csv
+from sim_heating.base.parameters import MODEL, Parameter
+from sim_heating.cli import main
+from sim_heating.estimation.fit import estimate
+from tests.support.walls import PRACTICE, practice_record
+
+Change = Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]]
+
+
+def damaged(home: Path, file: str, change: Change) -> Path:
+    """A copy of a practice record with one of its files changed."""
+    shutil.copytree(PRACTICE / "p06", home / "p06")
+    path = home / "p06" / file
+    names = path.read_text().splitlines()[0].split(",")
+    columns = read_csv_columns(path, names, allow_empty=[n for n in names if n.startswith("LS_")])
+    write_csv(path, change({name: np.array(columns[name]) for name in names}))
+    return home / "p06"
+
+
+def told(capsys, *arguments: object) -> tuple[int, str]:
+    """Exit status of `estimate` and what it printed, on one line."""
+    status = main(["estimate", *map(str, arguments)])
+    captured = capsys.readouterr()
+    return status, " ".join((captured.out + captured.err).split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["--parameters", "ratio.scal"], "no parameter `ratio.scal`. Nearest: `ratio.scale`"),
+        (["--parameters", "sensor.LS_surfac.bias"], "names no sensor that is used. Nearest: `LS_surface`"),
+        (["--parameters", "sensor.LS_surface.bais"], "a sensor has no `bais`. Nearest: `bias`"),
+        (["--parameters", "effect.transitoin.factor"], "effect `transitoin` is not known. Nearest: `transition`"),
+        (["--parameters", "ratio.scale,ratio.scale"], "`ratio.scale` stands there twice"),
+        (["--parameters", ","], "names nothing"),
+        (["--reference", "alpha_deg"], "alpha_deg: `` is not a number; write alpha_deg=40"),
+        (["--reference", "alpha=40"], "`alpha` is no ratio variable. Nearest: `alpha_deg`"),
+        (["--reference", "alpha_deg=nan"], "alpha_deg: nan is not a finite number"),
+        (["--reference", "alpha_deg=1e9"], "alpha_deg: 1e+09 is not an angle of attack in degrees (-180 to 180)"),
+        (["--start", "profil:600"], "`profil` is no way to start. Nearest: `profile`"),
+        (["--start", "profile:soon"], "`soon` is not a time in s"),
+        (["--start", "profile:9999"], "a start at 9999 s lies outside the conditions (0 to 1453 s)"),
+        (["--start", "filter:-5"], "--start filter:-5: p06: a start at -5 s lies outside the conditions (0 to 1453 s)"),
+        (["--start", "circuit:1e9"], "--start circuit:1e9: p06: a start at 1e+09 s lies outside the conditions"),
+        (["--reference", "alpha_deg=40,alpha_deg=41"], "alpha_deg is given twice"),
+        (["--fit", "600,inf"], "--fit: 600,inf: give two finite times in s"),
+        (["--fit", "600,600.5"], "p06: readings at 1 time(s) in the fit segments, too few to estimate from"),
+        (["--process-noise", "1e200"], "1e200 is not within 0 to 10000"),
+        (["--ratio-noise", "1e200,30"], "1e200 is not within 0 to 10000"),
+        (["--segments", "-3"], "segments of -3 s; give a length in s above 0"),
+        (["--segments", "0.001"], "segments of 0.001 s are shorter than the 1 s between samples"),
+        (["--segments", "5", "--fit", "5000,6000"], "the fit segments hold no time that was recorded"),
+        (["--segments", "5", "--start", "profile:600"], "short segments have starts and references of their own"),
+    ],
+)
+def test_request_that_cannot_be_is_answered_in_a_line(capsys, tmp_path, arguments, line):
+    status, text = told(capsys, PRACTICE / "p06", "--out", tmp_path / "out", *arguments)
+    assert (status, line in text) == (2, True), text
+    assert not (tmp_path / "out").exists()
+
+
+def test_two_records_of_one_name_are_refused(capsys, tmp_path):
+    status, text = told(capsys, PRACTICE / "p06", PRACTICE / "p06", "--out", tmp_path / "out")
+    assert (status, "two of them are named p06; rename one" in text) == (2, True)
+
+
+def test_clocks_that_do_not_overlap_are_told(capsys, tmp_path):
+    record = damaged(tmp_path, "thermocouples.csv", lambda c: c | {"time_s": c["time_s"] + 5000.0})
+    status, text = told(capsys, record, "--out", tmp_path / "out")
+    assert (status, "put both files on one clock" in text) == (2, True)
+
+
+def test_channel_that_is_lost_altogether_is_told(capsys, tmp_path):
+    record = damaged(tmp_path, "thermocouples.csv", lambda c: c | {"LS_bond_K": np.full(len(c["time_s"]), np.nan)})
+    status, text = told(capsys, record, "--out", tmp_path / "out")
+    assert (status, "sensor LS_bond has no sample; set used = false or remove it" in text) == (2, True)
+
+
+def test_sensor_that_never_moves_is_left_out_and_the_rest_is_estimated(capsys, tmp_path):
+    record = damaged(tmp_path, "thermocouples.csv", lambda c: c | {"LS_bond_K": np.full(len(c["time_s"]), 294.0)})
+    status, text = told(capsys, record, "--parameters", "ratio.scale", "--out", tmp_path / "out")
+    assert status == 0
+    assert "sensor LS_bond: never moves, it reads 294 K in all" in text
+    found = json.loads((tmp_path / "out" / "estimate.json").read_text())
+    assert any("never moves" in line for line in found["warnings"])
+    assert list(found["statistics"]["sensors"]) == ["LS_surface"]
+
+
+def test_record_whose_sensors_all_stand_still_is_refused():
+    record = practice_record("p06")[0]
+    columns = {k: v if k == "time_s" else np.full(len(v), 300.0) for k, v in record.thermocouples.items()}
+    with pytest.raises(InputError, match="no sensor is left to estimate from"):
+        estimate([replace(record, thermocouples=columns)], ["ratio.scale"])
+
+
+def test_constant_alpha_leaves_out_its_derivative_alone(capsys, tmp_path):
+    record = damaged(tmp_path, "conditions.csv", lambda c: c | {"alpha_deg": np.full(len(c["time_s"]), 40.9)})
+    names = "ratio.scale,ratio.d_alpha,ratio.d_logre"
+    status, text = told(capsys, record, "--parameters", names, "--out", tmp_path / "out")
+    assert (status, "ratio.d_alpha: not estimated, alpha_deg does not move" in text) == (0, True)
+    found = json.loads((tmp_path / "out" / "estimate.json").read_text())
+    assert set(found["parameters"]) == {"ratio.scale", "ratio.d_logre"}
+
+
+def test_constant_alpha_and_nothing_else_to_estimate_is_an_error(capsys, tmp_path):
+    record = damaged(tmp_path, "conditions.csv", lambda c: c | {"alpha_deg": np.full(len(c["time_s"]), 40.9)})
+    status, text = told(capsys, record, "--parameters", "ratio.d_alpha", "--out", tmp_path / "out")
+    assert (status, "nothing to estimate: alpha_deg does not move" in text) == (2, True)
+
+
+def test_few_samples_estimate_what_they_tell_and_no_more():
+    record = practice_record("p06")[0]
+    kept = np.isin(record.time_s, (620.0, 640.0, 705.0))
+    columns = {k: v if k == "time_s" else np.where(kept, v, np.nan) for k, v in record.thermocouples.items()}
+    found = estimate([replace(record, thermocouples=columns)])
+    assert found.labels[0] == "ratio.scale"
+    assert len(found.labels) < 5
+    assert all(reason for reason in found.not_estimated.values())
+    assert np.all(np.isfinite(found.bounds.sigma))
+
+
+def test_manoeuvre_outside_the_table_is_told(capsys, tmp_path):
+    shutil.copytree(PRACTICE / "p06", tmp_path / "p06")
+    path = tmp_path / "p06" / "ratio_table.csv"
+    head, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([head, *(row for row in rows if float(row.split(",")[0]) <= 25.0)]) + "\n")
+    status, text = told(capsys, tmp_path / "p06", "--parameters", "ratio.scale", "--out", tmp_path / "out")
+    assert status == 0
+    assert "alpha_deg is up to" in text
+    assert "outside its ratio table over the fit segments" in text
+
+
+@pytest.mark.parametrize(
+    ("prior", "line"),
+    [
+        (replace(MODEL["ratio.scale"], sigma=0.0), "prior 0 +- 0; give a finite value and a sigma above 0"),
+        (replace(MODEL["ratio.scale"], value=2.0, upper=1.0), "prior value 2 is outside its bounds -inf to 1"),
+        (Parameter("ratio.scale", "1", 0.0, 1.0, 1.0, -1.0), "bounds 1 to -1; give the lower one first"),
+    ],
+)
+def test_impossible_prior_is_refused(prior, line):
+    with pytest.raises(InputError) as caught:
+        estimate([practice_record("p06")[0]], ["ratio.scale"], priors={"ratio.scale": prior})
+    assert line in str(caught.value)
+
+
+def test_damaged_record_is_named_with_its_file(capsys, tmp_path):
+    shutil.copytree(PRACTICE / "p06", tmp_path / "p06")
+    (tmp_path / "p06" / "conditions.csv").unlink()
+    status, text = told(capsys, tmp_path / "p06", "--out", tmp_path / "out")
+    assert (status, "conditions.csv" in text) == (2, True)
+
+
+def test_fit_that_does_not_converge_keeps_its_files_and_fails(capsys, tmp_path):
+    """A tile under a boundary layer that turns turbulent, which no linear derivative says."""
+    out = tmp_path / "out"
+    status, text = told(capsys, PRACTICE.parent / "sts96_480", "--out", out)
+    assert status == 1
+    assert text.endswith(f"is not smooth here; {out} holds where it ended, which is no estimate")
+    assert read_json(out / "estimate.json")["converged"] is False

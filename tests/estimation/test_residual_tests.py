@@ -1,0 +1,351 @@
+"""Bounds, identifiability, noise and residual tests: exact cases, and what repetitions with known noise show."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+from scipy.stats import binom, kstest
+
+from sim_heating.base.errors import InputError
+from sim_heating.estimation.inference.bounds import Bounds, Channel, bounds
+from sim_heating.estimation.inference.identifiability import correlation, covariance, directions
+from sim_heating.estimation.inference.likelihood import Observed, likelihood, observed
+from sim_heating.estimation.inference.noise import estimate_noise
+from sim_heating.estimation.inference.residual_tests import chi_square, normality, sensor_residuals, whiteness
+from sim_heating.inputs.sensor_model import quantised
+from sim_heating.thermal.stack import Sensor
+
+FloatArray = NDArray[np.float64]
+approx = pytest.approx
+
+
+def sensor(**keys: Any) -> Sensor:
+    """A surface thermocouple with the keys of a test."""
+    return Sensor.model_validate({"name": "s", "column": "s_K", "depth_m": 0.0, **keys})
+
+
+WORD = sensor(bits=8, range_K=[255.0, 1530.0])
+"""Steps of 5 K."""
+NAMES = ("ratio.d0", "ratio.d_alpha", "ratio.d_elevon")
+
+
+def autoregressive(n: int, phi: float, rng: np.random.Generator) -> FloatArray:
+    """First-order autoregressive noise of unit variance."""
+    return np.asarray(lfilter([math.sqrt(1.0 - phi**2)], [1.0, -phi], rng.normal(size=n + 300))[300:])
+
+
+def slow_design(n: int) -> FloatArray:
+    """(sample, 3): a constant, a slow wave and a slope, as coloured noise hides most."""
+    t = np.arange(n) / n
+    return np.stack([np.ones(n), np.sin(3.0 * np.pi * t), t - 0.5], axis=1)
+
+
+def fitted(time: FloatArray, data: FloatArray, design: FloatArray) -> tuple[FloatArray, Bounds]:
+    """Least squares with unit noise, and its bounds."""
+    values = np.linalg.lstsq(design, data)[0]
+    ones = np.ones(len(time))
+    return values, bounds([Channel("s", time, data - design @ values, ones, design)])
+
+
+def likely(hits: int, trials: int, probability: float = 0.95) -> bool:
+    """Whether a count of hits is within its binomial limits, 1 in 1000 outside."""
+    low, high = binom.interval(0.999, trials, probability)
+    return bool(low <= hits <= high)
+
+
+# Bounds --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("phi", "lost"), [(0.0, 0.0), (0.6, 0.0), (0.6, 0.2)])
+def test_95_percent_bounds_cover_the_truth_95_times_in_100_though_noise_is_coloured(phi: float, lost: float) -> None:
+    rng, n, trials = np.random.default_rng(11), 300, 200
+    time, design = np.arange(n, dtype=float), slow_design(n)
+    hits = np.zeros(3, dtype=int)
+    for _ in range(trials):
+        kept = rng.random(n) >= lost
+        values, found = fitted(time[kept], autoregressive(n, phi, rng)[kept], design[kept])
+        hits += np.abs(values) < found.half_width()
+    assert all(likely(h, trials) for h in hits)
+
+
+def test_bounds_for_white_noise_are_overconfident_where_noise_is_coloured() -> None:
+    rng, n, trials = np.random.default_rng(12), 300, 100
+    design = slow_design(n)
+    sigma = np.sqrt(np.diag(covariance(design.T @ design)))
+    hits = sum(np.abs(np.linalg.lstsq(design, autoregressive(n, 0.6, rng))[0]) < 1.96 * sigma for _ in range(trials))
+    assert not any(likely(h, trials) for h in hits)
+
+
+def test_the_mean_of_autoregressive_noise_has_the_bound_of_its_spectrum() -> None:
+    """Variance of the mean is (1 + phi) / (1 - phi) / n for long records, told to sqrt(2 / dof) of itself."""
+    n, phi = 5000, 0.7
+    data = autoregressive(n, phi, np.random.default_rng(13))
+    _, found = fitted(np.arange(n, dtype=float), data, np.ones((n, 1)))
+    assert found.sigma[0] ** 2 * n == approx((1.0 + phi) / (1.0 - phi), rel=3.0 * math.sqrt(2.0 / found.dof))
+    assert found.white[0, 0] * n == approx(1.0)
+
+
+def test_the_fit_does_not_hide_colour_that_it_took_up() -> None:
+    """Mean of two successive white samples: 1 at lag 0, 1/2 at lag 1, nothing beyond; the fit takes a seventh of it."""
+    rng, n, trials = np.random.default_rng(14), 200, 100
+    design = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n), 14)
+    plain, corrected = np.zeros(trials), np.zeros((trials, 2))
+    for i in range(trials):
+        white = rng.normal(size=n + 1)
+        data = (white[1:] + white[:-1]) / math.sqrt(2.0)
+        values, found = fitted(np.arange(n, dtype=float), data, design)
+        plain[i] = np.mean((data - design @ values) ** 2)
+        c = found.autocovariance["s"][:2]
+        corrected[i, : len(c)] = c
+    assert plain.mean() < 0.85
+    error = corrected.std(axis=0) / math.sqrt(trials)
+    assert np.all(np.abs(corrected.mean(axis=0) - [1.0, 0.5]) < 3.0 * error)
+
+
+def test_noise_larger_than_declared_widens_the_bounds_and_a_prior_stays_as_it_is() -> None:
+    rng, n = np.random.default_rng(15), 4000
+    data = 3.0 * rng.normal(size=n)
+    design = np.stack([np.ones(n), np.zeros(n)], axis=1)
+    channel = Channel("s", np.arange(n, dtype=float), data - data.mean(), np.ones(n), design)
+    found = bounds([channel], np.array([0.0, 1.0 / 0.2**2]))
+    assert found.sigma[0] == approx(3.0 / math.sqrt(n), rel=0.05)
+    assert found.sigma[1] == approx(0.2)
+
+
+def test_two_sensors_bound_a_parameter_like_one_with_all_their_samples() -> None:
+    rng, n = np.random.default_rng(16), 1000
+    t, ones = np.arange(n, dtype=float), np.ones(n)
+    data = rng.normal(size=(2, n))
+    residual = data - data.mean()
+    both = bounds([Channel(name, t, r, ones, ones[:, None]) for name, r in zip("ab", residual, strict=True)])
+    assert both.sigma[0] == approx(1.0 / math.sqrt(2 * n), rel=0.05)
+    assert set(both.autocovariance) == {"a", "b"}
+    assert both.dof == approx(2 * n - 1)
+
+
+def test_coarsely_rounded_samples_have_bounds_that_cover() -> None:
+    """Mean of a slow ramp, steps five times the noise: score and information of the words take part, not residuals."""
+    rng, n, trials = np.random.default_rng(17), 100, 100
+    ramp, time = np.linspace(700.0, 760.0, n), np.arange(n, dtype=float)
+    hits = 0
+    for _ in range(trials):
+        words = observed(WORD, quantised(WORD, ramp + rng.normal(size=n)))
+        shift = 0.0
+        for _ in range(6):
+            terms = likelihood(words, ramp + shift, 1.0)
+            shift += terms.score.sum() / terms.information.sum()
+        terms = likelihood(words, ramp + shift, 1.0)
+        found = bounds([Channel("s", time, terms.score, terms.information, np.ones((n, 1)))])
+        hits += abs(shift) < found.half_width()[0]
+    assert likely(hits, trials)
+
+
+def test_bounds_of_more_parameters_than_samples_are_refused() -> None:
+    channel = Channel("s", np.arange(3.0), np.zeros(3), np.ones(3), np.eye(3))
+    with pytest.raises(InputError, match="3 samples for 3 parameters"):
+        bounds([channel])
+
+
+def test_sample_times_that_go_back_are_refused() -> None:
+    channel = Channel("s", np.array([0.0, 2.0, 1.0]), np.ones(3), np.ones(3), np.ones((3, 1)))
+    with pytest.raises(InputError, match="do not increase"):
+        bounds([channel])
+
+
+# Identifiability -----------------------------------------------------------------------------------------------------
+
+
+def test_covariance_is_the_inverse_information_whatever_the_units() -> None:
+    J = np.random.default_rng(18).normal(size=(30, 4)) * [1e-6, 1.0, 1e3, 1e9]
+    M = J.T @ J
+    s = np.sqrt(np.diag(M))
+    np.testing.assert_allclose(covariance(M) * np.outer(s, s), np.linalg.inv(M / np.outer(s, s)), rtol=1e-9)
+
+
+def test_an_elevon_that_follows_alpha_makes_their_derivatives_a_direction_in_words() -> None:
+    alpha = np.linspace(-5.0, 5.0, 40)
+    J = np.stack([np.ones(40), alpha, 0.4 * alpha + 1e-5 * np.sin(alpha)], axis=1)
+    (found,) = directions(J.T @ J, NAMES)
+    assert set(found.members) == {"ratio.d_alpha", "ratio.d_elevon"}
+    assert found.words().endswith("move against each other without the data telling")
+    assert found.move[2] / found.move[1] == approx(-1.0 / 0.4, rel=1e-3)
+    assert np.linalg.norm(J @ found.move) < 1e-4 * np.linalg.norm(J[:, 1] * found.move[1])
+
+
+def test_parameters_that_cancel_move_together() -> None:
+    J = np.stack([np.ones(9), np.arange(9.0), -np.arange(9.0)], axis=1)
+    (found,) = directions(J.T @ J, NAMES)
+    assert found.words() == "ratio.d_alpha and ratio.d_elevon move together without the data telling"
+
+
+def test_what_the_data_do_not_tell_has_no_finite_bound_and_the_rest_keeps_its_own() -> None:
+    J = np.stack([np.ones(9), np.arange(9.0) - 4.0, 2.0 * (np.arange(9.0) - 4.0)], axis=1)
+    C = covariance(J.T @ J)
+    assert np.sqrt(np.diag(C)).tolist() == approx([1.0 / 3.0, math.inf, math.inf])
+    assert np.isnan(C[1, 2])
+    assert np.isnan(correlation(C)[0, 1])
+
+
+def test_correlated_but_told_parameters_are_no_singular_direction() -> None:
+    """Coating and skew of correlation -0.96: eigenvalues 1 -+ 0.96."""
+    M = np.array([[1.0, 0.96], [0.96, 1.0]]) * np.outer([3.0, 50.0], [3.0, 50.0])
+    assert directions(M, ["coating", "skew"]) == []
+    (near,) = directions(M, ["coating", "skew"], below=0.1)
+    assert near.eigenvalue == approx(0.04)
+    assert correlation(covariance(M))[0, 1] == approx(-0.96)
+
+
+# Noise ---------------------------------------------------------------------------------------------------------------
+
+
+def test_noise_of_unrounded_samples_is_the_sum_of_squares_over_the_degrees_of_freedom() -> None:
+    r = np.random.default_rng(19).normal(0.0, 2.0, 50)
+    found = estimate_noise(Observed(r, r), np.zeros(50), fitted=4)
+    assert found.sigma_K == approx(math.sqrt(r @ r / 46.0), rel=1e-6)
+    assert found.lower_K < found.sigma_K < found.upper_K
+
+
+@pytest.mark.parametrize("sigma", [1.0, 2.0, 8.0])
+def test_noise_below_and_above_the_step_of_a_word_is_found_within_its_limits(sigma: float) -> None:
+    rng, trials = np.random.default_rng(20), 80
+    mean = np.linspace(600.0, 900.0, 200)
+    found = [
+        estimate_noise(observed(WORD, quantised(WORD, mean + rng.normal(0.0, sigma, 200))), mean) for _ in range(trials)
+    ]
+    assert likely(sum(f.lower_K <= sigma <= f.upper_K for f in found), trials)
+    assert np.mean([f.sigma_K for f in found]) == approx(sigma, rel=0.05)
+    assert all(f.told for f in found)
+
+
+def test_noise_that_rounding_hides_is_bounded_from_above_alone_and_told_so() -> None:
+    mean = np.linspace(600.0, 900.0, 60)
+    found = estimate_noise(observed(WORD, quantised(WORD, mean)), mean)
+    assert not found.told
+    assert found.sigma_K == approx(0.5)
+    assert found.sigma_K < found.upper_K < 5.0
+    assert "rounding hides the noise" in found.words("T1")
+
+
+def test_lost_samples_take_no_part_in_noise() -> None:
+    r = np.random.default_rng(21).normal(size=40)
+    holed = np.concatenate([r, np.full(10, np.nan)])
+    assert estimate_noise(Observed(holed, holed), np.zeros(50)) == estimate_noise(Observed(r, r), np.zeros(40))
+
+
+@pytest.mark.parametrize(
+    ("read", "told"),
+    [([700.0, 700.0, 700.0], "agree in every digit"), ([700.0], "too few")],
+)
+def test_noise_that_nothing_tells_is_refused(read: list[float], told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        estimate_noise(observed(sensor(), read), np.full(len(read), 700.0))
+
+
+def test_samples_at_the_end_of_a_word_tell_no_noise() -> None:
+    with pytest.raises(InputError, match="end of its word"):
+        estimate_noise(observed(WORD, np.full(20, 1530.0)), np.full(20, 1600.0))
+
+
+# Residual tests ------------------------------------------------------------------------------------------------------
+
+
+def test_whiteness_is_ljung_and_boxs_statistic_where_no_sample_is_lost() -> None:
+    r, n = np.random.default_rng(22).normal(size=80), 80
+    rho = np.array([r[k:] @ r[:-k] for k in range(1, 6)]) / (r @ r)
+    found = whiteness(np.arange(80.0), r, lags=5)
+    # their n_k rho_k is over n, not over the pairs: the two weights n - k and 1 / (n - k)^2 leave 1 / (n - k)
+    assert found.statistic == approx(n * (n + 2) * np.sum(rho**2 / (n - np.arange(1, 6))))
+    assert found.dof == 5
+
+
+def test_whiteness_of_white_noise_with_lost_samples_and_a_gap_is_uniform() -> None:
+    rng, time = np.random.default_rng(23), np.arange(200.0)
+    p = []
+    for _ in range(400):
+        r = rng.normal(size=200)
+        r[(rng.random(200) < 0.3) | ((time > 60.0) & (time < 90.0))] = np.nan
+        p.append(whiteness(time, r).p_value)
+    assert kstest(p, "uniform").pvalue > 1e-3
+
+
+def test_colour_is_seen_through_lost_samples() -> None:
+    rng, time = np.random.default_rng(24), np.arange(200.0)
+    r = autoregressive(200, 0.6, rng)
+    r[rng.random(200) < 0.3] = np.nan
+    assert whiteness(time, r).p_value < 1e-6
+
+
+def test_a_gap_is_a_time_and_no_neighbourhood() -> None:
+    """Noise that repeats after 50 s: without the samples between, a lag of one would find it."""
+    r = np.random.default_rng(25).normal(size=10)
+    time = np.concatenate([np.arange(0.0, 5.0), np.arange(50.0, 55.0), [100.0, 101.0]])
+    noise = np.concatenate([r[:5], r[:5], r[5:7]])
+    pairs = np.array([r[:4] @ r[1:5]] * 2 + [r[5] * r[6]])
+    power = noise @ noise / 12.0
+    assert whiteness(time, noise, lags=1).statistic == approx((pairs.sum() / 9.0 / power) ** 2 * 9.0 * 14.0 / 12.0)
+
+
+def test_normality_tells_gaussian_from_uniform_and_thins_what_is_long() -> None:
+    rng = np.random.default_rng(26)
+    assert normality(rng.normal(size=300)).p_value > 0.01
+    assert normality(rng.uniform(size=300)).p_value < 1e-4
+    assert normality(rng.normal(size=12_000)).dof == 4000
+
+
+def test_chi_square_is_odd_for_noise_declared_too_small_and_too_large() -> None:
+    r = np.random.default_rng(27).normal(size=400)
+    r[:20] = np.nan
+    right = chi_square(r, fitted=0)
+    assert right.dof == 380
+    assert right.statistic == approx(np.nansum(r**2))
+    assert right.p_value > 0.01
+    assert chi_square(1.3 * r).p_value < 1e-6
+    assert chi_square(0.7 * r).p_value < 1e-6
+
+
+def test_chi_square_of_repetitions_is_uniform() -> None:
+    rng = np.random.default_rng(28)
+    p = [chi_square(rng.normal(size=30)).p_value for _ in range(500)]
+    assert kstest(p, "uniform").pvalue > 1e-3
+
+
+def test_residuals_of_a_coarse_word_pass_all_tests_that_their_rounding_errors_fail() -> None:
+    """Slow ramp, step of 5 K, noise 0.5 K: rounding makes a saw of the plain residual."""
+    rng, time = np.random.default_rng(29), np.arange(300.0)
+    mean = 700.0 + 0.6 * time
+    read = quantised(WORD, mean + rng.normal(0.0, 0.5, 300))
+    found = sensor_residuals("T1", time, observed(WORD, read), mean, 0.5, rng)
+    assert found.n == 300
+    assert found.rms == approx(1.0, abs=0.15)
+    assert found.whiteness is not None
+    assert found.normality is not None
+    assert min(found.whiteness.p_value, found.normality.p_value, chi_square(found.residual).p_value) > 0.01
+    assert whiteness(time, read - mean).p_value < 1e-6
+    assert normality(read - mean).p_value < 1e-3
+
+
+def test_too_few_samples_are_refused_and_all_lost_are_named() -> None:
+    with pytest.raises(InputError, match="5 samples are too few"):
+        whiteness(np.arange(5.0), np.ones(5))
+    with pytest.raises(InputError, match="leave no chi-square"):
+        chi_square(np.ones(3), fitted=3)
+    with pytest.raises(InputError, match="sensor T1: every sample"):
+        sensor_residuals(
+            "T1", np.arange(3.0), observed(WORD, np.full(3, np.nan)), np.ones(3), 1.0, np.random.default_rng()
+        )
+    few = sensor_residuals(
+        "T1", np.arange(3.0), observed(WORD, [700.0] * 3), np.full(3, 700.0), 1.0, np.random.default_rng()
+    )
+    assert few.whiteness is None
+
+
+def test_residuals_that_are_all_the_same_have_no_noise_to_test() -> None:
+    with pytest.raises(InputError, match="residuals are all 2"):
+        normality(np.full(20, 2.0))
+    with pytest.raises(InputError, match="all 0"):
+        whiteness(np.arange(20.0), np.zeros(20))

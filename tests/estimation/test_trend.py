@@ -1,0 +1,97 @@
+"""Short segments in turn: a trend of the ratio is found within the bounds of its segments, lost samples or not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from sim_heating.base.errors import InputError
+from sim_heating.estimation.fit import estimate
+from sim_heating.estimation.trend import Trend, trend
+from sim_heating.heating.ratio.lookup import table_ratios_at
+from sim_heating.inputs.points import point_of_record
+from sim_heating.inputs.record import Record
+from sim_heating.inputs.sensor_model import measured
+from sim_heating.simulation.predict import predict
+from tests.support.walls import practice_record
+
+SLOPE = 0.004
+"""Derivative of the ratio against log10 Re that is put in."""
+FIT_S = (450.0, 950.0)
+
+
+def remade(truth: dict[str, float], seed: int = 1, jets_gain: float = 0.0) -> Record:
+    """A practice flight, segments from 450 to 950 s, with readings of the program's own, noise and words included.
+
+    jets_gain : relative spike of the derived density, and so of h_ref, while jets fire; the wall feels none of it
+    """
+    record = practice_record("p06")[0]
+    segments = record.declared.segments.model_copy(update={"fit": [list(FIT_S)], "holdout": []})
+    record = replace(record, declared=record.declared.model_copy(update={"segments": segments}))
+    model = replace(point_of_record(record, truth), reference=(40.0, 0.0, 6.3, 2.0, 7.0))
+    flown = record.conditions
+    if jets_gain > 0.0:  # pitch jets fire while the nose is pulled up
+        flown = flown.with_columns(jets=1.0 * (flown["alpha_deg"] > 42.0))
+        record = replace(record, conditions=flown)
+    true_flight = flown.with_columns(h_ref_kg_m2_s=flown["h_ref_kg_m2_s"] / (1.0 + jets_gain * flown["jets"]))
+    true = predict(replace(record, conditions=true_flight), model)
+    rng = np.random.default_rng(seed)
+    columns = {s.column: measured(s, T, rng) for s, T in zip(record.sensors, true.history.sensors_K, strict=True)}
+    return replace(record, thermocouples={"time_s": record.time_s, **columns})
+
+
+def chi_square(found: Trend) -> float:
+    """Of the segments' ratios about the truth."""
+    conditions = np.array([s.condition for s in found.segments])
+    assert found.record.ratio_table is not None
+    true = table_ratios_at(found.record.ratio_table, conditions) + SLOPE * (conditions[:, 2] - 6.3)
+    return float(np.sum([((s.ratio - t) / s.sigma) ** 2 for s, t in zip(found.segments, true, strict=True)]))
+
+
+@pytest.mark.parametrize("lost", [False, True], ids=["whole", "with-gaps"])
+def test_trend_in_reynolds_number_is_recovered_within_its_bounds(lost):
+    record = remade({"ratio.d_logre": SLOPE})
+    if lost:
+        t = record.time_s
+        gone = ((t > 600.0) & (t < 640.0)) | (np.random.default_rng(2).random(len(t)) < 0.2)
+        columns = {k: np.where(gone & (k != "time_s"), np.nan, v) for k, v in record.thermocouples.items()}
+        record = replace(record, thermocouples=columns)
+    found = trend(record, 20.0)
+    n = len(found.segments)
+    assert n + len(found.left_out) == 25
+    assert n >= (23 if lost else 25)
+    low, high = chi2.ppf([0.001, 0.999], n)
+    assert low < chi_square(found) < high
+
+
+def test_jet_spikes_in_the_derived_density_mislead_unless_the_jets_are_a_regressor():
+    record = remade({"ratio.d_alpha": 3e-4}, jets_gain=0.5)
+    names, about = ["ratio.scale", "ratio.d_alpha"], {"alpha_deg": 40.0}
+    plain = estimate([record], names, reference=about)
+    told = estimate([record], [*names, "effect.jet-interaction.jet_gain"], reference=about)
+    error = [abs(f.fit.values[1] - 3e-4) for f in (plain, told)]
+    assert error[1] < 3.0 * told.bounds.sigma[1]
+    assert error[0] > 10.0 * told.bounds.sigma[1]
+    assert told.fit.values[2] == pytest.approx(1.0 / 1.5 - 1.0, abs=3.0 * told.bounds.sigma[2])
+
+
+def test_segments_longer_than_their_data_or_of_no_length_are_refused():
+    record = practice_record("p06")[0]
+    lost = {k: v if k == "time_s" else np.where(v > 2000.0, v, np.nan) for k, v in record.thermocouples.items()}
+    with pytest.raises(InputError, match="no segment of 20 s can be fitted"):
+        trend(replace(record, thermocouples=lost), 20.0)
+
+
+def test_trend_on_a_coarse_mesh_is_corrected_from_segment_to_segment():
+    """Ten nodes put the first segment off by 2.6 sigma where nothing is corrected."""
+    record = remade({})
+
+    def on(nodes: int) -> Trend:
+        stack = record.declared.stack.model_copy(update={"nodes": nodes})
+        return trend(replace(record, declared=record.declared.model_copy(update={"stack": stack})), 50.0)
+
+    pairs = zip(on(10).segments, on(100).segments, strict=True)
+    assert max(abs(coarse.ratio - fine.ratio) / fine.sigma for coarse, fine in pairs) < 0.7

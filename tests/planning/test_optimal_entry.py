@@ -1,0 +1,241 @@
+"""Optimal entries: Betts' published optima, flights confirmed by another integrator, limits kept when marched."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.files import check
+from sim_heating.heating.atmosphere import speed_of_sound, us76
+from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
+from sim_heating.inputs.vehicle import load_vehicle
+from sim_heating.march.history import march_points
+from tests.support.paths import SCENARIOS
+
+pytest.importorskip("casadi", reason="optimal entries need CasADi: pip install 'sim-heating[plan]'")
+
+from benchmarks import betts
+from sim_heating.planning.optimal import dynamics as od
+from sim_heating.planning.optimal import tables
+from sim_heating.planning.optimal.collocation import Transcription, refined_mesh
+from sim_heating.planning.optimal.search import fly_optimal
+from sim_heating.planning.optimal.spec import OptimalStudyFile, load_optimal_study, optimal_study, without_limits
+
+STUDIES = SCENARIOS / "studies"
+BEND = np.array([0.1, 0.5])
+
+
+def study_of(text="", **changes):
+    """The shipped study with keys replaced, and only the limits of `text`."""
+    data = tomllib.loads((STUDIES / "optimal_entry.toml").read_text())
+    data["limit"] = tomllib.loads(text).get("limit", [])
+    return optimal_study(check(data | changes, OptimalStudyFile, "study"), load_vehicle("orbiter"))
+
+
+@pytest.fixture(scope="module")
+def betts_flights():
+    """Free and limited: on 30 intervals, then refined once."""
+    problem = betts.betts_problem()
+    found = {}
+    for case in ("free", "limited"):
+        bounds = betts.betts_bounds(case == "limited")
+        coarse = Transcription(problem, np.linspace(0.0, 1.0, 31)).solve(betts.betts_guess(problem), bounds)
+        fine = Transcription(problem, refined_mesh(coarse, 1e-6, BEND)).solve(coarse, bounds)
+        found[case] = (coarse, fine)
+    return problem, found
+
+
+COLD_LIMIT = """
+[[limit]]
+control_point = "NOSECAP"
+surface_K = 1900.0
+"""
+
+
+@pytest.fixture(scope="module")
+def limited_flight():
+    return fly_optimal(study_of(COLD_LIMIT, intervals=25, mesh_tolerance=1e-3))
+
+
+@pytest.mark.parametrize("case", ["free", "limited"])
+def test_betts_published_cross_range_is_found_within_a_thousandth(betts_flights, case):
+    latitude_deg, time_s = betts.PUBLISHED[case]
+    fine = betts_flights[1][case][1]
+    assert np.degrees(fine.goal) == pytest.approx(latitude_deg, rel=1e-3)
+    assert fine.duration_s == pytest.approx(time_s, rel=5e-3)
+
+
+@pytest.mark.parametrize("case", ["free", "limited"])
+def test_a_finer_mesh_has_less_error(betts_flights, case):
+    coarse, fine = betts_flights[1][case]
+    assert np.max(fine.errors) < 0.1 * np.max(coarse.errors)
+
+
+def test_the_heating_limit_costs_cross_range_and_is_kept(betts_flights):
+    problem, found = betts_flights
+    heating = {
+        case: np.array(problem.model.map(m.states.shape[1])(m.states, m.controls_at(m.time_s))[1]).ravel()
+        for case, (_, m) in found.items()
+    }
+    assert np.max(heating["free"]) > 1.5
+    assert np.max(heating["limited"][1:]) == pytest.approx(1.0, abs=1e-6)
+    assert found["limited"][1].goal < found["free"][1].goal
+
+
+@pytest.mark.parametrize("share", [0.97, 1.03])
+def test_no_other_duration_reaches_farther(betts_flights, share):
+    problem, found = betts_flights
+    best = found["free"][1]
+    time_s = share * best.duration_s
+    other = Transcription(replace(problem, duration_s=(time_s, time_s)), best.mesh).solve(best)
+    assert other.duration_s == pytest.approx(time_s)
+    assert other.goal < best.goal
+
+
+def cartesian(motion, accelerations, planet):
+    """Integrate the controls of a motion with the vector form of the equations; altitude, speed, latitude at the end.
+
+    accelerations : altitude, speed, alpha -> lift, drag [m/s2]
+    """
+    spin = np.array([0.0, 0.0, planet.rotation_rad_s])
+    h, lon, lat, V, gamma, heading = motion.states[:6, 0]
+    up = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    east = np.array([-np.sin(lon), np.cos(lon), 0.0])
+    level = np.cos(heading) * np.cross(up, east) + np.sin(heading) * east
+    first = np.concatenate(((planet.radius_m + h) * up, V * (np.cos(gamma) * level + np.sin(gamma) * up)))
+
+    def rates(t, y):
+        r, v = y[:3], y[3:]
+        distance, speed = np.linalg.norm(r), np.linalg.norm(v)
+        alpha, bank = motion.controls_at(t)
+        lift, drag = accelerations(distance - planet.radius_m, speed, alpha)
+        along = v / speed
+        right = np.cross(along, r)
+        right /= np.linalg.norm(right)
+        b = np.radians(bank)
+        force = lift * (np.cos(b) * np.cross(right, along) + np.sin(b) * right) - drag * along
+        apparent = -2.0 * np.cross(spin, v) - np.cross(spin, np.cross(spin, r))
+        return np.concatenate((v, force + apparent - planet.mu_m3_s2 * r / distance**3))
+
+    y = solve_ivp(rates, (0.0, motion.duration_s), first, method="DOP853", rtol=1e-9, atol=1e-3, max_step=5.0).y[:, -1]
+    distance = np.linalg.norm(y[:3])
+    return distance - planet.radius_m, np.linalg.norm(y[3:]), np.arcsin(y[2] / distance)
+
+
+def test_betts_controls_flown_by_another_integrator_end_where_the_optimiser_says(betts_flights):
+    def accelerations(altitude_m, speed_m_s, alpha_deg):
+        force = 0.5 * float(betts.density_slug_ft3(altitude_m / betts.FT_M)) * (speed_m_s / betts.FT_M) ** 2
+        per_mass = force * betts.AREA_FT2 / betts.MASS_SLUG * betts.FT_M
+        CL, CD = betts.lift_drag(alpha_deg)
+        return per_mass * CL, per_mass * CD
+
+    motion = betts_flights[1]["limited"][1]
+    altitude_m, speed_m_s, latitude = cartesian(motion, accelerations, betts.PLANET)
+    assert altitude_m == pytest.approx(motion.states[od.ALTITUDE, -1], abs=100.0)
+    assert speed_m_s == pytest.approx(motion.states[od.SPEED, -1], abs=3.0)
+    assert np.degrees(latitude) == pytest.approx(np.degrees(motion.goal), abs=0.003)
+
+
+def test_the_optimal_entry_flown_on_the_tables_themselves_ends_close_by(limited_flight):
+    aero = tables.aerodynamics(limited_flight.study)
+
+    def accelerations(altitude_m, speed_m_s, alpha_deg):
+        T, _, rho = us76(altitude_m)
+        CL, CD, *_ = aero.at(float(speed_m_s / speed_of_sound(T)), float(alpha_deg), float(speed_m_s))
+        per_mass = 0.5 * float(rho) * speed_m_s**2 * aero.area_m2 / aero.mass_kg
+        return per_mass * CL, per_mass * CD
+
+    altitude_m, speed_m_s, latitude = cartesian(limited_flight.motion, accelerations, tables.PLANET)
+    assert np.degrees(latitude) == pytest.approx(limited_flight.cross_range_deg, rel=0.01)
+    assert speed_m_s == pytest.approx(900.0, rel=0.05)
+    assert altitude_m == pytest.approx(26000.0, abs=1500.0)
+
+
+def test_a_limit_that_binds_is_met_by_the_marched_temperature(limited_flight):
+    point = limited_flight.study.points[0].point
+    vehicle, flown = limited_flight.study.vehicle, limited_flight.conditions
+    (history,) = march_points([point_of_vehicle(vehicle, point)], [conditions_at_point(vehicle, point, flown)])
+    assert 1899.0 <= np.max(history.surface_K) <= 1900.0
+    assert "NOSECAP surface" in limited_flight.status
+
+
+def test_a_limit_costs_cross_range(limited_flight):
+    free = fly_optimal(without_limits(study_of(COLD_LIMIT, intervals=25, mesh_tolerance=1e-3)))
+    assert free.peaks[0].surface_K > 1900.0
+    assert free.cross_range_deg > limited_flight.cross_range_deg + 0.5
+
+
+def test_tables_drawn_from_their_sigma_keep_the_limit_as_often_as_asked():
+    entry = fly_optimal(study_of(COLD_LIMIT, intervals=25, mesh_tolerance=1e-3, probability=0.9))
+    point, vehicle = entry.study.points[0].point, entry.study.vehicle
+    draws = np.random.default_rng(7).standard_normal(400)
+    model, table = point_of_vehicle(vehicle, point), point.ratio
+    drawn = [replace(model, ratio=replace(table, ratio=table.ratio + z * table.sigma)) for z in draws]
+    flown = conditions_at_point(vehicle, point, entry.conditions.at(np.arange(0.0, entry.motion.duration_s, 4.0)))
+    hottest = [np.max(h.surface_K) for h in march_points(drawn, [flown] * len(drawn), longest_step_s=4.0)]
+    inside = np.mean(np.array(hottest) <= 1900.0)
+    assert inside == pytest.approx(0.9, abs=3.0 * np.sqrt(0.9 * 0.1 / len(draws)))
+    assert entry.nominal[0].surface_K < entry.peaks[0].surface_K - 10.0
+
+
+def test_a_wall_that_stores_no_heat_is_what_a_long_march_settles_to():
+    study = study_of(COLD_LIMIT)
+    aero, point = tables.aerodynamics(study), study.points[0].point
+    model = point_of_vehicle(study.vehicle, point)
+    wall = tables.wall_temperatures(study, aero, [model])
+    state = np.array([70e3, 0.0, 0.0, 6500.0, 0.0, 0.0])
+    time = np.array([0.0, 36000.0])
+    held = tables.conditions_along(study, aero, time, np.tile(state, (2, 1)).T, np.array([[35.0, 35.0], [0.0, 0.0]]))
+    (history,) = march_points([model], [conditions_at_point(study.vehicle, point, held)], longest_step_s=20.0)
+    assert 1e3 * float(wall([70e3, 6500.0, 35.0])) == pytest.approx(history.surface_K[-1], abs=3.0)
+
+
+def test_a_limit_that_no_flight_keeps_is_told_in_one_line():
+    cold = COLD_LIMIT.replace("1900.0", "700.0")
+    with pytest.raises(RunError, match=r"no flight was found.*NOSECAP to \d+ K at the surface, against 700 K") as told:
+        fly_optimal(study_of(cold, intervals=8, mesh_tolerance=1e-2))
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ('"NOSECAP"', "no control point `NOSECAPS`. Nearest: `NOSECAP`"),
+        ("gamma_deg = -5.0", "unknown key `gamma_deq`. Nearest: `gamma_deg`"),
+        ("velocity_m_s = 900.0", "an entry ends slower than it begins"),
+        ("[10.0, 45.0]", "the lower limit 45 must be below the upper limit 10"),
+    ],
+)
+def test_a_study_that_cannot_be_used_is_told(tmp_path, change, told):
+    new = {
+        '"NOSECAP"': '"NOSECAPS"', "gamma_deg = -5.0": "gamma_deq = -5.0", "velocity_m_s = 900.0": "velocity_m_s = 9e3",
+        "[10.0, 45.0]": "[45.0, 10.0]",
+    }[change]  # fmt: skip
+    path = tmp_path / "study.toml"
+    path.write_text((STUDIES / "optimal_entry.toml").read_text().replace(change, new))
+    with pytest.raises(InputError) as error:
+        load_optimal_study(path)
+    assert told in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["optimal_entry.toml", "optimal_entry_sure.toml"])
+def test_shipped_studies_can_be_read(name):
+    assert load_optimal_study(STUDIES / name).points
+
+
+def test_without_casadi_one_line_says_what_to_install():
+    code = (
+        "import sys; sys.modules['casadi'] = None\n"
+        "from sim_heating.planning.optimal.search import fly_optimal\n"
+        "from sim_heating.planning.optimal.spec import load_optimal_study\n"
+        f"fly_optimal(load_optimal_study({str(STUDIES / 'optimal_entry.toml')!r}))"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "InputError: optimal entry: CasADi is not installed; pip install 'sim-heating[plan]'" in ran.stderr

@@ -1,0 +1,291 @@
+"""`sim-heating plan` as a user meets it: files of a study, kills, processes, one clear line where it cannot."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.paths import ROOT
+
+pytest.importorskip("distributed", reason="studies need Dask and pyarrow: pip install 'sim-heating[plan]'")
+
+import dask
+import pyarrow.parquet as pq
+from threadpoolctl import threadpool_limits
+
+from sim_heating import cli
+from sim_heating.base import parallel as batches
+from sim_heating.planning.study import load_study
+from tests.support.studies import entry_3dof
+
+STUDY = f"""
+format = "study/1"
+title = "Entry for a test"
+vehicle = "orbiter"
+note = "Forty-eight flights."
+control_points = ["V09T9527"]
+{{more}}
+{entry_3dof("mach = 2.5")}[dispersion]
+flights = 48
+scrambles = 6
+index_flights = 8
+quantiles = [0.5]
+[[dispersion.input]]
+name = "entry.gamma_deg"
+sigma = 0.02
+[[dispersion.input]]
+name = "stack.emissivity_factor"
+sigma = 0.02
+"""
+
+ENVELOPE = """
+[envelope]
+[[envelope.map]]
+name = "alpha"
+[envelope.map.axes]
+alpha_offset_deg = [-4.0, 0.0]
+"""
+
+
+@pytest.fixture
+def study(tmp_path):
+    path = tmp_path / "study.toml"
+    path.write_text(STUDY.format(more=""))
+    return path
+
+
+def results(out):
+    """Bytes of all results, the ledger of finished batches left out."""
+    return {
+        p.relative_to(out).as_posix(): p.read_bytes()
+        for p in sorted(out.rglob("*"))
+        if p.is_file() and "batches" not in p.parts
+    }
+
+
+def start(study, out, workers, **environment):
+    arguments = [sys.executable, "-m", "sim_heating", "plan", str(study), "--out", str(out), "--workers", str(workers)]
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    environment |= {"PYTHONPATH": path}
+    return subprocess.Popen(arguments, env=os.environ | environment, start_new_session=True, **quiet)
+
+
+def test_a_study_killed_at_any_moment_goes_on_to_the_same_bytes_on_any_number_of_processes(study, tmp_path):
+    whole, out, moments = tmp_path / "whole", tmp_path / "out", random.Random(7)
+    assert cli.main(["plan", str(study), "--out", str(whole), "--workers", "1"]) == 0
+    for kill in range(3):
+        run, wanted = start(study, out, 2), 1 + 2 * kill
+        while run.poll() is None and len(list(out.rglob("*.parquet"))) < wanted:
+            time.sleep(0.005)
+        time.sleep(moments.uniform(0.0, 0.3))
+        os.killpg(run.pid, signal.SIGKILL)
+        run.wait()
+        assert not (out / "study.json").exists() or (out / "report.html").exists()
+    assert start(study, out, 2).wait() == 0
+    assert results(out) == results(whole)
+
+
+def test_a_process_that_did_other_work_before_gives_the_bytes_of_a_fresh_one(study, tmp_path):
+    """Another study, a cluster, and linear algebra on two threads; the fresh process has one."""
+    other, busy, fresh = tmp_path / "other.toml", tmp_path / "busy", tmp_path / "fresh"
+    other.write_text(study.read_text().replace("flights = 48", "flights = 12").replace("V09T9527", "BODYFLAP"))
+    with threadpool_limits(2, "blas"):
+        assert cli.main(["plan", str(other), "--out", str(tmp_path / "before"), "--workers", "2"]) == 0
+        assert cli.main(["plan", str(study), "--out", str(busy), "--workers", "1"]) == 0
+    assert start(study, fresh, 1, OPENBLAS_NUM_THREADS="1").wait() == 0
+    assert results(busy) == results(fresh)
+
+
+def test_results_name_vehicle_revision_and_study_and_agree_with_each_other(study, tmp_path):
+    out = tmp_path / "out"
+    assert cli.main(["plan", str(study), "--out", str(out), "--workers", "1"]) == 0
+    found, loaded = json.loads((out / "study.json").read_text()), load_study(study)
+    assert (found["vehicle"], found["revision"], found["study"]) == ("orbiter", "1", loaded.hash)
+    page = (out / "report.html").read_text()
+    assert loaded.stamp in page
+    assert page.count("data:image/png;base64,") == 3
+    assert 'src="http' not in page
+    surface = next(p for p in found["dispersion"]["peaks"] if p["quantity"] == "peak surface")
+    flights = pq.read_table(out / "dispersion_flights.parquet")
+    peaks = flights.column("surface_K.V09T9527").to_numpy()
+    assert len(peaks) == 48
+    assert surface["mean_K"] == pytest.approx(np.mean(peaks), abs=1e-9)
+    assert surface["quantiles"][0]["value"] == np.sort(peaks)[23]
+    assert set(surface["sobol_indices"]) == {"entry.gamma_deg", "stack.emissivity_factor", "ratio tables"}
+
+
+def test_the_hash_is_that_of_the_study_and_of_the_vehicles_files(study, tmp_path):
+    before = load_study(study).hash
+    assert load_study(study).hash == before
+    study.write_text(study.read_text().replace("sigma = 0.02", "sigma = 0.021"))
+    assert load_study(study).hash != before
+
+
+def test_a_scheduler_that_is_away_is_one_clear_line_and_nothing_is_written(study, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(batches, "ANSWER_S", 1.0)
+    out = tmp_path / "out"
+    assert cli.main(["plan", str(study), "--out", str(out), "--scheduler", "tcp://127.0.0.1:1"]) == 2
+    told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
+    assert len(told) == 1
+    assert "no Dask scheduler answers there" in told[0]
+    assert not results(out)
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ('revision = "7"', '`revision`: "7" is meant and orbiter is at "1"'),
+        ('scenario = "nowhere.toml"', "give one of them"),
+        ('[[limit]]\ncontrol_point = "NOSECAP"', "`NOSECAP` is not among the study's control points"),
+        (ENVELOPE.replace("-4.0, 0.0", "-1e9"), "alpha_offset_deg -1e+09 must be between -90 and 90"),
+        ("soak = 3.0", "unknown key `soak`. Nearest: `soak_s`"),
+        (
+            '[[limit]]\ncontrol_point = "V09T9527"\nsurfce_K = 9e2',
+            "[limit] 1: unknown key `surfce_K`. Nearest: `surface_K`",
+        ),
+    ],
+)
+def test_a_study_that_cannot_be_is_told_in_a_line(study, tmp_path, capsys, more, told):
+    study.write_text(STUDY.format(more=more))
+    assert cli.main(["plan", str(study), "--out", str(tmp_path / "out")]) == 2
+    assert told in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no file system in which nothing can be made")
+def test_a_place_that_cannot_hold_finished_batches_is_told_in_a_line(study, capsys):
+    assert cli.main(["plan", str(study), "--out", "/proc/nowhere"]) == 2
+    said = capsys.readouterr().err.strip().splitlines()
+    assert len(said) == 1
+    assert "results cannot be written there" in said[0]
+
+
+def test_a_control_point_that_a_study_names_wrongly_is_told_of_the_study_and_not_of_its_scenario(
+    study, tmp_path, capsys
+):
+    text, flown = STUDY.format(more=""), entry_3dof("mach = 2.5")
+    base = ROOT / "scenarios" / "entry_3dof.toml"
+    study.write_text(text.replace(flown, f'scenario = "{base}"\n').replace('"V09T9527"', '"V09T952"'))
+    assert cli.main(["plan", str(study), "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err.strip().splitlines()
+    assert said == [f"error: {study}: vehicle orbiter: there is no control point `V09T952`. Nearest: `V09T9527`."]
+
+
+def test_an_effect_that_a_scenario_names_wrongly_is_told_of_the_scenario(study, tmp_path, capsys):
+    base = tmp_path / "base.toml"
+    head = 'format = "scenario/1"\ntitle = "base"\nvehicle = "orbiter"\n'
+    base.write_text(f'{head}[[effect]]\nname = "gapflow"\n{entry_3dof("mach = 2.5")}')
+    study.write_text(STUDY.format(more="").replace(entry_3dof("mach = 2.5"), 'scenario = "base.toml"\n'))
+    assert cli.main(["plan", str(study), "--out", str(tmp_path / "out")]) == 2
+    assert f"error: {base}: " in capsys.readouterr().err
+
+
+def test_a_page_of_someone_elses_is_told_before_the_work_and_nothing_is_left(study, tmp_path, capsys):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "report.html").write_text("mine")
+    assert cli.main(["plan", str(study), "--out", str(out)]) == 2
+    assert "report.html exists and is not a result of ours" in capsys.readouterr().err
+    assert [p.name for p in out.iterdir()] == ["report.html"]
+    assert (out / "report.html").read_text() == "mine"
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no file system in which nothing can be made")
+def test_worker_processes_that_do_not_start_are_told_in_a_line(study, tmp_path, capsys):
+    """Dask has no folder to start them in."""
+    with dask.config.set({"temporary-directory": "/proc/nowhere"}):
+        assert cli.main(["plan", str(study), "--out", str(tmp_path / "out"), "--workers", "2"]) == 1
+    told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("dispersion:")]
+    assert len(told) == 1
+    assert "the worker processes did not start" in told[0]
+    assert "take --workers 1" in told[0]
+
+
+def test_a_study_that_asks_for_nothing_says_so(study, tmp_path, capsys):
+    study.write_text(STUDY.format(more="").split("[dispersion]")[0])
+    assert cli.main(["plan", str(study), "--out", str(tmp_path / "out")]) == 2
+    assert "asks for nothing" in capsys.readouterr().err
+
+
+OPTIMAL = """
+[optimal]
+alpha_limits_deg = [10.0, 45.0]
+initial = { altitude_m = 121920.0, velocity_m_s = 7450.0, gamma_deg = -1.2, heading_deg = 90.0, latitude_deg = 0.0 }
+end = { altitude_m = 26000.0, velocity_m_s = 900.0, gamma_deg = -5.0 }
+limit = [{ control_point = "NOSECAP" }]
+"""
+
+
+def test_a_studys_optimal_entry_is_of_its_vehicle(study):
+    study.write_text(STUDY.format(more="") + OPTIMAL)
+    asked = load_study(study).optimal()
+    assert asked is not None
+    assert asked.vehicle.name == "orbiter"
+    assert [p.point.name for p in asked.points] == ["NOSECAP"]
+
+
+def test_a_misspelt_key_of_an_optimal_entry_is_told_with_its_table(study, tmp_path, capsys):
+    study.write_text(STUDY.format(more="") + OPTIMAL.replace("alpha_limits_deg", "alpha_limit_deg"))
+    assert cli.main(["plan", str(study), "--out", str(tmp_path / "out")]) == 2
+    told = capsys.readouterr().err
+    assert "[optimal]" in told
+    assert "`alpha_limits_deg`" in told
+
+
+def with_optimal(study, **given):
+    """The study and an optimal entry without limits on a coarse mesh."""
+    keys = {"intervals": 5, "mesh_tolerance": 0.09} | given
+    asked = OPTIMAL.replace('limit = [{ control_point = "NOSECAP" }]', "\n".join(f"{k} = {v}" for k, v in keys.items()))
+    study.write_text(STUDY.format(more="") + asked)
+
+
+def test_an_optimiser_that_fails_is_one_line_and_the_dispersion_is_kept(study, tmp_path, capsys):
+    """Nobody is down in five minutes."""
+    with_optimal(study, duration_s=[200.0, 300.0])
+    out = tmp_path / "out"
+    assert cli.main(["plan", str(study), "--out", str(out), "--workers", "1"]) == 1
+    told = capsys.readouterr().err.splitlines()
+    assert [line for line in told if line.startswith("optimal:")] == [
+        "optimal: optimal entry `Entry for a test`: no flight was found: no flight meets all bounds at once; relax a "
+        "limit or the end state"
+    ]
+    assert told[-1] == "failed: optimal: found nothing; dispersion is done and kept"
+    found = json.loads((out / "study.json").read_text())
+    assert list(found["failed"]) == ["optimal"]
+    assert found["dispersion"]["flights"] == 48
+    assert pq.read_table(out / "dispersion_flights.parquet").num_rows == 48
+    assert "no flight meets all bounds at once" in (out / "report.html").read_text()
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere", ""])
+def test_a_scheduler_that_is_away_is_told_once_and_before_any_part(study, tmp_path, capsys, monkeypatch, address):
+    monkeypatch.setattr(batches, "ANSWER_S", 1.0)
+    with_optimal(study)
+    out = tmp_path / "out"
+    assert cli.main(["plan", str(study), "--out", str(out), "--scheduler", address]) == 2
+    told = capsys.readouterr().err.splitlines()
+    assert len(told) == 1
+    assert "no Dask scheduler answers there" in told[0]
+    assert not out.exists()
+
+
+def test_an_envelope_of_which_nothing_can_be_flown_fails_and_says_why(study, tmp_path, capsys):
+    """Straight up, out of the atmosphere."""
+    study.write_text(STUDY.format(more="").split("[dispersion]")[0].replace("-1.2", "89.0") + ENVELOPE)
+    out = tmp_path / "out"
+    assert cli.main(["plan", str(study), "--out", str(out), "--workers", "1"]) == 1
+    told = [line for line in capsys.readouterr().err.splitlines() if not line.endswith("...")]
+    assert len(told) == 2
+    assert told[0].startswith(f"envelope: {study}: none of 2 flights can be flown; first alpha_offset_deg -4: ")
+    assert "outside the atmosphere" in told[0]
+    assert told[1] == "failed: envelope: found nothing"
+    assert list(json.loads((out / "study.json").read_text())["failed"]) == ["envelope"]

@@ -1,0 +1,105 @@
+"""Result files say what they hold, agree with each other, and open in other programs."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+from sim_heating.inputs.scenario import load_scenario
+from sim_heating.simulation.run import PointResult, RunResult, run_scenario, with_reference_heating, write_run
+from tests.support.gliding import gliding
+
+SCENARIO = (
+    gliding(60.0, "V09T9527", "LEE_UPPER")
+    + """
+[[trajectory.manoeuvre]]
+kind = "elevon-pulse"
+at_time_s = 20.0
+amplitude_deg = 3.0
+"""
+)
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> RunResult:
+    file = tmp_path_factory.mktemp("scenario") / "glide.toml"
+    file.write_text(SCENARIO)
+    return run_scenario(load_scenario(file))
+
+
+@pytest.fixture(scope="module")
+def out(result: RunResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("results") / "out"
+    write_run(result, folder)
+    return folder
+
+
+def test_every_variable_of_the_netcdf_file_has_a_unit(out: Path) -> None:
+    with xr.open_dataset(out / "flight.nc", decode_timedelta=False) as data:
+        assert {name for name in data.data_vars if "units" not in data[name].attrs} == set()
+        assert data["surface_K"].units == "K"
+        assert data["rho_kg_m3"].units == "kg m-3"
+        assert data.attrs["vehicle"] == "orbiter"
+
+
+def test_netcdf_and_csv_hold_the_same_temperatures(out: Path) -> None:
+    table = pd.read_csv(out / "V09T9527" / "temperatures.csv")
+    with xr.open_dataset(out / "flight.nc", decode_timedelta=False) as data:
+        point = data.sel(control_point="V09T9527")
+        np.testing.assert_allclose(table["time_s"], data["time"])
+        np.testing.assert_allclose(table["surface_K"], point["surface_K"], rtol=0.0, atol=5.1e-5)  # 4 decimals
+        np.testing.assert_allclose(table["V07T9531_K"], data["sensor_K"].sel(sensor="V07T9531"), rtol=0.0, atol=5.1e-5)
+
+
+def test_temperatures_csv_has_the_contract_s_columns_in_order(out: Path) -> None:
+    columns = pd.read_csv(out / "V09T9527" / "temperatures.csv").columns.tolist()
+    sensors = ["V09T9527_K", "V07T9528_K", "V07T9529_K", "V07T9530_K", "V07T9531_K"]
+    assert columns == ["time_s", "surface_K", "bondline_K", *sensors]
+
+
+def test_the_summary_agrees_with_the_histories(out: Path, result: RunResult) -> None:
+    told = json.loads((out / "summary.json").read_text())["control_points"]["V09T9527"]
+    table = pd.read_csv(out / "V09T9527" / "temperatures.csv")
+    assert told["peak_surface_K"] == pytest.approx(table["surface_K"].max(), abs=1e-4)
+    assert told["peak_surface_s"] == table["time_s"][table["surface_K"].idxmax()]
+    limit = result.scenario.vehicle.control_point("V09T9527").limits.surface_K
+    assert told["surface_margin_K"] == pytest.approx(limit - told["peak_surface_K"])
+
+
+def test_the_conditions_of_a_run_can_be_flown_again_as_a_recorded_trajectory(out: Path, tmp_path: Path) -> None:
+    head = SCENARIO[: SCENARIO.index("[trajectory]")]
+    (tmp_path / "again.toml").write_text(f'{head}[trajectory]\nsource = "recorded"\nfile = "{out}/conditions.csv"\n')
+    again = run_scenario(load_scenario(tmp_path / "again.toml"))
+    table = pd.read_csv(out / "V09T9527" / "temperatures.csv")
+    np.testing.assert_allclose(again.points["V09T9527"].history.surface_K, table["surface_K"], rtol=0.0, atol=1e-3)
+
+
+def test_each_manoeuvre_gets_its_picture(out: Path) -> None:
+    pictures = sorted(p.name for p in out.glob("*.png"))
+    assert pictures == ["manoeuvre_1_elevon-pulse.png", "temperatures.png", "trajectory.png"]
+    assert all((out / p).read_bytes().startswith(b"\x89PNG") for p in pictures)
+
+
+def test_the_conditions_of_a_run_hold_its_reference_heating(result: RunResult, out: Path) -> None:
+    table = pd.read_csv(out / "conditions.csv")
+    point = result.points["LEE_UPPER"].conditions
+    np.testing.assert_allclose(table["h_ref_kg_m2_s"], point["h_ref_kg_m2_s"], rtol=1e-11)
+    np.testing.assert_allclose(table["H_r_J_kg"], point["H_r_J_kg"], rtol=1e-11)
+
+
+def test_conditions_without_a_common_film_coefficient_say_why(result: RunResult) -> None:
+    def twice_as_far(point: PointResult) -> PointResult:
+        h_ref = point.conditions["h_ref_kg_m2_s"] / np.sqrt(2.0)
+        return replace(point, conditions=point.conditions.with_columns(h_ref_kg_m2_s=h_ref))
+
+    points = result.points | {"LEE_UPPER": twice_as_far(result.points["LEE_UPPER"])}
+    flown, said = with_reference_heating(replace(result, points=points))
+    assert "h_ref_kg_m2_s" not in flown
+    assert "H_r_J_kg" in flown
+    assert "running length" in said["h_ref_kg_m2_s"]

@@ -1,0 +1,1 @@
+"""What tests share: analytic solutions, walls and flights to heat, FMUs and hosts to build."""

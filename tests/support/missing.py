@@ -1,0 +1,40 @@
+"""Records of a flight with something that their declared model lacks, made of a practice flight by the march itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.heating.effects import EffectUse
+from sim_heating.inputs.points import conditions_of_record, point_of_record
+from sim_heating.inputs.record import Record
+from sim_heating.inputs.sensor_model import measured
+from sim_heating.march.history import PointHistory, at_times, march_points
+from tests.support.walls import practice_record
+
+FloatArray = NDArray[np.float64]
+
+
+def record_with(
+    effects: Sequence[EffectUse], seed: int, *, jets: Callable[[FloatArray], FloatArray] | None = None,
+    lost: float = 0.0, skew_s: float = 0.0, practice: str = "p06", **parameters: float,
+) -> tuple[Record, PointHistory]:  # fmt: skip
+    """A practice flight whose truth has effects, parameters (`stack__rsi__...`) or a clock that the record does not
+    tell of, on a mesh of half the elements; and the truth. `jets` is flown and not recorded."""
+    record, _ = practice_record(practice)
+    conditions = conditions_of_record(record)
+    t = conditions.time_s
+    values = {name.replace("__", "."): value for name, value in parameters.items()}
+    true = replace(point_of_record(record), effects=tuple(effects), parameters=values)
+    shown = conditions if jets is None else conditions.with_columns(jets=jets(t))
+    clock = record.time_s[(record.time_s - skew_s >= t[0]) & (record.time_s - skew_s <= t[-1])]
+    history = march_points([true], [shown], extra_times_s=clock - skew_s, halvings=1)[0]
+    rng = np.random.default_rng(seed)
+    columns = {"time_s": clock}
+    for sensor, T in zip(record.sensors, at_times(history.time_s, history.sensors_K, clock - skew_s), strict=True):
+        columns[sensor.column] = measured(sensor, T, rng, None, rng.random(len(clock)) < lost)
+    known = conditions if jets is None else conditions.with_columns(jets=0.0 * t)
+    return replace(record, thermocouples=columns, conditions=known), history

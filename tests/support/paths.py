@@ -1,0 +1,14 @@
+"""Where the tests find the project's files: vehicles, scenarios, records, and data of their own."""
+
+from pathlib import Path
+
+TESTS = Path(__file__).resolve().parents[1]
+ROOT = TESTS.parent
+DATA = TESTS / "data"
+TILE = DATA / "records" / "tile"
+"""A small flight record of one tile."""
+AIRCRAFT = ROOT / "aircraft_data"
+ORBITER = AIRCRAFT / "orbiter"
+SCENARIOS = ROOT / "scenarios"
+RECORDS = SCENARIOS / "records"
+PRACTICE = RECORDS / "practice"
