@@ -19,7 +19,7 @@ class InputError(ValueError):
 
 
 @contextmanager
-def told_of(place: str) -> Iterator[None]:
+def error_context(place: str) -> Iterator[None]:
     """Puts a place - file, table, option - before every problem that the block raises."""
     try:
         yield

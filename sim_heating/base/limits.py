@@ -43,20 +43,20 @@ HIGH_SPEED_M_S, LOW_M = 3000.0, 1000.0
 def frame_problem(frame: Mapping[str, float]) -> tuple[str, str] | None:
     """The first column of one frame that holds a value that cannot be, and what is said of it."""
     for name, value in frame.items():
-        if name in LIMITS and beyond(name, value):
+        if name in LIMITS and out_of_range(name, value):
             return name, LIMITS[name][2]
     if frame["velocity_m_s"] >= HIGH_SPEED_M_S and abs(frame["altitude_m"]) < LOW_M:
         return "altitude_m", LOW_RULE
     return None
 
 
-def beyond(name: str, value: float) -> bool:
+def out_of_range(name: str, value: float) -> bool:
     """Whether a value cannot be one of its column."""
     lowest, highest, _ = LIMITS[name]
     return not lowest <= value <= highest
 
 
-def said_of(name: str, value: float) -> str:
+def limit_message(name: str, value: float) -> str:
     """`value rule` of a value beyond the limits of its column."""
     return f"{value:g} {LIMITS[name][2] if math.isfinite(value) else 'is not a finite number'}"
 

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from sim_heating.base.errors import RunError
-from sim_heating.cli.console import CONSOLE, ERRORS, OUT, PATH, progress_line, tell_files
+from sim_heating.cli.console import CONSOLE, ERRORS, OUT, PATH, print_outputs, progress_line
 
 
 @click.command("close-loop")
@@ -23,7 +23,7 @@ def close_loop(records: tuple[Path, ...], out: Path, scheduler: str | None, work
 
     RECORDS are directories of flight records, or directories that hold such; several are each treated by itself.
     """
-    from sim_heating.base.files import require_place
+    from sim_heating.base.files import require_writable
     from sim_heating.closure.batch import close_all, records_in, row_of
     from sim_heating.closure.close import FILES, write_closed
     from sim_heating.closure.close import close_loop as close_one
@@ -32,13 +32,13 @@ def close_loop(records: tuple[Path, ...], out: Path, scheduler: str | None, work
     found = records_in(records)
     if len(found) == 1:
         loaded = load_record(found[0])
-        require_place(out, FILES)
+        require_writable(out, FILES)
         with progress_line(loaded.name) as progress:
             closed = close_one(loaded, progress=progress)
             names = write_closed(closed, out)
         CONSOLE.print(_shown([row_of(closed.report)]))
         _tell(closed.report)
-        tell_files(out, names)
+        print_outputs(out, names)
         return
     with progress_line("close-loop") as progress:
         rows = close_all(found, out, scheduler=scheduler, workers=workers, progress=progress)

@@ -19,10 +19,10 @@ CONSOLE = Console(width=None if sys.stdout.isatty() else PLAIN_WIDTH, markup=Fal
 ERRORS = Console(stderr=True, soft_wrap=True, markup=False, highlight=False)
 
 
-def directory(_: click.Context, __: click.Parameter, value: str) -> Path:
+def results_directory(_: click.Context, __: click.Parameter, value: str) -> Path:
     """The directory of results, refused before any work where it cannot be one."""
-    from sim_heating.base.files import require_place, shown
-    from sim_heating.base.files.text import brief, reason
+    from sim_heating.base.files import display_path, require_writable
+    from sim_heating.base.files.text import abbreviated, os_error_reason
 
     if not value.strip():
         raise InputError("--out: is empty; name a directory for the results")
@@ -30,19 +30,21 @@ def directory(_: click.Context, __: click.Parameter, value: str) -> Path:
     try:
         there = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
     except OSError as error:
-        raise InputError(f"--out {brief(value)}: {reason(error)}; name another directory for the results") from None
+        raise InputError(
+            f"--out {abbreviated(value)}: {os_error_reason(error)}; name another directory for the results"
+        ) from None
     if not there.is_dir():
-        raise InputError(f"--out {value}: {shown(there)} is a file; name a directory for the results")
-    require_place(path)
+        raise InputError(f"--out {value}: {display_path(there)} is a file; name a directory for the results")
+    require_writable(path)
     return path
 
 
 def optional_directory(context: click.Context, parameter: click.Parameter, value: str | None) -> Path | None:
     """The same for a directory that may be left out."""
-    return None if value is None else directory(context, parameter, value)
+    return None if value is None else results_directory(context, parameter, value)
 
 
-def listed(_: click.Context, parameter: click.Parameter, value: str | None) -> tuple[str, ...] | None:
+def comma_list(_: click.Context, parameter: click.Parameter, value: str | None) -> tuple[str, ...] | None:
     """`a,b,c` as names, each once."""
     if value is None:
         return None
@@ -54,7 +56,7 @@ def listed(_: click.Context, parameter: click.Parameter, value: str | None) -> t
     return names
 
 
-OUT = click.option("--out", required=True, callback=directory, help="directory for the results")
+OUT = click.option("--out", required=True, callback=results_directory, help="directory for the results")
 PATH = click.Path(path_type=Path)
 
 
@@ -76,7 +78,7 @@ def progress_line(title: str) -> Iterator[Callable[[float, str], None]]:
         yield tell
 
 
-def tell_files(out: Path, names: list[str]) -> None:
+def print_outputs(out: Path, names: list[str]) -> None:
     """The files that were written into a directory, but for the list of them that stands there hidden."""
     names = [n for n in names if not Path(n).name.startswith(".")]
     pictures = [n for n in names if n.endswith(".png")]

@@ -12,8 +12,8 @@ from typing import Any
 import click
 from rich.table import Table
 
-from sim_heating.base.errors import InputError, RunError, told_of
-from sim_heating.cli.console import CONSOLE, OUT, PATH, listed, progress_line, tell_files
+from sim_heating.base.errors import InputError, RunError, error_context
+from sim_heating.cli.console import CONSOLE, OUT, PATH, comma_list, print_outputs, progress_line
 
 ESTIMATED = "estimated"
 """Of a level of noise that is to be found."""
@@ -25,7 +25,7 @@ def _condition(_: click.Context, __: click.Parameter, value: str | None) -> dict
     """`alpha_deg=40,...` as a condition."""
     from sim_heating.base.conditions import RATIO_VARIABLES
     from sim_heating.base.files import suggestion
-    from sim_heating.base.limits import beyond, said_of
+    from sim_heating.base.limits import limit_message, out_of_range
 
     found = {}
     for item in (value or "").split(","):
@@ -40,8 +40,8 @@ def _condition(_: click.Context, __: click.Parameter, value: str | None) -> dict
             found[name] = float(number)
         except ValueError:
             raise InputError(f"--reference: {name}: `{number}` is not a number; write {name}=40") from None
-        if beyond(name, found[name]):
-            raise InputError(f"--reference: {name}: {said_of(name, found[name])}; write {name}=40")
+        if out_of_range(name, found[name]):
+            raise InputError(f"--reference: {name}: {limit_message(name, found[name])}; write {name}=40")
     return found
 
 
@@ -75,7 +75,7 @@ def _start(_: click.Context, __: click.Parameter, value: str) -> Any:
         raise InputError(f"--start: `{at}` is not a time in s; write {kind}:650") from None
 
     def start(record: Any, model: Any, mesh: Any) -> Any:
-        with told_of(f"--start {value}"):
+        with error_context(f"--start {value}"):
             return STARTS[kind](record, model, mesh, time_s)
 
     return start
@@ -122,7 +122,7 @@ def _level(text: str, hint: str) -> float:
 @click.command()
 @click.argument("records", type=PATH, nargs=-1, required=True)
 @OUT
-@click.option("--parameters", callback=listed, help="dotted names, with commas; default: magnitude and derivatives")
+@click.option("--parameters", callback=comma_list, help="dotted names, with commas; default: magnitude and derivatives")
 @click.option("--reference", callback=_condition, help="alpha_deg=40,... that derivatives are about")
 @click.option("--start", default="declared", callback=_start, help="declared, or circuit, profile, filter:TIME_S")
 @click.option(
@@ -157,7 +157,7 @@ def estimate(
     segments: float | None,
 ) -> None:
     """Estimate heating and thermal parameters from the thermocouples of flight records, jointly, with bounds."""
-    from sim_heating.base.files import require_place
+    from sim_heating.base.files import require_writable
 
     noise = _process_noise(node_noise, ratio_noise)
     if segments is not None:
@@ -172,7 +172,7 @@ def estimate(
     from sim_heating.inputs.record import load_record
 
     loaded = [_with_fit(load_record(path), fit) for path in records]
-    require_place(out, files_of(loaded, filtered=noise is not None))
+    require_writable(out, files_of(loaded, filtered=noise is not None))
     with progress_line("estimate") as progress:
         starts = [start] * len(loaded)
         fitted = fit_records(
@@ -194,7 +194,7 @@ def estimate(
     if fitted.innovations is not None:
         CONSOLE.print(fitted.innovations.levels.noise.words())
     _tell_fit(found)
-    tell_files(out, names)
+    print_outputs(out, names)
     if not found.converged:
         raise RunError(f"estimate: {fitted.fit.status.value}; {out} holds where it ended, which is no estimate")
 
@@ -207,7 +207,7 @@ def _estimate_trend(
     records: tuple[Path, ...], out: Path, parameters: tuple[str, ...] | None, fit: list[list[float]], length_s: float
 ) -> None:
     """Short segments of one record, one after the other."""
-    from sim_heating.base.files import require_place
+    from sim_heating.base.files import require_writable
     from sim_heating.estimation.report.report import TREND, write_trend
     from sim_heating.estimation.trend import trend
     from sim_heating.inputs.record import load_record
@@ -215,7 +215,7 @@ def _estimate_trend(
     if len(records) > 1:
         raise InputError(f"--segments: {len(records)} records; short segments are of one record, give them one by one")
     record = _with_fit(load_record(records[0]), fit)
-    require_place(out, TREND)
+    require_writable(out, TREND)
     with progress_line("estimate") as progress:
         found = trend(record, length_s, parameters, progress=progress)
         names = write_trend(found, out)
@@ -224,7 +224,7 @@ def _estimate_trend(
         CONSOLE.print(f"left out: {line}")
     for line in found.warnings:
         CONSOLE.print(line, style="red")
-    tell_files(out, names)
+    print_outputs(out, names)
 
 
 def _tell_fit(found: Any) -> None:
@@ -243,7 +243,7 @@ def _tell_fit(found: Any) -> None:
 @click.command()
 @click.argument("scenario", type=PATH)
 @OUT
-@click.option("--parameters", callback=listed, help="dotted names whose bounds are to be small, with commas")
+@click.option("--parameters", callback=comma_list, help="dotted names whose bounds are to be small, with commas")
 @click.option("--criterion", type=click.Choice(["D", "A"]), help="volume of the bounds, or their mean square")
 @click.option("--evaluations", type=click.IntRange(1), help="designs that are tried")
 @click.option("--repetitions", type=click.IntRange(0), default=0, help="hold the bounds against so many actual fits")
@@ -256,14 +256,14 @@ def design(
     repetitions: int,
 ) -> None:
     """Design a scenario's manoeuvres: the bounds they would give, the most informative ones, other instruments."""
-    from sim_heating.base.files import require_place
+    from sim_heating.base.files import require_writable
     from sim_heating.estimation.design.report import FILES, notes, summary, write_design
     from sim_heating.estimation.design.report import design as design_manoeuvres
     from sim_heating.inputs.scenario import load_scenario, with_design
 
     given = {"parameters": parameters and list(parameters), "criterion": criterion, "evaluations": evaluations}
     loaded = with_design(load_scenario(scenario), {k: v for k, v in given.items() if v is not None})
-    require_place(out, FILES)
+    require_writable(out, FILES)
     with progress_line("design") as progress:
         designed = design_manoeuvres(loaded, repetitions=repetitions, progress=progress)
         progress(0.99, "writing")
@@ -285,7 +285,7 @@ def design(
     _tell_checks(found)
     for line in notes(designed):
         CONSOLE.print(line)
-    tell_files(out, names)
+    print_outputs(out, names)
 
 
 def _tell_checks(found: dict[str, Any]) -> None:

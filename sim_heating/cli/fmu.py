@@ -7,21 +7,21 @@ from typing import TYPE_CHECKING
 
 import click
 
-from sim_heating.base.errors import InputError, told_of
-from sim_heating.cli.console import CONSOLE, PATH, listed, progress_line
+from sim_heating.base.errors import InputError, error_context
+from sim_heating.cli.console import CONSOLE, PATH, comma_list, progress_line
 
 if TYPE_CHECKING:
     from sim_heating.simulation.fmu_export.image import Image
 
 
 def _fmu_file(_: click.Context, __: click.Parameter, value: Path) -> Path:
-    from sim_heating.base.files import require_place
+    from sim_heating.base.files import require_writable
 
     if value.suffix != ".fmu":
         raise InputError(f"--out {value}: name a file that ends in .fmu")
     if value.is_dir():
         raise InputError(f"--out {value}: is a directory; name a file that ends in .fmu")
-    require_place(value.parent)
+    require_writable(value.parent)
     return value
 
 
@@ -33,7 +33,7 @@ PLATFORMS = click.option(
     "--platforms",
     default="linux",
     show_default=True,
-    callback=listed,
+    callback=comma_list,
     help="comma between; others than linux need ziglang",
 )
 
@@ -47,7 +47,7 @@ def fmu() -> None:
 @click.argument("vehicle")
 @FMU_OUT
 @click.option(
-    "--control-points", "points", callback=listed, help="names, comma between; all of the vehicle's by default"
+    "--control-points", "points", callback=comma_list, help="names, comma between; all of the vehicle's by default"
 )
 @FMI
 @PLATFORMS
@@ -84,14 +84,14 @@ def export(
 @PLATFORMS
 def trajectory(scenario: Path, out: Path, fmi: str, platforms: tuple[str, ...]) -> None:
     """The built-in 3-DOF entry of a scenario as a co-simulation FMU."""
-    from sim_heating.base.files import shown
+    from sim_heating.base.files import display_path
     from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation.fmu_export.entry import check_source, export_entry
     from sim_heating.simulation.fmu_export.export import targets_of
 
     loaded = load_scenario(scenario)
     spec, vehicle = loaded.declared.trajectory, loaded.vehicle.directory
-    with told_of(f"{shown(scenario)}, [trajectory]"):
+    with error_context(f"{display_path(scenario)}, [trajectory]"):
         check_source(spec)
     targets_of(platforms, int(fmi))
     with progress_line("fmu trajectory") as progress:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import read_text, read_toml, read_toml_dict, shown, suggestion
+from sim_heating.base.files import display_path, read_text, read_toml, read_toml_dict, suggestion
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table
 from sim_heating.inputs.record import DECLARATION, Record, load_record
 from sim_heating.thermal.stack import Material
@@ -46,13 +46,15 @@ def check_path(path: str | os.PathLike[str]) -> Validated:
 def _directory(place: Path) -> Validated:
     held = sorted(p.name for p in place.iterdir())
     if DECLARATION in held and VEHICLE in held:
-        raise InputError(f"{shown(place)}: holds both {DECLARATION} and {VEHICLE}; a directory is one or the other")
+        raise InputError(
+            f"{display_path(place)}: holds both {DECLARATION} and {VEHICLE}; a directory is one or the other"
+        )
     if DECLARATION in held:
         return Validated("record", place, describe_record(load_record(place)))
     if VEHICLE in held:
         return _vehicle(place)
     found = f"; it holds {', '.join(held[:8])}" if held else "; it is empty"
-    raise InputError(f"{shown(place)}: is neither a record ({DECLARATION}) nor a vehicle ({VEHICLE}){found}")
+    raise InputError(f"{display_path(place)}: is neither a record ({DECLARATION}) nor a vehicle ({VEHICLE}){found}")
 
 
 def _toml(place: Path) -> Validated:
@@ -68,7 +70,7 @@ def _toml(place: Path) -> Validated:
     if "density_kg_m3" in data:
         read_toml(place, Material)
         return Validated("material", place, f"material {place.stem}")
-    raise InputError(f"{shown(place)}: {_format_rule(data.get('format'))}")
+    raise InputError(f"{display_path(place)}: {_format_rule(data.get('format'))}")
 
 
 def _format_rule(found: object) -> str:
@@ -86,7 +88,7 @@ def _csv(place: Path) -> Validated:
     if columns & {*RATIO_VARIABLES, "ratio"} and "time_s" not in columns:
         return Validated("ratio table", place, describe_table(read_ratio_table(place)))
     kinds = "a ratio table has columns " + ", ".join((*RATIO_VARIABLES, "ratio"))
-    raise InputError(f"{shown(place)}: is no record, vehicle, scenario or ratio table; {kinds}")
+    raise InputError(f"{display_path(place)}: is no record, vehicle, scenario or ratio table; {kinds}")
 
 
 # The two loaders stand later in the data's way than this module's other needs; they are imported where they are used,

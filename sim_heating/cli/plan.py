@@ -9,7 +9,7 @@ import click
 from rich.table import Table
 
 from sim_heating.base.errors import RunError
-from sim_heating.cli.console import CONSOLE, ERRORS, OUT, PATH, progress_line, tell_files
+from sim_heating.cli.console import CONSOLE, ERRORS, OUT, PATH, print_outputs, progress_line
 
 LEDGER = "batches"
 """Folder of finished batches below the results."""
@@ -36,7 +36,7 @@ def plan(study: Path, out: Path, scheduler: str | None, workers: int | None, veh
             CONSOLE.print(_shown(table))
         for note in found.notes:
             CONSOLE.print(note)
-    tell_files(out, names)
+    print_outputs(out, names)
     for name, why in planned.failed.items():
         ERRORS.print(f"{name}: {why}")
     if planned.failed:

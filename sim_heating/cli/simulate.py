@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from sim_heating.base.errors import InputError
-from sim_heating.cli.console import CONSOLE, OUT, PATH, progress_line, tell_files
+from sim_heating.cli.console import CONSOLE, OUT, PATH, print_outputs, progress_line
 
 
 @click.command()
@@ -20,19 +20,19 @@ from sim_heating.cli.console import CONSOLE, OUT, PATH, progress_line, tell_file
 @OUT
 def run(scenario: Path, out: Path) -> None:
     """Fly a scenario: trajectory, heating, temperatures, plots."""
-    from sim_heating.base.files import require_place
+    from sim_heating.base.files import require_writable
     from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation.run import files_of, rmse_by_point, run_scenario, summary, write_run
 
     loaded = load_scenario(scenario)
-    require_place(out, files_of(loaded))
+    require_writable(out, files_of(loaded))
     with progress_line(loaded.title) as progress:
         result = run_scenario(loaded, progress=progress)
         names = write_run(result, out, progress=progress)
     found = summary(result)
     CONSOLE.print(_run_table(loaded.title, found, rmse_by_point(result)))
     _tell_run(found)
-    tell_files(out, names)
+    print_outputs(out, names)
 
 
 def _run_table(title: str, found: dict[str, Any], rmse: dict[str, float]) -> Table:
@@ -95,7 +95,7 @@ def synthesize(scenario: Path, out: Path) -> None:
     """Fly a scenario and write it as flight records, with the sensor model applied."""
     import numpy as np
 
-    from sim_heating.base.files import require_place
+    from sim_heating.base.files import require_writable
     from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation.synthesize import files_of, write_records
     from sim_heating.simulation.synthesize import synthesize as fly_and_measure
@@ -103,27 +103,27 @@ def synthesize(scenario: Path, out: Path) -> None:
     loaded = load_scenario(scenario)
     if not any(loaded.vehicle.control_point(name).sensors for name in loaded.names):
         raise InputError(f"{scenario}: none of its control points has a sensor; choose one that has")
-    require_place(out, files_of(loaded))
+    require_writable(out, files_of(loaded))
     with progress_line(loaded.title) as progress:
         records = fly_and_measure(loaded, progress=progress)
         names = write_records(loaded, records, out)
     samples = sum(int(np.sum(np.isfinite(r.temperatures_K()))) for r in records.values())
     count = f"{len(records)} record" + ("s" if len(records) > 1 else "")
     CONSOLE.print(f"{count}, {samples} readings, seed {loaded.declared.measurements.seed}")
-    tell_files(out, names)
+    print_outputs(out, names)
 
 
 @click.command()
 @OUT
 def demo(out: Path) -> None:
     """The main job: a JSBSim entry through a Mach-20 POPU, its thermocouple data, and a comparison with STS-96."""
-    from sim_heating.base.files import require_place
+    from sim_heating.base.files import require_writable
     from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation import run, synthesize
 
     popu, sts96 = (load_scenario(_scenario_folder() / f"{name}.toml") for name in ("popu_mach20", "sts96"))
     for home, scenario, made in (("popu", popu, run), ("records", popu, synthesize), ("sts96", sts96, run)):
-        require_place(out / home, made.files_of(scenario))
+        require_writable(out / home, made.files_of(scenario))
     spawned = get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=spawned) as beside, progress_line("demo") as progress:
         compared = beside.submit(_run_and_write, sts96.path, out / "sts96")
@@ -138,7 +138,7 @@ def demo(out: Path) -> None:
     found = run.summary(flown)
     CONSOLE.print(_run_table(f"{popu.title}; RMSE of '{sts96.title}'", found, rmse))
     _tell_run(found)
-    tell_files(out, names)
+    print_outputs(out, names)
 
 
 def _run_and_write(scenario: Path, out: Path) -> tuple[dict[str, float], list[str]]:
@@ -166,7 +166,7 @@ def _scenario_folder() -> Path:
 @click.option("--vehicle", help="take ratio tables and effects of this vehicle in place of the records' own tables")
 def predict(records: tuple[Path, ...], out: Path, vehicle: str | None) -> None:
     """Predict the temperatures of flight records with their declared models, nothing fitted."""
-    from sim_heating.base.files import require_place
+    from sim_heating.base.files import require_writable
     from sim_heating.inputs.points import point_with_table_of
     from sim_heating.inputs.record import load_record
     from sim_heating.inputs.vehicle import load_vehicle
@@ -180,7 +180,7 @@ def predict(records: tuple[Path, ...], out: Path, vehicle: str | None) -> None:
         raise InputError(f"records: two of them are named {max(set(names), key=names.count)}; rename one")
     homes = [out if len(loaded) == 1 else out / name for name in names]
     for home in homes:
-        require_place(home, FILES)
+        require_writable(home, FILES)
     table = Table(title="Declared model against measurement", title_justify="left")
     for head in ("record", "control point", "RMSE, fit", "RMSE, holdout", "noise floor"):
         table.add_column(head, justify="left" if head in ("record", "control point") else "right")

@@ -81,12 +81,12 @@ def ratio_tables(vehicles: tuple[str, ...]) -> None:
 
     VEHICLES are directories, or names of vehicles. A table that flight data revised is not overwritten.
     """
-    from sim_heating.base.files import shown
+    from sim_heating.base.files import display_path
     from sim_heating.inputs.ratio_sources import write_tables
 
     for vehicle in vehicles:
         for path in write_tables(vehicle):
-            CONSOLE.print(shown(path), soft_wrap=True)
+            CONSOLE.print(display_path(path), soft_wrap=True)
 
 
 @click.command("measured-records")
@@ -97,9 +97,9 @@ def measured_records(scenario: Path, out: Path) -> None:
 
     Each [[compare]] of the scenario becomes one record, named after its control point.
     """
-    from sim_heating.base.files import shown
+    from sim_heating.base.files import display_path
     from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation.measured_records import write_compared_records
 
     for path in write_compared_records(load_scenario(scenario), out):
-        CONSOLE.print(shown(path), soft_wrap=True)
+        CONSOLE.print(display_path(path), soft_wrap=True)

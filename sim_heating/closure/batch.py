@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import output_directory, require_place, write_csv, write_json
+from sim_heating.base.files import output_directory, require_writable, write_csv, write_json
 from sim_heating.base.files.package import package_version
 from sim_heating.base.parallel import Job, run_batches
 from sim_heating.base.progress import Progress, quiet
@@ -72,7 +72,7 @@ def close_all(
 
     jobs = [job_of(path, out / path.resolve().name) for path in records]
     for folder, names in ((out, SUMMARIES), *((job.task.out, FILES) for job in jobs)):
-        require_place(folder, names)
+        require_writable(folder, names)
     ended = run_batches(jobs, _one, out / LEDGER, scheduler=scheduler, workers=workers, progress=progress)
     rows = []
     for path, job in zip(records, jobs, strict=True):

@@ -11,7 +11,7 @@ import numpy as np
 
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.files import files_made, output_directory
+from sim_heating.base.files import files_written, output_directory
 from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, SENSOR_PREFIX
 from sim_heating.base.progress import Progress, quiet
 from sim_heating.closure.clues.correlation import evidence, ratio_at
@@ -189,4 +189,4 @@ def write_closed(closed: Closed, out: Path) -> list[str]:
     with output_directory(out) as folder:
         fill_closure(closed.report, folder)
         write_fit(closed.fitted, folder)
-    return sorted(files_made(out))
+    return sorted(files_written(out))

@@ -25,7 +25,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import Declared, LocatedError, read_csv_columns, read_toml, shown
+from sim_heating.base.files import Declared, LocatedError, display_path, read_csv_columns, read_toml
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table, write_ratio_table
 from sim_heating.heating.ratio.tunnel_to_flight import (
     REFERENCE,
@@ -142,10 +142,14 @@ def build_tables(vehicle: str | os.PathLike[str]) -> dict[str, RatioTable]:
     for path in sorted((directory / "ratio_sources").glob("*.toml")):
         source = read_toml(path, RatioSource)
         if source.scaling is not None and file.heating.reference != REFERENCE:
-            raise InputError(f"{shown(path)}, [scaling]: takes ratios over `{REFERENCE}`, not {file.heating.reference}")
+            raise InputError(
+                f"{display_path(path)}, [scaling]: takes ratios over `{REFERENCE}`, not {file.heating.reference}"
+            )
         for name in source.control_points:
             if name in tables:
-                raise InputError(f"{shown(path)}: `control_points`: {name} has a table from another source; remove one")
+                raise InputError(
+                    f"{display_path(path)}: `control_points`: {name} has a table from another source; remove one"
+                )
             point = read_toml(directory / "control_points" / f"{name}.toml", ControlPointFile)
             tables[name] = _build(source, path, point, file)
     return tables
@@ -170,7 +174,8 @@ def _refuse_flown(path: Path) -> None:
     """Refuse to replace a table that flight data have revised."""
     if path.is_file() and "parent_revision" in (header := read_ratio_table(path).header):
         raise InputError(
-            f"{shown(path)}: is revision {header.get('revision')}, from flight data; revert it, or take its control "
+            f"{display_path(path)}: is revision {header.get('revision')}, from flight data; revert it, or take its "
+            f"control "
             "point out of the ratio source"
         )
 
@@ -191,7 +196,9 @@ def _build(source: RatioSource, path: Path, point: ControlPointFile, vehicle: Ve
         "made_from": f"ratio_sources/{path.name}",
     }
     if np.any(ratio <= 0.0):
-        raise InputError(f"{shown(path)}: the ratio of {point.name} is {ratio.min():g} somewhere; it must be above 0")
+        raise InputError(
+            f"{display_path(path)}: the ratio of {point.name} is {ratio.min():g} somewhere; it must be above 0"
+        )
     table = RatioTable(axes, ratio, relative * ratio, header)
     return table if source.scaling is None else scale_table(table, source.scaling)
 
@@ -203,7 +210,7 @@ def _base(
         return base.at(grid[base.variable])
     length = point.x_over_L if base.length == "x_over_L" else (point.running_length_m or 0.0) / reference_length_m
     if length <= 0.0:
-        raise InputError(f"{shown(path)}, [base]: `length`: {point.name} has no {base.length} above 0; give one")
+        raise InputError(f"{display_path(path)}, [base]: `length`: {point.name} has no {base.length} above 0; give one")
     at_length = (length / base.file_length_over_L) ** base.length_exponent
     return at_length * _from_file(base, path.parent / base.file, grid["alpha_deg"], grid["log10_re"])
 
@@ -215,7 +222,7 @@ def _from_file(base: FileBase, path: Path, alpha_deg: FloatArray, log10_re: Floa
     values = np.full((len(a), len(re)), np.nan)
     values[np.searchsorted(a, table["alpha_deg"]), np.searchsorted(re, table["log10_re"])] = table[base.column]
     if not np.all(np.isfinite(values)):
-        raise InputError(f"{shown(path)}: the rows do not fill a grid of alpha_deg and log10_re")
+        raise InputError(f"{display_path(path)}: the rows do not fill a grid of alpha_deg and log10_re")
     at_alpha = np.stack([np.interp(alpha_deg, a, column) for column in values.T])
     i = np.clip(np.searchsorted(re, log10_re, side="right") - 1, 0, max(len(re) - 2, 0))
     j = np.minimum(i + 1, len(re) - 1)

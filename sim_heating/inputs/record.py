@@ -29,11 +29,11 @@ from sim_heating.base.files import (
     Declared,
     LocatedError,
     Location,
+    display_path,
     output_directory,
     raise_problems,
     read_csv_columns,
     read_toml,
-    shown,
     suggestion,
     toml_text,
     write_csv,
@@ -309,7 +309,7 @@ def load_record(directory: str | os.PathLike[str]) -> Record:
     """
     home = Path(directory)
     if not home.is_dir():
-        raise InputError(f"{shown(home)}: is not a directory; a record is a directory with a {DECLARATION}")
+        raise InputError(f"{display_path(home)}: is not a directory; a record is a directory with a {DECLARATION}")
     declared = read_toml(home / DECLARATION, RecordFile)
     reference = REFERENCE_COLUMNS if declared.heating.reference == "columns" else ()
     required = (*STATE, "p_surface_Pa", *reference)
@@ -336,9 +336,11 @@ def make_record(
     """
     home = Path(directory)
     measured = {name: np.asarray(values, dtype=float) for name, values in thermocouples.items()}
-    raise_problems(_array_problems(measured, declared, shown(home / declared.thermocouples.file)))
+    raise_problems(_array_problems(measured, declared, display_path(home / declared.thermocouples.file)))
     if (declared.heating.ratio_table is None) != (ratio_table is None):
-        raise InputError(f"{shown(home / DECLARATION)}, [heating]: `ratio_table` and the table given do not agree")
+        raise InputError(
+            f"{display_path(home / DECLARATION)}, [heating]: `ratio_table` and the table given do not agree"
+        )
     flown = _as_table(conditions.columns, home / declared.conditions.file)
     return _checked(declared, flown, _as_table(measured, home / declared.thermocouples.file), ratio_table, home)
 
@@ -391,7 +393,7 @@ def _missing_columns(table: CsvTable, heating: Heating) -> list[str]:
     """Columns that a record in memory lacks; a file without them is refused when it is read."""
     needed = ["p_surface_Pa", *(REFERENCE_COLUMNS if heating.reference == "columns" else ())]
     absent = [name for name in (*STATE, *needed) if name not in table.columns]
-    return [f"{shown(table.path)}: there is no column `{name}`. Add it." for name in absent]
+    return [f"{display_path(table.path)}: there is no column `{name}`. Add it." for name in absent]
 
 
 def _measurement_problems(table: CsvTable, sensors: Sequence[Sensor]) -> list[str]:
@@ -409,7 +411,7 @@ def _measurement_problems(table: CsvTable, sensors: Sequence[Sensor]) -> list[st
             problems += table.where_not(sensor.column, ~outside | (T < 100.0), rule)
         if sensor.used and np.all(np.isnan(T)):
             rule = f"sensor {sensor.name} has no sample; set used = false or remove it"
-            problems.append(f"{shown(table.path)}, column {sensor.column}: {rule}")
+            problems.append(f"{display_path(table.path)}, column {sensor.column}: {rule}")
     return problems
 
 
@@ -420,13 +422,13 @@ def _clock_problems(conditions: CsvTable, thermocouples: CsvTable) -> list[str]:
     if np.any((t >= first) & (t <= last)):
         return []
     rule = f"no sample lies in the {first:g} to {last:g} s of the conditions; put both files on one clock"
-    return [f"{shown(thermocouples.path)}, column time_s: {rule}"]
+    return [f"{display_path(thermocouples.path)}, column time_s: {rule}"]
 
 
 def _segment_problems(declared: RecordFile, thermocouples: CsvTable, home: Path) -> list[str]:
     """Segments that lie wholly outside the measured time."""
     first, last = thermocouples["time_s"][0], thermocouples["time_s"][-1]
-    where = f"{shown(home / DECLARATION)}, [segments]"
+    where = f"{display_path(home / DECLARATION)}, [segments]"
     return [
         f"{where}: `{key}`, row {i + 1}: {segment} lies outside the measured {first:g} to {last:g} s; correct it"
         for key in ("fit", "holdout")
@@ -439,7 +441,7 @@ def _table_problems(heating: Heating, table: RatioTable | None, home: Path) -> l
     """A ratio table over a reference heating that is none, or over another than the record's."""
     if table is None or table.reference is None:
         return []
-    file = shown(home / str(heating.ratio_table))
+    file = display_path(home / str(heating.ratio_table))
     known = (*STAGNATION, *FLAT_PLATE)
     if table.reference not in known:
         rule = f"there is no reference heating `{table.reference}`. {suggestion(table.reference, known)}"

@@ -29,11 +29,11 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import (
     Declared,
     check,
-    nearest,
+    display_path,
+    nearest_name,
     raise_problems,
     read_csv_columns,
     read_toml,
-    shown,
     suggestion,
 )
 from sim_heating.base.parameters import MODEL
@@ -99,7 +99,7 @@ class Truth(Declared):
     def _check_parameters(cls, parameters: dict[str, float]) -> dict[str, float]:
         for name in parameters:
             if name not in MODEL:
-                near = nearest(name, MODEL)
+                near = nearest_name(name, MODEL)
                 raise ValueError(f"there is no parameter `{name}`." + (f" Nearest: `{near}`." if near else ""))
         return parameters
 
@@ -269,11 +269,13 @@ def scenario_of(place: Path, declared: ScenarioFile, vehicle: Vehicle, said_by: 
     file = declared.trajectory.file
     if file is not None:
         if not (place.parent / file).is_file():
-            raise InputError(f"{shown(place)}, [trajectory]: `file`: there is no {shown(place.parent / file)}")
+            raise InputError(
+                f"{display_path(place)}, [trajectory]: `file`: there is no {display_path(place.parent / file)}"
+            )
         declared = declared.model_copy(
             update={"trajectory": declared.trajectory.model_copy(update={"file": str(place.parent / file)})}
         )
-    raise_problems([f"{shown(said_by or place)}: {line}" for line in _problems(declared, vehicle)])
+    raise_problems([f"{display_path(said_by or place)}: {line}" for line in _problems(declared, vehicle)])
     names = tuple(declared.control_points or vehicle.control_points)
     compare = tuple(_measured_history(vehicle, c) for c in declared.compare if c.control_point in names)
     return Scenario(place, declared, vehicle, names, compare)
@@ -285,7 +287,7 @@ def with_design(scenario: Scenario, given: Mapping[str, Any]) -> Scenario:
     raises : InputError as for a scenario that says so
     """
     old = scenario.declared.design or Design()
-    design = check({**old.model_dump(), **given}, Design, f"{shown(scenario.path)}, [design]")
+    design = check({**old.model_dump(), **given}, Design, f"{display_path(scenario.path)}, [design]")
     return replace(scenario, declared=scenario.declared.model_copy(update={"design": design}))
 
 
@@ -300,7 +302,7 @@ def _problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
         *_attempts(lambda name: vehicle.control_point(name), named),
         *_attempts(lambda e: use(e.name, e.parameters), uses),
         *(
-            f"[measurements], fault: no sensor `{f.sensor}`. Nearest: `{nearest(f.sensor, sensors, 0.0)}`."
+            f"[measurements], fault: no sensor `{f.sensor}`. Nearest: `{nearest_name(f.sensor, sensors, 0.0)}`."
             for f in declared.measurements.fault
             if f.sensor not in sensors
         ),

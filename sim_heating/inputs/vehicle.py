@@ -19,8 +19,8 @@ from typing import ParamSpec, TypeVar
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.errors import InputError, told_of
-from sim_heating.base.files import check, nearest, raise_problems, read_toml, read_toml_dict, shown
+from sim_heating.base.errors import InputError, error_context
+from sim_heating.base.files import check, display_path, nearest_name, raise_problems, read_toml, read_toml_dict
 from sim_heating.base.files.package import data_folders
 from sim_heating.heating.effects import EffectUse, check_count, use
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table
@@ -96,7 +96,7 @@ class Vehicle:
         raises : InputError that says which name is nearest
         """
         if name not in self.control_points:
-            known = nearest(name, self.control_points)
+            known = nearest_name(name, self.control_points)
             hint = f"Nearest: `{known}`." if known else f"Known: {', '.join(self.control_points)}."
             raise InputError(f"vehicle {self.name}: there is no control point `{name}`. {hint}")
         return self.control_points[name]
@@ -130,7 +130,9 @@ def load_vehicle(vehicle: str | os.PathLike[str]) -> Vehicle:
     problems = _Problems()
     file = problems.attempt(read_toml, directory / "vehicle.toml", VehicleFile)
     if file is not None and file.name != directory.resolve().name:
-        problems.add(f'{shown(directory / "vehicle.toml")}: `name`: "{file.name}" is not the name of its directory')
+        problems.add(
+            f'{display_path(directory / "vehicle.toml")}: `name`: "{file.name}" is not the name of its directory'
+        )
     materials = _read_materials(directory, problems)
     points = _read_control_points(directory, materials, file, problems)
     raise_problems(problems.lines)
@@ -168,7 +170,7 @@ def vehicle_directory(vehicle: str | os.PathLike[str]) -> Path:
         if text and (folder / text / "vehicle.toml").is_file():
             return folder / text
     known = vehicle_names()
-    near = nearest(text, known)
+    near = nearest_name(text, known)
     hint = f"Nearest: `{near}`." if near else f"Known: {', '.join(known) or 'none'}; or give a directory."
     raise InputError(f"vehicle `{text}`: there is no vehicle of this name. {hint}")
 
@@ -188,7 +190,7 @@ def vehicle_names() -> list[str]:
 def _files(directory: Path, pattern: str, problems: _Problems) -> Iterator[Path]:
     found = sorted(directory.glob(pattern))
     if not found:
-        problems.add(f"{shown(directory)}: there is no {pattern}; a vehicle has at least one")
+        problems.add(f"{display_path(directory)}: there is no {pattern}; a vehicle has at least one")
     yield from found
 
 
@@ -213,18 +215,18 @@ def _read_materials(directory: Path, problems: _Problems) -> dict[str, Material]
 def _read_material(path: Path) -> Material | DerivedMaterial:
     data = read_toml_dict(path)
     if "based_on" in data:
-        return check(data, DerivedMaterial, shown(path))
-    return check(data, Material, shown(path))
+        return check(data, DerivedMaterial, display_path(path))
+    return check(data, Material, display_path(path))
 
 
 def _derive(path: Path, material: DerivedMaterial, whole: Mapping[str, Material]) -> Material:
     if material.based_on not in whole:
-        near = nearest(material.based_on, whole)
+        near = nearest_name(material.based_on, whole)
         hint = f" Nearest: `{near}`." if near else ""
         raise InputError(
-            f"{shown(path)}: `based_on`: there is no material `{material.based_on}` that is given whole.{hint}"
+            f"{display_path(path)}: `based_on`: there is no material `{material.based_on}` that is given whole.{hint}"
         )
-    return check(material.apply(whole[material.based_on]), Material, shown(path))
+    return check(material.apply(whole[material.based_on]), Material, display_path(path))
 
 
 def _read_control_points(
@@ -236,8 +238,8 @@ def _read_control_points(
         if file is None:
             continue
         if file.name != path.stem:
-            problems.add(f'{shown(path)}: `name`: "{file.name}" is not the name of the file')
-        construction = problems.attempt(construct, file.stack, materials, shown(path))
+            problems.add(f'{display_path(path)}: `name`: "{file.name}" is not the name of the file')
+        construction = problems.attempt(construct, file.stack, materials, display_path(path))
         ratio = problems.attempt(_read_ratio, path, file.ratio_table, vehicle)
         effects = problems.attempt(_effects, path, file)
         if construction is not None and ratio is not None and effects is not None:
@@ -251,24 +253,25 @@ def _read_ratio(owner: Path, ratio_table: str, vehicle: VehicleFile | None) -> R
     """The ratio table of a control point file, over the vehicle's own reference heating."""
     path = owner.parent.parent / ratio_table
     if not path.is_file():
-        near = nearest(path.name, sorted(p.name for p in path.parent.glob("*.csv")))
+        near = nearest_name(path.name, sorted(p.name for p in path.parent.glob("*.csv")))
         hint = f"Nearest: `{near}`." if near else "Write one, or describe it in ratio_sources and build it."
-        raise InputError(f"{shown(owner)}: `ratio_table`: there is no file `{ratio_table}`. {hint}")
+        raise InputError(f"{display_path(owner)}: `ratio_table`: there is no file `{ratio_table}`. {hint}")
     table = read_ratio_table(path)
     declared = table.reference
     if vehicle is not None and declared != vehicle.heating.reference:
         told = f"is `{declared}`" if declared else "is not stated"
         raise InputError(
-            f"{shown(path)}, header `reference`: {told}; the vehicle's tables are over `{vehicle.heating.reference}`"
+            f"{display_path(path)}, header `reference`: {told}; the vehicle's tables are over "
+            f"`{vehicle.heating.reference}`"
         )
     return table
 
 
 def _effects(path: Path, file: ControlPointFile) -> tuple[EffectUse, ...]:
     """The declared effects of a point with their parameters."""
-    with told_of(f"{shown(path)}, [effect]"):
+    with error_context(f"{display_path(path)}, [effect]"):
         uses = tuple(use(effect.name, effect.parameters) for effect in file.effect)
-    check_count(uses, shown(path))
+    check_count(uses, display_path(path))
     return uses
 
 
@@ -298,7 +301,7 @@ def _repeated_sensors(directory: Path, points: Mapping[str, ControlPoint]) -> li
     owners: dict[str, str] = {}
     lines = []
     for point in points.values():
-        where = shown(directory / "control_points" / f"{point.name}.toml")
+        where = display_path(directory / "control_points" / f"{point.name}.toml")
         for i, sensor in enumerate(point.sensors):
             first = owners.setdefault(sensor.name, point.name)
             if first != point.name:

@@ -30,7 +30,7 @@ from typing import Any
 from pydantic import Field, model_validator
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import Declared, check, raise_problems, read_toml, shown
+from sim_heating.base.files import Declared, check, display_path, raise_problems, read_toml
 from sim_heating.heating.effects import own_files
 from sim_heating.inputs.scenario import Scenario, ScenarioEffect, ScenarioFile, scenario_of
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
@@ -105,7 +105,7 @@ class Study:
         given = self.declared.optimal
         if given is None:
             return None
-        where = f"{shown(self.path)}, [optimal]"
+        where = f"{display_path(self.path)}, [optimal]"
         names = {"format": "optimal-entry/1", "title": self.title, "vehicle": self.vehicle.name}
         return optimal_study(check({**names, **given}, OptimalStudyFile, where), self.vehicle, where)
 
@@ -121,7 +121,8 @@ def load_study(path: str | os.PathLike[str], vehicle: str | os.PathLike[str] | N
     loaded = load_vehicle(_vehicle_place(place, declared.vehicle) if vehicle is None else vehicle)
     if vehicle is None and declared.revision not in (None, loaded.revision):
         raise InputError(
-            f'{shown(place)}: `revision`: "{declared.revision}" is meant and {loaded.name} is at "{loaded.revision}"'
+            f'{display_path(place)}: `revision`: "{declared.revision}" is meant and {loaded.name} is at '
+            f'"{loaded.revision}"'
         )
     base = _base(place, declared, loaded)
     study = Study(place, declared, base, _limited(place, declared, base), _hash(place, declared, base))
@@ -142,16 +143,18 @@ def _base(place: Path, declared: StudyFile, vehicle: Vehicle) -> Scenario:
     if declared.scenario is not None:
         source = place.parent / declared.scenario
         if not source.is_file():
-            raise InputError(f"{shown(place)}: `scenario`: there is no {shown(source)}")
+            raise InputError(f"{display_path(place)}: `scenario`: there is no {display_path(source)}")
         flown = read_toml(source, ScenarioFile)
         taken = {"trajectory": flown.trajectory, "effect": [e.model_dump() for e in flown.effect]}
         own = {k: v for k, v in given.items() if k in ("format", "vehicle", "title")}
-        scenario_of(source, check(own | taken, ScenarioFile, shown(source)), vehicle)  # so that the rest is the study's
+        scenario_of(
+            source, check(own | taken, ScenarioFile, display_path(source)), vehicle
+        )  # so that the rest is the study's
         given["trajectory"] = flown.trajectory
         given["effect"] = [e.model_dump() for e in (*flown.effect, *declared.effect)]
     else:
         given["trajectory"] = declared.trajectory
-    file = check({k: v for k, v in given.items() if v is not None}, ScenarioFile, shown(place))
+    file = check({k: v for k, v in given.items() if v is not None}, ScenarioFile, display_path(place))
     return scenario_of(source, file, vehicle, said_by=place)
 
 
@@ -162,7 +165,7 @@ def _limited(place: Path, declared: StudyFile, base: Scenario) -> tuple[LimitedP
     candidates = declared.next_flight.manoeuvre if declared.next_flight is not None else []
     named += [("next_flight", name) for c in candidates for name in c.control_points]
     raise_problems([
-        f"{shown(place)}, [{table}]: `{name}` is not among the study's control points; add it there"
+        f"{display_path(place)}, [{table}]: `{name}` is not among the study's control points; add it there"
         for table, name in dict.fromkeys(named)
         if name not in base.names
     ])  # fmt: skip

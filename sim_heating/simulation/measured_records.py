@@ -18,7 +18,7 @@ import numpy as np
 
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import shown
+from sim_heating.base.files import display_path
 from sim_heating.inputs.points import conditions_at_point
 from sim_heating.inputs.record import Record, make_record, write_record
 from sim_heating.inputs.scenario import MeasuredHistory, Scenario
@@ -39,7 +39,7 @@ def compared_records(
     raises          : InputError where the scenario compares with nothing, or a control point has no sensor
     """
     if not scenario.compare:
-        raise InputError(f"{shown(scenario.path)}: compares with no measured history; add a [[compare]]")
+        raise InputError(f"{display_path(scenario.path)}: compares with no measured history; add a [[compare]]")
     if flown is None:
         flown = fly_scenario(scenario).conditions
     flown = flown.with_columns(time_s=shift_s + stretch * flown.time_s)
@@ -50,7 +50,8 @@ def _record(scenario: Scenario, measured: MeasuredHistory, flown: Conditions) ->
     point = scenario.vehicle.control_point(measured.control_point)
     if len(point.sensors) != 1:
         raise InputError(
-            f"{shown(scenario.path)}, [[compare]]: {point.name} has {len(point.sensors)} sensors; a measured history "
+            f"{display_path(scenario.path)}, [[compare]]: {point.name} has {len(point.sensors)} sensors; a measured "
+            f"history "
             "is that of one"
         )
     sensor = point.sensors[0].model_copy(

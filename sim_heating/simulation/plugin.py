@@ -24,7 +24,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import FRAME
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.kernels.block import FAILED, N_CONDITIONS, NEGATIVE, OUTSIDE
-from sim_heating.base.limits import said_of
+from sim_heating.base.limits import limit_message
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.reference.models import reference_model
 from sim_heating.inputs.points import point_of_vehicle
@@ -276,7 +276,7 @@ def _outputs(points: Sequence[ControlPoint], ensemble: Ensemble) -> list[tuple[s
 
 
 def _value_problem(values: FloatArray, bad: int) -> str:
-    return f"plug-in, time_s {values[F_TIME]:g}: {FRAME[bad]} {said_of(FRAME[bad], float(values[bad]))}"
+    return f"plug-in, time_s {values[F_TIME]:g}: {FRAME[bad]} {limit_message(FRAME[bad], float(values[bad]))}"
 
 
 _SHAPE, _DTYPE = (len(FRAME),), np.dtype(np.float64)

@@ -25,7 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import CsvTable, read_csv_columns, read_toml, shown
+from sim_heating.base.files import CsvTable, display_path, read_csv_columns, read_toml
 from sim_heating.base.kernels.jit import njit
 from sim_heating.trajectory.spec import TrajectorySpec
 
@@ -334,7 +334,7 @@ def _refuse_repeats(table: CsvTable, where: Sequence[NDArray[np.intp]], shape: t
     seen, first = np.unique(flat, return_index=True)
     if seen.size != flat.size:
         row = int(table.lines[np.setdiff1d(np.arange(flat.size), first)[0]])
-        raise InputError(f"{shown(table.path)}, row {row}: this point of the grid was given before; keep one")
+        raise InputError(f"{display_path(table.path)}, row {row}: this point of the grid was given before; keep one")
 
 
 def _continued_in_alpha(path: Path, mach: FloatArray, alpha: FloatArray, values: FloatArray) -> FloatArray:
@@ -347,7 +347,9 @@ def _continued_in_alpha(path: Path, mach: FloatArray, alpha: FloatArray, values:
     for m in range(mach.size - 1, -1, -1):
         known = np.flatnonzero(np.all(np.isfinite(values[m]), axis=(1, 2)))
         if known.size == 0 or (m == mach.size - 1 and known[-1] != alpha.size - 1) or known[0] != 0:
-            raise InputError(f"{shown(path)}: Mach {mach[m]:g} lacks alphas or deflections; fill the hole in the table")
+            raise InputError(
+                f"{display_path(path)}: Mach {mach[m]:g} lacks alphas or deflections; fill the hole in the table"
+            )
         for index in np.ndindex(values.shape[2:]):
             line = values[(m, known, *index)]
             full[(m, slice(None), *index)] = np.interp(alpha, alpha[known], line)

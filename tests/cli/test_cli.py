@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from sim_heating.base.files import files_made
+from sim_heating.base.files import files_written
 from sim_heating.cli import main
 from tests.support.gliding import gliding
 from tests.support.paths import ROOT, TILE
@@ -208,7 +208,7 @@ def test_a_file_of_someone_else_is_told_before_any_work(
     both = SHORT.replace('["V09T9527"]', '["V09T9527", "V07T9975"]')
     (desk / "popu.toml").write_text(both + POPU + "at_time_s = 20.0\n")
     assert main([*command, "--out", "out"]) == 0
-    made = files_made("out")
+    made = files_written("out")
     assert made
     capsys.readouterr()
     for name in made:

@@ -19,7 +19,7 @@ from click.testing import CliRunner
 
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import files_made
+from sim_heating.base.files import files_written
 from sim_heating.cli import cli
 from sim_heating.closure.close import FILES, close_loop
 from sim_heating.closure.search.candidates import candidates
@@ -136,7 +136,7 @@ def test_report_and_files_of_one_record(tmp_path: Path) -> None:
     assert told.exit_code == 0, told.output
     assert re.search("│ p08 +│ impingement-onset +│", told.output)
     assert ".sim_heating.json" not in told.output
-    assert files_made(out) <= set(FILES)
+    assert files_written(out) <= set(FILES)
     found = json.loads((out / "closure.json").read_text())
     assert found["format"] == "closure-report/1"
     assert found["effect"]["name"] == "impingement-onset"

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from sim_heating.base.files import files_made, output_directory, read_csv_columns
+from sim_heating.base.files import files_written, output_directory, read_csv_columns
 from sim_heating.base.report.page import Page, Picture, Section, Table, page_html
 from sim_heating.closure.clues.correlation import evidence
 from sim_heating.closure.clues.residual_heating import residual_heating
@@ -121,7 +121,7 @@ def test_posteriors_are_those_of_equal_priors():
 def test_the_folder_holds_json_history_and_page(tmp_path):
     with output_directory(tmp_path / "out") as folder:
         fill_closure(closed(), folder)
-    assert files_made(tmp_path / "out") == {"closure.json", "report.html", "residual_heating.csv"}
+    assert files_written(tmp_path / "out") == {"closure.json", "report.html", "residual_heating.csv"}
     data = json.loads((tmp_path / "out" / "closure.json").read_text())
     table = read_csv_columns(tmp_path / "out" / data["residual_heating"], ("time_s", "delta_ratio", "sigma"))
     np.testing.assert_array_equal(table["delta_ratio"], closed().residual.delta_ratio)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.files import files_made, read_csv_columns, read_json
+from sim_heating.base.files import files_written, read_csv_columns, read_json
 from sim_heating.cli import main
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table, write_ratio_table
 from sim_heating.heating.ratio.uncertainty import Evidence, node_weights, posterior
@@ -337,7 +337,7 @@ def test_a_study_says_before_it_is_done_which_files_it_may_write(planned: Path) 
     """So that a file of someone else's that is in the way is told before the work."""
     study = load_study(planned / "study.toml", planned / "later" / "orbiter")
     announced = {name for part in parts_of(study).values() for name in part.files(study)}
-    assert files_made(planned / "out") - {"study.json", "report.html"} == announced
+    assert files_written(planned / "out") - {"study.json", "report.html"} == announced
 
 
 @pytest.mark.parametrize("name", ["alpha_expansion", "cg_expansion", "small_envelope"])

@@ -7,19 +7,19 @@ column mach: ...`, where a row is the line of the file as an editor counts it. A
 from sim_heating.base.files.csv_table import COLDEST_K, CsvTable, celsius_rule, csv_text, read_csv_columns, write_csv
 from sim_heating.base.files.results import (
     MARKER,
-    files_made,
+    files_written,
     json_text,
     output_directory,
     read_json,
-    require_place,
+    require_writable,
     write_json,
 )
 from sim_heating.base.files.text import (
-    nearest,
+    display_path,
+    nearest_name,
     raise_problems,
     raw_text,
     read_text,
-    shown,
     suggestion,
     write_text_atomic,
 )
@@ -36,7 +36,7 @@ from sim_heating.base.files.toml import (
 
 __all__ = [
     "COLDEST_K", "MARKER", "CsvTable", "Declared", "LocatedError", "Location", "celsius_rule", "check", "csv_text",
-    "files_made", "json_text", "known_keys", "nearest", "output_directory", "raise_problems", "raw_text",
-    "read_csv_columns", "read_json", "read_text", "read_toml", "read_toml_dict", "require_place", "shown", "suggestion",
-    "toml_text", "write_csv", "write_json", "write_text_atomic",
+    "display_path", "files_written", "json_text", "known_keys", "nearest_name", "output_directory", "raise_problems",
+    "raw_text", "read_csv_columns", "read_json", "read_text", "read_toml", "read_toml_dict", "require_writable",
+    "suggestion", "toml_text", "write_csv", "write_json", "write_text_atomic",
 ]  # fmt: skip

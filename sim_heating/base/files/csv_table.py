@@ -15,7 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.files.text import brief, nearest, raise_problems, read_text, shown, write_text_atomic
+from sim_heating.base.files.text import (
+    abbreviated,
+    display_path,
+    nearest_name,
+    raise_problems,
+    read_text,
+    write_text_atomic,
+)
 
 COLDEST_K = 100.0
 """Below this a temperature of a flight is taken for one in Celsius [K]."""
@@ -46,7 +53,8 @@ class CsvTable:
 
     def problem(self, index: int, column: str, rule: str) -> str:
         """`file, row 14, column x: value rule`."""
-        return f"{shown(self.path)}, row {self.lines[index]}, column {column}: {self.columns[column][index]:g} {rule}"
+        place = f"{display_path(self.path)}, row {self.lines[index]}, column {column}"
+        return f"{place}: {self.columns[column][index]:g} {rule}"
 
     def where_not(self, column: str, holds: ArrayLike, rule: str) -> list[str]:
         """One problem line for a column where a condition does not hold in every row, naming the first such row."""
@@ -64,7 +72,7 @@ class CsvTable:
             return []
         before = f"does not come after {values[bad[0] - 1]:.10g}; sort the rows by {column} and remove repeated ones"
         value = f"{values[bad[0]]:.10g}"
-        return [f"{shown(self.path)}, row {self.lines[bad[0]]}, column {column}: {value} {before}"]
+        return [f"{display_path(self.path)}, row {self.lines[bad[0]]}, column {column}: {value} {before}"]
 
     def not_kelvin(self, column: str) -> list[str]:
         """Problems of a temperature column [K]; values below 100 K are taken for Celsius. NaN passes."""
@@ -95,11 +103,12 @@ def read_csv_columns(
     raises      : InputError naming row, column and value, all problems at once
     """
     names, rows, lines, header = _cells(Path(path))
-    problems = _name_problems(shown(path), names, required, optional)
+    problems = _name_problems(display_path(path), names, required, optional)
     wanted = [n for n in names if n and (keep_other or n in {*required, *optional, *text})]
     raise_problems(problems)
     ragged = [
-        f"{shown(path)}, row {line}: {len(row)} cells against {len(names)} columns; the row is damaged or cut off"
+        f"{display_path(path)}, row {line}: {len(row)} cells against {len(names)} columns; the row is damaged or cut "
+        f"off"
         for row, line in zip(rows, lines, strict=True)
         if len(row) != len(names)
     ]
@@ -109,7 +118,7 @@ def read_csv_columns(
     columns: dict[str, FloatArray] = {}
     for name in (n for n in wanted if n not in text):
         columns[name], bad = _numbers(cells[name], name in lost)
-        problems += [f"{shown(path)}, row {lines[i]}, column {name}: {what}" for i, what in bad]
+        problems += [f"{display_path(path)}, row {lines[i]}, column {name}: {what}" for i, what in bad]
     raise_problems(problems)
     texts = {n: [c.strip() for c in cells[n]] for n in wanted if n in text}
     return CsvTable(columns, header, Path(path), np.array(lines, dtype=np.int64), texts)
@@ -120,17 +129,17 @@ def _cells(path: Path) -> tuple[list[str], list[list[str]], list[int], dict[str,
     content = read_text(path).replace("\r\n", "\n").replace("\r", "\n").rstrip().split("\n")
     first = next((i for i, line in enumerate(content) if line.strip() and not line.startswith("#")), None)
     if first is None:
-        raise InputError(f"{shown(path)}: there is no row of column names; the file holds comments only")
+        raise InputError(f"{display_path(path)}: there is no row of column names; the file holds comments only")
     header = dict(_header_entry(line) for line in content[:first] if ":" in line)
     reader = csv.reader(content[first:])
     try:
         rows = [(row, first + reader.line_num) for row in reader]
     except csv.Error as error:
-        raise InputError(f"{shown(path)}, row {first + reader.line_num}: is not CSV ({error})") from None
+        raise InputError(f"{display_path(path)}, row {first + reader.line_num}: is not CSV ({error})") from None
     names = [name.strip() for name in rows[0][0]]
     if len(rows) < 2:
-        raise InputError(f"{shown(path)}: there are column names and no rows; the file may have been cut off")
-    blank = [f"{shown(path)}, row {line}: the row is blank; remove it" for row, line in rows if not row]
+        raise InputError(f"{display_path(path)}: there are column names and no rows; the file may have been cut off")
+    blank = [f"{display_path(path)}, row {line}: the row is blank; remove it" for row, line in rows if not row]
     raise_problems(_first_and_count(blank))
     return names, [row for row, _ in rows[1:]], [line for _, line in rows[1:]], header
 
@@ -156,14 +165,14 @@ def _name_problems(file: str, names: list[str], required: Sequence[str], optiona
     problems += [f"{file}: column `{n}` is there twice; remove one" for n in dict.fromkeys(names) if names.count(n) > 1]
     problems += [f"{file}: column {i + 1} has no name; name or remove it" for i, n in enumerate(names) if not n]
     for name in optional:
-        close = nearest(name, other, cutoff=0.85)
+        close = nearest_name(name, other, cutoff=0.85)
         if name not in names and close:
             problems.append(f"{file}: unknown column `{close}`. Nearest: `{name}`.")
     return problems
 
 
 def _nearest_column(name: str, other: list[str]) -> str:
-    close = nearest(name, other)
+    close = nearest_name(name, other)
     return f" Nearest in the file: `{close}`." if close else " Add it."
 
 
@@ -199,7 +208,7 @@ def _number(cell: str, may_be_empty: bool) -> float | str:
     except ValueError:
         value = None
     if value is None:
-        return f"{brief(stripped)} is not a number"
+        return f"{abbreviated(stripped)} is not a number"
     if not math.isfinite(value):
         hint = "; leave the cell of a lost sample empty" if may_be_empty else ""
         return f"{stripped} is not a finite number{hint}"

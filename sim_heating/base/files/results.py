@@ -15,7 +15,15 @@ from typing import Any
 import numpy as np
 
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.files.text import brief, plain, read_text, reason, shown, umask, write_text_atomic
+from sim_heating.base.files.text import (
+    abbreviated,
+    as_builtin,
+    display_path,
+    os_error_reason,
+    read_text,
+    umask,
+    write_text_atomic,
+)
 
 MARKER = ".sim_heating.json"
 """Name of the list, in an output directory, of the files that this program wrote there."""
@@ -44,7 +52,7 @@ def read_json(path: str | os.PathLike[str]) -> dict[str, Any]:
 
     raises : InputError, one line, where it is not JSON, holds NaN or an infinity, or is not an object
     """
-    text, name = read_text(path), shown(path)
+    text, name = read_text(path), display_path(path)
     try:
         data = json.loads(text, parse_constant=_no_constant)
     except json.JSONDecodeError as error:
@@ -56,7 +64,7 @@ def read_json(path: str | os.PathLike[str]) -> dict[str, Any]:
     except ValueError as error:
         raise InputError(f"{name}: {error}") from None
     if not isinstance(data, dict):
-        raise InputError(f"{name}: holds {brief(data)}; it must be an object {{...}}")
+        raise InputError(f"{name}: holds {abbreviated(data)}; it must be an object {{...}}")
     return data
 
 
@@ -74,7 +82,7 @@ def _plain_or_fail(value: Any) -> Any:
 
 def _not_finite(value: Any, place: str) -> str | None:
     """`place is nan` of the first number that is not finite."""
-    value = plain(value)
+    value = as_builtin(value)
     if isinstance(value, float) and not math.isfinite(value):
         return f"{place.lstrip('.') or 'the value'} is {value}"
     if isinstance(value, Mapping):
@@ -100,7 +108,7 @@ def output_directory(path: str | os.PathLike[str], expected: Sequence[str] = ())
     """
     target = Path(os.path.abspath(path))
     _refuse_foreign(target, expected)
-    partial, new_parents = _make_partial(target, shown(path))
+    partial, new_parents = _make_partial(target, display_path(path))
     try:
         yield partial
         marker = partial / MARKER
@@ -117,11 +125,11 @@ def output_directory(path: str | os.PathLike[str], expected: Sequence[str] = ())
             _remove_empty(new_parents)
 
 
-def require_place(path: str | os.PathLike[str], expected: Sequence[str] = ()) -> None:
+def require_writable(path: str | os.PathLike[str], expected: Sequence[str] = ()) -> None:
     """Make sure, before any work, that `output_directory` could put results of these names there; nothing is left."""
     target = Path(os.path.abspath(path))
     _refuse_foreign(target, expected)
-    partial, new_parents = _make_partial(target, shown(path))
+    partial, new_parents = _make_partial(target, display_path(path))
     partial.rmdir()
     _remove_empty(new_parents)
 
@@ -147,11 +155,13 @@ def _make_partial(target: Path, name: str) -> tuple[Path, list[Path]]:
         partial = Path(tempfile.mkdtemp(prefix=prefix, dir=target if inside else target.parent))
         partial.chmod(0o777 & ~umask())
     except OSError as error:
-        raise InputError(f"{name}: results cannot be written there ({reason(error)}); choose another place") from None
+        raise InputError(
+            f"{name}: results cannot be written there ({os_error_reason(error)}); choose another place"
+        ) from None
     return partial, new_parents
 
 
-def files_made(directory: str | os.PathLike[str]) -> set[str]:
+def files_written(directory: str | os.PathLike[str]) -> set[str]:
     """Names of the files in a directory that this program wrote there, by its own list; empty where there is none."""
     try:
         listed = json.loads((Path(directory) / MARKER).read_text(encoding="utf-8"))["files"]
@@ -162,18 +172,18 @@ def files_made(directory: str | os.PathLike[str]) -> set[str]:
 
 def _refuse_foreign(target: Path, names: Sequence[str]) -> None:
     """raises : InputError where a file of such a name is there that this program did not write"""
-    ours = files_made(target)
+    ours = files_written(target)
     foreign = [n for n in names if n not in ours and os.path.exists(target / n)]
     if foreign:
         raise InputError(
-            f"{shown(target)}: {', '.join(foreign)} exists and is not a result of ours; choose another directory"
+            f"{display_path(target)}: {', '.join(foreign)} exists and is not a result of ours; choose another directory"
         )
 
 
 def _merge(partial: Path, target: Path, names: Sequence[str]) -> None:
     """Put finished files into an existing directory in place of an earlier run's; undone where it fails half-way."""
     _refuse_foreign(target, names)
-    ours = files_made(target)
+    ours = files_written(target)
     backup = Path(tempfile.mkdtemp(prefix=".replaced-", dir=partial))
     undo: list[tuple[Path, Path]] = []
     try:

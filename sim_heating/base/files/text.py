@@ -15,7 +15,7 @@ import numpy as np
 from sim_heating.base.errors import InputError
 
 
-def shown(path: str | os.PathLike[str]) -> str:
+def display_path(path: str | os.PathLike[str]) -> str:
     """A path as a message names it: relative where it lies below the working directory, else as given."""
     try:
         return str(Path(path).resolve().relative_to(Path.cwd()))
@@ -23,7 +23,7 @@ def shown(path: str | os.PathLike[str]) -> str:
         return str(path)
 
 
-def nearest(name: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
+def nearest_name(name: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
     """The known name closest to a wrong one, whatever its case, or None where none is close."""
     by_lower = {k.lower(): k for k in known}
     found = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=cutoff)
@@ -33,7 +33,7 @@ def nearest(name: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
 def suggestion(name: str, known: Iterable[str]) -> str:
     """`Nearest: x.`, or the list of what is known where nothing is near."""
     names = list(known)
-    near = nearest(name, names)
+    near = nearest_name(name, names)
     return f"Nearest: `{near}`." if near else f"Known: {', '.join(f'`{n}`' for n in names)}."
 
 
@@ -53,13 +53,13 @@ def read_text(path: str | os.PathLike[str]) -> str:
 
     raises : InputError, one line, where it is missing, a directory, unreadable, empty, binary or not UTF-8
     """
-    name = shown(path)
+    name = display_path(path)
     try:
         raw = Path(path).read_bytes()
     except FileNotFoundError:
         raise InputError(f"{name}: there is no such file{_neighbour(Path(path))}") from None
     except (OSError, ValueError) as error:
-        raise InputError(f"{name}: cannot be read ({reason(error)}); give a text file") from None
+        raise InputError(f"{name}: cannot be read ({os_error_reason(error)}); give a text file") from None
     if not raw.strip():
         raise InputError(f"{name}: the file is empty")
     if b"\0" in raw:
@@ -80,24 +80,24 @@ def raw_text(path: str | os.PathLike[str]) -> str:
 
 def _neighbour(path: Path) -> str:
     try:
-        near = nearest(path.name, sorted(p.name for p in path.parent.iterdir()), cutoff=0.7)
+        near = nearest_name(path.name, sorted(p.name for p in path.parent.iterdir()), cutoff=0.7)
     except OSError:
         return ""
     return f". Nearest: `{near}`." if near else ""
 
 
-def reason(error: Exception) -> str:
+def os_error_reason(error: Exception) -> str:
     """Why a file could not be used, in the system's own words."""
     return getattr(error, "strerror", None) or str(error)
 
 
-def brief(value: Any) -> str:
+def abbreviated(value: Any) -> str:
     """A value as a message shows it: on one line, cut after 60 characters."""
     text = json.dumps(value, default=str, ensure_ascii=False)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def plain(value: Any) -> Any:
+def as_builtin(value: Any) -> Any:
     """numpy scalars and arrays as Python's own."""
     return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
 
@@ -117,7 +117,9 @@ def write_bytes_atomic(path: str | os.PathLike[str], data: bytes) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
         handle, partial = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
     except OSError as error:
-        raise InputError(f"{shown(path)}: cannot be written ({reason(error)}); choose another place") from None
+        raise InputError(
+            f"{display_path(path)}: cannot be written ({os_error_reason(error)}); choose another place"
+        ) from None
     try:
         with os.fdopen(handle, "wb") as stream:
             stream.write(data)
@@ -125,7 +127,7 @@ def write_bytes_atomic(path: str | os.PathLike[str], data: bytes) -> None:
         os.replace(partial, target)
     except OSError as error:
         Path(partial).unlink(missing_ok=True)
-        raise InputError(f"{shown(path)}: cannot be written ({reason(error)})") from None
+        raise InputError(f"{display_path(path)}: cannot be written ({os_error_reason(error)})") from None
     except BaseException:
         Path(partial).unlink(missing_ok=True)
         raise

@@ -15,7 +15,15 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.files.text import brief, nearest, one_line, plain, read_text, shown, suggestion
+from sim_heating.base.files.text import (
+    abbreviated,
+    as_builtin,
+    display_path,
+    nearest_name,
+    one_line,
+    read_text,
+    suggestion,
+)
 
 Location = tuple[str | int, ...]
 M = TypeVar("M", bound=BaseModel)
@@ -43,12 +51,12 @@ def read_toml(path: str | os.PathLike[str], model: type[M]) -> M:
 
     raises : InputError with one line a problem: file, table, key, value, rule, nearest known name
     """
-    return check(read_toml_dict(path), model, shown(path))
+    return check(read_toml_dict(path), model, display_path(path))
 
 
 def read_toml_dict(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read a TOML file as plain dictionaries; InputError with the line where it is not TOML."""
-    text, name = read_text(path), shown(path)
+    text, name = read_text(path), display_path(path)
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -221,14 +229,14 @@ def _rule(error: Any, loc: Location, model: type[BaseModel]) -> str:
         return f"key `{key}` is missing{_told(told)}"
     if "kinds" in error or kind in _EXPECTED:
         *others, last = dict.fromkeys(error.get("kinds") or [_EXPECTED[kind]])
-        return f"{brief(value)} is not {', '.join(others) + ' or ' if others else ''}{last}{_told(told)}"
+        return f"{abbreviated(value)} is not {', '.join(others) + ' or ' if others else ''}{last}{_told(told)}"
     if kind in _COMPARED:
         name, words = _COMPARED[kind]
-        return f"{brief(value)} {words} {ctx[name]:g}{_told(told)}"
+        return f"{abbreviated(value)} {words} {ctx[name]:g}{_told(told)}"
     if kind in ("union_tag_invalid", "union_tag_not_found") and "discriminator" in ctx:
         return _tag_rule(ctx, value)
     if kind == "string_pattern_mismatch":
-        return f"{brief(value)} is not {told or ctx['pattern']}"
+        return f"{abbreviated(value)} is not {told or ctx['pattern']}"
     if kind == "literal_error":
         return _choice_rule(value, re.findall(r"'([^']*)'", ctx["expected"]))
     if kind in ("too_short", "too_long"):
@@ -249,8 +257,8 @@ def _tag_rule(ctx: Any, table: Any) -> str:
 
 
 def _choice_rule(value: Any, choices: Sequence[str]) -> str:
-    near = nearest(str(value), choices)
-    return f"{brief(value)} is not one of {', '.join(choices)}" + (f". Nearest: `{near}`." if near else "")
+    near = nearest_name(str(value), choices)
+    return f"{abbreviated(value)} is not one of {', '.join(choices)}" + (f". Nearest: `{near}`." if near else "")
 
 
 def _told(description: str) -> str:
@@ -348,7 +356,7 @@ def _toml_string(text: str) -> str:
 
 
 def _toml_value(value: Any, path: tuple[str, ...]) -> str:
-    value = plain(value)
+    value = as_builtin(value)
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):

@@ -23,7 +23,7 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import check, raw_text, shown
+from sim_heating.base.files import check, display_path, raw_text
 from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, SENSOR_PREFIX
 from sim_heating.closure.revise.evidence import Informed, is_effect
 from sim_heating.estimation.report.estimate_file import Estimate
@@ -183,10 +183,12 @@ def edited(raw: str, declared: Sequence[Mapping[str, Any]], path: Path) -> str:
             wanted["effect"][at : at + 1] = [dict(one)]
         found = tomlkit.parse(text).unwrap()
     except TOMLKitError as error:
-        raise InputError(f"{shown(path)}: cannot be edited ({error}); write its [[effect]] by hand") from None
+        raise InputError(f"{display_path(path)}: cannot be edited ({error}); write its [[effect]] by hand") from None
     if found != wanted:
-        raise InputError(f"{shown(path)}: cannot take the effect without other changes; write its [[effect]] by hand")
-    check(found, ControlPointFile, shown(path))
+        raise InputError(
+            f"{display_path(path)}: cannot take the effect without other changes; write its [[effect]] by hand"
+        )
+    check(found, ControlPointFile, display_path(path))
     return mark + text
 
 

@@ -24,7 +24,7 @@ from pydantic import Field
 
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import Declared, check, json_text, raw_text, read_json, shown, write_text_atomic
+from sim_heating.base.files import Declared, check, display_path, json_text, raw_text, read_json, write_text_atomic
 from sim_heating.estimation.report.estimate_file import Estimated
 from sim_heating.heating.ratio.table import RatioTable, ratio_table_text, read_ratio_table
 from sim_heating.heating.ratio.uncertainty import Evidence, Posterior, posterior
@@ -148,20 +148,23 @@ def read_history(vehicle: Vehicle, point: str) -> History:
     table = read_ratio_table(path)
     number = table.header.get("revision", "")
     if not number.isdecimal():
-        raise InputError(f"{shown(path)}, header `revision`: {number!r} is not a whole number; number the table")
+        raise InputError(f"{display_path(path)}, header `revision`: {number!r} is not a whole number; number the table")
     revisions: list[RevisionFile] = []
     base, text, at = path, raw, int(number)
     while (made := revision_path(vehicle.directory, point, at, "json")).is_file():
-        revision = check(read_json(made), RevisionFile, shown(made))
+        revision = check(read_json(made), RevisionFile, display_path(made))
         if revision.table_hash != content_hash(text):
             raise InputError(
-                f"{shown(base)}: was changed after {shown(made)} was written; revert the change, or give the table a "
+                f"{display_path(base)}: was changed after {display_path(made)} was written; revert the change, or "
+                f"give the table a "
                 "`revision` of its own"
             )
         base = revision_path(vehicle.directory, point, revision.parent, "csv")
         text, at = raw_text(base), revision.parent
         if revision.parent_hash != content_hash(text):
-            raise InputError(f"{shown(base)}: is not the table that {shown(made)} was made of; restore it")
+            raise InputError(
+                f"{display_path(base)}: is not the table that {display_path(made)} was made of; restore it"
+            )
         revisions.insert(0, revision)
     _refuse_half_written(vehicle.directory, point, int(number))
     return History(path, raw, table, int(number), read_ratio_table(base), tuple(revisions))
@@ -185,10 +188,12 @@ def _refuse_half_written(directory: Path, point: str, number: int) -> None:
     made, file = revision_path(directory, point, number + 1, "json"), point_path(directory, point)
     if not made.is_file():
         return
-    revision = check(read_json(made), RevisionFile, shown(made))
+    revision = check(read_json(made), RevisionFile, display_path(made))
     if revision.point_hash is not None and revision.point_hash == content_hash(raw_text(file)):
         kept = revision_path(directory, point, number, "toml")
-        raise InputError(f"{shown(file)}: an update ended before its table was written; copy {shown(kept)} over it")
+        raise InputError(
+            f"{display_path(file)}: an update ended before its table was written; copy {display_path(kept)} over it"
+        )
 
 
 def content_hash(text: str) -> str:
@@ -249,7 +254,9 @@ def revert(vehicle: Vehicle, point: str) -> tuple[int, int]:
     """
     history = read_history(vehicle, point)
     if not history.revisions:
-        raise InputError(f"{shown(history.path)}: revision {history.revision} was not made from flight data; kept")
+        raise InputError(
+            f"{display_path(history.path)}: revision {history.revision} was not made from flight data; kept"
+        )
     undone = history.revisions[-1]
     kept = revision_path(vehicle.directory, point, undone.parent, "csv")
     old_point = revision_path(vehicle.directory, point, undone.parent, "toml")
@@ -268,10 +275,13 @@ def _revert_point(file: Path, kept: Path, undone: RevisionFile) -> None:
     """Put a control point's file back, unless a person has changed it since."""
     text = raw_text(kept)
     if content_hash(text) != undone.point_parent_hash:
-        raise InputError(f"{shown(kept)}: is not the file that revision {undone.revision} was made of; restore it")
+        raise InputError(
+            f"{display_path(kept)}: is not the file that revision {undone.revision} was made of; restore it"
+        )
     if content_hash(raw_text(file)) not in (undone.point_hash, undone.point_parent_hash):
         raise InputError(
-            f"{shown(file)}: was changed after revision {undone.revision}, which wrote effects into it, and the change "
+            f"{display_path(file)}: was changed after revision {undone.revision}, which wrote effects into it, and "
+            f"the change "
             "would be lost; take it back first"
         )
     write_text_atomic(file, text)

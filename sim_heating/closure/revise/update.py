@@ -19,7 +19,7 @@ from scipy.sparse import csr_array
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import read_text, require_place, shown
+from sim_heating.base.files import display_path, read_text, require_writable
 from sim_heating.base.files.package import data_folders, package_version
 from sim_heating.base.parameters import AT, EFFECT_PREFIX
 from sim_heating.closure.revise.effects import FittedEffects, effects_of_fit
@@ -132,7 +132,7 @@ def prepare(
     """
     file = Path(fit) / NAME if Path(fit).is_dir() else Path(fit)
     whole = read_estimate(file)
-    _refuse_unweighable(whole, shown(file))
+    _refuse_unweighable(whole, display_path(file))
     estimate, loaded = _of_point(whole, _records(whole, file, records), point_name)
     ours = load_vehicle(vehicle)
     point = ours.control_point(loaded[0].declared.control_point)
@@ -162,7 +162,9 @@ def prepare(
         effects,
     )
     if not np.any(update.changed) and effects.text == effects.raw:
-        raise InputError(f"{shown(file)}: changes no node of {point.declared.ratio_table}; its bounds are too wide")
+        raise InputError(
+            f"{display_path(file)}: changes no node of {point.declared.ratio_table}; its bounds are too wide"
+        )
     return update
 
 
@@ -178,7 +180,7 @@ def _records(estimate: Estimate, file: Path, given: Sequence[str | os.PathLike[s
         place = next((p for p in places if p.is_dir()), None)
         if place is None:
             raise InputError(
-                f"{shown(file)}: its record `{given[i] if given else name}` is not there; name it: --record"
+                f"{display_path(file)}: its record `{given[i] if given else name}` is not there; name it: --record"
             )
         found.append(load_record(place))
     return found
@@ -250,7 +252,7 @@ def _used(estimate: Estimate, i: int, record: Record) -> UsedRecord:
     """
     found, told = inputs_hash(record), estimate.inputs.get(estimate.records[i])
     if told is not None and told != found:
-        raise InputError(f"{shown(record.directory)}: was changed since the estimate; estimate it anew")
+        raise InputError(f"{display_path(record.directory)}: was changed since the estimate; estimate it anew")
     segments = estimate.segments[i] if estimate.segments is not None else record.declared.segments.fit
     whole = [[float(record.time_s[0]), float(record.time_s[-1])]]
     return UsedRecord(record=record.name, inputs=found, segments=whole if segments is None else segments)
@@ -265,7 +267,8 @@ def _refuse_twice(history: History, used: Sequence[UsedRecord]) -> None:
                 if new.inputs == old.inputs and shared:
                     times = f"{shared[0][0]:g} to {shared[0][1]:g} s"
                     raise InputError(
-                        f"{shown(history.path)}: {new.record}, {times}, is in revision {revision.revision} already and "
+                        f"{display_path(history.path)}: {new.record}, {times}, is in revision {revision.revision} "
+                        f"already and "
                         "would count twice; revert that first"
                     )
 
@@ -341,8 +344,8 @@ def check_place(vehicle: str | os.PathLike[str], out: Path | None) -> None:
     directory = vehicle_directory(vehicle)
     if out is not None:
         if (out / directory.resolve().name).exists():
-            copy = shown(out / directory.resolve().name)
-            raise InputError(f"--out {shown(out)}: holds {copy} already; revise that one with --vehicle {copy}")
+            copy = display_path(out / directory.resolve().name)
+            raise InputError(f"--out {display_path(out)}: holds {copy} already; revise that one with --vehicle {copy}")
         return
     (installed, checkout), home = data_folders(VEHICLES), directory.resolve().parent
     by_name = directory.is_absolute() and Path(vehicle).name == os.fspath(vehicle)
@@ -350,7 +353,7 @@ def check_place(vehicle: str | os.PathLike[str], out: Path | None) -> None:
         raise InputError(
             f"vehicle {directory.name}: came with the package; name a folder for a copy of yours with --out"
         )
-    require_place(directory)
+    require_writable(directory)
 
 
 def write_update(

@@ -10,8 +10,8 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
-from sim_heating.base.errors import InputError, told_of
-from sim_heating.base.files import shown
+from sim_heating.base.errors import InputError, error_context
+from sim_heating.base.files import display_path
 from sim_heating.base.parameters import CLOCK_SKEW, SENSOR_PREFIX, SHORT
 from sim_heating.estimation.design.information import PRESSURE, Experiment, experiment
 from sim_heating.estimation.inference.observability import still
@@ -110,7 +110,7 @@ class Planner:
         self.instruments = Instruments(self.point.sensors, scenario.declared.measurements.rate_hz)
         asked = {"parameters": self.wanted, "nuisance": self.design.nuisance or (), "prior": self.design.prior}
         for key, names in asked.items():
-            with told_of(f"{shown(scenario.path)}, [design], {key}"):
+            with error_context(f"{display_path(scenario.path)}, [design], {key}"):
                 self._check_names(tuple(names))
 
     def _check_names(self, names: Sequence[str]) -> None:

@@ -20,8 +20,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import LocatedError, Location, check, read_json, shown, suggestion, write_json
-from sim_heating.base.limits import beyond, said_of
+from sim_heating.base.files import LocatedError, Location, check, display_path, read_json, suggestion, write_json
+from sim_heating.base.limits import limit_message, out_of_range
 from sim_heating.base.parameters import AT, MODEL
 from sim_heating.inputs.record import DECLARATION, Record
 
@@ -74,7 +74,7 @@ class Condition(_Kept):
     @model_validator(mode="after")
     def _check(self) -> Condition:
         found = {name: getattr(self, name) for name in RATIO_VARIABLES}
-        problems = [((name,), said_of(name, value)) for name, value in found.items() if beyond(name, value)]
+        problems = [((name,), limit_message(name, value)) for name, value in found.items() if out_of_range(name, value)]
         if problems:
             raise LocatedError(*problems)
         return self
@@ -220,8 +220,8 @@ def read_estimate(path: str | os.PathLike[str]) -> Estimate:
     file = file / NAME if file.is_dir() else file
     data = read_json(file)
     if data.get("format") == "closure-report/1":
-        raise InputError(f"{shown(file)}: is a closure report; give an estimate.json")
-    return check(data, Estimate, shown(file))
+        raise InputError(f"{display_path(file)}: is a closure report; give an estimate.json")
+    return check(data, Estimate, display_path(file))
 
 
 def write_estimate(path: str | os.PathLike[str], estimate: Estimate) -> None:
@@ -245,7 +245,9 @@ def inputs_hash(record: Record) -> str:
         try:
             content = (record.directory / name).read_bytes()
         except OSError:
-            raise InputError(f"{shown(record.directory / name)}: cannot be read; write the record first") from None
+            raise InputError(
+                f"{display_path(record.directory / name)}: cannot be read; write the record first"
+            ) from None
         digest.update(f"{name}\0{len(content)}\0".encode())
         digest.update(content)
     return f"sha256:{digest.hexdigest()}"

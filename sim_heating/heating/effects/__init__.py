@@ -27,7 +27,7 @@ from typing import Literal
 
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import nearest
+from sim_heating.base.files import nearest_name
 from sim_heating.base.kernels.block import EFFECT_SLOTS, EFFECT_WIDTH
 from sim_heating.base.parameters import Parameter
 
@@ -193,7 +193,7 @@ def effect(name: str) -> Effect:
     """The effect of a name; InputError with the nearest where there is none."""
     known = effects()
     if name not in known:
-        near = nearest(name, known)
+        near = nearest_name(name, known)
         hint = f"Nearest: `{near}`." if near else f"Known: {', '.join(sorted(known))}."
         raise InputError(f"effect `{name}` is not known. {hint}")
     return known[name]

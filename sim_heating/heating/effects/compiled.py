@@ -19,7 +19,7 @@ import numba
 from numba import types
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import shown
+from sim_heating.base.files import display_path
 from sim_heating.base.kernels.jit import c_function, call_effect, handle
 from sim_heating.heating.effects import Effect
 
@@ -98,7 +98,7 @@ def file_of(effect: Effect) -> Path:
 
 def place_of(effect: Effect) -> str:
     """`effect NAME (file)`."""
-    return f"effect `{effect.name}` ({shown(file_of(effect))})"
+    return f"effect `{effect.name}` ({display_path(file_of(effect))})"
 
 
 def compiled_kernel(effect: Effect) -> Any:

@@ -23,9 +23,9 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import (
     CsvTable,
     csv_text,
+    display_path,
     raise_problems,
     read_csv_columns,
-    shown,
     suggestion,
     write_text_atomic,
 )
@@ -97,7 +97,7 @@ def _column_problems(table: CsvTable) -> list[str]:
     """Unknown columns, angles that are none, negative sigma."""
     known = (*RATIO_VARIABLES, "ratio", "sigma")
     problems = [
-        f"{shown(table.path)}: unknown column `{name}`. {suggestion(name, known)}"
+        f"{display_path(table.path)}: unknown column `{name}`. {suggestion(name, known)}"
         for name in table.columns
         if name not in known
     ]
@@ -115,7 +115,7 @@ def _repeated_nodes(table: CsvTable, index: tuple[NDArray[np.intp], ...]) -> lis
         if node in first_row:
             earlier = table.lines[first_row[node]]
             rule = f"repeats the node of row {earlier}; remove one ({_at(table, row)})"
-            return [f"{shown(table.path)}, row {table.lines[row]}: {rule}"]
+            return [f"{display_path(table.path)}, row {table.lines[row]}: {rule}"]
         first_row[node] = row
     return []
 
@@ -136,7 +136,9 @@ def _missing_nodes(table: CsvTable, axes: tuple[FloatArray, ...], index: tuple[N
     have = set(zip(*(i.tolist() for i in index), strict=True))
     node = next(n for n in np.ndindex(*shape) if n not in have)
     at = ", ".join(f"{name} {axis[i]:g}" for name, axis, i in zip(RATIO_VARIABLES, axes, node, strict=True))
-    return [f"{shown(table.path)}: {whole - len(table)} of {whole} nodes of the grid missing; add a row for {at}"]
+    return [
+        f"{display_path(table.path)}: {whole - len(table)} of {whole} nodes of the grid missing; add a row for {at}"
+    ]
 
 
 def _odd_value(table: CsvTable, shape: tuple[int, ...], index: tuple[NDArray[np.intp], ...]) -> str | None:

@@ -20,7 +20,7 @@ from pathlib import Path
 from pydantic import Field, field_validator
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import Declared, raise_problems, read_toml, shown
+from sim_heating.base.files import Declared, display_path, raise_problems, read_toml
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.planning.limited_point import LimitedPoint
 from sim_heating.trajectory.spec import Initial, VehicleState
@@ -105,7 +105,7 @@ def load_optimal_study(path: str | os.PathLike[str]) -> OptimalStudy:
     declared = read_toml(place, OptimalStudyFile)
     beside = place.parent / declared.vehicle
     vehicle = load_vehicle(beside if (beside / "vehicle.toml").is_file() else declared.vehicle)
-    return optimal_study(declared, vehicle, shown(place))
+    return optimal_study(declared, vehicle, display_path(place))
 
 
 def optimal_study(declared: OptimalStudyFile, vehicle: Vehicle, where: str = "study") -> OptimalStudy:

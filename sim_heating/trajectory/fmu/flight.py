@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from sim_heating.base.conditions import FRAME, Conditions
-from sim_heating.base.errors import InputError, RunError, told_of
+from sim_heating.base.errors import InputError, RunError, error_context
 from sim_heating.base.files import suggestion
 from sim_heating.base.limits import frame_problem
 from sim_heating.base.progress import Progress
@@ -270,7 +270,7 @@ def _value(model: FmuModel, name: str, given: FmuInput) -> Callable[[Frame, Fram
     if variable.causality != "input":
         raise InputError(f"{where}: it is a {variable.causality} of {model}, not an input")
     if given.command is None:
-        with told_of(where):
+        with error_context(where):
             for _, value in given.schedule or ():
                 fitting(variable, value)
         block = pack((), [given.schedule or ()])

@@ -14,8 +14,8 @@ import fmpy
 from fmpy.model_description import ModelDescription, ModelVariable, ValidationError
 from fmpy.simulation import settable_in_initialization_mode, settable_in_instantiated
 
-from sim_heating.base.errors import InputError, told_of
-from sim_heating.base.files import shown, suggestion
+from sim_heating.base.errors import InputError, error_context
+from sim_heating.base.files import display_path, suggestion
 from sim_heating.base.files.text import one_line
 from sim_heating.trajectory.fmu.units import NO_DIMENSION, Conversion, Scale, conversion, known_unit, unit_of_fmu
 from sim_heating.trajectory.spec import FmuSource, FmuValue
@@ -131,7 +131,7 @@ class FmuModel:
             value = self._converted(variable, value, where)
         if variable.type == "String":
             return variable, value
-        with told_of(where):
+        with error_context(where):
             return variable, fitting(variable, value)
 
     def _converted(self, variable: ModelVariable, given: FmuValue, where: str) -> float:
@@ -146,7 +146,7 @@ class FmuModel:
         return way(given.value)
 
     def __str__(self) -> str:
-        return shown(self.path)
+        return display_path(self.path)
 
 
 def read_fmu(path: Path, interface: str | None = None) -> FmuModel:
@@ -155,7 +155,7 @@ def read_fmu(path: Path, interface: str | None = None) -> FmuModel:
     raises : InputError where the file is no FMU of a known version, lacks the interface, or has nothing for this
              platform
     """
-    name = shown(path)
+    name = display_path(path)
     try:
         with zipfile.ZipFile(path) as archive:
             entries = archive.namelist()
@@ -195,7 +195,7 @@ def _description(path: Path) -> ModelDescription:
     try:
         return fmpy.read_model_description(path, validate=False)
     except Exception as error:  # FMPy raises plain Exceptions in words, lxml its own, and both Python's
-        raise InputError(f"{shown(path)}: {DESCRIPTION} {_invalid(path, error)}") from None
+        raise InputError(f"{display_path(path)}: {DESCRIPTION} {_invalid(path, error)}") from None
 
 
 def _invalid(path: Path, error: Exception) -> str:

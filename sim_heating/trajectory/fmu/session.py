@@ -25,8 +25,8 @@ from typing import Any, NamedTuple
 import fmpy
 
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.files import shown
-from sim_heating.base.files.text import reason
+from sim_heating.base.files import display_path
+from sim_heating.base.files.text import os_error_reason
 
 PROCESS = Path(__file__).with_name("process.py")
 READY_S = 120.0
@@ -70,7 +70,7 @@ class FmuSession:
                 self._begin(undo)
             except OSError as error:
                 raise RunError(
-                    f"{shown(self.path)}: cannot be unpacked and started ({reason(error)}); "
+                    f"{display_path(self.path)}: cannot be unpacked and started ({os_error_reason(error)}); "
                     "make room for temporary files or set TMPDIR to another place"
                 ) from None
             self._answer("before it was loaded", READY_S)
@@ -101,7 +101,7 @@ class FmuSession:
         except OSError:
             raise
         except Exception as error:  # FMPy raises plain Exceptions, zipfile and zlib their own
-            raise InputError(f"{shown(self.path)}: cannot be unpacked ({error}); it is damaged") from None
+            raise InputError(f"{display_path(self.path)}: cannot be unpacked ({error}); it is damaged") from None
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._undo.__exit__(kind, error, at)
@@ -151,7 +151,7 @@ class FmuSession:
             stdin.flush()
         answer = self._answer(when, self.timeout_s)
         if "error" in answer:
-            raise RunError(f"{shown(self.path)}: the FMU failed {when}: {answer['error']}{self._last_words()}")
+            raise RunError(f"{display_path(self.path)}: the FMU failed {when}: {answer['error']}{self._last_words()}")
         return Answer(**answer)
 
     def _answer(self, when: str, patience_s: float) -> dict[str, Any]:
@@ -160,7 +160,7 @@ class FmuSession:
         line = self._answers.readline()
         self._deadline = None
         if line.endswith(OVER):
-            raise RunError(f"{shown(self.path)}: {self._death(when)}{self._last_words()}")
+            raise RunError(f"{display_path(self.path)}: {self._death(when)}{self._last_words()}")
         found: dict[str, Any] = json.loads(line)
         return found
 
