@@ -1,4 +1,4 @@
-"""Flight conditions: one named array per column, SI, linear in time between samples."""
+"""Flight conditions: one named array per column, in SI units with angles in degrees, linear in time between samples."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ STATE = (
 """Columns that every flight has."""
 
 HEATING = ("p_surface_Pa", "h_ref_kg_m2_s", "H_r_J_kg")
-"""Columns that the heating of one control point needs beside STATE."""
+"""Columns that the heating of one control point needs in addition to STATE."""
 
 RATIO_VARIABLES = ("alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg")
 """The variables of a heating-ratio table, in the order of its axes."""
@@ -27,15 +27,17 @@ FRAME = (
     "time_s", "altitude_m", "velocity_m_s", "alpha_deg", "beta_deg",
     "elevon_deg", "bodyflap_deg", "rho_kg_m3", "jets",
 )  # fmt: skip
-"""What a host gives at each frame; temperature, Mach and Reynolds number are derived from it."""
+"""Inputs that a host gives at each frame; temperature, Mach and Reynolds number are derived from them."""
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """Time histories of a flight.
+    """Time histories of a flight, one array per named column; the unit of a column is the end of its name.
 
-    columns : name -> (time,) float64; `time_s` strictly increasing; every value finite
-    raises  : InputError naming column and row where that does not hold
+    columns : name -> (time,) float64; `time_s` [s] strictly increasing; every value finite
+    raises  : InputError naming column and row where that is not so
+
+    `conditions[name]` is a column, `name in conditions` whether it is there, `len(conditions)` the number of samples.
     """
 
     columns: Mapping[str, FloatArray]
@@ -45,6 +47,7 @@ class Conditions:
         if time is None or len(time) == 0:
             raise InputError("conditions: there is no time_s; give at least one sample")
         for name, values in self.columns.items():
+            # Lengths before values: the row number of a bad value means nothing in a column of another length.
             if len(values) != len(time):
                 raise InputError(f"conditions, column {name}: {len(values)} values against {len(time)} times")
             if not np.all(np.isfinite(values)):
@@ -67,7 +70,7 @@ class Conditions:
 
     @property
     def time_s(self) -> FloatArray:
-        """(time,) sample times [s]."""
+        """(time,) sample times [s], strictly increasing."""
         return self.columns["time_s"]
 
     @property
@@ -76,14 +79,20 @@ class Conditions:
         return tuple(self.columns)
 
     def with_columns(self, **arrays: ArrayLike) -> Conditions:
-        """The same samples with columns added or replaced; scalars are spread over all samples."""
+        """Copy of these conditions with columns added or replaced.
+
+        arrays  : name -> (time,) values in the unit that the name ends in, or a scalar for all samples
+        raises  : InputError where a value is not finite; ValueError where a length does not fit
+        """
         new = {name: np.broadcast_to(np.asarray(a, dtype=float), self.time_s.shape) for name, a in arrays.items()}
         return Conditions({**self.columns, **new})
 
     def at(self, time_s: ArrayLike) -> Conditions:
-        """Conditions at other times [s], linear between samples.
+        """Conditions at other times, linear between samples.
 
-        raises : InputError where a time lies outside the samples (nothing is extrapolated)
+        time_s  : (n,) times [s], strictly increasing, within the samples
+        returns : conditions with the same columns at these times
+        raises  : InputError where a time lies outside the samples (no extrapolation), or the times do not increase
         """
         t = np.atleast_1d(np.asarray(time_s, dtype=float))
         first, last = self.time_s[0], self.time_s[-1]

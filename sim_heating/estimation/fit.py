@@ -1,10 +1,11 @@
-"""The fit of heating and thermal parameters to flight records, from the records to values with honest bounds.
+"""The fit of heating and thermal parameters to flight records, from the records to values with bounds.
 
 Magnitude and derivatives of the heating ratio, and whatever else is named, are those that make the measured samples
-most likely (problem.py, newton.py). What the data cannot tell is left out and said; the noise of sensors that declare
-none is estimated beside; bounds are corrected for coloured residuals; errors are those of the plain march at the values
-found. With noise of the process the innovations of a Kalman filter take the place of residuals (innovations.py), the
-fit without it being where the search begins.
+most likely (problem.py, newton.py). Parameters that the data cannot identify are left out, with the reason; the noise
+of sensors that declare none is estimated too; bounds are corrected for coloured residuals; errors are those of the
+plain march at the values found. With noise of the process the innovations of a Kalman filter take the place of
+residuals (innovations.py), and the fit without it is where the search begins. Method: HEATEST, "Trends in Shuttle Entry
+Heating from the Correlation of Flight Test Maneuvers"; equations in docs/estimation_statistics.md.
 """
 
 from __future__ import annotations
@@ -43,26 +44,28 @@ from sim_heating.simulation.predict import Prediction
 from sim_heating.simulation.predict import predict as predict_record
 
 FEWEST_SAMPLES = 3
-"""Times of the samples that a fit has at least."""
+"""Least number of sample times in a fit."""
 NOISE_ROUNDS = 4
 MISFIT = 1.3
-"""RMS of the residuals over that of noise above which a model is said to lack something."""
+"""RMS of the residuals over that of noise above which the model is reported as deficient."""
 NOISE_CHANGE = 0.01
-"""Noise is settled where it changes by less than this part."""
+"""Relative change below which noise has converged."""
 MAGNITUDES_TRIED = np.geomspace(0.002, 2.0, 8)
 """Ratios tried as the start of a fit that has no table to start from."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """What a fit found.
+    """Result of a fit.
 
-    problem       : what was fitted to what;  fit : the most probable values
+    problem       : records, parameters and samples;  fit : the most probable values
     bounds        : covariance corrected for coloured residuals, and without that correction
-    not_estimated : parameters left out, and why
-    before, after : each record predicted by the declared model, and at the values found
-    warnings      : what a person should know, a line each
+    not_estimated : parameters left out, with the reason
+    before, after : each record predicted by the declared model, and at the values found [K]
+    warnings      : one line each
     innovations   : of the filter, in a fit with noise of the process
+
+    Source: docs/estimation_statistics.md, equations 13 to 26.
     """
 
     problem: Problem
@@ -76,16 +79,22 @@ class Fitted:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Names of the estimated parameters."""
+        """Names of the estimated parameters, in the order of the parameter vector."""
         return tuple(u.label for u in self.problem.unknowns)
 
     @property
     def correlation(self) -> FloatArray:
-        """(parameter, parameter)."""
+        """(parameter, parameter) correlation [-] of the estimates, from the covariance corrected for colour.
+
+        Source: docs/estimation_statistics.md, equations 18 and 22.
+        """
         return correlation(self.bounds.covariance)
 
     def samples(self) -> list[Samples]:
-        """The fitted channels at the values found, as the march or the filter predicts them."""
+        """The fitted channels at the values found [K], as the march or the filter predicts them.
+
+        Source: docs/estimation_statistics.md, equation 1, or 32 for a fit with noise of the process.
+        """
         return (self.innovations or self.problem).samples(self.fit.values)
 
 
@@ -102,17 +111,23 @@ def estimate(
     process_noise: ProcessNoise | None = None,
     progress: Progress = quiet,
 ) -> Fitted:
-    """Fit parameters to records, jointly.
+    """Fit parameters to records, jointly: maximum a posteriori, by Newton's method.
 
-    names     : dotted names; by default magnitude and five derivatives, as far as the records tell of them
-    reference : values of ratio variables that derivatives are about, where not the records' own
-    effects   : effects beside the declared model, their parameters estimated where `names` says so
+    names     : dotted names; by default magnitude [-] and five derivatives, as far as the records identify them
+    reference : values of ratio variables that derivatives are about ([deg], [-]), where not the records' own
+    effects   : effects in addition to the declared model, their parameters estimated where `names` includes them
     priors    : dotted name -> Parameter with another prior or other bounds
-    starts    : where the march of each record begins (problem.Start, initial.STARTS)
+    starts    : where the march of each record begins (part.Start, initial.STARTS)
     first     : values of parameters that the iteration begins with, where not those of their priors
     settings  : when the iteration stops, and how far it may step
     process_noise : given or to be estimated; None for none, an output-error fit
-    raises    : InputError where nothing can be estimated, RunError where the fit diverged
+    progress  : called with the fraction done and a line of text
+    returns   : values, bounds, predictions [K] before and after, warnings
+    raises    : InputError where nothing can be estimated, RunError where the model cannot be marched at the start or at
+                the values found
+
+    A fit that does not converge is returned, with its status. Source: docs/estimation_statistics.md, equations 13 to
+    26 and 31; 32 to 35 with noise of the process.
     """
     _check_records(records)
     checked = [without_stuck(record) for record in records]
@@ -131,6 +146,7 @@ def estimate(
         )
         if not worst:
             break
+        # one at a time: each omission lowers the bounds of the others
         out |= worst
         left = _left([n for n in left if n not in {label.partition(AT)[0] for label in worst}], out, records)
         problem = Problem(records, left, about, effects=effects, priors=priors, starts=starts)
@@ -142,9 +158,9 @@ def estimate(
 
 
 def _left(names: Sequence[str], out: Mapping[str, str], records: Sequence[Record]) -> list[str]:
-    """The names that are not left out.
+    """The names that remain to be estimated.
 
-    raises : InputError that says why where none is left
+    raises : InputError with the reasons where none remains
     """
     left = [n for n in names if n not in out]
     if not left:
@@ -153,7 +169,10 @@ def _left(names: Sequence[str], out: Mapping[str, str], records: Sequence[Record
 
 
 def effects_of(names: Sequence[str], given: Sequence[EffectUse] = ()) -> list[EffectUse]:
-    """The effects that parameters name and that are not given, at their nominal values."""
+    """The effects that dotted parameter names imply and that are not given, at their nominal values.
+
+    names : of which those like `effect.NAME.PARAMETER` count;  given : effects already in the model
+    """
     known = {u.effect.name for u in given}
     wanted = dict.fromkeys(n.split(".")[1] for n in names if n.startswith(EFFECT_PREFIX) and n.count(".") >= 2)
     return [use(name) for name in wanted if name not in known]
@@ -181,12 +200,13 @@ def _check_records(records: Sequence[Record]) -> None:
 
 
 def _first_values(problem: Problem, given: Mapping[str, float]) -> FloatArray:
-    """Where the fit starts: as given, prior means, and for a ratio without a table the likeliest of some magnitudes."""
+    """Start of the fit: as given, prior means, and for a ratio without a table the likeliest of some magnitudes."""
     first = np.array([given.get(p.name, p.value) for p in problem.parameters])
     bare = [k for k, u in enumerate(problem.unknowns) if u.parameter.name == "ratio.d0" and first[k] == 0.0]
     for k in bare:
         tried = np.tile(first, (len(MAGNITUDES_TRIED), 1))
         tried[:, k] = MAGNITUDES_TRIED
+        # from a ratio of 0 the wall stays cold and the gradient points nowhere useful: a coarse scan in the log first
         first = tried[int(np.nanargmax(problem.log_likelihoods(tried)))]
     return first
 
@@ -207,7 +227,7 @@ def _ratio(problem: Problem, values: FloatArray) -> float:
 
 
 def _fit(problem: Problem, first: FloatArray, settings: Settings | None, progress: Progress) -> Fit:
-    """Newton's iteration, and around it the noise of the sensors that declare none."""
+    """Newton's iteration, in turn with the noise of the sensors that declare none, and again with meshes corrected."""
     steps = [0]
 
     def told(at: FloatArray, log_posterior: float) -> None:
@@ -216,6 +236,7 @@ def _fit(problem: Problem, first: FloatArray, settings: Settings | None, progres
 
     unknown_noise = any(c.sensor.noise_sigma_K is None for part in problem.parts for c in part.channels)
     if unknown_noise:
+        # residuals at the start include the misfit: this noise is too large, and is set again after the fit
         problem.settle_noise(first)
 
     def fitted(start: FloatArray) -> Fit:
@@ -227,13 +248,14 @@ def _fit(problem: Problem, first: FloatArray, settings: Settings | None, progres
             break
         fit = fitted(fit.values)
     if fit.status in (Status.CONVERGED, Status.ITERATIONS):
+        # only now: the error of a mesh depends on the parameters, and costs several marches
         problem.correct_meshes(fit.values)
         fit = fitted(fit.values)
     return replace(fit, iterations=steps[0])
 
 
 def _fit_filtered(problem: Problem, noise: ProcessNoise, first: Fit, progress: Progress) -> tuple[Fit, Innovations]:
-    """The fit on the innovations of the filter, from one without noise of the process on."""
+    """The fit on the innovations of the filter, starting from one without noise of the process."""
     steps = [first.iterations]
 
     def told(at: FloatArray, log_posterior: float) -> None:
@@ -259,13 +281,18 @@ def _finished(
 def predict_at(part: Part, values: FloatArray) -> Prediction:
     """The plain march of a record at a parameter vector, no measurement assimilated.
 
-    It begins where the fit begins and ends with the last sample that is fitted or held out: what a short segment says
-    of the ratio need not hold far from it. NaN elsewhere.
+    part    : record with its start and mesh;  values : (parameter,)
+    returns : predicted indications [K] of all sensors at the record's times; NaN before the start of the fit and after
+              the last sample that is fitted or held out
+
+    It ends there because the ratio of a short segment need not be valid far from it.
+    Source: docs/estimation_statistics.md, equation 1, without the correction of equation 31.
     """
     own, record = part.values(values), part.record
     wrong = {s.name: errors_of(s, own) for s in record.sensors}
     asked = record.time_s[record.fit_mask() | record.holdout_mask()]
     begin = part.conditions.time_s[0] if part.start is None else part.start.time_s
+    # a shifted sample is read later than it was recorded
     end = min(float(asked.max()) + max(part.shift_s(values), 0.0), part.conditions.time_s[-1])
     marched = replace(record, conditions=record.conditions.at(march_times(record.conditions, begin, end)))
     model, initial_K = part.altered(values), part.initial_K(values)
@@ -278,7 +305,14 @@ def predict_at(part: Part, values: FloatArray) -> Prediction:
 
 
 def coloured_bounds(samples: Sequence[Samples], fit: Fit) -> Bounds:
-    """Bounds of the values found, from the samples there; those held by a parameter's bound are zero."""
+    """Bounds of the values found, corrected for coloured residuals; 0 for parameters on a bound.
+
+    samples : predictions [K] and sensitivities at the values found
+    fit     : which parameters are on a bound, and priors
+    raises  : InputError where there are no more samples than parameters
+
+    Source: docs/estimation_statistics.md, equations 22 to 25.
+    """
     channels = []
     for s in samples:
         found = likelihood(s.channel.observed, s.mean_K, s.spread_K)
@@ -292,7 +326,10 @@ def coloured_bounds(samples: Sequence[Samples], fit: Fit) -> Bounds:
 
 
 def outside_lines(parts: Sequence[Part]) -> list[str]:
-    """A line for every variable that leaves the ratio table over the fit segments."""
+    """One line for each variable ([deg], [-]) that leaves the ratio table over the fit segments.
+
+    The table holds its edge value outside, so that the estimate includes the difference (docs/equations.md, section 2).
+    """
     lines = []
     for part in parts:
         t = part.conditions.time_s
@@ -305,7 +342,13 @@ def outside_lines(parts: Sequence[Part]) -> list[str]:
 
 
 def warnings(problem: Problem, fit: Fit, samples: Sequence[Samples]) -> list[str]:
-    """What a person should know of a fit: no convergence, bounds, directions, a coating that is a clock."""
+    """Warnings about a fit: convergence, mesh errors [K], bounds, a likely clock error, unidentified directions.
+
+    samples : fitted channels at the values found
+
+    Thresholds are 1.3 times the expected RMS of residuals [-], and scaled eigenvalues of 1e-6.
+    Source: docs/estimation_statistics.md, equations 19 and 29.
+    """
     found = [] if fit.status is Status.CONVERGED else [fit.status.value]
     found += problem.mesh_lines
     for u, value, on in zip(problem.unknowns, fit.values, fit.on_bound, strict=True):
@@ -326,15 +369,30 @@ def warnings(problem: Problem, fit: Fit, samples: Sequence[Samples]) -> list[str
 
 
 def misfit(everything: Sequence[Samples]) -> float:
-    """RMS of the residuals over what noise and rounding make of them: 1 for the true model."""
+    """RMS of the residuals over that which noise and rounding give [-]: 1 for the true model.
+
+        sqrt(sum_i u_i^2 / sum_i I_i)
+
+    everything : all fitted channels, scores u [1/K] and information I [1/K2] of which are taken at their predictions
+                 [K]
+
+    Source: docs/estimation_statistics.md, equation 29.
+    """
     scored = [likelihood(s.channel.observed, s.mean_K, s.spread_K) for s in everything]
     squares = sum(float(np.sum(f.score**2)) for f in scored)
     return float(np.sqrt(squares / sum(float(np.sum(f.information)) for f in scored)))
 
 
 def lasting(everything: Sequence[Samples]) -> float:
-    """Mean product of neighbouring residuals over what noise and rounding make of their square: 0 for white noise,
-    however much of it; more where the model is off for longer than a sample."""
+    """Lag-1 autocovariance of the residuals over the variance that noise and rounding give [-].
+
+        sum_i u_i u_(i+1) / sum_i I_i
+
+    0 for white noise of any size; larger where the model errs for longer than a sample. Samples that follow each other
+    in a channel count as neighbours, whatever the time [s] between them.
+
+    Source: docs/estimation_statistics.md, equation 30.
+    """
     scored = [likelihood(s.channel.observed, s.mean_K, s.spread_K) for s in everything]
     products = sum(float(np.sum(f.score[1:] * f.score[:-1])) for f in scored)
     return products / sum(float(np.sum(f.information)) for f in scored)

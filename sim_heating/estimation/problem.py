@@ -1,9 +1,10 @@
-"""What is fitted to what: records, their unknown parameters, and the likelihood of all samples as a function of them.
+"""The likelihood of all samples of some records as a function of their unknown parameters.
 
-Every record is marched with its sensitivities (march/linearised.py), its samples are compared with what its sensors
-should show (observation.py), and log likelihood, gradient and information add up over the records. Parameters of
-heating and stack are those of a control point, shared by all its records; those of clocks, sensors and initial profiles
-belong to one record. Records on common times are marched side by side, others in threads.
+Every record is marched with its sensitivities (linear_march.py), its samples are compared with the predicted
+indications of its sensors (observation.py), and log likelihood, gradient and information add up over the records
+(docs/estimation_statistics.md, equations 13 and 14). Parameters of heating and
+stack are those of a control point, shared by all its records; those of clocks, sensors and initial profiles belong to
+one record. Records on common times are marched side by side, others in threads.
 """
 
 from __future__ import annotations
@@ -49,12 +50,17 @@ from sim_heating.thermal.mesh import Mesh
 
 THREADS = os.cpu_count() or 1
 SKEW_SPAN_S = 5.0
-"""How far an estimated skew may go [s]; samples so near the ends of the conditions are left out then."""
+"""Bounds of an estimated skew [s]; samples this near the ends of the conditions are left out then."""
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """One estimated parameter: its label in results, what it is with prior and bounds, and the records that have it."""
+    """One estimated parameter.
+
+    label     : its name in results, with its record or control point where there are several
+    parameter : definition, prior and bounds
+    parts     : numbers of the records that have it
+    """
 
     label: str
     parameter: Parameter
@@ -64,16 +70,19 @@ class Unknown:
 class Problem:
     """The fit of some parameters to some records.
 
-    records   : what was measured
+    records   : flight records
     names     : dotted names of the parameters
-    reference : the condition that derivatives are about;  effects : on top of the declared model
+    reference : the condition that derivatives are about: alpha, beta [deg], log10 Re [-], elevon, bodyflap [deg]
+    effects   : in addition to the declared model
     fixed     : values of parameters that are not estimated but differ from the declared ones
     priors    : dotted name -> Parameter with another prior or other bounds
-    starts    : where the march of each record begins, how that is made, or None
-    widened   : by how much priors are wider than is known of the parameters; infinite for flat ones
-    longest_step_s : no step of the march is longer [s]
+    starts    : by record, start of its march, how that is made, or None for the declared one
     chosen    : (sample,) of each record, which of its samples are fitted; by default those of the fit segments
-    raises    : InputError where nothing is left to fit, or a parameter is none of the model
+    widened   : factor on the sigma of all priors [-]; infinite for flat ones
+    longest_step_s : limit on the steps of the march [s]
+    raises    : InputError where no sample is fitted, or a parameter does not exist in the model
+
+    Likelihood: docs/estimation_statistics.md, equations 3 to 14.
     """
 
     def __init__(
@@ -134,7 +143,7 @@ class Problem:
         return [Unknown(label, parameter, tuple(parts)) for label, parameter, parts in found.values()]
 
     def _parameter(self, part: Part, name: str) -> Parameter:
-        """What an unknown of a part is; its value is where the fit starts, and the mean of its prior."""
+        """Definition of an unknown of a part; its value is where the fit starts, and the mean of its prior."""
         for own in part.start.unknowns if part.start else ():
             if own.name == name:
                 return own
@@ -150,7 +159,10 @@ class Problem:
 
     @property
     def parameters(self) -> list[Parameter]:
-        """The unknowns as newton.maximise takes them, by their labels."""
+        """The unknowns as newton.maximise takes them, by their labels, each in its unit ([-] for a ratio).
+
+        Priors P and means of docs/estimation_statistics.md, equation 13.
+        """
         return [replace(u.parameter, name=u.label) for u in self.unknowns]
 
     # What is fitted --------------------------------------------------------------------------------------------------
@@ -158,6 +170,7 @@ class Problem:
     def _choose_samples(self, part: Part, chosen: NDArray[np.bool_] | None) -> None:
         record, flown = part.record, part.conditions.time_s
         begin = flown[0] if part.start is None else part.start.time_s
+        # the set of samples must not change with the skew, or likelihoods could not be compared
         slack = SKEW_SPAN_S if CLOCK_SKEW.name in part.names else 0.0
         t = record.time_s
         mask = record.fit_mask() if chosen is None else chosen
@@ -176,13 +189,22 @@ class Problem:
     def _group(self) -> None:
         self.groups = side_by_side(self.parts)
         self._marches: list[LinearMarch | None] = [None] * len(self.groups)
+        # a march packs its arrays when it is made: it is kept and set to other parameters
         self._bare: list[LinearMarch | None] = [None] * len(self.parts)
         self._last: list[tuple[bytes | None, Sequence[Linearised]]] = [(None, [])] * len(self.groups)
 
     # Likelihood ------------------------------------------------------------------------------------------------------
 
     def evaluate(self, vector: FloatArray) -> Evaluation:
-        """Log likelihood of all samples, its gradient, and Gauss-Newton's information; NaN where a march failed."""
+        """Log likelihood of all samples, its gradient, and Gauss-Newton's information.
+
+            g = sum_i S_i u_i,   M = sum_i S_i I_i S_i'
+
+        vector  : (parameter,) values, each in its unit
+        returns : log likelihood [-], (parameter,) g, (parameter, parameter) M; NaN log likelihood where a march failed
+
+        Source: docs/estimation_statistics.md, equation 14.
+        """
         m = len(self.unknowns)
 
         def one(k: int) -> Evaluation:
@@ -192,6 +214,7 @@ class Problem:
                 of_channel, score, weight = scores(s.channel.observed, s.mean_K, s.sigma_K)
                 total += of_channel
                 gradient[at] += score @ s.own
+                # no index stands twice in a part, so that += with an index array adds everything
                 information[at[:, np.newaxis], at] += (s.own * weight[:, np.newaxis]).T @ s.own
             return Evaluation(total, gradient, information)
 
@@ -206,14 +229,21 @@ class Problem:
         )
 
     def nothing(self) -> Evaluation:
-        """The evaluation where a march failed."""
+        """Evaluation where a march failed: log likelihood NaN [-], gradient and information 0.
+
+        A search treats it as a point outside the domain (newton.maximise; docs/estimation_statistics.md, section "The
+        most probable parameters").
+        """
         m = len(self.unknowns)
         return Evaluation(np.nan, np.zeros(m), np.zeros((m, m)))
 
     def samples(self, vector: FloatArray) -> list[Samples]:
-        """All channels at a parameter vector.
+        """All channels at a parameter vector: predicted indications [K] and their sensitivities.
 
+        vector : (parameter,)
         raises : RunError where a march failed
+
+        Source: docs/estimation_statistics.md, equations 1 and 2.
         """
 
         found = in_threads(lambda k: self._samples_of(k, vector), len(self.groups))
@@ -228,7 +258,7 @@ class Problem:
         ]
 
     def _marched(self, k: int, vector: FloatArray) -> Sequence[Linearised]:
-        """A group marched at a parameter vector; the last one of each group is kept."""
+        """A group marched at a parameter vector; the latest result of each group is cached."""
         known, found = self._last[k]
         if known != vector.tobytes():
             group, march = self.groups[k], self._marches[k]
@@ -238,9 +268,11 @@ class Problem:
         return found
 
     def marched(self, vector: FloatArray) -> list[Linearised]:
-        """Each part marched at a parameter vector, without what is known of the errors of its mesh.
+        """Linearised march of each part at a parameter vector, without the correction for its mesh.
 
-        raises : RunError where a march failed
+        vector  : (parameter,)
+        returns : by part, temperatures [K] at its sensors, rates [K/s] and sensitivities
+        raises  : RunError where a march failed
         """
         found = {
             id(p): f
@@ -250,13 +282,16 @@ class Problem:
         return [found[id(part)] for part in self.parts]
 
     def keep(self, vector: FloatArray, marched: Mapping[int, Linearised]) -> None:
-        """Take what the parts (by their numbers) gave at a parameter vector where they were marched elsewhere: the next
-        evaluation there marches nothing."""
+        """Store results of marches made elsewhere, so that the next evaluation at that vector marches nothing.
+
+        vector  : (parameter,) at which they were made
+        marched : number of the part -> its march [K]
+        """
         for k, group in enumerate(self.groups):
             self._last[k] = (vector.tobytes(), [marched[self.parts.index(part)] for part in group])
 
     def keeps(self, vector: FloatArray) -> bool:
-        """Whether an evaluation at a parameter vector marches nothing."""
+        """Whether an evaluation at a parameter vector (parameter,) needs no march."""
         return all(known == vector.tobytes() for known, _ in self._last)
 
     def _of_part(self, part: Part, found: Linearised, vector: FloatArray) -> list[Samples]:
@@ -269,12 +304,18 @@ class Problem:
         return samples
 
     def log_likelihoods(self, vectors: FloatArray) -> FloatArray:
-        """(candidate,) log likelihoods of several parameter vectors, marched side by side."""
+        """(candidate,) log likelihoods [-] of several parameter vectors, marched side by side without sensitivities.
+
+        vectors : (candidate, parameter);  returns NaN for a candidate whose march failed
+
+        Source: docs/estimation_statistics.md, equations 3 and 5.
+        """
         return np.concatenate([self._several(vectors[k : k + LANES]) for k in range(0, len(vectors), LANES)])
 
     def _several(self, vectors: FloatArray) -> FloatArray:
         def one(k: int) -> FloatArray:
             part, march = self.parts[k], self._bare_march(k)
+            # a group of lanes is always full: the last candidate fills it up
             padded = [*vectors, *[vectors[-1]] * (LANES - len(vectors))]
             marched = march.attempt(*set_out(march, [part] * LANES, padded))
             return np.array([self._log_likelihood(part, v, m) for v, m in zip(vectors, marched, strict=False)])
@@ -304,27 +345,40 @@ class Problem:
     # The mesh --------------------------------------------------------------------------------------------------------
 
     def correct_meshes(self, vector: FloatArray) -> None:
-        """Take the error of the meshes out of all predictions from now on (mesh_correction.py).
+        """Take the discretisation error of the meshes [K] out of all predictions from now on.
 
-        Many samples tell a parameter better than a mesh that is good to a fraction of one sample's noise. What the
-        correction changes with the parameters is left out: make it near the values found.
+        vector : (parameter,) values at which the error is computed; make it near the values found, as its change with
+                 the parameters is neglected
+
+        Many samples determine a parameter better than a mesh that is accurate to a fraction of one sample's noise.
+        Source: docs/estimation_statistics.md, equation 31.
         """
         in_threads(lambda k: correct_mesh(self.parts[k], vector), len(self.parts))
 
     @property
     def mesh_lines(self) -> list[str]:
-        """What a person should know of the corrections."""
+        """Warnings about corrections of a mesh that are large [K] or could not be made."""
         return [part.mesh_told for part in self.parts if part.mesh_told]
 
     # Noise -----------------------------------------------------------------------------------------------------------
 
     def settle_noise(self, vector: FloatArray) -> float:
-        """Set the noise of sensors that declare none to its most likely value; gives the largest relative change."""
+        """Set the noise of sensors that declare none to its most likely value at given parameters.
+
+        vector  : (parameter,)
+        returns : largest relative change of a noise [-]; 0 where all sensors declare theirs
+        raises  : InputError where the samples of such a sensor do not determine a noise, RunError where a march failed
+
+        The noise [K] is at least observation.least_sigma_K; parameters are shared among sensors by their numbers of
+        samples.
+        Source: docs/estimation_statistics.md, equation 21.
+        """
         change, everything = 0.0, self.samples(vector)
         count = sum(len(s.mean_K) for s in everything)
         for s in everything:
             if s.channel.sensor.noise_sigma_K is None:
                 least = least_sigma_K(s.channel.sensor)
+                # each sensor pays for its share of the parameters
                 fitted = len(self.unknowns) * len(s.mean_K) / count
                 sigma = max(estimate_noise(s.channel.observed, s.mean_K, fitted).sigma_K, least)
                 change = max(change, abs(sigma / s.sigma_K - 1.0))
@@ -344,8 +398,14 @@ def in_threads(one: Callable[[int], R], count: int) -> list[R]:
 
 
 def joint_reference(records: Sequence[Record], given: Mapping[str, float] | None = None) -> tuple[float, ...]:
-    """The condition that the derivatives are about: as given, else as the first record declares it, else the means
-    over all fit segments."""
+    """The reference condition of a fit: as given, else as the first record declares it, else means over fit segments.
+
+    records : all of the fit
+    given   : variable -> value, for some of the variables
+    returns : alpha, beta [deg], log10 Re [-], elevon, bodyflap [deg]
+
+    Subscript 0 of the founding paper's linear model, docs/equations.md, section 2.
+    """
     declared = records[0].declared.reference_condition
     fitted = [(r, r.fit_mask(r.conditions.time_s)) for r in records]
     values = []

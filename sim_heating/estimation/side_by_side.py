@@ -1,7 +1,7 @@
-"""Problems that differ in what their models carry, marched side by side: eight cost little more than one.
+"""Fits of several problems marched side by side: eight cost little more than one.
 
-Candidates for what a declared model lacks are problems over one record that differ in effects and unknowns. Parts of
-all of them that are on common times share lane groups (problem.side_by_side); the likelihoods are each problem's own.
+Candidates for a deficiency of a declared model are problems over one record that differ in effects and unknowns. Parts
+of all of them that are on common times share lane groups (part.side_by_side); the likelihoods remain separate.
 """
 
 from __future__ import annotations
@@ -41,8 +41,13 @@ class Together:
         ]
 
     def march(self, vectors: Sequence[FloatArray]) -> list[bool]:
-        """March each problem at a parameter vector, which it then keeps; whether that could be done. Nothing is marched
-        where all keep what they gave there."""
+        """March each problem at its own parameter vector and store the result in it.
+
+        vectors : by problem, (parameter,)
+        returns : by problem, whether its march succeeded
+
+        Nothing is marched where all problems already hold results for these vectors.
+        """
         if all(problem.keeps(vector) for problem, vector in zip(self.problems, vectors, strict=True)):
             return [True] * len(self.problems)
 
@@ -62,7 +67,13 @@ class Together:
         return whole
 
     def evaluate(self, vectors: Sequence[FloatArray]) -> list[Evaluation]:
-        """What Problem.evaluate gives at one parameter vector for each problem."""
+        """Evaluation of each problem at its own parameter vector, as Problem.evaluate gives it.
+
+        vectors : by problem, (parameter,)
+        returns : log likelihood [-], gradient and information of each; NaN log likelihood where its march failed
+
+        Source: docs/estimation_statistics.md, equation 14.
+        """
         return [
             problem.evaluate(vector) if marched else problem.nothing()
             for problem, vector, marched in zip(self.problems, vectors, self.march(vectors), strict=True)
@@ -74,8 +85,12 @@ def maximise_together(
 ) -> list[Fit]:
     """The fit of each problem as newton.maximise finds it, all of them iterated side by side.
 
-    starts : first values of each; by default those of the priors
-    raises : InputError for a prior or bounds that cannot be
+    starts   : by problem, (parameter,) first values, each in its unit ([-] for a ratio); by default those of the priors
+    settings : when to stop and how far to step
+    returns  : by problem, its fit; one that did not converge has its status
+    raises   : InputError for an invalid prior or bounds
+
+    Source: docs/estimation_statistics.md, equations 13 to 17.
     """
     begin = [None] * len(problems) if starts is None else list(starts)
     searches = [iteration(p.parameters, first, settings) for p, first in zip(problems, begin, strict=True)]
@@ -83,6 +98,7 @@ def maximise_together(
     fits: dict[int, Fit] = {}
     together, marched = None, tuple(asked)
     while asked:
+        # lanes are packed again when a fit has ended, so that none is marched for nothing
         if together is None or len(asked) < len(marched):
             marched = tuple(asked)
             together = Together([problems[k] for k in marched])

@@ -1,13 +1,15 @@
-"""Where a fit starts that does not start at entry interface: temperatures at a later time, and how sure they are.
+"""Starts of a fit at a time after entry interface: temperatures there, and their uncertainty.
 
 circuit   the founding paper's approximation: every node follows the outermost thermocouple as a capacitor does through
           a resistor, dT/dt = (T_thermocouple - T) / tau, with tau = TIME_CONSTANT s^2 and s = int dx / sqrt(a)
           [s^(1/2)] the square root of the time that heat takes to the node; then moved to what the thermocouples read,
           linear in s between them
-profile   the wall conducts, its surface held at what the outermost thermocouple reads; what that misses is estimated
-          besides, a smooth function of depth: a Gaussian process in log(1 s^(1/2) + s), the largest directions of it.
+profile   conduction with the surface at the readings of the outermost thermocouple; its error is estimated
+          with the fit, a smooth function of depth: a Gaussian process in log(1 s^(1/2) + s), its largest directions.
           For an outermost thermocouple under a coating; a deeper one makes for a poor first guess and a wide prior
 filter    by the Kalman filter from all readings since the first row of the conditions (filtering.py)
+
+Equations 2 to 4 of docs/clocks_and_starts.md, with a comparison of the three.
 """
 
 from __future__ import annotations
@@ -29,18 +31,18 @@ from sim_heating.thermal.mesh import Mesh, diffusion_depths
 from sim_heating.thermal.stack import Sensor
 
 TIME_CONSTANT = 1.0
-"""tau over s^2; `python -m benchmarks initial` shows what others do."""
+"""tau over s^2 [-]; `python -m benchmarks initial` compares others."""
 READINGS = 3
-"""Readings that are averaged for the temperature at a thermocouple."""
+"""Number of readings that are averaged for the temperature at a thermocouple."""
 HOLDING_FILM = 10.0
 """Film coefficient [kg/(m2 s)] that holds the surface at a temperature, some hundred times that of an entry."""
 HOLDING_CP = 1000.0
 OFF_K = 10.0
-"""How far the circuit and the conducting wall may be off [K], if deeper thermocouples do not say more of the wall."""
+"""Standard deviation [K] of circuit and conducted profiles, unless deeper thermocouples show a larger error."""
 OFF_LENGTH = 0.7
-"""Correlation length of that in log(1 + s): a factor of two in depth, four in time."""
+"""Correlation length of that error in log(1 + s): a factor of two in depth, four in time."""
 DIRECTIONS = 10
-"""Directions that are kept; what the next would add is below a twentieth of OFF_K."""
+"""Number of directions that are kept; the next would add less than a twentieth of OFF_K."""
 
 
 def _read_before(record: Record, sensor: Sensor, time_s: float) -> tuple[FloatArray, FloatArray]:
@@ -62,17 +64,29 @@ def _check_within(record: Record, time_s: float) -> None:
 
 
 def circuit_profile(record: Record, model: PointModel, mesh: Mesh, time_s: float) -> FloatArray:
-    """(node,) temperatures [K] at a time from the readings before it, by the circuit analogy.
+    """Temperatures at a time from the readings before it, by the circuit analogy of the founding paper.
 
-    raises : InputError where a sensor has no reading before that time
+        dT/dt = (T_tc - T) / tau,   tau = s^2
+
+    record  : readings and sensor depths;  mesh : its nodes
+    time_s  : time of the profile [s]
+    returns : (node,) temperatures [K], shifted to the mean of the last readings at the thermocouples, linearly in s
+    raises  : InputError where a used sensor has fewer than two readings before that time, or the time lies outside the
+              conditions
+
+    Integrated from the declared temperatures, exactly for a constant T_tc between readings.
+    Source: "Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers"; docs/clocks_and_starts.md,
+    equation 3.
     """
     sensors = sorted(record.used_sensors, key=lambda s: s.depth_m)
     t, read = _read_before(record, sensors[0], time_s)
     _check_within(record, time_s)
     s = diffusion_depths(model.construction, mesh)
+    # the surface node has s = 0: it follows at once
     rates = 1.0 / np.maximum(TIME_CONSTANT * s**2, 1e-9)
     profile = initial_temperatures(model.construction, mesh)
     for k in range(1, len(t)):
+        # exact for a constant T_tc: stable however small tau is at the outer nodes
         kept = np.exp(-(t[k] - t[k - 1]) * rates)
         profile = 0.5 * (read[k] + read[k - 1]) * (1.0 - kept) + profile * kept
     nodes, now = (np.array(column) for column in zip(*_readings_now(record, mesh, time_s), strict=True))
@@ -88,16 +102,32 @@ def _readings_now(record: Record, mesh: Mesh, time_s: float) -> list[tuple[int, 
 
 
 def circuit_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) -> Start:
-    """A start at the temperatures of the circuit, nothing of them estimated; how far a filter takes them to be off."""
+    """Start at the temperatures of the circuit analogy, nothing of them estimated.
+
+    time_s  : [s]
+    returns : temperatures [K] without unknowns; a covariance [K2] of 10 K, smooth in depth, which only a fit with noise
+              of the process uses
+    raises  : InputError as circuit_profile
+
+    Source: docs/clocks_and_starts.md, equations 3 and 4.
+    """
     profile = circuit_profile(record, model, mesh, time_s)
     off = OFF_K * smooth_directions(diffusion_depths(model.construction, mesh))
     return Start(time_s, profile, np.zeros((mesh.nodes, 0)), covariance_K2=off @ off.T)
 
 
 def conducted_profile(record: Record, model: PointModel, mesh: Mesh, time_s: float) -> FloatArray:
-    """(node,) temperatures [K] at a time of the wall whose surface has been what the outermost thermocouple read.
+    """Temperatures at a time of the wall whose surface has followed the outermost thermocouple.
 
-    raises : InputError where that sensor has no reading before that time, or the conditions do not reach it
+    The declared stack is marched with its surface forced to the readings by a film coefficient of 10 kg/(m2 s), without
+    radiation or other heating.
+
+    time_s  : time of the profile [s]
+    returns : (node,) temperatures [K]
+    raises  : InputError where that sensor has fewer than two readings before that time, or it is outside the conditions
+
+    A thermocouple under a coating is taken for the surface. Source: docs/clocks_and_starts.md, profile start;
+    conduction as in docs/equations.md, section 3.
     """
     t, read = _read_before(record, min(record.used_sensors, key=lambda sensor: sensor.depth_m), time_s)
     flown = conditions_of_record(record)
@@ -110,6 +140,7 @@ def conducted_profile(record: Record, model: PointModel, mesh: Mesh, time_s: flo
     held = flown.at(steps).with_columns(
         h_ref_kg_m2_s=np.full(len(steps), HOLDING_FILM), H_r_J_kg=HOLDING_CP * surface, q_add_W_m2=np.zeros(len(steps))
     )
+    # with a ratio of 1 and no radiation the film alone sets the surface to T_tc = H_r / cp
     thermal = {name: value for name, value in model.parameters.items() if not name.startswith("ratio.")}
     wall = replace(
         model, ratio=None, wall_enthalpy=HOLDING_CP, effects=(),
@@ -121,10 +152,17 @@ def conducted_profile(record: Record, model: PointModel, mesh: Mesh, time_s: flo
 
 
 def smooth_directions(s: FloatArray) -> FloatArray:
-    """(node, DIRECTIONS) largest directions of a Gaussian process of unit variance over the depths s [s^(1/2)].
+    """Largest directions of a Gaussian process of unit variance over depth.
 
-    Matern covariance of order 5/2, (1 + x + x^2 / 3) exp(-x) with x = sqrt(5) times the distance over OFF_LENGTH.
+        cov = (1 + x + x^2 / 3) exp(-x),   x = sqrt(5) |log(1 + s) - log(1 + s')| / 0.7
+
+    s       : (node,) diffusion depth [s^(1/2)], square root of the time that heat takes to a node
+    returns : (node, direction) eigenvectors times the root of their eigenvalues [-], largest first, 10 at most
+
+    Matern covariance of order 5/2. Source: Rasmussen and Williams (2006), chapter 4; docs/clocks_and_starts.md,
+    equation 4.
     """
+    # profiles bend near the surface and are smooth deep in the wall: the logarithm makes them alike
     z = np.log1p(s)
     x = np.sqrt(5.0) * np.abs(z[:, np.newaxis] - z) / OFF_LENGTH
     values, vectors = np.linalg.eigh((1.0 + x + x**2 / 3.0) * np.exp(-x))
@@ -132,20 +170,46 @@ def smooth_directions(s: FloatArray) -> FloatArray:
 
 
 def filter_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) -> Start:
-    """The start of `filtered_start`, at a time within the conditions."""
+    """Start at the temperatures and covariance that the Kalman filter gives from all readings before a time.
+
+    time_s  : [s], within the conditions
+    returns : temperatures [K] and covariance [K2], no unknowns
+    raises  : InputError where the time is outside the conditions, or nothing is read before it
+
+    Comparison with the other starts: docs/clocks_and_starts.md, section "Starts"; the disturbance,
+    docs/estimation_statistics.md, equation 34.
+    """
     _check_within(record, time_s)
     return filtered_start(record, model, mesh, time_s)
 
 
 def profile_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) -> Start:
-    """A start whose temperatures are estimated: those of the conducting wall, and what it misses."""
+    """Start whose temperatures are estimated: those of the conducting wall plus a smooth error in depth.
+
+    time_s  : [s]
+    returns : temperatures [K] with unknowns `initial.1` ... of unit prior; the prior of the error is 10 K, or the
+              largest difference from the last readings of a thermocouple where that is more
+    raises  : InputError where a used sensor has fewer than two readings before that time, or the time lies outside the
+              conditions
+
+    Source: docs/clocks_and_starts.md, equation 4.
+    """
     profile = conducted_profile(record, model, mesh, time_s)
     off = max(abs(now - profile[node]) for node, now in _readings_now(record, mesh, time_s))
     return free_start(time_s, profile, model, mesh, max(OFF_K, off))
 
 
 def free_start(time_s: float, profile: FloatArray, model: PointModel, mesh: Mesh, off_K: float = OFF_K) -> Start:
-    """A start from a profile (node,) [K] that may be off by so much [K], smoothly in depth: unknowns say how."""
+    """Start from a profile with an estimated error that is smooth in depth.
+
+        T = profile + off_K sum_k b_k theta_k
+
+    time_s  : [s];  profile : (node,) temperatures [K]
+    off_K   : standard deviation of the error at every node [K]
+    returns : profile, (node, k) columns [K], and unknowns theta_k with mean 0 and sigma 1 [-]
+
+    Source: docs/clocks_and_starts.md, equation 4.
+    """
     columns = off_K * smooth_directions(diffusion_depths(model.construction, mesh))
     unknowns = tuple(
         Parameter(f"initial.{k + 1}", "1", 0.0, 1.0, text="along a direction of the temperatures at the start")
@@ -155,4 +219,4 @@ def free_start(time_s: float, profile: FloatArray, model: PointModel, mesh: Mesh
 
 
 STARTS = {"circuit": circuit_start, "profile": profile_start, "filter": filter_start}
-"""How a fit that starts at a time comes by its temperatures there, by name."""
+"""Kinds of start at a given time, by the name that a command takes."""

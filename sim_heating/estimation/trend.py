@@ -1,8 +1,9 @@
-"""Short segments one after the other: the heating ratio over each, as a trend against what the flight passes through.
+"""Fits of consecutive short segments: the heating ratio over each, as a trend along the flight.
 
 Each segment starts at the temperatures where the one before ended, with the uncertainty that its fit left them: the
-covariance of the node temperatures, its largest directions kept, is the prior of as many unknowns of the start. The
-refined mesh that corrects the predictions (Problem.correct_meshes) goes along from segment to segment.
+covariance of the node temperatures, its largest directions kept, is the prior of as many unknowns of the start
+(docs/clocks_and_starts.md, equation 5). The refined mesh that corrects the predictions (Problem.correct_meshes) is
+carried along from segment to segment.
 """
 
 from __future__ import annotations
@@ -30,9 +31,9 @@ from sim_heating.march.point import initial_temperatures
 from sim_heating.thermal.mesh import refined
 
 DIRECTIONS = 4
-"""Directions of the temperatures' covariance that are handed from a segment to the next."""
+"""Number of directions of the temperatures' covariance that are passed from a segment to the next."""
 CONDITION_POINTS = 21
-"""Points of a segment that its mean condition is taken over."""
+"""Number of points of a segment that its mean condition is taken over."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +41,9 @@ class Segment:
     """One short segment.
 
     start_s, end_s : its times [s];  samples : how many were fitted
-    condition : means of the five ratio variables over it
-    ratio, sigma : heating ratio at that mean condition, and its standard deviation [-]
-    values, sigmas : of the estimated parameters
+    condition      : means of the five ratio variables over it ([deg], log10 Re [-])
+    ratio, sigma   : heating ratio at that mean condition, and its standard deviation [-]
+    values, sigmas : of the estimated parameters, in their units
     """
 
     start_s: float
@@ -57,7 +58,12 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class Trend:
-    """Short segments of a record, why some of its time has none, and what else a person should know."""
+    """Fits of the short segments of a record.
+
+    record, names : what was fitted;  segments : those that converged, in time
+    left_out      : segments without a fit, with the reason
+    warnings      : one line each
+    """
 
     record: Record
     names: tuple[str, ...]
@@ -76,7 +82,13 @@ def trend(
     """Fit parameters, by default the magnitude of the ratio alone, to short segments of a record in turn.
 
     length_s : length of a segment [s]
+    names    : dotted names of the parameters
+    progress : called with the fraction done and a line of text
+    returns  : the segments whose fit converged, each with the ratio at its mean condition [-] and its sigma
     raises   : InputError where no segment has enough samples, RunError where no fit of those that have converges
+
+    The founding paper's sequence of five-second segments for the trend with Reynolds number ("Trends in Shuttle Entry
+    Heating from the Correlation of Flight Test Maneuvers", figure 9). Source: docs/clocks_and_starts.md, equation 5.
     """
     if not 0.0 < length_s < np.inf:
         raise InputError(f"{record.name}: segments of {length_s:g} s; give a length in s above 0, as 5")
@@ -103,6 +115,7 @@ def trend(
         fit = maximise(problem.evaluate, problem.parameters, first, problem.log_likelihoods)
         if fit.converged:
             problem.correct_meshes(fit.values)
+            # one line of these is enough: every segment has the mesh of the record
             meshes += problem.mesh_lines
             fit = maximise(problem.evaluate, problem.parameters, fit.values, problem.log_likelihoods)
         if not fit.converged or not np.all(np.isfinite(fit.covariance)):
@@ -132,16 +145,18 @@ def _windows(record: Record, length_s: float) -> list[tuple[float, float]]:
 def _carried(problem: Problem, before: Problem, fit: Fit) -> FloatArray:
     """First values of a segment: those of the segment before it, nothing added to its start."""
     known = dict(zip((u.label for u in before.unknowns), fit.values, strict=True))
+    # unknowns of the start are deviations from the temperatures handed over, so that they begin at 0
     own = {*problem.parts[0].marched, *problem.parts[0].other}
     return np.array([known[p.name] if p.name in own else p.value for p in problem.parameters])
 
 
 def _handed_over(problem: Problem, fit: Fit, time_s: float) -> Start:
-    """A start at a later time from a fit: temperatures, and the largest directions of their covariance."""
+    """Start at a later time from a fit: temperatures [K], and the largest directions of their covariance."""
     part = problem.parts[0]
     T, S = state_at(part, fit.values, time_s)
     own = fit.covariance[np.ix_(part.index[: part.read], part.index[: part.read])]
     values, vectors = np.linalg.eigh(own)
+    # the svd of S C^(1/2) keeps the small directions that an eigendecomposition of S C S' would lose to rounding
     U, s, _ = np.linalg.svd(S @ (vectors * np.sqrt(np.maximum(values, 0.0))), full_matrices=False)
     kept = min(DIRECTIONS, len(s))
     unknowns = tuple(
@@ -152,7 +167,13 @@ def _handed_over(problem: Problem, fit: Fit, time_s: float) -> Start:
 
 
 def state_at(part: Part, values: FloatArray, time_s: float) -> tuple[FloatArray, FloatArray]:
-    """Node temperatures (node,) [K] of a part at a time [s], and their sensitivities (node, unknown of the march)."""
+    """Node temperatures of a part at a time, and their sensitivities.
+
+    values  : (parameter,);  time_s : [s]; before the start of the part, its initial temperatures
+    returns : (node,) temperatures [K]; (node, unknown of the march) sensitivities [K] per unit of each unknown
+
+    S_T of docs/clocks_and_starts.md, equation 5.
+    """
     begin = part.conditions.time_s[0] if part.start is None else part.start.time_s
     if time_s <= begin:
         profile = part.initial_K(values)
@@ -172,7 +193,13 @@ def state_at(part: Part, values: FloatArray, time_s: float) -> tuple[FloatArray,
 
 
 def refined_at(part: Part, values: FloatArray, time_s: float) -> FloatArray:
-    """Temperatures (node,) [K] on the refined mesh of a part at a time [s]."""
+    """Node temperatures of a part at a time on its refined mesh, twice as many elements.
+
+    values  : (parameter,);  time_s : [s]; before the start of the part, its initial temperatures
+    returns : (node of the refined mesh,) [K]
+
+    The next segment needs them for its mesh correction, docs/estimation_statistics.md, equation 31.
+    """
     mesh, initial = refined(part.mesh), part.refined_K(values)
     begin = part.conditions.time_s[0] if part.start is None else part.start.time_s
     if time_s <= begin:

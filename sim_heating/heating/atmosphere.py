@@ -1,9 +1,10 @@
-"""Free stream: US Standard Atmosphere 1976 to 200 km, viscosity, speed of sound, and what follows from a host's state.
+"""Free stream: US Standard Atmosphere 1976 to 200 km, viscosity, speed of sound, and the conditions derived from them.
 
 A host gives altitude, density and velocity. Temperature, pressure, Mach and Reynolds number are derived here and
-nowhere else, because hosts get them wrong where it matters (a frozen temperature above 86 km).
+nowhere else, because hosts get them wrong where it matters (a temperature that is constant above 86 km).
 
-Source: US Standard Atmosphere 1976, NOAA-S/T 76-1562 ("US76"; equation and table numbers are its own).
+Sources: US Standard Atmosphere 1976, NOAA-S/T 76-1562 ("US76"; its own equation and table numbers are cited);
+docs/equations_reference_heating.md, equations 1 to 4.
 """
 
 from __future__ import annotations
@@ -19,10 +20,11 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files.package import read_package_table
 from sim_heating.base.kernels.jit import njit
 
+# The constants are those of 1976, not today's: with them the printed tables come out to their last digit.
 G0_M_S2 = 9.80665
-"""Gravity at sea level, US76 table 2."""
+"""Gravity at sea level [m/s2], US76 table 2."""
 EARTH_RADIUS_M = 6356766.0
-"""Effective Earth radius of the geopotential, US76 section 1.2.4."""
+"""Effective Earth radius of the geopotential [m], US76 section 1.2.4."""
 MOLAR_GAS_CONSTANT = 8314.32
 """R* of US76 table 2 [J/(kmol K)]; not today's value."""
 MOLAR_MASS = 28.9644
@@ -30,12 +32,12 @@ MOLAR_MASS = 28.9644
 R_AIR = 287.05287
 """Gas constant of air, R*/M [J/(kg K)]."""
 GAMMA = 1.4
-"""Ratio of specific heats of cold air."""
+"""Ratio of specific heats of cold air [-]."""
 CP_AIR = 1004.5
 """Specific heat of cold air [J/(kg K)]: the cp of H_r = V^2/2 + cp T_inf."""
 SUTHERLAND_PA_S = 1.458e-6
 SUTHERLAND_K = 110.4
-"""Constants of Sutherland's law, US76 table 2 [Pa s K^-1/2], [K]; the contract's too."""
+"""Constants of Sutherland's law, US76 table 2 [Pa s K^-1/2], [K]; they also define the Reynolds number."""
 SEA_LEVEL_K = 288.15
 SEA_LEVEL_PA = 101325.0
 
@@ -44,32 +46,54 @@ HIGHEST_M = 200000.0
 UPPER_BASE_M = 86000.0
 
 SLOWEST_RE = 1.0e-3
-"""Reynolds number below which log10_re stays at -3, so that a body at rest has a finite one."""
+"""Reynolds number [-] below which log10_re stays at -3, so that a body at rest has a finite one."""
 
 
 @njit
 def gravity(altitude_m: float) -> float:
-    """Acceleration of gravity [m/s2] at a geometric altitude, US76 eq. 17."""
+    """Acceleration of gravity g = g_0 (r_0 / (r_0 + z))^2 [m/s2].
+
+    altitude_m : geometric altitude z [m];  g_0 = 9.80665 [m/s2], r_0 = 6356766 [m]
+    Source: US Standard Atmosphere 1976, eq. 17.
+    """
     ratio = EARTH_RADIUS_M / (EARTH_RADIUS_M + altitude_m)
     return G0_M_S2 * ratio * ratio
 
 
 @njit
 def geopotential(altitude_m: float) -> float:
-    """Geopotential height [m'] of a geometric altitude [m], US76 eq. 18."""
+    """Geopotential height H = r_0 z / (r_0 + z) [m].
+
+    altitude_m : geometric altitude z [m];  r_0 = 6356766 [m]
+    Source: US Standard Atmosphere 1976, eq. 18.
+    """
     return EARTH_RADIUS_M * altitude_m / (EARTH_RADIUS_M + altitude_m)
 
 
 @njit
 def geometric(geopotential_m: float) -> float:
-    """Geometric altitude [m] of a geopotential height [m'], US76 eq. 19."""
+    """Geometric altitude z = r_0 H / (r_0 - H) [m], the inverse of `geopotential`.
+
+    geopotential_m : geopotential height H [m], below r_0 = 6356766 [m]
+    Source: US Standard Atmosphere 1976, eq. 19.
+    """
     return EARTH_RADIUS_M * geopotential_m / (EARTH_RADIUS_M - geopotential_m)
 
 
 @njit
 def upper_temperature(altitude_m: float) -> float:
-    """Kinetic temperature [K] from 86 km up, US76 eqs. 25, 27, 29, 31: isothermal, elliptic, linear, exponential."""
+    """Kinetic temperature [K] of the standard atmosphere from 86 km up.
+
+        86 to 91 km    186.8673
+        to 110 km      263.1905 - 76.3232 sqrt(1 - ((z - 91) / 19.9429)^2)
+        to 120 km      240 + 12 (z - 110)
+        above          1000 - 640 exp(-0.01875 xi),   xi = (z - 120) (r_0 + 120) / (r_0 + z)
+
+    altitude_m : geometric altitude [m]; z and r_0 above are in km. Not for use below 86 km.
+    Source: US Standard Atmosphere 1976, eqs. 25, 27, 29 and 31.
+    """
     z_km = altitude_m * 1.0e-3
+    # Constants of the printed equations, in their unit, km.
     if z_km <= 91.0:
         return 186.8673
     if z_km <= 110.0:
@@ -84,7 +108,7 @@ def upper_temperature(altitude_m: float) -> float:
 
 @njit
 def _layer_pressure(p_base: float, T_base: float, gradient: float, height: float) -> float:
-    """Pressure at a height [m'] above a layer's base, US76 eqs. 33a and 33b."""
+    """Pressure [Pa] at a height [m] of geopotential above the base of a layer, US76 eqs. 33a and 33b."""
     c = G0_M_S2 * MOLAR_MASS / MOLAR_GAS_CONSTANT
     if gradient == 0.0:
         return p_base * math.exp(-c * height / T_base)
@@ -92,7 +116,7 @@ def _layer_pressure(p_base: float, T_base: float, gradient: float, height: float
 
 
 def _layer_bases(base: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Molecular-scale temperature and pressure at the foot of each layer, carried up from sea level."""
+    """Molecular-scale temperature [K] and pressure [Pa] at the base of each layer, integrated up from sea level."""
     T, p = np.full(len(base), SEA_LEVEL_K), np.full(len(base), SEA_LEVEL_PA)
     for i in range(1, len(base)):
         height = base[i] - base[i - 1]
@@ -103,9 +127,12 @@ def _layer_bases(base: FloatArray, gradient: FloatArray) -> tuple[FloatArray, Fl
 
 @njit
 def cell(x: FloatArray, at: float) -> tuple[int, float]:
-    """Cell of an increasing table that holds a value, and the fraction of the way through it; beyond the end, the end.
+    """Cell of an increasing table that contains a value, and the fraction of the way through it [-].
 
-    A plain search: numpy's, compiled, would take seconds to compile.
+    x       : (n,) increasing nodes, n at least 2;  at : the value, in the unit of x
+    returns : index of the cell's lower node, fraction (at - x_i) / (x_(i+1) - x_i)
+    Above the last node the fraction is 1; below the first one it is negative, so that the caller extrapolates.
+    Bisection in plain Python: numpy's own search takes seconds to compile.
     """
     low, high = 0, len(x) - 1
     while high - low > 1:
@@ -121,6 +148,7 @@ def _make_lower_kernel() -> Callable[[float], tuple[float, float, float]]:
     layers = read_package_table("heating/data/us76_layers.csv")
     masses = read_package_table("heating/data/us76_molar_mass_80_86km.csv")
     base, gradient = layers["base_geopotential_m"], layers["gradient_K_m"]
+    # Bases are integrated here instead of copied from the printed table: rounded ones would leave steps of pressure.
     T_base, p_base = _layer_bases(base, gradient)
     z_mass, mass_ratio = masses["altitude_m"], masses["molar_mass_ratio"]
 
@@ -132,6 +160,7 @@ def _make_lower_kernel() -> Callable[[float], tuple[float, float, float]]:
             i += 1
         T_molecular = T_base[i] + gradient[i] * (h - base[i])
         p = _layer_pressure(p_base[i], T_base[i], gradient[i], h - base[i])
+        # Below 80 km the molar mass is constant, and molecular-scale and kinetic temperature are the same.
         ratio = 1.0
         if altitude_m > z_mass[0]:
             k, f = cell(z_mass, altitude_m)
@@ -147,15 +176,15 @@ lower_atmosphere = _make_lower_kernel()
 
 
 def _node_slopes(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Slopes of the parabola through each node and its neighbours."""
+    """Slopes of the parabola through each node and its neighbours, one-sided at both ends."""
     return np.gradient(y, x, edge_order=2)
 
 
 def _upper_table() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Altitude, ln p, ln rho and their slopes.
+    """Altitude [m], ln p, ln rho and their slopes [1/m] at the nodes of US76 Table I.
 
     The slope of ln p is the table's own, not -g rho/p: between 98 and 102 km the published pressures follow the
-    species equations and leave hydrostatic balance by up to 2 %.
+    species equations and depart from hydrostatic balance by up to 2 %.
     """
     table = read_package_table("heating/data/us76_above_86km.csv")
     z, p, rho = table["altitude_m"], table["p_Pa"], table["rho_kg_m3"]
@@ -166,7 +195,10 @@ def _upper_table() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, Floa
 
 @njit
 def _hermite(s: float, step: float, y0: float, y1: float, d0: float, d1: float) -> float:
-    """Cubic through y0, y1 with slopes d0, d1 over a step, at the fraction s."""
+    """Cubic through y0, y1 with slopes d0, d1 over a step, at the fraction s of it.
+
+    Source: docs/equations_reference_heating.md, equation 4.
+    """
     t = 1.0 - s
     return y0 * (1.0 + 2.0 * s) * t * t + y1 * s * s * (3.0 - 2.0 * s) + step * s * t * (d0 * t - d1 * s)
 
@@ -191,9 +223,11 @@ upper_atmosphere = _make_upper_kernel()
 
 @njit
 def us76_kernel(altitude_m: float) -> tuple[float, float, float]:
-    """US76 at one geometric altitude [m]: kinetic temperature [K], pressure [Pa], density [kg/m3].
+    """Kinetic temperature [K], pressure [Pa] and density [kg/m3] of the standard atmosphere at one altitude.
 
-    Exact layer equations below 86 km, tabulated above. Outside -5 km and 200 km the edge is held; `us76` refuses.
+    altitude_m : geometric altitude [m]; outside -5 km and 200 km the value at the nearest end (`us76` raises an error)
+    Layer equations below 86 km; above, Table I by docs/equations_reference_heating.md, equation 4.
+    Source: US Standard Atmosphere 1976, eqs. 22 to 42 and Table I.
     """
     z = min(max(altitude_m, LOWEST_M), HIGHEST_M)
     if z < UPPER_BASE_M:
@@ -203,13 +237,22 @@ def us76_kernel(altitude_m: float) -> tuple[float, float, float]:
 
 @njit
 def sutherland_kernel(T_K: float) -> float:
-    """Sutherland's viscosity of air [Pa s], US76 eq. 51: 1.458e-6 T^1.5 / (T + 110.4); T [K] above 0."""
+    """Sutherland's viscosity of air, mu = 1.458e-6 T^1.5 / (T + 110.4) [Pa s].
+
+    T_K : temperature [K], above 0; good from 100 to about 1000 K (3 % low there), continued outside
+    Source: US Standard Atmosphere 1976, eq. 51.
+    """
     return SUTHERLAND_PA_S * T_K * math.sqrt(T_K) / (T_K + SUTHERLAND_K)
 
 
 @njit
 def speed_of_sound_kernel(T_K: float) -> float:
-    """Speed of sound of cold air [m/s], sqrt(gamma R T), with gamma 1.4 and the gas constant of sea level."""
+    """Speed of sound of undissociated air, a = sqrt(gamma R T) [m/s], gamma = 1.4, R = 287.05287 [J/(kg K)].
+
+    T_K : temperature [K]. The standard defines the speed of sound to 86 km; this is continued above, as Mach number
+    needs it, with the gas constant of sea level.
+    Source: US Standard Atmosphere 1976, eq. 50.
+    """
     return math.sqrt(GAMMA * R_AIR * T_K)
 
 
@@ -217,8 +260,17 @@ def speed_of_sound_kernel(T_K: float) -> float:
 def derive_kernel(
     altitude_m: float, velocity_m_s: float, rho_kg_m3: float, reference_length_m: float
 ) -> tuple[float, float, float, float]:
-    """One frame of `derive`: T_inf [K], p_inf [Pa], Mach [-], log10 Re [-]. The altitude is held at US76's ends."""
+    """Free-stream temperature [K], pressure [Pa], Mach number [-] and log10 Re [-] of one frame.
+
+        T = T_US76(z),  p = rho p_US76(z) / rho_US76(z),  M = V / sqrt(gamma R T),  Re = rho V L / mu(T)
+
+    altitude_m, velocity_m_s, rho_kg_m3 : what the host gives [m], [m/s], [kg/m3]; density above 0
+    reference_length_m                  : L [m]
+    Nothing is checked; an altitude outside -5 to 200 km counts as the nearest end, and log10 Re is not below -3.
+    Source: docs/equations_reference_heating.md, equations 1 to 3.
+    """
     T, p_standard, rho_standard = us76_kernel(altitude_m)
+    # The ratio of the standard has the mean molar mass at this altitude in it, so that none has to be tabulated.
     p = rho_kg_m3 * p_standard / rho_standard
     mach = velocity_m_s / speed_of_sound_kernel(T)
     re = rho_kg_m3 * velocity_m_s * reference_length_m / sutherland_kernel(T)
@@ -244,6 +296,7 @@ def _derive_loop(z: FloatArray, V: FloatArray, rho: FloatArray, length: float, o
 
 
 def _checked_altitude(altitude_m: ArrayLike) -> FloatArray:
+    # Negated, so that a value that is not a number is among the bad ones.
     z = np.asarray(altitude_m, dtype=float)
     bad = ~((z >= LOWEST_M) & (z <= HIGHEST_M))
     if np.any(bad):
@@ -255,16 +308,18 @@ def _checked_altitude(altitude_m: ArrayLike) -> FloatArray:
 
 
 def us76(altitude_m: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """US Standard Atmosphere 1976.
+    """Temperature, pressure and density of the US Standard Atmosphere 1976.
 
     altitude_m : geometric altitude [m], any shape, -5000 to 200000
     returns    : kinetic temperature [K], pressure [Pa], density [kg/m3], in that shape
     raises     : InputError outside that range or where not a number
 
-    Below 86 km exact; above, the published table's 4 digits between nodes 1 to 10 km apart.
+    The layer equations below 86 km; above, 4 digits of Table I, whose nodes are 0.5 to 10 km apart.
+    Source: US Standard Atmosphere 1976, eqs. 22, 23, 33, 42 and Table I.
     """
     z = _checked_altitude(altitude_m)
     T, p, rho = np.empty(z.size), np.empty(z.size), np.empty(z.size)
+    # The scalar kernel in a loop, not array expressions: a frame of a host and a whole flight get equal bits.
     _us76_loop(z.ravel(), T, p, rho)
     return T.reshape(z.shape), p.reshape(z.shape), rho.reshape(z.shape)
 
@@ -279,10 +334,14 @@ def _checked_positive(name: str, values: ArrayLike, *, zero_allowed: bool = Fals
 
 
 def sutherland_viscosity(T_K: ArrayLike) -> FloatArray:
-    """Sutherland's viscosity of air [Pa s]; T [K] above 0, good from 100 to about 1000 K (3 % low there).
+    """Sutherland's viscosity of air, mu = 1.458e-6 T^1.5 / (T + 110.4) [Pa s].
 
-    The Reynolds number of a record is defined with it whatever the temperature. For hot gas take
-    `reference_heating.gas.viscosity`. raises InputError where T is not a positive number.
+    T_K     : temperature [K], any shape; good from 100 to about 1000 K (3 % low there), continued outside
+    returns : viscosity [Pa s], in that shape
+    raises  : InputError where T is not a number above 0
+
+    The Reynolds number of a record is defined with this law at every temperature. For hot gas use
+    `reference_heating.gas.viscosity`. Source: US Standard Atmosphere 1976, eq. 51.
     """
     T = _checked_positive("T_K", T_K)
     mu = np.empty(T.size)
@@ -291,21 +350,28 @@ def sutherland_viscosity(T_K: ArrayLike) -> FloatArray:
 
 
 def speed_of_sound(T_K: ArrayLike) -> FloatArray:
-    """Speed of sound of cold air [m/s], sqrt(1.4 x 287.05287 T); raises InputError where T is not positive."""
+    """Speed of sound of undissociated air, a = sqrt(gamma R T) [m/s], gamma = 1.4, R = 287.05287 [J/(kg K)].
+
+    T_K     : temperature [K], any shape
+    returns : speed of sound [m/s], in that shape
+    raises  : InputError where T is not a number above 0
+    Source: US Standard Atmosphere 1976, eq. 50.
+    """
     return np.sqrt(GAMMA * R_AIR * _checked_positive("T_K", T_K))
 
 
 def derive(
     altitude_m: ArrayLike, velocity_m_s: ArrayLike, rho_kg_m3: ArrayLike, reference_length_m: float
 ) -> dict[str, FloatArray]:
-    """What a flight condition lacks, from what a host gives.
+    """Free-stream temperature, pressure, Mach and Reynolds number from what a host gives.
 
         T = T_US76(z);  p = rho R T, R of US76's mean molar mass at z;  M = V / sqrt(gamma R T);  Re = rho V L / mu(T)
 
     altitude_m, velocity_m_s, rho_kg_m3 : (time,) [m], [m/s], [kg/m3]; the density is kept as given (dispersions)
-    reference_length_m : L [m], the vehicle's
-    returns : T_inf_K, p_inf_Pa, mach, log10_re, each (time,); log10_re is not below -3 (a body at rest)
-    raises  : InputError outside US76's altitudes, for a density that is not positive, a negative velocity
+    reference_length_m : L [m], of the vehicle
+    returns : T_inf_K [K], p_inf_Pa [Pa], mach [-], log10_re [-], each (time,); log10_re is at least -3 (a body at rest)
+    raises  : InputError outside the altitudes of `us76`, for a density that is not positive, a negative velocity
+    Source: docs/equations_reference_heating.md, equations 1 to 3.
     """
     checked = (
         np.atleast_1d(_checked_altitude(altitude_m)),
@@ -313,7 +379,7 @@ def derive(
         _checked_positive("rho_kg_m3", rho_kg_m3),
     )
     _checked_positive("reference_length_m", [reference_length_m])
-    # Copies: a read-only view would be another type to the compiler.
+    # Copies: to numba a read-only view is another type, for which the loop would be compiled a second time.
     z, V, rho = (np.array(a) for a in np.broadcast_arrays(*checked))
     out = np.empty((4, z.size))
     _derive_loop(z, V, rho, float(reference_length_m), out)

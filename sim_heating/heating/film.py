@@ -1,10 +1,10 @@
-"""From flight conditions to the heating of a wall, compiled: film coefficient, recovery enthalpy, pressure of each
-stage.
+"""From flight conditions to the heating of a wall, compiled: film coefficient, recovery enthalpy and pressure of each
+stage of the time step.
 
     film = r h_ref,    r = ratio of the linear model, then effects that add, then a lag, then effects that multiply.
 
-A lag makes the ratio r' = (1 - f) r + f m of what it was, dm/dt = (r - m) / tau, exact for a ratio that is linear in
-time over a step; it starts without a past, m = r.
+A lag makes the ratio r' = (1 - f) r + f m, dm/dt = (r - m) / tau, integrated exactly for a ratio that is linear in
+time over a step; it starts without history, m = r (docs/equations.md, equations 5 to 8).
 
 Conditions are linear in time between samples; the ratio is evaluated at the conditions of each stage of the time
 step, not interpolated itself.
@@ -58,12 +58,19 @@ from sim_heating.base.kernels.jit import call_chain, folded, njit
 from sim_heating.heating.ratio.lookup import VARIABLES, fraction, keep_axis, lanes_left, linear_ratio, table_ratios
 
 PRESSURE = VARIABLES
-"""Number of the axis of pressures among the cells that a lane keeps."""
+"""Index of the pressure axis among the table cells that a lane caches; the ratio table's own axes come before it."""
 
 
 @njit
 def with_effects(B: FloatArray, J: IntArray, chain, lane: int, stage: int, r: float, wall_K: float) -> float:  # type: ignore[no-untyped-def]
-    """The ratio r [-] of a lane with its effects on it, at a wall temperature [K]."""
+    """Heating ratio [-] of a lane after its effects: r = L[r_lin + sum a_k] prod m_k, L the lag.
+
+    B, J   : block of the lane group and its integers;  chain : the compiled effects
+    lane   : its number;  stage : 0 start, 1 middle, 2 end of the time step
+    r      : ratio of the linear model [-];  wall_K : wall temperature that the effects are evaluated at [K]
+    Where the lane has a lag, its state at the stage is written into B.
+    Source: docs/equations.md, equations 6 and 8.
+    """
     c = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
     p = PARAMETERS * LANES + lane * N_PARAMETERS + EFFECT_PARAMETERS
     adding = J[N_ADDING + lane]
@@ -78,11 +85,15 @@ def with_effects(B: FloatArray, J: IntArray, chain, lane: int, stage: int, r: fl
 
 @folded
 def _lagged(B: FloatArray, lane: int, stage: int, p: int, r: float) -> float:
-    """The ratio with its lag at a stage; time constant [s] and fraction stand in B[p] and B[p + 1]."""
+    """Ratio [-] with its lag at a stage; time constant [s] and lagging part [-] are B[p] and B[p + 1].
+
+    m_1 = r_1 - b + (m_0 - r_0 + b) exp(-x), x = dt / tau, b = (r_1 - r_0) / x (docs/equations.md, equation 8).
+    """
     now = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS + TIME
     start = C_STAGES * LANES + lane * N_CONDITIONS + TIME
     m = r
     if B[LAG_PAST * LANES + lane] > 0.0 and B[now] > B[start]:
+        # Exact for a linear ratio, so that time constants far below the step need no substeps.
         x = (B[now] - B[start]) / B[p]
         behind = (r - B[LAG_INPUT * LANES + lane]) / x
         m = r - behind + (B[LAG_VALUE * LANES + lane] - B[LAG_INPUT * LANES + lane] + behind) * exp(-x)
@@ -93,9 +104,15 @@ def _lagged(B: FloatArray, lane: int, stage: int, p: int, r: float) -> float:
 
 @njit
 def emittance_factor(B: FloatArray, J: IntArray, chain, lane: int, stage: int, wall_K: float) -> float:  # type: ignore[no-untyped-def]
-    """Product of the effects of a lane on its emittance [-], at a wall temperature [K]."""
+    """Factor [-] on the emittance of a lane: the product of its effects on emittance at a wall temperature.
+
+    B, J   : block of the lane group and its integers;  chain : the compiled effects
+    lane   : its number;  stage : 0 start, 1 middle, 2 end of the time step;  wall_K : wall temperature [K]
+    returns : 1 without such effects. It multiplies epsilon of the surface balance (docs/equations.md, equation 2).
+    """
     c = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
     p = PARAMETERS * LANES + lane * N_PARAMETERS + EFFECT_PARAMETERS
+    # Effects on emittance come after those on the ratio in the lane's list.
     first, factor = J[N_EFFECTS + lane], 1.0
     for k in range(first, first + J[N_EMITTING + lane]):
         factor *= call_chain(chain, J[EFFECT_CODES + lane * EFFECT_SLOTS + k], B, c, p + k * EFFECT_WIDTH, wall_K)
@@ -104,10 +121,12 @@ def emittance_factor(B: FloatArray, J: IntArray, chain, lane: int, stage: int, w
 
 @njit
 def _pressure_columns(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> None:
-    """Column of the property tables left of the pressure of each lane, which stands in CELL_X [Pa], and the fraction of
-    the way to the next."""
+    """Column of the property tables below the pressure of each lane, read from CELL_X [Pa], and the fraction of the way
+    to the next column; the properties are linear in log10 p between columns and constant outside them.
+    """
     for lane in range(LANES):
         B[(CELL_X + PRESSURE) * LANES + lane] = log10(B[(CELL_X + PRESSURE) * LANES + lane])
+    # Pressure changes slowly: most steps stay in the cached column and skip the search.
     if lanes_left(B, PRESSURE) > 0:
         for lane in range(LANES):
             column = keep_axis(B, table, lane, PRESSURE, J[PRESSURE_TABLE + lane], J[N_PRESSURES + lane])
@@ -119,12 +138,19 @@ def _pressure_columns(B: FloatArray, J: IntArray, table: FloatArray, stage: int)
 
 @njit
 def heat_lanes(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int) -> None:  # type: ignore[no-untyped-def]
-    """Turn the conditions of all lanes at one stage into what their surface balances take; count what is off limits."""
+    """Film coefficient, recovery enthalpy, added flux and pressure column of all lanes at one stage.
+
+    B, J  : block of the lane group and its integers; rows FILM [kg/(m2 s)], RECOVERY [J/kg], ADDED [W/m2],
+            PCOL, PFRAC [-] of the stage are written, OUTSIDE counts the samples off the axes of the ratio table
+    table : property and ratio tables;  chain : the compiled effects;  stage : 0 start, 1 middle, 2 end of the step
+    Source: docs/equations.md, equations 5 to 8.
+    """
     heat_shadows(B, J, table, chain, stage)
     c = C_STAGES * LANES + stage * LANES * N_CONDITIONS
     for lane in range(LANES):
         B[(CELL_X + PRESSURE) * LANES + lane] = B[c + (lane * N_CONDITIONS + P_SURFACE)]
     _pressure_columns(B, J, table, stage)
+    # Only the end of the step is counted: it is a sample of the record, the other stages lie between two.
     if stage == 2:
         for lane in range(LANES):
             B[OUTSIDE * LANES + lane] += 1.0 if B[OFF_AXES * LANES + lane] > 0.0 else 0.0
@@ -132,13 +158,20 @@ def heat_lanes(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int)
 
 @njit
 def heat_shadows(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int) -> None:  # type: ignore[no-untyped-def]
-    """The same of lanes whose pressure columns stand there already, and of which nothing is counted but negative
-    ratios."""
+    """Film coefficient, recovery enthalpy and added flux of all lanes at one stage, without pressure columns.
+
+    B, J  : block of the lane group and its integers; rows R_BASE [-], FILM [kg/(m2 s)], RECOVERY [J/kg], ADDED [W/m2]
+            of the stage are written, NEGATIVE counts the end-of-step ratios below 0
+    table : property and ratio tables;  chain : the compiled effects;  stage : 0 start, 1 middle, 2 end of the step
+    Used alone for perturbed lanes, whose pressure is that of their nominal lane.
+    Source: docs/equations.md, equations 5 to 8, film = r h_ref.
+    """
     table_ratios(B, J, table, stage)
     for lane in range(LANES):
         c = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
         p = PARAMETERS * LANES + lane * N_PARAMETERS
         r = linear_ratio(B, p, c, B[CELL_WORK * LANES + lane])
+        # Kept without effects: effects that depend on wall temperature are evaluated again at every Newton iterate.
         B[(R_BASE + stage) * LANES + lane] = r
         if J[N_EFFECTS + lane] > 0:
             r = with_effects(B, J, chain, lane, stage, r, B[(HEAD_ROWS + T) * LANES + lane])

@@ -1,6 +1,6 @@
 """Local surface pressure of a control point, which sets the conductivity of a porous heat shield.
 
-Two models, both tending to the freestream pressure as the speed falls:
+Two models, both tending to the freestream pressure as the speed falls (docs/equations.md, equations 30 to 32):
 
     modified Newtonian, windward     p = p_inf + q_inf cp_max (cos beta sin theta)^2,  theta > 0, else p_inf
         theta = alpha + inclination + elevon_factor * elevon + bodyflap_factor * bodyflap
@@ -13,7 +13,7 @@ pressure (at most 70 % of p_inf in the limit of high Mach numbers) is not modell
 Sign of the inclination: the slope of the local surface against the vehicle's x axis, positive where it meets the flow
 more steeply at positive alpha (a lower surface that faces forward; a nose stagnation point has 90 - alpha).
 
-Holds within some 10 % on windward surfaces above Mach 3; elsewhere it is a guess with the right limits. Conductivity
+Accurate to some 10 % on windward surfaces above Mach 3; elsewhere only the limits are right. Conductivity
 goes with about the fifth root of pressure, so 10 % of pressure is 2 % of conductivity.
 Sources: Lees, "Hypersonic flow", 1955 (modified Newtonian); NACA Report 1135, eq. 100 (Rayleigh pitot formula).
 """
@@ -39,7 +39,12 @@ PRESSURE_PARAMETERS = 4
 
 
 class ModifiedNewtonian(Declared):
-    """Windward surface at an inclination; a control-surface point adds its deflection to the angle by a factor."""
+    """Modified Newtonian pressure of a windward surface at an inclination (docs/equations.md, equation 30).
+
+    inclination_deg : slope of the local surface against the vehicle's x axis [deg], -90 to 90
+    elevon_factor   : part of the elevon deflection that turns the surface [-], -1 to 1
+    bodyflap_factor : part of the body-flap deflection that turns the surface [-], -1 to 1
+    """
 
     model: Literal["modified-newtonian"]
     inclination_deg: float = Field(ge=-90.0, le=90.0)
@@ -47,18 +52,21 @@ class ModifiedNewtonian(Declared):
     bodyflap_factor: float = Field(default=0.0, ge=-1.0, le=1.0)
 
     def parameters(self) -> FloatArray:
-        """(4,) parameter block of `surface_pressure_kernel`."""
+        """(4,) parameter block of `surface_pressure_kernel`: kind, inclination [deg], elevon and flap factor [-]."""
         return np.array([NEWTONIAN, self.inclination_deg, self.elevon_factor, self.bodyflap_factor])
 
 
 class FractionOfStagnation(Declared):
-    """Leeward or shadowed surface: a fixed fraction of the stagnation pressure rise."""
+    """Pressure of a leeward or shadowed surface: a constant fraction of the rise at the stagnation point.
+
+    fraction : part of the stagnation pressure rise [-], 0 to 1 (docs/equations.md, equation 31)
+    """
 
     model: Literal["fraction-of-stagnation"]
     fraction: float = Field(ge=0.0, le=1.0)
 
     def parameters(self) -> FloatArray:
-        """(4,) parameter block of `surface_pressure_kernel`."""
+        """(4,) parameter block of `surface_pressure_kernel`: kind [-], fraction [-], and two zeros without meaning."""
         return np.array([FRACTION, self.fraction, 0.0, 0.0])
 
 
@@ -67,12 +75,15 @@ PressureModel = Annotated[ModifiedNewtonian | FractionOfStagnation, Field(discri
 
 @njit
 def stagnation_pressure_coefficient(mach: float) -> float:
-    """Largest pressure coefficient cp_max [-] of a body in perfect air (gamma 1.4), any Mach number above 0.
+    """Largest pressure coefficient cp_max = (p_0 / p_inf - 1) / (gamma M^2 / 2) [-] of a body in air with gamma 1.4.
 
+    mach : free-stream Mach number [-], 0 or above
     Above Mach 1 the Rayleigh pitot formula (1.276 at Mach 1, 1.839 in the limit), below it the isentropic one
     (1 in the limit of 0); both meet at Mach 1. Dissociation would raise the limit to about 1.93.
+    Source: NACA Report 1135, equation 100; docs/equations.md, equation 32.
     """
     m2 = mach * mach
+    # Below Mach 0.01 the difference (ratio - 1) loses its digits; the series 1 + M^2/4 is 1 to 3e-5 there.
     if m2 < 1e-4:
         return 1.0
     if m2 <= 1.0:
@@ -88,10 +99,14 @@ def surface_pressure_kernel(
     p_inf: float, q_inf: float, mach: float, alpha_deg: float, beta_deg: float,
     elevon_deg: float, bodyflap_deg: float, kind: float, first: float, elevon_factor: float, bodyflap_factor: float,
 ) -> float:  # fmt: skip
-    """Surface pressure [Pa] of one point at one time; formulas at the head of the module.
+    """Surface pressure [Pa] of one point at one time, by modified Newtonian theory or as a fraction of stagnation.
 
-    p_inf, q_inf : freestream static and dynamic pressure [Pa];  mach : true Mach number [-]
-    kind, first, elevon_factor, bodyflap_factor : a pressure model's `parameters()`
+    p_inf, q_inf                                 : freestream static and dynamic pressure [Pa]
+    mach                                         : true Mach number [-]
+    alpha_deg, beta_deg                          : angle of attack and sideslip [deg]
+    elevon_deg, bodyflap_deg                     : deflections [deg]
+    kind, first, elevon_factor, bodyflap_factor  : a pressure model's `parameters()`
+    Source: docs/equations.md, equations 30 to 32 (Lees 1955; NACA Report 1135, eq. 100).
     """
     rise, cos_beta = q_inf * stagnation_pressure_coefficient(mach), math.cos(math.radians(beta_deg))
     return pressure_below_rise(
@@ -104,12 +119,22 @@ def pressure_below_rise(
     p_inf: float, rise: float, alpha_deg: float, cos_beta: float, elevon_deg: float, bodyflap_deg: float,
     kind: float, first: float, elevon_factor: float, bodyflap_factor: float,
 ) -> float:  # fmt: skip
-    """The same from the pressure rise at the stagnation point [Pa] and the cosine of sideslip, which all points of a
-    vehicle share."""
+    """Surface pressure [Pa] of one point from the pressure rise at the stagnation point.
+
+        p = p_inf + rise max(0, cos beta sin theta)^2,   or   p = p_inf + fraction rise
+
+    p_inf, rise : freestream static pressure and stagnation pressure rise q_inf cp_max [Pa]
+    cos_beta    : cosine of sideslip [-]; it and `rise` are common to all points of a vehicle, so computed once
+    alpha_deg, elevon_deg, bodyflap_deg : angle of attack and deflections [deg]
+    kind, first, elevon_factor, bodyflap_factor : a pressure model's `parameters()`
+    Source: docs/equations.md, equations 30 and 31.
+    """
+    # Kind as a float in the parameter block: one kernel for both models, whose blocks lie in one array.
     if kind == FRACTION:
         return p_inf + first * rise
     angle = alpha_deg + first + elevon_factor * elevon_deg + bodyflap_factor * bodyflap_deg
     normal = cos_beta * math.sin(math.radians(angle))
+    # A surface in the shadow of the flow has freestream pressure.
     return p_inf + rise * max(0.0, normal) ** 2
 
 
@@ -126,10 +151,13 @@ def _surface_pressures(
 
 
 def surface_pressure(model: ModifiedNewtonian | FractionOfStagnation, conditions: Conditions) -> FloatArray:
-    """Surface pressure [Pa] of a control point along a flight, one value a sample.
+    """Surface pressure of a control point along a flight.
 
-    model      : the control point's pressure model
-    conditions : the columns of `conditions.STATE`
+    model      : pressure model of the control point
+    conditions : flight conditions with the columns of `conditions.STATE`
+    returns    : (time,) surface pressure [Pa]
+    raises     : KeyError where a column is missing
+    Source: docs/equations.md, equations 30 to 32.
     """
     c = conditions
     out = np.empty(len(c))

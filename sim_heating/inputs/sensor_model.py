@@ -1,8 +1,9 @@
-"""What a thermocouple and its recorder make of a temperature.
+"""Sensor model: from the temperature at a thermocouple to the reading that its recorder stores.
 
-    indicated = c0 + c1 T' + c2 T'^2 + ...,   T' = gain T + bias,   T = temperature at the sensor at t - skew,
+    T_ind = c0 + c1 T' + c2 T'^2 + ...,   T' = gain T + bias,   T = temperature at the sensor at t - skew,
 
-then noise, then the recorder word: codes 0 .. 2^bits - 1 over range_K, rounded to the nearest and clipped at the ends.
+then Gaussian noise, then the recorder word: codes 0 .. 2^bits - 1 over range_K, rounded to the nearest and clipped at
+the ends. Equations: docs/equations.md, section 5.
 """
 
 from __future__ import annotations
@@ -21,27 +22,49 @@ from sim_heating.thermal.stack import Sensor
 
 @dataclass(frozen=True)
 class SensorErrors:
-    """What is wrong with one sensor beside its noise: T' = gain T + bias."""
+    """Systematic errors of one sensor, in addition to its noise: T' = gain T + bias.
+
+    bias_K : added to the temperature, positive where the sensor reads too high [K]
+    gain   : indicated over true temperature, 1 without error [-]
+    """
 
     bias_K: float = 0.0
     gain: float = 1.0
 
 
 def calibrated(sensor: Sensor, temperature_K: FloatArray, errors: SensorErrors | None = None) -> FloatArray:
-    """Indicated temperature [K] before noise and quantisation."""
+    """Indicated temperature of a sensor before noise and quantisation, T_ind = c0 + c1 T' + c2 T'^2 + ...
+
+    temperature_K : (sample,) true temperature at the sensor [K], at the sample times less the clock skew
+    errors        : bias [K] and gain [-] in T' = gain T + bias; none by default
+    returns       : (sample,) indicated temperature [K]
+
+    Source: docs/equations.md, section 5.
+    """
     wrong = errors or SensorErrors()
     return indicated(np.asarray(temperature_K, dtype=float), wrong.gain, wrong.bias_K, calibration(sensor))
 
 
 def calibration(sensor: Sensor) -> FloatArray:
-    """Coefficients c0, c1, ... of a sensor; 0, 1 where it declares none."""
+    """Calibration coefficients of a sensor: (order + 1,) c0 [K], c1 [-], c2 ...; 0, 1 where it declares none.
+
+    Source: docs/equations.md, section 5.
+    """
     return np.array(sensor.calibration or [0.0, 1.0])
 
 
 @njit
 def indicated(temperature_K, gain, bias_K, coefficients):  # type: ignore[no-untyped-def]
-    """c0 + c1 T' + c2 T'^2 + ..., T' = gain T + bias, of one temperature or an array of them [K]."""
+    """Calibration polynomial T_ind = c0 + c1 T' + c2 T'^2 + ... of T' = gain T + bias, by Horner's rule.
+
+    temperature_K : true temperature [K], a number or an array;  gain [-], bias_K [K]
+    coefficients  : c0 [K], c1 [-], c2 ...
+    returns       : indicated temperature [K], in the shape of temperature_K
+
+    Source: docs/equations.md, section 5.
+    """
     wrong = gain * temperature_K + bias_K
+    # 0 * wrong gives the constant the shape of the argument, in a kernel that serves numbers and arrays alike.
     value = 0.0 * wrong + coefficients[-1]
     for k in range(len(coefficients) - 2, -1, -1):
         value = coefficients[k] + value * wrong
@@ -49,7 +72,14 @@ def indicated(temperature_K, gain, bias_K, coefficients):  # type: ignore[no-unt
 
 
 def quantised(sensor: Sensor, indicated_K: FloatArray) -> FloatArray:
-    """The temperature that the recorder word stands for [K]; unchanged where the sensor declares no word."""
+    """Temperature that the recorder word stands for: low + code LSB, code = round((T_ind - low) / LSB).
+
+    indicated_K : (sample,) indicated temperature with its noise [K]
+    returns     : (sample,) [K], within range_K; unchanged where the sensor declares no word
+
+    Codes are clipped to 0 .. 2^bits - 1, so that a temperature outside range_K reads as the end of the range. A value
+    halfway between two codes goes to the even one. Source: docs/equations.md, section 5.
+    """
     if sensor.bits is None or sensor.range_K is None:
         return indicated_K
     low, _ = sensor.range_K
@@ -60,10 +90,16 @@ def quantised(sensor: Sensor, indicated_K: FloatArray) -> FloatArray:
 def sample_times(
     sensors: Sequence[Sensor], start_s: float, end_s: float, *, rate_hz: float | None = None, offset_s: float = 0.0
 ) -> FloatArray:
-    """Times at which the recorder samples [s]: at the sensors' common rate, 1 Hz where they name none.
+    """Times at which a recorder samples its sensors: t_k = start + offsets + k / rate, up to and including the end.
 
-    offset_s : time of the first sample after the start, on top of the sensors' own
-    raises   : InputError where sensors of one recorder differ in rate or offset
+    sensors        : sensors of one recorder, with a common rate (1 Hz where they name none) and offset
+    start_s, end_s : recorded span [s]
+    rate_hz        : sample rate in place of that of the sensors [Hz]
+    offset_s       : time of the first sample after the start, added to that of the sensors [s]
+    returns        : (sample,) times [s]; empty where the first sample lies behind the end
+    raises         : InputError where sensors of one recorder differ in rate or offset
+
+    Last sample at or before the end: k = floor((end - first) rate). Source: docs/equations.md, section 5.
     """
     rates = {s.rate_hz or 1.0 for s in sensors} if rate_hz is None else {rate_hz}
     offsets = {s.sample_offset_s for s in sensors}
@@ -72,6 +108,7 @@ def sample_times(
         raise InputError(f"{names}: sensors of one record need one rate_hz and one sample_offset_s; give them the same")
     rate = rates.pop()
     first = start_s + offsets.pop() + offset_s
+    # The 1e-9 keeps a last sample that falls on the end but for rounding.
     count = int(np.floor((end_s - first) * rate + 1e-9)) + 1
     return first + np.arange(max(count, 0)) / rate
 
@@ -83,8 +120,18 @@ def measured(
     errors: SensorErrors | None = None,
     lost: NDArray[np.bool_] | None = None,
 ) -> FloatArray:
-    """(sample,) readings [K] of a sensor whose temperature at the sample times is given; lost samples are NaN."""
+    """Readings of a thermocouple: calibration with systematic errors, Gaussian noise, recorder word, lost samples.
+
+    temperature_K : (sample,) true temperature at the sensor at the sample times [K]
+    rng           : generator of the noise, of standard deviation noise_sigma_K [K] (0 where none is declared)
+    errors        : bias and gain of the sensor; none by default
+    lost          : (sample,) which samples the telemetry loses
+    returns       : (sample,) readings [K], NaN where lost
+
+    Source: docs/equations.md, section 5.
+    """
     indicated = calibrated(sensor, temperature_K, errors)
+    # Noise is drawn for lost samples as well: losing one leaves the noise of the others unchanged.
     noisy = indicated + rng.normal(0.0, sensor.noise_sigma_K or 0.0, len(indicated))
     read = quantised(sensor, noisy)
     return read if lost is None else np.where(lost, np.nan, read)
@@ -93,8 +140,15 @@ def measured(
 def lost_samples(
     time_s: FloatArray, rng: np.random.Generator, fraction: float, gaps_s: Sequence[Sequence[float]]
 ) -> NDArray[np.bool_]:
-    """Which samples are lost: a random fraction, and all within the telemetry gaps [[start, end], ...], ends
-    included."""
+    """Which samples the telemetry loses: an independent random fraction, and all within gaps.
+
+    time_s   : (sample,) [s]
+    fraction : probability that a sample is lost [-]
+    gaps_s   : telemetry gaps [[start, end], ...] [s], both ends included
+    returns  : (sample,) True where lost
+
+    Readings at these times become NaN. Source: docs/scenario_format.md, `[measurements]`.
+    """
     lost = rng.random(len(time_s)) < fraction
     for start, end in gaps_s:
         lost |= (time_s >= start) & (time_s <= end)

@@ -1,8 +1,7 @@
-"""Control points packed for the compiled march: the one model, whether stepped beside a host or marched through a
-flight.
+"""Control points packed for the compiled march: one model, whether stepped by a host or marched through a flight.
 
-An Ensemble holds many, of one flight or of many, in groups of LANES, and is all the state there is: a snapshot of it is
-a copy of one array.
+An Ensemble holds many points, of one flight or of many, in groups of LANES. It contains the whole state: a snapshot of
+it is a copy of one array.
 """
 
 from __future__ import annotations
@@ -92,22 +91,26 @@ from sim_heating.thermal.step import compiled
 from sim_heating.thermal.tables import PointTables, TableStore
 
 CONTACT = Material(density_kg_m3=1.0, specific_heat_J_kgK=[[300.0, 1.0]], conductivity_W_mK=[[300.0, 1.0]])
-"""What a contact resistance is made of: an element without mass whose "length" is the resistance."""
+"""Material of a contact resistance: an element without mass, of conductivity 1, whose "length" is the resistance."""
 CACHE_LINE = 64
 """Bytes."""
 THREADED_POINT_STEPS = 20_000
-"""Below this many point-steps a march is not worth a second thread."""
+"""Below this number of point-steps a march is faster on one thread."""
 
 
 def condition_history(conditions: Conditions) -> FloatArray:
-    """(time, condition) what the kernels read of a flight; columns that a flight may lack are 0."""
+    """(time, condition) flight conditions as the kernels take them, in the units of their columns ([deg], [Pa], [J/kg]
+    ...).
+
+    Columns that a flight may lack (additional flux, jets) are 0. Source: docs/equations_march.md, equation 1.
+    """
     columns = [conditions[c] if c in conditions else np.zeros(len(conditions)) for c in CONDITION_COLUMNS]
     return np.ascontiguousarray(np.column_stack(columns))
 
 
 @dataclass(frozen=True)
 class _Place:
-    """Where a model stands: group, its lanes from `lane` to before `end`, and the first number of the group's block."""
+    """Location of a model: group, its lanes from `lane` to before `end`, and the first number of the group's block."""
 
     group: int
     lane: int
@@ -131,9 +134,10 @@ class Ensemble:
 
     models : the control points; results keep their order
     meshes : the mesh of each (resolution.pack chooses them)
-    step_s : the longest time step [s] that a march takes
+    step_s : the longest time step that a march takes [s]
     beside : an ensemble of points with the same tables and effects, whose tables this one shares
-    kinds   : (point,) numbers; points of different ones share no group, those of the lowest come first
+    kinds  : (point,) numbers; points of different kinds share no group, those of the lowest come first
+    raises : InputError where there is no point
 
     Attributes: `meshes`, `table` with all property and ratio tables, and `state`, which holds everything that changes.
     """
@@ -155,6 +159,7 @@ class Ensemble:
         self._chain = chain_of(self._effects)
         self.chain = self._chain.handle
         self._codes = dict(zip(self._effects, self._chain.codes, strict=True))
+        # An address and not the function: kernels that call it need no recompiling when effects change.
         self.move_handle = handle(compiled())
         self._tables: TableStore = TableStore() if beside is None else beside._tables
         self._arrange([0] * len(self.models) if kinds is None else kinds)
@@ -164,7 +169,7 @@ class Ensemble:
     # Packing ---------------------------------------------------------------------------------------------------------
 
     def point_tables(self, model: PointModel) -> PointTables:
-        """Where the property tables of a point stand in `table`."""
+        """Offsets in `table` of the property tables of a point, packing those that are not there yet."""
         return self._tables.add_point(model.construction.layer_materials(), CONTACT, model.wall_enthalpy)
 
     def _add_ratio_table(self, table: RatioTable | None) -> int:
@@ -174,6 +179,7 @@ class Ensemble:
         """Put models of one kind and like node counts into groups of LANES; the last one of a group fills it up."""
         order = sorted(range(len(self.models)), key=lambda i: (kinds[i], -self.meshes[i].nodes, i))
         alike = [list(group) for _, group in groupby(order, key=lambda i: kinds[i])]
+        # Padding behind the back costs as much as nodes do: neighbours in node count share a group.
         members = [group[k : k + LANES] for group in alike for k in range(0, len(group), LANES)]
         nodes = [self.meshes[group[0]].nodes for group in members]
         blocks = np.concatenate(([0], np.cumsum([block_size(n) for n in nodes])))
@@ -181,6 +187,7 @@ class Ensemble:
         self.groups = np.column_stack([blocks[:-1], blocks[1:], integers[:-1], integers[1:]]).astype(np.int64)
         self.state = aligned_zeros(int(blocks[-1]))
         self.ints = np.zeros(integers[-1], dtype=np.int64)
+        # Lanes left over repeat the last point, so that they never fail by themselves.
         self.lanes = np.array([group + [group[-1]] * (LANES - len(group)) for group in members]).ravel()
         self.places = [_Place(0, 0, 0, 0)] * len(self.models)
         self._densities = [
@@ -193,11 +200,11 @@ class Ensemble:
             self._pack_group(g)
 
     def block(self, group: int) -> FloatArray:
-        """The numbers of a group (a view)."""
+        """The numbers of a lane group: temperatures [K], conditions and all else that changes (a view)."""
         return self.state[self.groups[group, BLOCK_START] : self.groups[group, BLOCK_END]]
 
     def integers(self, group: int) -> IntArray:
-        """The integers of a group (a view)."""
+        """The integers of a lane group: node count, table offsets, effect codes (a view)."""
         return self.ints[self.groups[group, INTS_START] : self.groups[group, INTS_END]]
 
     def _pack_group(self, g: int) -> None:
@@ -210,11 +217,12 @@ class Ensemble:
         nodes = node_integers(J)
         materials = nodes[:, MATERIAL_TABLE:]
         nodes[1:-1, IS_INTERFACE] = np.any(materials[1:-1] != materials[:-2], axis=1)
+        # Interfaces are flags of the group, known once all its stacks are packed; parameters are written after them.
         for i in members:
             self.set_model(i, self.models[i])
 
     def _pack_stack(self, i: int) -> None:
-        """What of the stack of a point does not change with its parameters."""
+        """Write the part of a point's stack that does not depend on its parameters."""
         model, mesh, place = self.models[i], self.meshes[i], self.places[i]
         B, J, lanes = self.block(place.group), self.integers(place.group), slice(place.lane, place.end)
         tables = self.point_tables(model)
@@ -232,7 +240,7 @@ class Ensemble:
             J[row + place.lane : row + place.end] = value
 
     def _pack_heating(self, i: int) -> None:
-        """What of the heating of a point does not change with its parameters."""
+        """Write the part of a point's heating that does not depend on its parameters."""
         place, uses = self.places[i], acting(self.models[i])
         J = self.integers(place.group)
         modes = [u.effect.mode for u in uses]
@@ -249,9 +257,14 @@ class Ensemble:
                 J[EFFECT_CODES + lane * EFFECT_SLOTS + k] = self._codes[used.effect]
 
     def set_model(self, model: int, altered: PointModel) -> None:
-        """Give a point other parameters: `altered` is its present model but for their values (PointModel.altered).
+        """Give a point new parameter values.
 
-        A march then begins with `reset` or `set_profile`.
+        model   : index of the point
+        altered : its present model but for the values (PointModel.altered); stack, mesh, tables and effects must be the
+                  same
+
+        A march then begins with `reset` or `set_profile`: until then heat contents [J/m2] are those of the earlier
+        parameters, which the step would take for its start (docs/equations_march.md, equation 6).
         """
         place, mesh = self.places[model], self.meshes[model]
         self.models[model] = altered
@@ -264,13 +277,18 @@ class Ensemble:
     # State -----------------------------------------------------------------------------------------------------------
 
     def reset(self) -> None:
-        """Put every point back to the initial temperatures of its stack."""
+        """Set every point to the initial temperatures of its stack [K] and clear all counters.
+
+        Source: docs/equations_march.md, equation 23.
+        """
         self.clear()
         for i, (model, mesh) in enumerate(zip(self.models, self.meshes, strict=True)):
             self._set_profile(i, initial_temperatures(model.construction, mesh))
 
     def clear(self) -> None:
-        """Set to zero what is counted over a march."""
+        """Set to zero the counters of a march: failures, iterations, samples outside the table or of negative ratio,
+        absorbed and emitted energy [J/m2] (docs/equations_march.md, equation 24).
+        """
         for g in range(len(self.groups)):
             B = self.block(g)
             for row in (FAILED, ITERATIONS, OUTSIDE, NEGATIVE, ENERGY_IN, ENERGY_OUT, LAG_PAST):
@@ -283,18 +301,28 @@ class Ensemble:
         set_temperatures(B, place.lane, place.end, J[N_NODES], temperature_K)
 
     def set_profile(self, model: int, temperature_K: ArrayLike) -> None:
-        """Set all node temperatures [K] of one point; the next march begins with them, a step needs `begin` first."""
+        """Set all node temperatures of one point; a march begins with them, a single step needs `begin` first.
+
+        The initial condition T(x, 0) of docs/equations_march.md, equation 23, for a profile known from elsewhere.
+
+        model         : index of the point
+        temperature_K : (node,) outermost first [K]
+        raises        : InputError where the number of nodes differs or a temperature is not above 0 K
+        """
         temperature = np.ascontiguousarray(temperature_K, dtype=float)
         if temperature.shape != (self.meshes[model].nodes,) or not np.all((temperature > 0.0) & (temperature < np.inf)):
             raise InputError(f"{self.models[model].name}: give {self.meshes[model].nodes} temperatures above 0 K")
         self._set_profile(model, temperature)
 
     def snapshot(self) -> FloatArray:
-        """Everything that changes, as one array; `restore` takes it back."""
+        """Copy of everything that changes (temperatures, conditions, counters), as one array; `restore` accepts it."""
         return self.state.copy()
 
     def restore(self, snapshot: FloatArray) -> None:
-        """Go back to a snapshot of this ensemble."""
+        """Return to a snapshot of this ensemble, bit for bit.
+
+        raises : InputError where its size is that of another model
+        """
         if snapshot.shape != self.state.shape:
             raise InputError(
                 f"snapshot: {snapshot.size} numbers, this model has {self.state.size}; it is of another model"
@@ -304,37 +332,59 @@ class Ensemble:
     # Reading ---------------------------------------------------------------------------------------------------------
 
     def node_temperatures(self, model: int) -> FloatArray:
-        """(node,) temperatures of a point [K], outermost first."""
+        """(node,) present temperatures of a point [K], outermost first, without the padding of its group."""
         place = self.places[model]
         nodes = node_rows(self.block(place.group))
         return nodes[: self.meshes[model].nodes, T, place.lane].copy()
 
     def outputs(self) -> IntArray:
-        """Places in `state` of surface, bondline and each sensor of each point, in this order."""
+        """Places in `state` of the temperatures [K] of surface, bondline and each sensor of each point, in this order.
+
+        The outputs that docs/equations_march.md, equation 16, compares.
+        """
         at = []
         for mesh, place in zip(self.meshes, self.places, strict=True):
             at += [place.temperature(node) for node in (0, mesh.bondline, *mesh.sensors)]
         return np.array(at, dtype=np.int64)
 
     def scalars(self, row: int) -> FloatArray:
-        """(point,) one scalar row of the block, such as layout.ENERGY_IN."""
+        """(point,) one scalar of each point, such as the absorbed energy [J/m2]; row : its row in the block.
+
+        Energies: docs/equations_march.md, equation 24.
+        """
         return np.array([self.state[place.scalar(row)] for place in self.places])
 
     # Moving ----------------------------------------------------------------------------------------------------------
 
     def spread(self, vectors: FloatArray) -> FloatArray:
-        """(group * LANES, condition) from one condition vector a point."""
+        """(group * LANES, condition) condition vectors of all lanes, from (point, condition); units [deg], [Pa], [J/kg]
+        ... stay.
+
+        Lanes that fill a group repeat its last point. Conditions: docs/equations_march.md, equation 1.
+        """
         return vectors[self.lanes]
 
     def begin(self, now: FloatArray) -> None:
-        """Set the conditions that hold now, one vector (layout.CONDITION_COLUMNS) a point."""
+        """Set the conditions at the present time.
+
+        now : (point, condition) in the units of the condition columns ([deg], [Pa], [J/kg] ...)
+
+        Needed before the first step, and after temperatures or parameters were changed. Source:
+        docs/equations_march.md, section 1.
+        """
         vectors = self.spread(now)
         begin_groups(self.state, self.ints, self.table, self.chain, self.move_handle, self.groups, vectors)
 
     def advance(self, then: FloatArray, dt: float) -> None:
-        """One frame of dt [s] to new conditions, linear between, in one step.
+        """Advance all points by one frame in one TR-BDF2 step, its conditions linear between the present and the new
+        ones.
 
-        raises : InputError where dt is not above 0; `check` says whether the step converged
+        then   : (point, condition) at the end of the frame, in the units of the condition columns
+        dt     : length of the frame [s]
+        raises : InputError where dt is not above 0
+
+        Whether the step converged is found with `check` or `failed`. Source: docs/equations_march.md, equation 3; Hosea
+        and Shampine (1996) for the step.
         """
         if not 0.0 < dt < np.inf:
             raise InputError(f"advance: dt is {dt:g} s; it must be above 0")
@@ -352,14 +402,19 @@ class Ensemble:
     ) -> FloatArray:
         """March all points through their flights from the present temperatures.
 
-        time_s    : (time,) samples [s], common to all flights
-        histories : (flight, time, condition) as condition_history gives them
-        which     : flight of each point; by default the flights are one for each point, or one for all
-        keep      : places in `state` to keep at each sample, `outputs()` by default; an empty array keeps nothing
-        returns   : (time, kept)
-        raises    : InputError for times or histories that are not of this form or hold values that are no numbers;
-                    RunError where the step of a point did not converge
+        time_s         : (time,) samples [s], common to all flights
+        histories      : (flight, time, condition) as condition_history gives them
+        which          : flight of each point; by default the flights are one for each point, or one for all
+        longest_step_s : intervals that are longer are divided into equal steps [s]; by default that of the ensemble
+        keep           : places in `state` to store at each sample, `outputs()` by default; an empty array stores
+                         nothing
+        returns        : (time, place) numbers stored, by default temperatures [K]
+        raises         : InputError for times or histories of another form or with values that are not finite;
+                         RunError where the step of a point did not converge
+
+        Derived in docs/equations_march.md, equations 1 and 2.
         """
+        # One flight for all points is the common case of a simulation, one for each that of a study.
         if which is None:
             which = [0] * len(self.models) if len(histories) == 1 else list(range(len(self.models)))
         self._check_march(time_s, histories, which, longest_step_s)
@@ -369,6 +424,7 @@ class Ensemble:
         step = self.step_s if longest_step_s is None else longest_step_s
         time_s, histories = np.ascontiguousarray(time_s, dtype=float), np.ascontiguousarray(histories, dtype=float)
 
+        # Groups share nothing that changes and the kernel releases the interpreter: threads cannot alter a bit.
         def one(g: int) -> None:
             start, end = self.groups[g, BLOCK_START], self.groups[g, BLOCK_END]
             mine = np.flatnonzero((kept >= start) & (kept < end))
@@ -409,13 +465,19 @@ class Ensemble:
             raise InputError(f"march, flight {flight}, time_s {time:g}: {name} is not a finite number")
 
     def failed(self) -> NDArray[np.bool_]:
-        """(point,) whose step did not converge, whose temperature is not a number, or whose moisture runs away."""
+        """(point,) whose step did not converge, whose surface temperature [K] is not a number, or whose moisture has no
+        unique temperature (docs/equations_march.md, equation 22).
+        """
         surface = np.array([self.state[place.temperature(0)] for place in self.places])
         away = np.array([model.runs_away for model in self.models])
         return np.asarray((self.scalars(FAILED) > 0.0) | ~np.isfinite(surface) | away)
 
     def check(self) -> None:
-        """raises : RunError naming the points that failed."""
+        """Raise an error where a point failed.
+
+        raises : RunError naming the points whose step did not converge, or whose moisture has no unique temperature
+                 (docs/equations_march.md, equation 22)
+        """
         away = [model.name for model in self.models if model.runs_away]
         if away:
             raise RunError(f"{', '.join(away)}: {RUNS_AWAY}")
@@ -425,7 +487,10 @@ class Ensemble:
 
 
 def aligned_zeros(count: int) -> FloatArray:
-    """Zeros that begin on a cache line: where every second vector load splits a line, a step takes a fifth longer."""
+    """Array of `count` zeros that begins on a cache line.
+
+    Where every second vector load splits a line, a step takes a fifth longer.
+    """
     memory = np.zeros(count + CACHE_LINE // 8)
     first = (-memory.ctypes.data % CACHE_LINE) // 8
     return memory[first : first + count]

@@ -1,4 +1,4 @@
-"""Temperatures of control points along a flight, and what a flight meant for each of them."""
+"""Temperature histories of control points along a flight, their peaks and margins, and excursions from ratio tables."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from sim_heating.thermal.mesh import Mesh, refined
 
 @dataclass(frozen=True)
 class PointHistory:
-    """One control point along a flight.
+    """Temperatures and heating ratio of one control point along a flight.
 
     time_s     : (time,) [s]
-    surface_K, bondline_K : (time,) [K]
-    sensors_K  : (sensor, time) temperature at each sensor [K], without what its recorder does
+    surface_K, bondline_K : (time,) [K]; the bondline is the outer face of the last layer
+    sensors_K  : (sensor, time) temperature at each sensor [K], without sensor errors, noise and quantisation
     ratio      : (time,) heating ratio with all corrections and effects [-]; NaN where h_ref is 0
     """
 
@@ -38,7 +38,13 @@ class PointHistory:
 
 @dataclass(frozen=True)
 class Outside:
-    """How a flight left the axes of a ratio table: in which variable, for how long, how far, and first when."""
+    """Excursion of a flight beyond one axis of a ratio table, where the edge value is held.
+
+    variable   : name of the axis
+    duration_s : time spent outside [s]
+    farthest   : largest distance beyond the axis, in the unit of the variable
+    first_s    : time of the first sample outside [s]
+    """
 
     variable: str
     duration_s: float
@@ -54,25 +60,35 @@ def march_points(
     longest_step_s: float = 1.0,
     halvings: int = 0,
 ) -> list[PointHistory]:
-    """Temperatures of all points from the initial ones of their stacks, along their conditions.
+    """Temperature histories of control points along their flights, from the initial temperatures of their stacks.
 
-    flights       : conditions of each point, on common times
-    extra_times_s : times [s] within the flight to step to as well; the conditions are linear to them
-    halvings      : how often every element of the meshes is halved: each takes the error of the mesh to a quarter
-    raises        : RunError where a step did not converge
+    models         : control points;  flights : flight conditions of each, on common times
+    extra_times_s  : further times within the flight to step to [s]; conditions are linear to them
+    longest_step_s : longest time step [s]
+    halvings       : how often every element of the chosen meshes is halved; each halving quarters the mesh error
+    returns        : one history for each point, at the flight's times and the extra ones
+    raises         : RunError where a step did not converge
+
+    The heating ratio is recovered as film coefficient over h_ref. Derived in docs/equations_march.md, equations 1, 16
+    and 18.
     """
     ensemble = pack(models, longest_step_s)
     if halvings > 0:
         ensemble = Ensemble(models, [finer(mesh, halvings) for mesh in ensemble.meshes], longest_step_s)
     time = np.union1d(flights[0].time_s, np.asarray(extra_times_s, dtype=float))
+    # Interpolated only where a time was added: the samples themselves are taken as they are.
     flown = [f.at(time) for f in flights] if len(time) > len(flights[0]) else list(flights)
+    # FILM has one row a stage; the third is that of the end of a step, where the samples are.
     film = np.array([place.scalar(FILM + 2) for place in ensemble.places])
     out = ensemble.march(time, histories(flown), keep=np.concatenate([ensemble.outputs(), film]))
     return _split(ensemble, time, out, flown)
 
 
 def finer(mesh: Mesh, halvings: int) -> Mesh:
-    """A mesh with every element halved so often."""
+    """Mesh with every element halved `halvings` times; the error of second order [K] falls to a quarter each time.
+
+    Derived in docs/equations_march.md, equation 16.
+    """
     for _ in range(halvings):
         mesh = refined(mesh)
     return mesh
@@ -92,7 +108,15 @@ def _split(ensemble: Ensemble, time: FloatArray, out: FloatArray, flown: Sequenc
 
 
 def at_times(history_s: FloatArray, values: FloatArray, time_s: FloatArray) -> FloatArray:
-    """Values (..., time) at times that the history holds; NaN at times outside it."""
+    """Values of a history at given times that it contains; nothing is interpolated.
+
+    history_s : (step,) times of the history [s];  values : (..., step), temperatures [K] for instance
+    time_s    : (time,) times wanted [s]
+    returns   : (..., time), NaN at times outside the history
+    raises    : InputError where a time inside the history is none of its times, nor up to 1e-9 s before one
+
+    Every sample time is an end of a step: docs/equations_march.md, equation 2.
+    """
     place = np.clip(np.searchsorted(history_s, time_s), 0, len(history_s) - 1)
     inside = (time_s >= history_s[0]) & (time_s <= history_s[-1])
     if not np.allclose(history_s[place][inside], time_s[inside], rtol=0.0, atol=1e-9):
@@ -101,9 +125,17 @@ def at_times(history_s: FloatArray, values: FloatArray, time_s: FloatArray) -> F
 
 
 def outside_table(model: PointModel, flown: Conditions) -> list[Outside]:
-    """Where a flight left the point's ratio table, whose edge value held there; axes of one value have no outside."""
+    """Excursions of a flight beyond the axes of a point's ratio table, one for each axis that it left.
+
+    flown   : conditions of the flight
+    returns : variable, duration [s], largest distance in the unit of the variable, time of the first [s]; no entry for
+              an axis of a single value, which has no outside, and for a point without a table
+
+    Derived in docs/equations_march.md, equations 19 and 20.
+    """
     if model.ratio is None:
         return []
+    # Half of the interval to either side is the time that a sample stands for.
     span = np.gradient(flown.time_s) if len(flown) > 1 else np.zeros(1)
     found = []
     for variable, axis in zip(RATIO_VARIABLES, model.ratio.axes, strict=True):
@@ -117,14 +149,20 @@ def outside_table(model: PointModel, flown: Conditions) -> list[Outside]:
 
 
 def negative_ratio_s(history: PointHistory) -> float:
-    """How long the heating ratio was negative [s]; it is never clipped."""
+    """Time during which the heating ratio was negative [s]; it is reported and never clipped.
+
+    Samples where h_ref is 0 have no ratio and do not count. Derived in docs/equations_march.md, equation 19.
+    """
     if len(history.time_s) < 2:
         return 0.0
     return float(np.sum(np.gradient(history.time_s)[history.ratio < 0.0]))
 
 
 def peak(time_s: FloatArray, temperature_K: FloatArray) -> tuple[float, float]:
-    """Highest temperature [K] and its time [s]."""
+    """Highest temperature of a history [K] and the time when it first occurs [s]; docs/equations_march.md, equation 21.
+
+    time_s, temperature_K : (time,) [s], [K]
+    """
     i = int(np.argmax(temperature_K))
     return float(temperature_K[i]), float(time_s[i])
 
@@ -132,7 +170,16 @@ def peak(time_s: FloatArray, temperature_K: FloatArray) -> tuple[float, float]:
 def summary_of(
     history: PointHistory, limits: Mapping[str, float | None], outside: Sequence[Outside]
 ) -> dict[str, object]:
-    """Peaks, margins to the limits (positive is below), and what was odd, as a results file holds them."""
+    """Peaks, margins to the temperature limits and excursions of one control point, as a results file contains them.
+
+    history : temperatures of the point [K]
+    limits  : `surface_K` and `bondline_K`, limits [K]; None or absent where there is none, and then no margin
+    outside : excursions beyond the ratio table
+    returns : peaks [K] and their times [s], margins limit minus peak [K], positive below the limit, excursions, time of
+              negative ratio [s]
+
+    Derived in docs/equations_march.md, equations 19 to 21.
+    """
     surface, at_s = peak(history.time_s, history.surface_K)
     bondline, bond_at_s = peak(history.time_s, history.bondline_K)
     surface_limit, bondline_limit = limits.get("surface_K"), limits.get("bondline_K")

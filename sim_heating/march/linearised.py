@@ -1,7 +1,8 @@
-"""Points marched together with the sensitivity of their temperatures to any of their parameters.
+"""Points marched together with the sensitivities of their temperatures to any of their parameters.
 
 At a sample between two steps temperatures and sensitivities are read from the parabola through the start, the middle
 stage and the end of the step, which has the order of the step itself; a skew of clocks is then a continuous parameter.
+Equations: docs/equations_march.md, equations 4 to 15.
 """
 
 from __future__ import annotations
@@ -44,31 +45,31 @@ from sim_heating.thermal.sensitivity import (
 from sim_heating.thermal.step import BEGIN, STAGE_WEIGHT, hold
 
 MOVED = 1e-5
-"""A parameter that is not affine is moved to either side by this part of its scale: rounding and curvature then cost
-nine digits each."""
+"""Perturbation, over its scale, of a parameter in which the heat balance is not affine, to either side: curvature
+then costs about 1e-10, rounding about 1e-11 of the balance itself, together about 1e-8 of a derivative."""
 MOVED_AFFINE = 1e-2
-"""And one that is affine, to one side, by this part of it."""
+"""Perturbation, over its scale, of a parameter in which the heat balance is affine, to one side."""
 
 LINEAR_RATIO = {p.name: k for k, p in enumerate(RATIO)}
 """Numbers of the parameters of the linear heating ratio in a lane's vector."""
 RATIO_ITSELF = RATIO[D0].name
-"""The one that is added to the ratio as it is: what another does to a wall is that, times what it does to the ratio.
-Not where a lag remembers the ratio."""
+"""The parameter that is added to the ratio itself. The response to another one of the linear ratio is the response to
+this one times its derivative of the ratio, unless a lag remembers earlier ratios."""
 
 
 @dataclass(frozen=True)
 class Track:
-    """One point on its way through a flight.
+    """One control point, its mesh, and the samples and parameters at which temperatures and sensitivities are wanted.
 
     model    : the point, `mesh` its mesh
-    names    : (m,) dotted names of the parameters whose sensitivities are wanted
-    sample_s : (sample,) times [s] at which they are wanted, increasing, within the march
-    nodes    : nodes at which they are wanted; those of the sensors where None
-    initial_K, initial_columns : (node,) temperatures at the start, and (node, extra) their sensitivities to `extra`
+    names    : (m,) dotted names of the parameters
+    sample_s : (sample,) times [s], increasing, within the march
+    nodes    : nodes that are read; those of the sensors where None
+    initial_K, initial_columns : (node,) temperatures at the start [K], and (node, extra) their sensitivities to `extra`
                more parameters, which come after the others; as the stack declares, and none, where None
     flight   : number of the flight
-    table_errors : each an array of the shape of the ratio table: the sensitivity to its factor c in ratio + c error
-               comes after the named ones
+    table_errors : arrays of the shape of the ratio table [-]; sensitivities to the factors c in ratio + c error come
+               after the named parameters
     """
 
     model: PointModel
@@ -83,20 +84,26 @@ class Track:
 
     @property
     def read_nodes(self) -> tuple[int, ...]:
-        """The nodes that are read."""
+        """Nodes whose temperatures are read: those asked for, by default those of the sensors."""
         return self.mesh.sensors if self.nodes is None else self.nodes
 
     @property
     def columns(self) -> int:
-        """Number of sensitivities."""
+        """Number of sensitivities: named parameters, table errors, initial temperatures (docs/equations_march.md,
+        equations 9 to 14).
+        """
         extra = 0 if self.initial_columns is None else self.initial_columns.shape[1]
         return len(self.names) + len(self.table_errors) + extra
 
 
 @dataclass(frozen=True)
 class Linearised:
-    """What a track gave: temperature [K] and its rate [K/s], (node read, sample), and sensitivity (node read, sample,
-    parameter) in K over the unit of the parameter."""
+    """Temperatures of a track and their derivatives.
+
+    temperature_K : (node read, sample) [K]
+    rate_K_s      : (node read, sample) rate of change [K/s]
+    sensitivity   : (node read, sample, parameter) dT/dp, in K over the unit of the parameter
+    """
 
     temperature_K: FloatArray
     rate_K_s: FloatArray
@@ -104,7 +111,16 @@ class Linearised:
 
 
 def moved(model: PointModel, name: str) -> tuple[float, bool]:
-    """By how much a parameter is moved for its derivative, and whether to both sides."""
+    """Perturbation of a parameter for its derivative, and whether it is applied to both sides.
+
+    model   : the point;  name : dotted name of the parameter
+    returns : 1e-2 of the scale, one-sided, where the heat balance is affine in the parameter (the difference is then
+              exact to rounding); 1e-5 of it, to both sides, where it is not. In the unit of the parameter ([-], [K],
+              [m] ...)
+
+    The scale is the prior's standard deviation, else the larger of the value and 1. A curved parameter's derivative is
+    good to about 1e-8. Derived in docs/equations_march.md, equations 9 and 10.
+    """
     definition, value = model.definition(name), abs(model.value(name))
     known = 0.0 < definition.sigma < np.inf
     scale = definition.sigma if known else max(value, 1.0)
@@ -114,11 +130,13 @@ def moved(model: PointModel, name: str) -> tuple[float, bool]:
 
 @dataclass(frozen=True)
 class _Shadow:
-    """One shadow of a track: its base, or the base with a parameter moved by so much, or another table.
+    """One perturbed lane of a track: the nominal point, or that point with one parameter perturbed, or with another
+    table.
 
     columns : those of the parameter, or of all parameters of the linear ratio, which act as the ratio itself does
-    name    : of the parameter, nothing for the base and for tables
-    both    : whether that is moved to both sides;  at_faces : whether it acts at the faces alone
+    name    : of the parameter, empty for the nominal point and for tables
+    by      : perturbation, in the unit of the parameter
+    both    : whether it is perturbed to both sides;  at_faces : whether it acts at the faces alone
     """
 
     track: int
@@ -129,18 +147,20 @@ class _Shadow:
     at_faces: bool = False
 
     def model(self, track: Track, base: PointModel) -> PointModel:
-        """The shadow of a point."""
+        """Model of the perturbed lane, from the nominal one."""
         if self.name:
             return base.altered({self.name: base.value(self.name) + self.by})
         if not self.columns or base.ratio is None:
             return base
+        # The balance is affine in the ratio, so that a whole unit of the error gives the exact derivative.
         error = track.table_errors[self.columns[0] - len(track.names)]
         return replace(base, ratio=replace(base.ratio, ratio=base.ratio.ratio + error))
 
 
 def _shadows_of(i: int, track: Track) -> list[_Shadow]:
-    """The shadows of a track, its base's first; none where it has no sensitivities."""
+    """The perturbed lanes of a track, the nominal one first; none where no sensitivity is wanted."""
     found = [_Shadow(i)] if track.columns else []
+    # A lag mixes earlier values of dr/dp into the present ratio, so that one lane cannot serve all parameters.
     remembered = any(used.effect.lags for used in track.model.effects)
     shared = () if remembered else tuple(k for k, name in enumerate(track.names) if name in LINEAR_RATIO)
     if shared:
@@ -155,8 +175,12 @@ def _shadows_of(i: int, track: Track) -> list[_Shadow]:
 
 
 class Wanted(NamedTuple):
-    """What is wanted of each lane: number of sensitivities; times of its samples [s] and how many they are; nodes that
-    are read and how many they are."""
+    """Samples and sensitivities wanted of each lane.
+
+    columns        : (lane,) number of sensitivities
+    time_s         : (lane, sample) times [s];  samples : (lane,) their number
+    nodes          : (lane, read) nodes that are read;  reads : (lane,) their number
+    """
 
     columns: IntArray
     time_s: FloatArray
@@ -166,11 +190,14 @@ class Wanted(NamedTuple):
 
 
 class LinearMarch:
-    """Up to LANES tracks on common times, marched and linearised together.
+    """Up to LANES tracks on common times, marched together with the sensitivities of their temperatures.
 
-    tracks    : what is marched; parameters are changed with `set_models`, times and names stay
-    time_s    : (time,) steps [s] that the march takes; conditions are linear between them
-    histories : (flight, time, condition) as ensemble.condition_history gives them
+    tracks    : points with samples and parameters; values change with `set_models`, times and names stay
+    time_s    : (time,) steps of the march [s]; conditions are linear between them
+    histories : (flight, time, condition), in the units of the condition columns
+    raises    : InputError for no track or for more than LANES
+
+    The derivatives are those of the discrete march: docs/equations_march.md, equations 6 to 14.
     """
 
     def __init__(self, tracks: Sequence[Track], time_s: FloatArray, histories: FloatArray) -> None:
@@ -192,17 +219,21 @@ class LinearMarch:
             self._flights[lane] = self.tracks[i].flight
 
     def _ensemble(self) -> Ensemble:
-        """The shadows in lanes, those of which whole rows are wanted first; lanes left beside them take others."""
+        """Ensemble of the perturbed lanes, those that need whole rows first.
+
+        Groups of whole rows are filled up with lanes that need the faces alone.
+        """
         tracks = [self.tracks[shadow.track] for shadow in self._shadows]
         models = [shadow.model(track, track.model) for shadow, track in zip(self._shadows, tracks, strict=True)]
         at_faces = np.array([shadow.at_faces for shadow in self._shadows])
+        # A group costs the same with one lane as with eight: lanes at the faces alone fill the groups of whole rows.
         beside = -np.count_nonzero(~at_faces) % LANES
         kinds = [int(kind) for kind in at_faces & (np.cumsum(at_faces) > beside)]
         return Ensemble(models, [track.mesh for track in tracks], beside=self.base, kinds=kinds)
 
     @cached_property
     def _groups(self) -> Groups:
-        """The shadows as the kernel takes them."""
+        """The perturbed lanes as the kernel takes them."""
         e = self.shadows
         if e is None:
             return NO_SHADOWS
@@ -211,7 +242,7 @@ class LinearMarch:
         return Groups(e.ints, e.groups, len(whole), self._lane_of[owner][e.lanes].astype(np.int64))
 
     def _places(self, m: int) -> Places:
-        """Where the shadows of each lane stand, m columns to a lane."""
+        """Where the perturbed lanes of each track stand, m columns to a lane."""
         faces = DEPTH if self.base.integers(0)[GAPS] == 1 else FACES
         if (m, faces) not in self._kept_places:
             self._kept_places[m, faces] = self._find_places(m, faces)
@@ -225,6 +256,7 @@ class LinearMarch:
         for shadow, place in zip(self._shadows, stand, strict=True):
             lane, columns, first = self._lane_of[shadow.track], list(shadow.columns), place.node_0
             if not columns:
+                # Equal on both sides by default: a column without a perturbed lane has no forcing.
                 at[lane], plus[lane], minus[lane] = first, first, first
             elif shadow.by < 0.0:
                 minus[lane, columns] = first
@@ -236,7 +268,12 @@ class LinearMarch:
         return Places(at, plus, minus, inverse, reach, linear, self._nodes)
 
     def set_models(self, models: Sequence[PointModel]) -> None:
-        """Give the tracks' points other values of their parameters (PointModel.altered)."""
+        """Give the points new parameter values, in all lanes, nominal and perturbed.
+
+        models : one for each track, differing from the present one in values only ([-], [K], ... by parameter)
+
+        Perturbations keep their size: docs/equations_march.md, equations 9 and 10.
+        """
         for i, model in enumerate(models):
             self.base.set_model(i, model)
         if self.shadows is not None:
@@ -246,11 +283,15 @@ class LinearMarch:
     def march(
         self, shifts_s: Sequence[float] | None = None, initial_K: Sequence[FloatArray | None] | None = None
     ) -> list[Linearised]:
-        """March all tracks from their initial temperatures.
+        """March all tracks from their initial temperatures, with the sensitivities at their samples.
 
-        shifts_s  : what is added to the sample times of each track [s]; nothing by default
-        initial_K : temperatures at the start in place of those of each track
-        raises   : InputError where a shifted sample lies outside the march, RunError where a step did not converge
+        shifts_s  : (track,) added to the sample times of each track [s], a clock skew for instance; 0 by default
+        initial_K : (node,) temperatures at the start [K] of each track, in place of its own
+        returns   : temperatures [K], rates [K/s] and sensitivities of each track
+        raises    : InputError where a shifted sample lies outside the march, RunError where a step did not converge or
+                    a sensitivity is not finite
+
+        Derived in docs/equations_march.md, equations 4 to 8.
         """
         found = self.attempt(shifts_s, initial_K)
         self.base.check()
@@ -265,7 +306,15 @@ class LinearMarch:
     def attempt(
         self, shifts_s: Sequence[float] | None = None, initial_K: Sequence[FloatArray | None] | None = None
     ) -> list[Linearised | None]:
-        """`march`, with None for a track that failed: the others are what they are without it."""
+        """March all tracks, with None in place of a track that failed; the others are unaffected by it.
+
+        shifts_s  : (track,) added to the sample times of each track [s]; 0 by default
+        initial_K : (node,) temperatures at the start [K] of each track, in place of its own
+        returns   : temperatures [K], rates [K/s] and sensitivities of each track, or None
+        raises    : InputError where a shifted sample lies outside the march
+
+        Derived in docs/equations_march.md, equations 4 to 8.
+        """
         shifts = [0.0] * len(self.tracks) if shifts_s is None else list(shifts_s)
         times = [track.sample_s + shift for track, shift in zip(self.tracks, shifts, strict=True)]
         for track, t in zip(self.tracks, times, strict=True):
@@ -287,16 +336,17 @@ class LinearMarch:
         return [None if failed[i] else self._result(i, out) for i in range(len(self.tracks))]
 
     def _begin(self, initial_K: Sequence[FloatArray | None]) -> None:
-        """Put bases and shadows to the start."""
+        """Set nominal and perturbed lanes to the start of the march."""
         self.base.reset()
         if self.shadows is not None:
             self.shadows.clear()
         for i, profile in enumerate(initial_K):
+            # The perturbed lanes take their temperatures from the nominal ones at every stage.
             if profile is not None:
                 self.base.set_profile(i, profile)
 
     def _shadow_state(self) -> FloatArray:
-        """Blocks of the shadows."""
+        """Blocks of the perturbed lanes."""
         return np.zeros(0) if self.shadows is None else self.shadows.state
 
     def _start(self, m: int) -> FloatArray:
@@ -309,7 +359,7 @@ class LinearMarch:
         return start
 
     def _wanted(self, times: Sequence[FloatArray]) -> Wanted:
-        """What is read of each lane; a lane without a track has no samples and no columns."""
+        """Samples wanted of each lane; a lane without a track has no samples and no columns."""
         columns, samples, reads = np.zeros((3, LANES), dtype=np.int64)
         sample_s = np.full((LANES, max(1, *(len(t) for t in times))), np.inf)
         nodes = np.zeros((LANES, max(1, *(len(t.read_nodes) for t in self.tracks))), dtype=np.int64)
@@ -328,7 +378,10 @@ class LinearMarch:
 
 
 def initial_profile(track: Track) -> FloatArray:
-    """(node,) temperatures [K] at the start of a track."""
+    """(node,) temperatures at the start of a track [K]: its own, else those that its stack declares.
+
+    Source: docs/equations_march.md, equation 23; its sensitivities are those of equation 14.
+    """
     if track.initial_K is not None:
         return track.initial_K
     return initial_temperatures(track.model.construction, track.mesh)
@@ -339,7 +392,7 @@ def _read_samples(
     B: FloatArray, lane: int, begun_s: float, dt: float, S_start: FloatArray, S_stage: FloatArray, S: FloatArray,
     wanted: Wanted, first: int, out: FloatArray,
 ) -> int:  # fmt: skip
-    """Temperatures, rates and sensitivities at the samples of a lane in one step; gives the next sample's number."""
+    """Temperatures, rates and sensitivities at the samples of a lane in one step; returns the next sample's number."""
     k, m = first, wanted.columns[lane]
     while k < wanted.samples[lane] and wanted.time_s[lane, k] <= begun_s + dt:
         x = (wanted.time_s[lane, k] - begun_s) / dt
@@ -363,14 +416,26 @@ def march_linear(
     X: FloatArray, shadows: Groups, p: Places,
     time_s: FloatArray, histories: FloatArray, which: IntArray, start: FloatArray, wanted: Wanted, out: FloatArray,
 ) -> None:  # fmt: skip
-    """March one group with the sensitivities of its lanes; arrays as LinearMarch makes them.
+    """March one lane group with the sensitivities of its lanes.
 
-    start : (LANES, node, m) sensitivities at the start
-    out   : (LANES, node read, sample, 2 + m)
+        A1 S1 = e + d dt f - G_p,    A2 S2 = e + (w/d) (e1 - e) - G_p
+
+    B, J, table     : block and integers of the nominal lanes, which change; property and ratio tables
+    chain, move     : handles of the compiled effects and the compiled step;  rows, faces : of the assembly of whole
+                      rows, and of the heat at the faces alone
+    X, shadows, p   : blocks of the perturbed lanes, their groups, and where those of each lane stand
+    time_s          : (time,) steps [s];  histories : (flight, time, condition);  which : (LANES,) flight of each lane
+    start           : (LANES, node, m) sensitivities of the temperatures at the start [K over the parameter's unit]
+    wanted          : samples and nodes
+    out             : (LANES, node read, sample, 2 + m) temperature [K], rate [K/s], sensitivities; filled
+
+    A lane that fails leaves numbers that are not finite in its own part of `out`. Derived in docs/equations_march.md,
+    equations 4 to 8.
     """
     b, j, t = raw(B), raw(J), raw(table)
     n, m = start.shape[1], start.shape[2]
     S, S_stage, S_start = start.copy(), np.zeros((LANES, n, m)), start.copy()
+    # e and f are carried from step to step: the end of one is the start of the next, as for the temperatures.
     e, f = np.zeros((LANES, n, m)), np.zeros((LANES, n, m))
     star, middle = np.zeros((LANES, n, m)), np.zeros((LANES, n, m))
     reduced = np.zeros(n)
@@ -379,6 +444,7 @@ def march_linear(
         for c in range(N_CONDITIONS):
             B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], 0, c]
     call_step(move, b, j, t, chain, BEGIN)
+    # With 1 s for the time step the rows give f as the difference of content and residual.
     assemble_shadows(B, X, shadows, table, chain, rows, faces, T, 2, 1.0)
     for lane in range(LANES):
         if wanted.columns[lane] > 0:
@@ -391,6 +457,7 @@ def march_linear(
                 B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], k, c]
         call_step(move, b, j, t, chain, dt)
         ddt = STAGE_WEIGHT * dt
+        # Nominal temperatures first: the perturbed lanes are assembled at the stages to which the step converged.
         assemble_shadows(B, X, shadows, table, chain, rows, faces, T_STAGE, 1, ddt)
         for lane in range(LANES):
             if wanted.columns[lane] > 0:

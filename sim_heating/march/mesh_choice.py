@@ -1,9 +1,9 @@
-"""How many nodes a stack needs: the same heating pulse on a mesh and on its refinement.
+"""Choice of the mesh of a stack: a trial heating pulse marched on a mesh and on its refinement.
 
-The pulse is an entry in small: the surface is driven towards a radiation equilibrium near its highest use
-temperature in 300 s, held there with a doublet of 15 % in flux, and left to cool. What halving every element
-changes, times 4/3 for a second-order method, estimates the error of the coarser mesh; the coarsest mesh below the
-tolerance is taken.
+The pulse resembles an entry: the surface is driven towards a radiation equilibrium near its highest use temperature
+in 300 s, held there with a doublet of 15 % in flux, and left to cool. The change when every element is halved, times
+4/3 for a second-order method, estimates the error of the coarser mesh; the coarsest mesh below the tolerance is
+taken. Equations: docs/equations_march.md, equations 16 and 17.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from sim_heating.thermal.stack import pairs
 
 TOLERANCE_K = 0.3
 """Error estimate that the automatic mesh keeps at surface, bondline and sensors [K], on a pulse to the highest
-temperature of use; a flight that heats less has less."""
+temperature of use; a flight that heats less has a smaller error."""
 LADDER = (14, 16, 20, 24, 28, 32, 40, 48, 64, 80, 100)
 """Node counts tried; few different ones, so that points share lane groups."""
 PULSE_TIME_S = np.array([0.0, 300.0, 440.0, 450.0, 460.0, 470.0, 600.0, 900.0, 1200.0])
@@ -35,14 +35,26 @@ NOMINAL_SURFACE_K = 1300.0
 
 
 def pack(models: Sequence[PointModel], step_s: float = 1.0) -> Ensemble:
-    """An ensemble of these points on meshes chosen for them; step_s is the longest time step [s] to come."""
+    """Ensemble of control points on meshes chosen for them.
+
+    models : control points;  step_s : longest time step [s] of the marches to come
+    raises : RunError where a trial march on a mesh did not converge
+
+    Meshes keep the error estimate of docs/equations_march.md, equation 16, below 0.3 K.
+    """
     return Ensemble(models, [mesh for mesh, _ in choose_meshes(models, step_s)], step_s)
 
 
 def choose_meshes(models: Sequence[PointModel], step_s: float = 1.0) -> list[tuple[Mesh, float | None]]:
-    """Mesh of each point and its error estimate [K] on the pulse; no estimate where the point names its node count.
+    """Mesh of each control point with its error estimate, eps = 4/3 max |T_h - T_(h/2)| on the trial pulse.
 
-    Meshes and estimates are made once for a stack and remembered.
+    models  : control points;  step_s : longest time step of the marches to come [s], which also grades the mesh
+    returns : (mesh, error [K]) of each point, the first of 14, 16, 20 ... 100 nodes whose estimate is below 0.3 K, else
+              the largest; None for the error where the point prescribes its node count
+
+    Surface, bondline and sensors are compared. The estimate is for a pulse to the highest temperature of use: a flight
+    that heats more may have a larger error. Results are cached for each stack, sensors, node count and step.
+    Derived in docs/equations_march.md, equations 16 and 17.
     """
     new = {key: m for key, m in ((_key(m, step_s), m) for m in models) if key not in _KNOWN}
     _KNOWN.update({key: (_asked_for(m, step_s), None) for key, m in new.items() if m.nodes is not None})
@@ -63,7 +75,13 @@ def _asked_for(model: PointModel, step_s: float) -> Mesh:
 
 
 def mesh_of_nodes(model: PointModel, nodes: int, step_s: float) -> Mesh:
-    """A point's mesh of so many nodes, or of the fewest that it can have."""
+    """Mesh of a control point with a prescribed node count, at least what its interfaces and sensors need.
+
+    model  : the point, its sensor depths in [m];  nodes : node count wanted
+    step_s : longest time step, which sets how fine the mesh is at the surface [s]
+
+    Derived in docs/equations_march.md, section 4.
+    """
     depths = np.array(model.depths_m, dtype=float)
     return build_mesh(model.construction, depths, max(nodes, fewest_nodes(model.construction, depths)), step_s)
 
@@ -72,7 +90,8 @@ Key = TypeVar("Key")
 
 
 def _climb(models: Mapping[Key, PointModel], step_s: float) -> dict[Key, tuple[Mesh, float | None]]:
-    """Take all models up the ladder together, eight in a lane group, until the error of each is small."""
+    """Refine all models together, eight in a lane group, until the error of each is below the tolerance."""
+    # Without ratio, parameters and effects: the pulse is a prescribed flux, and the mesh depends on the stack alone.
     bare = {key: PointModel(m.name, m.construction, m.depths_m) for key, m in models.items()}
     fewest = {key: fewest_nodes(m.construction, np.array(m.depths_m)) for key, m in bare.items()}
     done: dict[Key, tuple[Mesh, float | None]] = {}
@@ -106,6 +125,7 @@ def _pulse_flux(point: PointModel) -> float:
 
 
 def _pulse(points: Sequence[PointModel], meshes: Sequence[Mesh], step_s: float) -> FloatArray:
+    # A short step would cost much and add nothing: it is the mesh that is judged, and both meshes share the step.
     step = max(step_s, 1.0)
     time = np.linspace(0.0, PULSE_TIME_S[-1], int(np.ceil(PULSE_TIME_S[-1] / step)) + 1)
     history = np.zeros((len(points), len(time), len(CONDITION_COLUMNS)))

@@ -1,5 +1,6 @@
-"""What a control point is to the kernels: construction, sensors, ratio table, parameters, effects, and the numbers that
-a lane takes of them."""
+"""Model of a control point for the kernels: construction, sensors, ratio table, parameters and effects, and the numbers
+that a lane takes from them.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ BACK = ("back.h_W_m2K", "back.T_K", "back.emissivity")
 MOISTURE = (LATENT_HEAT, BOILS, DEPOSITED, CONDENSES, WIDTH)
 RUNS_AWAY = "moisture gives off more heat as it condenses than takes to warm what it condenses in"
 CONDENSES_WITHIN = 8.0
-"""Widths about the temperature at which moisture condenses within which all of it does."""
+"""Widths about its condensation temperature outside of which moisture condenses to less than 1e-3."""
 PLACES = {name: k for k, name in enumerate(MODEL)}
 """Place of each parameter in PointModel.values."""
 
@@ -42,17 +43,21 @@ def _unknown(point: str, name: str, known: Iterable[str]) -> str:
 
 @dataclass(frozen=True)
 class PointModel:
-    """One control point as the kernels take it.
+    """One control point: construction, sensors, heating ratio, parameters and effects.
 
     name          : for messages and columns
     construction  : stack and materials
-    depths_m      : depths of the sensors; each gets a node
-    ratio         : declared table, or None for ratio.d0 alone
+    depths_m      : depths of the sensors from the outer surface [m]; each gets a node
+    ratio         : declared ratio table [-], or None for ratio.d0 alone
     wall_enthalpy : constant cp [J/(kg K)] or the name of a gas model
     nodes         : number of nodes, or None to have it chosen
-    parameters    : dotted name -> value, where not nominal (parameters.MODEL)
-    reference     : values of the five ratio variables that derivatives are about
+    parameters    : dotted name -> value, in the unit of the parameter, where not nominal
+    reference     : values of the five ratio variables about which derivatives are taken [deg, deg, -, deg, deg]
     effects       : effects with their parameters
+    raises        : InputError for unknown parameters and values out of bounds, sensors outside the stack, cp not above
+                    0, two effects with a lag, ratio.d0 with a table, moisture without a unique temperature
+
+    Heating ratio: docs/equations.md, section 2.
     """
 
     name: str
@@ -80,22 +85,33 @@ class PointModel:
                 raise InputError(f"{self.name}: a sensor at {depth:g} m is outside the stack (0 to {thickness:g} m)")
         if not isinstance(self.wall_enthalpy, str) and not 0.0 < self.wall_enthalpy < np.inf:
             raise InputError(f"{self.name}, wall_enthalpy: cp {self.wall_enthalpy:g} J/(kg K) must be above 0")
+        # A lane has one memory for a lag.
         if sum(use.effect.lags for use in self.effects) > 1:
             raise InputError(f"{self.name}: two effects with a lag; one at most at one control point")
         if self.ratio is not None and self.parameters.get("ratio.d0", 0.0) != 0.0:
             raise InputError(f"{self.name}: ratio.d0 is 0 where there is a ratio table; use ratio.scale")
+        # Last: it reads `values`, which the checks above have made sure of.
         if self.runs_away:
             raise InputError(f"{self.name}: {RUNS_AWAY}; lower its deposit_J_kg or raise its width_K")
 
     @property
     def runs_away(self) -> bool:
-        """Whether moisture that condenses would give off more heat than takes to warm what it condenses in by as much
-        as that makes it warmer: its temperature would jump."""
+        """Whether condensing moisture would release more heat than warms the material that it condenses in.
+
+            c(T) + (L u (1 - u) - D v (1 - v)) / w <= 0,    u, v logistic about the boiling and condensation
+            temperatures
+
+        at one of 81 temperatures over T_condense +- 8 w [K]; L, D latent and deposited heat [J/kg], w the width [K], c
+        the specific heat of the insulation [J/(kg K)]. The temperature would jump there and a step have no unique
+        solution. Derived in docs/equations_march.md, equation 22.
+        """
         stack = self.values[len(RATIO) :]
         latent, boil, deposit, condense, width = (float(stack[k]) for k in MOISTURE)
         if deposit <= 0.0:
             return False
+        # Only about condensation: elsewhere the deposited heat is negligible and boiling only adds to the heat content.
         T = condense + width * np.linspace(-CONDENSES_WITHIN, CONDENSES_WITHIN, 81)
+        # Clipped where exp would overflow; u (1 - u) is 0 there to rounding.
         up, down = (1.0 / (1.0 + np.exp(-np.clip((T - at) / width, -500.0, 500.0))) for at in (boil, condense))
         material = self.construction.layer_materials()[insulation_layer(self.construction)]
         warmed = np.interp(T, *np.array(material.specific_heat_J_kgK, dtype=float).T)
@@ -103,11 +119,18 @@ class PointModel:
 
     @cached_property
     def values(self) -> FloatArray:
-        """Values of the parameters of parameters.MODEL, in their order."""
+        """(parameter,) values of all parameters of the heating ratio and the stack, each in its own unit ([-], [1/deg],
+        [K] ...).
+
+        Nominal, then `back.*` as the stack declares, then those that an effect sets, the first such effect prevailing.
+        Heating ratio: docs/equations.md, section 2; factors and moisture: docs/equations_march.md, equations 9, 10 and
+        22.
+        """
         values = np.array([self.parameters.get(name, p.value) for name, p in MODEL.items()], dtype=float)
         for name in BACK:
             if name not in self.parameters:
                 values[PLACES[name]] = self._declared_back(name)
+        # Reversed, so that of two effects which set one parameter the first prevails.
         for used in reversed(self.effects):
             for place, value in zip(used.effect.places, used.values, strict=False):
                 if place in PLACES:
@@ -115,7 +138,13 @@ class PointModel:
         return values
 
     def value(self, name: str) -> float:
-        """A parameter's value, nominal where it is not set; `effect.NAME.PARAMETER` as well."""
+        """Value of one parameter in its own unit ([-], [K], [m] ...), nominal where it is not set.
+
+        name   : dotted name, also `effect.NAME.PARAMETER`
+        raises : InputError with the nearest name where the model has no such effect parameter
+
+        Ratio parameters: docs/equations.md, section 2.
+        """
         if name.startswith(EFFECT_PREFIX):
             use, k = self._effect_place(name)
             return float(self.effects[use].values[k])
@@ -127,9 +156,13 @@ class PointModel:
         return float(MODEL[name].value if declared is None else declared)
 
     def definition(self, name: str) -> Parameter:
-        """What a dotted name stands for in this model.
+        """Definition of a parameter of this model: unit ([-], [K] ...), nominal value, prior, bounds, description.
 
-        raises : InputError with the nearest name where the model has no such parameter
+        The scale of its perturbation is the prior's sigma: docs/equations_march.md, equation 9.
+
+        name   : dotted name, also `effect.NAME.PARAMETER`
+        raises : InputError with the nearest name where the model has no such parameter, or for a coating in a wall of
+                 one layer
         """
         if name.startswith(EFFECT_PREFIX):
             use, k = self._effect_place(name)
@@ -141,7 +174,12 @@ class PointModel:
         return MODEL[name]
 
     def at_faces(self, name: str) -> bool:
-        """Whether a parameter changes what enters the wall from outside and nothing within it."""
+        """Whether a parameter changes only the heat that enters at the faces [W/m2], and nothing within the wall.
+
+        name : dotted name, also `effect.NAME.PARAMETER`
+
+        Its sensitivity then needs no rows of the interior: docs/equations_march.md, equation 13.
+        """
         if name.startswith(EFFECT_PREFIX):
             use, k = self._effect_place(name)
             effect = self.effects[use].effect
@@ -159,8 +197,15 @@ class PointModel:
         return known[name]
 
     def altered(self, values: Mapping[str, float]) -> PointModel:
-        """The same point with parameters set by their dotted names, within their bounds or beyond: nothing is checked
-        but the names."""
+        """Copy of the point with parameters set by their dotted names.
+
+        values : dotted name -> value, in the unit of the parameter ([-], [K] ...); within its bounds or beyond, as
+                 values are not checked
+        raises : InputError with the nearest name where the model has no such parameter
+
+        Bounds are left to the caller because derivatives perturb parameters that stand at a bound
+        (docs/equations_march.md, equation 9).
+        """
         parameters, effects = dict(self.parameters), [list(use.values) for use in self.effects]
         for name, value in values.items():
             if name.startswith(EFFECT_PREFIX):
@@ -169,6 +214,7 @@ class PointModel:
             else:
                 self.definition(name)
                 parameters[name] = value
+        # Not dataclasses.replace: that would check bounds, and a difference may have to step over one.
         other = copy.copy(self)
         used = tuple(EffectUse(u.effect, tuple(v)) for u, v in zip(self.effects, effects, strict=True))
         other.__dict__.pop("values", None)
@@ -178,17 +224,29 @@ class PointModel:
 
 
 def element_densities(construction: Construction, mesh: Mesh) -> FloatArray:
-    """(element,) density [kg/m3]; a contact has none."""
+    """(element,) density of the elements of a mesh [kg/m3]; 0 for a contact resistance, which has no mass.
+
+    Heat capacity of an element: docs/equations.md, section 3.
+    """
     return np.array([*(m.density_kg_m3 for m in construction.layer_materials()), 0.0])[mesh.layer]
 
 
 def acting(model: PointModel) -> list[EffectUse]:
-    """The effects of a point that have a kernel, in the order of their slots; the others stand for parameters."""
+    """Effects of a point that have a kernel, in the order in which they act.
+
+    First those that add to the ratio [-], then factors on it [-], then factors on the emittance [-].
+
+    Effects without a kernel stand for parameters of the model. Order: docs/equations.md, section 2.
+    """
     return sorted((u for u in model.effects if u.effect.kernel), key=lambda u: MODES.index(u.effect.mode))
 
 
 def heating_vector(model: PointModel) -> FloatArray:
-    """(N_PARAMETERS,) the heating parameters of a point as its lane has them (base/kernels/block.py)."""
+    """(N_PARAMETERS,) heating parameters of a point in the layout of its lane.
+
+    Linear ratio (scale and d0 [-], derivatives [1/deg] or [-]), reference condition [deg] or [-], then the parameters
+    of each effect, in slots of fixed width. Equation of the ratio: docs/equations.md, section 2.
+    """
     vector = np.zeros(N_PARAMETERS)
     vector[: len(RATIO)] = model.values[: len(RATIO)]
     vector[REFERENCE : REFERENCE + len(RATIO_VARIABLES)] = model.reference
@@ -199,17 +257,26 @@ def heating_vector(model: PointModel) -> FloatArray:
 
 
 def stack_values(model: PointModel) -> FloatArray:
-    """Values of parameters.STACK."""
+    """(parameter,) values of the parameters of the stack, in the order of their declaration and each in its own unit
+    ([-], [J/kg], [K], [m] ...).
+
+    Moisture parameters: docs/equations_march.md, equation 22.
+    """
     return model.values[len(RATIO) :]
 
 
 def insulation_layer(construction: Construction) -> int:
-    """Number of the layer that `stack.rsi.*` is about: the second, behind a coating; of one layer, that one."""
+    """Index of the layer that the parameters `stack.rsi.*` refer to: the second, behind a coating; in a wall of one
+    layer, that one.
+    """
     return min(1, len(construction.stack.layer) - 1)
 
 
 def initial_temperatures(construction: Construction, mesh: Mesh) -> FloatArray:
-    """(node,) initial temperatures [K] as the stack declares them, a profile linear between its points."""
+    """(node,) initial temperatures [K] as the stack declares them: uniform, or a profile linear between its points.
+
+    Beyond the ends of a profile its end values are taken. Source: docs/equations_march.md, equation 23.
+    """
     stack = construction.stack
     if stack.initial_profile is not None:
         x, temperature = np.array(stack.initial_profile).T

@@ -1,27 +1,28 @@
 """Rows of the thermal model's linear system, for eight control points (lanes) at once; compiled.
 
-In each layer rho c(T) dT/dt = d/dx( k(T, p) dT/dx ), linear elements in the heat content and in Kirchhoff's variable
-theta = int k dT [W/m], which makes the flux through an element exact for k(T):
+In each layer rho c(T) dT/dt = d/dx( k(T, p) dT/dx ). Linear finite elements in Kirchhoff's variable
+theta = int k dT [W/m] make the flux of an element exact for k(T) (docs/equations_thermal_step.md, equations 2 and 3):
 
     d/dt E_i = q_(i-1) - q_i + source_i,      q_i = g_i (theta_i(T_i) - theta_i(T_(i+1))),     g_i = 1 / dx_i
 
 The heat content [J/m2] of an element is shared between its nodes by the mean of the lumped and the consistent mass
-matrix,
+matrix (equation 4),
 
     E_i = M_L h(T_i) + M_R h(T_i) + SHARE [M_R (h(T_(i+1)) - h(T_i)) - M_L (h(T_i) - h(T_(i-1)))],    M = rho dx / 2,
 
-whose second-order errors cancel where elements are equal (Goudreau & Taylor, Comp. Meth. Appl. Mech. Eng. 2 (1973) 69);
-the sum over the nodes is the heat in the stack all the same.
+whose second-order errors cancel where elements are equal (Goudreau and Taylor, Comp. Meth. Appl. Mech. Eng. 2 (1973)
+69). The sum over the nodes is the heat in the stack for any SHARE.
 
-Radiation through a porous material adds k_r (T / 1000 K)^3 to its conductivity; moisture adds
+Radiation through a porous material adds k_r (T / 1000 K)^3 to its conductivity (equation 11); moisture adds
 
     h_m(T) = L S((T - T_boil) / w) - D S((T - T_cond) / w),    S the logistic function,
 
-to its heat content: latent heat L taken up about T_boil, heat D given off where vapour from hotter depths condenses.
+to its heat content (equation 12): latent heat L taken up about T_boil, heat D given off where vapour from hotter depths
+condenses.
 
-Everything lives in one flat float64 block (base/kernels/block.py). Loops over lanes touch rows of one node and its
-neighbours only, at constant distances: that is what lets the compiler vectorise them without alias checks. What all
-nodes of a lane share is handed on from node to node (FRACTION, MOVES, LARGEST).
+All values are in one flat float64 block (layout.py). Loops over lanes touch rows of one node and its neighbours only,
+at constant distances: that lets the compiler vectorise them without alias checks. What all nodes of a lane share is
+passed on from node to node (FRACTION, MOVES, LARGEST).
 """
 
 from __future__ import annotations
@@ -86,24 +87,32 @@ from sim_heating.base.kernels.elementary import lanes_outside, logistic
 from sim_heating.base.kernels.jit import folded, inlined, njit
 
 SHARE = 1.0 / 6.0
-"""0 gives the lumped mass matrix, 1/3 the consistent one."""
+"""Share of heat content between neighbours, lambda in docs/equations_thermal_step.md, equation 4: 0 is the lumped mass
+matrix, 1/3 the consistent one, and 1/6 cancels the error of second order (equation 5)."""
 FAR = 1e300
-"""Bound of a bin that goes on for ever."""
+"""Bound of an interval that has no end [K]."""
 BIN_K = 5.0
 """Width of a property-table bin [K]."""
 BINS = 600
-"""Bins of a property table; the last one goes on for ever."""
+"""Bins of a property table; the last one has no upper end."""
 REDUCED: Any = np.bool_(True)
 WHOLE_ROWS: Any = np.bool_(False)
-"""Whether `assemble` reduces the rows. Plain True and False would have it compiled once for each."""
+"""Whether `assemble` eliminates the rows as well. Plain True and False would be types of their own to numba, and
+`assemble` would be compiled once for each."""
 PIECE_HEAD = 3
-"""Numbers before the polynomials of a piece: where it begins and ends, and its foot [K]."""
+"""Numbers before the polynomials of a piece: its lower and upper end, and its foot [K]."""
 
 
 @njit
 def property_bin(temperature: float) -> int:
-    """Property-table bin of a temperature [K]; the first where it is not a number (the step then reports a failure)."""
+    """Property-table bin of a temperature [K].
+
+    returns : index [-] from 0 to BINS - 1; 0 below 0 K and for NaN, with which the step reports a failure
+
+    Source: docs/equations_thermal_step.md, section 2.
+    """
     scaled = temperature * (1.0 / BIN_K)
+    # Not `scaled <= 0.0`: NaN compares false, and its conversion to an integer is undefined.
     if not scaled > 0.0:
         return 0
     return int(scaled) if scaled < BINS else BINS - 1
@@ -111,12 +120,16 @@ def property_bin(temperature: float) -> int:
 
 @njit
 def _gather(B: FloatArray, J: IntArray, table: FloatArray, a: int, lane: int, offset: int, into: int) -> int:
-    """Copy the property polynomials about the temperature of a node beside it, for one element; gives their place."""
+    """Copy the property polynomials about a node's temperature from the table into its rows, for one adjacent element.
+
+    returns : offset of the piece in the table
+    """
     piece = int(table[offset + property_bin(B[a + T * LANES + lane])])
     row = offset + BINS + piece * (PIECE_HEAD + 3 + 3 * J[N_PRESSURES + lane])
     column = row + PIECE_HEAD + 3 + 3 * int(B[COLUMN * LANES + lane])
     B[a + into * LANES + lane] = table[row + 2]
     for k in range(3):
+        # The third number of each property is a slope; equation 9 takes half of it.
         half = 0.5 if k == 2 else 1.0
         B[a + (into + 1 + k) * LANES + lane] = half * table[row + PIECE_HEAD + k]
         B[a + (into + 4 + k) * LANES + lane] = half * table[column + k]
@@ -126,7 +139,7 @@ def _gather(B: FloatArray, J: IntArray, table: FloatArray, a: int, lane: int, of
 
 @folded
 def _refresh(B: FloatArray, J: IntArray, table: FloatArray, i: int) -> None:
-    """Gather the polynomials of node i anew in the lanes that have left the piece that they hold for."""
+    """Gather the polynomials of node i again in the lanes whose temperature has left the piece they are valid in."""
     a = (HEAD_ROWS + i * NODE_ROWS) * LANES
     if lanes_outside(B, a + T * LANES, a + LOW * LANES, a + HIGH * LANES) == 0:
         return
@@ -145,14 +158,17 @@ def _refresh(B: FloatArray, J: IntArray, table: FloatArray, i: int) -> None:
 
 @inlined
 def _integral(value: float, first: float, half: float, t: float) -> tuple[float, float]:
-    """value + integral from 0 to t of (first + slope t), half being half the slope, and first + slope t."""
+    """value + integral from 0 to t of (first + slope t), and first + slope t; `half` is half the slope."""
     bent = half * t
     return value + t * (first + bent), first + (bent + bent)
 
 
 @njit
 def _properties(B: FloatArray, a: int, lane: int, foot: int, f: float) -> tuple[float, float, float, float]:
-    """Enthalpy, specific heat, theta and k at the node's temperature, a fraction f between two pressure columns."""
+    """Enthalpy [J/kg], specific heat [J/(kg K)], theta [W/m] and k [W/(m K)] at a node's temperature.
+
+    f : fraction [-] between two pressure columns (docs/equations_thermal_step.md, equations 9 and 10)
+    """
     t = B[a + T * LANES + lane] - B[a + foot * LANES + lane]
     x = a + (foot + 1) * LANES + lane
     h, c = _integral(B[x], B[x + LANES], B[x + 2 * LANES], t)
@@ -165,8 +181,11 @@ def _properties(B: FloatArray, a: int, lane: int, foot: int, f: float) -> tuple[
 
 @inlined
 def _radiated(T_K: float, begin_K: float) -> tuple[float, float]:
-    """Kirchhoff's variable [K] and conductivity [-] of radiation in depth, over that at 1000 K: it adds
-    (T^3 - T_0^3) / (1000 K)^3 above T_0, up to which the tables have it."""
+    """Kirchhoff's variable [K] and conductivity [-] of radiation in depth, over its conductivity at 1000 K.
+
+    Radiation adds (T^3 - T_0^3) / (1000 K)^3 above T_0, up to which the declared tables contain it
+    (docs/equations_thermal_step.md, equation 11).
+    """
     above = max(T_K, begin_K)
     cube, begin_cube = above * above * above, begin_K * begin_K * begin_K
     theta = 0.25 * (cube * above - begin_cube * begin_K) - begin_cube * (above - begin_K)
@@ -178,9 +197,10 @@ def _write_row(
     B: FloatArray, a: int, lane: int, ddt: float,
     h_left: float, c_left: float, theta_left: float, k_left: float, h: float, c: float, theta: float, k: float,
 ) -> None:  # fmt: skip
-    """Row of a node with its properties on either side, and what it adds to the row of its left neighbour.
+    """Row of a node from its properties on either side, and its contribution to the row of its left neighbour.
 
-    What crosses an element, heat conducted in d dt and heat content shared, is taken together.
+    What crosses an element, heat conducted in d dt and heat content shared, is one term
+    (docs/equations_thermal_step.md, equations 26 to 28).
     """
     left = a - NODE_ROWS * LANES
     m_left, m_right = B[a + M_LEFT * LANES + lane], B[a + M_RIGHT * LANES + lane]
@@ -204,9 +224,10 @@ def _write_row(
 
 @inlined
 def _add_in_depth(B: FloatArray, a: int, lane: int, ddt: float) -> None:
-    """Add moisture and radiation in depth to the row of a node, that of its left neighbour having them already.
+    """Add moisture, vapour and radiation in depth to the row of a node whose left neighbour has them already.
 
-    Apart from the row itself, as most walls have neither; dry lanes among the others go through the same arithmetic.
+    Separate from the row itself, as most walls have none of them; dry lanes of the group go through the same arithmetic
+    (docs/equations_thermal_step.md, equations 11 to 13).
     """
     left = a - NODE_ROWS * LANES
     t, rate = B[a + T * LANES + lane], B[a + PHASE_RATE * LANES + lane]
@@ -238,7 +259,7 @@ def _add_in_depth(B: FloatArray, a: int, lane: int, ddt: float) -> None:
 
 @folded
 def _assemble(B: FloatArray, J: IntArray, table: FloatArray, i: int, ddt: float) -> None:
-    """Row of node i at its present temperatures, heat from outside included."""
+    """Row of node i at its present temperature, heat from outside included."""
     a = (HEAD_ROWS + i * NODE_ROWS) * LANES
     left = a - NODE_ROWS * LANES
     _refresh(B, J, table, i)
@@ -266,10 +287,11 @@ def _assemble(B: FloatArray, J: IntArray, table: FloatArray, i: int, ddt: float)
 
 @folded
 def _reduce(B: FloatArray, i: int) -> None:
-    """Eliminate row i, whose right neighbour is assembled."""
+    """Eliminate row i, whose right neighbour is assembled (docs/equations_thermal_step.md, equation 29)."""
     a = (HEAD_ROWS + i * NODE_ROWS) * LANES
     left = a - NODE_ROWS * LANES
     for lane in range(LANES):
+        # No pivoting: the diagonal dominates its column by the heat capacity of the node and the slope of its source.
         lower = B[left + LOWER * LANES + lane]
         pivot = 1.0 / (B[a + DIAGONAL * LANES + lane] - lower * B[left + UPPER * LANES + lane])
         residual = B[a + RESIDUAL * LANES + lane] + lower * B[left + DELTA * LANES + lane]
@@ -279,8 +301,19 @@ def _reduce(B: FloatArray, i: int) -> None:
 
 @njit
 def assemble(B: FloatArray, J: IntArray, table: FloatArray, ddt: float, reduces: bool) -> None:
-    """Residual E - E* - d dt F of all nodes at their present temperatures and its tridiagonal matrix, heat from outside
-    included; if wanted, each row is reduced while its neighbour is being assembled."""
+    """Residuals and tridiagonal matrix of all nodes at their present temperatures, heat from outside included.
+
+        R_i = E_i - E*_i - d dt F_i [J/m2],    A = dR/dT [J/(m2 K)]
+
+    B       : block of the lane group; SOURCE [W/m2] and SLOPE [W/(m2 K)] are evaluated already (faces.py)
+    J       : its integers
+    table   : property tables
+    ddt     : d dt [s], d = 1 - sqrt(2) / 2; 0 leaves the heat contents alone in R
+    reduces : whether each row is eliminated as soon as its right neighbour is assembled
+
+    Writes E_LEFT to C_RIGHT, and DIAGONAL, ENTRY, LOWER, RESIDUAL, or the reduced rows UPPER and DELTA.
+    Source: docs/equations_thermal_step.md, equations 25 to 29.
+    """
     n = J[N_NODES]
     before, last = SCALAR_ROWS * LANES, (HEAD_ROWS + (n - 1) * NODE_ROWS) * LANES
     for lane in range(LANES):  # the ghost before takes 0 times the first node's theta, which an infinite one would mark
@@ -293,6 +326,7 @@ def assemble(B: FloatArray, J: IntArray, table: FloatArray, ddt: float, reduces:
     # What crosses to the ghost behind: content that padding shares with it, nothing where there is none.
     for lane in range(LANES):
         B[last + RESIDUAL * LANES + lane] -= SHARE * B[last + E_RIGHT * LANES + lane]
+        # The row still holds theta: the last node has no right neighbour that would have replaced it.
         B[last + ENTRY * LANES + lane] = 0.0
     if reduces:
         _reduce(B, n - 1)
@@ -300,7 +334,12 @@ def assemble(B: FloatArray, J: IntArray, table: FloatArray, ddt: float, reduces:
 
 @njit
 def select_pressure(B: FloatArray, J: IntArray, stage: int) -> None:
-    """Set the pressure of a stage; where a lane's moved to another pair of columns, drop the polynomials gathered."""
+    """Set the pressure column and fraction [-] of a stage in every lane (docs/equations_thermal_step.md, equation 10).
+
+    stage : 0, 1 or 2; start, middle and end of a step
+
+    Where any lane moves to another pair of columns, the polynomials gathered for the group are invalidated.
+    """
     changed = 0
     for lane in range(LANES):
         B[(SCALAR_ROWS + FRACTION) * LANES + lane] = B[(PFRAC + stage) * LANES + lane]

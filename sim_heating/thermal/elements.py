@@ -1,4 +1,4 @@
-"""What the thermal parameters of a control point make of its elements and faces, in its lane of a block; compiled."""
+"""Elements and faces of a control point from its thermal parameters, written into its lane of a block; compiled."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from sim_heating.base.kernels.jit import folded, njit
     RADIATION_FROM, LATENT_HEAT, BOILS, DEPOSITED, CONDENSES, WIDTH, CARRIED, GAP_FRACTION, GAP_DEPTH, CONTACT,
     H_BEHIND, T_BEHIND, EPS_BEHIND,
 ) = range(20)  # fmt: skip
-"""Places of parameters.STACK in their order."""
+"""Indices of the parameters of parameters.STACK, in their order."""
 
 
 @njit
@@ -48,17 +48,23 @@ def set_elements(
     B: FloatArray, J: IntArray, lane: int, layer: IntArray, length_m: FloatArray, density: FloatArray, insulation: int,
     bondline: int, p: FloatArray,
 ) -> None:  # fmt: skip
-    """Write a lane's elements and faces into the block of its group, its parameters applied.
+    """Write the elements and faces of a lane into the block of its group, with its parameters applied.
 
-    layer      : (element,) number of its layer, -1 for a contact
+        g = f_k / (f_x dx) [1/m],    M = rho f_c f_x dx / 2 [kg/m2];    a contact R [m2 K/W]: g = 1 / R, M = 0
+
+    lane       : of the group
+    layer      : (element,) index of its layer, -1 for a contact
     length_m   : (element,) declared length [m] or, of a contact, resistance [m2 K/W]
     density    : (element,) [kg/m3], 0 for a contact
-    insulation : number of the layer that `stack.rsi.*` is about
+    insulation : index of the layer that `stack.rsi.*` is about
     bondline   : node down to which a gap reaches
-    p          : values of parameters.STACK
+    p          : values of parameters.STACK, each in its unit
+
+    Source: docs/equations_thermal_step.md, equations 7, 8, 11 to 13 and 16.
     """
     for e in range(len(layer)):
         length, conductivity, capacity, radiative = length_m[e], 1.0, 1.0, 0.0
+        # Asked first: a stack of one layer has no coating, and its layer is the insulation.
         if layer[e] == insulation:
             conductivity, capacity, radiative = p[RSI_CONDUCTIVITY], p[RSI_CAPACITY], p[RADIATIVE]
         elif layer[e] == 0:
@@ -67,6 +73,7 @@ def set_elements(
         elif layer[e] < 0:
             length = p[CONTACT] * length
         half = 0.5 * density[e] * length * capacity
+        # Moisture is declared per mass of insulation, and so takes the heat-capacity factor with it.
         wet = half if layer[e] == insulation else 0.0
         here = (HEAD_ROWS + e * NODE_ROWS) * LANES + lane
         right = here + NODE_ROWS * LANES
@@ -83,7 +90,7 @@ def set_elements(
 
 @folded
 def _set_in_depth(B: FloatArray, J: IntArray, lane: int, layer: IntArray, insulation: int, p: FloatArray) -> None:
-    """Moisture and radiation of every node, where loops over lanes find them."""
+    """Write moisture and radiation of a lane into every node, where loops over lanes read them."""
     for i in range(len(layer) + 1):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES + lane
         B[a + RADIATES_FROM * LANES] = p[RADIATION_FROM]
@@ -91,6 +98,7 @@ def _set_in_depth(B: FloatArray, J: IntArray, lane: int, layer: IntArray, insula
         B[a + DEPOSIT * LANES], B[a + CONDENSE * LANES] = p[DEPOSITED], p[CONDENSES]
         B[a + PHASE_RATE * LANES] = 1.0 / p[WIDTH]
         B[a + VAPOUR * LANES] = p[CARRIED] if i < len(layer) and layer[i] == insulation else 0.0
+    # One flag for the group, only ever set here: a dry lane next to a moist one computes zeros.
     if p[LATENT_HEAT] > 0.0 or p[DEPOSITED] > 0.0 or p[CARRIED] > 0.0 or p[RADIATIVE] != 0.0:
         J[IN_DEPTH] = 1
 
@@ -106,14 +114,16 @@ def _set_faces(B: FloatArray, lane: int, p: FloatArray) -> None:
 def _set_gap(
     B: FloatArray, J: IntArray, lane: int, layer: IntArray, length_m: FloatArray, bondline: int, p: FloatArray
 ) -> None:
-    """How the heat spent along a gap falls with depth: as exp(-x / depth), down to the bondline, the fraction in sum.
+    """Fractions of the film spent along a gap, falling with depth as exp(-x / depth) down to the bondline.
 
-    A node has what falls between the middles of its elements.
+    A node has what falls between the middles of its elements; the fractions sum to p[GAP_FRACTION]
+    (docs/equations_thermal_step.md, equation 16).
     """
     n = len(layer) + 1
     fraction, depth = p[GAP_FRACTION], p[GAP_DEPTH]
     B[SURFACE_SHARE * LANES + lane] = 1.0 - fraction
     bottom = 0.0
+    # A stack of one layer has its bondline at node 0: its gaps reach the back face.
     for e in range(bondline if bondline > 0 else n - 1):
         bottom += length_m[e] if layer[e] >= 0 else 0.0
     whole = 1.0 - exp(-bottom / depth)

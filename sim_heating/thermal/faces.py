@@ -1,6 +1,7 @@
-"""Heat that enters the wall from outside, at its surface, at its back and in gaps; for eight lanes at once, compiled.
+"""Heat that enters the wall from outside, at its surface, at its back and in gaps; eight lanes at once, compiled.
 
-At the surface, at the back, and at every node along a gap that hot gas flows in:
+At the surface, at the back, and at every node along a gap that hot gas flows in
+(docs/equations_thermal_step.md, equations 14 to 16):
 
     source_0     = (1 - f) film (H_r - H_w(T)) + q_add - eps(T) sigma (T^4 - T_sur^4),
     source_(n-1) = -h_b (T - T_b) - eps_b sigma (T^4 - T_b^4),
@@ -58,13 +59,13 @@ from sim_heating.thermal.assembly import BIN_K, BINS, FAR, property_bin
 SIGMA = 5.670374419e-8
 """Stefan-Boltzmann constant [W/(m2 K4)], CODATA 2018."""
 WALL_DIFFERENCE_K = 0.01
-"""Half the step over which an effect's dependence on the wall temperature is differenced, for the matrix only: a
-sensitivity to 1e-9 wants it small against the width of any effect."""
+"""Half the step [K] of the difference in an effect's dependence on the wall temperature, used in the matrix only. It
+has to be small against the width of any effect for a sensitivity good to 1e-9."""
 
 
 @folded
 def _film(B: FloatArray, J: IntArray, chain, lane: int, stage: int, wall: float) -> tuple[float, float]:  # type: ignore[no-untyped-def]
-    """Film coefficient of a lane whose effects ask for the wall temperature, and its slope against it."""
+    """Film coefficient [kg/(m2 s)] of a lane whose effects depend on the wall temperature, and its slope against it."""
     h_ref = B[C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS + H_REF]
     r = B[(R_BASE + stage) * LANES + lane]
     above = with_effects(B, J, chain, lane, stage, r, wall + WALL_DIFFERENCE_K)
@@ -75,7 +76,7 @@ def _film(B: FloatArray, J: IntArray, chain, lane: int, stage: int, wall: float)
 
 @folded
 def _factor(B: FloatArray, J: IntArray, chain, lane: int, stage: int, wall: float) -> tuple[float, float]:  # type: ignore[no-untyped-def]
-    """What effects make of the emittance of a lane, and its slope against the wall temperature."""
+    """Factor of the effects on the emittance of a lane [-], and its slope against the wall temperature [1/K]."""
     above = emittance_factor(B, J, chain, lane, stage, wall + WALL_DIFFERENCE_K)
     below = emittance_factor(B, J, chain, lane, stage, wall - WALL_DIFFERENCE_K)
     return emittance_factor(B, J, chain, lane, stage, wall), (above - below) * (0.5 / WALL_DIFFERENCE_K)
@@ -83,15 +84,17 @@ def _factor(B: FloatArray, J: IntArray, chain, lane: int, stage: int, wall: floa
 
 @inlined
 def _air(h_a: float, cp_a: float, h_b: float, cp_b: float, f: float, t: float) -> tuple[float, float]:
-    """Enthalpy of air [J/kg] t [K] above the foot of a bin, a fraction f between two columns of pressure, and its
-    specific heat [J/(kg K)]."""
+    """Enthalpy of air [J/kg] and its specific heat [J/(kg K)] within a bin.
+
+    f : fraction [-] between two pressure columns a and b;  t : temperature above the foot of the bin [K]
+    """
     cp = cp_a + f * (cp_b - cp_a)
     return h_a + f * (h_b - h_a) + t * cp, cp
 
 
 @njit
 def _air_row(B: FloatArray, J: IntArray, lane: int, stage: int, j: int) -> int:
-    """Place in the tables of a lane's bin j of the enthalpy of air, at the pressure of a stage."""
+    """Offset in the tables of bin j of a lane's enthalpy of air, at the pressure of a stage."""
     return J[ENTHALPY_TABLE + lane] + 2 * (j * J[N_PRESSURES + lane] + int(B[(PCOL + stage) * LANES + lane]))
 
 
@@ -99,7 +102,7 @@ def _air_row(B: FloatArray, J: IntArray, lane: int, stage: int, j: int) -> int:
 def _wall_enthalpy(
     B: FloatArray, J: IntArray, table: FloatArray, lane: int, stage: int, T_K: float
 ) -> tuple[float, float]:
-    """Enthalpy of air at a temperature and the pressure of a stage, and its specific heat."""
+    """Enthalpy of air [J/kg] at a temperature and the pressure of a stage, and its specific heat [J/(kg K)]."""
     j = property_bin(T_K)
     row = _air_row(B, J, lane, stage, j)
     f = B[(PFRAC + stage) * LANES + lane]
@@ -108,14 +111,19 @@ def _wall_enthalpy(
 
 @njit
 def emittance_piece(table: FloatArray, first: int, wall: float) -> tuple[float, float, float, float, float]:
-    """Ends of the piece of an emittance that holds a temperature [K], its foot [K], emittance there, slope [1/K]:
-    linear between the points of the table, constant beyond its ends.
+    """The linear piece of an emittance table that contains a temperature, constant beyond the ends of the table.
 
-    The points are kept as they are, without bins: radiation feels a corner that is cut.
+    table   : the flat tables; at `first` the number of points, then their temperatures [K], then their emittances [-]
+    wall    : temperature [K]
+    returns : lower and upper end of the piece [K], its foot [K], emittance at the foot [-], slope [1/K]
+
+    The points are used as given, without bins of 5 K: the radiated heat is sensitive to a corner that is cut.
+    Source: docs/equations_thermal_step.md, section 2.
     """
     n = int(table[first])
     T_K, eps = first + 1, first + 1 + n
     i = 0
+    # A linear search: an emittance has a few points, and the piece found is kept until the wall leaves it.
     while i < n and wall >= table[T_K + i]:
         i += 1
     low, high = -FAR if i == 0 else table[T_K + i - 1], FAR if i == n else table[T_K + i]
@@ -128,21 +136,30 @@ def emittance_piece(table: FloatArray, first: int, wall: float) -> tuple[float, 
 
 @njit
 def emittance(table: FloatArray, first: int, wall: float) -> float:
-    """Emittance of the table at `first` at a temperature [K]."""
+    """Emittance [-] of the table at `first` at a wall temperature [K], linear between points and constant beyond them.
+
+    Source: docs/equations_thermal_step.md, section 2.
+    """
     _, _, foot, eps, slope = emittance_piece(table, first, wall)
     return eps + slope * (wall - foot)
 
 
 @folded
 def forget_walls(B: FloatArray) -> None:
-    """Make every lane find anew what its surface is made of."""
+    """Invalidate the pieces of emittance and air enthalpy kept for every lane, so that they are looked up again."""
     for lane in range(LANES):
         B[WALL_HIGH * LANES + lane] = -FAR
 
 
 @njit
 def evaluate_faces(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int) -> None:  # type: ignore[no-untyped-def]
-    """All heat from outside, and its slopes, at the temperatures present."""
+    """Heat from outside [W/m2] and its slope [W/(m2 K)] at surface, back and gaps, at the present temperatures.
+
+    B     : block of the lane group; SOURCE and SLOPE of the nodes concerned change
+    stage : 0, 1 or 2; start, middle and end of a step, whose film coefficients and recovery enthalpies are used
+
+    Source: docs/equations_thermal_step.md, equations 14 to 18.
+    """
     evaluate_surface(B, J, table, chain, stage)
     evaluate_back(B, J)
     if J[GAPS] == 1:
@@ -151,7 +168,7 @@ def evaluate_faces(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: 
 
 @folded
 def _evaluate_gaps(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> None:
-    """Heat that hot gas brings to the nodes along a gap, each by its own temperature; the film is the surface's."""
+    """Heat from hot gas at the nodes along a gap, each with its own wall enthalpy and the film of the surface."""
     for i in range(J[N_NODES]):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
         for lane in range(LANES):
@@ -161,6 +178,7 @@ def _evaluate_gaps(B: FloatArray, J: IntArray, table: FloatArray, stage: int) ->
                 H_w, cp_w = _wall_enthalpy(B, J, table, lane, stage, B[a + T * LANES + lane])
                 film = part * B[(FILM + stage) * LANES + lane]
                 source, slope = film * (B[(RECOVERY + stage) * LANES + lane] - H_w), -film * cp_w
+            # The faces were evaluated in this call and keep their heat; other nodes still hold that of an earlier call.
             face = i == 0 or i == J[BACK_NODE + lane]
             B[a + SOURCE * LANES + lane] = source + (B[a + SOURCE * LANES + lane] if face else 0.0)
             B[a + SLOPE * LANES + lane] = slope + (B[a + SLOPE * LANES + lane] if face else 0.0)
@@ -168,7 +186,7 @@ def _evaluate_gaps(B: FloatArray, J: IntArray, table: FloatArray, stage: int) ->
 
 @folded
 def _keep_wall(B: FloatArray, J: IntArray, table: FloatArray, lane: int, stage: int) -> None:
-    """Keep what the surface of a lane is made of about its temperature."""
+    """Keep the pieces of emittance and air enthalpy that contain the surface temperature of a lane, and their ends."""
     wall = B[(HEAD_ROWS + T) * LANES + lane]
     low, high, foot, eps, slope = emittance_piece(table, J[EMISSIVITY_TABLE + lane], wall)
     j = property_bin(wall)
@@ -186,7 +204,10 @@ def _keep_wall(B: FloatArray, J: IntArray, table: FloatArray, lane: int, stage: 
 def _balance(
     B: FloatArray, lane: int, stage: int, eps: float, eps_slope: float, film: float, film_slope: float
 ) -> None:
-    """Heat that enters at the surface of a lane and its slope, with an emittance and a film and their slopes."""
+    """Heat that enters at the surface of a lane and its slope, from an emittance, a film and their slopes.
+
+    docs/equations_thermal_step.md, equations 14 and 17.
+    """
     a = HEAD_ROWS * LANES + lane
     wall, share, factor = B[a + T * LANES], B[SURFACE_SHARE * LANES + lane], B[FACTOR_EPS * LANES + lane]
     f, t = B[(PFRAC + stage) * LANES + lane], wall - B[AIR_FOOT * LANES + lane]
@@ -206,25 +227,35 @@ def _balance(
 
 @inlined
 def _emittance(B: FloatArray, lane: int) -> float:
-    """Emittance of a lane's surface from the piece that it keeps, without effects."""
+    """Emittance [-] of a lane's surface from the piece kept, without effects."""
     wall = B[(HEAD_ROWS + T) * LANES + lane]
     return B[EPS_AT_FOOT * LANES + lane] + B[EPS_SLOPE * LANES + lane] * (wall - B[EPS_FOOT * LANES + lane])
 
 
 @folded
 def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int) -> None:  # type: ignore[no-untyped-def]
-    """Heat that enters at the surface [W/m2] and its slope against the surface temperature [W/(m2 K)]."""
+    """Heat that enters at the surface [W/m2] and its slope against the surface temperature [W/(m2 K)], of all lanes.
+
+        s_0 = (1 - f) film (H_r - H_w(T)) + q_add - eps(T) sigma (T^4 - T_sur^4)
+
+    stage : 0, 1 or 2, whose conditions are used;  chain : dispatcher of the effects
+
+    A negative film coefficient, from a negative ratio, is not clipped.
+    Source: docs/equations_thermal_step.md, equations 14 and 17.
+    """
     left = lanes_outside(B, (HEAD_ROWS + T) * LANES, WALL_LOW * LANES, WALL_HIGH * LANES)
     affected = 0
     for lane in range(LANES):
         left += 0 if B[(PCOL + stage) * LANES + lane] == B[WALL_COLUMN * LANES + lane] else 1
         affected += J[N_EMITTING + lane] + J[WALL_EFFECTS + lane]
+    # The count is of pairs of lanes and does not identify one: all eight are looked up again.
     if left > 0:
         for lane in range(LANES):
             _keep_wall(B, J, table, lane, stage)
     for lane in range(LANES):
         eps, film = _emittance(B, lane), B[(FILM + stage) * LANES + lane]
         _balance(B, lane, stage, eps, B[EPS_SLOPE * LANES + lane], film, 0.0)
+    # Evaluated without effects above, then again where there are any: the loop without calls stays vectorised.
     if affected > 0:
         for lane in range(LANES):
             _balance_with_effects(B, J, chain, lane, stage)
@@ -232,7 +263,7 @@ def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, chain, stage
 
 @folded
 def _balance_with_effects(B: FloatArray, J: IntArray, chain, lane: int, stage: int) -> None:  # type: ignore[no-untyped-def]
-    """The same of a lane whose effects ask for the wall temperature."""
+    """Surface balance of a lane with effects on its emittance, or with effects that depend on the wall temperature."""
     wall = B[(HEAD_ROWS + T) * LANES + lane]
     eps, eps_slope = _emittance(B, lane), B[EPS_SLOPE * LANES + lane]
     if J[N_EMITTING + lane] > 0:
@@ -246,7 +277,12 @@ def _balance_with_effects(B: FloatArray, J: IntArray, chain, lane: int, stage: i
 
 @folded
 def evaluate_back(B: FloatArray, J: IntArray) -> None:
-    """Heat that enters at the back face [W/m2] and its slope against the temperature there [W/(m2 K)]."""
+    """Heat that enters at the back face [W/m2] and its slope against the temperature there [W/(m2 K)], of all lanes.
+
+        s_b = -h_b (T - T_b) - eps_b sigma (T^4 - T_b^4)
+
+    An adiabatic back has h_b = 0 and eps_b = 0. Source: docs/equations_thermal_step.md, equations 15 and 18.
+    """
     for lane in range(LANES):
         a = (HEAD_ROWS + J[BACK_NODE + lane] * NODE_ROWS) * LANES
         inner, ambient = B[a + T * LANES + lane], B[BACK_T * LANES + lane]

@@ -1,13 +1,13 @@
-"""Nodes through the thickness: fine where heating is felt first, coarser inward, one on every interface and sensor.
+"""Nodes through the thickness: fine at the surface, coarser inward, one on every interface and sensor.
 
 Thickness is measured by diffusion: s = int dx / sqrt(a) [s^(1/2)] is the square root of the time that heat takes, the
-same for all materials. The density of nodes in s is
+same for all materials. The density of nodes in s is (docs/equations_thermal_step.md, equation 38)
 
     1 / (s_0 + GROWTH s)  +  UNIFORM / S,      s_0 = sqrt(max(dt, 1 s)),
 
 S chosen so that UNIFORM is the share of evenly spaced nodes to graded ones: the graded part serves the surface, the
-even one the steep gradients in depth. Halving every element keeps the grading, which makes the difference of two
-such meshes an estimate of the error (march/mesh_choice.py).
+even one the steep gradients in depth. Halving every element keeps the grading, so that the difference between two
+such meshes is an estimate of the error (equation 40, resolution.py).
 """
 
 from __future__ import annotations
@@ -22,12 +22,15 @@ from sim_heating.base.errors import InputError
 from sim_heating.thermal.stack import Construction, pairs
 
 GROWTH, UNIFORM = 0.6, 0.5
-"""Of 15 pairs tried (growth 0.35 to 1, uniform 0 to 4) on entries of HRSI, FRSI and the five-thermocouple plug with
-24 to 48 nodes, the one whose largest error at surface, bondline and sensors was least or near it in all."""
+"""Growth of elements over their depth, and share of evenly spaced nodes [-]. Of 15 pairs tried (growth 0.35 to 1,
+uniform 0 to 4) on entries of HRSI, FRSI and the five-thermocouple plug with 24 to 48 nodes, this pair had the smallest
+largest error at surface, bondline and sensors, or nearly so, in all.
+"""
 CURVE_POINTS = 400
-"""Points at which the node density is integrated in each piece of a layer; lengths are made to sum up exactly."""
+"""Points at which the node density is inverted in each piece of a layer."""
 DIFFUSIVITY_AT_K, DIFFUSIVITY_AT_PA = 700.0, 1000.0
-"""Where the diffusivity that grades the mesh is taken; it moves nodes a little and the answer not at all."""
+"""Temperature [K] and pressure [Pa] of the diffusivity that grades the mesh. Another choice moves nodes a little and
+hardly the temperatures."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class Mesh:
 
     length_m : (n - 1,) length of an element [m], or its resistance [m2 K/W] where layer is -1 (a contact)
     layer    : (n - 1,) index of the layer of an element, -1 for a contact
-    depth_m  : (n,) depth of a node [m]
+    depth_m  : (n,) depth of a node [m]; equal on both sides of a contact
     sensors  : node of each depth asked for
     bondline : node at the outer face of the last layer
     """
@@ -49,13 +52,13 @@ class Mesh:
 
     @property
     def nodes(self) -> int:
-        """Number of nodes."""
+        """Number of nodes, one more than elements."""
         return len(self.depth_m)
 
 
 @dataclass(frozen=True)
 class _Segment:
-    """A piece of a layer between two depths that must be nodes."""
+    """A piece of a layer between two depths that must be nodes; root_a is the square root of its diffusivity [m2/s]."""
 
     layer: int
     length_m: float
@@ -63,7 +66,10 @@ class _Segment:
 
 
 def layer_diffusivities(construction: Construction) -> list[float]:
-    """Diffusivity [m2/s] of each layer, outermost first, at one temperature and pressure."""
+    """Thermal diffusivity a = k / (rho c) [m2/s] of each layer, outermost first, at 700 K and 1000 Pa.
+
+    Beyond its table a property is constant. Source: docs/equations_thermal_step.md, equation 37.
+    """
     values = []
     for material in construction.layer_materials():
         p_Pa, T_K, k = material.conductivity_grid()
@@ -74,13 +80,19 @@ def layer_diffusivities(construction: Construction) -> list[float]:
 
 
 def diffusion_depths(construction: Construction, mesh: Mesh) -> FloatArray:
-    """(node,) s = int dx / sqrt(a) from the surface [s^(1/2)]: the square root of the time that heat takes there."""
+    """Depth of each node measured by diffusion, s = int dx / sqrt(a).
+
+    returns : (node,) [s^(1/2)] from the surface: the square root of the time [s] that heat takes; contacts add nothing
+
+    Source: docs/equations_thermal_step.md, equation 37.
+    """
     root_a = np.sqrt(np.array([*layer_diffusivities(construction), np.inf]))[mesh.layer]
     return np.concatenate(([0.0], np.cumsum(mesh.length_m / root_a)))
 
 
 def _segments(construction: Construction, depths_m: FloatArray) -> list[_Segment]:
     interfaces = construction.stack.interfaces_m
+    # A sensor this close to an interface, or to another sensor, shares its node instead of cutting off a sliver.
     closest = 1e-6 * interfaces[-1]
     segments = []
     for i, a in enumerate(layer_diffusivities(construction)):
@@ -92,14 +104,14 @@ def _segments(construction: Construction, depths_m: FloatArray) -> list[_Segment
 
 
 def _node_measure(s: FloatArray, whole: float, step_s: float) -> FloatArray:
-    """Integral of the node density from the surface to s, not normalised."""
+    """Integral of the node density from the surface to s, not normalised (equation 39)."""
     s_0 = np.sqrt(max(step_s, 1.0))
     graded, all_graded = np.log1p(GROWTH * s / s_0), np.log1p(GROWTH * whole / s_0)
     return graded + UNIFORM * all_graded * s / whole
 
 
 def _allocate(share: FloatArray, elements: int) -> NDArray[np.int64]:
-    """Whole numbers of elements, one or more each, in proportion to the shares and exactly `elements` in all."""
+    """Elements of each segment: one or more, in proportion to the shares, exactly `elements` in all."""
     counts = np.ones(len(share), dtype=np.int64)
     for _ in range(elements - len(share)):
         counts[np.argmax(share / counts)] += 1
@@ -107,15 +119,26 @@ def _allocate(share: FloatArray, elements: int) -> NDArray[np.int64]:
 
 
 def fewest_nodes(construction: Construction, depths_m: FloatArray) -> int:
-    """The smallest mesh that has a node on every interface and sensor, and two elements in the first layer."""
+    """Smallest possible number of nodes [-]: one on every interface and sensor, and two elements in the first layer.
+
+    depths_m : (sensor,) depths that must be nodes [m]
+
+    Rules of the mesh: docs/equations_thermal_step.md, section 8.
+    """
     contacts = sum(layer.contact_m2K_W > 0.0 for layer in construction.stack.layer)
     return len(_segments(construction, depths_m)) + contacts + 2
 
 
 def build_mesh(construction: Construction, depths_m: FloatArray, nodes: int, step_s: float = 1.0) -> Mesh:
-    """Mesh of exactly `nodes` nodes, graded for a time step [s], with nodes at the depths [m] asked for.
+    """Mesh of exactly `nodes` nodes, graded for a time step.
 
-    raises : InputError where so few nodes cannot hold every interface and sensor
+    depths_m : (sensor,) depths from the surface that must be nodes [m]
+    nodes    : number of nodes; `fewest_nodes` or more
+    step_s   : longest time step to come [s]; elements at the surface are about as deep as heat reaches in it
+    returns  : the mesh; every layer keeps its thickness to rounding
+    raises   : InputError where there are fewer nodes than interfaces and sensors need
+
+    Source: docs/equations_thermal_step.md, equations 37 to 39.
     """
     fewest = fewest_nodes(construction, depths_m)
     if nodes < fewest:
@@ -126,6 +149,7 @@ def build_mesh(construction: Construction, depths_m: FloatArray, nodes: int, ste
     measure = _node_measure(s, s[-1], step_s)
     share = np.diff(measure)
     counts = _allocate(share, nodes - 1 - sum(r > 0.0 for r in contacts))
+    # A coating of one element would have no node between its faces.
     if counts[0] < 2:
         counts[np.argmax(counts)] -= 1
         counts[0] += 1
@@ -134,6 +158,7 @@ def build_mesh(construction: Construction, depths_m: FloatArray, nodes: int, ste
         at = np.linspace(measure[i], measure[i + 1], counts[i] + 1)
         curve = np.linspace(s[i], s[i + 1], CURVE_POINTS)
         pieces = np.diff(np.interp(at, _node_measure(curve, s[-1], step_s), curve))
+        # The numerical inverse of the measure does not sum up exactly; a layer keeps its thickness.
         lengths.append(segment.length_m * pieces / pieces.sum())
         layers.append(np.full(counts[i], segment.layer))
         last_of_layer = i + 1 == len(segments) or segments[i + 1].layer != segment.layer
@@ -152,7 +177,10 @@ def _finish(construction: Construction, length_m: FloatArray, layer: NDArray[np.
 
 
 def refined(mesh: Mesh) -> Mesh:
-    """The same mesh with every element of a layer halved."""
+    """The mesh with every element halved, contacts left as they are, sensors and bondline at the same depths.
+
+    Two such meshes give the error estimate [K] of docs/equations_thermal_step.md, equation 40.
+    """
     times = np.where(mesh.layer < 0, 1, 2)
     first = np.concatenate(([0], np.cumsum(times)))
     length = np.repeat(mesh.length_m / times, times)

@@ -1,18 +1,19 @@
-"""The time step differentiated: sensitivity of every node temperature to any parameters, from the step's own matrix.
+"""The time step differentiated: sensitivity of every node temperature to any parameter, from the step's own matrix.
 
 With G(T; p) = E(T; p) - d dt F(T; p) the two stages of a step (kernel.py) are G(Y1) = E_n + d dt F_n and
-G(Y2) = E_n + (w/d) (E(Y1) - E_n), so that for S = dT/dp, e = dE/dp and f = dF/dp, all total,
+G(Y2) = E_n + (w/d) (E(Y1) - E_n), so that for S = dT/dp, e = dE/dp and f = dF/dp, all total
+(docs/equations_thermal_step.md, equations 31 and 32),
 
     A1 S1 = e_n + d dt f_n             - G_p(Y1),      A = dG/dT at the converged stage,
     A2 S2 = e_n + (w/d) (e(Y1) - e_n)  - G_p(Y2),      e = E_T S + E_p,
     f_(n+1) = (e(Y2) - e_n - (w/d) (e(Y1) - e_n)) / (d dt)
 
 which is exact for the discrete model (implicit function theorem). A is assembled once at the temperatures of the stage;
-every parameter costs one more right-hand side. G_p and E_p come from the model itself: beside the base stand shadows of
-it, one lane for each parameter with that parameter moved (two, to either side, where G is not affine in it), at
-the temperatures of the base. Their rows are the model's own, so that no equation has a second, differentiated form;
-for affine parameters the difference is exact to rounding. A parameter of what enters at the faces changes that alone:
-G_p = -d dt dF/dp there, E_p = 0, and its shadow needs no rows.
+every parameter costs one more right-hand side. G_p and E_p come from the model itself, evaluated in perturbed lanes
+("shadows" of the nominal lane, their base): one lane for each parameter with that parameter moved, or two, to either
+side, where G is not affine in it, all at the temperatures of the nominal lane (equation 34). No equation so has a
+second, differentiated form; for affine parameters the difference is exact to rounding. A parameter that acts at the
+faces only has G_p = -d dt dF/dp there and E_p = 0, and its perturbed lane needs no rows.
 
 Arrays of a lane: (node, parameter), parameters contiguous.
 """
@@ -65,19 +66,19 @@ from sim_heating.thermal.faces import evaluate_faces
 from sim_heating.thermal.step import BDF_WEIGHT, GAMMA, STAGE_WEIGHT
 
 NODE = NODE_ROWS * LANES
-"""Numbers from a node to the next."""
+"""Numbers in the block from a node to the next."""
 NOWHERE, FACES, DEPTH, WHOLE = range(4)
-"""Where a parameter acts: not in the march; on what enters at the two faces, or along gaps besides; on whole rows."""
+"""Where a parameter acts: not in the march; at the two faces; at the nodes along a gap as well; in whole rows."""
 ITSELF = -1
-"""A parameter whose shadow has itself moved."""
+"""Marks a parameter that is itself moved in its perturbed lane."""
 
 
 class Groups(NamedTuple):
-    """Groups of shadows.
+    """Groups of perturbed lanes.
 
-    ints   : their integers;  groups : as in march/frames.py
-    whole  : number of groups, the first ones, whose rows are assembled; of the others only what enters at the faces
-    source : (group * LANES,) lane of the base of each shadow
+    ints   : their integers;  groups : offsets of their blocks and integers, as in march.py
+    whole  : number of groups, the first ones, whose rows are assembled; of the others only the heat at the faces is
+    source : (group * LANES,) nominal lane of each perturbed lane
     """
 
     ints: IntArray
@@ -90,14 +91,14 @@ NO_SHADOWS = Groups(np.zeros(0, dtype=np.int64), np.zeros((0, 4), dtype=np.int64
 
 
 class Places(NamedTuple):
-    """Where the shadows of each lane stand in their blocks.
+    """Offsets of the perturbed lanes of each nominal lane in their blocks.
 
-    at      : (lane,) first number of node 0 of the base's shadow;  nodes : (lane,) node count
-    plus, minus, inverse : (lane, parameter) the same of the shadows with the parameter moved to either side, or of the
-              base's again, and the reciprocal of the difference
-    reach   : (lane, parameter) where the parameter acts
-    linear  : (lane, parameter) number of a parameter of the linear heating ratio whose shadow has the ratio itself
-              moved (heating_ratio.kernel.linear_factor), or ITSELF
+    at      : (lane,) first number of node 0 of the unperturbed copy;  nodes : (lane,) node count
+    plus, minus : (lane, parameter) the same of the lanes with the parameter moved up and down, or of the copy again
+    inverse : (lane, parameter) reciprocal of the difference, in 1 over the parameter's unit
+    reach   : (lane, parameter) where the parameter acts: NOWHERE, FACES, DEPTH or WHOLE
+    linear  : (lane, parameter) index of a parameter of the linear heating ratio, whose perturbed lane has the ratio
+              itself moved (heating_ratio.kernel.linear_factor), or ITSELF
     """
 
     at: IntArray
@@ -110,7 +111,13 @@ class Places(NamedTuple):
 
 
 def rows_at(B: FloatArray, J: IntArray, table: FloatArray, chain, ddt: float) -> None:  # type: ignore[no-untyped-def]
-    """Rows of G = E - ddt F at the temperatures present, with the conditions of stage 2; ddt [s] stands for dt."""
+    """Rows of G = E - ddt F [J/m2] at the present temperatures of perturbed lanes, with the conditions of stage 2.
+
+    B     : block of the perturbed lanes;  J : its integers;  table, chain : as in kernel.step
+    ddt   : d dt [s]; it takes the place of dt in the signature of a step
+
+    Source: docs/equations_thermal_step.md, equations 25 to 28 and 34.
+    """
     heat_shadows(B, J, table, chain, END)
     select_pressure(B, J, END)
     evaluate_faces(B, J, table, chain, END)
@@ -118,20 +125,23 @@ def rows_at(B: FloatArray, J: IntArray, table: FloatArray, chain, ddt: float) ->
 
 
 def faces_at(B: FloatArray, J: IntArray, table: FloatArray, chain, ddt: float) -> None:  # type: ignore[no-untyped-def]
-    """What enters from outside at the temperatures present, with the conditions of stage 2; ddt is not used."""
+    """Heat from outside [W/m2] at the present temperatures of perturbed lanes, with the conditions of stage 2.
+
+    ddt is not used: the signature is that of `rows_at`. Source: docs/equations_thermal_step.md, equations 14 to 16.
+    """
     heat_shadows(B, J, table, chain, END)
     evaluate_faces(B, J, table, chain, END)
 
 
 @cache
 def compiled_shadows() -> tuple[Any, Any]:
-    """`rows_at` and `faces_at`, compiled when first asked for."""
+    """`rows_at` and `faces_at` as C functions, compiled when first asked for."""
     return c_function(STEP_SIGNATURE, rows_at), c_function(STEP_SIGNATURE, faces_at)
 
 
 @njit
 def _stand(B: FloatArray, X: FloatArray, start: int, source: IntArray, g: int, i: int, row: int) -> None:
-    """Put node i of a group of shadows at the temperatures of the bases."""
+    """Set node i of a group of perturbed lanes to the temperatures of the nominal lanes."""
     for s in range(LANES):
         at = (HEAD_ROWS + i * NODE_ROWS) * LANES
         X[start + at + T * LANES + s] = B[at + row * LANES + source[g * LANES + s]]
@@ -142,14 +152,22 @@ def assemble_shadows(
     B: FloatArray, X: FloatArray, shadows: Groups, table: FloatArray, chain, rows, faces, row: int, stage: int,  # type: ignore[no-untyped-def]
     ddt: float,
 ) -> None:  # fmt: skip
-    """Put the shadows at the temperatures and conditions that their bases have at a stage, and assemble their rows.
+    """Set perturbed lanes to temperatures and conditions of their nominal lanes at a stage, and assemble their rows.
 
-    B : block of the bases;  row, stage : where their temperatures and conditions of the stage stand
-    X : blocks of the shadows
+    B       : block of the nominal lanes
+    X       : blocks of the perturbed lanes, changed
+    shadows : the groups of X
+    rows, faces : compiled `rows_at` and `faces_at`
+    row     : row of B that holds the temperatures of the stage [K]
+    stage   : stage whose conditions they take
+    ddt     : d dt [s] of the rows
+
+    Source: docs/equations_thermal_step.md, equation 34.
     """
     J, groups, source = shadows.ints, shadows.groups, shadows.source
     for g in range(len(groups)):
         start, ints = groups[g, 0], groups[g, 2]
+        # Where only the faces are evaluated, two nodes are enough, unless gaps take heat in at others.
         if g < shadows.whole or J[ints + GAPS] == 1:
             for i in range(J[ints + N_NODES]):
                 _stand(B, X, start, source, g, i, row)
@@ -159,6 +177,7 @@ def assemble_shadows(
                 _stand(B, X, start, source, g, J[ints + BACK_NODE + s], row)
         for s in range(LANES):
             lane = source[g * LANES + s]
+            # Once a step: the end of the last step is the past of the lag at both stages of this one.
             if stage == 1:
                 X[start + LAG_PAST * LANES + s] = 1.0
                 X[start + LAG_VALUE * LANES + s] = X[start + (LAG_VALUE + 2) * LANES + s]
@@ -177,7 +196,7 @@ def assemble_shadows(
 
 @njit
 def _content(X: FloatArray, a: int) -> float:
-    """Heat content of a node [J/m2] whose first number is X[a]."""
+    """Heat content of a node [J/m2] whose first number is X[a] (docs/equations_thermal_step.md, equation 4)."""
     left, right = X[a + E_LEFT * LANES], X[a + E_RIGHT * LANES]
     shared = X[a + NODE + E_LEFT * LANES] - right - left + X[a - NODE + E_RIGHT * LANES]
     return left + right + SHARE * shared
@@ -185,8 +204,13 @@ def _content(X: FloatArray, a: int) -> float:
 
 @njit
 def start_from_shadow(B: FloatArray, lane: int, X: FloatArray, at: int, n: int) -> None:
-    """Heat contents and net heat of a lane from its shadow at X[at], assembled with ddt = 1 s where the lane stands:
-    what `begin` evaluates, for one lane alone."""
+    """Heat content [J/m2] and net heat [W/m2] of a lane from its unperturbed copy at X[at].
+
+    n : number of nodes; the copy is assembled with ddt = 1 s at the lane's present temperatures
+
+    This is what `kernel.evaluate_start` does for all lanes, for one of them. Source: docs/equations_thermal_step.md,
+    equations 4 and 25 with kappa = 1 s.
+    """
     for i in range(n):
         content, a = _content(X, at + i * NODE), (HEAD_ROWS + i * NODE_ROWS) * LANES + lane
         B[a + E_START * LANES] = content
@@ -195,7 +219,7 @@ def start_from_shadow(B: FloatArray, lane: int, X: FloatArray, at: int, n: int) 
 
 @njit
 def _subtract_forcing(X: FloatArray, p: Places, lane: int, forced: int, ddt: float, S: FloatArray) -> None:
-    """S - G_p in the first `forced` columns, the shadows being assembled with ddt [s]."""
+    """S - G_p in the first `forced` columns, with the perturbed lanes assembled for ddt [s] (equation 34)."""
     n = p.nodes[lane]
     for k in range(forced):
         plus, minus, inverse, reach = p.plus[lane, k], p.minus[lane, k], p.inverse[lane, k], p.reach[lane, k]
@@ -206,6 +230,7 @@ def _subtract_forcing(X: FloatArray, p: Places, lane: int, forced: int, ddt: flo
         elif reach != NOWHERE:
             if p.linear[lane, k] != ITSELF:
                 inverse *= _against_ratio(X, p.at[lane], p.linear[lane, k])
+            # FACES: the first and the last node; DEPTH: every node.
             for i in range(0, n, n - 1 if reach == FACES else 1):
                 row = i * NODE + SOURCE * LANES
                 S[i, k] += ddt * ((X[plus + row] - X[minus + row]) * inverse)
@@ -213,7 +238,7 @@ def _subtract_forcing(X: FloatArray, p: Places, lane: int, forced: int, ddt: flo
 
 @njit
 def _against_ratio(X: FloatArray, at: int, k: int) -> float:
-    """Derivative of the linear heating ratio against its parameter k, for the shadow whose node 0 begins at X[at]."""
+    """Derivative of the linear heating ratio against its parameter k, for the lane whose node 0 begins at X[at]."""
     first = at - HEAD_ROWS * LANES
     lane = first % LANES
     block = first - lane
@@ -224,7 +249,15 @@ def _against_ratio(X: FloatArray, at: int, k: int) -> float:
 
 @njit
 def content_columns(X: FloatArray, p: Places, lane: int, forced: int, S: FloatArray, e: FloatArray) -> None:
-    """e = E_T S + E_p of a lane; columns beyond the first `forced` have no E_p."""
+    """Total derivatives of the heat contents of a lane, e = E_T S + E_p.
+
+    X       : blocks of the perturbed lanes, assembled at the lane's temperatures;  p : their offsets
+    forced  : number of leading columns with a partial derivative E_p; the others are initial temperatures
+    S       : (node, parameter) sensitivity of temperature [K] over the unit of each parameter
+    e       : (node, parameter) result [J/m2] over that unit, overwritten
+
+    Source: docs/equations_thermal_step.md, equation 32.
+    """
     n, m = p.nodes[lane], S.shape[1]
     for i in range(n):
         a = p.at[lane] + i * NODE
@@ -244,7 +277,16 @@ def content_columns(X: FloatArray, p: Places, lane: int, forced: int, S: FloatAr
 def begin_columns(
     X: FloatArray, p: Places, lane: int, forced: int, S: FloatArray, e: FloatArray, f: FloatArray
 ) -> None:
-    """e and f from S, the shadows being assembled with ddt = 1 s: after a start, or a change of S from outside."""
+    """e [J/m2] and f [W/m2], over the unit of each parameter, from S [K]: after a start, or a change of S from outside.
+
+        e = E_T S + E_p,    f = e - A S - G_p    with d dt = 1 s
+
+    X       : blocks of the perturbed lanes, assembled with ddt = 1 s;  p : their offsets
+    forced  : number of leading columns with partial derivatives
+    S, e, f : (node, parameter); e and f are overwritten
+
+    Source: docs/equations_thermal_step.md, equations 32 and 33.
+    """
     n, m = p.nodes[lane], S.shape[1]
     content_columns(X, p, lane, forced, S, e)
     for i in range(n):
@@ -262,7 +304,16 @@ def begin_columns(
 def solve_columns(
     X: FloatArray, p: Places, lane: int, forced: int, ddt: float, star: FloatArray, S: FloatArray, reduced: FloatArray
 ) -> None:
-    """S from A S = star - G_p, A and G_p as the shadows have been assembled with ddt [s]; `reduced` (node,) is work."""
+    """Solve A S = star - G_p for the sensitivities of a stage, with one elimination of the matrix for all parameters.
+
+    X       : blocks of the perturbed lanes, assembled with ddt [s], which hold A and G_p;  p : their offsets
+    forced  : number of leading columns with a partial derivative G_p
+    star    : (node, parameter) right-hand side [J/m2] over the unit of each parameter
+    S       : (node, parameter) sensitivity [K] over that unit, overwritten
+    reduced : (node,) work
+
+    Source: docs/equations_thermal_step.md, equations 29 and 31.
+    """
     n, m = p.nodes[lane], S.shape[1]
     _copy(star, S)
     _subtract_forcing(X, p, lane, forced, ddt, S)
@@ -290,7 +341,13 @@ def _copy(given: FloatArray, to: FloatArray) -> None:
 
 @njit
 def first_star(e: FloatArray, f: FloatArray, dt: float, star: FloatArray) -> None:
-    """Right-hand side of the first stage."""
+    """Right-hand side of the first stage, e_n + d dt f_n [J/m2] over the unit of each parameter.
+
+    e, f, star : (node, parameter) [J/m2], [W/m2], [J/m2], each over that unit; star is overwritten
+    dt         : [s]
+
+    Source: docs/equations_thermal_step.md, equation 31.
+    """
     e, f, star = e.ravel(), f.ravel(), star.ravel()
     for k in range(len(star)):
         star[k] = e[k] + STAGE_WEIGHT * dt * f[k]
@@ -298,7 +355,12 @@ def first_star(e: FloatArray, f: FloatArray, dt: float, star: FloatArray) -> Non
 
 @njit
 def second_star(e: FloatArray, middle: FloatArray, star: FloatArray) -> None:
-    """Right-hand side of the second stage; `middle` is e at the first."""
+    """Right-hand side of the second stage, e_n + (w/d) (e(Y1) - e_n) [J/m2] over the unit of each parameter.
+
+    e, middle, star : (node, parameter) e at the start and at the first stage, and the result, overwritten
+
+    Source: docs/equations_thermal_step.md, equation 31.
+    """
     e, middle, star = e.ravel(), middle.ravel(), star.ravel()
     for k in range(len(star)):
         star[k] = e[k] + BDF_WEIGHT * (middle[k] - e[k])
@@ -306,7 +368,12 @@ def second_star(e: FloatArray, middle: FloatArray, star: FloatArray) -> None:
 
 @njit
 def net_columns(e: FloatArray, star: FloatArray, dt: float, f: FloatArray) -> None:
-    """f at the end of the step."""
+    """Sensitivity of the net heat at the end of a step, f = (e - star) / (d dt) [W/m2] over the unit of each parameter.
+
+    e, star, f : (node, parameter) e at the end, right-hand side of the second stage, result; dt [s]
+
+    Source: docs/equations_thermal_step.md, equation 32.
+    """
     e, star, f = e.ravel(), star.ravel(), f.ravel()
     for k in range(len(f)):
         f[k] = (e[k] - star[k]) * (1.0 / (STAGE_WEIGHT * dt))
@@ -314,12 +381,18 @@ def net_columns(e: FloatArray, star: FloatArray, dt: float, f: FloatArray) -> No
 
 @njit
 def parabola(x: float) -> tuple[float, float, float]:
-    """Weights of start, middle stage and end of a step in a value at the fraction x of it."""
+    """Weights [-] of start, middle stage and end of a step in a value at the fraction x [-] of the step.
+
+    Source: docs/equations_thermal_step.md, equation 35.
+    """
     return (x - GAMMA) * (x - 1.0) / GAMMA, x * (x - 1.0) / (GAMMA * (GAMMA - 1.0)), x * (x - GAMMA) / (1.0 - GAMMA)
 
 
 @njit
 def parabola_rate(x: float, dt: float) -> tuple[float, float, float]:
-    """The same for the rate of change [1/s]."""
+    """Weights of start, middle stage and end of a step of dt [s] in the rate of change [K/s] at its fraction x [-].
+
+    Source: docs/equations_thermal_step.md, equation 36.
+    """
     start, middle = (2.0 * x - GAMMA - 1.0) / (GAMMA * dt), (2.0 * x - 1.0) / (GAMMA * (GAMMA - 1.0) * dt)
     return start, middle, (2.0 * x - GAMMA) / ((1.0 - GAMMA) * dt)

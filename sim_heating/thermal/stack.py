@@ -1,4 +1,4 @@
-"""What a heated wall is made of, as it is declared in a file: materials, layers, stack, sensors.
+"""The construction of a heated wall as declared in a file: materials, layers, stack, sensors.
 
 One schema for flight records and vehicle directories. Lengths in m from the outer surface, temperatures in K,
 pressures in Pa.
@@ -23,10 +23,10 @@ Table = list[list[float]]
 """[[T_K, value], ...]"""
 
 THICKEST_M = 5.0
-"""A layer above this is taken for one in millimetres [m]."""
+"""Thickness above which a layer is taken for one in millimetres [m]."""
 
 LEAST, MOST = 1e-9, 1e9
-"""A property or a thickness outside these is in no SI unit that the wall of a vehicle is described in."""
+"""Limits of any property or thickness in its SI unit. A value outside them is in another unit."""
 
 
 def _is_table(value: Any) -> str:
@@ -67,7 +67,7 @@ def _property_problems(table: Table, name: str, largest: float = MOST) -> list[t
 
 
 def _hot_problems(table: Table) -> list[tuple[Location, str]]:
-    """The last, and so the highest, temperature of a table that is no temperature."""
+    """A problem where the last, and so the highest, temperature of a table is above HOTTEST_K."""
     last = len(table) - 1
     return [((last, 0), f"{table[last][0]:g} K is no temperature of a wall")] if table[last][0] > HOTTEST_K else []
 
@@ -90,7 +90,10 @@ def _axis_problems(key: str, values: list[float]) -> list[tuple[Location, str]]:
 
 
 class PressureTable(Declared):
-    """Conductivity in temperature and pressure: k[T][p] [W/(m K)], linear in T and in log10(p)."""
+    """Conductivity in temperature and pressure: k[T][p] [W/(m K)], linear in T and in log10(p).
+
+    How it is interpolated: docs/equations_thermal_step.md, equation 10.
+    """
 
     p_Pa: list[float] = Field(description="increasing pressures above 0")
     T_K: list[float] = Field(description="increasing temperatures")
@@ -115,7 +118,10 @@ class PressureTable(Declared):
 
 
 class Material(Declared):
-    """A material of a layer: density, specific heat, conductivity, and emissivity where it faces outward."""
+    """A material of a layer: density [kg/m3], specific heat [J/(kg K)], conductivity [W/(m K)], emissivity [-].
+
+    Only the outermost layer needs an emissivity. `source` and `confidence` are kept with the values.
+    """
 
     density_kg_m3: float = Field(gt=0.0, le=MOST, description="density in kg/m3, above 0")
     emissivity: Table | None = Field(default=None, description="[[T_K, value], ...], value above 0, up to 1")
@@ -152,22 +158,29 @@ class Material(Declared):
         return table
 
     def conductivity_grid(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(p,) pressures [Pa], (T,) temperatures [K], (T, p) conductivity [W/(m K)]; one pressure where k has none."""
+        """Conductivity on its grid of pressures and temperatures.
+
+        returns : (p,) pressures [Pa], (T,) temperatures [K], (T, p) conductivity [W/(m K)]; where it does not depend on
+                  pressure one column, at 1 Pa
+
+        Interpolated as in docs/equations_thermal_step.md, equation 10.
+        """
         table = self.conductivity_W_mK
         if isinstance(table, PressureTable):
             return np.array(table.p_Pa), np.array(table.T_K), np.array(table.k)
         T_K, k = pairs(table)
+        # Any pressure would do: a single column is constant in pressure.
         return np.array([1.0]), T_K, k[:, np.newaxis]
 
 
 def pairs(table: Table) -> tuple[FloatArray, FloatArray]:
-    """The two columns of [[x, value], ...] as float64 arrays."""
+    """The two columns of [[x, value], ...] as contiguous float64 arrays, each in the unit of its table."""
     both = np.array(table, dtype=np.float64)
     return np.ascontiguousarray(both[:, 0]), np.ascontiguousarray(both[:, 1])
 
 
 class Layer(Declared):
-    """One layer of a stack; contact_m2K_W is the contact resistance at its inner face."""
+    """One layer of a stack: material, thickness [m], and contact resistance [m2 K/W] at its inner face (0: perfect)."""
 
     material: str = Field(description="name of a material")
     thickness_m: float = Field(gt=0.0, description="thickness in m, above 0; leave out a layer that is not there")
@@ -184,7 +197,10 @@ class Layer(Declared):
 
 
 class BackFace(Declared):
-    """A back face that convects and radiates to T_K: q = h (T - T_K) + emissivity sigma (T^4 - T_K^4)."""
+    """A back face that convects and radiates to T_K: q = h (T - T_K) + emissivity sigma (T^4 - T_K^4) [W/m2].
+
+    docs/equations_thermal_step.md, equation 15.
+    """
 
     h_W_m2K: float = Field(default=0.0, ge=0.0, le=MOST, description="film coefficient in W/(m2 K)")
     T_K: float = Field(ge=0.0, le=HOTTEST_K, description="temperature behind the wall in K")
@@ -196,7 +212,7 @@ def _is_back(value: Any) -> str:
 
 
 class Stack(Declared):
-    """Layers from the outermost inward, with the initial temperature and what the two faces see."""
+    """Layers from the outermost inward, with the initial temperature and the surroundings of the two faces."""
 
     nodes: int | None = Field(default=None, ge=3, le=10_000, description="a hint, 14 to 100 as a rule")
     surroundings_K: float = Field(default=0.0, ge=0.0, le=HOTTEST_K, description="temperature radiated to in K")
@@ -259,7 +275,7 @@ class Stack(Declared):
 
     @property
     def thickness_m(self) -> float:
-        """Thickness of the whole stack [m]."""
+        """Thickness of the whole stack [m]; contacts have none."""
         return float(sum(layer.thickness_m for layer in self.layer))
 
     @property
@@ -269,17 +285,18 @@ class Stack(Declared):
 
     @property
     def bondline_m(self) -> float:
-        """Depth of the outer face of the last layer [m]."""
+        """Depth of the bondline [m]: the outer face of the last layer; 0 in a stack of one layer."""
         return float(self.interfaces_m[-2])
 
     def holds(self, depth_m: float) -> bool:
-        """Whether a depth [m] lies in the stack, its faces included (to rounding of summed thicknesses)."""
+        """Whether a depth [m] lies in the stack, its faces included, to a billionth of the thickness."""
+        # Thicknesses in a file sum up to a depth in the same file only to rounding.
         slack = 1e-9 * self.thickness_m
         return -slack <= depth_m <= self.thickness_m + slack
 
 
 class Sensor(Declared):
-    """A thermocouple: where it sits and what its recorder does to the temperature."""
+    """A thermocouple: its depth [m], and what its recorder does to the temperature (docs/equations.md, section 5)."""
 
     name: str = Field(min_length=1)
     column: str = Field(min_length=1, description="column of the measurements, ending in _K")
@@ -329,19 +346,27 @@ class Sensor(Declared):
 
     @property
     def lsb_K(self) -> float:
-        """Step of the recorder word [K], span / (2^bits - 1); 0 where nothing is quantised."""
+        """Step of the recorder word [K], span / (2^bits - 1); 0 where nothing is quantised.
+
+        Source: docs/equations.md, section 5.
+        """
         if self.bits is None or self.range_K is None:
             return 0.0
         return (self.range_K[1] - self.range_K[0]) / (2**self.bits - 1)
 
     def noise_floor_K(self, sigma_K: float) -> float:
-        """Root mean square error of a reading [K] from noise of sigma [K] and the recorder word,
-        sqrt(sigma^2 + LSB^2 / 12)."""
+        """Root mean square error of a reading [K] from random noise and the recorder word, sqrt(sigma^2 + LSB^2 / 12).
+
+        sigma_K : standard deviation of the random noise [K]
+
+        LSB^2 / 12 is the variance of a rounding error that is uniform over one step, as where the temperature or its
+        noise moves over several steps. The word is that of docs/equations.md, section 5.
+        """
         return math.sqrt(sigma_K**2 + self.lsb_K**2 / 12.0)
 
 
 class Construction(Declared):
-    """A stack together with the materials of its layers: all that conduction needs to know of a wall."""
+    """A stack together with the materials of its layers: all the properties of a wall that conduction needs."""
 
     stack: Stack
     materials: dict[str, Material] = Field(description="[materials.NAME], one table a material")
@@ -357,7 +382,10 @@ class Construction(Declared):
 
 
 def material_problems(stack: Stack, materials: Mapping[str, Material]) -> list[tuple[Location, str]]:
-    """Layers without a material, and an outermost layer without emissivity."""
+    """Layers whose material is not declared, and an outermost layer without emissivity.
+
+    returns : (location in the file, text) of each problem; the text names the nearest declared material
+    """
     problems: list[tuple[Location, str]] = []
     for i, layer in enumerate(stack.layer):
         if layer.material not in materials:
@@ -372,7 +400,10 @@ def material_problems(stack: Stack, materials: Mapping[str, Material]) -> list[t
 
 
 def sensor_problems(stack: Stack, sensors: Sequence[Sensor]) -> list[tuple[Location, str]]:
-    """Sensors outside the stack, and names or columns used twice; locations are (index, key)."""
+    """Sensors outside the stack, and names or columns used twice.
+
+    returns : ((index of the sensor, key), text) of each problem
+    """
     problems: list[tuple[Location, str]] = []
     for i, sensor in enumerate(sensors):
         if not stack.holds(sensor.depth_m):
@@ -386,9 +417,10 @@ def sensor_problems(stack: Stack, sensors: Sequence[Sensor]) -> list[tuple[Locat
 
 
 def construct(stack: Stack, materials: Mapping[str, Material], where: str = "construction") -> Construction:
-    """A construction of parts that come from different files; materials that no layer uses are left out.
+    """A construction of parts that come from different files; materials that no layer uses are omitted.
 
-    raises : InputError as in a file named `where`
+    where  : name for the messages
+    raises : InputError as for a file named `where`, with all problems of the parts
     """
     parts = {"stack": stack.model_dump(), "materials": {name: m.model_dump() for name, m in materials.items()}}
     whole = check(parts, Construction, where)

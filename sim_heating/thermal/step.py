@@ -6,8 +6,9 @@ The heat content E of every node changes by what its neighbours conduct to it an
 
 both with their tridiagonal derivatives from assembly.py and faces.py.
 
-One step is TR-BDF2 with gamma = 2 - sqrt(2) (Bank et al., IEEE Trans. CAD 4 (1985) 436; Hosea & Shampine, Appl. Numer.
-Math. 20 (1996) 21): one-step, L-stable, second order, here written for E so that energy is conserved to rounding:
+One step is TR-BDF2 with gamma = 2 - sqrt(2) (Bank et al., IEEE Trans. CAD 4 (1985) 436; Hosea and Shampine, Appl.
+Numer. Math. 20 (1996) 21): one-step, L-stable, second order, here written for E so that energy is conserved to rounding
+(docs/equations_thermal_step.md, equations 19 and 20):
 
     E(Y1) = E_n + d dt (F_n + F(Y1)),                      at t_n + gamma dt,   d = gamma / 2
     E(Y2) = E_n + (w/d) (E(Y1) - E_n) + d dt F(Y2),        at t_n + dt,         w = sqrt(2) / 4
@@ -81,35 +82,41 @@ from sim_heating.thermal.assembly import REDUCED, SHARE, WHOLE_ROWS, assemble, s
 from sim_heating.thermal.faces import evaluate_faces, forget_walls
 
 GAMMA = 2.0 - math.sqrt(2.0)
+"""Fraction of a step at which the middle stage is [-]. This value gives both stages the same matrix."""
 STAGE_WEIGHT = GAMMA / 2.0
+"""d = gamma / 2, implicit weight of either stage [-]."""
 EXPLICIT_WEIGHT = math.sqrt(2.0) / 4.0
+"""w, weight of start and middle stage over the whole step [-]; 2 w + d = 1."""
 BDF_WEIGHT = EXPLICIT_WEIGHT / STAGE_WEIGHT
+"""w / d, weight of the first stage's gain of heat in the second [-]."""
 NEWTON_TOLERANCE_K = 1e-4
-"""Largest update at which a lane stops; convergence is quadratic, so what is left is below 1e-9 K."""
+"""Largest update at which a lane stops [K]. Convergence is quadratic, so that the remaining error is below 1e-9 K."""
 NEWTON_LIMIT = 25
+"""Iterations after which a stage counts as failed; one is enough for most steps of an entry."""
 COLDEST_K = 1.0
-"""No iterate goes below this, and one that is no number becomes this: a failure, for its update is no number either."""
+"""Floor of every iterate [K]. A NaN is set to it as well, and is reported as a failure since its update is NaN too."""
 LONGEST_REACH = 2.0
-"""The curvature of the last step is relied on for so many of its lengths: that of a very short one is rounding."""
+"""Multiple of the last step's length over which its curvature is extrapolated [-]: that of a very short step is mostly
+rounding."""
 BEGIN = 0.0
-"""Length of a frame that does not move in time."""
+"""Length [s] of a frame that only evaluates the start."""
 STAGED = (FILM, RECOVERY, ADDED, PCOL, PFRAC, R_BASE, LAG_VALUE, LAG_INPUT)
-"""Rows that hold one value a stage."""
+"""Rows that have one value for each of the three stages."""
 
 
 @inlined
 def _moved(B: FloatArray, a: int, lane: int) -> float:
-    """Heat that enters a lane at the node at B[a] [W/m2], linearised over its last move as the balance of the stage
-    has it."""
+    """Heat that enters a lane at the node at B[a] [W/m2], linearised over its last update as Newton's system has it."""
     return B[a + SOURCE * LANES + lane] + B[a + SLOPE * LANES + lane] * B[a + DELTA * LANES + lane]
 
 
 @folded
 def _keep_face_heat(B: FloatArray, J: IntArray) -> None:
-    """Heat at the faces of the lanes that have just moved."""
+    """Keep the heat at the faces of the lanes just updated (docs/equations_thermal_step.md, equation 30)."""
     front = HEAD_ROWS * LANES
     for lane in range(LANES):
         moves = B[ACTIVE * LANES + lane] > 0.0
+        # Linearised, not evaluated again: the energy balance closes to rounding however large the last update was.
         heat = _moved(B, front, lane)
         B[STAGE_IN * LANES + lane] = heat if moves else B[STAGE_IN * LANES + lane]
     for lane in range(LANES):
@@ -129,7 +136,14 @@ def _add_energy(B: FloatArray, weight: float) -> None:
 
 @folded
 def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, chain) -> None:  # type: ignore[no-untyped-def]
-    """Heat contents and net heat of all nodes with the conditions of stage 2, as a step leaves them."""
+    """Heat content [J/m2] and net heat [W/m2] of all nodes at the present temperatures, with the conditions of stage 2.
+
+    B     : block of the lane group; E_START, NET, STAGE_IN and STAGE_OUT change
+    J     : its integers;  table : property and ratio tables;  chain : dispatcher of the effects
+
+    A step leaves the same quantities at its end; this evaluates them where no step precedes.
+    Source: docs/equations_thermal_step.md, equations 3, 4 and 22.
+    """
     n = J[N_NODES]
     select_pressure(B, J, END)
     evaluate_faces(B, J, table, chain, END)
@@ -158,13 +172,16 @@ def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, chain) -> None
 
 @njit
 def _reach(B: FloatArray, dt: float) -> float:
-    """How far into a step of dt the curvature of the last one is relied on [s]; 0 where there was none."""
+    """Time [s] over which the curvature of the last step is extrapolated into a step of dt; 0 where there was none."""
     return min(dt, LONGEST_REACH * B[LAST_STEP * LANES])
 
 
 @folded
 def _start(B: FloatArray, n: int, dt: float) -> None:
-    """First stage: E* = E_n + d dt F_n with the F_n that the last step has left, and a guess along its parabola."""
+    """First stage: E* = E_n + d dt F_n with the F_n of the last step's end, and a guess along its parabola.
+
+    docs/equations_thermal_step.md, equations 19 and 24.
+    """
     ahead, bend = GAMMA * dt, (GAMMA * _reach(B, dt)) ** 2
     for i in range(n):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
@@ -179,8 +196,10 @@ def _start(B: FloatArray, n: int, dt: float) -> None:
 
 @folded
 def _finish(B: FloatArray, n: int, dt: float) -> None:
-    """E_(n+1), F_(n+1) = (E_(n+1) - E*) / (d dt) of the implicit stage, and the parabola through start, stage and
-    end."""
+    """E_(n+1), F_(n+1) = (E_(n+1) - E*) / (d dt), and the parabola through start, stage and end.
+
+    docs/equations_thermal_step.md, equations 22 and 23.
+    """
     to_stage, from_stage = GAMMA * dt, (1.0 - GAMMA) * dt
     for lane in range(LANES):
         B[LAST_STEP * LANES + lane] = dt
@@ -196,6 +215,7 @@ def _finish(B: FloatArray, n: int, dt: float) -> None:
             middle = B[a + T_STAGE * LANES + lane]
             before = (middle - B[a + T_START * LANES + lane]) * (1.0 / to_stage)
             after = (B[a + T * LANES + lane] - middle) * (1.0 / from_stage)
+            # Second divided difference of the three points: half the second derivative.
             curve = (after - before) * (1.0 / dt)
             B[a + CURVE * LANES + lane] = curve
             B[a + RATE * LANES + lane] = after + curve * from_stage
@@ -203,7 +223,7 @@ def _finish(B: FloatArray, n: int, dt: float) -> None:
 
 @folded
 def _update(B: FloatArray, n: int) -> None:
-    """Back substitution; lanes that are active (MOVES is 1, else 0) move, and their heat contents with them.
+    """Back substitution; lanes that are active (MOVES is 1, else 0) are updated, and their heat contents with them.
 
     The choice is arithmetic, exact for 1 and 0: a masked store would cost more than all the rest.
     """
@@ -222,13 +242,17 @@ def _update(B: FloatArray, n: int) -> None:
             B[a + STAGE_LEFT * LANES + lane] = moves * after + stays * B[a + STAGE_LEFT * LANES + lane]
             after = B[a + E_RIGHT * LANES + lane] + B[a + C_RIGHT * LANES + lane] * delta
             B[a + STAGE_RIGHT * LANES + lane] = moves * after + stays * B[a + STAGE_RIGHT * LANES + lane]
+            # `size <= largest` is false for NaN, and a NaN makes every update before it NaN: node 0 reports it.
             largest, size = B[right + LARGEST * LANES + lane], abs(delta)
             B[a + LARGEST * LANES + lane] = largest if size <= largest else size
 
 
 @folded
 def _retire(B: FloatArray) -> int:
-    """Take lanes whose update was small out of the iteration; how many are left in it."""
+    """Take lanes whose update was small out of the iteration.
+
+    returns : number of lanes still iterating
+    """
     left = 0
     for lane in range(LANES):
         if B[ACTIVE * LANES + lane] > 0.0:
@@ -242,7 +266,7 @@ def _retire(B: FloatArray) -> int:
 
 @njit
 def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int, dt: float) -> None:  # type: ignore[no-untyped-def]
-    """Newton iteration for E(Y) - E* - d dt F(Y) = 0, from the temperatures present."""
+    """Newton iteration for E(Y) - E* - d dt F(Y) = 0 from the present temperatures (equations 25 to 30)."""
     n = J[N_NODES]
     behind = (HEAD_ROWS + n * NODE_ROWS) * LANES
     select_pressure(B, J, stage)
@@ -252,6 +276,7 @@ def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: in
         evaluate_faces(B, J, table, chain, stage)
         assemble(B, J, table, STAGE_WEIGHT * dt, REDUCED)
         for lane in range(LANES):
+            # Passed from node to node through the rows, from the ghost behind: constant distances, no alias checks.
             B[behind + MOVES * LANES + lane] = B[ACTIVE * LANES + lane]
             B[behind + LARGEST * LANES + lane] = 0.0
         _update(B, n)
@@ -264,7 +289,10 @@ def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: in
 
 @folded
 def _start_second_stage(B: FloatArray, n: int, dt: float) -> None:
-    """E* = E_n + (w/d) (E(Y1) - E_n), and a guess along the first stage, bent as the last step was."""
+    """Second stage: E* = E_n + (w/d) (E(Y1) - E_n), and a guess along the first stage with the last step's curvature.
+
+    docs/equations_thermal_step.md, equations 20 and 24.
+    """
     bend = (1.0 - GAMMA) * _reach(B, dt) ** 2
     for i in range(n):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
@@ -283,15 +311,21 @@ def _start_second_stage(B: FloatArray, n: int, dt: float) -> None:
 def step(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> None:  # type: ignore[no-untyped-def]
     """Advance the node temperatures of one lane group by dt [s] with the stage inputs that the scalar rows hold.
 
-    B     : the block of the group; T, RATE, ENERGY_IN and ENERGY_OUT [J/m2], ITERATIONS and FAILED change
+        E(Y1) = E_n + d dt (F_n + F(Y1)),    E(Y2) = E_n + (w/d) (E(Y1) - E_n) + d dt F(Y2)
+
+    B     : block of the group; T [K], RATE [K/s], ENERGY_IN and ENERGY_OUT [J/m2], ITERATIONS and FAILED change
     J     : its integers
     table : property and ratio tables
-    chain : the compiled effects (heating/effects/compiled.py)
+    chain : dispatcher of the effects (effects/chain.py)
+    dt    : length of the step [s], above 0
 
-    Heat contents and net heat at the start are those that the last step left (the method's last stage is its end):
-    after a change of temperatures, parameters or conditions from outside, `_begin` evaluates them anew.
+    Heat contents and net heat at the start are those that the last step left, since the method's last stage is its end;
+    after a change of temperatures, parameters or conditions from outside, `_begin` has to evaluate them again. A lane
+    that does not converge in NEWTON_LIMIT iterations is counted in FAILED; nothing is raised.
+    Source: Hosea and Shampine (1996); docs/equations_thermal_step.md, equations 19 to 24.
     """
     n = J[N_NODES]
+    # The start's share in the energies (equation 21): STAGE_IN and STAGE_OUT still hold the end of the last step.
     _add_energy(B, EXPLICIT_WEIGHT * dt)
     _start(B, n, dt)
     for stage in range(1, 3):
@@ -315,15 +349,16 @@ def _begin(B: FloatArray, J: IntArray, table: FloatArray, chain) -> None:  # typ
 
 @folded
 def _advance(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> None:  # type: ignore[no-untyped-def]
-    """From the conditions that held to those in the vectors of stage 0 (now) and 2 (then) in dt [s], linear between.
+    """Advance by dt [s] from the conditions of stage 0 (now) to those of stage 2 (then), linear between.
 
-    The caller has moved the vectors of stage 2 to stage 0 and written new ones (`hold` does the moving).
+    The caller has moved the vectors of stage 2 to stage 0 (see `hold`) and written new ones.
     """
     span = LANES * N_CONDITIONS
     first = C_STAGES * LANES
     for k in range(span):
         now, then = B[first + k], B[first + 2 * span + k]
         B[first + span + k] = now + GAMMA * (then - now)
+    # The end of the last frame is the start of this one: nothing is evaluated twice.
     for row in STAGED:
         for lane in range(LANES):
             B[row * LANES + lane] = B[(row + 2) * LANES + lane]
@@ -335,9 +370,14 @@ def _advance(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) ->
 
 
 def move(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> None:  # type: ignore[no-untyped-def]
-    """A frame of dt [s] (`_advance`); one of BEGIN at the start, and after any change from outside (`_begin`).
+    """Advance a lane group by a frame of dt [s], or, with dt = BEGIN, evaluate the start of a march.
 
-    One function, as most of what the two consist of is the same, and compiled once.
+    B     : block of the group, with the conditions of stages 0 and 2 written
+    J     : its integers;  table : property and ratio tables;  chain : dispatcher of the effects
+    dt    : [s]; BEGIN at the start and after any change from outside, else above 0
+
+    One function for both, as they share most of their code, which is compiled once this way.
+    Source: docs/equations_thermal_step.md, equations 19 to 24.
     """
     if dt == BEGIN:
         _begin(B, J, table, chain)
@@ -347,7 +387,7 @@ def move(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> Non
 
 @njit
 def hold(B: FloatArray) -> None:
-    """The conditions at the end of the last frame become those at the start of the next."""
+    """Shift the conditions at the end of the last frame to the start of the next: stage 2 becomes stage 0."""
     span = LANES * N_CONDITIONS
     first = C_STAGES * LANES
     for k in range(span):
@@ -356,5 +396,5 @@ def hold(B: FloatArray) -> None:
 
 @cache
 def compiled() -> Any:
-    """`move`, compiled when first asked for; jit.handle gives what a kernel takes of it."""
+    """`move` as a C function, compiled when first asked for; jit.handle gives what a kernel takes of it."""
     return c_function(STEP_SIGNATURE, move)

@@ -1,9 +1,10 @@
 """Property tables as the kernel reads them: bins of BIN_K kelvin, columns of pressure, one flat float64 array.
 
-A property that is linear between the points of its file is resampled at the bin edges and is linear between those,
-its integral (heat content, Kirchhoff's variable) exact for the resampled property. With the points on bin edges that
-is the file itself; otherwise a corner is cut within the 5 K bin that holds it. Neighbouring bins in which all
-properties of a material go on straight are one piece with one polynomial.
+A property that is linear between the points of its file is sampled at the bin edges and is linear between those, with
+its integral (heat content, Kirchhoff's variable) exact for the sampled property (docs/equations_thermal_step.md,
+equation 9). Where the points of the file are on bin edges this is exact; otherwise a corner is cut within the 5 K bin
+that contains it. Neighbouring bins without a change of slope in any property of a material form one piece with one
+polynomial.
 """
 
 from __future__ import annotations
@@ -21,12 +22,13 @@ from sim_heating.thermal.assembly import BIN_K, BINS, FAR
 from sim_heating.thermal.stack import Material, pairs
 
 EDGES_K = BIN_K * np.arange(BINS + 1)
+"""Edges of the bins [K]."""
 STRAIGHT = 1e-11
-"""A property goes on straight where its change over a bin differs by less than this part of its value."""
+"""Relative change of a property [-] by a change of slope over one bin, below which the two bins form one piece."""
 KEPT = 256
-"""Tables that are remembered from one ensemble to the next."""
+"""Number of tables that are cached from one ensemble to the next."""
 ENTHALPY_PRESSURES_PA = np.logspace(0.0, 6.0, 7)
-"""Pressures at which the enthalpy of equilibrium air is tabulated."""
+"""Pressures at which the enthalpy of equilibrium air is tabulated [Pa]."""
 
 WallEnthalpy = float | str
 """A constant specific heat [J/(kg K)], or the name of a gas model of reference_heating.gas."""
@@ -36,8 +38,10 @@ WallEnthalpy = float | str
 class PointTables:
     """Offsets of one point's tables in the flat array.
 
-    pressures : log10 of the pressures [Pa] of the columns, `columns` of them, two or more
-    materials : one a layer;  emissivity, enthalpy : of the surface
+    columns   : number of pressure columns, two or more
+    pressures : offset of log10 of their pressures [Pa]
+    materials : offset for each layer, the contact's last
+    emissivity, enthalpy : offsets of those of the surface
     """
 
     columns: int
@@ -48,7 +52,7 @@ class PointTables:
 
 
 class TableStore:
-    """Tables of many points in one flat array, each made once.
+    """Tables of many points in one flat array, each table made once.
 
     A point's tables have columns at the pressures of its own materials, so that they do not depend on its neighbours.
     """
@@ -61,11 +65,15 @@ class TableStore:
 
     @property
     def values(self) -> FloatArray:
-        """The flat array that the kernel reads."""
+        """The flat array that the kernel reads: all tables joined in the order in which they were placed."""
         return np.concatenate(self._parts)
 
     def place(self, key: Hashable, make: Callable[[], FloatArray]) -> int:
-        """Offset of the table of a key, made where it is not there yet."""
+        """Offset of the table of a key in the flat array; the table is made where the key is new.
+
+        key  : hashable identity of the table
+        make : called once, for the table [any shape, stored flat]
+        """
         if key not in self._offsets:
             table = np.ascontiguousarray(make()).ravel()
             self._offsets[key] = self._end
@@ -74,7 +82,15 @@ class TableStore:
         return self._offsets[key]
 
     def add_point(self, layers: Sequence[Material], contact: Material, wall_enthalpy: WallEnthalpy) -> PointTables:
-        """Tables of a point; materials are known by identity, the contact's offset comes last."""
+        """Offsets of the tables of a point, made where they are new.
+
+        layers        : material of each layer, outermost first; known by identity, so one object is one table
+        contact       : material of contact resistances, whose offset comes last
+        wall_enthalpy : constant specific heat [J/(kg K)], or the name of a gas model
+        returns       : offsets in `values`
+
+        Layout and interpolation: docs/equations_thermal_step.md, section 2.
+        """
         key = (*(id(m) for m in layers), wall_enthalpy)
         if key not in self._points:
             self._points[key] = self._add(layers, contact, wall_enthalpy)
@@ -114,17 +130,18 @@ def _point_table(table: list[list[float]]) -> FloatArray:
 
 
 def _pieces(at_edges: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Integral from 0 K, value and slope at the foot of each bin of a property given at the bin edges."""
+    """Integral from 0 K, value and slope at the foot of each bin of a property given at the bin edges (equation 9)."""
     integral = np.concatenate(([0.0], np.cumsum(0.5 * BIN_K * (at_edges[1:] + at_edges[:-1]))))
     slope = np.diff(at_edges) / BIN_K
+    # The last bin has no upper edge: the property is constant in it.
     slope[-1] = 0.0
     return integral[:-1], at_edges[:-1], slope
 
 
 def _material_table(material: Material, log10_p: FloatArray) -> FloatArray:
-    """Piece of each bin, then for each piece its ends, its foot; h, c, its slope; theta, k, its slope at each pressure.
+    """Index of the piece of each bin, then each piece: its ends and foot; h, c, slope of c; theta, k, slope of k.
 
-    Values hold at the foot of the piece.
+    The last three are repeated for each pressure; all values are those at the foot of the piece.
     """
     table = np.empty((BINS, 3 + 3 * len(log10_p)))
     table[:, 0], table[:, 1], table[:, 2] = _pieces(np.interp(EDGES_K, *pairs(material.specific_heat_J_kgK)))
@@ -141,7 +158,7 @@ def _material_table(material: Material, log10_p: FloatArray) -> FloatArray:
 
 
 def _first_of_pieces(values: FloatArray, slopes: FloatArray) -> NDArray[np.int64]:
-    """First bins of the pieces: those where a slope is another than in the bin before."""
+    """First bins of the pieces: those whose slope differs from that of the bin before."""
     bent = np.abs(np.diff(slopes, axis=0)) * BIN_K > STRAIGHT * np.abs(values[1:])
     return np.concatenate(([0], np.flatnonzero(np.any(bent, axis=1)) + 1))
 
@@ -168,6 +185,8 @@ def _pressure_columns(materials: Sequence[Material], wall_enthalpy: WallEnthalpy
     points = [np.log10(p) for p in grids if len(p) > 1]
     if isinstance(wall_enthalpy, str):
         points.append(np.log10(ENTHALPY_PRESSURES_PA))
+    # Two columns always: the kernel interpolates between a pair, and equal columns give a constant.
     if not points:
         return np.array([0.0, 1.0])
+    # Rounded, so that one pressure in two tables is one column.
     return np.unique(np.round(np.concatenate(points), 12))

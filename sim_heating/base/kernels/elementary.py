@@ -1,5 +1,8 @@
-"""Elementary functions for kernels in plain arithmetic, the same bits on every machine, compiler and host; and one test
-of all lanes."""
+"""Elementary functions for kernels in plain arithmetic, with equal bits on every machine, compiler and host; and a test
+of all lanes at once.
+
+The C library's exp and log10 differ in the last bit between platforms, and a call keeps a loop from being vectorised.
+"""
 
 from __future__ import annotations
 
@@ -12,24 +15,28 @@ from sim_heating.base.kernels.jit import WHOLE, inlined, power_of_two, split
 LN2_HIGH, LN2_LOW, LOG2_E = 6.93147180369123816490e-01, 1.90821492927058770002e-10, 1.4426950408889634
 LARGEST_EXPONENT = 708.0
 TERMS = 14
-"""Taylor terms of exp on |x| < ln(2)/2: the first one left out is below 1e-17."""
+"""Taylor terms of exp on |x| < ln(2)/2: the first omitted one is below 1e-17."""
 LOG10_2_HIGH, LOG10_2_LOW, LOG10_E = 0.3010299955494702, 1.1451100898021838e-10, 0.4342944819032518
 SQRT_HALF = 0.7071067811865476
 SMALLEST = 2.0**-1022
 LOG_TERMS = 10
-"""Terms of log(m) = 2 (s + s^3/3 + ...), s = (m - 1) / (m + 1), behind the first, on |s| < 0.172: the first one left
-out is below 1e-18."""
+"""Terms of log(m) = 2 (s + s^3/3 + ...), s = (m - 1) / (m + 1), after the first, on |s| < 0.172: the first omitted
+one is below 1e-18."""
 
 
 @inlined
 def exp(x: float) -> float:
-    """exp(x), within 2 units in the last place; held at the ends of -708 to 708, so never 0 and never infinite.
+    """Exponential exp(x) of a number [-], within 2 units in the last place.
 
-    No branch and no call: lanes go together.
+    x = k ln 2 + r with |r| < ln(2)/2, ln 2 in two parts (Cody and Waite 1980); exp(r) by 14 Taylor terms.
+    Arguments are limited to -708 to 708, so that the result is never 0 and never infinite.
+    No branch and no call: a loop over lanes vectorises.
     """
     x = min(max(x, -LARGEST_EXPONENT), LARGEST_EXPONENT)
+    # Adding and subtracting WHOLE rounds to a whole number without a call.
     k = (x * LOG2_E + WHOLE) - WHOLE
     r = (x - k * LN2_HIGH) - k * LN2_LOW
+    # Horner's scheme from the smallest term up; the reciprocals 1/n are constants once the loop is unrolled.
     total = 1.0
     for n in range(TERMS, 0, -1):
         total = 1.0 + total * (r * (1.0 / n))
@@ -38,11 +45,13 @@ def exp(x: float) -> float:
 
 @inlined
 def log10(x: float) -> float:
-    """log10(x) of a finite number, within 2 units in the last place; below 2^-1022 that of 2^-1022.
+    """Decimal logarithm log10(x) of a finite number [-], within 2 units in the last place; constant below 2^-1022.
 
-    No branch and no call: lanes go together.
+    x = 2^k m with m from sqrt(1/2) to sqrt(2); log(m) = 2 (s + s^3/3 + s^5/5 + ...), s = (m - 1) / (m + 1), 11 terms.
+    The logarithm of 2 is added in two parts (Cody and Waite 1980). No branch and no call: a loop over lanes vectorises.
     """
     m, k = split(max(x, SMALLEST))
+    # Mantissas below sqrt(1/2) are doubled: s is then at most 0.172 on either side, and 11 terms are enough.
     small = 1.0 if m < SQRT_HALF else 0.0
     m, k = m + small * m, k - small
     s = (m - 1.0) / (m + 1.0)
@@ -50,18 +59,23 @@ def log10(x: float) -> float:
     total = 0.0
     for n in range(LOG_TERMS, 0, -1):
         total = square * (1.0 / (2 * n + 1) + total)
+    # The small parts are summed before the large one, which costs the least rounding.
     return k * LOG10_2_HIGH + (k * LOG10_2_LOW + (2.0 * LOG10_E) * (s + s * total))
 
 
 @inlined
 def logistic(x: float) -> float:
-    """1 / (1 + exp(-x)): 0 far below, 1 far above."""
+    """Logistic function 1 / (1 + exp(-x)) [-]: 0 far below, 1 far above; S of docs/equations.md, equation 19."""
     return 1.0 / (1.0 + exp(-x))
 
 
 @inlined
 def lanes_outside(B: NDArray[np.float64], x: int, low: int, high: int) -> int:
-    """Number of pairs of lanes in which the row at B[x] is not from the row at B[low] to below that at B[high].
+    """Number of pairs of lanes with a value outside its bounds, low <= x < high.
+
+    B            : block of a lane group
+    x, low, high : where the rows of values and bounds begin, all three in one unit
+    returns      : 0 where every lane is inside; a value that is not a number counts as outside
 
     A lane is paired with the one half a row away, and nothing branches: that compiles to a few vector instructions, and
     neither eight lanes one by one nor a test with `and` does.

@@ -1,4 +1,4 @@
-"""The one way kernels are compiled: strict IEEE arithmetic, no exceptions, cached where a cache can be written."""
+"""Compilation of all kernels in one way: strict IEEE arithmetic, no exceptions, cached where a cache can be written."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ F = TypeVar("F", bound=Callable[..., object])
 
 PACKAGE = Path(__file__).resolve().parents[2]
 CACHE_AGE_S = 14 * 86400.0
-"""Caches of other versions of the package that nobody has used for so long are removed [s]."""
+"""Age [s] at which unused caches of other versions of the package are removed."""
 
 
 _IMPORT = re.compile(r"^\s*(?:from|import) sim_heating\.([\w.]+)(?: import (?:\(([^)]*)\)|(.*)))?", re.MULTILINE)
@@ -44,10 +44,13 @@ def _imported(path: Path, modules: Mapping[str, Path]) -> set[Path]:
 
 
 def source_digest() -> str:
-    """Digest of everything that compiled kernels are made of: modules that import this one, what those import, data.
+    """Digest of all sources of the compiled kernels: modules that import this one, what those import, and data files.
 
-    numba keys its cache by the file of a function alone: a kernel that calls another, or holds a table as a
-    constant, would keep what it was compiled with when that changes in another file.
+    returns : 16 hexadecimal digits, of which the name of the cache folder is made
+
+    numba keys its cache by the file of a function alone: a kernel that calls another one, or holds a table as a
+    constant, would keep its old code after a change in the other file. Imports are found by their absolute names; a
+    kernel module that is imported relatively would not be part of the digest.
     """
     modules = _modules()
     imports = {path: _imported(path, modules) for path in modules.values()}
@@ -65,11 +68,12 @@ def source_digest() -> str:
 
 
 def _cache_folder() -> str:
-    """A writable folder for compiled kernels of just this version: in the user's cache, else temporary."""
+    """A writable folder for the compiled kernels of this version only: in the user's cache, else temporary."""
     home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "sim_heating"
     folder = home / f"kernels-{source_digest()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        # Writing is tried: permissions alone do not show a full or read-only file system.
         with tempfile.TemporaryFile(dir=folder):
             folder.touch()
         for other in home.glob("kernels-*"):
@@ -89,7 +93,7 @@ numba.config.SLP_VECTORIZE = 1  # type: ignore[attr-defined]
 
 
 class _Compiler(numba.core.compiler.Compiler):
-    """Compiles without Python looking for garbage meanwhile, a tenth of the time: the compiler leaves hardly any."""
+    """Compiles with Python's garbage collection off, which takes a tenth of the time and finds hardly anything."""
 
     def compile_extra(self, function: Any) -> Any:
         if not gc.isenabled():
@@ -102,8 +106,11 @@ class _Compiler(numba.core.compiler.Compiler):
 
 
 class _KernelCompiler(_Compiler):
-    """Leaves out the faces of a kernel that nobody calls, an eighth of the time: the one for C (c_function makes its
-    own), and the one for Python where a kernel takes pointers, which Python cannot give."""
+    """Omits the entry points of a kernel that nobody calls, an eighth of the time.
+
+    They are the one for C (c_function makes its own), and the one for Python where a kernel takes pointers, which
+    Python cannot pass.
+    """
 
     def __init__(self, *given: Any) -> None:
         super().__init__(*given)
@@ -113,31 +120,40 @@ class _KernelCompiler(_Compiler):
 
 
 _ARITHMETIC: Mapping[str, Any] = {"fastmath": False, "error_model": "numpy"}
-"""What every kernel is compiled with, and what makes its bits."""
+"""Options of every kernel that decide its bits: no reassociation, no contraction, numpy's division by zero."""
 
 
 def njit(function: F, inline: bool = False) -> F:
-    """Compile a kernel: no fastmath (bit-equal interpreted, jitted and exported), numpy division, GIL released."""
+    """Compile a kernel: no fastmath (bit-equal interpreted, jitted and exported), numpy division, GIL released.
+
+    inline : whether LLVM has to inline it into every caller (see `inlined`)
+    """
     kernel = numba.njit(cache=True, nogil=True, forceinline=inline, pipeline_class=_KernelCompiler, **_ARITHMETIC)
     return cast(F, kernel(function))
 
 
 def folded(function: F) -> F:
-    """A kernel that is put into its caller before that is compiled: for one with a single caller, which would otherwise
-    be compiled for itself and then once more within it. Not for a large one: numba copies all of it, twice, and again
-    with every caller around it, in a time that grows as its square."""
+    """Inline a kernel into its single caller before that is compiled; it would otherwise be compiled twice.
+
+    Not for a large one: numba copies all of it, twice, and again with every caller around it, in a time that grows as
+    the square of its size.
+    """
     return cast(F, numba.njit(inline="always", **_ARITHMETIC)(function))
 
 
 def c_function(signature: Any, function: Any, cache: bool = True) -> Any:
-    """Compile a kernel as a C function with a fixed address; interpreted, the function itself."""
+    """Compile a kernel as a C function with a fixed address; where compilation is disabled, the function itself.
+
+    signature : numba signature of the C function, such as STEP_SIGNATURE
+    cache     : whether it goes into the cache on disk; not for closures
+    """
     if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         return function
     return numba.cfunc(signature, cache=cache, pipeline_class=_Compiler, **_ARITHMETIC)(function)
 
 
 def inlined(function: F) -> F:
-    """njit, put in wherever it is called: a loop over lanes with a call left in it takes them one by one."""
+    """Compile a kernel like njit and inline it wherever called: a loop over lanes with calls does not vectorise."""
     return njit(function, inline=True)
 
 
@@ -152,10 +168,10 @@ def _data_pointer(_typing_context: object, array: numba.types.Array):  # type: i
 
 
 def raw(array):  # type: ignore[no-untyped-def]
-    """The data of a contiguous array as a kernel takes it: a bare C pointer compiled, the array itself interpreted.
+    """Data of a contiguous array as a kernel takes it: a C pointer when compiled, the array itself when interpreted.
 
-    A pointer is what an exported library hands over as well, and its index arithmetic knows no negative indices, which
-    an array's does: kernels on pointers vectorise across lanes and kernels on arrays do not.
+    An exported library passes pointers as well. Indices into a pointer are never counted from its end, unlike those
+    into an array: kernels on pointers vectorise across lanes and kernels on arrays do not.
     """
     return array
 
@@ -168,7 +184,7 @@ def _raw_compiled(array):  # type: ignore[no-untyped-def]
 
 
 WHOLE = 1.5 * 2.0**52
-"""Added to a number below 2^51 in size it leaves no digits behind the point, and its last bits are the integer."""
+"""Added to a number below 2^51 in size it leaves no digits behind the point; its last bits are then the integer."""
 
 
 @numba.extending.intrinsic
@@ -182,7 +198,7 @@ def _power_of_two(_typing_context, k):  # type: ignore[no-untyped-def]
 
 
 def power_of_two(k: float) -> float:
-    """2^k of a whole number k from -1022 to 1023, held as a float; compiled, its bits put together."""
+    """2^k [-] of a whole number k from -1022 to 1023, given as a float; compiled, its bits are put together."""
     return math.ldexp(1.0, int(k)) if k == k else k
 
 
@@ -207,7 +223,7 @@ def _split(_typing_context, x):  # type: ignore[no-untyped-def]
 
 
 def split(x: float) -> tuple[float, float]:
-    """m from 0.5 to below 1 and k with x = m 2^k, for a normal number above 0; compiled, its bits taken apart."""
+    """m [-] from 0.5 to below 1 and k with x = m 2^k, for a normal x above 0; compiled, its bits are taken apart."""
     m, k = math.frexp(x)
     return m, float(k)
 
@@ -218,7 +234,7 @@ def _split_compiled(x):  # type: ignore[no-untyped-def]
 
 
 def _call_through_address(context, builder, signature, args):  # type: ignore[no-untyped-def]
-    """Code of a call whose first argument is the address of the function, the others its own."""
+    """LLVM code of a call whose first argument is the address of the function; the others are the function's own."""
     void = signature.return_type == numba.types.void
     result = llvmlite.ir.VoidType() if void else context.get_value_type(signature.return_type)
     kinds = [context.get_value_type(t) for t in signature.args[1:]]
@@ -233,9 +249,12 @@ def _call_chain(_typing_context, address, code, B, c, p, wall_K):  # type: ignor
 
 
 def call_chain(chain, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
-    """chain(code, B, c, p, wall_K) -> float, the chain being its address when compiled, a function interpreted.
+    """chain(code, B, c, p, wall_K) [-]: the effect of a code, through the address of its dispatcher.
 
-    An address is passed to a kernel for nothing, where handing over a function object costs 35 us a call.
+    wall_K : wall temperature [K];  code, B, c, p : as in effects/chain.py
+
+    Interpreted, the dispatcher is the function itself. Passing an address to a kernel costs nothing; passing a function
+    object costs 35 us a call.
     """
     return chain(code, B, c, p, wall_K)
 
@@ -249,7 +268,7 @@ def _call_chain_compiled(chain, code, B, c, p, wall_K):  # type: ignore[no-untyp
 
 @numba.extending.intrinsic
 def call_effect(_typing_context, address, B, c, p, wall_K):  # type: ignore[no-untyped-def]
-    """The compiled kernel of an effect at an address, called: kernel(B, c, p, wall_K) -> float."""
+    """Value [-] of an effect's compiled kernel at an address: kernel(B, c, p, wall_K), wall_K [K]."""
     return numba.types.float64(address, B, c, p, wall_K), _call_through_address
 
 
@@ -259,9 +278,9 @@ def _call_step(_typing_context, address, B, J, table, chain, dt):  # type: ignor
 
 
 def call_step(step, B, J, table, chain, dt):  # type: ignore[no-untyped-def]
-    """step(B, J, table, chain, dt), the step being its address when compiled, a function interpreted.
+    """Call step(B, J, table, chain, dt) through its address when compiled, as a function when interpreted; dt [s].
 
-    The large compiled step is made once this way; a loop that called it by name would compile it into itself anew.
+    The large compiled step is made once this way; a loop that called it by name would compile it into itself again.
     """
     step(B, J, table, chain, dt)
 
@@ -280,7 +299,7 @@ STEP_SIGNATURE = numba.types.void(
     numba.types.int64,
     numba.types.float64,
 )
-"""step(B, J, table, chain, dt): what a host's C sees of a compiled step."""
+"""step(B, J, table, chain, dt), dt [s], as a host's C code sees a compiled step."""
 
 
 def handle(function):  # type: ignore[no-untyped-def]

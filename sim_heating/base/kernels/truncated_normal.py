@@ -5,11 +5,11 @@ For x ~ N(0, 1) in [alpha, beta], with x0 the point of the interval nearest to 0
     Z = Phi(beta) - Phi(alpha) = phi(x0) M0,     M_k = integral of t^k exp(-x0 t - t^2 / 2) dt,
 
 every moment follows from the M_k: sums of positive terms over a smooth integrand that is 1 at its highest, so that
-neither a far tail nor a narrow interval costs digits. Gauss-Legendre panels; the integrand is left where it
-falls below 1e-20 of its highest. Wide intervals near the mean, which recorder words mostly are, lose none in closed
-form: Z by erfc, then E x^(k+1) = k E x^(k-1) + (alpha^k phi(alpha) - beta^k phi(beta)) / Z. Identities of the moments
-with the derivatives of log Z: Louis, "Finding the Observed Information Matrix when Using the EM Algorithm", J. R. Stat.
-Soc. B 44 (1982).
+neither a far tail nor a narrow interval costs digits. Gauss-Legendre panels; the integrand is dropped where it
+falls below 1e-20 of its highest. Wide intervals near the mean, which recorder words mostly are, lose no digits in
+closed form: Z by erfc, then E x^(k+1) = k E x^(k-1) + (alpha^k phi(alpha) - beta^k phi(beta)) / Z. Derived in
+docs/estimation_statistics.md, equations 5 to 9. Identities of the moments with the derivatives of log Z: Louis,
+"Finding the Observed Information Matrix when Using the EM Algorithm", J. R. Stat. Soc. B 44 (1982).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.kernels.jit import njit
 
 NEPERS = 46.0
-"""Fall of the integrand at which it is left: exp(-46) = 1e-20."""
+"""Natural logarithm of the fall of the integrand at which it is dropped: exp(-46) = 1e-20."""
 PANEL = 8.0
 """Width of a panel over the scale on which the integrand changes there."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(14)
@@ -44,26 +44,36 @@ N_TERMS = 7
 
 @njit
 def weight_of(x: float) -> float:
-    """x phi(x), 0 at both infinities."""
+    """x phi(x) [-], phi the standard normal density; 0 at both infinities.
+
+    Term of the closed form of E x^2, docs/estimation_statistics.md, equation 9.
+    """
     return 0.0 if abs(x) > REMOTE else x * math.exp(-0.5 * x * x - LOG_ROOT_2PI)
 
 
 @njit
 def truncated_normal(alpha: float, beta: float, width: float):  # type: ignore[no-untyped-def]
-    """The seven terms of a standard normal variable in [alpha, beta].
+    """The seven terms [-] of a standard normal variable x truncated to [alpha, beta].
 
-    width : beta - alpha, from the interval itself as the difference of two remote ends has few digits
+    alpha, beta : ends of the interval [-], either may be infinite;  alpha < beta
+    width       : beta - alpha [-], computed from the interval itself: the difference of two remote ends has few digits
+    returns     : log Z, E x, var x, 1 - var x, E x^2 - 1, cov(x, x^2), var x^2, in the order LOG_Z ... SPREAD
+
+    Relative error about 1e-12 up to 50 sigma from the mean (tests/test_likelihood.py).
+    Source: docs/estimation_statistics.md, equations 8 and 9.
     """
     if alpha == -math.inf and beta == math.inf:
         return 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 2.0
     sign = 1.0
     if alpha + beta < 0.0:
+        # mirrored to the upper half, where the point nearest to the mean is alpha or 0
         sign, alpha, beta = -1.0, -beta, -alpha
     if width >= WIDE and alpha <= NEAR:
         log_z, mean, variance, gain, square, skew, spread = wide_interval(alpha, beta)
         return log_z, sign * mean, variance, gain, square, sign * skew, spread
     straddles = alpha < 0.0
     x0 = max(alpha, 0.0)
+    # root of x0 t + t^2 / 2 = NEPERS, in the form that does not cancel for a large x0
     reach = 2.0 * NEPERS / (x0 + math.sqrt(x0 * x0 + 2.0 * NEPERS))
     low = max(alpha, -reach) if straddles else 0.0
     high = min(beta if straddles else width, reach)
@@ -74,6 +84,7 @@ def truncated_normal(alpha: float, beta: float, width: float):  # type: ignore[n
     mean = x0 + m1
     log_z = math.log(m0) - 0.5 * x0 * x0 - LOG_ROOT_2PI
     if straddles:
+        # E x^2 - 1 from the ends: 1 - var x would cancel where the interval holds nearly all of the variable
         square = -(weight_of(beta) + weight_of(-alpha)) / math.exp(log_z)
         gain = mean * mean - square
     else:
@@ -92,7 +103,14 @@ def truncated_normal(alpha: float, beta: float, width: float):  # type: ignore[n
 
 @njit
 def wide_interval(alpha: float, beta: float):  # type: ignore[no-untyped-def]
-    """The seven terms in closed form, alpha + beta not below 0."""
+    """The seven terms [-] in closed form, for an interval with alpha + beta >= 0.
+
+    alpha, beta : ends of the interval [-], beta - alpha >= WIDE and alpha <= NEAR; differences cancel digits outside
+                  of that
+    returns     : log Z, E x, var x, 1 - var x, E x^2 - 1, cov(x, x^2), var x^2
+
+    Source: docs/estimation_statistics.md, equation 9.
+    """
     z = 0.5 * (math.erfc(alpha * ROOT_HALF) - math.erfc(beta * ROOT_HALF))
     p = math.exp(-0.5 * alpha * alpha - LOG_ROOT_2PI) / z
     b, q = (beta, math.exp(-0.5 * beta * beta - LOG_ROOT_2PI) / z) if beta < REMOTE else (0.0, 0.0)
@@ -108,7 +126,14 @@ def wide_interval(alpha: float, beta: float):  # type: ignore[no-untyped-def]
 
 @njit
 def moments(x0: float, low: float, high: float):  # type: ignore[no-untyped-def]
-    """M0 and M1 .. M4 over M0, for t from low to high."""
+    """M0, and M1 / M0 to M4 / M0 [-], of the weight exp(-x0 t - t^2 / 2) for t from low to high.
+
+    x0        : point of the interval nearest to the mean [-], not below 0
+    low, high : finite limits of t [-]; low is below 0 only for an interval that contains the mean
+
+    Gauss-Legendre of 14 points on panels of PANEL scales. Source: docs/estimation_statistics.md, equation 8.
+    """
+    # the integrand changes over 1 / x0 for a remote interval, over 1 for one at the mean
     panels = 1 + int((high - low) * max(1.0, x0) / PANEL)
     half = 0.5 * (high - low) / panels
     m0, m1, m2, m3, m4 = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -127,9 +152,18 @@ def moments(x0: float, low: float, high: float):  # type: ignore[no-untyped-def]
 
 @njit
 def fill_terms(lower: FloatArray, upper: FloatArray, mean: FloatArray, sigma: FloatArray, terms: FloatArray) -> None:
-    """(sample, 7) terms of the samples; those of a normal density where the ends meet, NaN where one is NaN."""
+    """Write the seven terms of each sample into `terms`; those of a normal density where the ends of its interval meet.
+
+    lower, upper : (sample,) ends of the interval [K]
+    mean, sigma  : (sample,) prediction and noise [K]
+    terms        : (sample, 7) output [-], in the order LOG_Z ... SPREAD; log density [1/K] for an unrounded sample,
+                   NaN where one of the inputs is NaN
+
+    Source: docs/estimation_statistics.md, equations 3 and 5 to 7.
+    """
     for i in range(len(mean)):
         alpha, beta = (lower[i] - mean[i]) / sigma[i], (upper[i] - mean[i]) / sigma[i]
+        # written so that NaN comes here as well
         if not (alpha < beta):
             terms[i, LOG_Z] = -0.5 * alpha * alpha - LOG_ROOT_2PI - math.log(sigma[i])
             terms[i, MEAN], terms[i, VARIANCE], terms[i, GAIN] = alpha, 0.0, 1.0
@@ -146,7 +180,14 @@ def fill_terms(lower: FloatArray, upper: FloatArray, mean: FloatArray, sigma: Fl
 def fill_scores(
     lower: FloatArray, upper: FloatArray, mean: FloatArray, sigma: float, score: FloatArray, information: FloatArray
 ) -> float:
-    """Score and information of each sample on its mean; gives the sum of the log likelihoods. 0 for a lost sample."""
+    """Write score and information of each sample on its mean; return the sum of the log likelihoods [-].
+
+    lower, upper, mean : (sample,) interval and prediction [K]
+    sigma              : noise [K], one for all samples
+    score, information : (sample,) outputs [1/K], [1/K2]; 0 for a lost sample
+
+    Source: docs/estimation_statistics.md, equations 3, 5 and 6.
+    """
     total = 0.0
     for i in range(len(mean)):
         score[i], information[i] = 0.0, 0.0
@@ -165,12 +206,14 @@ def fill_scores(
 
 @njit
 def expected_gain(first: float, step: float, steps: int) -> float:
-    """Expectation of the squared mean E x over the readings of a word, for x ~ N(0, 1).
+    """Information of a rounded sample on its mean over that of the unrounded sample [-]: E (E x)^2 over the words.
 
-    first, step, steps : lowest inner edge, distance of the edges, number of inner edges; open beyond the outermost
+    first, step, steps : lowest inner edge [-], distance of the edges [-] (both over sigma, from the mean), number of
+                         inner edges; the intervals beyond the outermost are open
+    returns            : between 0 and 1 [-]
 
-    That is the information of a rounded sample on its mean over that of the same sample unrounded. Narrow steps:
-    the variance within one is s - s^2, s = step^2 / 12 (Sheppard), on average over x.
+    For steps below NARROW the variance within one is s - s^2, s = step^2 / 12 (Sheppard), on average over x.
+    Source: docs/estimation_statistics.md, equation 11.
     """
     last = first + (steps - 1) * step
     total = outside(-math.inf, first) + outside(last, math.inf)
@@ -180,6 +223,7 @@ def expected_gain(first: float, step: float, steps: int) -> float:
         log_z, mean, variance, _, _, _, _ = truncated_normal(first, last, last - first)
         s = step * step / 12.0
         return total + math.exp(log_z) * (mean * mean + variance - s * (1.0 - s))
+    # only words within FAR of the mean: a fine word of many bits has thousands that cannot occur
     k = max(0, int((-FAR - first) / step))
     while k < steps - 1 and first + k * step < FAR:
         log_z, mean, _, _, _, _, _ = truncated_normal(first + k * step, first + (k + 1) * step, step)
@@ -190,6 +234,9 @@ def expected_gain(first: float, step: float, steps: int) -> float:
 
 @njit
 def outside(alpha: float, beta: float) -> float:
-    """Contribution of one reading to `expected_gain`."""
+    """Contribution Z (E x)^2 [-] of one word, an interval [alpha, beta] over sigma, to `expected_gain`.
+
+    Source: docs/estimation_statistics.md, equation 11.
+    """
     log_z, mean, _, _, _, _, _ = truncated_normal(alpha, beta, beta - alpha)
     return math.exp(log_z) * mean * mean

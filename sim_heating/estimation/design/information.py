@@ -1,16 +1,17 @@
-"""What a flight would tell before anyone flies it: bounds from the estimator's own sensitivities.
+"""Predicted bounds of a flight before it is flown, from the estimator's own sensitivities.
 
 With S_i the sensitivity of sample i to all unknowns and I_i the information that its reading is expected to carry
 (likelihood.expected_information: a rounded word carries less than the temperature it was rounded from),
 
     M = sum_i S_i I_i S_i' + P,   P = diag(1 / sigma_prior^2),   cov = M^-1 (Cramer and Rao)
 
-Unknowns of one flight (clock, sensors, initial temperatures) are taken out of it, M_s|p = M_ss - M_sp M_pp^-1 M_ps, and
-what is left adds up over flights. Criteria: D, the volume of the ellipsoid of the wanted parameters, and A, their mean
+Unknowns of one flight (clock, sensors, initial temperatures) are integrated out, M_s|p = M_ss - M_sp M_pp^-1 M_ps, and
+the result adds up over flights. Criteria: D, the volume of the ellipsoid of the wanted parameters, and A, their mean
 square bound over a given one (Atkinson, Donev and Tobias, "Optimum Experimental Designs, with SAS", 2007, ch. 10).
 
 The surface pressure, which the conductivity of porous insulation follows, may be unknown by a factor: its sensitivity
-is the difference of two marches. Noise is independent from sample to sample.
+is the difference of two marches. Noise is independent from sample to sample. Derived in docs/manoeuvre_design.md,
+equations 1 to 6.
 """
 
 from __future__ import annotations
@@ -36,18 +37,24 @@ from sim_heating.thermal.stack import Sensor
 PRESSURE = Parameter(
     "conditions.p_surface_factor", "1", 1.0, 0.3, 0.1, 10.0, "surface pressure over the one that is computed"
 )
-"""What a pressure measurement at the control point would tell; within 30 % without one."""
+"""Factor on the surface pressure, as a pressure measurement at the control point would give it; 30 % without one."""
 PRESSURE_MOVED = 0.05
-"""Either side on which the pressure is marched for its sensitivity."""
+"""Relative step to either side at which the pressure is marched for its sensitivity."""
 LEVELS = 8
-"""Places between two codes of a word at which a temperature is taken to lie, before it is known."""
+"""Number of places between two codes of a word that a temperature is assumed at, before it is known."""
 PRIVATE = ("initial.", CLOCK_SKEW.name, SENSOR_PREFIX)
-"""How names begin of what one flight does not share with another."""
+"""First parts of the names of unknowns that one flight does not share with another."""
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What a sensor would show: (sample,) times [s] and readings [K], (sample, parameter) sensitivities, noise [K]."""
+    """Predicted samples of one sensor.
+
+    sensor   : its declaration
+    time_s   : (sample,) [s];  mean_K : (sample,) predicted indications [K]
+    jacobian : (sample, parameter) sensitivities [K] per unit of each parameter
+    sigma_K  : noise [K]
+    """
 
     sensor: Sensor
     time_s: FloatArray
@@ -56,7 +63,15 @@ class Seen:
     sigma_K: float
 
     def information(self, levels: int) -> FloatArray:
-        """(parameter, parameter) expected of all samples, the mean over `levels` places between two codes."""
+        """(parameter, parameter) expected information of all samples of the sensor.
+
+            sum_i S_i S_i' mean_j E I(m_i + j LSB / levels)
+
+        levels : number of places [-] between two codes [K] that the temperatures are averaged over; 1 takes them as
+                 predicted
+
+        Source: docs/manoeuvre_design.md, equations 1 and 2.
+        """
         moved = self.mean_K + self.sensor.lsb_K * np.arange(levels)[:, np.newaxis] / levels
         weight = np.mean(expected_information(self.sensor, moved, self.sigma_K), axis=0)
         return (self.jacobian * weight[:, np.newaxis]).T @ self.jacobian
@@ -64,11 +79,13 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """What one flight would tell of its unknowns.
+    """Expected information of one flight on its unknowns.
 
     unknowns : with their priors before the flight, in the order of the sensitivities
-    channels : by sensor
-    levels   : 1 where the temperatures are taken as they are predicted, more where they are not known to a code
+    channels : predicted samples by sensor
+    levels   : 1 where the temperatures are taken as predicted, more where they are not known to a code
+
+    Source: docs/manoeuvre_design.md, equations 1 to 3.
     """
 
     unknowns: tuple[Parameter, ...]
@@ -77,7 +94,7 @@ class Experiment:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Dotted names of the unknowns."""
+        """Dotted names of the unknowns, in the order of the sensitivities."""
         return tuple(p.name for p in self.unknowns)
 
     def place(self, wanted: Sequence[str]) -> list[int]:
@@ -85,12 +102,20 @@ class Experiment:
         return [self.names.index(name) for name in wanted]
 
     def with_priors(self, sigma: Mapping[str, float]) -> Experiment:
-        """The same with other standard deviations before the flight."""
+        """Copy with other standard deviations before the flight.
+
+        sigma : dotted name -> standard deviation, in the unit of the parameter ([-] for a ratio); others stay
+
+        P of docs/manoeuvre_design.md, equation 1.
+        """
         changed = tuple(replace(p, sigma=sigma.get(p.name, p.sigma)) for p in self.unknowns)
         return replace(self, unknowns=changed)
 
     def with_bits(self, bits: int | None) -> Experiment:
-        """The same with other recorder words on every sensor that has one."""
+        """Copy with recorder words of this number of bits [-] on every sensor that has one; None for no rounding.
+
+        The span stays, so that the step [K] follows; its information, docs/estimation_statistics.md, equation 11.
+        """
         changed = [
             replace(c, sensor=c.sensor.model_copy(update={"bits": bits})) if c.sensor.bits is not None else c
             for c in self.channels
@@ -98,18 +123,31 @@ class Experiment:
         return replace(self, channels=tuple(changed))
 
     def without(self, sensors: Collection[str]) -> Experiment:
-        """The same without some thermocouples."""
+        """Copy without some thermocouples, by their names."""
         return replace(self, channels=tuple(c for c in self.channels if c.sensor.name not in sensors))
 
     def information(self) -> FloatArray:
-        """(parameter, parameter) of the samples alone."""
+        """(parameter, parameter) expected information of the samples alone, priors left out ([-] for ratios).
+
+        Source: docs/manoeuvre_design.md, equations 1 and 2.
+        """
         nothing = np.zeros((len(self.unknowns), len(self.unknowns)))
         return sum((c.information(self.levels) for c in self.channels), start=nothing)
 
     def covariance(self, wanted: Sequence[str], flights: int = 1) -> FloatArray:
-        """(wanted, wanted) bound on some parameters after a number of like flights."""
+        """(wanted, wanted) Cramer-Rao bound on some parameters after a number of like flights.
+
+            flights = 1: (M + P)^-1;   else (n M_s|p + P_ss)^-1, private unknowns integrated out of each flight
+
+        wanted  : dotted names; shared between flights where there are several
+        flights : number n of flights [-]
+        returns : in products of the parameters' units; infinite variance where a parameter is not identified
+
+        Source: docs/manoeuvre_design.md, equations 1 and 3.
+        """
         shared = np.array([not name.startswith(PRIVATE) for name in self.names])
         prior = np.array([p.sigma**-2.0 for p in self.unknowns])
+        # one flight needs no elimination, and its private unknowns may then be wanted as well
         if flights == 1:
             whole, at = covariance(self.information() + np.diag(prior)), self.place(wanted)
         else:
@@ -119,36 +157,55 @@ class Experiment:
         return whole[np.ix_(at, at)]
 
     def sigma(self, wanted: Sequence[str], flights: int = 1) -> FloatArray:
-        """(wanted,) bounds on some parameters, one standard deviation; infinite where nothing is told."""
+        """(wanted,) bounds on some parameters, one standard deviation; infinite where one is not identified.
+
+        wanted  : dotted names;  flights : number of like flights [-]
+        returns : each in the unit of its parameter
+
+        Source: docs/manoeuvre_design.md, equations 1 and 3.
+        """
         return np.sqrt(np.diag(self.covariance(wanted, flights)))
 
 
 def taken_out(information: FloatArray, prior: FloatArray, private: NDArray[np.bool_]) -> FloatArray:
-    """Information of one flight on what it shares with others, whatever its private unknowns are.
+    """Information of one flight on the unknowns it shares with others, its private ones integrated out.
 
-    information : (parameter, parameter) of the samples;  prior : (parameter,) 1 / sigma^2;  private : (parameter,)
+        M_s|p = M_ss - M_sp (M_pp + P_pp)^-1 M_ps
+
+    information : (parameter, parameter) of the samples ([-] for parameters without unit)
+    prior       : (parameter,) 1 / sigma^2;  private : (parameter,) boolean mask
+    returns     : (shared, shared); least squares where a private unknown is not identified at all
+
+    Source: docs/manoeuvre_design.md, equation 3.
     """
     s, p = np.flatnonzero(~private), np.flatnonzero(private)
     if len(p) == 0:
         return information
     cross = information[np.ix_(p, s)]
     own = information[np.ix_(p, p)] + np.diag(prior[p])
+    # scaled to ones on the diagonal: private unknowns have units from s to K
     scale = 1.0 / np.sqrt(np.maximum(np.diag(own), np.finfo(float).tiny))
     known = np.linalg.lstsq(own * np.outer(scale, scale), scale[:, np.newaxis] * cross, rcond=1e-12)[0]
     return information[np.ix_(s, s)] - (scale[:, np.newaxis] * cross).T @ known
 
 
 def merit(criterion: str, found: FloatArray, planned: FloatArray) -> float:
-    """A covariance (wanted, wanted) against the planned one as one ratio of bounds: 1 as planned, below 1 better.
+    """Design criterion: bounds of a design over those of the plan as one ratio [-]; 1 as planned, below 1 better.
 
-    D : (det found / det planned)^(1 / 2k);   A : root mean square of the bounds over the planned ones
-    infinite where something is not told
+        D : (det found / det planned)^(1 / 2k);   A : root mean square of the bounds over the planned ones
+
+    criterion      : "D" or "A"
+    found, planned : (wanted, wanted) covariances
+    returns        : infinite where a parameter is not identified
+
+    Source: Atkinson, Donev and Tobias (2007), chapter 10; docs/manoeuvre_design.md, equation 5.
     """
     if not np.all(np.isfinite(found)):
         return np.inf
     s = np.sqrt(np.diag(planned))
     if criterion == "A":
         return float(np.sqrt(np.mean(np.diag(found) / s**2)))
+    # over the planned sigmas, so that the determinants do not depend on units and do not underflow
     change = np.linalg.slogdet(found / np.outer(s, s))[1] - np.linalg.slogdet(planned / np.outer(s, s))[1]
     return float(np.exp(0.5 * change / len(s)))
 
@@ -161,10 +218,16 @@ def experiment(
     start: Start | None = None,
     reference: Mapping[str, float] | None = None,
 ) -> Experiment:
-    """What a record's flight conditions, sensors and sample times would tell; its readings are not looked at.
+    """Expected information of a record's flight conditions, sensors and sample times; its readings are not used.
 
-    names    : dotted names of what is unknown, PRESSURE's too; what `start` leaves unknown comes on top
-    raises   : InputError where the record has no sample within its fit segments, RunError where a march failed
+    names     : dotted names of the unknowns, PRESSURE's included
+    effects   : in addition to the declared model
+    start     : start of the march; its unknowns are added to `names`
+    reference : values of ratio variables that derivatives are about ([deg], [-])
+    returns   : predictions [K] and sensitivities at the prior means
+    raises    : InputError where the record has no sample within its fit segments, RunError where a march failed
+
+    Source: docs/manoeuvre_design.md, equations 1, 2 and 4.
     """
     about = joint_reference([record], reference)
     marched = [n for n in names if n != PRESSURE.name]
@@ -184,7 +247,11 @@ def experiment(
 def _pressure_slopes(
     record: Record, about: tuple[float, ...], effects: Sequence[EffectUse], start: Start | None
 ) -> list[FloatArray]:
-    """By channel, (sample,) change of the indications [K] with the factor on the surface pressure."""
+    """By channel, (sample,) sensitivity of the indications [K] to the factor on the surface pressure.
+
+    Source: docs/manoeuvre_design.md, equation 4.
+    """
+    # the start is held: only the march from it on depends on the pressure
     known = None if start is None else replace(start, columns=start.columns[:, :0], unknowns=())
     sides: list[list[Samples]] = []
     for factor in (1.0 + PRESSURE_MOVED, 1.0 - PRESSURE_MOVED):
@@ -197,12 +264,17 @@ def _pressure_slopes(
 def would_buy(
     names: Sequence[str], information: FloatArray, prior: FloatArray, larger: float = 2.0, longer: float = 2.0
 ) -> dict[str, dict[str, float]]:
-    """What more of a flown manoeuvre would make of each derivative's bound, as a factor on it.
+    """Factor on each derivative's bound that more of a flown manoeuvre would give.
 
-    `larger`: excursions of that variable about the reference times `larger`, all else as it was; the temperatures are
-    linear in a derivative times its excursion. `longer`: as many more samples of the same kind.
+        larger : M_jk -> a^(n_j + n_k) M_jk, excursions of that derivative's variables a times as large
+        longer : M -> b M, b times as many samples of the same kind
 
-    information : (parameter, parameter) of the samples;  prior : (parameter,) 1 / sigma^2
+    names       : (parameter,);  information : (parameter, parameter) of the samples;  prior : (parameter,) 1 / sigma^2
+    larger      : a [-];  longer : b [-]
+    returns     : derivative -> new bound over the old one [-], by "larger" and "longer"; none for an unidentified one
+
+    n_j counts the scaled variables in parameter j, a squared one once. Temperatures are linear in a derivative times
+    its excursion. Source: docs/manoeuvre_design.md, equation 6.
     """
     now = np.sqrt(np.diag(covariance(information + np.diag(prior))))
     long = np.sqrt(np.diag(covariance(longer * information + np.diag(prior))))
@@ -218,14 +290,16 @@ def would_buy(
 
 
 def _common(moved: Sequence[int], of: Sequence[int]) -> int:
-    """How often the variables that are moved stand in a derivative."""
+    """Number of variables of a derivative that are among those scaled."""
     return sum(i in moved for i in of)
 
 
 def check_wanted(found: Experiment, wanted: Sequence[str]) -> None:
-    """Refuse parameters of which the planned flight tells nothing.
+    """Check that the planned flight informs the wanted parameters.
 
-    raises : InputError naming them
+    raises : InputError naming those whose bound is infinite or not below 0.999 of their prior's sigma [-]
+
+    Bounds: docs/manoeuvre_design.md, equation 1.
     """
     sigma = found.sigma(wanted)
     prior = [found.unknowns[k].sigma for k in found.place(wanted)]

@@ -1,4 +1,8 @@
-"""What the compiled filter works on: arrays over the lanes of a march, over the readings, and room for one step."""
+"""Arrays of the compiled filter: over the lanes of a march, over the readings, and work space for one step.
+
+Symbols are those of docs/filter.md, equations 1 to 14: state z (node temperatures [K], then the ratio disturbance d
+[-]), covariance P, sensitivities s, rows R.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +14,14 @@ from sim_heating.base.arrays import FloatArray, IntArray
 
 
 class Readings(NamedTuple):
-    """(lane, reading) in order of time; lower and upper are equal where nothing was rounded, NaN where nothing is read.
-    direct : (lane, reading, parameter, 3)."""
+    """Readings of all lanes, (lane, reading) in order of time: y = gain T(x) + bias + noise.
+
+    number       : (lane,) number of readings
+    time_s       : time of each [s];  node : node that is read
+    gain, bias   : of the sensor [-], [K];  variance : of its noise [K2]
+    lower, upper : interval in which the noisy value lay [K], equal where nothing was rounded, NaN where nothing is read
+    direct       : (lane, reading, parameter, 3) direct terms a0, a1, a2 of docs/filter.md, equation 12
+    """
 
     number: IntArray
     time_s: FloatArray
@@ -25,7 +35,13 @@ class Readings(NamedTuple):
 
 
 class State(NamedTuple):
-    """(lane, ...) covariance of z, its sensitivities, d, and the step at which the lane diverged (0: it did not)."""
+    """Filter state of all lanes, in addition to the temperatures in their block.
+
+    P        : (lane, node + 1, node + 1) covariance of z [K2], [K], [-]
+    S        : (lane, node + 1, parameter) sensitivities of z [K over the parameter's unit]
+    d        : (lane,) mean of the heating-ratio disturbance [-]
+    diverged : (lane,) step at which the lane diverged, 0 where it did not
+    """
 
     P: FloatArray
     S: FloatArray
@@ -34,7 +50,12 @@ class State(NamedTuple):
 
 
 class Noise(NamedTuple):
-    """White noise of nodes [K2/s] (lane, node); of d (lane,): rate of decay [1/s] and density [1/s]."""
+    """Process noise of all lanes.
+
+    nodes       : (lane, node) density of the white noise of each node [K2/s]
+    decay_1_s   : (lane,) reciprocal correlation time of the ratio disturbance [1/s], 0 for a random walk
+    density_1_s : (lane,) density of the noise that drives it [1/s]
+    """
 
     nodes: FloatArray
     decay_1_s: FloatArray
@@ -42,8 +63,13 @@ class Noise(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """What a smoother needs, empty where nothing is kept: z and its covariance after each step, the transition of each
-    step with its readings taken, the row of each reading against z at the start of its step."""
+    """History for the smoother, of size 0 where none is wanted.
+
+    mean       : (lane, time, node + 1) z after the readings of each step
+    covariance : (lane, time, node + 1, node + 1) its covariance
+    transition : (lane, step, node + 1, node + 1) derivative of z after a step and its readings against z before it
+    rows       : (lane, reading, node + 1) of each innovation against z at the start of its step
+    """
 
     mean: FloatArray
     covariance: FloatArray
@@ -52,8 +78,13 @@ class Kept(NamedTuple):
 
 
 class Held(NamedTuple):
-    """Of each lane: the time after which its covariances are held [s]; number, node and fraction of the readings of the
-    step that they are of, their covariances with each other and with z, and that of z, before they were taken."""
+    """Covariances of one step of each lane, before its readings were taken, for frozen gains.
+
+    after_s           : (lane,) time after which they serve for later steps [s]
+    number            : (lane,) readings of that step, -1 before the first
+    node, x           : (lane, reading) their nodes and fractions of the step
+    covariance, cross : covariances of the readings with each other and with z [K2];  P : that of z
+    """
 
     after_s: FloatArray
     number: IntArray
@@ -65,7 +96,14 @@ class Held(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """Work of a propagation: (node, column) at the end and the middle stage of a step, and what leads there."""
+    """Work space of a propagation, each (node, column): temperatures' derivatives at the end and the middle stage of a
+    step.
+
+    end, middle         : columns at the end (on entry: at the start) and at the middle stage
+    e, f, star, e_middle : heat content, net heat, right-hand side, heat content at the middle stage; reduced : (node,)
+                           of
+                          the tridiagonal elimination
+    """
 
     end: FloatArray
     middle: FloatArray
@@ -77,8 +115,13 @@ class Columns(NamedTuple):
 
 
 class Joint(NamedTuple):
-    """The readings of a step before they are taken: fraction x of the step, temperature and its rate, covariance with
-    each other and with z at the end, sensitivities, rows against z at the start, cov(z at the start, T)."""
+    """Readings of one step before they are taken, in the order of time.
+
+    x, mean, rate     : (reading,) fraction of the step [-], temperature [K], its rate [K/s]
+    covariance, cross : (reading, reading) with each other; (reading, node + 1) with z at the end of the step [K2]
+    S                 : (reading, parameter) sensitivities of the temperatures read
+    rows, start       : (reading, node + 1) rows R against z at the start of the step; cov(z at the start, T)
+    """
 
     x: FloatArray
     mean: FloatArray
@@ -91,9 +134,12 @@ class Joint(NamedTuple):
 
 
 class Told(NamedTuple):
-    """What a march with an added history tells (estimation/filter/response.py): (lane, time, node) temperatures, (lane,
-    reading) those read, (lane, step, node, node + 1) derivatives of the steps, (lane, reading, node + 1) rows of the
-    readings."""
+    """Output of a march with a history added to the heating ratio.
+
+    temperature_K : (lane, time, node) [K];  read_K : (lane, reading) temperatures read [K]
+    transition    : (lane, step, node, node + 1) derivatives [Phi, Gamma] of the steps
+    rows          : (lane, reading, node + 1) derivatives of the temperatures read
+    """
 
     temperature_K: FloatArray
     read_K: FloatArray
@@ -102,7 +148,9 @@ class Told(NamedTuple):
 
 
 class Blocks(NamedTuple):
-    """Blocks of the shadows, assembled at the start (with 1 s for the time step), the middle stage and the end."""
+    """Blocks of the perturbed lanes, assembled at the start (with 1 s for the time step), the middle stage and the
+    end.
+    """
 
     start: FloatArray
     middle: FloatArray
@@ -110,20 +158,36 @@ class Blocks(NamedTuple):
 
 
 def columns_of(n: int, columns: int) -> Columns:
-    """Work for so many columns."""
+    """Work space for the propagation of columns, all zero.
+
+    n : nodes;  columns : number of columns, each the derivative of the node temperatures [K] against one quantity
+
+    The propagation is docs/equations_march.md, equations 7 and 8.
+    """
     end, middle, e, f, star, e_middle = np.zeros((6, n, columns))
     return Columns(end, middle, e, f, star, e_middle, np.zeros(n))
 
 
 def joint_of(readings: int, size: int, parameters: int) -> Joint:
-    """Room for so many readings of one step, `size` being that of z."""
+    """Room for the readings of one step, all zero.
+
+    readings : most readings in a step;  size : of the state z;  parameters : number of sensitivities
+
+    Holds temperatures [K], covariances [K2] and rows of docs/filter.md, equations 5 to 7.
+    """
     x, mean, rate = np.zeros((3, readings))
     cross, rows, start = np.zeros((3, readings, size))
     return Joint(x, mean, rate, np.zeros((readings, readings)), cross, np.zeros((readings, parameters)), rows, start)
 
 
 def held_of(after_s: FloatArray, readings: int, size: int) -> Held:
-    """Nothing held yet, for lanes with so many readings in a step at most."""
+    """Store for frozen gains, still empty.
+
+    after_s  : (lane,) time after which gains are frozen [s];  readings : most readings in a step;  size : of the state
+               z
+
+    Holds the covariances of docs/filter.md, equation 6.
+    """
     lanes = len(after_s)
     node, x = np.zeros((lanes, readings), dtype=np.int64), np.zeros((lanes, readings))
     covariance, cross = np.zeros((lanes, readings, readings)), np.zeros((lanes, readings, size))

@@ -2,29 +2,29 @@
 
 The inverse heat-conduction problem as Gaussian-process regression. The ratio carries a disturbance d, a first-order
 Gauss-Markov process of covariance sigma^2 exp(-|t| / tau), linear between knots; all readings together are y = H(d) +
-noise, H the march itself (estimation/filter/response.py). With A and b the information and score of the readings about
-the d found,
+noise, H the march itself. With A and b the information and score of the readings about the d found,
 
     log L(d) = const + b' d - d' A d / 2,    mean (A + Q)^-1 b,    covariance (A + Q)^-1,
 
-Q the tridiagonal precision of the process; the march is linearised anew until the readings no longer move. What
-regularises is the noise model: of the density q = 2 sigma^2 / tau and the correlation time tau, those of the largest
-marginal likelihood are taken,
+Q the tridiagonal precision of the process; the march is linearised again until the readings no longer move. The
+noise model regularises: of the density q = 2 sigma^2 / tau and the correlation time tau, those of the largest marginal
+likelihood are taken,
 
     log p(y) = const + b' (A + Q)^-1 b / 2 + log det Q / 2 - log det (A + Q) / 2.
 
-Recorder words count as intervals (estimation/inference/likelihood.py, Laplace's approximation).
+Recorder words count as intervals (Laplace's approximation).
 
-Where no history explains the readings, sensors contradicting each other, the noise is larger than declared by a factor:
-with S what the most probable history leaves, in variances of the N readings, log p then holds - N log(s) - S / (2 s^2)
-and s^2 = S / N is the likeliest, never below 1.
+Where no history explains the readings, because sensors contradict each other, the noise is larger than declared by a
+factor: with X the normalised sum of squares that the most probable history leaves in N readings, log p contains
+- N log(e) / 2 - X / (2 e), and the variance factor e = X / N is the likeliest; below 1.5 it is taken for 1.
 
-Bandwidth: with v the variance that is left at a time, the frequency f above which the process has just this variance,
+Bandwidth: with v the variance that remains at a time, the frequency f above which the process has just this variance,
 
     v / sigma^2 = 1 - (2 / pi) atan(2 pi f tau),
 
-not above half the rate of the knots: slower changes are seen as if all known, faster ones as if none. 0 where
-the readings tell nothing. Half amplitude: the frequency at which a sine in the ratio comes back half as large.
+not above half the rate of the knots: as if slower changes were all known and faster ones not at all. 0 where
+the readings have no information. Half amplitude: the frequency at which a sine in the ratio comes back half as large.
+Derived in docs/residual_heating.md, equations 1 to 11.
 """
 
 from __future__ import annotations
@@ -46,42 +46,42 @@ from sim_heating.estimation.inference.likelihood import Likelihood, Observed, li
 from sim_heating.march.point import initial_temperatures
 
 DENSITIES_1_S = (1e-10, 1e-1)
-"""Between these the density is looked for [1/s]: below, a ratio walks 3e-4 in a quarter of an hour."""
+"""Range in which the density is sought [1/s]; at its lower end a ratio walks 3e-4 in a quarter of an hour."""
 DENSITIES_TRIED = 10
 CORRELATION_S = 30.0
 """Correlation time that the search starts from [s]; it ends between a spacing of knots and the length of the march."""
 SEARCHED = 0.05
-"""Log likelihood to which the search goes."""
+"""Accuracy of the log likelihood in the search for the noise model."""
 MOST_KNOTS = 320
-"""A march of more steps has a knot for several of them; faster changes within are not seen, nor in sigma."""
+"""A march of more steps has one knot for several of them; faster changes are not resolved, nor are they in sigma."""
 MOST_COARSE = 100
-"""Knots on which density and correlation time are looked for."""
+"""Most knots on which density and correlation time are sought."""
 ROUNDS = 12
 CHOSEN, SETTLED = 2.0, 0.2
 """Change of a reading over its noise below which noise model and derivatives stay as they are, and below which the
 march is linear enough."""
 EXCESS = 1.5
-"""Noise is taken for larger than declared from this ratio of the variances on."""
+"""Ratio of the variances above which noise counts as larger than declared; smaller ones occur by chance."""
 GAINED, LEAST_SHARE = 0.1, 0.02
-"""A step that gains less of the log posterior is none; parts of a step below the second are not tried."""
+"""Least gain in log posterior for which a step is accepted, and least fraction of a step that is tried."""
 FREQUENCIES = 40
 
 
 @dataclass(frozen=True, eq=False)
 class UnknownInput:
-    """The correction that the readings ask for.
+    """Correction history of the heating ratio that explains the readings.
 
-    time_s       : (knot,) the correction is linear between them
-    delta_ratio  : (knot,) what is to be added to the ratio, before effects that multiply it
-    sigma        : (knot,) its standard deviation given all readings
-    bandwidth_Hz : (knot,) frequency up to which it is resolved
-    half_amplitude_Hz : frequency at which a sine throughout the march comes back half as large
-    disturbance  : what the likelihood chose
-    excess       : variance of the noise over the declared one, 1 where a history explains the readings
+    time_s       : (knot,) [s]; the correction is linear between them
+    delta_ratio  : (knot,) addition to the ratio, before effects that multiply it [-]
+    sigma        : (knot,) its standard deviation given all readings [-]
+    bandwidth_Hz : (knot,) frequency up to which it is resolved [Hz]
+    half_amplitude_Hz : frequency at which a sine throughout the march comes back half as large [Hz]
+    disturbance  : noise model of the correction, given or of the largest likelihood
+    excess       : variance of the noise over the declared one [-], 1 where a history explains the readings
     gain_log_likelihood : log marginal likelihood above that without a disturbance
-    temperature_K : (time, node) temperatures with the correction at the ends of the steps, the start first
-    read_K       : (reading,) what the readings should show with it
-    answer       : (reading, knot) how they answer to it
+    temperature_K : (time, node) temperatures with the correction at the ends of the steps, the start first [K]
+    read_K       : (reading,) expected readings with it [K]
+    answer       : (reading, knot) derivative of the readings against it [K]
     slope, weight : (reading,) first and negative second derivative of the log likelihood against read_K [1/K, 1/K2]
     information, score : (knot, knot), (knot,) A and b of the readings, start integrated out
     covariance   : (knot, knot) of the correction given all readings
@@ -108,12 +108,19 @@ class UnknownInput:
 def unknown_input(
     track: FilterTrack, time_s: FloatArray, histories: FloatArray, disturbance: Disturbance | None = None
 ) -> UnknownInput:
-    """The heating-ratio history that explains a point's readings.
+    """Heating-ratio history that explains a point's readings, with its covariance.
 
-    track       : the point with readings and start; its noise of the process and own disturbance are not used
+        u = (A + Q)^-1 b,    cov = (A + Q)^-1
+
+    track       : the point with readings [K] and start; its process noise and disturbance are not used
     time_s      : (time,) steps [s];  histories : (flight, time, condition)
-    disturbance : the stationary noise model of the correction; by the largest likelihood, where None
-    raises      : InputError for a disturbance without correlation time, RunError where a step did not converge
+    disturbance : stationary noise model of the correction; that of the largest marginal likelihood, where None
+    returns     : correction [-] at the knots, sigma, resolution [Hz], and A, b for tests of its shape
+    raises      : InputError for a disturbance without correlation time, or a march too short for a noise model;
+                  RunError where a step did not converge
+
+    Changes faster than half the rate of the knots (at most 320) are not resolved. Source: Rasmussen and Williams
+    (2006), chapters 2 and 5; derived in docs/residual_heating.md, equations 1 to 9.
     """
     if disturbance is not None and not (0.0 < disturbance.correlation_s < math.inf and disturbance.start_sigma > 0.0):
         raise InputError("unknown input: the disturbance must be stationary, its sigma and correlation time above 0")
@@ -123,22 +130,45 @@ def unknown_input(
 
 
 def likeliest(track: FilterTrack, time_s: FloatArray, histories: FloatArray) -> Disturbance:
-    """The stationary disturbance of the largest likelihood."""
+    """Stationary disturbance of the heating ratio of the largest marginal likelihood: sigma [-], correlation time [s].
+
+    track  : the point with readings and start;  time_s : (time,) steps [s];  histories : (flight, time, condition)
+    raises : InputError for a march too short for a noise model, RunError where a step did not converge
+
+    Source: Rasmussen and Williams (2006), chapter 5; docs/residual_heating.md, equation 7.
+    """
     return unknown_input(track, time_s, histories).disturbance
 
 
 def bandwidth_Hz(disturbance: Disturbance, sigma: FloatArray) -> FloatArray:
-    """Frequency [Hz] above which the process has the variance that is left; of a random walk, q / (2 pi^2 v)."""
+    """Frequency above which the prior process has the variance that remains: f = tan(pi/2 (1 - v / sigma^2)) / (2 pi
+    tau).
+
+    disturbance : noise model of the correction;  sigma : (knot,) standard deviation given the readings, sqrt(v) [-]
+    returns     : (knot,) [Hz]; 0 where the readings reduce nothing; q / (2 pi^2 v) for a random walk of density q
+
+    A summary, as if slower changes were all known and faster ones not at all. Derived in docs/residual_heating.md,
+    equation 11.
+    """
     left = np.maximum(sigma**2, 1e-300)
     if math.isinf(disturbance.correlation_s):
         return disturbance.density_1_s / (2.0 * np.pi**2 * left)
     stationary = 0.5 * disturbance.density_1_s * disturbance.correlation_s
+    # Below 1: at full information the tangent would be infinite.
     told = np.clip(1.0 - left / stationary, 0.0, 1.0 - 1e-12)
     return np.tan(0.5 * np.pi * told) / (2.0 * np.pi * disturbance.correlation_s)
 
 
 def half_amplitude_Hz(time_s: FloatArray, information: FloatArray, covariance: FloatArray) -> float:
-    """Frequency at which (A + Q)^-1 A leaves half of a sine; 0 where it leaves less of the slowest one."""
+    """Frequency at which a sine in the ratio is estimated half as large: Re[e* (A + Q)^-1 A e] / n = 1/2.
+
+    time_s                  : (knot,) [s]
+    information, covariance : (knot, knot) A of the readings and (A + Q)^-1
+    returns                 : [Hz], interpolated in log f; 0 where even the slowest sine of the march comes back less
+                              than half, half the rate of the knots where all come back more
+
+    Derived in docs/residual_heating.md, equation 10.
+    """
     span, spacing = np.ptp(time_s), np.median(np.diff(time_s))
     f = np.geomspace(1.0 / span, 0.5 / spacing, FREQUENCIES)
     waves = np.exp(2j * np.pi * np.outer(time_s, f))
@@ -154,14 +184,27 @@ def half_amplitude_Hz(time_s: FloatArray, information: FloatArray, covariance: F
 
 
 def knots(time_s: FloatArray, most: int) -> FloatArray:
-    """Middles of the steps, or of groups of as many steps as keep the knots at most so many."""
+    """Knots of a correction history: the middles of the steps, or of groups of as many steps as keep them at most
+    `most`.
+
+    time_s  : (time,) steps [s];  most : largest number of knots
+    returns : (knot,) times [s]
+
+    Derived in docs/residual_heating.md, equation 3.
+    """
     steps = len(time_s) - 1
     ends = time_s[np.unique(np.append(np.arange(0, steps, math.ceil(steps / most)), steps))]
     return 0.5 * (ends[1:] + ends[:-1])
 
 
 def weights(time_s: FloatArray, at_s: FloatArray) -> FloatArray:
-    """(time, knot) of a correction that is linear between knots and held before the first and behind the last."""
+    """Interpolation matrix of a correction that is linear between knots and constant beyond the outer ones.
+
+    time_s, at_s : (time,) times wanted [s], (knot,) knots [s]
+    returns      : (time, knot) weights [-], each row of sum 1
+
+    Derived in docs/residual_heating.md, equation 3.
+    """
     middle = np.clip(time_s, at_s[0], at_s[-1])
     found = np.zeros((len(middle), len(at_s)))
     if len(at_s) == 1:
@@ -173,13 +216,27 @@ def weights(time_s: FloatArray, at_s: FloatArray) -> FloatArray:
 
 
 def stationary(density_1_s: float, correlation_s: float) -> Disturbance:
-    """A Gauss-Markov disturbance by its density."""
+    """Stationary Gauss-Markov disturbance by its density: sigma^2 = q tau / 2.
+
+    density_1_s : q, variance that the driving noise adds in a second [1/s];  correlation_s : tau [s]
+
+    Derived in docs/filter.md, equation 3.
+    """
     return Disturbance.gauss_markov(math.sqrt(0.5 * density_1_s * correlation_s), correlation_s)
 
 
 def precision(time_s: FloatArray, disturbance: Disturbance) -> tuple[FloatArray, float]:
-    """(knot, knot) inverse covariance of the process at the knots, and the logarithm of its determinant."""
+    """Inverse covariance Q of a first-order Gauss-Markov process at the knots, and the logarithm of its determinant.
+
+        sigma^2 Q_jj = 1 / f_(j-1) + a_j^2 / f_j,    sigma^2 Q_j,j+1 = -a_j / f_j,    a = exp(-dt / tau),  f = 1 - a^2
+
+    time_s      : (knot,) increasing [s];  disturbance : stationary, with sigma [-] and tau [s]
+    returns     : (knot, knot) tridiagonal [-]; log det Q
+
+    Derived in docs/residual_heating.md, equation 5.
+    """
     decay = np.exp(-np.diff(time_s) / disturbance.correlation_s)
+    # expm1, since knots that are close in units of tau leave 1 - a^2 few digits.
     free = -np.expm1(-2.0 * np.diff(time_s) / disturbance.correlation_s)
     Q = np.diag(np.append(1.0, 1.0 / free) + np.append(decay**2 / free, 0.0))
     rows = np.arange(len(decay))
@@ -190,9 +247,9 @@ def precision(time_s: FloatArray, disturbance: Disturbance) -> tuple[FloatArray,
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """A march at one value u of the unknowns: start, then knots.
+    """March at one value u of the unknowns: start, then knots.
 
-    answer : (reading, unknown) derivative of the readings at another value, where that is good enough
+    answer : (reading, unknown) derivative of the readings at a nearby value, where that is accurate enough
     """
 
     u: FloatArray
@@ -222,7 +279,7 @@ class _Inverse:
         self.observed, self.sigma_K = Observed(s.lower_K, s.upper_K), np.sqrt(s.variance_K2)
 
     def at(self, u: FloatArray, answer: FloatArray | None = None) -> _Point:
-        """The march at u; with an answer that is good enough there, without its own."""
+        """March at u; with a derivative that is accurate enough there, without its own."""
         added, start = self.weights @ u[self.extra :], self.initial_K + self.start @ u[: self.extra]
         response = self.march.respond([added], [start], derivative=answer is None)[0]
         return _Point(u, response, likelihood(self.observed, response.read_K, self.sigma_K), answer)
@@ -236,10 +293,12 @@ class _Inverse:
             b = G.T @ here.scored.score + A @ here.u
             if here is first:
                 begun = A, b
+            # The noise model moves with the linearisation: it is sought again only while the readings still move.
             if given is None and (change > CHOSEN or excess > 1.0):
                 chosen, excess = self._likeliest(here, A, b, None if here is first else chosen, excess)
             step = self._mean(A / excess, b / excess, chosen) - here.u
             change = float(np.max(np.abs(G @ step) / self._noise_K)) / math.sqrt(excess)
+            # Near the end the derivative hardly changes, and a march without it costs a fraction of one with it.
             same = G if change < CHOSEN else None
             there = None if change < SETTLED else self._advanced(here, step, chosen, excess, same)
             if there is None:
@@ -257,7 +316,9 @@ class _Inverse:
     def _advanced(
         self, here: _Point, step: FloatArray, chosen: Disturbance, excess: float, answer: FloatArray | None
     ) -> _Point | None:
-        """The march after as much of a step as raises likelihood times prior; None where no part of it does."""
+        """March after the largest fraction of a step that raises likelihood times prior; None where no fraction
+        does.
+        """
         Q, _ = self._prior(self.knots, chosen)
 
         def value(p: _Point) -> float:
@@ -268,6 +329,7 @@ class _Inverse:
             try:
                 there = self.at(here.u + share * step, answer)
             except RunError:
+                # A history that takes a temperature out of range: go back further than for a mere decrease.
                 share *= 0.25
                 continue
             if value(there) > now:
@@ -288,13 +350,15 @@ class _Inverse:
     def _likeliest(
         self, here: _Point, A: FloatArray, b: FloatArray, last: Disturbance | None, excess: float
     ) -> tuple[Disturbance, float]:
-        """Noise model of the correction, and the noise of the readings over what is declared."""
+        """Noise model of the correction, and the variance of the readings' noise over the declared one."""
         low = np.log([DENSITIES_1_S[0], float(np.min(np.diff(self.coarse), initial=np.inf))])
         high = np.log([DENSITIES_1_S[1], float(np.ptp(self.coarse))])
         if np.any(low >= high):
             raise InputError(f"{self.track.model.name}: a march of {len(self.knots)} knots is too short for an input")
+        # Readings without information, lost or of an open word deep inside, carry none about the noise.
         n = float(np.count_nonzero(here.scored.information > 0.0))
         left = 2.0 * (self._log_perfect - here.log_likelihood + float(b @ here.u)) - float(here.u @ A @ here.u)
+        # The evidence is computed some sixty times; its cost grows as the cube of the knots.
         P = block_diag(np.eye(self.extra), self.to_coarse)
         fine, (A, b) = (A, b), (P.T @ A @ P, P.T @ b)
 
@@ -303,7 +367,7 @@ class _Inverse:
             return share if share > EXCESS else 1.0
 
         def cost(logs: Sequence[float]) -> float:
-            """Minus log evidence; the density is one over the excess."""
+            """Minus log evidence; the density is that over the excess."""
             q, tau = np.exp(np.clip(logs, low, high))
             explained, volume = _log_evidence(A, b, *self._prior(self.coarse, stationary(q, tau)))
             s2 = excess_of(explained)
@@ -316,18 +380,20 @@ class _Inverse:
         else:
             start, stride = np.log([last.density_1_s / excess, last.correlation_s]), 0.4
         inward = np.where(start + stride > high, -stride, stride)
+        # Away from the upper bounds: the objective is clipped there, and a flat simplex would stop at once.
         simplex = start + np.array([[0.0, 0.0], [inward[0], 0.0], [0.0, inward[1]]])
         found = minimize(
             cost, start, method="Nelder-Mead",
             options={"initial_simplex": simplex, "fatol": SEARCHED, "xatol": 0.1, "maxfev": 60},
         )  # fmt: skip
         q, tau = np.exp(np.clip(found.x, low, high))
+        # Once more on all knots: what a coarse history cannot follow would count as noise.
         excess = excess_of(_log_evidence(*fine, *self._prior(self.knots, stationary(float(q), float(tau))))[0])
         return stationary(float(q) * excess, float(tau)), excess
 
     @property
     def _log_perfect(self) -> float:
-        """Log likelihood of readings that are just what they should be."""
+        """Log likelihood of readings equal to their predictions."""
         middle = 0.5 * (self.observed.lower_K + self.observed.upper_K)
         inner = np.isfinite(middle)
         within = Observed(self.observed.lower_K[inner], self.observed.upper_K[inner])
@@ -384,6 +450,7 @@ def _factor(covariance_K2: FloatArray | None, nodes: int) -> FloatArray:
     """(node, k) of which the square is a covariance, as few columns as it has directions."""
     if covariance_K2 is None:
         return np.zeros((nodes, 0))
+    # Not Cholesky: a covariance smooth in depth is singular to rounding.
     values, vectors = np.linalg.eigh(covariance_K2)
     there = values > 1e-12 * max(values[-1], 1e-300)
     return np.asarray(vectors[:, there] * np.sqrt(values[there]))

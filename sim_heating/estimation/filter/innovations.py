@@ -1,9 +1,8 @@
 """The likelihood of a fit with noise of the process: that of the innovations of the Kalman filter.
 
-Every sample is compared with what the filter predicts from all samples before it (estimation/filter/march.py); the
-innovations are independent of each other where noise is as it is taken, so that log likelihoods, residual tests and
-bounds are those of a fit without such noise, predictions m_i and their variances S_i in the place of the march and of
-sensor noise:
+Every sample is compared with what the filter predicts from all samples before it (filter_march.py); the innovations are
+independent of each other where the noise is as assumed, so that log likelihoods, residual tests and bounds are those of
+a fit without such noise, predictions m_i and their variances S_i in the place of the march and of sensor noise:
 
     log L = sum_i log p(y_i | m_i(theta), S_i(theta)),    information sum_i I_i dm_i/dtheta dm_i/dtheta'.
 
@@ -13,10 +12,10 @@ given are those of the largest likelihood with the parameters integrated out (La
 
     log L + g' M^-1 g / 2 - log det M / 2,    g and M gradient and information, priors included,
 
-in turn with the parameters: a likelihood at the values found would take what the parameters have taken of the wandering
-for none. R. E. Maine and K. W. Iliff, "Formulation and
-Implementation of a Practical Algorithm for Parameter Estimation with Process and Measurement Noise", SIAM J. Appl.
-Math. 41 (1981).
+in turn with the parameters: a likelihood at the values found would attribute to no noise what the parameters have
+absorbed of the wandering. R. E. Maine and K. W. Iliff, "Formulation and Implementation of a Practical Algorithm for
+Parameter Estimation with Process and Measurement Noise", SIAM J. Appl. Math. 41 (1981). Derived in
+docs/estimation_statistics.md, equations 32 to 35.
 """
 
 from __future__ import annotations
@@ -43,20 +42,23 @@ from sim_heating.march.ensemble import condition_history
 from sim_heating.march.point import PointModel
 
 SETTINGS = Settings(gain=1e-4, step=1e-2)
-"""A hundredth of a sigma: differences of a log likelihood tell a gradient no better than that."""
+"""A hundredth of a sigma: differences of a log likelihood give a gradient no more accurately than that."""
 STEP = 0.1
 """Parameters are moved by this part of their sigma, the others being known, for the gradient."""
 WIDE, NARROW = (60.0, 6.0, 2.0), (2.0,)
-"""Factors to either side within which a level is looked for, first and again; candidates fill the lanes of a group."""
+"""Largest factors on a level in successive searches, the first time and again; candidates fill the lanes of a group."""
 SETTLED = 0.05
-"""Levels are settled where they change by less than this part."""
+"""Relative change below which levels have converged."""
 ROUNDS = 6
 
 
 class Innovations:
-    """The samples of a problem against the predictions of a Kalman filter.
+    """Likelihood of the samples of a problem against the predictions of a Kalman filter.
 
-    problem : parameters, records and samples;  levels : noise as it is taken
+    problem : parameters, records and samples
+    levels  : current levels of process noise and of undeclared sensor noise
+
+    Source: docs/estimation_statistics.md, equations 32 to 35.
     """
 
     def __init__(self, problem: Problem, noise: ProcessNoise) -> None:
@@ -77,7 +79,14 @@ class Innovations:
     # Likelihood ------------------------------------------------------------------------------------------------------
 
     def evaluate(self, vector: FloatArray) -> Evaluation:
-        """Log likelihood of all samples, its gradient, and Gauss-Newton's information; NaN where a filter diverged."""
+        """Log likelihood of all samples, its complete gradient, and Gauss-Newton's information.
+
+        vector  : (parameter,) values, each in its unit
+        returns : log likelihood [-], (parameter,) gradient by central differences, (parameter, parameter) information
+                  from the filter's own sensitivities; NaN log likelihood where a filter diverged
+
+        Source: docs/estimation_statistics.md, equations 32 and 33.
+        """
         try:
             samples = self.samples(vector)
         except RunError:
@@ -92,7 +101,12 @@ class Innovations:
         return Evaluation(total, self._gradient(vector, information), information)
 
     def log_likelihoods(self, vectors: FloatArray) -> FloatArray:
-        """(candidate,) log likelihoods of several parameter vectors, filtered side by side."""
+        """(candidate,) log likelihoods [-] of several parameter vectors, filtered side by side.
+
+        vectors : (candidate, parameter);  returns NaN for a candidate whose filter diverged
+
+        Source: docs/estimation_statistics.md, equation 32.
+        """
         chunks = [slice(i, i + LANES) for i in range(0, len(vectors), LANES)]
         jobs = [(k, c) for k in range(len(self.problem.parts)) for c in range(len(chunks))]
         found = in_threads(lambda j: self._several(*jobs[j], vectors[chunks[jobs[j][1]]]), len(jobs))
@@ -108,6 +122,7 @@ class Innovations:
         moves = []
         for i, (p, told) in enumerate(zip(parameters, known, strict=True)):
             if told > 0.0:
+                # large against the rounding of log L, small against its curvature
                 by = STEP / np.sqrt(told)
                 moves.append((i, max(vector[i] - by, p.lower), min(vector[i] + by, p.upper)))
         moved = np.tile(vector, (2 * len(moves), 1))
@@ -121,7 +136,15 @@ class Innovations:
     # Levels of noise -------------------------------------------------------------------------------------------------
 
     def settle(self, vector: FloatArray, *, again: bool = False) -> float:
-        """Set the levels that are looked for to their most likely values; gives the largest relative change."""
+        """Set the levels that are to be estimated to their most likely values, one after another.
+
+        vector  : (parameter,) values about which the parameters are integrated out
+        again   : search near the present levels only, within a factor of two
+        returns : largest relative change of a level [-]
+
+        Levels: node noise [K s^-1/2], sigma of the ratio [-] and its correlation time [s], sensor noise [K].
+        Source: docs/estimation_statistics.md, equation 35.
+        """
         before = self.levels
         for level in before.unknown():
             if level not in self.levels.unknown():
@@ -133,9 +156,10 @@ class Innovations:
         return _change(before, self.levels)
 
     def _search(self, level: Level, vector: FloatArray, width: float) -> None:
-        """The likeliest of some factors to a level; 0 too, for noise that may not be there at all."""
+        """Set one level to the likeliest of some factors on it; 0 too, for noise that may be absent."""
         factors = np.geomspace(1.0 / width, width, LANES - 1)
         if not isinstance(level, tuple) and level != CORRELATION:
+            # a correlation time or a sensor's noise cannot be 0
             factors = np.append(0.0, factors)
         tried = [self.levels.scaled(level, float(f)) for f in factors]
         found = self._of_levels(vector, [self._at_least(t) for t in tried])
@@ -143,15 +167,17 @@ class Innovations:
             return
         best = int(np.argmax(found))
         factor = float(factors[best])
+        # no parabola over the step from 0 to the least factor: it is not one in the logarithm
         inner = factors[0] > 0.0 or best > 1
         if 0 < best < len(factors) - 1 and inner and np.all(np.isfinite(found[best - 1 : best + 2])):
             a, b, c = found[best - 1 : best + 2]
             spacing = np.log(factors[best + 1] / factors[best])
+            # vertex of the parabola through the best candidate and its neighbours, in the log of the level
             factor *= float(np.exp(0.5 * spacing * (a - c) / (a - 2.0 * b + c)))
         self.levels = self._at_least(self.levels.scaled(level, factor))
 
     def _at_least(self, levels: Levels) -> Levels:
-        """No sensor better than one can be."""
+        """Levels with no sensor below the least noise of one (observation.least_sigma_K)."""
         floor = {(k, c.number): least_sigma_K(c.sensor) for k, p in enumerate(self.problem.parts) for c in p.channels}
         return replace(levels, sigma_K={key: max(s, floor[key]) for key, s in levels.sigma_K.items()})
 
@@ -173,6 +199,7 @@ class Innovations:
             g[part.index] += f.score()
             M[np.ix_(part.index, part.index)] += f.information()
         s = scale(M)
+        # scaled for the determinant's sake; sum(log s) below puts the scale back
         M, g = M * np.outer(s, s), g * s
         sign, log_det = np.linalg.slogdet(M)
         if sign <= 0.0:
@@ -183,6 +210,7 @@ class Innovations:
         """A record filtered with sensitivities at several levels; None where its filter diverged."""
         part, march = self.problem.parts[k], self._levelled[k]
         tracks = [self._track(k, vector, levels)[0] for levels in tried]
+        # a group of lanes is always full
         tracks += [tracks[-1]] * (LANES - len(tracks))
         if march is None:
             march = self._levelled[k] = FilterMarch(tracks, part.time_s, self._histories[k])
@@ -190,21 +218,32 @@ class Innovations:
         try:
             return list(march.filter(tracks)[: len(tried)])
         except RunError:
+            # one diverged lane fails the group: find out which, at the price of one march each
             return [_alone(march, t) for t in tracks[: len(tried)]]
 
     # Filters ---------------------------------------------------------------------------------------------------------
 
     def samples(self, vector: FloatArray) -> list[Samples]:
-        """All channels at a parameter vector: means are predictions from the samples before, sigma is theirs and that
-        of the sensor together.
+        """All channels at a parameter vector, as the filter predicts them from the samples before each.
 
-        raises : RunError where a filter diverged
+        vector  : (parameter,)
+        returns : by channel, mean_K [K], its sensitivities, and the standard deviation of the prediction [K]
+        raises  : RunError where a filter diverged
+
+        Source: docs/estimation_statistics.md, equation 32.
         """
         found = self._filtered(vector)
         return [s for k, filtered in enumerate(found) for s in self._of_part(k, filtered, vector)]
 
     def filtered(self, vector: FloatArray, k: int) -> tuple[FilterTrack, Filtered, NDArray[np.int64]]:
-        """One record with all that a smoother needs, and the places of its readings among those of its channels."""
+        """One record filtered with its whole history kept, as a smoother needs it.
+
+        vector  : (parameter,);  k : number of the record
+        returns : the track, the filtered states [K], and the places of its readings among those of its channels
+        raises  : RunError where the filter diverged
+
+        The smoother is that of docs/filter.md, after Rauch, Tung and Striebel (1965).
+        """
         part = self.problem.parts[k]
         track, order = self._track(k, vector, self.levels, sensitive=False)
         march = FilterMarch([track], part.time_s, self._histories[k])
@@ -285,6 +324,7 @@ class Innovations:
         found = []
         for c, m, s, v in split:
             sigma = self.levels.sigma_K.get((k, c.number), part.sigma_K[c.number])
+            # the filter's variance includes the sensor's own noise; rounding may take the difference below 0
             known = np.sqrt(np.maximum(v - sigma**2, 0.0))
             time_s = part.sample_s[c.samples]
             found.append(Samples(part, c, time_s, m, s, len(self.problem.unknowns), sigma, known))
@@ -309,9 +349,15 @@ def _change(before: Levels, after: Levels) -> float:
 def fit_innovations(
     problem: Problem, noise: ProcessNoise, start: FloatArray, told: Told = lambda at, log_posterior: None
 ) -> tuple[Fit, Innovations]:
-    """The most probable values with noise of the process, its levels in turn with the parameters.
+    """The most probable parameters with noise of the process, in turn with its levels where these are estimated.
 
-    start : (parameter,) values of a fit without it
+    problem : parameters, records and samples
+    noise   : levels [K s^-1/2], [-], [s], given or first guesses
+    start   : (parameter,) values of a fit without process noise
+    told    : called with values and log posterior after every step
+    returns : the fit, and the innovations with the levels found; six rounds of levels and parameters at most
+
+    Source: docs/estimation_statistics.md, equations 13, 32 and 35, after Maine and Iliff (1981).
     """
     found = Innovations(problem, noise)
     looked_for = bool(found.levels.unknown())

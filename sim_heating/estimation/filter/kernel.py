@@ -1,7 +1,7 @@
 """Extended Kalman filter on the node temperatures of lanes that march together; compiled.
 
-The state of a lane is z = (T_0 .. T_(n-1), d): its node temperatures and a disturbance d of the heating ratio that
-holds for one step, additive like ratio.d0. With Phi the derivative of the step (thermal/sensitivity.py) and Gamma that
+The state of a lane is z = (T_0 .. T_(n-1), d): its node temperatures and a disturbance d of the heating ratio,
+additive like ratio.d0 and constant over a step. With Phi the derivative of the step against its start and Gamma that
 against d,
 
     z' = F z + w,    F = [Phi, Gamma; 0, decay],    P' = F P F' + Q,
@@ -12,12 +12,14 @@ and end plus the part x of the step's white noise, so that with R its row agains
 
     cov(z, T) = P R',    cov(z', T) = F P R' + Q_x,    cov(T_i, T_j) = R_i P R_j' + Q_x,
 
-and all readings of a step are taken one by one from the joint covariance of z' and themselves, without a second march.
-A reading of which an interval is known matches the moments of the truncated normal (Curry, Estimation and Control with
-Quantized Measurements, MIT Press 1970), which is a linear reading of variance S / (1 - v), v what is left of S.
+and all readings of a step are taken one after the other from the joint covariance of z' and themselves, without a
+second march. A reading known as an interval matches the moments of the truncated normal (Curry, Estimation and Control
+with Quantized Measurements, MIT Press 1970), which is a linear reading of variance S / (1 - v), v the fraction of S
+that remains.
 
-Sensitivities of the state go through an update as S+ = S - K dy/dp: the gain's own derivative is left out. After a time
-the covariances may be held: as long as readings lie where they did in the step before, its gains are taken again.
+Sensitivities of the state go through an update as S+ = S - K dy/dp: the derivative of the gain itself is left out.
+After a given time the covariances may be frozen: as long as readings lie where they did in the step before, its gains
+are used again. Derived in docs/filter.md, equations 1 to 14.
 """
 
 from __future__ import annotations
@@ -65,19 +67,30 @@ from sim_heating.thermal.step import BEGIN, COLDEST_K, STAGE_WEIGHT, hold
     PRIOR, PRIOR_VARIANCE, POSTERIOR, POSTERIOR_VARIANCE, PREDICTED, PREDICTED_VARIANCE, INNOVATION, VARIANCE,
     LOG_LIKELIHOOD, N_OUT,
 ) = range(10)  # fmt: skip
-"""What is told of a reading: temperature before and after all readings of its time; what it should show, noise
-included, once those before it are taken; innovation and its variance; the sensitivities of its prediction follow."""
+"""Columns of the output of a reading: temperature [K] and variance [K2] before and after all readings of its time;
+prediction and variance, noise included, once those before it are taken; innovation [K] and its variance [K2]; log
+likelihood. The sensitivities of its prediction follow."""
 CONSTANT, PER_TEMPERATURE, PER_RATE = range(3)
-"""What a parameter adds to the reading itself."""
+"""Direct terms of a parameter in a reading: constant, times the temperature, times its rate."""
 SAME_PLACE = 1e-6
-"""Readings this part of a step apart are at the same place in it."""
+"""Fraction of a step within which two readings count as simultaneous, for frozen gains."""
 LEAST_GAIN = 1e-14
-"""A reading that takes less of its own variance away tells nothing."""
+"""A reading that removes less than this fraction of its own variance is not used: its effect would be rounding."""
 
 
 @njit
 def propagate(X: Blocks, p: Places, lane: int, forced: int, dt: float, w: Columns) -> None:
-    """Take w.end from the start of a step to its end; its first `forced` columns have their parameters as forcing."""
+    """Propagate columns of derivatives of the temperatures through one TR-BDF2 step, in place.
+
+    X      : blocks of the perturbed lanes at start, middle stage and end;  p : where those of this lane stand
+    forced : number of columns, the first ones, whose parameters also act in the step (dT/dp); the others are products
+             with Phi alone
+    dt     : time step [s]
+    w      : columns (node, column) in w.end, at the start on entry, at the end on return; w.middle: middle stage [K
+             over the unit of the column]
+
+    Derived in docs/equations_march.md, equations 7 and 8.
+    """
     ddt = STAGE_WEIGHT * dt
     begin_columns(X.start, p, lane, forced, w.end, w.e, w.f)
     first_star(w.e, w.f, dt, w.star)
@@ -89,7 +102,7 @@ def propagate(X: Blocks, p: Places, lane: int, forced: int, dt: float, w: Column
 
 @njit
 def _add_forcing(gamma: Columns, w: Columns, column: int, amount: float, n: int) -> None:
-    """Add the answer to a disturbance of so much to a column; gamma.end[:, 0] is that to 1."""
+    """Add the response to a disturbance `amount` [-] to a column; gamma.end[:, 0] is the response to 1."""
     for i in range(n):
         w.end[i, column] += gamma.end[i, 0] * amount
         w.middle[i, column] += gamma.middle[i, 0] * amount
@@ -97,7 +110,15 @@ def _add_forcing(gamma: Columns, w: Columns, column: int, amount: float, n: int)
 
 @njit
 def first_pass(X: Blocks, p: Places, lane: int, dt: float, state: State, whole: bool, keep: bool, w: Columns) -> None:
-    """Columns of Gamma and sensitivities, on the whole those of F P as well and, where they are kept, of F itself."""
+    """Propagate Gamma, the sensitivities, and where wanted F P and F itself, through one step of a lane.
+
+    dt    : time step [s];  state : covariance and sensitivities at the start, unchanged
+    whole : whether F P is wanted (not where gains are frozen);  keep : whether the columns of F are, for a smoother
+    w     : receives columns at end and middle stage: Gamma [K], sensitivities [K over the parameter's unit], F P [K2],
+            F
+
+    Columns stand in this order, so that those with forcing come first. Derived in docs/filter.md, equations 4 and 11.
+    """
     n, m = p.nodes[lane], state.S.shape[2]
     first, identity, covariances = 1 + m, 1 + m + state.P.shape[1], n + 1 if whole else 0
     w.end[:, :] = 0.0
@@ -119,7 +140,12 @@ def first_pass(X: Blocks, p: Places, lane: int, dt: float, state: State, whole: 
 
 @njit
 def read_column(w: Columns, column: int, node: int, x: float, start: float) -> float:
-    """A column at a node and a fraction of the step, `start` being what it was there at the start."""
+    """Value of a column at a node and a fraction of a step, T(x) = w0 T_n + w1 T_(n + gamma) + w2 T_(n+1).
+
+    x     : fraction of the step [-];  start : value of the column at the node at the start of the step
+
+    Source: docs/equations_march.md, equation 4.
+    """
     w0, w1, w2 = parabola(x)
     return w0 * start + w1 * w.middle[node, column] + w2 * w.end[node, column]
 
@@ -129,7 +155,16 @@ def predict_readings(
     B: FloatArray, p: Places, lane: int, dt: float, r: Readings, first: int, count: int, state: State, whole: bool,
     keep: bool, w: Columns, joint: Joint,
 ) -> None:  # fmt: skip
-    """Temperatures, sensitivities and rows of the readings of a step, and cov(z at its start, T)."""
+    """Predict the readings of a step: temperatures, rates, sensitivities, rows, and cov(z at the start, T).
+
+    B            : block of the lane group, after the step;  dt : time step [s]
+    r            : readings, of which `count` from `first` on lie in the step
+    whole, keep  : whether covariances, and rows for a smoother, are wanted
+    w            : columns of the first pass
+    joint        : receives temperature [K], rate [K/s], sensitivities, P R' [K2] and R of each
+
+    Derived in docs/filter.md, equations 5 and 6, and docs/equations_march.md, equation 5.
+    """
     n, m = p.nodes[lane], state.S.shape[2]
     identity, covariances = 1 + m + state.P.shape[1], n + 1 if whole else 0
     for q in range(count):
@@ -153,7 +188,17 @@ def second_pass(
     X: Blocks, p: Places, lane: int, dt: float, r: Readings, first: int, count: int, state: State, noise: Noise,
     decay: float, gamma: Columns, w: Columns, joint: Joint,
 ) -> None:  # fmt: skip
-    """F (F P)' + Q, and the covariances of the readings with z at the end and with each other."""
+    """Covariance of the state after a step, P' = F P F' + Q, and the joint covariance of its readings.
+
+    dt       : time step [s];  decay : exp(-dt / correlation time) of the ratio disturbance [-]
+    r        : readings, of which `count` from `first` on lie in the step;  noise : of the process [K2/s], [1/s]
+    gamma    : columns of the first pass, F P among them;  w : work space
+    state    : P becomes P', [K2] for the temperatures
+    joint    : receives cov(z', T) and cov(T_a, T_b) [K2]
+
+    F M' is propagated like M = F P: its columns are the rows of M, with those of the readings appended. Derived in
+    docs/filter.md, equations 2, 4 and 6.
+    """
     n, m, size = p.nodes[lane], state.S.shape[2], state.P.shape[1]
     w.end[:, :] = 0.0
     for i in range(n):
@@ -162,6 +207,7 @@ def second_pass(
         w.end[i, n] = decay * state.P[lane, n, i]
         for q in range(count):
             w.end[i, size + q] = joint.start[q, i]
+    # F P R' of the readings goes through with F M': one elimination serves all columns.
     propagate(X, p, lane, 0, dt, w)
     for j in range(n):
         _add_forcing(gamma, w, j, gamma.end[j, 1 + m + n], n)
@@ -173,14 +219,17 @@ def second_pass(
         for i in range(n):
             joint.cross[q, i] = w.end[i, size + q]
         joint.cross[q, n] = decay * joint.start[q, n]
+        # White noise of the node up to the reading is still in the node's temperature at the end of the step.
         joint.cross[q, node] += x * dt * noise.nodes[lane, node]
         for s in range(count):
             covariance = read_column(w, size + s, node, x, joint.start[s, node])
             if r.node[lane, first + s] == node:
+                # Two readings of a node share the noise up to the earlier of them.
                 covariance += min(x, joint.x[s]) * dt * noise.nodes[lane, node]
             joint.covariance[q, s] = covariance
     for i in range(n):
         for j in range(i + 1):
+            # The two triangles differ by rounding; left alone the difference grows from step to step.
             state.P[lane, i, j] = 0.5 * (w.end[i, j] + w.end[j, i])
             state.P[lane, j, i] = state.P[lane, i, j]
         state.P[lane, i, i] += noise.nodes[lane, i] * dt
@@ -192,14 +241,24 @@ def second_pass(
 
 @njit
 def _span(decay_1_s: float, dt: float) -> float:
-    """Integral of exp(-2 decay t) over a step [s]."""
+    """Integral of exp(-2 decay t) over a step [s]; dt for a random walk (docs/filter.md, equation 2)."""
     return dt if decay_1_s == 0.0 else -math.expm1(-2.0 * decay_1_s * dt) / (2.0 * decay_1_s)
 
 
 @njit
 def innovation(lower: float, upper: float, mean: float, variance: float) -> tuple[float, float, float]:
-    """Innovation, its variance and log likelihood of a reading whose prediction is N(mean, variance); of an interval,
-    those of the unrounded reading that would move mean and variance as it does."""
+    """Innovation, its variance and log likelihood of a reading whose prediction is N(mean, variance).
+
+        nu = sqrt(S) E xi / (1 - var xi),    S / (1 - var xi),    log L = log Z
+
+    lower, upper   : interval of the reading [K]; equal for an unrounded one, then nu = y - mean and S itself
+    mean, variance : prediction [K] and its variance S, sensor noise included [K2]
+    returns        : innovation [K], variance [K2], log likelihood [-]
+
+    xi is standard normal, truncated to the interval, Z its probability. The unrounded reading given moves mean and
+    variance as the interval does. Where 1 - var xi is below 1e-14 the variance is infinite: the reading has no effect.
+    Source: Curry 1970; derived in docs/filter.md, equations 9 and 10.
+    """
     spread = math.sqrt(variance)
     if not lower < upper:
         z = (lower - mean) / spread
@@ -207,6 +266,7 @@ def innovation(lower: float, upper: float, mean: float, variance: float) -> tupl
     log_z, x, _, gain, _, _, _ = truncated_normal(
         (lower - mean) / spread, (upper - mean) / spread, (upper - lower) / spread
     )
+    # The word is open at one end and the prediction lies deep inside: the reading confirms it and adds nothing.
     if gain < LEAST_GAIN:
         return 0.0, math.inf, log_z
     return x * spread / gain, variance / gain, log_z
@@ -217,7 +277,7 @@ def _take(
     r: Readings, lane: int, k: int, q: int, count: int, n: int, state: State, z: FloatArray, joint: Joint,
     transition: FloatArray, keep: bool, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Take reading k, number q of its step: z, P and the readings of the step are conditioned on it."""
+    """Condition z, P, the sensitivities and the other readings of the step on reading k, number q of its step."""
     gain, m = r.gain[lane, k], state.S.shape[2]
     predicted = out[N_OUT:]
     for j in range(m):
@@ -232,6 +292,7 @@ def _take(
         r.lower[lane, k], r.upper[lane, k], out[PREDICTED], out[PREDICTED_VARIANCE]
     )  # fmt: skip
     out[INNOVATION], out[VARIANCE] = nu, variance
+    # Copies: the loops below overwrite row q with its own update before they are done with the other readings.
     cross, own = joint.cross[q].copy(), joint.covariance[q].copy()
     own_row, inverse = joint.rows[q].copy(), 1.0 / variance
     for i in range(n + 1):
@@ -261,12 +322,26 @@ def take_readings(
     r: Readings, lane: int, first: int, count: int, n: int, state: State, z: FloatArray, joint: Joint,
     transition: FloatArray, kept: Kept, keep: bool, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Take the readings of a step in order of time; what is told of each goes to its row of `out`."""
+    """Update a lane by the readings of one step, in order of time.
+
+        K = g cov(z', T) / S,    z+ = z' + K nu,    P+ = P' - S K K'
+
+    r                : readings, of which `count` from `first` on lie in the step
+    n                : nodes;  z : (node + 1,) temperatures [K] and disturbance [-], updated
+    state, joint     : covariances and sensitivities, updated
+    transition, kept : for a smoother, where `keep`
+    out              : (reading, column) receives for each reading temperature before and after all readings of its time
+                       [K] with variances [K2], prediction, innovation, log likelihood, sensitivities
+
+    A reading without an interval (NaN) is predicted and changes nothing. Derived in docs/filter.md, equations 7 to 14.
+    """
     begun = 0
     for q in range(count):
         k = first + q
+        # Readings of one time share their a priori and a posteriori state, whatever the order in which they are taken.
         if r.time_s[lane, k] != r.time_s[lane, first + begun]:
             begun = q
+        # A priori values of all sensors read at one time, before the first of them is taken.
         if begun == q:
             last = q
             while last + 1 < count and r.time_s[lane, first + last + 1] == r.time_s[lane, k]:
@@ -283,7 +358,7 @@ def take_readings(
 
 @njit
 def _repeats(held: Held, r: Readings, lane: int, first: int, count: int, joint: Joint) -> bool:
-    """Whether the readings of a step are at the places of those whose covariances are held."""
+    """Whether the readings of a step are at the nodes and fractions of those whose covariances are stored."""
     if held.number[lane] != count:
         return False
     for q in range(count):
@@ -294,7 +369,7 @@ def _repeats(held: Held, r: Readings, lane: int, first: int, count: int, joint: 
 
 @njit
 def _remember(held: Held, r: Readings, lane: int, first: int, count: int, state: State, joint: Joint) -> None:
-    """Hold the covariances of a step."""
+    """Store the covariances of a step for frozen gains."""
     held.number[lane], held.P[lane] = count, state.P[lane]
     for q in range(count):
         held.node[lane, q], held.x[lane, q] = r.node[lane, first + q], joint.x[q]
@@ -304,7 +379,7 @@ def _remember(held: Held, r: Readings, lane: int, first: int, count: int, state:
 
 @njit
 def _recall(held: Held, lane: int, count: int, state: State, joint: Joint) -> None:
-    """Take the covariances held for those of this step."""
+    """Use the stored covariances for those of this step."""
     state.P[lane] = held.P[lane]
     for q in range(count):
         joint.cross[q] = held.cross[lane, q]
@@ -317,8 +392,19 @@ def filter_lane(
     state: State, noise: Noise, held: Held, kept: Kept, u: Columns, w: Columns, v: Columns, joint: Joint,
     z: FloatArray, transition: FloatArray, out: FloatArray,
 ) -> int:  # fmt: skip
-    """Covariance, sensitivities and readings of step k of one lane, whose temperatures have been marched; gives the
-    number of the next reading."""
+    """Filter step k of one lane: covariance, sensitivities, readings, after its temperatures have been marched.
+
+    B, X, p          : block of the lane group, blocks of the perturbed lanes, where those of each lane stand
+    time_s           : (time,) steps [s];  r, first : readings and the number of the next one
+    state, noise     : filter state, updated; noise of the process [K2/s], [1/s]
+    held, kept       : frozen gains; history for a smoother
+    u, w, v, joint, z, transition : work space
+    out              : (reading, column) results of the readings
+    returns          : number of the next reading
+
+    A lane that diverges (a temperature at or below 1 K, or not finite) is marked and keeps the temperatures of its
+    march. Derived in docs/filter.md, equations 1 to 14.
+    """
     n, m, size = p.nodes[lane], state.S.shape[2], state.P.shape[1]
     keep = kept.mean.shape[1] > 0
     dt = time_s[k] - time_s[k - 1]
@@ -327,6 +413,7 @@ def filter_lane(
     while first + count < r.number[lane] and r.time_s[lane, first + count] <= time_s[k]:
         joint.x[count] = (r.time_s[lane, first + count] - time_s[k - 1]) / dt
         count += 1
+    # With frozen gains only Gamma and the sensitivities are propagated; F P and F M' are not needed.
     whole = time_s[k] <= held.after_s[lane] or not _repeats(held, r, lane, first, count, joint)
     c = w if whole else u
     first_pass(X, p, lane, dt, state, whole, keep, c)
@@ -344,6 +431,7 @@ def filter_lane(
     for j in range(m):
         state.S[lane, n, j] *= decay
     if keep:
+        # F column by column; that of d is Gamma, the last one of the first pass.
         transition[:, :] = 0.0
         for i in range(n):
             for j in range(n + 1):
@@ -360,7 +448,7 @@ def filter_lane(
 
 @njit
 def _put_back(B: FloatArray, lane: int, n: int, k: int, state: State, z: FloatArray) -> None:
-    """Set the temperatures of a lane, unless one of them is none: the lane has diverged."""
+    """Set the temperatures of a lane; where one is too cold or not finite, mark the lane as diverged instead."""
     for i in range(n + 1):
         if not (math.isfinite(z[i]) and (i == n or z[i] > COLDEST_K)):
             state.diverged[lane] = k
@@ -371,7 +459,15 @@ def _put_back(B: FloatArray, lane: int, n: int, k: int, state: State, z: FloatAr
 
 @njit
 def disturb(B: FloatArray, X: Blocks, shadows: Groups, lane: int, change: float) -> None:
-    """Add to ratio.d0 of a lane and of all its shadows."""
+    """Add to the heating ratio (ratio.d0) of a lane and of all its perturbed lanes.
+
+    B, X    : block of the lane group and blocks of the perturbed lanes, changed
+    shadows : groups of perturbed lanes and the lane that each belongs to
+    change  : of the ratio [-]
+
+    The perturbed lanes need it as well, since derivatives are those at the disturbed ratio. Source: docs/filter.md,
+    equation 1.
+    """
     B[PARAMETERS * LANES + lane * N_PARAMETERS + D0] += change
     for s in range(len(shadows.source)):
         if shadows.source[s] == lane:
@@ -383,7 +479,7 @@ def disturb(B: FloatArray, X: Blocks, shadows: Groups, lane: int, change: float)
 
 @njit
 def _lag_before(X: Blocks, groups: IntArray, first: bool) -> None:
-    """A ratio that lags, as the shadows at the start have to remember it: from the start of the step before."""
+    """Give the perturbed lanes at the start of a step the lag memory of the start of the step before."""
     for g in range(len(groups)):
         for s in range(groups[g, 0], groups[g, 0] + LANES):
             X.start[s + LAG_PAST * LANES] = 0.0 if first else 1.0
@@ -393,7 +489,7 @@ def _lag_before(X: Blocks, groups: IntArray, first: bool) -> None:
 
 @njit
 def _lag_now(X: Blocks, groups: IntArray, first: bool) -> None:
-    """And as those at the middle stage and the end have to: from the start of this step."""
+    """Give the perturbed lanes at the middle stage and the end the lag memory of the start of this step."""
     for g in range(len(groups)):
         for s in range(groups[g, 0], groups[g, 0] + LANES):
             for row in (LAG_VALUE, LAG_INPUT):
@@ -410,7 +506,15 @@ def begin_march(
     B: FloatArray, J: IntArray, table: FloatArray, chain, move,  # type: ignore[no-untyped-def]
     histories: FloatArray, which: IntArray,
 ) -> None:  # fmt: skip
-    """The first conditions of all lanes of a group."""
+    """Set the first conditions of all lanes of a group and evaluate heat contents [J/m2] and heat flows [W/m2] with
+    them.
+
+    B, J, table : block and integers of the group, property and ratio tables;  chain, move : handles of the compiled
+                  effects and the compiled step
+    histories   : (flight, time, condition);  which : (LANES,) flight of each lane
+
+    Source: docs/equations_march.md, section 1.
+    """
     for lane in range(LANES):
         for c in range(N_CONDITIONS):
             B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], 0, c]
@@ -423,12 +527,24 @@ def step_beside_shadows(
     X: Blocks, shadows: Groups,
     time_s: FloatArray, histories: FloatArray, which: IntArray, p: Places, lanes: int, k: int,
 ) -> None:  # fmt: skip
-    """Step k of a group from temperatures and ratios that may have been changed, its shadows assembled at the start,
-    the middle stage and the end."""
+    """March step k of a lane group from temperatures and ratios that may have been changed, and assemble its perturbed
+    lanes.
+
+    B, J, table    : block and integers of the group, changed; property and ratio tables
+    chain, move, rows, faces : handles of the compiled effects, step and assembly
+    X, shadows, p  : blocks of the perturbed lanes, assembled at start, middle stage and end; their groups and places
+    time_s         : (time,) steps [s];  histories : (flight, time, condition);  which : (LANES,) flight of each lane
+    lanes          : number of lanes that are filtered
+
+    An update changes the temperatures, so that the net heat that the last step left does not hold: it is evaluated
+    again, from the perturbed lanes at the start. Derived in docs/equations_march.md, equations 6 and 7.
+    """
     dt = time_s[k] - time_s[k - 1]
     _lag_before(X, shadows.groups, k == 1)
+    # With 1 s for the time step the residual is heat content minus net heat, which gives the net heat.
     assemble_shadows(B, X.start, shadows, table, chain, rows, faces, T, 2, 1.0)
     _lag_now(X, shadows.groups, k == 1)
+    # Only lanes that are filtered: the padding has no perturbed lanes to start from.
     for lane in range(lanes):
         start_from_shadow(B, lane, X.start, p.at[lane], p.nodes[lane])
     hold(raw(B))
@@ -448,9 +564,18 @@ def march_filter(
     p: Places, r: Readings, state: State, noise: Noise, held: Held, kept: Kept,
     u: Columns, w: Columns, v: Columns, joint: Joint, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Filter the lanes of one group; blocks B and X are changed and lost, arrays as FilterMarch makes them.
+    """Filter the lanes of one group through a flight; blocks B and X are changed and their contents lost.
 
-    out : (lane, reading, N_OUT + parameter)
+    B, J, table    : block and integers of the group; property and ratio tables
+    chain, move, rows, faces : handles of the compiled effects, step and assembly
+    X, shadows, p  : blocks of the perturbed lanes, their groups and places
+    time_s         : (time,) steps [s];  histories : (flight, time, condition);  which : (LANES,) flight of each lane
+    r, state, noise, held, kept, u, w, v, joint : readings, filter state, process noise, frozen gains, history, work
+    space
+    out            : (lane, reading, N_OUT + parameter) temperatures [K], variances [K2], innovations, log likelihood,
+                     sensitivities; filled
+
+    A lane that diverges is no longer filtered; the others go on. Derived in docs/filter.md, equations 1 to 14.
     """
     lanes, size = state.P.shape[0], state.P.shape[1]
     z, transition = np.zeros(size), np.zeros((size, size))
@@ -465,5 +590,6 @@ def march_filter(
                     joint, z, transition, out[lane],
                 )  # fmt: skip
                 n = p.nodes[lane]
+                # Only now: the disturbance is constant over a step, and the readings of step k act from k + 1 on.
                 disturb(B, X, shadows, lane, z[n] - state.d[lane])
                 state.d[lane] = z[n]

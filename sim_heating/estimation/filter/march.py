@@ -1,9 +1,9 @@
 """Points marched with an extended Kalman filter on their temperatures: readings in, temperatures with covariance out.
 
-The equations are those of estimation/filter/kernel.py: covariance and sensitivities go through the same factorised step
-as in march/linearised.py, readings may lie anywhere in a step, and the heating ratio may carry a disturbance of its
-own. Without noise of the process and with a known start the filter is the plain march, and the sensitivities of its
-innovations are exact (output error); else they leave out how the gain changes with a parameter.
+Covariance and sensitivities go through the factorised step of the linearised march, readings may lie anywhere in a
+step, and the heating ratio may carry a disturbance. Without process noise and with a known start the filter is the
+plain march, and the sensitivities of its innovations are exact (output error); otherwise they leave out how the gain
+changes with a parameter. Equations: docs/filter.md, equations 1 to 14.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ from sim_heating.thermal.mesh import Mesh
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Readings of one point, in order of time: gain * (temperature of a node) + bias + noise.
+    """Readings of one point, in order of time: y = gain * (temperature of a node) + bias + noise.
 
-    time_s, node     : (reading,)
-    lower_K, upper_K : (reading,) interval in which the noisy value lay, equal where nothing was rounded; where they are
-                       NaN the temperature is predicted and nothing is read: a lost sample, one held out, a surface
-    variance_K2      : (reading,) of the noise
-    gain, bias_K     : (reading,)
-    direct           : (reading, parameter, 3) what a parameter adds to the derivative of a reading itself: a constant,
-                       times the temperature, times its rate (bias 1, 0, 0; gain 0, 1, 0; skew 0, 0, -gain)
+    time_s, node     : (reading,) time [s] and number of the node
+    lower_K, upper_K : (reading,) interval in which the noisy value lay [K], equal where nothing was rounded; NaN where
+                       the temperature is predicted only: a lost sample, one held out, a surface
+    variance_K2      : (reading,) of the noise [K2]
+    gain, bias_K     : (reading,) of the sensor [-], [K]
+    direct           : (reading, parameter, 3) terms of a parameter in a reading: a constant [K], times the temperature,
+                       times its rate, over the parameter's unit (bias 1, 0, 0; gain 0, 1, 0; skew 0, 0, -gain)
     """
 
     time_s: FloatArray
@@ -63,9 +63,15 @@ class Samples:
 def samples_on_grid(
     time_s: ArrayLike, nodes: Sequence[int], lower_K: ArrayLike, sigma_K: ArrayLike, upper_K: ArrayLike | None = None
 ) -> Samples:
-    """Samples of sensors that are read at common times.
+    """Samples of several sensors that are read at common times, with gain 1 and bias 0.
 
-    time_s : (sample,);  nodes, sigma_K : (sensor,);  lower_K, upper_K : (sensor, sample), NaN where nothing is read
+    time_s           : (sample,) [s];  nodes : (sensor,) node of each sensor
+    lower_K, upper_K : (sensor, sample) interval of each reading [K], NaN where nothing is read; upper_K None where
+                       nothing was rounded
+    sigma_K          : (sensor,) or one number, standard deviation of the noise [K]
+    returns          : readings in order of time, the sensors of one time in their order
+
+    The reading model is docs/filter.md, equation 7.
     """
     t, lower = np.asarray(time_s, dtype=float), np.atleast_2d(np.asarray(lower_K, dtype=float))
     upper = lower if upper_K is None else np.atleast_2d(np.asarray(upper_K, dtype=float))
@@ -82,9 +88,9 @@ def samples_on_grid(
 class Disturbance:
     """First-order noise on the heating ratio, additive like ratio.d0, constant over a step.
 
-    start_sigma   : its standard deviation at the start
-    correlation_s : the time after which a part 1/e is left of it; infinite for a random walk
-    density_1_s   : of the white noise that drives it: its variance grows by so much a second
+    start_sigma   : standard deviation at the start [-]
+    correlation_s : time in which it decays to 1/e [s]; infinite for a random walk
+    density_1_s   : density of the white noise that drives it, the growth of its variance without decay [1/s]
     """
 
     start_sigma: float = 0.0
@@ -93,21 +99,26 @@ class Disturbance:
 
     @staticmethod
     def gauss_markov(sigma: float, correlation_s: float) -> Disturbance:
-        """A stationary one: covariance sigma^2 exp(-|t| / correlation_s)."""
+        """Stationary disturbance of covariance sigma^2 exp(-|t| / tau), driven by noise of density 2 sigma^2 / tau.
+
+        sigma : standard deviation [-];  correlation_s : correlation time tau, above 0 [s]
+
+        Derived in docs/filter.md, equation 3.
+        """
         return Disturbance(sigma, correlation_s, 2.0 * sigma**2 / correlation_s)
 
 
 @dataclass(frozen=True, eq=False)
 class FilterTrack:
-    """One point on its way through a flight with its readings.
+    """One control point with its readings, start and noise.
 
     model, mesh, names, initial_K, initial_columns, flight : as of linear_march.Track
-    samples       : what is read, and what is only predicted
-    covariance_K2 : (node, node) of the temperatures at the start; known, where None
-    noise_K2_s    : white noise of the process on every node, or (node,)
+    samples       : readings, taken or only predicted
+    covariance_K2 : (node, node) of the temperatures at the start [K2]; None for a known start
+    noise_K2_s    : white process noise of every node, or (node,) [K2/s]
     disturbance   : of the heating ratio
-    hold_after_s  : time after which the gains of one step serve for all that have readings at the same places in it: an
-                    approximation, see `python -m benchmarks covariance`
+    hold_after_s  : time after which gains are frozen [s]: those of one step serve for all that have readings at the
+                    same places in it; an approximation, see `python -m benchmarks covariance`
     """
 
     model: PointModel
@@ -124,11 +135,15 @@ class FilterTrack:
 
     @property
     def parameters(self) -> int:
-        """Number of sensitivities."""
+        """Number of sensitivities: named parameters and columns of the initial temperatures."""
         return len(self.names) + (0 if self.initial_columns is None else self.initial_columns.shape[1])
 
     def linear(self) -> Track:
-        """The same point for a march, ratio.d0 before its parameters."""
+        """Track of the point for a linearised march, with ratio.d0 ahead of its parameters.
+
+        The derivative against ratio.d0 [K] is the Gamma of docs/filter.md, equation 1.
+        """
+        # ratio.d0 first: its column is Gamma, which every other column needs before it.
         return Track(
             self.model, self.mesh, ("ratio.d0", *self.names), self.samples.time_s, (), self.initial_K,
             self.initial_columns, self.flight,
@@ -137,13 +152,13 @@ class FilterTrack:
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """What a filter leaves for the smoother. The state is the node temperatures and the disturbance of the ratio.
+    """History of a filter for the smoother; the state is the node temperatures [K] and the ratio disturbance [-].
 
-    time_s     : (time,) ends of the steps, the start first
-    mean, covariance : (time, state), (time, state, state) after all readings up to each time
-    transition : (step, state, state) derivative of the state after a step and its readings against that before it
-    rows       : (reading, state) of a reading's innovation against the state before its step
-    step       : (reading,) number of its step
+    time_s           : (time,) ends of the steps, the start first [s]
+    mean, covariance : (time, state), (time, state, state) after all readings up to each time [K], [K2]
+    transition       : (step, state, state) derivative of the state after a step and its readings against that before it
+    rows             : (reading, state) of a reading's innovation against the state before its step
+    step             : (reading,) number of its step
     """
 
     time_s: FloatArray
@@ -155,23 +170,23 @@ class History:
 
     @property
     def bytes(self) -> int:
-        """Memory taken, 16 bytes for each step and pair of states in the main."""
+        """Memory of the history in bytes, mostly 16 for each step and pair of states."""
         return sum(a.nbytes for a in (self.mean, self.covariance, self.transition, self.rows))
 
 
 @dataclass(frozen=True, eq=False)
 class Filtered:
-    """What the filter found; (reading,) where not said otherwise, NaN where nothing was read.
+    """Result of a filter; (reading,) unless stated otherwise, NaN where nothing was read.
 
-    prior_K, posterior_K : temperature before and after all readings of its time, with their variances [K2]
-    predicted_K, predicted_variance_K2 : what it should show, the readings before it taken, with the variance of that
-                     and its noise together
-    innovation_K   : reading minus prediction from all readings before it; of an interval, that of the unrounded reading
-                     that would move mean and variance as it does
-    variance_K2    : its variance
+    prior_K, posterior_K : temperature before and after all readings of its time [K], with their variances [K2]
+    predicted_K, predicted_variance_K2 : expected reading [K] once those before it are taken, with the variance of that
+                     and its noise together [K2]
+    innovation_K   : reading minus prediction from all readings before it [K]; of an interval, that of the unrounded
+                     reading that would move mean and variance as it does
+    variance_K2    : its variance [K2]
     log_likelihood : 0 where nothing was read
-    sensitivity    : (reading, parameter) of the prediction
-    temperature_K, ratio, covariance : at the end: (node,), the disturbance, (node + 1, node + 1)
+    sensitivity    : (reading, parameter) of the prediction [K over the parameter's unit]
+    temperature_K, ratio, covariance : at the end: (node,) [K], the disturbance [-], (node + 1, node + 1)
     history        : for the smoother, where it was asked for
     """
 
@@ -192,24 +207,31 @@ class Filtered:
 
     @property
     def read(self) -> NDArray[np.bool_]:
-        """(reading,) which were taken."""
+        """(reading,) which readings were taken: those with a finite innovation [K] and variance [K2]."""
         return np.isfinite(self.innovation_K) & np.isfinite(self.variance_K2)
 
     def score(self) -> FloatArray:
-        """(parameter,) gradient of the log likelihood; exact without noise of the process and of the start."""
+        """(parameter,) gradient of the log likelihood, sum of (nu / S) dm/dp, over the unit of each parameter.
+
+        nu innovation [K], S its variance [K2], m prediction [K]. Exact without process noise and with a known start;
+        otherwise the derivative of the gain is missing. Derived in docs/filter.md, equation 13.
+        """
         weight = np.where(self.read, self.innovation_K / self.variance_K2, 0.0)
         return weight @ self.sensitivity
 
     def information(self) -> FloatArray:
-        """(parameter, parameter) Gauss-Newton information of the readings."""
+        """(parameter, parameter) Gauss-Newton information of the readings, sum of (1 / S) dm/dp dm/dp'.
+
+        S variance of the innovation [K2], m prediction [K]. Derived in docs/filter.md, equation 13.
+        """
         weight = np.where(self.read, 1.0 / self.variance_K2, 0.0)
         return (self.sensitivity.T * weight) @ self.sensitivity
 
 
 class FilterMarch(LinearMarch):
-    """Up to LANES points on common times, filtered together; each is filtered as if it were alone.
+    """Up to LANES points on common times, filtered together; the result of each is independent of the others.
 
-    points    : what is filtered; `set_models` changes their parameters
+    points    : points with readings; `set_models` changes their parameters
     time_s    : (time,) steps [s];  histories : (flight, time, condition)
     """
 
@@ -218,29 +240,36 @@ class FilterMarch(LinearMarch):
         super().__init__([p.linear() for p in self.points], time_s, histories)
 
     def filter(self, points: Sequence[FilterTrack] | None = None, *, keep: bool = False) -> list[Filtered]:
-        """Filter all points.
+        """Filter all points through their flights and readings.
 
-        points : the same ones with other readings, noise or start; models are those of `set_models`
-        keep   : whether to keep what a smoother needs (History.bytes)
-        raises : InputError for readings outside the march or noise that is none, RunError where a filter diverged or a
-                 step did not converge
+        points  : the same ones with other readings, noise or start; models are those of `set_models`
+        keep    : whether to keep the history that a smoother needs (History.bytes)
+        returns : for each point innovations [K], variances [K2], log likelihood, sensitivities, and the state at the
+                  end
+        raises  : InputError for readings outside the march, negative noise, or a history with frozen gains; RunError
+                  where a filter diverged or a step did not converge
+
+        One linearisation a step, not iterated. Derived in docs/filter.md, equations 1 to 14.
         """
         points = self.points if points is None else tuple(points)
         for point in points:
             _check(point, self.time_s)
         n = int(self._nodes.max())
         m = max(p.parameters for p in points)
+        # A reading at the end of a step belongs to it and not to the next, so that it is taken before time goes on.
         steps = [np.searchsorted(self.time_s[1:], p.samples.time_s) for p in points]
         most = max([int(np.max(np.bincount(s), initial=0)) for s in steps])
         state, noise, kept = self._state(points, n, m), self._noise(points, n), self._kept(points, n, keep)
         readings, after_s = self._readings(points, m), np.zeros(len(points))
         for i, point in enumerate(points):
             after_s[self._lane_of[i]] = point.hold_after_s
+        # Frozen gains skip F P and F M', from which the smoother's transition is read.
         if keep and np.any(np.isfinite(after_s)):
             raise InputError("filter: a smoother wants the covariance of every step; leave hold_after_s out")
         out = np.full((len(points), readings.time_s.shape[1], N_OUT + m), np.nan)
         out[..., LOG_LIKELIHOOD] = 0.0
         self._begin([point.initial_K for point in points])
+        # Copies: the filter disturbs ratios and temperatures, and the points must serve for another march.
         B = self.base.block(0).copy()
         march_filter(
             B, self.base.integers(0), self.base.table, self.base.chain,
@@ -263,7 +292,7 @@ class FilterMarch(LinearMarch):
         return [self._filtered(i, points[i], steps[i], out, state, kept) for i in range(len(points))]
 
     def _leave(self, B: FloatArray) -> None:
-        """Take over the block of a march that is done, its ratios undisturbed again."""
+        """Take over the block of a finished march, its ratios undisturbed again."""
         own = self.base.block(0)
         d0 = [parameters_at(lane) + D0 for lane in range(LANES)]
         B[d0] = own[d0]
@@ -276,6 +305,7 @@ class FilterMarch(LinearMarch):
             lane, own = self._lane_of[i], point.mesh.nodes
             if point.covariance_K2 is not None:
                 P[lane, :own, :own] = point.covariance_K2
+            # The disturbance stands behind the point's own nodes, not behind those of the largest point.
             P[lane, own, own] = point.disturbance.start_sigma**2
             if point.initial_columns is not None:
                 S[lane, :own, len(point.names) : point.parameters] = point.initial_columns
@@ -345,11 +375,13 @@ def _check(point: FilterTrack, time_s: FloatArray) -> None:
     name, s = point.model.name, point.samples
     if np.any(np.diff(s.time_s) < 0.0):
         raise InputError(f"{name}: readings are not in order of time; sort them")
+    # A reading ahead of the first step would be taken in it, at a fraction below 0: an extrapolation.
     outside = np.count_nonzero((s.time_s < time_s[0]) | (s.time_s > time_s[-1]))
     if outside:
         raise InputError(f"{name}: {outside} readings lie outside the march; leave them out")
     if np.any((s.node < 0) | (s.node >= point.mesh.nodes)):
         raise InputError(f"{name}: a reading is of a node that the mesh has not (0 to {point.mesh.nodes - 1})")
+    # Without noise the variance of an innovation is 0 where the state is known, and the update divides by it.
     read = ~np.isnan(s.lower_K)
     if not np.all(s.variance_K2[read] > 0.0):
         raise InputError(f"{name}: the noise variance of a reading is not above 0; declare or estimate noise_sigma_K")

@@ -1,10 +1,10 @@
-"""What a model of the process lacks, as noise on its state: how much, and which of that is to be found.
+"""Levels of process noise: what the model of the process lacks, as noise on its state, given or to be estimated.
 
     dT_i = ... dt + q dW_i        white noise on every node, q in K s^(-1/2); as dense as the mesh
     r    = ... + d,  cov(d(t), d(t')) = sigma^2 exp(-|t - t'| / tau)        a disturbance of the heating ratio
 
-Levels are looked for one after the other among candidates a common factor apart; a longer correlation time is tried at
-the same density 2 sigma^2 / tau, which is what readings tell of most directly.
+(docs/estimation_statistics.md, equation 34.) Levels are searched one after the other among candidates a common factor
+apart; a longer correlation time is tried at the same density 2 sigma^2 / tau, which readings determine most directly.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from sim_heating.estimation.filter.march import Disturbance
 
 NODE, RATIO, CORRELATION = "node_K_sqrt_s", "ratio_sigma", "ratio_correlation_s"
 Level = str | tuple[int, int]
-"""One of the three above, or the noise of a sensor: numbers of its record and of the sensor."""
+"""One of the three names above, or the noise of a sensor: numbers of its record and of the sensor."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,9 @@ class ProcessNoise:
 
     node_K_sqrt_s : q, white noise on every node [K s^(-1/2)]
     ratio_sigma, ratio_correlation_s : sigma [-] and tau [s] of the disturbance of the heating ratio
+    estimated     : names of the levels that are estimated
+
+    Source: docs/estimation_statistics.md, equation 34.
     """
 
     node_K_sqrt_s: float = 0.0
@@ -36,13 +39,16 @@ class ProcessNoise:
 
     @property
     def disturbance(self) -> Disturbance:
-        """Of the heating ratio."""
+        """Gauss-Markov disturbance of the heating ratio, sigma [-] and correlation time [s]; none where sigma is 0.
+
+        Source: docs/estimation_statistics.md, equation 34.
+        """
         if self.ratio_sigma == 0.0:
             return Disturbance()
         return Disturbance.gauss_markov(self.ratio_sigma, self.ratio_correlation_s)
 
     def words(self) -> str:
-        """The levels in a line."""
+        """One line for a report: the levels, and which of them were estimated; node noise in K/sqrt(s), tau [s]."""
         parts = []
         if self.node_K_sqrt_s or NODE in self.estimated:
             parts.append(f"{self.node_K_sqrt_s:.3g} K/sqrt(s) at every node{self._how(NODE)}")
@@ -56,25 +62,37 @@ class ProcessNoise:
 
 
 FIRST_GUESS = {NODE: 0.05, RATIO: 0.01}
-"""Where the search for a level begins."""
+"""Where the search for a level begins, in K s^(-1/2) and [-]."""
 
 
 @dataclass(frozen=True)
 class Levels:
-    """Noise of the process, and that of the sensors that declare none [K], by numbers of record and sensor."""
+    """Noise of the process, and noise [K] of the sensors that declare none, by numbers of record and sensor."""
 
     noise: ProcessNoise
     sigma_K: Mapping[tuple[int, int], float] = field(default_factory=lambda: MappingProxyType({}))
 
     def unknown(self) -> list[Level]:
-        """What is looked for; a level that was found to be 0 no longer is."""
+        """Levels that are to be estimated; one that was found to be 0 is no longer searched.
+
+        The search is that of docs/estimation_statistics.md, equation 35.
+        """
         own = [name for name in self.noise.estimated if getattr(self.noise, name) > 0.0]
         if self.noise.ratio_sigma == 0.0:
+            # without a disturbance its correlation time has no meaning
             own = [name for name in own if name != CORRELATION]
         return [*own, *self.sigma_K]
 
     def scaled(self, level: Level, factor: float) -> Levels:
-        """With a level so many times as large."""
+        """Levels with one of them multiplied by a factor.
+
+        level   : name of a level of the process [K s^-1/2], [-], [s], or numbers of record and sensor [K]
+        factor  : [-], 0 only for a level that may be absent
+        returns : new levels; with a correlation time multiplied by f, sigma is multiplied by sqrt(f), so that the
+                  density 2 sigma^2 / tau stays
+
+        Source: docs/estimation_statistics.md, equations 34 and 35.
+        """
         noise = self.noise
         if isinstance(level, tuple):
             return replace(self, sigma_K={**self.sigma_K, level: factor * self.sigma_K[level]})

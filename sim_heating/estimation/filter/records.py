@@ -1,4 +1,4 @@
-"""Records to the filter: their readings as it takes them, and a start for a fit from all data before it."""
+"""Flight records as input of the Kalman filter, and a start for a fit from all data before it (docs/filter.md)."""
 
 from __future__ import annotations
 
@@ -24,15 +24,25 @@ from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.stack import Sensor
 
 START_SIGMA_K = 5.0
-"""How far the declared temperatures may be off at the first row of the conditions, all nodes alike [K]."""
+"""Standard deviation [K] of the declared temperatures at the first row of the conditions, all nodes alike."""
 UNDECLARED_SIGMA_K = 1.0
-"""Noise of a sensor that declares none [K]."""
+"""Noise [K] of a sensor that declares none."""
 TURNS = 8
-"""Newton steps that turn a reading back into a temperature."""
+"""Newton steps that invert a calibration curve."""
 
 
 def calibration_line(sensor: Sensor, read_K: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Slope and constant of a sensor's calibration about the temperatures at which it shows read_K."""
+    """Tangent of a sensor's calibration at the temperatures at which it shows given readings.
+
+        indicated = slope T + constant   about the T with curve(T) = read
+
+    sensor  : its calibration c0 + c1 T + c2 T^2 + ...; the identity where it declares none
+    read_K  : (sample,) readings [K]
+    returns : (sample,) slope [-] and constant [K]
+
+    Eight Newton steps from T = read; not checked for convergence, as a calibration is close to the identity.
+    Calibration: docs/estimation_statistics.md, equation 1.
+    """
     curve = np.polynomial.Polynomial(sensor.calibration or [0.0, 1.0])
     slope, T = curve.deriv(), np.array(read_K, dtype=float)
     for _ in range(TURNS):
@@ -44,17 +54,26 @@ def filter_samples(
     found: Sequence[Channel], time_s: FloatArray, mesh: Mesh, sigma_K: Mapping[int, float],
     values: Mapping[str, float] | None = None, added_K: FloatArray | float = 0.0, names: Sequence[str] = (),
 ) -> tuple[Samples, NDArray[np.int64]]:  # fmt: skip
-    """Channels as the filter reads them, a calibration as its tangent at each reading, and the place of each reading
-    among those of the channels one after the other.
+    """Channels as the filter reads them: linear readings of a node, in the order of time.
 
-    time_s : (sample,) times that the channels' places are of;  sigma_K : noise by the number of the sensor
-    values : parameters that say what is wrong with sensors;  added_K : (sensor, sample) on top of the march
-    names  : parameters of the filter, of which clock and sensors act on the readings themselves
+    A calibration is its tangent at each reading, so that reading = gain * T_node + constant.
+
+    found   : channels of a record
+    time_s  : (sample,) times that the channels' places refer to [s]
+    mesh    : whose sensors are nodes
+    sigma_K : noise [K] by the number of the sensor
+    values  : parameters of clock and sensors (bias, gain)
+    added_K : (sensor, sample) correction on top of the march [K], 0 by default
+    names   : parameters of the filter, of which clock and sensors act on the readings themselves
+    returns : readings of all channels, and the place of each among those of the channels one after the other
+
+    Source: docs/estimation_statistics.md, equations 1, 2 and 4.
     """
     rows, added = [], np.zeros((len(mesh.sensors), len(time_s))) + added_K
     direct = []
     for channel in found:
         low, high = channel.observed.lower_K, channel.observed.upper_K
+        # the tangent is taken at the middle of a word, at the finite end of an open one
         middle = np.where(np.isfinite(low), np.where(np.isfinite(high), 0.5 * (low + high), low), high)
         slope, constant = calibration_line(channel.sensor, middle)
         wrong, own = errors_of(channel.sensor, values or {}), added[channel.number, channel.samples]
@@ -63,6 +82,7 @@ def filter_samples(
         variance, node = (np.full(len(low), x) for x in (sigma_K[channel.number] ** 2, mesh.sensors[channel.number]))
         rows.append(np.array([time_s[channel.samples], node, low, high, variance, slope * wrong.gain, constant]))
     t, node, low, high, variance, gain, constant = np.concatenate(rows, axis=1)
+    # stable: readings of one time stay in the order of the channels, and results are reproducible
     order = np.argsort(t, kind="stable")
     samples = Samples(
         t[order], node[order].astype(np.int64), low[order], high[order], variance[order], gain[order], constant[order],
@@ -72,7 +92,10 @@ def filter_samples(
 
 
 def _direct(sensor: Sensor, names: Sequence[str], slope: FloatArray, gain: float, added_K: FloatArray) -> FloatArray:
-    """(reading, parameter, 3) what parameters add to the derivative of readings themselves (filter_march.Samples)."""
+    """(reading, parameter, 3) derivatives of readings to parameters of clock and sensor (filter_march.Samples).
+
+    Equation 2 of docs/estimation_statistics.md, split into parts that are constant, per temperature and per rate.
+    """
     found = np.zeros((len(slope), len(names), 3))
     for k, name in enumerate(names):
         if name == CLOCK_SKEW.name:
@@ -87,9 +110,15 @@ def _direct(sensor: Sensor, names: Sequence[str], slope: FloatArray, gain: float
 def track_of_record(
     record: Record, model: PointModel, mesh: Mesh, end_s: float | None = None
 ) -> tuple[FilterTrack, FloatArray, FloatArray]:
-    """A record up to a time for the filter: the point with all readings but those held out, its steps, its history.
+    """A record up to a time as input of the filter: all readings but those held out.
 
-    raises : InputError where no used sensor is read by then
+    record, model, mesh : point and its mesh
+    end_s   : last time [s]; by default the end of the conditions
+    returns : the track, (step,) times [s] and the (1, step, ...) history of conditions along them
+    raises  : InputError where no used sensor is read by then
+
+    Temperatures at the first row are uncertain by 5 [K], all nodes alike. The filter: docs/filter.md, after Kalman
+    1960.
     """
     conditions, t = conditions_of_record(record), record.time_s
     begin, end = conditions.time_s[0], min(conditions.time_s[-1], np.inf if end_s is None else end_s)
@@ -99,6 +128,7 @@ def track_of_record(
         raise InputError(f"{record.name}: no used sensor is read between {begin:g} and {end:g} s; nothing to filter")
     sigma = {c.number: max(c.sensor.noise_sigma_K or UNDECLARED_SIGMA_K, least_sigma_K(c.sensor)) for c in found}
     samples, _ = filter_samples(found, t[chosen], mesh, sigma)
+    # fully correlated: a wall that has soaked is off as a whole, not node by node
     covariance = np.full((mesh.nodes, mesh.nodes), START_SIGMA_K**2)
     steps = march_times(conditions, begin, end)
     steps = np.append(steps[steps < end], end)
@@ -107,10 +137,14 @@ def track_of_record(
 
 
 def filtered_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) -> Start:
-    """A start at the temperatures that the filter has from all readings before it, the heating ratio free to wander as
-    those readings ask for.
+    """A start of a fit: temperatures and covariance of the filter given all readings before a time.
 
-    raises : InputError where nothing is read before that time
+    time_s  : time of the start [s]
+    returns : temperatures [K] and their covariance [K2]; no unknowns
+    raises  : InputError where nothing is read before that time
+
+    The heating ratio may wander as a stationary disturbance of the largest likelihood, so that an error of the ratio
+    before the start does not bias the temperatures. Source: disturbance, docs/estimation_statistics.md, equation 34.
     """
     track, steps, history = track_of_record(record, model, mesh, time_s)
     point = replace(track, disturbance=likeliest(track, steps, history))

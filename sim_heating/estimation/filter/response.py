@@ -1,12 +1,12 @@
-"""A point marched with a history added to its heating ratio, and how its readings answer to that history.
+"""A point marched with a history added to its heating ratio, and the response of its readings to that history.
 
-With d_k what is added in step k (like ratio.d0, constant over the step) and F = [Phi, Gamma] the derivative of the
+With d_k the addition in step k (like ratio.d0, constant over the step) and F = [Phi, Gamma] the derivative of the
 step against its start and d_k,
 
     dT_(k+1) = Phi_k dT_k + Gamma_k d_k,    d(reading) = gain (row . [dT_k, d_k]),
 
-row that of a reading within step k. Phi, Gamma and rows come from the factorised step itself
-(estimation/filter/kernel.py), about the temperatures that the added history makes.
+row that of a reading within step k. Phi, Gamma and rows come from the factorised step itself, about the temperatures
+that the added history makes. Derived in docs/residual_heating.md, equations 1 and 2.
 """
 
 from __future__ import annotations
@@ -28,12 +28,13 @@ from sim_heating.thermal.sensitivity import Groups, Places, parabola
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """A point's march with a history added to its ratio.
+    """March of a point with a history added to its ratio.
 
-    temperature_K : (time, node) at the ends of the steps, the start first
-    read_K        : (reading,) what each reading should show
-    transition    : (step, node, node + 1) [Phi, Gamma]
-    rows          : (reading, node + 1) of each reading against the temperatures at the start of its step and d in it
+    temperature_K : (time, node) at the ends of the steps, the start first [K]
+    read_K        : (reading,) expected readings [K]
+    transition    : (step, node, node + 1) [Phi, Gamma], [-] and [K]
+    rows          : (reading, node + 1) derivative of each reading against the temperatures at the start of its step [-]
+                    and d in it [K]
     step          : (reading,) number of the step
     """
 
@@ -44,14 +45,22 @@ class Response:
     step: IntArray
 
     def matrix(self, weights: FloatArray, start: FloatArray | None = None) -> FloatArray:
-        """(reading, start | knot) derivative of the readings.
+        """Derivative of the readings against the start and the knots of the added history, column by column through the
+        march.
 
-        weights : (step, knot) what is added in each step for one unit at a knot, causal: its columns in order of time
-        start   : (node, k) temperatures at the start for one unit of k more unknowns, or None
+            dT_(k+1) = Phi_k dT_k + Gamma_k d_k,    dy = gain R (dT_k, d_k)
+
+        weights : (step, knot) addition in each step for one unit at a knot [-], causal: its columns in order of time
+        start   : (node, k) temperatures at the start for one unit of k more unknowns [K], or None
+        returns : (reading, start | knot) dy/du [K]
+
+        Columns of knots that lie ahead of a step are skipped. Derived in docs/residual_heating.md, equations 1 to 3.
         """
         nodes, extra = self.transition.shape[1], 0 if start is None else start.shape[1]
         columns = np.concatenate([np.zeros((len(weights), extra)), weights], axis=1)
+        # Number of columns up to the last that acts in a step; those behind are 0 up to then and need no product.
         reached = columns.shape[1] - np.argmax(columns[:, ::-1] != 0.0, axis=1)
+        # The last row of the state is d in the present step, so that [Phi, Gamma] is one product.
         state, answer = np.zeros((nodes + 1, columns.shape[1])), np.zeros((len(self.step), columns.shape[1]))
         if start is not None:
             state[:nodes, :extra] = start
@@ -66,7 +75,7 @@ class Response:
 class ResponseMarch(FilterMarch):
     """Up to LANES points on common times, each marched with a history of its own added to its ratio.
 
-    points    : what is marched; only times, places and gains of their readings count
+    points    : of their readings only times, nodes, gains and biases count
     time_s    : (time,) steps [s];  histories : (flight, time, condition)
     """
 
@@ -81,12 +90,15 @@ class ResponseMarch(FilterMarch):
         *,
         derivative: bool = True,
     ) -> list[Response]:
-        """March all points.
+        """March all points with histories added to their heating ratios.
 
-        added      : (step,) of each point, what is added to its ratio
-        initial_K  : (node,) of each point, temperatures at the start in place of its own
+        added      : (step,) of each point, addition to its ratio [-]
+        initial_K  : (node,) of each point, temperatures at the start [K] in place of its own
         derivative : whether transition and rows are wanted; without them they are empty
-        raises     : RunError where a step did not converge
+        returns    : temperatures [K], expected readings [K] and derivatives of each point
+        raises     : RunError where a step did not converge or a temperature is not a number
+
+        Derived in docs/residual_heating.md, equations 1 and 2.
         """
         n, lanes = int(self._nodes.max()), len(self.points)
         readings = self._readings(self.points, 0)
@@ -135,9 +147,19 @@ def march_response(
     X: Blocks, shadows: Groups, time_s: FloatArray, histories: FloatArray, which: IntArray, p: Places, r: Readings,
     state: State, added: FloatArray, w: Columns, told: Told,
 ) -> None:  # fmt: skip
-    """March one group; blocks B and X are changed and lost.
+    """March one lane group with histories added to the heating ratios; blocks B and X are changed and their contents
+    lost.
 
-    state : without covariance and sensitivities;  added : (lane, step)
+    B, J, table    : block and integers of the group; property and ratio tables
+    chain, move, rows, faces : handles of the compiled effects, step and assembly
+    X, shadows, p  : blocks of the perturbed lanes, their groups and places
+    time_s         : (time,) steps [s];  histories : (flight, time, condition);  which : (LANES,) flight of each lane
+    r, state       : readings; a filter state without covariance and sensitivities
+    added          : (lane, step) addition to the ratio [-]
+    w              : work space
+    told           : receives temperatures [K], readings [K] and derivatives
+
+    Derived in docs/residual_heating.md, equations 1 and 2.
     """
     lanes = added.shape[0]
     next_reading = np.zeros(lanes, dtype=np.int64)
@@ -154,6 +176,7 @@ def march_response(
                 told.transition[lane, k - 1, :n, : n + 1] = w.end[:n, 1 : n + 2]
             next_reading[lane] = _tell_readings(B, w, lane, n, k, time_s, r, next_reading[lane], told)
             _keep_temperatures(B, lane, n, told.temperature_K[lane, k])
+            # The difference to the step before: `disturb` adds, and no addition acts behind the last step.
             if k < len(time_s) - 1:
                 disturb(B, X, shadows, lane, added[lane, k] - added[lane, k - 1])
 
@@ -168,7 +191,7 @@ def _keep_temperatures(B: FloatArray, lane: int, n: int, out: FloatArray) -> Non
 def _tell_readings(
     B: FloatArray, w: Columns, lane: int, n: int, k: int, time_s: FloatArray, r: Readings, first: int, told: Told
 ) -> int:
-    """Temperatures and rows of the readings of step k; gives the number of the next reading."""
+    """Temperatures and rows of the readings of step k; returns the number of the next reading."""
     q = first
     while q < r.number[lane] and r.time_s[lane, q] <= time_s[k]:
         x, node = (r.time_s[lane, q] - time_s[k - 1]) / (time_s[k] - time_s[k - 1]), r.node[lane, q]

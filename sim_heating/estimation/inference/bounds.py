@@ -9,11 +9,11 @@ c its autocovariance, 1 at lag 0 and 0 elsewhere where the noise is white and as
 RP-1077 (1981); E. A. Morelli and V. Klein, "Accuracy of Aerodynamic Model Parameters Estimated from Flight Test Data",
 J. Guid. Control Dyn. 20 (1997).
 
-What a fit leaves is less coloured than what it was given: with Q = 1 - A M^-1 A' the sums over residuals at each lag
+Residuals of a fit are less coloured than the noise: with Q = 1 - A M^-1 A' the sums over residuals at each lag
 have the expectation sum_l c(l) tr(W_k Q T_l Q), T_l being 1 where two samples are l apart, W_k the same with weights
 sqrt(I_i I_j); that linear system is solved for c. Lags end where autocorrelation does, with a flat-top taper:
 D. N. Politis, "Adaptive Bandwidth Choice", J. Nonparametr. Stat. 15 (2003). Sensors are taken as independent of
-each other.
+each other. Derived in docs/estimation_statistics.md, equations 22 to 26 (M is written N there).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.estimation.inference.identifiability import covariance, scale
 
 QUIET_LAGS = 5
-"""Lags without significant autocorrelation after which none is looked for."""
+"""Successive lags without significant autocorrelation that end the search."""
 LARGEST_PART = 0.2
 """Longest lag over the number of a channel's samples."""
 LARGEST_ROOT = 2.0
@@ -44,10 +44,10 @@ MOST_LAGS = 100
 class Channel:
     """One sensor's samples in one segment, lost ones left out.
 
-    time_s      : (sample,) increasing
+    time_s      : (sample,) increasing [s]
     score       : (sample,) d log L / d mean [1/K], residual / sigma^2 where nothing is rounded
     information : (sample,) on the mean [1/K2], 1 / sigma^2 where nothing is rounded
-    sensitivity : (sample, parameter) of the mean [K / unit]
+    sensitivity : (sample, parameter) of the mean [K] to the parameters, each in its unit
     """
 
     name: str
@@ -58,7 +58,10 @@ class Channel:
 
     @property
     def weighted(self) -> FloatArray:
-        """(sample, parameter) sensitivity over the standard deviation that a sample's information stands for."""
+        """(sample, parameter) A_i = S_i sqrt(I_i): sensitivity [K] over the standard deviation 1 / sqrt(I_i) [K].
+
+        Source: docs/estimation_statistics.md, equation 22.
+        """
         return self.sensitivity * np.sqrt(self.information)[:, None]
 
 
@@ -68,8 +71,10 @@ class Bounds:
 
     covariance      : (parameter, parameter) corrected for colour
     white           : (parameter, parameter) inverse of the information, noise white and as declared
-    dof             : degrees of freedom of the residuals' spectrum at frequency 0, which the correction rests on
-    autocovariance  : by channel, (lag,) of the residuals in their own unit, tapered
+    dof             : degrees of freedom [-] of the residuals' spectrum at frequency 0, which the correction rests on
+    autocovariance  : by channel, (lag,) of the residuals in their own unit [-], tapered
+
+    Source: docs/estimation_statistics.md, equations 22 to 26.
     """
 
     covariance: FloatArray
@@ -79,34 +84,66 @@ class Bounds:
 
     @property
     def sigma(self) -> FloatArray:
-        """(parameter,) standard deviations."""
+        """(parameter,) standard deviations corrected for colour, in the units of the parameters ([-] for a ratio).
+
+        Source: docs/estimation_statistics.md, equation 22.
+        """
         return np.sqrt(np.diag(self.covariance))
 
     def half_width(self, level: float = 0.95) -> FloatArray:
-        """(parameter,) half width of the interval that covers the truth with this probability, Student's t."""
+        """(parameter,) half width of the interval that covers the truth with a probability, by Student's t.
+
+            sigma_j t_dof(1/2 + level / 2)
+
+        level   : probability [-]
+        returns : in the units of the parameters
+
+        Below some ten degrees of freedom the interval covers less than stated. Source: docs/estimation_statistics.md,
+        equation 26.
+        """
         return self.sigma * float(student.ppf(0.5 + 0.5 * level, self.dof))
 
 
 def grid_index(time_s: FloatArray) -> IntArray:
-    """Places of samples on a grid of their median interval: gaps and lost samples leave places free."""
+    """Places of samples on a grid of their median interval: gaps and lost samples leave places free.
+
+    time_s  : (sample,) increasing times [s]
+    returns : (sample,) integers, 0 first; an interval counts as its nearest number of median intervals, 1 at least
+    raises  : InputError where the times do not increase
+
+    Neighbourhood in the sums of docs/estimation_statistics.md, equation 23.
+    """
     if len(time_s) < 2:
         return np.zeros(len(time_s), dtype=np.int64)
     steps = np.diff(time_s)
     if np.any(steps <= 0.0):
         raise InputError("sample times of a residual do not increase; sort them")
+    # the median: a few gaps, however long, do not move it
     places = np.maximum(np.rint(steps / np.median(steps)), 1.0).astype(np.int64)
     return np.concatenate([[0], np.cumsum(places)])
 
 
 def on_grid(index: IntArray, values: FloatArray) -> FloatArray:
-    """Values (sample, ...) at their places of the grid, 0 where there is none."""
+    """Values at their places of the grid, 0 where there is no sample.
+
+    index   : (sample,) places [-] of `grid_index`;  values : (sample, ...) in any unit
+    returns : (place, ...) in the same unit
+
+    With zeros in the gaps, the lagged sums of docs/estimation_statistics.md, equation 23, need no bookkeeping.
+    """
     placed = np.zeros((int(index[-1]) + 1 if len(index) else 0, *values.shape[1:]))
     placed[index] = values
     return placed
 
 
 def lagged(values: FloatArray, last: int) -> FloatArray:
-    """(lag, place) sums of the values (place,) one lag before and after each place; for lag 0 the values themselves."""
+    """Sums of the values one lag before and after each place of a grid; for lag 0 the values themselves.
+
+    values  : (place,) in any unit;  last : largest lag in places [-]
+    returns : (lag, place) T_l values, 0 to `last`
+
+    Source: the matrices T_l of docs/estimation_statistics.md, equation 23, applied to a vector.
+    """
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, last), 2 * last + 1)
     sums = (windows[:, last:] + windows[:, last::-1]).T
     sums[0] = values
@@ -129,7 +166,7 @@ class _Gridded:
         return cls(on_grid(index, np.ones(len(index))), D, on_grid(index, channel.weighted), u)
 
     def spread(self, values: FloatArray, last: int) -> FloatArray:
-        """(lag, place): T_l times values (place,), nothing where there is no sample."""
+        """(lag, place) T_l times values (place,), 0 where there is no sample."""
         return lagged(values, last) * self.present
 
     def weighted_spread(self, values: FloatArray, last: int) -> FloatArray:
@@ -138,7 +175,15 @@ class _Gridded:
 
 
 def significant_lags(autocovariance: FloatArray, samples: int) -> int:
-    """Number of lags beyond 0 that the taper reaches: twice the last one with a significant autocorrelation."""
+    """Number of lags beyond 0 that the taper reaches: twice the last one with a significant autocorrelation.
+
+        significant: |c(l)| > 2 sqrt(log10(n) / n) |c(0)|
+
+    autocovariance : (lag,) [-];  samples : their number n [-]
+    returns        : at most the largest lag given; 0 for white residuals
+
+    Source: Politis (2003), the rule of five insignificant lags.
+    """
     longest = len(autocovariance) - 1
     limit = 2.0 * math.sqrt(math.log10(samples) / samples) * abs(autocovariance[0])
     last = 0
@@ -151,16 +196,26 @@ def significant_lags(autocovariance: FloatArray, samples: int) -> int:
 
 
 def taper(lags: int) -> FloatArray:
-    """(lag,) flat-top weights: 1 to half the lags, then linearly to 0 one lag beyond the last."""
+    """(lag,) flat-top weights [-]: 1 to half the lags, then linearly to 0 one lag beyond the last.
+
+    lags : largest lag L [-];  w(l) = min(1, 2 - 2 l / (L + 1))
+
+    Source: Politis (2003); docs/estimation_statistics.md, equation 24.
+    """
     return np.clip(2.0 * (1.0 - np.arange(lags + 1) / (lags + 1.0)), 0.0, 1.0)
 
 
 def autocovariances(channels: Sequence[Channel], inverse: FloatArray) -> list[FloatArray]:
-    """(lag,) autocovariance of each channel's residuals e, corrected for what the fit took of them; not tapered.
+    """Autocovariance of each channel's residuals e, corrected for the colour that the fit removed; not tapered.
 
-    inverse : M^-1
+        E [u' T_k u] = sum_l c(l) tr(W_k Q T_l Q),   Q = 1 - A M^-1 A'
+
+    channels : residuals and sensitivities by sensor
+    inverse  : (parameter, parameter) M^-1
+    returns  : for each channel (lag,) [-], 1 at lag 0 for noise as declared
 
     Solved twice: for the lags that a channel's length allows, and for those of them that are significant.
+    Source: docs/estimation_statistics.md, equation 23.
     """
     gridded = [_Gridded.of(c) for c in channels]
     samples = [len(c.time_s) for c in channels]
@@ -177,15 +232,17 @@ def _solved(gridded: Sequence[_Gridded], lags: Sequence[int], inverse: FloatArra
     ends = np.cumsum([last + 1 for last in lags])
     for part, end, last in zip(parts, ends, lags, strict=True):
         own = slice(end - last - 1, end)
+        # the product above couples all channels through the shared parameters; this part is each channel's own
         system[own, own] += part.own
     sums = np.concatenate([p.sums for p in parts])
+    # least squares: where parameters absorb a lag entirely the system is singular there
     solved = lstsq(system, sums, cond=1e-10, lapack_driver="gelsy")[0]
     return list(np.split(solved, ends[:-1]))
 
 
 @dataclass(frozen=True, eq=False)
 class _Expectation:
-    """What tr(W_k Q T_l Q) is made of, for one channel.
+    """Factors of tr(W_k Q T_l Q) for one channel.
 
     sums     : (lag,) u' T_k u
     own      : (lag, lag) tr(W_k T_l) - 2 tr(W_k A M^-1 A' T_l)
@@ -200,6 +257,7 @@ class _Expectation:
 
     @classmethod
     def of(cls, g: _Gridded, last: int, inverse: FloatArray) -> _Expectation:
+        # tr(W_k T_l) is 0 for different lags
         own = np.diag(lagged(g.D, last) @ g.D)
         weighted, plain = [], []
         for a, taken in zip(g.A.T, inverse @ g.A.T, strict=True):
@@ -217,13 +275,18 @@ class _Expectation:
 
 
 def bounds(channels: Sequence[Channel], prior_information: FloatArray | float = 0.0) -> Bounds:
-    """Bounds of the parameters of a fit from its residuals.
+    """Bounds of the parameters of a fit, corrected for the colour of its residuals.
 
-    prior_information : (parameter,) 1 / sigma^2
+        cov = M^-1 [sum_i sum_j A_i c(i - j) A_j' + P] M^-1
+
+    channels          : times [s], scores, information and sensitivities [K] at the fitted values, by sensor and segment
+    prior_information : (parameter,) 1 / sigma^2, 0 for a flat prior
+    returns           : corrected and white covariance, degrees of freedom, autocovariances
     raises            : InputError where there are no more samples than parameters
 
-    Colour may widen a bound and never narrows it below that of white residuals of the same variance. A channel of few
-    correlation times does not tell its own colour: below some ten dof, intervals cover less than they state.
+    Colour may widen a bound and never narrows it below that of white residuals of the same variance. Below some ten
+    degrees of freedom the colour is poorly known, and intervals cover less than they state.
+    Source: Maine and Iliff (1981), Morelli and Klein (1997); docs/estimation_statistics.md, equations 22 to 25.
     """
     parameters = channels[0].sensitivity.shape[1] if channels else 0
     samples = sum(len(c.time_s) for c in channels)
@@ -233,6 +296,7 @@ def bounds(channels: Sequence[Channel], prior_information: FloatArray | float = 
     prior = np.diag(np.broadcast_to(prior_information, parameters))
     information = A.T @ A + prior
     white = covariance(information)
+    # unidentified directions took nothing out of the residuals
     inverse = np.where(np.isfinite(white), white, 0.0)
     found = autocovariances(channels, inverse)
     middle, free = prior.astype(float), 0.0
@@ -241,7 +305,9 @@ def bounds(channels: Sequence[Channel], prior_information: FloatArray | float = 
         w = taper(len(c) - 1)
         g = _Gridded.of(channel)
         filtered = np.stack([w * c @ g.spread(a, len(c) - 1) for a in g.A.T], axis=1)
+        # the truncated autocovariance need not be positive definite: the floor also keeps variances positive
         middle += _at_least(g.A.T @ filtered, c[0] * g.A.T @ g.A)
+        # sum of squared weights over lags of both signs; a spectrum at frequency 0 has half the freedom of others
         free += len(channel.time_s) / (2.0 * float(w @ w) - 1.0)
         tapered[channel.name] = w * c
     corrected = inverse @ middle @ inverse

@@ -1,9 +1,9 @@
-"""What data tell apart: directions in parameter space that an information matrix sees, in words.
+"""Directions in parameter space that an information matrix identifies, and the covariance that follows from it.
 
-With parameters scaled to unit information each, s_i = 1 / sqrt(M_ii), the scaled matrix has ones on its diagonal and
-the eigenvalue of a direction says by how much less the data tell of the parameters moved together than of each alone:
-two parameters of correlation rho have the eigenvalues 1 +- rho. A direction is singular where its eigenvalue is below
-a threshold.
+With parameters scaled to unit information each, s_i = 1 / sqrt(M_ii), the scaled matrix has ones on its diagonal, and
+the eigenvalue of a direction is the information on the parameters moved together over that on each alone: two
+parameters of correlation rho have the eigenvalues 1 +- rho. A direction is singular where its eigenvalue is below
+a threshold. Derived in docs/estimation_statistics.md, equations 18 and 19.
 """
 
 from __future__ import annotations
@@ -16,21 +16,23 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 
 SINGULAR = 1e-6
-"""Scaled eigenvalue of a direction that cannot be told: a bound a thousand times that of each parameter alone."""
+"""Scaled eigenvalue of an unidentified direction: its bound is a thousand times that of each parameter alone."""
 ROUNDING = 1e-11
-"""Scaled eigenvalue that rounding alone may make of 0."""
+"""Scaled eigenvalue that rounding alone may produce in place of 0."""
 PART = 0.1
-"""Part in a direction of unit length from which on a parameter is named."""
+"""Component of a direction of unit length above which a parameter is named."""
 
 
 @dataclass(frozen=True, eq=False)
 class Direction:
     """A direction of the scaled parameters.
 
-    eigenvalue : information along it, over that on each parameter alone
+    eigenvalue : information along it, over that on each parameter alone [-]
     move       : (parameter,) change of the parameters along it, in their units, the largest scaled part positive
     members    : names of the parameters that move, the largest part first
     opposed    : whether some of them move against the first
+
+    Source: docs/estimation_statistics.md, equation 19.
     """
 
     eigenvalue: float
@@ -39,7 +41,7 @@ class Direction:
     opposed: bool
 
     def words(self) -> str:
-        """The direction as a person would say it."""
+        """One clause for a report, naming the parameters that the data do not separate."""
         if len(self.members) == 1:
             return f"the data do not inform {self.members[0]}"
         listed = " and ".join((", ".join(self.members[:-1]), self.members[-1]))
@@ -48,20 +50,39 @@ class Direction:
 
 
 def scale(information: FloatArray) -> FloatArray:
-    """(parameter,) change of each parameter that its own information tells, 1 / sqrt(M_ii); 1 where there is none."""
+    """(parameter,) standard deviation of each parameter with all others known, s_i = 1 / sqrt(M_ii).
+
+    information : (parameter, parameter) in the inverse units of the parameters ([-] for a ratio)
+    returns     : in the units of the parameters; 1 where the diagonal is not positive
+
+    Source: docs/estimation_statistics.md, equation 19.
+    """
     own = np.diag(information)
     return 1.0 / np.sqrt(np.where(own > 0.0, own, 1.0))
 
 
 def scaled_eigenvectors(information: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Eigenvalues, increasing, and eigenvectors as columns of the information scaled to ones on its diagonal."""
+    """Eigenvalues and eigenvectors of the information scaled to ones on its diagonal, s_i M_ij s_j.
+
+    information : (parameter, parameter), symmetrised first
+    returns     : (parameter,) eigenvalues [-], increasing and not below 0; eigenvectors [-] as columns
+
+    Source: docs/estimation_statistics.md, equation 19.
+    """
     s = scale(information)
+    # unscaled, the eigenvalues would rank the units of the parameters: sigmas span 1e-5 to 1e2
     values, vectors = np.linalg.eigh(0.5 * (information + information.T) * np.outer(s, s))
     return np.maximum(values, 0.0), vectors
 
 
 def directions(information: FloatArray, names: Sequence[str], below: float = SINGULAR) -> list[Direction]:
-    """Directions whose scaled eigenvalue lies below a threshold, least told first."""
+    """Directions whose scaled eigenvalue lies below a threshold, the least identified first.
+
+    information : (parameter, parameter);  names : (parameter,)
+    below       : threshold on the scaled eigenvalue [-]
+
+    Source: docs/estimation_statistics.md, equation 19.
+    """
     values, vectors = scaled_eigenvectors(information)
     s = scale(information)
     return [_direction(float(v), vectors[:, k], s, names) for k, v in enumerate(values) if v < below]
@@ -69,17 +90,26 @@ def directions(information: FloatArray, names: Sequence[str], below: float = SIN
 
 def _direction(eigenvalue: float, vector: FloatArray, s: FloatArray, names: Sequence[str]) -> Direction:
     order = np.argsort(-np.abs(vector))
+    # the sign of an eigenvector is arbitrary; fixed, reports of like fits agree
     vector = vector * np.sign(vector[order[0]])
     parts = [i for i in order if abs(vector[i]) >= PART]
     return Direction(eigenvalue, vector * s, tuple(names[i] for i in parts), bool(np.any(vector[parts] < 0.0)))
 
 
 def covariance(information: FloatArray) -> FloatArray:
-    """Inverse of an information matrix; infinite variance, NaN covariance for parameters that it does not tell."""
+    """Covariance of parameters from their information: its inverse, through the scaled eigenvectors.
+
+    information : (parameter, parameter) of data and priors ([-] for parameters without unit)
+    returns     : (parameter, parameter); infinite variance and NaN covariances for parameters with a part in a
+                  direction whose scaled eigenvalue is below ROUNDING
+
+    Source: docs/estimation_statistics.md, equations 18 and 19.
+    """
     values, vectors = scaled_eigenvectors(information)
     told = values > ROUNDING
     s = scale(information)
     inverse = (vectors[:, told] / values[told]) @ vectors[:, told].T * np.outer(s, s)
+    # a pseudo-inverse would report a small variance in directions of which nothing is known
     untold = np.sum(vectors[:, ~told] ** 2, axis=1) > ROUNDING
     inverse[untold, :] = np.nan
     inverse[:, untold] = np.nan
@@ -88,13 +118,24 @@ def covariance(information: FloatArray) -> FloatArray:
 
 
 def promised_gain(gradient: FloatArray, covariance: FloatArray) -> float:
-    """Gain in log likelihood that a whole Newton step promises along the directions that are told."""
+    """Improvement of the log likelihood [-] that a whole Newton step predicts, g' C g / 2, along identified directions.
+
+    gradient   : (parameter,) g
+    covariance : (parameter, parameter) C; entries that are not finite count as 0
+
+    Source: docs/estimation_statistics.md, equation 17.
+    """
     told = np.where(np.isfinite(covariance), covariance, 0.0)
     return 0.5 * float(gradient @ told @ gradient)
 
 
 def correlation(covariance: FloatArray) -> FloatArray:
-    """Correlation matrix of a covariance, ones on its diagonal; NaN where a variance is not finite."""
+    """Correlation matrix [-] of a covariance, ones on its diagonal; NaN where a variance is not finite or 0.
+
+    covariance : (parameter, parameter)
+
+    Source: docs/estimation_statistics.md, equation 18.
+    """
     sigma = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore"):
         matrix = covariance / np.outer(sigma, sigma)

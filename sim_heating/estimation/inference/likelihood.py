@@ -1,6 +1,6 @@
-"""Likelihood of thermocouple samples given what the model predicts: of a reading, or of the word it was rounded to.
+"""Likelihood of thermocouple samples for given predictions: of a reading, or of the recorder word it was rounded to.
 
-With indicated temperature y ~ N(m, sigma^2), m the model's prediction after calibration,
+With indicated temperature y ~ N(m, sigma^2), m the model's prediction after calibration [K],
 
     unrounded sample    log L = log N(y; m, sigma^2)
     recorder word       log L = log [Phi((b - m) / sigma) - Phi((a - m) / sigma)],   y was in [a, b),
@@ -8,7 +8,8 @@ With indicated temperature y ~ N(m, sigma^2), m the model's prediction after cal
 the interval open at either end of the word's span. The derivatives of the second are moments of the truncated normal
 (interval.py): score E x / sigma, information (1 - var x) / sigma^2, between 0 and that of an unrounded sample, so that
 log L is concave in m. The moments themselves are the update of a normal prior by a rounded sample: R. E. Curry,
-"Estimation and Control with Quantized Measurements" (MIT Press, 1970).
+"Estimation and Control with Quantized Measurements" (MIT Press, 1970). Derived in docs/estimation_statistics.md,
+equations 3 to 12.
 """
 
 from __future__ import annotations
@@ -40,10 +41,12 @@ from sim_heating.thermal.stack import Sensor
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """Where the noisy indicated temperatures of a sensor lay.
+    """Intervals in which the noisy indicated temperatures of a sensor lay.
 
     lower_K, upper_K : (sample,) ends of the interval [K]; equal where nothing was rounded, infinite at the ends of a
                        word's span, NaN for a lost sample
+
+    The interval of a recorder code is that of docs/estimation_statistics.md, equation 4.
     """
 
     lower_K: FloatArray
@@ -51,24 +54,34 @@ class Observed:
 
     @property
     def lost(self) -> NDArray[np.bool_]:
-        """(sample,) which samples were lost."""
+        """(sample,) whether a sample was lost: its interval [K] is NaN."""
         return np.isnan(self.lower_K)
 
     @property
     def within(self) -> NDArray[np.bool_]:
-        """(sample,) which samples were neither lost nor at an end of the word's span."""
+        """(sample,) whether the interval [K] of a sample is finite: neither lost nor at an end of the word's span."""
         return np.isfinite(self.upper_K - self.lower_K)
 
     def chosen(self, mask: NDArray[np.bool_]) -> Observed:
-        """The samples that a mask (sample,) chooses."""
+        """Intervals [K] of the samples that a boolean mask (sample,) selects."""
         return Observed(self.lower_K[mask], self.upper_K[mask])
 
 
 def observed(sensor: Sensor, read_K: ArrayLike) -> Observed:
-    """What readings [K] of a sensor tell of its indicated temperature; a reading between two codes is of the nearer."""
+    """Intervals of the indicated temperature that readings of a sensor stand for.
+
+        code k = rint((read - R0) / LSB),   [a, b) = [R0 + (k - 1/2) LSB, R0 + (k + 1/2) LSB)
+
+    sensor  : its recorder word, bits [-] and range_K = (R0, R1) [K]; without one a reading is taken as unrounded
+    read_K  : (sample,) readings [K]; one between two codes counts as the nearer, one outside the span as the end code
+    returns : (sample,) intervals [K], open below at code 0 and above at the last code
+
+    Source: docs/estimation_statistics.md, equation 4.
+    """
     read = np.asarray(read_K, dtype=float)
     if sensor.bits is None or sensor.range_K is None:
         return Observed(read, read)
+    # a reading that was converted to engineering units with other constants may lie between two codes
     last = 2.0**sensor.bits - 1.0
     code = np.clip(np.rint((read - sensor.range_K[0]) / sensor.lsb_K), 0.0, last)
     lower = np.where(code == 0.0, -math.inf, sensor.range_K[0] + (code - 0.5) * sensor.lsb_K)
@@ -82,12 +95,14 @@ class Likelihood:
 
     Each has the shape that samples (sample,), predictions and sigma broadcast to.
 
-    log_likelihood        : log density [1/K] of an unrounded sample, log probability of a word
+    log_likelihood        : log density [1/K] of an unrounded sample, log probability [-] of a word
     score                 : d/dm [1/K]
     information           : -d2/dm2 [1/K2], observed
-    score_log_sigma       : d/d log sigma
-    information_log_sigma : -d2/d log sigma 2, observed
+    score_log_sigma       : d/d log sigma [-]
+    information_log_sigma : -d2/d(log sigma)2 [-], observed
     information_cross     : -d2/dm d log sigma [1/K], observed
+
+    Source: docs/estimation_statistics.md, equations 3 and 5 to 7.
     """
 
     log_likelihood: FloatArray
@@ -99,9 +114,19 @@ class Likelihood:
 
 
 def likelihood(samples: Observed, mean_K: ArrayLike, sigma_K: ArrayLike) -> Likelihood:
-    """Log likelihood, score and information of each sample for predictions mean_K and noise sigma_K [K].
+    """Log likelihood, score and information of each sample for given predictions and noise.
 
-    raises : InputError where sigma_K is not positive
+        score = E x / sigma,   information = (1 - var x) / sigma^2
+
+    with x the standard normal variable truncated to the sample's interval, (y - m) / sigma where nothing was rounded.
+
+    samples : (sample,) intervals [K]
+    mean_K  : predictions m [K], of any shape that broadcasts with the samples
+    sigma_K : noise [K], likewise
+    returns : log likelihood and its derivatives against m and log sigma, in the broadcast shape
+    raises  : InputError where sigma_K is not positive
+
+    Source: derived in docs/estimation_statistics.md, equations 3 to 7, after Louis (1982).
     """
     terms, sigma = _terms(samples, mean_K, sigma_K)
     mean, square = terms[..., MEAN], terms[..., SQUARE]
@@ -117,10 +142,17 @@ def likelihood(samples: Observed, mean_K: ArrayLike, sigma_K: ArrayLike) -> Like
 
 
 def scores(samples: Observed, mean_K: FloatArray, sigma_K: float) -> tuple[float, FloatArray, FloatArray]:
-    """Sum of the log likelihoods of samples (sample,) with one noise; score [1/K] and information [1/K2] of each as
-    `likelihood` gives them.
+    """Total log likelihood of samples with one noise level, and score and information of each.
 
-    raises : InputError where sigma_K is not positive
+    Compiled for the inner loop of a fit; the values are those of `likelihood`.
+
+    samples : (sample,) intervals [K]
+    mean_K  : (sample,) predictions [K]
+    sigma_K : noise [K], one for all samples
+    returns : sum of log likelihoods; (sample,) scores [1/K]; (sample,) observed information [1/K2]; 0 for a lost sample
+    raises  : InputError where sigma_K is not positive
+
+    Source: docs/estimation_statistics.md, equations 3 to 6.
     """
     score, information = np.empty((2, len(mean_K)))
     total = fill_scores(samples.lower_K, samples.upper_K, mean_K, float(_positive(sigma_K)), score, information)
@@ -128,26 +160,52 @@ def scores(samples: Observed, mean_K: FloatArray, sigma_K: float) -> tuple[float
 
 
 def log_likelihood(samples: Observed, mean_K: ArrayLike, sigma_K: ArrayLike) -> FloatArray:
-    """Log likelihood of each sample alone, for a line search; 0 for a lost sample, NaN where the prediction is NaN."""
+    """Log likelihood of each sample, without derivatives; 0 for a lost one, NaN where the prediction is NaN.
+
+    samples : (sample,) intervals [K]
+    mean_K  : predictions [K];  sigma_K : noise [K]; both broadcast with the samples
+    returns : log density of an unrounded sample, log probability of a word [-]
+    raises  : InputError where sigma_K is not positive
+
+    Source: docs/estimation_statistics.md, equations 3 and 5.
+    """
     terms, _ = _terms(samples, mean_K, sigma_K)
     return np.where(samples.lost, 0.0, terms[..., LOG_Z])
 
 
 def updated(samples: Observed, mean_K: ArrayLike, sigma_K: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Mean [K] and variance [K2] of the noisy indicated temperature itself, N(mean_K, sigma_K^2) before the sample.
+    """Mean and variance of the noisy indicated temperature given its interval, N(mean_K, sigma_K^2) before the sample.
 
     With mean_K = H T and sigma_K^2 = S = H P H' + R a quantised Kalman update follows: T + K (mean - H T) and
-    P - K (S - variance) K', K = P H' / S. Where nothing was rounded that is the plain update. NaN for a lost sample.
+    P - K (S - variance) K', K = P H' / S. Where nothing was rounded this is the linear update.
+
+    samples : (sample,) intervals [K]
+    mean_K  : predictions [K];  sigma_K : their standard deviations, sensor noise included [K]; both broadcast
+    returns : mean [K] and variance [K2] of each; NaN for a lost sample
+    raises  : InputError where sigma_K is not positive
+
+    Source: Curry (1970); docs/estimation_statistics.md, equation 10.
     """
     terms, sigma = _terms(samples, mean_K, sigma_K)
     return np.asarray(mean_K, dtype=float) + terms[..., MEAN] * sigma, terms[..., VARIANCE] * sigma**2
 
 
 def expected_information(sensor: Sensor, mean_K: ArrayLike, sigma_K: ArrayLike) -> FloatArray:
-    """Fisher information of a sample on its mean [1/K2], expected over what may be read: for bounds before a flight."""
+    """Fisher information of a sample on its mean, expected over its possible readings: for bounds before a flight.
+
+        E I = sum_k P(code k) (E_k x)^2 / sigma^2,   1 / sigma^2 without a recorder word
+
+    sensor  : its recorder word, if any
+    mean_K  : predictions [K];  sigma_K : noise [K]; both broadcast
+    returns : information [1/K2], between 0 and 1 / sigma_K^2, in the broadcast shape
+    raises  : InputError where sigma_K is not positive
+
+    Source: docs/estimation_statistics.md, equation 11.
+    """
     mean, sigma = np.broadcast_arrays(np.asarray(mean_K, dtype=float), _positive(sigma_K))
     if sensor.bits is None or sensor.range_K is None:
         return 1.0 / sigma**2
+    # the lowest inner edge: below it and above the last edge lie the two codes of open intervals
     edge, step = sensor.range_K[0] + 0.5 * sensor.lsb_K, sensor.lsb_K
     gain = [
         expected_gain((edge - m) / s, step / s, 2**sensor.bits - 1)
@@ -159,15 +217,25 @@ def expected_information(sensor: Sensor, mean_K: ArrayLike, sigma_K: ArrayLike) 
 def quantile_residuals(
     samples: Observed, mean_K: ArrayLike, sigma_K: ArrayLike, rng: np.random.Generator
 ) -> FloatArray:
-    """Residuals over sigma that are N(0, 1) for the true model though the samples were rounded; NaN for a lost sample.
+    """Residuals over sigma that are N(0, 1) for the true model although the samples were rounded.
 
-    An unrounded sample gives (y - m) / sigma, a word the normal quantile of a uniform draw between the probabilities of
-    its ends. Source: Dunn and Smyth, "Randomized Quantile Residuals", J. Comput. Graph. Stat. 5 (1996).
+    An unrounded sample gives (y - m) / sigma [-], a word the normal quantile of a uniform draw between the
+    probabilities of its ends.
+
+    samples : (sample,) intervals [K]
+    mean_K  : predictions [K];  sigma_K : noise [K]; both broadcast
+    rng     : source of the uniform draws, one for each sample
+    returns : residuals [-]; NaN for a lost sample
+    raises  : InputError where sigma_K is not positive
+
+    Source: P. K. Dunn and G. K. Smyth, "Randomized Quantile Residuals", J. Comput. Graph. Stat. 5 (1996);
+    docs/estimation_statistics.md, equation 12.
     """
     mean, sigma = np.asarray(mean_K, dtype=float), _positive(sigma_K)
     alpha, beta = (samples.lower_K - mean) / sigma, (samples.upper_K - mean) / sigma
     sign = np.where(alpha + beta > 0.0, -1.0, 1.0)  # the draw is made in the lower tail, where log Phi keeps its digits
     low, high = np.where(sign < 0.0, -beta, alpha), np.where(sign < 0.0, -alpha, beta)
+    # equal ends: nothing was rounded, and alpha is the residual itself
     rounded = low < high
     draw = rng.random(alpha.shape)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -176,7 +244,7 @@ def quantile_residuals(
 
 
 def _terms(samples: Observed, mean_K: ArrayLike, sigma_K: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """(..., 7) terms of interval.py for the broadcast samples, and sigma in their shape."""
+    """(..., 7) terms of interval.py for the broadcast samples, and sigma in their shape [K]."""
     mean = np.asarray(mean_K, dtype=float)
     parts = np.broadcast_arrays(samples.lower_K, samples.upper_K, mean, _positive(sigma_K))
     lower, upper, mean, sigma = (np.array(p, order="C") for p in parts)

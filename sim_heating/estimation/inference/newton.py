@@ -1,4 +1,4 @@
-"""Newton-Raphson on a log posterior: the most probable parameters within their bounds, and why where there are none.
+"""Newton-Raphson on a log posterior: the most probable parameters within their bounds, and how the search ended.
 
 With log likelihood L(p), gradient g and information M (Gauss-Newton, or observed), priors N(value, sigma^2):
 
@@ -8,8 +8,9 @@ on the parameters that are not held by a bound; the step is shortened until the 
 bounds (Bertsekas, "Projected Newton Methods for Optimization Problems with Simple Constraints", SIAM J. Control Optim.
 20 (1982)). The whole step is tried first, and a few more from its end where it does not help (Chamberlain et al., "The
 watchdog technique for forcing convergence", Math. Programming Study 16 (1982)); then all lengths of it in one call.
-Levenberg damping where M + P is singular, more where no length helps. Done when a full step promises a gain below
-`gain` and moves nothing by more than `step` of its sigma.
+Levenberg damping where M + P is singular, more where no length helps. Converged when a full step predicts an
+improvement below `gain` and moves nothing by more than `step` of its sigma. Derived in docs/estimation_statistics.md,
+equations 13 to 17.
 """
 
 from __future__ import annotations
@@ -42,19 +43,22 @@ FIRST_DAMPING = 1e-3
 LARGEST_DAMPING = 1e6
 MORE, LESS = 10.0, 0.1
 WATCHED = 3
-"""Whole steps taken on from one that lowered the posterior, before its lengths are tried; none where that was in vain
-the last time."""
+"""Whole steps taken on from one that lowered the posterior, before its fractions are tried; 0 where they did not help
+the last time.
+"""
 SHORTER = 0.5
-"""By how much `reach` falls where they did not help; it grows again where they do."""
+"""Factor on `reach` after whole steps did not help; it grows back after they do."""
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """The log likelihood at one parameter vector.
+    """The log likelihood and its derivatives at one parameter vector.
 
-    log_likelihood : its value; not finite where the model cannot be evaluated
+    log_likelihood : its value [-]; not finite where the model cannot be evaluated
     gradient       : (parameter,) d/dp
-    information    : (parameter, parameter) -d2/dp2 or what Gauss-Newton takes for it, positive semidefinite
+    information    : (parameter, parameter) -d2/dp2 or its Gauss-Newton approximation, positive semidefinite
+
+    Source: docs/estimation_statistics.md, equation 14.
     """
 
     log_likelihood: float
@@ -68,21 +72,25 @@ LogLikelihoods = Callable[[FloatArray], FloatArray]
 """(candidate, parameter) -> (candidate,) log likelihoods, not finite where the model cannot be evaluated."""
 
 Told = Callable[[FloatArray, float], None]
-"""(parameter,) values and log posterior after a step."""
+"""Callback with the (parameter,) values and the log posterior after a step."""
 Iteration = Generator[FloatArray, Any, "Fit"]
-"""An iteration that is asked what it wants: it gives a (parameter,) vector and takes the Evaluation there, or gives
-(candidate, parameter) vectors and takes their log likelihoods; it ends with the fit."""
+"""An iteration that yields what it needs: a (parameter,) vector, for which it is sent the Evaluation there, or
+(candidate, parameter) vectors, for which it is sent their log likelihoods; it returns the fit.
+"""
 
 
 @dataclass(frozen=True)
 class Settings:
     """When to stop, and which lengths of a step are tried at once.
 
-    gain       : gain in log posterior that a full step must promise for another iteration
-    step       : change of a parameter over its sigma that a full step must make for another iteration
-    iterations : number of steps at most
-    lengths    : fractions of the full step, the best of which is taken
-    reach      : how far a step may move a parameter, over the sigma of its prior: where the model is far from linear
+    gain       : improvement of the log posterior [-] that a full step must predict for another iteration
+    step       : change of a parameter over its sigma [-] that a full step must make for another iteration
+    iterations : largest number of steps
+    lengths    : fractions of the full step [-], the best of which is taken
+    reach      : limit on the move of a parameter in one step, over the sigma of its prior [-], for a model far from
+                 linear
+
+    Source: docs/estimation_statistics.md, equation 17 and the line search above it.
     """
 
     gain: float = 1e-6
@@ -106,17 +114,21 @@ class Fit:
     """The most probable parameters.
 
     names         : (parameter,)
-    values        : (parameter,)
+    values        : (parameter,) in the units of the parameters
     covariance    : (parameter, parameter) Cramer-Rao bound, inverse of information and prior on the parameters that
-                    no bound holds; 0 for those held, infinite for those that the data do not tell
-    log_likelihood, log_posterior : at the values; the posterior without its constant
+                    are not on a bound; 0 for those on one, infinite for those that the data do not identify
+    log_likelihood, log_posterior : at the values [-]; the posterior without its constant
     information   : (parameter, parameter) of the data alone
     prior_information : (parameter,) 1 / sigma^2
-    on_bound      : (parameter,) which parameters are held by a bound
-    singular      : directions that data and priors together do not tell
+    on_bound      : (parameter,) whether a parameter is held by a bound
+    singular      : directions that data and priors together do not identify
+    status        : how the search ended
     iterations    : steps taken
-    promised      : gain in log posterior that Newton's next step promises along the directions that are told
+    promised      : improvement of the log posterior [-] that Newton's next step predicts along the identified
+                    directions
     history       : (iteration + 1, parameter) values, the start first
+
+    Source: docs/estimation_statistics.md, equations 13 to 18.
     """
 
     names: tuple[str, ...]
@@ -135,16 +147,22 @@ class Fit:
 
     @property
     def converged(self) -> bool:
-        """Whether the posterior has its maximum here, be it on a bound or along a direction that is not told."""
+        """Whether the log posterior [-] has its maximum here, on a bound or along an unidentified direction included.
+
+        Criterion: docs/estimation_statistics.md, equation 17.
+        """
         return self.status is Status.CONVERGED
 
     @property
     def sigma(self) -> FloatArray:
-        """(parameter,) square root of the covariance's diagonal."""
+        """(parameter,) Cramer-Rao bounds, one standard deviation, in the units of the parameters ([-] for a ratio).
+
+        Source: docs/estimation_statistics.md, equation 18.
+        """
         return np.sqrt(np.diag(self.covariance))
 
     def words(self) -> list[str]:
-        """One line a fact: the status, parameters on their bounds, directions that cannot be told."""
+        """Lines for a report: the status, parameters on their bounds, directions that are not identified."""
         held = zip(self.names, self.values, self.on_bound, strict=True)
         return [
             self.status.value,
@@ -174,7 +192,7 @@ class _Posterior:
         )
 
     def log_prior(self, values: FloatArray) -> FloatArray:
-        """Of (..., parameter) values, without its constant."""
+        """Log prior density [-] of (..., parameter) values, without its constant."""
         return np.asarray(-0.5 * np.sum(self.information * (values - self.mean) ** 2, axis=-1))
 
     def added_to(self, at: FloatArray, found: Evaluation) -> Evaluation:
@@ -187,11 +205,17 @@ class _Posterior:
 
     def held(self, at: FloatArray, gradient: FloatArray) -> BoolArray:
         """Parameters on a bound that the gradient would push beyond it."""
+        # released as soon as the gradient points inwards again
         return ((at <= self.lower) & (gradient <= 0.0)) | ((at >= self.upper) & (gradient >= 0.0))
 
 
 def check_parameters(parameters: Sequence[Parameter]) -> None:
-    """raises : InputError for a prior or bounds that cannot be, or where there is no parameter"""
+    """Check the priors and bounds of parameters before a search.
+
+    raises : InputError with one line for each invalid prior or pair of bounds, or where the list is empty
+
+    A prior needs a finite value within lower < upper and sigma > 0; an infinite sigma is a flat prior.
+    """
     problems = []
     for p in parameters:
         if not (math.isfinite(p.value) and p.sigma > 0.0):
@@ -216,11 +240,17 @@ def maximise(
 ) -> Fit:
     """The most probable values of parameters with priors and bounds.
 
-    evaluate        : log likelihood, gradient and information at a parameter vector
-    start           : (parameter,) first values; by default those of the priors
-    log_likelihoods : log likelihood of several parameter vectors at once; by default `evaluate` one after another
+        (M + P) step = g + P (value - p)
+
+    evaluate        : log likelihood [-], gradient and information at a parameter vector
+    start           : (parameter,) first values, clipped to the bounds; by default those of the priors
+    log_likelihoods : log likelihoods [-] of several parameter vectors at once; by default `evaluate` one after another
+    settings        : when to stop and how far to step
     told            : called with values and log posterior after every step
-    raises          : InputError for a prior or bounds that cannot be
+    returns         : the fit; its `status` states whether the search converged, it does not raise where it did not
+    raises          : InputError for an invalid prior or bounds
+
+    Source: docs/estimation_statistics.md, equations 13 to 17.
     """
     several = log_likelihoods or (lambda values: np.array([evaluate(v).log_likelihood for v in values]))
     search = iteration(parameters, start, settings, told)
@@ -239,7 +269,17 @@ def iteration(
     settings: Settings | None = None,
     told: Told = lambda at, log_posterior: None,
 ) -> Iteration:
-    """The iteration of `maximise` with its evaluations left to the caller, who may make those of many fits at once."""
+    """The search of `maximise` as a generator, whose caller evaluates: so that many fits can be marched side by side.
+
+    parameters : priors and bounds, each in its unit ([-] where it has none)
+    start      : (parameter,) first values, clipped to the bounds; by default those of the priors
+    yields     : (parameter,) vector to be answered with its Evaluation, or (candidate, parameter) vectors to be
+                 answered with their log likelihoods [-]
+    returns    : the fit, as the value of StopIteration
+    raises     : InputError for an invalid prior or bounds
+
+    Source: docs/estimation_statistics.md, equations 13 to 17.
+    """
     posterior = _Posterior.of(parameters)
     at = np.clip(posterior.mean if start is None else np.asarray(start, dtype=float), posterior.lower, posterior.upper)
     search = _Search(posterior, settings or Settings(), at, told)
@@ -248,7 +288,7 @@ def iteration(
 
 
 class _Search:
-    """The state of an iteration: where it is, what it found there, how strongly it is damped."""
+    """State of a search: current point, evaluation there, damping and trust."""
 
     def __init__(self, posterior: _Posterior, settings: Settings, at: FloatArray, told: Told) -> None:
         self.posterior, self.settings, self.told = posterior, settings, told
@@ -271,23 +311,31 @@ class _Search:
                 return Status.CONVERGED
             moved = yield from self.whole(step)
             self.trust = min(self.trust / SHORTER, 1.0) if moved else SHORTER * self.trust
+            # along a bent valley whole steps keep failing: do not pay for them again at once
             self.watched = WATCHED if moved else 0
             moved = moved or (yield from self.along(step))
             while not moved and self.damping < LARGEST_DAMPING:
                 self.damping = max(FIRST_DAMPING, MORE * self.damping)
                 moved = yield from self.along(self.step(self.damping, self.trust))
             if not moved:
+                # no length helps at the maximum either, where the remaining gradient is rounding
                 return Status.CONVERGED if self.within_rounding() else Status.STALLED
             self.history.append(self.at)
             self.told(self.at, self.found.log_likelihood)
             if not _finite(self.found):
                 return Status.STALLED
+            # damping dies out, so that the last steps are Newton's own and the end is quadratic
             self.damping *= LESS if self.damping > FIRST_DAMPING else 0.0
         return Status.CONVERGED if self.done(self.step(self.damping, self.trust)) else Status.ITERATIONS
 
     def step(self, damping: float, trust: float) -> FloatArray:
-        """The damped step of the parameters that no bound holds, the best one within the box; `trust` is the part of
-        `reach` that it has."""
+        """(parameter,) damped step of the parameters that no bound holds, the best one within the box.
+
+        damping : Levenberg damping of the scaled information [-]
+        trust   : fraction of `reach` that the step may use [-]
+
+        Source: docs/estimation_statistics.md, equation 16.
+        """
         step, free = np.zeros_like(self.at), ~self.held
         if not free.any():
             return step
@@ -299,16 +347,20 @@ class _Search:
         step[free] = s * (vectors @ (target / root))
         lower, upper = (side[free] for side in self.box(trust))
         if np.any((step[free] < lower) | (step[free] > upper)):
+            # the same quadratic form in the box; a clipped free minimum leaves correlated parameters off theirs
             scaled = lsq_linear(root[:, np.newaxis] * vectors.T, target, (lower / s, upper / s), method="bvls")
             step[free] = np.clip(s * scaled.x, lower, upper)
         return step
 
     def box(self, trust: float) -> tuple[FloatArray, FloatArray]:
-        """How far each parameter may go down and up: in one step, and those from its end, no further from where it
-        began than `reach`, of which `trust` is left where whole steps did not help."""
+        """(parameter,) largest moves down and up.
+
+        They end at the bounds, and at `trust` times `reach` from where the first of a sequence of whole steps began.
+        """
         if not np.isfinite(self.settings.reach):
             nowhere = np.full_like(self.at, np.inf)
             return -nowhere, nowhere
+        # the prior's sigma is the scale of reach; a flat prior gives a parameter no limit
         known = self.posterior.information
         reach = trust * self.settings.reach / np.sqrt(np.where(known > 0.0, known, np.finfo(float).tiny))
         begin = self.history[-1] - self.at
@@ -318,8 +370,9 @@ class _Search:
         )
 
     def done(self, step: FloatArray) -> bool:
-        """Whether the undamped step promises no gain worth it, and is a small part of each sigma."""
+        """Whether the undamped step predicts a negligible improvement and is a small part of each sigma."""
         if self.damping > 0.0 or self.trust < 1.0:
+            # a damped or shortened step is small because it was made small: convergence is judged on the full one
             step = self.step(0.0, 1.0)
         promised = 0.5 * float(self.found.gradient @ step)
         sigma = np.sqrt(np.diag(self.covariance()))
@@ -327,12 +380,13 @@ class _Search:
         return promised < self.settings.gain and bool(np.all(moved))
 
     def whole(self, step: FloatArray) -> Generator[FloatArray, Any, bool]:
-        """Take a whole step, cut off at the bounds, where it raises the posterior: what Newton's step mostly does.
+        """Take a whole step, cut off at the bounds, where it raises the posterior, which is the usual case.
 
-        Where it does not, some more from its end may: along a ridge that bends, every step leaves it a little.
+        Where it does not, further whole steps from its end may: along a curved ridge every step leaves it a little.
         """
         begin, least = (self.at, self.likelihood), self.found.log_likelihood
         for _ in range(1 + self.watched):
+            # evaluated with gradient: if it is accepted, as mostly, the next step needs no further march
             candidate = np.clip(self.at + step, self.posterior.lower, self.posterior.upper)
             self.move_to(candidate, (yield candidate))
             if self.found.log_likelihood > least:
@@ -344,10 +398,11 @@ class _Search:
         return False
 
     def along(self, step: FloatArray) -> Generator[FloatArray, Any, bool]:
-        """Go the best of the lengths of a step, cut off at the bounds; False where none raises the posterior."""
+        """Take the best of the fractions of a step, cut off at the bounds; False where none raises the posterior."""
         lengths = np.array(self.settings.lengths)[:, None]
         candidates = np.clip(self.at + lengths * step, self.posterior.lower, self.posterior.upper)
         reached = np.asarray((yield candidates), dtype=float) + self.posterior.log_prior(candidates)
+        # a candidate that cannot be marched loses to any that can
         reached = np.where(np.isfinite(reached), reached, -np.inf)
         best = int(np.argmax(reached))
         raised = bool(reached[best] > self.found.log_likelihood)
@@ -356,12 +411,12 @@ class _Search:
         return raised
 
     def within_rounding(self) -> bool:
-        """Whether what an undamped step promises is below the rounding of the log posterior."""
+        """Whether the improvement that an undamped step predicts is below the rounding of the log posterior."""
         promised = 0.5 * float(self.found.gradient @ self.step(0.0, self.trust))
         return promised < max(self.settings.gain, 1e-12 * abs(self.found.log_likelihood))
 
     def covariance(self) -> FloatArray:
-        """Of the parameters that no bound holds; 0 for the others."""
+        """(parameter, parameter) bound on the parameters that are not on a bound; 0 for the others."""
         free = np.ix_(~self.held, ~self.held)
         whole = np.zeros_like(self.found.information)
         whole[free] = covariance(self.found.information[free])

@@ -1,10 +1,10 @@
-"""Noise of a sensor from what a fit leaves: maximum likelihood, also where rounding hides the noise.
+"""Noise of a sensor from the residuals of a fit: maximum likelihood, also where rounding hides the noise.
 
     maximise  sum_i log L_i(sigma) + (p / 2) log(sigma^2 + step^2 / 12)
 
-over sigma at the fitted predictions; the last term gives back what p fitted parameters took of the residuals (without
-rounding sigma^2 = sum of squares / (n - p)). Limits are where twice the log likelihood has fallen by the 95% point
-of chi-square.
+over sigma at the fitted predictions; the last term makes good what p fitted parameters took out of the residuals
+(without rounding sigma^2 = sum of squares / (n - p)). Limits are where the log likelihood has fallen by half the 95%
+point of chi-square. Derived in docs/estimation_statistics.md, equation 21.
 """
 
 from __future__ import annotations
@@ -24,17 +24,19 @@ from sim_heating.estimation.inference.likelihood import Observed, log_likelihood
 FLOOR = 0.1
 """Least sigma over the step of a word: below it a sample is its interval and nothing more."""
 FALL = 0.5 * float(chi2.ppf(0.95, 1))
-"""Fall of the log likelihood at the 95% limits."""
+"""Fall of the log likelihood at the 95% limits [-], 1.92."""
 POINTS = 32
-"""Values of sigma among which the maximum is sought first."""
+"""Values of sigma on the first grid of the search."""
 
 
 @dataclass(frozen=True)
 class Noise:
     """Estimated noise of a sensor [K].
 
-    sigma_K          : the most likely one, at least a tenth of a step of the word
-    lower_K, upper_K : 95% limits by the likelihood ratio; lower_K is 0 where rounding hides how small the noise is
+    sigma_K          : the most likely one [K], at least a tenth of a step of the word
+    lower_K, upper_K : 95% limits by the likelihood ratio [K]; lower_K is 0 where rounding hides how small the noise is
+
+    Source: docs/estimation_statistics.md, equation 21.
     """
 
     sigma_K: float
@@ -43,21 +45,33 @@ class Noise:
 
     @property
     def told(self) -> bool:
-        """Whether the data say how large the noise is, and not only how large it is at most."""
+        """Whether the data bound the noise [K] from below, and not only from above.
+
+        The likelihood has then fallen by 1.92 before a tenth of the recorder's step: docs/estimation_statistics.md,
+        equation 21.
+        """
         return self.lower_K > 0.0
 
     def words(self, sensor: str) -> str:
-        """The estimate in a line."""
+        """One line for a report: the noise of a named sensor with its limits [K], or its upper limit alone."""
         if self.told:
             return f"sensor {sensor}: noise {self.sigma_K:.3g} K ({self.lower_K:.3g} to {self.upper_K:.3g})"
         return f"sensor {sensor}: rounding hides the noise, it is below {self.upper_K:.3g} K; declare noise_sigma_K"
 
 
 def estimate_noise(samples: Observed, mean_K: FloatArray, fitted: float = 0.0) -> Noise:
-    """Noise of a sensor whose samples were predicted as mean_K [K].
+    """Maximum-likelihood noise of a sensor at given predictions, with 95% limits.
 
-    fitted : number of parameters that these samples determined; a share of it where other sensors took part
-    raises : InputError for too few samples, and for samples that agree with the predictions in every digit
+        sum_i log L_i(sigma) + (p / 2) log(sigma^2 + step^2 / 12)
+
+    samples : (sample,) intervals [K]
+    mean_K  : (sample,) predictions [K]
+    fitted  : number p of parameters that these samples determined [-]; a share of it where other sensors took part
+    raises  : InputError for too few samples, for samples all at an end of their word's span, and for samples that agree
+              with the predictions in every digit
+
+    Searched from a tenth of the recorder's step (1e-3 of the largest residual scale where nothing was rounded) to
+    thirty times that scale. Source: docs/estimation_statistics.md, equation 21.
     """
     there = ~samples.lost
     kept, mean = samples.chosen(there), np.asarray(mean_K, dtype=float)[there]
@@ -68,6 +82,7 @@ def estimate_noise(samples: Observed, mean_K: FloatArray, fitted: float = 0.0) -
         raise InputError("every sample is at an end of its word's span; nothing tells of noise, declare it")
     step = float(np.min(inner))
     distance = np.maximum(np.maximum(kept.lower_K - mean, mean - kept.upper_K), 0.0)
+    # a whole step on top of every residual: never below the true scale, so that the upper limit is bracketed
     largest = float(np.sqrt(np.mean((distance + step) ** 2)))
     if largest == 0.0:
         raise InputError("samples and predictions agree in every digit; there is no noise to estimate, declare it")
@@ -82,11 +97,13 @@ def estimate_noise(samples: Observed, mean_K: FloatArray, fitted: float = 0.0) -
 
 
 def _limits(value: Callable[[float], float], least: float, most: float) -> Noise:
-    """Maximum of a log likelihood over log sigma, and where it has fallen by FALL to either side."""
+    """Maximum of a log likelihood over log sigma, and where it has fallen by FALL on either side."""
+    # the likelihood of rounded samples need not have a single maximum in log sigma: grid first, then refine
     grid = np.linspace(least, most, POINTS)
     k = int(np.argmax([value(x) for x in grid]))
     around = (grid[max(k - 1, 0)], grid[min(k + 1, POINTS - 1)])
     found = minimize_scalar(lambda x: -value(x), bounds=around, method="bounded", options={"xatol": 1e-8})
+    # a bounded search never returns the end of its interval itself
     best = float(found.x) if -found.fun > value(least) else least
     top = value(best)
 

@@ -1,7 +1,8 @@
-"""Which parameters a record can tell of, and in words why not the others.
+"""Which parameters a record identifies, and the reason why others are left out.
 
-A derivative is told where its variable moves over the fit segments, where no other parameter does the same to all
-samples, and where its bound over the variable's own excursion is below the heating ratio itself.
+A derivative is identified where its variable moves over the fit segments, where no other parameter does the same to all
+samples, and where its bound over the variable's own excursion is below the heating ratio itself
+(docs/estimation_statistics.md, equation 20).
 """
 
 from __future__ import annotations
@@ -23,22 +24,31 @@ from sim_heating.inputs.record import Record
 from sim_heating.simulation.predict import predict
 
 STILL = {"alpha_deg": 0.05, "beta_deg": 0.02, "log10_re": 0.01, "elevon_deg": 0.05, "bodyflap_deg": 0.05}
-"""A variable whose standard deviation over the fit segments is below this does not move."""
+"""Standard deviation over the fit segments below which a variable counts as constant, in its own unit."""
 FEWEST_STUCK = 10
 STUCK = 10.0
-"""A sensor that should have moved by this many of its steps, or sigmas, and did not, is stuck."""
+"""Movement of the declared model, in recorder steps or sigmas, from which on a constant sensor is stuck."""
 MAGNITUDES = ("ratio.scale", "ratio.d0")
 DERIVATIVES = tuple(f"ratio.d_{short}" for short in SHORT)
 
 
 def default_names(records: Sequence[Record]) -> tuple[str, ...]:
-    """Magnitude and the five derivatives: what is estimated where no parameters are named."""
+    """Parameters that are estimated where none are named: the magnitude and the five first derivatives.
+
+    `ratio.scale` where every record has a ratio table, else `ratio.d0` [-]; the derivatives are those of the founding
+    paper, "Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers", equation 2.
+    """
     with_table = all(r.ratio_table is not None for r in records)
     return (MAGNITUDES[0] if with_table else MAGNITUDES[1], *DERIVATIVES)
 
 
 def deviations(records: Sequence[Record]) -> FloatArray:
-    """(5,) standard deviation of each ratio variable over the fit segments of all records."""
+    """(5,) standard deviation of each ratio variable over the fit segments of all records: the excursions flown.
+
+    returns : alpha, beta [deg], log10 Re [-], elevon, bodyflap [deg]; zeros where no row lies in a fit segment
+
+    Used in docs/estimation_statistics.md, equation 20.
+    """
     rows = [np.column_stack([r.conditions[v] for v in RATIO_VARIABLES])[_fitted(r)] for r in records]
     every = np.concatenate(rows)
     return np.std(every, axis=0) if len(every) else np.zeros(len(RATIO_VARIABLES))
@@ -47,12 +57,19 @@ def deviations(records: Sequence[Record]) -> FloatArray:
 def _fitted(record: Record) -> NDArray[np.bool_]:
     """(row of the conditions,) within the span of the fit segments that has samples."""
     t, mask = record.conditions.time_s, record.fit_mask(record.conditions.time_s)
+    # conditions without samples inform nothing, whatever moves there
     samples = record.time_s[record.fit_mask()]
     return mask & (t >= samples.min(initial=np.inf)) & (t <= samples.max(initial=-np.inf))
 
 
 def variables_of(name: str) -> tuple[int, ...]:
-    """Numbers of the ratio variables that a derivative is against; none for any other parameter."""
+    """Indices of the ratio variables that a derivative is against; empty for any other parameter.
+
+    name    : dotted name, with or without its record; `ratio.d_alpha_elevon` has two, `ratio.d_alpha2` has one
+    returns : places [-] among alpha, beta, log10_re, elevon, bodyflap
+
+    The names are those of docs/equations.md, section 2.
+    """
     stem = name.partition(AT)[0]
     if not stem.startswith("ratio.d_") or stem not in MODEL:
         return ()
@@ -61,7 +78,13 @@ def variables_of(name: str) -> tuple[int, ...]:
 
 
 def still(names: Sequence[str], records: Sequence[Record]) -> dict[str, str]:
-    """Derivatives against variables that do not move, and why they are left out."""
+    """Derivatives against variables that are constant over the fit segments, with the reason for leaving them out.
+
+    names   : dotted names of parameters
+    returns : name -> reason; the standard deviation is compared with 0.05 [deg] (beta 0.02 [deg], log10 Re 0.01 [-])
+
+    First of the two criteria of docs/estimation_statistics.md, equation 20.
+    """
     moved = deviations(records)
     found = {}
     for name in names:
@@ -75,7 +98,11 @@ def still(names: Sequence[str], records: Sequence[Record]) -> dict[str, str]:
 
 
 def unheated(names: Sequence[str], records: Sequence[Record]) -> dict[str, str]:
-    """Parameters of the heating ratio where there is no aerodynamic heating at all, and why they are left out."""
+    """Parameters of the heating ratio where there is no aerodynamic heating at all, with the reason.
+
+    The ratio enters the surface balance only as r h_ref (docs/equations.md, section 1): with h_ref = 0 [kg/(m2 s)]
+    throughout, as in a ground step test, no temperature [K] depends on it.
+    """
     if any(np.any(conditions_of_record(r)["h_ref_kg_m2_s"] != 0.0) for r in records):
         return {}
     why = "h_ref is 0 throughout, so nothing depends on a heating ratio; name parameters of stack, clock or sensors"
@@ -83,7 +110,10 @@ def unheated(names: Sequence[str], records: Sequence[Record]) -> dict[str, str]:
 
 
 def mean_ratio(record: Record) -> float:
-    """Mean of the declared ratio over the fit segments [-]; NaN where the record has no table."""
+    """Mean of the declared ratio over the fit segments [-]; NaN where the record has no table.
+
+    Scale r-bar of docs/estimation_statistics.md, equation 20.
+    """
     if record.ratio_table is None:
         return float("nan")
     x = np.column_stack([record.conditions[v] for v in RATIO_VARIABLES])[_fitted(record)]
@@ -91,11 +121,18 @@ def mean_ratio(record: Record) -> float:
 
 
 def untold(labels: Sequence[str], information: FloatArray, ratio: float, records: Sequence[Record]) -> dict[str, str]:
-    """The derivative that the data tell least, and why, where it should be left out; nothing where all are told.
+    """The least determined derivative, with the reason, where it should be left out; empty where all are identified.
 
-    Else the last parameter of which neither data nor a prior say anything.
+        sigma_k prod_v std(x_v) > ratio
 
-    information : (parameter, parameter) of data and priors;  ratio : typical heating ratio [-]
+    Else the last parameter of infinite bound, if there is one.
+
+    labels      : (parameter,) names
+    information : (parameter, parameter) of data and priors
+    ratio       : typical heating ratio [-]
+    returns     : {name: reason} with one entry at most, as each omission changes the bounds of the others
+
+    Source: docs/estimation_statistics.md, equations 19 and 20.
     """
     singular = directions(information, list(labels), SINGULAR)
     sigma = np.sqrt(np.abs(np.diag(covariance(information))))
@@ -108,8 +145,10 @@ def untold(labels: Sequence[str], information: FloatArray, ratio: float, records
         bound = float(sigma[k] * np.prod(moved[list(variables)]))
         if not np.isfinite(bound):
             bound = np.inf
+        # false for a NaN ratio as well: nothing is judged where no scale is known
         if bound > worst * ratio:
             worst, name = bound / ratio, label
+            # the text shows the excursion, as a longer one is the remedy
             excursion = " x ".join(f"{moved[i]:.2g} of {RATIO_VARIABLES[i]}" for i in variables)
             reason = f"its bound over the excursion flown ({excursion}) is {bound / ratio:.1f} times the ratio itself"
             if singular:
@@ -121,9 +160,14 @@ def untold(labels: Sequence[str], information: FloatArray, ratio: float, records
 
 
 def without_stuck(record: Record) -> tuple[Record, list[str]]:
-    """A record without its sensors that read one value throughout though the declared model moves them, and why.
+    """A record without the sensors that are stuck at one value although the declared model moves them.
 
-    raises : InputError where that is every used sensor
+    returns : the record, such sensors no longer used; one line for each, with its value [K]
+    raises  : InputError where that is every used sensor
+
+    Stuck: at least 10 readings, all equal, where the declared model moves by more than ten recorder steps or sigmas
+           [K].
+    The criterion is a rule of this program, not of a publication.
     """
     mask, told = record.fit_mask(), []
     indicated = predict(record).indicated_K[:, mask]

@@ -1,7 +1,8 @@
-"""What a fit leaves, held against what it should: white, normal, of the declared size.
+"""Residual tests of a fit: whether residuals are white, normal and of the declared size.
 
 Tests take residuals that are N(0, 1) for the true model: those of likelihood.quantile_residuals, as the residual of a
-rounded sample is not normal even where everything is right.
+rounded sample is not normal even where everything is right. Statistics: docs/estimation_statistics.md, equations 12,
+27 and 28.
 """
 
 from __future__ import annotations
@@ -18,18 +19,18 @@ from sim_heating.estimation.inference.bounds import grid_index, lagged, on_grid
 from sim_heating.estimation.inference.likelihood import Observed, quantile_residuals
 
 FEWEST = 8
-"""Samples below which nothing is tested."""
+"""Number of samples below which nothing is tested."""
 MOST_FOR_SHAPIRO = 5000
-"""Samples up to which the p-value of Shapiro and Wilk holds."""
+"""Number of samples up to which the p-value of Shapiro and Wilk holds."""
 
 
 @dataclass(frozen=True)
 class Test:
     """A test of one hypothesis.
 
-    statistic : its value
-    dof       : degrees of freedom, or number of samples where it has none
-    p_value   : probability of a value as odd as this one where the hypothesis holds
+    statistic : its value [-]
+    dof       : degrees of freedom, or number of samples where it has none [-]
+    p_value   : probability of a value at least as extreme where the hypothesis holds [-]
     """
 
     __test__ = False  # not one of pytest's
@@ -40,17 +41,20 @@ class Test:
 
 
 def chi_square(residual: FloatArray, fitted: float = 0.0) -> Test:
-    """Sum of squared unit residuals of a fit, chi-square for noise as declared; both a small and a large one are odd.
+    """Chi-square test of the size of residuals, two-sided: noise as declared gives n - p degrees of freedom.
 
-    residual : (sample,) N(0, 1) for the true model, lost samples NaN
-    fitted   : number of parameters fitted to them
-    raises   : InputError where no degree of freedom is left
+    residual : (sample,) N(0, 1) for the true model [-], lost samples NaN
+    fitted   : number p of parameters fitted to them [-]
+    raises   : InputError where no degree of freedom remains
+
+    Source: docs/estimation_statistics.md, equation 27.
     """
     left = residual[np.isfinite(residual)]
     dof = left.size - fitted
     if dof <= 0.0:
         raise InputError(f"{left.size} samples for {fitted:g} fitted parameters leave no chi-square; fit fewer")
     total = float(left @ left)
+    # two-sided: noise declared too large is as wrong as noise declared too small
     return Test(total, dof, float(2.0 * min(chi2.sf(total, dof), chi2.cdf(total, dof))))
 
 
@@ -59,11 +63,15 @@ def whiteness(time_s: FloatArray, residual: FloatArray, lags: int | None = None)
 
         Q = (n + 2) / n sum_k n_k rho_k^2,    rho_k = mean of products k apart / mean square
 
-    with n_k pairs k sampling intervals apart. With no sample lost that is the statistic of G. M. Ljung and
-    G. E. P. Box, "On a Measure of Lack of Fit in Time Series Models", Biometrika 65 (1978).
+    with n_k pairs k sampling intervals apart; chi-square with one degree of freedom a lag.
 
-    lags   : by default a fifth of the samples, 10 at most
-    raises : InputError for fewer samples than can be tested
+    time_s   : (sample,) increasing times [s]
+    residual : (sample,) N(0, 1) for the true model [-], lost samples NaN
+    lags     : largest k [-]; by default a fifth of the samples, 10 at most
+    raises   : InputError for fewer than 8 samples, and for residuals that are all 0
+
+    Source: G. M. Ljung and G. E. P. Box, "On a Measure of Lack of Fit in Time Series Models", Biometrika 65 (1978),
+    where no sample is lost; docs/estimation_statistics.md, equation 28.
     """
     heard = np.isfinite(residual)
     n = int(np.count_nonzero(heard))
@@ -72,6 +80,7 @@ def whiteness(time_s: FloatArray, residual: FloatArray, lags: int | None = None)
     power = float(values @ values) / n
     if power == 0.0:
         raise InputError("residuals are all 0; there is no noise to test for colour")
+    # on a grid, lost samples are zeros: lagged products skip them, and lagged ones count the pairs
     e, there = on_grid(index, values), on_grid(index, np.ones(n))
     last = min(10, n // 5) if lags is None else lags
     pairs, products = 0.5 * (lagged(there, last) @ there)[1:], 0.5 * (lagged(e, last) @ e)[1:]
@@ -82,9 +91,12 @@ def whiteness(time_s: FloatArray, residual: FloatArray, lags: int | None = None)
 
 
 def normality(residual: FloatArray) -> Test:
-    """Shapiro and Wilk's test of the shape, mean and variance free; longer series are thinned evenly.
+    """Shapiro and Wilk's test of the shape of residuals, mean and variance free; longer series are thinned evenly.
 
-    raises : InputError for fewer samples than can be tested, and for residuals that are all the same
+    residual : (sample,) [-], lost samples NaN
+    raises   : InputError for fewer than 8 samples, and for residuals that are all equal
+
+    Source: Shapiro and Wilk (1965), as scipy.stats.shapiro computes it; its p-value holds up to 5000 samples.
     """
     left = residual[np.isfinite(residual)]
     _enough(left.size)
@@ -104,8 +116,8 @@ def _enough(samples: int) -> None:
 class SensorResiduals:
     """Normalised residuals of one sensor.
 
-    residual : (sample,) N(0, 1) for the true model, NaN for a lost sample
-    mean, rms, n : of the samples that are there
+    residual : (sample,) N(0, 1) for the true model [-], NaN for a lost sample
+    mean, rms, n : over the samples that are not lost [-]
     whiteness, normality : tests, None where the samples are too few or have no noise
     """
 
@@ -126,9 +138,15 @@ def sensor_residuals(
     sigma_K: FloatArray | float,
     rng: np.random.Generator,
 ) -> SensorResiduals:
-    """Normalised residuals of a sensor's samples against predictions [K] with noise sigma [K], and their tests.
+    """Normalised residuals of a sensor's samples and their tests.
 
-    raises : InputError where every sample is lost
+    time_s  : (sample,) increasing times [s]
+    samples : (sample,) intervals [K]
+    mean_K  : (sample,) predictions [K];  sigma_K : () or (sample,) noise [K]
+    rng     : source of the draws of the quantile residuals
+    raises  : InputError where every sample is lost
+
+    Source: docs/estimation_statistics.md, equations 12 and 28; Shapiro and Wilk (1965).
     """
     residual = quantile_residuals(samples, mean_K, sigma_K, rng)
     left = residual[np.isfinite(residual)]

@@ -1,9 +1,9 @@
-"""What an estimate says, as `estimate.json` holds it: values, bounds and correlations, and what they were made from.
+"""Contents of `estimate.json`: values, bounds and correlations, and the inputs they were made from.
 
-The keys are those of the format "estimate/1"; beside them stand what a later reader needs to use the result: the
+The keys are those of the format "estimate/1"; in addition there is what a later reader needs to use the result: the
 control point, the segments that were fitted, the excursions that were flown in them, the program, and a hash of each
-record's files. Further keys are kept. The covariance is C_ij = rho_ij sigma_i sigma_j; a pair that is not listed is
-uncorrelated.
+record's files. Further keys are kept. The covariance is C_ij = rho_ij sigma_i sigma_j
+(docs/estimation_statistics.md, equation 18); a pair that is not listed is uncorrelated.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ NAME = "estimate.json"
 PAIR = "|"
 """Between the two names of a correlation."""
 SLACK = 1e-6
-"""How far below zero rounding may take an eigenvalue of a correlation matrix."""
+"""Negative eigenvalue of a correlation matrix that is accepted as rounding [-]."""
 
 
 class _Kept(BaseModel):
@@ -41,10 +41,12 @@ class _Kept(BaseModel):
 class Estimated(_Kept):
     """One parameter.
 
-    value, sigma : with one standard deviation, corrected for coloured residuals
+    value, sigma : estimate and one standard deviation, corrected for coloured residuals, in `unit`
     unit         : contract unit
-    white_sigma  : before that correction
+    white_sigma  : standard deviation before that correction
     prior_sigma  : of the prior that was used; None where it was flat
+
+    Source: docs/estimation_statistics.md, equations 18 (white) and 22 (corrected).
     """
 
     value: float
@@ -55,7 +57,7 @@ class Estimated(_Kept):
 
 
 class Errors(_Kept):
-    """Pooled residuals of the plain march at the estimated parameters."""
+    """Pooled residuals [K] of the plain march at the estimated parameters, and their number."""
 
     rmse_K: float = Field(ge=0.0)
     max_abs_K: float = Field(ge=0.0)
@@ -63,7 +65,7 @@ class Errors(_Kept):
 
 
 class Condition(_Kept):
-    """The condition that the derivatives are about."""
+    """The condition that the derivatives are about ([deg], log10 Re [-])."""
 
     alpha_deg: float
     beta_deg: float
@@ -80,19 +82,22 @@ class Condition(_Kept):
         return self
 
     def values(self) -> FloatArray:
-        """(5,) in the order of a ratio table."""
+        """(5,) alpha, beta [deg], log10 Re [-], elevon, bodyflap [deg]: the order of a ratio table.
+
+        The variables of docs/equations.md, section 2.
+        """
         return np.array([getattr(self, name) for name in RATIO_VARIABLES])
 
 
 class Excursion(_Kept):
-    """Least and greatest value of a variable over the fitted samples."""
+    """Least and greatest value of a variable over the fitted samples ([deg], log10 Re [-])."""
 
     min: float
     max: float
 
 
 class EffectInForce(_Kept):
-    """An effect of the fitted model with all its values, estimated or held; of which point, in a fit of several."""
+    """An effect of the fitted model with all its values, estimated or fixed; its control point, in a fit of several."""
 
     name: str
     parameters: dict[str, float]
@@ -103,16 +108,19 @@ class Estimate(_Kept):
     """Contents of estimate.json.
 
     records             : directories of the records, as given to the command
+    converged, iterations : how the search ended, and its number of steps
+    reference_condition : condition that the derivatives are about
     parameters          : by dotted name
-    not_estimated       : name -> why
-    correlation         : "a|b" -> correlation of two parameters
+    not_estimated       : name -> reason
+    correlation         : "a|b" -> correlation of two parameters [-]
+    noise_floor_K       : root mean square of noise and rounding over the fitted samples [K]
     fit, holdout        : errors over the segments; None where there is none
-    control_point       : whose parameters they are; None in a fit of several points
+    control_point       : to which the parameters belong; None in a fit of several points
     vehicle             : as the record names it
     segments            : fitted [start, end] times [s] of each record; None: as the records declare
     excursions          : by variable, over the fitted samples
     inputs              : record -> hash of its files, `inputs_hash`
-    effects             : those that the fitted model had, on top of what the records declare
+    effects             : those that the fitted model had, in addition to what the records declare
     program             : name and version
     """
 
@@ -153,7 +161,7 @@ class Estimate(_Kept):
         return self
 
     def _parameter_problems(self) -> list[tuple[Location, str]]:
-        """Ratio parameters that there are none of, or in another unit."""
+        """Ratio parameters that do not exist, or have another unit."""
         known = [name for name in MODEL if name.startswith("ratio.")]
         problems: list[tuple[Location, str]] = []
         for label, p in self.parameters.items():
@@ -181,7 +189,10 @@ class Estimate(_Kept):
         return problems
 
     def correlation_matrix(self, names: Sequence[str]) -> FloatArray:
-        """(n, n) correlation of the named parameters."""
+        """(n, n) correlation [-] of the named parameters; 0 for a pair that is not listed.
+
+        Source: docs/estimation_statistics.md, equation 18.
+        """
         rho = np.eye(len(names))
         for i, a in enumerate(names):
             for j, b in enumerate(names):
@@ -190,18 +201,31 @@ class Estimate(_Kept):
         return rho
 
     def values(self, names: Sequence[str]) -> FloatArray:
-        """(n,) estimated values of the named parameters."""
+        """(n,) estimated values of the named parameters, each in its contract unit ([-] for a ratio).
+
+        The most probable values, docs/estimation_statistics.md, equation 13.
+        """
         return np.array([self.parameters[n].value for n in names])
 
     def covariance(self, names: Sequence[str]) -> FloatArray:
-        """(n, n) covariance of the named parameters, whatever the others are."""
+        """(n, n) covariance of the named parameters, marginal over the others: rho_ij sigma_i sigma_j.
+
+        In products of the contract units ([-] for ratios). Source: docs/estimation_statistics.md, equations 18 and 22.
+        """
         sigma = np.array([self.parameters[n].sigma for n in names])
         return self.correlation_matrix(names) * np.outer(sigma, sigma)
 
 
 def correlations(names: Sequence[str], covariance: FloatArray) -> dict[str, float]:
-    """The entries of `correlation` for a covariance matrix: each pair once, in the order of the names."""
+    """Entries of `correlation` for a covariance matrix: each pair of names once, in their order.
+
+    covariance : (n, n)
+    returns    : "a|b" -> C_ij / (sigma_i sigma_j) [-], clipped to -1 ... 1; 0 where a sigma is 0
+
+    Source: docs/estimation_statistics.md, equation 18.
+    """
     sigma = np.sqrt(np.diag(covariance))
+    # a parameter on its bound has sigma 0 and no correlation
     scale = np.where(sigma > 0.0, sigma, 1.0)
     return {
         f"{a}{PAIR}{b}": float(np.clip(covariance[i, j] / (scale[i] * scale[j]), -1.0, 1.0))
@@ -214,18 +238,19 @@ def correlations(names: Sequence[str], covariance: FloatArray) -> dict[str, floa
 def read_estimate(path: str | os.PathLike[str]) -> Estimate:
     """Read an estimate.json, or the one in a directory.
 
-    raises : InputError with one line a problem, naming file, key and value
+    raises : InputError with one line for each problem, naming file, key and value
     """
     file = Path(path)
     file = file / NAME if file.is_dir() else file
     data = read_json(file)
+    # both lie in output directories and are easily confused
     if data.get("format") == "closure-report/1":
         raise InputError(f"{display_path(file)}: is a closure report; give an estimate.json")
     return check(data, Estimate, display_path(file))
 
 
 def write_estimate(path: str | os.PathLike[str], estimate: Estimate) -> None:
-    """Write an estimate, whole or not at all; it reads back equal. What is empty beyond the format is left out."""
+    """Write an estimate to a file, atomically; it reads back equal. Empty optional keys are left out."""
     data = estimate.model_dump()
     data["parameters"] = {n: {k: v for k, v in p.items() if v is not None} for n, p in data["parameters"].items()}
     optional = ("control_point", "vehicle", "segments", "excursions", "inputs", "effects", "program")
@@ -234,7 +259,7 @@ def write_estimate(path: str | os.PathLike[str], estimate: Estimate) -> None:
 
 
 def inputs_hash(record: Record) -> str:
-    """`sha256:...` over the names and bytes of a record's files, those that its declaration names.
+    """Hash `sha256:...` over the names and bytes of a record's files, those that its declaration names.
 
     raises : InputError where one cannot be read
     """
@@ -256,7 +281,10 @@ def inputs_hash(record: Record) -> str:
 def excursions(conditions: Sequence[FloatArray]) -> dict[str, Excursion]:
     """Least and greatest values of the ratio variables over fitted samples.
 
-    conditions : (sample, 5) for each record
+    conditions : by record, (sample, 5) alpha, beta [deg], log10 Re [-], elevon, bodyflap [deg]
+    returns    : variable -> its range
+
+    The variables of docs/equations.md, section 2.
     """
     every = np.concatenate(conditions)
     return {

@@ -1,14 +1,15 @@
-"""Effects that a declared model may lack: one file each, picked up by its being there.
+"""Effects that a declared model may lack: one file each, found by being in this folder.
 
 A file of this folder, or of a folder named in SIM_HEATING_EFFECTS (a path list), defines EFFECT = Effect(...). There
 are two kinds. An effect on the heating or on the emittance has a kernel
 
     f(B, c, p, wall_K) -> float
 
-that reads the flight conditions from B[c] on and its own parameters from B[p] on (base/kernels/block.py names the
-places), takes the wall temperature [K], and gives what is added to the heating ratio, or what the ratio or the
-emittance is multiplied by.
-An effect of mode "model" has none: its parameters stand for parameters that the model has anyway (`places`).
+that reads the flight conditions from B[c] on and its own parameters from B[p] on (offsets in layout.py), takes the wall
+temperature [K], and returns what is added to the heating ratio [-], or the factor [-] on the ratio or the emittance.
+An effect of mode "model" has no kernel: its parameters stand for existing parameters of the model (`places`).
+
+Effects act in the order of docs/effects.md, equation 1: those that add, the lag, those that multiply.
 """
 
 from __future__ import annotations
@@ -38,9 +39,14 @@ FOLDERS_VARIABLE = "SIM_HEATING_EFFECTS"
 
 @dataclass(frozen=True)
 class Try:
-    """One way to look for an effect: the parameters that are estimated together, and values of any of its parameters
-    from which that starts, neutral or else nominal where not given. A start without any effect yet is best: what the
-    effect's magnitude would gain is then told exactly by the sensitivity to it."""
+    """One start of the search for an effect: the parameters estimated together, and where the search begins.
+
+    names : parameters of the effect that are estimated together
+    start : initial values of any of its parameters, each in its own unit; else the neutral value, or else the nominal
+
+    A start at which the effect is neutral is best: the sensitivity to its magnitude there gives to first order how much
+    the effect would reduce the error.
+    """
 
     names: tuple[str, ...]
     start: Mapping[str, float] = field(default_factory=dict)
@@ -48,20 +54,22 @@ class Try:
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect on the heating ratio.
+    """An effect on the heating, on the emittance, or on parameters of the model.
 
     name       : as in a closure report
-    mode       : "add" to the ratio, or "multiply" it (what multiplies comes last), or the "emittance"; or "model"
+    mode       : "add" to the ratio; "multiply" the ratio, after everything that adds; "emittance"; or "model"
     parameters : in the order in which the kernel reads them; EFFECT_WIDTH at most
     kernel     : compiled f(B, c, p, wall_K); None for an effect of mode "model"
     needs_wall : whether the kernel's value depends on the wall temperature
-    lags       : whether the ratio lags behind itself, its first two parameters being time constant and fraction
+    lags       : whether the ratio lags; the first two parameters are then time constant [s] and fraction [-]
     places     : dotted names that the parameters of a "model" effect stand for, in their order
-    neutral    : its magnitudes and the values at which, all of them together, it does nothing whatever else it has
-    tries      : for a flight's conditions, how it is looked for in data; by default with all its parameters that have a
-                 prior, from their nominal values
-    physics    : what it is, in a line
-    source     : where that is from
+    neutral    : its magnitudes and the values at which, all of them together, it does nothing for any other parameters
+    tries      : for a flight's conditions, the starts of the search for it in data; by default one, with all parameters
+                 that have a prior, from their nominal values
+    physics    : the physical process, in a line
+    source     : publication or flight in which it was seen
+    raises     : InputError where parameters are too many, mode and kernel contradict each other, `places` and
+                 parameters differ in number, or `neutral` names a parameter that does not exist
     """
 
     name: str
@@ -87,13 +95,15 @@ class Effect:
 
     @property
     def built_in(self) -> bool:
-        """Whether it is one of the package's."""
+        """Whether its kernel is one of the package's; False for a user-defined one and for mode "model"."""
         return getattr(self.kernel, "__module__", "").startswith(f"{__name__}.")
 
     def tried(self, flown: Conditions) -> Sequence[Try]:
-        """How it is looked for.
+        """Starts of the search for this effect in a flight's data.
 
-        raises : InputError where that names none of its parameters
+        flown   : conditions of the flight, over which onsets and times are spread
+        returns : starts, each completed with the effect's neutral values
+        raises  : InputError where a start names a parameter that the effect does not have
         """
         if self.tries is None:
             return [Try(tuple(p.name for p in self.parameters if p.sigma > 0.0))]
@@ -102,12 +112,17 @@ class Effect:
         return [replace(t, start={**self.neutral, **t.start}) for t in found]
 
     def felt(self, names: Sequence[str], start: Mapping[str, float]) -> tuple[str, ...]:
-        """Those of some of its parameters that change anything at a start: where it is neutral, its magnitudes only."""
+        """Parameters that change the heating at a start: where the effect is neutral there, its magnitudes only.
+
+        names   : parameters of the effect
+        start   : value of each parameter, in its unit
+        returns : those of `names` with a sensitivity that is not identically zero
+        """
         neutral = bool(self.neutral) and all(start[n] == value for n, value in self.neutral.items())
         return tuple(n for n in names if n in self.neutral or not neutral)
 
     def _known(self, names: Iterable[str], what: str) -> None:
-        """raises : InputError where one of the names is none of its parameters"""
+        """raises : InputError where one of the names is not a parameter of this effect"""
         known = {p.name for p in self.parameters}
         for name in names:
             if name not in known:
@@ -116,7 +131,7 @@ class Effect:
 
 @dataclass(frozen=True)
 class EffectUse:
-    """An effect with the values of its parameters, in the order of the effect."""
+    """An effect with the values of its parameters, each in its unit, in the order of `effect.parameters`."""
 
     effect: Effect
     values: tuple[float, ...]
@@ -125,7 +140,7 @@ class EffectUse:
 def _from_file(path: Path) -> Effect | None:
     """The effect that a file defines; None where it defines none, as a file that others import.
 
-    raises : InputError where the file cannot be run, or its EFFECT is no Effect
+    raises : InputError with file and line where the file cannot be run, or where its EFFECT is not an Effect
     """
     spec = importlib.util.spec_from_file_location(f"sim_heating_user_effects.{path.stem}", path)
     if spec is None or spec.loader is None:
@@ -157,7 +172,7 @@ def _built_in() -> list[Effect]:
 def own_files() -> tuple[Path, ...]:
     """Python files of the folders in SIM_HEATING_EFFECTS, in the order in which they are read.
 
-    raises : InputError where one of the folders is none
+    raises : InputError where one of the folders does not exist
     """
     found: list[Path] = []
     for folder in map(Path, filter(None, os.environ.get(FOLDERS_VARIABLE, "").split(os.pathsep))):
@@ -184,13 +199,16 @@ def _all(files: tuple[Path, ...]) -> Mapping[str, Effect]:
 def effects() -> Mapping[str, Effect]:
     """All effects by name: the package's and those of the folders in SIM_HEATING_EFFECTS.
 
-    raises : InputError where a folder is none, or a file of one's own is no effect or has the name of another
+    raises : InputError where a folder does not exist, a user's file defines no valid effect, or a name is taken already
     """
     return _all(own_files())
 
 
 def effect(name: str) -> Effect:
-    """The effect of a name; InputError with the nearest where there is none."""
+    """The effect of a name.
+
+    raises : InputError with the nearest known name where the name is unknown
+    """
     known = effects()
     if name not in known:
         near = nearest_name(name, known)
@@ -202,7 +220,10 @@ def effect(name: str) -> Effect:
 def use(name: str, values: Mapping[str, float] | None = None) -> EffectUse:
     """An effect with some of its parameters set and the rest nominal.
 
-    raises : InputError naming a parameter that the effect does not have, or a value outside its bounds
+    name    : of the effect
+    values  : parameter values by name, each in the parameter's unit
+    returns : the effect and all its values, in the order in which its kernel reads them
+    raises  : InputError naming a parameter that the effect does not have, or a value outside its bounds
     """
     found, given = effect(name), dict(values or {})
     known = [p.name for p in found.parameters]
@@ -217,7 +238,12 @@ def use(name: str, values: Mapping[str, float] | None = None) -> EffectUse:
 
 
 def check_count(uses: tuple[EffectUse, ...], where: str) -> None:
-    """raises : InputError where one control point has more effects than the kernel holds."""
+    """Check that the effects of one control point fit into its lane.
+
+    uses   : effects of the control point; those of mode "model" take no slot
+    where  : control point or file, for the message
+    raises : InputError where more than EFFECT_SLOTS of them have a kernel
+    """
     kernels = sum(use.effect.kernel is not None for use in uses)
     if kernels > EFFECT_SLOTS:
         raise InputError(f"{where}: {kernels} effects with a kernel; {EFFECT_SLOTS} at most at one control point")

@@ -1,4 +1,4 @@
-"""Cooling behind the wall: convection or radiation inside the structure."""
+"""Cooling behind the wall by convection or radiation inside the structure, docs/effects.md, equation 3."""
 
 from __future__ import annotations
 
@@ -10,7 +10,11 @@ from sim_heating.heating.effects import Effect, Try
 
 
 def tries(flown: Conditions) -> Sequence[Try]:
-    """None yet of either, towards cooler and warmer structure."""
+    """Search starts for backface cooling (docs/effects.md, equation 3), with no cooling yet.
+
+    flown   : conditions of the flight, not used
+    returns : a film, or radiation, towards structure at 250, 300 and 400 [K]
+    """
     return [
         Try(names, {"back_K": T})
         for names in (("back_h_W_m2K", "back_K"), ("back_emissivity", "back_K"))

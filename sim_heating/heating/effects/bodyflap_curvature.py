@@ -1,4 +1,4 @@
-"""Curvature: heating is not linear in body-flap deflection."""
+"""Curvature in body-flap deflection: r += d_bodyflap2 (bodyflap - bodyflap_0)^2, docs/effects.md, equation 4."""
 
 from __future__ import annotations
 

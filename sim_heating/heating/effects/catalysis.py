@@ -19,13 +19,27 @@ STEP, MIDDLE_K, WIDTH_K, FLOW_STEP, MIDDLE_J_KG, WIDTH_J_KG = range(6)
 
 @njit
 def catalysis_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
-    """1 + step S((T_w - T_c) / width_T) + flow step S((H_r - H_c) / width_H), S(x) = 1 / (1 + exp(-x)) [-]."""
+    """Factor of catalysis on the heating ratio [-].
+
+        f = 1 + step S((T_w - T_c) / width_T) + flow_step S((H_r - H_c) / width_H),    S(x) = 1 / (1 + exp(-x))
+
+    B       : block of the lane group; B[c] flight conditions with H_r [J/kg], B[p] the parameters of EFFECT
+    wall_K  : wall temperature T_w [K]
+    returns : factor [-]; below 1 where a step is negative
+
+    An empirical rise, without chemistry; T_c [K] and H_c [J/kg] are where half of it is reached.
+    Source: the observation, Scott in NASA CP-2283; the form, docs/effects.md, equation 5.
+    """
     hot = B[p + STEP] * logistic((wall_K - B[p + MIDDLE_K]) / B[p + WIDTH_K])
     return 1.0 + hot + B[p + FLOW_STEP] * logistic((B[c + RECOVERY_ENTHALPY] - B[p + MIDDLE_J_KG]) / B[p + WIDTH_J_KG])
 
 
 def tries(flown: Conditions) -> Sequence[Try]:
-    """Rises at several wall temperatures, or at several enthalpies of the flow, none yet."""
+    """Search starts for catalysis (docs/effects.md, equation 5), with no rise yet.
+
+    flown   : conditions of the flight, whose highest recovery enthalpy [J/kg] sets the scale of the second kind
+    returns : rises at wall temperatures of 500 to 1300 [K], or at 0.3 to 0.9 of that enthalpy, sharp and gradual
+    """
     hot = ("catalysis_step", "catalysis_K", "catalysis_width_K")
     flow = ("flow_step", "flow_J_kg", "flow_width_J_kg")
     greatest = float(np.max(flown["H_r_J_kg"]))

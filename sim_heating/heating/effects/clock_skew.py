@@ -1,4 +1,4 @@
-"""Time skew: the clock of the thermocouples leads or lags that of the flight conditions."""
+"""Time skew between the clocks of thermocouples and flight conditions, docs/effects.md, equation 22."""
 
 from __future__ import annotations
 

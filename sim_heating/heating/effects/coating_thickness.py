@@ -1,4 +1,4 @@
-"""Coating thickness: the effective coating is thicker or thinner than declared."""
+"""Coating thickness: the effective first layer is thicker or thinner than declared, docs/effects.md, equation 6."""
 
 from __future__ import annotations
 

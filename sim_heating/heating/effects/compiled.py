@@ -1,8 +1,8 @@
-"""The effects of an ensemble as one compiled function of a code, which the kernels call through a pointer.
+"""Dispatch to the compiled kernels of effects: one function of a code, which the step calls through a pointer.
 
-The kernels are compiled once for any effects. In this process each effect is compiled for itself, and cached; the code
-of one is its address, and the function calls it. A library that is exported has the one function `compiled_chain`, in
-which the code of an effect is its place.
+The step is compiled once, for any effects. In this process each effect is compiled by itself, and cached; its code is
+the address of its kernel. An exported library has a single dispatcher, `compiled_chain`, in which the code of an effect
+is its index.
 """
 
 from __future__ import annotations
@@ -24,31 +24,38 @@ from sim_heating.base.kernels.jit import c_function, call_effect, handle
 from sim_heating.heating.effects import Effect
 
 SIGNATURE = types.float64(types.int64, types.CPointer(types.float64), types.int64, types.int64, types.float64)
-"""value = chain(code, B, c, p, wall_K)"""
+"""value [-] = chain(code, B, c, p, wall_K), wall_K [K]."""
 KERNEL = types.float64(types.CPointer(types.float64), types.int64, types.int64, types.float64)
-"""value = kernel(B, c, p, wall_K)"""
+"""value [-] = kernel(B, c, p, wall_K), wall_K [K]."""
 
 
 @dataclass(frozen=True)
 class Chain:
-    """The compiled effects: `handle` is what kernels take, `function` keeps it alive; codes of the effects."""
+    """Dispatcher and codes of a set of effects.
+
+    function : value = function(code, B, c, p, wall_K), value [-] and wall_K [K]; kept here so that it stays alive
+    codes    : code of each effect, in the order in which the effects were given: an address, or an index
+    """
 
     function: Callable[..., float]
     codes: tuple[int, ...]
 
     @property
     def handle(self) -> Any:
-        """Address of the compiled function; the function itself where nothing is compiled."""
+        """What kernels take for the dispatcher: its address; the function itself where nothing is compiled."""
         return handle(self.function)
 
 
 def _nothing(code: int, B: Any, c: int, p: int, wall_K: float) -> float:
-    """The chain of an ensemble without effects; never called."""
+    """Dispatcher of an ensemble without effects; never called."""
     return 0.0
 
 
 def _join(kernels: Sequence[Any]) -> Callable[..., float]:
-    """One function that calls the kernel of a code; nested, so that any number of kernels can be compiled into it."""
+    """One function that dispatches to the kernel of a code.
+
+    Nested, two branches a level, so that any number of kernels can be compiled into it.
+    """
     last = len(kernels) - 1
     kernel = kernels[last]
     if last == 0:
@@ -65,15 +72,15 @@ def _join(kernels: Sequence[Any]) -> Callable[..., float]:
 
 @cache
 def compiled_chain(effects: tuple[Effect, ...]) -> Chain:
-    """The chain of these effects in one function; the code of an effect is its place among them."""
+    """These effects compiled into one function, as an exported library needs; the code of an effect is its index."""
     function = _join([e.kernel for e in effects]) if effects else _nothing
     return Chain(c_function(SIGNATURE, function, cache=not effects), tuple(range(len(effects))))
 
 
 def chain_of(effects: tuple[Effect, ...]) -> Chain:
-    """The chain of these effects in this process.
+    """Dispatcher of these effects for this process: the code of an effect is the address of its kernel.
 
-    raises : InputError naming one that cannot be compiled
+    raises : InputError naming the effect that cannot be compiled
     """
     if numba.config.DISABLE_JIT or not effects:  # type: ignore[attr-defined]
         return compiled_chain(effects)
@@ -81,7 +88,7 @@ def chain_of(effects: tuple[Effect, ...]) -> Chain:
 
 
 def _call(code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
-    """The chain whose codes are addresses."""
+    """Dispatcher whose codes are addresses."""
     return call_effect(code, B, c, p, wall_K)
 
 
@@ -91,7 +98,7 @@ def _compiled_call() -> Any:
 
 
 def file_of(effect: Effect) -> Path:
-    """The file that an effect's kernel comes from, compiled or not."""
+    """The Python file that an effect's kernel comes from, compiled or not."""
     kernel: Any = effect.kernel
     return Path(inspect.getfile(getattr(kernel, "py_func", kernel)))
 
@@ -102,10 +109,10 @@ def place_of(effect: Effect) -> str:
 
 
 def compiled_kernel(effect: Effect) -> Any:
-    """The kernel of an effect, compiled when first asked for.
+    """The kernel of an effect as a C function, compiled when first asked for.
 
-    raises : InputError where it cannot be, or has an exception (to print and to take memory are some), which nobody
-             could catch
+    raises : InputError with file and line where it cannot be compiled, or where it can raise an exception (so can
+             printing and allocating): a kernel called from C has no caller that could catch one
     """
     try:
         made, raises = _compiled(effect.kernel)
@@ -122,7 +129,7 @@ def compiled_kernel(effect: Effect) -> Any:
 
 @cache
 def _compiled(kernel: Any) -> tuple[Any, bool]:
-    """A kernel as a function of C, and whether an exception is left in it: numba keeps each as a constant."""
+    """A kernel as a C function, and whether an exception is left in it: numba stores each as a constant."""
     made = c_function(KERNEL, kernel.py_func)
     constants = made._library._get_module_for_linking().global_variables
     return made, any(constant.name.startswith(".const.picklebuf") for constant in constants)

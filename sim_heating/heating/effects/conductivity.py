@@ -1,4 +1,4 @@
-"""Conductivity: the insulation conducts more or less than its tables say."""
+"""Conductivity of the insulation over its declared table, one factor for all T and p, docs/effects.md, equation 7."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Curvature: heating is not linear in elevon deflection."""
+"""Curvature in elevon deflection: r += d_elevon2 (elevon - elevon_0)^2, docs/effects.md, equation 8."""
 
 from __future__ import annotations
 

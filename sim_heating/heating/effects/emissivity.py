@@ -1,4 +1,4 @@
-"""Emittance: off by a factor, changing at some time, or changing with temperature."""
+"""Emittance: a factor on the declared table, a change at some time, or a change with temperature."""
 
 from __future__ import annotations
 
@@ -16,17 +16,31 @@ from sim_heating.heating.effects import Effect, Try
 
 FACTOR, CHANGE, SLOPE, DURATION = range(4)
 REFERENCE_K = 1000.0
+"""Temperature at which the slope leaves the emittance unchanged [K]."""
 
 
 @njit
 def emittance_changes(B: FloatArray, c: int, p: int, wall_K: float) -> float:
-    """1 + (factor - 1) S((t - change) / duration) + slope (T_w - 1000 K), not below 0 [-]."""
+    """Factor of the effect on the tabulated emittance [-], not below 0.
+
+        f = 1 + (factor - 1) S((t - change) / duration) + slope (T_w - 1000 K),    S(x) = 1 / (1 + exp(-x))
+
+    B       : block of the lane group; B[c] flight conditions with the time t [s], B[p] the parameters of EFFECT
+    wall_K  : wall temperature T_w [K]
+    returns : factor [-]; the emittance times this factor is not limited to 1
+
+    Source: the observation, Williams and Curry, NASA RP-1193 (1992); the form, docs/effects.md, equation 9.
+    """
     changed = (B[p + FACTOR] - 1.0) * logistic((B[c + TIME] - B[p + CHANGE]) / B[p + DURATION])
     return max(1.0 + changed + B[p + SLOPE] * (wall_K - REFERENCE_K), 0.0)
 
 
 def tries(flown: Conditions) -> Sequence[Try]:
-    """As declared; for a change in time, at several times."""
+    """Search starts for an emittance error (docs/effects.md, equation 9), with the emittance as declared.
+
+    flown   : conditions of the flight
+    returns : a constant factor, a slope in temperature, or a change at five quantiles of time [s], sudden and gradual
+    """
     times = np.quantile(flown.time_s, [0.2, 0.35, 0.5, 0.65, 0.8])
     return [
         Try(("emissivity_factor",)),

@@ -1,4 +1,4 @@
-"""Gap flow: hot gas enters gaps and gives its heat off in depth."""
+"""Gap flow: hot gas enters gaps between tiles and heats their sides in depth, docs/effects.md, equation 10."""
 
 from __future__ import annotations
 
@@ -10,7 +10,11 @@ from sim_heating.heating.effects import Effect, Try
 
 
 def tries(flown: Conditions) -> Sequence[Try]:
-    """None yet, over several depths."""
+    """Search starts for gap flow (docs/effects.md, equation 10), with no film spent in gaps yet.
+
+    flown   : conditions of the flight, not used
+    returns : depths of 0.002, 0.006 and 0.02 [m] over which the heating falls by e
+    """
     return [Try(("gap_fraction", "gap_depth_m"), {"gap_depth_m": d}) for d in (0.002, 0.006, 0.02)]
 
 

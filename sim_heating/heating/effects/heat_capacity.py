@@ -1,4 +1,4 @@
-"""Heat capacity: insulation or coating take up more or less heat than their tables say."""
+"""Heat capacity of insulation or coating over the declared table, docs/effects.md, equation 11."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sim_heating.heating.effects import Effect, Try
 
 
 def tries(flown: Conditions) -> Sequence[Try]:
-    """One at a time."""
+    """Search starts for heat capacity (docs/effects.md, equation 11): the factor [-] of insulation or coating alone."""
     return [Try(("heat_capacity_factor",)), Try(("coating_heat_capacity_factor",))]
 
 

@@ -18,12 +18,25 @@ ONSET, SLOPE = range(2)
 
 @njit
 def impingement(B: FloatArray, c: int, p: int, wall_K: float) -> float:
-    """slope max(0, alpha - alpha_onset) [-], added to the ratio."""
+    """Ratio that flow impingement adds above an onset angle of attack [-].
+
+        f = slope max(0, alpha - alpha_onset)
+
+    B       : block of the lane group; B[c] flight conditions with alpha [deg], B[p] alpha_onset [deg], slope [1/deg]
+    wall_K  : wall temperature [K], not used
+    returns : what is added to the heating ratio [-]; its slope jumps at the onset
+
+    Source: fig. 14 of the founding paper (onset at 37 deg in flight, OMS pod of STS-2); docs/effects.md, equation 12.
+    """
     return B[p + SLOPE] * max(0.0, B[c + ALPHA] - B[p + ONSET])
 
 
 def tries(flown: Conditions) -> Sequence[Try]:
-    """Onsets spread over the angles of attack flown, no rise yet."""
+    """Search starts for flow impingement (docs/effects.md, equation 12), with no rise yet.
+
+    flown   : conditions of the flight
+    returns : onsets at six quantiles, 0.3 to 0.99, of the angle of attack flown [deg]
+    """
     onsets = np.quantile(flown["alpha_deg"], [0.3, 0.6, 0.8, 0.9, 0.96, 0.99])
     return [Try(("alpha_onset_deg", "slope"), {"alpha_onset_deg": float(x)}) for x in onsets]
 

@@ -1,4 +1,4 @@
-"""Interaction: two variables together do more, or less, than the sum of what each does."""
+"""Interaction: two variables together do more, or less, than the sum of each, docs/effects.md, equation 13."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PAIRS = tuple((i, j) for i, j in SECOND_ORDER if i != j)
 
 
 def tries(flown: Conditions) -> Sequence[Try]:
-    """One pair at a time."""
+    """Search starts for interaction (docs/effects.md, equation 13): each mixed derivative alone."""
     return [Try((f"d_{SHORT[i]}_{SHORT[j]}",)) for i, j in PAIRS]
 
 

@@ -1,4 +1,4 @@
-"""Reaction-jet firings: heating, or the density derived from a disturbed air-data reading, follows the jets."""
+"""Reaction-jet firings: the heating, or the density derived from a disturbed air-data reading, follows the jets."""
 
 from __future__ import annotations
 
@@ -16,12 +16,20 @@ GAIN = 0
 
 @njit
 def jet_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
-    """1 + jet_gain jets [-], jets from 0 (off) to 1 (firing)."""
+    """Factor of firing reaction jets on the heating ratio [-].
+
+        f = 1 + jet_gain jets,    jets from 0 (off) to 1 (firing)
+
+    B       : block of the lane group; B[c] flight conditions with jets [-], B[p] jet_gain [-]
+    wall_K  : wall temperature [K], not used
+
+    Source: the observation, pitch-jet spikes of STS-2 in the founding paper; the form, docs/effects.md, equation 14.
+    """
     return 1.0 + B[p + GAIN] * B[c + JETS]
 
 
 def tries(flown: Conditions) -> Sequence[Try]:
-    """No dependence yet."""
+    """Search start for jet interaction (docs/effects.md, equation 14): no dependence [-] on the jets yet."""
     return [Try(("jet_gain",))]
 
 

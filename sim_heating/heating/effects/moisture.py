@@ -7,6 +7,7 @@ fibres are cooler and condenses there. Its heat is conducted with
     k_vapour = vapour du/dT,    vapour = D L rho_v    [W/m]
 
 (diffusivity, latent heat, density of vapour where it dries: some 20 W/m over wet fibres at 370 K, less as humidity).
+docs/effects.md, equations 15 and 16; in the thermal model docs/equations_thermal_step.md, equations 12 and 13.
 """
 
 from __future__ import annotations
@@ -19,7 +20,12 @@ from sim_heating.heating.effects import Effect, Try
 
 
 def tries(flown: Conditions) -> Sequence[Try]:
-    """None yet, at several temperatures."""
+    """Search starts for moisture (docs/effects.md, equations 15 and 16), with no latent heat yet.
+
+    flown   : conditions of the flight, not used
+    returns : boiling, boiling with condensation 40 K below, or diffusing vapour, each about 340, 373 and 420 [K]: with
+              a width of 8 K, the sensitivity at a start reaches only nearby temperatures
+    """
     evaporating = ("latent_J_kg", "boil_K", "width_K")
     condensing = ("latent_J_kg", "boil_K", "deposit_J_kg", "condense_K", "width_K")
     diffusing = ("vapour_W_m", "boil_K", "width_K")

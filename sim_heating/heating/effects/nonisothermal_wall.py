@@ -19,12 +19,26 @@ LAG, FRACTION, OVERSHOOT, DECAY, BEGIN = range(5)
 
 @njit
 def overshoot_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
-    """1 + overshoot exp(-max(t - begin, 0) / decay) [-]; the lag itself is the model's (heating/film.py)."""
+    """Factor of the decaying excess of heating behind a step of wall temperature [-].
+
+        f = 1 + overshoot exp(-max(t - begin, 0) / decay)
+
+    B       : block of the lane group; B[c] flight conditions with the time t [s], B[p] the parameters of EFFECT
+    wall_K  : wall temperature [K], not used: the excess comes from the wall upstream, which the model does not have
+    returns : factor [-], constant before `begin`; the lag of the same effect is applied by surface_heating.py
+
+    Source: the process, Chapman and Rubesin (1949); the form, docs/effects.md, equation 17, its lag equation 18.
+    """
     return 1.0 + B[p + OVERSHOOT] * exp(-max(B[c + TIME] - B[p + BEGIN], 0.0) / B[p + DECAY])
 
 
 def tries(flown: Conditions) -> Sequence[Try]:
-    """Short and long lags; an excess that decays fast or slowly from when heating sets in; none of either yet."""
+    """Search starts for a non-isothermal wall (docs/effects.md, equations 17 and 18), with no lag or excess yet.
+
+    flown   : conditions of the flight
+    returns : lags of 1.5, 3 and 6 [s]; excesses that decay in 60, 200 or 500 [s] from where h_ref H_r first reaches
+              0.1, or 0.5, of its maximum
+    """
     heating = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
     begins = [float(flown.time_s[int(np.argmax(heating >= part * np.max(heating)))]) for part in (0.1, 0.5)]
     return [

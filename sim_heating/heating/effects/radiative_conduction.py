@@ -1,4 +1,4 @@
-"""Radiation in depth: conductivity grows faster with temperature than declared."""
+"""Radiation in depth: conductivity grows faster with temperature than declared, docs/effects.md, equation 20."""
 
 from __future__ import annotations
 
@@ -12,7 +12,11 @@ from sim_heating.heating.effects import Effect, Try
 
 
 def tries(flown: Conditions) -> Sequence[Try]:
-    """None yet: at all temperatures, or above several up to which the declared conductivity holds."""
+    """Search starts for radiative conduction (docs/effects.md, equation 20), with nothing added yet.
+
+    flown   : conditions of the flight, not used
+    returns : radiation at all temperatures, or above 400 to 1200 [K], up to which the declared table holds
+    """
     return [
         Try(("k_rad",), {"from_K": 0.0}),
         *(Try(("k_rad", "from_K"), {"from_K": float(T)}) for T in np.arange(400.0, 1300.0, 200.0)),

@@ -16,12 +16,20 @@ SLOPE, CURVATURE = range(2)
 
 @njit
 def added_by_sideslip(B: FloatArray, c: int, p: int, wall_K: float) -> float:
-    """slope |beta| + d_beta2 beta^2 [-]."""
+    """Ratio that sideslip of either sign adds [-].
+
+        f = slope |beta| + d_beta2 beta^2
+
+    B       : block of the lane group; B[c] flight conditions with beta [deg], B[p] slope [1/deg], d_beta2 [1/deg2]
+    wall_K  : wall temperature [K], not used
+
+    Source: the observation, NASA TM-86032 and the founding paper; the form, docs/effects.md, equation 21.
+    """
     return B[p + SLOPE] * abs(B[c + BETA]) + B[p + CURVATURE] * B[c + BETA] * B[c + BETA]
 
 
 def tries(flown: Conditions) -> Sequence[Try]:
-    """One form at a time."""
+    """Search starts for sideslip (docs/effects.md, equation 21): |beta| or beta^2 alone, beta in [deg]."""
     return [Try(("slope_abs_beta",)), Try(("d_beta2",))]
 
 

@@ -16,14 +16,23 @@ from sim_heating.heating.effects import Effect, Try
 
 ONSET, ALPHA_SENSITIVITY, WIDTH, FACTOR, ALPHA_0, SPOTS = range(6)
 NARASIMHA = 0.412
-"""`width` is then the distance between a quarter and three quarters of the rise."""
+"""Constant of the intermittency 1 - exp(-0.412 x^2) [-], with which `width` is the distance between a quarter and three
+quarters of the rise (Dhawan and Narasimha 1958)."""
 
 
 @njit
 def transition_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
-    """1 + (factor - 1) turbulent [-],  x = (log10_re - onset + alpha_sens (alpha - alpha_0)) / width,
+    """Factor of boundary-layer transition on the heating ratio [-], from 1 (laminar) to `factor` (turbulent).
 
-    turbulent part of the time 1 / (1 + exp(-x)), or with `spots` 1 - exp(-0.412 x^2) past x = 0.
+        f = 1 + (factor - 1) Gamma(x),    x = (log10_re - onset + alpha_sens (alpha - alpha_0)) / width
+        Gamma = (1 - spots) / (1 + exp(-x)) + spots (1 - exp(-0.412 max(x, 0)^2))
+
+    B       : block of the lane group; B[c] flight conditions with alpha [deg] and log10_re [-], B[p] the parameters
+    wall_K  : wall temperature [K], not used
+    returns : factor [-]; Gamma is the fraction of the time that the flow is turbulent
+
+    Source: `spots`, Dhawan and Narasimha (1958), J. Fluid Mech. 3, 418, there in distance; docs/effects.md,
+    equations 23 and 24.
     """
     past = B[c + LOG10_RE] - B[p + ONSET] + B[p + ALPHA_SENSITIVITY] * (B[c + ALPHA] - B[p + ALPHA_0])
     x = past / B[p + WIDTH]
@@ -35,9 +44,12 @@ def transition_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
 
 
 def tries(flown: Conditions) -> Sequence[Try]:
-    """Onsets spread over the Reynolds numbers that the flight passes through, still laminar behind them, in either
-    form; those that angle of attack does not move too, which a flight that passes its onset once cannot tell from
-    others."""
+    """Search starts for transition (docs/effects.md, equations 23 and 24), still laminar.
+
+    flown   : conditions of the flight
+    returns : onsets at 14 quantiles of the log10 Reynolds number flown [-], in either form, first independent of angle
+              of attack: a flight that crosses its onset once cannot separate alpha_sens from the onset
+    """
     at_any_alpha = ("log10_re_onset", "width", "factor")
     names = (*at_any_alpha, "alpha_sens")
     onsets = np.quantile(flown["log10_re"], np.linspace(0.05, 0.98, 14))

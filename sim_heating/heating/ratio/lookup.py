@@ -2,8 +2,9 @@
 
     r = r_table(x) (1 + scale) + d0 + sum_i d_i (x_i - x_i0) + sum_(i<=j) d_ij (x_i - x_i0) (x_j - x_j0)
 
-with x = alpha, beta [deg], log10 Re, elevon, body flap [deg]; no factor 1/2. Source: "Trends in Shuttle Entry
-Heating from the Correlation of Flight Test Maneuvers", eq. 2, and its second-order terms.
+with x = alpha, beta [deg], log10 Re [-], elevon, body flap [deg]; no factor 1/2. Source: "Trends in Shuttle Entry
+Heating from the Correlation of Flight Test Maneuvers", eq. 2, and its second-order terms; docs/equations.md,
+equations 5 and 7.
 
 A table is stored as five axis lengths, the axes one after the other, and the ratios with the last variable fastest.
 """
@@ -41,18 +42,21 @@ from sim_heating.heating.ratio.table import RatioTable
 
 VARIABLES = 5
 FAR = 1e300
-"""End of a cell that goes on for ever."""
+"""Bound of a cell that extends to infinity."""
 
 
 def pack_table(table: RatioTable) -> FloatArray:
-    """The flat form of a ratio table that the kernel reads."""
+    """Flat form of a ratio table that the kernels read.
+
+    returns : five axis lengths, the nodes of the axes [deg] and [-], then the ratios [-] with the last variable fastest
+    """
     lengths = np.array([float(len(axis)) for axis in table.axes])
     return np.concatenate([lengths, *table.axes, np.ascontiguousarray(table.ratio).ravel()])
 
 
 @njit
 def _cell(axis: FloatArray, first: int, n: int, x: float) -> tuple[int, float]:
-    """Cell of an increasing axis that holds x and the fraction of the way through it; the edge value holds outside."""
+    """Cell of an increasing axis that contains x, and the fraction of the way through it [-]; outside, the edge."""
     if n == 1 or not x > axis[first]:
         return 0, 0.0
     if x >= axis[first + n - 1]:
@@ -89,7 +93,12 @@ def _along_2(r: FloatArray, at: int, s2: int, s3: int, s4: int, f2: float, f3: f
 
 @njit
 def table_ratio(table: FloatArray, offset: int, x: FloatArray, at: int) -> float:
-    """Multilinear ratio [-] of the table at an offset, for the five variables from x[at] on; edges hold outside."""
+    """Multilinear heating ratio [-] of a packed table at one condition; outside its axes the nearest edge value.
+
+    table  : flat array of tables as `pack_table` makes them;  offset : where this one begins
+    x, at  : array with alpha, beta [deg], log10 Re [-], elevon, body flap [deg] from x[at] on
+    Source: docs/equations.md, equation 7.
+    """
     n1, n2, n3 = int(table[offset]), int(table[offset + 1]), int(table[offset + 2])
     n4, n5 = int(table[offset + 3]), int(table[offset + 4])
     first = offset + VARIABLES
@@ -107,22 +116,35 @@ def table_ratio(table: FloatArray, offset: int, x: FloatArray, at: int) -> float
     s3 = n4 * s4
     s2 = n3 * s3
     s1 = n2 * s2
+    # Node by node instead of 32 corners: `f == 0` cuts the branches, so that an axis of one value costs nothing and
+    # nothing is read beyond its end.
     node = first + i1 * s1 + i2 * s2 + i3 * s3 + i4 * s4 + i5
     low = _along_2(table, node, s2, s3, s4, f2, f3, f4, f5)
     return low if f1 == 0.0 else low + f1 * (_along_2(table, node + s1, s2, s3, s4, f2, f3, f4, f5) - low)
 
 
 def table_ratios_at(table: RatioTable, x: FloatArray) -> FloatArray:
-    """(sample,) ratio [-] of a table at (sample, 5) conditions; edges hold outside."""
+    """Heating ratio of a table at many conditions; outside its axes the nearest edge value.
+
+    x       : (sample, 5) alpha, beta [deg], log10 Re [-], elevon, body flap [deg]
+    returns : (sample,) ratio [-], multilinear (docs/equations.md, equation 7)
+    """
     packed = pack_table(table)
     return np.array([table_ratio(packed, 0, row, 0) for row in np.ascontiguousarray(x, dtype=float)])
 
 
 @njit
 def linear_ratio(B: FloatArray, p: int, c: int, tabulated: float) -> float:
-    """Ratio [-] before effects from the tabulated one; parameters from B[p] on, conditions from B[c] on
-    (base/kernels/block.py)."""
+    """Heating ratio [-] before effects: scale and offset on the tabulated one, first and second derivatives.
+
+        r = r_table (1 + scale) + d0 + sum_i d_i (x_i - x_i0) + sum_(i<=j) d_ij (x_i - x_i0) (x_j - x_j0)
+
+    B         : block of a lane group; parameters and reference condition from B[p] on, conditions from B[c] on
+    tabulated : ratio of the table at the conditions [-]
+    Source: docs/equations.md, equation 5 (NASA CP-2283, equation 2, with second-order terms).
+    """
     r = tabulated * (1.0 + B[p + SCALE]) + B[p + D0]
+    # Most points have no derivatives: ORDER saves up to 20 terms a stage.
     if B[p + ORDER] >= 1.0:
         for i in range(VARIABLES):
             r += B[p + FIRST + i] * (B[c + i] - B[p + REFERENCE + i])
@@ -137,7 +159,13 @@ def linear_ratio(B: FloatArray, p: int, c: int, tabulated: float) -> float:
 
 @njit
 def linear_factor(B: FloatArray, p: int, c: int, tabulated: float, k: int) -> float:
-    """Derivative of linear_ratio against its parameter k (base/kernels/block.py: SCALE, D0, FIRST, SECOND)."""
+    """Derivative of `linear_ratio` with respect to one of its parameters, exact as the model is linear in them.
+
+    B, p, c   : as in `linear_ratio`;  tabulated : ratio of the table [-]
+    k         : offset of the parameter from B[p]: SCALE, D0, or a place from FIRST or SECOND on
+    returns   : r_table, 1, dx_i or dx_i dx_j; [-], [deg] or their product
+    Source: docs/equations.md, equation 9.
+    """
     if k == SCALE:
         return tabulated
     if k == D0:
@@ -154,16 +182,24 @@ def linear_factor(B: FloatArray, p: int, c: int, tabulated: float, k: int) -> fl
 
 @njit
 def mark_order(B: FloatArray, p: int) -> None:
-    """Note the highest order of the linear model whose derivatives, from B[p] on, are not all 0."""
+    """Write the highest order (0, 1 or 2) of the linear model with a derivative that is not 0 into B[p + ORDER].
+
+    B, p : block of a lane group and where a lane's parameters begin
+    `linear_ratio` omits the sums above that order (docs/equations.md, equation 5).
+    """
     B[p + ORDER] = 0.0
     for k in range(FIRST, REFERENCE):
         if B[p + k] != 0.0:
+            # Second derivatives come last in the block, so that the last one that is not 0 decides.
             B[p + ORDER] = 2.0 if k >= SECOND else 1.0
 
 
 @njit
 def forget_cells(B: FloatArray) -> None:
-    """Make every lane find its cells anew: tables or temperatures of a group have been set from outside."""
+    """Invalidate the table cells that all lanes cache, after tables or temperatures of a group were set from outside.
+
+    B : block of the lane group. The bounds of every cached cell are made empty, so that the next lookup searches.
+    """
     for a in range(CELL_AXES):
         for lane in range(LANES):
             B[(CELL_LOW + a) * LANES + lane] = FAR
@@ -172,13 +208,20 @@ def forget_cells(B: FloatArray) -> None:
 
 @njit
 def keep_axis(B: FloatArray, table: FloatArray, lane: int, a: int, first: int, n: int) -> int:
-    """Keep the cell of one axis that holds the lane's variable; gives its number, 0 where there is one value."""
+    """Find and cache the cell of one axis that contains a lane's variable.
+
+    B, lane  : block of the lane group and number of the lane; its variable is in row CELL_X + a, in the axis's unit
+    table    : flat array; the n nodes of axis number a begin at `first`
+    returns  : index of the cell, 0 for an axis of one value
+    Bounds, lower node and inverse width are written into B; cells at the ends extend to infinity.
+    """
     x, i, low, high, foot, inverse = B[(CELL_X + a) * LANES + lane], 0, -FAR, FAR, 0.0, 0.0
     if n > 1:
         while i < n - 2 and x >= table[first + i + 1]:
             i += 1
         foot = table[first + i]
         inverse = 1.0 / (table[first + i + 1] - foot)
+        # Unbounded at the ends of the axis: a variable off the table does not start a search at every stage.
         low = foot if i > 0 else -FAR
         high = table[first + i + 1] if i < n - 2 else FAR
     B[(CELL_LOW + a) * LANES + lane] = low
@@ -190,7 +233,7 @@ def keep_axis(B: FloatArray, table: FloatArray, lane: int, a: int, first: int, n
 
 @folded
 def _keep_cell(B: FloatArray, table: FloatArray, offset: int, lane: int) -> None:
-    """Keep the cell that holds a lane's variables, and the ratio at its corners; a lane without a table has ratio 0."""
+    """Cache the cell that contains a lane's variables, and the ratios at its 32 corners, 0 for a lane without table."""
     first, node = offset + VARIABLES, 0
     for a in range(VARIABLES):
         n = 1 if offset == NO_TABLE else int(table[offset + a])
@@ -207,7 +250,7 @@ def _keep_cell(B: FloatArray, table: FloatArray, offset: int, lane: int) -> None
 
 @njit
 def _halve(B: FloatArray, corners: int, into: int, half: int, a: int) -> None:
-    """Interpolate corners along variable a, whose fraction stands in its row: half of them are left."""
+    """Interpolate the corners along variable a, whose fraction is in its CELL_X row; half as many values remain."""
     for c in range(half):
         for lane in range(LANES):
             low = B[(corners + c) * LANES + lane]
@@ -217,19 +260,27 @@ def _halve(B: FloatArray, corners: int, into: int, half: int, a: int) -> None:
 
 @inlined
 def lanes_left(B: FloatArray, a: int) -> int:
-    """Number of pairs of lanes that have left the cell of one axis that they keep."""
+    """Number of pairs of lanes of which at least one has left the cached cell of axis a.
+
+    B : block of the lane group; rows CELL_X + a, CELL_LOW + a and CELL_HIGH + a, in the unit of the axis
+    """
     return lanes_outside(B, (CELL_X + a) * LANES, (CELL_LOW + a) * LANES, (CELL_HIGH + a) * LANES)
 
 
 @inlined
 def fraction(B: FloatArray, a: int, lane: int) -> float:
-    """How far a lane's variable is through the cell of one axis: below 0 or above 1 off the ends of the axis."""
+    """Position of a lane's variable in its cached cell of axis a [-]: 0 at the lower node, 1 at the upper one.
+
+    B : block of the lane group. Below 0 or above 1 only off the ends of the axis; 0 on an axis of one value.
+    It is f_v of docs/equations.md, equation 7, before it is limited to 0 to 1.
+    """
     return (B[(CELL_X + a) * LANES + lane] - B[(CELL_FOOT + a) * LANES + lane]) * B[(CELL_INVERSE + a) * LANES + lane]
 
 
 @njit
 def _interpolate(B: FloatArray, J: IntArray, table: FloatArray) -> None:
-    """Ratio of all lanes from the variables in CELL_X, and how many of these are off the axes of the table."""
+    """Ratio of all lanes from the variables in CELL_X, and the number of these variables off the axes of the table."""
+    # All lanes are searched when one has left: rare in a flight, and the test stays free of branches.
     left = 0
     for a in range(VARIABLES):
         left += lanes_left(B, a)
@@ -241,8 +292,11 @@ def _interpolate(B: FloatArray, J: IntArray, table: FloatArray) -> None:
     for a in range(VARIABLES):
         for lane in range(LANES):
             f = fraction(B, a, lane)
+            # `&` and not `and`: without a branch the loop over lanes vectorises.
             B[OFF_AXES * LANES + lane] += 0.0 if (f >= 0.0) & (f <= 1.0) else 1.0
             B[(CELL_X + a) * LANES + lane] = min(max(f, 0.0), 1.0)
+    # Variable 4 first: bit a of a corner's number belongs to variable a, so that both halves are contiguous rows.
+    # The table's own corners are kept; from four values on the work rows are overwritten in place.
     _halve(B, CORNERS, CELL_WORK + 8, 16, 4)
     _halve(B, CELL_WORK + 8, CELL_WORK, 8, 3)
     _halve(B, CELL_WORK, CELL_WORK, 4, 2)
@@ -252,10 +306,12 @@ def _interpolate(B: FloatArray, J: IntArray, table: FloatArray) -> None:
 
 @njit
 def table_ratios(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> None:
-    """Tabulated ratio of all lanes at a stage, into the first row of CELL_WORK: `table_ratio` for many at once; into
-    OFF_AXES how many of the five variables lie outside the table (an axis of one value has no outside).
+    """Tabulated ratio [-] of all lanes at one stage, into the first row of CELL_WORK: `table_ratio` for all at once.
 
-    The corners of a lane's cell stay beside it until it leaves the cell.
+    B, J  : block of the lane group and its integers;  table : flat array of tables
+    stage : 0 start, 1 middle, 2 end of the time step, whose conditions are read
+    Row OFF_AXES gets how many of the five variables lie outside the table (an axis of one value has no outside).
+    The corners of a lane's cell are cached until it leaves the cell. Source: docs/equations.md, equation 7.
     """
     c = C_STAGES * LANES + stage * LANES * N_CONDITIONS
     for a in range(VARIABLES):

@@ -1,10 +1,11 @@
-"""The heating-ratio table of a control point as a file: long form, one row a node of a full rectangular grid.
+"""Heating-ratio table of a control point as a CSV file: long form, one row per node of a full rectangular grid.
 
     # source: ...            optional `# key: value` lines: source, confidence, revision, reference
     alpha_deg,beta_deg,log10_re,elevon_deg,bodyflap_deg,ratio[,sigma]
     10,-4,4.5,-10,-10,0.0033
 
-Between nodes the ratio is multilinear, outside the grid the edge value holds. An axis may have one value.
+Between nodes the ratio is multilinear, outside the grid the edge value is used (docs/equations.md, equation 7).
+An axis may have one value.
 """
 
 from __future__ import annotations
@@ -35,10 +36,11 @@ from sim_heating.base.files import (
 class RatioTable:
     """Heating ratio on a rectangular grid of the five variables.
 
-    axes   : increasing node values of alpha_deg, beta_deg, log10_re, elevon_deg, bodyflap_deg
+    axes   : increasing node values of alpha_deg, beta_deg [deg], log10_re [-], elevon_deg, bodyflap_deg [deg]
     ratio  : (alpha, beta, log10_re, elevon, bodyflap) film coefficient over the reference film coefficient [-]
-    sigma  : one standard deviation of it, same shape, or None where the file gives none
-    header : source, confidence, revision, reference and whatever else the file says of itself
+    sigma  : one standard deviation of the ratio [-], same shape, or None where the file gives none
+    header : source, confidence, revision, reference and other entries of the file's header
+    raises : InputError where shapes disagree, an axis does not increase, or a ratio is not finite
     """
 
     axes: tuple[FloatArray, ...]
@@ -60,19 +62,23 @@ class RatioTable:
 
     @property
     def reference(self) -> str | None:
-        """Name of the reference heating that the ratio is over, where the file states one."""
+        """Name of the reference heating that the ratio is over; None where the file states none."""
         return self.header.get("reference") or None
 
 
 def read_ratio_table(path: str | os.PathLike[str]) -> RatioTable:
-    """Read and check a ratio table; rows may stand in any order.
+    """Read and check a heating-ratio table; rows may be in any order.
 
-    raises : InputError naming row and column: no number, negative sigma, a node twice, a node missing
+    path    : CSV file; columns alpha_deg, beta_deg, log10_re, elevon_deg, bodyflap_deg, ratio [-], optionally sigma [-]
+    returns : the table on its grid, header included
+    raises  : InputError with row and column: not a number, an angle beyond 180, a log10_re beyond 20, a negative sigma,
+              an unknown column, a repeated or missing node
     """
     table = read_csv_columns(path, (*RATIO_VARIABLES, "ratio"), ("sigma",))
     raise_problems(_column_problems(table))
     axes = tuple(np.unique(table[name]) for name in RATIO_VARIABLES)
     index = tuple(np.searchsorted(axis, table[name]) for axis, name in zip(axes, RATIO_VARIABLES, strict=True))
+    # Repeated nodes first: with one of them the number of missing nodes would mislead.
     raise_problems(_repeated_nodes(table, index) or _missing_nodes(table, axes, index))
     return RatioTable(axes, _on_grid(table, "ratio", axes, index), _sigma(table, axes, index), table.header)
 
@@ -80,12 +86,19 @@ def read_ratio_table(path: str | os.PathLike[str]) -> RatioTable:
 def write_ratio_table(
     path: str | os.PathLike[str], table: RatioTable, formats: Mapping[str, str] | None = None
 ) -> None:
-    """Write a ratio table in long form, whole or not at all; see ratio_table_text."""
+    """Write a heating-ratio table in long form, atomically: the file is complete or unchanged.
+
+    path    : CSV file to write;  table : angles [deg], log10_re and ratios [-]
+    formats : column name -> format, such as `.4g`; see `ratio_table_text`
+    """
     write_text_atomic(path, ratio_table_text(table, formats))
 
 
 def ratio_table_text(table: RatioTable, formats: Mapping[str, str] | None = None) -> str:
-    """A ratio table in long form, last variable fastest; without formats it reads back equal."""
+    """Text of a heating-ratio table in long form, angles [deg], log10_re and ratios [-], last variable fastest.
+
+    formats : column name -> format, such as `.4g`; without formats the text reads back equal
+    """
     grid = np.meshgrid(*table.axes, indexing="ij")
     columns = {name: g.ravel() for name, g in zip(RATIO_VARIABLES, grid, strict=True)} | {"ratio": table.ratio.ravel()}
     if table.sigma is not None:
@@ -94,7 +107,7 @@ def ratio_table_text(table: RatioTable, formats: Mapping[str, str] | None = None
 
 
 def _column_problems(table: CsvTable) -> list[str]:
-    """Unknown columns, angles that are none, negative sigma."""
+    """Messages about unknown columns, implausible angles or Reynolds numbers, and negative sigma."""
     known = (*RATIO_VARIABLES, "ratio", "sigma")
     problems = [
         f"{display_path(table.path)}: unknown column `{name}`. {suggestion(name, known)}"
@@ -125,11 +138,12 @@ def _at(table: CsvTable, row: int) -> str:
 
 
 def _missing_nodes(table: CsvTable, axes: tuple[FloatArray, ...], index: tuple[NDArray[np.intp], ...]) -> list[str]:
-    """What keeps the nodes from filling the grid: a value that few nodes have, else the first node that is missing."""
+    """Why the nodes do not fill the grid: an axis value that few nodes have, else the first missing node."""
     shape = tuple(len(a) for a in axes)
     whole = math.prod(shape)
     if len(table) == whole:
         return []
+    # A mistyped axis value makes a whole plane of nodes look missing; the value is the better message.
     odd = _odd_value(table, shape, index)
     if odd:
         return [odd]
@@ -142,7 +156,7 @@ def _missing_nodes(table: CsvTable, axes: tuple[FloatArray, ...], index: tuple[N
 
 
 def _odd_value(table: CsvTable, shape: tuple[int, ...], index: tuple[NDArray[np.intp], ...]) -> str | None:
-    """The axis value with fewer than half of its nodes, as a mistyped one has."""
+    """Message about an axis value with fewer than half as many nodes as the others, as a mistyped one has."""
     for name, size, i in zip(RATIO_VARIABLES, shape, index, strict=True):
         counts = np.bincount(i, minlength=size)
         rarest = int(np.argmin(counts))

@@ -7,7 +7,7 @@ A ratio is measured at one flow state on a model, h / h_ref on the model's own r
 with theory the film coefficient of Eckert's flat plate, at the local pressure and edge speed of a windward surface,
 over that of Fay and Riddell's sphere:
 
-    theory_laminar   ~ Re_L^0     both go with Re^-1/2: real-gas and edge properties remain
+    theory_laminar   ~ Re_L^0     both are proportional to Re^-1/2: real-gas and edge properties remain
     theory_turbulent ~ Re_L^0.3   Re^-1/5 over the laminar Re^-1/2 of the sphere
 
 Transitional flow is a blend by intermittency,
@@ -21,9 +21,10 @@ the tunnel reached.
 Assumptions: model and vehicle are similar and the reference sphere is scaled with them; modified Newtonian pressure and
 edge speed V cos(angle) in both; equilibrium air and a fully catalytic wall in flight; one wall temperature each.
 Sigma, as a fraction of the ratio, grows in quadrature by `method_sigma` (the method as such), by `correction_sigma`
-times the logarithm of the correction, and for transitional flow by what `onset_sigma` decades of both onsets are worth.
+times the logarithm of the correction, and for transitional flow by the effect of `onset_sigma` decades of both onsets.
 
-Holds for attached windward flow. Leeside and impingement regions have no better theory; let their method_sigma say so.
+Valid for attached windward flow. Leeside and impingement regions have no better theory; choose their method_sigma
+accordingly. Equations: docs/equations.md, equations 10 to 14.
 Sources: Eckert, Trans. ASME 78 (1956) 1273; Fay & Riddell, J. Aero. Sci. 25 (1958) 73; that wind-tunnel data must be
 scaled, transitional flow above all: Hodge, Phillips & Audley, NASA CP-2283 (1983). The method is engineering practice.
 """
@@ -50,13 +51,18 @@ ALPHA, LOG10_RE = 0, 2
 """Axes of a ratio table."""
 
 SHALLOWEST_DEG = 3.0
-"""Newtonian pressure vanishes at grazing incidence and the real one does not: smaller angles count as this one."""
+"""Smallest surface angle [deg]: at grazing incidence Newtonian pressure vanishes and the real one does not."""
 
 REFERENCE = "fay-riddell"
 
 
 class FlowState(Declared):
-    """A free stream and the body in it; its density follows from the Reynolds number on `length_m`."""
+    """A free stream and the body in it; its density follows from the Reynolds number on `length_m`.
+
+    velocity_m_s, T_inf_K   : free-stream speed [m/s] and temperature [K]
+    wall_K                  : wall temperature [K]
+    length_m, nose_radius_m : reference length of model or vehicle, radius of the reference sphere [m]
+    """
 
     velocity_m_s: float = Field(gt=0.0, description="free-stream speed in m/s")
     T_inf_K: float = Field(gt=0.0, description="free-stream temperature in K")
@@ -65,27 +71,45 @@ class FlowState(Declared):
     nose_radius_m: float = Field(gt=0.0, description="radius of the reference sphere, scaled with the model, in m")
 
     def density(self, log10_re: float) -> float:
-        """Free-stream density [kg/m3] at a Reynolds number."""
+        """Free-stream density rho = Re mu(T_inf) / (V L) [kg/m3] at a Reynolds number.
+
+        log10_re : log10 of the Reynolds number on `length_m` [-];  mu is Sutherland's law
+        Source: docs/equations_reference_heating.md, equations 2 and 3.
+        """
         return 10.0**log10_re * sutherland_kernel(self.T_inf_K) / (self.velocity_m_s * self.length_m)
 
 
 class Transition(Declared):
-    """Onset of transition at the place in question, as log10 of the free-stream Reynolds number on the body."""
+    """Transition at one place on the body: onset and width in log10 of the free-stream Reynolds number.
+
+    onset_log10_re : where the intermittency is 0.5 [-], Reynolds number on the body length
+    width          : scale of the logistic rise [-], decades
+    """
 
     onset_log10_re: float
     width: float = Field(gt=0.0, description="decades, above 0")
 
     def intermittency(self, log10_re: float) -> float:
-        """Turbulent fraction, 0.5 at the onset."""
+        """Turbulent fraction gamma = 1 / (1 + exp(-(log10_re - onset) / width)) [-], 0.5 at the onset.
+
+        log10_re : log10 of the free-stream Reynolds number on the body [-]
+        Source: docs/equations.md, equation 11; the logistic form is a choice.
+        """
         return 1.0 / (1.0 + math.exp(-(log10_re - self.onset_log10_re) / self.width))
 
 
 class Scaling(Declared):
-    """How a table goes from the wind tunnel to flight, and what that is worth.
+    """How a ratio table is scaled from the wind tunnel to flight, and the uncertainty of the scaling.
 
-    x_over_L         : running length over reference length
-    inclination_deg  : added to alpha for the angle of the local surface
-    fixed_angle_deg  : angle of the local surface where it does not follow alpha (impingement, leeside)
+    regime            : laminar, turbulent or transitional; the last needs both transitions
+    x_over_L          : running length over reference length [-]
+    inclination_deg   : added to alpha for the angle of the local surface [deg]
+    fixed_angle_deg   : angle of the local surface where it does not follow alpha (impingement, leeside) [deg]
+    tunnel, flight    : the two flow states
+    method_sigma      : relative sigma of the method as such [-]
+    correction_sigma  : relative sigma per unit of the logarithm of the correction [-]
+    onset_sigma       : sigma of both onsets of transition, decades of Reynolds number [-]
+    raises            : LocatedError where a transition is missing, or given in another regime
     """
 
     regime: Literal["laminar", "turbulent", "transitional"]
@@ -109,16 +133,24 @@ class Scaling(Declared):
         return self
 
     def angle_deg(self, alpha_deg: float) -> float:
-        """Angle of the local surface against the flow."""
+        """Angle of the local surface against the flow [deg], limited to 3 to 89.
+
+        alpha_deg : angle of attack [deg]; without effect where `fixed_angle_deg` is given
+        """
         angle = alpha_deg + self.inclination_deg if self.fixed_angle_deg is None else self.fixed_angle_deg
+        # At 90 deg the edge speed V cos(angle), and theory with it, would be 0.
         return min(max(angle, SHALLOWEST_DEG), 89.0)
 
 
 def theory(state: FlowState, log10_re: float, angle_deg: float, x_over_L: float, turbulent: bool) -> float:
     """Flat-plate film coefficient on a windward surface over that of the reference sphere [-].
 
-    log10_re : of the free stream on `state.length_m`;  angle_deg : local surface against the flow, 0 to 90
-    Diverging-flow factors are in; the sphere has the cold wall that defines the reference heating.
+    state     : flow state of tunnel or flight
+    log10_re  : log10 of the free-stream Reynolds number on `state.length_m` [-]
+    angle_deg : angle of the local surface against the flow [deg], 0 to 90
+    x_over_L  : running length over reference length [-];  turbulent : turbulent plate, else laminar
+    Diverging-flow factors are included; the sphere has the cold wall (300 K) that defines the reference heating.
+    Source: docs/equations.md, equation 10 (Eckert 1956; Fay and Riddell 1958).
     """
     rho, V, T = state.density(log10_re), state.velocity_m_s, state.T_inf_K
     plate = eckert_kernel(rho, V, T, angle_deg, x_over_L * state.length_m, state.wall_K, turbulent, True)
@@ -126,23 +158,28 @@ def theory(state: FlowState, log10_re: float, angle_deg: float, x_over_L: float,
 
 
 def scale_table(table: RatioTable, scaling: Scaling, log10_re: FloatArray | None = None) -> RatioTable:
-    """A ratio table measured in a wind tunnel as one for flight.
+    """Scale a heating-ratio table measured in a wind tunnel to flight.
 
-    table    : over Fay and Riddell's sphere, log10_re on the model's length
-    log10_re : nodes of the flight table, increasing; those of the tunnel where absent
-    returns  : ratio and sigma at the same alpha, beta and deflections; its header tells what was assumed
+    table    : ratio [-] over Fay and Riddell's sphere, log10_re on the model's length
+    scaling  : flow states, place, regime and uncertainties
+    log10_re : nodes of the flight table [-], increasing; those of the tunnel where absent
+    returns  : table of ratio and sigma [-] at the same alpha, beta and deflections; its header states the assumptions
     raises   : InputError where the table is over another reference or states no sigma
+    Reynolds numbers beyond the tunnel's take its nearest ratio, scaled from there.
+    Source: docs/equations.md, equations 10 to 12.
     """
     if table.sigma is None:
         raise InputError("ratio table: there is no sigma to add to; give the column `sigma`")
     if table.reference not in (None, REFERENCE):
         raise InputError(f"ratio table: is over `{table.reference}`; scaling takes ratios over `{REFERENCE}`")
     nodes = table.axes[LOG10_RE] if log10_re is None else np.asarray(log10_re, dtype=float)
+    # No extrapolation of the measured trend: beyond the tunnel's Reynolds numbers theory alone carries it.
     at_tunnel = np.clip(nodes, table.axes[LOG10_RE][0], table.axes[LOG10_RE][-1])
     factor, added = _corrections(scaling, table.axes[ALPHA], at_tunnel, nodes)
     shape = (factor.shape[0], 1, factor.shape[1], 1, 1)
     ratio = _at_nodes(table.ratio, table.axes[LOG10_RE], at_tunnel)
     ratio = ratio * factor.reshape(shape)
+    # A common factor: the tunnel's relative sigma is carried over unchanged.
     measured = _at_nodes(table.sigma, table.axes[LOG10_RE], at_tunnel) * factor.reshape(shape)
     sigma = np.hypot(measured, added.reshape(shape) * ratio)
     axes = (*table.axes[:LOG10_RE], nodes, *table.axes[LOG10_RE + 1 :])
@@ -152,7 +189,7 @@ def scale_table(table: RatioTable, scaling: Scaling, log10_re: FloatArray | None
 def _corrections(
     scaling: Scaling, alpha_deg: FloatArray, at_tunnel: FloatArray, nodes: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(alpha, log10_re) factor on the ratio, and sigma added as a fraction of it."""
+    """(alpha, log10_re) factor on the ratio [-], and sigma added as a fraction of it [-]."""
     factor, added = np.empty((len(alpha_deg), len(nodes))), np.empty((len(alpha_deg), len(nodes)))
     for i, j in product(range(len(alpha_deg)), range(len(nodes))):
         factor[i, j], added[i, j] = correction(scaling, float(alpha_deg[i]), float(at_tunnel[j]), float(nodes[j]))
@@ -162,11 +199,18 @@ def _corrections(
 def correction(
     scaling: Scaling, alpha_deg: float, tunnel_log10_re: float, flight_log10_re: float
 ) -> tuple[float, float]:
-    """Factor on a ratio from one tunnel state to one flight state, and the sigma it adds as a fraction of the ratio."""
+    """Factor [-] on a ratio from one tunnel state to one flight state, and the relative sigma [-] that it adds.
+
+    alpha_deg        : angle of attack [deg], the same in both
+    tunnel_log10_re, flight_log10_re : log10 of the free-stream Reynolds numbers [-]
+    returns          : theory(flight) / theory(tunnel), with the transitional blend where both onsets are given; sigma
+    Source: docs/equations.md, equations 10 to 12.
+    """
     angle = scaling.angle_deg(alpha_deg)
     ends = ((scaling.tunnel, tunnel_log10_re), (scaling.flight, flight_log10_re))
     laminar = [theory(s, re, angle, scaling.x_over_L, False) for s, re in ends]
     turbulent = [theory(s, re, angle, scaling.x_over_L, True) for s, re in ends]
+    # Independent errors of the method, of both onsets and of the size of the correction, added in quadrature below.
     steps = [scaling.method_sigma]
     if scaling.tunnel_transition is None or scaling.flight_transition is None:
         low, high = turbulent if scaling.regime == "turbulent" else laminar
@@ -184,7 +228,7 @@ def correction(
 
 
 def _blend(transition: Transition, log10_re: float, f: float, onset_sigma: float) -> tuple[float, float]:
-    """Transitional over laminar ratio, 1 + gamma (f - 1), and its relative sigma for an uncertain onset.
+    """Transitional over laminar ratio, 1 + gamma (f - 1) [-], and its relative sigma for an uncertain onset.
 
     The change of gamma over +-onset_sigma is halved rather than differentiated: a narrow transition is nearly a step.
     """
@@ -194,7 +238,7 @@ def _blend(transition: Transition, log10_re: float, f: float, onset_sigma: float
 
 
 def _at_nodes(values: FloatArray, axis: FloatArray, nodes: FloatArray) -> FloatArray:
-    """Values linear in log10_re, at nodes inside the axis."""
+    """Values of a ratio-table array linear in log10_re, at nodes inside the axis."""
     if len(axis) == 1:
         return np.repeat(values, len(nodes), axis=LOG10_RE)
     i = np.clip(np.searchsorted(axis, nodes, side="right") - 1, 0, len(axis) - 2)
@@ -203,7 +247,7 @@ def _at_nodes(values: FloatArray, axis: FloatArray, nodes: FloatArray) -> FloatA
 
 
 def _header(table: RatioTable, scaling: Scaling, added: FloatArray) -> dict[str, str]:
-    """The table's header with what was assumed."""
+    """Header of the table with the assumptions of the scaling added."""
     angle = "alpha" if scaling.fixed_angle_deg is None else f"{scaling.fixed_angle_deg:g} deg"
     told = (
         f"{scaling.regime}, tunnel {_told(scaling.tunnel)} to flight {_told(scaling.flight)}, "
@@ -222,22 +266,27 @@ def _told(state: FlowState) -> str:
 
 
 def windward_trend(alpha_deg: FloatArray) -> FloatArray:
-    """Laminar windward film coefficient against alpha, up to a constant: sin(alpha) sqrt(cos(alpha)).
+    """Laminar windward film coefficient against alpha, up to a constant: sin(alpha) sqrt(cos(alpha)) [-].
 
-    From h ~ sqrt(p_e u_e) with Newtonian p_e ~ sin^2 and u_e ~ cos; angles below 3 deg count as 3. Within 5 % of the
-    flat plate with real gas between 25 and 40 deg; for continuing a table downward, not for making one.
+    alpha_deg : angle of attack [deg], any shape; angles below 3 deg count as 3
+    returns   : trend [-], in that shape
+
+    From h ~ sqrt(p_e u_e) with Newtonian p_e ~ sin^2 and u_e ~ cos. Within 5 % of the flat plate with real gas between
+    25 and 40 deg; for continuing a table downward, not for making one. Derived in docs/equations.md, equation 13.
     """
     angle = np.radians(np.maximum(np.asarray(alpha_deg, dtype=float), SHALLOWEST_DEG))
     return np.sin(angle) * np.sqrt(np.cos(angle))
 
 
 def deflection_factor(alpha_deg: FloatArray, deflection_deg: FloatArray, pressure_exponent: float) -> FloatArray:
-    """Film coefficient of a deflected windward surface over that of the undeflected one.
+    """Film coefficient of a deflected windward surface over that of the undeflected one [-].
 
         (sin^2(alpha + deflection) / sin^2(alpha))^n,  n = 0.5 laminar, 0.8 turbulent
 
+    alpha_deg, deflection_deg : angle of attack and deflection [deg], shapes that broadcast
+    pressure_exponent         : n [-]
     Attached flow, no separation ahead of the hinge; angles below 3 deg count as 3. h ~ p^n is the flat plate at given
-    edge speed.
+    edge speed. Derived in docs/equations.md, equation 14.
     """
     flat = np.radians(np.maximum(np.asarray(alpha_deg, dtype=float), SHALLOWEST_DEG))
     turned = np.radians(np.maximum(np.asarray(alpha_deg, dtype=float) + deflection_deg, SHALLOWEST_DEG))

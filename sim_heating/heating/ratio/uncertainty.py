@@ -1,4 +1,4 @@
-"""Node values of a ratio table, given what flights say of linear combinations of them: exact linear-Gaussian update.
+"""Node values of a ratio table, given estimates of linear combinations of them: exact linear-Gaussian update.
 
     prior       n ~ N(n_0, K),  K_ij = sigma_i sigma_j rho(x_i, x_j)
     evidence    y = H n + e,  e ~ N(0, C)
@@ -7,10 +7,11 @@
 Errors of a table are common to neighbouring nodes (one tunnel, one model, one scaling), so rho is a product over the
 axes of Wendland's (1 - d/l)^3 (1 + 3 d/l), which is positive definite, smooth, and exactly 0 from the distance l on:
 nodes farther than l in any variable from every node that the data weigh keep their values. Several pieces of evidence
-are taken together, from the table that none of them has changed: their order does not matter, none is approximated.
+are applied together to the table before all of them: their order does not matter, and no step is approximate.
 
 Sources: Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), eqs. 2.23 and 2.24, with linear
-functionals for values; Wendland, Adv. Comput. Math. 4 (1995) 389, function phi_1,1.
+functionals for values; Wendland, Adv. Comput. Math. 4 (1995) 389, function phi_1,1; docs/equations.md, equations 15
+to 17.
 """
 
 from __future__ import annotations
@@ -30,26 +31,34 @@ from sim_heating.base.errors import InputError
 from sim_heating.heating.ratio.table import RatioTable
 
 REACH = {"alpha_deg": 30.0, "beta_deg": 20.0, "log10_re": 2.0, "elevon_deg": 30.0, "bodyflap_deg": 30.0}
-"""Distance l at which the errors of two nodes are independent, by variable; see docs/table_updates.md."""
+"""Distance l [deg], or [-] for log10_re, at which errors of two nodes are independent; see docs/table_updates.md."""
 
 SINGULAR = 1e-8
-"""Least diagonal of the root of a correlation matrix that can be divided by."""
+"""Smallest diagonal [-] of the Cholesky root of a correlation matrix that is not taken as singular."""
 
 
 def correlation(variable: str, distance: FloatArray) -> FloatArray:
-    """Correlation of the table's errors at a distance along one variable [-]."""
+    """Correlation (1 - d)^3 (1 + 3 d) [-] of the errors of two nodes along one variable, d = distance / l < 1; else 0.
+
+    variable : name of the axis, a key of REACH, which has l
+    distance : difference of the two nodes, any shape, in the unit of the axis: [deg], or [-] for log10_re
+    Source: Wendland 1995, Adv. Comput. Math. 4, 389, phi_1,1; docs/equations.md, equation 15.
+    """
     d = np.abs(distance) / REACH[variable]
     return np.where(d < 1.0, (1.0 - np.minimum(d, 1.0)) ** 3 * (1.0 + 3.0 * d), 0.0)
 
 
 def node_weights(axes: Sequence[FloatArray], x: FloatArray) -> csr_array:
-    """Weights of the nodes in the multilinear ratio: ratio(x) = W n; edge values hold outside.
+    """Weights of the nodes in the multilinear ratio, ratio(x) = W n; outside the axes the edge value.
 
-    x       : (sample, 5)
-    returns : (sample, node) sparse, nodes in the order of a table's ravelled ratio
+    axes    : increasing nodes of the five variables, [deg] and [-]
+    x       : (sample, 5) conditions in the same units
+    returns : (sample, node) sparse weights [-], rows sum to 1, nodes in the order of a table's ravelled ratio
+    Source: docs/equations.md, equation 7.
     """
     nodes = np.zeros((len(x), 1), dtype=np.int64)
     weights = np.ones((len(x), 1))
+    # Variable by variable, each doubles the corners: 32 in the end, last variable fastest as in the ravelled ratio.
     for axis, values in zip(axes, x.T, strict=True):
         low = np.clip(np.searchsorted(axis, values, side="right") - 1, 0, max(len(axis) - 2, 0))
         high = np.minimum(low + 1, len(axis) - 1)
@@ -62,19 +71,20 @@ def node_weights(axes: Sequence[FloatArray], x: FloatArray) -> csr_array:
     rows = np.repeat(np.arange(len(x)), nodes.shape[1])
     shape = (len(x), math.prod(len(a) for a in axes))
     matrix = csr_array((weights.ravel(), (rows, nodes.ravel())), shape=shape)
+    # On a node or beyond an edge most corners have weight 0; left in, they would count as nodes that the data inform.
     matrix.eliminate_zeros()
     return matrix
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What one estimate says of the nodes: y = H n + e.
+    """One estimate as a measurement of table nodes, y = H n + e with e ~ N(0, C).
 
     names      : (k,) the parameters that the rows stand for
-    nodes      : (m,) ravelled numbers of the nodes with a weight
-    H          : (k, m)
-    value      : (k,) y
-    covariance : (k, k) of e
+    nodes      : (m,) ravelled indices of the nodes with a weight
+    H          : (k, m) weights of these nodes in each parameter
+    value      : (k,) y, in the units of the parameters
+    covariance : (k, k) C of e
     """
 
     names: tuple[str, ...]
@@ -86,13 +96,14 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Posterior:
-    """A table updated by evidence.
+    """A ratio table updated by evidence, with the quantities that its uncertainty is computed from.
 
     prior        : the table before
-    ratio, sigma : on its grid
-    innovation   : (k,) y - H n_0, all evidence one after the other
-    chi_square   : innovation' S^-1 innovation; about k where the table's sigma and the estimates' bounds are right
+    ratio, sigma : updated ratio and standard deviation [-], on its grid
+    innovation   : (k,) y - H n_0, all evidence concatenated
+    chi_square   : innovation' S^-1 innovation [-]; about k where the table's sigma and the estimates' bounds are right
     root         : (node, k) A with K - A A' the posterior covariance
+    Source: docs/equations.md, equations 16 and 17.
     """
 
     prior: RatioTable
@@ -104,15 +115,26 @@ class Posterior:
 
     @property
     def surprise(self) -> float:
-        """Chance of evidence as far from the table as this, by the table's own sigma."""
+        """Probability [-] of a chi-square at least as large as this one, if the table's sigma and the bounds are right.
+
+        Upper tail of the chi-square distribution with k degrees of freedom (docs/equations.md, equation 17).
+        """
         return float(chi2.sf(self.chi_square, len(self.innovation)))
 
     def covariance(self, first: IntArray, second: IntArray) -> FloatArray:
-        """(first, second) what is left of the covariance of the errors of two lists of nodes."""
+        """(first, second) posterior covariance [-] of the ratios at two lists of nodes, K - A A'.
+
+        first, second : ravelled indices of nodes
+        Source: docs/equations.md, equation 16.
+        """
         return prior_covariance(self.prior, first, second) - self.root[first] @ self.root[second].T
 
     def sigma_along(self, weights: csr_array) -> FloatArray:
-        """(row,) standard deviation of linear combinations of the nodes, such as the ratio between them."""
+        """(row,) posterior standard deviation [-] of linear combinations of the nodes, such as the ratio between nodes.
+
+        weights : (row, node) sparse weights W [-], see `node_weights`
+        The variance is diag(W (K - A A') W'), and 0 where rounding makes it negative (docs/equations.md, equation 16).
+        """
         nodes = np.unique(weights.indices)
         W = weights[:, nodes].toarray()
         prior = np.sum((W @ prior_covariance(self.prior, nodes, nodes)) * W, axis=1)
@@ -120,25 +142,39 @@ class Posterior:
 
 
 def prior_covariance(table: RatioTable, first: IntArray, second: IntArray) -> FloatArray:
-    """(first, second) covariance of the errors of two lists of nodes, from the table's sigma column."""
+    """(first, second) prior covariance [-] of the ratios at two lists of nodes, from the sigma column of the table.
+
+    table         : ratio table with a sigma
+    first, second : ravelled indices of nodes
+    K_ij = sigma_i sigma_j times the product of `correlation` over the axes with more than one node.
+    Source: docs/equations.md, equation 15.
+    """
     shape = table.ratio.shape
     assert table.sigma is not None  # posterior asks for it
     sigma = table.sigma.ravel()
     K = np.outer(sigma[first], sigma[second])
     places = zip(np.unravel_index(first, shape), np.unravel_index(second, shape), strict=True)
     for name, axis, (i, j) in zip(RATIO_VARIABLES, table.axes, places, strict=True):
+        # An axis of one value has no distances, and its correlation is 1.
         if len(axis) > 1:
             K *= correlation(name, axis[:, None] - axis[None, :])[np.ix_(i, j)]
     return K
 
 
 def posterior(table: RatioTable, evidence: Sequence[Evidence]) -> Posterior:
-    """The table given all evidence together; without any, the table as it is.
+    """Ratio table updated by all evidence together; the table itself where there is no evidence.
 
-    raises : InputError where the table has no sigma, or evidence without uncertainty repeats other such evidence
+        n = n_0 + K H' S^-1 (y - H n_0),   S = H K H' + C
+
+    table    : ratio [-] with its sigma [-]
+    evidence : estimates; those without a parameter are left out
+    returns  : updated ratio and sigma [-]; sigma is nowhere larger than before
+    raises   : InputError where the table has no sigma, or evidence without uncertainty repeats other such evidence
+    Source: Rasmussen and Williams (2006), eqs. 2.23 and 2.24; docs/equations.md, equations 15 to 17.
     """
     if table.sigma is None:
         raise InputError("ratio table: has no sigma column, so there is nothing to weigh the flight against; add one")
+    # An estimate of effects alone has no ratio parameter, and so no rows.
     evidence = [e for e in evidence if e.names]
     if not evidence:
         return Posterior(table, table.ratio, table.sigma, np.zeros(0), 0.0, np.zeros((table.ratio.size, 0)))
@@ -153,12 +189,14 @@ def posterior(table: RatioTable, evidence: Sequence[Evidence]) -> Posterior:
         S[rows, rows] += e.covariance
         first += len(e.names)
     innovation = value - H @ table.ratio.ravel()[nodes]
+    # Scaled to a correlation matrix: parameters have units from 1 to 1/deg^2, and SINGULAR needs one common measure.
     scale = np.sqrt(np.maximum(np.diag(S), np.finfo(float).tiny))
     L = _root(S / np.outer(scale, scale))
     root = solve_triangular(L, (G / scale).T, lower=True).T
     whitened = solve_triangular(L, innovation / scale, lower=True)
     ratio = table.ratio + (root @ whitened).reshape(table.ratio.shape)
     variance = table.sigma**2 - np.sum(root**2, axis=1).reshape(table.ratio.shape)
+    # Rounding can leave a variance slightly outside; data never make a node less certain.
     sigma = np.sqrt(np.clip(variance, 0.0, table.sigma**2))
     return Posterior(table, ratio, sigma, innovation, float(whitened @ whitened), root)
 

@@ -7,8 +7,8 @@
 rho*, mu* at the temperature of h* and the edge pressure, in equilibrium air; Re* = rho* u_e x / mu*.
 Source: Eckert, Trans. ASME 78 (1956) 1273; Schultz-Grunow, Luftfahrtforschung 17 (1940) 239.
 Validity: attached boundary layer on a flat surface, no slip (x above some millimetres, below about 90 km); the laminar
-law from Re* 1e3, the turbulent one from 5e5; both are continued outside without complaint, because a reference has to
-have a value everywhere.
+law from Re* 1e3, the turbulent one from 5e5; both are continued outside without a warning, because a reference has to
+have a value everywhere. Equations: docs/equations_reference_heating.md, equations 15 to 18.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SCHULTZ_GRUNOW_C = 0.185
 SCHULTZ_GRUNOW_EXPONENT = -2.584
 SCHULTZ_GRUNOW_LOG_RE = 7.0
 SCHULTZ_GRUNOW_FULL_LOG_RE = 7.3
-"""The two turbulent laws differ by 3 % at 1e7: one runs into the other, linearly in log10 Re*, from 1e7 to 2e7."""
+"""The two turbulent laws differ by 3 % at 1e7: one blends into the other, linearly in log10 Re*, from 1e7 to 2e7."""
 DIVERGING_LAMINAR = math.sqrt(3.0)
 DIVERGING_TURBULENT = 1.176
 """Factors on h where the flow diverges from a point (a cone against a plate)."""
@@ -45,32 +45,43 @@ def windward_edge_kernel(
 
         p_e = p_inf + (p_0 - p_inf) sin^2 alpha (modified Newtonian),  u_e = V cos alpha,  h_e = h_0 - u_e^2/2
 
+    rho_kg_m3, velocity_m_s, T_inf_K : free-stream density [kg/m3], speed [m/s], temperature [K]
+    alpha_deg                        : angle of the surface against the flow [deg]
+
     p_0 is the stagnation pressure behind a normal shock in equilibrium air (p_0 - p_inf = 0.5 Cp_max rho V^2, with
     Cp_max about 1.94 at 6 km/s, where a gas with gamma 1.4 has 1.84). Leeward and zero incidence have p_e = p_inf.
-    At 90 deg the speed is kept at 1 m/s.
+    The edge speed is at least 1 m/s, also at 90 deg. Source: docs/equations_reference_heating.md, equation 18.
     """
     V = max(velocity_m_s, SLOWEST_M_S)
     alpha = math.radians(alpha_deg)
     p_0, h_0, _, p = stagnation_kernel(rho_kg_m3, V, T_inf_K)
+    # Newtonian pressure acts on the windward side only.
     sine = max(math.sin(alpha), 0.0)
+    # Not 0, for Re* and with it the laminar law C_h ~ Re*^-1/2 would have no value.
     u_e = max(V * abs(math.cos(alpha)), SLOWEST_M_S)
     return p + (p_0 - p) * sine * sine, h_0 - 0.5 * u_e * u_e, u_e
 
 
 @njit
 def _turbulent_c(re: float) -> float:
-    """C_h Pr^2/3 of the turbulent plate."""
+    """C_h Pr^2/3 [-] of the turbulent plate at a Reynolds number Re* [-]."""
     log_re = math.log10(re)
     c = TURBULENT_C * re**-0.2
     if log_re <= SCHULTZ_GRUNOW_LOG_RE:
         return c
+    # A blend in place of a switch: a jump of 3 % would show up as a step of the heating ratio.
     w = min((log_re - SCHULTZ_GRUNOW_LOG_RE) / (SCHULTZ_GRUNOW_FULL_LOG_RE - SCHULTZ_GRUNOW_LOG_RE), 1.0)
     return (1.0 - w) * c + w * SCHULTZ_GRUNOW_C * log_re**SCHULTZ_GRUNOW_EXPONENT
 
 
 @njit
 def reference_enthalpy(h_e: float, h_w: float, u_e: float, turbulent: bool) -> float:
-    """h* of Eckert (1956) [J/kg] from edge and wall enthalpy [J/kg] and edge speed [m/s]."""
+    """Eckert's reference enthalpy h* = 0.28 h_e + 0.5 h_w + 0.22 h_aw [J/kg], h_aw = h_e + r u_e^2/2.
+
+    h_e, h_w  : enthalpy at the edge of the boundary layer and at the wall [J/kg];  u_e : edge speed [m/s]
+    turbulent : recovery factor r = Pr^1/3 where true, Pr^1/2 otherwise
+    Source: Eckert 1956 (Trans. ASME 78, 1273); docs/equations_reference_heating.md, equation 15.
+    """
     recovery = PRANDTL ** (1.0 / 3.0) if turbulent else math.sqrt(PRANDTL)
     h_aw = h_e + 0.5 * recovery * u_e * u_e
     return 0.28 * h_e + 0.5 * h_w + 0.22 * h_aw
@@ -78,7 +89,14 @@ def reference_enthalpy(h_e: float, h_w: float, u_e: float, turbulent: bool) -> f
 
 @njit
 def eckert_film(p_e: float, h_e: float, u_e: float, length_m: float, T_w_K: float, turbulent: bool) -> float:
-    """Film coefficient h [kg/(m2 s)] on a flat plate at a running length [m], from the edge state; parallel flow."""
+    """Film coefficient h = rho* u_e C_h [kg/(m2 s)] on a flat plate, from the edge state; parallel flow.
+
+    p_e, h_e, u_e : edge pressure [Pa], enthalpy [J/kg], speed [m/s]
+    length_m      : running length from the leading edge [m];  T_w_K : wall temperature [K]
+    turbulent     : 0.0296 Re*^-1/5 (Schultz-Grunow's law above 1e7) in place of 0.332 Re*^-1/2 for C_h Pr^2/3
+    Laminar from Re* 1e3, turbulent from 5e5; continued below without a warning.
+    Source: Eckert 1956 (Trans. ASME 78, 1273); docs/equations_reference_heating.md, equations 15 to 17.
+    """
     h_w = air_kernel(T_w_K, p_e)[0]
     T = air_temperature_kernel(reference_enthalpy(h_e, h_w, u_e, turbulent), p_e)
     rho, mu = air_density_kernel(T, p_e), viscosity_kernel(T)
@@ -98,7 +116,15 @@ def eckert_kernel(
     turbulent: bool,
     diverging: bool,
 ) -> float:
-    """Film coefficient h [kg/(m2 s)] on the windward surface of a flight condition, optionally for diverging flow."""
+    """Film coefficient h [kg/(m2 s)] of Eckert's flat plate on a windward surface in a given free stream.
+
+    rho_kg_m3, velocity_m_s, T_inf_K : free-stream density [kg/m3], speed [m/s], temperature [K]
+    alpha_deg                        : angle of the surface against the flow [deg]
+    length_m, T_w_K                  : running length from the leading edge [m], wall temperature [K]
+    turbulent                        : turbulent law, else laminar
+    diverging                        : flow that diverges from a point: h times 1.176 turbulent, sqrt(3) laminar
+    Source: Eckert 1956 (Trans. ASME 78, 1273); docs/equations_reference_heating.md, equations 15 to 18.
+    """
     p_e, h_e, u_e = windward_edge_kernel(rho_kg_m3, velocity_m_s, T_inf_K, alpha_deg)
     h = eckert_film(p_e, h_e, u_e, length_m, T_w_K, turbulent)
     if not diverging:

@@ -1,9 +1,10 @@
 """Equilibrium air: enthalpy, density and viscosity of hot air, and the enthalpy of air at the wall.
 
 The enthalpies are zero at 0 K. The table is `data/equilibrium_air.csv` (its source is in the file): 200 to 12000 K,
-1 Pa to 1 MPa, linear in T and in log10 p. Outside in pressure the edge's composition is held (the density still follows
-p); below 200 K the enthalpy runs linearly to zero at 0 K; above 12000 K the edge is held. Between its points the table
-is within 0.4 % in h, 0.2 % in Z and 15 K in T(h, p) of the equilibrium it was computed from.
+1 Pa to 1 MPa, linear in T and in log10 p. Outside in pressure the composition of the edge is kept (the density still
+follows p); below 200 K the enthalpy runs linearly to zero at 0 K; above 12000 K the edge value is returned. Between
+its points the table is within 0.4 % in h, 0.2 % in Z and 15 K in T(h, p) of the equilibrium it was computed from.
+Equations: docs/equations_reference_heating.md, equations 5 to 8.
 """
 
 from __future__ import annotations
@@ -25,23 +26,24 @@ from sim_heating.heating.atmosphere import (
 )
 
 MOLAR_MASS_N2_O2 = 28.85064
-"""Of the table's undissociated 79/21 mixture [kg/kmol]; 0.4 % below that of air with argon."""
+"""Molar mass of the table's undissociated 79/21 mixture [kg/kmol]; 0.4 % below that of air with argon."""
 R_TABLE = MOLAR_GAS_CONSTANT / MOLAR_MASS_N2_O2
 """Gas constant of the undissociated mixture [J/(kg K)]."""
 PRANDTL = 0.71
-"""Frozen Prandtl number of air; 0.67 to 0.72 up to 5000 K."""
+"""Frozen Prandtl number of air [-]; 0.67 to 0.72 up to 5000 K."""
 ENTHALPY_BIN, ENTHALPY_BINS = 2.5e5, 160
-"""Width [J/kg] and number of the bins by which a temperature is looked for; the last goes on for ever."""
+"""Width [J/kg] and number of the bins of enthalpy that start the search for a temperature; the last has no end."""
 POWER_LAW_EXPONENT = 0.671
 JOIN_K = 633.0
-"""Where the power law leaves Sutherland's law: the two cross there."""
+"""Temperature [K] at which the power law replaces Sutherland's law: the two cross there."""
 POWER_LAW_PA_S = float(sutherland_viscosity(JOIN_K)) / JOIN_K**POWER_LAW_EXPONENT
-"""4.12e-7 to 4e-5 of it, which makes the join exact. 4.12e-7 T^0.671 Pa s is within -3/+10 % of the mixture transport
-of equilibrium air from 500 to 6000 K, 100 Pa to 100 kPa (Cantera, species transport of gri30.yaml)."""
+"""4.12e-7 within a relative 4e-5, so that the two laws meet exactly. 4.12e-7 T^0.671 Pa s is within -3/+10 %
+of the mixture transport of equilibrium air from 500 to 6000 K, 100 Pa to 100 kPa (Cantera, species transport of
+gri30.yaml)."""
 
 
 def _load_grid() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Axes log10 p and T, and h, Z and dissociation enthalpy as (pressure, temperature)."""
+    """Axes log10 p [Pa] and T [K], and h [J/kg], Z [-] and dissociation enthalpy [J/kg] as (pressure, temperature)."""
     table = read_package_table("heating/data/equilibrium_air.csv")
     log_p, T = np.unique(table["log10_p_Pa"]), np.unique(table["T_K"])
     h, Z, h_D = (table[name].reshape(len(log_p), len(T)) for name in ("h_J_kg", "Z", "dissociation_J_kg"))
@@ -50,7 +52,7 @@ def _load_grid() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatA
 
 @njit
 def _cell(x: float, first: float, step: float, count: int) -> tuple[int, float]:
-    """Interval of a uniform axis and the fraction within it; held at both ends."""
+    """Interval of a uniform axis and the fraction within it [-]; values outside count as the nearest end."""
     s = min(max((x - first) / step, 0.0), count - 1.0)
     i = min(int(s), count - 2)
     return i, s - i
@@ -58,10 +60,11 @@ def _cell(x: float, first: float, step: float, count: int) -> tuple[int, float]:
 
 @njit
 def _blend(f: FloatArray, i: int, w: float, j: int, s: float) -> float:
-    """Bilinear value in cell (i, j)."""
+    """Bilinear value of a table f in cell (i, j), fractions w and s of the way through it."""
     return (1.0 - w) * ((1.0 - s) * f[i, j] + s * f[i, j + 1]) + w * ((1.0 - s) * f[i + 1, j] + s * f[i + 1, j + 1])
 
 
+# Read once, for the table and its inverse.
 _GRID = _load_grid()
 
 
@@ -74,6 +77,7 @@ def _make_lookup() -> Callable[[float, float], tuple[float, float, float]]:
     def lookup(T_K: float, p_Pa: float) -> tuple[float, float, float]:
         i, w = _cell(math.log10(p_Pa), p_first, p_step, p_count)
         j, s = _cell(T_K, T_first, T_step, T_count)
+        # Below the table h is proportional to T, which keeps cp positive for cold walls and wind-tunnel streams.
         h = _blend(h_grid, i, w, j, s) * min(T_K / T_first, 1.0)
         return h, _blend(Z_grid, i, w, j, s), _blend(D_grid, i, w, j, s)
 
@@ -84,7 +88,7 @@ def _make_inverse() -> Callable[[float, float], tuple[float, float]]:
     log_p, T_axis, h_grid, Z_grid, _ = _GRID
     p_first, p_step, p_count = log_p[0], log_p[1] - log_p[0], len(log_p)
     T_first, T_step, last = T_axis[0], T_axis[1] - T_axis[0], len(T_axis) - 1
-    # The temperature that a search may begin at, for bins of the enthalpy: not above it at either pressure of the cell.
+    # First temperature of the search for each bin of enthalpy: not above the answer at either pressure of the cell.
     feet = ENTHALPY_BIN * np.arange(ENTHALPY_BINS)
     below = np.array([np.maximum(np.searchsorted(row, feet, side="right") - 1, 0) for row in h_grid])
     begin = np.minimum(below[:-1], below[1:])
@@ -93,9 +97,11 @@ def _make_inverse() -> Callable[[float, float], tuple[float, float]]:
     def inverse(h_J_kg: float, p_Pa: float) -> tuple[float, float]:
         i, w = _cell(math.log10(p_Pa), p_first, p_step, p_count)
         h_first = (1.0 - w) * h_grid[i, 0] + w * h_grid[i + 1, 0]
+        # The same straight line to 0 K as in the lookup, so that this stays its inverse.
         if h_J_kg <= h_first:
             return T_first * h_J_kg / h_first, _blend(Z_grid, i, w, 0, 0.0)
         bin_ = h_J_kg * (1.0 / ENTHALPY_BIN)
+        # From the foot of its bin a temperature is a few cells away; bisection over the whole axis takes eight steps.
         low = begin[i, int(bin_) if bin_ < ENTHALPY_BINS else ENTHALPY_BINS - 1]
         while low < last - 1 and (1.0 - w) * h_grid[i, low + 1] + w * h_grid[i + 1, low + 1] <= h_J_kg:
             low += 1
@@ -107,16 +113,21 @@ def _make_inverse() -> Callable[[float, float], tuple[float, float]]:
     return inverse
 
 
-# Only arrays and numbers may sit in these closures: a compiled kernel in one would change the cache key at every start.
+# These closures hold arrays and numbers only: a compiled kernel in one would change the cache key at every start.
 air_kernel = _make_lookup()
 """air_kernel(T_K, p_Pa) -> h [J/kg], Z [-], dissociation enthalpy [J/kg] of equilibrium air; p above 0."""
 _air_inverse = _make_inverse()
-"""_air_inverse(h_J_kg, p_Pa) -> T [K], Z [-]: the exact inverse of the table's h(T, p); held at 12000 K."""
+"""_air_inverse(h_J_kg, p_Pa) -> T [K], Z [-]: the exact inverse of the table's h(T, p); 12000 K above the table."""
 
 
 @njit
 def air_temperature_kernel(h_J_kg: float, p_Pa: float) -> float:
-    """Temperature of equilibrium air [K], the exact inverse of the table's h(T, p); held at 12000 K."""
+    """Temperature of equilibrium air [K] at an enthalpy and a pressure, the exact inverse of the table's h(T, p).
+
+    h_J_kg : enthalpy above 0 K [J/kg], 0 or more;  p_Pa : pressure [Pa], above 0
+    The result is 12000 K above the table; below 200 K it is proportional to h.
+    Source: docs/equations_reference_heating.md, equation 6.
+    """
     return _air_inverse(h_J_kg, p_Pa)[0]
 
 
@@ -127,21 +138,33 @@ def _density(p_Pa: float, Z: float, T_K: float) -> float:
 
 @njit
 def air_density_of_enthalpy_kernel(h_J_kg: float, p_Pa: float) -> float:
-    """Density of equilibrium air [kg/m3] of an enthalpy: air_density_kernel at its temperature, in one look at the
-    table."""
+    """Density of equilibrium air rho = p / (Z R T) [kg/m3] at an enthalpy and a pressure.
+
+    h_J_kg : enthalpy above 0 K [J/kg];  p_Pa : pressure [Pa], above 0
+    Equal to `air_density_kernel` at the temperature of h, with one table search instead of two.
+    Source: docs/equations_reference_heating.md, equations 5 and 6.
+    """
     T_K, Z = _air_inverse(h_J_kg, p_Pa)
     return _density(p_Pa, Z, T_K)
 
 
 @njit
 def air_density_kernel(T_K: float, p_Pa: float) -> float:
-    """Density of equilibrium air [kg/m3], p / (Z R T)."""
+    """Density of equilibrium air rho = p / (Z R T) [kg/m3], Z the compressibility of the table, R = 288.2 [J/(kg K)].
+
+    T_K : temperature [K], above 0;  p_Pa : pressure [Pa], above 0
+    Source: docs/equations_reference_heating.md, equation 5.
+    """
     return _density(p_Pa, air_kernel(T_K, p_Pa)[1], T_K)
 
 
 @njit
 def viscosity_kernel(T_K: float) -> float:
-    """Viscosity of air [Pa s]: Sutherland's law up to 633 K, 4.12e-7 T^0.671 above."""
+    """Viscosity of air [Pa s]: Sutherland's law up to 633 K, mu = 4.12e-7 T^0.671 above.
+
+    T_K : temperature [K], above 0; nothing is checked. `viscosity` states the accuracy.
+    Source: docs/equations_reference_heating.md, equation 7 (US76 eq. 51 below 633 K).
+    """
     if T_K <= JOIN_K:
         return sutherland_kernel(T_K)
     return POWER_LAW_PA_S * T_K**POWER_LAW_EXPONENT
@@ -172,11 +195,12 @@ def _grid(name: str, values: ArrayLike) -> FloatArray:
 def viscosity(T_K: ArrayLike) -> FloatArray:
     """Viscosity of air valid to entry conditions [Pa s].
 
-    T_K    : (n,) temperature [K], 100 to 6000 (power law continued above: 11 % high at 8000 K)
-    raises : InputError where T is not positive
+    T_K     : (n,) temperature [K], 100 to 6000 (power law continued above: 11 % high at 8000 K)
+    returns : (n,) viscosity [Pa s]
+    raises  : InputError where T is not positive, or not one row of values
 
     Sutherland's law (US76 eq. 51) to 633 K, 4.12e-7 T^0.671 above; Sutherland alone is 13-20 % low at 3000-5000 K
-    against mixture transport of equilibrium air.
+    against mixture transport of equilibrium air. Source: docs/equations_reference_heating.md, equation 7.
     """
     T = _grid("T_K", T_K)
     out = np.empty_like(T)
@@ -185,9 +209,13 @@ def viscosity(T_K: ArrayLike) -> FloatArray:
 
 
 def enthalpy(T_K: ArrayLike, p_Pa: ArrayLike) -> FloatArray:
-    """Enthalpy of equilibrium air above 0 K [J/kg], (T, p), on a grid of temperatures [K] and pressures [Pa].
+    """Enthalpy of equilibrium air above 0 K on a grid of temperatures and pressures.
 
-    raises : InputError where T or p is not positive. Validity: the module's docstring.
+    T_K     : (T,) temperature [K], 200 to 12000; below, h runs linearly to zero at 0 K; above, the edge value
+    p_Pa    : (p,) pressure [Pa], 1 to 1e6; outside, the edge value
+    returns : (T, p) enthalpy [J/kg], within 0.4 % of the equilibrium
+    raises  : InputError where T or p is not positive, or not one row of values
+    Source: table computed with Cantera (section 2 of docs/equations_reference_heating.md), NASA/TP-2002-211556 data.
     """
     T, p = _grid("T_K", T_K), _grid("p_Pa", p_Pa)
     out = np.empty((len(T), len(p)))
@@ -203,8 +231,9 @@ def wall_enthalpy_grid(
     kind      : "equilibrium-air", or a constant cp as a number [J/(kg K)] or {"cp_J_kgK": number}: then cp T, exactly
     T_grid_K  : (T,) wall temperatures [K]
     p_grid_Pa : (p,) pressures at the wall [Pa]; without effect on a constant cp
-    returns   : (T, p)
+    returns   : (T, p) enthalpy [J/kg]
     raises    : InputError for another kind, a cp that is not positive, a temperature or pressure that is not positive
+    Source: docs/equations_reference_heating.md, equation 8.
     """
     if kind == "equilibrium-air":
         return enthalpy(T_grid_K, p_grid_Pa)
@@ -215,6 +244,7 @@ def wall_enthalpy_grid(
 
 def _constant_cp(kind: str | float | Mapping[str, float]) -> float:
     cp = kind.get("cp_J_kgK") if isinstance(kind, Mapping) else kind
+    # To Python a bool is an int: `true` in a file would be cp = 1.
     if isinstance(cp, bool) or not isinstance(cp, int | float):
         raise InputError(f'heating.wall_enthalpy: {kind!r} is neither "equilibrium-air" nor {{ cp_J_kgK = 1004.5 }}')
     if not (math.isfinite(cp) and cp > 0.0):

@@ -1,7 +1,7 @@
 """Reference heating by name: film coefficient h_ref [kg/(m2 s)] and recovery enthalpy H_r [J/kg] of a flight.
 
-One compiled kernel serves a frame of a host and, in a loop, a whole flight. A heating ratio is over one of these
-models; its table says which.
+One compiled kernel serves a frame of a host and, in a loop, a whole flight. A heating ratio is defined over one of
+these models; the header of its table names it. Equations: docs/equations_reference_heating.md, section 3.
 """
 
 from __future__ import annotations
@@ -32,12 +32,13 @@ NONE, COLUMNS, SUTTON_GRAVES, DETRA_KEMP_RIDDELL, FAY_RIDDELL, ECKERT_LAMINAR, E
 
 @dataclass(frozen=True)
 class ReferenceModel:
-    """A reference heating.
+    """One reference heating: its name in files, its number in the kernel and the conditions that it reads.
 
-    name  : as in a record's `heating.reference` and in a ratio table's header
-    code  : of `reference_kernel`
-    title : what it is, and the source
-    needs : columns of the conditions that it reads; running_length_m in addition where `on_plate`
+    name     : as in a record's `heating.reference` and in a ratio table's header
+    code     : number of the model in `reference_kernel`
+    title    : short description with the publication
+    needs    : columns of the conditions that it reads
+    on_plate : True where it also needs a running length [m]
     """
 
     name: str
@@ -63,7 +64,11 @@ REFERENCE_MODELS: Mapping[str, ReferenceModel] = MappingProxyType({model.name: m
 
 
 def reference_model(name: str) -> ReferenceModel:
-    """The model of that name; raises InputError naming the nearest known one."""
+    """Reference heating model of a name.
+
+    name    : a key of REFERENCE_MODELS
+    raises  : InputError for an unknown name, with the nearest known one
+    """
     if name in REFERENCE_MODELS:
         return REFERENCE_MODELS[name]
     near = difflib.get_close_matches(str(name), REFERENCE_MODELS, n=1, cutoff=0.4)
@@ -73,7 +78,12 @@ def reference_model(name: str) -> ReferenceModel:
 
 @njit
 def recovery_enthalpy_kernel(velocity_m_s: float, T_inf_K: float) -> float:
-    """H_r = V^2/2 + cp T_inf [J/kg], cp = 1004.5: the total enthalpy, whatever the reference model."""
+    """Recovery enthalpy H_r = V^2/2 + cp T_inf [J/kg], cp = 1004.5 [J/(kg K)], zero at 0 K.
+
+    velocity_m_s, T_inf_K : free-stream speed [m/s] and temperature [K]
+    It is the total enthalpy for every reference model: a recovery factor below 1 is part of the heating ratio.
+    Source: docs/equations_reference_heating.md, equation 9.
+    """
     return 0.5 * velocity_m_s * velocity_m_s + CP_AIR * T_inf_K
 
 
@@ -88,13 +98,16 @@ def reference_kernel(
     running_length_m: float,
     wall_temperature_K: float,
 ) -> tuple[float, float]:
-    """h_ref [kg/(m2 s)] and H_r [J/kg] of one flight condition.
+    """Reference film coefficient h_ref [kg/(m2 s)] and recovery enthalpy H_r [J/kg] of one flight condition.
 
     code               : `ReferenceModel.code`; NONE and COLUMNS give h_ref = 0
-    alpha_deg, running_length_m : read by the Eckert models only; nose_radius_m by the others
-    wall_temperature_K : of the reference wall, 300 by definition; read by Fay-Riddell and Eckert (the two
+    rho_kg_m3, velocity_m_s, T_inf_K : free-stream density [kg/m3], speed [m/s], temperature [K]
+    alpha_deg          : angle of attack [deg];  running_length_m : [m]; both are read by the Eckert models only
+    nose_radius_m      : of the reference sphere [m], read by the other models
+    wall_temperature_K : of the reference wall [K], 300 by definition; read by Fay-Riddell and Eckert (the two
                          correlations have theirs built in)
     Density, temperature, radius and length above 0; nothing is checked here.
+    Source: docs/equations_reference_heating.md, equations 9 to 18, by model.
     """
     H_r = recovery_enthalpy_kernel(velocity_m_s, T_inf_K)
     h_ref = 0.0
@@ -166,18 +179,24 @@ def reference_heating(
                          h_ref_kg_m2_s and H_r_J_kg instead
     nose_radius_m      : of the reference sphere [m]
     running_length_m   : of the Eckert models [m]
-    wall_temperature_K : of the reference wall; keep 300, the definition, unless a table says otherwise
+    wall_temperature_K : of the reference wall [K]; 300, the definition, unless a table states another
     returns            : h_ref (time,) [kg/(m2 s)], H_r (time,) [J/kg], H_r = V^2/2 + cp T_inf
     raises             : InputError for an unknown name, a missing column, a density, temperature or length not above 0
+
+    Valid from 2 to 8 km/s below about 90 km; continued outside.
+    Source: docs/equations_reference_heating.md, equations 9 to 18 (Sutton and Graves 1971; Detra et al. 1957;
+    Fay and Riddell 1958; Eckert 1956).
     """
     model = reference_model(name)
     _check_geometry(model, nose_radius_m, running_length_m, wall_temperature_K)
     _check_columns(model, conditions)
+    # Copies, so that a change of the result does not change the record.
     if model.code == COLUMNS:
         return conditions["h_ref_kg_m2_s"].copy(), conditions["H_r_J_kg"].copy()
     still = np.zeros(len(conditions))
+    # The kernel has one signature; a column that the model does not read is given as zeros.
     inputs = [conditions[n] if n in model.needs else still for n in _PLATE]
-    # Copies: a read-only column would be another type to the compiler.
+    # Copies: to numba a read-only column is another type, for which the loop would be compiled a second time.
     rho, V, T_inf, alpha = (np.array(a, dtype=float) for a in inputs)
     h_ref, H_r = np.empty(len(conditions)), np.empty(len(conditions))
     geometry = (float(nose_radius_m), float(running_length_m or 1.0), float(wall_temperature_K))

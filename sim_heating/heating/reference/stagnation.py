@@ -1,13 +1,14 @@
 """Stagnation-point heating of a sphere as a film coefficient: Fay-Riddell, Detra-Kemp-Riddell, Sutton-Graves.
 
-The film coefficient is h_ref = q_ref / (h_0 - h_w) [kg/(m2 s)] for a cold wall of 300 K; it goes with the recovery
-enthalpy H_r = V^2/2 + cp T_inf. The three differ by about 6 % in q between 6 and 7.5 km/s: a heating ratio belongs to
-one of them.
+The film coefficient is h_ref = q_ref / (h_0 - h_w) [kg/(m2 s)] for a cold wall of 300 K; it is used with the recovery
+enthalpy H_r = V^2/2 + cp T_inf. The three differ by about 6 % in q between 6 and 7.5 km/s, so that a heating ratio is
+valid only with the one that it was formed with.
 
 In the two correlations h_0 - h_w is V^2/2 + cp (T_inf - 300 K), which changes sign at about 400 m/s in cold air. Below
 850 m/s the film coefficient is therefore taken from the formula's own speed group, q_ref / (V^2/2), times a factor that
 leaves its value at 850 m/s with a continuous slope and is constant below 550 m/s. Fay-Riddell has no such singularity.
 A body at rest is heated as at 1 m/s: natural convection is not modelled, a positive film coefficient is.
+Equations: docs/equations_reference_heating.md, equations 9 to 14.
 """
 
 from __future__ import annotations
@@ -27,41 +28,43 @@ from sim_heating.heating.reference.gas import (
 )
 
 COLD_WALL_K = 300.0
-"""Wall temperature of the reference heat flux."""
+"""Wall temperature of the reference heat flux [K]."""
 SLOWEST_M_S = 1.0
-"""Speed below which a body is heated as at this speed."""
+"""Speed [m/s] below which a body is heated as at this speed."""
 SPEED_EXACT_M_S = 850.0
-"""Speed from which the film coefficient is q_ref/(h_0 - h_w) exactly."""
+"""Speed [m/s] from which the film coefficient is q_ref/(h_0 - h_w) exactly."""
 SPEED_HELD_M_S = 550.0
-"""Speed below which the ratio (V^2/2) / (h_0 - h_w) is held."""
+"""Speed [m/s] below which the ratio (V^2/2) / (h_0 - h_w) is constant."""
 SPEED_HELD_AT_M_S = 0.5 * (SPEED_EXACT_M_S + SPEED_HELD_M_S)
-"""Speed at which that held ratio is taken: 700 m/s joins the two with a continuous slope."""
+"""Speed [m/s] at which that constant ratio is taken: 700 m/s joins the two with a continuous slope."""
 
 SUTTON_GRAVES = 1.7415e-4
-"""Of q = K sqrt(rho/R) V^3 in SI; Sutton & Graves, NASA TR R-376 (1971), for air."""
+"""K of q = K sqrt(rho/R) V^3 in SI; Sutton & Graves, NASA TR R-376 (1971), for air."""
 DKR_W_M2 = 1.1035e8
 DKR_RHO_KG_M3 = 1.225
 DKR_V_M_S = 7924.8
 DKR_EXPONENT = 3.15
 """Detra, Kemp & Riddell (1957): 17 600 Btu/(ft2 s) at 26 000 ft/s and sea-level density on R = 1 ft."""
 FAY_RIDDELL = 0.763
-"""Fay & Riddell (1958), eq. 58, axisymmetric, equilibrium boundary layer."""
+"""Constant of Fay & Riddell (1958), eq. 63, axisymmetric, equilibrium boundary layer."""
 LEWIS_EXPONENT = 0.52
 NO_LEWIS = 1.0
 """Lewis number of the reference model: 1, the diffusion term left out (1.4 adds about 10 % at 7 km/s)."""
 
 STRONG_SHOCK = 0.08
-"""Density ratio that the search for a shock begins at: that of most of an entry is 0.06 to 0.1."""
+"""Density ratio [-] that the search for a shock starts at: it is 0.06 to 0.1 in most of an entry."""
 SECANT_STEPS = 12
 NARROWEST, WIDEST = 0.01, 0.999
-"""Density ratios between which a shock is looked for; above there is none."""
+"""Density ratios [-] between which a shock is searched for; a weaker one counts as no shock."""
 SHOCK_STEPS = 40
 SHOCK_TOLERANCE = 1.0e-10
 
 
 @njit
 def _enthalpy_factor(V: float, T_inf_K: float) -> float:
-    """(V^2/2) / (h_0 - h_w300), held smoothly at low speed."""
+    """(V^2/2) / (h_0 - h_w300) [-], constant below 550 m/s, joined smoothly (docs/equations_reference_heating.md,
+    equation 12).
+    """
     v = V
     if V < SPEED_EXACT_M_S:
         above = max(V - SPEED_HELD_M_S, 0.0)
@@ -72,10 +75,12 @@ def _enthalpy_factor(V: float, T_inf_K: float) -> float:
 
 @njit
 def sutton_graves_kernel(rho_kg_m3: float, velocity_m_s: float, T_inf_K: float, nose_radius_m: float) -> float:
-    """Film coefficient h_ref [kg/(m2 s)] of q = 1.7415e-4 (rho/R)^0.5 V^3.
+    """Film coefficient h_ref [kg/(m2 s)] of Sutton and Graves, q = 1.7415e-4 (rho/R)^0.5 V^3 [W/m2], cold wall.
 
-    Source: Sutton & Graves, NASA TR R-376 (1971). Validity: equilibrium air, 2 to 8 km/s; T_inf above 100 K here.
-    The speed group below 850 m/s is 2 K sqrt(rho/R) V.
+    rho_kg_m3, velocity_m_s, T_inf_K : free-stream density [kg/m3], speed [m/s], temperature [K], above 100
+    nose_radius_m                    : R of the sphere [m]
+    Valid for equilibrium air, 2 to 8 km/s. Below 850 m/s h_ref is 2 K sqrt(rho/R) V times a bounded factor.
+    Source: Sutton and Graves, NASA TR R-376 (1971); docs/equations_reference_heating.md, equations 10 and 12.
     """
     V = max(velocity_m_s, SLOWEST_M_S)
     return 2.0 * SUTTON_GRAVES * math.sqrt(rho_kg_m3 / nose_radius_m) * V * _enthalpy_factor(V, T_inf_K)
@@ -83,9 +88,15 @@ def sutton_graves_kernel(rho_kg_m3: float, velocity_m_s: float, T_inf_K: float, 
 
 @njit
 def detra_kemp_riddell_kernel(rho_kg_m3: float, velocity_m_s: float, T_inf_K: float, nose_radius_m: float) -> float:
-    """Film coefficient h_ref [kg/(m2 s)] of q = 1.1035e8 R^-0.5 (rho/1.225)^0.5 (V/7924.8)^3.15, cold wall.
+    """Film coefficient h_ref [kg/(m2 s)] of Detra, Kemp and Riddell, cold wall.
 
-    Source: Detra, Kemp & Riddell, Jet Propulsion 27 (1957) 1256. Validity: 2 to 8 km/s.
+        q = 1.1035e8 R^-0.5 (rho / 1.225)^0.5 (V / 7924.8)^3.15 [W/m2]
+
+    rho_kg_m3, velocity_m_s, T_inf_K : free-stream density [kg/m3], speed [m/s], temperature [K], above 100
+    nose_radius_m                    : R of the sphere [m]
+    Valid from 2 to 8 km/s; below 850 m/s q / (V^2/2) times a bounded factor.
+    Source: Detra, Kemp and Riddell (1957), Jet Propulsion 27, 1256; equations 11 and 12 of
+    docs/equations_reference_heating.md.
     """
     V = max(velocity_m_s, SLOWEST_M_S)
     q = DKR_W_M2 * math.sqrt(rho_kg_m3 / (DKR_RHO_KG_M3 * nose_radius_m)) * (V / DKR_V_M_S) ** DKR_EXPONENT
@@ -94,36 +105,42 @@ def detra_kemp_riddell_kernel(rho_kg_m3: float, velocity_m_s: float, T_inf_K: fl
 
 @njit
 def _behind_shock(eps: float, rho: float, V: float, p: float, h: float) -> tuple[float, float]:
-    """Pressure and enthalpy behind a normal shock of density ratio eps = rho_1/rho_2, from momentum and energy."""
+    """Pressure [Pa], enthalpy [J/kg] behind a normal shock of density ratio rho_1/rho_2, from momentum and energy."""
     return p + rho * V * V * (1.0 - eps), h + 0.5 * V * V * (1.0 - eps * eps)
 
 
 @njit
 def _shock_residual(eps: float, rho: float, V: float, p: float, h: float) -> float:
-    """Zero at the shock's density ratio; the trivial root (no shock, eps = 1) is divided out."""
+    """Zero at the shock's density ratio [-]; the trivial root (no shock, eps = 1) is divided out."""
     p_2, h_2 = _behind_shock(eps, rho, V, p, h)
     return (eps - rho / air_density_of_enthalpy_kernel(h_2, p_2)) / (1.0 - eps)
 
 
 @njit
 def shock_density_ratio(rho_kg_m3: float, velocity_m_s: float, p_Pa: float, h_J_kg: float) -> float:
-    """rho_1/rho_2 across a normal shock in equilibrium air, from mass, momentum and energy; 1 where there is no shock.
+    """Density ratio eps = rho_1/rho_2 [-] across a normal shock in equilibrium air; 1 where there is no shock.
 
-    Secants from a strong shock: three or four of them in an entry. Where one leaves the bracket, or they do not
-    converge, regula falsi (Illinois) in a shrinking bracket, never more than 40 steps.
+        p_2 = p + rho V^2 (1 - eps),   h_2 = h + V^2/2 (1 - eps^2),   eps = rho / rho_air(h_2, p_2)
+
+    rho_kg_m3, velocity_m_s, p_Pa, h_J_kg : free stream [kg/m3], [m/s], [Pa], [J/kg]
+
+    Secants from a strong shock: three or four of them in an entry. Where one leaves the bracket 0.01 to 0.999, or they
+    do not converge to 1e-10, regula falsi (Illinois) in a shrinking bracket, never more than 40 steps.
+    Source: docs/equations_reference_heating.md, equation 13.
     """
     eps, before, f_before = STRONG_SHOCK, 0.0, 0.0
     for k in range(SECANT_STEPS):
         f = _shock_residual(eps, rho_kg_m3, velocity_m_s, p_Pa, h_J_kg)
         if abs(f) < SHOCK_TOLERANCE:
             return eps
-        # The first step is what the residual itself says: (1 - eps) f is eps less the ratio that eps leads to.
+        # No second point for a secant yet: a fixed-point step, as (1 - eps) f is eps less the ratio that eps leads to.
         move = (1.0 - eps) * f if k == 0 else f * (eps - before) / (f - f_before)
         before, f_before, eps = eps, f, eps - move
         if not NARROWEST < eps < WIDEST:
             break
     low, high = NARROWEST, WIDEST
     f_high = _shock_residual(high, rho_kg_m3, velocity_m_s, p_Pa, h_J_kg)
+    # No sign change below the trivial root: the flow is too slow for a shock. Also where f_high is not a number.
     if not f_high > 0.0:
         return 1.0
     f_low = _shock_residual(low, rho_kg_m3, velocity_m_s, p_Pa, h_J_kg)
@@ -135,7 +152,7 @@ def shock_density_ratio(rho_kg_m3: float, velocity_m_s: float, p_Pa: float, h_J_
             return eps
         if f > 0.0:
             high, f_high = eps, f
-            f_low *= 0.5 if side == 1 else 1.0  # Illinois: no end of the bracket stays for ever
+            f_low *= 0.5 if side == 1 else 1.0  # Illinois: without halving, one end of the bracket can stay fixed
             side = 1
         else:
             low, f_low = eps, f
@@ -148,18 +165,23 @@ def shock_density_ratio(rho_kg_m3: float, velocity_m_s: float, p_Pa: float, h_J_
 def stagnation_kernel(rho_kg_m3: float, velocity_m_s: float, T_inf_K: float) -> tuple[float, float, float, float]:
     """Stagnation pressure [Pa], enthalpy [J/kg], density [kg/m3] in equilibrium air, and free-stream pressure [Pa].
 
+    rho_kg_m3, velocity_m_s, T_inf_K : free-stream density [kg/m3], speed [m/s], temperature [K]
+
     Normal shock where the flow is supersonic, then isentropic compression to rest: dh = (p/rho) dln p by the
     trapezoidal rule, three passes. The free-stream pressure is rho R T of the table's own gas, for consistency.
+    Source: docs/equations_reference_heating.md, equation 13.
     """
     p = rho_kg_m3 * R_TABLE * T_inf_K
     h = air_kernel(T_inf_K, p)[0]
     h_0 = h + 0.5 * velocity_m_s * velocity_m_s
     p_2, h_2, rho_2 = p, h, rho_kg_m3
+    # gamma 1.4 only decides whether there is a shock: near Mach 1 it is weak, and both branches give nearly one state.
     if velocity_m_s * velocity_m_s > GAMMA * R_TABLE * T_inf_K:
         eps = shock_density_ratio(rho_kg_m3, velocity_m_s, p, h)
         p_2, h_2 = _behind_shock(eps, rho_kg_m3, velocity_m_s, p, h)
         rho_2 = rho_kg_m3 / eps
     p_0, rho_0 = p_2, rho_2
+    # Three passes: behind a strong shock ln(p_0/p_2) is small, and each pass lowers its error a thousandfold.
     for _ in range(3):
         p_0 = p_2 * math.exp(2.0 * (h_0 - h_2) / (p_2 / rho_2 + p_0 / rho_0))
         rho_0 = air_density_of_enthalpy_kernel(h_0, p_0)
@@ -170,15 +192,21 @@ def stagnation_kernel(rho_kg_m3: float, velocity_m_s: float, T_inf_K: float) -> 
 def fay_riddell_film(
     p_0: float, h_0: float, rho_0: float, p_inf: float, nose_radius_m: float, T_w_K: float, lewis: float
 ) -> float:
-    """Film coefficient of Fay & Riddell (1958) eq. 58 from the stagnation state [kg/(m2 s)].
+    """Film coefficient of Fay and Riddell [kg/(m2 s)] from the stagnation state of equilibrium air.
 
-    h = 0.763 Pr^-0.6 (rho_w mu_w)^0.1 (rho_e mu_e)^0.4 [1 + (Le^0.52 - 1) h_D/h_0] (du_e/dx)^0.5
-    du_e/dx = (1/R) sqrt(2 (p_e - p_inf) / rho_e)
+        h = 0.763 Pr^-0.6 (rho_w mu_w)^0.1 (rho_e mu_e)^0.4 [1 + (Le^0.52 - 1) h_D/h_0] (du_e/dx)^0.5
+        du_e/dx = (1/R) sqrt(2 (p_0 - p_inf) / rho_0)   (Newtonian pressure)
+
+    p_0, h_0, rho_0 : stagnation pressure [Pa], enthalpy [J/kg], density [kg/m3];  p_inf : free-stream pressure [Pa]
+    nose_radius_m   : R of the sphere [m];  T_w_K : wall temperature [K];  lewis : Lewis number Le [-]
+    Source: Fay and Riddell (1958), J. Aero. Sci. 25, 73, eq. 63; docs/equations_reference_heating.md, equation 14.
     """
     T_0 = air_temperature_kernel(h_0, p_0)
     wall = air_density_kernel(T_w_K, p_0) * viscosity_kernel(T_w_K)
+    # At rest rounding can leave p_0 below p_inf.
     gradient = math.sqrt(2.0 * max(p_0 - p_inf, 0.0) / rho_0) / nose_radius_m
     film = FAY_RIDDELL * PRANDTL**-0.6 * wall**0.1 * (rho_0 * viscosity_kernel(T_0)) ** 0.4 * math.sqrt(gradient)
+    # The reference model, without the table lookup that h_D takes.
     if lewis == NO_LEWIS:
         return film
     return film * (1.0 + (lewis**LEWIS_EXPONENT - 1.0) * air_kernel(T_0, p_0)[2] / h_0)
@@ -188,12 +216,16 @@ def fay_riddell_film(
 def fay_riddell_kernel(
     rho_kg_m3: float, velocity_m_s: float, T_inf_K: float, nose_radius_m: float, T_w_K: float, lewis: float
 ) -> float:
-    """Film coefficient h_ref [kg/(m2 s)] of Fay & Riddell, J. Aero. Sci. 25 (1958) 73.
+    """Film coefficient h_ref [kg/(m2 s)] of Fay and Riddell on a sphere in a given free stream.
+
+    rho_kg_m3, velocity_m_s, T_inf_K : free-stream density [kg/m3], speed [m/s], temperature [K]
+    nose_radius_m, T_w_K             : radius of the sphere [m], wall temperature [K], 300 in the reference model
+    lewis                            : Lewis number [-], 1 in the reference model
 
     Stagnation state of equilibrium air behind a normal shock; viscosity of `gas.viscosity`; Pr = 0.71, so that
-    0.763 Pr^-0.6 = 0.937. The reference model has Lewis number 1 and a wall of 300 K.
-    Validity: equilibrium boundary layer (or frozen with a fully catalytic wall), 1.5 to 8 km/s, continuum (below about
-    90 km).
+    0.763 Pr^-0.6 = 0.937. Valid for an equilibrium boundary layer (or a frozen one with a fully catalytic wall), 1.5 to
+    8 km/s, continuum (below about 90 km); continued outside.
+    Source: Fay and Riddell (1958), J. Aero. Sci. 25, 73; docs/equations_reference_heating.md, equations 13 and 14.
     """
     V = max(velocity_m_s, SLOWEST_M_S)
     p_0, h_0, rho_0, p = stagnation_kernel(rho_kg_m3, V, T_inf_K)
