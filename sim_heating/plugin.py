@@ -6,7 +6,8 @@ from sim_heating.simulation.plugin import *  # noqa: F403
 from sim_heating.simulation.plugin import HeatingPlugin as HeatingPlugin
 
 warnings.warn(
-    "sim_heating.plugin is deprecated and goes with the next release; use `from sim_heating import HeatingPlugin`",
+    "sim_heating.simulation.plugin is deprecated and goes with the next release; use `from sim_heating import "
+    "HeatingPlugin`",
     DeprecationWarning,
     stacklevel=2,
 )

@@ -6,7 +6,8 @@ from sim_heating.inputs.vehicle import *  # noqa: F403
 from sim_heating.inputs.vehicle import load_vehicle as load_vehicle
 
 warnings.warn(
-    "sim_heating.vehicle is deprecated and goes with the next release; use `from sim_heating import load_vehicle`",
+    "sim_heating.inputs.vehicle is deprecated and goes with the next release; use `from sim_heating import "
+    "load_vehicle`",
     DeprecationWarning,
     stacklevel=2,
 )

@@ -19,7 +19,6 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import AT, CLOCK_SKEW, EFFECT_PREFIX, Parameter
 from sim_heating.base.progress import Progress, quiet
-from sim_heating.estimation._observation import errors_of
 from sim_heating.estimation.filter.innovations import Innovations, fit_innovations
 from sim_heating.estimation.filter.process_noise import ProcessNoise
 from sim_heating.estimation.inference.bounds import Bounds, bounds
@@ -36,7 +35,7 @@ from sim_heating.estimation.inference.observability import (
     without_stuck,
 )
 from sim_heating.estimation.problem import Problem, joint_reference
-from sim_heating.estimation.record_fit import Part, Samples, Start, StartMaker, march_times
+from sim_heating.estimation.record_fit import Part, Samples, Start, StartMaker, errors_of, march_times
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.inputs.record import Record
 from sim_heating.march.history import outside_table

@@ -1,7 +1,7 @@
 """The likelihood of all samples of some records as a function of their unknown parameters.
 
-Every record is marched with its sensitivities (linear_march.py), its samples are compared with the predicted
-indications of its sensors (observation.py), and log likelihood, gradient and information add up over the records
+Every record is marched with its sensitivities (march/linearised.py), its samples are compared with the predicted
+indications of its sensors (record_fit.py), and log likelihood, gradient and information add up over the records
 (docs/estimation_statistics.md, equations 13 and 14). Parameters of heating and
 stack are those of a control point, shared by all its records; those of clocks, sensors and initial profiles belong to
 one record. Records on common times are marched side by side, others in threads.
@@ -23,8 +23,6 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.kernels.block import LANES
 from sim_heating.base.parameters import AT, CLOCK_SKEW, Parameter
-from sim_heating.estimation._mesh_correction import correct_mesh
-from sim_heating.estimation._observation import channels, definition, indicated, least_sigma_K
 from sim_heating.estimation.inference.likelihood import scores
 from sim_heating.estimation.inference.newton import Evaluation
 from sim_heating.estimation.inference.noise import estimate_noise
@@ -34,6 +32,11 @@ from sim_heating.estimation.record_fit import (
     Samples,
     Start,
     StartMaker,
+    channels,
+    correct_mesh,
+    definition,
+    indicated,
+    least_sigma_K,
     march_of,
     march_times,
     set_out,

@@ -1,24 +1,47 @@
-"""One record in a fit: start of its march, the samples that are read, and grouping of records marched side by side."""
+"""One record in a fit: start of its march, the samples that are read, and grouping of records marched side by side.
+
+Indications of the sensors of a record for given temperatures, and their sensitivity to every parameter.
+
+    indicated = c0 + c1 T' + c2 T'^2 + ...,    T' = gain T(t - skew) + bias        (inputs/sensor_model.py)
+
+so that d indicated = (c1 + 2 c2 T' + ...) (gain dT + T dgain + dbias - gain dT/dt dskew);
+docs/estimation_statistics.md, equations 1 and 2.
+
+The discretisation error of a mesh at the sensors, and its removal from the predictions of a fit.
+
+Meshes are of second order: with T_k the temperatures on the mesh whose elements are halved k times,
+
+    T_k + (T_k - T_(k-1)) / 3
+
+is closer to the limit of fine meshes than T_k (Richardson's extrapolation; docs/estimation_statistics.md, equation 31).
+A correction T - T_0 that is small is made with k = 1; a larger one is not in the asymptotic range yet, and elements are
+halved until the next halving leaves it unchanged. Temperatures at the start that the stack declares are evaluated again
+on every mesh: what a coarse one cannot resolve of a profile is part of its error.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.base.arrays import FloatArray
+from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.conditions import Conditions
+from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.block import LANES
-from sim_heating.base.parameters import CLOCK_SKEW, Parameter
-from sim_heating.estimation._observation import Channel
+from sim_heating.base.parameters import CLOCK_SKEW, SENSOR, SENSOR_PREFIX, Parameter
+from sim_heating.estimation.inference.likelihood import Observed, observed
 from sim_heating.inputs.record import Record
+from sim_heating.inputs.sensor_model import SensorErrors, calibrated
 from sim_heating.march.ensemble import condition_history
 from sim_heating.march.linearised import Linearised, LinearMarch, Track
 from sim_heating.march.point import PointModel, initial_temperatures
 from sim_heating.thermal.mesh import Mesh, on_mesh, refined
+from sim_heating.thermal.stack import Sensor
 
 LONGEST_STEP_S = 1.0
 """Default limit on the steps of a fit's march [s]."""
@@ -247,3 +270,196 @@ def march_times(
 def declared_profile(part: Part) -> FloatArray:
     """(node,) temperatures [K] that the stack of a part declares."""
     return initial_temperatures(part.model.construction, part.mesh)
+
+
+LEAST_SIGMA_K = 0.02
+"""Least noise [K] of a sensor: no thermocouple is better, and a likelihood needs some."""
+LEAST_OF_LSB = 0.05
+"""Least noise of a sensor over its recorder's step [-]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """The samples of one sensor that are fitted.
+
+    sensor   : its declaration;  number : its place in the record
+    samples  : (sample,) places in the times that the march reads
+    observed : intervals [K] in which its indications lay
+    """
+
+    sensor: Sensor
+    number: int
+    samples: IntArray
+    observed: Observed
+
+
+def channels(record: Record, time_s: FloatArray, chosen: NDArray[np.bool_]) -> list[Channel]:
+    """The used sensors of a record with their samples at the chosen times.
+
+    time_s  : (read,) times that the march reads [s]
+    chosen  : (sample,) boolean mask over the record's samples
+    returns : one channel for each used sensor with a reading; lost readings are left out
+
+    Intervals of recorder words: docs/estimation_statistics.md, equation 4.
+    """
+    found = []
+    for number, sensor in enumerate(record.sensors):
+        read = record.thermocouples[sensor.column]
+        mine = chosen & np.isfinite(read)
+        if sensor.used and np.any(mine):
+            places = np.searchsorted(time_s, record.time_s[mine])
+            found.append(Channel(sensor, number, places, observed(sensor, read[mine])))
+    return found
+
+
+def least_sigma_K(sensor: Sensor) -> float:
+    """The least noise [K] that is assumed for a sensor: 0.02 K, or 0.05 of its recorder's step.
+
+    A modelling choice of this program: below it the likelihood of docs/estimation_statistics.md, equation 5, becomes
+    that of an interval without noise, whose score is not smooth.
+    """
+    return max(LEAST_SIGMA_K, LEAST_OF_LSB * sensor.lsb_K)
+
+
+def errors_of(sensor: Sensor, values: Mapping[str, float]) -> SensorErrors:
+    """Bias [K] and gain [-] of a sensor as parameters state them; 0 and 1 where they do not.
+
+    values : dotted name -> value
+
+    Used in docs/estimation_statistics.md, equation 1.
+    """
+    bias, gain = (values.get(sensor_parameter(sensor, what), SENSOR[what].value) for what in ("bias", "gain"))
+    return SensorErrors(bias, gain)
+
+
+def sensor_parameter(sensor: Sensor, what: str) -> str:
+    """Dotted name of a parameter of a sensor: `sensor.NAME.bias` [K] or `sensor.NAME.gain` [-].
+
+    Parameters b and g of docs/estimation_statistics.md, equation 1.
+    """
+    return f"{SENSOR_PREFIX}{sensor.name}.{what}"
+
+
+def definition(record: Record, name: str) -> Parameter | None:
+    """Definition of a parameter of a clock or sensor by its dotted name; None for any other name.
+
+    returns : prior, bounds and unit (skew [s], bias [K], gain [-])
+    raises  : InputError where the record has no such sensor, or a sensor no such parameter
+
+    Parameters s, b and g of docs/estimation_statistics.md, equation 1.
+    """
+    if name == CLOCK_SKEW.name:
+        return CLOCK_SKEW
+    if not name.startswith(SENSOR_PREFIX):
+        return None
+    sensor, _, what = name.removeprefix(SENSOR_PREFIX).rpartition(".")
+    known = [s.name for s in record.used_sensors]
+    if sensor not in known:
+        raise InputError(f"{record.name}: `{name}` names no sensor that is used. {suggestion(sensor, known)}")
+    if what not in SENSOR:
+        raise InputError(f"{record.name}: `{name}`: a sensor has no `{what}`. {suggestion(what, SENSOR)}")
+    return SENSOR[what]
+
+
+def indicated(
+    channel: Channel, marched: Linearised, names: Sequence[str], values: Mapping[str, float], named: int
+) -> tuple[FloatArray, FloatArray]:
+    """Indications of a channel and their sensitivities to the parameters.
+
+        indicated = c0 + c1 T' + ...,   T' = gain T(t - skew) + bias
+
+    marched : temperatures [K], sensitivities and rates [K/s] of the march
+    names   : (parameter,) of the part, the first `named` of them being columns of the march, then clock and sensors
+    values  : dotted name -> value
+    named   : number of columns of the march that are read
+    returns : (sample,) indications [K]; (sample, parameter) sensitivities [K] per unit of each parameter
+
+    The march already reads T at t - skew. Source: docs/estimation_statistics.md, equations 1 and 2.
+    """
+    sensor, wrong = channel.sensor, errors_of(channel.sensor, values)
+    T = marched.temperature_K[channel.number, channel.samples]
+    jacobian = np.zeros((len(T), len(names)))
+    np.multiply(marched.sensitivity[channel.number, channel.samples, :named], wrong.gain, out=jacobian[:, :named])
+    for k, name in enumerate(names[named:], start=named):
+        if name == CLOCK_SKEW.name:
+            jacobian[:, k] = -wrong.gain * marched.rate_K_s[channel.number, channel.samples]
+        elif name == sensor_parameter(sensor, "bias"):
+            jacobian[:, k] = 1.0
+        elif name == sensor_parameter(sensor, "gain"):
+            jacobian[:, k] = T
+    # most sensors have no curve: this saves a polynomial for every sample of every evaluation
+    if sensor.calibration is None:
+        return wrong.gain * T + wrong.bias_K, jacobian
+    calibration = np.polynomial.Polynomial(sensor.calibration)
+    slope = calibration.deriv()(wrong.gain * T + wrong.bias_K)
+    return calibrated(sensor, T, wrong), slope[:, np.newaxis] * jacobian
+
+
+SURE_K = 1.0
+"""Size of a correction [K] below which the first one is accurate to some hundredths of a kelvin."""
+SETTLED_K = 0.1
+"""Change of a correction [K] from one mesh to the next at which it is accepted."""
+MOST_HALVINGS = 6
+
+
+def correct_mesh(part: Part, vector: FloatArray) -> None:
+    """Set the correction and the warning of a part, at a parameter vector.
+
+    part   : its correction_K becomes (sensor, sample) [K], 0 where none can be found
+    vector : (parameter,) values at which the error is evaluated; its change with the parameters is neglected
+
+    A correction of 1 [K] or more, or one that could not be found, leaves a warning in mesh_told.
+    Source: docs/estimation_statistics.md, equation 31.
+    """
+    mesh = f"{part.record.name}: the mesh of {part.mesh.nodes} nodes"
+    finer = "leave `nodes` out of [stack], or ask for more"
+    part.correction_K, part.mesh_told = 0.0, ""
+    try:
+        part.correction_K = mesh_error_K(part, vector)
+    except RunError as error:
+        part.mesh_told = f"{mesh} could not be corrected, and predictions keep its error ({error}); {finer}"
+        return
+    worst = float(np.max(np.abs(part.correction_K)))
+    if worst >= SURE_K:
+        part.mesh_told = (
+            f"{mesh} is up to {worst:.1f} K off; predictions are corrected, their sensitivities to the parameters are "
+            f"not; {finer}"
+        )
+
+
+def mesh_error_K(part: Part, vector: FloatArray) -> FloatArray:
+    """Correction that the limit of fine meshes adds to the march of a part, by Richardson's extrapolation.
+
+        T_k - T_0 + (T_k - T_(k-1)) / 3,   k = 1 where that is below 1 K
+
+    vector  : (parameter,) values
+    returns : (sensor, sample) [K]
+    raises  : RunError where a refined mesh cannot be marched, or the correction still changes by 0.1 [K] after six
+              halvings
+
+    Second order holds for smooth solutions. Source: docs/estimation_statistics.md, equation 31.
+    """
+    fine, initial = refined(part.mesh), part.refined_K(vector)
+    coarse, found = _temperatures_K(part, vector, [(part.mesh, part.initial_K(vector)), (fine, initial)])
+    # T_1 - T_0 + (T_1 - T_0) / 3
+    error = 4.0 / 3.0 * (found - coarse)
+    for _ in range(1, MOST_HALVINGS):
+        if np.max(np.abs(error)) < SURE_K:
+            return error
+        finer = refined(fine)
+        initial, fine, last = None if initial is None else on_mesh(initial, fine, finer), finer, found
+        (found,) = _temperatures_K(part, vector, [(fine, initial)])
+        before, error = error, found - coarse + (found - last) / 3.0
+        if np.max(np.abs(error - before)) < SETTLED_K:
+            return error
+    raise RunError(f"elements halved {MOST_HALVINGS} times still change it by more than {SETTLED_K:g} K")
+
+
+def _temperatures_K(
+    part: Part, vector: FloatArray, meshes: Sequence[tuple[Mesh, FloatArray | None]]
+) -> list[FloatArray]:
+    """(sensor, sample) temperatures [K] of the march on each mesh, from the initial temperatures [K] paired with it."""
+    tracks = [Track(part.altered(vector), mesh, (), part.sample_s, initial_K=initial) for mesh, initial in meshes]
+    history = condition_history(part.conditions.at(part.time_s))[np.newaxis]
+    found = LinearMarch(tracks, part.time_s, history).march([part.shift_s(vector)] * len(tracks))
+    return [f.temperature_K for f in found]

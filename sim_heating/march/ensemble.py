@@ -84,7 +84,7 @@ from sim_heating.march.point import (
     insulation_layer,
     stack_values,
 )
-from sim_heating.thermal._packing import set_point, set_temperatures
+from sim_heating.thermal.elements import set_point, set_temperatures
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.stack import Material
 from sim_heating.thermal.step import compiled

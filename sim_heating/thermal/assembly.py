@@ -20,9 +20,9 @@ Radiation through a porous material adds k_r (T / 1000 K)^3 to its conductivity 
 to its heat content (equation 12): latent heat L taken up about T_boil, heat D given off where vapour from hotter depths
 condenses.
 
-All values are in one flat float64 block (layout.py). Loops over lanes touch rows of one node and its neighbours only,
-at constant distances: that lets the compiler vectorise them without alias checks. What all nodes of a lane share is
-passed on from node to node (FRACTION, MOVES, LARGEST).
+All values are in one flat float64 block (base/kernels/block.py). Loops over lanes touch rows of one node and its
+neighbours only, at constant distances: that lets the compiler vectorise them without alias checks. What all nodes of a
+lane share is passed on from node to node (FRACTION, MOVES, LARGEST).
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ same for all materials. The density of nodes in s is (docs/equations_thermal_ste
 
 S chosen so that UNIFORM is the share of evenly spaced nodes to graded ones: the graded part serves the surface, the
 even one the steep gradients in depth. Halving every element keeps the grading, so that the difference between two
-such meshes is an estimate of the error (equation 40, resolution.py).
+such meshes is an estimate of the error (equation 40, march/mesh_choice.py).
 """
 
 from __future__ import annotations

@@ -76,7 +76,7 @@ ITSELF = -1
 class Groups(NamedTuple):
     """Groups of perturbed lanes.
 
-    ints   : their integers;  groups : offsets of their blocks and integers, as in march.py
+    ints   : their integers;  groups : offsets of their blocks and integers, as in march/frames.py
     whole  : number of groups, the first ones, whose rows are assembled; of the others only the heat at the faces is
     source : (group * LANES,) nominal lane of each perturbed lane
     """

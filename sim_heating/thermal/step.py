@@ -316,7 +316,7 @@ def step(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> Non
     B     : block of the group; T [K], RATE [K/s], ENERGY_IN and ENERGY_OUT [J/m2], ITERATIONS and FAILED change
     J     : its integers
     table : property and ratio tables
-    chain : dispatcher of the effects (effects/chain.py)
+    chain : dispatcher of the effects (heating/effects/compiled.py)
     dt    : length of the step [s], above 0
 
     Heat contents and net heat at the start are those that the last step left, since the method's last stage is its end;

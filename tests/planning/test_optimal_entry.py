@@ -233,8 +233,8 @@ def test_shipped_studies_can_be_read(name):
 def test_without_casadi_one_line_says_what_to_install():
     code = (
         "import sys; sys.modules['casadi'] = None\n"
-        "from sim_heating.planning.optimal.search import fly_optimal\n"
-        "from sim_heating.planning.optimal.spec import load_optimal_study\n"
+        "from sim_heating.planning.optimal.search.search import fly_optimal\n"
+        "from sim_heating.planning.optimal.search.spec import load_optimal_study\n"
         f"fly_optimal(load_optimal_study({str(STUDIES / 'optimal_entry.toml')!r}))"
     )
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -251,7 +251,7 @@ def _call_chain(_typing_context, address, code, B, c, p, wall_K):  # type: ignor
 def call_chain(chain, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
     """chain(code, B, c, p, wall_K) [-]: the effect of a code, through the address of its dispatcher.
 
-    wall_K : wall temperature [K];  code, B, c, p : as in effects/chain.py
+    wall_K : wall temperature [K];  code, B, c, p : as in heating/effects/compiled.py
 
     Interpreted, the dispatcher is the function itself. Passing an address to a kernel costs nothing; passing a function
     object costs 35 us a call.

@@ -59,7 +59,7 @@ def truncated_normal(alpha: float, beta: float, width: float):  # type: ignore[n
     width       : beta - alpha [-], computed from the interval itself: the difference of two remote ends has few digits
     returns     : log Z, E x, var x, 1 - var x, E x^2 - 1, cov(x, x^2), var x^2, in the order LOG_Z ... SPREAD
 
-    Relative error about 1e-12 up to 50 sigma from the mean (tests/test_likelihood.py).
+    Relative error about 1e-12 up to 50 sigma from the mean (tests/estimation/test_likelihood.py).
     Source: docs/estimation_statistics.md, equations 8 and 9.
     """
     if alpha == -math.inf and beta == math.inf:

@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.files import write_csv
-from sim_heating.estimation._observation import Channel
 from sim_heating.estimation.filter.heating_input import UnknownInput, unknown_input
 from sim_heating.estimation.filter.march import Disturbance, FilterTrack
 from sim_heating.estimation.filter.records import filter_samples
 from sim_heating.estimation.problem import Problem
-from sim_heating.estimation.record_fit import Part
+from sim_heating.estimation.record_fit import Channel, Part
 from sim_heating.inputs.record import Record
 from sim_heating.march.ensemble import condition_history
 from sim_heating.thermal.mesh import Mesh

@@ -27,9 +27,8 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import EFFECT_PREFIX, RATIO, SECOND_ORDER
 from sim_heating.estimation.report.estimate_file import Estimate
-from sim_heating.heating.ratio._shares import basis
 from sim_heating.heating.ratio.table import RatioTable
-from sim_heating.heating.ratio.uncertainty import Evidence, node_weights
+from sim_heating.heating.ratio.uncertainty import Evidence, basis, node_weights
 from sim_heating.inputs.points import check_reference, conditions_of_record
 from sim_heating.inputs.record import Record, in_segments
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle

@@ -31,8 +31,7 @@ from sim_heating.estimation.report.ratio_plot import (
     plot_flight,
     plotted,
 )
-from sim_heating.heating.ratio._shares import estimated_ratio
-from sim_heating.heating.ratio.uncertainty import Posterior, node_weights
+from sim_heating.heating.ratio.uncertainty import Posterior, estimated_ratio, node_weights
 
 ROWS = 16
 """Nodes that are shown; the revision's file holds all."""

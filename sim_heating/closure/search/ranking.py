@@ -22,8 +22,8 @@ import numpy as np
 
 from sim_heating.closure.search.candidates import Candidate, Form
 from sim_heating.closure.search.trial_fit import Attempt, samples, values_of
-from sim_heating.estimation._observation import definition
 from sim_heating.estimation.inference.newton import Fit
+from sim_heating.estimation.record_fit import definition
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,8 +1,9 @@
 """The likelihood of a fit with noise of the process: that of the innovations of the Kalman filter.
 
-Every sample is compared with what the filter predicts from all samples before it (filter_march.py); the innovations are
-independent of each other where the noise is as assumed, so that log likelihoods, residual tests and bounds are those of
-a fit without such noise, predictions m_i and their variances S_i in the place of the march and of sensor noise:
+Every sample is compared with what the filter predicts from all samples before it (estimation/filter/march.py); the
+innovations are independent of each other where the noise is as assumed, so that log likelihoods, residual tests and
+bounds are those of a fit without such noise, predictions m_i and their variances S_i in the place of the march and of
+sensor noise:
 
     log L = sum_i log p(y_i | m_i(theta), S_i(theta)),    information sum_i I_i dm_i/dtheta dm_i/dtheta'.
 
@@ -29,7 +30,6 @@ from numpy.typing import NDArray
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import RunError
 from sim_heating.base.kernels.block import LANES
-from sim_heating.estimation._observation import least_sigma_K
 from sim_heating.estimation.filter.march import Filtered, FilterMarch, FilterTrack
 from sim_heating.estimation.filter.process_noise import CORRELATION, Level, Levels, ProcessNoise
 from sim_heating.estimation.filter.records import filter_samples
@@ -37,7 +37,7 @@ from sim_heating.estimation.inference.identifiability import scale
 from sim_heating.estimation.inference.likelihood import likelihood
 from sim_heating.estimation.inference.newton import Evaluation, Fit, Settings, Status, Told, maximise
 from sim_heating.estimation.problem import Problem, in_threads
-from sim_heating.estimation.record_fit import Samples
+from sim_heating.estimation.record_fit import Samples, least_sigma_K
 from sim_heating.march.ensemble import condition_history
 from sim_heating.march.point import PointModel
 

@@ -11,11 +11,18 @@ from numpy.typing import NDArray
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import CLOCK_SKEW
-from sim_heating.estimation._observation import Channel, channels, errors_of, least_sigma_K, sensor_parameter
 from sim_heating.estimation.filter.heating_input import likeliest
 from sim_heating.estimation.filter.kernel import CONSTANT, PER_RATE, PER_TEMPERATURE
 from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, Samples
-from sim_heating.estimation.record_fit import Start, march_times
+from sim_heating.estimation.record_fit import (
+    Channel,
+    Start,
+    channels,
+    errors_of,
+    least_sigma_K,
+    march_times,
+    sensor_parameter,
+)
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.march.ensemble import condition_history

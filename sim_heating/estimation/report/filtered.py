@@ -17,10 +17,9 @@ from matplotlib.axes import Axes
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.files import write_csv
 from sim_heating.base.report.figure import MEASURED, legend_above, new_figure, save_figure
-from sim_heating.estimation._observation import Channel
 from sim_heating.estimation.filter.innovations import Innovations
 from sim_heating.estimation.filter.smoother import Smoothed, smooth
-from sim_heating.estimation.record_fit import Part
+from sim_heating.estimation.record_fit import Channel, Part
 from sim_heating.estimation.report.plots import AFTER, plot_flown
 
 FILES = CSV, PICTURE, RATIO_CSV = "filtered.csv", "filtered.png", "ratio_disturbance.csv"

@@ -13,7 +13,7 @@ from sim_heating.base.parameters import RATIO, SHORT
 from sim_heating.base.report.figure import new_figure, save_figure
 from sim_heating.estimation.fit import Fitted
 from sim_heating.estimation.record_fit import Part
-from sim_heating.heating.ratio._shares import declared_ratio, declared_sigma, estimated_ratio
+from sim_heating.heating.ratio.uncertainty import declared_ratio, declared_sigma, estimated_ratio
 from sim_heating.march.ensemble import condition_history
 
 LABELS = {

@@ -5,9 +5,10 @@ are two kinds. An effect on the heating or on the emittance has a kernel
 
     f(B, c, p, wall_K) -> float
 
-that reads the flight conditions from B[c] on and its own parameters from B[p] on (offsets in layout.py), takes the wall
-temperature [K], and returns what is added to the heating ratio [-], or the factor [-] on the ratio or the emittance.
-An effect of mode "model" has no kernel: its parameters stand for existing parameters of the model (`places`).
+that reads the flight conditions from B[c] on and its own parameters from B[p] on (offsets in base/kernels/block.py),
+takes the wall temperature [K], and returns what is added to the heating ratio [-], or the factor [-] on the ratio or
+the emittance. An effect of mode "model" has no kernel: its parameters stand for existing parameters of the model
+(`places`).
 
 Effects act in the order of docs/effects.md, equation 1: those that add, the lag, those that multiply.
 """

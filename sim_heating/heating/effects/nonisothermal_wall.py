@@ -25,7 +25,7 @@ def overshoot_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
 
     B       : block of the lane group; B[c] flight conditions with the time t [s], B[p] the parameters of EFFECT
     wall_K  : wall temperature [K], not used: the excess comes from the wall upstream, which the model does not have
-    returns : factor [-], constant before `begin`; the lag of the same effect is applied by surface_heating.py
+    returns : factor [-], constant before `begin`; the lag of the same effect is applied by heating/film.py
 
     Source: the process, Chapman and Rubesin (1949); the form, docs/effects.md, equation 17, its lag equation 18.
     """

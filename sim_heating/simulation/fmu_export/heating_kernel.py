@@ -56,8 +56,7 @@ from sim_heating.simulation.fmu_export.library import (
     at,
 )
 from sim_heating.simulation.plugin_kernel import CODE, F_TIME, PRESSURE_WIDTH, derive_conditions
-from sim_heating.thermal._packing import set_point
-from sim_heating.thermal.elements import EPS_BEHIND
+from sim_heating.thermal.elements import EPS_BEHIND, set_point
 from sim_heating.thermal.faces import SIGMA, emittance
 
 # Integers of the model, behind those of native.py: how many of what there are, and where arrays begin, in R or N.
