@@ -6,12 +6,18 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table as RichTable
+from rich.text import Text
 
 from sim_heating.base.errors import InputError
+
+if TYPE_CHECKING:
+    from sim_heating.base.report.table import Table
 
 PLAIN_WIDTH = 110
 """Columns of a table where the output is no terminal."""
@@ -87,3 +93,16 @@ def print_outputs(out: Path, names: list[str]) -> None:
     CONSOLE.print(f"Wrote {out}: {', '.join(shown)}")
     if pictures:
         CONSOLE.print(f"Plots: {', '.join(pictures)}")
+
+
+def print_table(table: Table, style: Callable[[int, int], str] | None = None) -> None:
+    """Print a table of results.
+
+    style : (row, column) -> style of the cell, as `red`; plain where not given
+    """
+    rendered = RichTable(title=table.title, title_justify="left")
+    for i, column in enumerate(table.layout):
+        rendered.add_column(column.head, justify="left" if column.is_text else "right", overflow="fold", no_wrap=i == 0)
+    for i, row in enumerate(table.texts):
+        rendered.add_row(*(Text(cell, style="" if style is None else style(i, k)) for k, cell in enumerate(row)))
+    CONSOLE.print(rendered)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import click
-from rich.table import Table
 
 from sim_heating.base.errors import RunError
-from sim_heating.cli.console import CONSOLE, ERRORS, OUT, PATH, print_outputs, progress_line
+from sim_heating.cli.console import CONSOLE, ERRORS, OUT, PATH, print_outputs, print_table, progress_line
 
 LEDGER = "batches"
 """Folder of finished batches below the results."""
@@ -33,7 +31,7 @@ def plan(study: Path, out: Path, scheduler: str | None, workers: int | None, veh
         planned, names = run_study(loaded, out, engine, progress=progress)
     for found in planned.found.values():
         for table in found.tables:
-            CONSOLE.print(_shown(table))
+            print_table(table)
         for note in found.notes:
             CONSOLE.print(note)
     print_outputs(out, names)
@@ -42,13 +40,3 @@ def plan(study: Path, out: Path, scheduler: str | None, workers: int | None, veh
     if planned.failed:
         done = f"; {', '.join(planned.found)} is done and kept" if planned.found else ""
         raise RunError(f"{', '.join(planned.failed)}: found nothing{done}")
-
-
-def _shown(table: Any) -> Table:
-    shown = Table(title=table.caption, title_justify="left")
-    for i, head in enumerate(table.heads):
-        is_text = i == 0 or i in table.words
-        shown.add_column(head, justify="left" if is_text else "right", overflow="fold", no_wrap=i == 0)
-    for row in table.rows:
-        shown.add_row(*row)
-    return shown

@@ -20,7 +20,8 @@ from scipy.stats import beta
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.files import read_json, write_json
 from sim_heating.base.files.package import PACKAGE, package_version
-from sim_heating.base.report.page import Page, Picture, Section, Table, write_page
+from sim_heating.base.report.page import Page, Picture, Section, write_page
+from sim_heating.base.report.table import Table
 from sim_heating.closure.clues.correlation import Evidence, flight_variables
 from sim_heating.closure.clues.residual_heating import NAME as HEATING_NAME
 from sim_heating.closure.clues.residual_heating import ResidualHeating, write_residual_heating
@@ -230,7 +231,7 @@ def _errors(found: Closure) -> Section:
         f"{floor}Errors are those of the plain march, no measurement assimilated. Held-out samples were fitted by "
         "nothing; that candidates were weighed on them too is all the use that was made of them."
     )
-    return Section("Errors", tables=[Table(heads, rows, caption, strong=[len(rows) - 1])])
+    return Section("Errors", tables=[Table(caption, heads, rows, strong=[len(rows) - 1])])
 
 
 def _cells(errors: Mapping[str, float] | None) -> list[str]:
@@ -258,7 +259,7 @@ def _effects(found: Closure) -> Section:
     reference = ", ".join(f"{n} {v:.4g}" for n, v in zip(RATIO_VARIABLES, found.reference, strict=True))
     caption = f"One standard deviation, corrected for coloured residuals. Derivatives are about {reference}."
     heads = ["", "value", "sigma", "unit"]
-    return Section("Estimated parameters", tables=[Table(heads, rows, caption, strong=list(range(own)))])
+    return Section("Estimated parameters", tables=[Table(caption, heads, rows, strong=list(range(own)))])
 
 
 def _is_effect(name: str) -> bool:
@@ -281,7 +282,7 @@ def _candidates(found: Closure) -> Section:
     marked = [i for i, c in enumerate(tried) if c.name in chosen]
     caption = "Probabilities weigh more than BIC: segments held out, sizes that nobody would expect, numbers of forms."
     heads = ["", "BIC - BIC of none", "RMSE fitted, K", "RMSE held out, K", "probability"]
-    table = Table(heads, rows, caption, strong=marked)
+    table = Table(caption, heads, rows, strong=marked)
     figure = ranking([c.name for c in tried], [c.delta_bic for c in tried], chosen)
     text = [found.false_alarm] if found.false_alarm else []
     return Section(
@@ -322,15 +323,16 @@ def _evidence(found: Closure) -> Section:
         for c in e.correlations
     ]
     correlated = Table(
-        ["variable", "lag, s", "correlation", "effective points", "chance", "chance, all looks"], rows,
         "Weighted by 1 / sigma^2. Chance: of one as large from a history that has nothing to do with it, alone, and "
         "over all variables and lags.",
-    )  # fmt: skip
+        ["variable", "lag, s", "correlation", "effective points", "chance", "chance, all looks"],
+        rows,
+    )
     followed = Table(
-        ["shape", "size", "sigmas", "explains"],
-        [[f.shape.words(), f"{f.amplitude:+.3g}", f"{abs(f.z):.1f}", f"{f.share:.0%}"] for f in e.followed[:8]],
         f"Best form of each variable, of what any history would explain. The shapes make {e.looks:.0f} independent "
         f"looks; noise alone would do as well as the best with a chance of {_short(e.chance)}.",
+        ["shape", "size", "sigmas", "explains"],
+        [[f.shape.words(), f"{f.amplitude:+.3g}", f"{abs(f.z):.1f}", f"{f.share:.0%}"] for f in e.followed[:8]],
     )
     figure = loops_figure(found.residual, flight_variables(found.residual), e)
     caption = "Residual around manoeuvres that loop most: an error of the thermal model, a clock or a lag."

@@ -11,7 +11,7 @@ from typing import Any
 
 from sim_heating.base.files.package import PACKAGE
 from sim_heating.base.progress import Progress
-from sim_heating.base.report.page import Table
+from sim_heating.base.report.table import Table
 from sim_heating.planning.study import HASH_LENGTH, Study
 
 

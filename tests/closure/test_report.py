@@ -17,7 +17,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from sim_heating.base.files import files_written, output_directory, read_csv_columns
-from sim_heating.base.report.page import Page, Picture, Section, Table, page_html
+from sim_heating.base.report.page import Page, Picture, Section, page_html
+from sim_heating.base.report.table import Table
 from sim_heating.closure.clues.correlation import evidence
 from sim_heating.closure.clues.residual_heating import residual_heating
 from sim_heating.closure.record_checks import SENSOR, Verdict
@@ -173,7 +174,7 @@ def test_a_verdict_on_the_record_stands_before_any_finding():
 
 
 def test_nothing_from_a_record_becomes_markup():
-    page = Page("<script>x</script>", "a & b", [Section("s", ["<b>"], tables=[Table(["<i>"], [["<u>"]])])])
+    page = Page("<script>x</script>", "a & b", [Section("s", ["<b>"], tables=[Table("", ["<i>"], [["<u>"]])])])
     html = page_html(page)
     assert not re.search(r"<(script|b|i|u)>", html)
 

@@ -21,24 +21,11 @@ from matplotlib.figure import Figure
 from sim_heating.base.files import write_text_atomic
 from sim_heating.base.files.package import package_version
 from sim_heating.base.report.figure import lay_out
+from sim_heating.base.report.table import Table
 
 TEMPLATE = "page.html.j2"
 RASTER_DPI = 130
 """Of what a figure holds as `rasterized`."""
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows of text under their heads; the first column is text, the others stand right.
-
-    strong : numbers of the rows that are marked;  words : of further columns that are text
-    """
-
-    heads: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    caption: str = ""
-    strong: Sequence[int] = ()
-    words: Sequence[int] = ()
 
 
 @dataclass(frozen=True)

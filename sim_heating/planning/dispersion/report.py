@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from sim_heating.base.files import write_text_atomic
 from sim_heating.base.progress import Progress
 from sim_heating.base.report.figure import new_figure, save_figure
-from sim_heating.base.report.page import Table
+from sim_heating.base.report.table import Column, Table
 from sim_heating.planning.dispersion.march import QUANTITIES
 from sim_heating.planning.dispersion.results import (
     FLIGHTS_FILE,
@@ -76,7 +76,7 @@ def _tables(found: Dispersed) -> list[Table]:
     heads = ("control point", "mean", "sigma", *(f"{q:g} quantile" for q in spec.quantiles), "limit", "above it")
     rows = tuple(_row(a) for a in found.answers)
     caption = f"Peak temperatures [K] of {spec.flights} flights, in brackets bounds of {spec.confidence:.0%}"
-    tables = [Table(heads, rows, caption)]
+    tables = [Table(caption, heads, rows)]
     first = tuple(
         (
             f"{a.point} {place_of(a)}", f"{a.first['mean_K']:.0f}", f"{a.first['sigma_K']:.1f}", f"{a.sigma_K:.1f}",
@@ -87,11 +87,11 @@ def _tables(found: Dispersed) -> list[Table]:
     )  # fmt: skip
     heads = ("control point", "mean flight", "sigma", "counted", *(f"{q:g} quantile" for q in spec.quantiles), "holds")
     caption = "First order through the sensitivities along the mean flight [K]: quantiles less those counted"
-    tables.append(Table(heads, first, caption))
+    tables.append(Table(caption, heads, first))
     driven = [(f"{a.point} {place_of(a)}", _drivers(found, a)) for a in found.answers if a.indices is not None]
     if driven:
         caption = f"What drives the peaks: total Sobol' indices above {LEAST_INDEX:g}, first-order index in brackets"
-        tables.append(Table(("control point", "inputs"), driven, caption, words=(1,)))
+        tables.append(Table(caption, ("control point", Column("inputs", is_text=True)), driven))
     return tables
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from sim_heating.base.errors import RunError
 from sim_heating.base.progress import Progress
-from sim_heating.base.report.page import Table
+from sim_heating.base.report.table import Table
 from sim_heating.heating.ratio.uncertainty import Evidence
 from sim_heating.planning.envelope import tables as files
 from sim_heating.planning.envelope.boundary import END_OF_STUDY
@@ -201,7 +201,7 @@ def _ranking_table(ranked: Sequence[Ranked]) -> Table:
             row += ["-" if sigma is None else f"{sigma[0]:.0f} -> {sigma[1]:.0f}"]
             row += [f"{r.sure[n][0]:.4g} -> {r.sure[n][1]:.4g}"]
         rows.append(tuple(row))
-    return Table(heads, rows, "Next flight: manoeuvres by how much of the boundaries' sigma they take away")
+    return Table("Next flight: manoeuvres by how much of the boundaries' sigma they take away", heads, rows)
 
 
 def _ranking_data(ranked: Sequence[Ranked]) -> dict[str, Any]:
@@ -230,7 +230,7 @@ def compare(before: Side, after: Side) -> tuple[Table, dict[str, Any]]:
     rows = [row for pair in zip(before.boundaries, after.boundaries, strict=True) for row in _rows(*pair)]
     caption = f"Area allowed before ({files.revision_of(before.study)}) and after ({files.revision_of(after.study)})"
     data = {b.declared.name: files.boundary_data(b) for b in before.boundaries}
-    return Table(HEADS, rows, caption), {"study": before.study.hash, **data}
+    return Table(caption, HEADS, rows), {"study": before.study.hash, **data}
 
 
 def _rows(before: FlownBoundary, after: FlownBoundary) -> list[tuple[str, ...]]:

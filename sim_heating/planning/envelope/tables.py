@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sim_heating.base.files import write_csv
-from sim_heating.base.report.page import Table
+from sim_heating.base.report.table import Table
 from sim_heating.closure.revise.revisions import FOLDER as REVISIONS
 from sim_heating.planning.envelope.boundary import Allowed, Greatest
 from sim_heating.planning.envelope.envelope import MIDDLE, PERHAPS, SURE, FlownBoundary, FlownMap, Stretch
@@ -113,7 +113,7 @@ def map_table(flown: FlownMap) -> Table:
         rows.append((*at, f"{m.margin:.1f} {m.unit}", name, f"{m.sigma:.1f} {m.unit}"))
     title = flown.declared.title or flown.declared.name
     heads = (*flown.declared.axes, "least margin", "limit", "sigma")
-    return Table(heads, rows, f"Map: {title}")
+    return Table(f"Map: {title}", heads, rows)
 
 
 # Boundaries ----------------------------------------------------------------------------------------------------------
@@ -177,7 +177,7 @@ def boundary_table(found: FlownBoundary) -> Table:
         limits = high if s.greatest or low == high else f"{low} | {high}"
         own = () if d.family is None else (f"{s.member:g}",)
         rows.append((*own, f"{s.along:g}", _interval(s, MIDDLE), limits, _interval(s, SURE), _interval(s, PERHAPS)))
-    return Table(heads, rows, f"Boundary: {d.title or d.name}, {d.greatest or d.across}")
+    return Table(f"Boundary: {d.title or d.name}, {d.greatest or d.across}", heads, rows)
 
 
 def _interval(stretch: Stretch, which: str) -> str:

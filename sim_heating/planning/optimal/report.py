@@ -15,7 +15,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import write_csv
 from sim_heating.base.progress import Progress
 from sim_heating.base.report.figure import new_figure, save_figure
-from sim_heating.base.report.page import Table
+from sim_heating.base.report.table import Table
 from sim_heating.planning.optimal.search import ROUNDS, OptimalEntry, fly_optimal
 from sim_heating.planning.part import Engine, Found, Part, Picture
 from sim_heating.planning.study import Study
@@ -42,7 +42,7 @@ def optimal_part(study: Study, folder: Path, _engine: Engine, progress: Progress
     write_csv(
         folder / CONDITIONS, entry.conditions.columns, ".10g", {"study": study.hash, "vehicle": study.vehicle.name}
     )
-    tables = (Table(HEADS, _rows(entry), "Peak temperatures along the optimal entry [K]"),) if entry.peaks else ()
+    tables = (Table("Peak temperatures along the optimal entry [K]", HEADS, _rows(entry)),) if entry.peaks else ()
     head = f"cross-range {entry.cross_range_deg:.3f} deg, {entry.cross_range_km:.0f} km; {entry.status}"
     picture = Picture(PICTURE, "The optimal entry: ground track, altitude, angles, temperatures; limits dotted.")
     return Found(_data(entry), tables, (picture,), (head, *entry.notes))

@@ -1,0 +1,91 @@
+"""A table of results: values under named columns, rendered by the console, HTML pages, CSV and JSON alike.
+
+    Table(
+        "Peak temperatures",
+        [Column("control point"), Column("peak surface", "surface_K", ".0f", "K")],
+        [("V09T9527", 1234.5)],
+    )
+
+Values stay values: each writer formats them, the console and pages as a person reads them (`texts`), CSV and JSON as
+programs read them (`columns_by_key`, `records`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.base.files.csv_table import csv_text
+
+MISSING = "-"
+"""What a person sees in place of a value that does not exist (None)."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a table.
+
+    head    : what a person sees above it
+    key     : its name in CSV and JSON; the head where not given
+    format  : format specification of its numbers, as `.2f`; text and missing values are not formatted
+    unit    : written after each number that a person sees
+    is_text : left-aligned; numbers are right-aligned
+    """
+
+    head: str
+    key: str = ""
+    format: str = ""
+    unit: str = ""
+    is_text: bool = False
+
+    def text(self, value: Any) -> str:
+        """A value as a person sees it."""
+        if value is None or (isinstance(value, float) and math.isnan(value)):
+            return MISSING
+        if isinstance(value, str):
+            return value
+        number = format(value, self.format)
+        return f"{number} {self.unit}" if self.unit else number
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of values under columns; a column may be given by its head alone. The first column is text.
+
+    title  : what the table shows
+    strong : numbers of the rows that are marked
+    """
+
+    title: str
+    columns: Sequence[Column | str]
+    rows: Sequence[Sequence[Any]]
+    strong: Sequence[int] = ()
+
+    @property
+    def layout(self) -> list[Column]:
+        """The columns, each with its head, key and alignment."""
+        columns = [Column(c) if isinstance(c, str) else c for c in self.columns]
+        return [Column(c.head, c.key or c.head, c.format, c.unit, c.is_text or i == 0) for i, c in enumerate(columns)]
+
+    @property
+    def texts(self) -> list[list[str]]:
+        """The cells of each row as a person sees them."""
+        return [[c.text(v) for c, v in zip(self.layout, row, strict=True)] for row in self.rows]
+
+    def records(self) -> list[dict[str, Any]]:
+        """One dictionary a row, for JSON."""
+        return [{c.key: v for c, v in zip(self.layout, row, strict=True)} for row in self.rows]
+
+    def columns_by_key(self) -> dict[str, NDArray[Any]]:
+        """One array a column, by its key; a missing number is NaN."""
+        values = {c.key: [row[i] for row in self.rows] for i, c in enumerate(self.layout)}
+        return {k: np.array([math.nan if x is None else x for x in v]) for k, v in values.items()}
+
+    def csv(self, formats: Mapping[str, str] | str | None = None, header: Mapping[str, object] | None = None) -> str:
+        """The table as CSV text; formats and header as `csv_text` takes them."""
+        return csv_text(self.columns_by_key(), formats, header)
