@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import signal
 from importlib import import_module
+from typing import Any
 
 import click
 
@@ -34,6 +35,10 @@ COMMANDS = {
 
 class LazyGroup(click.Group):
     """A group that imports the module of a command when the command is asked for."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.commands = dict.fromkeys(COMMANDS)  # type: ignore[assignment]  # click suggests the nearest of these
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)

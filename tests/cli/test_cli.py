@@ -276,7 +276,7 @@ INTERRUPTED = """
 import sys
 class Interrupt:
     def find_spec(self, name, path=None, target=None):
-        if name == "sim_heating.cli.__init__.__init__":
+        if name == "sim_heating.cli":
             raise KeyboardInterrupt
 sys.meta_path.insert(0, Interrupt())
 from sim_heating.__main__ import main

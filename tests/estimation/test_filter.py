@@ -436,7 +436,9 @@ def filtered_in_hex() -> list[str]:
 
 @pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT", "0") != "0", reason="compares with the compiled kernel")
 def test_interpreted_and_compiled_filters_agree_bit_for_bit():
-    interpreted = run_interpreted("import test_filter as t; print('\\n'.join(t.filtered_in_hex()))").split()
+    interpreted = run_interpreted(
+        "import tests.estimation.test_filter as t; print('\\n'.join(t.filtered_in_hex()))"
+    ).split()
     assert interpreted == filtered_in_hex()
 
 

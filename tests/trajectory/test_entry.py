@@ -348,7 +348,7 @@ def test_a_flight_that_skips_out_is_an_error_and_not_a_number():
 def test_interpreted_and_compiled_flights_are_the_same_bits():
     """The kernel is its own slow reference: 40 s of flight without numba's compiler."""
     program = (
-        "import json, sys; sys.path.insert(0, 'tests'); import test_entry as t;"
+        "import json; import tests.trajectory.test_entry as t;"
         "rows, _ = t.Entry(t.spec(manoeuvre=[{'kind': 'popu', 'at_time_s': 5.0}]), t.ORBITER).run(160);"
         "print(json.dumps(rows[-1].tolist()))"
     )

@@ -138,12 +138,12 @@ def test_an_interrupted_flight_leaves_nothing(binary: Path, tmp_path: Path) -> N
 HANGING = """
 import sys
 from pathlib import Path
-from sim_heating.trajectory import fmu
+from sim_heating.trajectory.fmu import flight
 from sim_heating.trajectory.spec import TrajectorySpec
 
 start = {"fault": int(sys.argv[2]), "fault_time": 0.0}
 table = {"source": "fmu", "file": sys.argv[1], "fmu": {"columns": %r, "start": start, "timeout_s": 300.0}}
-fmu.fly(TrajectorySpec.model_validate(table), Path(%r), on_frame=lambda row: print("flying", flush=True))
+flight.fly(TrajectorySpec.model_validate(table), Path(%r), on_frame=lambda row: print("flying", flush=True))
 """
 
 
