@@ -26,6 +26,7 @@ from sim_heating.estimation.fit import Fitted, estimate
 from sim_heating.estimation.inference.newton import Settings
 from sim_heating.estimation.report.estimate_file import NAME
 from sim_heating.estimation.report.report import FIT_FILES, noise_floor_K, write_fit
+from sim_heating.heating.effects import effects
 from sim_heating.inputs.record import Record
 
 FILES = (*REPORT_FILES, NAME, *FIT_FILES)
@@ -38,7 +39,6 @@ LEFT = 0.2
 """Mean square of the normalised residuals, beyond that of noise, from which on what is left is told."""
 REFIT = Settings(gain=1e-3, step=0.02, iterations=10, reach=QUICK.reach)
 """When the last fit stops: far within its bounds, and no step is longer than those of the search."""
-CLOCK_EFFECT = {CLOCK_SKEW.name: "skew_s"}
 SENSOR_PARAMETERS = {"bias": "bias_K", "gain": "gain"}
 
 
@@ -146,12 +146,13 @@ def _named(found: Search, estimated: Mapping[str, Estimated]) -> list[Named]:
 
 def own_parameters(attempt: Attempt, estimated: Mapping[str, Estimated]) -> dict[str, Estimated]:
     """The parameters of an effect by their names within it."""
+    effect = effects().get(attempt.name)
     own = {}
     for name in attempt.candidate.names:
         if name.startswith(SENSOR_PREFIX):
             short = SENSOR_PARAMETERS[name.rpartition(".")[2]]
         else:
-            short = CLOCK_EFFECT.get(name, name.rpartition(".")[2])
+            short = (effect and effect.own_name(name)) or name.rpartition(".")[2]
         if name in estimated:
             own[short] = estimated[name]
     return own

@@ -29,10 +29,10 @@ GROWTH = 0.15
 SOURCE = '''
 """Heating grows with the angle of attack beyond what a table says, as its square."""
 
-from sim_heating.effects import Effect
-from sim_heating.jit import njit
-from sim_heating.layout import ALPHA
-from sim_heating.parameters import Parameter
+from sim_heating.base.kernels.block import ALPHA
+from sim_heating.base.kernels.jit import njit
+from sim_heating.base.parameters import Parameter
+from sim_heating.heating.effects import Effect
 
 
 @njit
@@ -124,6 +124,44 @@ def test_predict_takes_it_from_a_vehicle():
         assert main(["predict", "record", "--out", f"p{len(options)}", *options]) == 0
         errors.append(json.loads(Path(f"p{len(options)}/summary.json").read_text())["fit"]["rmse_K"])
     assert errors[1] < 0.5 * errors[0]
+
+
+CLOCK_EFFECT = """
+from sim_heating.base.parameters import Parameter
+from sim_heating.heating.effects import Effect
+
+EFFECT = Effect(
+    "own-clock", "model", (Parameter("recorder_lag_s", "s", 0.0, 0.5, -10.0, 10.0, "lag of a recorder"),),
+    places=("clock.skew",),
+)
+"""
+
+
+@pytest.mark.parametrize(
+    ("needs", "flown", "looked_for"),
+    [
+        ((), {"mach": 8.0}, True),
+        (("mach",), {}, True),
+        (("mach",), {"mach": 8.0}, False),
+        (("alpha_deg", "mach"), {"mach": 8.0}, False),
+        (("axial_accel_g",), {}, False),
+    ],
+)
+def test_an_effect_is_looked_for_only_where_the_variables_that_it_needs_vary(own_folder, needs, flown, looked_for):
+    (own_folder / "steepness.py").write_text(SOURCE.replace("physics=", f"needs={needs}, physics="))
+    record = load_record(ROOT / "scenarios" / "records" / "practice" / "p06")
+    conditions = conditions_of_record(record).with_columns(**flown)
+    assert ("own-steepness" in {c.name for c in candidates(record, conditions)}) is looked_for
+
+
+def test_a_user_defined_clock_effect_is_looked_for_and_its_parameter_has_its_own_name(own_folder):
+    (own_folder / "steepness.py").write_text(CLOCK_EFFECT)
+    record = load_record(ROOT / "scenarios" / "records" / "practice" / "p06")
+    (found,) = (c for c in candidates(record, conditions_of_record(record)) if c.name == "own-clock")
+    assert found.names == ("clock.skew",)
+    effect = effects()["own-clock"]
+    assert effect.acts_on_clock
+    assert effect.own_name("clock.skew") == "recorder_lag_s"
 
 
 def test_a_file_that_is_wrong_is_told_with_its_line(own_folder, capsys):

@@ -87,7 +87,7 @@ def effects_of_fit(
     found, not_written = [], _of_record(estimate)
     for name in dict.fromkeys((*in_force, *estimated)):
         used = use(name, in_force.get(name, {}) | estimated.get(name, {}))
-        if CLOCK_SKEW.name in used.effect.places:
+        if used.effect.acts_on_clock:
             not_written[f"{EFFECT_PREFIX}{name}"] = OF_RECORD
         elif name not in estimated:
             not_written[f"{EFFECT_PREFIX}{name}"] = "was in the fit, but nothing of it was estimated"

@@ -20,12 +20,8 @@ from sim_heating.inputs.record import Record
 
 SENSOR_EFFECT = "sensor-bias"
 """What a closure report calls thermocouples that are off."""
-NEEDS = {
-    "sideslip": "beta_deg", "alpha-curvature": "alpha_deg", "elevon-curvature": "elevon_deg",
-    "bodyflap-curvature": "bodyflap_deg", "impingement-onset": "alpha_deg", "transition": "log10_re",
-    "jet-interaction": "jets",
-}  # fmt: skip
-"""Variables that have to move for an effect to be seen."""
+CONSTANT = 1e-3
+"""Standard deviation below which a flight condition other than the ratio variables counts as constant, in its unit."""
 
 
 class Form(NamedTuple):
@@ -77,24 +73,20 @@ def candidates(record: Record, flown: Conditions, taken: Sequence[str] = ()) -> 
     lag_taken = any(effects()[name].lags for name in taken if name in effects())
     found = []
     for name, effect in effects().items():
-        if name not in taken and not (effect.lags and lag_taken) and _moves(name, flown):
+        if name not in taken and not (effect.lags and lag_taken) and all(_varies(v, flown) for v in effect.needs):
             found += _of_effect(effect, record, flown)
     if SENSOR_EFFECT not in taken:
         found += _of_sensors(record)
     return found
 
 
-def _moves(name: str, flown: Conditions) -> bool:
-    variable = NEEDS.get(name)
-    if variable is None:
-        return True
-    if variable not in flown:
-        return False
-    return bool(np.std(flown[variable]) > STILL.get(variable, 1e-3))
+def _varies(variable: str, flown: Conditions) -> bool:
+    """Whether a column of the conditions exists and varies over the fitted samples."""
+    return variable in flown and bool(np.std(flown[variable]) > STILL.get(variable, CONSTANT))
 
 
 def _of_effect(effect: Effect, record: Record, flown: Conditions) -> list[Candidate]:
-    if effect.places == (CLOCK_SKEW.name,):
+    if effect.acts_on_clock:
         names = (CLOCK_SKEW.name,)
         return [Candidate(effect.name, (), names, {}, felt=names, prior=names)]
     tries = effect.tried(flown)

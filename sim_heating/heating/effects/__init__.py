@@ -31,7 +31,7 @@ from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import nearest_name
 from sim_heating.base.kernels.block import EFFECT_SLOTS, EFFECT_WIDTH
-from sim_heating.base.parameters import Parameter
+from sim_heating.base.parameters import CLOCK_SKEW, Parameter
 
 __all__ = ["Effect", "EffectUse", "effect", "effects", "own_files", "use"]
 
@@ -64,6 +64,8 @@ class Effect:
     needs_wall : whether the kernel's value depends on the wall temperature
     lags       : whether the ratio lags; the first two parameters are then time constant [s] and fraction [-]
     places     : dotted names that the parameters of a "model" effect stand for, in their order
+    needs      : columns of the flight conditions that have to be there and to vary for the effect to be identifiable;
+                 `close-loop` looks for it in no other flight
     neutral    : its magnitudes and the values at which, all of them together, it does nothing for any other parameters
     tries      : for a flight's conditions, the starts of the search for it in data; by default one, with all parameters
                  that have a prior, from their nominal values
@@ -80,6 +82,7 @@ class Effect:
     needs_wall: bool = False
     lags: bool = False
     places: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()
     neutral: Mapping[str, float] = field(default_factory=dict, compare=False)
     tries: Callable[[Conditions], Sequence[Try]] | None = field(default=None, compare=False)
     physics: str = ""
@@ -98,6 +101,15 @@ class Effect:
     def built_in(self) -> bool:
         """Whether its kernel is one of the package's; False for a user-defined one and for mode "model"."""
         return getattr(self.kernel, "__module__", "").startswith(f"{__name__}.")
+
+    @property
+    def acts_on_clock(self) -> bool:
+        """Whether it changes the times of a record's readings: such an effect has no part in the march."""
+        return CLOCK_SKEW.name in self.places
+
+    def own_name(self, place: str) -> str | None:
+        """Name within this effect of a parameter of the model, such as `skew_s` of `clock.skew`; None for another."""
+        return dict(zip(self.places, (p.name for p in self.parameters), strict=False)).get(place)
 
     def tried(self, flown: Conditions) -> Sequence[Try]:
         """Starts of the search for this effect in a flight's data.

@@ -10,6 +10,7 @@ EFFECT = Effect(
     mode="model",
     parameters=(Parameter("d_alpha2", "1/deg2", 0.0, 1e-3, -1.0, 1.0, "second-order term, no factor 1/2"),),
     places=("ratio.d_alpha2",),
+    needs=("alpha_deg",),
     physics="The ratio has a second-order term in angle of attack that a linear model about one condition lacks.",
     source="Eq. 2 of 'Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers'",
 )

@@ -20,6 +20,7 @@ EFFECT = Effect(
         ),
     ),
     places=("ratio.d_bodyflap2",),
+    needs=("bodyflap_deg",),
     physics="The ratio has a second-order term in body-flap deflection that a linear model about one condition lacks.",
     source="Eq. 2 of 'Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers'",
 )

@@ -51,6 +51,7 @@ EFFECT = Effect(
         Parameter("slope", "1/deg", 0.002, 0.002, -0.1, 0.1, "rise of the ratio above it"),
     ),
     kernel=impingement,
+    needs=("alpha_deg",),
     neutral={"slope": 0.0},
     tries=tries,
     physics="Above an angle of attack the flow impinges on the point and the ratio rises with angle of attack.",

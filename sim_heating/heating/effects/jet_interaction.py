@@ -38,6 +38,7 @@ EFFECT = Effect(
     mode="multiply",
     parameters=(Parameter("jet_gain", "1", 0.1, 0.2, -1.0, 5.0, "relative rise of the ratio while a jet fires"),),
     kernel=jet_factor,
+    needs=("jets",),
     neutral={"jet_gain": 0.0},
     tries=tries,
     physics="A firing jet disturbs the flow at the point, or the density that was derived from dynamic pressure.",

@@ -41,6 +41,7 @@ EFFECT = Effect(
         Parameter("d_beta2", "1/deg2", 0.0, 0.01, -1.0, 1.0, "and with beta^2"),
     ),
     kernel=added_by_sideslip,
+    needs=("beta_deg",),
     tries=tries,
     physics="A vortex or an attachment line moves onto a point with sideslip of either sign.",
     source="Sideslip on OMS pods and side fuselage: founding paper; NASA TM-86032",

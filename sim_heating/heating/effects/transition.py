@@ -78,6 +78,7 @@ EFFECT = Effect(
         Parameter("spots", "1", 0.0, 0.0, 0.0, 1.0, "1 for the form of turbulent spots, which begins at the onset"),
     ),
     kernel=transition_factor,
+    needs=("log10_re",),
     neutral={"factor": 1.0},
     tries=tries,
     physics="The boundary layer turns turbulent past a Reynolds number, earlier at higher angle of attack.",
