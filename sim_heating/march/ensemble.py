@@ -266,12 +266,22 @@ class Ensemble:
         A march then begins with `reset` or `set_profile`: until then heat contents [J/m2] are those of the earlier
         parameters, which the step would take for its start (docs/equations_march.md, equation 6).
         """
-        place, mesh = self.places[model], self.meshes[model]
         self.models[model] = altered
+        self.set_values(model, stack_values(altered), heating_vector(altered))
+
+    def set_values(self, model: int, stack: FloatArray, heating: FloatArray) -> None:
+        """Give a point new parameter values as its lane takes them; `models` keeps the values that it had.
+
+        model   : index of the point
+        stack   : (parameter,) as march.point.stack_values, each in its unit ([-], [J/kg], [K] ...)
+        heating : (N_PARAMETERS,) as march.point.heating_vector
+
+        A march then begins with `reset`, `restore` or `set_profile`. Source: docs/equations_thermal_step.md, eq. 8.
+        """
+        place, mesh = self.places[model], self.meshes[model]
         set_point(
             self.block(place.group), self.integers(place.group), place.lane, place.end, mesh.layer, mesh.length_m,
-            self._densities[model], insulation_layer(altered.construction), mesh.bondline,
-            stack_values(altered), heating_vector(altered),
+            self._densities[model], insulation_layer(self.models[model].construction), mesh.bondline, stack, heating,
         )  # fmt: skip
 
     # State -----------------------------------------------------------------------------------------------------------
@@ -428,12 +438,8 @@ class Ensemble:
         def one(g: int) -> None:
             start, end = self.groups[g, BLOCK_START], self.groups[g, BLOCK_END]
             mine = np.flatnonzero((kept >= start) & (kept < end))
-            part = np.empty((len(out), len(mine)))
-            march_group(
-                self.block(g), self.integers(g), self.table, self.chain, self.move_handle,
-                time_s, histories, flights[g], step, kept[mine] - start, part,
-            )  # fmt: skip
-            if len(out):
+            part = self.march_lanes(g, time_s, histories, flights[g], step, kept[mine])
+            if len(part):
                 out[:, mine] = part
 
         groups = range(len(self.groups))
@@ -444,6 +450,27 @@ class Ensemble:
             for g in groups:
                 one(g)
         self.check()
+        return out
+
+    def march_lanes(
+        self, group: int, time_s: FloatArray, histories: FloatArray, flights: IntArray, longest_step_s: float,
+        kept: IntArray,
+    ) -> FloatArray:  # fmt: skip
+        """March one lane group through its flights from the present temperatures, without any check.
+
+        time_s         : (time,) samples [s];  histories : (flight, time, condition), in the units of their columns
+        flights        : (LANES,) flight of each lane
+        longest_step_s : intervals that are longer are divided into equal steps [s]
+        kept           : places in `state`, all of this group, to store at each sample
+        returns        : (time, place) numbers stored; no rows where no place is given
+
+        Whether the steps converged is found with `check` or `failed`. Source: docs/equations_march.md, equations 1, 2.
+        """
+        out = np.empty((len(time_s) if len(kept) else 0, len(kept)))
+        march_group(
+            self.block(group), self.integers(group), self.table, self.chain, self.move_handle,
+            time_s, histories, flights, longest_step_s, kept - self.groups[group, BLOCK_START], out,
+        )  # fmt: skip
         return out
 
     def _check_march(

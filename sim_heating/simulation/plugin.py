@@ -116,15 +116,8 @@ class HeatingPlugin:
         if nodes is not None:
             models = [replace(model, nodes=nodes) for model in models]
         self.ensemble = e = pack(models, longest_step_s)
-        model = reference_model(vehicle.heating.reference)
-        lengths = [p.running_length_m or 1.0 if model.on_plate else 1.0 for p in self.points]
-        table = [[*p.pressure.parameters(), length] for p, length in zip(self.points, lengths, strict=True)]
-        self.pressures = np.array(table, dtype=float)
-        self._host = np.zeros(HOST_SIZE)
-        self._host[:STARTED] = (
-            model.code, vehicle.reference_length_m, vehicle.heating.nose_radius_m or 1.0,
-            longest_step_s, longest_wait_s,
-        )  # fmt: skip
+        self.pressures = point_numbers(vehicle, self.points)
+        self._host = host_array(vehicle, longest_step_s, longest_wait_s)
         outputs = _outputs(self.points, e)
         self.outputs = tuple((point, what) for point, what, _ in outputs)
         self._shown = np.zeros((4, len(outputs)))
@@ -255,6 +248,28 @@ class HeatingPlugin:
         failed = _counted(self.names, self.ensemble.scalars(FAILED))
         if failed:
             raise RunError(f"plug-in, time_s {self.time_s:g}: the thermal step of {', '.join(failed)} did not converge")
+
+
+def point_numbers(vehicle: Vehicle, points: Sequence[ControlPoint]) -> FloatArray:
+    """(point, PRESSURE_WIDTH + 1) pressure model and running length [m] of control points, as
+    plugin_kernel.derive_conditions takes them; a length that the reference heating does not use is 1."""
+    on_plate = reference_model(vehicle.heating.reference).on_plate
+    lengths = [p.running_length_m or 1.0 if on_plate else 1.0 for p in points]
+    numbers = [[*p.pressure.parameters(), length] for p, length in zip(points, lengths, strict=True)]
+    return np.array(numbers, dtype=float)
+
+
+def host_array(vehicle: Vehicle, longest_step_s: float = 0.0, longest_wait_s: float = 0.0) -> FloatArray:
+    """(HOST_SIZE,) host array of simulation/plugin_kernel.py before the first frame.
+
+    longest_step_s, longest_wait_s : of the thermal model [s]; deriving conditions does not use them
+    """
+    host = np.zeros(HOST_SIZE)
+    host[:STARTED] = (
+        reference_model(vehicle.heating.reference).code, vehicle.reference_length_m,
+        vehicle.heating.nose_radius_m or 1.0, longest_step_s, longest_wait_s,
+    )  # fmt: skip
+    return host
 
 
 def _counted(names: Sequence[str], counts: FloatArray) -> dict[str, int]:
