@@ -32,7 +32,7 @@ from sim_heating.base.parallel import Job, run_batches
 from sim_heating.inputs.record import load_record
 
 if TYPE_CHECKING:
-    from sim_heating.closure.search.search import Search
+    from sim_heating.closure.search.search import SearchResult
 
 SEED = 2026
 EFFECTS, NULLS = 315, 210
@@ -56,14 +56,14 @@ def jobs() -> list[Job]:
 def made_and_closed(task: tuple[int, int, str]) -> bytes:
     """Make a record, close its loop, and say what was named and what is left."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from sim_heating.closure.search.search import search
+    from sim_heating.closure.search.search import search_effects
 
     with tempfile.TemporaryDirectory() as folder:
         name, answer, _ = make_and_write((*task, Path(folder)))
         answer = tomllib.loads(toml_text(answer))
         record = load_record(Path(folder) / name)
         begun = time.process_time()
-        found = search(record)
+        found = search_effects(record)
         after = rmse_K(found)
         seconds = time.process_time() - begun
         more = answer["effect"] in NAMES and answer["effect"] != UNKNOWN and beyond(after, answer["true_rmse_K"])
@@ -82,13 +82,13 @@ def made_and_closed(task: tuple[int, int, str]) -> bytes:
     return json.dumps(row).encode()
 
 
-def rmse_K(found: Search) -> dict[str, float]:
+def rmse_K(found: SearchResult) -> dict[str, float]:
     """RMSE [K] of each part of a record that is measured, refitted with what was found."""
-    from sim_heating.closure.close import refitted
-    from sim_heating.closure.report import errors_of
+    from sim_heating.closure.close import refit
+    from sim_heating.closure.report import segment_errors
 
-    fitted = refitted(found) if found.added else found.before
-    return {part: e["rmse_K"] for part, e in errors_of(fitted.after[0]).items() if e}
+    fitted = refit(found) if found.added else found.before
+    return {part: e["rmse_K"] for part, e in segment_errors(fitted.after[0]).items() if e}
 
 
 def beyond(after: Mapping[str, float], other: Mapping[str, float]) -> bool:
@@ -96,15 +96,15 @@ def beyond(after: Mapping[str, float], other: Mapping[str, float]) -> bool:
     return any(after[part] > LEFT * other[part] for part in after.keys() & other.keys())
 
 
-def knowing(found: Search, effect: str) -> Search:
+def knowing(found: SearchResult, effect: str) -> SearchResult:
     """The search as it would have been with no other candidates than those of one effect."""
     from sim_heating.closure.search.candidates import SENSOR_EFFECT
-    from sim_heating.closure.search.search import one_round
-    from sim_heating.closure.search.trial_fit import base_of
+    from sim_heating.closure.search.search import search_round
+    from sim_heating.closure.search.trial_fit import base_trial
     from sim_heating.heating.effects import effects
 
     others = {*effects(), SENSOR_EFFECT} - {effect}
-    one = one_round(base_of(found.before), sorted(others), lambda fraction, text: None)
+    one = search_round(base_trial(found.before), sorted(others), lambda fraction, text: None)
     return replace(found, rounds=(one,), added=one.attempts[:1], unknown=False)
 
 

@@ -25,7 +25,7 @@ from benchmarks.measure import Figure, save
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.closure.revise.evidence import basis
-from sim_heating.closure.revise.update import errors_before_and_after, prepare
+from sim_heating.closure.revise.update import errors_before_and_after, prepare_update
 from sim_heating.estimation.fit import Fitted, estimate
 from sim_heating.estimation.record_fit import StartMaker
 from sim_heating.estimation.report.estimate_file import NAME, write_estimate
@@ -212,7 +212,7 @@ def _fits(name: str, point: ControlPoint, flight: Flight, window: Window, folder
         place = folder / "fits" / f"{name}_{point.name}_{way}_{window.start_s:.0f}"
         place.mkdir(parents=True)
         write_estimate(place / NAME, result_of(fitted))
-        update = prepare(place, point_vehicle(name))
+        update = prepare_update(place, point_vehicle(name))
         other = CHECKED.get(name)
         checks = [record] if other is None else [record, _renamed(load_record(folder / other / point.name), other)]
         errors = errors_before_and_after(update, checks)

@@ -24,19 +24,19 @@ def close_loop(records: tuple[Path, ...], out: Path, scheduler: str | None, work
     RECORDS are directories of flight records, or directories that hold such; several are each treated by itself.
     """
     from sim_heating.base.files import require_writable
-    from sim_heating.closure.batch import close_all, records_in, row_of
-    from sim_heating.closure.close import FILES, write_closed
+    from sim_heating.closure.batch import close_all, find_records, summary_row
+    from sim_heating.closure.close import FILES, write_closed_loop
     from sim_heating.closure.close import close_loop as close_one
     from sim_heating.inputs.record import load_record
 
-    found = records_in(records)
+    found = find_records(records)
     if len(found) == 1:
         loaded = load_record(found[0])
         require_writable(out, FILES)
         with progress_line(loaded.name) as progress:
             closed = close_one(loaded, progress=progress)
-            names = write_closed(closed, out)
-        CONSOLE.print(_shown([row_of(closed.report)]))
+            names = write_closed_loop(closed, out)
+        CONSOLE.print(_shown([summary_row(closed.report)]))
         _tell(closed.report)
         print_outputs(out, names)
         return

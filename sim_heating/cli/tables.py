@@ -32,24 +32,24 @@ def update_tables(
     revert: str | None,
 ) -> None:
     """Write derivatives and effects of an estimate (FIT: an estimate.json or its directory) into the vehicle."""
-    from sim_heating.closure.revise.report import draw_update, report
+    from sim_heating.closure.revise.report import draw_update, update_report
     from sim_heating.closure.revise.revisions import point_path, revision_path
-    from sim_heating.closure.revise.update import check_place, errors_before_and_after, prepare, write_update
+    from sim_heating.closure.revise.update import check_target, errors_before_and_after, prepare_update, write_update
     from sim_heating.inputs.record import load_record
 
     if not dry_run:
-        check_place(vehicle, out)
+        check_target(vehicle, out)
     if fit is None:
         _revert_table(vehicle, revert, out is not None or dry_run)
         return
     if revert is not None:
         raise InputError(f"--revert {revert}: stands alone; leave out {fit}")
-    update = prepare(fit, vehicle, records, point)
+    update = prepare_update(fit, vehicle, records, point)
     every = [*update.records, *(load_record(path) for path in checked)]
     with progress_line("update-tables") as progress:
         progress(0.1, "predicting with the table before and after")
         errors = errors_before_and_after(update, every)
-    for part in report(update, errors):
+    for part in update_report(update, errors):
         CONSOLE.print(part)
     if dry_run:
         CONSOLE.print("Dry run: nothing was written")

@@ -33,7 +33,7 @@ class Task:
     out: str
 
 
-def records_in(paths: Sequence[Path]) -> list[Path]:
+def find_records(paths: Sequence[Path]) -> list[Path]:
     """Records among paths: a record's directory itself, or all below a directory that holds records.
 
     raises : InputError where there is none, or two have one name
@@ -70,7 +70,7 @@ def close_all(
     """
     from sim_heating.closure.close import FILES
 
-    jobs = [job_of(path, out / path.resolve().name) for path in records]
+    jobs = [record_job(path, out / path.resolve().name) for path in records]
     for folder, names in ((out, SUMMARIES), *((job.task.out, FILES) for job in jobs)):
         require_writable(folder, names)
     ended = run_batches(jobs, _one, out / LEDGER, scheduler=scheduler, workers=workers, progress=progress)
@@ -86,7 +86,7 @@ def close_all(
     return rows
 
 
-def job_of(record: Path, out: Path) -> Job:
+def record_job(record: Path, out: Path) -> Job:
     """A record's job, named by all that its result depends on."""
     try:
         inputs = inputs_hash(load_record(record))
@@ -100,16 +100,16 @@ def job_of(record: Path, out: Path) -> Job:
 
 def _one(task: Task) -> bytes:
     """Close the loop on one record and write its folder; its row of the summary."""
-    from sim_heating.closure.close import close_loop, write_closed
+    from sim_heating.closure.close import close_loop, write_closed_loop
 
     closed = close_loop(load_record(task.record))
-    write_closed(closed, Path(task.out))
-    return json.dumps(row_of(closed.report)).encode()
+    write_closed_loop(closed, Path(task.out))
+    return json.dumps(summary_row(closed.report)).encode()
 
 
-def row_of(report: Any) -> dict[str, Any]:
+def summary_row(report: Any) -> dict[str, Any]:
     """A closure as a row of the summary."""
-    from sim_heating.closure.report import errors_of
+    from sim_heating.closure.report import segment_errors
 
     row: dict[str, Any] = {
         "record": report.record.name,
@@ -121,17 +121,19 @@ def row_of(report: Any) -> dict[str, Any]:
         "verdicts": [v.words for v in report.verdicts],
     }
     for name, prediction in (("predicted", report.predicted), ("before", report.before), ("after", report.after)):
-        for what, errors in errors_of(prediction).items():
+        for what, errors in segment_errors(prediction).items():
             row[f"{name}_{what}_rmse_K"] = None if errors is None else errors["rmse_K"]
     return row
 
 
-ERRORS = tuple(f"{when}_{what}_rmse_K" for when in ("predicted", "before", "after") for what in ("fit", "holdout"))
+ERROR_COLUMNS = tuple(
+    f"{when}_{what}_rmse_K" for when in ("predicted", "before", "after") for what in ("fit", "holdout")
+)
 
 
 def _write_table(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     columns: dict[str, Any] = {"record": [row["record"] for row in rows]}
     columns["effects"] = ["+".join(row["effects"]) if "effects" in row else "failed" for row in rows]
-    for name in ("posterior", "noise_floor_K", *ERRORS):
+    for name in ("posterior", "noise_floor_K", *ERROR_COLUMNS):
         columns[name] = np.array([np.nan if row.get(name) is None else row[name] for row in rows])
     write_csv(path, columns)

@@ -14,14 +14,22 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import files_written, output_directory
 from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, SENSOR_PREFIX
 from sim_heating.base.progress import Progress, quiet
-from sim_heating.closure.clues.correlation import evidence, ratio_at
+from sim_heating.closure.clues.correlation import ratio_at, residual_evidence
 from sim_heating.closure.clues.residual_heating import ResidualHeating, residual_heating
-from sim_heating.closure.fit_checks import after_fit
-from sim_heating.closure.record_checks import CLOCK, Verdict, before_fit, standing
+from sim_heating.closure.fit_checks import check_fit
+from sim_heating.closure.record_checks import CLOCK, DataFault, check_record, unresolved
 from sim_heating.closure.report import FILES as REPORT_FILES
-from sim_heating.closure.report import Closure, Estimated, Named, Tried, errors_of, false_alarm, fill_closure
-from sim_heating.closure.search.search import Search, search
-from sim_heating.closure.search.trial_fit import QUICK, WIDENED, Attempt, fitted_uses, values_of
+from sim_heating.closure.report import (
+    CandidateScore,
+    Closure,
+    Finding,
+    ParameterEstimate,
+    false_alarm_statement,
+    segment_errors,
+    write_closure,
+)
+from sim_heating.closure.search.search import SearchResult, search_effects
+from sim_heating.closure.search.trial_fit import QUICK, WIDENED, TrialFit, fitted_effects, fitted_values
 from sim_heating.estimation.fit import Fitted, estimate
 from sim_heating.estimation.inference.newton import Settings
 from sim_heating.estimation.report.estimate_file import NAME
@@ -43,18 +51,18 @@ SENSOR_PARAMETERS = {"bias": "bias_K", "gain": "gain"}
 
 
 @dataclass(frozen=True, eq=False)
-class Closed:
+class ClosedLoop:
     """A record with its loop closed.
 
     found : the search;  fitted : the last fit, all of its parameters with bounds;  report : what is told of it
     """
 
-    found: Search
+    found: SearchResult
     fitted: Fitted
     report: Closure
 
 
-def close_loop(record: Record, *, progress: Progress = quiet) -> Closed:
+def close_loop(record: Record, *, progress: Progress = quiet) -> ClosedLoop:
     """Find what a record's declared model lacks, add it, refit.
 
     raises : InputError where its clocks are in two units, InputError, RunError where not even the declared model can
@@ -63,18 +71,18 @@ def close_loop(record: Record, *, progress: Progress = quiet) -> Closed:
     times = int(np.count_nonzero(record.read_mask))
     if times < FEWEST_SAMPLES:
         raise InputError(f"{record.name}: readings at {times} time(s); a loop is closed on {FEWEST_SAMPLES} at least")
-    doubts = before_fit(record)
+    doubts = check_record(record)
     on_clock = [v.words for v in doubts if v.kind == CLOCK]
     if on_clock:
         raise InputError(*on_clock)
-    found = search(record, progress=lambda f, text: progress(SEARCH_PART * f, text))
+    found = search_effects(record, progress=lambda f, text: progress(SEARCH_PART * f, text))
     progress(SEARCH_PART, "refitting with what was found")
-    fitted = refitted(found) if found.added else found.before
+    fitted = refit(found) if found.added else found.before
     progress(0.9, "residual as heating")
-    return Closed(found, fitted, _report(found, fitted, doubts))
+    return ClosedLoop(found, fitted, _report(found, fitted, doubts))
 
 
-def refitted(found: Search) -> Fitted:
+def refit(found: SearchResult) -> Fitted:
     """The record fitted with the declared model's parameters and all that was added, to the end and with bounds.
 
     Effects' priors are as wide as in the search.
@@ -90,20 +98,20 @@ def refitted(found: Search) -> Fitted:
         [found.record],
         part.names,
         reference=dict(zip(RATIO_VARIABLES, last.problem.reference, strict=True)),
-        effects=fitted_uses(last),
+        effects=fitted_effects(last),
         priors=priors,
-        first=values_of(last),
+        first=fitted_values(last),
         settings=REFIT,
     )
 
 
-def _report(found: Search, fitted: Fitted, doubts: Sequence[Verdict]) -> Closure:
+def _report(found: SearchResult, fitted: Fitted, doubts: Sequence[DataFault]) -> Closure:
     before, values = found.before, found.before.fit.values
     residual = residual_heating(before.problem, values)
     after = fitted.after[0] if found.added else before.after[0]
     left = residual_heating(fitted.problem, fitted.fit.values) if found.added else None
     estimated = {
-        u.label: Estimated(float(v), float(s), u.parameter.unit)
+        u.label: ParameterEstimate(float(v), float(s), u.parameter.unit)
         for u, v, s in zip(fitted.problem.unknowns, fitted.fit.values, fitted.bounds.sigma, strict=True)
     }
     return Closure(
@@ -118,33 +126,33 @@ def _report(found: Search, fitted: Fitted, doubts: Sequence[Verdict]) -> Closure
         parameters=estimated,
         residual=residual,
         residual_after=left,
-        evidence=evidence(residual, ratio_at(before.after[0], residual.time_s)),
-        verdicts=[*standing(doubts, after), *after_fit(fitted.problem, fitted.fit.values, left or residual)],
-        false_alarm=false_alarm(),
+        evidence=residual_evidence(residual, ratio_at(before.after[0], residual.time_s)),
+        verdicts=[*unresolved(doubts, after), *check_fit(fitted.problem, fitted.fit.values, left or residual)],
+        false_alarm=false_alarm_statement(),
         warnings=[*fitted.warnings, *_left_over(found, left)],
     )
 
 
-def _left_over(found: Search, left: ResidualHeating | None) -> list[str]:
+def _left_over(found: SearchResult, left: ResidualHeating | None) -> list[str]:
     """A line on what is left beside the effects that were added, where that is more than noise."""
     if left is None or found.added[-1].excess < LEFT:
         return []
     size = math.sqrt(1.0 + found.added[-1].excess)
     return [
         f"what is left is {size:.2f} times noise, little beside what was explained: another effect, or a form that is "
-        f"not quite that of {' and '.join(found.names)}. {evidence(left).proposal()[0]}"
+        f"not quite that of {' and '.join(found.names)}. {residual_evidence(left).proposal()[0]}"
     ]
 
 
-def _named(found: Search, estimated: Mapping[str, Estimated]) -> list[Named]:
+def _named(found: SearchResult, estimated: Mapping[str, ParameterEstimate]) -> list[Finding]:
     if not found.added:
         name = found.names[0]
         posterior = found.rounds[0].posterior["none"]
-        return [Named(name, posterior if name == "none" else 1.0 - posterior, {})]
-    return [Named(a.name, a.posterior, own_parameters(a, estimated), _sensor(a)) for a in found.added]
+        return [Finding(name, posterior if name == "none" else 1.0 - posterior, {})]
+    return [Finding(a.name, a.posterior, effect_parameters(a, estimated), _sensor(a)) for a in found.added]
 
 
-def own_parameters(attempt: Attempt, estimated: Mapping[str, Estimated]) -> dict[str, Estimated]:
+def effect_parameters(attempt: TrialFit, estimated: Mapping[str, ParameterEstimate]) -> dict[str, ParameterEstimate]:
     """The parameters of an effect by their names within it."""
     effect = effects().get(attempt.name)
     own = {}
@@ -158,25 +166,25 @@ def own_parameters(attempt: Attempt, estimated: Mapping[str, Estimated]) -> dict
     return own
 
 
-def _sensor(attempt: Attempt) -> str | None:
+def _sensor(attempt: TrialFit) -> str | None:
     """The thermocouple that an effect is of; None where it is of no single one."""
     first = attempt.candidate.names[0]
     return first.removeprefix(SENSOR_PREFIX).rpartition(".")[0] if first.startswith(SENSOR_PREFIX) else None
 
 
-def _tried(found: Search) -> list[Tried]:
+def _tried(found: SearchResult) -> list[CandidateScore]:
     """The candidates of the first pass; those not worth a fit with what was promised of them, and errors as before."""
     first = found.rounds[0]
-    before = errors_of(found.before.after[0])
+    before = segment_errors(found.before.after[0])
     rows = [("none", 0.0, before)]
     for a in first.attempts:
         try:
-            rows.append((a.name, a.delta_bic, errors_of(a.prediction)))
+            rows.append((a.name, a.delta_bic, segment_errors(a.prediction)))
         except RunError:  # found in steps that the plain march cannot take
             continue
     rows += [(name, delta, before) for name, delta in first.passed.items()]
     return [
-        Tried(
+        CandidateScore(
             name, delta, e["fit"]["rmse_K"], e["holdout"]["rmse_K"] if e["holdout"] else None,
             first.posterior.get(name, 0.0),
         )
@@ -184,10 +192,10 @@ def _tried(found: Search) -> list[Tried]:
     ]  # fmt: skip
 
 
-def write_closed(closed: Closed, out: Path) -> list[str]:
+def write_closed_loop(closed: ClosedLoop, out: Path) -> list[str]:
     """Write closure.json, report.html, residual_heating.csv and the last fit's estimate.json with its files into a
     folder, all or nothing; names of the files."""
     with output_directory(out) as folder:
-        fill_closure(closed.report, folder)
+        write_closure(closed.report, folder)
         write_fit(closed.fitted, folder)
     return sorted(files_written(out))

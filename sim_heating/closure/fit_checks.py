@@ -10,9 +10,17 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.closure.clues.residual_heating import ResidualHeating, SensorLeft, residual_heating
-from sim_heating.closure.clues.shapes import weights_of
-from sim_heating.closure.record_checks import AT_NOISE, BETTER, EXPLAINED, MATERIAL, SENSOR, TRAJECTORY, Verdict
+from sim_heating.closure.clues.residual_heating import ResidualHeating, SensorResidual, residual_heating
+from sim_heating.closure.clues.shapes import profiled_information
+from sim_heating.closure.record_checks import (
+    AT_NOISE,
+    EXPLAINED,
+    MATERIAL,
+    MAX_REMAINING,
+    SENSOR,
+    TRAJECTORY,
+    DataFault,
+)
 from sim_heating.estimation.inference.newton import Settings, maximise
 from sim_heating.estimation.problem import Problem
 from sim_heating.inputs.record import Record
@@ -31,7 +39,7 @@ INSULATION = ("stack.rsi.conductivity_factor", "stack.rsi.heat_capacity_factor")
 QUICK = Settings(gain=1e-2, step=3e-2, iterations=20)
 
 
-def after_fit(problem: Problem, values: FloatArray, residual: ResidualHeating) -> list[Verdict]:
+def check_fit(problem: Problem, values: FloatArray, residual: ResidualHeating) -> list[DataFault]:
     """What the last fit of one record and its residual heating tell: magnitude, another material, sensors that
     contradict each other. What an effect explains is none of these: give the fit with all effects that were added."""
     left = _rms_in_floors(problem, values)
@@ -44,18 +52,18 @@ def after_fit(problem: Problem, values: FloatArray, residual: ResidualHeating) -
     if insulated is not None and insulated[2] < EXPLAINED:
         return [v for v in (material(problem, insulated, left),) if v is not None]
     sensor = contradicting(problem, values, residual)
-    if sensor is None and insulated is not None and insulated[2] < BETTER * left:
+    if sensor is None and insulated is not None and insulated[2] < MAX_REMAINING * left:
         sensor = material(problem, insulated, left)
     return [] if sensor is None else [sensor]
 
 
-def magnitude(problem: Problem, values: FloatArray) -> Verdict | None:
+def magnitude(problem: Problem, values: FloatArray) -> DataFault | None:
     """Heating as a whole that no table is off by."""
     record = problem.parts[0].record
     scale = problem.parts[0].values(values).get("ratio.scale")
     if scale is None or SCALES[0] < scale < SCALES[1]:
         return None
-    return Verdict(
+    return DataFault(
         TRAJECTORY,
         f"{record.name}: the heating is {1.0 + scale:.2g} times that of the declared table over its reference heating, "
         "throughout. Tables are not off by so much: check the reference heating (nose radius, units of density and of "
@@ -63,7 +71,7 @@ def magnitude(problem: Problem, values: FloatArray) -> Verdict | None:
     )
 
 
-def contradicting(problem: Problem, values: FloatArray, residual: ResidualHeating) -> Verdict | None:
+def contradicting(problem: Problem, values: FloatArray, residual: ResidualHeating) -> DataFault | None:
     """The one sensor without which the others agree with a heating history, unless an offset or a gain is all of it;
     of several, that without which the least heating is missing."""
     worst = sorted(residual.sensors, key=lambda s: -s.after_rmse_K / s.floor_K)
@@ -71,7 +79,7 @@ def contradicting(problem: Problem, values: FloatArray, residual: ResidualHeatin
     for own in worst[:MOST_LEFT_OUT] if len(worst) > 1 else ():
         others = residual_heating(problem, values, without=own.sensor.name)
         if all(s.after_rmse_K < AT_NOISE * s.floor_K for s in others.sensors):
-            tried.append((weights_of(others).best_gain, own, others))
+            tried.append((profiled_information(others).best_gain, own, others))
     if not tried:
         return None
     gain, own, others = min(tried, key=lambda found: found[0])
@@ -81,7 +89,7 @@ def contradicting(problem: Problem, values: FloatArray, residual: ResidualHeatin
         return None
     rivals = [o.sensor.name for g, o, _ in tried if o is not own and g < ALMOST * gain]
     either = f" Or it is {' or '.join(rivals)}: the record does not tell." if rivals else ""
-    return Verdict(
+    return DataFault(
         SENSOR,
         f"{residual.record.name}, sensor {own.sensor.name}: contradicts the others by what no heating can do: without "
         f"it a heating history explains them to their noise. It {_how(t, apart, own.floor_K)}. Set used = false."
@@ -90,7 +98,7 @@ def contradicting(problem: Problem, values: FloatArray, residual: ResidualHeatin
     )
 
 
-def _apart(record: Record, others: ResidualHeating, own: SensorLeft) -> tuple[FloatArray, FloatArray]:
+def _apart(record: Record, others: ResidualHeating, own: SensorResidual) -> tuple[FloatArray, FloatArray]:
     """Times and what a sensor shows beyond the heating that the others tell of, all its samples."""
     node = others.mesh.sensors[[s.name for s in record.sensors].index(own.sensor.name)]
     T = np.interp(own.time_s, others.march_s, others.input.temperature_K[:, node])
@@ -139,14 +147,14 @@ def _insulation(problem: Problem, values: FloatArray) -> tuple[float, float, flo
     return k, c, _rms_in_floors(other, fit.values)
 
 
-def material(problem: Problem, insulated: tuple[float, float, float], before: float) -> Verdict | None:
+def material(problem: Problem, insulated: tuple[float, float, float], before: float) -> DataFault | None:
     """Another insulation where its diffusivity is off by a large factor."""
     (k, c, left), part = insulated, problem.parts[0]
     if FACTORS[0] < k / c < FACTORS[1]:
         return None
     layers = part.record.declared.stack.layer
     layer = layers[min(1, len(layers) - 1)].material
-    return Verdict(
+    return DataFault(
         MATERIAL,
         f"{part.record.name}: layer `{layer}` is another material than declared: conductivity {k:.2g} and heat "
         f"capacity {c:.2g} times the declared ones, diffusivity {k / c:.2g} times, bring the residual from "

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.report.figure import ANGLES, dress, new_figure
-from sim_heating.closure.clues.correlation import Evidence
+from sim_heating.closure.clues.correlation import ResidualEvidence
 from sim_heating.closure.clues.residual_heating import ResidualHeating
 from sim_heating.closure.clues.shapes import TIME
 from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_figure, shade_holdout
@@ -28,7 +28,7 @@ SHOWN = 4.0
 MOST_PANELS, MOST_LOOPS = 6, 3
 
 
-def comparison(predicted: Prediction, before: Prediction, after: Prediction, effect: str) -> Figure:
+def comparison_figure(predicted: Prediction, before: Prediction, after: Prediction, effect: str) -> Figure:
     """Measured against predicted, every used sensor: declared tables, derivatives fitted, with the effect."""
     curves = [(predicted, PREDICTED, "declared tables"), (before, BEFORE, "derivatives fitted")]
     if after is not before:
@@ -38,7 +38,7 @@ def comparison(predicted: Prediction, before: Prediction, after: Prediction, eff
     return figure
 
 
-def heating(before: ResidualHeating, after: ResidualHeating | None, found: Evidence) -> Figure:
+def heating_figure(before: ResidualHeating, after: ResidualHeating | None, found: ResidualEvidence) -> Figure:
     """The residual as a heating ratio against time, and what moved."""
     flown = before.record.conditions.at(before.time_s)
     moved = [name for name in ANGLES if np.ptp(flown[name]) > 0.5]
@@ -88,7 +88,7 @@ def _told(residual: ResidualHeating) -> NDArray[np.bool_]:
     return np.asarray(here & (residual.sigma <= SHOWN * np.median(residual.sigma[here])))
 
 
-def against(residual: ResidualHeating, variables: Mapping[str, FloatArray], order: Sequence[str]) -> Figure:
+def variables_figure(residual: ResidualHeating, variables: Mapping[str, FloatArray], order: Sequence[str]) -> Figure:
     """The residual heating against each variable, coloured by time; those that tell most first."""
     told = _told(residual)
     names = [n for n in order if n in variables and n != TIME and np.ptp(variables[n][told]) > 0.0][:MOST_PANELS]
@@ -114,7 +114,9 @@ def against(residual: ResidualHeating, variables: Mapping[str, FloatArray], orde
     return figure
 
 
-def loops_figure(residual: ResidualHeating, variables: Mapping[str, FloatArray], found: Evidence) -> Figure | None:
+def hysteresis_figure(
+    residual: ResidualHeating, variables: Mapping[str, FloatArray], found: ResidualEvidence
+) -> Figure | None:
     """The manoeuvres in which the residual loops most, at most three; None where none does."""
     told = sorted((loop for loop in found.loops if loop.significant), key=lambda loop: -abs(loop.filled))[:MOST_LOOPS]
     if not told:
@@ -134,7 +136,7 @@ def loops_figure(residual: ResidualHeating, variables: Mapping[str, FloatArray],
     return figure
 
 
-def ranking(names: Sequence[str], delta_bic: Sequence[float], chosen: Sequence[str]) -> Figure:
+def ranking_figure(names: Sequence[str], delta_bic: Sequence[float], chosen: Sequence[str]) -> Figure:
     """BIC of each candidate over that of none, best at the top; the axis is linear within 10 and logarithmic beyond."""
     figure, axes = new_figure(9.5, 0.27 * len(names) + 0.9, 1)
     a = axes[0]

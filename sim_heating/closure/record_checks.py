@@ -38,7 +38,7 @@ SHIFT_S, SHIFT_STEP_S, LEAST_SHIFT_S = 900.0, 10.0, 20.0
 LEAST_OVERLAP = 0.6
 SLOWEST_M_S = 1000.0
 """A record whose velocity stays below is no entry but a test on the ground."""
-BETTER = 0.5
+MAX_REMAINING = 0.5
 """What leaves less than this part of the residual is told: a shift, or another material."""
 FEWEST_STUCK = 30
 JUMP, SLOW = 12.0, 3.0
@@ -53,7 +53,7 @@ EXPLAINED, AT_NOISE = 2.0, 1.6
 
 
 @dataclass(frozen=True)
-class Verdict:
+class DataFault:
     """One finding.
 
     kind   : "broken sensor", "clock", "material", "trajectory"
@@ -66,20 +66,22 @@ class Verdict:
     sensor: str | None = None
 
 
-def before_fit(record: Record) -> list[Verdict]:
+def check_record(record: Record) -> list[DataFault]:
     """What the record itself tells: clocks, another flight's temperatures, a sensor that stands still.
 
     raises : RunError where the declared model cannot be marched
     """
-    on_clock = clock(record)
+    on_clock = clock_fault(record)
     if on_clock is not None:
         return [on_clock]
     flown, indicated = _march(record)
-    elsewhere = None if _on_ground(record) else shifted(record, flown, indicated)
-    return ([] if elsewhere is None else [elsewhere]) + still(record, flown, indicated) + jumps(record)
+    elsewhere = None if _on_ground(record) else time_shift_fault(record, flown, indicated)
+    return (
+        ([] if elsewhere is None else [elsewhere]) + stuck_sensors(record, flown, indicated) + jumping_sensors(record)
+    )
 
 
-def clock(record: Record) -> Verdict | None:
+def clock_fault(record: Record) -> DataFault | None:
     """Measurements and conditions on clocks of two units."""
     read, flown = float(np.ptp(record.time_s)), float(np.ptp(record.conditions.time_s))
     if read <= 0.0 or flown <= 0.0 or 1.0 / SPANS_APART < read / flown < SPANS_APART:
@@ -94,7 +96,7 @@ def clock(record: Record) -> Verdict | None:
             own = unit if (factor == seconds) == trusted else f"s where the other file has {unit}"
             alike = _correlation_at(record, factor, trusted)
             if alike > ALIKE:
-                return Verdict(
+                return DataFault(
                     CLOCK,
                     f"{record.name}: the clock of the {wrong} is in {own}: measurements span {read:.4g} and conditions "
                     f"{flown:.4g}, and with one of them times {factor if trusted else 1.0 / factor:g} measured and "
@@ -140,7 +142,7 @@ def _march(record: Record) -> tuple[FloatArray, FloatArray]:
     return history.time_s, np.array([calibrated(s, T) for s, T in pairs])
 
 
-def shifted(record: Record, flown_s: FloatArray, indicated_K: FloatArray) -> Verdict | None:
+def time_shift_fault(record: Record, flown_s: FloatArray, indicated_K: FloatArray) -> DataFault | None:
     """Temperatures of a flight that is minutes earlier or later than the conditions say.
 
     Measured temperatures are fitted by a + b (predicted, moved by a shift), so that an error of the heating as a whole
@@ -155,10 +157,10 @@ def shifted(record: Record, flown_s: FloatArray, indicated_K: FloatArray) -> Ver
     if not np.any(np.isfinite(left)) or not np.isfinite(now):
         return None
     k = int(np.nanargmin(left))
-    if abs(shifts[k]) < LEAST_SHIFT_S or left[k] > BETTER * now:
+    if abs(shifts[k]) < LEAST_SHIFT_S or left[k] > MAX_REMAINING * now:
         return None
     word = "later" if shifts[k] > 0.0 else "earlier"
-    return Verdict(
+    return DataFault(
         TRAJECTORY,
         f"{record.name}: the temperatures are those of a flight {abs(shifts[k]):.0f} s {word} than the conditions: "
         f"moved by that, prediction and measurement differ in shape by {left[k]:.1f} K instead of {now:.1f} K. No "
@@ -183,7 +185,7 @@ def _left_at(shift_s: float, t: FloatArray, read: FloatArray, flown_s: FloatArra
     return float(np.sqrt(squares / count)) if count else float("nan")
 
 
-def still(record: Record, flown_s: FloatArray, indicated_K: FloatArray) -> list[Verdict]:
+def stuck_sensors(record: Record, flown_s: FloatArray, indicated_K: FloatArray) -> list[DataFault]:
     """Sensors that stand still for a time in which the declared model moves them by many of their steps."""
     found = []
     for sensor, read, expected in zip(record.sensors, _read_K(record), indicated_K, strict=True):
@@ -199,7 +201,7 @@ def still(record: Record, flown_s: FloatArray, indicated_K: FloatArray) -> list[
         step = max(sensor.lsb_K, sensor.noise_sigma_K or 1.0)
         if ends[k] - begins[k] + 1 >= FEWEST_STUCK and moves > STUCK * step:
             found.append(
-                Verdict(
+                DataFault(
                     SENSOR,
                     f"{record.name}, sensor {sensor.name}: stands still at {values[begins[k]]:.1f} K from "
                     f"{t[begins[k]]:.0f} to {t[ends[k]]:.0f} s, where the declared model moves it by {moves:.0f} K. It "
@@ -210,7 +212,7 @@ def still(record: Record, flown_s: FloatArray, indicated_K: FloatArray) -> list[
     return found
 
 
-def jumps(record: Record) -> list[Verdict]:
+def jumping_sensors(record: Record) -> list[DataFault]:
     """Sensors in depth that jump, and stay, faster than heat diffuses to them: lines through the samples before and
     behind, up to the middle between, are apart."""
     found = []
@@ -227,7 +229,7 @@ def jumps(record: Record) -> list[Verdict]:
         k = int(np.argmax(sudden))
         if sudden[k] > JUMP * floor:
             found.append(
-                Verdict(
+                DataFault(
                     SENSOR,
                     f"{record.name}, sensor {sensor.name}: jumps by {step[k]:+.1f} K at {t[k + ABOUT]:.0f} s, faster "
                     "than heat reaches its depth. Set used = false, or end the fit before.",
@@ -255,13 +257,13 @@ def _deep(record: Record, depth_m: float, period_s: float) -> bool:
     return bool(0.25 * root_s**2 > SLOW * period_s)
 
 
-def standing(doubts: Sequence[Verdict], after: Prediction) -> list[Verdict]:
+def unresolved(doubts: Sequence[DataFault], after: Prediction) -> list[DataFault]:
     """Those of the verdicts before a fit that its prediction does not clear: the sensor meant is not at its noise, or,
     where none is meant, the record is not explained."""
     floors = np.array([_floor_K(s) for s in after.record.sensors])
     residual = np.where(np.isfinite(_read_K(after.record)), after.residual_K, np.nan) / floors[:, np.newaxis]
 
-    def cleared(doubt: Verdict) -> bool:
+    def cleared(doubt: DataFault) -> bool:
         own = residual[[s.used if doubt.sensor is None else s.name == doubt.sensor for s in after.record.sensors]]
         left = own[np.isfinite(own)]
         most = EXPLAINED if doubt.sensor is None else AT_NOISE

@@ -22,11 +22,17 @@ from sim_heating.base.files import read_json, write_json
 from sim_heating.base.files.package import PACKAGE, package_version
 from sim_heating.base.report.page import Page, Picture, Section, write_page
 from sim_heating.base.report.table import Table
-from sim_heating.closure.clues.correlation import Evidence, flight_variables
+from sim_heating.closure.clues.correlation import ResidualEvidence, flight_variables
 from sim_heating.closure.clues.residual_heating import NAME as HEATING_NAME
 from sim_heating.closure.clues.residual_heating import ResidualHeating, write_residual_heating
-from sim_heating.closure.plots import against, comparison, heating, loops_figure, ranking
-from sim_heating.closure.record_checks import Verdict
+from sim_heating.closure.plots import (
+    comparison_figure,
+    heating_figure,
+    hysteresis_figure,
+    ranking_figure,
+    variables_figure,
+)
+from sim_heating.closure.record_checks import DataFault
 from sim_heating.inputs.record import Record, pooled_rmse_K
 from sim_heating.simulation.predict import Prediction
 
@@ -36,7 +42,7 @@ NONE, UNKNOWN = "none", "unknown"
 
 
 @dataclass(frozen=True)
-class Estimated:
+class ParameterEstimate:
     """A parameter with its bound; `declared` is where the fit started from, None where that says nothing."""
 
     value: float
@@ -46,13 +52,13 @@ class Estimated:
 
 
 @dataclass(frozen=True)
-class Named:
+class Finding:
     """What was found: an effect, "none" or "unknown"; `parameters` by their names within the effect; `sensor` is the
     thermocouple that it is of, where it is of one."""
 
     name: str
     posterior: float
-    parameters: Mapping[str, Estimated]
+    parameters: Mapping[str, ParameterEstimate]
     sensor: str | None = None
 
     @property
@@ -68,7 +74,7 @@ class Named:
 
 
 @dataclass(frozen=True)
-class Tried:
+class CandidateScore:
     """One candidate: BIC minus that of none, errors of the plain march; holdout None where there is none; its
     probability by all that was weighed."""
 
@@ -105,13 +111,13 @@ class Closure:
     after: Prediction
     noise_floor_K: float
     reference: Sequence[float]
-    effects: Sequence[Named]
-    candidates: Sequence[Tried]
-    parameters: Mapping[str, Estimated]
+    effects: Sequence[Finding]
+    candidates: Sequence[CandidateScore]
+    parameters: Mapping[str, ParameterEstimate]
     residual: ResidualHeating
     residual_after: ResidualHeating | None
-    evidence: Evidence
-    verdicts: Sequence[Verdict] = ()
+    evidence: ResidualEvidence
+    verdicts: Sequence[DataFault] = ()
     false_alarm: str = ""
     warnings: Sequence[str] = ()
 
@@ -126,7 +132,7 @@ class Closure:
         return self.effects[0].name not in (NONE, UNKNOWN)
 
 
-def errors_of(prediction: Prediction) -> dict[str, Any]:
+def segment_errors(prediction: Prediction) -> dict[str, Any]:
     """Errors over fit and holdout segments, pooled over the used sensors; None where there are none."""
     record = prediction.record
     used = [i for i, s in enumerate(record.sensors) if s.used]
@@ -144,9 +150,9 @@ def closure_json(found: Closure) -> dict[str, Any]:
         "format": "closure-report/1",
         "records": [str(found.record.directory)],
         "sensors": [s.name for s in found.record.used_sensors],
-        "predicted": errors_of(found.predicted),
-        "before": errors_of(found.before),
-        "after": errors_of(found.after),
+        "predicted": segment_errors(found.predicted),
+        "before": segment_errors(found.before),
+        "after": segment_errors(found.after),
         "noise_floor_K": _finite(found.noise_floor_K),
         "reference_condition": dict(zip(RATIO_VARIABLES, map(float, found.reference), strict=True)),
         "effect": effects[0],
@@ -168,21 +174,21 @@ def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def _plain(p: Estimated) -> dict[str, Any]:
+def _plain(p: ParameterEstimate) -> dict[str, Any]:
     return {"value": float(p.value), "sigma": _finite(p.sigma), "unit": p.unit}
 
 
-def fill_closure(found: Closure, folder: Path) -> None:
+def write_closure(found: Closure, folder: Path) -> None:
     """The files of a closure into a folder that is there."""
     write_json(folder / NAME, closure_json(found))
     write_residual_heating(folder / HEATING_NAME, found.residual)
-    write_page(folder / PAGE, page_of(found))
+    write_page(folder / PAGE, closure_page(found))
 
 
 # The page ------------------------------------------------------------------------------------------------------------
 
 
-def page_of(found: Closure) -> Page:
+def closure_page(found: Closure) -> Page:
     """The report as a page."""
     record = found.record
     title = record.declared.title or record.declared.control_point
@@ -197,7 +203,7 @@ def page_of(found: Closure) -> Page:
 
 
 def _headline(found: Closure) -> tuple[str, str]:
-    before, after = errors_of(found.before), errors_of(found.after)
+    before, after = segment_errors(found.before), segment_errors(found.after)
     told = _change("fitted", before["fit"], after["fit"]) + _change("held out", before["holdout"], after["holdout"])
     if found.verdicts:
         return f"No aerothermal finding: {found.verdicts[0].kind}", found.verdicts[0].words
@@ -223,7 +229,7 @@ def _errors(found: Closure) -> Section:
     if found.added:
         stages.append((f"With {found.named} (after)", found.after))
     for label, prediction in stages:
-        e = errors_of(prediction)
+        e = segment_errors(prediction)
         rows.append([label, *(t for part in ("fit", "holdout") for t in _cells(e[part]))])
     heads = ["", "RMSE fitted, K", "largest, K", "samples", "RMSE held out, K", "largest, K", "samples"]
     floor = f"Noise floor, from sensor noise and quantisation: {found.noise_floor_K:.2f} K. "
@@ -244,7 +250,7 @@ def _comparison(found: Closure) -> Section:
     caption = "Each used sensor with its residuals below (measured minus predicted); held-out spans shaded."
     return Section(
         "Measured against predicted",
-        pictures=[Picture(comparison(found.predicted, found.before, found.after, found.named), caption)],
+        pictures=[Picture(comparison_figure(found.predicted, found.before, found.after, found.named), caption)],
     )
 
 
@@ -266,7 +272,7 @@ def _is_effect(name: str) -> bool:
     return name.startswith("effect.")
 
 
-def _bound(p: Estimated) -> str:
+def _bound(p: ParameterEstimate) -> str:
     return f"{p.sigma:.2g}" if math.isfinite(p.sigma) else "not told"
 
 
@@ -283,7 +289,7 @@ def _candidates(found: Closure) -> Section:
     caption = "Probabilities weigh more than BIC: segments held out, sizes that nobody would expect, numbers of forms."
     heads = ["", "BIC - BIC of none", "RMSE fitted, K", "RMSE held out, K", "probability"]
     table = Table(caption, heads, rows, strong=marked)
-    figure = ranking([c.name for c in tried], [c.delta_bic for c in tried], chosen)
+    figure = ranking_figure([c.name for c in tried], [c.delta_bic for c in tried], chosen)
     text = [found.false_alarm] if found.false_alarm else []
     return Section(
         "Candidates", text, tables=[table], pictures=[Picture(figure, "Blue: what was added. Linear within 10.")]
@@ -306,8 +312,13 @@ def _heating(found: Closure) -> Section:
     order = [f.shape.variable for f in found.evidence.followed]
     order += [n for n in variables if n not in order]
     pictures = [
-        Picture(heating(found.residual, found.residual_after, found.evidence), "Missing heating ratio against time."),
-        Picture(against(found.residual, variables, order), "Missing heating ratio against what moved; bars: 1 sigma."),
+        Picture(
+            heating_figure(found.residual, found.residual_after, found.evidence), "Missing heating ratio against time."
+        ),
+        Picture(
+            variables_figure(found.residual, variables, order),
+            "Missing heating ratio against what moved; bars: 1 sigma.",
+        ),
     ]
     return Section("Residual as heating", text, pictures=pictures)
 
@@ -334,7 +345,7 @@ def _evidence(found: Closure) -> Section:
         ["shape", "size", "sigmas", "explains"],
         [[f.shape.words(), f"{f.amplitude:+.3g}", f"{abs(f.z):.1f}", f"{f.share:.0%}"] for f in e.followed[:8]],
     )
-    figure = loops_figure(found.residual, flight_variables(found.residual), e)
+    figure = hysteresis_figure(found.residual, flight_variables(found.residual), e)
     caption = "Residual around manoeuvres that loop most: an error of the thermal model, a clock or a lag."
     pictures = [] if figure is None else [Picture(figure, caption)]
     return Section("Evidence", points=e.proposal(), tables=[followed, correlated], pictures=pictures)
@@ -356,7 +367,7 @@ CALIBRATION = PACKAGE / "closure" / "closure_calibration.json"
 LEVEL = 0.95
 
 
-def false_alarm() -> str:
+def false_alarm_statement() -> str:
     """The chance of a false alarm, and what it rests on, in a line."""
     counted = read_json(CALIBRATION)
     named, records = int(counted["named"]), int(counted["records"])

@@ -41,7 +41,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.block import LANES
-from sim_heating.closure.revise.revisions import posterior_of
+from sim_heating.closure.revise.revisions import table_posterior
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.ratio.uncertainty import Evidence, node_weights
 from sim_heating.inputs.vehicle import Vehicle
@@ -63,7 +63,7 @@ def table_modes(vehicle: Vehicle, point: str, path: FloatArray, factor: float = 
     factor : on the sigma that the table states
     raises : InputError where a ratio is not above 0
     """
-    known = posterior_of(vehicle, point)
+    known = table_posterior(vehicle, point)
     mean = vehicle.control_point(point).ratio.ratio.ravel()
     if known is None:
         return np.zeros((mean.size, 0))
@@ -105,7 +105,7 @@ def covariance_root(vehicle: Vehicle, point: str) -> FloatArray | None:
 
     raises : InputError where the table was changed behind its revisions
     """
-    known = posterior_of(vehicle, point)
+    known = table_posterior(vehicle, point)
     if known is None:
         return None
     nodes = np.arange(known.ratio.size)

@@ -23,9 +23,9 @@ from sim_heating.base.files import files_written
 from sim_heating.cli import cli
 from sim_heating.closure.close import FILES, close_loop
 from sim_heating.closure.search.candidates import candidates
-from sim_heating.closure.search.ranking import forms_of
-from sim_heating.closure.search.search import GAIN, one_round, search
-from sim_heating.closure.search.trial_fit import LONGEST_S, base_of, kept_samples, values_of
+from sim_heating.closure.search.ranking import count_forms
+from sim_heating.closure.search.search import MIN_BIC_GAIN, search_effects, search_round
+from sim_heating.closure.search.trial_fit import MAX_STEP_S, base_trial, fitted_values, thinned_indices
 from sim_heating.estimation.fit import estimate
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.inputs.points import conditions_of_record, point_of_record
@@ -37,13 +37,13 @@ from tests.support.paths import PRACTICE
 
 @pytest.mark.parametrize(("name", "effect"), [("p08", "impingement-onset"), ("p05", "time-skew"), ("p06", "none")])
 def test_what_was_put_in_is_named_and_nothing_else(name: str, effect: str) -> None:
-    found = search(load_record(PRACTICE / name))
+    found = search_effects(load_record(PRACTICE / name))
     assert found.names == (effect,)
     assert found.rounds[0].posterior[effect] > (0.5 if effect == "none" else 0.99)
 
 
 def test_a_residual_that_follows_nothing_is_called_unknown() -> None:
-    found = search(load_record(PRACTICE / "p02"))  # a sine in time, which is in no library
+    found = search_effects(load_record(PRACTICE / "p02"))  # a sine in time, which is in no library
     assert found.names == ("unknown",)
     assert found.rounds[0].excess > 10.0
 
@@ -67,10 +67,10 @@ def test_a_residual_that_no_candidate_touches_is_unknown_and_noise_beyond_the_de
     flown = conditions_of_record(record)
     ripple = 1.0 + 0.1 * np.sin(2.0 * np.pi * flown.time_s / 11.0)
     rippled = flown.with_columns(h_ref_kg_m2_s=flown["h_ref_kg_m2_s"] * ripple)
-    untouched = search(measured_with(record, flown=rippled))
+    untouched = search_effects(measured_with(record, flown=rippled))
     assert untouched.names == ("unknown",)
-    assert untouched.rounds[0].attempts[0].weighed > -GAIN
-    noisy = search(measured_with(record, noise=2.0))
+    assert untouched.rounds[0].attempts[0].weighed > -MIN_BIC_GAIN
+    noisy = search_effects(measured_with(record, noise=2.0))
     assert noisy.names == ("none",)
     assert noisy.rounds[0].excess > 1.0
 
@@ -78,11 +78,11 @@ def test_a_residual_that_no_candidate_touches_is_unknown_and_noise_beyond_the_de
 def test_two_effects_are_both_named_with_their_sizes() -> None:
     """Moisture comes near to both together, and is the best single one: it has to give way to one of the two."""
     put_in = [use("conductivity", {"conductivity_factor": 1.12}), use("alpha-curvature", {"d_alpha2": 1.5e-4})]
-    found = search(measured_with(load_record(PRACTICE / "p06"), put_in))
+    found = search_effects(measured_with(load_record(PRACTICE / "p06"), put_in))
     assert found.rounds[0].attempts[0].name not in {"conductivity", "alpha-curvature"}
     assert set(found.names) == {"conductivity", "alpha-curvature"}
     last = found.added[-1]
-    values, sigma = values_of(last), dict(zip(last.fit.names, last.fit.sigma, strict=True))
+    values, sigma = fitted_values(last), dict(zip(last.fit.names, last.fit.sigma, strict=True))
     for name, truth in (
         ("effect.conductivity.conductivity_factor", 1.12), ("effect.alpha-curvature.d_alpha2", 1.5e-4),
     ):  # fmt: skip
@@ -101,7 +101,7 @@ def test_magnitudes_have_priors_and_onsets_that_are_sought_have_none() -> None:
 def test_a_form_that_is_another_at_one_value_is_not_counted() -> None:
     """Transition at any angle of attack is that with no sensitivity to it; a logistic rise is none of spots."""
     record = load_record(PRACTICE / "p06")
-    forms = forms_of(candidates(record, conditions_of_record(record)))
+    forms = count_forms(candidates(record, conditions_of_record(record)))
     assert forms["transition"] == 2
     assert forms["radiative-conduction"] == 1
     assert forms["sensor-bias"] == len(record.used_sensors)
@@ -111,7 +111,9 @@ def test_segments_held_out_tell_conduction_from_radiation_in_depth_better() -> N
     record = measured_with(load_record(PRACTICE / "p06"), [use("conductivity", {"conductivity_factor": 1.05})])
     fitted_alone = Segments(fit=record.declared.segments.fit)
     without = replace(record, declared=record.declared.model_copy(update={"segments": fitted_alone}))
-    with_both, alone = (one_round(base_of(estimate([r])), [], lambda fraction, text: None) for r in (record, without))
+    with_both, alone = (
+        search_round(base_trial(estimate([r])), [], lambda fraction, text: None) for r in (record, without)
+    )
     odds = [r.posterior["conductivity"] / r.posterior["radiative-conduction"] for r in (alone, with_both)]
     assert 1.0 < 3.0 * odds[0] < odds[1]
     gained = {a.name: a.delta_bic for a in alone.attempts}
@@ -120,12 +122,12 @@ def test_segments_held_out_tell_conduction_from_radiation_in_depth_better() -> N
 
 def test_samples_are_left_out_only_where_conditions_are_as_good_as_linear() -> None:
     flown = conditions_of_record(load_record(PRACTICE / "p08"))
-    kept = kept_samples(flown)
+    kept = thinned_indices(flown)
     t = flown.time_s
     assert kept[0] == 0
     assert kept[-1] == len(t) - 1
     assert len(kept) < 0.8 * len(t)
-    assert np.max(np.diff(t[kept])) <= LONGEST_S * (1.0 + 1e-9)
+    assert np.max(np.diff(t[kept])) <= MAX_STEP_S * (1.0 + 1e-9)
     alpha = flown["alpha_deg"]
     assert np.max(np.abs(np.interp(t, t[kept], alpha[kept]) - alpha)) <= 0.1
 

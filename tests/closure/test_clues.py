@@ -10,9 +10,9 @@ import pytest
 from scipy.stats import kstest
 
 from sim_heating.closure.clues.axial_force import axial_steps
-from sim_heating.closure.clues.correlation import SURE, Evidence, evidence
+from sim_heating.closure.clues.correlation import SIGNIFICANCE_LEVEL, ResidualEvidence, residual_evidence
 from sim_heating.closure.clues.residual_heating import ResidualHeating, residual_heating
-from sim_heating.closure.clues.shapes import chance, looks, shapes, weights_of
+from sim_heating.closure.clues.shapes import candidate_shapes, p_value, profiled_information, trials_factor
 from sim_heating.estimation.problem import Problem, joint_reference
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.inputs.record import Record
@@ -33,7 +33,7 @@ def left_of(record: Record) -> ResidualHeating:
 
 
 @cache
-def told(what: str) -> tuple[ResidualHeating, Evidence]:
+def told(what: str) -> tuple[ResidualHeating, ResidualEvidence]:
     uses: dict[str, list[EffectUse]] = {
         "nothing": [],
         "onset": [use("impingement-onset", {"alpha_onset_deg": ONSET_DEG, "slope": 0.002})],
@@ -41,7 +41,7 @@ def told(what: str) -> tuple[ResidualHeating, Evidence]:
     }
     record, _ = record_with(uses[what], 5, skew_s=2.0 if what == "skew" else 0.0)
     left = left_of(record)
-    return left, evidence(left)
+    return left, residual_evidence(left)
 
 
 def test_heating_above_an_onset_angle_is_told_as_that():
@@ -65,11 +65,11 @@ def test_a_heating_of_the_table_makes_no_loops_and_a_clock_does():
 
 def test_where_nothing_is_missing_nothing_is_proposed():
     _, found = told("nothing")
-    assert found.chance > SURE
+    assert found.chance > SIGNIFICANCE_LEVEL
     assert found.active == ()
     assert found.proposal() == ["Nothing is left that noise would not leave."]
     assert not any(loop.significant for loop in found.loops)
-    assert all(c.chance_all > SURE for c in found.correlations)
+    assert all(c.chance_all > SIGNIFICANCE_LEVEL for c in found.correlations)
 
 
 def test_spans_in_which_it_acts_are_those_in_which_the_angle_was_beyond_the_onset():
@@ -83,23 +83,23 @@ def test_spans_in_which_it_acts_are_those_in_which_the_angle_was_beyond_the_onse
 def test_a_history_that_takes_more_than_all_heating_away_is_called_impossible():
     left, _ = told("onset")
     ratio = np.full(len(left.time_s), 0.05)
-    sound = evidence(left, ratio)
+    sound = residual_evidence(left, ratio)
     assert sound.negative_s == 0.0
     taken = replace(left, input=replace(left.input, delta_ratio=np.where(left.fitted, -0.1, 0.0)))
-    assert evidence(taken, ratio).negative_s > 500.0
+    assert residual_evidence(taken, ratio).negative_s > 500.0
 
 
 def test_chance_of_the_best_of_many_shapes_is_uniform_on_noise():
     left, _ = told("nothing")
-    weights = weights_of(left)
-    _, columns = shapes(left.time_s, {"alpha_deg": left.record.conditions.at(left.time_s)["alpha_deg"]})
-    several = looks(weights, columns, seed=1)
+    weights = profiled_information(left)
+    _, columns = candidate_shapes(left.time_s, {"alpha_deg": left.record.conditions.at(left.time_s)["alpha_deg"]})
+    several = trials_factor(weights, columns, seed=1)
     values, vectors = np.linalg.eigh(weights.information)
     rng = np.random.default_rng(2)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     power = np.einsum("ij,ij->j", columns, weights.information @ columns)
     drawn = columns.T @ (root @ rng.normal(size=(len(values), 300))) / np.sqrt(power)[:, np.newaxis]
-    chances = [chance(float(z), several) for z in np.max(np.abs(drawn), axis=0)]
+    chances = [p_value(float(z), several) for z in np.max(np.abs(drawn), axis=0)]
     assert kstest(chances, "uniform").pvalue > 1e-3
 
 

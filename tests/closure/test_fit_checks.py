@@ -10,8 +10,17 @@ import numpy as np
 import pytest
 
 from sim_heating.closure.clues.residual_heating import residual_heating
-from sim_heating.closure.fit_checks import after_fit
-from sim_heating.closure.record_checks import CLOCK, MATERIAL, SENSOR, TRAJECTORY, Verdict, before_fit, jumps, standing
+from sim_heating.closure.fit_checks import check_fit
+from sim_heating.closure.record_checks import (
+    CLOCK,
+    MATERIAL,
+    SENSOR,
+    TRAJECTORY,
+    DataFault,
+    check_record,
+    jumping_sensors,
+    unresolved,
+)
 from sim_heating.estimation.fit import estimate
 from sim_heating.heating.effects import use
 from sim_heating.inputs.record import Record, load_record
@@ -38,14 +47,14 @@ def flying(**columns: Any) -> Record:
     return replace(record, conditions=record.conditions.with_columns(**columns))
 
 
-def told(record: Record) -> list[Verdict]:
+def told(record: Record) -> list[DataFault]:
     """All verdicts on a record: before a fit, and after one where it comes to that."""
-    found = before_fit(record)
+    found = check_record(record)
     if found:
         return found
     fitted = estimate([record])
     residual = residual_heating(fitted.problem, fitted.fit.values)
-    return after_fit(fitted.problem, fitted.fit.values, residual)
+    return check_fit(fitted.problem, fitted.fit.values, residual)
 
 
 def only(record: Record, kind: str) -> str:
@@ -59,7 +68,7 @@ def test_a_sound_record_has_no_verdict():
 
 
 def test_a_board_under_a_lamp_is_no_flight_at_another_time():
-    assert before_fit(load_record(RECORDS / "kaowool_board")) == []
+    assert check_record(load_record(RECORDS / "kaowool_board")) == []
 
 
 def test_the_heating_without_any_one_thermocouple_is_told_where_the_mesh_was_corrected():
@@ -81,7 +90,7 @@ def test_the_heating_without_any_one_thermocouple_is_told_where_the_mesh_was_cor
 )
 def test_an_effect_is_no_damage(made: Callable[[], tuple[Record, Any]]):
     record, _ = made()
-    assert before_fit(record) == []
+    assert check_record(record) == []
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "milliseconds"), (1.0 / 60.0, "minutes")])
@@ -148,7 +157,7 @@ def test_another_material_is_told(factor):
 
 
 def test_a_steep_steady_rise_is_no_jump() -> None:
-    assert jumps(load_record(RECORDS / "practice" / "p04")) == []
+    assert jumping_sensors(load_record(RECORDS / "practice" / "p04")) == []
 
 
 def test_telemetry_that_is_lost_for_a_while_is_no_jump() -> None:
@@ -157,7 +166,7 @@ def test_telemetry_that_is_lost_for_a_while_is_no_jump() -> None:
     lost = (record.time_s > 700.0) & (record.time_s < 850.0)
     read = record.thermocouples[bondline]
     assert np.nanmax(read[lost]) - np.nanmin(read[lost]) > 20.0
-    assert jumps(reading(**{bondline: np.where(lost, np.nan, read)})) == []
+    assert jumping_sensors(reading(**{bondline: np.where(lost, np.nan, read)})) == []
 
 
 def test_a_word_that_flickers_is_no_jump() -> None:
@@ -167,7 +176,7 @@ def test_a_word_that_flickers_is_no_jump() -> None:
     for _ in range(300):
         T = 270.0 + 0.55 * bondline.lsb_K * noise.standard_normal(len(record.time_s))
         codes = np.rint((T - 255.0) / bondline.lsb_K)
-        assert jumps(reading(**{bondline.column: 255.0 + codes * bondline.lsb_K})) == []
+        assert jumping_sensors(reading(**{bondline.column: 255.0 + codes * bondline.lsb_K})) == []
 
 
 def test_a_recorder_at_the_end_of_its_range_is_no_broken_sensor() -> None:
@@ -180,12 +189,12 @@ def test_a_recorder_at_the_end_of_its_range_is_no_broken_sensor() -> None:
     read = np.minimum(record.thermocouples[surface.column], 900.0)
     clipped = replace(reading(**{surface.column: read}), declared=declared)
     assert np.count_nonzero(read == 900.0) > 100
-    assert before_fit(clipped) == []
+    assert check_record(clipped) == []
 
 
 def test_what_a_fit_explains_was_no_damage_and_what_it_does_not_was() -> None:
     bondline = sound().sensors[-1]
-    doubts = [Verdict(SENSOR, "jumps", bondline.name), Verdict(TRAJECTORY, "20 s later")]
-    assert standing(doubts, estimate([sound()]).after[0]) == []
+    doubts = [DataFault(SENSOR, "jumps", bondline.name), DataFault(TRAJECTORY, "20 s later")]
+    assert unresolved(doubts, estimate([sound()]).after[0]) == []
     jumping = reading(**{bondline.column: sound().thermocouples[bondline.column] + 40.0 * (sound().time_s > 800.0)})
-    assert standing(doubts, estimate([jumping]).after[0]) == doubts
+    assert unresolved(doubts, estimate([jumping]).after[0]) == doubts

@@ -19,10 +19,19 @@ from matplotlib.figure import Figure
 from sim_heating.base.files import files_written, output_directory, read_csv_columns
 from sim_heating.base.report.page import Page, Picture, Section, page_html
 from sim_heating.base.report.table import Table
-from sim_heating.closure.clues.correlation import evidence
+from sim_heating.closure.clues.correlation import residual_evidence
 from sim_heating.closure.clues.residual_heating import residual_heating
-from sim_heating.closure.record_checks import SENSOR, Verdict
-from sim_heating.closure.report import Closure, Estimated, Named, Tried, closure_json, errors_of, fill_closure, page_of
+from sim_heating.closure.record_checks import SENSOR, DataFault
+from sim_heating.closure.report import (
+    CandidateScore,
+    Closure,
+    Finding,
+    ParameterEstimate,
+    closure_json,
+    closure_page,
+    segment_errors,
+    write_closure,
+)
 from sim_heating.closure.search.ranking import posteriors
 from sim_heating.estimation.fit import estimate
 from sim_heating.heating.effects import use
@@ -43,21 +52,21 @@ def closed() -> Closure:
     left = residual_heating(after.problem, after.fit.values)
     sigma = after.bounds.sigma
     parameters = {
-        u.label: Estimated(float(v), float(s), u.parameter.unit)
+        u.label: ParameterEstimate(float(v), float(s), u.parameter.unit)
         for u, v, s in zip(after.problem.unknowns, after.fit.values, sigma, strict=True)
     }
     bic = -2.0 * (after.fit.log_likelihood - before.fit.log_likelihood) + np.log(2000.0)
-    errors = [errors_of(f.after[0]) for f in (before, after)]
+    errors = [segment_errors(f.after[0]) for f in (before, after)]
     weighed = {"none": 0.0, "impingement-onset": float(bic)}
     tried = [
-        Tried(name, delta, e["fit"]["rmse_K"], e["holdout"]["rmse_K"], posteriors(weighed)[name])
+        CandidateScore(name, delta, e["fit"]["rmse_K"], e["holdout"]["rmse_K"], posteriors(weighed)[name])
         for (name, delta), e in zip(weighed.items(), errors, strict=True)
     ]
     posterior = posteriors(weighed)["impingement-onset"]
-    named = Named("impingement-onset", posterior, {"slope": parameters["effect.impingement-onset.slope"]})
+    named = Finding("impingement-onset", posterior, {"slope": parameters["effect.impingement-onset.slope"]})
     return Closure(
         record, before.before[0], before.after[0], after.after[0], record.noise_floor_K(), before.problem.reference,
-        [named], tried, parameters, residual, left, evidence(residual), (), "Calibrated on null records: 2 %.",
+        [named], tried, parameters, residual, left, residual_evidence(residual), (), "Calibrated on null records: 2 %.",
     )  # fmt: skip
 
 
@@ -96,7 +105,7 @@ def test_errors_fall_towards_the_noise_floor_as_the_model_grows():
 
 
 def test_several_effects_stand_in_the_order_in_which_they_were_added():
-    more = Named("catalysis", 0.9, {})
+    more = Finding("catalysis", 0.9, {})
     data = closure_json(replace(closed(), effects=[*closed().effects, more]))
     assert [e["name"] for e in data["effects"]] == ["impingement-onset", "catalysis"]
     assert data["effect"] == data["effects"][0]
@@ -110,7 +119,7 @@ def test_a_record_without_holdout_says_null():
             update={"segments": record.declared.segments.model_copy(update={"holdout": []})}
         ),
     )
-    assert errors_of(replace(closed().after, record=bare))["holdout"] is None
+    assert segment_errors(replace(closed().after, record=bare))["holdout"] is None
 
 
 def test_posteriors_are_those_of_equal_priors():
@@ -121,7 +130,7 @@ def test_posteriors_are_those_of_equal_priors():
 
 def test_the_folder_holds_json_history_and_page(tmp_path):
     with output_directory(tmp_path / "out") as folder:
-        fill_closure(closed(), folder)
+        write_closure(closed(), folder)
     assert files_written(tmp_path / "out") == {"closure.json", "report.html", "residual_heating.csv"}
     data = json.loads((tmp_path / "out" / "closure.json").read_text())
     table = read_csv_columns(tmp_path / "out" / data["residual_heating"], ("time_s", "delta_ratio", "sigma"))
@@ -153,7 +162,7 @@ class Elements(HTMLParser):
 
 
 def test_the_page_loads_nothing_from_elsewhere_and_holds_what_a_review_asks_for():
-    html = page_html(page_of(closed()))
+    html = page_html(closure_page(closed()))
     found = Elements(html)
     assert found.open == []
     assert all(a.startswith(("data:image/svg+xml;base64,", "#")) for a in found.addresses)
@@ -168,7 +177,7 @@ def test_the_page_loads_nothing_from_elsewhere_and_holds_what_a_review_asks_for(
 
 
 def test_a_verdict_on_the_record_stands_before_any_finding():
-    page = page_of(replace(closed(), verdicts=[Verdict(SENSOR, "TC1 is stuck")]))
+    page = closure_page(replace(closed(), verdicts=[DataFault(SENSOR, "TC1 is stuck")]))
     assert page.verdict == ("No aerothermal finding: broken sensor", "TC1 is stuck")
     assert 'role="alert">TC1 is stuck' in page_html(page)
 
@@ -193,7 +202,7 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shuti
 
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
 def test_a_browser_shows_the_page_with_all_its_pictures(tmp_path: Path):
-    fill_closure(closed(), tmp_path)
+    write_closure(closed(), tmp_path)
     page = (tmp_path / "report.html").as_uri()
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--user-data-dir={tmp_path / 'p'}"]
     shot = tmp_path / "page.png"

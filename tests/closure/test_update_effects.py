@@ -11,8 +11,8 @@ import pytest
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import read_json
 from sim_heating.cli import main
-from sim_heating.closure.revise.effects import edited, values_of
-from sim_heating.closure.revise.update import prepare
+from sim_heating.closure.revise.effects import edit_effects, parameter_values
+from sim_heating.closure.revise.update import prepare_update
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.report.estimate_file import read_estimate, write_estimate
 from sim_heating.estimation.report.report import result_of
@@ -61,7 +61,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def declared() -> dict[str, dict[str, float]]:
     """Effects of the control point as the vehicle has them."""
-    return {u.effect.name: values_of(u) for u in load_vehicle("./orbiter").control_point(POINT).effects}
+    return {u.effect.name: parameter_values(u) for u in load_vehicle("./orbiter").control_point(POINT).effects}
 
 
 def test_what_a_flight_told_of_effects_predicts_another_and_can_be_taken_back(
@@ -129,11 +129,11 @@ def test_effects_follow_the_ratio_that_the_table_draws_away_from_the_fit(desk: P
     told = {"ratio.scale": scale, "effect.transition.factor": factor}
     both = {"ratio.scale|effect.transition.factor": rho}
     write_estimate("other.json", fit.model_copy(update={"parameters": told, "correlation": both}))
-    update = prepare("other.json", "./orbiter")
+    update = prepare_update("other.json", "./orbiter")
     ((_, estimated, _, _, _, drawn, _),) = update.parameter_views()
     assert abs(drawn - estimated) > 0.2 * scale.sigma
     transition = update.effects.after[0]
-    follow = (values_of(transition)["factor"] - factor.value) / factor.sigma
+    follow = (parameter_values(transition)["factor"] - factor.value) / factor.sigma
     assert follow == pytest.approx(rho * (drawn - estimated) / scale.sigma, abs=1e-4)
 
 
@@ -215,9 +215,9 @@ def test_effects_that_no_vehicle_can_have_are_refused_in_one_line(
 def test_line_ends_and_byte_order_mark_stay(desk: Path, end_of_line: str) -> None:
     raw = "\ufeff" + Path(FILE).read_text().replace("\n", end_of_line)
     effect = {"name": "catalysis", "parameters": {}, "source": "a flight"}
-    once = edited(raw, [effect], Path(FILE))
+    once = edit_effects(raw, [effect], Path(FILE))
     assert once.startswith(raw.rstrip())
-    again = edited(once, [effect | {"source": "another flight"}], Path(FILE))
+    again = edit_effects(once, [effect | {"source": "another flight"}], Path(FILE))
     assert again == once.replace("a flight", "another flight")
     assert again.count("\n") == again.count(end_of_line)
 
@@ -225,4 +225,4 @@ def test_line_ends_and_byte_order_mark_stay(desk: Path, end_of_line: str) -> Non
 def test_effects_in_a_form_that_cannot_be_edited_are_left_to_a_person(desk: Path) -> None:
     raw = 'effect = [{ name = "catalysis", source = "a tunnel" }]\n' + Path(FILE).read_text()
     with pytest.raises(InputError, match="by hand"):
-        edited(raw, [{"name": "moisture", "parameters": {}, "source": "a flight"}], Path(FILE))
+        edit_effects(raw, [{"name": "moisture", "parameters": {}, "source": "a flight"}], Path(FILE))

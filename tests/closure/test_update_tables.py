@@ -20,10 +20,10 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import check, read_json
 from sim_heating.base.parameters import MODEL
 from sim_heating.cli import main
-from sim_heating.closure.revise.evidence import evidence_of
+from sim_heating.closure.revise.evidence import flight_evidence
 from sim_heating.closure.revise.report import draw_update
 from sim_heating.closure.revise.revisions import revert
-from sim_heating.closure.revise.update import TableUpdate, prepare, write_update
+from sim_heating.closure.revise.update import TableUpdate, prepare_update, write_update
 from sim_heating.estimation.report.estimate_file import Estimate, correlations, read_estimate, write_estimate
 from sim_heating.heating.ratio.table import read_ratio_table, write_ratio_table
 from sim_heating.inputs.points import point_of_record, reference_of_record
@@ -137,7 +137,7 @@ def table_of(vehicle: Path) -> Path:
 
 
 def update_and_write(fit: str = "first.json", vehicle: str = "orbiter") -> TableUpdate:
-    update = prepare(fit, Path(vehicle).resolve())
+    update = prepare_update(fit, Path(vehicle).resolve())
     write_update(update, None, {}, draw_update)
     return update
 
@@ -177,7 +177,7 @@ def test_later_flights_declare_the_revised_table(desk: Path) -> None:
 
 
 def test_the_true_ratio_lies_within_the_bounds_of_the_revised_table(desk: Path) -> None:
-    update = prepare("first.json", "./orbiter")
+    update = prepare_update("first.json", "./orbiter")
     views = {name: row for name, *row in update.parameter_views()}
     for name, true in TRUTH.items():
         _, _, before, wide, after, narrow = views[name]
@@ -197,7 +197,7 @@ def test_a_table_that_differs_by_the_parameters_is_seen_to_differ_by_them(desk: 
     alpha, _, log10_re, _, _ = np.meshgrid(*point.ratio.axes, indexing="ij")
     moved = 0.93 * point.ratio.ratio + 0.0004 * (alpha - about.alpha_deg) + 0.01 * (log10_re - about.log10_re)
     other = replace(point, ratio=replace(point.ratio, ratio=moved))
-    informed = evidence_of(estimate, [record], vehicle, other)
+    informed = flight_evidence(estimate, [record], vehicle, other)
     np.testing.assert_allclose(informed.rows @ moved.ravel() - informed.at_zero, list(values.values()), rtol=1e-8)
 
 
@@ -209,15 +209,15 @@ def test_a_table_that_differs_by_a_product_of_two_variables_is_seen_to(desk: Pat
     alpha, _, log10_re, _, _ = np.meshgrid(*point.ratio.axes, indexing="ij")
     moved = 1.1 * point.ratio.ratio + 0.002 * (alpha - about.alpha_deg) * (log10_re - about.log10_re)
     other = replace(point, ratio=replace(point.ratio, ratio=moved))
-    informed = evidence_of(estimate, [record], vehicle, other)
+    informed = flight_evidence(estimate, [record], vehicle, other)
     seen = informed.rows @ moved.ravel() - informed.at_zero
     np.testing.assert_allclose(seen, list(values.values()), rtol=1e-6, atol=1e-9)
 
 
 def test_more_samples_of_the_same_path_say_no_more(desk: Path) -> None:
-    one = prepare("first.json", "./orbiter")
+    one = prepare_update("first.json", "./orbiter")
     edit(desk / "first" / "thermocouples.csv", lambda t: "\n".join(_every_second(t.splitlines())) + "\n")
-    other = prepare("first.json", "./orbiter")
+    other = prepare_update("first.json", "./orbiter")
     assert len(other.informed.path.x) < 0.6 * len(one.informed.path.x)
     np.testing.assert_allclose(other.after.sigma, one.after.sigma, rtol=0.02)
 
@@ -227,7 +227,7 @@ def _every_second(lines: list[str]) -> list[str]:
 
 
 def test_an_estimate_over_another_declared_table_says_the_same_of_the_ratio(desk: Path) -> None:
-    one = prepare("first.json", "./orbiter")
+    one = prepare_update("first.json", "./orbiter")
     declared = read_ratio_table(desk / "first" / "ratio_table.csv")
     write_ratio_table(desk / "first" / "ratio_table.csv", replace(declared, ratio=1.25 * declared.ratio))
     first = read_estimate("first.json")
@@ -236,7 +236,7 @@ def test_an_estimate_over_another_declared_table_says_the_same_of_the_ratio(desk
     values = {"ratio.scale": (1.0 + scale) / 1.25 - 1.0, "ratio.d_alpha": slope}
     C = smaller @ first.covariance(tuple(TRUTH)) @ smaller
     write_estimate("first.json", stated(load_record("first"), values, C))
-    other = prepare("first.json", "./orbiter")
+    other = prepare_update("first.json", "./orbiter")
     np.testing.assert_allclose(other.after.ratio, one.after.ratio, rtol=1e-9)
     np.testing.assert_allclose(other.after.sigma, one.after.sigma, rtol=1e-6)
 
@@ -249,7 +249,7 @@ def test_what_the_table_cannot_hold_is_told_and_its_value_changes_nothing(desk: 
     for elevon, coating in ((0.3, 1.2), (-0.3, 0.9)):
         values = {**TRUTH, "ratio.d_elevon": elevon, "stack.coating.thickness_factor": coating}
         write_estimate("more.json", stated(record, values, C))
-        updates.append(prepare("more.json", "./orbiter"))
+        updates.append(prepare_update("more.json", "./orbiter"))
     assert set(updates[0].informed.not_written) == {"ratio.d_elevon", "stack.coating.thickness_factor"}
     assert updates[0].informed.evidence.names == tuple(TRUTH)
     np.testing.assert_array_equal(updates[0].table.ratio, updates[1].table.ratio)
@@ -274,8 +274,8 @@ def test_a_joint_estimate_of_several_points_updates_the_one_that_is_named(desk: 
     }
     write_estimate("both.json", check(both, Estimate, "both"))
     with pytest.raises(InputError, match=f"is of B, {POINT}; name one of them with --point"):
-        prepare("both.json", "./orbiter")
-    one, other = prepare("first.json", "./orbiter"), prepare("both.json", "./orbiter", point_name=POINT)
+        prepare_update("both.json", "./orbiter")
+    one, other = prepare_update("first.json", "./orbiter"), prepare_update("both.json", "./orbiter", point_name=POINT)
     np.testing.assert_array_equal(one.table.ratio, other.table.ratio)
     assert [u.record for u in other.used] == ["first"]
 
@@ -341,7 +341,7 @@ def test_an_update_interrupted_before_its_last_step_leaves_the_old_table_in_forc
             raise KeyboardInterrupt
         real(old, new)
 
-    update = prepare("first.json", "./orbiter")
+    update = prepare_update("first.json", "./orbiter")
     with monkeypatch.context() as patched:
         patched.setattr(os, "replace", interrupted)
         with pytest.raises(KeyboardInterrupt):

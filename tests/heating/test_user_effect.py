@@ -16,7 +16,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import read_csv_columns
 from sim_heating.base.kernels.block import MACH, N_CONDITIONS
 from sim_heating.cli import main
-from sim_heating.closure.batch import job_of
+from sim_heating.closure.batch import record_job
 from sim_heating.closure.search.candidates import candidates
 from sim_heating.heating.effects import effects
 from sim_heating.inputs.points import conditions_of_record
@@ -260,7 +260,7 @@ def test_an_effect_is_heard_where_nothing_is_compiled():
 
 def test_a_record_is_closed_anew_where_an_effect_of_ones_own_has_changed(own_folder):
     record = ROOT / "scenarios" / "records" / "practice" / "p06"
-    before = job_of(record, Path("out"))
-    assert job_of(record, Path("out")) == before
+    before = record_job(record, Path("out"))
+    assert record_job(record, Path("out")) == before
     (own_folder / "steepness.py").write_text(SOURCE.replace("40.0", "38.0"))
-    assert job_of(record, Path("out")).id != before.id
+    assert record_job(record, Path("out")).id != before.id

@@ -23,9 +23,17 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import HEATING, RATIO_VARIABLES, STATE
 from sim_heating.base.threads import one_thread
 from sim_heating.closure.clues.axial_force import AxialStep, axial_steps
-from sim_heating.closure.clues.hysteresis import Loop, loops
+from sim_heating.closure.clues.hysteresis import HysteresisLoop, hysteresis_loops
 from sim_heating.closure.clues.residual_heating import ResidualHeating
-from sim_heating.closure.clues.shapes import LAGS_S, TIME, Followed, chance, looks, shapes, weights_of
+from sim_heating.closure.clues.shapes import (
+    LAGS_S,
+    TIME,
+    ShapeFit,
+    candidate_shapes,
+    p_value,
+    profiled_information,
+    trials_factor,
+)
 from sim_heating.heating.reference.gas import wall_enthalpy_grid
 from sim_heating.inputs.points import conditions_of_record, wall_enthalpy_of
 from sim_heating.simulation.predict import Prediction
@@ -39,7 +47,7 @@ MOST_SPANS = 6
 SIGNS = 2.0
 LARGEST = 3.0
 """A shape that would have to be larger than so many times the history cancels against what was fitted: no proposal."""
-SURE = 0.01
+SIGNIFICANCE_LEVEL = 0.01
 """A chance below this is called significant."""
 
 
@@ -60,7 +68,7 @@ class Correlation:
 
 
 @dataclass(frozen=True)
-class Active:
+class ActiveSpan:
     """A span in which the residual heating exceeds its sigma.
 
     delta_ratio : mean;  relative : over the model's ratio, NaN where that is unknown
@@ -73,7 +81,7 @@ class Active:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class ResidualEvidence:
     """What a residual heating tells.
 
     correlations : a variable each, largest first
@@ -87,17 +95,17 @@ class Evidence:
     """
 
     correlations: tuple[Correlation, ...]
-    followed: tuple[Followed, ...]
+    followed: tuple[ShapeFit, ...]
     looks: float
     chance: float
-    active: tuple[Active, ...]
-    loops: tuple[Loop, ...]
+    active: tuple[ActiveSpan, ...]
+    loops: tuple[HysteresisLoop, ...]
     axial: tuple[AxialStep, ...] | None
     negative_s: float | None = None
 
     def proposal(self) -> list[str]:
         """What a person would look at next, a line each: which variable, at which lag, active when, how large."""
-        if not self.followed or self.chance > SURE:
+        if not self.followed or self.chance > SIGNIFICANCE_LEVEL:
             return ["Nothing is left that noise would not leave."]
         best = self.followed[0]
         lines = [
@@ -123,7 +131,7 @@ class Evidence:
             size = f"{span.delta_ratio:+.3g}" + ("" if math.isnan(span.relative) else f" ({span.relative:+.0%})")
             lines.append(f"Active from {span.start_s:.0f} to {span.end_s:.0f} s: {size} of ratio on average.")
         lines += self._hysteresis()
-        lines += [step.words() + self._with(step) for step in self.axial or () if step.chance < SURE]
+        lines += [step.words() + self._with(step) for step in self.axial or () if step.chance < SIGNIFICANCE_LEVEL]
         return lines
 
     def _with(self, step: AxialStep) -> str:
@@ -158,7 +166,7 @@ class Evidence:
         }
 
 
-def evidence(residual: ResidualHeating, ratio: FloatArray | None = None) -> Evidence:
+def residual_evidence(residual: ResidualHeating, ratio: FloatArray | None = None) -> ResidualEvidence:
     """Everything above for one residual heating.
 
     ratio : (knot,) the model's heating ratio, where it is known
@@ -167,20 +175,21 @@ def evidence(residual: ResidualHeating, ratio: FloatArray | None = None) -> Evid
         return _evidence(residual, ratio)
 
 
-def _evidence(residual: ResidualHeating, ratio: FloatArray | None) -> Evidence:
+def _evidence(residual: ResidualHeating, ratio: FloatArray | None) -> ResidualEvidence:
     here = residual.fitted
     t, variables = residual.time_s, flight_variables(residual)
-    weights = weights_of(residual)
-    tried, columns = shapes(t, variables)
+    weights = profiled_information(residual)
+    tried, columns = candidate_shapes(t, variables)
     largest = LARGEST * float(np.max(np.abs(residual.delta_ratio)))
     found = [f for f in weights.weigh(tried, columns) if abs(f.amplitude) <= largest]
     names = dict.fromkeys(f.shape.variable for f in found)
     best = [next(f for f in found if f.shape.variable == name) for name in names]
-    several = looks(weights, columns)
-    return Evidence(
+    several = trials_factor(weights, columns)
+    return ResidualEvidence(
         tuple(correlations(residual, {n: v for n, v in variables.items() if np.ptp(v[here]) > 0.0})),
-        tuple(best), several, chance(best[0].z, several) if best else 1.0,
-        tuple(active(residual, ratio)), tuple(loops(residual, variables)), axial_steps(residual.record),
+        tuple(best), several, p_value(best[0].z, several) if best else 1.0,
+        tuple(active_spans(residual, ratio)), tuple(hysteresis_loops(residual, variables)),
+        axial_steps(residual.record),
         None if ratio is None else negative_s(residual, ratio),
     )  # fmt: skip
 
@@ -260,7 +269,7 @@ def _chance(r: float, n: float) -> float:
     return float(2.0 * student.sf(r * math.sqrt((n - 2.0) / (1.0 - r * r)), n - 2.0))
 
 
-def active(residual: ResidualHeating, ratio: FloatArray | None = None) -> list[Active]:
+def active_spans(residual: ResidualHeating, ratio: FloatArray | None = None) -> list[ActiveSpan]:
     """Spans in which the history exceeds ACTIVE sigma, the largest first."""
     t, d = residual.time_s, residual.delta_ratio
     beyond = residual.fitted & (np.abs(d) > ACTIVE * residual.sigma)
@@ -276,11 +285,11 @@ def active(residual: ResidualHeating, ratio: FloatArray | None = None) -> list[A
         own = slice(first, last + 1)
         over = float(np.mean(d[own] / ratio[own])) if ratio is not None and np.all(ratio[own] > 0.0) else math.nan
         found.append(
-            Active(max(float(t[first]) - half, float(t[0])), float(t[last]) + half, float(np.mean(d[own])), over)
+            ActiveSpan(max(float(t[first]) - half, float(t[0])), float(t[last]) + half, float(np.mean(d[own])), over)
         )
     told = [a for a in found if a.end_s - a.start_s >= SHORTEST_S]
     return _largest(told)[:MOST_SPANS]
 
 
-def _largest(spans: Sequence[Active]) -> list[Active]:
+def _largest(spans: Sequence[ActiveSpan]) -> list[ActiveSpan]:
     return sorted(spans, key=lambda a: -abs(a.delta_ratio) * (a.end_s - a.start_s))

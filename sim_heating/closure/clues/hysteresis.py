@@ -34,7 +34,7 @@ SURE, LEAST_FILLED = 0.01, 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Loop:
+class HysteresisLoop:
     """One manoeuvre.
 
     area, sigma : integral of delta_ratio dv around it, closed by a chord [ratio deg]
@@ -69,7 +69,7 @@ class Loop:
         return asdict(self)
 
 
-def loops(residual: ResidualHeating, variables: Mapping[str, FloatArray]) -> list[Loop]:
+def hysteresis_loops(residual: ResidualHeating, variables: Mapping[str, FloatArray]) -> list[HysteresisLoop]:
     """The manoeuvres of a record, in order of time."""
     t, d, covariance = residual.time_s, residual.delta_ratio, residual.input.covariance
     angles = {n: variables[n] for n in ANGLES if n in variables}
@@ -85,7 +85,7 @@ def loops(residual: ResidualHeating, variables: Mapping[str, FloatArray]) -> lis
         one = float(2.0 * student.sf(abs(z), dof)) if dof > 0 else 1.0
         several = float(-np.expm1(len(spans) * np.log1p(-min(one, 1.0 - 1e-16))))
         begin, end = float(t[own][0]), float(t[own][-1])
-        found.append(Loop(name, begin, end, area, sigma, area / box if box > 0.0 else 0.0, z, several))
+        found.append(HysteresisLoop(name, begin, end, area, sigma, area / box if box > 0.0 else 0.0, z, several))
     return sorted(found, key=lambda loop: loop.start_s)
 
 

@@ -31,7 +31,7 @@ NAME = "residual_heating.csv"
 
 
 @dataclass(frozen=True, eq=False)
-class SensorLeft:
+class SensorResidual:
     """What one sensor shows beyond the model, without and with the best heating history.
 
     time_s, read_K : (sample,) as recorded;  before_K, after_K : (sample,) measured minus indicated
@@ -81,7 +81,7 @@ class ResidualHeating:
 
     record: Record
     input: UnknownInput
-    sensors: tuple[SensorLeft, ...]
+    sensors: tuple[SensorResidual, ...]
     jacobian: FloatArray
     prior_information: FloatArray
     names: tuple[str, ...]
@@ -162,14 +162,16 @@ def residual_heating(
     return ResidualHeating(own.record, found, sensors, jacobian, prior, names, span, own.time_s, own.mesh)
 
 
-def _split(part: Part, channels: Sequence[Channel], mean_K: FloatArray, with_K: FloatArray) -> tuple[SensorLeft, ...]:
+def _split(
+    part: Part, channels: Sequence[Channel], mean_K: FloatArray, with_K: FloatArray
+) -> tuple[SensorResidual, ...]:
     """What channels one after the other show, sensor by sensor."""
     ends = np.cumsum([len(c.samples) for c in channels])[:-1]
     found = []
     for c, before, after in zip(channels, np.split(mean_K, ends), np.split(with_K, ends), strict=True):
         t, floor = part.sample_s[c.samples], c.sensor.noise_floor_K(float(part.sigma_K[c.number]))
         read = part.record.thermocouples[c.sensor.column][np.searchsorted(part.record.time_s, t)]
-        found.append(SensorLeft(c.sensor, t, read, read - before, read - after, floor))
+        found.append(SensorResidual(c.sensor, t, read, read - before, read - after, floor))
     return tuple(found)
 
 

@@ -59,7 +59,7 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Followed:
+class ShapeFit:
     """How a history follows a shape.
 
     amplitude : of the shape at its largest [ratio];  z : over its sigma;  gain : of log likelihood
@@ -74,14 +74,14 @@ class Followed:
 
 
 @dataclass(frozen=True, eq=False)
-class Weights:
+class ProfiledInformation:
     """A~, b~, and the gain of the best history under its noise model."""
 
     information: FloatArray
     score: FloatArray
     best_gain: float
 
-    def weigh(self, shapes: Sequence[Shape], columns: FloatArray) -> list[Followed]:
+    def weigh(self, shapes: Sequence[Shape], columns: FloatArray) -> list[ShapeFit]:
         """Each shape (knot, shape), largest gain first."""
         power = np.einsum("ij,ij->j", columns, self.information @ columns)
         b = columns.T @ self.score
@@ -89,7 +89,7 @@ class Weights:
         z = np.divide(b, np.sqrt(power), out=np.zeros_like(b), where=told)
         amplitude = np.divide(b, power, out=np.zeros_like(b), where=told)
         found = [
-            Followed(s, float(a), float(x), 0.5 * float(x) ** 2, self.share(0.5 * float(x) ** 2))
+            ShapeFit(s, float(a), float(x), 0.5 * float(x) ** 2, self.share(0.5 * float(x) ** 2))
             for s, a, x in zip(shapes, amplitude, z, strict=True)
         ]
         return sorted(found, key=lambda f: -f.gain)
@@ -99,7 +99,7 @@ class Weights:
         return min(gain / self.best_gain, 1.0) if self.best_gain > 1.0 else 0.0
 
 
-def weights_of(residual: ResidualHeating) -> Weights:
+def profiled_information(residual: ResidualHeating) -> ProfiledInformation:
     """Information and score of a history with everything that was fitted adjusting to it."""
     found, J = residual.input, residual.jacobian
     if J.shape[1] == 0:
@@ -113,10 +113,10 @@ def weights_of(residual: ResidualHeating) -> Weights:
         A = found.information - C @ inverse @ C.T
         b = found.score - C @ inverse @ (J.T @ found.slope + C.T @ found.delta_ratio)
     Q, _ = precision(found.time_s, found.disturbance)
-    return Weights(A, b, 0.5 * float(b @ np.linalg.solve(A + Q, b)))
+    return ProfiledInformation(A, b, 0.5 * float(b @ np.linalg.solve(A + Q, b)))
 
 
-def looks(weights: Weights, columns: FloatArray, seed: int = 0) -> float:
+def trials_factor(weights: ProfiledInformation, columns: FloatArray, seed: int = 0) -> float:
     """Number of independent looks that give the same largest z^2 on noise alone as all the shapes do."""
     values, vectors = np.linalg.eigh(weights.information)
     draws = (vectors * np.sqrt(np.maximum(values, 0.0))) @ np.random.default_rng(seed).normal(size=(len(values), DRAWS))
@@ -129,13 +129,13 @@ def looks(weights: Weights, columns: FloatArray, seed: int = 0) -> float:
     return max(float(np.log(0.5) / np.log(chi2.cdf(middle, 1))), 1.0)
 
 
-def chance(z: float, independent_looks: float) -> float:
+def p_value(z: float, independent_looks: float) -> float:
     """Probability of a |z| as large from noise alone in so many looks."""
     one = float(chi2.sf(z * z, 1))
     return float(-np.expm1(independent_looks * np.log1p(-min(one, 1.0 - 1e-16))))
 
 
-def shapes(time_s: FloatArray, variables: Mapping[str, FloatArray]) -> tuple[list[Shape], FloatArray]:
+def candidate_shapes(time_s: FloatArray, variables: Mapping[str, FloatArray]) -> tuple[list[Shape], FloatArray]:
     """All shapes of the variables that move, and their histories (knot, shape), each of largest magnitude 1."""
     found: list[Shape] = []
     columns: list[FloatArray] = []

@@ -25,7 +25,7 @@ from tomlkit.exceptions import TOMLKitError
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import check, display_path, raw_text
 from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, SENSOR_PREFIX
-from sim_heating.closure.revise.evidence import Informed, is_effect
+from sim_heating.closure.revise.evidence import FlightEvidence, is_effect
 from sim_heating.estimation.report.estimate_file import Estimate
 from sim_heating.heating.effects import EffectUse, check_count, effect, use
 from sim_heating.heating.ratio.uncertainty import Posterior
@@ -62,17 +62,23 @@ class FittedEffects:
 
     def changes(self) -> list[dict[str, Any]]:
         """Each written effect: name, its values, and those that were declared before, None where it was not."""
-        before, after = ({u.effect.name: values_of(u) for u in uses} for uses in (self.before, self.after))
+        before, after = ({u.effect.name: parameter_values(u) for u in uses} for uses in (self.before, self.after))
         return [{"name": n, "parameters": after[n], "before": before.get(n)} for n in self.written]
 
 
-def values_of(used: EffectUse) -> dict[str, float]:
+def parameter_values(used: EffectUse) -> dict[str, float]:
     """All parameters of an effect by name."""
     return {p.name: v for p, v in zip(used.effect.parameters, used.values, strict=True)}
 
 
-def effects_of_fit(
-    estimate: Estimate, informed: Informed, table: Posterior, path: Path, point: ControlPoint, flown: str, made: str
+def fitted_effects_of(
+    estimate: Estimate,
+    informed: FlightEvidence,
+    table: Posterior,
+    path: Path,
+    point: ControlPoint,
+    flown: str,
+    made: str,
 ) -> FittedEffects:
     """What an estimate of one control point says of its effects.
 
@@ -92,7 +98,7 @@ def effects_of_fit(
         elif name not in estimated:
             not_written[f"{EFFECT_PREFIX}{name}"] = "was in the fit, but nothing of it was estimated"
         else:
-            found.append(use(name, {n: float(f"{v:.{DIGITS}g}") for n, v in values_of(used).items()}))
+            found.append(use(name, {n: float(f"{v:.{DIGITS}g}") for n, v in parameter_values(used).items()}))
     after = _replaced(point.effects, found)
     check_count(after, point.name)
     raw = raw_text(path)
@@ -100,7 +106,7 @@ def effects_of_fit(
     return FittedEffects(
         path=path,
         raw=raw,
-        text=edited(raw, declared, path) if found else raw,
+        text=edit_effects(raw, declared, path) if found else raw,
         before=point.effects,
         after=after,
         written=tuple(u.effect.name for u in found),
@@ -114,7 +120,7 @@ def effects_of_fit(
     )
 
 
-def _beside_table(estimate: Estimate, informed: Informed, table: Posterior) -> dict[str, float]:
+def _beside_table(estimate: Estimate, informed: FlightEvidence, table: Posterior) -> dict[str, float]:
     """Values of the effects' parameters with the ratio of the updated table, by label."""
     ratio, effects = informed.evidence.names, tuple(n for n in estimate.parameters if is_effect(n))
     rho = estimate.correlation_matrix((*ratio, *effects))
@@ -162,13 +168,13 @@ def _replaced(declared: Sequence[EffectUse], fitted: Sequence[EffectUse]) -> tup
 def _declared(used: EffectUse, estimate: Estimate, estimated: Sequence[str], flown: str, made: str) -> dict[str, Any]:
     """An effect as a control point's file declares it: what was estimated, and what is not nominal."""
     nominal = {p.name: p.value for p in used.effect.parameters}
-    parameters = {n: v for n, v in values_of(used).items() if n in estimated or v != nominal[n]}
+    parameters = {n: v for n, v in parameter_values(used).items() if n in estimated or v != nominal[n]}
     name = used.effect.name
     sigma = ", ".join(f"{n} +- {estimate.parameters[f'{EFFECT_PREFIX}{name}.{n}'].sigma:.2g}" for n in estimated)
     return {"name": name, "parameters": parameters, "source": f"flight {flown}; {sigma}; {made}"}
 
 
-def edited(raw: str, declared: Sequence[Mapping[str, Any]], path: Path) -> str:
+def edit_effects(raw: str, declared: Sequence[Mapping[str, Any]], path: Path) -> str:
     """A control point's file with these effects, each in place of one of its name or at the end; comments stay.
 
     raises : InputError where the file has a form that cannot be edited so

@@ -40,7 +40,7 @@ SINGULAR = 1e-6
 
 
 @dataclass(frozen=True)
-class Path:
+class FlownPath:
     """The samples that were fitted.
 
     x        : (sample, 5) ratio variables
@@ -52,13 +52,13 @@ class Path:
     weight: FloatArray
     declared: FloatArray
 
-    def only(self, chosen: BoolArray) -> Path:
+    def only(self, chosen: BoolArray) -> FlownPath:
         """Some of the samples."""
-        return Path(self.x[chosen], self.weight[chosen], self.declared[chosen])
+        return FlownPath(self.x[chosen], self.weight[chosen], self.declared[chosen])
 
 
 @dataclass(frozen=True)
-class Informed:
+class FlightEvidence:
     """An estimate as evidence.
 
     evidence    : on the nodes of the table
@@ -72,7 +72,7 @@ class Informed:
     evidence: Evidence
     rows: FloatArray
     at_zero: FloatArray
-    path: Path
+    path: FlownPath
     left_out: int
     not_written: dict[str, str]
 
@@ -87,7 +87,9 @@ def ratio_names(estimate: Estimate) -> tuple[str, ...]:
     return tuple(p.name for p in RATIO if p.name in estimate.parameters)
 
 
-def evidence_of(estimate: Estimate, records: Sequence[Record], vehicle: Vehicle, point: ControlPoint) -> Informed:
+def flight_evidence(
+    estimate: Estimate, records: Sequence[Record], vehicle: Vehicle, point: ControlPoint
+) -> FlightEvidence:
     """What an estimate says of the nodes of a control point's table.
 
     raises : InputError where the ratio is over another reference heating, the path leaves the table, or the records
@@ -124,17 +126,17 @@ def evidence_of(estimate: Estimate, records: Sequence[Record], vehicle: Vehicle,
     evidence = Evidence(kept, nodes, rows[:, nodes], value, estimate.covariance(kept))
     not_written = dict.fromkeys(set(names) - set(kept), "the nodes of the table cannot hold it")
     not_written |= dict.fromkeys((n for n in others if not is_effect(n)), "is neither of the ratio table nor an effect")
-    return Informed(evidence, rows, at_zero[held], path, left_out, dict(sorted(not_written.items())))
+    return FlightEvidence(evidence, rows, at_zero[held], path, left_out, dict(sorted(not_written.items())))
 
 
-def _path(estimate: Estimate, records: Sequence[Record]) -> Path:
+def _path(estimate: Estimate, records: Sequence[Record]) -> FlownPath:
     """The fitted samples of all records."""
     segments = estimate.segments
     parts = [_record_path(r, None if segments is None else segments[i]) for i, r in enumerate(records)]
-    return Path(*(np.concatenate([getattr(p, key) for p in parts]) for key in ("x", "weight", "declared")))
+    return FlownPath(*(np.concatenate([getattr(p, key) for p in parts]) for key in ("x", "weight", "declared")))
 
 
-def _record_path(record: Record, segments: Sequence[Sequence[float]] | None) -> Path:
+def _record_path(record: Record, segments: Sequence[Sequence[float]] | None) -> FlownPath:
     t = record.time_s
     fitted = record.fit_mask() if segments is None else in_segments(t, segments) & ~record.holdout_mask()
     fitted &= record.read_mask
@@ -146,10 +148,10 @@ def _record_path(record: Record, segments: Sequence[Sequence[float]] | None) -> 
     x = np.stack([flown[v] for v in RATIO_VARIABLES], axis=1)
     table = record.ratio_table
     declared = np.zeros(len(t)) if table is None else node_weights(table.axes, x) @ table.ratio.ravel()
-    return Path(x, (flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]) ** 2, declared)
+    return FlownPath(x, (flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]) ** 2, declared)
 
 
-def _inside(path: Path, point: ControlPoint) -> tuple[Path, int]:
+def _inside(path: FlownPath, point: ControlPoint) -> tuple[FlownPath, int]:
     """The samples inside the table's axes (an axis of one value has no outside), and how many are not."""
     out = np.zeros(len(path.x), dtype=bool)
     for name, axis, x in zip(RATIO_VARIABLES, point.ratio.axes, path.x.T, strict=True):
@@ -164,7 +166,7 @@ def _inside(path: Path, point: ControlPoint) -> tuple[Path, int]:
 
 
 def _projection(
-    names: Sequence[str], path: Path, reference: FloatArray, table: RatioTable
+    names: Sequence[str], path: FlownPath, reference: FloatArray, table: RatioTable
 ) -> tuple[FloatArray, FloatArray]:
     """(k, node) H = P W, and (k,) P r_declared."""
     B = basis(names, path.x, reference, path.declared)
@@ -180,7 +182,7 @@ def _projection(
     return np.asarray((W.T @ P.T).T), P @ path.declared
 
 
-def _held(names: Sequence[str], path: Path, table: RatioTable) -> BoolArray:
+def _held(names: Sequence[str], path: FlownPath, table: RatioTable) -> BoolArray:
     """(k,) whether the nodes can hold each parameter: a slope needs two nodes, a curvature one within the excursion."""
     moved = [len(axis) > 1 for axis in table.axes]
     bent = [np.any((a > x.min()) & (a < x.max())) for a, x in zip(table.axes, path.x.T, strict=True)]

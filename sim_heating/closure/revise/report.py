@@ -41,7 +41,7 @@ DRAWN = 1.0
 """A parameter of an effect that the table draws farther from the fit, in its sigma, is told."""
 
 
-def report(update: TableUpdate, errors: dict[str, dict[str, Any]]) -> Iterator[Table | str]:
+def update_report(update: TableUpdate, errors: dict[str, dict[str, Any]]) -> Iterator[Table | str]:
     """What is printed of an update, one after the other."""
     if np.any(update.changed):
         yield _difference(update)

@@ -105,7 +105,7 @@ class RevisionFile(Declared):
 
 
 @dataclass(frozen=True)
-class History:
+class TableHistory:
     """A table with all that made it.
 
     path      : the table in force
@@ -138,7 +138,7 @@ def table_path(vehicle: Vehicle, point: str) -> Path:
     return vehicle.directory / name
 
 
-def read_history(vehicle: Vehicle, point: str) -> History:
+def read_history(vehicle: Vehicle, point: str) -> TableHistory:
     """The table of a control point and what made it.
 
     raises : InputError where its number is none, or the table was changed after its revision was written
@@ -167,10 +167,10 @@ def read_history(vehicle: Vehicle, point: str) -> History:
             )
         revisions.insert(0, revision)
     _refuse_half_written(vehicle.directory, point, int(number))
-    return History(path, raw, table, int(number), read_ratio_table(base), tuple(revisions))
+    return TableHistory(path, raw, table, int(number), read_ratio_table(base), tuple(revisions))
 
 
-def posterior_of(vehicle: Vehicle, point: str) -> Posterior | None:
+def table_posterior(vehicle: Vehicle, point: str) -> Posterior | None:
     """What is known of a control point's table by its sigma column and the evidence of its revisions; None where it
     states no sigma.
 
@@ -202,7 +202,7 @@ def content_hash(text: str) -> str:
 
 
 def write_revision(
-    vehicle: Vehicle, history: History, table: RatioTable, made: Mapping[str, Any], point_text: str | None = None
+    vehicle: Vehicle, history: TableHistory, table: RatioTable, made: Mapping[str, Any], point_text: str | None = None
 ) -> RevisionFile:
     """Write the next revision: the old files kept, what made the new ones, the effects, then the table itself.
 

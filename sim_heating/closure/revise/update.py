@@ -22,12 +22,12 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path, read_text, require_writable
 from sim_heating.base.files.package import data_folders, package_version
 from sim_heating.base.parameters import AT, EFFECT_PREFIX
-from sim_heating.closure.revise.effects import FittedEffects, effects_of_fit
-from sim_heating.closure.revise.evidence import Informed, evidence_of, is_effect
+from sim_heating.closure.revise.effects import FittedEffects, fitted_effects_of
+from sim_heating.closure.revise.evidence import FlightEvidence, flight_evidence, is_effect
 from sim_heating.closure.revise.revisions import (
     FOLDER,
-    History,
     RevisionFile,
+    TableHistory,
     UsedRecord,
     content_hash,
     point_path,
@@ -78,8 +78,8 @@ class TableUpdate:
     estimate_hash: str
     records: tuple[Record, ...]
     used: tuple[UsedRecord, ...]
-    history: History
-    informed: Informed
+    history: TableHistory
+    informed: FlightEvidence
     before: Posterior
     after: Posterior
     table: RatioTable
@@ -116,7 +116,7 @@ class TableUpdate:
         return [(n, *map(float, c)) for n, *c in zip(evidence.names, *columns, strict=True)]  # type: ignore[misc]
 
 
-def prepare(
+def prepare_update(
     fit: str | os.PathLike[str],
     vehicle: str | os.PathLike[str],
     records: Sequence[str | os.PathLike[str]] = (),
@@ -139,10 +139,10 @@ def prepare(
     history = read_history(ours, point.name)
     used = tuple(_used(estimate, i, record) for i, record in enumerate(loaded))
     _refuse_twice(history, used)
-    informed = evidence_of(estimate, loaded, ours, point)
+    informed = flight_evidence(estimate, loaded, ours, point)
     earlier = [r.evidence.arrays() for r in history.revisions]
     before, after = posterior(history.base, earlier), posterior(history.base, [*earlier, informed.evidence])
-    effects = effects_of_fit(
+    effects = fitted_effects_of(
         estimate, informed, after, point_path(ours.directory, point.name), point,
         _times(used), revision_path(Path(), point.name, history.revision + 1, "json").as_posix(),
     )  # fmt: skip
@@ -258,7 +258,7 @@ def _used(estimate: Estimate, i: int, record: Record) -> UsedRecord:
     return UsedRecord(record=record.name, inputs=found, segments=whole if segments is None else segments)
 
 
-def _refuse_twice(history: History, used: Sequence[UsedRecord]) -> None:
+def _refuse_twice(history: TableHistory, used: Sequence[UsedRecord]) -> None:
     """Refuse data that are in the table already: they would count twice."""
     for revision in history.revisions:
         for old in revision.records:
@@ -290,7 +290,7 @@ def _times(used: Sequence[UsedRecord]) -> str:
     return "; ".join(f"{u.record} {', '.join(f'{a:g} to {b:g} s' for a, b in u.segments)}" for u in used)
 
 
-def _header(history: History, estimate: Estimate, used: Sequence[UsedRecord], point: str) -> dict[str, str]:
+def _header(history: TableHistory, estimate: Estimate, used: Sequence[UsedRecord], point: str) -> dict[str, str]:
     number = history.revision + 1
     values = {n: p for n, p in estimate.parameters.items() if n.startswith("ratio.") or is_effect(n)}
     return {
@@ -336,7 +336,7 @@ Draw = Callable[[Path, TableUpdate], None]
 """Draws an update into a file."""
 
 
-def check_place(vehicle: str | os.PathLike[str], out: Path | None) -> None:
+def check_target(vehicle: str | os.PathLike[str], out: Path | None) -> None:
     """Refuse to write where the revision would change data that came with the package, or an existing copy.
 
     raises : InputError that says what to do
@@ -389,7 +389,7 @@ def _write_copy(
 
 
 def _write(
-    update: TableUpdate, vehicle: Vehicle, history: History, errors: dict[str, dict[str, Any]], draw: Draw | None
+    update: TableUpdate, vehicle: Vehicle, history: TableHistory, errors: dict[str, dict[str, Any]], draw: Draw | None
 ) -> RevisionFile:
     picture = revision_path(vehicle.directory, update.point.name, history.revision + 1, "png")
     picture.parent.mkdir(parents=True, exist_ok=True)

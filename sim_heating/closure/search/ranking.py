@@ -21,13 +21,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim_heating.closure.search.candidates import Candidate, Form
-from sim_heating.closure.search.trial_fit import Attempt, samples, values_of
+from sim_heating.closure.search.trial_fit import TrialFit, fitted_values, sample_count
 from sim_heating.estimation.inference.newton import Fit
 from sim_heating.estimation.record_fit import definition
 
 
 @dataclass(frozen=True, eq=False)
-class Round:
+class SearchRound:
     """One pass over all candidates on top of a model.
 
     base, excess : that model, and its excess
@@ -36,18 +36,20 @@ class Round:
     passed       : effects not worth a fit, and the delta_bic that their best start promised
     """
 
-    base: Attempt
+    base: TrialFit
     excess: float
-    attempts: tuple[Attempt, ...]
+    attempts: tuple[TrialFit, ...]
     posterior: Mapping[str, float]
     passed: Mapping[str, float]
 
 
-def weighed(base: Attempt, attempts: Sequence[Attempt], passed: Mapping[str, float], forms: Mapping[str, int]) -> Round:
+def score_round(
+    base: TrialFit, attempts: Sequence[TrialFit], passed: Mapping[str, float], forms: Mapping[str, int]
+) -> SearchRound:
     """The round; `forms` says how many forms of each effect were tried, which share its prior probability."""
     excess = base.excess
     if not attempts:
-        return Round(base, excess, (), {"none": 1.0}, passed)
+        return SearchRound(base, excess, (), {"none": 1.0}, passed)
     best = min(attempts, key=lambda a: a.delta_bic)
     c = max(1.0, 1.0 + min(excess, best.excess))
     held_out, c_held_out = base.likelihood_held_out, max(1.0, best.square_held_out)
@@ -55,25 +57,27 @@ def weighed(base: Attempt, attempts: Sequence[Attempt], passed: Mapping[str, flo
         a.name: delta_bic(base, a.fit, a.candidate, c)
         - 2.0 * (a.likelihood_held_out - held_out) / c_held_out
         + 2.0 * float(np.log(forms[a.name]))
-        + unlikely(a)
+        + prior_penalty(a)
         for a in attempts
     }
     posterior = posteriors({"none": 0.0, **against})
     told = [replace(a, weighed=against[a.name], posterior=posterior[a.name]) for a in attempts]
-    return Round(base, excess, tuple(sorted(told, key=lambda a: a.weighed)), posterior, passed)
+    return SearchRound(base, excess, tuple(sorted(told, key=lambda a: a.weighed)), posterior, passed)
 
 
-def whole_bic(attempt: Attempt, best: Attempt) -> float:
+def model_bic(attempt: TrialFit, best: TrialFit) -> float:
     """BIC of a whole model, its residuals on the scale of those of the best one, segments held out with theirs."""
     c, parameters = max(1.0, 1.0 + best.excess), len(attempt.problem.unknowns)
     held_out = attempt.likelihood_held_out / max(1.0, best.square_held_out)
-    return -2.0 * (attempt.fit.log_likelihood / c + held_out) + parameters * float(np.log(samples(attempt.problem)))
+    return -2.0 * (attempt.fit.log_likelihood / c + held_out) + parameters * float(
+        np.log(sample_count(attempt.problem))
+    )
 
 
-def delta_bic(base: Attempt, fit: Fit, candidate: Candidate, c: float) -> float:
+def delta_bic(base: TrialFit, fit: Fit, candidate: Candidate, c: float) -> float:
     """BIC of a fit minus that of the model it is on top of."""
     gained = fit.log_likelihood - base.fit.log_likelihood
-    return float(-2.0 * gained / c + len(candidate.names) * np.log(samples(base.problem)))
+    return float(-2.0 * gained / c + len(candidate.names) * np.log(sample_count(base.problem)))
 
 
 def posteriors(delta_bic: Mapping[str, float]) -> dict[str, float]:
@@ -84,14 +88,14 @@ def posteriors(delta_bic: Mapping[str, float]) -> dict[str, float]:
     return {name: w / total for name, w in weight.items()}
 
 
-def unlikely(attempt: Attempt) -> float:
+def prior_penalty(attempt: TrialFit) -> float:
     """By how much priors speak against the values found: the sum of squares of sigmas from what is declared."""
-    part, found = attempt.problem.parts[0], values_of(attempt)
+    part, found = attempt.problem.parts[0], fitted_values(attempt)
     known = {n: definition(part.record, n) or part.model.definition(n) for n in attempt.candidate.prior}
     return float(sum(((found[n] - p.value) / p.sigma) ** 2 for n, p in known.items()))
 
 
-def forms_of(tried: Sequence[Candidate]) -> dict[str, int]:
+def count_forms(tried: Sequence[Candidate]) -> dict[str, int]:
     """How many forms of each effect there are, without those that are another one at one value of what it estimates."""
     forms: dict[str, set[Form]] = {}
     for c in tried:

@@ -14,7 +14,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import EFFECT_PREFIX
 from sim_heating.closure.search.candidates import Candidate, Form
-from sim_heating.closure.search.trial_fit import QUICK, Attempt, carrying, first_of, values_of
+from sim_heating.closure.search.trial_fit import QUICK, TrialFit, candidate_problem, fitted_values, start_values
 from sim_heating.estimation.inference.identifiability import covariance, promised_gain
 from sim_heating.estimation.inference.likelihood import scores
 from sim_heating.estimation.inference.newton import Fit, Status
@@ -43,16 +43,18 @@ CLOSE = 5.0
 """By how much its log likelihood may stay behind the best where it is fitted to the end."""
 
 
-def promises(base: Attempt, tried: Sequence[Candidate]) -> list[float]:
+def predicted_gains(base: TrialFit, tried: Sequence[Candidate]) -> list[float]:
     """Gain in log likelihood that the linearisation of each candidate at its start promises, the base's parameters
     moving with it; minus infinity where the model cannot be marched there.
 
     The base's own sensitivities hold for all: a candidate begins without any effect, or little.
     """
-    part, start = base.problem.parts[0], values_of(base)
+    part, start = base.problem.parts[0], fitted_values(base)
     fixed = {n: start[n] for n in part.marched if not n.startswith(EFFECT_PREFIX)}
-    problems = [carrying(base, part, c, tuple(dict.fromkeys((*part.other, *c.felt))), fixed=fixed) for c in tried]
-    firsts = [first_of(p, {**start, **c.start}) for p, c in zip(problems, tried, strict=True)]
+    problems = [
+        candidate_problem(base, part, c, tuple(dict.fromkeys((*part.other, *c.felt))), fixed=fixed) for c in tried
+    ]
+    firsts = [start_values(p, {**start, **c.start}) for p, c in zip(problems, tried, strict=True)]
     known = np.concatenate([s.own for s in base.problem.samples(base.fit.values)])
     inner = known[:, [k for k, n in enumerate(part.names) if n not in part.other]]
     marched, scored = Together(problems).march(firsts), _Scored()
@@ -88,7 +90,7 @@ def _promise(problem: Problem, first: FloatArray, known: FloatArray, scored: _Sc
     return sum(f[0] for f in found) + promised_gain(J.T @ score, covariance(M))
 
 
-def promising(tried: Sequence[Candidate], gains: Sequence[float], n: int) -> list[int]:
+def select_candidates(tried: Sequence[Candidate], gains: Sequence[float], n: int) -> list[int]:
     """Which candidates are fitted: the most promising starts of each form, but none that promises much less than the
     best, or too little to be worth its parameters."""
     most = max(gains, default=0.0)
@@ -104,7 +106,7 @@ def promising(tried: Sequence[Candidate], gains: Sequence[float], n: int) -> lis
     return chosen
 
 
-def in_stages(
+def fit_in_stages(
     problems: Sequence[Problem], firsts: Sequence[FloatArray], reached: float, promised: Sequence[float]
 ) -> list[Fit]:
     """Fit all a little way, those that came near the best gain over `reached` further, or promised as much, and the

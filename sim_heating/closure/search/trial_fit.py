@@ -41,7 +41,7 @@ QUICK = Settings(gain=0.05, step=0.2, iterations=25, lengths=(0.5, 0.25, 0.1, 0.
 
 
 @dataclass(frozen=True, eq=False)
-class Attempt:
+class TrialFit:
     """One candidate fitted on top of a model.
 
     problem   : over the samples that are fitted;  held_out : over those that are not, None where there are none
@@ -90,17 +90,17 @@ class Attempt:
         return misfit(self.held_out.samples(self.fit.values)) ** 2
 
 
-def base_of(before: Fitted) -> Attempt:
+def base_trial(before: Fitted) -> TrialFit:
     """The declared model with its magnitude and derivatives, and a clock that may be a little off."""
     whole = before.problem.parts[0]
     start = {**dict(zip(whole.names, before.fit.values, strict=True)), CLOCK_SKEW.name: 0.0}
     fitted, held = whole.record.fit_mask(), whole.record.holdout_mask()
-    quick = thinned(whole.record, max(int(NODES_PART * whole.mesh.nodes), FEWEST_NODES))
+    quick = thin_record(whole.record, max(int(NODES_PART * whole.mesh.nodes), FEWEST_NODES))
     full = _over(before, whole.record, fitted | held)
-    error_K, at_s = _changed_by_thinning(full, _over(before, quick, fitted | held, longest_step_s=LONGEST_S), start)
+    error_K, at_s = _changed_by_thinning(full, _over(before, quick, fitted | held, longest_step_s=MAX_STEP_S), start)
 
     def over(chosen: NDArray[np.bool_]) -> Problem:
-        problem = _over(before, quick, chosen, longest_step_s=LONGEST_S)
+        problem = _over(before, quick, chosen, longest_step_s=MAX_STEP_S)
         part = problem.parts[0]
         part.correction_K = error_K[:, np.isin(at_s, part.sample_s)]
         return problem
@@ -110,8 +110,8 @@ def base_of(before: Fitted) -> Attempt:
         held_out = over(held) if np.any(held) else None
     except InputError:  # nothing was measured there
         held_out = None
-    fit = maximise_together([problem], [first_of(problem, start)], QUICK)[0]
-    return Attempt("none", Candidate("none", (), (), {}, (), ()), problem, held_out, fit)
+    fit = maximise_together([problem], [start_values(problem, start)], QUICK)[0]
+    return TrialFit("none", Candidate("none", (), (), {}, (), ()), problem, held_out, fit)
 
 
 def _over(before: Fitted, record: Record, chosen: NDArray[np.bool_], **more: Any) -> Problem:
@@ -128,7 +128,7 @@ def _over(before: Fitted, record: Record, chosen: NDArray[np.bool_], **more: Any
 
 def _changed_by_thinning(full: Problem, quick: Problem, start: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
     """(sensor, sample) what the record as it is, on a mesh without error, adds to the thinned one, and the times."""
-    at, part = first_of(full, start), full.parts[0]
+    at, part = start_values(full, start), full.parts[0]
     full.correct_meshes(at)
     try:
         exact, coarse = (p.parts[0].corrected(p.marched(at)[0]).temperature_K for p in (full, quick))
@@ -137,59 +137,59 @@ def _changed_by_thinning(full: Problem, quick: Problem, start: Mapping[str, floa
     return exact - coarse, part.sample_s
 
 
-def on_top(base: Attempt, candidate: Candidate) -> Problem:
+def problem_with(base: TrialFit, candidate: Candidate) -> Problem:
     """The base's problem with a candidate's unknowns."""
-    return carrying(base, base.problem.parts[0], candidate, _names(base, candidate), widened=WIDENED)
+    return candidate_problem(base, base.problem.parts[0], candidate, _names(base, candidate), widened=WIDENED)
 
 
-def held_out_on_top(base: Attempt, candidate: Candidate) -> Problem | None:
+def held_out_problem_with(base: TrialFit, candidate: Candidate) -> Problem | None:
     """The same over the samples held out."""
     if base.held_out is None:
         return None
     part = base.held_out.parts[0]
     chosen = [part.record.holdout_mask()]
-    return carrying(base, part, candidate, _names(base, candidate), widened=WIDENED, chosen=chosen)
+    return candidate_problem(base, part, candidate, _names(base, candidate), widened=WIDENED, chosen=chosen)
 
 
-def _names(base: Attempt, candidate: Candidate) -> tuple[str, ...]:
+def _names(base: TrialFit, candidate: Candidate) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*base.problem.parts[0].names, *candidate.names)))
 
 
-def carrying(base: Attempt, part: Part, candidate: Candidate, names: Sequence[str], **more: Any) -> Problem:
+def candidate_problem(base: TrialFit, part: Part, candidate: Candidate, names: Sequence[str], **more: Any) -> Problem:
     """A part of the base with a candidate's effects beside those found, its noise, what is known of its mesh, and a
     clock that goes no further than in the base unless that is what the candidate moves."""
-    uses = (*fitted_uses(base), *candidate.uses)
+    uses = (*fitted_effects(base), *candidate.uses)
     priors: dict[str, Parameter] = dict(base.problem.priors)
     if CLOCK_SKEW.name in candidate.names:
         priors[CLOCK_SKEW.name] = replace(CLOCK_SKEW, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)
-    more |= {"effects": uses, "priors": priors, "longest_step_s": LONGEST_S}
+    more |= {"effects": uses, "priors": priors, "longest_step_s": MAX_STEP_S}
     problem = Problem([part.record], names, base.problem.reference, **more)
     problem.parts[0].sigma_K.update(part.sigma_K)
     problem.parts[0].correction_K = part.correction_K
     return problem
 
 
-def first_of(problem: Problem, start: Mapping[str, float]) -> FloatArray:
+def start_values(problem: Problem, start: Mapping[str, float]) -> FloatArray:
     """Values to start from, those of the priors where none are given."""
     return np.array([start.get(p.name, p.value) for p in problem.parameters])
 
 
-def values_of(attempt: Attempt) -> dict[str, float]:
+def fitted_values(attempt: TrialFit) -> dict[str, float]:
     """Values found, by dotted name."""
     return dict(zip((u.parameter.name for u in attempt.problem.unknowns), attempt.fit.values, strict=True))
 
 
-def fitted_uses(attempt: Attempt) -> tuple[EffectUse, ...]:
+def fitted_effects(attempt: TrialFit) -> tuple[EffectUse, ...]:
     """The effects of an attempt's model at the values found."""
     return attempt.problem.parts[0].altered(attempt.fit.values).effects
 
 
-def samples(problem: Problem) -> int:
+def sample_count(problem: Problem) -> int:
     """Number of its samples."""
     return sum(len(channel.samples) for part in problem.parts for channel in part.channels)
 
 
-LONGEST_S = 2.0
+MAX_STEP_S = 2.0
 """Longest step between the samples that are kept [s]."""
 TOLERANCES = {
     "alpha_deg": 0.1, "beta_deg": 0.1, "log10_re": 0.01, "elevon_deg": 0.2, "bodyflap_deg": 0.2, "jets": 0.02,
@@ -199,15 +199,15 @@ HEATING = 0.002
 """And the heating of a cold wall, over the greatest of the flight."""
 
 
-def thinned(record: Record, nodes: int) -> Record:
+def thin_record(record: Record, nodes: int) -> Record:
     """The record with fewer samples of its conditions, and `nodes` nodes where it needs no more for its sensors."""
     flown = conditions_of_record(record)
     stack = record.declared.stack.model_copy(update={"nodes": nodes})
     declared = record.declared.model_copy(update={"stack": stack})
-    return replace(record, declared=declared, conditions=record.conditions.at(flown.time_s[kept_samples(flown)]))
+    return replace(record, declared=declared, conditions=record.conditions.at(flown.time_s[thinned_indices(flown)]))
 
 
-def kept_samples(flown: Conditions) -> NDArray[np.int64]:
+def thinned_indices(flown: Conditions) -> NDArray[np.int64]:
     """(kept,) numbers of the samples that are kept, the first and the last among them."""
     t = flown.time_s
     heating = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
@@ -218,7 +218,7 @@ def kept_samples(flown: Conditions) -> NDArray[np.int64]:
     kept = [0]
     while kept[-1] < len(t) - 1:
         i = kept[-1]
-        j = max(int(np.searchsorted(t, t[i] + LONGEST_S * (1.0 + 1e-9), side="right")) - 1, i + 1)
+        j = max(int(np.searchsorted(t, t[i] + MAX_STEP_S * (1.0 + 1e-9), side="right")) - 1, i + 1)
         while j > i + 1 and not _straight(t[i : j + 1], x[i : j + 1]):
             j -= 1
         kept.append(j)

@@ -17,7 +17,7 @@ import numpy as np
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import MODEL
-from sim_heating.closure.revise.evidence import evidence_of
+from sim_heating.closure.revise.evidence import flight_evidence
 from sim_heating.estimation.design.planned_flight import Planned, Planner
 from sim_heating.estimation.inference.observability import MAGNITUDES
 from sim_heating.estimation.report.estimate_file import Condition, Estimate, Estimated, correlations
@@ -89,7 +89,7 @@ def _told(study: Study, candidate: Candidate, point: str) -> tuple[Evidence, dic
         },
         correlation=correlations(names, covariance), control_point=point,
     )  # fmt: skip
-    informed = evidence_of(estimate, [record], study.vehicle, study.vehicle.control_point(point))
+    informed = flight_evidence(estimate, [record], study.vehicle, study.vehicle.control_point(point))
     bounds = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
     return informed.evidence, bounds, passed
 
