@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.files.text import write_bytes_atomic, write_text_atomic
+from sim_heating.base.files.text import repeated_name, write_bytes_atomic, write_text_atomic
 from sim_heating.base.progress import Progress, quiet
 from sim_heating.base.threads import one_thread
 
@@ -94,8 +94,8 @@ def run_batches(
                RunError where the scheduler is lost on the way; what is finished stays
     """
     names = [job.id for job in jobs]
-    if len(set(names)) < len(names):
-        raise InputError(f"jobs: `{max(set(names), key=names.count)}` stands twice; give each an id of its own")
+    if (name := repeated_name(names)) is not None:
+        raise InputError(f"jobs: the id `{name}` is repeated; give each job its own")
     left = [job for job in jobs if not (out / job.id).is_file()]
     told = _Counted(len(jobs), len(jobs) - len(left), progress)
     alone = scheduler is None and (workers == 1 or len(left) <= 1)

@@ -57,8 +57,10 @@ def comma_list(_: click.Context, parameter: click.Parameter, value: str | None) 
     option, names = parameter.opts[0], tuple(name.strip() for name in value.split(",") if name.strip())
     if not names:
         raise InputError(f"{option}: names nothing; give one name or more, a comma between")
-    if len(set(names)) < len(names):
-        raise InputError(f"{option}: `{max(set(names), key=names.count)}` stands there twice; name it once")
+    from sim_heating.base.files import repeated_name
+
+    if (name := repeated_name(names)) is not None:
+        raise InputError(f"{option}: `{name}` is repeated; name it once")
     return names
 
 

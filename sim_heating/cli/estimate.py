@@ -35,7 +35,7 @@ def _condition(_: click.Context, __: click.Parameter, value: str | None) -> dict
         if name in found:
             raise InputError(f"--reference: {name} is given twice; leave one out")
         if name not in RATIO_VARIABLES:
-            raise InputError(f"--reference: `{name}` is no ratio variable. {suggestion(name, RATIO_VARIABLES)}")
+            raise InputError(f"--reference: `{name}` is not a ratio variable{suggestion(name, RATIO_VARIABLES)}")
         try:
             found[name] = float(number)
         except ValueError:
@@ -68,7 +68,7 @@ def _start(_: click.Context, __: click.Parameter, value: str) -> Any:
         return None
     kind, _colon, at = value.partition(":")
     if kind not in STARTS:
-        raise InputError(f"--start: `{kind}` is no way to start. {suggestion(kind, ['declared', *STARTS])}")
+        raise InputError(f"--start: `{kind}` is not a way to start{suggestion(kind, ['declared', *STARTS])}")
     try:
         time_s = float(at)
     except ValueError:

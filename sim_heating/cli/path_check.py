@@ -76,7 +76,7 @@ def _toml(place: Path) -> Validated:
 def _format_rule(found: object) -> str:
     if found is None:
         return f'key `format` is missing; a scenario begins with format = "scenario/1" (known: {", ".join(FORMATS)})'
-    return f"`format`: {found!r} is not a file of this kind. {suggestion(str(found), FORMATS)}"
+    return f"`format`: {found!r} is not a file of this kind{suggestion(str(found), FORMATS)}"
 
 
 def _csv(place: Path) -> Validated:

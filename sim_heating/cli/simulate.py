@@ -168,7 +168,7 @@ def predict(records: tuple[Path, ...], out: Path, vehicle: str | None) -> None:
     """Predict the temperatures of flight records with their declared models, nothing fitted."""
     from sim_heating.base.files import require_writable
     from sim_heating.inputs.points import point_with_table_of
-    from sim_heating.inputs.record import load_record
+    from sim_heating.inputs.record import load_record, require_distinct_records
     from sim_heating.inputs.vehicle import load_vehicle
     from sim_heating.simulation.predict import FILES, summary, write_prediction
     from sim_heating.simulation.predict import predict as predict_record
@@ -176,8 +176,7 @@ def predict(records: tuple[Path, ...], out: Path, vehicle: str | None) -> None:
     loaded = [load_record(path) for path in records]
     revised = None if vehicle is None else load_vehicle(vehicle)
     names = [record.name for record in loaded]
-    if len(set(names)) < len(names):
-        raise InputError(f"records: two of them are named {max(set(names), key=names.count)}; rename one")
+    require_distinct_records(names)
     homes = [out if len(loaded) == 1 else out / name for name in names]
     for home in homes:
         require_writable(home, FILES)

@@ -18,7 +18,7 @@ from sim_heating.base.parallel import Job, run_batches
 from sim_heating.base.progress import Progress, quiet
 from sim_heating.estimation.report.estimate_file import inputs_hash
 from sim_heating.heating.effects import effects, own_files
-from sim_heating.inputs.record import DECLARATION, load_record
+from sim_heating.inputs.record import DECLARATION, load_record, require_distinct_records
 
 SUMMARIES = JSON, CSV = "summary.json", "summary.csv"
 LEDGER = "finished"
@@ -47,9 +47,7 @@ def find_records(paths: Sequence[Path]) -> list[Path]:
             found += below
         else:
             found.append(path)
-    names = [p.resolve().name for p in found]
-    if len(set(names)) < len(names):
-        raise InputError(f"records: two of them are named {max(set(names), key=names.count)}; rename one")
+    require_distinct_records([p.resolve().name for p in found])
     return found
 
 

@@ -37,7 +37,7 @@ from sim_heating.estimation.inference.observability import (
 from sim_heating.estimation.problem import Problem, joint_reference
 from sim_heating.estimation.record_fit import Part, Samples, Start, StartMaker, errors_of, march_times
 from sim_heating.heating.effects import EffectUse, use
-from sim_heating.inputs.record import Record
+from sim_heating.inputs.record import Record, require_distinct_records
 from sim_heating.march.history import outside_table
 from sim_heating.simulation.predict import Prediction
 from sim_heating.simulation.predict import predict as predict_record
@@ -190,9 +190,7 @@ def _check_samples(problem: Problem) -> None:
 def _check_records(records: Sequence[Record]) -> None:
     if not records:
         raise InputError("estimate: there is no record; give at least one")
-    names = [r.name for r in records]
-    if len(set(names)) < len(names):
-        raise InputError(f"records: two of them are named {max(set(names), key=names.count)}; rename one")
+    require_distinct_records([r.name for r in records])
     models = {r.declared.heating.reference for r in records}
     if len(models) > 1:
         raise InputError(f"records: ratios over different reference heatings ({', '.join(sorted(models))}) are not one")

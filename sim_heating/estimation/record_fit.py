@@ -355,9 +355,9 @@ def definition(record: Record, name: str) -> Parameter | None:
     sensor, _, what = name.removeprefix(SENSOR_PREFIX).rpartition(".")
     known = [s.name for s in record.used_sensors]
     if sensor not in known:
-        raise InputError(f"{record.name}: `{name}` names no sensor that is used. {suggestion(sensor, known)}")
+        raise InputError(f"{record.name}: `{name}` names no sensor that is used{suggestion(sensor, known)}")
     if what not in SENSOR:
-        raise InputError(f"{record.name}: `{name}`: a sensor has no `{what}`. {suggestion(what, SENSOR)}")
+        raise InputError(f"{record.name}: `{name}`: a sensor has no `{what}`{suggestion(what, SENSOR)}")
     return SENSOR[what]
 
 

@@ -34,6 +34,7 @@ from sim_heating.base.files import (
     raise_problems,
     read_csv_columns,
     read_toml,
+    repeated_name,
     suggestion,
     toml_text,
     write_csv,
@@ -299,6 +300,12 @@ def pooled_rmse_K(residual_K: ArrayLike, mask: ArrayLike | None = None) -> dict[
     return {"rmse_K": float(np.sqrt(np.mean(left**2))), "max_abs_K": largest, "n": int(left.size)}
 
 
+def require_distinct_records(names: Sequence[str]) -> None:
+    """raises : InputError where two records of one command have the same name"""
+    if (name := repeated_name(names)) is not None:
+        raise InputError(f"two records are named {name}; rename one")
+
+
 # Reading -------------------------------------------------------------------------------------------------------------
 
 
@@ -349,7 +356,7 @@ def _array_problems(measured: Mapping[str, FloatArray], declared: RecordFile, wh
     """Measurements in memory that could not have come from a file: absent, of unequal length, not finite."""
     missing = [n for n in ("time_s", *(s.column for s in declared.thermocouples.sensor)) if n not in measured]
     if missing:
-        return [f"{where}: there is no column `{name}`. Add it." for name in missing]
+        return [f"{where}: there is no column `{name}`; add it" for name in missing]
     shape = measured["time_s"].shape
     odd = [name for name, values in measured.items() if values.shape != shape or len(shape) != 1 or shape == (0,)]
     bad = [name for name, values in measured.items() if np.any(np.isinf(values))]
@@ -393,7 +400,7 @@ def _missing_columns(table: CsvTable, heating: Heating) -> list[str]:
     """Columns that a record in memory lacks; a file without them is refused when it is read."""
     needed = ["p_surface_Pa", *(REFERENCE_COLUMNS if heating.reference == "columns" else ())]
     absent = [name for name in (*STATE, *needed) if name not in table.columns]
-    return [f"{display_path(table.path)}: there is no column `{name}`. Add it." for name in absent]
+    return [f"{display_path(table.path)}: there is no column `{name}`; add it" for name in absent]
 
 
 def _measurement_problems(table: CsvTable, sensors: Sequence[Sensor]) -> list[str]:
@@ -444,7 +451,7 @@ def _table_problems(heating: Heating, table: RatioTable | None, home: Path) -> l
     file = display_path(home / str(heating.ratio_table))
     known = (*STAGNATION, *FLAT_PLATE)
     if table.reference not in known:
-        rule = f"there is no reference heating `{table.reference}`. {suggestion(table.reference, known)}"
+        rule = f"there is no reference heating `{table.reference}`{suggestion(table.reference, known)}"
         return [f"{file}, header `reference`: {rule}"]
     if heating.reference in ("columns", "none", table.reference):
         return []

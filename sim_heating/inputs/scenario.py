@@ -30,10 +30,10 @@ from sim_heating.base.files import (
     Declared,
     check,
     display_path,
-    nearest_name,
     raise_problems,
     read_csv_columns,
     read_toml,
+    repeated_name,
     suggestion,
 )
 from sim_heating.base.parameters import MODEL
@@ -99,8 +99,7 @@ class Truth(Declared):
     def _check_parameters(cls, parameters: dict[str, float]) -> dict[str, float]:
         for name in parameters:
             if name not in MODEL:
-                near = nearest_name(name, MODEL)
-                raise ValueError(f"there is no parameter `{name}`." + (f" Nearest: `{near}`." if near else ""))
+                raise ValueError(f"there is no parameter `{name}`{suggestion(name, MODEL, otherwise='')}")
         return parameters
 
 
@@ -302,7 +301,7 @@ def _problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
         *_attempts(lambda name: vehicle.control_point(name), named),
         *_attempts(lambda e: use(e.name, e.parameters), uses),
         *(
-            f"[measurements], fault: no sensor `{f.sensor}`. Nearest: `{nearest_name(f.sensor, sensors, 0.0)}`."
+            f"[measurements], fault: no sensor `{f.sensor}`{suggestion(f.sensor, sensors, cutoff=0.0)}"
             for f in declared.measurements.fault
             if f.sensor not in sensors
         ),
@@ -333,7 +332,9 @@ def _design_problems(declared: ScenarioFile) -> list[str]:
         value = getattr(flown[vary.manoeuvre - 1], vary.key, None)
         if not isinstance(value, float):
             known = [k for k, v in flown[vary.manoeuvre - 1] if isinstance(v, float)]
-            lines.append(f"{where}: `{vary.key}` is no number that this manoeuvre gives. {suggestion(vary.key, known)}")
+            lines.append(
+                f"{where}: `{vary.key}` is not a number that this manoeuvre gives{suggestion(vary.key, known)}"
+            )
         elif not vary.low <= value <= vary.high or not vary.low < vary.high:
             lines.append(f"{where}: {vary.key} = {value:g} as planned is not within {vary.low:g} to {vary.high:g}")
     return lines
@@ -344,14 +345,15 @@ def _not_looked_at(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
     chosen = declared.control_points
     if not chosen:
         return []
-    twice = [f"control_points: `{name}` stands twice; name it once" for name in chosen if chosen.count(name) > 1]
+    name = repeated_name(chosen)
+    repeated = [] if name is None else [f"control_points: `{name}` is repeated; name it once"]
     asked = [c.control_point for c in declared.compare]
     asked += [p for p in [declared.design.control_point if declared.design else None] if p is not None]
     asked += [p for e in (*declared.effect, *declared.truth.effect) for p in e.control_points or []]
     owner = {s.name: p.name for p in vehicle.control_points.values() for s in p.sensors}
     asked += [owner[f.sensor] for f in declared.measurements.fault if f.sensor in owner]
     absent = [name for name in dict.fromkeys(asked) if name in vehicle.control_points and name not in chosen]
-    return twice[:1] + [f"`{name}` is asked for and not among control_points; add it" for name in absent]
+    return repeated + [f"`{name}` is asked for and not among control_points; add it" for name in absent]
 
 
 def _attempts(call: Callable[[Any], object], items: Iterable[Any]) -> list[str]:

@@ -20,7 +20,7 @@ from typing import ParamSpec, TypeVar
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError, error_context
-from sim_heating.base.files import check, display_path, nearest_name, raise_problems, read_toml, read_toml_dict
+from sim_heating.base.files import check, display_path, raise_problems, read_toml, read_toml_dict, suggestion
 from sim_heating.base.files.package import data_folders
 from sim_heating.heating.effects import EffectUse, check_count, use
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table
@@ -96,9 +96,8 @@ class Vehicle:
         raises : InputError that says which name is nearest
         """
         if name not in self.control_points:
-            known = nearest_name(name, self.control_points)
-            hint = f"Nearest: `{known}`." if known else f"Known: {', '.join(self.control_points)}."
-            raise InputError(f"vehicle {self.name}: there is no control point `{name}`. {hint}")
+            hint = suggestion(name, self.control_points)
+            raise InputError(f"vehicle {self.name}: there is no control point `{name}`{hint}")
         return self.control_points[name]
 
 
@@ -170,9 +169,8 @@ def vehicle_directory(vehicle: str | os.PathLike[str]) -> Path:
         if text and (folder / text / "vehicle.toml").is_file():
             return folder / text
     known = vehicle_names()
-    near = nearest_name(text, known)
-    hint = f"Nearest: `{near}`." if near else f"Known: {', '.join(known) or 'none'}; or give a directory."
-    raise InputError(f"vehicle `{text}`: there is no vehicle of this name. {hint}")
+    directory = f"; known: {', '.join(known) or 'none'}; or give a directory"
+    raise InputError(f"vehicle `{text}`: unknown vehicle{suggestion(text, known, otherwise=directory)}")
 
 
 def vehicle_folders() -> list[Path]:
@@ -221,10 +219,9 @@ def _read_material(path: Path) -> Material | DerivedMaterial:
 
 def _derive(path: Path, material: DerivedMaterial, whole: Mapping[str, Material]) -> Material:
     if material.based_on not in whole:
-        near = nearest_name(material.based_on, whole)
-        hint = f" Nearest: `{near}`." if near else ""
+        hint = suggestion(material.based_on, whole, otherwise="")
         raise InputError(
-            f"{display_path(path)}: `based_on`: there is no material `{material.based_on}` that is given whole.{hint}"
+            f"{display_path(path)}: `based_on`: there is no material `{material.based_on}` that is given whole{hint}"
         )
     return check(material.apply(whole[material.based_on]), Material, display_path(path))
 
@@ -253,9 +250,9 @@ def _read_ratio(owner: Path, ratio_table: str, vehicle: VehicleFile | None) -> R
     """The ratio table of a control point file, over the vehicle's own reference heating."""
     path = owner.parent.parent / ratio_table
     if not path.is_file():
-        near = nearest_name(path.name, sorted(p.name for p in path.parent.glob("*.csv")))
-        hint = f"Nearest: `{near}`." if near else "Write one, or describe it in ratio_sources and build it."
-        raise InputError(f"{display_path(owner)}: `ratio_table`: there is no file `{ratio_table}`. {hint}")
+        describe = "; write one, or describe it in ratio_sources and build it"
+        hint = suggestion(path.name, sorted(p.name for p in path.parent.glob("*.csv")), otherwise=describe)
+        raise InputError(f"{display_path(owner)}: `ratio_table`: there is no file `{ratio_table}`{hint}")
     table = read_ratio_table(path)
     declared = table.reference
     if vehicle is not None and declared != vehicle.heating.reference:

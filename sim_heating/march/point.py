@@ -14,7 +14,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import nearest_name
+from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.block import EFFECT_PARAMETERS, EFFECT_WIDTH, N_PARAMETERS, REFERENCE
 from sim_heating.base.parameters import AT_FACES, EFFECT_PREFIX, MODEL, RATIO, Parameter
 from sim_heating.heating.effects import EffectUse, check_count
@@ -37,8 +37,7 @@ PLACES = {name: k for k, name in enumerate(MODEL)}
 
 
 def _unknown(point: str, name: str, known: Iterable[str]) -> str:
-    near = nearest_name(name, known)
-    return f"{point}: there is no parameter `{name}`." + (f" Nearest: `{near}`." if near else "")
+    return f"{point}: there is no parameter `{name}`{suggestion(name, known, otherwise='')}"
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.files import COLDEST_K, Declared, LocatedError, Location, celsius_rule, check, nearest_name
+from sim_heating.base.files import COLDEST_K, Declared, LocatedError, Location, celsius_rule, check, suggestion
 from sim_heating.base.limits import HOTTEST_K
 
 Table = list[list[float]]
@@ -389,9 +389,8 @@ def material_problems(stack: Stack, materials: Mapping[str, Material]) -> list[t
     problems: list[tuple[Location, str]] = []
     for i, layer in enumerate(stack.layer):
         if layer.material not in materials:
-            near = nearest_name(layer.material, materials)
-            hint = f" Nearest: `{near}`." if near else f" Add [materials.{layer.material}]."
-            problems.append((("stack", "layer", i, "material"), f"there is no material `{layer.material}`.{hint}"))
+            hint = suggestion(layer.material, materials, otherwise=f"; add [materials.{layer.material}]")
+            problems.append((("stack", "layer", i, "material"), f"there is no material `{layer.material}`{hint}"))
     outer = materials.get(stack.layer[0].material)
     if outer is not None and outer.emissivity is None:
         rule = "the outermost layer radiates; add `emissivity` = [[T_K, value], ...]"

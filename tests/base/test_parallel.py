@@ -141,5 +141,5 @@ def test_a_scheduler_that_is_lost_on_the_way_is_one_line_and_what_is_finished_st
 
 
 def test_jobs_that_share_an_id_are_refused(tmp_path):
-    with pytest.raises(InputError, match="stands twice"):
+    with pytest.raises(InputError, match="is repeated"):
         run_batches([Job("a", 1), Job("a", 2)], _square, tmp_path, workers=1)

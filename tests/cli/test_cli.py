@@ -94,9 +94,9 @@ def test_validate_recognises_a_vehicle_a_table_and_a_record(desk: Path, capsys: 
 # What is refused, with one line and status 2 -------------------------------------------------------------------------
 
 DAMAGED = {
-    "unknown key": (SHORT.replace("title =", 'titel = "x"\ntitle ='), "Nearest: `title`"),
-    "unknown control point": (SHORT.replace("V09T9527", "V09T9257"), "Nearest: `V09T9527`"),
-    "unknown vehicle": (SHORT.replace('"orbiter"', '"orbitr"'), "Nearest: `orbiter`"),
+    "unknown key": (SHORT.replace("title =", 'titel = "x"\ntitle ='), "did you mean `title`"),
+    "unknown control point": (SHORT.replace("V09T9527", "V09T9257"), "did you mean `V09T9527`"),
+    "unknown vehicle": (SHORT.replace('"orbiter"', '"orbitr"'), "did you mean `orbiter`"),
     "no control points": (SHORT.replace('["V09T9527"]', "[]"), "the list is empty"),
     "missing key": (SHORT.replace("altitude_m = 75000.0", ""), "`altitude_m` is missing"),
     "text for a number": (SHORT.replace("75000.0", '"75 km"'), "is not a number"),
@@ -104,15 +104,15 @@ DAMAGED = {
     "NaN between bounds": (SHORT.replace("-0.1", "nan"), "`gamma_deg`: NaN is not a finite number"),
     "no trigger": (SHORT + POPU, "exactly one of"),
     "two triggers": (SHORT + POPU + "at_mach = 20.0\nat_time_s = 3.0\n", "exactly one of"),
-    "unknown manoeuvre": (SHORT + '[[trajectory.manoeuvre]]\nkind = "popo"\nat_time_s = 3.0\n', "Nearest: `popu`"),
+    "unknown manoeuvre": (SHORT + '[[trajectory.manoeuvre]]\nkind = "popo"\nat_time_s = 3.0\n', "did you mean `popu`"),
     "manoeuvre of no kind": (SHORT + "[[trajectory.manoeuvre]]\nat_time_s = 3.0\n", "key `kind` is missing"),
     "manoeuvre backwards": (SHORT + POPU + "at_time_s = 3.0\nrate_deg_s = -1.0\n", "must be above 0"),
-    "unknown effect": (SHORT + '[[effect]]\nname = "transitoin"\n', "Nearest: `transition`"),
+    "unknown effect": (SHORT + '[[effect]]\nname = "transitoin"\n', "did you mean `transition`"),
     "effect out of bounds": (
         SHORT + '[[effect]]\nname = "transition"\nparameters = { factor = 50.0 }\n', "1 to 20"
     ),
-    "unknown truth": (SHORT + '[truth]\nparameters = { "ratio.sclae" = 0.1 }\n', "Nearest: `ratio.scale`"),
-    "fault of no sensor": (SHORT + '[[measurements.fault]]\nsensor = "V09T9528"\n', "Nearest: `V09T9527`"),
+    "unknown truth": (SHORT + '[truth]\nparameters = { "ratio.sclae" = 0.1 }\n', "did you mean `ratio.scale`"),
+    "fault of no sensor": (SHORT + '[[measurements.fault]]\nsensor = "V09T9528"\n', "did you mean `V09T9527`"),
     "gap backwards": (SHORT + "[measurements]\ngaps_s = [[20.0, 10.0]]\n", "start before end"),
     "no measured file": (
         SHORT + '[[compare]]\ncontrol_point = "V09T9527"\nfile = "none.csv"\nlabel = "x"\n', "no such file"
@@ -321,7 +321,7 @@ def test_measurements_that_cannot_be_made_are_one_line(
 def test_a_control_point_named_twice_is_refused(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (desk / "twice.toml").write_text(SHORT.replace('["V09T9527"]', '["V09T9527", "V09T9527"]'))
     assert main(["validate", "twice.toml"]) == 2
-    assert "`V09T9527` stands twice" in only_line(capsys)
+    assert "`V09T9527` is repeated" in only_line(capsys)
 
 
 def test_a_manoeuvre_whose_speed_is_never_reached_is_told(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:

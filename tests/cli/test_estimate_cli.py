@@ -169,8 +169,8 @@ def test_a_segment_can_be_named_without_touching_the_record(desk: Path, tmp_path
         (["--fit", "80"], "write --fit 640,760"),
         (["--fit", "500,600"], "no sample of a used sensor lies in the fit segments"),
         (["--parameters", "ratio.sclae"], "ratio.scale"),
-        (["--reference", "alpha=40"], "Nearest: `alpha_deg`"),
-        (["--start", "circut:80"], "Nearest: `circuit`"),
+        (["--reference", "alpha=40"], "did you mean `alpha_deg`"),
+        (["--start", "circut:80"], "did you mean `circuit`"),
     ],
 )
 def test_what_cannot_be_is_said_in_a_line_and_leaves_nothing(

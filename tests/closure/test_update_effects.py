@@ -193,7 +193,7 @@ def test_an_update_that_was_killed_before_its_table_is_found_out(
     ("name", "value", "hint"),
     [
         ("effect.transition.factor", 1e3, "1000 is outside its bounds"),
-        ("effect.transitoin.factor", 2.0, "Nearest: `transition`"),
+        ("effect.transitoin.factor", 2.0, "did you mean `transition`"),
         ("effect.transition.fctor", 2.0, "no parameter `fctor`"),
     ],
 )

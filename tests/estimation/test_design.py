@@ -198,7 +198,7 @@ def test_a_manoeuvre_that_tells_nothing_of_a_parameter_is_refused():
     [("parameters", ["ratio.d_alfa"]), ("nuisance", ["ratio.d_alfa"]), ("prior", {"ratio.d_alfa": 1e-4})],
 )
 def test_a_misspelt_parameter_is_told_with_its_place_and_the_nearest(key, names):
-    told = rf"toml, \[design\], {key}: .*no parameter `ratio\.d_alfa`. Nearest: `ratio\.d_alpha`"
+    told = rf"toml, \[design\], {key}: .*no parameter `ratio\.d_alfa`; did you mean `ratio\.d_alpha`"
     with pytest.raises(InputError, match=told):
         planner_of(**{key: names})
 
@@ -216,7 +216,7 @@ def test_a_whole_design_says_what_was_found():
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ('key = "hold_s"', 'key = "hold"', "`hold` is no number that this manoeuvre gives. Nearest: `hold_s`"),
+        ('key = "hold_s"', 'key = "hold"', "`hold` is not a number that this manoeuvre gives; did you mean `hold_s`"),
         ('criterion = "D"', 'criterion = "E"', "criterion"),
         ("low = 4600.0", "low = 6500.0", "as planned is not within 6500 to 6700"),
         ("alpha_deg = [32.0, 46.0]", "alpha_deg = [46.0, 32.0]", "is no range"),

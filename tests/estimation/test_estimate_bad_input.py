@@ -41,17 +41,17 @@ def told(capsys, *arguments: object) -> tuple[int, str]:
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["--parameters", "ratio.scal"], "no parameter `ratio.scal`. Nearest: `ratio.scale`"),
-        (["--parameters", "sensor.LS_surfac.bias"], "names no sensor that is used. Nearest: `LS_surface`"),
-        (["--parameters", "sensor.LS_surface.bais"], "a sensor has no `bais`. Nearest: `bias`"),
-        (["--parameters", "effect.transitoin.factor"], "effect `transitoin` is not known. Nearest: `transition`"),
-        (["--parameters", "ratio.scale,ratio.scale"], "`ratio.scale` stands there twice"),
+        (["--parameters", "ratio.scal"], "no parameter `ratio.scal`; did you mean `ratio.scale`"),
+        (["--parameters", "sensor.LS_surfac.bias"], "names no sensor that is used; did you mean `LS_surface`"),
+        (["--parameters", "sensor.LS_surface.bais"], "a sensor has no `bais`; did you mean `bias`"),
+        (["--parameters", "effect.transitoin.factor"], "effect `transitoin` is not known; did you mean `transition`"),
+        (["--parameters", "ratio.scale,ratio.scale"], "`ratio.scale` is repeated"),
         (["--parameters", ","], "names nothing"),
         (["--reference", "alpha_deg"], "alpha_deg: `` is not a number; write alpha_deg=40"),
-        (["--reference", "alpha=40"], "`alpha` is no ratio variable. Nearest: `alpha_deg`"),
+        (["--reference", "alpha=40"], "`alpha` is not a ratio variable; did you mean `alpha_deg`"),
         (["--reference", "alpha_deg=nan"], "alpha_deg: nan is not a finite number"),
         (["--reference", "alpha_deg=1e9"], "alpha_deg: 1e+09 is not an angle of attack in degrees (-180 to 180)"),
-        (["--start", "profil:600"], "`profil` is no way to start. Nearest: `profile`"),
+        (["--start", "profil:600"], "`profil` is not a way to start; did you mean `profile`"),
         (["--start", "profile:soon"], "`soon` is not a time in s"),
         (["--start", "profile:9999"], "a start at 9999 s lies outside the conditions (0 to 1453 s)"),
         (["--start", "filter:-5"], "--start filter:-5: p06: a start at -5 s lies outside the conditions (0 to 1453 s)"),
@@ -75,7 +75,7 @@ def test_request_that_cannot_be_is_answered_in_a_line(capsys, tmp_path, argument
 
 def test_two_records_of_one_name_are_refused(capsys, tmp_path):
     status, text = told(capsys, PRACTICE / "p06", PRACTICE / "p06", "--out", tmp_path / "out")
-    assert (status, "two of them are named p06; rename one" in text) == (2, True)
+    assert (status, "two records are named p06; rename one" in text) == (2, True)
 
 
 def test_clocks_that_do_not_overlap_are_told(capsys, tmp_path):

@@ -186,7 +186,7 @@ def test_neutral_value_of_no_parameter_is_refused():
 
 
 def test_misspelt_effect_is_answered_with_the_nearest():
-    with pytest.raises(InputError, match="Nearest: `transition`"):
+    with pytest.raises(InputError, match="did you mean `transition`"):
         effect("transitoin")
 
 

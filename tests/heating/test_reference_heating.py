@@ -401,7 +401,7 @@ def test_an_independent_program_s_records_have_the_sutton_graves_film_coefficien
 @pytest.mark.parametrize(
     ("name", "changes", "message"),
     [
-        ("suton-graves", {}, "Nearest: `sutton-graves`"),
+        ("suton-graves", {}, "did you mean `sutton-graves`"),
         ("fay-riddell", {"nose_radius_m": 0.0}, "heating.nose_radius_m"),
         ("fay-riddell", {"nose_radius_m": math.nan}, "heating.nose_radius_m"),
         ("eckert-turbulent", {}, "heating.running_length_m"),

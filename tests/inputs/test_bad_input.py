@@ -87,8 +87,8 @@ def celsius(kelvin: str) -> str:
 
 
 RECORD_TOML = {
-    "unknown key": (swap("noise_sigma_K", "noise_sigma_k"), "[thermocouples.sensor] 1: unknown key `noise_sigma_k`. Nearest: `noise_sigma_K`."),
-    "unknown table": (swap("[segments]", "[segment]"), "unknown key `segment`. Nearest: `segments`."),
+    "unknown key": (swap("noise_sigma_K", "noise_sigma_k"), "[thermocouples.sensor] 1: unknown key `noise_sigma_k`; did you mean `noise_sigma_K`?"),
+    "unknown table": (swap("[segments]", "[segment]"), "unknown key `segment`; did you mean `segments`?"),
     "missing key": (swap("density_kg_m3 = 144.2", ""), "[materials.li900]: key `density_kg_m3` is missing (density in kg/m3, above 0)"),
     "missing table": (lambda t: t[: t.index("[heating]")] + t[t.index("[reference_condition]") :], "key `heating` is missing"),
     "other format": (swap("flight-record/1", "flight-record/9"), '`format`: "flight-record/9" is not one of flight-record/1'),
@@ -99,7 +99,7 @@ RECORD_TOML = {
     "negative thickness": (swap("thickness_m = 0.041", "thickness_m = -0.041"), "[stack.layer] 2: `thickness_m`: -0.041 must be above 0"),
     "zero-size layer": (swap("thickness_m = 0.041", "thickness_m = 0.0"), "[stack.layer] 2: `thickness_m`: 0.0 must be above 0"),
     "thickness in mm": (swap("thickness_m = 0.041", "thickness_m = 41.0"), "[stack.layer] 2: `thickness_m`: 41 is thicker than 5 m and looks like millimetres"),
-    "layer with no material": (swap('material = "li900"', 'material = "li9000"'), "[stack.layer] 2: `material`: there is no material `li9000`. Nearest: `li900`."),
+    "layer with no material": (swap('material = "li900"', 'material = "li9000"'), "[stack.layer] 2: `material`: there is no material `li9000`; did you mean `li900`?"),
     "layer without the key": (swap('material = "li900"\n', ""), "[stack.layer] 2: key `material` is missing"),
     "no layers": (lambda t: re.sub(r"\[\[stack\.layer\]\]\n(\w+ = .*\n)+", "", t), "[stack]: key `layer` is missing ([[stack.layer]], outermost first)"),
     "absurdly dense": (swap("density_kg_m3 = 144.2", "density_kg_m3 = 1e300"), "[materials.li900]: `density_kg_m3`: 1e+300 must not be above 1e+09"),
@@ -139,7 +139,7 @@ RECORD_TOML = {
     "sphere without radius": (swap('reference = "columns"\nnose_radius_m = 0.3048', 'reference = "fay-riddell"'), '[heating]: `reference`: "fay-riddell" needs `nose_radius_m`; add it'),
     "plate without length": (swap('reference = "columns"', 'reference = "eckert-turbulent"'), '"eckert-turbulent" needs `running_length_m`; add it'),
     "wall enthalpy unknown": (swap("{ cp_J_kgK = 1004.5 }", '"perfect"'), '[heating]: `wall_enthalpy`: "perfect" is not one of equilibrium-air'),
-    "wall enthalpy key": (swap("cp_J_kgK = 1004.5", "cp_J_kg = 1004.5"), "[heating.wall_enthalpy]: unknown key `cp_J_kg`. Nearest: `cp_J_kgK`."),
+    "wall enthalpy key": (swap("cp_J_kgK = 1004.5", "cp_J_kg = 1004.5"), "[heating.wall_enthalpy]: unknown key `cp_J_kg`; did you mean `cp_J_kgK`?"),
     "segment reversed": (swap("[[0.0, 200.0]]", "[[200.0, 0.0]]"), "[segments]: `fit`, row 1: [200.0, 0.0] is not a segment; give [start_s, end_s]"),
     "segment in ms": (swap("[[100.0, 140.0]]", "[[100000.0, 140000.0]]"), "[segments]: `holdout`, row 1: [100000.0, 140000.0] lies outside the measured 0.5 to 200.5 s"),
     "file outside the record": (swap('"conditions.csv"', '"../conditions.csv"'), "[conditions]: `file`: `../conditions.csv` is not a file of this record"),
@@ -157,11 +157,11 @@ def test_a_damaged_declaration_is_answered_with_table_key_and_rule(tile: Path, c
 
 
 CONDITIONS = {
-    "missing column": (without("T_inf_K"), "there is no column `T_inf_K`. Add it."),
+    "missing column": (without("T_inf_K"), "there is no column `T_inf_K`; add it"),
     "reference column missing": (without("H_r_J_kg"), "there is no column `H_r_J_kg`"),
-    "column misspelt": (swap("T_inf_K", "Tinf_K"), "there is no column `T_inf_K`. Nearest in the file: `Tinf_K`."),
-    "optional column misspelt": (swap("q_add_W_m2", "q_add_Wm2"), "unknown column `q_add_Wm2`. Nearest: `q_add_W_m2`."),
-    "column twice": (swap("axial_accel_g", "mach"), "column `mach` is there twice; remove one"),
+    "column misspelt": (swap("T_inf_K", "Tinf_K"), "there is no column `T_inf_K`; nearest in the file: `Tinf_K`"),
+    "optional column misspelt": (swap("q_add_W_m2", "q_add_Wm2"), "unknown column `q_add_Wm2`; did you mean `q_add_W_m2`?"),
+    "column twice": (swap("axial_accel_g", "mach"), "column `mach` is repeated; remove one"),
     "column without a name": (swap("axial_accel_g", ""), "column 18 has no name"),
     "NaN": (cell(5, "mach", "nan"), "row 5, column mach: nan is not a finite number"),
     "infinite": (cell(5, "mach", "1e999"), "row 5, column mach: 1e999 is not a finite number"),
@@ -174,7 +174,7 @@ CONDITIONS = {
     "time back": (cell(9, "time_s", "55"), "row 9, column time_s: 55 does not come after 60; sort the rows by time_s"),
     "time twice": (cell(9, "time_s", "60"), "row 9, column time_s: 60 does not come after 60"),
     "T_inf in Celsius": (column("T_inf_K", celsius), "row 2, column T_inf_K: -68.15 is below 100 K and looks like Celsius"),
-    "T_inf_C": (column("T_inf_K", celsius, "T_inf_C"), "there is no column `T_inf_K`. Nearest in the file: `T_inf_C`."),
+    "T_inf_C": (column("T_inf_K", celsius, "T_inf_C"), "there is no column `T_inf_K`; nearest in the file: `T_inf_C`"),
     "velocity in ft/s": (column("velocity_m_s", lambda v: f"{float(v) / 0.3048:.0f}"), "row 2, column velocity_m_s: 22310 is not a speed in m/s"),
     "altitude in km": (column("altitude_m", lambda v: f"{float(v) / 1000}"), "row 2, column altitude_m: 75 is too low for its speed and looks like km"),
     "H_r in kJ/kg": (column("H_r_J_kg", lambda v: f"{float(v) / 1000}"), "row 2, column H_r_J_kg: 23325.9 is below a hundredth of V^2/2 and looks like kJ/kg"),
@@ -196,7 +196,7 @@ def test_damaged_conditions_are_answered_with_row_column_and_value(tile: Path, c
 
 
 THERMOCOUPLES = {
-    "sensor without a column": (swap("TEST_bond_K", "TST_bond_K"), "there is no column `TEST_bond_K`. Nearest in the file: `TST_bond_K`."),
+    "sensor without a column": (swap("TEST_bond_K", "TST_bond_K"), "there is no column `TEST_bond_K`; nearest in the file: `TST_bond_K`"),
     "no time": (without("time_s"), "there is no column `time_s`"),
     "empty time": (cell(4, "time_s", ""), "row 4, column time_s: the cell is empty"),
     "NaN for a lost sample": (cell(4, "TEST_bond_K", "NaN"), "row 4, column TEST_bond_K: NaN is not a finite number; leave the cell of a lost sample empty"),
@@ -238,7 +238,7 @@ def test_a_file_without_text_is_named(tile: Path, file: str, content: bytes | No
 
 def test_a_missing_file_is_answered_with_the_nearest(tile: Path) -> None:
     (tile / "conditions.csv").rename(tile / "condition.csv")
-    with pytest.raises(InputError, match=r"conditions\.csv: there is no such file\. Nearest: `condition\.csv`\."):
+    with pytest.raises(InputError, match=r"conditions\.csv: there is no such file; did you mean `condition\.csv`\?"):
         load_record(tile)
 
 
@@ -258,7 +258,7 @@ def test_all_problems_of_a_file_are_told_at_once(tile: Path) -> None:
         ({"mach": ["M"]}, '[columns]: `mach`: ["M"] is not a text in quotes, a number or a table'),
         ({"mach": float("nan")}, "[columns]: `mach`: NaN is not a finite number"),
         ({"mach": {"variable": "M", "unit": 5}}, "[columns.mach]: `unit`: 5 is not a text in quotes"),
-        ({"mach": {"variable": "M", "units": "1"}}, "[columns.mach]: unknown key `units`. Nearest: `unit`."),
+        ({"mach": {"variable": "M", "units": "1"}}, "[columns.mach]: unknown key `units`; did you mean `unit`?"),
         ({"mach": {"unit": "1"}}, "[columns.mach]: key `variable` is missing"),
     ],
 )
@@ -331,7 +331,7 @@ def test_a_material_file_is_recognised(tmp_path: Path) -> None:
     ("name", "content", "expected"),
     [
         ("a.toml", "title = 'x'\n", 'key `format` is missing; a scenario begins with format = "scenario/1"'),
-        ("a.toml", "format = 'scenario/2'\n", "Nearest: `scenario/1`."),
+        ("a.toml", "format = 'scenario/2'\n", "did you mean `scenario/1`?"),
         ("a.csv", "x,y\n1,2\n", "is no record, vehicle, scenario or ratio table"),
         ("a.json", "{}", "is no record, vehicle, scenario or ratio table"),
         ("a.csv", "alpha_deg,ratio\n1,2\n", "there is no column `beta_deg`"),
@@ -355,7 +355,7 @@ def test_a_directory_of_neither_kind_says_what_it_holds(tmp_path: Path) -> None:
 
 
 def test_a_path_that_is_not_there_is_answered_with_the_nearest(tile: Path) -> None:
-    with pytest.raises(InputError, match=r"tyle: there is no such file\. Nearest: `tile`\."):
+    with pytest.raises(InputError, match=r"tyle: there is no such file; did you mean `tile`\?"):
         check_path(tile.parent / "tyle")
 
 

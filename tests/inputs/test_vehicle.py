@@ -273,14 +273,14 @@ def test_a_vehicle_of_the_user_comes_before_one_of_the_package(damaged, tmp_path
 
 
 def test_a_misspelt_vehicle_is_answered_with_the_nearest():
-    with pytest.raises(InputError, match=r"vehicle `orbitr`: there is no vehicle of this name. Nearest: `orbiter`"):
+    with pytest.raises(InputError, match=r"vehicle `orbitr`: unknown vehicle; did you mean `orbiter`"):
         load_vehicle("orbitr")
     with pytest.raises(InputError, match=r"nowhere/orbiter: there is no vehicle here"):
         load_vehicle("nowhere/orbiter")
 
 
 def test_a_misspelt_control_point_is_answered_with_the_nearest(orbiter):
-    with pytest.raises(InputError, match=r"no control point `V09T9572`. Nearest: `V09T9527`"):
+    with pytest.raises(InputError, match=r"no control point `V09T9572`; did you mean `V09T9527`"):
         orbiter.control_point("V09T9572")
 
 
@@ -289,14 +289,14 @@ def test_a_misspelt_control_point_is_answered_with_the_nearest(orbiter):
 DAMAGES = {
     "vehicle.toml": [
         ("reference_length_m = 3.91", "reference_length_m = -3.91", "`reference_length_m`: -3.91 must be above 0"),
-        ("reference_length_m", "reference_lenght_m", "unknown key `reference_lenght_m`. Nearest: `reference_length_m`"),
-        ('"sutton-graves"', '"sutton-grave"', "Nearest: `sutton-graves`"),
+        ("reference_length_m", "reference_lenght_m", "`reference_lenght_m`; did you mean `reference_length_m`"),
+        ('"sutton-graves"', '"sutton-grave"', "did you mean `sutton-graves`"),
         ('name = "capsule"', 'name = "capsul"', "is not the name of its directory"),
         ('"vehicle/1"', '"vehicle/2"', '"vehicle/2" is not one of vehicle/1'),
     ],
     "control_points/FACE.toml": [
         ("thickness_m = 0.005", "thickness_m = 0.0", "[stack.layer] 1: `thickness_m`: 0.0 must be above 0"),
-        ('"alumina-fibre"', '"alumina-fiber"', "no material `alumina-fiber`. Nearest: `alumina-fibre`"),
+        ('"alumina-fibre"', '"alumina-fiber"', "no material `alumina-fiber`; did you mean `alumina-fibre`"),
         ('"carbon-skin"', '"alumina-fibre"', "the outermost layer radiates; add `emissivity`"),
         ("depth_m = 0.065", "depth_m = 0.65", "[sensor] 3: `depth_m`: 0.65 m is outside the stack"),
         ('name = "FACE"', 'name = "FACE-1"', "`name`"),
@@ -304,7 +304,7 @@ DAMAGES = {
         ("inclination_deg", "inclination", "[pressure]: key `inclination_deg` is missing"),
         ('"modified-newtonian"', '"newtonian"', "newtonian"),
         ("ratio_tables/FACE.csv", "../FACE.csv", "leads out of the vehicle directory"),
-        ("_tables/FACE.csv", "_tables/FAC.csv", "there is no file `ratio_tables/FAC.csv`. Nearest: `FACE.csv`"),
+        ("_tables/FACE.csv", "_tables/FAC.csv", "there is no file `ratio_tables/FAC.csv`; did you mean `FACE.csv`"),
         ("initial_K = 293.0", "initial_K = 20.0", "Celsius"),
         ("[pressure]", "[pressure", "this is not TOML"),
     ],
@@ -356,7 +356,7 @@ def test_a_vehicle_without_control_points_is_refused(damaged):
 def test_a_derived_material_names_the_base_that_it_lacks(damaged):
     text = 'based_on = "carbon-skim"\nsource = "s"\nconfidence = "C"\n'
     (damaged / "materials/thin.toml").write_text(text)
-    assert "`based_on`: there is no material `carbon-skim` that is given whole. Nearest: `carbon-skin`." in str(
+    assert "`based_on`: there is no material `carbon-skim` that is given whole; did you mean `carbon-skin`?" in str(
         refusal(damaged)
     )
 

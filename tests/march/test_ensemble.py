@@ -218,7 +218,7 @@ def test_profile_must_fit_the_nodes_and_be_temperatures():
 
 
 def test_misspelt_parameter_is_answered_with_the_nearest():
-    with pytest.raises(InputError, match=r"Nearest: `ratio\.d_alpha`"):
+    with pytest.raises(InputError, match=r"did you mean `ratio\.d_alpha`"):
         practice_model("p06", parameters={"ratio.d_alhpa": 0.1})
 
 

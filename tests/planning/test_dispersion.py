@@ -390,8 +390,8 @@ def test_inputs_that_cannot_be_are_told_before_any_flight(tmp_path, text, told):
     ("text", "told"),
     [
         ('name = "entry.gamma_deg"', "give sigma, or low and high"),
-        ('name = "entry.gama_deg"\nsigma = 0.1', "there is no input `entry.gama_deg`. Nearest: `entry.gamma_deg`"),
-        ('name = "stack.emisivity_factor"\nsigma = 0.1', "Nearest: `stack.emissivity_factor`"),
+        ('name = "entry.gama_deg"\nsigma = 0.1', "there is no input `entry.gama_deg`; did you mean `entry.gamma_deg`"),
+        ('name = "stack.emisivity_factor"\nsigma = 0.1', "did you mean `stack.emissivity_factor`"),
         ('name = "air.density"\nsigma = 1.0', "give `over`"),
         ('name = "entry.gamma_deg"\nsigma = 1.0\nover = [[0.0, 1.0]]', "goes with air.density"),
         ('name = "entry.gamma_deg"\nsigma = 1.0\ncontrol_points = ["NOSECAP"]', "is of the flight"),

@@ -207,8 +207,8 @@ def test_a_limit_that_no_flight_keeps_is_told_in_one_line():
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ('"NOSECAP"', "no control point `NOSECAPS`. Nearest: `NOSECAP`"),
-        ("gamma_deg = -5.0", "unknown key `gamma_deq`. Nearest: `gamma_deg`"),
+        ('"NOSECAP"', "no control point `NOSECAPS`; did you mean `NOSECAP`"),
+        ("gamma_deg = -5.0", "unknown key `gamma_deq`; did you mean `gamma_deg`"),
         ("velocity_m_s = 900.0", "an entry ends slower than it begins"),
         ("[10.0, 45.0]", "the lower limit 45 must be below the upper limit 10"),
     ],

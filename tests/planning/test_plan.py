@@ -148,10 +148,10 @@ def test_a_scheduler_that_is_away_is_one_clear_line_and_nothing_is_written(study
         ('scenario = "nowhere.toml"', "give one of them"),
         ('[[limit]]\ncontrol_point = "NOSECAP"', "`NOSECAP` is not among the study's control points"),
         (ENVELOPE.replace("-4.0, 0.0", "-1e9"), "alpha_offset_deg -1e+09 must be between -90 and 90"),
-        ("soak = 3.0", "unknown key `soak`. Nearest: `soak_s`"),
+        ("soak = 3.0", "unknown key `soak`; did you mean `soak_s`"),
         (
             '[[limit]]\ncontrol_point = "V09T9527"\nsurfce_K = 9e2',
-            "[limit] 1: unknown key `surfce_K`. Nearest: `surface_K`",
+            "[limit] 1: unknown key `surfce_K`; did you mean `surface_K`",
         ),
     ],
 )
@@ -177,7 +177,7 @@ def test_a_control_point_that_a_study_names_wrongly_is_told_of_the_study_and_not
     study.write_text(text.replace(flown, f'scenario = "{base}"\n').replace('"V09T9527"', '"V09T952"'))
     assert cli.main(["plan", str(study), "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err.strip().splitlines()
-    assert said == [f"error: {study}: vehicle orbiter: there is no control point `V09T952`. Nearest: `V09T9527`."]
+    assert said == [f"error: {study}: vehicle orbiter: there is no control point `V09T952`; did you mean `V09T9527`?"]
 
 
 def test_an_effect_that_a_scenario_names_wrongly_is_told_of_the_scenario(study, tmp_path, capsys):

@@ -433,7 +433,7 @@ def test_a_jsbsim_script_reads_the_temperature_of_the_last_frame(
 
 def test_a_misspelt_property_is_refused_and_not_read_as_zero(host: JSBSimHost, plugin: HeatingPlugin) -> None:
     JSBSimHeating(host, plugin)
-    with pytest.raises(InputError, match=r"no such JSBSim property\. Nearest: heating/V09T9527/surface-K"):
+    with pytest.raises(InputError, match=r"no such JSBSim property; did you mean `heating/V09T9527/surface-K`"):
         host.getter("heating/V09T9527/surfce-K")
 
 

@@ -310,7 +310,7 @@ def test_what_is_wrong_between_scenario_and_fmu_is_told_without_flying(binary: P
     with pytest.raises(InputError) as found:
         load_scenario(tmp_path / "glide.toml")
     assert len(found.value.problems) == 2
-    assert "has no variable `sped`. Nearest: `speed`" in found.value.problems[1]
+    assert "has no variable `sped`; did you mean `speed`" in found.value.problems[1]
 
 
 # ---- an FMU of another's making -----------------------------------------------------------------------------------

@@ -213,13 +213,13 @@ def test_a_start_value_for_an_output_is_refused(binary: Path, tmp_path: Path) ->
 # ---- what the file says -------------------------------------------------------------------------------------------
 
 SAYS = [
-    ({"altitude_m": "height"}, r"`altitude_m`: .* has no variable `height`. Nearest: `height_0`"),
+    ({"altitude_m": "height"}, r"`altitude_m`: .* has no variable `height`; did you mean `height_0`"),
     ({"altitude_m": "label"}, r"`label` of .* is a String; name a variable that is one number"),
     ({"altitude_m": "speed"}, r"`altitude_m`: `speed` of .* is in `ft/s`, which is no `m`"),
     ({"altitude_m": "h_state"}, r"`h_state` of .* has no unit; give `unit`"),
     ({"altitude_m": {"variable": "h", "unit": "ft"}}, r"`h` is in `km` in .*, not in `ft`; remove `unit`"),
     ({"altitude_m": {"variable": "h", "unit": "feet per"}}, r"`feet per` is not a unit; write it like m, ft/s"),
-    ({"altitud_m": "h"}, r"`altitud_m`: there is no such column. Nearest: `altitude_m`"),
+    ({"altitud_m": "h"}, r"`altitud_m`: there is no such column; did you mean `altitude_m`"),
     ({"altitude_m": {"variable": "der(h)", "unit": "km"}}, r"gives altitude_m = -50000, which is not an altitude in m"),
     ({"rho_kg_m3": -1.0}, r"rho_kg_m3 = -1, which is not a density of air.*check the mapping and its units"),
     ({"velocity_m_s": {"variable": "v_state", "unit": "km/s"}}, r"a larger one looks like ft/s"),
@@ -252,7 +252,7 @@ def test_a_column_that_nothing_gives_is_told_with_what_to_do(binary: Path, tmp_p
 @pytest.mark.parametrize(
     ("start", "told"),
     [
-        ({"sinc": 1.0}, r"`sinc`: .* has no variable `sinc`. Nearest: `sink`"),
+        ({"sinc": 1.0}, r"`sinc`: .* has no variable `sinc`; did you mean `sink`"),
         ({"sink": {"value": 1.0, "unit": "kg"}}, r"`sink`: `kg` is no unit of it; it is in `m/s`"),
         ({"fault": {"value": 1.0, "unit": "m"}}, r"`fault` of .* has no unit; give a plain number"),
         ({"sink": "fast"}, r"`fast` is not a number, and `sink` is a Real"),
@@ -337,7 +337,7 @@ def test_an_input_that_would_not_be_heeded_as_it_is_written_is_refused(
     [
         ({"kind": "popu", "at_time_s": 3.0}, r"manoeuvre 2 \(popu\): no input takes its alpha_deg"),
         ({"kind": "elevon-pulse", "at_time_s": 3.0, "amplitude_deg": 5.0}, r"\(elevon-pulse\): .* its elevon_deg"),
-        ({"kind": "jet-firing", "at_time_s": 3.0}, r"\(jet-firing\): .* its jets; .* Nearest: `command`"),
+        ({"kind": "jet-firing", "at_time_s": 3.0}, r"\(jet-firing\): .* its jets; .*did you mean `command`"),
     ],
 )
 def test_a_manoeuvre_that_no_input_takes_is_refused_before_the_flight(
@@ -359,7 +359,7 @@ def test_a_truth_value_is_no_column() -> None:
 @pytest.mark.parametrize(
     ("inputs", "told"),
     [
-        ({"comand": "alpha_deg"}, r"`comand`: .* Nearest: `command`"),
+        ({"comand": "alpha_deg"}, r"`comand`: .*did you mean `command`"),
         ({"sink": {"schedule": [[0, 1]]}}, r"`sink`: it is a parameter of .*, not an input"),
         ({"command": {"schedule": [[0, 1]], "unit": "deg"}}, r"is in `rad` in .*, not in `deg`"),
         ({"command": "alpha_deg"}, r"guidance needs gamma_deg, heading_deg, .*; map them"),

@@ -350,7 +350,7 @@ def test_a_name_that_jsbsim_cannot_have_is_refused(name: str) -> None:
 
 
 def test_a_misspelt_property_is_refused_with_the_nearest_one() -> None:
-    with pytest.raises(InputError, match=r"aero/alfa-deg: .* Nearest: aero/alpha-deg"):
+    with pytest.raises(InputError, match=r"aero/alfa-deg: .*did you mean `aero/alpha-deg`"):
         open_vehicle(ORBITER).node("aero/alfa-deg")
 
 

@@ -20,6 +20,7 @@ from sim_heating.base.files.text import (
     raise_problems,
     raw_text,
     read_text,
+    repeated_name,
     suggestion,
     write_text_atomic,
 )
@@ -37,6 +38,6 @@ from sim_heating.base.files.toml import (
 __all__ = [
     "COLDEST_K", "MARKER", "CsvTable", "Declared", "LocatedError", "Location", "celsius_rule", "check", "csv_text",
     "display_path", "files_written", "json_text", "known_keys", "nearest_name", "output_directory", "raise_problems",
-    "raw_text", "read_csv_columns", "read_json", "read_text", "read_toml", "read_toml_dict", "require_writable",
-    "suggestion", "toml_text", "write_csv", "write_json", "write_text_atomic",
+    "raw_text", "read_csv_columns", "read_json", "read_text", "read_toml", "read_toml_dict", "repeated_name",
+    "require_writable", "suggestion", "toml_text", "write_csv", "write_json", "write_text_atomic",
 ]  # fmt: skip

@@ -161,19 +161,19 @@ def _name_problems(file: str, names: list[str], required: Sequence[str], optiona
     missing = [n for n in required if n not in names]
     if missing and len(names) == 1 and (sign := next((s for s in (";", "\t") if s in names[0]), None)):
         return [f"{file}, row of names: cells are separated by {sign!r}; separate them by commas"]
-    problems = [f"{file}: there is no column `{n}`.{_nearest_column(n, other)}" for n in missing]
-    problems += [f"{file}: column `{n}` is there twice; remove one" for n in dict.fromkeys(names) if names.count(n) > 1]
+    problems = [f"{file}: there is no column `{n}`{_nearest_column(n, other)}" for n in missing]
+    problems += [f"{file}: column `{n}` is repeated; remove one" for n in dict.fromkeys(names) if names.count(n) > 1]
     problems += [f"{file}: column {i + 1} has no name; name or remove it" for i, n in enumerate(names) if not n]
     for name in optional:
         close = nearest_name(name, other, cutoff=0.85)
         if name not in names and close:
-            problems.append(f"{file}: unknown column `{close}`. Nearest: `{name}`.")
+            problems.append(f"{file}: unknown column `{close}`; did you mean `{name}`?")
     return problems
 
 
 def _nearest_column(name: str, other: list[str]) -> str:
     close = nearest_name(name, other)
-    return f" Nearest in the file: `{close}`." if close else " Add it."
+    return f"; nearest in the file: `{close}`" if close else "; add it"
 
 
 def _numbers(cells: Sequence[str], may_be_empty: bool) -> tuple[FloatArray, list[tuple[int, str]]]:

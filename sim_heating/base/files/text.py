@@ -30,11 +30,22 @@ def nearest_name(name: str, known: Iterable[str], cutoff: float = 0.6) -> str | 
     return by_lower[found[0]] if found else None
 
 
-def suggestion(name: str, known: Iterable[str]) -> str:
-    """`Nearest: x.`, or the list of what is known where nothing is near."""
+def suggestion(name: str, known: Iterable[str], otherwise: str | None = None, cutoff: float = 0.6) -> str:
+    """End of a message about an unknown name: "; did you mean `x`?", or the known names where none is close.
+
+    otherwise : end of the message where no name is close, in place of the list of known names
+    cutoff    : least similarity of a close name, 0 to 1
+    """
     names = list(known)
-    near = nearest_name(name, names)
-    return f"Nearest: `{near}`." if near else f"Known: {', '.join(f'`{n}`' for n in names)}."
+    near = nearest_name(name, names, cutoff)
+    if near:
+        return f"; did you mean `{near}`?"
+    return f"; known: {', '.join(f'`{n}`' for n in names) or 'none'}" if otherwise is None else otherwise
+
+
+def repeated_name(names: Sequence[str]) -> str | None:
+    """The first name that a list holds more than once, or None."""
+    return next((n for i, n in enumerate(names) if n in names[:i]), None)
 
 
 def raise_problems(problems: Sequence[str]) -> None:
@@ -83,7 +94,7 @@ def _neighbour(path: Path) -> str:
         near = nearest_name(path.name, sorted(p.name for p in path.parent.iterdir()), cutoff=0.7)
     except OSError:
         return ""
-    return f". Nearest: `{near}`." if near else ""
+    return f"; did you mean `{near}`?" if near else ""
 
 
 def os_error_reason(error: Exception) -> str:

@@ -19,7 +19,6 @@ from sim_heating.base.files.text import (
     abbreviated,
     as_builtin,
     display_path,
-    nearest_name,
     one_line,
     read_text,
     suggestion,
@@ -223,7 +222,7 @@ def _rule(error: Any, loc: Location, model: type[BaseModel]) -> str:
     kind, value, ctx = error["type"], error["input"], error.get("ctx", {})
     key = str(loc[-1]) if loc else ""
     if kind == "extra_forbidden":
-        return f"unknown key `{key}`. {suggestion(key, known_keys(model, loc[:-1]))}"
+        return f"unknown key `{key}`{suggestion(key, known_keys(model, loc[:-1]))}"
     told = _description(model, loc)
     if kind == "missing":
         return f"key `{key}` is missing{_told(told)}"
@@ -257,8 +256,7 @@ def _tag_rule(ctx: Any, table: Any) -> str:
 
 
 def _choice_rule(value: Any, choices: Sequence[str]) -> str:
-    near = nearest_name(str(value), choices)
-    return f"{abbreviated(value)} is not one of {', '.join(choices)}" + (f". Nearest: `{near}`." if near else "")
+    return f"{abbreviated(value)} is not one of {', '.join(choices)}{suggestion(str(value), choices, otherwise='')}"
 
 
 def _told(description: str) -> str:

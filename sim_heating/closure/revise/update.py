@@ -315,7 +315,7 @@ def errors_before_and_after(update: TableUpdate, records: Sequence[Record]) -> d
     for record in records:
         _check_comparable(update, record)
         if record.name in found:
-            raise InputError(f"records: two of them are named {record.name}; rename one")
+            raise InputError(f"two records are named {record.name}; rename one")
         model, used = point_with_table_of(record, update.vehicle), [i for i, s in enumerate(record.sensors) if s.used]
         revised = replace(model, ratio=update.table, effects=update.effects.after)
         residuals = {when: predict(record, m).residual_K[used] for when, m in (("before", model), ("after", revised))}

@@ -167,7 +167,7 @@ class Estimate(_Kept):
         for label, p in self.parameters.items():
             name = label.partition(AT)[0]
             if name.startswith("ratio.") and name not in MODEL:
-                problems.append((("parameters", name), f"there is no such parameter. {suggestion(name, known)}"))
+                problems.append((("parameters", name), f"there is no such parameter{suggestion(name, known)}"))
             elif name in MODEL and p.unit != MODEL[name].unit:
                 rule = f'"{p.unit}" is not the unit of {name}; it is "{MODEL[name].unit}"'
                 problems.append((("parameters", name, "unit"), rule))

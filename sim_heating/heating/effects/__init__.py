@@ -29,7 +29,7 @@ from typing import Literal
 
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import nearest_name
+from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.block import EFFECT_SLOTS, EFFECT_WIDTH
 from sim_heating.base.parameters import CLOCK_SKEW, Parameter
 
@@ -224,9 +224,7 @@ def effect(name: str) -> Effect:
     """
     known = effects()
     if name not in known:
-        near = nearest_name(name, known)
-        hint = f"Nearest: `{near}`." if near else f"Known: {', '.join(sorted(known))}."
-        raise InputError(f"effect `{name}` is not known. {hint}")
+        raise InputError(f"effect `{name}` is not known{suggestion(name, sorted(known))}")
     return known[name]
 
 

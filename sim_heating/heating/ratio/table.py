@@ -110,7 +110,7 @@ def _column_problems(table: CsvTable) -> list[str]:
     """Messages about unknown columns, implausible angles or Reynolds numbers, and negative sigma."""
     known = (*RATIO_VARIABLES, "ratio", "sigma")
     problems = [
-        f"{display_path(table.path)}: unknown column `{name}`. {suggestion(name, known)}"
+        f"{display_path(table.path)}: unknown column `{name}`{suggestion(name, known)}"
         for name in table.columns
         if name not in known
     ]

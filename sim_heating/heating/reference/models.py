@@ -6,7 +6,6 @@ these models; the header of its table names it. Equations: docs/equations_refere
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -16,6 +15,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError
+from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.jit import njit
 from sim_heating.heating.atmosphere import CP_AIR
 from sim_heating.heating.reference.flat_plate import eckert_kernel
@@ -71,9 +71,8 @@ def reference_model(name: str) -> ReferenceModel:
     """
     if name in REFERENCE_MODELS:
         return REFERENCE_MODELS[name]
-    near = difflib.get_close_matches(str(name), REFERENCE_MODELS, n=1, cutoff=0.4)
-    hint = f"Nearest: `{near[0]}`." if near else f"Known: {', '.join(REFERENCE_MODELS)}."
-    raise InputError(f"heating.reference: there is no reference heating `{name}`. {hint}")
+    hint = suggestion(str(name), REFERENCE_MODELS, cutoff=0.4)
+    raise InputError(f"heating.reference: there is no reference heating `{name}`{hint}")
 
 
 @njit

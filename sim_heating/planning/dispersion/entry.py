@@ -18,6 +18,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
+from sim_heating.base.files import repeated_name
 from sim_heating.base.kernels.block import LANES
 from sim_heating.march.mesh_choice import LADDER, mesh_of_nodes
 from sim_heating.planning.dispersion import statistics as sampling
@@ -244,9 +245,8 @@ class DispersedEntry:
                 self._check_input(i, k)
             except InputError as error:
                 problems += [f"{self.study.path}, [dispersion], input {k + 1}: {line}" for line in error.problems]
-        if len(set(self.labels)) < len(self.labels):
-            twice = max(set(self.labels), key=self.labels.count)
-            problems.append(f"{self.study.path}, [dispersion]: `{twice}` stands twice; give it once")
+        if (label := repeated_name(self.labels)) is not None:
+            problems.append(f"{self.study.path}, [dispersion]: `{label}` is repeated; give it once")
         if problems:
             raise InputError(*problems)
 

@@ -62,7 +62,7 @@ class Input(Declared):
     def _is_an_input(cls, name: str) -> str:
         known = [*FLIGHT_INPUTS, *MODEL]
         if name not in known and not name.startswith(EFFECT_PREFIX):
-            raise ValueError(f"there is no input `{name}`. {suggestion(name, known)}")
+            raise ValueError(f"there is no input `{name}`{suggestion(name, known)}")
         return name
 
     @field_validator("over")

@@ -44,7 +44,7 @@ def _check_axes(given: Sequence[tuple[str, str, Values]]) -> None:
     by_axis: dict[str, str] = {}
     for key, name, values in given:
         if name not in AXES:
-            raise ValueError(f"there is no axis `{name}`. {suggestion(name, AXES)}")
+            raise ValueError(f"there is no axis `{name}`{suggestion(name, AXES)}")
         if name in by_axis:
             raise ValueError(
                 f"`{name}` is given by `{by_axis[name]}` and by `{key}`; take another axis for one of them"

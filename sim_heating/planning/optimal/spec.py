@@ -121,7 +121,7 @@ def optimal_study(declared: OptimalStudyFile, vehicle: Vehicle, where: str = "st
         if declared.probability is not None and point.ratio.sigma is None:
             problems.append(f"{where}, probability: the ratio table of {point.name} has no sigma; add that column")
         if point.name in (p.point.name for p in points):
-            problems.append(f"{where}, [limit]: `{point.name}` stands twice; name it once")
+            problems.append(f"{where}, [limit]: `{point.name}` is repeated; name it once")
         bondline = point.limits.bondline_K if limit.bondline_K is None else limit.bondline_K
         points.append(LimitedPoint(point, limit.surface_K or point.limits.surface_K, bondline))
     if declared.initial.velocity_m_s <= declared.end.velocity_m_s:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.files.text import write_bytes_atomic
+from sim_heating.base.files.text import suggestion, write_bytes_atomic
 from sim_heating.base.progress import Progress, quiet
 from sim_heating.inputs.vehicle import Vehicle
 from sim_heating.simulation.fmu_export.description import description
@@ -52,7 +52,7 @@ def targets_of(platforms: Sequence[str], fmi: int) -> list[Target]:
     """Targets by name; InputError for one that there is not, or that this version of the standard does not know."""
     unknown = [name for name in platforms if name not in TARGETS]
     if unknown:
-        raise InputError(f"fmu: there is no platform `{unknown[0]}`. Known: {', '.join(TARGETS)}.")
+        raise InputError(f"fmu: there is no platform `{unknown[0]}`{suggestion(unknown[0], TARGETS)}")
     targets = [TARGETS[name] for name in platforms]
     if fmi == 2 and any(t.fmi2 is None for t in targets):
         raise InputError("fmu: FMI 2 knows no 64-bit ARM platform; export for FMI 3")

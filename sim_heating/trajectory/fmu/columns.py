@@ -120,7 +120,7 @@ class ColumnsOfFmu:
         for column, given in spec.fmu.columns.items():
             where = f"[trajectory.fmu.columns], `{column}`"
             if column not in COLUMNS:
-                problems.append(f"{where}: there is no such column. {suggestion(column, COLUMNS)}")
+                problems.append(f"{where}: there is no such column{suggestion(column, COLUMNS)}")
             elif isinstance(given, float):
                 self._constants[column] = given
             else:

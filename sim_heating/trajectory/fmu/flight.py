@@ -256,8 +256,8 @@ def _unmoved(model: FmuModel, spec: TrajectorySpec) -> list[str]:
     """Manoeuvres that no input of an FMU takes."""
     inputs = [v.name for v in model.description.modelVariables if v.causality == "input"]
     return [
-        f"manoeuvre {number} ({m.kind}): no input takes its {moved(m)}; name one in [trajectory.fmu.inputs]. "
-        + (suggestion(f"command.{moved(m)}", inputs) if inputs else f"{model} has no inputs")
+        f"manoeuvre {number} ({m.kind}): no input takes its {moved(m)}; name one in [trajectory.fmu.inputs]"
+        + (suggestion(f"command.{moved(m)}", inputs) if inputs else f"; {model} has no inputs")
         for number, m in enumerate(spec.manoeuvre, start=1)
         if moved(m) not in spec.fmu.commands
     ]

@@ -52,7 +52,7 @@ class FmuModel:
         variable = self.variables.get(name)
         if variable is None:
             known = [v for v, held in self.variables.items() if held.causality in ("output", "input", "parameter")]
-            raise InputError(f"{where}: {self} has no variable `{name}`. {suggestion(name, known[:NEAREST_OF] or '-')}")
+            raise InputError(f"{where}: {self} has no variable `{name}`{suggestion(name, known[:NEAREST_OF])}")
         if not str(variable.type).startswith(NUMBERS) or variable.shape:
             kind = "an array" if variable.shape else f"a {variable.type}"
             raise InputError(f"{where}: `{name}` of {self} is {kind}; name a variable that is one number")

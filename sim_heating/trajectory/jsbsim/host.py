@@ -7,7 +7,6 @@ to. All that is read after a frame belongs to that frame.
 
 from __future__ import annotations
 
-import difflib
 import itertools
 import math
 import os
@@ -23,6 +22,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import FRAME
 from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.jit import njit
 from sim_heating.heating.atmosphere import HIGHEST_M, us76_kernel
 from sim_heating.trajectory.aero import Aero, load_aero
@@ -134,8 +134,7 @@ class JSBSimHost:
         found = self.fdm.get_property_manager().get_node(name)
         if found is None:
             known = [*_properties(self.fdm), *self._published]
-            near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)
-            raise InputError(f"{name}: this aircraft has no such JSBSim property. Nearest: {near[0]}")
+            raise InputError(f"{name}: this aircraft has no such JSBSim property{suggestion(name, known, cutoff=0.0)}")
         return found
 
     def getter(self, name: str) -> Callable[[], float]:
