@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 from benchmarks.measure import Figure, save
-from sim_heating.estimation.design.report import Designed, design, draw_instruments, draw_sweeps, summary
+from sim_heating.estimation.design.report import DesignResult, design, draw_instruments, draw_sweeps, summary
 from sim_heating.inputs.scenario import load_scenario
 
 ROOT = Path(__file__).parent.parent
@@ -16,7 +16,7 @@ FITS = 400
 AGREE = 0.10
 
 
-def _figures(name: str, designed: Designed, took: float) -> list[Figure]:
+def _figures(name: str, designed: DesignResult, took: float) -> list[Figure]:
     found = summary(designed)
     figures = [Figure(f"{name}: time", took, "s", note=f"{found['tried']} designs, {found['kept_limits']} keep limits")]
     for varied in found["varied"]:

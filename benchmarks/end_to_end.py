@@ -26,10 +26,10 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.closure.revise.evidence import basis
 from sim_heating.closure.revise.update import errors_before_and_after, prepare_update
-from sim_heating.estimation.fit import Fitted, estimate
+from sim_heating.estimation.fit import FitResult, estimate
 from sim_heating.estimation.record_fit import StartMaker
 from sim_heating.estimation.report.estimate_file import NAME, write_estimate
-from sim_heating.estimation.report.report import result_of
+from sim_heating.estimation.report.report import estimate_contents
 from sim_heating.estimation.starts import STARTS
 from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.heating.ratio.table import RatioTable
@@ -211,7 +211,7 @@ def _fits(name: str, point: ControlPoint, flight: Flight, window: Window, folder
             continue
         place = folder / "fits" / f"{name}_{point.name}_{way}_{window.start_s:.0f}"
         place.mkdir(parents=True)
-        write_estimate(place / NAME, result_of(fitted))
+        write_estimate(place / NAME, estimate_contents(fitted))
         update = prepare_update(place, point_vehicle(name))
         other = CHECKED.get(name)
         checks = [record] if other is None else [record, _renamed(load_record(folder / other / point.name), other)]
@@ -250,7 +250,7 @@ def _cut(record: Record, window: Window, way: str) -> tuple[Record, StartMaker |
     return cut, lambda r, model, mesh: STARTS["profile"](r, model, mesh, at)
 
 
-def _errors(fitted: Fitted, record: Record, point: ControlPoint, flight: Flight, truth: str) -> dict[str, float]:
+def _errors(fitted: FitResult, record: Record, point: ControlPoint, flight: Flight, truth: str) -> dict[str, float]:
     """Estimates less the truth over their sigma."""
     flown = conditions_of_record(record)
     rows = record.fit_mask(flown.time_s)

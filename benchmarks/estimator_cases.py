@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from benchmarks.problems import NOTHING
 from sim_heating.base.parameters import CLOCK_SKEW, Parameter
-from sim_heating.estimation.inference.likelihood import observed
-from sim_heating.estimation.problem import Problem, joint_reference
+from sim_heating.estimation.inference.likelihood import reading_intervals
+from sim_heating.estimation.problem import FitProblem, joint_reference
 from sim_heating.estimation.record_fit import Start, StartMaker
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record, Segments
@@ -131,7 +131,7 @@ class Repeatable:
     truth  : (parameter,) true values;  true_K : sensor's number -> (sample,) true temperatures of what is fitted
     """
 
-    problem: Problem
+    problem: FitProblem
     truth: FloatArray
     true_K: dict[int, FloatArray]
 
@@ -139,7 +139,7 @@ class Repeatable:
         """Measure once more: noise and recorder words of all sensors."""
         part = self.problem.parts[0]
         part.channels = [
-            replace(c, observed=observed(c.sensor, measured(c.sensor, self.true_K[c.number], rng)))
+            replace(c, observed=reading_intervals(c.sensor, measured(c.sensor, self.true_K[c.number], rng)))
             for c in part.channels
         ]
 
@@ -149,7 +149,7 @@ def repeatable(case: Case) -> Repeatable:
     record = record_of(case.name)
     flat = {n: replace(_definition(record, n), sigma=np.inf) for n in case.truth}
     starts = [None if case.whole else start_at(case)]
-    problem = Problem([record], list(case.truth), joint_reference([record]), priors=flat, starts=starts)
+    problem = FitProblem([record], list(case.truth), joint_reference([record]), priors=flat, starts=starts)
     truth = np.array(list(case.truth.values()))
     return Repeatable(problem, truth, {s.channel.number: s.mean_K for s in problem.samples(truth)})
 

@@ -25,7 +25,7 @@ from sim_heating.base.files import toml_text
 from sim_heating.base.parameters import SHORT
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.inference.newton import maximise
-from sim_heating.estimation.report.report import residuals_of
+from sim_heating.estimation.report.report import sensor_residual_tests
 from sim_heating.inputs.record import load_record
 
 RECORDS, SEED, PROCESSES = 120, 20, 2
@@ -40,7 +40,7 @@ def made_and_fitted(number: int, out: Path) -> dict[str, Any]:
     if not fitted.fit.converged:
         raise RuntimeError(f"{name}: {fitted.fit.words()[0]}")
     truth = np.array([answer["true_errors"][label.removeprefix("ratio.")] for label in fitted.labels])
-    white = [r.whiteness.p_value for r in residuals_of(fitted) if r.whiteness]
+    white = [r.whiteness.p_value for r in sensor_residual_tests(fitted) if r.whiteness]
     problem, half, sigma = fitted.problem, fitted.bounds.half_width(), fitted.bounds.sigma
     values = {"corrected": fitted.fit.values}
     for part in problem.parts:

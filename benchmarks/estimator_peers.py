@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from sim_heating.estimation.record_fit import Part, declared_profile
+from sim_heating.estimation.record_fit import RecordFit, declared_profile
 from sim_heating.march.ensemble import Ensemble, condition_history
 from sim_heating.march.point import PointModel
 
@@ -38,7 +38,7 @@ class Plain:
     read_K : (step, sensor) readings at the ends of the steps, those between two steps taken linearly
     """
 
-    part: Part
+    part: RecordFit
     names: tuple[str, ...]
     read_K: FloatArray
     sigma_K: FloatArray
@@ -76,7 +76,7 @@ class Plain:
         return self.ensemble.node_temperatures(0)
 
 
-def plain(part: Part, names: tuple[str, ...]) -> Plain:
+def plain(part: RecordFit, names: tuple[str, ...]) -> Plain:
     """The readings of a part on the steps of its march."""
     t = part.time_s[1:]
     sensors = [c.sensor for c in part.channels]

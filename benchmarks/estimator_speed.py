@@ -31,8 +31,8 @@ from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, sample
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.inference.newton import maximise
 from sim_heating.estimation.inference.observability import default_names
-from sim_heating.estimation.problem import Problem, joint_reference
-from sim_heating.estimation.side_by_side import Together
+from sim_heating.estimation.problem import FitProblem, joint_reference
+from sim_heating.estimation.side_by_side import JointMarch
 from sim_heating.heating.effects import effects, use
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record, load_record
@@ -51,7 +51,7 @@ POINTS = 50
 """Control points of the joint fit."""
 
 
-def gauss_newton(problem: Problem, start: FloatArray) -> FloatArray:
+def gauss_newton(problem: FitProblem, start: FloatArray) -> FloatArray:
     """Ten iterations, whatever they gain."""
     at = start.copy()
     prior = np.array([p.sigma**-2.0 for p in problem.parameters])
@@ -81,7 +81,7 @@ def the_papers_case() -> list[Figure]:
     """All methods on one problem, in turn."""
     begin = start_at(replace(CASES["popu"], truth={}))  # the record is of the declared model
     record = record_of("popu")
-    problem = Problem([record], NAMES, joint_reference([record]), starts=[begin])
+    problem = FitProblem([record], NAMES, joint_reference([record]), starts=[begin])
     start = np.array([p.value for p in problem.parameters])
     point = plain(problem.parts[0], NAMES)
     tasks = {
@@ -118,7 +118,9 @@ def the_papers_case() -> list[Figure]:
     return figures
 
 
-def _against_filterpy(point: Plain, start: FloatArray, values: dict[str, FloatArray], problem: Problem) -> list[Figure]:
+def _against_filterpy(
+    point: Plain, start: FloatArray, values: dict[str, FloatArray], problem: FitProblem
+) -> list[Figure]:
     times = in_turn(
         {
             "this": lambda: gauss_newton(problem, start),
@@ -137,7 +139,7 @@ def _against_filterpy(point: Plain, start: FloatArray, values: dict[str, FloatAr
 def growth() -> list[Figure]:
     """How one march grows with the nodes: with sensitivities, and with the covariance."""
     record = record_of("popu")
-    part = Problem([record], NAMES, joint_reference([record])).parts[0]
+    part = FitProblem([record], NAMES, joint_reference([record])).parts[0]
     history = condition_history(part.conditions.at(part.time_s))[np.newaxis]
     tasks: dict[str, Task] = {}
     for nodes in NODES:
@@ -165,7 +167,7 @@ class JointFit:
     """One iteration of a fit of fifty control points on one flight."""
 
     def __init__(self) -> None:
-        self.problem = Problem(fifty(), NAMES, joint_reference([record_of("popu")]))
+        self.problem = FitProblem(fifty(), NAMES, joint_reference([record_of("popu")]))
         self.at = np.array([p.value for p in self.problem.parameters])
         self.iteration(1)
 
@@ -240,7 +242,7 @@ def the_practice_record() -> list[Figure]:
     """A whole warm fit of a whole entry."""
     record = load_record(RECORD)
     times = in_turn({"this": lambda: estimate([record])}, ROUNDS)
-    part = Problem([record], ["ratio.scale"], joint_reference([record])).parts[0]
+    part = FitProblem([record], ["ratio.scale"], joint_reference([record])).parts[0]
     shown = f"{part.mesh.nodes} nodes, {len(part.time_s) - 1} steps, 6 parameters"
     return [Figure("a warm fit of a whole entry, practice record p06", times.best("this") * 1e3, "ms", note=shown)]
 
@@ -250,11 +252,11 @@ def side_by_side() -> list[Figure]:
     record = load_record(RECORD)
     names, about, flown = default_names([record]), joint_reference([record]), conditions_of_record(record)
     kernels = [e.name for e in effects().values() if e.kernel][: LANES - 1]
-    problems = [Problem([record], [*names, "stack.coating.thickness_factor"], about)]
+    problems = [FitProblem([record], [*names, "stack.coating.thickness_factor"], about)]
     for name in kernels:
         more = [f"effect.{name}.{p}" for p in effects()[name].tried(flown)[0].names]
-        problems.append(Problem([record], [*names, *more], about, effects=[use(name)]))
-    at, together = [np.array([p.value for p in problem.parameters]) for problem in problems], Together(problems)
+        problems.append(FitProblem([record], [*names, *more], about, effects=[use(name)]))
+    at, together = [np.array([p.value for p in problem.parameters]) for problem in problems], JointMarch(problems)
     moved = iter(range(10**9))
 
     def vectors() -> list[FloatArray]:

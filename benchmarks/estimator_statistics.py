@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from benchmarks.estimator_cases import CASES, Repeatable, repeatable
 from benchmarks.measure import Figure, save
-from sim_heating.estimation.fit import coloured_bounds
+from sim_heating.estimation.fit import fit_bounds
 from sim_heating.estimation.inference.newton import maximise
 from sim_heating.estimation.inference.residual_tests import sensor_residuals
 
@@ -74,7 +74,7 @@ def repeat(bench: Repeatable, seeds: Sequence[Sequence[int]]) -> Repetitions:
         fit = maximise(problem.evaluate, problem.parameters, bench.truth, problem.log_likelihoods)
         if not fit.converged:
             raise RuntimeError(f"seed {seed}: {fit.words()[0]}")
-        found = coloured_bounds(problem.samples(fit.values), fit)
+        found = fit_bounds(problem.samples(fit.values), fit)
         tests = [
             sensor_residuals(s.channel.sensor.name, s.time_s, s.channel.observed, s.mean_K, s.sigma_K, rng)
             for s in problem.samples(fit.values)

@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.measure import Figure, save
 from benchmarks.tile import PRACTICE
 from sim_heating.base.report.figure import new_figure, save_figure
-from sim_heating.estimation.fit import Fitted, estimate
+from sim_heating.estimation.fit import FitResult, estimate
 from sim_heating.estimation.record_fit import StartMaker
 from sim_heating.estimation.starts import STARTS
 from sim_heating.inputs.record import Record, load_record
@@ -45,7 +45,7 @@ def rms(errors: dict[str, float]) -> float:
     return float(np.sqrt(np.mean(np.square(list(errors.values())))))
 
 
-def _timed(record: Record, about: dict[str, float], start: StartMaker | None) -> tuple[Fitted, float]:
+def _timed(record: Record, about: dict[str, float], start: StartMaker | None) -> tuple[FitResult, float]:
     seconds = []
     for _ in range(ROUNDS):
         begun = time.perf_counter()

@@ -25,11 +25,11 @@ from benchmarks.measure import Figure, save
 from benchmarks.problems import NOTHING
 from sim_heating.estimation.filter.innovations import Innovations, fit_innovations
 from sim_heating.estimation.filter.process_noise import CORRELATION, NODE, RATIO, ProcessNoise
-from sim_heating.estimation.fit import coloured_bounds
-from sim_heating.estimation.inference.likelihood import observed
+from sim_heating.estimation.fit import fit_bounds
+from sim_heating.estimation.inference.likelihood import reading_intervals
 from sim_heating.estimation.inference.newton import Fit, maximise
 from sim_heating.estimation.inference.residual_tests import sensor_residuals
-from sim_heating.estimation.problem import Problem
+from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import declared_profile
 from sim_heating.inputs.sensor_model import measured
 from sim_heating.march.ensemble import Ensemble, condition_history
@@ -115,13 +115,13 @@ def disturbed(
     return found, added
 
 
-def measure(problem: Problem, true_K: FloatArray, rng: np.random.Generator) -> None:
+def measure(problem: FitProblem, true_K: FloatArray, rng: np.random.Generator) -> None:
     """Read true temperatures (step, node) with the noise and the words of all sensors."""
     part = problem.parts[0]
     channels = []
     for c in part.channels:
         at = np.interp(part.sample_s[c.samples], part.time_s[1:], true_K[:, part.mesh.sensors[c.number]])
-        channels.append(replace(c, observed=observed(c.sensor, measured(c.sensor, at, rng))))
+        channels.append(replace(c, observed=reading_intervals(c.sensor, measured(c.sensor, at, rng))))
     part.channels = channels
 
 
@@ -142,13 +142,13 @@ def fits(
 
 
 def _row(
-    bench: Repeatable, fit: Fit, fitted: Problem | Innovations, levels: tuple[str, ...], rng: np.random.Generator
+    bench: Repeatable, fit: Fit, fitted: FitProblem | Innovations, levels: tuple[str, ...], rng: np.random.Generator
 ) -> tuple[FloatArray, ...]:
     """A row of Fits."""
     if not fit.converged:
         raise RuntimeError(fit.words()[0])
     samples = fitted.samples(fit.values)
-    found = coloured_bounds(samples, fit)
+    found = fit_bounds(samples, fit)
     tests = [
         sensor_residuals(s.channel.sensor.name, s.time_s, s.channel.observed, s.mean_K, s.spread_K, rng)
         for s in samples

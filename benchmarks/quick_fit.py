@@ -10,9 +10,9 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import RunError
 from sim_heating.base.parameters import Parameter
-from sim_heating.estimation.fit import coloured_bounds, predict_at
+from sim_heating.estimation.fit import fit_bounds, predict_fit
 from sim_heating.estimation.inference.newton import Fit, Settings, maximise
-from sim_heating.estimation.problem import Problem, joint_reference
+from sim_heating.estimation.problem import FitProblem, joint_reference
 from sim_heating.heating.effects import EffectUse
 from sim_heating.inputs.record import Record
 from sim_heating.simulation.predict import predict
@@ -24,13 +24,13 @@ SETTLED = Settings(gain=1e-2, step=3e-2, iterations=20)
 class Model:
     """A fitted model of one record."""
 
-    problem: Problem
+    problem: FitProblem
     fit: Fit
 
     @property
     def residual_K(self) -> FloatArray:
         """(sensor, sample) measured less predicted of the plain march, to the last sample fitted or held out."""
-        return predict_at(self.problem.parts[0], self.fit.values).residual_K
+        return predict_fit(self.problem.parts[0], self.fit.values).residual_K
 
     @property
     def whole_residual_K(self) -> FloatArray:
@@ -46,7 +46,7 @@ class Model:
     @property
     def sigma(self) -> dict[str, float]:
         """Sigma by name, corrected for coloured residuals."""
-        found = coloured_bounds(self.problem.samples(self.fit.values), self.fit).sigma
+        found = fit_bounds(self.problem.samples(self.fit.values), self.fit).sigma
         return dict(zip((u.label for u in self.problem.unknowns), found, strict=True))
 
 
@@ -67,7 +67,7 @@ def quick_fit(
     best: Model | None = None
     about = joint_reference([record]) if reference is None else reference
     for start in starts:
-        problem = Problem([record], names, about, effects=effects, priors=priors, widened=np.inf if flat else 1.0)
+        problem = FitProblem([record], names, about, effects=effects, priors=priors, widened=np.inf if flat else 1.0)
         first = np.array([start.get(p.name, p.value) for p in problem.parameters])
         try:
             fit = maximise(problem.evaluate, problem.parameters, first, problem.log_likelihoods, SETTLED)

@@ -17,8 +17,8 @@ from sim_heating.closure.clues.residual_heating import residual_heating
 from sim_heating.estimation.filter.heating_input import unknown_input
 from sim_heating.estimation.filter.march import Disturbance, FilterMarch, FilterTrack, samples_on_grid
 from sim_heating.estimation.filter.smoother import smooth
-from sim_heating.estimation.inference.likelihood import observed
-from sim_heating.estimation.problem import Problem, joint_reference
+from sim_heating.estimation.inference.likelihood import reading_intervals
+from sim_heating.estimation.problem import FitProblem, joint_reference
 from sim_heating.heating.effects import use
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record, load_record
@@ -55,7 +55,7 @@ def raised() -> Record:
 def speed() -> list[Figure]:
     """The whole residual of a record, and one filter and smoother at a noise model that is known."""
     record = raised()
-    problem, values = Problem([record], ["ratio.scale"], joint_reference([record])), np.zeros(1)
+    problem, values = FitProblem([record], ["ratio.scale"], joint_reference([record])), np.zeros(1)
     found = residual_heating(problem, values)
     part = problem.parts[0]
     known = found.input.disturbance
@@ -81,12 +81,12 @@ def speed() -> list[Figure]:
     ]  # fmt: skip
 
 
-def filtered(problem: Problem, known: Disturbance) -> None:
+def filtered(problem: FitProblem, known: Disturbance) -> None:
     """One pass forward and back."""
     part = problem.parts[0]
     read = np.array([part.record.thermocouples[c.sensor.column] for c in part.channels])
     read = read[:, np.searchsorted(part.record.time_s, part.sample_s)]
-    intervals = [observed(c.sensor, T) for c, T in zip(part.channels, read, strict=True)]
+    intervals = [reading_intervals(c.sensor, T) for c, T in zip(part.channels, read, strict=True)]
     nodes = [part.mesh.sensors[c.number] for c in part.channels]
     sigma = [part.sigma_K[c.number] for c in part.channels]
     samples = samples_on_grid(
@@ -121,7 +121,7 @@ def resolved() -> list[Figure]:
             bare = FilterTrack(model, mesh, samples_on_grid(time_s[1:], mesh.sensors, nothing, sigma), (), start)
             expected = unknown_input(bare, time_s, history, taken).read_K
             read = measured(sensor, expected, np.random.default_rng(SEED), None, np.zeros(len(expected), dtype=bool))
-            seen = observed(sensor, read)
+            seen = reading_intervals(sensor, read)
             low, high = seen.lower_K[np.newaxis], seen.upper_K[np.newaxis]
             samples = samples_on_grid(time_s[1:], mesh.sensors, low, sigma, high)
             found = unknown_input(replace(bare, samples=samples), time_s, history, taken)

@@ -16,7 +16,7 @@ from benchmarks.measure import Figure, save
 from benchmarks.tile import NOISE_8_BIT, Tile, record
 from sim_heating.base.parameters import CLOCK_SKEW, MODEL
 from sim_heating.base.report.figure import new_figure, save_figure
-from sim_heating.estimation.fit import Fitted, estimate
+from sim_heating.estimation.fit import FitResult, estimate
 
 PICTURE = Path(__file__).parent.parent / "docs" / "images" / "skew_coating.png"
 COATINGS_MIL = (10.0, 15.0, 20.0)
@@ -77,7 +77,7 @@ def curve(tile: Tile) -> Curve:
     return Curve(tile, np.array(skews), *np.array([found[s] for s in skews]).T)
 
 
-def both_estimated() -> Fitted:
+def both_estimated() -> FitResult:
     """Skew and coating together, with their priors, from a noisy record with an 8-bit word."""
     return estimate([record(replace(NOISE_8_BIT, skew_s=0.3))], (*NAMES, CLOCK_SKEW.name))
 

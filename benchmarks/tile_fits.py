@@ -21,8 +21,8 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import RunError
 from sim_heating.base.parameters import Parameter
-from sim_heating.estimation.inference.observability import default_names, still
-from sim_heating.estimation.problem import Problem, joint_reference
+from sim_heating.estimation.inference.observability import constant_variables, default_names
+from sim_heating.estimation.problem import FitProblem, joint_reference
 from sim_heating.heating.effects import use
 from sim_heating.inputs.record import Record
 from sim_heating.inputs.scenario import Scenario
@@ -101,7 +101,7 @@ def onset_time_s(flown: Conditions, log10_re: float, after_s: float = 600.0) -> 
 
 def fitted(record: Record, reference: tuple[float, ...], starts: Sequence[Mapping[str, float]] = ({},)) -> Model:
     """The linear model, with transition where the starts name it; the best of all starts."""
-    linear = [n for n in default_names([record]) if n not in still(default_names([record]), [record])]
+    linear = [n for n in default_names([record]) if n not in constant_variables(default_names([record]), [record])]
     turbulent = TRANSITION[0] in starts[0]
     names, uses = (*linear, *(TRANSITION if turbulent else ())), [use("transition")] if turbulent else []
     return quick_fit(record, names, starts, effects=uses, reference=reference, priors={SHARPEST.name: SHARPEST})
@@ -194,7 +194,7 @@ def _normal_equations(
     for change in (np.array([STEP_S, 0.0]), np.array([0.0, STEP_STRETCH])):
         moved = compared_records(scenario, flown=flown, shift_s=(clock + change)[0], stretch=(clock + change)[1])[name]
         names, reference = list(tile.after.values), tile.after.problem.reference
-        problem = Problem([moved], names, reference, effects=[use("transition")], widened=np.inf)
+        problem = FitProblem([moved], names, reference, effects=[use("transition")], widened=np.inf)
         columns.append((problem.samples(values)[0].mean_K - here.mean_K) / np.max(change))
     sensitivity = np.array(columns).T
     own = here.own[:, np.any(here.own != 0.0, axis=0)]

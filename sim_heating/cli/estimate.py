@@ -168,11 +168,11 @@ def estimate(
         _estimate_trend(records, out, parameters, fit, segments)
         return
     from sim_heating.estimation.fit import estimate as fit_records
-    from sim_heating.estimation.report.report import files_of, result_of, write_fit
+    from sim_heating.estimation.report.report import estimate_contents, output_files, write_fit
     from sim_heating.inputs.record import load_record
 
     loaded = [_with_fit(load_record(path), fit) for path in records]
-    require_writable(out, files_of(loaded, filtered=noise is not None))
+    require_writable(out, output_files(loaded, filtered=noise is not None))
     with progress_line("estimate") as progress:
         starts = [start] * len(loaded)
         fitted = fit_records(
@@ -180,7 +180,7 @@ def estimate(
         )
         progress(0.95, "writing")
         names = write_fit(fitted, out)
-    found = result_of(fitted)
+    found = estimate_contents(fitted)
     table = Table(title=f"{', '.join(r.name for r in loaded)}: estimate", title_justify="left")
     for head in ("parameter", "value", "sigma", "unit"):
         table.add_column(head, justify="left" if head in ("parameter", "unit") else "right")

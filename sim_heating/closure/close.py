@@ -30,7 +30,7 @@ from sim_heating.closure.report import (
 )
 from sim_heating.closure.search.search import SearchResult, search_effects
 from sim_heating.closure.search.trial_fit import QUICK, WIDENED, TrialFit, fitted_effects, fitted_values
-from sim_heating.estimation.fit import Fitted, estimate
+from sim_heating.estimation.fit import FitResult, estimate
 from sim_heating.estimation.inference.newton import Settings
 from sim_heating.estimation.report.estimate_file import NAME
 from sim_heating.estimation.report.report import FIT_FILES, noise_floor_K, write_fit
@@ -58,7 +58,7 @@ class ClosedLoop:
     """
 
     found: SearchResult
-    fitted: Fitted
+    fitted: FitResult
     report: Closure
 
 
@@ -82,7 +82,7 @@ def close_loop(record: Record, *, progress: Progress = quiet) -> ClosedLoop:
     return ClosedLoop(found, fitted, _report(found, fitted, doubts))
 
 
-def refit(found: SearchResult) -> Fitted:
+def refit(found: SearchResult) -> FitResult:
     """The record fitted with the declared model's parameters and all that was added, to the end and with bounds.
 
     Effects' priors are as wide as in the search.
@@ -105,7 +105,7 @@ def refit(found: SearchResult) -> Fitted:
     )
 
 
-def _report(found: SearchResult, fitted: Fitted, doubts: Sequence[DataFault]) -> Closure:
+def _report(found: SearchResult, fitted: FitResult, doubts: Sequence[DataFault]) -> Closure:
     before, values = found.before, found.before.fit.values
     residual = residual_heating(before.problem, values)
     after = fitted.after[0] if found.added else before.after[0]

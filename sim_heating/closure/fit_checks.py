@@ -22,7 +22,7 @@ from sim_heating.closure.record_checks import (
     DataFault,
 )
 from sim_heating.estimation.inference.newton import Settings, maximise
-from sim_heating.estimation.problem import Problem
+from sim_heating.estimation.problem import FitProblem
 from sim_heating.inputs.record import Record
 from sim_heating.inputs.sensor_model import calibrated
 
@@ -39,7 +39,7 @@ INSULATION = ("stack.rsi.conductivity_factor", "stack.rsi.heat_capacity_factor")
 QUICK = Settings(gain=1e-2, step=3e-2, iterations=20)
 
 
-def check_fit(problem: Problem, values: FloatArray, residual: ResidualHeating) -> list[DataFault]:
+def check_fit(problem: FitProblem, values: FloatArray, residual: ResidualHeating) -> list[DataFault]:
     """What the last fit of one record and its residual heating tell: magnitude, another material, sensors that
     contradict each other. What an effect explains is none of these: give the fit with all effects that were added."""
     left = _rms_in_floors(problem, values)
@@ -57,7 +57,7 @@ def check_fit(problem: Problem, values: FloatArray, residual: ResidualHeating) -
     return [] if sensor is None else [sensor]
 
 
-def magnitude(problem: Problem, values: FloatArray) -> DataFault | None:
+def magnitude(problem: FitProblem, values: FloatArray) -> DataFault | None:
     """Heating as a whole that no table is off by."""
     record = problem.parts[0].record
     scale = problem.parts[0].values(values).get("ratio.scale")
@@ -71,7 +71,7 @@ def magnitude(problem: Problem, values: FloatArray) -> DataFault | None:
     )
 
 
-def contradicting(problem: Problem, values: FloatArray, residual: ResidualHeating) -> DataFault | None:
+def contradicting(problem: FitProblem, values: FloatArray, residual: ResidualHeating) -> DataFault | None:
     """The one sensor without which the others agree with a heating history, unless an offset or a gain is all of it;
     of several, that without which the least heating is missing."""
     worst = sorted(residual.sensors, key=lambda s: -s.after_rmse_K / s.floor_K)
@@ -127,13 +127,15 @@ def _how(t: FloatArray, apart: FloatArray, floor_K: float) -> str:
     return f"drifts by {100.0 * size:+.2f} K in 100 s from {begin:.0f} s on"
 
 
-def _insulation(problem: Problem, values: FloatArray) -> tuple[float, float, float] | None:
+def _insulation(problem: FitProblem, values: FloatArray) -> tuple[float, float, float] | None:
     """Factors of conductivity and heat capacity that are likeliest, and the residual with them over the noise; None
     where they cannot be fitted."""
     part = problem.parts[0]
     names = [n for n in part.names if n not in INSULATION]
     start = [part.values(values)[n] for n in names]
-    other = Problem([part.record], [*names, *INSULATION], problem.reference, effects=part.model.effects, widened=np.inf)
+    other = FitProblem(
+        [part.record], [*names, *INSULATION], problem.reference, effects=part.model.effects, widened=np.inf
+    )
     other.parts[0].sigma_K.update(part.sigma_K)
     first = np.array([[*start, k, 1.0] for k in STARTS])
     likely = other.log_likelihoods(first)
@@ -147,7 +149,7 @@ def _insulation(problem: Problem, values: FloatArray) -> tuple[float, float, flo
     return k, c, _rms_in_floors(other, fit.values)
 
 
-def material(problem: Problem, insulated: tuple[float, float, float], before: float) -> DataFault | None:
+def material(problem: FitProblem, insulated: tuple[float, float, float], before: float) -> DataFault | None:
     """Another insulation where its diffusivity is off by a large factor."""
     (k, c, left), part = insulated, problem.parts[0]
     if FACTORS[0] < k / c < FACTORS[1]:
@@ -163,7 +165,7 @@ def material(problem: Problem, insulated: tuple[float, float, float], before: fl
     )
 
 
-def _rms_in_floors(problem: Problem, values: FloatArray) -> float:
+def _rms_in_floors(problem: FitProblem, values: FloatArray) -> float:
     """RMS of the residuals of a fit over the noise floor of each sensor."""
     squares, count = 0.0, 0
     for s in problem.samples(values):

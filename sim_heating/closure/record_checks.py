@@ -14,7 +14,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import RunError
-from sim_heating.estimation.inference.likelihood import observed
+from sim_heating.estimation.inference.likelihood import reading_intervals
 from sim_heating.estimation.inference.observability import STUCK
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record
@@ -280,5 +280,5 @@ def _floor_K(sensor: Sensor) -> float:
 def _read_K(record: Record) -> FloatArray:
     """(sensor, sample) measurements; NaN where lost, or at an end of the recorder's range."""
     read = record.temperatures_K()
-    seen = [observed(sensor, own) for sensor, own in zip(record.sensors, read, strict=True)]
+    seen = [reading_intervals(sensor, own) for sensor, own in zip(record.sensors, read, strict=True)]
     return np.array([np.where(o.within, T, np.nan) for o, T in zip(seen, read, strict=True)])

@@ -21,21 +21,21 @@ from sim_heating.base.parameters import AT, CLOCK_SKEW, EFFECT_PREFIX, Parameter
 from sim_heating.base.progress import Progress, quiet
 from sim_heating.estimation.filter.innovations import Innovations, fit_innovations
 from sim_heating.estimation.filter.process_noise import ProcessNoise
-from sim_heating.estimation.inference.bounds import Bounds, bounds
-from sim_heating.estimation.inference.bounds import Channel as Residuals
+from sim_heating.estimation.inference.bounds import ChannelResiduals as Residuals
+from sim_heating.estimation.inference.bounds import CramerRaoBounds, cramer_rao_bounds
 from sim_heating.estimation.inference.identifiability import correlation
 from sim_heating.estimation.inference.likelihood import likelihood
 from sim_heating.estimation.inference.newton import Fit, Settings, Status, check_parameters, maximise
 from sim_heating.estimation.inference.observability import (
+    constant_variables,
     default_names,
+    least_determined,
     mean_ratio,
-    still,
-    unheated,
-    untold,
-    without_stuck,
+    parameters_without_heating,
+    without_stuck_sensors,
 )
-from sim_heating.estimation.problem import Problem, joint_reference
-from sim_heating.estimation.record_fit import Part, Samples, Start, StartMaker, errors_of, march_times
+from sim_heating.estimation.problem import FitProblem, joint_reference
+from sim_heating.estimation.record_fit import PredictedSamples, RecordFit, Start, StartMaker, march_times, sensor_errors
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.inputs.record import Record, require_distinct_records
 from sim_heating.march.history import outside_table
@@ -54,7 +54,7 @@ MAGNITUDES_TRIED = np.geomspace(0.002, 2.0, 8)
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class FitResult:
     """Result of a fit.
 
     problem       : records, parameters and samples;  fit : the most probable values
@@ -67,9 +67,9 @@ class Fitted:
     Source: docs/estimation_statistics.md, equations 13 to 26.
     """
 
-    problem: Problem
+    problem: FitProblem
     fit: Fit
-    bounds: Bounds
+    bounds: CramerRaoBounds
     not_estimated: dict[str, str]
     before: tuple[Prediction, ...]
     after: tuple[Prediction, ...]
@@ -89,7 +89,7 @@ class Fitted:
         """
         return correlation(self.bounds.covariance)
 
-    def samples(self) -> list[Samples]:
+    def samples(self) -> list[PredictedSamples]:
         """The fitted channels at the values found [K], as the march or the filter predicts them.
 
         Source: docs/estimation_statistics.md, equation 1, or 32 for a fit with noise of the process.
@@ -109,7 +109,7 @@ def estimate(
     settings: Settings | None = None,
     process_noise: ProcessNoise | None = None,
     progress: Progress = quiet,
-) -> Fitted:
+) -> FitResult:
     """Fit parameters to records, jointly: maximum a posteriori, by Newton's method.
 
     names     : dotted names; by default magnitude [-] and five derivatives, as far as the records identify them
@@ -129,34 +129,34 @@ def estimate(
     26 and 31; 32 to 35 with noise of the process.
     """
     _check_records(records)
-    checked = [without_stuck(record) for record in records]
+    checked = [without_stuck_sensors(record) for record in records]
     records, stuck = [record for record, _ in checked], [line for _, told in checked for line in told]
     wanted = tuple(names) if names is not None else default_names(records)
-    effects = (*effects, *effects_of(wanted, effects))
+    effects = (*effects, *implied_effects(wanted, effects))
     about = joint_reference(records, reference)
-    out = still(wanted, records) | unheated(wanted, records)
-    left = _left(wanted, out, records)
-    problem = Problem(records, left, about, effects=effects, priors=priors, starts=starts)
+    out = constant_variables(wanted, records) | parameters_without_heating(wanted, records)
+    left = _remaining_names(wanted, out, records)
+    problem = FitProblem(records, left, about, effects=effects, priors=priors, starts=starts)
     _check_samples(problem)
     begin = _first_values(problem, first or {})
     while True:
-        worst = untold(
+        worst = least_determined(
             [u.label for u in problem.unknowns], _information(problem, begin), _ratio(problem, begin), records
         )
         if not worst:
             break
         # one at a time: each omission lowers the bounds of the others
         out |= worst
-        left = _left([n for n in left if n not in {label.partition(AT)[0] for label in worst}], out, records)
-        problem = Problem(records, left, about, effects=effects, priors=priors, starts=starts)
+        left = _remaining_names([n for n in left if n not in {label.partition(AT)[0] for label in worst}], out, records)
+        problem = FitProblem(records, left, about, effects=effects, priors=priors, starts=starts)
         begin = _first_values(problem, first or {})
     fit, innovations = _fit(problem, begin, settings, progress), None
     if process_noise is not None and fit.status is not Status.NO_START:
         fit, innovations = _fit_filtered(problem, process_noise, fit, progress)
-    return _finished(problem, fit, out, stuck, innovations)
+    return _fit_result(problem, fit, out, stuck, innovations)
 
 
-def _left(names: Sequence[str], out: Mapping[str, str], records: Sequence[Record]) -> list[str]:
+def _remaining_names(names: Sequence[str], out: Mapping[str, str], records: Sequence[Record]) -> list[str]:
     """The names that remain to be estimated.
 
     raises : InputError with the reasons where none remains
@@ -167,7 +167,7 @@ def _left(names: Sequence[str], out: Mapping[str, str], records: Sequence[Record
     return left
 
 
-def effects_of(names: Sequence[str], given: Sequence[EffectUse] = ()) -> list[EffectUse]:
+def implied_effects(names: Sequence[str], given: Sequence[EffectUse] = ()) -> list[EffectUse]:
     """The effects that dotted parameter names imply and that are not given, at their nominal values.
 
     names : of which those like `effect.NAME.PARAMETER` count;  given : effects already in the model
@@ -177,7 +177,7 @@ def effects_of(names: Sequence[str], given: Sequence[EffectUse] = ()) -> list[Ef
     return [use(name) for name in wanted if name not in known]
 
 
-def _check_samples(problem: Problem) -> None:
+def _check_samples(problem: FitProblem) -> None:
     times = sum(len(part.sample_s) for part in problem.parts)
     if times < FEWEST_SAMPLES:
         names = ", ".join(part.record.name for part in problem.parts)
@@ -196,7 +196,7 @@ def _check_records(records: Sequence[Record]) -> None:
         raise InputError(f"records: ratios over different reference heatings ({', '.join(sorted(models))}) are not one")
 
 
-def _first_values(problem: Problem, given: Mapping[str, float]) -> FloatArray:
+def _first_values(problem: FitProblem, given: Mapping[str, float]) -> FloatArray:
     """Start of the fit: as given, prior means, and for a ratio without a table the likeliest of some magnitudes."""
     first = np.array([given.get(p.name, p.value) for p in problem.parameters])
     bare = [k for k, u in enumerate(problem.unknowns) if u.parameter.name == "ratio.d0" and first[k] == 0.0]
@@ -208,7 +208,7 @@ def _first_values(problem: Problem, given: Mapping[str, float]) -> FloatArray:
     return first
 
 
-def _information(problem: Problem, values: FloatArray) -> FloatArray:
+def _information(problem: FitProblem, values: FloatArray) -> FloatArray:
     check_parameters(problem.parameters)
     found = problem.evaluate(values)
     if not np.isfinite(found.log_likelihood):
@@ -216,14 +216,14 @@ def _information(problem: Problem, values: FloatArray) -> FloatArray:
     return found.information + np.diag([p.sigma**-2.0 for p in problem.parameters])
 
 
-def _ratio(problem: Problem, values: FloatArray) -> float:
+def _ratio(problem: FitProblem, values: FloatArray) -> float:
     """A typical heating ratio of the fit: d0, else the declared one; NaN where there is neither."""
     d0 = [abs(v) for u, v in zip(problem.unknowns, values, strict=True) if u.parameter.name == "ratio.d0"]
     known = d0 or [r for r in (mean_ratio(part.record) for part in problem.parts) if np.isfinite(r)]
     return float(np.mean(known)) if known else float("nan")
 
 
-def _fit(problem: Problem, first: FloatArray, settings: Settings | None, progress: Progress) -> Fit:
+def _fit(problem: FitProblem, first: FloatArray, settings: Settings | None, progress: Progress) -> Fit:
     """Newton's iteration, in turn with the noise of the sensors that declare none, and again with meshes corrected."""
     steps = [0]
 
@@ -251,7 +251,7 @@ def _fit(problem: Problem, first: FloatArray, settings: Settings | None, progres
     return replace(fit, iterations=steps[0])
 
 
-def _fit_filtered(problem: Problem, noise: ProcessNoise, first: Fit, progress: Progress) -> tuple[Fit, Innovations]:
+def _fit_filtered(problem: FitProblem, noise: ProcessNoise, first: Fit, progress: Progress) -> tuple[Fit, Innovations]:
     """The fit on the innovations of the filter, starting from one without noise of the process."""
     steps = [first.iterations]
 
@@ -263,19 +263,19 @@ def _fit_filtered(problem: Problem, noise: ProcessNoise, first: Fit, progress: P
     return replace(fit, iterations=steps[0]), innovations
 
 
-def _finished(
-    problem: Problem, fit: Fit, out: dict[str, str], told: Sequence[str], innovations: Innovations | None
-) -> Fitted:
+def _fit_result(
+    problem: FitProblem, fit: Fit, out: dict[str, str], told: Sequence[str], innovations: Innovations | None
+) -> FitResult:
     if fit.status is Status.NO_START:
         raise RunError(f"estimate: {fit.words()[0]}")
     samples = (innovations or problem).samples(fit.values)
-    after = tuple(predict_at(part, fit.values) for part in problem.parts)
+    after = tuple(predict_fit(part, fit.values) for part in problem.parts)
     before = tuple(predict_record(part.record) for part in problem.parts)
-    told = (*told, *outside_lines(problem.parts), *warnings(problem, fit, samples))
-    return Fitted(problem, fit, coloured_bounds(samples, fit), out, before, after, told, innovations)
+    told = (*told, *table_warnings(problem.parts), *fit_warnings(problem, fit, samples))
+    return FitResult(problem, fit, fit_bounds(samples, fit), out, before, after, told, innovations)
 
 
-def predict_at(part: Part, values: FloatArray) -> Prediction:
+def predict_fit(part: RecordFit, values: FloatArray) -> Prediction:
     """The plain march of a record at a parameter vector, no measurement assimilated.
 
     part    : record with its start and mesh;  values : (parameter,)
@@ -286,7 +286,7 @@ def predict_at(part: Part, values: FloatArray) -> Prediction:
     Source: docs/estimation_statistics.md, equation 1, without the correction of equation 31.
     """
     own, record = part.values(values), part.record
-    wrong = {s.name: errors_of(s, own) for s in record.sensors}
+    wrong = {s.name: sensor_errors(s, own) for s in record.sensors}
     asked = record.time_s[record.fit_mask() | record.holdout_mask()]
     begin = part.conditions.time_s[0] if part.start is None else part.start.time_s
     # a shifted sample is read later than it was recorded
@@ -301,7 +301,7 @@ def predict_at(part: Part, values: FloatArray) -> Prediction:
     return replace(found, record=record)
 
 
-def coloured_bounds(samples: Sequence[Samples], fit: Fit) -> Bounds:
+def fit_bounds(samples: Sequence[PredictedSamples], fit: Fit) -> CramerRaoBounds:
     """Bounds of the values found, corrected for coloured residuals; 0 for parameters on a bound.
 
     samples : predictions [K] and sensitivities at the values found
@@ -315,14 +315,14 @@ def coloured_bounds(samples: Sequence[Samples], fit: Fit) -> Bounds:
         found = likelihood(s.channel.observed, s.mean_K, s.spread_K)
         name = f"{s.part.record.name}/{s.channel.sensor.name}"
         channels.append(Residuals(name, s.time_s, found.score, found.information, s.jacobian[:, ~fit.on_bound]))
-    free = bounds(channels, fit.prior_information[~fit.on_bound])
+    free = cramer_rao_bounds(channels, fit.prior_information[~fit.on_bound])
     place = np.ix_(~fit.on_bound, ~fit.on_bound)
     whole, white = np.zeros_like(fit.covariance), np.zeros_like(fit.covariance)
     whole[place], white[place] = free.covariance, free.white
     return replace(free, covariance=whole, white=white)
 
 
-def outside_lines(parts: Sequence[Part]) -> list[str]:
+def table_warnings(parts: Sequence[RecordFit]) -> list[str]:
     """One line for each variable ([deg], [-]) that leaves the ratio table over the fit segments.
 
     The table holds its edge value outside, so that the estimate includes the difference (docs/equations.md, section 2).
@@ -338,7 +338,7 @@ def outside_lines(parts: Sequence[Part]) -> list[str]:
     return lines
 
 
-def warnings(problem: Problem, fit: Fit, samples: Sequence[Samples]) -> list[str]:
+def fit_warnings(problem: FitProblem, fit: Fit, samples: Sequence[PredictedSamples]) -> list[str]:
     """Warnings about a fit: convergence, mesh errors [K], bounds, a likely clock error, unidentified directions.
 
     samples : fitted channels at the values found
@@ -356,7 +356,7 @@ def warnings(problem: Problem, fit: Fit, samples: Sequence[Samples]) -> list[str
                 "a coating that would have to be thinner than none is mostly a clock: the thermocouples lead the "
                 f"flight conditions; estimate {CLOCK_SKEW.name} as well"
             )
-    excess = misfit(samples)
+    excess = rms_normalised_residual(samples)
     if excess > MISFIT:
         found.append(
             f"residuals are {excess:.1f} times what noise would leave: the model lacks something, and the bounds are "
@@ -365,7 +365,7 @@ def warnings(problem: Problem, fit: Fit, samples: Sequence[Samples]) -> list[str
     return found + [f"{d.words()}: their bounds are wide" for d in fit.singular]
 
 
-def misfit(everything: Sequence[Samples]) -> float:
+def rms_normalised_residual(everything: Sequence[PredictedSamples]) -> float:
     """RMS of the residuals over that which noise and rounding give [-]: 1 for the true model.
 
         sqrt(sum_i u_i^2 / sum_i I_i)
@@ -380,7 +380,7 @@ def misfit(everything: Sequence[Samples]) -> float:
     return float(np.sqrt(squares / sum(float(np.sum(f.information)) for f in scored)))
 
 
-def lasting(everything: Sequence[Samples]) -> float:
+def lag1_autocorrelation(everything: Sequence[PredictedSamples]) -> float:
     """Lag-1 autocovariance of the residuals over the variance that noise and rounding give [-].
 
         sum_i u_i u_(i+1) / sum_i I_i

@@ -28,19 +28,19 @@ from sim_heating.estimation.inference.newton import Evaluation
 from sim_heating.estimation.inference.noise import estimate_noise
 from sim_heating.estimation.record_fit import (
     LONGEST_STEP_S,
-    Part,
-    Samples,
+    PredictedSamples,
+    RecordFit,
     Start,
     StartMaker,
-    channels,
     correct_mesh,
-    definition,
-    indicated,
+    fitted_channels,
+    group_march,
+    indications,
+    lane_groups,
     least_sigma_K,
-    march_of,
     march_times,
-    set_out,
-    side_by_side,
+    sensor_definition,
+    set_parameters,
 )
 from sim_heating.heating.effects import EffectUse
 from sim_heating.inputs.points import conditions_of_record, point_of_record
@@ -57,7 +57,7 @@ SKEW_SPAN_S = 5.0
 
 
 @dataclass(frozen=True)
-class Unknown:
+class FitParameter:
     """One estimated parameter.
 
     label     : its name in results, with its record or control point where there are several
@@ -70,7 +70,7 @@ class Unknown:
     parts: tuple[int, ...]
 
 
-class Problem:
+class FitProblem:
     """The fit of some parameters to some records.
 
     records   : flight records
@@ -119,14 +119,14 @@ class Problem:
     # What is unknown -------------------------------------------------------------------------------------------------
 
     @staticmethod
-    def _part(record: Record, model: PointModel, mesh: Mesh, start: Start | None, names: Sequence[str]) -> Part:
-        other = tuple(n for n in names if definition(record, n) is not None)
+    def _part(record: Record, model: PointModel, mesh: Mesh, start: Start | None, names: Sequence[str]) -> RecordFit:
+        other = tuple(n for n in names if sensor_definition(record, n) is not None)
         marched = tuple(n for n in names if n not in other)
         for name in marched:
             model.definition(name)
-        return Part(record, model, mesh, start, conditions_of_record(record), marched, other)
+        return RecordFit(record, model, mesh, start, conditions_of_record(record), marched, other)
 
-    def _number(self) -> list[Unknown]:
+    def _number(self) -> list[FitParameter]:
         """Place every part's unknowns in the parameter vector, shared where they are of one control point."""
         points = {part.record.declared.control_point for part in self.parts}
         found: dict[tuple[str, str], tuple[str, Parameter, list[int]]] = {}
@@ -143,14 +143,14 @@ class Problem:
             owners += [part.record.name] * (len(part.names) - len(part.marched))
             index = [keys.index((name, owner)) for name, owner in zip(part.names, owners, strict=True)]
             part.index = np.array(index, dtype=np.int64)
-        return [Unknown(label, parameter, tuple(parts)) for label, parameter, parts in found.values()]
+        return [FitParameter(label, parameter, tuple(parts)) for label, parameter, parts in found.values()]
 
-    def _parameter(self, part: Part, name: str) -> Parameter:
+    def _parameter(self, part: RecordFit, name: str) -> Parameter:
         """Definition of an unknown of a part; its value is where the fit starts, and the mean of its prior."""
         for own in part.start.unknowns if part.start else ():
             if own.name == name:
                 return own
-        known = definition(part.record, name)
+        known = sensor_definition(part.record, name)
         if known is None:
             known = part.model.definition(name)
             known = replace(known, value=part.model.value(name))
@@ -170,7 +170,7 @@ class Problem:
 
     # What is fitted --------------------------------------------------------------------------------------------------
 
-    def _choose_samples(self, part: Part, chosen: NDArray[np.bool_] | None) -> None:
+    def _choose_samples(self, part: RecordFit, chosen: NDArray[np.bool_] | None) -> None:
         record, flown = part.record, part.conditions.time_s
         begin = flown[0] if part.start is None else part.start.time_s
         # the set of samples must not change with the skew, or likelihoods could not be compared
@@ -185,12 +185,12 @@ class Problem:
                 f"({begin:g} to {flown[-1]:g} s); nothing can be estimated"
             )
         part.sample_s = t[read]
-        part.channels = channels(record, part.sample_s, read)
+        part.channels = fitted_channels(record, part.sample_s, read)
         part.sigma_K = {c.number: max(c.sensor.noise_sigma_K or 1.0, least_sigma_K(c.sensor)) for c in part.channels}
         part.time_s = march_times(part.conditions, begin, float(part.sample_s[-1]) + slack, self.longest_step_s)
 
     def _group(self) -> None:
-        self.groups = side_by_side(self.parts)
+        self.groups = lane_groups(self.parts)
         self._marches: list[LinearMarch | None] = [None] * len(self.groups)
         # a march packs its arrays when it is made: it is kept and set to other parameters
         self._bare: list[LinearMarch | None] = [None] * len(self.parts)
@@ -240,7 +240,7 @@ class Problem:
         m = len(self.unknowns)
         return Evaluation(np.nan, np.zeros(m), np.zeros((m, m)))
 
-    def samples(self, vector: FloatArray) -> list[Samples]:
+    def samples(self, vector: FloatArray) -> list[PredictedSamples]:
         """All channels at a parameter vector: predicted indications [K] and their sensitivities.
 
         vector : (parameter,)
@@ -252,7 +252,7 @@ class Problem:
         found = in_threads(lambda k: self._samples_of(k, vector), len(self.groups))
         return [s for of_group in found for s in of_group]
 
-    def _samples_of(self, k: int, vector: FloatArray) -> list[Samples]:
+    def _samples_of(self, k: int, vector: FloatArray) -> list[PredictedSamples]:
         """All channels of a group of parts."""
         return [
             samples
@@ -265,8 +265,8 @@ class Problem:
         known, found = self._last[k]
         if known != vector.tobytes():
             group, march = self.groups[k], self._marches[k]
-            march = self._marches[k] = march_of(group) if march is None else march
-            found = march.march(*set_out(march, group, [vector] * len(group)))
+            march = self._marches[k] = group_march(group) if march is None else march
+            found = march.march(*set_parameters(march, group, [vector] * len(group)))
             self._last[k] = (vector.tobytes(), found)
         return found
 
@@ -297,13 +297,13 @@ class Problem:
         """Whether an evaluation at a parameter vector (parameter,) needs no march."""
         return all(known == vector.tobytes() for known, _ in self._last)
 
-    def _of_part(self, part: Part, found: Linearised, vector: FloatArray) -> list[Samples]:
+    def _of_part(self, part: RecordFit, found: Linearised, vector: FloatArray) -> list[PredictedSamples]:
         """The channels of a part at a parameter vector."""
         values, samples = part.values(vector), []
         for c in part.channels:
-            mean, own = indicated(c, found, part.names, values, part.read)
+            mean, own = indications(c, found, part.names, values, part.read)
             time = part.sample_s[c.samples]
-            samples.append(Samples(part, c, time, mean, own, len(self.unknowns), part.sigma_K[c.number]))
+            samples.append(PredictedSamples(part, c, time, mean, own, len(self.unknowns), part.sigma_K[c.number]))
         return samples
 
     def log_likelihoods(self, vectors: FloatArray) -> FloatArray:
@@ -320,7 +320,7 @@ class Problem:
             part, march = self.parts[k], self._bare_march(k)
             # a group of lanes is always full: the last candidate fills it up
             padded = [*vectors, *[vectors[-1]] * (LANES - len(vectors))]
-            marched = march.attempt(*set_out(march, [part] * LANES, padded))
+            marched = march.attempt(*set_parameters(march, [part] * LANES, padded))
             return np.array([self._log_likelihood(part, v, m) for v, m in zip(vectors, marched, strict=False)])
 
         return np.asarray(np.sum(in_threads(one, len(self.parts)), axis=0))
@@ -335,13 +335,13 @@ class Problem:
         return march
 
     @staticmethod
-    def _log_likelihood(part: Part, vector: FloatArray, marched: Linearised | None) -> float:
+    def _log_likelihood(part: RecordFit, vector: FloatArray, marched: Linearised | None) -> float:
         """Log likelihood of the samples of a part; NaN where its march failed."""
         if marched is None:
             return np.nan
         found, values, total = part.corrected(marched), part.values(vector), 0.0
         for c in part.channels:
-            mean, _ = indicated(c, found, (), values, 0)
+            mean, _ = indications(c, found, (), values, 0)
             total += scores(c.observed, mean, part.sigma_K[c.number])[0]
         return total
 

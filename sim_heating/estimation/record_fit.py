@@ -34,7 +34,7 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.block import LANES
 from sim_heating.base.parameters import CLOCK_SKEW, SENSOR, SENSOR_PREFIX, Parameter
-from sim_heating.estimation.inference.likelihood import Observed, observed
+from sim_heating.estimation.inference.likelihood import ReadingIntervals, reading_intervals
 from sim_heating.inputs.record import Record
 from sim_heating.inputs.sensor_model import SensorErrors, calibrated
 from sim_heating.march.ensemble import condition_history
@@ -74,7 +74,7 @@ StartMaker = Callable[[Record, PointModel, Mesh], Start]
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class PredictedSamples:
     """One channel at one parameter vector, for statistics and pictures.
 
     part, channel : to which it belongs
@@ -86,8 +86,8 @@ class Samples:
     predicted_sigma_K : standard deviation [K] of mean_K itself, (sample,) where a filter predicts
     """
 
-    part: Part
-    channel: Channel
+    part: RecordFit
+    channel: FittedChannel
     time_s: FloatArray
     mean_K: FloatArray
     own: FloatArray
@@ -115,7 +115,7 @@ class Samples:
 
 
 @dataclass(eq=False)
-class Part:
+class RecordFit:
     """One record in a fit.
 
     record     : the flight record
@@ -141,7 +141,7 @@ class Part:
     index: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     time_s: FloatArray = field(default_factory=lambda: np.zeros(0))
     sample_s: FloatArray = field(default_factory=lambda: np.zeros(0))
-    channels: list[Channel] = field(default_factory=list)
+    channels: list[FittedChannel] = field(default_factory=list)
     sigma_K: dict[int, float] = field(default_factory=dict)
     correction_K: FloatArray | float = 0.0
     mesh_told: str = ""
@@ -216,16 +216,16 @@ class Part:
         return replace(found, temperature_K=found.temperature_K + self.correction_K)
 
 
-def side_by_side(parts: Iterable[Part]) -> list[list[Part]]:
+def lane_groups(parts: Iterable[RecordFit]) -> list[list[RecordFit]]:
     """Groups of parts on common times and with meshes of one size, LANES parts at most in a group."""
-    alike: dict[tuple[bytes, int], list[Part]] = {}
+    alike: dict[tuple[bytes, int], list[RecordFit]] = {}
     for part in parts:
         # lanes of a kernel share steps and array sizes
         alike.setdefault((part.time_s.tobytes(), part.mesh.nodes), []).append(part)
     return [group[k : k + LANES] for group in alike.values() for k in range(0, len(group), LANES)]
 
 
-def march_of(group: Sequence[Part]) -> LinearMarch:
+def group_march(group: Sequence[RecordFit]) -> LinearMarch:
     """Linearised march of a group of parts on common times, one lane each."""
     tracks = [replace(part.track(), flight=i) for i, part in enumerate(group)]
     time = group[0].time_s
@@ -233,8 +233,8 @@ def march_of(group: Sequence[Part]) -> LinearMarch:
     return LinearMarch(tracks, time, histories)
 
 
-def set_out(
-    march: LinearMarch, group: Sequence[Part], vectors: Sequence[FloatArray]
+def set_parameters(
+    march: LinearMarch, group: Sequence[RecordFit], vectors: Sequence[FloatArray]
 ) -> tuple[list[float], list[FloatArray | None]]:
     """Set the models of a march to parameter vectors, one for each of its parts.
 
@@ -267,7 +267,7 @@ def march_times(
     return np.append(np.repeat(knots[:-1], pieces) + within, knots[-1])
 
 
-def declared_profile(part: Part) -> FloatArray:
+def declared_profile(part: RecordFit) -> FloatArray:
     """(node,) temperatures [K] that the stack of a part declares."""
     return initial_temperatures(part.model.construction, part.mesh)
 
@@ -279,7 +279,7 @@ LEAST_OF_LSB = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Channel:
+class FittedChannel:
     """The samples of one sensor that are fitted.
 
     sensor   : its declaration;  number : its place in the record
@@ -290,10 +290,10 @@ class Channel:
     sensor: Sensor
     number: int
     samples: IntArray
-    observed: Observed
+    observed: ReadingIntervals
 
 
-def channels(record: Record, time_s: FloatArray, chosen: NDArray[np.bool_]) -> list[Channel]:
+def fitted_channels(record: Record, time_s: FloatArray, chosen: NDArray[np.bool_]) -> list[FittedChannel]:
     """The used sensors of a record with their samples at the chosen times.
 
     time_s  : (read,) times that the march reads [s]
@@ -308,7 +308,7 @@ def channels(record: Record, time_s: FloatArray, chosen: NDArray[np.bool_]) -> l
         mine = chosen & np.isfinite(read)
         if sensor.used and np.any(mine):
             places = np.searchsorted(time_s, record.time_s[mine])
-            found.append(Channel(sensor, number, places, observed(sensor, read[mine])))
+            found.append(FittedChannel(sensor, number, places, reading_intervals(sensor, read[mine])))
     return found
 
 
@@ -321,7 +321,7 @@ def least_sigma_K(sensor: Sensor) -> float:
     return max(LEAST_SIGMA_K, LEAST_OF_LSB * sensor.lsb_K)
 
 
-def errors_of(sensor: Sensor, values: Mapping[str, float]) -> SensorErrors:
+def sensor_errors(sensor: Sensor, values: Mapping[str, float]) -> SensorErrors:
     """Bias [K] and gain [-] of a sensor as parameters state them; 0 and 1 where they do not.
 
     values : dotted name -> value
@@ -340,7 +340,7 @@ def sensor_parameter(sensor: Sensor, what: str) -> str:
     return f"{SENSOR_PREFIX}{sensor.name}.{what}"
 
 
-def definition(record: Record, name: str) -> Parameter | None:
+def sensor_definition(record: Record, name: str) -> Parameter | None:
     """Definition of a parameter of a clock or sensor by its dotted name; None for any other name.
 
     returns : prior, bounds and unit (skew [s], bias [K], gain [-])
@@ -361,8 +361,8 @@ def definition(record: Record, name: str) -> Parameter | None:
     return SENSOR[what]
 
 
-def indicated(
-    channel: Channel, marched: Linearised, names: Sequence[str], values: Mapping[str, float], named: int
+def indications(
+    channel: FittedChannel, marched: Linearised, names: Sequence[str], values: Mapping[str, float], named: int
 ) -> tuple[FloatArray, FloatArray]:
     """Indications of a channel and their sensitivities to the parameters.
 
@@ -376,7 +376,7 @@ def indicated(
 
     The march already reads T at t - skew. Source: docs/estimation_statistics.md, equations 1 and 2.
     """
-    sensor, wrong = channel.sensor, errors_of(channel.sensor, values)
+    sensor, wrong = channel.sensor, sensor_errors(channel.sensor, values)
     T = marched.temperature_K[channel.number, channel.samples]
     jacobian = np.zeros((len(T), len(names)))
     np.multiply(marched.sensitivity[channel.number, channel.samples, :named], wrong.gain, out=jacobian[:, :named])
@@ -395,14 +395,14 @@ def indicated(
     return calibrated(sensor, T, wrong), slope[:, np.newaxis] * jacobian
 
 
-SURE_K = 1.0
+SMALL_CORRECTION_K = 1.0
 """Size of a correction [K] below which the first one is accurate to some hundredths of a kelvin."""
 SETTLED_K = 0.1
 """Change of a correction [K] from one mesh to the next at which it is accepted."""
 MOST_HALVINGS = 6
 
 
-def correct_mesh(part: Part, vector: FloatArray) -> None:
+def correct_mesh(part: RecordFit, vector: FloatArray) -> None:
     """Set the correction and the warning of a part, at a parameter vector.
 
     part   : its correction_K becomes (sensor, sample) [K], 0 where none can be found
@@ -420,14 +420,14 @@ def correct_mesh(part: Part, vector: FloatArray) -> None:
         part.mesh_told = f"{mesh} could not be corrected, and predictions keep its error ({error}); {finer}"
         return
     worst = float(np.max(np.abs(part.correction_K)))
-    if worst >= SURE_K:
+    if worst >= SMALL_CORRECTION_K:
         part.mesh_told = (
             f"{mesh} is up to {worst:.1f} K off; predictions are corrected, their sensitivities to the parameters are "
             f"not; {finer}"
         )
 
 
-def mesh_error_K(part: Part, vector: FloatArray) -> FloatArray:
+def mesh_error_K(part: RecordFit, vector: FloatArray) -> FloatArray:
     """Correction that the limit of fine meshes adds to the march of a part, by Richardson's extrapolation.
 
         T_k - T_0 + (T_k - T_(k-1)) / 3,   k = 1 where that is below 1 K
@@ -444,7 +444,7 @@ def mesh_error_K(part: Part, vector: FloatArray) -> FloatArray:
     # T_1 - T_0 + (T_1 - T_0) / 3
     error = 4.0 / 3.0 * (found - coarse)
     for _ in range(1, MOST_HALVINGS):
-        if np.max(np.abs(error)) < SURE_K:
+        if np.max(np.abs(error)) < SMALL_CORRECTION_K:
             return error
         finer = refined(fine)
         initial, fine, last = None if initial is None else on_mesh(initial, fine, finer), finer, found
@@ -456,7 +456,7 @@ def mesh_error_K(part: Part, vector: FloatArray) -> FloatArray:
 
 
 def _temperatures_K(
-    part: Part, vector: FloatArray, meshes: Sequence[tuple[Mesh, FloatArray | None]]
+    part: RecordFit, vector: FloatArray, meshes: Sequence[tuple[Mesh, FloatArray | None]]
 ) -> list[FloatArray]:
     """(sensor, sample) temperatures [K] of the march on each mesh, from the initial temperatures [K] paired with it."""
     tracks = [Track(part.altered(vector), mesh, (), part.sample_s, initial_K=initial) for mesh, initial in meshes]

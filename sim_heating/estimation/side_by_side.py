@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.estimation.inference.newton import Evaluation, Fit, Iteration, Settings, iteration
-from sim_heating.estimation.problem import Problem, in_threads
-from sim_heating.estimation.record_fit import Part, march_of, set_out, side_by_side
+from sim_heating.estimation.problem import FitProblem, in_threads
+from sim_heating.estimation.record_fit import RecordFit, group_march, lane_groups, set_parameters
 from sim_heating.march.linearised import Linearised, LinearMarch
 
 
@@ -23,21 +23,22 @@ class _Group:
     """Parts marched together; members : (problem, part) numbers of each."""
 
     members: tuple[tuple[int, int], ...]
-    parts: tuple[Part, ...]
+    parts: tuple[RecordFit, ...]
     march: LinearMarch
 
 
-class Together:
+class JointMarch:
     """The marches of several problems.
 
     problems : what is evaluated; no problem twice
     """
 
-    def __init__(self, problems: Sequence[Problem]) -> None:
+    def __init__(self, problems: Sequence[FitProblem]) -> None:
         self.problems = tuple(problems)
         place = {part: (i, k) for i, p in enumerate(problems) for k, part in enumerate(p.parts)}
         self._groups = [
-            _Group(tuple(place[part] for part in group), tuple(group), march_of(group)) for group in side_by_side(place)
+            _Group(tuple(place[part] for part in group), tuple(group), group_march(group))
+            for group in lane_groups(place)
         ]
 
     def march(self, vectors: Sequence[FloatArray]) -> list[bool]:
@@ -53,7 +54,9 @@ class Together:
 
         def one(k: int) -> list[Linearised | None]:
             group = self._groups[k]
-            return group.march.attempt(*set_out(group.march, group.parts, [vectors[i] for i, _ in group.members]))
+            return group.march.attempt(
+                *set_parameters(group.march, group.parts, [vectors[i] for i, _ in group.members])
+            )
 
         marched: list[dict[int, Linearised]] = [{} for _ in self.problems]
         for group, results in zip(self._groups, in_threads(one, len(self._groups)), strict=True):
@@ -81,7 +84,7 @@ class Together:
 
 
 def maximise_together(
-    problems: Sequence[Problem], starts: Sequence[ArrayLike | None] | None = None, settings: Settings | None = None
+    problems: Sequence[FitProblem], starts: Sequence[ArrayLike | None] | None = None, settings: Settings | None = None
 ) -> list[Fit]:
     """The fit of each problem as newton.maximise finds it, all of them iterated side by side.
 
@@ -101,10 +104,10 @@ def maximise_together(
         # lanes are packed again when a fit has ended, so that none is marched for nothing
         if together is None or len(asked) < len(marched):
             marched = tuple(asked)
-            together = Together([problems[k] for k in marched])
+            together = JointMarch([problems[k] for k in marched])
         found = together.evaluate([asked[k] for k in marched])
         for k, evaluation in zip(marched, found, strict=True):
-            answer = _next(searches[k], evaluation, problems[k])
+            answer = _next_request(searches[k], evaluation, problems[k])
             if isinstance(answer, Fit):
                 fits[k] = answer
                 del asked[k]
@@ -113,7 +116,7 @@ def maximise_together(
     return [fits[k] for k in range(len(problems))]
 
 
-def _next(search: Iteration, evaluation: Evaluation, problem: Problem) -> FloatArray | Fit:
+def _next_request(search: Iteration, evaluation: Evaluation, problem: FitProblem) -> FloatArray | Fit:
     """The next parameter vector that an iteration wants evaluated, or its fit; lengths of a step are tried at once."""
     try:
         asked = search.send(evaluation)

@@ -37,9 +37,9 @@ READINGS = 3
 HOLDING_FILM = 10.0
 """Film coefficient [kg/(m2 s)] that holds the surface at a temperature, some hundred times that of an entry."""
 HOLDING_CP = 1000.0
-OFF_K = 10.0
+START_SIGMA_K = 10.0
 """Standard deviation [K] of circuit and conducted profiles, unless deeper thermocouples show a larger error."""
-OFF_LENGTH = 0.7
+START_LENGTH = 0.7
 """Correlation length of that error in log(1 + s): a factor of two in depth, four in time."""
 DIRECTIONS = 10
 """Number of directions that are kept; the next would add less than a twentieth of OFF_K."""
@@ -112,7 +112,7 @@ def circuit_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) 
     Source: docs/clocks_and_starts.md, equations 3 and 4.
     """
     profile = circuit_profile(record, model, mesh, time_s)
-    off = OFF_K * smooth_directions(diffusion_depths(model.construction, mesh))
+    off = START_SIGMA_K * smooth_directions(diffusion_depths(model.construction, mesh))
     return Start(time_s, profile, np.zeros((mesh.nodes, 0)), covariance_K2=off @ off.T)
 
 
@@ -164,7 +164,7 @@ def smooth_directions(s: FloatArray) -> FloatArray:
     """
     # profiles bend near the surface and are smooth deep in the wall: the logarithm makes them alike
     z = np.log1p(s)
-    x = np.sqrt(5.0) * np.abs(z[:, np.newaxis] - z) / OFF_LENGTH
+    x = np.sqrt(5.0) * np.abs(z[:, np.newaxis] - z) / START_LENGTH
     values, vectors = np.linalg.eigh((1.0 + x + x**2 / 3.0) * np.exp(-x))
     return vectors[:, ::-1][:, :DIRECTIONS] * np.sqrt(np.maximum(values[::-1][:DIRECTIONS], 0.0))
 
@@ -196,10 +196,12 @@ def profile_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) 
     """
     profile = conducted_profile(record, model, mesh, time_s)
     off = max(abs(now - profile[node]) for node, now in _readings_now(record, mesh, time_s))
-    return free_start(time_s, profile, model, mesh, max(OFF_K, off))
+    return free_start(time_s, profile, model, mesh, max(START_SIGMA_K, off))
 
 
-def free_start(time_s: float, profile: FloatArray, model: PointModel, mesh: Mesh, off_K: float = OFF_K) -> Start:
+def free_start(
+    time_s: float, profile: FloatArray, model: PointModel, mesh: Mesh, off_K: float = START_SIGMA_K
+) -> Start:
     """Start from a profile with an estimated error that is smooth in depth.
 
         T = profile + off_K sum_k b_k theta_k

@@ -21,8 +21,8 @@ from sim_heating.base.progress import Progress, quiet
 from sim_heating.estimation.fit import FEWEST_SAMPLES
 from sim_heating.estimation.inference.newton import Fit, maximise
 from sim_heating.estimation.inference.observability import default_names
-from sim_heating.estimation.problem import Problem, joint_reference
-from sim_heating.estimation.record_fit import Part, Start, march_times
+from sim_heating.estimation.problem import FitProblem, joint_reference
+from sim_heating.estimation.record_fit import RecordFit, Start, march_times
 from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.inputs.record import Record
 from sim_heating.march.ensemble import condition_history
@@ -109,9 +109,9 @@ def trend(
             left_out.append(f"{begin:g} to {end:g} s: {count} samples for {len(chosen)} parameters")
             continue
         if last is not None:
-            start = _handed_over(*last, begin)
-        problem = Problem([record], chosen, joint_reference([record]), starts=[start], chosen=[mask])
-        first = np.array([p.value for p in problem.parameters]) if last is None else _carried(problem, *last)
+            start = _next_start(*last, begin)
+        problem = FitProblem([record], chosen, joint_reference([record]), starts=[start], chosen=[mask])
+        first = np.array([p.value for p in problem.parameters]) if last is None else _carried_values(problem, *last)
         fit = maximise(problem.evaluate, problem.parameters, first, problem.log_likelihoods)
         if fit.converged:
             problem.correct_meshes(fit.values)
@@ -142,7 +142,7 @@ def _windows(record: Record, length_s: float) -> list[tuple[float, float]]:
     return sorted(windows)
 
 
-def _carried(problem: Problem, before: Problem, fit: Fit) -> FloatArray:
+def _carried_values(problem: FitProblem, before: FitProblem, fit: Fit) -> FloatArray:
     """First values of a segment: those of the segment before it, nothing added to its start."""
     known = dict(zip((u.label for u in before.unknowns), fit.values, strict=True))
     # unknowns of the start are deviations from the temperatures handed over, so that they begin at 0
@@ -150,7 +150,7 @@ def _carried(problem: Problem, before: Problem, fit: Fit) -> FloatArray:
     return np.array([known[p.name] if p.name in own else p.value for p in problem.parameters])
 
 
-def _handed_over(problem: Problem, fit: Fit, time_s: float) -> Start:
+def _next_start(problem: FitProblem, fit: Fit, time_s: float) -> Start:
     """Start at a later time from a fit: temperatures [K], and the largest directions of their covariance."""
     part = problem.parts[0]
     T, S = state_at(part, fit.values, time_s)
@@ -166,7 +166,7 @@ def _handed_over(problem: Problem, fit: Fit, time_s: float) -> Start:
     return Start(time_s, T, U[:, :kept] * s[:kept], unknowns, refined_at(part, fit.values, time_s))
 
 
-def state_at(part: Part, values: FloatArray, time_s: float) -> tuple[FloatArray, FloatArray]:
+def state_at(part: RecordFit, values: FloatArray, time_s: float) -> tuple[FloatArray, FloatArray]:
     """Node temperatures of a part at a time, and their sensitivities.
 
     values  : (parameter,);  time_s : [s]; before the start of the part, its initial temperatures
@@ -192,7 +192,7 @@ def state_at(part: Part, values: FloatArray, time_s: float) -> tuple[FloatArray,
     return found.temperature_K[:, 0], found.sensitivity[:, 0]
 
 
-def refined_at(part: Part, values: FloatArray, time_s: float) -> FloatArray:
+def refined_at(part: RecordFit, values: FloatArray, time_s: float) -> FloatArray:
     """Node temperatures of a part at a time on its refined mesh, twice as many elements.
 
     values  : (parameter,);  time_s : [s]; before the start of the part, its initial temperatures
@@ -210,7 +210,7 @@ def refined_at(part: Part, values: FloatArray, time_s: float) -> FloatArray:
     return found.temperature_K[:, 0]
 
 
-def _segment(record: Record, problem: Problem, fit: Fit, begin: float, end: float, count: int) -> Segment:
+def _segment(record: Record, problem: FitProblem, fit: Fit, begin: float, end: float, count: int) -> Segment:
     flown = record.conditions.at(np.linspace(begin, min(end, record.conditions.time_s[-1]), CONDITION_POINTS))
     condition = tuple(float(np.mean(flown[v])) for v in RATIO_VARIABLES)
     m = len(problem.parts[0].marched)

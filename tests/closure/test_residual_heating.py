@@ -13,7 +13,7 @@ from sim_heating.base.files import read_csv_columns
 from sim_heating.closure.clues.residual_heating import ResidualHeating, residual_heating, write_residual_heating
 from sim_heating.estimation.filter.heating_input import UnknownInput, unknown_input
 from sim_heating.estimation.filter.march import FilterTrack, samples_on_grid
-from sim_heating.estimation.problem import Problem, joint_reference
+from sim_heating.estimation.problem import FitProblem, joint_reference
 from sim_heating.heating.effects import use
 from sim_heating.inputs.record import Record
 from sim_heating.march.mesh_choice import pack
@@ -104,7 +104,7 @@ def flown(seed: int, size: float = RISE) -> tuple[Record, ResidualHeating, float
         return np.clip(t - BEGIN_S, 0.0, 1.0) - np.clip(t - END_S, 0.0, 1.0)
 
     made, history = record_with([use("jet-interaction", {"jet_gain": size})], seed, jets=jets, lost=0.02)
-    problem = Problem([made], ["ratio.scale"], joint_reference([made]))
+    problem = FitProblem([made], ["ratio.scale"], joint_reference([made]))
     during = (history.time_s > BEGIN_S + 5.0) & (history.time_s < END_S - 5.0)
     rise = float(np.mean(history.ratio[during])) * size / (1.0 + size)
     return made, residual_heating(problem, np.zeros(1)), rise
@@ -135,7 +135,7 @@ def test_an_error_in_depth_is_not_explained_by_heating():
     deep = record.sensors[-1]
     read[deep.column] = read[deep.column] + 20.0 * np.sin(record.time_s / 20.0)
     other = replace(record, thermocouples=read)
-    problem = Problem([other], ["ratio.scale"], joint_reference([other]))
+    problem = FitProblem([other], ["ratio.scale"], joint_reference([other]))
     found = residual_heating(problem, np.zeros(1))
     left = found.sensors[-1]
     assert found.input.excess > 10.0  # noise is found larger, and no history is bent to the sensor

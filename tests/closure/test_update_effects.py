@@ -15,7 +15,7 @@ from sim_heating.closure.revise.effects import edit_effects, parameter_values
 from sim_heating.closure.revise.update import prepare_update
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.report.estimate_file import read_estimate, write_estimate
-from sim_heating.estimation.report.report import result_of
+from sim_heating.estimation.report.report import estimate_contents
 from sim_heating.heating.effects import use
 from sim_heating.inputs.record import load_record
 from sim_heating.inputs.scenario import load_scenario
@@ -54,7 +54,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "ratio.scale", "ratio.d_alpha", "effect.transition.log10_re_onset", "effect.transition.factor",
         "effect.coating-thickness.coating_factor", "clock.skew",
     ]  # fmt: skip
-    fit = result_of(estimate([load_record(home / "first")], names, effects=(use("transition", start),)))
+    fit = estimate_contents(estimate([load_record(home / "first")], names, effects=(use("transition", start),)))
     write_estimate(home / "first.json", fit.model_copy(update={"records": ["first"], "inputs": {}}))
     return home
 

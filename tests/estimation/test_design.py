@@ -13,15 +13,15 @@ from sim_heating.estimation.design.check import repeated_fits
 from sim_heating.estimation.design.information import (
     PRESSURE,
     Experiment,
-    Seen,
+    PredictedChannel,
+    design_criterion,
     experiment,
-    merit,
-    taken_out,
-    would_buy,
+    marginalise,
+    sensitivity_to_effort,
 )
-from sim_heating.estimation.design.planned_flight import Planned, Planner
+from sim_heating.estimation.design.planned_flight import PlannedFlight, Planner
 from sim_heating.estimation.design.report import design, summary
-from sim_heating.estimation.design.search import Search
+from sim_heating.estimation.design.search import DesignSearch
 from sim_heating.inputs.scenario import load_scenario, with_design
 from sim_heating.thermal.stack import Sensor
 from tests.support.paths import SCENARIOS
@@ -47,12 +47,12 @@ def planner() -> Planner:
 
 
 @pytest.fixture(scope="module")
-def planned(planner: Planner) -> Planned:
+def planned(planner: Planner) -> PlannedFlight:
     return planner.fly(planner.scenario.declared.trajectory.manoeuvre)
 
 
 @pytest.fixture(scope="module")
-def told(planner: Planner, planned: Planned) -> Experiment:
+def told(planner: Planner, planned: PlannedFlight) -> Experiment:
     return planner.experiment(planned, NAMES, {})
 
 
@@ -60,7 +60,7 @@ def line(x: np.ndarray, bits: int | None = None, **prior: float) -> Experiment:
     """A sensor that reads a + b x with a noise of 1 K."""
     sensor = Sensor(name="s", column="s_K", depth_m=0.0, noise_sigma_K=1.0, bits=bits, range_K=[255.0, 1533.0])
     unknowns = tuple(Parameter(n, "K", 0.0, prior.get(n, np.inf)) for n in ("a", "b"))
-    return Experiment(unknowns, (Seen(sensor, x, 500.0 + x, np.column_stack([np.ones_like(x), x]), 1.0),))
+    return Experiment(unknowns, (PredictedChannel(sensor, x, 500.0 + x, np.column_stack([np.ones_like(x), x]), 1.0),))
 
 
 def test_bounds_of_a_straight_line_are_those_of_least_squares():
@@ -96,14 +96,14 @@ def test_private_unknowns_taken_out_leave_the_schur_complement():
     M, prior = S.T @ S, np.array([0.0, 0.0, 1.0, 0.0, 2.0])
     private = np.array([False, True, False, True, False])
     whole = np.linalg.inv(M + np.diag(np.where(private, prior, 0.0)))
-    assert np.linalg.inv(taken_out(M, prior, private)) == pytest.approx(whole[np.ix_(~private, ~private)], rel=1e-9)
+    assert np.linalg.inv(marginalise(M, prior, private)) == pytest.approx(whole[np.ix_(~private, ~private)], rel=1e-9)
 
 
 def test_criteria_are_ratios_of_bounds():
     planned = np.diag([4.0, 100.0])
-    assert merit("A", planned, planned) == merit("D", planned, planned) == pytest.approx(1.0)
-    assert merit("D", np.diag([1.0, 100.0]), planned) == pytest.approx(np.sqrt(0.5))
-    assert merit("A", np.diag([1.0, 100.0]), planned) == pytest.approx(np.sqrt((0.25 + 1.0) / 2.0))
+    assert design_criterion("A", planned, planned) == design_criterion("D", planned, planned) == pytest.approx(1.0)
+    assert design_criterion("D", np.diag([1.0, 100.0]), planned) == pytest.approx(np.sqrt(0.5))
+    assert design_criterion("A", np.diag([1.0, 100.0]), planned) == pytest.approx(np.sqrt((0.25 + 1.0) / 2.0))
 
 
 def test_a_criterion_does_not_depend_on_units():
@@ -111,17 +111,17 @@ def test_a_criterion_does_not_depend_on_units():
     a, b = (m @ m.T for m in rng.normal(size=(2, 3, 3)))
     units = np.outer(*2 * [np.array([1e-4, 1.0, 1e5])])
     for criterion in ("A", "D"):
-        assert merit(criterion, a * units, b * units) == pytest.approx(merit(criterion, a, b))
+        assert design_criterion(criterion, a * units, b * units) == pytest.approx(design_criterion(criterion, a, b))
 
 
 def test_twice_the_excursion_halves_a_bound_and_twice_the_samples_take_it_to_its_root():
     information = np.array([[2.0, 0.4], [0.4, 1.0]])
-    found = would_buy(("ratio.d_alpha", "ratio.scale"), information, np.zeros(2))
+    found = sensitivity_to_effort(("ratio.d_alpha", "ratio.scale"), information, np.zeros(2))
     assert found == {"ratio.d_alpha": pytest.approx({"larger": 0.5, "longer": np.sqrt(0.5)})}
 
 
 def test_a_known_parameter_gains_less_than_an_unknown_one():
-    found = would_buy(("ratio.d_alpha",), np.array([[1.0]]), np.array([1.0]))
+    found = sensitivity_to_effort(("ratio.d_alpha",), np.array([[1.0]]), np.array([1.0]))
     assert found["ratio.d_alpha"]["larger"] == pytest.approx(np.sqrt(2.0 / 5.0))
 
 
@@ -170,7 +170,7 @@ def test_predicted_bounds_are_those_of_actual_fits():
 
 
 def test_a_search_never_leaves_its_limits_and_beats_the_plan(planner):
-    search = Search(planner_of(evaluations=12))
+    search = DesignSearch(planner_of(evaluations=12))
     found = search.run()
     assert found.best.feasible
     assert min(t.merit for t in found.tried) < 1.0
@@ -185,12 +185,12 @@ def test_a_search_never_leaves_its_limits_and_beats_the_plan(planner):
 def test_limits_that_no_design_keeps_are_told():
     limits = {"alpha_deg": [39.9, 40.1]}
     with pytest.raises(RunError, match="none of 4 designs keeps the limits; the nearest passes that of alpha_deg"):
-        Search(planner_of(evaluations=4, limits=limits)).run()
+        DesignSearch(planner_of(evaluations=4, limits=limits)).run()
 
 
 def test_a_manoeuvre_that_tells_nothing_of_a_parameter_is_refused():
     with pytest.raises(InputError, match=r"ratio\.d_bodyflap: bodyflap_deg does not move"):
-        Search(planner_of(parameters=["ratio.d_bodyflap"]))
+        DesignSearch(planner_of(parameters=["ratio.d_bodyflap"]))
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from scipy.stats import binom
 
 from benchmarks.estimator_cases import CASES, record_of, repeatable
 from benchmarks.estimator_statistics import Repetitions, repeat
-from sim_heating.estimation.problem import Problem, joint_reference
+from sim_heating.estimation.problem import FitProblem, joint_reference
 from sim_heating.estimation.record_fit import LONGEST_STEP_S, march_times
 from sim_heating.estimation.trend import state_at
 from sim_heating.inputs.record import Record
@@ -57,7 +57,7 @@ def test_a_coarse_mesh_corrected_predicts_like_a_fine_one() -> None:
     record = record_of("flap")
     names = ["ratio.scale"]
     fine = record.declared.model_copy(update={"stack": record.declared.stack.model_copy(update={"nodes": 100})})
-    coarse, exact = (Problem([r], names, joint_reference([r])) for r in (record, replace(record, declared=fine)))
+    coarse, exact = (FitProblem([r], names, joint_reference([r])) for r in (record, replace(record, declared=fine)))
     at = np.zeros(1)
     exact.correct_meshes(at)
 
@@ -71,7 +71,7 @@ def test_a_coarse_mesh_corrected_predicts_like_a_fine_one() -> None:
     assert max(errors()) < 0.1 * before
 
 
-def mid_entry(nodes: int, at_s: float, profile: int) -> Problem:
+def mid_entry(nodes: int, at_s: float, profile: int) -> FitProblem:
     """A tile from a time within its entry on, declared with so many nodes and the temperatures there at so many
     depths."""
     record = practice_record("p06")[0]
@@ -80,14 +80,14 @@ def mid_entry(nodes: int, at_s: float, profile: int) -> Problem:
         stack = of.declared.stack.model_copy(update=changes)
         return replace(of, declared=of.declared.model_copy(update={"stack": stack}))
 
-    whole = Problem([declared(record, nodes=100)], ["ratio.scale"], joint_reference([record])).parts[0]
+    whole = FitProblem([declared(record, nodes=100)], ["ratio.scale"], joint_reference([record])).parts[0]
     depth_m = np.linspace(0.0, whole.mesh.depth_m[-1], profile)
     then_K = np.interp(depth_m, whole.mesh.depth_m, state_at(whole, np.zeros(1), at_s)[0])
     start = np.column_stack([depth_m, then_K]).tolist()
     begun = declared(record, nodes=nodes, initial="profile", initial_profile=start)
     flown = record.conditions.at(np.append(at_s, record.conditions.time_s[record.conditions.time_s > at_s]))
     fitted = replace(begun, conditions=flown).with_fit([[at_s + 1.0, at_s + 250.0]])
-    return Problem([fitted], ["ratio.scale"], joint_reference([record]))
+    return FitProblem([fitted], ["ratio.scale"], joint_reference([record]))
 
 
 @pytest.mark.parametrize("nodes", [8, 10, 14])
@@ -111,7 +111,7 @@ def test_fit_on_a_mesh_that_cannot_be_corrected_says_so() -> None:
 
 
 def test_a_profile_on_halved_elements_is_the_same_between_the_nodes() -> None:
-    part = Problem([record_of("popu")], ["ratio.scale"], (0.0,) * 5).parts[0]
+    part = FitProblem([record_of("popu")], ["ratio.scale"], (0.0,) * 5).parts[0]
     profile = np.linspace(900.0, 300.0, part.mesh.nodes)
     halved = on_mesh(profile, part.mesh, refined(part.mesh))
     np.testing.assert_allclose(halved[::2], profile)

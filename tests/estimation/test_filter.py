@@ -15,7 +15,7 @@ from scipy.stats import binomtest, chi2, kstest
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.estimation.filter.march import Disturbance, FilterMarch, FilterTrack, Samples, samples_on_grid
 from sim_heating.estimation.filter.smoother import smooth
-from sim_heating.estimation.inference.likelihood import observed
+from sim_heating.estimation.inference.likelihood import reading_intervals
 from sim_heating.heating.effects import use
 from sim_heating.march.ensemble import Ensemble, condition_history
 from sim_heating.march.linearised import LinearMarch, Track
@@ -366,7 +366,7 @@ def test_innovations_are_white_with_the_covariance_stated(plug, hot, bits):
     lower, upper, tracks = [], [], []
     for run in truth:
         noisy = run[list(mesh.sensors)] + rng.normal(0.0, 1.0, (len(mesh.sensors), len(run[0])))
-        seen = observed(sensor, noisy)
+        seen = reading_intervals(sensor, noisy)
         samples = samples_on_grid(part[2][1:], mesh.sensors, seen.lower_K, 1.0, seen.upper_K)
         tracks.append(FilterTrack(
             model, mesh, samples, (), hot, None, some_covariance(mesh.nodes), noise_K2_s=0.02, disturbance=ratio

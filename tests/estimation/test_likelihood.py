@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from sim_heating.base.errors import InputError
 from sim_heating.estimation.inference.likelihood import (
     Likelihood,
-    Observed,
+    ReadingIntervals,
     expected_information,
     likelihood,
     log_likelihood,
-    observed,
+    posterior_moments,
     quantile_residuals,
-    updated,
+    reading_intervals,
 )
 from sim_heating.inputs.sensor_model import quantised
 from sim_heating.thermal.stack import Sensor
@@ -37,9 +37,9 @@ WORD = sensor(bits=8, range_K=[255.0, 1530.0])
 """Steps of 5 K."""
 
 
-def interval(lower: float, upper: float) -> Observed:
+def interval(lower: float, upper: float) -> ReadingIntervals:
     """One sample known to an interval."""
-    return Observed(np.array([lower]), np.array([upper]))
+    return ReadingIntervals(np.array([lower]), np.array([upper]))
 
 
 def exact_moments(alpha: float, beta: float) -> list[mpmath.mpf]:
@@ -127,7 +127,7 @@ def test_score_and_information_are_the_derivatives_of_the_log_likelihood(m: floa
 
 
 def test_an_unrounded_sample_has_the_normal_density() -> None:
-    found = likelihood(observed(sensor(), [303.0]), 300.0, 2.0)
+    found = likelihood(reading_intervals(sensor(), [303.0]), 300.0, 2.0)
     assert found.log_likelihood[0] == approx(-0.5 * 1.5**2 - math.log(2.0 * math.sqrt(2.0 * math.pi)))
     assert found.score[0] == approx(1.5 / 2.0)
     assert found.information[0] == approx(1.0 / 4.0)
@@ -138,7 +138,7 @@ def test_an_unrounded_sample_has_the_normal_density() -> None:
 
 def test_a_word_of_ever_finer_steps_becomes_an_unrounded_sample_to_second_order() -> None:
     """log P - log step is log density of the middle, and its error falls by four when the step is halved."""
-    density = likelihood(observed(sensor(), [1.3]), 0.0, 1.0)
+    density = likelihood(reading_intervals(sensor(), [1.3]), 0.0, 1.0)
     for name in ("log_likelihood", "score", "information", "information_log_sigma"):
         errors = []
         for step in (0.2, 0.1, 0.05):
@@ -149,7 +149,7 @@ def test_a_word_of_ever_finer_steps_becomes_an_unrounded_sample_to_second_order(
 
 
 def test_the_words_of_a_recorder_share_all_probability() -> None:
-    words = observed(WORD, 255.0 + 5.0 * np.arange(256))
+    words = reading_intervals(WORD, 255.0 + 5.0 * np.arange(256))
     for mean in (200.0, 256.0, 700.3, 1529.0, 1600.0):
         p = np.exp(log_likelihood(words, mean, 3.0))
         assert p.sum() == approx(1.0, abs=1e-13)
@@ -161,18 +161,18 @@ def test_the_words_of_a_recorder_share_all_probability() -> None:
 
 @given(st.floats(200.0, 1600.0))
 def test_a_word_is_the_interval_that_its_sensor_rounds_to_it(T: float) -> None:
-    word = observed(WORD, quantised(WORD, np.array([T])))
+    word = reading_intervals(WORD, quantised(WORD, np.array([T])))
     assert word.lower_K[0] - 1e-9 <= T <= word.upper_K[0] + 1e-9
 
 
 def test_the_ends_of_a_words_span_are_open() -> None:
-    ends = observed(WORD, [255.0, 260.0, 1530.0])
+    ends = reading_intervals(WORD, [255.0, 260.0, 1530.0])
     assert ends.lower_K.tolist() == [-math.inf, 257.5, 1527.5]
     assert ends.upper_K.tolist() == [257.5, 262.5, math.inf]
 
 
 def test_a_lost_sample_says_nothing_and_a_prediction_without_value_is_not_hidden() -> None:
-    samples = observed(WORD, [500.0, math.nan])
+    samples = reading_intervals(WORD, [500.0, math.nan])
     found = likelihood(samples, [500.0, 500.0], 1.0)
     for name in Likelihood.__dataclass_fields__:
         assert getattr(found, name)[1] == 0.0
@@ -181,7 +181,7 @@ def test_a_lost_sample_says_nothing_and_a_prediction_without_value_is_not_hidden
 
 
 def test_candidates_of_a_line_search_broadcast_against_the_samples() -> None:
-    samples = observed(WORD, [500.0, 505.0, 510.0])
+    samples = reading_intervals(WORD, [500.0, 505.0, 510.0])
     means = np.array([[500.0, 505.0, 510.0], [501.0, 506.0, 511.0]])
     both = log_likelihood(samples, means, 2.0)
     assert both.shape == (2, 3)
@@ -191,12 +191,12 @@ def test_candidates_of_a_line_search_broadcast_against_the_samples() -> None:
 @pytest.mark.parametrize("sigma", [0.0, -1.0, math.nan])
 def test_noise_that_cannot_be_is_refused(sigma: float) -> None:
     with pytest.raises(InputError, match="must be above 0"):
-        likelihood(observed(WORD, [500.0]), 500.0, sigma)
+        likelihood(reading_intervals(WORD, [500.0]), 500.0, sigma)
 
 
 @pytest.mark.parametrize(("mean", "sigma"), [(702.0, 1.0), (700.0, 5.0), (702.5, 0.2), (257.0, 3.0), (1540.0, 2.0)])
 def test_expected_information_is_the_mean_over_the_words_that_may_be_read(mean: float, sigma: float) -> None:
-    words = observed(WORD, 255.0 + 5.0 * np.arange(256))
+    words = reading_intervals(WORD, 255.0 + 5.0 * np.arange(256))
     terms = likelihood(words, mean, sigma)
     mean_information = np.exp(terms.log_likelihood) @ terms.score**2
     assert expected_information(WORD, mean, sigma) == approx(mean_information, rel=1e-12)
@@ -220,7 +220,7 @@ def test_a_sample_at_the_end_of_a_fine_word_is_half_lost() -> None:
 
 @pytest.mark.parametrize("ends", INTERVALS)
 def test_an_interval_updates_a_normal_prior_to_the_truncated_normal(ends: tuple[float, float]) -> None:
-    mean, variance = updated(interval(700.0 + 2.0 * ends[0], 700.0 + 2.0 * ends[1]), 700.0, 2.0)
+    mean, variance = posterior_moments(interval(700.0 + 2.0 * ends[0], 700.0 + 2.0 * ends[1]), 700.0, 2.0)
     shifted = [(700.0 + 2.0 * e - 700.0) / 2.0 for e in ends]
     with mpmath.workdps(80):
         _, first, second, *_ = exact_moments(*shifted)
@@ -230,7 +230,7 @@ def test_an_interval_updates_a_normal_prior_to_the_truncated_normal(ends: tuple[
 
 
 def test_an_unrounded_sample_updates_to_itself() -> None:
-    mean, variance = updated(observed(sensor(), [712.0]), 700.0, 2.0)
+    mean, variance = posterior_moments(reading_intervals(sensor(), [712.0]), 700.0, 2.0)
     assert mean.tolist() == [712.0]
     assert variance.tolist() == [0.0]
 
@@ -243,7 +243,7 @@ def test_quantile_residuals_of_rounded_noise_are_standard_normal(bits: int | Non
     recorder = sensor() if bits is None else sensor(bits=bits, range_K=[255.0, 1530.0])
     mean = np.linspace(280.0, 1500.0, 5000)
     read = quantised(recorder, mean + rng.normal(0.0, sigma, mean.size))
-    residual = quantile_residuals(observed(recorder, read), mean, sigma, rng)
+    residual = quantile_residuals(reading_intervals(recorder, read), mean, sigma, rng)
     assert kstest(residual, "norm").pvalue > 1e-3
 
 

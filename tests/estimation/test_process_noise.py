@@ -18,9 +18,9 @@ from sim_heating.cli import main
 from sim_heating.estimation.filter.innovations import Innovations, fit_innovations
 from sim_heating.estimation.filter.process_noise import CORRELATION, NODE, RATIO, ProcessNoise
 from sim_heating.estimation.filter.records import filtered_start
-from sim_heating.estimation.fit import coloured_bounds
+from sim_heating.estimation.fit import fit_bounds
 from sim_heating.estimation.inference.newton import maximise
-from sim_heating.estimation.problem import Problem, joint_reference
+from sim_heating.estimation.problem import FitProblem, joint_reference
 from sim_heating.inputs.record import Record, Segments, write_record
 
 NAMES = (
@@ -33,13 +33,13 @@ RARE = 1e-3
 
 
 @pytest.fixture(scope="module")
-def everything() -> Problem:
+def everything() -> FitProblem:
     """A parameter of every kind: heating, stack, clock, a sensor's bias and gain."""
     record = record_of(CASE)
-    return Problem([record], NAMES, joint_reference([record]), starts=[bench_of(CASE).problem.parts[0].start])
+    return FitProblem([record], NAMES, joint_reference([record]), starts=[bench_of(CASE).problem.parts[0].start])
 
 
-def test_without_noise_of_the_process_it_is_output_error(everything: Problem) -> None:
+def test_without_noise_of_the_process_it_is_output_error(everything: FitProblem) -> None:
     at = np.array([0.04, 4e-4, 1.1, 0.3, 0.5, 1.002])
     filtered, plain = Innovations(everything, ProcessNoise()).evaluate(at), everything.evaluate(at)
     assert filtered.log_likelihood == pytest.approx(plain.log_likelihood, rel=1e-10)
@@ -50,7 +50,7 @@ def test_without_noise_of_the_process_it_is_output_error(everything: Problem) ->
 
 
 def test_log_likelihoods_side_by_side_are_those_one_by_one_and_none_where_the_filter_diverged(
-    everything: Problem,
+    everything: FitProblem,
 ) -> None:
     at = np.array([0.04, 4e-4, 1.1, 0.3, 0.5, 1.002])
     scale = np.eye(len(at))[0]
@@ -69,7 +69,7 @@ def test_records_that_are_fitted_together_add_their_log_likelihoods() -> None:
     other = replace(one, directory=Path("other"))
     start, at = bench_of(CASE).problem.parts[0].start, np.array([0.03])
     alone, both = (
-        Problem(records, ["ratio.scale"], joint_reference([one]), starts=[start] * len(records))
+        FitProblem(records, ["ratio.scale"], joint_reference([one]), starts=[start] * len(records))
         for records in ([one], [one, other])
     )
     single, double = (Innovations(p, WANDERING).evaluate(at) for p in (alone, both))
@@ -83,7 +83,7 @@ def test_a_start_by_the_filter_brings_its_own_uncertainty() -> None:
     start = filtered_start(record, part.model, part.mesh, part.start.time_s)
     assert start.covariance_K2 is not None
     known, unknown = (
-        Innovations(Problem([record], ["ratio.scale"], joint_reference([record]), starts=[s]), ProcessNoise())
+        Innovations(FitProblem([record], ["ratio.scale"], joint_reference([record]), starts=[s]), ProcessNoise())
         for s in (replace(start, covariance_K2=None), start)
     )
     first = [[s.predicted_sigma_K[0] for s in i.samples(np.zeros(1))] for i in (known, unknown)]
@@ -110,7 +110,7 @@ def repetitions(request: pytest.FixtureRequest) -> dict[str, np.ndarray]:
         for how, f in (("output error", plain), ("filter", fit)):
             z[how].append((f.values - bench.truth) / f.sigma)
             errors[how].append(f.values - bench.truth)
-        bounds = coloured_bounds(innovations.samples(fit.values), fit)
+        bounds = fit_bounds(innovations.samples(fit.values), fit)
         inside.append(np.abs(fit.values - bench.truth) < bounds.half_width())
     rms = [np.sqrt(np.mean(np.square(errors[how]), axis=0)) for how in ("output error", "filter")]
     return {how: np.array(v) for how, v in z.items()} | {"inside": np.array(inside), "rms": np.array(rms)}
@@ -166,7 +166,7 @@ def test_noise_of_sensors_that_declare_none_is_found_beside_that_of_the_process(
     silent = [s.model_copy(update={"noise_sigma_K": None}) for s in record.sensors]
     thermocouples = record.declared.thermocouples.model_copy(update={"sensor": silent})
     unknown = replace(record, declared=record.declared.model_copy(update={"thermocouples": thermocouples}))
-    problem = Problem([unknown], list(CASES[CASE].truth), bench.problem.reference, starts=[part.start])
+    problem = FitProblem([unknown], list(CASES[CASE].truth), bench.problem.reference, starts=[part.start])
     own = problem.parts[0]
     own.channels = [replace(c, observed=read.observed) for c, read in zip(own.channels, part.channels, strict=True)]
     own.sigma_K = dict.fromkeys(own.sigma_K, 3.0)
@@ -186,7 +186,7 @@ def wandered(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray
     stack = coarse.declared.stack.model_copy(update={"nodes": None})  # as fine as the mesh that the command chooses
     record = replace(coarse, declared=coarse.declared.model_copy(update={"stack": stack}))
     case, about = CASES[CASE], joint_reference([coarse])
-    problem = Problem([record], list(case.truth), about, starts=[start_at(case)])
+    problem = FitProblem([record], list(case.truth), about, starts=[start_at(case)])
     part, bench = problem.parts[0], Repeatable(problem, np.array(list(case.truth.values())), {})
     true_K, added = (x[0] for x in disturbed(bench, WANDERING, 1, rng))
     measure(problem, true_K, rng)

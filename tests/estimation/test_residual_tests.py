@@ -12,9 +12,9 @@ from scipy.signal import lfilter
 from scipy.stats import binom, kstest
 
 from sim_heating.base.errors import InputError
-from sim_heating.estimation.inference.bounds import Bounds, Channel, bounds
+from sim_heating.estimation.inference.bounds import ChannelResiduals, CramerRaoBounds, cramer_rao_bounds
 from sim_heating.estimation.inference.identifiability import correlation, covariance, directions
-from sim_heating.estimation.inference.likelihood import Observed, likelihood, observed
+from sim_heating.estimation.inference.likelihood import ReadingIntervals, likelihood, reading_intervals
 from sim_heating.estimation.inference.noise import estimate_noise
 from sim_heating.estimation.inference.residual_tests import chi_square, normality, sensor_residuals, whiteness
 from sim_heating.inputs.sensor_model import quantised
@@ -45,11 +45,11 @@ def slow_design(n: int) -> FloatArray:
     return np.stack([np.ones(n), np.sin(3.0 * np.pi * t), t - 0.5], axis=1)
 
 
-def fitted(time: FloatArray, data: FloatArray, design: FloatArray) -> tuple[FloatArray, Bounds]:
+def fitted(time: FloatArray, data: FloatArray, design: FloatArray) -> tuple[FloatArray, CramerRaoBounds]:
     """Least squares with unit noise, and its bounds."""
     values = np.linalg.lstsq(design, data)[0]
     ones = np.ones(len(time))
-    return values, bounds([Channel("s", time, data - design @ values, ones, design)])
+    return values, cramer_rao_bounds([ChannelResiduals("s", time, data - design @ values, ones, design)])
 
 
 def likely(hits: int, trials: int, probability: float = 0.95) -> bool:
@@ -111,8 +111,8 @@ def test_noise_larger_than_declared_widens_the_bounds_and_a_prior_stays_as_it_is
     rng, n = np.random.default_rng(15), 4000
     data = 3.0 * rng.normal(size=n)
     design = np.stack([np.ones(n), np.zeros(n)], axis=1)
-    channel = Channel("s", np.arange(n, dtype=float), data - data.mean(), np.ones(n), design)
-    found = bounds([channel], np.array([0.0, 1.0 / 0.2**2]))
+    channel = ChannelResiduals("s", np.arange(n, dtype=float), data - data.mean(), np.ones(n), design)
+    found = cramer_rao_bounds([channel], np.array([0.0, 1.0 / 0.2**2]))
     assert found.sigma[0] == approx(3.0 / math.sqrt(n), rel=0.05)
     assert found.sigma[1] == approx(0.2)
 
@@ -122,7 +122,9 @@ def test_two_sensors_bound_a_parameter_like_one_with_all_their_samples() -> None
     t, ones = np.arange(n, dtype=float), np.ones(n)
     data = rng.normal(size=(2, n))
     residual = data - data.mean()
-    both = bounds([Channel(name, t, r, ones, ones[:, None]) for name, r in zip("ab", residual, strict=True)])
+    both = cramer_rao_bounds(
+        [ChannelResiduals(name, t, r, ones, ones[:, None]) for name, r in zip("ab", residual, strict=True)]
+    )
     assert both.sigma[0] == approx(1.0 / math.sqrt(2 * n), rel=0.05)
     assert set(both.autocovariance) == {"a", "b"}
     assert both.dof == approx(2 * n - 1)
@@ -134,27 +136,27 @@ def test_coarsely_rounded_samples_have_bounds_that_cover() -> None:
     ramp, time = np.linspace(700.0, 760.0, n), np.arange(n, dtype=float)
     hits = 0
     for _ in range(trials):
-        words = observed(WORD, quantised(WORD, ramp + rng.normal(size=n)))
+        words = reading_intervals(WORD, quantised(WORD, ramp + rng.normal(size=n)))
         shift = 0.0
         for _ in range(6):
             terms = likelihood(words, ramp + shift, 1.0)
             shift += terms.score.sum() / terms.information.sum()
         terms = likelihood(words, ramp + shift, 1.0)
-        found = bounds([Channel("s", time, terms.score, terms.information, np.ones((n, 1)))])
+        found = cramer_rao_bounds([ChannelResiduals("s", time, terms.score, terms.information, np.ones((n, 1)))])
         hits += abs(shift) < found.half_width()[0]
     assert likely(hits, trials)
 
 
 def test_bounds_of_more_parameters_than_samples_are_refused() -> None:
-    channel = Channel("s", np.arange(3.0), np.zeros(3), np.ones(3), np.eye(3))
+    channel = ChannelResiduals("s", np.arange(3.0), np.zeros(3), np.ones(3), np.eye(3))
     with pytest.raises(InputError, match="3 samples for 3 parameters"):
-        bounds([channel])
+        cramer_rao_bounds([channel])
 
 
 def test_sample_times_that_go_back_are_refused() -> None:
-    channel = Channel("s", np.array([0.0, 2.0, 1.0]), np.ones(3), np.ones(3), np.ones((3, 1)))
+    channel = ChannelResiduals("s", np.array([0.0, 2.0, 1.0]), np.ones(3), np.ones(3), np.ones((3, 1)))
     with pytest.raises(InputError, match="do not increase"):
-        bounds([channel])
+        cramer_rao_bounds([channel])
 
 
 # Identifiability -----------------------------------------------------------------------------------------------------
@@ -205,7 +207,7 @@ def test_correlated_but_told_parameters_are_no_singular_direction() -> None:
 
 def test_noise_of_unrounded_samples_is_the_sum_of_squares_over_the_degrees_of_freedom() -> None:
     r = np.random.default_rng(19).normal(0.0, 2.0, 50)
-    found = estimate_noise(Observed(r, r), np.zeros(50), fitted=4)
+    found = estimate_noise(ReadingIntervals(r, r), np.zeros(50), fitted=4)
     assert found.sigma_K == approx(math.sqrt(r @ r / 46.0), rel=1e-6)
     assert found.lower_K < found.sigma_K < found.upper_K
 
@@ -215,7 +217,8 @@ def test_noise_below_and_above_the_step_of_a_word_is_found_within_its_limits(sig
     rng, trials = np.random.default_rng(20), 80
     mean = np.linspace(600.0, 900.0, 200)
     found = [
-        estimate_noise(observed(WORD, quantised(WORD, mean + rng.normal(0.0, sigma, 200))), mean) for _ in range(trials)
+        estimate_noise(reading_intervals(WORD, quantised(WORD, mean + rng.normal(0.0, sigma, 200))), mean)
+        for _ in range(trials)
     ]
     assert likely(sum(f.lower_K <= sigma <= f.upper_K for f in found), trials)
     assert np.mean([f.sigma_K for f in found]) == approx(sigma, rel=0.05)
@@ -224,7 +227,7 @@ def test_noise_below_and_above_the_step_of_a_word_is_found_within_its_limits(sig
 
 def test_noise_that_rounding_hides_is_bounded_from_above_alone_and_told_so() -> None:
     mean = np.linspace(600.0, 900.0, 60)
-    found = estimate_noise(observed(WORD, quantised(WORD, mean)), mean)
+    found = estimate_noise(reading_intervals(WORD, quantised(WORD, mean)), mean)
     assert not found.told
     assert found.sigma_K == approx(0.5)
     assert found.sigma_K < found.upper_K < 5.0
@@ -234,7 +237,9 @@ def test_noise_that_rounding_hides_is_bounded_from_above_alone_and_told_so() -> 
 def test_lost_samples_take_no_part_in_noise() -> None:
     r = np.random.default_rng(21).normal(size=40)
     holed = np.concatenate([r, np.full(10, np.nan)])
-    assert estimate_noise(Observed(holed, holed), np.zeros(50)) == estimate_noise(Observed(r, r), np.zeros(40))
+    assert estimate_noise(ReadingIntervals(holed, holed), np.zeros(50)) == estimate_noise(
+        ReadingIntervals(r, r), np.zeros(40)
+    )
 
 
 @pytest.mark.parametrize(
@@ -243,12 +248,12 @@ def test_lost_samples_take_no_part_in_noise() -> None:
 )
 def test_noise_that_nothing_tells_is_refused(read: list[float], told: str) -> None:
     with pytest.raises(InputError, match=told):
-        estimate_noise(observed(sensor(), read), np.full(len(read), 700.0))
+        estimate_noise(reading_intervals(sensor(), read), np.full(len(read), 700.0))
 
 
 def test_samples_at_the_end_of_a_word_tell_no_noise() -> None:
     with pytest.raises(InputError, match="end of its word"):
-        estimate_noise(observed(WORD, np.full(20, 1530.0)), np.full(20, 1600.0))
+        estimate_noise(reading_intervals(WORD, np.full(20, 1530.0)), np.full(20, 1600.0))
 
 
 # Residual tests ------------------------------------------------------------------------------------------------------
@@ -319,7 +324,7 @@ def test_residuals_of_a_coarse_word_pass_all_tests_that_their_rounding_errors_fa
     rng, time = np.random.default_rng(29), np.arange(300.0)
     mean = 700.0 + 0.6 * time
     read = quantised(WORD, mean + rng.normal(0.0, 0.5, 300))
-    found = sensor_residuals("T1", time, observed(WORD, read), mean, 0.5, rng)
+    found = sensor_residuals("T1", time, reading_intervals(WORD, read), mean, 0.5, rng)
     assert found.n == 300
     assert found.rms == approx(1.0, abs=0.15)
     assert found.whiteness is not None
@@ -336,10 +341,10 @@ def test_too_few_samples_are_refused_and_all_lost_are_named() -> None:
         chi_square(np.ones(3), fitted=3)
     with pytest.raises(InputError, match="sensor T1: every sample"):
         sensor_residuals(
-            "T1", np.arange(3.0), observed(WORD, np.full(3, np.nan)), np.ones(3), 1.0, np.random.default_rng()
+            "T1", np.arange(3.0), reading_intervals(WORD, np.full(3, np.nan)), np.ones(3), 1.0, np.random.default_rng()
         )
     few = sensor_residuals(
-        "T1", np.arange(3.0), observed(WORD, [700.0] * 3), np.full(3, 700.0), 1.0, np.random.default_rng()
+        "T1", np.arange(3.0), reading_intervals(WORD, [700.0] * 3), np.full(3, 700.0), 1.0, np.random.default_rng()
     )
     assert few.whiteness is None
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from sim_heating.estimation.inference.newton import Settings, Status, maximise
-from sim_heating.estimation.problem import Problem, joint_reference
-from sim_heating.estimation.side_by_side import Together, maximise_together
+from sim_heating.estimation.problem import FitProblem, joint_reference
+from sim_heating.estimation.side_by_side import JointMarch, maximise_together
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.inputs.record import in_segments
 from tests.support.walls import practice_record
@@ -25,25 +25,25 @@ SOUGHT = (
 """Effects on the ratio, on the emittance, with a lag; unknowns of the stack, moved to both sides, and of a clock."""
 
 
-def problem(effects: Sequence[EffectUse] = (), more: Sequence[str] = ()) -> Problem:
+def problem(effects: Sequence[EffectUse] = (), more: Sequence[str] = ()) -> FitProblem:
     """Magnitude, alpha derivative and more from the first 760 s of a flight."""
     record, _ = practice_record("p06")
     chosen = [in_segments(record.time_s, FITTED_S)]
     names = ["ratio.scale", "ratio.d_alpha", *more]
-    return Problem([record], names, joint_reference([record]), effects=effects, chosen=chosen)
+    return FitProblem([record], names, joint_reference([record]), effects=effects, chosen=chosen)
 
 
-def firsts(problems: Sequence[Problem]) -> list[np.ndarray]:
+def firsts(problems: Sequence[FitProblem]) -> list[np.ndarray]:
     return [np.array([p.value for p in each.parameters]) for each in problems]
 
 
 @pytest.fixture
-def problems() -> list[Problem]:
+def problems() -> list[FitProblem]:
     return [problem(*each) for each in SOUGHT]
 
 
 def test_evaluation_side_by_side_is_that_of_each_alone_to_the_last_bit(problems):
-    together = Together(problems).evaluate(firsts(problems))
+    together = JointMarch(problems).evaluate(firsts(problems))
     for found, (effects, more), at in zip(together, SOUGHT, firsts(problems), strict=True):
         alone = problem(effects, more).evaluate(at)
         assert found.log_likelihood == alone.log_likelihood
@@ -53,9 +53,9 @@ def test_evaluation_side_by_side_is_that_of_each_alone_to_the_last_bit(problems)
 
 def test_problem_whose_march_fails_spoils_none_beside_it(problems):
     vectors = firsts(problems)
-    well = Together(problems).evaluate(vectors)
+    well = JointMarch(problems).evaluate(vectors)
     vectors[1] = np.full_like(vectors[1], np.nan)
-    found = Together(problems).evaluate(vectors)
+    found = JointMarch(problems).evaluate(vectors)
     assert [np.isfinite(f.log_likelihood) for f in found] == [True, False, True, True, True]
     assert all(found[k].log_likelihood == well[k].log_likelihood for k in (0, 2, 3, 4))
 
@@ -76,7 +76,7 @@ def test_fits_side_by_side_are_those_of_each_alone(problems):
 def test_more_problems_than_lanes_and_none_at_all():
     many = [problem() for _ in range(11)]
     at = firsts(many)
-    found = Together(many).evaluate([v + 1e-3 * k for k, v in enumerate(at)])
+    found = JointMarch(many).evaluate([v + 1e-3 * k for k, v in enumerate(at)])
     assert len({f.log_likelihood for f in found}) == 11
-    assert Together([]).evaluate([]) == []
+    assert JointMarch([]).evaluate([]) == []
     assert maximise_together([]) == []

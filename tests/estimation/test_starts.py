@@ -10,7 +10,7 @@ import pytest
 
 from sim_heating.base.errors import InputError
 from sim_heating.estimation.fit import estimate
-from sim_heating.estimation.problem import Problem, joint_reference
+from sim_heating.estimation.problem import FitProblem, joint_reference
 from sim_heating.estimation.starts import circuit_profile, conducted_profile, profile_start, smooth_directions
 from sim_heating.estimation.trend import state_at
 from sim_heating.thermal.mesh import diffusion_depths
@@ -23,7 +23,7 @@ DEGREES = 4.5
 def true_profile(name: str, time_s: float) -> tuple:
     """Part of a fit, and its temperatures [K] at a time with the true parameters."""
     record, model = practice_record(name)[0], practice_model(name)
-    problem = Problem([record], list(model.parameters), model.reference)
+    problem = FitProblem([record], list(model.parameters), model.reference)
     return problem.parts[0], state_at(problem.parts[0], np.array(list(model.parameters.values())), time_s)[0]
 
 

@@ -19,7 +19,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import check
 from sim_heating.base.kernels.block import LANES
 from sim_heating.base.parameters import EFFECT_PREFIX, RATIO, STACK
-from sim_heating.estimation.problem import Problem, joint_reference
+from sim_heating.estimation.problem import FitProblem, joint_reference
 from sim_heating.estimation.starts import profile_start
 from sim_heating.heating.effects import effects, use
 from sim_heating.heating.ratio.table import RatioTable
@@ -203,12 +203,12 @@ def recorded() -> Record:
     )
 
 
-def problem(names: Sequence[str]) -> Problem:
+def problem(names: Sequence[str]) -> FitProblem:
     """The Mach-20 POPU of that flight from an estimated profile 20 s before it."""
     record = recorded()
     chosen = in_segments(record.time_s, [POPU_S])
     start = partial(profile_start, time_s=POPU_S[0] - 20.0)
-    return Problem([record], names, joint_reference([record]), starts=[start], chosen=[chosen])
+    return FitProblem([record], names, joint_reference([record]), starts=[start], chosen=[chosen])
 
 
 def test_clock_skew_bias_gain_and_initial_profile():

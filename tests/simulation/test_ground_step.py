@@ -11,7 +11,7 @@ import pytest
 
 from sim_heating.base.errors import InputError
 from sim_heating.cli import main
-from sim_heating.estimation.fit import Fitted, estimate
+from sim_heating.estimation.fit import FitResult, estimate
 from sim_heating.inputs.record import Record, write_record
 from sim_heating.inputs.sensor_model import SensorErrors
 from sim_heating.inputs.vehicle import load_vehicle
@@ -32,11 +32,11 @@ def lit_plug(flux_W_m2: float) -> Record:
 
 
 @cache
-def fitted(flux_W_m2: float) -> Fitted:
+def fitted(flux_W_m2: float) -> FitResult:
     return estimate([lit_plug(flux_W_m2)], [COATING, CONDUCTIVITY, SKEW])
 
 
-def values(found: Fitted) -> dict[str, tuple[float, float]]:
+def values(found: FitResult) -> dict[str, tuple[float, float]]:
     """Value and sigma by name."""
     return {n: (v, s) for n, v, s in zip(found.labels, found.fit.values, found.bounds.sigma, strict=True)}
 

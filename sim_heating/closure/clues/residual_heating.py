@@ -20,8 +20,8 @@ from sim_heating.base.files import write_csv
 from sim_heating.estimation.filter.heating_input import UnknownInput, unknown_input
 from sim_heating.estimation.filter.march import Disturbance, FilterTrack
 from sim_heating.estimation.filter.records import filter_samples
-from sim_heating.estimation.problem import Problem
-from sim_heating.estimation.record_fit import Channel, Part
+from sim_heating.estimation.problem import FitProblem
+from sim_heating.estimation.record_fit import FittedChannel, RecordFit
 from sim_heating.inputs.record import Record
 from sim_heating.march.ensemble import condition_history
 from sim_heating.thermal.mesh import Mesh
@@ -133,7 +133,7 @@ class ResidualHeating:
 
 
 def residual_heating(
-    problem: Problem, values: FloatArray, part: int = 0, disturbance: Disturbance | None = None, without: str = ""
+    problem: FitProblem, values: FloatArray, part: int = 0, disturbance: Disturbance | None = None, without: str = ""
 ) -> ResidualHeating:
     """The heating history that explains what a fit leaves of one of its records.
 
@@ -163,7 +163,7 @@ def residual_heating(
 
 
 def _split(
-    part: Part, channels: Sequence[Channel], mean_K: FloatArray, with_K: FloatArray
+    part: RecordFit, channels: Sequence[FittedChannel], mean_K: FloatArray, with_K: FloatArray
 ) -> tuple[SensorResidual, ...]:
     """What channels one after the other show, sensor by sensor."""
     ends = np.cumsum([len(c.samples) for c in channels])[:-1]

@@ -24,12 +24,12 @@ from sim_heating.estimation.report.ratio_plot import (
     AFTER,
     BEFORE,
     LABELS,
-    about,
-    line,
+    along_variable,
+    describe_condition,
+    panel_conditions,
     panel_variables,
     plot_band,
     plot_flight,
-    plotted,
 )
 from sim_heating.heating.ratio.uncertainty import Posterior, estimated_ratio, node_weights
 
@@ -151,15 +151,15 @@ def draw_update(path: Path, update: TableUpdate) -> None:
         _panel(a, update, i)
     axes[0, 0].set_ylabel("heating ratio (2 sigma bands)")
     axes[0, 0].legend(fontsize=8, loc="best")
-    old, where = update.history.revision, about(update.estimate.reference_condition.values())
+    old, where = update.history.revision, describe_condition(update.estimate.reference_condition.values())
     save_figure(figure, path, f"{update.point.name}: ratio table, revision {old} to {old + 1}\nabout {where}", axes)
 
 
 def _panel(a: Axes, update: TableUpdate, i: int) -> None:
     axis, flown = update.history.table.axes[i], update.informed.path.x[:, i]
     reference = update.estimate.reference_condition.values()
-    x = plotted(i, reference, flown, axis)
-    nodes = line(reference, i, axis[(axis >= x[0, i]) & (axis <= x[-1, i])])
+    x = panel_conditions(i, reference, flown, axis)
+    nodes = along_variable(reference, i, axis[(axis >= x[0, i]) & (axis <= x[-1, i])])
     _table(a, i, update.before, x, nodes, "table before", BEFORE)
     _table(a, i, update.after, x, nodes, "table after", AFTER)
     inside = x[(x[:, i] >= flown.min()) & (x[:, i] <= flown.max())]

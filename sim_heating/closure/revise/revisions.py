@@ -25,7 +25,7 @@ from pydantic import Field
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import Declared, check, display_path, json_text, raw_text, read_json, write_text_atomic
-from sim_heating.estimation.report.estimate_file import Estimated
+from sim_heating.estimation.report.estimate_file import EstimatedParameter
 from sim_heating.heating.ratio.table import RatioTable, ratio_table_text, read_ratio_table
 from sim_heating.heating.ratio.uncertainty import Evidence, Posterior, posterior
 from sim_heating.inputs.vehicle import Vehicle
@@ -91,7 +91,7 @@ class RevisionFile(Declared):
     estimate: str
     records: list[UsedRecord]
     reference_condition: dict[str, float]
-    parameters: dict[str, Estimated]
+    parameters: dict[str, EstimatedParameter]
     effects: list[WrittenEffect] = Field(default=[])
     point_parent_hash: str | None = None
     point_hash: str | None = None

@@ -39,7 +39,7 @@ from sim_heating.estimation.report.estimate_file import (
     NAME,
     PAIR,
     Estimate,
-    Estimated,
+    EstimatedParameter,
     correlations,
     inputs_hash,
     read_estimate,
@@ -94,7 +94,7 @@ class TableUpdate:
         return (old.ratio != self.table.ratio) | (old.sigma != self.table.sigma)
 
     @property
-    def parameters(self) -> dict[str, Estimated]:
+    def parameters(self) -> dict[str, EstimatedParameter]:
         """What was estimated of the ratio and of the effects that are written."""
         written = tuple(f"{EFFECT_PREFIX}{name}." for name in self.effects.written)
         return {n: p for n, p in self.estimate.parameters.items() if n.startswith(("ratio.", *written))}

@@ -14,7 +14,7 @@ import numpy as np
 
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, SENSOR, SENSOR_PREFIX
-from sim_heating.estimation.inference.observability import STILL, still
+from sim_heating.estimation.inference.observability import CONSTANT_BELOW, constant_variables
 from sim_heating.heating.effects import Effect, EffectUse, Try, effects, use
 from sim_heating.inputs.record import Record
 
@@ -82,7 +82,7 @@ def candidates(record: Record, flown: Conditions, taken: Sequence[str] = ()) -> 
 
 def _varies(variable: str, flown: Conditions) -> bool:
     """Whether a column of the conditions exists and varies over the fitted samples."""
-    return variable in flown and bool(np.std(flown[variable]) > STILL.get(variable, CONSTANT))
+    return variable in flown and bool(np.std(flown[variable]) > CONSTANT_BELOW.get(variable, CONSTANT))
 
 
 def _of_effect(effect: Effect, record: Record, flown: Conditions) -> list[Candidate]:
@@ -94,7 +94,7 @@ def _of_effect(effect: Effect, record: Record, flown: Conditions) -> list[Candid
     return [
         _of_try(effect, one, sought)
         for one in tries
-        if not still([place for name in one.names for place in _places(effect, name)], [record])
+        if not constant_variables([place for name in one.names for place in _places(effect, name)], [record])
     ]
 
 

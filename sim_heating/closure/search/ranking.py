@@ -23,7 +23,7 @@ import numpy as np
 from sim_heating.closure.search.candidates import Candidate, Form
 from sim_heating.closure.search.trial_fit import TrialFit, fitted_values, sample_count
 from sim_heating.estimation.inference.newton import Fit
-from sim_heating.estimation.record_fit import definition
+from sim_heating.estimation.record_fit import sensor_definition
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ def posteriors(delta_bic: Mapping[str, float]) -> dict[str, float]:
 def prior_penalty(attempt: TrialFit) -> float:
     """By how much priors speak against the values found: the sum of squares of sigmas from what is declared."""
     part, found = attempt.problem.parts[0], fitted_values(attempt)
-    known = {n: definition(part.record, n) or part.model.definition(n) for n in attempt.candidate.prior}
+    known = {n: sensor_definition(part.record, n) or part.model.definition(n) for n in attempt.candidate.prior}
     return float(sum(((found[n] - p.value) / p.sigma) ** 2 for n, p in known.items()))
 
 

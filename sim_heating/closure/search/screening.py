@@ -15,12 +15,12 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import EFFECT_PREFIX
 from sim_heating.closure.search.candidates import Candidate, Form
 from sim_heating.closure.search.trial_fit import QUICK, TrialFit, candidate_problem, fitted_values, start_values
-from sim_heating.estimation.inference.identifiability import covariance, promised_gain
+from sim_heating.estimation.inference.identifiability import covariance, predicted_gain
 from sim_heating.estimation.inference.likelihood import scores
 from sim_heating.estimation.inference.newton import Fit, Status
-from sim_heating.estimation.problem import Problem
-from sim_heating.estimation.record_fit import Samples
-from sim_heating.estimation.side_by_side import Together, maximise_together
+from sim_heating.estimation.problem import FitProblem
+from sim_heating.estimation.record_fit import PredictedSamples
+from sim_heating.estimation.side_by_side import JointMarch, maximise_together
 
 STARTS_FITTED = 2
 """Starts of a set of parameters that are fitted, the most promising ones."""
@@ -57,7 +57,7 @@ def predicted_gains(base: TrialFit, tried: Sequence[Candidate]) -> list[float]:
     firsts = [start_values(p, {**start, **c.start}) for p, c in zip(problems, tried, strict=True)]
     known = np.concatenate([s.own for s in base.problem.samples(base.fit.values)])
     inner = known[:, [k for k, n in enumerate(part.names) if n not in part.other]]
-    marched, scored = Together(problems).march(firsts), _Scored()
+    marched, scored = JointMarch(problems).march(firsts), _Scored()
     return [
         _promise(problem, first, inner, scored) - base.fit.log_likelihood if done else -np.inf
         for problem, first, done in zip(problems, firsts, marched, strict=True)
@@ -67,7 +67,7 @@ def predicted_gains(base: TrialFit, tried: Sequence[Candidate]) -> list[float]:
 class _Scored(dict[tuple[int, bytes], tuple[float, FloatArray, FloatArray]]):
     """likelihood.scores of channels, each prediction scored once: before they act, many candidates predict the same."""
 
-    def of(self, s: Samples) -> tuple[float, FloatArray, FloatArray]:
+    def of(self, s: PredictedSamples) -> tuple[float, FloatArray, FloatArray]:
         """Those of one channel."""
         key = s.channel.number, s.mean_K.tobytes()
         if key not in self:
@@ -75,7 +75,7 @@ class _Scored(dict[tuple[int, bytes], tuple[float, FloatArray, FloatArray]]):
         return self[key]
 
 
-def _promise(problem: Problem, first: FloatArray, known: FloatArray, scored: _Scored) -> float:
+def _promise(problem: FitProblem, first: FloatArray, known: FloatArray, scored: _Scored) -> float:
     """Log likelihood that a Gauss-Newton step promises; `known` (sample, parameter): the base's sensitivities."""
     everything = problem.samples(first)
     found = [scored.of(s) for s in everything]
@@ -87,7 +87,7 @@ def _promise(problem: Problem, first: FloatArray, known: FloatArray, scored: _Sc
     held = ((first <= lower) & (gradient <= 0.0)) | ((first >= upper) & (gradient >= 0.0))
     J = np.column_stack([known, own[:, ~held & (information > 0.0)]])
     M = J.T @ (J * weight[:, np.newaxis])
-    return sum(f[0] for f in found) + promised_gain(J.T @ score, covariance(M))
+    return sum(f[0] for f in found) + predicted_gain(J.T @ score, covariance(M))
 
 
 def select_candidates(tried: Sequence[Candidate], gains: Sequence[float], n: int) -> list[int]:
@@ -107,7 +107,7 @@ def select_candidates(tried: Sequence[Candidate], gains: Sequence[float], n: int
 
 
 def fit_in_stages(
-    problems: Sequence[Problem], firsts: Sequence[FloatArray], reached: float, promised: Sequence[float]
+    problems: Sequence[FitProblem], firsts: Sequence[FloatArray], reached: float, promised: Sequence[float]
 ) -> list[Fit]:
     """Fit all a little way, those that came near the best gain over `reached` further, or promised as much, and the
     best to the end, but for those that are not going to reach the best."""

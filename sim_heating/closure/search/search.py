@@ -27,7 +27,7 @@ from sim_heating.closure.search.trial_fit import (
     sample_count,
     start_values,
 )
-from sim_heating.estimation.fit import Fitted, estimate
+from sim_heating.estimation.fit import FitResult, estimate
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record
@@ -56,7 +56,7 @@ class SearchResult:
     """
 
     record: Record
-    before: Fitted
+    before: FitResult
     rounds: tuple[SearchRound, ...]
     added: tuple[TrialFit, ...]
     unknown: bool

@@ -21,10 +21,10 @@ from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import CLOCK_SKEW, Parameter
 from sim_heating.closure.search.candidates import Candidate
-from sim_heating.estimation.fit import Fitted, lasting, misfit, predict_at
+from sim_heating.estimation.fit import FitResult, lag1_autocorrelation, predict_fit, rms_normalised_residual
 from sim_heating.estimation.inference.newton import Fit, Settings
-from sim_heating.estimation.problem import SKEW_SPAN_S, Problem
-from sim_heating.estimation.record_fit import Part
+from sim_heating.estimation.problem import SKEW_SPAN_S, FitProblem
+from sim_heating.estimation.record_fit import RecordFit
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.heating.effects import EffectUse
 from sim_heating.inputs.points import conditions_of_record
@@ -52,8 +52,8 @@ class TrialFit:
 
     name: str
     candidate: Candidate
-    problem: Problem
-    held_out: Problem | None
+    problem: FitProblem
+    held_out: FitProblem | None
     fit: Fit
     delta_bic: float = 0.0
     weighed: float = 0.0
@@ -62,17 +62,17 @@ class TrialFit:
     @property
     def prediction(self) -> Prediction:
         """The record at the values found."""
-        return predict_at(self.problem.parts[0], self.fit.values)
+        return predict_fit(self.problem.parts[0], self.fit.values)
 
     @property
     def excess(self) -> float:
         """Mean square of the normalised residuals, beyond that of noise."""
-        return misfit(self.problem.samples(self.fit.values)) ** 2 - 1.0
+        return rms_normalised_residual(self.problem.samples(self.fit.values)) ** 2 - 1.0
 
     @property
     def lasting(self) -> float:
         """What of them lasts from one sample to the next."""
-        return lasting(self.problem.samples(self.fit.values))
+        return lag1_autocorrelation(self.problem.samples(self.fit.values))
 
     @property
     def likelihood_held_out(self) -> float:
@@ -87,10 +87,10 @@ class TrialFit:
         """Mean square of their normalised residuals; 0 where there are none, or they cannot be marched."""
         if self.held_out is None or self.likelihood_held_out == -np.inf:
             return 0.0
-        return misfit(self.held_out.samples(self.fit.values)) ** 2
+        return rms_normalised_residual(self.held_out.samples(self.fit.values)) ** 2
 
 
-def base_trial(before: Fitted) -> TrialFit:
+def base_trial(before: FitResult) -> TrialFit:
     """The declared model with its magnitude and derivatives, and a clock that may be a little off."""
     whole = before.problem.parts[0]
     start = {**dict(zip(whole.names, before.fit.values, strict=True)), CLOCK_SKEW.name: 0.0}
@@ -99,7 +99,7 @@ def base_trial(before: Fitted) -> TrialFit:
     full = _over(before, whole.record, fitted | held)
     error_K, at_s = _changed_by_thinning(full, _over(before, quick, fitted | held, longest_step_s=MAX_STEP_S), start)
 
-    def over(chosen: NDArray[np.bool_]) -> Problem:
+    def over(chosen: NDArray[np.bool_]) -> FitProblem:
         problem = _over(before, quick, chosen, longest_step_s=MAX_STEP_S)
         part = problem.parts[0]
         part.correction_K = error_K[:, np.isin(at_s, part.sample_s)]
@@ -114,19 +114,23 @@ def base_trial(before: Fitted) -> TrialFit:
     return TrialFit("none", Candidate("none", (), (), {}, (), ()), problem, held_out, fit)
 
 
-def _over(before: Fitted, record: Record, chosen: NDArray[np.bool_], **more: Any) -> Problem:
+def _over(before: FitResult, record: Record, chosen: NDArray[np.bool_], **more: Any) -> FitProblem:
     """The declared model over some of the samples of a record, whole or thinned."""
     whole = before.problem.parts[0]
     interval = float(np.median(np.diff(whole.record.time_s)))
     off = min(AGREEMENT * interval, SKEW_SPAN_S)
     clock = {CLOCK_SKEW.name: replace(CLOCK_SKEW, lower=-off, upper=off)}
     names = (*whole.names, CLOCK_SKEW.name)
-    problem = Problem([record], names, before.problem.reference, priors=clock, widened=WIDENED, chosen=[chosen], **more)
+    problem = FitProblem(
+        [record], names, before.problem.reference, priors=clock, widened=WIDENED, chosen=[chosen], **more
+    )
     problem.parts[0].sigma_K.update(whole.sigma_K)
     return problem
 
 
-def _changed_by_thinning(full: Problem, quick: Problem, start: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
+def _changed_by_thinning(
+    full: FitProblem, quick: FitProblem, start: Mapping[str, float]
+) -> tuple[FloatArray, FloatArray]:
     """(sensor, sample) what the record as it is, on a mesh without error, adds to the thinned one, and the times."""
     at, part = start_values(full, start), full.parts[0]
     full.correct_meshes(at)
@@ -137,12 +141,12 @@ def _changed_by_thinning(full: Problem, quick: Problem, start: Mapping[str, floa
     return exact - coarse, part.sample_s
 
 
-def problem_with(base: TrialFit, candidate: Candidate) -> Problem:
+def problem_with(base: TrialFit, candidate: Candidate) -> FitProblem:
     """The base's problem with a candidate's unknowns."""
     return candidate_problem(base, base.problem.parts[0], candidate, _names(base, candidate), widened=WIDENED)
 
 
-def held_out_problem_with(base: TrialFit, candidate: Candidate) -> Problem | None:
+def held_out_problem_with(base: TrialFit, candidate: Candidate) -> FitProblem | None:
     """The same over the samples held out."""
     if base.held_out is None:
         return None
@@ -155,7 +159,9 @@ def _names(base: TrialFit, candidate: Candidate) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*base.problem.parts[0].names, *candidate.names)))
 
 
-def candidate_problem(base: TrialFit, part: Part, candidate: Candidate, names: Sequence[str], **more: Any) -> Problem:
+def candidate_problem(
+    base: TrialFit, part: RecordFit, candidate: Candidate, names: Sequence[str], **more: Any
+) -> FitProblem:
     """A part of the base with a candidate's effects beside those found, its noise, what is known of its mesh, and a
     clock that goes no further than in the base unless that is what the candidate moves."""
     uses = (*fitted_effects(base), *candidate.uses)
@@ -163,13 +169,13 @@ def candidate_problem(base: TrialFit, part: Part, candidate: Candidate, names: S
     if CLOCK_SKEW.name in candidate.names:
         priors[CLOCK_SKEW.name] = replace(CLOCK_SKEW, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)
     more |= {"effects": uses, "priors": priors, "longest_step_s": MAX_STEP_S}
-    problem = Problem([part.record], names, base.problem.reference, **more)
+    problem = FitProblem([part.record], names, base.problem.reference, **more)
     problem.parts[0].sigma_K.update(part.sigma_K)
     problem.parts[0].correction_K = part.correction_K
     return problem
 
 
-def start_values(problem: Problem, start: Mapping[str, float]) -> FloatArray:
+def start_values(problem: FitProblem, start: Mapping[str, float]) -> FloatArray:
     """Values to start from, those of the priors where none are given."""
     return np.array([start.get(p.name, p.value) for p in problem.parameters])
 
@@ -184,7 +190,7 @@ def fitted_effects(attempt: TrialFit) -> tuple[EffectUse, ...]:
     return attempt.problem.parts[0].altered(attempt.fit.values).effects
 
 
-def sample_count(problem: Problem) -> int:
+def sample_count(problem: FitProblem) -> int:
     """Number of its samples."""
     return sum(len(channel.samples) for part in problem.parts for channel in part.channels)
 

@@ -12,9 +12,9 @@ from sim_heating.base.errors import RunError
 from sim_heating.base.parameters import Parameter
 from sim_heating.base.progress import Progress, quiet
 from sim_heating.estimation.design.information import Experiment
-from sim_heating.estimation.inference.likelihood import observed
+from sim_heating.estimation.inference.likelihood import reading_intervals
 from sim_heating.estimation.inference.newton import maximise
-from sim_heating.estimation.problem import Problem, joint_reference
+from sim_heating.estimation.problem import FitProblem, joint_reference
 from sim_heating.estimation.record_fit import Start
 from sim_heating.heating.effects import EffectUse
 from sim_heating.inputs.record import Record
@@ -23,7 +23,7 @@ from sim_heating.thermal.stack import Sensor
 
 
 @dataclass(frozen=True, eq=False)
-class Repeated:
+class RepeatedFits:
     """Errors of repeated fits.
 
     names  : (parameter,);  error : (fit, parameter) estimate less truth
@@ -50,7 +50,7 @@ def repeated_fits(
     repetitions: int = 200,
     seed: int = 1,
     progress: Progress = quiet,
-) -> Repeated:
+) -> RepeatedFits:
     """Measure and fit a record again and again; `told` gives the unknowns, PRESSURE not among them, and their priors.
 
     raises : RunError where no fit converges
@@ -60,14 +60,19 @@ def repeated_fits(
     begin = None if start is None else replace(start, unknowns=tuple(of_start.values()))
     names = [n for n in told.names if n not in of_start]
     about = joint_reference([record], reference)
-    problem = Problem([record], names, about, effects=effects, priors=known, starts=[begin])
+    problem = FitProblem([record], names, about, effects=effects, priors=known, starts=[begin])
     parameters, part = problem.parameters, problem.parts[0]
     rng = np.random.default_rng(seed)
     errors, failed = [], 0
     for k in range(repetitions):
-        truth = drawn(parameters, rng)
+        truth = draw_truth(parameters, rng)
         part.channels = [
-            replace(s.channel, observed=observed(s.channel.sensor, _read(s.channel.sensor, s.mean_K, s.sigma_K, rng)))
+            replace(
+                s.channel,
+                observed=reading_intervals(
+                    s.channel.sensor, _simulated_readings(s.channel.sensor, s.mean_K, s.sigma_K, rng)
+                ),
+            )
             for s in problem.samples(truth)
         ]
         fit = maximise(problem.evaluate, parameters, log_likelihoods=problem.log_likelihoods)
@@ -78,10 +83,10 @@ def repeated_fits(
         progress((k + 1) / repetitions, f"fits: {k + 1} of {repetitions}")
     if not errors:
         raise RunError(f"design: none of {repetitions} fits converged")
-    return Repeated(tuple(p.name for p in parameters), np.array(errors), failed)
+    return RepeatedFits(tuple(p.name for p in parameters), np.array(errors), failed)
 
 
-def drawn(parameters: Sequence[Parameter], rng: np.random.Generator) -> FloatArray:
+def draw_truth(parameters: Sequence[Parameter], rng: np.random.Generator) -> FloatArray:
     """(parameter,) truths from the priors, drawn anew where outside the bounds; the value itself where one is flat."""
     values = []
     for p in parameters:
@@ -94,5 +99,5 @@ def drawn(parameters: Sequence[Parameter], rng: np.random.Generator) -> FloatArr
     return np.array(values)
 
 
-def _read(sensor: Sensor, mean_K: FloatArray, sigma_K: float, rng: np.random.Generator) -> FloatArray:
+def _simulated_readings(sensor: Sensor, mean_K: FloatArray, sigma_K: float, rng: np.random.Generator) -> FloatArray:
     return quantised(sensor, mean_K + rng.normal(0.0, sigma_K, len(mean_K)))

@@ -28,8 +28,8 @@ from sim_heating.base.parameters import CLOCK_SKEW, SENSOR_PREFIX, Parameter
 from sim_heating.estimation.inference.identifiability import covariance
 from sim_heating.estimation.inference.likelihood import expected_information
 from sim_heating.estimation.inference.observability import variables_of
-from sim_heating.estimation.problem import Problem, joint_reference
-from sim_heating.estimation.record_fit import Samples, Start
+from sim_heating.estimation.problem import FitProblem, joint_reference
+from sim_heating.estimation.record_fit import PredictedSamples, Start
 from sim_heating.heating.effects import EffectUse
 from sim_heating.inputs.record import Record
 from sim_heating.thermal.stack import Sensor
@@ -38,7 +38,7 @@ PRESSURE = Parameter(
     "conditions.p_surface_factor", "1", 1.0, 0.3, 0.1, 10.0, "surface pressure over the one that is computed"
 )
 """Factor on the surface pressure, as a pressure measurement at the control point would give it; 30 % without one."""
-PRESSURE_MOVED = 0.05
+PRESSURE_STEP = 0.05
 """Relative step to either side at which the pressure is marched for its sensitivity."""
 LEVELS = 8
 """Number of places between two codes of a word that a temperature is assumed at, before it is known."""
@@ -47,7 +47,7 @@ PRIVATE = ("initial.", CLOCK_SKEW.name, SENSOR_PREFIX)
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class PredictedChannel:
     """Predicted samples of one sensor.
 
     sensor   : its declaration
@@ -89,7 +89,7 @@ class Experiment:
     """
 
     unknowns: tuple[Parameter, ...]
-    channels: tuple[Seen, ...]
+    channels: tuple[PredictedChannel, ...]
     levels: int = LEVELS
 
     @property
@@ -152,7 +152,7 @@ class Experiment:
             whole, at = covariance(self.information() + np.diag(prior)), self.place(wanted)
         else:
             own = np.flatnonzero(shared)
-            told = flights * taken_out(self.information(), prior, ~shared) + np.diag(prior[own])
+            told = flights * marginalise(self.information(), prior, ~shared) + np.diag(prior[own])
             whole, at = covariance(told), [int(np.flatnonzero(own == k)[0]) for k in self.place(wanted)]
         return whole[np.ix_(at, at)]
 
@@ -167,7 +167,7 @@ class Experiment:
         return np.sqrt(np.diag(self.covariance(wanted, flights)))
 
 
-def taken_out(information: FloatArray, prior: FloatArray, private: NDArray[np.bool_]) -> FloatArray:
+def marginalise(information: FloatArray, prior: FloatArray, private: NDArray[np.bool_]) -> FloatArray:
     """Information of one flight on the unknowns it shares with others, its private ones integrated out.
 
         M_s|p = M_ss - M_sp (M_pp + P_pp)^-1 M_ps
@@ -189,7 +189,7 @@ def taken_out(information: FloatArray, prior: FloatArray, private: NDArray[np.bo
     return information[np.ix_(s, s)] - (scale[:, np.newaxis] * cross).T @ known
 
 
-def merit(criterion: str, found: FloatArray, planned: FloatArray) -> float:
+def design_criterion(criterion: str, found: FloatArray, planned: FloatArray) -> float:
     """Design criterion: bounds of a design over those of the plan as one ratio [-]; 1 as planned, below 1 better.
 
         D : (det found / det planned)^(1 / 2k);   A : root mean square of the bounds over the planned ones
@@ -231,7 +231,7 @@ def experiment(
     """
     about = joint_reference([record], reference)
     marched = [n for n in names if n != PRESSURE.name]
-    problem = Problem([record], marched, about, effects=effects, starts=[start])
+    problem = FitProblem([record], marched, about, effects=effects, starts=[start])
     unknowns = tuple(replace(u.parameter, name=u.label) for u in problem.unknowns)
     values = np.array([p.value for p in unknowns])
     found = problem.samples(values)
@@ -241,7 +241,9 @@ def experiment(
         slopes = _pressure_slopes(record, about, effects, start)
         columns = [np.column_stack([c, slope]) for c, slope in zip(columns, slopes, strict=True)]
     pairs = zip(found, columns, strict=True)
-    return Experiment(unknowns, tuple(Seen(s.channel.sensor, s.time_s, s.mean_K, c, s.sigma_K) for s, c in pairs))
+    return Experiment(
+        unknowns, tuple(PredictedChannel(s.channel.sensor, s.time_s, s.mean_K, c, s.sigma_K) for s, c in pairs)
+    )
 
 
 def _pressure_slopes(
@@ -253,15 +255,15 @@ def _pressure_slopes(
     """
     # the start is held: only the march from it on depends on the pressure
     known = None if start is None else replace(start, columns=start.columns[:, :0], unknowns=())
-    sides: list[list[Samples]] = []
-    for factor in (1.0 + PRESSURE_MOVED, 1.0 - PRESSURE_MOVED):
+    sides: list[list[PredictedSamples]] = []
+    for factor in (1.0 + PRESSURE_STEP, 1.0 - PRESSURE_STEP):
         pressure = factor * record.conditions["p_surface_Pa"]
         moved = replace(record, conditions=record.conditions.with_columns(p_surface_Pa=pressure))
-        sides.append(Problem([moved], [], about, effects=effects, starts=[known]).samples(np.zeros(0)))
-    return [(high.mean_K - low.mean_K) / (2.0 * PRESSURE_MOVED) for high, low in zip(*sides, strict=True)]
+        sides.append(FitProblem([moved], [], about, effects=effects, starts=[known]).samples(np.zeros(0)))
+    return [(high.mean_K - low.mean_K) / (2.0 * PRESSURE_STEP) for high, low in zip(*sides, strict=True)]
 
 
-def would_buy(
+def sensitivity_to_effort(
     names: Sequence[str], information: FloatArray, prior: FloatArray, larger: float = 2.0, longer: float = 2.0
 ) -> dict[str, dict[str, float]]:
     """Factor on each derivative's bound that more of a flown manoeuvre would give.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import CLOCK_SKEW
 from sim_heating.estimation.design.information import PRESSURE, Experiment
-from sim_heating.estimation.design.planned_flight import Instruments, Planned, Planner
+from sim_heating.estimation.design.planned_flight import Instruments, PlannedFlight, Planner
 from sim_heating.thermal.stack import Sensor
 
 BITS = (8, 10, 12)
@@ -25,7 +25,7 @@ NEAR_M = 0.0005
 
 
 @dataclass(frozen=True, eq=False)
-class Variant:
+class InstrumentVariant:
     """Bounds with other instruments: of which kind the change is, what it is, (wanted,) bounds."""
 
     kind: str
@@ -34,15 +34,19 @@ class Variant:
 
 
 def instrumentation(
-    planner: Planner, flown: Planned, names: tuple[str, ...], priors: dict[str, float]
-) -> list[Variant]:
+    planner: Planner, flown: PlannedFlight, names: tuple[str, ...], priors: dict[str, float]
+) -> list[InstrumentVariant]:
     """Bounds on the wanted parameters with the declared instruments, which come first, and with others."""
     told = planner.experiment(flown, names, priors)
-    every = [("as declared", "as declared", told), *_reread(told), *_rebuilt(planner, flown, names, priors)]
-    return [Variant(kind, what, e.sigma(planner.wanted)) for kind, what, e in every]
+    every = [
+        ("as declared", "as declared", told),
+        *_variants_without_march(told),
+        *_variants_with_march(planner, flown, names, priors),
+    ]
+    return [InstrumentVariant(kind, what, e.sigma(planner.wanted)) for kind, what, e in every]
 
 
-def _reread(told: Experiment) -> Iterator[tuple[str, str, Experiment]]:
+def _variants_without_march(told: Experiment) -> Iterator[tuple[str, str, Experiment]]:
     """Changes that need no other march."""
     for bits in BITS:
         yield "word", f"{bits} bits", told.with_bits(bits)
@@ -59,8 +63,8 @@ def _reread(told: Experiment) -> Iterator[tuple[str, str, Experiment]]:
         yield "without", f"all but {outermost}", told.without([n for n in sensors if n != outermost])
 
 
-def _rebuilt(
-    planner: Planner, flown: Planned, names: tuple[str, ...], priors: dict[str, float]
+def _variants_with_march(
+    planner: Planner, flown: PlannedFlight, names: tuple[str, ...], priors: dict[str, float]
 ) -> Iterator[tuple[str, str, Experiment]]:
     """Changes that do: sample rates, and thermocouples at other depths."""
     sensors = planner.instruments.sensors

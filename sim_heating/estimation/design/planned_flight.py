@@ -14,7 +14,7 @@ from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files import display_path
 from sim_heating.base.parameters import CLOCK_SKEW, SENSOR_PREFIX, SHORT
 from sim_heating.estimation.design.information import PRESSURE, Experiment, experiment
-from sim_heating.estimation.inference.observability import still
+from sim_heating.estimation.inference.observability import constant_variables
 from sim_heating.estimation.problem import SKEW_SPAN_S
 from sim_heating.estimation.record_fit import LONGEST_STEP_S, Start, march_times
 from sim_heating.estimation.starts import free_start
@@ -47,7 +47,7 @@ NUISANCE = (
     "ratio.scale", "stack.coating.thickness_factor", "stack.rsi.conductivity_factor", CLOCK_SKEW.name, PRESSURE.name,
 )  # fmt: skip
 """What is not known beside it, and the derivatives that the table of the point knows."""
-SEARCHED = {"source": "entry-3dof", "rate_hz": 4.0}
+SEARCH_TRAJECTORY = {"source": "entry-3dof", "rate_hz": 4.0}
 """What designs are flown with while they are tried."""
 ADDED_K = 5.0
 """What a manoeuvre may add to a temperature that passes its limit without it [K]."""
@@ -62,7 +62,7 @@ class Instruments:
 
 
 @dataclass(frozen=True, eq=False)
-class Planned:
+class PlannedFlight:
     """A flight with manoeuvres.
 
     conditions : at the control point
@@ -133,14 +133,14 @@ class Planner:
 
     def _fly(self, manoeuvres: tuple[Manoeuvre, ...], searched: bool) -> Flight:
         spec = self.scenario.declared.trajectory
-        spec = spec.model_copy(update={"manoeuvre": manoeuvres, **(SEARCHED if searched else {})})
+        spec = spec.model_copy(update={"manoeuvre": manoeuvres, **(SEARCH_TRAJECTORY if searched else {})})
         return SOURCES[spec.source](spec, self.scenario.vehicle.directory)
 
-    def fly(self, manoeuvres: Sequence[Manoeuvre], searched: bool = True) -> Planned:
+    def fly(self, manoeuvres: Sequence[Manoeuvre], searched: bool = True) -> PlannedFlight:
         """Fly manoeuvres with the 3-DOF entry, or, not `searched`, with the scenario's own source."""
         flown = tuple(manoeuvres)
         flight = self._fly(flown, searched)
-        return Planned(
+        return PlannedFlight(
             flown,
             flight,
             conditions_at_point(self.scenario.vehicle, self.point, flight.conditions),
@@ -210,16 +210,16 @@ class Planner:
 
     # Information -----------------------------------------------------------------------------------------------------
 
-    def names(self, planned: Planned) -> tuple[str, ...]:
+    def names(self, planned: PlannedFlight) -> tuple[str, ...]:
         """What is unknown: the wanted, and the nuisances that the planned flight moves."""
         if self.design.nuisance is not None:
             return tuple(dict.fromkeys((*self.wanted, *self.design.nuisance)))
         assert self.point.ratio is not None
         known = [f"ratio.d_{s}" for s, axis in zip(SHORT, self.point.ratio.axes, strict=True) if len(axis) > 1]
-        unmoved = still(known, [self.record(planned, self.instruments)[0]])
+        unmoved = constant_variables(known, [self.record(planned, self.instruments)[0]])
         return tuple(dict.fromkeys((*self.wanted, *(n for n in known if n not in unmoved), *NUISANCE)))
 
-    def priors(self, names: Sequence[str], planned: Planned) -> dict[str, float]:
+    def priors(self, names: Sequence[str], planned: PlannedFlight) -> dict[str, float]:
         """Standard deviations before the flight: as declared; of derivatives beside the wanted, as the table says."""
         condition = _mean_condition(planned, self.design)
         table = {n: s for n, s in self._table_sigma(condition).items() if n in names and n not in self.wanted}
@@ -240,7 +240,7 @@ class Planner:
             for short, v in zip(SHORT, RATIO_VARIABLES, strict=True)
         }
 
-    def record(self, planned: Planned, instruments: Instruments) -> tuple[Record, Start | None]:
+    def record(self, planned: PlannedFlight, instruments: Instruments) -> tuple[Record, Start | None]:
         """The record that a planned flight would bring, its readings the model's own, and where its march begins."""
         flown, design = planned.conditions, self.design
         spans = [_span(w, flown, design) for w in planned.flight.windows]
@@ -269,7 +269,11 @@ class Planner:
         return free_start(begin_s, T[:, 0], model, mesh), T[list(mesh.sensors), 1:]
 
     def experiment(
-        self, planned: Planned, names: Sequence[str], priors: dict[str, float], instruments: Instruments | None = None
+        self,
+        planned: PlannedFlight,
+        names: Sequence[str],
+        priors: dict[str, float],
+        instruments: Instruments | None = None,
     ) -> Experiment:
         """What a planned flight would tell."""
         record, start = self.record(planned, instruments or self.instruments)
@@ -301,7 +305,7 @@ def _span(window: Window, flown: Conditions, design: Design) -> tuple[float, flo
     return float(start), float(min(window.end_s + design.after_s, flown.time_s[-1]))
 
 
-def _mean_condition(planned: Planned, design: Design) -> FloatArray:
+def _mean_condition(planned: PlannedFlight, design: Design) -> FloatArray:
     """(5,) mean condition over what is read."""
     flown = planned.conditions
     read = np.zeros(len(flown), dtype=bool)

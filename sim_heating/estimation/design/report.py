@@ -17,11 +17,11 @@ from sim_heating.base.files import output_directory, write_json, write_text_atom
 from sim_heating.base.files.package import package_version
 from sim_heating.base.progress import Progress, quiet
 from sim_heating.base.report.figure import ANGLES, new_figure, save_figure
-from sim_heating.estimation.design.check import Repeated, repeated_fits
-from sim_heating.estimation.design.information import PRESSURE, Experiment, merit
-from sim_heating.estimation.design.instruments import Variant, instrumentation
-from sim_heating.estimation.design.planned_flight import SEARCHED, Planned, Planner
-from sim_heating.estimation.design.search import Found, Search, Sweep
+from sim_heating.estimation.design.check import RepeatedFits, repeated_fits
+from sim_heating.estimation.design.information import PRESSURE, Experiment, design_criterion
+from sim_heating.estimation.design.instruments import InstrumentVariant, instrumentation
+from sim_heating.estimation.design.planned_flight import SEARCH_TRAJECTORY, PlannedFlight, Planner
+from sim_heating.estimation.design.search import BoundsSweep, DesignSearch, DesignSearchResult
 from sim_heating.inputs.scenario import Scenario
 from sim_heating.simulation.run import MANOEUVRED
 from sim_heating.trajectory.flight import Window
@@ -33,18 +33,18 @@ SWEEP_POINTS = 7
 
 
 @dataclass(frozen=True, eq=False)
-class Checked:
+class SourceCheck:
     """Planned and best design flown with the scenario's own source: margins, and (wanted,) bounds."""
 
     source: str
-    planned: Planned
+    planned: PlannedFlight
     planned_sigma: FloatArray
-    best: Planned
+    best: PlannedFlight
     best_sigma: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Designed:
+class DesignResult:
     """A finished design.
 
     instruments : bounds of the best design with other instruments, as declared first
@@ -54,11 +54,11 @@ class Designed:
 
     scenario: Scenario
     planner: Planner
-    found: Found
-    sweeps: list[Sweep]
-    instruments: list[Variant]
-    checked: Checked | None
-    fitted: tuple[Repeated, Experiment] | None
+    found: DesignSearchResult
+    sweeps: list[BoundsSweep]
+    instruments: list[InstrumentVariant]
+    checked: SourceCheck | None
+    fitted: tuple[RepeatedFits, Experiment] | None
 
     @property
     def wanted(self) -> tuple[str, ...]:
@@ -71,7 +71,7 @@ def design(
     *,
     repetitions: int = 0,
     progress: Progress = quiet,
-) -> Designed:
+) -> DesignResult:
     """Search the manoeuvres of a scenario, and what other instruments would buy.
 
     repetitions : actual fits of the best design against which its bounds are held
@@ -79,7 +79,7 @@ def design(
     """
     planner = Planner(scenario)
     progress(0.0, "flying as planned")
-    search = Search(planner)
+    search = DesignSearch(planner)
     found = search.run(lambda f, text: progress(0.6 * f, text))
     progress(0.6, "bounds along each number")
     sweeps = search.sweep(found, SWEEP_POINTS)
@@ -88,20 +88,22 @@ def design(
     progress(0.85, "checking")
     fitted = None
     if repetitions:
-        fitted = _fitted(planner, found, repetitions, lambda f, text: progress(0.9 + 0.1 * f, text))
-    return Designed(scenario, planner, found, sweeps, instruments, _checked(planner, found), fitted)
+        fitted = _repeat_fits(planner, found, repetitions, lambda f, text: progress(0.9 + 0.1 * f, text))
+    return DesignResult(scenario, planner, found, sweeps, instruments, _check_with_source(planner, found), fitted)
 
 
-def _checked(planner: Planner, found: Found) -> Checked | None:
+def _check_with_source(planner: Planner, found: DesignSearchResult) -> SourceCheck | None:
     source = planner.scenario.declared.trajectory.source
-    if source == SEARCHED["source"]:
+    if source == SEARCH_TRAJECTORY["source"]:
         return None
     planned, best = (planner.fly(p.manoeuvres, searched=False) for p in (found.planned, found.best))
     sigma = [planner.experiment(p, found.names, found.priors).sigma(planner.wanted) for p in (planned, best)]
-    return Checked(source, planned, sigma[0], best, sigma[1])
+    return SourceCheck(source, planned, sigma[0], best, sigma[1])
 
 
-def _fitted(planner: Planner, found: Found, repetitions: int, progress: Progress) -> tuple[Repeated, Experiment]:
+def _repeat_fits(
+    planner: Planner, found: DesignSearchResult, repetitions: int, progress: Progress
+) -> tuple[RepeatedFits, Experiment]:
     """Actual fits of the best design, the surface pressure taken as known in them and in the bounds."""
     record, start = planner.record(found.best, planner.instruments)
     names = tuple(n for n in found.names if n != PRESSURE.name)
@@ -110,7 +112,7 @@ def _fitted(planner: Planner, found: Found, repetitions: int, progress: Progress
     return fits, told
 
 
-def summary(designed: Designed) -> dict[str, Any]:
+def summary(designed: DesignResult) -> dict[str, Any]:
     """The contents of design.json."""
     found, wanted, declared = designed.found, designed.wanted, designed.planner.design
     planned, best = found.planned_told, found.best_told
@@ -120,7 +122,9 @@ def summary(designed: Designed) -> dict[str, Any]:
         "vehicle": designed.scenario.vehicle.name,
         "control_point": designed.planner.point.name,
         "criterion": declared.criterion,
-        "criterion_over_planned": merit(declared.criterion, best.covariance(wanted), planned.covariance(wanted)),
+        "criterion_over_planned": design_criterion(
+            declared.criterion, best.covariance(wanted), planned.covariance(wanted)
+        ),
         "unknowns": {p.name: p.sigma if np.isfinite(p.sigma) else None for p in best.unknowns},
         "parameters": {
             name: {
@@ -151,7 +155,7 @@ def _by_name(names: tuple[str, ...], sigma: FloatArray) -> dict[str, float | Non
     return {n: float(s) if np.isfinite(s) else None for n, s in zip(names, sigma, strict=True)}
 
 
-def _flight(flown: Planned) -> dict[str, Any]:
+def _flight(flown: PlannedFlight) -> dict[str, Any]:
     return {
         "manoeuvres": [m.model_dump(exclude_none=True) for m in flown.manoeuvres],
         "windows_s": [[w.start_s, w.end_s] for w in flown.flight.windows],
@@ -160,7 +164,7 @@ def _flight(flown: Planned) -> dict[str, Any]:
     }
 
 
-def _check_summary(designed: Designed) -> dict[str, Any] | None:
+def _check_summary(designed: DesignResult) -> dict[str, Any] | None:
     checked = designed.checked
     if checked is None:
         return None
@@ -171,7 +175,7 @@ def _check_summary(designed: Designed) -> dict[str, Any] | None:
     }
 
 
-def _fit_summary(designed: Designed) -> dict[str, Any] | None:
+def _fit_summary(designed: DesignResult) -> dict[str, Any] | None:
     if designed.fitted is None:
         return None
     fits, told = designed.fitted
@@ -183,7 +187,7 @@ def _fit_summary(designed: Designed) -> dict[str, Any] | None:
     }
 
 
-def notes(designed: Designed) -> list[str]:
+def notes(designed: DesignResult) -> list[str]:
     """What a person should know of a design, a line each."""
     lines = designed.planner.over_limit()
     if not designed.found.planned.feasible:
@@ -194,7 +198,7 @@ def notes(designed: Designed) -> list[str]:
     return lines
 
 
-def bounds_csv(designed: Designed) -> str:
+def bounds_csv(designed: DesignResult) -> str:
     """Bounds of the wanted parameters, a line a parameter."""
     found, flights = summary(designed)["parameters"], designed.planner.design.flights
     head = ["parameter", "unit", "planned_sigma", "optimal_sigma", *(f"after_{n}_flights_sigma" for n in flights)]
@@ -205,7 +209,7 @@ def bounds_csv(designed: Designed) -> str:
     return "\n".join(",".join(row) for row in [head, *rows]) + "\n"
 
 
-def write_design(designed: Designed, out: Path) -> list[str]:
+def write_design(designed: DesignResult, out: Path) -> list[str]:
     """Write design.json, bounds.csv and pictures; returns the names of the files."""
 
     with output_directory(out) as folder:
@@ -230,7 +234,7 @@ LABELS = {
 }
 
 
-def draw_design(path: Path, designed: Designed) -> None:
+def draw_design(path: Path, designed: DesignResult) -> None:
     """The variable of each manoeuvre, and the outermost thermocouple's temperature, as planned and as designed."""
     found, count = designed.found, len(designed.found.planned.manoeuvres)
     figure, axes = new_figure(8.5, 3.0 * (count + 1), count + 1)
@@ -241,7 +245,9 @@ def draw_design(path: Path, designed: Designed) -> None:
         for k, window in enumerate(flown.flight.windows):
             variable = MANOEUVRED[window.kind]
             speed = float(flown.flight.conditions.at([window.start_s])["velocity_m_s"][0])
-            t, y = _about(flown, window, variable, designed.planner.design.before_s, designed.planner.design.after_s)
+            t, y = _around_window(
+                flown, window, variable, designed.planner.design.before_s, designed.planner.design.after_s
+            )
             axes[k].plot(t, y, color=color, label=f"{label}, at {speed:.0f} m/s")
             axes[k].set_ylabel(f"{ANGLES.get(variable, ('jets', ''))[0]}{', deg' if variable in ANGLES else ''}")
             axes[k].set_xlabel("time from the start of the manoeuvre, s")
@@ -257,15 +263,15 @@ def draw_design(path: Path, designed: Designed) -> None:
     )
 
 
-def _about(
-    flown: Planned, window: Window, variable: str, before_s: float, after_s: float
+def _around_window(
+    flown: PlannedFlight, window: Window, variable: str, before_s: float, after_s: float
 ) -> tuple[np.ndarray, np.ndarray]:
     t = flown.conditions.time_s
     shown = (t >= window.start_s - before_s) & (t <= window.end_s + after_s)
     return t[shown] - window.start_s, flown.conditions[variable][shown]
 
 
-def draw_sweeps(path: Path, designed: Designed) -> None:
+def draw_sweeps(path: Path, designed: DesignResult) -> None:
     """Bounds over those of the optimal design along each number that was varied; open where a limit is passed."""
     sweeps, best = designed.sweeps, designed.found.best_told.sigma(designed.wanted)
     columns = min(3, len(sweeps))
@@ -294,7 +300,7 @@ def draw_sweeps(path: Path, designed: Designed) -> None:
     save_figure(figure, path, title, axes)
 
 
-def draw_instruments(path: Path, designed: Designed) -> None:
+def draw_instruments(path: Path, designed: DesignResult) -> None:
     """Bounds with other instruments over those with the declared ones."""
     base, others = designed.instruments[0].sigma, designed.instruments[1:]
     figure, axes = new_figure(8.5, 0.33 * len(others) * max(1, len(designed.wanted) * 0.7) + 1.8, 1)

@@ -18,13 +18,13 @@ from scipy.stats import qmc
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.progress import Progress, quiet
-from sim_heating.estimation.design.information import Experiment, check_wanted, merit
-from sim_heating.estimation.design.planned_flight import Planned, Planner
-from sim_heating.estimation.inference.observability import still
+from sim_heating.estimation.design.information import Experiment, check_wanted, design_criterion
+from sim_heating.estimation.design.planned_flight import PlannedFlight, Planner
+from sim_heating.estimation.inference.observability import constant_variables
 from sim_heating.inputs.scenario import Vary
 from sim_heating.trajectory.spec import Manoeuvre
 
-BROKEN = 10.0
+INFEASIBLE = 10.0
 """Worth of a design that breaks a limit, and more by how far; no other is worse."""
 TOLERANCES = {"_K": 10.0, "_deg": 1.0, "_Pa": 500.0, "_m": 500.0, "_s": 5.0}
 """By how much limits are broken alike, by their unit."""
@@ -36,7 +36,7 @@ SHAPES = (0.5, 2.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Tried:
+class TriedDesign:
     """One design: (vary,) numbers, its worth, whether it keeps the limits, and (wanted,) bounds where it does."""
 
     x: FloatArray
@@ -46,7 +46,7 @@ class Tried:
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
+class BoundsSweep:
     """Bounds along one number about the best design: (point,) values, (point, wanted) bounds, which keep the limits."""
 
     vary: Vary
@@ -56,7 +56,7 @@ class Sweep:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class DesignSearchResult:
     """The outcome of a search.
 
     names    : what is unknown;  priors : standard deviations that are not the parameters' own
@@ -67,14 +67,14 @@ class Found:
     names: tuple[str, ...]
     priors: dict[str, float]
     vary: tuple[Vary, ...]
-    planned: Planned
+    planned: PlannedFlight
     planned_told: Experiment
-    best: Planned
+    best: PlannedFlight
     best_told: Experiment
-    tried: tuple[Tried, ...]
+    tried: tuple[TriedDesign, ...]
 
 
-class Search:
+class DesignSearch:
     """Tries designs of one scenario, and remembers all it tried."""
 
     def __init__(self, planner: Planner) -> None:
@@ -86,7 +86,7 @@ class Search:
             raise InputError(
                 f"{planner.scenario.path}: a manoeuvre is not reached in the 3-DOF flight; change what triggers it"
             )
-        unmoved = still(planner.wanted, [planner.record(self.planned, planner.instruments)[0]])
+        unmoved = constant_variables(planner.wanted, [planner.record(self.planned, planner.instruments)[0]])
         if unmoved:
             raise InputError(*(f"{planner.scenario.path}: {name}: {why}" for name, why in unmoved.items()))
         self.names = planner.names(self.planned)
@@ -94,8 +94,8 @@ class Search:
         self.planned_told = planner.experiment(self.planned, self.names, self.priors)
         check_wanted(self.planned_told, planner.wanted)
         self.planned_covariance = self.planned_told.covariance(planner.wanted)
-        self.tried: list[Tried] = []
-        self.best: tuple[float, Planned, Experiment] | None = None
+        self.tried: list[TriedDesign] = []
+        self.best: tuple[float, PlannedFlight, Experiment] | None = None
 
     @property
     def low(self) -> FloatArray:
@@ -125,23 +125,23 @@ class Search:
                 f"{self.planner.scenario.path}, [design]: {first['loc'][-1]} = {first['input']}: {first['msg']}"
             ) from None
 
-    def attempt(self, x: FloatArray) -> Tried:
+    def attempt(self, x: FloatArray) -> TriedDesign:
         """Fly a design and find what it would tell, where it keeps the limits."""
         flown = self.planner.fly(self.altered(x))
         nothing = np.full(len(self.planner.wanted), np.nan)
         if not flown.feasible:
-            found = Tried(x, BROKEN + _broken(flown), False, nothing)
+            found = TriedDesign(x, INFEASIBLE + _limit_violation(flown), False, nothing)
         else:
             told = self.planner.experiment(flown, self.names, self.priors)
             covariance = told.covariance(self.planner.wanted)
-            worth = min(merit(self.design.criterion, covariance, self.planned_covariance), BROKEN)
-            found = Tried(x, worth, True, np.sqrt(np.diag(covariance)))
+            worth = min(design_criterion(self.design.criterion, covariance, self.planned_covariance), INFEASIBLE)
+            found = TriedDesign(x, worth, True, np.sqrt(np.diag(covariance)))
             if self.best is None or worth < self.best[0]:
                 self.best = (worth, flown, told)
         self.tried.append(found)
         return found
 
-    def run(self, progress: Progress = quiet) -> Found:
+    def run(self, progress: Progress = quiet) -> DesignSearchResult:
         """Search.
 
         raises : RunError where no design keeps the limits
@@ -169,7 +169,9 @@ class Search:
         if self.best is None:
             raise RunError(f"design: {self._nearest()}")
         _, best, told = self.best
-        return Found(self.names, self.priors, self.vary, self.planned, self.planned_told, best, told, tuple(self.tried))
+        return DesignSearchResult(
+            self.names, self.priors, self.vary, self.planned, self.planned_told, best, told, tuple(self.tried)
+        )
 
     def _nearest(self) -> str:
         closest = min(self.tried, key=lambda t: t.merit)
@@ -180,7 +182,7 @@ class Search:
             "widen the limits or what may vary"
         )
 
-    def sweep(self, found: Found, points: int) -> list[Sweep]:
+    def sweep(self, found: DesignSearchResult, points: int) -> list[BoundsSweep]:
         """Bounds along each number about the best design, the others as they are there."""
         best = np.array([getattr(found.best.manoeuvres[v.manoeuvre - 1], v.key) for v in self.vary])
         sweeps = []
@@ -191,7 +193,7 @@ class Search:
             for i, flown in enumerate(told):
                 if "manoeuvres reached" not in flown.margins:
                     sigma[i] = self.planner.experiment(flown, self.names, self.priors).sigma(self.planner.wanted)
-            sweeps.append(Sweep(v, values, sigma, np.array([f.feasible for f in told])))
+            sweeps.append(BoundsSweep(v, values, sigma, np.array([f.feasible for f in told])))
         return sweeps
 
 
@@ -199,7 +201,7 @@ def _tolerance(name: str) -> float:
     return next((t for end, t in TOLERANCES.items() if name.endswith(end)), 1.0)
 
 
-def _broken(flown: Planned) -> float:
+def _limit_violation(flown: PlannedFlight) -> float:
     """By how much a flight breaks its limits."""
     return float(sum(max(-margin, 0.0) / _tolerance(name) for name, margin in flown.margins.items()))
 

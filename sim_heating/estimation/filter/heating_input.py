@@ -42,7 +42,7 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.threads import one_thread
 from sim_heating.estimation.filter.march import Disturbance, FilterTrack
 from sim_heating.estimation.filter.response import Response, ResponseMarch
-from sim_heating.estimation.inference.likelihood import Likelihood, Observed, likelihood
+from sim_heating.estimation.inference.likelihood import Likelihood, ReadingIntervals, likelihood
 from sim_heating.march.point import initial_temperatures
 
 DENSITIES_1_S = (1e-10, 1e-1)
@@ -276,7 +276,7 @@ class _Inverse:
         self.start = _factor(track.covariance_K2, track.mesh.nodes)
         self.extra = self.start.shape[1]
         s = track.samples
-        self.observed, self.sigma_K = Observed(s.lower_K, s.upper_K), np.sqrt(s.variance_K2)
+        self.observed, self.sigma_K = ReadingIntervals(s.lower_K, s.upper_K), np.sqrt(s.variance_K2)
 
     def at(self, u: FloatArray, answer: FloatArray | None = None) -> _Point:
         """March at u; with a derivative that is accurate enough there, without its own."""
@@ -396,7 +396,7 @@ class _Inverse:
         """Log likelihood of readings equal to their predictions."""
         middle = 0.5 * (self.observed.lower_K + self.observed.upper_K)
         inner = np.isfinite(middle)
-        within = Observed(self.observed.lower_K[inner], self.observed.upper_K[inner])
+        within = ReadingIntervals(self.observed.lower_K[inner], self.observed.upper_K[inner])
         return float(np.sum(likelihood(within, middle[inner], self.sigma_K[inner]).log_likelihood))
 
     def _log_marginal(

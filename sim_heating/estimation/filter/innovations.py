@@ -35,9 +35,9 @@ from sim_heating.estimation.filter.process_noise import CORRELATION, Level, Leve
 from sim_heating.estimation.filter.records import filter_samples
 from sim_heating.estimation.inference.identifiability import scale
 from sim_heating.estimation.inference.likelihood import likelihood
-from sim_heating.estimation.inference.newton import Evaluation, Fit, Settings, Status, Told, maximise
-from sim_heating.estimation.problem import Problem, in_threads
-from sim_heating.estimation.record_fit import Samples, least_sigma_K
+from sim_heating.estimation.inference.newton import Evaluation, Fit, Settings, Status, StepCallback, maximise
+from sim_heating.estimation.problem import FitProblem, in_threads
+from sim_heating.estimation.record_fit import PredictedSamples, least_sigma_K
 from sim_heating.march.ensemble import condition_history
 from sim_heating.march.point import PointModel
 
@@ -61,7 +61,7 @@ class Innovations:
     Source: docs/estimation_statistics.md, equations 32 to 35.
     """
 
-    def __init__(self, problem: Problem, noise: ProcessNoise) -> None:
+    def __init__(self, problem: FitProblem, noise: ProcessNoise) -> None:
         self.problem = problem
         undeclared = {
             (k, c.number): part.sigma_K[c.number]
@@ -223,7 +223,7 @@ class Innovations:
 
     # Filters ---------------------------------------------------------------------------------------------------------
 
-    def samples(self, vector: FloatArray) -> list[Samples]:
+    def samples(self, vector: FloatArray) -> list[PredictedSamples]:
         """All channels at a parameter vector, as the filter predicts them from the samples before each.
 
         vector  : (parameter,)
@@ -312,7 +312,7 @@ class Innovations:
         found = _alone(march, track)
         return float("nan") if found is None else float(np.sum(found.log_likelihood))
 
-    def _of_part(self, k: int, filtered: Filtered, vector: FloatArray) -> list[Samples]:
+    def _of_part(self, k: int, filtered: Filtered, vector: FloatArray) -> list[PredictedSamples]:
         """The channels of a record as its filter predicts them."""
         part, order = self.problem.parts[k], self._track(k, vector, self.levels, sensitive=False)[1]
         mean, variance = np.empty((2, len(order)))
@@ -327,7 +327,7 @@ class Innovations:
             # the filter's variance includes the sensor's own noise; rounding may take the difference below 0
             known = np.sqrt(np.maximum(v - sigma**2, 0.0))
             time_s = part.sample_s[c.samples]
-            found.append(Samples(part, c, time_s, m, s, len(self.problem.unknowns), sigma, known))
+            found.append(PredictedSamples(part, c, time_s, m, s, len(self.problem.unknowns), sigma, known))
         return found
 
 
@@ -347,7 +347,7 @@ def _change(before: Levels, after: Levels) -> float:
 
 
 def fit_innovations(
-    problem: Problem, noise: ProcessNoise, start: FloatArray, told: Told = lambda at, log_posterior: None
+    problem: FitProblem, noise: ProcessNoise, start: FloatArray, told: StepCallback = lambda at, log_posterior: None
 ) -> tuple[Fit, Innovations]:
     """The most probable parameters with noise of the process, in turn with its levels where these are estimated.
 

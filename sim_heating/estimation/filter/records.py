@@ -15,12 +15,12 @@ from sim_heating.estimation.filter.heating_input import likeliest
 from sim_heating.estimation.filter.kernel import CONSTANT, PER_RATE, PER_TEMPERATURE
 from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, Samples
 from sim_heating.estimation.record_fit import (
-    Channel,
+    FittedChannel,
     Start,
-    channels,
-    errors_of,
+    fitted_channels,
     least_sigma_K,
     march_times,
+    sensor_errors,
     sensor_parameter,
 )
 from sim_heating.inputs.points import conditions_of_record
@@ -58,7 +58,7 @@ def calibration_line(sensor: Sensor, read_K: FloatArray) -> tuple[FloatArray, Fl
 
 
 def filter_samples(
-    found: Sequence[Channel], time_s: FloatArray, mesh: Mesh, sigma_K: Mapping[int, float],
+    found: Sequence[FittedChannel], time_s: FloatArray, mesh: Mesh, sigma_K: Mapping[int, float],
     values: Mapping[str, float] | None = None, added_K: FloatArray | float = 0.0, names: Sequence[str] = (),
 ) -> tuple[Samples, NDArray[np.int64]]:  # fmt: skip
     """Channels as the filter reads them: linear readings of a node, in the order of time.
@@ -83,7 +83,7 @@ def filter_samples(
         # the tangent is taken at the middle of a word, at the finite end of an open one
         middle = np.where(np.isfinite(low), np.where(np.isfinite(high), 0.5 * (low + high), low), high)
         slope, constant = calibration_line(channel.sensor, middle)
-        wrong, own = errors_of(channel.sensor, values or {}), added[channel.number, channel.samples]
+        wrong, own = sensor_errors(channel.sensor, values or {}), added[channel.number, channel.samples]
         constant = constant + slope * (wrong.gain * own + wrong.bias_K)
         direct.append(_direct(channel.sensor, names, slope, wrong.gain, own))
         variance, node = (np.full(len(low), x) for x in (sigma_K[channel.number] ** 2, mesh.sensors[channel.number]))
@@ -130,7 +130,7 @@ def track_of_record(
     conditions, t = conditions_of_record(record), record.time_s
     begin, end = conditions.time_s[0], min(conditions.time_s[-1], np.inf if end_s is None else end_s)
     chosen = (t >= begin) & (t <= end) & ~record.holdout_mask()
-    found = channels(record, t[chosen], chosen)
+    found = fitted_channels(record, t[chosen], chosen)
     if not found:
         raise InputError(f"{record.name}: no used sensor is read between {begin:g} and {end:g} s; nothing to filter")
     sigma = {c.number: max(c.sensor.noise_sigma_K or UNDECLARED_SIGMA_K, least_sigma_K(c.sensor)) for c in found}

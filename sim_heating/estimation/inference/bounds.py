@@ -32,16 +32,16 @@ from sim_heating.estimation.inference.identifiability import covariance, scale
 
 QUIET_LAGS = 5
 """Successive lags without significant autocorrelation that end the search."""
-LARGEST_PART = 0.2
+MAX_LAG_OF_SAMPLES = 0.2
 """Longest lag over the number of a channel's samples."""
-LARGEST_ROOT = 2.0
+MAX_LAG_OF_ROOT = 2.0
 """Longest lag over the square root of that number."""
-MOST_LAGS = 100
+MAX_LAG = 100
 """Longest lag; colour that lasts longer is not seen."""
 
 
 @dataclass(frozen=True, eq=False)
-class Channel:
+class ChannelResiduals:
     """One sensor's samples in one segment, lost ones left out.
 
     time_s      : (sample,) increasing [s]
@@ -66,7 +66,7 @@ class Channel:
 
 
 @dataclass(frozen=True, eq=False)
-class Bounds:
+class CramerRaoBounds:
     """Bounds of parameters.
 
     covariance      : (parameter, parameter) corrected for colour
@@ -123,7 +123,7 @@ def grid_index(time_s: FloatArray) -> IntArray:
     return np.concatenate([[0], np.cumsum(places)])
 
 
-def on_grid(index: IntArray, values: FloatArray) -> FloatArray:
+def place_on_grid(index: IntArray, values: FloatArray) -> FloatArray:
     """Values at their places of the grid, 0 where there is no sample.
 
     index   : (sample,) places [-] of `grid_index`;  values : (sample, ...) in any unit
@@ -136,7 +136,7 @@ def on_grid(index: IntArray, values: FloatArray) -> FloatArray:
     return placed
 
 
-def lagged(values: FloatArray, last: int) -> FloatArray:
+def lagged_sums(values: FloatArray, last: int) -> FloatArray:
     """Sums of the values one lag before and after each place of a grid; for lag 0 the values themselves.
 
     values  : (place,) in any unit;  last : largest lag in places [-]
@@ -151,7 +151,7 @@ def lagged(values: FloatArray, last: int) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class _Gridded:
+class _GriddedResiduals:
     """A channel on its grid. present is 1 where there is a sample, D = sqrt(I), A = D S, u the score."""
 
     present: FloatArray
@@ -160,18 +160,18 @@ class _Gridded:
     u: FloatArray
 
     @classmethod
-    def of(cls, channel: Channel) -> _Gridded:
+    def of(cls, channel: ChannelResiduals) -> _GriddedResiduals:
         index = grid_index(channel.time_s)
-        D, u = on_grid(index, np.sqrt(channel.information)), on_grid(index, channel.score)
-        return cls(on_grid(index, np.ones(len(index))), D, on_grid(index, channel.weighted), u)
+        D, u = place_on_grid(index, np.sqrt(channel.information)), place_on_grid(index, channel.score)
+        return cls(place_on_grid(index, np.ones(len(index))), D, place_on_grid(index, channel.weighted), u)
 
     def spread(self, values: FloatArray, last: int) -> FloatArray:
         """(lag, place) T_l times values (place,), 0 where there is no sample."""
-        return lagged(values, last) * self.present
+        return lagged_sums(values, last) * self.present
 
     def weighted_spread(self, values: FloatArray, last: int) -> FloatArray:
         """(lag, place): W_l times values (place,)."""
-        return lagged(values * self.D, last) * self.D
+        return lagged_sums(values * self.D, last) * self.D
 
 
 def significant_lags(autocovariance: FloatArray, samples: int) -> int:
@@ -195,7 +195,7 @@ def significant_lags(autocovariance: FloatArray, samples: int) -> int:
     return min(2 * last, longest)
 
 
-def taper(lags: int) -> FloatArray:
+def taper_weights(lags: int) -> FloatArray:
     """(lag,) flat-top weights [-]: 1 to half the lags, then linearly to 0 one lag beyond the last.
 
     lags : largest lag L [-];  w(l) = min(1, 2 - 2 l / (L + 1))
@@ -205,7 +205,7 @@ def taper(lags: int) -> FloatArray:
     return np.clip(2.0 * (1.0 - np.arange(lags + 1) / (lags + 1.0)), 0.0, 1.0)
 
 
-def autocovariances(channels: Sequence[Channel], inverse: FloatArray) -> list[FloatArray]:
+def autocovariances(channels: Sequence[ChannelResiduals], inverse: FloatArray) -> list[FloatArray]:
     """Autocovariance of each channel's residuals e, corrected for the colour that the fit removed; not tapered.
 
         E [u' T_k u] = sum_l c(l) tr(W_k Q T_l Q),   Q = 1 - A M^-1 A'
@@ -217,14 +217,18 @@ def autocovariances(channels: Sequence[Channel], inverse: FloatArray) -> list[Fl
     Solved twice: for the lags that a channel's length allows, and for those of them that are significant.
     Source: docs/estimation_statistics.md, equation 23.
     """
-    gridded = [_Gridded.of(c) for c in channels]
+    gridded = [_GriddedResiduals.of(c) for c in channels]
     samples = [len(c.time_s) for c in channels]
-    allowed = [int(min(LARGEST_PART * n, LARGEST_ROOT * math.sqrt(n), MOST_LAGS)) for n in samples]
-    broad = _solved(gridded, allowed, inverse)
-    return _solved(gridded, [significant_lags(c, n) for c, n in zip(broad, samples, strict=True)], inverse)
+    allowed = [int(min(MAX_LAG_OF_SAMPLES * n, MAX_LAG_OF_ROOT * math.sqrt(n), MAX_LAG)) for n in samples]
+    broad = _solve_autocovariances(gridded, allowed, inverse)
+    return _solve_autocovariances(
+        gridded, [significant_lags(c, n) for c, n in zip(broad, samples, strict=True)], inverse
+    )
 
 
-def _solved(gridded: Sequence[_Gridded], lags: Sequence[int], inverse: FloatArray) -> list[FloatArray]:
+def _solve_autocovariances(
+    gridded: Sequence[_GriddedResiduals], lags: Sequence[int], inverse: FloatArray
+) -> list[FloatArray]:
     """Autocovariances up to a number of lags a channel, from the expectation of the sums over residuals."""
     parts = [_Expectation.of(g, last, inverse) for g, last in zip(gridded, lags, strict=True)]
     weighted = np.concatenate([p.weighted for p in parts])
@@ -256,9 +260,9 @@ class _Expectation:
     plain: FloatArray
 
     @classmethod
-    def of(cls, g: _Gridded, last: int, inverse: FloatArray) -> _Expectation:
+    def of(cls, g: _GriddedResiduals, last: int, inverse: FloatArray) -> _Expectation:
         # tr(W_k T_l) is 0 for different lags
-        own = np.diag(lagged(g.D, last) @ g.D)
+        own = np.diag(lagged_sums(g.D, last) @ g.D)
         weighted, plain = [], []
         for a, taken in zip(g.A.T, inverse @ g.A.T, strict=True):
             rows, columns = g.weighted_spread(taken, last), g.spread(a, last)
@@ -267,14 +271,16 @@ class _Expectation:
             plain.append(columns @ g.A @ inverse)
         flat = (last + 1, -1)
         return cls(
-            lagged(g.u, last) @ g.u,
+            lagged_sums(g.u, last) @ g.u,
             own,
             np.stack(weighted, axis=2).reshape(flat),
             np.stack(plain, axis=2).reshape(flat),
         )
 
 
-def bounds(channels: Sequence[Channel], prior_information: FloatArray | float = 0.0) -> Bounds:
+def cramer_rao_bounds(
+    channels: Sequence[ChannelResiduals], prior_information: FloatArray | float = 0.0
+) -> CramerRaoBounds:
     """Bounds of the parameters of a fit, corrected for the colour of its residuals.
 
         cov = M^-1 [sum_i sum_j A_i c(i - j) A_j' + P] M^-1
@@ -302,20 +308,20 @@ def bounds(channels: Sequence[Channel], prior_information: FloatArray | float = 
     middle, free = prior.astype(float), 0.0
     tapered = {}
     for channel, c in zip(channels, found, strict=True):
-        w = taper(len(c) - 1)
-        g = _Gridded.of(channel)
+        w = taper_weights(len(c) - 1)
+        g = _GriddedResiduals.of(channel)
         filtered = np.stack([w * c @ g.spread(a, len(c) - 1) for a in g.A.T], axis=1)
         # the truncated autocovariance need not be positive definite: the floor also keeps variances positive
-        middle += _at_least(g.A.T @ filtered, c[0] * g.A.T @ g.A)
+        middle += _raise_to_floor(g.A.T @ filtered, c[0] * g.A.T @ g.A)
         # sum of squared weights over lags of both signs; a spectrum at frequency 0 has half the freedom of others
         free += len(channel.time_s) / (2.0 * float(w @ w) - 1.0)
         tapered[channel.name] = w * c
     corrected = inverse @ middle @ inverse
     corrected = np.where(np.isfinite(white), corrected, white)
-    return Bounds(corrected, white, max(free * (1.0 - parameters / samples), 1.0), tapered)
+    return CramerRaoBounds(corrected, white, max(free * (1.0 - parameters / samples), 1.0), tapered)
 
 
-def _at_least(matrix: FloatArray, floor: FloatArray) -> FloatArray:
+def _raise_to_floor(matrix: FloatArray, floor: FloatArray) -> FloatArray:
     """The matrix, raised in the directions where it is below another."""
     s = scale(floor)
     values, vectors = np.linalg.eigh((matrix - floor) * np.outer(s, s))

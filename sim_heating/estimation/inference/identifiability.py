@@ -19,7 +19,7 @@ SINGULAR = 1e-6
 """Scaled eigenvalue of an unidentified direction: its bound is a thousand times that of each parameter alone."""
 ROUNDING = 1e-11
 """Scaled eigenvalue that rounding alone may produce in place of 0."""
-PART = 0.1
+NAMED_COMPONENT = 0.1
 """Component of a direction of unit length above which a parameter is named."""
 
 
@@ -92,7 +92,7 @@ def _direction(eigenvalue: float, vector: FloatArray, s: FloatArray, names: Sequ
     order = np.argsort(-np.abs(vector))
     # the sign of an eigenvector is arbitrary; fixed, reports of like fits agree
     vector = vector * np.sign(vector[order[0]])
-    parts = [i for i in order if abs(vector[i]) >= PART]
+    parts = [i for i in order if abs(vector[i]) >= NAMED_COMPONENT]
     return Direction(eigenvalue, vector * s, tuple(names[i] for i in parts), bool(np.any(vector[parts] < 0.0)))
 
 
@@ -117,7 +117,7 @@ def covariance(information: FloatArray) -> FloatArray:
     return inverse
 
 
-def promised_gain(gradient: FloatArray, covariance: FloatArray) -> float:
+def predicted_gain(gradient: FloatArray, covariance: FloatArray) -> float:
     """Improvement of the log likelihood [-] that a whole Newton step predicts, g' C g / 2, along identified directions.
 
     gradient   : (parameter,) g

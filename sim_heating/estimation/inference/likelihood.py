@@ -40,7 +40,7 @@ from sim_heating.thermal.stack import Sensor
 
 
 @dataclass(frozen=True, eq=False)
-class Observed:
+class ReadingIntervals:
     """Intervals in which the noisy indicated temperatures of a sensor lay.
 
     lower_K, upper_K : (sample,) ends of the interval [K]; equal where nothing was rounded, infinite at the ends of a
@@ -62,12 +62,12 @@ class Observed:
         """(sample,) whether the interval [K] of a sample is finite: neither lost nor at an end of the word's span."""
         return np.isfinite(self.upper_K - self.lower_K)
 
-    def chosen(self, mask: NDArray[np.bool_]) -> Observed:
+    def chosen(self, mask: NDArray[np.bool_]) -> ReadingIntervals:
         """Intervals [K] of the samples that a boolean mask (sample,) selects."""
-        return Observed(self.lower_K[mask], self.upper_K[mask])
+        return ReadingIntervals(self.lower_K[mask], self.upper_K[mask])
 
 
-def observed(sensor: Sensor, read_K: ArrayLike) -> Observed:
+def reading_intervals(sensor: Sensor, read_K: ArrayLike) -> ReadingIntervals:
     """Intervals of the indicated temperature that readings of a sensor stand for.
 
         code k = rint((read - R0) / LSB),   [a, b) = [R0 + (k - 1/2) LSB, R0 + (k + 1/2) LSB)
@@ -80,13 +80,13 @@ def observed(sensor: Sensor, read_K: ArrayLike) -> Observed:
     """
     read = np.asarray(read_K, dtype=float)
     if sensor.bits is None or sensor.range_K is None:
-        return Observed(read, read)
+        return ReadingIntervals(read, read)
     # a reading that was converted to engineering units with other constants may lie between two codes
     last = 2.0**sensor.bits - 1.0
     code = np.clip(np.rint((read - sensor.range_K[0]) / sensor.lsb_K), 0.0, last)
     lower = np.where(code == 0.0, -math.inf, sensor.range_K[0] + (code - 0.5) * sensor.lsb_K)
     upper = np.where(code == last, math.inf, sensor.range_K[0] + (code + 0.5) * sensor.lsb_K)
-    return Observed(lower, upper)
+    return ReadingIntervals(lower, upper)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +113,7 @@ class Likelihood:
     information_cross: FloatArray
 
 
-def likelihood(samples: Observed, mean_K: ArrayLike, sigma_K: ArrayLike) -> Likelihood:
+def likelihood(samples: ReadingIntervals, mean_K: ArrayLike, sigma_K: ArrayLike) -> Likelihood:
     """Log likelihood, score and information of each sample for given predictions and noise.
 
         score = E x / sigma,   information = (1 - var x) / sigma^2
@@ -141,7 +141,7 @@ def likelihood(samples: Observed, mean_K: ArrayLike, sigma_K: ArrayLike) -> Like
     return Likelihood(**{name: np.where(samples.lost, 0.0, values) for name, values in of_samples.items()})
 
 
-def scores(samples: Observed, mean_K: FloatArray, sigma_K: float) -> tuple[float, FloatArray, FloatArray]:
+def scores(samples: ReadingIntervals, mean_K: FloatArray, sigma_K: float) -> tuple[float, FloatArray, FloatArray]:
     """Total log likelihood of samples with one noise level, and score and information of each.
 
     Compiled for the inner loop of a fit; the values are those of `likelihood`.
@@ -159,7 +159,7 @@ def scores(samples: Observed, mean_K: FloatArray, sigma_K: float) -> tuple[float
     return total, score, information
 
 
-def log_likelihood(samples: Observed, mean_K: ArrayLike, sigma_K: ArrayLike) -> FloatArray:
+def log_likelihood(samples: ReadingIntervals, mean_K: ArrayLike, sigma_K: ArrayLike) -> FloatArray:
     """Log likelihood of each sample, without derivatives; 0 for a lost one, NaN where the prediction is NaN.
 
     samples : (sample,) intervals [K]
@@ -173,7 +173,9 @@ def log_likelihood(samples: Observed, mean_K: ArrayLike, sigma_K: ArrayLike) -> 
     return np.where(samples.lost, 0.0, terms[..., LOG_Z])
 
 
-def updated(samples: Observed, mean_K: ArrayLike, sigma_K: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def posterior_moments(
+    samples: ReadingIntervals, mean_K: ArrayLike, sigma_K: ArrayLike
+) -> tuple[FloatArray, FloatArray]:
     """Mean and variance of the noisy indicated temperature given its interval, N(mean_K, sigma_K^2) before the sample.
 
     With mean_K = H T and sigma_K^2 = S = H P H' + R a quantised Kalman update follows: T + K (mean - H T) and
@@ -215,7 +217,7 @@ def expected_information(sensor: Sensor, mean_K: ArrayLike, sigma_K: ArrayLike) 
 
 
 def quantile_residuals(
-    samples: Observed, mean_K: ArrayLike, sigma_K: ArrayLike, rng: np.random.Generator
+    samples: ReadingIntervals, mean_K: ArrayLike, sigma_K: ArrayLike, rng: np.random.Generator
 ) -> FloatArray:
     """Residuals over sigma that are N(0, 1) for the true model although the samples were rounded.
 
@@ -243,7 +245,7 @@ def quantile_residuals(
     return np.where(rounded, sign * np.clip(ndtri_exp(np.minimum(logs, 0.0)), low, high), alpha)
 
 
-def _terms(samples: Observed, mean_K: ArrayLike, sigma_K: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def _terms(samples: ReadingIntervals, mean_K: ArrayLike, sigma_K: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """(..., 7) terms of interval.py for the broadcast samples, and sigma in their shape [K]."""
     mean = np.asarray(mean_K, dtype=float)
     parts = np.broadcast_arrays(samples.lower_K, samples.upper_K, mean, _positive(sigma_K))

@@ -34,7 +34,7 @@ from sim_heating.estimation.inference.identifiability import (
     Direction,
     covariance,
     directions,
-    promised_gain,
+    predicted_gain,
     scale,
     scaled_eigenvectors,
 )
@@ -71,7 +71,7 @@ Evaluate = Callable[[FloatArray], Evaluation]
 LogLikelihoods = Callable[[FloatArray], FloatArray]
 """(candidate, parameter) -> (candidate,) log likelihoods, not finite where the model cannot be evaluated."""
 
-Told = Callable[[FloatArray, float], None]
+StepCallback = Callable[[FloatArray, float], None]
 """Callback with the (parameter,) values and the log posterior after a step."""
 Iteration = Generator[FloatArray, Any, "Fit"]
 """An iteration that yields what it needs: a (parameter,) vector, for which it is sent the Evaluation there, or
@@ -236,7 +236,7 @@ def maximise(
     start: ArrayLike | None = None,
     log_likelihoods: LogLikelihoods | None = None,
     settings: Settings | None = None,
-    told: Told = lambda at, log_posterior: None,
+    told: StepCallback = lambda at, log_posterior: None,
 ) -> Fit:
     """The most probable values of parameters with priors and bounds.
 
@@ -267,7 +267,7 @@ def iteration(
     parameters: Sequence[Parameter],
     start: ArrayLike | None = None,
     settings: Settings | None = None,
-    told: Told = lambda at, log_posterior: None,
+    told: StepCallback = lambda at, log_posterior: None,
 ) -> Iteration:
     """The search of `maximise` as a generator, whose caller evaluates: so that many fits can be marched side by side.
 
@@ -282,15 +282,15 @@ def iteration(
     """
     posterior = _Posterior.of(parameters)
     at = np.clip(posterior.mean if start is None else np.asarray(start, dtype=float), posterior.lower, posterior.upper)
-    search = _Search(posterior, settings or Settings(), at, told)
+    search = _NewtonSearch(posterior, settings or Settings(), at, told)
     status = yield from search.run()
     return search.fit(tuple(p.name for p in parameters), status)
 
 
-class _Search:
+class _NewtonSearch:
     """State of a search: current point, evaluation there, damping and trust."""
 
-    def __init__(self, posterior: _Posterior, settings: Settings, at: FloatArray, told: Told) -> None:
+    def __init__(self, posterior: _Posterior, settings: Settings, at: FloatArray, told: StepCallback) -> None:
         self.posterior, self.settings, self.told = posterior, settings, told
         self.damping, self.trust, self.watched = 0.0, 1.0, WATCHED
         self.history = [at]
@@ -440,7 +440,7 @@ class _Search:
             singular=tuple(singular),
             status=status,
             iterations=len(self.history) - 1,
-            promised=0.0 if broken else promised_gain(self.found.gradient, C),
+            promised=0.0 if broken else predicted_gain(self.found.gradient, C),
             history=np.array(self.history),
         )
 

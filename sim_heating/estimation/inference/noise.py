@@ -19,18 +19,18 @@ from scipy.stats import chi2
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
-from sim_heating.estimation.inference.likelihood import Observed, log_likelihood
+from sim_heating.estimation.inference.likelihood import ReadingIntervals, log_likelihood
 
 FLOOR = 0.1
 """Least sigma over the step of a word: below it a sample is its interval and nothing more."""
-FALL = 0.5 * float(chi2.ppf(0.95, 1))
+LIKELIHOOD_DROP = 0.5 * float(chi2.ppf(0.95, 1))
 """Fall of the log likelihood at the 95% limits [-], 1.92."""
 POINTS = 32
 """Values of sigma on the first grid of the search."""
 
 
 @dataclass(frozen=True)
-class Noise:
+class NoiseEstimate:
     """Estimated noise of a sensor [K].
 
     sigma_K          : the most likely one [K], at least a tenth of a step of the word
@@ -59,7 +59,7 @@ class Noise:
         return f"sensor {sensor}: rounding hides the noise, it is below {self.upper_K:.3g} K; declare noise_sigma_K"
 
 
-def estimate_noise(samples: Observed, mean_K: FloatArray, fitted: float = 0.0) -> Noise:
+def estimate_noise(samples: ReadingIntervals, mean_K: FloatArray, fitted: float = 0.0) -> NoiseEstimate:
     """Maximum-likelihood noise of a sensor at given predictions, with 95% limits.
 
         sum_i log L_i(sigma) + (p / 2) log(sigma^2 + step^2 / 12)
@@ -96,7 +96,7 @@ def estimate_noise(samples: Observed, mean_K: FloatArray, fitted: float = 0.0) -
     return _limits(value, math.log(least), math.log(30.0 * largest))
 
 
-def _limits(value: Callable[[float], float], least: float, most: float) -> Noise:
+def _limits(value: Callable[[float], float], least: float, most: float) -> NoiseEstimate:
     """Maximum of a log likelihood over log sigma, and where it has fallen by FALL on either side."""
     # the likelihood of rounded samples need not have a single maximum in log sigma: grid first, then refine
     grid = np.linspace(least, most, POINTS)
@@ -108,7 +108,7 @@ def _limits(value: Callable[[float], float], least: float, most: float) -> Noise
     top = value(best)
 
     def fallen(x: float) -> float:
-        return value(x) - top + FALL
+        return value(x) - top + LIKELIHOOD_DROP
 
     lower = math.exp(brentq(fallen, least, best)) if fallen(least) < 0.0 else 0.0
-    return Noise(math.exp(best), lower, math.exp(brentq(fallen, best, most)))
+    return NoiseEstimate(math.exp(best), lower, math.exp(brentq(fallen, best, most)))

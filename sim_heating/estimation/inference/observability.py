@@ -23,7 +23,7 @@ from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.simulation.predict import predict
 
-STILL = {"alpha_deg": 0.05, "beta_deg": 0.02, "log10_re": 0.01, "elevon_deg": 0.05, "bodyflap_deg": 0.05}
+CONSTANT_BELOW = {"alpha_deg": 0.05, "beta_deg": 0.02, "log10_re": 0.01, "elevon_deg": 0.05, "bodyflap_deg": 0.05}
 """Standard deviation over the fit segments below which a variable counts as constant, in its own unit."""
 FEWEST_STUCK = 10
 STUCK = 10.0
@@ -49,12 +49,12 @@ def deviations(records: Sequence[Record]) -> FloatArray:
 
     Used in docs/estimation_statistics.md, equation 20.
     """
-    rows = [np.column_stack([r.conditions[v] for v in RATIO_VARIABLES])[_fitted(r)] for r in records]
+    rows = [np.column_stack([r.conditions[v] for v in RATIO_VARIABLES])[_fitted_rows(r)] for r in records]
     every = np.concatenate(rows)
     return np.std(every, axis=0) if len(every) else np.zeros(len(RATIO_VARIABLES))
 
 
-def _fitted(record: Record) -> NDArray[np.bool_]:
+def _fitted_rows(record: Record) -> NDArray[np.bool_]:
     """(row of the conditions,) within the span of the fit segments that has samples."""
     t, mask = record.conditions.time_s, record.fit_mask(record.conditions.time_s)
     # conditions without samples inform nothing, whatever moves there
@@ -77,7 +77,7 @@ def variables_of(name: str) -> tuple[int, ...]:
     return tuple(SHORT.index(p.removesuffix("2")) for p in parts)
 
 
-def still(names: Sequence[str], records: Sequence[Record]) -> dict[str, str]:
+def constant_variables(names: Sequence[str], records: Sequence[Record]) -> dict[str, str]:
     """Derivatives against variables that are constant over the fit segments, with the reason for leaving them out.
 
     names   : dotted names of parameters
@@ -89,7 +89,7 @@ def still(names: Sequence[str], records: Sequence[Record]) -> dict[str, str]:
     found = {}
     for name in names:
         for i in variables_of(name):
-            if moved[i] < STILL[RATIO_VARIABLES[i]]:
+            if moved[i] < CONSTANT_BELOW[RATIO_VARIABLES[i]]:
                 found[name] = (
                     f"{RATIO_VARIABLES[i]} does not move over the fit segments (standard deviation {moved[i]:.2g}); "
                     "a manoeuvre in it would tell"
@@ -97,7 +97,7 @@ def still(names: Sequence[str], records: Sequence[Record]) -> dict[str, str]:
     return found
 
 
-def unheated(names: Sequence[str], records: Sequence[Record]) -> dict[str, str]:
+def parameters_without_heating(names: Sequence[str], records: Sequence[Record]) -> dict[str, str]:
     """Parameters of the heating ratio where there is no aerodynamic heating at all, with the reason.
 
     The ratio enters the surface balance only as r h_ref (docs/equations.md, section 1): with h_ref = 0 [kg/(m2 s)]
@@ -116,11 +116,13 @@ def mean_ratio(record: Record) -> float:
     """
     if record.ratio_table is None:
         return float("nan")
-    x = np.column_stack([record.conditions[v] for v in RATIO_VARIABLES])[_fitted(record)]
+    x = np.column_stack([record.conditions[v] for v in RATIO_VARIABLES])[_fitted_rows(record)]
     return float(np.mean(table_ratios_at(record.ratio_table, x))) if len(x) else float("nan")
 
 
-def untold(labels: Sequence[str], information: FloatArray, ratio: float, records: Sequence[Record]) -> dict[str, str]:
+def least_determined(
+    labels: Sequence[str], information: FloatArray, ratio: float, records: Sequence[Record]
+) -> dict[str, str]:
     """The least determined derivative, with the reason, where it should be left out; empty where all are identified.
 
         sigma_k prod_v std(x_v) > ratio
@@ -159,7 +161,7 @@ def untold(labels: Sequence[str], information: FloatArray, ratio: float, records
     return {name: reason} if name else {}
 
 
-def without_stuck(record: Record) -> tuple[Record, list[str]]:
+def without_stuck_sensors(record: Record) -> tuple[Record, list[str]]:
     """A record without the sensors that are stuck at one value although the declared model moves them.
 
     returns : the record, such sensors no longer used; one line for each, with its value [K]

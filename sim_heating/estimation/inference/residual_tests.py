@@ -15,8 +15,8 @@ from scipy.stats import chi2, shapiro
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
-from sim_heating.estimation.inference.bounds import grid_index, lagged, on_grid
-from sim_heating.estimation.inference.likelihood import Observed, quantile_residuals
+from sim_heating.estimation.inference.bounds import grid_index, lagged_sums, place_on_grid
+from sim_heating.estimation.inference.likelihood import ReadingIntervals, quantile_residuals
 
 FEWEST = 8
 """Number of samples below which nothing is tested."""
@@ -25,7 +25,7 @@ MOST_FOR_SHAPIRO = 5000
 
 
 @dataclass(frozen=True)
-class Test:
+class HypothesisTest:
     """A test of one hypothesis.
 
     statistic : its value [-]
@@ -40,7 +40,7 @@ class Test:
     p_value: float
 
 
-def chi_square(residual: FloatArray, fitted: float = 0.0) -> Test:
+def chi_square(residual: FloatArray, fitted: float = 0.0) -> HypothesisTest:
     """Chi-square test of the size of residuals, two-sided: noise as declared gives n - p degrees of freedom.
 
     residual : (sample,) N(0, 1) for the true model [-], lost samples NaN
@@ -55,10 +55,10 @@ def chi_square(residual: FloatArray, fitted: float = 0.0) -> Test:
         raise InputError(f"{left.size} samples for {fitted:g} fitted parameters leave no chi-square; fit fewer")
     total = float(left @ left)
     # two-sided: noise declared too large is as wrong as noise declared too small
-    return Test(total, dof, float(2.0 * min(chi2.sf(total, dof), chi2.cdf(total, dof))))
+    return HypothesisTest(total, dof, float(2.0 * min(chi2.sf(total, dof), chi2.cdf(total, dof))))
 
 
-def whiteness(time_s: FloatArray, residual: FloatArray, lags: int | None = None) -> Test:
+def whiteness(time_s: FloatArray, residual: FloatArray, lags: int | None = None) -> HypothesisTest:
     """Portmanteau test of autocorrelation up to a number of lags, lost samples (NaN) and gaps left out of the pairs.
 
         Q = (n + 2) / n sum_k n_k rho_k^2,    rho_k = mean of products k apart / mean square
@@ -75,22 +75,22 @@ def whiteness(time_s: FloatArray, residual: FloatArray, lags: int | None = None)
     """
     heard = np.isfinite(residual)
     n = int(np.count_nonzero(heard))
-    _enough(n)
+    _require_samples(n)
     index, values = grid_index(time_s[heard]), residual[heard]
     power = float(values @ values) / n
     if power == 0.0:
         raise InputError("residuals are all 0; there is no noise to test for colour")
     # on a grid, lost samples are zeros: lagged products skip them, and lagged ones count the pairs
-    e, there = on_grid(index, values), on_grid(index, np.ones(n))
+    e, there = place_on_grid(index, values), place_on_grid(index, np.ones(n))
     last = min(10, n // 5) if lags is None else lags
-    pairs, products = 0.5 * (lagged(there, last) @ there)[1:], 0.5 * (lagged(e, last) @ e)[1:]
+    pairs, products = 0.5 * (lagged_sums(there, last) @ there)[1:], 0.5 * (lagged_sums(e, last) @ e)[1:]
     met = pairs > 0.0
     total = float(np.sum(products[met] ** 2 / pairs[met])) * (n + 2) / n / power**2
     used = int(np.count_nonzero(met))
-    return Test(total, used, float(chi2.sf(total, used)))
+    return HypothesisTest(total, used, float(chi2.sf(total, used)))
 
 
-def normality(residual: FloatArray) -> Test:
+def normality(residual: FloatArray) -> HypothesisTest:
     """Shapiro and Wilk's test of the shape of residuals, mean and variance free; longer series are thinned evenly.
 
     residual : (sample,) [-], lost samples NaN
@@ -99,15 +99,15 @@ def normality(residual: FloatArray) -> Test:
     Source: Shapiro and Wilk (1965), as scipy.stats.shapiro computes it; its p-value holds up to 5000 samples.
     """
     left = residual[np.isfinite(residual)]
-    _enough(left.size)
+    _require_samples(left.size)
     if np.ptp(left) == 0.0:
         raise InputError(f"residuals are all {left[0]:g}; there is no noise to test for normality")
     thinned = left[:: math.ceil(left.size / MOST_FOR_SHAPIRO)]
     statistic, p_value = shapiro(thinned)
-    return Test(float(statistic), float(thinned.size), float(p_value))
+    return HypothesisTest(float(statistic), float(thinned.size), float(p_value))
 
 
-def _enough(samples: int) -> None:
+def _require_samples(samples: int) -> None:
     if samples < FEWEST:
         raise InputError(f"{samples} samples are too few to test residuals, {FEWEST} are needed; fit a longer segment")
 
@@ -126,14 +126,14 @@ class SensorResiduals:
     mean: float
     rms: float
     n: int
-    whiteness: Test | None
-    normality: Test | None
+    whiteness: HypothesisTest | None
+    normality: HypothesisTest | None
 
 
 def sensor_residuals(
     name: str,
     time_s: FloatArray,
-    samples: Observed,
+    samples: ReadingIntervals,
     mean_K: FloatArray,
     sigma_K: FloatArray | float,
     rng: np.random.Generator,

@@ -32,13 +32,13 @@ SLACK = 1e-6
 """Negative eigenvalue of a correlation matrix that is accepted as rounding [-]."""
 
 
-class _Kept(BaseModel):
+class _JsonModel(BaseModel):
     """Base of what is read from JSON: checked, with unknown keys kept."""
 
     model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
 
 
-class Estimated(_Kept):
+class EstimatedParameter(_JsonModel):
     """One parameter.
 
     value, sigma : estimate and one standard deviation, corrected for coloured residuals, in `unit`
@@ -56,7 +56,7 @@ class Estimated(_Kept):
     prior_sigma: float | None = Field(default=None, ge=0.0)
 
 
-class Errors(_Kept):
+class FitErrors(_JsonModel):
     """Pooled residuals [K] of the plain march at the estimated parameters, and their number."""
 
     rmse_K: float = Field(ge=0.0)
@@ -64,7 +64,7 @@ class Errors(_Kept):
     n: int = Field(ge=0)
 
 
-class Condition(_Kept):
+class ReferenceCondition(_JsonModel):
     """The condition that the derivatives are about ([deg], log10 Re [-])."""
 
     alpha_deg: float
@@ -74,7 +74,7 @@ class Condition(_Kept):
     bodyflap_deg: float
 
     @model_validator(mode="after")
-    def _check(self) -> Condition:
+    def _check(self) -> ReferenceCondition:
         found = {name: getattr(self, name) for name in RATIO_VARIABLES}
         problems = [((name,), limit_message(name, value)) for name, value in found.items() if out_of_range(name, value)]
         if problems:
@@ -89,14 +89,14 @@ class Condition(_Kept):
         return np.array([getattr(self, name) for name in RATIO_VARIABLES])
 
 
-class Excursion(_Kept):
+class Excursion(_JsonModel):
     """Least and greatest value of a variable over the fitted samples ([deg], log10 Re [-])."""
 
     min: float
     max: float
 
 
-class EffectInForce(_Kept):
+class FittedEffect(_JsonModel):
     """An effect of the fitted model with all its values, estimated or fixed; its control point, in a fit of several."""
 
     name: str
@@ -104,7 +104,7 @@ class EffectInForce(_Kept):
     control_point: str | None = None
 
 
-class Estimate(_Kept):
+class Estimate(_JsonModel):
     """Contents of estimate.json.
 
     records             : directories of the records, as given to the command
@@ -128,19 +128,19 @@ class Estimate(_Kept):
     records: list[str] = Field(min_length=1, description="directories of the records")
     converged: bool
     iterations: int = Field(ge=0)
-    reference_condition: Condition
-    parameters: dict[str, Estimated]
+    reference_condition: ReferenceCondition
+    parameters: dict[str, EstimatedParameter]
     not_estimated: dict[str, str] = {}
     correlation: dict[str, float] = {}
     noise_floor_K: float | None = None
-    fit: Errors | None = None
-    holdout: Errors | None = None
+    fit: FitErrors | None = None
+    holdout: FitErrors | None = None
     control_point: str | None = None
     vehicle: str | None = None
     segments: list[list[list[float]]] | None = None
     excursions: dict[str, Excursion] = {}
     inputs: dict[str, str] = {}
-    effects: list[EffectInForce] = []
+    effects: list[FittedEffect] = []
     program: str | None = None
 
     @model_validator(mode="after")

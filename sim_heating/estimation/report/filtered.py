@@ -19,7 +19,7 @@ from sim_heating.base.files import write_csv
 from sim_heating.base.report.figure import MEASURED, legend_above, new_figure, save_figure
 from sim_heating.estimation.filter.innovations import Innovations
 from sim_heating.estimation.filter.smoother import Smoothed, smooth
-from sim_heating.estimation.record_fit import Channel, Part
+from sim_heating.estimation.record_fit import FittedChannel, RecordFit
 from sim_heating.estimation.report.plots import AFTER, plot_flown
 
 FILES = CSV, PICTURE, RATIO_CSV = "filtered.csv", "filtered.png", "ratio_disturbance.csv"
@@ -31,11 +31,11 @@ MOST_SENSORS = 5
 
 
 @dataclass(frozen=True, eq=False)
-class SensorFiltered:
+class FilteredSensor:
     """One sensor, (sample,): as recorded; as it should be by the plain march, nothing assimilated; and before and after
     the readings of each time and given all readings, with standard deviations."""
 
-    channel: Channel
+    channel: FittedChannel
     time_s: FloatArray
     read_K: FloatArray
     marched_K: FloatArray
@@ -56,13 +56,13 @@ class SensorFiltered:
 class FilteredHistory:
     """A record as the filter of a fit sees it; `disturbed`: whether its heating ratio may wander."""
 
-    part: Part
-    sensors: tuple[SensorFiltered, ...]
+    part: RecordFit
+    sensors: tuple[FilteredSensor, ...]
     smoothed: Smoothed
     disturbed: bool
 
 
-def filtered_history(innovations: Innovations, values: FloatArray, part: Part) -> FilteredHistory:
+def filtered_history(innovations: Innovations, values: FloatArray, part: RecordFit) -> FilteredHistory:
     """One record of a fit filtered and smoothed at parameter values."""
     k = innovations.problem.parts.index(part)
     track, filtered, order = innovations.filtered(values, k)
@@ -80,7 +80,7 @@ def filtered_history(innovations: Innovations, values: FloatArray, part: Part) -
     for m, own in zip(marched, np.split(told, ends, axis=1), strict=True):
         at = np.searchsorted(part.record.time_s, m.time_s)
         read = part.record.thermocouples[m.channel.sensor.column][at]
-        sensors.append(SensorFiltered(m.channel, m.time_s, read, m.mean_K, *own))
+        sensors.append(FilteredSensor(m.channel, m.time_s, read, m.mean_K, *own))
     return FilteredHistory(part, tuple(sensors), smoothed, track.disturbance.density_1_s > 0.0)
 
 
@@ -122,7 +122,7 @@ def draw_filtered(path: Path, found: FilteredHistory) -> None:
     save_figure(figure, path, f"{record.name}: {title}\nfiltered, minus the plain march at the values found", axes)
 
 
-def _plot_sensor(a: Axes, s: SensorFiltered) -> None:
+def _plot_sensor(a: Axes, s: FilteredSensor) -> None:
     t, base = s.time_s, s.marched_K
     a.plot(t, s.read_K - base, label="measured", rasterized=True, **MEASURED)
     _band(a, t, s.prior_K - base, s.prior_sigma_K, PRIOR, label="a priori")

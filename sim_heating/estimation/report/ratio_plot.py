@@ -11,8 +11,8 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.parameters import RATIO, SHORT
 from sim_heating.base.report.figure import new_figure, save_figure
-from sim_heating.estimation.fit import Fitted
-from sim_heating.estimation.record_fit import Part
+from sim_heating.estimation.fit import FitResult
+from sim_heating.estimation.record_fit import RecordFit
 from sim_heating.heating.ratio.uncertainty import declared_ratio, declared_sigma, estimated_ratio
 from sim_heating.march.ensemble import condition_history
 
@@ -36,19 +36,19 @@ def panel_variables(names: tuple[str, ...]) -> list[int]:
     return [i for i, s in enumerate(SHORT) if f"ratio.d_{s}" in names] or [0]
 
 
-def about(reference: FloatArray) -> str:
+def describe_condition(reference: FloatArray) -> str:
     """A condition in words."""
     return ", ".join(f"{short} {value:.3g}" for short, value in zip(SHORT, reference, strict=True))
 
 
-def line(reference: FloatArray, i: int, values: FloatArray) -> FloatArray:
+def along_variable(reference: FloatArray, i: int, values: FloatArray) -> FloatArray:
     """(sample, 5) a condition with one variable replaced."""
     x = np.tile(reference, (len(values), 1))
     x[:, i] = values
     return x
 
 
-def plotted(i: int, reference: FloatArray, flown: FloatArray, axis: FloatArray | None) -> FloatArray:
+def panel_conditions(i: int, reference: FloatArray, flown: FloatArray, axis: FloatArray | None) -> FloatArray:
     """(sample, 5) the conditions of a panel: the flown excursion of variable i and MARGIN beyond, within a table.
 
     flown : (sample,) of the variable;  axis : of the table, or None
@@ -57,7 +57,7 @@ def plotted(i: int, reference: FloatArray, flown: FloatArray, axis: FloatArray |
     low, high = flown.min() - width, flown.max() + width
     if axis is not None and len(axis) > 1:
         low, high = max(axis[0], low), min(axis[-1], high)
-    return line(reference, i, np.linspace(low, high, SAMPLES))
+    return along_variable(reference, i, np.linspace(low, high, SAMPLES))
 
 
 def plot_band(a: Axes, x: FloatArray, ratio: FloatArray, sigma: FloatArray | None, label: str, color: str) -> None:
@@ -73,7 +73,7 @@ def plot_flight(a: Axes, x: FloatArray, ratio: FloatArray, sigma: FloatArray) ->
     a.plot(x, ratio, color=FLOWN, linestyle="--", linewidth=1.6, label="flight estimate")
 
 
-def draw_ratio(path: Path, fitted: Fitted, part: Part) -> bool:
+def draw_ratio(path: Path, fitted: FitResult, part: RecordFit) -> bool:
     """Declared table and flight estimate of a record's control point, a panel for each derivative; whether drawn."""
     chosen = {n: int(k) for n, k in zip(part.names, part.index, strict=True) if n in {p.name for p in RATIO}}
     if not chosen:
@@ -90,7 +90,7 @@ def draw_ratio(path: Path, fitted: Fitted, part: Part) -> bool:
     for a in axes.flat[len(held) :]:
         a.set_visible(False)
     for a, i in zip(axes.flat, held, strict=False):
-        x = plotted(i, reference, flown[:, i], None if table is None else table.axes[i])
+        x = panel_conditions(i, reference, flown[:, i], None if table is None else table.axes[i])
         if table is not None:
             plot_band(a, x[:, i], declared_ratio(table, x), declared_sigma(table, x), "declared table", BEFORE)
         inside = x[(x[:, i] >= flown[:, i].min()) & (x[:, i] <= flown[:, i].max())]
@@ -100,6 +100,6 @@ def draw_ratio(path: Path, fitted: Fitted, part: Part) -> bool:
         a.set_ylabel("heating ratio (2 sigma bands)")
     axes[0, 0].legend(fontsize=8, loc="best")
     beside = " without the effects" if part.model.effects else ""
-    title = f"{part.record.declared.control_point}: heating ratio{beside}\nabout {about(reference)}"
+    title = f"{part.record.declared.control_point}: heating ratio{beside}\nabout {describe_condition(reference)}"
     save_figure(figure, path, title, axes)
     return True

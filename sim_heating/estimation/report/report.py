@@ -12,14 +12,19 @@ import numpy as np
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.files import output_directory, write_csv
 from sim_heating.base.files.package import package_version
-from sim_heating.estimation.design.information import would_buy
-from sim_heating.estimation.fit import Fitted
-from sim_heating.estimation.inference.residual_tests import SensorResiduals, Test, chi_square, sensor_residuals
+from sim_heating.estimation.design.information import sensitivity_to_effort
+from sim_heating.estimation.fit import FitResult
+from sim_heating.estimation.inference.residual_tests import (
+    HypothesisTest,
+    SensorResiduals,
+    chi_square,
+    sensor_residuals,
+)
 from sim_heating.estimation.report.estimate_file import (
     NAME,
-    Condition,
-    Errors,
     Estimate,
+    FitErrors,
+    ReferenceCondition,
     correlations,
     excursions,
     inputs_hash,
@@ -32,7 +37,7 @@ from sim_heating.simulation.predict import Prediction
 from sim_heating.simulation.results import write_temperatures_csv
 
 
-def result_of(fitted: Fitted) -> Estimate:
+def estimate_contents(fitted: FitResult) -> Estimate:
     """The contents of estimate.json."""
     problem, sigma = fitted.problem, fitted.bounds.sigma
     records = [part.record for part in problem.parts]
@@ -44,7 +49,7 @@ def result_of(fitted: Fitted) -> Estimate:
             "records": [str(r.directory) for r in records],
             "converged": fitted.fit.converged,
             "iterations": fitted.fit.iterations,
-            "reference_condition": Condition(**dict(zip(RATIO_VARIABLES, problem.reference, strict=True))),
+            "reference_condition": ReferenceCondition(**dict(zip(RATIO_VARIABLES, problem.reference, strict=True))),
             "parameters": {
                 u.label: {
                     "value": float(value),
@@ -64,13 +69,13 @@ def result_of(fitted: Fitted) -> Estimate:
             "degrees_of_freedom": fitted.bounds.dof,
             "log_likelihood": fitted.fit.log_likelihood,
             "process_noise": _process_noise(fitted),
-            "statistics": statistics_of(fitted),
-            "would_buy": _would_buy(fitted),
+            "statistics": residual_statistics(fitted),
+            "would_buy": _sensitivity_to_effort(fitted),
             "warnings": list(fitted.warnings),
             "control_point": points.pop() if len(points) == 1 else None,
             "vehicle": records[0].declared.vehicle,
             "segments": [_segments(r) for r in records],
-            "excursions": excursions([condition_history(r.conditions)[_flown(r), :5] for r in records]),
+            "excursions": excursions([condition_history(r.conditions)[_fitted_rows(r), :5] for r in records]),
             "inputs": {str(r.directory): inputs_hash(r) for r in records if r.directory.is_dir()},
             "effects": _effects(fitted),
             "program": f"sim-heating {package_version()}",
@@ -78,7 +83,7 @@ def result_of(fitted: Fitted) -> Estimate:
     )
 
 
-def _effects(fitted: Fitted) -> list[dict[str, Any]]:
+def _effects(fitted: FitResult) -> list[dict[str, Any]]:
     """The effects of each control point's model at the values found."""
     models = {p.record.declared.control_point: p.altered(fitted.fit.values) for p in fitted.problem.parts}
     return [
@@ -92,7 +97,7 @@ def _effects(fitted: Fitted) -> list[dict[str, Any]]:
     ]
 
 
-def _process_noise(fitted: Fitted) -> dict[str, Any] | None:
+def _process_noise(fitted: FitResult) -> dict[str, Any] | None:
     """Levels of the noise of the process, and which of them were found; None in an output-error fit."""
     return None if fitted.innovations is None else asdict(fitted.innovations.levels.noise)
 
@@ -102,14 +107,14 @@ def _segments(record: Record) -> list[list[float]]:
     return record.declared.segments.fit or [[float(record.time_s[0]), float(record.time_s[-1])]]
 
 
-def _flown(record: Record) -> np.ndarray:
+def _fitted_rows(record: Record) -> np.ndarray:
     """Rows of the conditions within the fitted samples."""
     t = record.conditions.time_s
     samples = record.time_s[record.fit_mask()]
     return record.fit_mask(t) & (t >= samples.min()) & (t <= samples.max())
 
 
-def _errors(predictions: tuple[Prediction, ...], what: str) -> Errors | None:
+def _errors(predictions: tuple[Prediction, ...], what: str) -> FitErrors | None:
     """Errors of the used sensors of all records over their fit or holdout segments."""
     residuals = []
     for p in predictions:
@@ -117,17 +122,17 @@ def _errors(predictions: tuple[Prediction, ...], what: str) -> Errors | None:
         mask = p.record.fit_mask() if what == "fit" else p.record.holdout_mask()
         residuals.append(p.residual_K[used][:, mask].ravel())
     found = pooled_rmse_K(np.concatenate(residuals))
-    return None if found is None else Errors.model_validate(found)
+    return None if found is None else FitErrors.model_validate(found)
 
 
-def _would_buy(fitted: Fitted) -> dict[str, dict[str, float]]:
+def _sensitivity_to_effort(fitted: FitResult) -> dict[str, dict[str, float]]:
     """Standard deviations of the derivatives with twice the excursions, and with twice as many samples."""
-    factors = would_buy(fitted.labels, fitted.fit.information, fitted.fit.prior_information)
+    factors = sensitivity_to_effort(fitted.labels, fitted.fit.information, fitted.fit.prior_information)
     now = dict(zip(fitted.labels, fitted.bounds.sigma, strict=True))
     return {n: {f"{k}_sigma": f * float(now[n]) for k, f in found.items()} for n, found in factors.items()}
 
 
-def noise_floor_K(fitted: Fitted) -> float | None:
+def noise_floor_K(fitted: FitResult) -> float | None:
     """Noise floor of all fit segments [K], the estimated noise standing in where a sensor declares none."""
     total, count = 0.0, 0
     for part in fitted.problem.parts:
@@ -138,7 +143,7 @@ def noise_floor_K(fitted: Fitted) -> float | None:
     return float(np.sqrt(total / count)) if count and np.isfinite(total) else None
 
 
-def residuals_of(fitted: Fitted) -> list[SensorResiduals]:
+def sensor_residual_tests(fitted: FitResult) -> list[SensorResiduals]:
     """Normalised residuals of every sensor that was fitted, and their tests; the draws are the same every time."""
     rng = np.random.default_rng(0)
     several = len(fitted.problem.parts) > 1
@@ -151,9 +156,9 @@ def residuals_of(fitted: Fitted) -> list[SensorResiduals]:
     ]  # fmt: skip
 
 
-def statistics_of(fitted: Fitted) -> dict[str, Any]:
+def residual_statistics(fitted: FitResult) -> dict[str, Any]:
     """Chi-square of the fit, and by sensor: samples, noise taken, normalised mean and RMS, whiteness, normality."""
-    residuals = residuals_of(fitted)
+    residuals = sensor_residual_tests(fitted)
     noise = [s.sigma_K for s in fitted.samples()]
     every = np.concatenate([r.residual for r in residuals])
     return {
@@ -172,7 +177,7 @@ def statistics_of(fitted: Fitted) -> dict[str, Any]:
     }
 
 
-def _test(test: Test | None) -> dict[str, float] | None:
+def _test(test: HypothesisTest | None) -> dict[str, float] | None:
     return None if test is None else {"statistic": test.statistic, "dof": test.dof, "p_value": test.p_value}
 
 
@@ -180,7 +185,7 @@ TREND = TREND_CSV, TREND_PICTURE = "trend.csv", "trend.png"
 FIT_FILES = TEMPERATURES, FIT_PICTURE, RATIO_PICTURE = "temperatures.csv", "fit.png", "ratio.png"
 
 
-def files_of(records: Sequence[Record], *, filtered: bool = False) -> list[str]:
+def output_files(records: Sequence[Record], *, filtered: bool = False) -> list[str]:
     """Names of all files that a fit of some records may write; `filtered` where it has noise of the process."""
     from sim_heating.estimation.report import filtered as filter_report
 
@@ -211,14 +216,14 @@ def write_trend(found: Trend, out: Path) -> list[str]:
         return sorted(p.name for p in folder.iterdir() if p.is_file())
 
 
-def write_fit(fitted: Fitted, out: Path) -> list[str]:
+def write_fit(fitted: FitResult, out: Path) -> list[str]:
     """Write estimate.json, temperatures and pictures; returns the names of the files."""
     from sim_heating.estimation.report.filtered import filtered_history, write_filtered
     from sim_heating.estimation.report.plots import draw_fit  # matplotlib is slow to import, and wanted only here
     from sim_heating.estimation.report.ratio_plot import draw_ratio
 
     with output_directory(out) as folder:
-        write_estimate(folder / NAME, result_of(fitted))
+        write_estimate(folder / NAME, estimate_contents(fitted))
         for part, before, after in zip(fitted.problem.parts, fitted.before, fitted.after, strict=True):
             home = folder if len(fitted.after) == 1 else folder / after.record.name
             home.mkdir(exist_ok=True)

@@ -18,9 +18,9 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import MODEL
 from sim_heating.closure.revise.evidence import flight_evidence
-from sim_heating.estimation.design.planned_flight import Planned, Planner
+from sim_heating.estimation.design.planned_flight import PlannedFlight, Planner
 from sim_heating.estimation.inference.observability import MAGNITUDES
-from sim_heating.estimation.report.estimate_file import Condition, Estimate, Estimated, correlations
+from sim_heating.estimation.report.estimate_file import Estimate, EstimatedParameter, ReferenceCondition, correlations
 from sim_heating.heating.ratio.uncertainty import Evidence
 from sim_heating.inputs.points import reference_of_record
 from sim_heating.inputs.scenario import Design
@@ -82,9 +82,9 @@ def _told(study: Study, candidate: Candidate, point: str) -> tuple[Evidence, dic
     names, covariance = _bounds(planner, planned)
     estimate = Estimate(
         format="estimate/1", records=[str(record.directory)], converged=True, iterations=0,
-        reference_condition=Condition(**dict(zip(RATIO_VARIABLES, reference_of_record(record), strict=True))),
+        reference_condition=ReferenceCondition(**dict(zip(RATIO_VARIABLES, reference_of_record(record), strict=True))),
         parameters={
-            n: Estimated(value=0.0, sigma=float(s), unit=MODEL[n].unit)
+            n: EstimatedParameter(value=0.0, sigma=float(s), unit=MODEL[n].unit)
             for n, s in zip(names, np.sqrt(np.diag(covariance)), strict=True)
         },
         correlation=correlations(names, covariance), control_point=point,
@@ -94,7 +94,7 @@ def _told(study: Study, candidate: Candidate, point: str) -> tuple[Evidence, dic
     return informed.evidence, bounds, passed
 
 
-def _bounds(planner: Planner, planned: Planned) -> tuple[tuple[str, ...], np.ndarray]:
+def _bounds(planner: Planner, planned: PlannedFlight) -> tuple[tuple[str, ...], np.ndarray]:
     """Ratio parameters that would be estimated, with flat priors, and their covariance."""
     bare = insulation_layer(planner.point.construction) == 0  # a wall of one layer has no coating
     every = [n for n in (*planner.names(planned), EMITTANCE) if not (bare and n.startswith(COATING_PREFIX))]
