@@ -20,7 +20,7 @@ from benchmarks.measure import Figure, save
 from sim_heating.base.conditions import FRAME
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
-from sim_heating.simulation.fmu_export.export import export_heating, write_fmu
+from sim_heating.simulation.fmu_export.export import export_fmu, write_fmu
 from sim_heating.simulation.fmu_export.heating import heating_image, heating_units
 from sim_heating.simulation.fmu_export.library import (
     BEGINS,
@@ -140,7 +140,7 @@ def _stepping(vehicle: Vehicle, host: Path, work: Path) -> list[Figure]:
 def _timing(vehicle: Vehicle, host: Path, work: Path) -> dict[str, dict[str, float]]:
     """Largest error of surface temperatures [K] by the meaning of inputs and the communication step."""
     names = ["NOSECAP", "V09T9527", "V07T9975"]
-    export_heating(vehicle, work / "inputs.fmu", names)
+    export_fmu(vehicle, work / "inputs.fmu", names)
     zipfile.ZipFile(work / "inputs.fmu").extractall(work / "inputs")
     outputs = [f"{n}.surface_K" for n in names]
     finest, span = 0.05, 900.0

@@ -1,1 +1,85 @@
-"""Aerodynamic heating beside a flight simulator: temperatures from a trajectory, heating from temperatures."""
+"""Aerodynamic heating alongside a flight simulator: temperatures from a trajectory, heating from temperatures.
+
+    import sim_heating as sh
+
+    flown = sh.run("scenarios/popu_mach20.toml")                       # fly, heat, march
+    records = sh.synthesize("scenarios/popu_mach20.toml")              # the same flight as thermocouples see it
+    fit = sh.estimate(records["V09T9527"])                             # heating derivatives with bounds
+    closed = sh.close_loop(sh.load_record("scenarios/records/practice/p08"))  # the effect that a model lacks
+
+Names are imported when they are first used, so that `import sim_heating` costs nothing. Everything that is not in
+`__all__` may move between releases.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sim_heating.base.errors import InputError as InputError
+    from sim_heating.base.errors import RunError as RunError
+    from sim_heating.base.kernels.jit import njit as njit
+    from sim_heating.base.parameters import Parameter as Parameter
+    from sim_heating.closure.close import close_loop as close_loop
+    from sim_heating.closure.revise.report import update_tables as update_tables
+    from sim_heating.estimation.design.report import design as design
+    from sim_heating.estimation.fit import estimate as estimate
+    from sim_heating.heating.effects import Effect as Effect
+    from sim_heating.heating.effects import effects as effects
+    from sim_heating.inputs.record import load_record as load_record
+    from sim_heating.inputs.scenario import load_scenario as load_scenario
+    from sim_heating.inputs.vehicle import load_vehicle as load_vehicle
+    from sim_heating.planning.plan import plan as plan
+    from sim_heating.simulation.fmu_export.export import export_fmu as export_fmu
+    from sim_heating.simulation.plugin import HeatingPlugin as HeatingPlugin
+    from sim_heating.simulation.predict import predict as predict
+    from sim_heating.simulation.run import run as run
+    from sim_heating.simulation.synthesize import synthesize as synthesize
+
+    __version__: str
+
+_HOME = {
+    # what a user declares
+    "load_vehicle": "inputs.vehicle",
+    "load_scenario": "inputs.scenario",
+    "load_record": "inputs.record",
+    # simulate
+    "run": "simulation.run",
+    "synthesize": "simulation.synthesize",
+    "predict": "simulation.predict",
+    "HeatingPlugin": "simulation.plugin",
+    "export_fmu": "simulation.fmu_export.export",
+    # estimate, and close the loop
+    "estimate": "estimation.fit",
+    "design": "estimation.design.report",
+    "close_loop": "closure.close",
+    "update_tables": "closure.revise.report",
+    # plan
+    "plan": "planning.plan",
+    # effects, those of users among them
+    "Effect": "heating.effects",
+    "effects": "heating.effects",
+    "Parameter": "base.parameters",
+    "njit": "base.kernels.jit",
+    # what can go wrong
+    "InputError": "base.errors",
+    "RunError": "base.errors",
+}
+"""Public name -> module that defines it."""
+
+__all__ = [*_HOME, "__version__"]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from sim_heating.base.files.package import package_version
+
+        return package_version()
+    if name not in _HOME:
+        raise AttributeError(f"module `sim_heating` has no attribute `{name}`")
+    return getattr(import_module(f"sim_heating.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

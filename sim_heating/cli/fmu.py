@@ -63,16 +63,14 @@ def export(
 ) -> None:
     """The heating plug-in of a vehicle as a co-simulation FMU."""
     from sim_heating.inputs.vehicle import load_vehicle
-    from sim_heating.simulation.fmu_export.export import export_heating, targets_of
+    from sim_heating.simulation.fmu_export.export import export_fmu, targets_of
 
     targets_of(platforms, int(fmi))
     with progress_line("fmu export") as progress:
         progress(0.1, "compiling, where that has not been done before")
         loaded = load_vehicle(vehicle)
         columns = reference == "columns"
-        image = export_heating(
-            loaded, out, points, fmi=int(fmi), platforms=platforms, columns=columns, progress=progress
-        )
+        image = export_fmu(loaded, out, points, fmi=int(fmi), platforms=platforms, columns=columns, progress=progress)
     count = len(loaded.control_points if points is None else points)
     _tell(out, f"{count} control points, ", image, fmi, platforms)
 

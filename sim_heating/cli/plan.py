@@ -9,9 +9,6 @@ import click
 from sim_heating.base.errors import RunError
 from sim_heating.cli.console import CONSOLE, ERRORS, OUT, PATH, print_outputs, print_table, progress_line
 
-LEDGER = "batches"
-"""Folder of finished batches below the results."""
-
 
 @click.command()
 @click.argument("study", type=PATH)
@@ -21,20 +18,18 @@ LEDGER = "batches"
 @click.option("--vehicle", help="fly this vehicle, a name or directory, and not the study's own")
 def plan(study: Path, out: Path, scheduler: str | None, workers: int | None, vehicle: str | None) -> None:
     """Plan missions with the tables: dispersions, envelopes, optimal entries of a study."""
-    from sim_heating.planning.part import Engine
-    from sim_heating.planning.plan import run_study
+    from sim_heating.planning.plan import plan as run_study
     from sim_heating.planning.study import load_study
 
     loaded = load_study(study, vehicle)
-    engine = Engine(out / LEDGER, scheduler, workers)
     with progress_line(loaded.title) as progress:
-        planned, names = run_study(loaded, out, engine, progress=progress)
+        planned = run_study(loaded, out, scheduler=scheduler, workers=workers, progress=progress)
     for found in planned.found.values():
         for table in found.tables:
             print_table(table)
         for note in found.notes:
             CONSOLE.print(note)
-    print_outputs(out, names)
+    print_outputs(out, list(planned.files))
     for name, why in planned.failed.items():
         ERRORS.print(f"{name}: {why}")
     if planned.failed:

@@ -22,12 +22,12 @@ def run(scenario: Path, out: Path) -> None:
     """Fly a scenario: trajectory, heating, temperatures, plots."""
     from sim_heating.base.files import require_writable
     from sim_heating.inputs.scenario import load_scenario
-    from sim_heating.simulation.run import files_of, rmse_by_point, run_scenario, summary, write_run
+    from sim_heating.simulation.run import files_of, rmse_by_point, run, summary, write_run
 
     loaded = load_scenario(scenario)
     require_writable(out, files_of(loaded))
     with progress_line(loaded.title) as progress:
-        result = run_scenario(loaded, progress=progress)
+        result = run(loaded, progress=progress)
         names = write_run(result, out, progress=progress)
     found = summary(result)
     CONSOLE.print(_run_table(loaded.title, found, rmse_by_point(result)))
@@ -127,7 +127,7 @@ def demo(out: Path) -> None:
     spawned = get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=spawned) as beside, progress_line("demo") as progress:
         compared = beside.submit(_run_and_write, sts96.path, out / "sts96")
-        flown = run.run_scenario(popu, progress=lambda f, text: progress(0.6 * f, f"POPU {text}"))
+        flown = run.run(popu, progress=lambda f, text: progress(0.6 * f, f"POPU {text}"))
         names = [f"popu/{n}" for n in run.write_run(flown, out / "popu")]
         progress(0.6, "measuring the same flight")
         records = synthesize.synthesize(popu, flight=flown.flight)
@@ -144,9 +144,9 @@ def demo(out: Path) -> None:
 def _run_and_write(scenario: Path, out: Path) -> tuple[dict[str, float], list[str]]:
     """Run a scenario, write its files; RMSE [K] against measured histories by control point, and names of files."""
     from sim_heating.inputs.scenario import load_scenario
-    from sim_heating.simulation.run import rmse_by_point, run_scenario, write_run
+    from sim_heating.simulation.run import rmse_by_point, run, write_run
 
-    result = run_scenario(load_scenario(scenario))
+    result = run(load_scenario(scenario))
     return rmse_by_point(result), write_run(result, out)
 
 

@@ -32,29 +32,24 @@ def update_tables(
     revert: str | None,
 ) -> None:
     """Write derivatives and effects of an estimate (FIT: an estimate.json or its directory) into the vehicle."""
-    from sim_heating.closure.revise.report import draw_update, update_report
+    from sim_heating.closure.revise import report
     from sim_heating.closure.revise.revisions import point_path, revision_path
-    from sim_heating.closure.revise.update import check_target, errors_before_and_after, prepare_update, write_update
-    from sim_heating.inputs.record import load_record
 
-    if not dry_run:
-        check_target(vehicle, out)
     if fit is None:
         _revert_table(vehicle, revert, out is not None or dry_run)
         return
     if revert is not None:
         raise InputError(f"--revert {revert}: stands alone; leave out {fit}")
-    update = prepare_update(fit, vehicle, records, point)
-    every = [*update.records, *(load_record(path) for path in checked)]
     with progress_line("update-tables") as progress:
-        progress(0.1, "predicting with the table before and after")
-        errors = errors_before_and_after(update, every)
-    for part in update_report(update, errors):
+        updated = report.update_tables(
+            fit, vehicle, out, records=records, point=point, checks=checked, dry_run=dry_run, progress=progress
+        )
+    for part in report.update_report(updated.update, updated.errors_K):
         CONSOLE.print(part)
-    if dry_run:
+    place, made = updated.vehicle, updated.revision
+    if place is None or made is None:
         CONSOLE.print("Dry run: nothing was written")
         return
-    place, made = write_update(update, out, errors, draw_update)
     why = revision_path(place, made.control_point, made.revision, "json")
     picture = " and .png" if why.with_suffix(".png").is_file() else ""
     effects = f" and {point_path(place, made.control_point)}" if made.effects else ""
@@ -64,8 +59,10 @@ def update_tables(
 
 def _revert_table(vehicle: str, point: str | None, more: bool) -> None:
     from sim_heating.closure.revise.revisions import revert
+    from sim_heating.closure.revise.update import check_target
     from sim_heating.inputs.vehicle import load_vehicle
 
+    check_target(vehicle, None)
     if point is None:
         raise InputError("update-tables: give FIT, an estimate.json or its directory, or --revert POINT")
     if more:

@@ -309,11 +309,20 @@ def require_distinct_records(names: Sequence[str]) -> None:
 # Reading -------------------------------------------------------------------------------------------------------------
 
 
-def load_record(directory: str | os.PathLike[str]) -> Record:
+def load_record(directory: str | os.PathLike[str] | Record) -> Record:
     """Read and check a flight record.
 
-    raises : InputError with one line a problem, naming file, row and column or table and key
+    directory : of the record; a record that has been loaded is returned as it is
+    returns   : conditions, measurements and the declared model
+    raises    : InputError with one line a problem, naming file, row and column or table and key
+
+    >>> import sim_heating as sh
+    >>> record = sh.load_record("scenarios/records/practice/p06")
+    >>> [sensor.name for sensor in record.sensors]
+    []
     """
+    if isinstance(directory, Record):
+        return directory
     home = Path(directory)
     if not home.is_dir():
         raise InputError(f"{display_path(home)}: is not a directory; a record is a directory with a {DECLARATION}")

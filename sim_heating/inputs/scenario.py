@@ -248,11 +248,19 @@ class Scenario:
         return tuple(use(e.name, e.parameters) for e in chosen if e.control_points is None or point in e.control_points)
 
 
-def load_scenario(path: str | os.PathLike[str]) -> Scenario:
+def load_scenario(path: str | os.PathLike[str] | Scenario) -> Scenario:
     """Read and check a scenario and everything that it names.
 
-    raises : InputError with one line a problem
+    path    : of the scenario's TOML file; a scenario that has been loaded is returned as it is
+    returns : the scenario with its vehicle
+    raises  : InputError with one line a problem
+
+    >>> import sim_heating as sh
+    >>> sh.load_scenario("scenarios/popu_mach20.toml").vehicle.name
+    'orbiter'
     """
+    if isinstance(path, Scenario):
+        return path
     place = Path(path)
     declared = read_toml(place, ScenarioFile)
     beside = place.parent / declared.vehicle

@@ -119,12 +119,19 @@ class _Problems:
         self.lines.append(line)
 
 
-def load_vehicle(vehicle: str | os.PathLike[str]) -> Vehicle:
+def load_vehicle(vehicle: str | os.PathLike[str] | Vehicle) -> Vehicle:
     """Read a vehicle by name or by path and check all of it.
 
-    vehicle : a directory with a vehicle.toml, or a name, looked for as `vehicle_directory` says
+    vehicle : a directory with a vehicle.toml, or a name that `vehicle_directory` looks up; a vehicle that has been
+              loaded is returned as it is
     raises  : InputError with one line a problem, those of all files together
+
+    >>> import sim_heating as sh
+    >>> len(sh.load_vehicle("orbiter").control_points)
+    18
     """
+    if isinstance(vehicle, Vehicle):
+        return vehicle
     directory = vehicle_directory(vehicle)
     problems = _Problems()
     file = problems.attempt(read_toml, directory / "vehicle.toml", VehicleFile)

@@ -7,7 +7,8 @@ study gives the same bytes whatever the number of cores, and whatever the proces
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import os
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,19 +20,33 @@ from sim_heating.base.progress import Progress, quiet
 from sim_heating.base.report.page import Page, SavedPicture, Section, write_page
 from sim_heating.base.threads import one_thread
 from sim_heating.planning.part import Engine, Found, Part
-from sim_heating.planning.study import Study
+from sim_heating.planning.study import Study, load_study
 
 FORMAT = "study-report/1"
 SUMMARY, PAGE = "study.json", "report.html"
 
 
-@dataclass(frozen=True)
+LEDGER = "batches"
+"""Folder of finished batches below the results."""
+
+
+@dataclass(frozen=True, repr=False)
 class Plan:
-    """A study with what its parts found, and which of them failed, in one line each."""
+    """A study with the results of its parts.
+
+    found  : result of each part that succeeded, by the name of its table in the study
+    failed : why a part failed, in one line
+    files  : names of the files that were written
+    """
 
     study: Study
     found: dict[str, Found] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
+    files: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        failed = f", failed: {', '.join(self.failed)}" if self.failed else ""
+        return f"<Plan {self.study.title!r}: {', '.join(self.found) or 'no result'}{failed}>"
 
 
 def parts_of(study: Study) -> dict[str, Part]:
@@ -44,31 +59,53 @@ def parts_of(study: Study) -> dict[str, Part]:
     return {name: part for name, part in parts.items() if getattr(study.declared, name) is not None}
 
 
-def run_study(study: Study, out: Path, engine: Engine, *, progress: Progress = quiet) -> tuple[Plan, list[str]]:
-    """Compute all parts of a study and write their files, all together; gives the files' names as well.
+def plan(
+    study: Study | str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    vehicle: str | os.PathLike[str] | None = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: Progress = quiet,
+) -> Plan:
+    """Compute all parts of a study and write their files, all together.
 
-    raises : InputError where the study asks for nothing, a place or scheduler cannot be used, or the one part there is
-             says so
+    study     : a study, or the path of its file
+    out       : directory for the results; finished batches are kept below it and are not computed again
+    vehicle   : fly this one, by name or directory, and not the study's own
+    scheduler : address of a Dask scheduler; otherwise local processes
+    workers   : number of local processes; one a core where not given
+    progress  : called with the fraction done, from 0 to 1, and a line of text
+    returns   : what each part found, and which of them failed
+    raises    : InputError where the study asks for nothing, a directory or scheduler cannot be used, or its only part
+                fails for its input
+
+    >>> import sim_heating as sh
+    >>> planned = sh.plan("scenarios/studies/small_envelope.toml", folder / "plan", workers=1)
+    >>> planned
+    0
     """
+    study, out = load_study(study, vehicle), Path(out)
+    engine = Engine(out / LEDGER, scheduler, workers)
     parts = parts_of(study)
     if not parts:
         raise InputError(f"{study.path}: asks for nothing; give it a table such as [dispersion]")
-    plan = Plan(study)
+    done = Plan(study)
     expected = [SUMMARY, PAGE, *(name for part in parts.values() for name in part.files(study))]
     with output_directory(out, expected) as folder, one_thread():
         if engine.scheduler is not None:
             require_scheduler(engine.scheduler)
         for i, (name, part) in enumerate(parts.items()):
             try:
-                plan.found[name] = part.run(study, folder, engine, _within(progress, name, i, len(parts)))
+                done.found[name] = part.run(study, folder, engine, _within(progress, name, i, len(parts)))
             except (InputError, RunError) as error:
                 if isinstance(error, InputError) and len(parts) == 1:
                     raise
-                plan.failed[name] = str(error)
-        write_json(folder / SUMMARY, summary(plan))
-        write_page(folder / PAGE, page_of(plan, folder))
+                done.failed[name] = str(error)
+        write_json(folder / SUMMARY, summary(done))
+        write_page(folder / PAGE, page_of(done, folder))
         names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
-    return plan, names
+    return replace(done, files=tuple(names))
 
 
 def _within(progress: Progress, name: str, i: int, parts: int) -> Progress:

@@ -110,12 +110,15 @@ class Study:
         return optimal_study(check({**names, **given}, OptimalStudyFile, where), self.vehicle, where)
 
 
-def load_study(path: str | os.PathLike[str], vehicle: str | os.PathLike[str] | None = None) -> Study:
+def load_study(path: str | os.PathLike[str] | Study, vehicle: str | os.PathLike[str] | None = None) -> Study:
     """Read and check a study and everything that it names.
 
+    path    : of the study's TOML file; a study that has been loaded is returned as it is
     vehicle : fly this one, by name or directory, and not the study's own; its revision is then not asked for
     raises  : InputError with one line a problem
     """
+    if isinstance(path, Study):
+        return path
     place = Path(path)
     declared = read_toml(place, StudyFile)
     loaded = load_vehicle(_vehicle_place(place, declared.vehicle) if vehicle is None else vehicle)

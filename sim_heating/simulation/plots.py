@@ -9,6 +9,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
@@ -48,7 +49,7 @@ def _twin(axes: Axes, x: FloatArray, y: FloatArray, label: str, color: str) -> N
     other.tick_params(axis="y", colors=color)
 
 
-def draw_trajectory(path: Path, title: str, flown: Conditions, windows: Sequence[Window]) -> None:
+def draw_trajectory(path: Path | None, title: str, flown: Conditions, windows: Sequence[Window]) -> Figure:
     """Altitude, velocity, angles and dynamic pressure against time, manoeuvres shaded and named."""
     figure, axes = new_figure(9.0, 9.5, 4, sharex=True)
     t = flown.time_s
@@ -68,7 +69,7 @@ def draw_trajectory(path: Path, title: str, flown: Conditions, windows: Sequence
         _shade(a, windows)
     _name_windows(axes[0], windows)
     axes[-1].set_xlabel("time, s")
-    save_figure(figure, path, f"{title}: trajectory", axes)
+    return save_figure(figure, path, f"{title}: trajectory", axes)
 
 
 def _plot_angles(axes: Axes, flown: Conditions, names: Sequence[str]) -> None:
@@ -79,7 +80,9 @@ def _plot_angles(axes: Axes, flown: Conditions, names: Sequence[str]) -> None:
     axes.legend(loc="best", fontsize=8)
 
 
-def draw_temperatures(path: Path, title: str, points: Sequence[PointHistory], windows: Sequence[Window]) -> None:
+def draw_temperatures(
+    path: Path | None, title: str, points: Sequence[PointHistory], windows: Sequence[Window]
+) -> Figure:
     """Surface and bondline temperatures of all control points against time, legends in the order of the peaks."""
     figure, axes = new_figure(10.0, 9.0, 2, sharex=True)
     hottest = sorted(points, key=lambda p: -float(np.max(p.surface_K)))
@@ -98,7 +101,7 @@ def draw_temperatures(path: Path, title: str, points: Sequence[PointHistory], wi
     left_out = [p.name for p in hottest if p not in insulated]
     if left_out:
         axes[1].set_title(f"hot structure, no bondline: {', '.join(left_out)}", fontsize=8, loc="left")
-    save_figure(figure, path, title, axes)
+    return save_figure(figure, path, title, axes)
 
 
 def _plot_by_peak(
@@ -113,8 +116,8 @@ def _plot_by_peak(
 
 
 def draw_manoeuvre(
-    path: Path, title: str, flown: Conditions, points: Sequence[PointHistory], window: Window, variable: str
-) -> None:
+    path: Path | None, title: str, flown: Conditions, points: Sequence[PointHistory], window: Window, variable: str
+) -> Figure:
     """Thermocouple and surface temperatures about one manoeuvre; below, the angle that is flown and what moves with it.
 
     As figures 5, 10 and 13 of the founding paper.
@@ -133,7 +136,7 @@ def draw_manoeuvre(
     for a in axes:
         _shade(a, [window])
     figure.align_ylabels(axes)
-    save_figure(figure, path, f"{_speed(flown, window)}\n{title}", axes)
+    return save_figure(figure, path, f"{_speed(flown, window)}\n{title}", axes)
 
 
 def _plot_moving(axes: Axes, flown: Conditions, shown: np.ndarray, variable: str) -> None:
@@ -162,10 +165,10 @@ def _speed(flown: Conditions, window: Window) -> str:
 
 
 def draw_comparison(
-    path: Path,
+    path: Path | None,
     title: str,
     panels: Sequence[tuple[str, PointHistory, FloatArray, FloatArray, FloatArray, float]],
-) -> None:
+) -> Figure:
     """Predicted surface temperature against a measured history, one panel each.
 
     panels : (label, prediction, time_s, temperature_K, sigma_K, rmse_K)
@@ -186,12 +189,17 @@ def draw_comparison(
     for a in axes[:, 0]:
         a.set_ylabel("surface temperature, K")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=9)
-    save_figure(figure, path, title, axes)
+    return save_figure(figure, path, title, axes)
 
 
 def draw_prediction(
-    path: Path, title: str, time_s: FloatArray, names: Sequence[str], measured_K: FloatArray, predicted_K: FloatArray
-) -> None:
+    path: Path | None,
+    title: str,
+    time_s: FloatArray,
+    names: Sequence[str],
+    measured_K: FloatArray,
+    predicted_K: FloatArray,
+) -> Figure:
     """Each sensor of a record, measured and predicted, with the residual below."""
     figure, axes = new_figure(9.5, 7.0, 2, sharex=True, height_ratios=[2, 1])
     for i, name in enumerate(names):
@@ -203,4 +211,4 @@ def draw_prediction(
     axes[1].axhline(0.0, color="0.3", linewidth=0.8)
     axes[1].set_ylabel("measured - predicted, K")
     axes[1].set_xlabel("time, s")
-    save_figure(figure, path, title, axes)
+    return save_figure(figure, path, title, axes)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,7 +15,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import output_directory, write_json
 from sim_heating.base.files.package import package_version
 from sim_heating.inputs.points import conditions_of_record, point_of_record
-from sim_heating.inputs.record import Record, pooled_rmse_K
+from sim_heating.inputs.record import Record, load_record, pooled_rmse_K
 from sim_heating.inputs.sensor_model import SensorErrors, calibrated
 from sim_heating.march.history import Outside, PointHistory, at_times, march_points, negative_ratio_s, outside_table
 from sim_heating.march.point import PointModel
@@ -23,7 +25,12 @@ FILES = TABLE, SUMMARY, PICTURE = "temperatures.csv", "summary.json", "predictio
 """What a prediction writes."""
 
 
-@dataclass(frozen=True)
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, repr=False)
 class Prediction:
     """Temperatures of a record's declared model at the record's own sample times.
 
@@ -38,19 +45,56 @@ class Prediction:
     residual_K: FloatArray
     outside: tuple[Outside, ...]
 
+    def __repr__(self) -> str:
+        found = pooled_rmse_K(self.residual_K)
+        rmse = "no sample within the conditions" if found is None else f"RMSE {found['rmse_K']:.2f} K"
+        return f"<Prediction of {self.record.name}: {len(self.record.sensors)} sensors, {rmse}>"
+
+    def to_xarray(self) -> xr.Dataset:
+        """Measured and predicted temperatures [K] of each sensor at the record's sample times [s]."""
+        import xarray as xr  # slow to import
+
+        measured = self.record.temperatures_K()
+        data = {
+            "measured_K": measured,
+            "indicated_K": self.indicated_K,
+            "residual_K": self.residual_K,
+        }
+        coordinates = {"sensor": [s.name for s in self.record.sensors], "time": self.record.time_s}
+        return xr.Dataset({k: (("sensor", "time"), v, {"units": "K"}) for k, v in data.items()}, coordinates)
+
+    def plot(self) -> Figure:
+        """Each sensor, measured and predicted, with the residual below."""
+        return self.draw(None)
+
+    def draw(self, path: Path | None) -> Figure:
+        """The picture of `plot`, saved to a path where one is given."""
+        from sim_heating.simulation.plots import draw_prediction  # matplotlib is slow to import
+
+        record, names = self.record, [s.name for s in self.record.sensors]
+        title = f"{record.name}: declared model\n{record.declared.title or record.declared.control_point}"
+        return draw_prediction(path, title, self.history.time_s, names, record.temperatures_K(), self.indicated_K)
+
 
 def predict(
-    record: Record,
+    record: Record | str | os.PathLike[str],
     model: PointModel | None = None,
     *,
     skew_s: float = 0.0,
     errors: Mapping[str, SensorErrors] | None = None,
 ) -> Prediction:
-    """Predict a record; `model` is its declared one unless given.
+    """Temperatures that the declared model gives at a record's sensors, nothing fitted.
 
+    record : a flight record, or its directory
+    model  : another model than the declared one
     skew_s : by how much the thermocouples' clock lags [s];  errors : what is wrong with sensors, by name
     raises : InputError where no sample lies within the conditions, RunError where a step did not converge
+
+    >>> import sim_heating as sh
+    >>> sh.predict("scenarios/records/practice/p06")
+    0
     """
+    record = load_record(record)
     model = point_of_record(record) if model is None else model
     conditions = conditions_of_record(record)
     t, span = record.time_s - skew_s, conditions.time_s[[0, -1]]
@@ -107,13 +151,9 @@ def summary(prediction: Prediction) -> dict[str, object]:
 
 def write_prediction(prediction: Prediction, out: Path) -> list[str]:
     """Write temperatures.csv, summary.json and a picture; returns the names of the files."""
-    from sim_heating.simulation.plots import draw_prediction  # matplotlib is slow to import, and wanted only here
-
     record, history = prediction.record, prediction.history
     with output_directory(out) as folder:
         write_temperatures_csv(folder / TABLE, history.time_s, history, record.sensors)
         write_json(folder / SUMMARY, summary(prediction))
-        title = f"{record.name}: declared model\n{record.declared.title or record.declared.control_point}"
-        names = [s.name for s in record.sensors]
-        draw_prediction(folder / PICTURE, title, history.time_s, names, record.temperatures_K(), prediction.indicated_K)
+        prediction.draw(folder / PICTURE)
         return sorted(p.name for p in folder.iterdir() if p.is_file())

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from sim_heating.base.files import write_csv
 from sim_heating.base.files.package import package_version
 from sim_heating.march.history import PointHistory
 from sim_heating.thermal.stack import Sensor
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 UNITS = {
     "time_s": "s", "altitude_m": "m", "velocity_m_s": "m s-1", "mach": "1", "alpha_deg": "degree", "beta_deg": "degree",
@@ -46,17 +49,17 @@ def write_temperatures_csv(path: Path, time_s: FloatArray, history: PointHistory
     write_csv(path, columns, {"time_s": ".10g"} | {name: ".4f" for name in columns if name != "time_s"})
 
 
-def write_netcdf(
-    path: Path,
+def histories_dataset(
     flown: Conditions,
     points: Sequence[PointHistory],
     sensors: Mapping[str, Sequence[Sensor]],
     attributes: Mapping[str, str],
-) -> None:
-    """All histories of a flight in one NetCDF file.
+) -> xr.Dataset:
+    """All histories of a flight as one data set, with units and long names.
 
-    flown   : conditions on the points' times
-    sensors : sensors of each point by its name
+    flown      : conditions on the points' times
+    sensors    : sensors of each point by its name
+    attributes : of the data set: title, vehicle, ...
     """
     import xarray as xr  # slow to import, and wanted only where results are written
 
@@ -79,7 +82,7 @@ def write_netcdf(
         "sensor_control_point": ("sensor", [p.name for p in points for _ in sensors[p.name]]),
     }
     history = {"Conventions": "CF-1.10", "source": f"sim-heating {package_version()}"}
-    xr.Dataset(data, coordinates, {**attributes, **history}).to_netcdf(path)
+    return xr.Dataset(data, coordinates, {**attributes, **history})
 
 
 def _attributes(name: str) -> dict[str, str]:

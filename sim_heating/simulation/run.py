@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,15 +16,19 @@ from sim_heating.base.files.package import package_version
 from sim_heating.base.progress import Progress, quiet
 from sim_heating.inputs.points import conditions_at_point, mean_condition, point_of_vehicle
 from sim_heating.inputs.record import pooled_rmse_K
-from sim_heating.inputs.scenario import MeasuredHistory, Scenario
+from sim_heating.inputs.scenario import MeasuredHistory, Scenario, load_scenario
 from sim_heating.march.history import PointHistory, march_points, outside_table, summary_of
 from sim_heating.march.point import PointModel
 from sim_heating.simulation.plugin import HeatingPlugin
-from sim_heating.simulation.results import write_netcdf, write_temperatures_csv
+from sim_heating.simulation.results import histories_dataset, write_temperatures_csv
 from sim_heating.trajectory import entry3dof, recorded
 from sim_heating.trajectory.flight import Flight, OnFrame, Window
 from sim_heating.trajectory.jsbsim import entry as jsbsim
 from sim_heating.trajectory.spec import TrajectorySpec
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
 
 
 def fly_fmu(
@@ -63,19 +69,41 @@ class PointResult:
     history: PointHistory
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RunResult:
     """A flown scenario.
 
-    points         : by control point, in the scenario's order
-    plugin_apart_K : largest difference of surface temperature between the plug-in beside the host and the march, by
-    point
+    scenario       : what was flown
+    flight         : conditions, manoeuvres and events of the trajectory
+    points         : conditions and temperatures by control point, in the scenario's order
+    plugin_apart_K : largest difference of surface temperature between the plug-in alongside the host and the march, by
+                     control point [K]; None where the plug-in did not run
     """
 
     scenario: Scenario
     flight: Flight
     points: dict[str, PointResult]
     plugin_apart_K: dict[str, float] | None = None
+
+    def __repr__(self) -> str:
+        hottest = max(self.points.values(), key=lambda p: float(np.max(p.history.surface_K)))
+        peak = float(np.max(hottest.history.surface_K))
+        return f"<RunResult {self.scenario.title!r}: {len(self.points)} control points, peak {peak:.0f} K>"
+
+    def to_xarray(self) -> xr.Dataset:
+        """Conditions, temperatures and heating ratios as one data set: the content of `flight.nc`."""
+        vehicle = self.scenario.vehicle
+        sensors = {name: vehicle.control_point(name).sensors for name in self.points}
+        about = {"title": self.scenario.title, "vehicle": vehicle.name, "vehicle_revision": vehicle.revision}
+        histories = [p.history for p in self.points.values()]
+        return histories_dataset(with_reference_heating(self)[0], histories, sensors, about)
+
+    def plot(self) -> Figure:
+        """Surface and bondline temperatures of all control points against time."""
+        from sim_heating.simulation.plots import draw_temperatures  # matplotlib is slow to import
+
+        histories = [p.history for p in self.points.values()]
+        return draw_temperatures(None, self.scenario.title, histories, self.flight.windows)
 
 
 @dataclass(frozen=True)
@@ -113,11 +141,20 @@ def models_of(
     return models, [conditions_at_point(scenario.vehicle, p, flown) for p in points]
 
 
-def run_scenario(scenario: Scenario, *, progress: Progress = quiet) -> RunResult:
+def run(scenario: Scenario | str | os.PathLike[str], *, progress: Progress = quiet) -> RunResult:
     """Fly a scenario and march its control points along the flight.
 
-    progress : called with fractions from 0 to 1
+    scenario : a scenario, or the path of its file
+    progress : called with the fraction done, from 0 to 1, and a line of text
+    returns  : conditions, temperatures and heating ratios by control point
+    raises   : InputError where the scenario is wrong, RunError where the flight or a thermal step fails
+
+    >>> import sim_heating as sh
+    >>> flown = sh.run("scenarios/recorded_sts107.toml")
+    >>> flown.points["V09T9527"].history.surface_K.max().round()
+    0
     """
+    scenario = load_scenario(scenario)
     heating = scenario.declared.heating
     beside = _Beside(scenario) if heating.alongside else None
     flight = fly_scenario(scenario, progress=lambda f, text: progress(0.7 * f, f"flying: {text}"), on_frame=beside)
@@ -220,7 +257,7 @@ def write_run(result: RunResult, out: Path, *, progress: Progress = quiet) -> li
         write_json(folder / SUMMARY, summary(result))
         flown, said = with_reference_heating(result)
         write_csv(folder / CONDITIONS, flown.columns, ".12g", said)
-        _write_histories(result, flown, folder)
+        _write_histories(result, folder)
         progress(0.92, "drawing")
         draw_run(result, folder)
         names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
@@ -238,16 +275,14 @@ def with_reference_heating(result: RunResult) -> tuple[Conditions, dict[str, str
     return result.flight.conditions.with_columns(**common), {name: why for name in columns if name not in common}
 
 
-def _write_histories(result: RunResult, flown: Conditions, folder: Path) -> None:
+def _write_histories(result: RunResult, folder: Path) -> None:
     vehicle = result.scenario.vehicle
     sensors = {name: vehicle.control_point(name).sensors for name in result.points}
     for name, point in result.points.items():
         own = folder if len(result.points) == 1 else folder / name
         own.mkdir(exist_ok=True)
         write_temperatures_csv(own / TABLE, point.history.time_s, point.history, sensors[name])
-    about = {"title": result.scenario.title, "vehicle": vehicle.name, "vehicle_revision": vehicle.revision}
-    histories = [p.history for p in result.points.values()]
-    write_netcdf(folder / HISTORIES, flown, histories, sensors, about)
+    result.to_xarray().to_netcdf(folder / HISTORIES)
 
 
 def draw_run(result: RunResult, folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from sim_heating.base.files import check, output_directory, toml_text, write_tex
 from sim_heating.base.progress import Progress, quiet
 from sim_heating.inputs.points import mean_condition
 from sim_heating.inputs.record import DECLARATION, Record, RecordFile, make_record, write_record
-from sim_heating.inputs.scenario import Scenario
+from sim_heating.inputs.scenario import Scenario, load_scenario
 from sim_heating.inputs.sensor_model import SensorErrors, lost_samples, measured, sample_times
 from sim_heating.inputs.vehicle import ControlPoint
 from sim_heating.march.history import PointHistory, at_times, march_points
@@ -28,15 +29,26 @@ CONDITIONS, THERMOCOUPLES, TABLE = "conditions.csv", "thermocouples.csv", "ratio
 
 
 def synthesize(
-    scenario: Scenario, *, flight: Flight | None = None, halvings: int = 0, progress: Progress = quiet
+    scenario: Scenario | str | os.PathLike[str],
+    *,
+    flight: Flight | None = None,
+    halvings: int = 0,
+    progress: Progress = quiet,
 ) -> dict[str, Record]:
     """Fly a scenario with its truth and measure it: one record a control point that has sensors.
 
     What a flight crew would have is in the records: declared tables and stacks, and nothing of the truth.
+    scenario : a scenario, or the path of its file
     flight   : the scenario's flight where it has been flown already
     halvings : how often the elements of the meshes are halved; a fit corrects for the error of its mesh, and sees that
                of the data's
+
+    >>> import sim_heating as sh
+    >>> records = sh.synthesize("scenarios/recorded_sts107.toml")
+    >>> len(records)
+    0
     """
+    scenario = load_scenario(scenario)
     if flight is None:
         flight = fly_scenario(scenario, progress=lambda f, text: progress(0.7 * f, f"flying: {text}"))
     progress(0.7, "marching the truth")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sim_heating.inputs.scenario import Scenario, load_scenario
-from sim_heating.simulation.run import RunResult, compare, fly_scenario, run_scenario, summary
+from sim_heating.simulation.run import RunResult, compare, fly_scenario, run, summary
 from sim_heating.simulation.synthesize import synthesize
 from tests.support.paths import SCENARIOS
 
@@ -38,12 +38,12 @@ def in_3dof(chosen: Scenario) -> Scenario:
 
 @pytest.fixture(scope="module")
 def sts96() -> RunResult:
-    return run_scenario(scenario("sts96"))
+    return run(scenario("sts96"))
 
 
 @pytest.fixture(scope="module")
 def sts2() -> RunResult:
-    return run_scenario(scenario("sts2"))
+    return run(scenario("sts2"))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -65,7 +65,7 @@ def test_manoeuvres_are_flown_at_the_speeds_of_their_names(name: str) -> None:
 @pytest.mark.parametrize("name", ["entry_3dof", "capsule", "recorded_sts107"])
 def test_a_quick_scenario_runs_and_is_measured(name: str) -> None:
     chosen = scenario(name)
-    points = summary(run_scenario(chosen))["control_points"]
+    points = summary(run(chosen))["control_points"]
     assert isinstance(points, dict)
     assert all(250.0 < p["peak_surface_K"] < 2500.0 for p in points.values())
     assert set(synthesize(chosen)) <= set(points)

@@ -17,9 +17,9 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.simulation.fmu_export.entry import CHANNELS, TRIGGERS, export_entry
-from sim_heating.simulation.fmu_export.export import export_heating
+from sim_heating.simulation.fmu_export.export import export_fmu
 from sim_heating.simulation.plugin import HeatingPlugin
-from sim_heating.simulation.run import run_scenario
+from sim_heating.simulation.run import run
 from sim_heating.trajectory import entry3dof
 from sim_heating.trajectory.flight import Flight
 from sim_heating.trajectory.fmu import flight as fmu
@@ -150,7 +150,7 @@ def test_trajectory_and_heating_fmu_together_are_the_plug_in_beside_the_entry(
     fmi: int, entry: dict[int, Path], tmp_path: Path
 ) -> None:
     vehicle, until_s = load_vehicle("orbiter"), 400.0
-    export_heating(vehicle, tmp_path / "heating.fmu", ["V09T9527"], fmi=fmi)
+    export_fmu(vehicle, tmp_path / "heating.fmu", ["V09T9527"], fmi=fmi)
     example = importlib.util.spec_from_file_location("round_trip", ROOT / "examples" / "fmu_round_trip.py")
     assert example is not None
     assert example.loader is not None
@@ -178,9 +178,9 @@ def test_the_example_heats_a_control_point_as_the_built_in_scenario_does(
 ) -> None:
     shutil.copy(ROOT / "examples" / "entry_fmu.toml", tmp_path)
     shutil.copy(entry[3], tmp_path / "entry.fmu")
-    flown = run_scenario(load_scenario(tmp_path / "entry_fmu.toml"))
+    flown = run(load_scenario(tmp_path / "entry_fmu.toml"))
     own = load_scenario(ROOT / "scenarios" / "entry_3dof.toml")
-    expected = run_scenario(replace(own, names=("V09T9527",)))
+    expected = run(replace(own, names=("V09T9527",)))
     assert flown.flight.conditions.time_s[-1] > 1500.0
     surfaces = [r.points["V09T9527"].history.surface_K for r in (flown, expected)]
     assert np.array_equal(*surfaces)

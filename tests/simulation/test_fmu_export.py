@@ -23,7 +23,7 @@ from sim_heating.heating.ratio.table import read_ratio_table, write_ratio_table
 from sim_heating.inputs.points import conditions_at_point
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
-from sim_heating.simulation.fmu_export.export import export_heating
+from sim_heating.simulation.fmu_export.export import export_fmu
 from sim_heating.simulation.fmu_export.heating import MODEL, THERMAL_STEP, heating_image, heating_units
 from sim_heating.simulation.fmu_export.library import TARGETS, Unit, compiler, object_code, parts, wrapper_sources
 from sim_heating.simulation.plugin import HeatingPlugin
@@ -46,7 +46,7 @@ def fmus(vehicle, tmp_path_factory) -> dict[int, Path]:
     """The same control points for both versions of the standard."""
     folder = tmp_path_factory.mktemp("fmus")
     for fmi in (2, 3):
-        export_heating(vehicle, folder / f"fmi{fmi}.fmu", POINTS, fmi=fmi)
+        export_fmu(vehicle, folder / f"fmi{fmi}.fmu", POINTS, fmi=fmi)
     return {fmi: folder / f"fmi{fmi}.fmu" for fmi in (2, 3)}
 
 
@@ -134,7 +134,7 @@ def test_flux_into_the_wall_is_what_the_flow_brings_less_what_is_radiated(fmus, 
 
 
 def test_host_may_bring_its_own_reference_heating(vehicle, flown, tmp_path):
-    export_heating(vehicle, tmp_path / "columns.fmu", POINTS, columns=True)
+    export_fmu(vehicle, tmp_path / "columns.fmu", POINTS, columns=True)
     given = frames(flown, 1.0, 300.0)
     columns = {name: np.array([f[name] for f in given]) for name in FRAME}
     own = flown.at(columns["time_s"])
@@ -304,7 +304,7 @@ def revised(tmp_path) -> Path:
 
 def test_revised_table_appears_in_a_re_export_by_path_and_as_an_array(fmus, flown, revised, tmp_path):
     given = frames(flown, 1.0, 400.0)
-    export_heating(load_vehicle(revised), tmp_path / "revised.fmu", POINTS)
+    export_fmu(load_vehicle(revised), tmp_path / "revised.fmu", POINTS)
     with Host(tmp_path / "revised.fmu") as host:
         exported = fmu_temperatures(host, given)
     with Host(fmus[3]) as host:
@@ -410,7 +410,7 @@ def test_effect_of_the_users_own_is_compiled_in(fmus, vehicle, flown, tmp_path, 
     own = load_vehicle(vehicle_with_effect(tmp_path, monkeypatch, "mach-growth", OWN_EFFECT))
     shared = [path for unit in (MODEL, THERMAL_STEP) for path in unit.objects(TARGETS["linux"])]
     before = [path.stat().st_mtime_ns for path in shared]
-    export_heating(own, tmp_path / "own.fmu", POINTS)
+    export_fmu(own, tmp_path / "own.fmu", POINTS)
     assert [path.stat().st_mtime_ns for path in shared] == before  # what all vehicles share is not made anew
     given = frames(flown, 1.0, 400.0)
     with Host(tmp_path / "own.fmu") as host:
@@ -434,7 +434,7 @@ def test_effect_that_no_host_could_run_is_refused_by_its_name(name, tmp_path, mo
     body, told = KERNELS[name]
     own = load_vehicle(vehicle_with_effect(tmp_path, monkeypatch, name, own_effect(name, body)))
     with pytest.raises(InputError, match=rf"effect `{name}` \(.*own.py\).*{told}"):
-        export_heating(own, tmp_path / "own.fmu", POINTS)
+        export_fmu(own, tmp_path / "own.fmu", POINTS)
     assert not (tmp_path / "own.fmu").exists()
 
 
@@ -443,7 +443,7 @@ def test_effect_may_call_the_mathematical_functions_of_c(flown, tmp_path, monkey
     called = [f"math.{f}(u{', 2.0' if f in ('hypot', 'atan2') else ''})" for f in functions]
     body = f"u = 0.1 + B[p] * B[c + MACH]\n    return 1.0 + 1e-3 * ({' + '.join(called)} + round(u, 0))"
     own = load_vehicle(vehicle_with_effect(tmp_path, monkeypatch, "of-c", own_effect("of-c", body)))
-    export_heating(own, tmp_path / "own.fmu", POINTS)
+    export_fmu(own, tmp_path / "own.fmu", POINTS)
     given = frames(flown, 1.0, 60.0)
     with Host(tmp_path / "own.fmu") as host:
         np.testing.assert_array_equal(fmu_temperatures(host, given), plugin_temperatures(own, given))
@@ -522,7 +522,7 @@ def test_odd_titles_and_names_make_a_valid_description(fmi, tmp_path):
     names = ("it's", "it_s", "Schwärze", "a" + 2 * chr(92) + "b")
     sensors = [f'[[sensor]]\nname = "{name}"\ncolumn = "T{k}_K"\ndepth_m = 0.0\n' for k, name in enumerate(names)]
     point.write_text(point.read_text().replace("[limits]", "\n".join([*sensors, "[limits]"])))
-    export_heating(load_vehicle(folder), tmp_path / "odd.fmu", ["NOSECAP"], fmi=fmi)
+    export_fmu(load_vehicle(folder), tmp_path / "odd.fmu", ["NOSECAP"], fmi=fmi)
     assert validate_fmu(tmp_path / "odd.fmu") == []
     described = fmpy.read_model_description(tmp_path / "odd.fmu")
     assert described.coSimulation.modelIdentifier == "_2stage_heating"
@@ -560,7 +560,7 @@ def test_a_scenario_of_another_source_is_told_with_its_file(capsys, tmp_path):
 def test_no_compiler_is_needed_once_the_library_is_there_and_told_of_where_it_is(fmus, vehicle, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", "")
     monkeypatch.setitem(sys.modules, "ziglang", None)
-    export_heating(vehicle, tmp_path / "other.fmu", ["V07T9975"])
+    export_fmu(vehicle, tmp_path / "other.fmu", ["V07T9975"])
     with pytest.raises(InputError, match=r"pip install 'sim-heating\[fmu\]'"):
         compiler(TARGETS["linux"])
 
@@ -608,7 +608,7 @@ def test_windows_library_agrees_under_wine(vehicle, flown, tmp_path):
     pytest.importorskip("ziglang")
     given = frames(flown, 1.0, 200.0)
     fmu = tmp_path / "windows.fmu"
-    export_heating(vehicle, fmu, POINTS, platforms=["windows"])
+    export_fmu(vehicle, fmu, POINTS, platforms=["windows"])
     command = [sys.executable, "-m", "ziglang", "cc", "-target", "x86_64-windows-gnu", "-O2", f"-I{SOURCES}"]
     subprocess.run([*command, "-o", tmp_path / "host.exe", SOURCES / "host" / "host.c"], check=True)
     runner = tmp_path / "host"

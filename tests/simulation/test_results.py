@@ -12,7 +12,7 @@ import pytest
 import xarray as xr
 
 from sim_heating.inputs.scenario import load_scenario
-from sim_heating.simulation.run import PointResult, RunResult, run_scenario, with_reference_heating, write_run
+from sim_heating.simulation.run import PointResult, RunResult, run, with_reference_heating, write_run
 from tests.support.gliding import gliding
 
 SCENARIO = (
@@ -30,7 +30,7 @@ amplitude_deg = 3.0
 def result(tmp_path_factory: pytest.TempPathFactory) -> RunResult:
     file = tmp_path_factory.mktemp("scenario") / "glide.toml"
     file.write_text(SCENARIO)
-    return run_scenario(load_scenario(file))
+    return run(load_scenario(file))
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +75,7 @@ def test_the_summary_agrees_with_the_histories(out: Path, result: RunResult) -> 
 def test_the_conditions_of_a_run_can_be_flown_again_as_a_recorded_trajectory(out: Path, tmp_path: Path) -> None:
     head = SCENARIO[: SCENARIO.index("[trajectory]")]
     (tmp_path / "again.toml").write_text(f'{head}[trajectory]\nsource = "recorded"\nfile = "{out}/conditions.csv"\n')
-    again = run_scenario(load_scenario(tmp_path / "again.toml"))
+    again = run(load_scenario(tmp_path / "again.toml"))
     table = pd.read_csv(out / "V09T9527" / "temperatures.csv")
     np.testing.assert_allclose(again.points["V09T9527"].history.surface_K, table["surface_K"], rtol=0.0, atol=1e-3)
 

@@ -14,7 +14,7 @@ from sim_heating.inputs.record import Record, load_record
 from sim_heating.inputs.scenario import Scenario, load_scenario
 from sim_heating.march.history import PointHistory
 from sim_heating.simulation.predict import predict
-from sim_heating.simulation.run import run_scenario
+from sim_heating.simulation.run import run
 from sim_heating.simulation.synthesize import synthesize, write_records
 from tests.support.gliding import gliding
 
@@ -54,7 +54,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Record]:
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, PointHistory]:
-    result = run_scenario(scenario(tmp_path_factory.mktemp("flown")))
+    result = run(scenario(tmp_path_factory.mktemp("flown")))
     return {name: p.history for name, p in result.points.items()}
 
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from sim_heating.base.errors import InputError
 from sim_heating.heating.atmosphere import us76
 from sim_heating.inputs.scenario import load_scenario
-from sim_heating.simulation.run import run_scenario
+from sim_heating.simulation.run import run
 from sim_heating.trajectory.flight import Flight
 from sim_heating.trajectory.fmu import flight as fmu
 from sim_heating.trajectory.fmu.columns import ColumnsOfFmu, aerodynamic_angles
@@ -297,7 +297,7 @@ beta_deg = 0.0
 def test_a_scenario_flies_an_fmu_with_the_plug_in_alongside(binary: Path, tmp_path: Path) -> None:
     glide_fmu(tmp_path / "glide.fmu", binary, "3")
     (tmp_path / "glide.toml").write_text(SCENARIO)
-    result = run_scenario(load_scenario(tmp_path / "glide.toml"))
+    result = run(load_scenario(tmp_path / "glide.toml"))
     assert result.plugin_apart_K is not None
     assert result.plugin_apart_K["V09T9527"] < 0.1
     assert result.points["V09T9527"].history.surface_K[-1] > 400.0

@@ -41,11 +41,13 @@ def new_figure(width: float, height: float, rows: int, columns: int = 1, **keys:
     return figure, np.atleast_1d(figure.subplots(rows, columns, **keys))
 
 
-def save_figure(figure: Figure, path: Path, title: str, axes: np.ndarray) -> None:
-    """Grid, title and file of every picture."""
+def save_figure(figure: Figure, path: Path | None, title: str, axes: np.ndarray) -> Figure:
+    """Grid, title and file of every picture; without a path the figure is laid out and returned, not saved."""
     dress(figure, title, axes)
     lay_out(figure)
-    figure.savefig(path, dpi=DPI)
+    if path is not None:
+        figure.savefig(path, dpi=DPI)
+    return figure
 
 
 def lay_out(figure: Figure) -> None:

@@ -6,7 +6,9 @@ figures 8 and 12: the table before, the flight's estimate where it flew, the tab
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +19,19 @@ from rich.table import Table
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.parameters import EFFECT_PREFIX, SHORT
+from sim_heating.base.progress import Progress, quiet
 from sim_heating.base.report.figure import new_figure, save_figure
 from sim_heating.closure.revise.evidence import ratio_names
-from sim_heating.closure.revise.update import SURPRISING, TableUpdate, changed_nodes
+from sim_heating.closure.revise.revisions import RevisionFile
+from sim_heating.closure.revise.update import (
+    SURPRISING,
+    TableUpdate,
+    changed_nodes,
+    check_target,
+    errors_before_and_after,
+    prepare_update,
+    write_update,
+)
 from sim_heating.estimation.report.ratio_plot import (
     AFTER,
     BEFORE,
@@ -32,6 +44,7 @@ from sim_heating.estimation.report.ratio_plot import (
     plot_flight,
 )
 from sim_heating.heating.ratio.uncertainty import Posterior, estimated_ratio, node_weights
+from sim_heating.inputs.record import Record, load_record
 
 ROWS = 16
 """Nodes that are shown; the revision's file holds all."""
@@ -39,6 +52,65 @@ ROUNDING = 1e-6
 """Part of its sigma below which a value is no more than rounding."""
 DRAWN = 1.0
 """A parameter of an effect that the table draws farther from the fit, in its sigma, is told."""
+
+
+@dataclass(frozen=True, repr=False)
+class UpdatedTables:
+    """A table update with its errors before and after, and where it was written.
+
+    update   : the estimate as evidence, the table before and after
+    errors_K : by record, RMSE and largest error [K] of plain predictions before and after
+    vehicle  : directory of the revised vehicle; None where nothing was written
+    revision : what was written; None where nothing was
+    """
+
+    update: TableUpdate
+    errors_K: dict[str, dict[str, Any]]
+    vehicle: Path | None = None
+    revision: RevisionFile | None = None
+
+    def __repr__(self) -> str:
+        nodes = int(np.count_nonzero(self.update.changed))
+        number = "not written" if self.revision is None else f"revision {self.revision.revision}"
+        return f"<UpdatedTables of {self.update.point.name}: {nodes} nodes changed, {number}>"
+
+
+def update_tables(
+    fit: str | os.PathLike[str],
+    vehicle: str | os.PathLike[str],
+    out: str | os.PathLike[str] | None = None,
+    *,
+    records: Sequence[str | os.PathLike[str]] = (),
+    point: str | None = None,
+    checks: Sequence[Record | str | os.PathLike[str]] = (),
+    dry_run: bool = False,
+    progress: Progress = quiet,
+) -> UpdatedTables:
+    """Write the derivatives and effects of an estimate into a vehicle's tables, as a new revision with its evidence.
+
+    fit     : an estimate.json, or the directory that holds it
+    vehicle : name or directory of the vehicle
+    out     : directory that takes a copy of the vehicle, which is revised; without it the vehicle itself is
+    records : directories of the estimate's records, where they are no longer where the estimate says
+    point   : the control point, where the estimate is of several
+    checks  : further records to predict before and after
+    dry_run : work everything out and write nothing
+    returns : the update, its errors before and after, what was written
+    raises  : InputError where estimate and vehicle do not belong together, or the place cannot be written
+
+    >>> import sim_heating as sh
+    >>> sh.update_tables(estimate_directory, "orbiter", folder / "vehicles")
+    0
+    """
+    target = None if out is None else Path(out)
+    if not dry_run:
+        check_target(vehicle, target)
+    update = prepare_update(fit, vehicle, records, point)
+    progress(0.1, "predicting with the table before and after")
+    errors = errors_before_and_after(update, [*update.records, *map(load_record, checks)])
+    if dry_run:
+        return UpdatedTables(update, errors)
+    return UpdatedTables(update, errors, *write_update(update, target, errors, draw_update))
 
 
 def update_report(update: TableUpdate, errors: dict[str, dict[str, Any]]) -> Iterator[Table | str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import os
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,7 +12,7 @@ from pathlib import Path
 from sim_heating.base.errors import InputError
 from sim_heating.base.files.text import suggestion, write_bytes_atomic
 from sim_heating.base.progress import Progress, quiet
-from sim_heating.inputs.vehicle import Vehicle
+from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.simulation.fmu_export.description import description
 from sim_heating.simulation.fmu_export.heating import heating_image, heating_units, making_objects
 from sim_heating.simulation.fmu_export.image import Image
@@ -21,9 +22,9 @@ STAMP = (1980, 1, 1, 0, 0, 0)
 """Time of the files in the archive: the same model gives the same bytes, but for the date in its description."""
 
 
-def export_heating(
-    vehicle: Vehicle,
-    out: Path,
+def export_fmu(
+    vehicle: Vehicle | str | os.PathLike[str],
+    out: str | os.PathLike[str],
     control_points: Sequence[str] | None = None,
     *,
     fmi: int = 3,
@@ -31,20 +32,28 @@ def export_heating(
     columns: bool = False,
     progress: Progress = quiet,
 ) -> Image:
-    """Write the heating plug-in of a vehicle as a co-simulation FMU; gives its image.
+    """Write the heating plug-in of a vehicle as a co-simulation FMU.
 
+    vehicle        : a vehicle, its name or its directory
+    out            : the FMU, a file that ends in .fmu
     control_points : names; all by default
     fmi            : version, 2 or 3
     platforms      : keys of library.TARGETS
     columns        : h_ref and H_r are inputs, instead of the vehicle's reference heating
     progress       : told the fraction done and what is being done
     raises         : InputError for an unknown name, a platform without a compiler, a place that cannot be written
+
+    >>> import sim_heating as sh
+    >>> image = sh.export_fmu("capsule", folder / "capsule.fmu")
+    >>> (folder / "capsule.fmu").stat().st_size > 0
+    True
     """
+    vehicle = load_vehicle(vehicle)
     for name in control_points or ():
         vehicle.control_point(name)
     with making_objects(targets_of(platforms, fmi)):
         model = heating_image(vehicle, control_points, columns=columns)
-    write_fmu(out, model.image, heating_units(model.effects), fmi, platforms, progress)
+    write_fmu(Path(out), model.image, heating_units(model.effects), fmi, platforms, progress)
     return model.image
 
 
