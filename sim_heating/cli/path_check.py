@@ -18,7 +18,7 @@ FORMATS = ("flight-record/1", "vehicle/1", "scenario/1", "study/1")
 
 
 @dataclass(frozen=True)
-class Validated:
+class CheckedPath:
     """What a path was found to be, without fault; `summary` is one line for a person."""
 
     kind: str
@@ -26,7 +26,7 @@ class Validated:
     summary: str
 
 
-def check_path(path: str | os.PathLike[str]) -> Validated:
+def check_path(path: str | os.PathLike[str]) -> CheckedPath:
     """Recognise a record, vehicle, scenario, study, ratio table or material by what is there, and check it whole.
 
     raises : InputError with everything that is wrong, or that the path is none of these
@@ -43,21 +43,21 @@ def check_path(path: str | os.PathLike[str]) -> Validated:
     return _csv(place)
 
 
-def _directory(place: Path) -> Validated:
+def _directory(place: Path) -> CheckedPath:
     held = sorted(p.name for p in place.iterdir())
     if DECLARATION in held and VEHICLE in held:
         raise InputError(
             f"{display_path(place)}: holds both {DECLARATION} and {VEHICLE}; a directory is one or the other"
         )
     if DECLARATION in held:
-        return Validated("record", place, describe_record(load_record(place)))
+        return CheckedPath("record", place, describe_record(load_record(place)))
     if VEHICLE in held:
         return _vehicle(place)
     found = f"; it holds {', '.join(held[:8])}" if held else "; it is empty"
     raise InputError(f"{display_path(place)}: is neither a record ({DECLARATION}) nor a vehicle ({VEHICLE}){found}")
 
 
-def _toml(place: Path) -> Validated:
+def _toml(place: Path) -> CheckedPath:
     if place.name in (DECLARATION, VEHICLE):
         return _directory(place.parent)
     data = read_toml_dict(place)
@@ -69,7 +69,7 @@ def _toml(place: Path) -> Validated:
         return _vehicle(place.parent.parent)
     if "density_kg_m3" in data:
         read_toml(place, Material)
-        return Validated("material", place, f"material {place.stem}")
+        return CheckedPath("material", place, f"material {place.stem}")
     raise InputError(f"{display_path(place)}: {_format_rule(data.get('format'))}")
 
 
@@ -79,14 +79,14 @@ def _format_rule(found: object) -> str:
     return f"`format`: {found!r} is not a file of this kind{suggestion(str(found), FORMATS)}"
 
 
-def _csv(place: Path) -> Validated:
+def _csv(place: Path) -> CheckedPath:
     text = read_text(place)
     names = next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")
     columns = {name.strip() for name in names.split(",")}
     if "time_s" in columns and (place.parent / DECLARATION).is_file():
         return _directory(place.parent)
     if columns & {*RATIO_VARIABLES, "ratio"} and "time_s" not in columns:
-        return Validated("ratio table", place, describe_table(read_ratio_table(place)))
+        return CheckedPath("ratio table", place, describe_table(read_ratio_table(place)))
     kinds = "a ratio table has columns " + ", ".join((*RATIO_VARIABLES, "ratio"))
     raise InputError(f"{display_path(place)}: is no record, vehicle, scenario or ratio table; {kinds}")
 
@@ -101,22 +101,22 @@ def _vehicle_names() -> list[str]:
     return vehicle_names()
 
 
-def _vehicle(place: Path) -> Validated:
+def _vehicle(place: Path) -> CheckedPath:
     from sim_heating.inputs.vehicle import load_vehicle
 
     vehicle = load_vehicle(place)
     points = len(vehicle.control_points)
-    return Validated("vehicle", place, f"vehicle {getattr(vehicle, 'name', place.name)}: {points} control points")
+    return CheckedPath("vehicle", place, f"vehicle {getattr(vehicle, 'name', place.name)}: {points} control points")
 
 
-def _scenario(place: Path) -> Validated:
+def _scenario(place: Path) -> CheckedPath:
     from sim_heating.inputs.scenario import load_scenario
 
     scenario = load_scenario(place)
-    return Validated("scenario", place, f"scenario {getattr(scenario, 'title', '') or place.stem}")
+    return CheckedPath("scenario", place, f"scenario {getattr(scenario, 'title', '') or place.stem}")
 
 
-def _study(place: Path) -> Validated:
+def _study(place: Path) -> CheckedPath:
     from sim_heating.planning.study import load_study
 
     study = load_study(place)
@@ -124,7 +124,7 @@ def _study(place: Path) -> Validated:
         from sim_heating.planning.dispersion.entry import DispersedEntry
 
         DispersedEntry(study).check()
-    return Validated("study", place, f"study of {study.stamp}: {study.title}")
+    return CheckedPath("study", place, f"study of {study.stamp}: {study.title}")
 
 
 def describe_record(record: Record) -> str:

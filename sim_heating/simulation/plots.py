@@ -23,7 +23,7 @@ SHUTTLE_MACH_M_S = 304.8
 """1000 ft/s, the 'Mach' of the Shuttle's literature."""
 HOT_STRUCTURE = 0.95
 """A point whose bondline comes this close to its surface's peak is not insulated; it is left out of bondlines."""
-MOVES_DEG = 0.5
+DRAWN_CHANGE_DEG = 0.5
 """An angle that moves less during a manoeuvre is not drawn beside the one that is flown."""
 
 
@@ -136,7 +136,7 @@ def draw_manoeuvre(
     for a in axes:
         _shade(a, [window])
     figure.align_ylabels(axes)
-    return save_figure(figure, path, f"{_speed(flown, window)}\n{title}", axes)
+    return save_figure(figure, path, f"{_manoeuvre_title(flown, window)}\n{title}", axes)
 
 
 def _plot_moving(axes: Axes, flown: Conditions, shown: np.ndarray, variable: str) -> None:
@@ -146,7 +146,7 @@ def _plot_moving(axes: Axes, flown: Conditions, shown: np.ndarray, variable: str
     lines = axes.plot(t, flown[variable][shown], color=color, linewidth=2.2, label=label)
     axes.set_ylabel(f"{label}{', deg' if variable in ANGLES else ''}", color=color)
     axes.tick_params(axis="y", colors=color)
-    moving = [n for n in ANGLES if n != variable and np.ptp(flown[n][shown]) > MOVES_DEG]
+    moving = [n for n in ANGLES if n != variable and np.ptp(flown[n][shown]) > DRAWN_CHANGE_DEG]
     if moving:
         other = axes.twinx()
         for name in moving:
@@ -156,7 +156,7 @@ def _plot_moving(axes: Axes, flown: Conditions, shown: np.ndarray, variable: str
     axes.legend(handles=lines, loc="best", fontsize=8)
 
 
-def _speed(flown: Conditions, window: Window) -> str:
+def _manoeuvre_title(flown: Conditions, window: Window) -> str:
     """What was flown at which speed, in both ways of counting Mach."""
     begin = flown.at([window.start_s])
     V, mach = float(begin["velocity_m_s"][0]), float(begin["mach"][0])

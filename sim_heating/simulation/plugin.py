@@ -1,10 +1,9 @@
-"""The heating plug-in: a vehicle's control points stepped frame by frame beside a flight simulator.
+"""The heating plug-in: a vehicle's control points stepped frame by frame alongside a flight simulator.
 
-A host gives what it knows well, the columns of conditions.FRAME; temperature, Mach and Reynolds number, reference
-heating and surface pressures are derived here. A frame's values are those at its end, and the temperatures that the
-host reads after it are those at its end. The thermal model itself steps as often as that needs
-(simulation/plugin_kernel.py): with every frame where temperatures or conditions turn, every `longest_wait_s` where they
-do not.
+A host gives the columns of conditions.FRAME; temperature, Mach and Reynolds number, reference heating and surface
+pressures are derived from them. Values of a frame, and the temperatures that the host reads after it, are those at its
+end. The thermal model takes its own steps (simulation/plugin_kernel.py): one a frame where temperatures or conditions
+change quickly, one every `longest_wait_s` where they do not.
 
     plugin = HeatingPlugin(load_vehicle("orbiter"))
     plugin.reset(frame)                    # temperatures of the stacks, conditions of the first frame
@@ -31,34 +30,15 @@ from sim_heating.inputs.points import point_of_vehicle
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.mesh_choice import pack
-from sim_heating.simulation.plugin_kernel import (
-    BEND,
-    CLOCK,
-    F_TIME,
-    GOOD,
-    HEAT,
-    HEATED,
-    HOST_SIZE,
-    LAST_SPIKE,
-    LONGEST_FRAME_S,
-    NO_START,
-    SEEN,
-    SHOWN,
-    SPIKES,
-    STARTED,
-    STUCK,
-    heat_points,
-    implausible,
-    watch_frame,
-)
+from sim_heating.simulation import plugin_kernel as k
 
 
 @dataclass(frozen=True)
 class Flags:
-    """What was odd about the frames since the reset.
+    """Implausible frames since the reset.
 
     density_spikes : frames with a sudden change of density that altitude does not explain
-    last_spike_s   : time of the last one [s], None where there was none
+    last_spike_s   : time of the last one [s]; None without one
     """
 
     density_spikes: int
@@ -67,30 +47,30 @@ class Flags:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """All state of a plug-in at a time, to go back to."""
+    """All state of a plug-in at a time, for `HeatingPlugin.restore`."""
 
     time_s: float
     host: FloatArray
-    shown: FloatArray
+    published: FloatArray
     state: FloatArray
 
 
 LONGEST_WAIT_S = 0.25
-"""Longest time between thermal steps [s] unless another is asked for: a ratio table may have a corner ahead."""
+"""Default of the longest time between thermal steps [s]; short, as a ratio table may have a corner ahead."""
 
 
 class HeatingPlugin:
-    """Temperatures of a vehicle's control points beside a host.
+    """Temperatures of a vehicle's control points alongside a host.
 
     control_points : names; all of the vehicle's by default
     longest_step_s : longest thermal step [s]; a longer frame is divided
-    longest_wait_s : longest time between thermal steps [s]. Frames between carry the temperatures on along the last
-                     step (simulation/plugin_kernel.py), within about 0.01 K of a step with every frame; 0 steps with
-                     every frame
+    longest_wait_s : longest time between thermal steps [s]. Temperatures of the frames between are extrapolated
+                     from the last step (simulation/plugin_kernel.py), within about 0.01 K of a step a frame; 0 makes a
+                     step a frame
     nodes          : nodes of each point at least; chosen for accuracy (march/mesh_choice.py) where not given. Fewer
                      cost accuracy and save time
     parameters     : dotted model parameters, the same for all points
-    effects        : effects by control point, beside those that the vehicle declares
+    effects        : effects by control point, in addition to those that the vehicle declares
 
     Attributes: `names` of the control points; `outputs`, (control point, `surface`, `bondline` or sensor) of each of
     `temperatures()`; `ensemble`, whose state is that at `heated_s`; `pressures`, (point, PRESSURE_WIDTH + 1) as
@@ -120,99 +100,102 @@ class HeatingPlugin:
         self._host = host_array(vehicle, longest_step_s, longest_wait_s)
         outputs = _outputs(self.points, e)
         self.outputs = tuple((point, what) for point, what, _ in outputs)
-        self._shown = np.zeros((4, len(outputs)))
-        self.watch = partial(watch_frame, self._host, self._shown)
+        self._published = np.zeros((4, len(outputs)))
+        self.watch = partial(k.watch_frame, self._host, self._published)
         self._arguments = (
             e.state, e.ints, e.table, e.chain, e.move_handle, e.groups,
             self.pressures, e.lanes, np.zeros((len(e.lanes), N_CONDITIONS)),
-            np.array([place for _, _, place in outputs]), self._host, self._shown,
+            np.array([place for _, _, place in outputs]), self._host, self._published,
         )  # fmt: skip
 
-    # Moving ----------------------------------------------------------------------------------------------------------
+    # Stepping --------------------------------------------------------------------------------------------------------
 
     def reset(self, frame: FloatArray | Mapping[str, float]) -> None:
-        """Start anew: initial temperatures of the stacks at the time and conditions of this frame."""
+        """Start: initial temperatures of the stacks at the time and conditions of this frame."""
         values = _values(frame)
-        bad = implausible(values)
-        if bad != GOOD:
-            raise InputError(_value_problem(values, bad))
+        invalid = k.implausible(values)
+        if invalid != k.GOOD:
+            raise InputError(_value_problem(values, invalid))
         self.ensemble.reset()
-        self._host[STARTED:] = 0.0
-        heat_points(*self._arguments, values, NO_START)
+        self._host[k.STARTED :] = 0.0
+        k.heat_points(*self._arguments, values, k.NOT_STARTED)
 
     def step(self, frame: FloatArray | Mapping[str, float]) -> None:
         """Advance to the time of a frame, conditions linear between thermal steps; the same time again is a pause.
 
         frame  : values in the order of conditions.FRAME (the fast way), or by name
-        raises : InputError for a value that is no number or out of range, and for a clock that goes back or jumps;
-                 the state stays as it was; RunError where a step did not converge: reset or restore
+        raises : InputError for a value that is NaN or out of range, and for a clock that goes back or jumps; the state
+                 is unchanged. RunError where a step did not converge: reset or restore
         """
         values = _values(frame)
         outcome = self.watch(values)
-        if outcome != GOOD:
-            self.attend(values, outcome)
+        if outcome != k.GOOD:
+            self.handle(values, outcome)
 
-    def attend(self, frame: FloatArray, outcome: int) -> None:
-        """What a frame asks for whose `watch` was not GOOD: thermal steps, or an error. The two together are `step`
-        without its checks of the array's form, for a caller that knows its frames."""
-        if outcome in (HEAT, BEND):
-            outcome = heat_points(*self._arguments, frame, outcome)
-        if outcome == STUCK:
+    def handle(self, frame: FloatArray, outcome: int) -> None:
+        """Take the thermal steps, or raise the error, that the outcome of `watch` for a frame asks for.
+
+        A caller whose frames are always (len(FRAME),) float64 may call `watch(frame)`, and this where the outcome is
+        not GOOD, in place of `step`.
+        """
+        if outcome in (k.HEAT, k.BEND):
+            outcome = k.heat_points(*self._arguments, frame, outcome)
+        if outcome == k.NOT_CONVERGED:
             self.check()
-        if outcome != GOOD:
+        if outcome != k.GOOD:
             raise InputError(self._problem(frame, outcome))
 
     @property
     def time_s(self) -> float:
-        """Time of the last frame [s]; not a number before the first."""
-        return float(self._host[SEEN + F_TIME]) if self._host[STARTED] else float("nan")
+        """Time of the last frame [s]; NaN before the first."""
+        return float(self._host[k.LAST_FRAME + k.F_TIME]) if self._host[k.STARTED] else float("nan")
 
     @property
     def heated_s(self) -> float:
         """Time of the last thermal step [s]: that of the last frame, or up to longest_wait_s before it."""
-        return float(self._host[HEATED + F_TIME]) if self._host[STARTED] else float("nan")
+        return float(self._host[k.THERMAL_FRAME + k.F_TIME]) if self._host[k.STARTED] else float("nan")
 
     @property
     def flags(self) -> Flags:
-        """What was odd about the frames since the reset."""
-        spikes = int(self._host[SPIKES])
-        return Flags(spikes, float(self._host[LAST_SPIKE]) if spikes else None)
+        """Implausible frames since the reset."""
+        spikes = int(self._host[k.SPIKES])
+        return Flags(spikes, float(self._host[k.LAST_SPIKE]) if spikes else None)
 
     def _problem(self, values: FloatArray, outcome: int) -> str:
-        if outcome == NO_START:
+        if outcome == k.NOT_STARTED:
             return "plug-in: step before reset; call reset with the first frame"
-        if outcome != CLOCK:
+        if outcome != k.CLOCK:
             return _value_problem(values, outcome)
-        now, then = self.time_s, values[F_TIME]
+        now, then = self.time_s, values[k.F_TIME]
         if then < now:
             return f"plug-in: the clock went back from {now:g} to {then:g} s; restore a snapshot or reset"
-        return f"plug-in: the clock jumped from {now:g} to {then:g} s; a frame is {LONGEST_FRAME_S:g} s at most"
+        return f"plug-in: the clock jumped from {now:g} to {then:g} s; a frame is {k.LONGEST_FRAME_S:g} s at most"
 
-    # Going back ------------------------------------------------------------------------------------------------------
+    # Snapshots -------------------------------------------------------------------------------------------------------
 
     def snapshot(self) -> Snapshot:
         """All state now; `restore` goes back to it exactly."""
-        return Snapshot(self.time_s, self._host.copy(), self._shown.copy(), self.ensemble.snapshot())
+        return Snapshot(self.time_s, self._host.copy(), self._published.copy(), self.ensemble.snapshot())
 
     def restore(self, snapshot: Snapshot) -> None:
         """Go back, or forward, to a snapshot of this plug-in."""
         self.ensemble.restore(snapshot.state)
         self._host[:] = snapshot.host
-        self._shown[:] = snapshot.shown
+        self._published[:] = snapshot.published
 
     # Reading ---------------------------------------------------------------------------------------------------------
 
     def temperatures(self) -> FloatArray:
-        """Temperatures [K] in the order of `outputs`, as a view that every step renews: the fast way to read."""
-        return self._shown[SHOWN]
+        """Temperatures [K] in the order of `outputs`, as a view that every step overwrites: the fast way to read."""
+        return self._published[k.CURRENT]
 
     def surface_temperatures(self) -> FloatArray:
         """(point,) surface temperatures [K] in the order of `names`."""
-        return self._shown[SHOWN, : len(self.names)].copy()
+        return self._published[k.CURRENT, : len(self.names)].copy()
 
     def bondline_temperatures(self) -> FloatArray:
         """(point,) temperatures at the outer face of the last layer [K]."""
-        return self._shown[SHOWN, len(self.names) : 2 * len(self.names)].copy()
+        return self._published[k.CURRENT, len(self.names) : 2 * len(self.names)].copy()
 
     @property
     def surface_K(self) -> dict[str, float]:
@@ -229,18 +212,18 @@ class HeatingPlugin:
         """Temperature at each sensor [K] by the name of the sensor, without lag, noise or quantisation."""
         first = 2 * len(self.names)
         names = [sensor for _, sensor in self.outputs[first:]]
-        return dict(zip(names, self._shown[SHOWN, first:].tolist(), strict=True))
+        return dict(zip(names, self._published[k.CURRENT, first:].tolist(), strict=True))
 
     @property
     def steps_outside(self) -> dict[str, int]:
-        """Thermal steps at whose end a point's conditions lay outside its ratio table, since the reset; points with
-        none left out."""
+        """Number of thermal steps since the reset that ended outside a point's ratio table; points without one are
+        omitted."""
         return _counted(self.names, self.ensemble.scalars(OUTSIDE))
 
     @property
     def steps_negative(self) -> dict[str, int]:
-        """Thermal steps at whose end a point's heating ratio was negative, since the reset; points with none left
-        out."""
+        """Number of thermal steps since the reset that ended with a negative heating ratio; points without one are
+        omitted."""
         return _counted(self.names, self.ensemble.scalars(NEGATIVE))
 
     def check(self) -> None:
@@ -264,8 +247,8 @@ def host_array(vehicle: Vehicle, longest_step_s: float = 0.0, longest_wait_s: fl
 
     longest_step_s, longest_wait_s : of the thermal model [s]; deriving conditions does not use them
     """
-    host = np.zeros(HOST_SIZE)
-    host[:STARTED] = (
+    host = np.zeros(k.HOST_SIZE)
+    host[: k.STARTED] = (
         reference_model(vehicle.heating.reference).code, vehicle.reference_length_m,
         vehicle.heating.nose_radius_m or 1.0, longest_step_s, longest_wait_s,
     )  # fmt: skip
@@ -290,8 +273,8 @@ def _outputs(points: Sequence[ControlPoint], ensemble: Ensemble) -> list[tuple[s
     return surfaces + bondlines + sensors
 
 
-def _value_problem(values: FloatArray, bad: int) -> str:
-    return f"plug-in, time_s {values[F_TIME]:g}: {FRAME[bad]} {limit_message(FRAME[bad], float(values[bad]))}"
+def _value_problem(values: FloatArray, place: int) -> str:
+    return f"plug-in, time_s {values[k.F_TIME]:g}: {FRAME[place]} {limit_message(FRAME[place], float(values[place]))}"
 
 
 _SHAPE, _DTYPE = (len(FRAME),), np.dtype(np.float64)
@@ -306,6 +289,6 @@ def _values(frame: FloatArray | Mapping[str, float]) -> FloatArray:
     unknown = [name for name in frame if name not in FRAME]
     missing = [name for name in FRAME if name not in frame and name != "jets"]
     if unknown or missing:
-        what = f"unknown `{unknown[0]}`" if unknown else f"there is no `{missing[0]}`"
+        what = f"unknown `{unknown[0]}`" if unknown else f"`{missing[0]}` is missing"
         raise InputError(f"plug-in: {what}; a frame has {', '.join(FRAME)}")
     return np.array([float(frame.get(name, 0.0)) for name in FRAME])

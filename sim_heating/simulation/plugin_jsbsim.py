@@ -33,11 +33,11 @@ class JSBSimHeating:
         self._started = False
 
     def __call__(self, frame: FloatArray) -> None:
-        """Advance to a frame as the host reads it and publish; see HeatingPlugin.step."""
+        """Advance to a frame that the host has read, and publish; as HeatingPlugin.step."""
         if self._started:
             outcome = self._watch(frame)
             if outcome != GOOD:
-                self.plugin.attend(frame, outcome)
+                self.plugin.handle(frame, outcome)
         else:
             self.plugin.reset(frame)
             self._started = True

@@ -42,7 +42,7 @@ def fly_fmu(
 
 SOURCES = {"jsbsim": jsbsim.fly, "entry-3dof": entry3dof.fly, "recorded": recorded.fly, "fmu": fly_fmu}
 
-MANOEUVRED = {
+MANOEUVRE_VARIABLE = {
     "popu": "alpha_deg",
     "elevon-pulse": "elevon_deg",
     "elevon-sweep": "elevon_deg",
@@ -56,7 +56,7 @@ SUMMARY, CONDITIONS, HISTORIES, TABLE = "summary.json", "conditions.csv", "fligh
 TRAJECTORY, TEMPERATURES, COMPARED = "trajectory.png", "temperatures.png", "compared.png"
 PLOTTED_POINTS = 3
 """Control points drawn for one manoeuvre: those whose surface answers it most."""
-PLOTTED_MOVE_K = 2.0
+PLOTTED_RESPONSE_K = 2.0
 """A surface that moves less about its trend is drawn only where none moves more."""
 
 
@@ -156,7 +156,7 @@ def run(scenario: Scenario | str | os.PathLike[str], *, progress: Progress = qui
     """
     scenario = load_scenario(scenario)
     heating = scenario.declared.heating
-    beside = _Beside(scenario) if heating.alongside else None
+    beside = _PluginAlongside(scenario) if heating.alongside else None
     flight = fly_scenario(scenario, progress=lambda f, text: progress(0.7 * f, f"flying: {text}"), on_frame=beside)
     progress(0.7, "marching the control points")
     models, flights = models_of(scenario, flight.conditions)
@@ -166,7 +166,7 @@ def run(scenario: Scenario | str | os.PathLike[str], *, progress: Progress = qui
     return RunResult(scenario, flight, points, None if beside is None else beside.apart(histories))
 
 
-class _Beside:
+class _PluginAlongside:
     """The plug-in as a host's frame callback, keeping surface temperatures at whole samples."""
 
     def __init__(self, scenario: Scenario) -> None:
@@ -294,10 +294,10 @@ def draw_run(result: RunResult, folder: Path) -> None:
     plots.draw_trajectory(folder / TRAJECTORY, title, flown, windows)
     plots.draw_temperatures(folder / TEMPERATURES, title, histories, windows)
     for i, window in enumerate(windows, start=1):
-        chosen = _most_moved(histories, window)
+        chosen = _largest_responses(histories, window)
         path = folder / _picture_of(i, window.kind)
         drawn = [_outermost_sensor(result.points[h.name]) for h in chosen]
-        plots.draw_manoeuvre(path, title, flown, drawn, window, MANOEUVRED[window.kind])
+        plots.draw_manoeuvre(path, title, flown, drawn, window, MANOEUVRE_VARIABLE[window.kind])
     compared = compare(result)
     if compared:
         panels = [
@@ -316,7 +316,7 @@ def _outermost_sensor(point: PointResult) -> PointHistory:
     return replace(point.history, sensors_K=point.history.sensors_K[[outermost]])
 
 
-def _most_moved(histories: list[PointHistory], window: Window) -> list[PointHistory]:
+def _largest_responses(histories: list[PointHistory], window: Window) -> list[PointHistory]:
     """The points whose surface temperature moves most about its trend during a manoeuvre."""
 
     def moved(history: PointHistory) -> float:
@@ -325,4 +325,4 @@ def _most_moved(histories: list[PointHistory], window: Window) -> list[PointHist
         return float(np.ptp(surface - np.interp(t, t[[0, -1]], surface[[0, -1]]))) if len(t) > 2 else 0.0
 
     ordered = sorted(histories, key=moved, reverse=True)
-    return [h for h in ordered[:PLOTTED_POINTS] if moved(h) > PLOTTED_MOVE_K] or ordered[:1]
+    return [h for h in ordered[:PLOTTED_POINTS] if moved(h) > PLOTTED_RESPONSE_K] or ordered[:1]

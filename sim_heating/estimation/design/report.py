@@ -23,7 +23,7 @@ from sim_heating.estimation.design.instruments import InstrumentVariant, instrum
 from sim_heating.estimation.design.planned_flight import SEARCH_TRAJECTORY, PlannedFlight, Planner
 from sim_heating.estimation.design.search import BoundsSweep, DesignSearch, DesignSearchResult
 from sim_heating.inputs.scenario import Scenario
-from sim_heating.simulation.run import MANOEUVRED
+from sim_heating.simulation.run import MANOEUVRE_VARIABLE
 from sim_heating.trajectory.flight import Window
 
 FILES = NAME, BOUNDS, DESIGN, SWEEPS, INSTRUMENTS = (
@@ -243,7 +243,7 @@ def draw_design(path: Path, designed: DesignResult) -> None:
         (found.best, found.best_told, OPTIMAL, "optimal"),
     ):
         for k, window in enumerate(flown.flight.windows):
-            variable = MANOEUVRED[window.kind]
+            variable = MANOEUVRE_VARIABLE[window.kind]
             speed = float(flown.flight.conditions.at([window.start_s])["velocity_m_s"][0])
             t, y = _around_window(
                 flown, window, variable, designed.planner.design.before_s, designed.planner.design.after_s

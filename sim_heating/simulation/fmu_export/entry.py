@@ -70,7 +70,7 @@ INITIAL = (
     ("latitude_deg", -90.0, 90.0), ("longitude_deg", -360.0, 360.0),
 )  # fmt: skip
 """Initial state, relative to the air, in the order of the kernel, with its limits."""
-FLIGHT = (("vehicle.mass_kg", pm.MASS, 1.0, 1e7, "kg"), ("vehicle.area_m2", pm.AREA, 1e-3, 1e5, "m2"))
+VEHICLE = (("vehicle.mass_kg", pm.MASS, 1.0, 1e7, "kg"), ("vehicle.area_m2", pm.AREA, 1e-3, 1e5, "m2"))
 GUIDANCE = (
     ("initial.bank_deg", gd.FIRST_BANK, -180.0, 180.0, "deg"),
     ("guidance.start_drag_m_s2", gd.START_DRAG, 1e-6, 100.0, "m/s2"),
@@ -85,7 +85,7 @@ GUIDANCE = (
     ("guidance.scale_height_m", gd.SCALE_HEIGHT, 1e3, 1e5, "m"),
 )
 """Scalars of the blocks that may be changed: name, place, limits, unit; schedules stay as exported."""
-SEEN = (
+GUIDANCE_OUTPUTS = (
     ("mach", gd.MACH, "1"), ("altitude_rate_m_s", gd.CLIMB, "m/s"), ("drag_m_s2", gd.DRAG, "m/s2"),
     ("lift_m_s2", gd.LIFT, "m/s2"), ("net_gravity_m_s2", gd.NET_GRAVITY, "m/s2"),
 )  # fmt: skip
@@ -114,7 +114,7 @@ def export_entry(
     return image
 
 
-ENTRY_UNITS = (Unit("entry_move", FUNCTION, lambda: c_function(FUNCTION, k.move)),)
+ENTRY_UNITS = (Unit("entry_move", FUNCTION, lambda: c_function(FUNCTION, k.advance)),)
 """The compiled function of the library."""
 
 
@@ -192,7 +192,7 @@ class _Packer:
         image, entry = self.image, self.entry
         flight = image.numbers(self._unending(entry.flight), aligned=True)
         block = image.numbers(entry.block, aligned=True)
-        for first, named in ((flight, FLIGHT), (block, GUIDANCE)):
+        for first, named in ((flight, VEHICLE), (block, GUIDANCE)):
             for name, place, lower, upper, unit in named:
                 text = name.split(".")[1].rsplit("_", 1)[0].replace("_", " ") + ", see docs/equations.md"
                 self._add(name, Kind.NUMBER, Role.FIXED, first + place, text, unit, lower, upper)
@@ -249,7 +249,7 @@ class _Packer:
             text = f"{name.rsplit('_', 1)[0].replace('_', ' ')}, as in a frame" if i < len(FRAME) else "of the flight"
             lower, upper, _ = LIMITS.get(name, (-np.inf, np.inf, ""))
             self._add(name, Kind.NUMBER, Role.OUTPUT, row + i, text, unit_of(name), lower, upper, NOMINAL.get(name))
-        for name, place, unit in SEEN:
+        for name, place, unit in GUIDANCE_OUTPUTS:
             self._add(name, Kind.NUMBER, Role.OUTPUT, work + place, "as guidance sees it", unit)
         for m in range(n):
             text = "when it began; -1 before"

@@ -123,7 +123,7 @@ def _step(R, N, A) -> int:  # type: ignore[no-untyped-def]
     return outcome
 
 
-def move(R, N, A) -> int:  # type: ignore[no-untyped-def]
+def advance(R, N, A) -> int:  # type: ignore[no-untyped-def]
     """The model (native.py)."""
     if N[BEGINS] == 1:
         return _start(R, N, A)

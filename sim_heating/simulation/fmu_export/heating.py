@@ -134,7 +134,7 @@ def _library_effects(models: Sequence[PointModel]) -> tuple[Effect, ...]:
     return tuple(dict.fromkeys([*(e for e in effects().values() if e.kernel and e.built_in), *own]))
 
 
-MODEL = Unit("heating_move", FUNCTION, lambda: c_function(FUNCTION, k.move))
+MODEL = Unit("heating_move", FUNCTION, lambda: c_function(FUNCTION, k.advance))
 THERMAL_STEP = Unit("heating_thermal_step", STEP_SIGNATURE, compiled)
 
 
@@ -228,7 +228,7 @@ class _Packer:
     def pack(self) -> None:
         image, e = self.image, self.ensemble
         image.numbers(np.zeros(R_HEAD))
-        image.integers(np.zeros(k.I_MODEL))
+        image.integers(np.zeros(k.N_MODEL))
         image.variables.append(Variable("time", Kind.NUMBER, Role.INDEPENDENT, 0, "time", "s"))
         head = self._pack_inputs()
         head |= self._pack_options()
@@ -382,7 +382,7 @@ class _Packer:
             rows.append([place.temperature(node), numbers, self.image.numbers(coefficients), len(coefficients)])
             about = f"thermocouple at {1e3 * sensor.depth_m:.4g} mm"
             shown = f"{about}, without noise and quantisation"
-            self._add(f"{name}.indicated_K", Role.OUTPUT, numbers + k.S_SHOWN, shown, "K", nominal=1000.0)
+            self._add(f"{name}.indicated_K", Role.OUTPUT, numbers + k.S_INDICATED, shown, "K", nominal=1000.0)
             self._name_parameter(f"{name}.gain", SENSOR["gain"], numbers + k.S_GAIN)
             self._name_parameter(f"{name}.bias", SENSOR["bias"], numbers + k.S_BIAS)
         return rows

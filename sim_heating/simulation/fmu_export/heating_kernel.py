@@ -65,7 +65,7 @@ from sim_heating.thermal.faces import SIGMA, emittance
     GROUPS, LANE_POINTS, INTS, POINT_INTS, SENSOR_INTS,
     STATE, TABLE, VECTORS, PRESSURES, HOST, FRAMES, HEATED, RANGES, OPTIONS, POINT_NUMBERS, CALIBRATIONS,
 ) = range(8, 31)  # fmt: skip
-I_MODEL = 32
+N_MODEL = 32
 LONGEST_STEP = 0
 """Of the options: longest thermal step [s]."""
 F_Q_ADD, F_H_REF, F_H_R = len(FRAME), len(FRAME) + 1, len(FRAME) + 2
@@ -90,7 +90,7 @@ SURFACE, BONDLINE, RATIO, CONVECTED, RADIATED, ABSORBED, SURFACE_MARGIN, BONDLIN
 POINT_WIDTH = P_OUT + 8
 # A sensor's integers: its place in the state, its numbers (gain, bias, what it shows) and its calibration.
 S_PLACE, S_NUMBERS, S_CALIBRATION, S_COEFFICIENTS = range(4)
-S_GAIN, S_BIAS, S_SHOWN = range(3)
+S_GAIN, S_BIAS, S_INDICATED = range(3)
 
 
 @njit
@@ -179,7 +179,7 @@ def _clear_counts(R, N) -> None:  # type: ignore[no-untyped-def]
 
 
 @njit
-def _give_out(R, N, A) -> int:  # type: ignore[no-untyped-def]
+def _write_outputs(R, N, A) -> int:  # type: ignore[no-untyped-def]
     """Write what hosts read; number of the first point whose step did not converge, GOOD where there is none."""
     outcome = GOOD
     for i in range(N[N_POINTS] - 1, -1, -1):
@@ -208,7 +208,7 @@ def _give_out(R, N, A) -> int:  # type: ignore[no-untyped-def]
         own = at(N, N[SENSOR_INTS] + 4 * s)
         numbers = at(R, own[S_NUMBERS])
         coefficients = carray(at(R, own[S_CALIBRATION]), own[S_COEFFICIENTS])
-        numbers[S_SHOWN] = indicated(R[N[STATE] + own[S_PLACE]], numbers[S_GAIN], numbers[S_BIAS], coefficients)
+        numbers[S_INDICATED] = indicated(R[N[STATE] + own[S_PLACE]], numbers[S_GAIN], numbers[S_BIAS], coefficients)
     return outcome
 
 
@@ -231,7 +231,7 @@ def _start(R, N, A) -> int:  # type: ignore[no-untyped-def]
     _begin(R, N, A, given, R[NOW])
     for k in range(n):
         R[N[HEATED] + k] = given[k]
-    outcome = _give_out(R, N, A)
+    outcome = _write_outputs(R, N, A)
     return GOOD if outcome == GOOD else 2 * n + 1 + outcome
 
 
@@ -258,11 +258,11 @@ def _step(R, N, A) -> int:  # type: ignore[no-untyped-def]
     _advance(R, N, A, then, R[NEXT], dt)
     for k in range(n):
         R[N[HEATED] + k] = then[k]
-    outcome = _give_out(R, N, A)
+    outcome = _write_outputs(R, N, A)
     return GOOD if outcome == GOOD else 2 * n + 1 + outcome
 
 
-def move(R, N, A) -> int:  # type: ignore[no-untyped-def]
+def advance(R, N, A) -> int:  # type: ignore[no-untyped-def]
     """The model (native.py)."""
     if N[BEGINS] == 1:
         return _start(R, N, A)
