@@ -2,52 +2,17 @@
 
 from __future__ import annotations
 
-import ast
-from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from itertools import pairwise
 
 import pytest
 
-from tests.support.paths import ROOT
+from tests.support.structure import FOLDERS, PACKAGE, PAGE, folder, imports, modules, page
 
-PACKAGE = ROOT / "sim_heating"
-FOLDERS = (
-    "base", "heating", "thermal", "trajectory", "march", "inputs", "simulation", "estimation", "closure", "planning",
-    "cli",
-)  # fmt: skip
-"""Folders in the order of the data: each imports only from those before it."""
 ENTRIES = 12
 """Most entries of a folder, `__init__.py` and data aside."""
 LONG = {"heating/effects": 24, "trajectory": 14}
 """Folders that may have more: the catalogue of effects, and the sources of trajectories."""
-
-
-@cache
-def modules():
-    """File of each module by its dotted name."""
-    names = {p: ("sim_heating", *p.relative_to(PACKAGE).with_suffix("").parts) for p in PACKAGE.rglob("*.py")}
-    return {".".join(n[:-1] if n[-1] == "__init__" else n): p for p, n in names.items()}
-
-
-@cache
-def imports(name):
-    """Modules of the package that a module imports, in functions and for annotations too."""
-    found = set()
-    for node in ast.walk(ast.parse(modules()[name].read_text())):
-        if isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{name}, line {node.lineno}: a relative import"
-            found |= {f"{node.module}.{a.name}" for a in node.names} | {node.module}
-        elif isinstance(node, ast.Import):
-            found |= {a.name for a in node.names}
-    found &= set(modules())
-    return {n for n in found if not any(other.startswith(n + ".") for other in found)}
-
-
-def folder(name):
-    """Number of a module's folder in the order of the data; None for the package's public face."""
-    parts = name.split(".")
-    return FOLDERS.index(parts[1]) if len(parts) > 1 and parts[1] in FOLDERS else None
 
 
 def test_every_folder_of_the_package_is_in_the_order_of_the_data():
@@ -59,9 +24,9 @@ def test_a_folder_imports_only_from_those_before_it(here):
     wrong = [
         f"{name} imports {other}"
         for name in modules()
-        if folder(name) == FOLDERS.index(here)
+        if folder(name) == here
         for other in imports(name)
-        if folder(other) is None or folder(other) > folder(name)
+        if folder(other) not in FOLDERS[: FOLDERS.index(here) + 1]
     ]
     assert not wrong, "\n".join(wrong)
 
@@ -92,3 +57,10 @@ def test_no_folder_has_more_entries_than_a_reader_takes_in():
         entries = [p for p in place.iterdir() if p.suffix == ".py" or (p / "__init__.py").exists()]
         name = place.relative_to(PACKAGE).as_posix()
         assert len(entries) - 1 <= LONG.get(name, ENTRIES), name
+
+
+def test_the_picture_of_the_architecture_is_that_of_the_imports():
+    """Written again by `python -m tests.support.structure`."""
+    text = PAGE.read_text()
+    lines = [line for line in page(text).splitlines() if "-->" in line]
+    assert [line for line in text.splitlines() if "-->" in line] == lines
