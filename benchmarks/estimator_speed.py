@@ -254,7 +254,7 @@ def side_by_side() -> list[Figure]:
     kernels = [e.name for e in effects().values() if e.kernel][: LANES - 1]
     problems = [FitProblem([record], [*names, "stack.coating.thickness_factor"], about)]
     for name in kernels:
-        more = [f"effect.{name}.{p}" for p in effects()[name].tried(flown)[0].names]
+        more = [f"effect.{name}.{p}" for p in effects()[name].starts_for(flown)[0].names]
         problems.append(FitProblem([record], [*names, *more], about, effects=[use(name)]))
     at, together = [np.array([p.value for p in problem.parameters]) for problem in problems], JointMarch(problems)
     moved = iter(range(10**9))

@@ -26,7 +26,10 @@ if TYPE_CHECKING:
     from sim_heating.estimation.design.report import design as design
     from sim_heating.estimation.fit import estimate as estimate
     from sim_heating.heating.effects import Effect as Effect
+    from sim_heating.heating.effects import SearchStart as SearchStart
     from sim_heating.heating.effects import effects as effects
+    from sim_heating.heating.effects import flight as flight
+    from sim_heating.heating.effects import model_parameter as model_parameter
     from sim_heating.inputs.record import load_record as load_record
     from sim_heating.inputs.scenario import load_scenario as load_scenario
     from sim_heating.inputs.vehicle import load_vehicle as load_vehicle
@@ -59,7 +62,10 @@ _HOME = {
     "plan": "planning.plan",
     # effects, those of users among them
     "Effect": "heating.effects",
+    "SearchStart": "heating.effects",
     "effects": "heating.effects",
+    "flight": "heating.effects",
+    "model_parameter": "heating.effects",
     "Parameter": "base.parameters",
     "njit": "base.kernels.jit",
     # what can go wrong

@@ -13,10 +13,10 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.kernels.block import MACH
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.parameters import Parameter
-from sim_heating.heating.effects import Effect, Try
+from sim_heating.heating import flight_variables as flight
+from sim_heating.heating.effects import Effect, SearchStart
 
 RISE, MACH_THERE, WIDTH = range(3)
 
@@ -24,14 +24,14 @@ RISE, MACH_THERE, WIDTH = range(3)
 @njit
 def passing(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     """1 + rise exp(-u^2 / 2), u = (Mach - mach_there) / width [-]; multiplies the ratio."""
-    u = (B[c + MACH] - B[p + MACH_THERE]) / B[p + WIDTH]
+    u = (B[c + flight.mach] - B[p + MACH_THERE]) / B[p + WIDTH]
     return 1.0 + B[p + RISE] * math.exp(-0.5 * u * u)
 
 
-def tries(flown: Conditions) -> Sequence[Try]:
+def search_starts(flown: Conditions) -> Sequence[SearchStart]:
     """Mach numbers spread over those flown, no rise yet."""
     places = np.quantile(flown["mach"], [0.1, 0.3, 0.5, 0.7, 0.9])
-    return [Try(("rise", "mach_there", "width"), {"mach_there": float(m)}) for m in places]
+    return [SearchStart(("rise", "mach_there", "width"), {"mach_there": float(m)}) for m in places]
 
 
 EFFECT = Effect(
@@ -44,7 +44,7 @@ EFFECT = Effect(
     ),
     kernel=passing,
     neutral={"rise": 0.0},
-    tries=tries,
+    search_starts=search_starts,
     physics="The bow shock moves over the point as the flight slows down.",
     source="an example; the form is a bell, nothing measured",
 )

@@ -56,9 +56,10 @@ class LazyGroup(click.Group):
 @click.version_option(package_name="sim-heating", prog_name="sim-heating")
 def cli() -> None:
     """Aerodynamic heating alongside a flight simulator: temperatures from a trajectory, and back."""
-    from sim_heating.heating.effects import own_files
+    from sim_heating.heating.effects import user_effect_files
 
-    own_files()  # a folder that does not exist is refused by all commands alike, whether they use effects or not
+    # A folder that does not exist is refused by all commands alike, whether they use effects or not.
+    user_effect_files()
 
 
 def _stop(*_: object) -> None:

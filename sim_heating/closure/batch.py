@@ -17,7 +17,7 @@ from sim_heating.base.files.package import package_version
 from sim_heating.base.parallel import Job, run_batches
 from sim_heating.base.progress import Progress, quiet
 from sim_heating.estimation.report.estimate_file import inputs_hash
-from sim_heating.heating.effects import effects, own_files
+from sim_heating.heating.effects import effects, user_effect_files
 from sim_heating.inputs.record import DECLARATION, load_record, require_distinct_records
 
 SUMMARIES = JSON, CSV = "summary.json", "summary.csv"
@@ -91,7 +91,7 @@ def record_job(record: Path, out: Path) -> Job:
     except InputError:  # told by the job itself
         inputs = "unreadable"
     digest = hashlib.sha256("|".join([inputs, package_version(), *sorted(effects())]).encode())
-    for path in own_files():
+    for path in user_effect_files():
         digest.update(path.read_bytes())
     return Job(f"{record.resolve().name}-{digest.hexdigest()[:12]}.json", Task(str(record), str(out)))
 

@@ -62,7 +62,7 @@ from sim_heating.base.kernels.block import (
 )
 from sim_heating.base.kernels.jit import handle
 from sim_heating.heating.effects import Effect
-from sim_heating.heating.effects.compiled import chain_of
+from sim_heating.heating.effects.compiled import effect_dispatcher
 from sim_heating.heating.ratio.lookup import pack_table
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.march.frames import (
@@ -156,7 +156,7 @@ class Ensemble:
         self.step_s = step_s
         self.meshes = tuple(meshes)
         self._effects = _distinct_effects(self.models)
-        self._chain = chain_of(self._effects)
+        self._chain = effect_dispatcher(self._effects)
         self.chain = self._chain.handle
         self._codes = dict(zip(self._effects, self._chain.codes, strict=True))
         # An address and not the function: kernels that call it need no recompiling when effects change.

@@ -131,7 +131,7 @@ class PointModel:
                 values[PLACES[name]] = self._declared_back(name)
         # Reversed, so that of two effects which set one parameter the first prevails.
         for used in reversed(self.effects):
-            for place, value in zip(used.effect.places, used.values, strict=False):
+            for place, value in zip(used.effect.model_parameters, used.values, strict=False):
                 if place in PLACES:
                     values[PLACES[place]] = value
         return values
@@ -182,7 +182,7 @@ class PointModel:
         if name.startswith(EFFECT_PREFIX):
             use, k = self._effect_place(name)
             effect = self.effects[use].effect
-            return effect.kernel is not None or effect.places[k] in AT_FACES
+            return effect.kernel is not None or effect.model_parameters[k] in AT_FACES
         return name in AT_FACES
 
     def _effect_place(self, name: str) -> tuple[int, int]:

@@ -31,7 +31,7 @@ from pydantic import Field, model_validator
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import Declared, check, display_path, raise_problems, read_toml
-from sim_heating.heating.effects import own_files
+from sim_heating.heating.effects import user_effect_files
 from sim_heating.inputs.scenario import Scenario, ScenarioEffect, ScenarioFile, scenario_of
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.planning.dispersion.spec import Dispersion
@@ -187,7 +187,7 @@ def _hash(place: Path, declared: StudyFile, base: Scenario) -> str:
     for path in _input_files(base.vehicle.directory):
         digest.update(path.relative_to(base.vehicle.directory).as_posix().encode())
         digest.update(path.read_bytes())
-    for path in own_files():
+    for path in user_effect_files():
         digest.update(path.read_bytes())
     return digest.hexdigest()[:HASH_LENGTH]
 

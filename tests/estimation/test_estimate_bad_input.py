@@ -44,7 +44,7 @@ def told(capsys, *arguments: object) -> tuple[int, str]:
         (["--parameters", "ratio.scal"], "no parameter `ratio.scal`; did you mean `ratio.scale`"),
         (["--parameters", "sensor.LS_surfac.bias"], "names no sensor that is used; did you mean `LS_surface`"),
         (["--parameters", "sensor.LS_surface.bais"], "a sensor has no `bais`; did you mean `bias`"),
-        (["--parameters", "effect.transitoin.factor"], "effect `transitoin` is not known; did you mean `transition`"),
+        (["--parameters", "effect.transitoin.factor"], "unknown effect `transitoin`; did you mean `transition`"),
         (["--parameters", "ratio.scale,ratio.scale"], "`ratio.scale` is repeated"),
         (["--parameters", ","], "names nothing"),
         (["--reference", "alpha_deg"], "alpha_deg: `` is not a number; write alpha_deg=40"),

@@ -14,10 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.kernels.block import ALPHA, FAILED, FILM, JETS, LOG10_RE, N_CONDITIONS
+from sim_heating.base.kernels.block import ALPHA, CONDITION_COLUMNS, FAILED, FILM, JETS, LOG10_RE, N_CONDITIONS
 from sim_heating.closure.search.candidates import candidates
 from sim_heating.estimation.problem import FitProblem, joint_reference
 from sim_heating.estimation.side_by_side import JointMarch
+from sim_heating.heating import flight_variables
 from sim_heating.heating.effects import Effect, EffectUse, effect, effects, use
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.march.ensemble import condition_history
@@ -149,6 +150,11 @@ def test_order_in_time_stays_two_where_heating_depends_on_the_wall_temperature()
 # Declaring them ------------------------------------------------------------------------------------------------------
 
 
+def test_flight_variables_are_named_as_the_columns_of_the_conditions():
+    offsets = {name: value for name, value in vars(flight_variables).items() if isinstance(value, int)}
+    assert offsets == {name: i for i, name in enumerate(CONDITION_COLUMNS)}
+
+
 def test_every_effect_says_what_it_is_and_where_that_is_from():
     for found in effects().values():
         assert found.physics
@@ -181,7 +187,7 @@ def test_neutral_effect_does_nothing_whatever_else_it_has():
 
 
 def test_neutral_value_of_no_parameter_is_refused():
-    with pytest.raises(InputError, match="effect mine: `rize` is neutral, which is none of its parameters"):
+    with pytest.raises(InputError, match="effect mine, `neutral`: no parameter `rize`"):
         Effect("mine", "multiply", effect("transition").parameters, lambda B, c, p, wall_K: 1.0, neutral={"rize": 0.0})
 
 
@@ -225,8 +231,8 @@ def test_own_effect_is_found_again_in_the_cache_by_the_next_process(tmp_path):
     own_effect(tmp_path)
     lines = (
         "from sim_heating.heating.effects import use",
-        "from sim_heating.heating.effects.compiled import chain_of",
-        "chain_of((use('own-factor').effect,))",
+        "from sim_heating.heating.effects.compiled import effect_dispatcher",
+        "effect_dispatcher((use('own-factor').effect,))",
     )
     places = {"SIM_HEATING_EFFECTS": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     compiled = []

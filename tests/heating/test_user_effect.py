@@ -14,10 +14,11 @@ import pytest
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import read_csv_columns
-from sim_heating.base.kernels.block import MACH, N_CONDITIONS
+from sim_heating.base.kernels.block import N_CONDITIONS
 from sim_heating.cli import main
 from sim_heating.closure.batch import record_job
 from sim_heating.closure.search.candidates import candidates
+from sim_heating.heating import flight_variables as flight
 from sim_heating.heating.effects import effects
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import load_record
@@ -29,15 +30,15 @@ GROWTH = 0.15
 SOURCE = '''
 """Heating grows with the angle of attack beyond what a table says, as its square."""
 
-from sim_heating.base.kernels.block import ALPHA
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.parameters import Parameter
+from sim_heating.heating import flight_variables as flight
 from sim_heating.heating.effects import Effect
 
 
 @njit
 def steep(B, c, p, wall_K):
-    return 1.0 + B[p] * (0.1 * (B[c + ALPHA] - 40.0)) ** 2
+    return 1.0 + B[p] * (0.1 * (B[c + flight.alpha_deg] - 40.0)) ** 2
 
 
 EFFECT = Effect(
@@ -127,13 +128,9 @@ def test_predict_takes_it_from_a_vehicle():
 
 
 CLOCK_EFFECT = """
-from sim_heating.base.parameters import Parameter
-from sim_heating.heating.effects import Effect
+from sim_heating.heating.effects import Effect, model_parameter
 
-EFFECT = Effect(
-    "own-clock", "model", (Parameter("recorder_lag_s", "s", 0.0, 0.5, -10.0, 10.0, "lag of a recorder"),),
-    places=("clock.skew",),
-)
+EFFECT = Effect("own-clock", "model", (model_parameter("recorder_lag_s", "clock.skew", sigma=2.0),))
 """
 
 
@@ -220,11 +217,11 @@ def test_an_effect_that_has_the_name_of_another_is_refused_by_its_file(own_folde
     assert main(["validate", own]) == 2
     told = capsys.readouterr().err
     assert "steepness.py: " in told
-    assert "again.py has an effect `own-steepness` already; give yours another name" in told
+    assert "again.py already has an effect `own-steepness`; give yours another name" in told
     (own_folder / "again.py").write_text(SOURCE.replace("own-steepness", "catalysis"))
     assert main(["validate", own]) == 2
     told = capsys.readouterr().err
-    assert "again.py: the package has an effect `catalysis` already; give yours another name" in told
+    assert "again.py: the package already has an effect `catalysis`; give yours another name" in told
 
 
 def test_the_example_peaks_at_its_mach_number_and_has_a_flight_to_try_it_on(monkeypatch):
@@ -234,18 +231,19 @@ def test_the_example_peaks_at_its_mach_number_and_has_a_flight_to_try_it_on(monk
     rise, mach_there, _ = parameters
     flown = np.zeros(N_CONDITIONS)
     for mach, factor in ((mach_there, 1.0 + rise), (mach_there + 10.0, 1.0), (mach_there - 10.0, 1.0)):
-        flown[MACH] = mach
+        flown[flight.mach] = mach
         value = effect.kernel(np.concatenate([flown, parameters]), 0, N_CONDITIONS, 300.0)
         assert value == pytest.approx(factor, abs=1e-12)
 
 
 INTERPRETED = """
-from sim_heating.effects import effect
-from sim_heating.effects.chain import chain_of
-from sim_heating.layout import MACH, N_CONDITIONS
+from sim_heating.base.kernels.block import N_CONDITIONS
+from sim_heating.heating import flight_variables as flight
+from sim_heating.heating.effects import effect
+from sim_heating.heating.effects.compiled import effect_dispatcher
 flown = [0.0] * N_CONDITIONS
-flown[MACH] = 13.0
-print(chain_of((effect("shock-passage"),)).function(0, [*flown, 0.25, 13.0, 1.5], 0, N_CONDITIONS, 300.0))
+flown[flight.mach] = 13.0
+print(effect_dispatcher((effect("shock-passage"),)).function(0, [*flown, 0.25, 13.0, 1.5], 0, N_CONDITIONS, 300.0))
 """
 
 

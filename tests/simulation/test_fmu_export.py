@@ -375,14 +375,14 @@ def test_damaged_table_is_refused_with_its_path(fmus, tmp_path, change, told):
 OWN_EFFECT = """
 import math
 
-from sim_heating.effects import Effect
-from sim_heating.jit import njit
-from sim_heating.layout import MACH
-from sim_heating.parameters import Parameter
+from sim_heating.base.kernels.jit import njit
+from sim_heating.base.parameters import Parameter
+from sim_heating.heating import flight_variables as flight
+from sim_heating.heating.effects import Effect
 
 @njit
 def growth(B, c, p, wall_K):
-    return 1.0 + B[p] * B[c + MACH]
+    return 1.0 + B[p] * B[c + flight.mach]
 
 EFFECT = Effect("mach-growth", "multiply", (Parameter("slope", "1", 0.01, 0.01, -1.0, 1.0, "a Mach number"),), growth)
 """
@@ -390,7 +390,7 @@ EFFECT = Effect("mach-growth", "multiply", (Parameter("slope", "1", 0.01, 0.01, 
 
 def own_effect(name: str, body: str) -> str:
     """The source of an effect with another body."""
-    return OWN_EFFECT.replace("return 1.0 + B[p] * B[c + MACH]", body).replace("mach-growth", name)
+    return OWN_EFFECT.replace("return 1.0 + B[p] * B[c + flight.mach]", body).replace("mach-growth", name)
 
 
 def vehicle_with_effect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, source: str) -> Path:
@@ -421,10 +421,10 @@ def test_effect_of_the_users_own_is_compiled_in(fmus, vehicle, flown, tmp_path, 
 KERNELS = {
     "raises": (
         "if wall_K > 500.0:\n        raise ValueError(wall_K)\n    return 1.0",
-        "raises, prints or takes memory",
+        "raises, prints or allocates memory",
     ),
     "unknown": ("return math.nosuch(wall_K)", "cannot be compiled: module 'math' has no attribute 'nosuch'"),
-    "prints": ("print(wall_K)\n    return 1.0", "raises, prints or takes memory"),
+    "prints": ("print(wall_K)\n    return 1.0", "raises, prints or allocates memory"),
     "of-numba": ("return math.gamma(wall_K)", "needs numba_gamma, which a host without Python lacks"),
 }
 
@@ -441,7 +441,7 @@ def test_effect_that_no_host_could_run_is_refused_by_its_name(name, tmp_path, mo
 def test_effect_may_call_the_mathematical_functions_of_c(flown, tmp_path, monkeypatch):
     functions = ("erf", "erfc", "sinh", "cosh", "asinh", "expm1", "log1p", "log2", "hypot", "atan2")
     called = [f"math.{f}(u{', 2.0' if f in ('hypot', 'atan2') else ''})" for f in functions]
-    body = f"u = 0.1 + B[p] * B[c + MACH]\n    return 1.0 + 1e-3 * ({' + '.join(called)} + round(u, 0))"
+    body = f"u = 0.1 + B[p] * B[c + flight.mach]\n    return 1.0 + 1e-3 * ({' + '.join(called)} + round(u, 0))"
     own = load_vehicle(vehicle_with_effect(tmp_path, monkeypatch, "of-c", own_effect("of-c", body)))
     export_fmu(own, tmp_path / "own.fmu", POINTS)
     given = frames(flown, 1.0, 60.0)

@@ -15,7 +15,7 @@ import numpy as np
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, SENSOR, SENSOR_PREFIX
 from sim_heating.estimation.inference.observability import CONSTANT_BELOW, constant_variables
-from sim_heating.heating.effects import Effect, EffectUse, Try, effects, use
+from sim_heating.heating.effects import Effect, EffectUse, SearchStart, effects, use
 from sim_heating.inputs.record import Record
 
 SENSOR_EFFECT = "sensor-bias"
@@ -89,7 +89,7 @@ def _of_effect(effect: Effect, record: Record, flown: Conditions) -> list[Candid
     if effect.acts_on_clock:
         names = (CLOCK_SKEW.name,)
         return [Candidate(effect.name, (), names, {}, felt=names, prior=names)]
-    tries = effect.tried(flown)
+    tries = effect.starts_for(flown)
     sought = _sought(tries)
     return [
         _of_try(effect, one, sought)
@@ -100,27 +100,27 @@ def _of_effect(effect: Effect, record: Record, flown: Conditions) -> list[Candid
 
 def _places(effect: Effect, name: str) -> tuple[str, ...]:
     """The model's parameters that a parameter of an effect stands for."""
-    return tuple(p for p, own in zip(effect.places, effect.parameters, strict=False) if own.name == name)
+    return tuple(p for p, own in zip(effect.model_parameters, effect.parameters, strict=False) if own.name == name)
 
 
-def _sought(tries: Sequence[Try]) -> frozenset[str]:
+def _sought(tries: Sequence[SearchStart]) -> frozenset[str]:
     """Parameters that tries begin at several values of."""
     begun: dict[str, set[float]] = {}
     for one in tries:
-        for name in set(one.names) & set(one.start):
-            begun.setdefault(name, set()).add(one.start[name])
+        for name in set(one.names) & set(one.values):
+            begun.setdefault(name, set()).add(one.values[name])
     return frozenset(name for name, values in begun.items() if len(values) > 1)
 
 
-def _of_try(effect: Effect, one: Try, sought: Collection[str]) -> Candidate:
+def _of_try(effect: Effect, one: SearchStart, sought: Collection[str]) -> Candidate:
     limits = {p.name: (p.lower, p.upper) for p in effect.parameters}
     used = use(
-        effect.name, {name: min(max(value, limits[name][0]), limits[name][1]) for name, value in one.start.items()}
+        effect.name, {name: min(max(value, limits[name][0]), limits[name][1]) for name, value in one.values.items()}
     )
     values = dict(zip((p.name for p in effect.parameters), used.values, strict=True))
     first = {f"{EFFECT_PREFIX}{effect.name}.{p}": values[p] for p in one.names}
     prior = tuple(f"{EFFECT_PREFIX}{effect.name}.{p}" for p in one.names if p not in sought)
-    felt = tuple(f"{EFFECT_PREFIX}{effect.name}.{p}" for p in effect.felt(one.names, values))
+    felt = tuple(f"{EFFECT_PREFIX}{effect.name}.{p}" for p in effect.active_parameters(one.names, values))
     return Candidate(effect.name, (used,), tuple(first), first, felt, prior)
 
 

@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.parameters import Parameter
-from sim_heating.heating.effects import Effect, Try
+from sim_heating.heating.effects import Effect, SearchStart, model_parameter
 
 
-def tries(flown: Conditions) -> Sequence[Try]:
+def search_starts(flown: Conditions) -> Sequence[SearchStart]:
     """Search starts for backface cooling (docs/effects.md, equation 3), with no cooling yet.
 
     flown   : conditions of the flight, not used
     returns : a film, or radiation, towards structure at 250, 300 and 400 [K]
     """
     return [
-        Try(names, {"back_K": T})
+        SearchStart(names, {"back_K": T})
         for names in (("back_h_W_m2K", "back_K"), ("back_emissivity", "back_K"))
         for T in (250.0, 300.0, 400.0)
     ]
@@ -26,13 +25,12 @@ EFFECT = Effect(
     name="backface-cooling",
     mode="model",
     parameters=(
-        Parameter("back_h_W_m2K", "W/(m2 K)", 0.0, 10.0, 0.0, 1e4, "film coefficient behind the wall"),
-        Parameter("back_K", "K", 300.0, 30.0, 1.0, 2000.0, "temperature behind the wall"),
-        Parameter("back_emissivity", "1", 0.0, 0.3, 0.0, 1.0, "effective emittance behind the wall"),
+        model_parameter("back_h_W_m2K", "back.h_W_m2K"),
+        model_parameter("back_K", "back.T_K"),
+        model_parameter("back_emissivity", "back.emissivity"),
     ),
-    places=("back.h_W_m2K", "back.T_K", "back.emissivity"),
     neutral={"back_h_W_m2K": 0.0, "back_emissivity": 0.0},
-    tries=tries,
+    search_starts=search_starts,
     physics="Air from the vents late in the entry, and radiation to cooler structure, limit the skin's peak.",
     source="Ko, Quinn & Gong, NASA TM-86043 and its successors (structure temperatures of STS-1 to STS-5)",
 )

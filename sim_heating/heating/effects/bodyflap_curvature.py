@@ -2,24 +2,12 @@
 
 from __future__ import annotations
 
-from sim_heating.base.parameters import Parameter
-from sim_heating.heating.effects import Effect
+from sim_heating.heating.effects import Effect, model_parameter
 
 EFFECT = Effect(
     name="bodyflap-curvature",
     mode="model",
-    parameters=(
-        Parameter(
-            "d_bodyflap2",
-            "1/deg2",
-            0.0,
-            1e-3,
-            -1.0,
-            1.0,
-            "second-order term, no factor 1/2",
-        ),
-    ),
-    places=("ratio.d_bodyflap2",),
+    parameters=(model_parameter("d_bodyflap2", "ratio.d_bodyflap2", sigma=1e-3, lower=-1.0, upper=1.0),),
     needs=("bodyflap_deg",),
     physics="The ratio has a second-order term in body-flap deflection that a linear model about one condition lacks.",
     source="Eq. 2 of 'Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers'",

@@ -8,11 +8,11 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.kernels.block import RECOVERY_ENTHALPY
 from sim_heating.base.kernels.elementary import logistic
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.parameters import Parameter
-from sim_heating.heating.effects import Effect, Try
+from sim_heating.heating import flight_variables as flight
+from sim_heating.heating.effects import Effect, SearchStart
 
 STEP, MIDDLE_K, WIDTH_K, FLOW_STEP, MIDDLE_J_KG, WIDTH_J_KG = range(6)
 
@@ -31,10 +31,10 @@ def catalysis_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     Source: the observation, Scott in NASA CP-2283; the form, docs/effects.md, equation 5.
     """
     hot = B[p + STEP] * logistic((wall_K - B[p + MIDDLE_K]) / B[p + WIDTH_K])
-    return 1.0 + hot + B[p + FLOW_STEP] * logistic((B[c + RECOVERY_ENTHALPY] - B[p + MIDDLE_J_KG]) / B[p + WIDTH_J_KG])
+    return 1.0 + hot + B[p + FLOW_STEP] * logistic((B[c + flight.H_r_J_kg] - B[p + MIDDLE_J_KG]) / B[p + WIDTH_J_KG])
 
 
-def tries(flown: Conditions) -> Sequence[Try]:
+def search_starts(flown: Conditions) -> Sequence[SearchStart]:
     """Search starts for catalysis (docs/effects.md, equation 5), with no rise yet.
 
     flown   : conditions of the flight, whose highest recovery enthalpy [J/kg] sets the scale of the second kind
@@ -45,12 +45,12 @@ def tries(flown: Conditions) -> Sequence[Try]:
     greatest = float(np.max(flown["H_r_J_kg"]))
     return [
         *(
-            Try(hot, {"catalysis_K": T, "catalysis_width_K": width})
+            SearchStart(hot, {"catalysis_K": T, "catalysis_width_K": width})
             for T in (500.0, 700.0, 900.0, 1100.0, 1300.0)
             for width in (60.0, 200.0)
         ),
         *(
-            Try(flow, {"flow_J_kg": part * greatest, "flow_width_J_kg": width})
+            SearchStart(flow, {"flow_J_kg": part * greatest, "flow_width_J_kg": width})
             for part in (0.3, 0.5, 0.7, 0.9)
             for width in (1e6, 3e6)
         ),
@@ -71,7 +71,7 @@ EFFECT = Effect(
     kernel=catalysis_factor,
     needs_wall=True,
     neutral={"catalysis_step": 0.0, "flow_step": 0.0},
-    tries=tries,
+    search_starts=search_starts,
     physics="Recombination of atoms at the wall grows with its temperature and gives up the energy of dissociation.",
     source="Scott, 'Effects of nonequilibrium and wall catalysis on Shuttle heat transfer', in NASA CP-2283",
 )

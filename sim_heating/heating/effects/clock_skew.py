@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from sim_heating.base.parameters import Parameter
-from sim_heating.heating.effects import Effect
+from sim_heating.heating.effects import Effect, model_parameter
 
 EFFECT = Effect(
     name="time-skew",
     mode="model",
-    parameters=(Parameter("skew_s", "s", 0.0, 0.5, -10.0, 10.0, "recorded T(t) = true T(t - skew): above 0, it lags"),),
-    places=("clock.skew",),
+    parameters=(model_parameter("skew_s", "clock.skew"),),
     physics="Recorders of different systems are seldom on one clock; a second is worth mils of coating.",
     source="'Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers'",
 )

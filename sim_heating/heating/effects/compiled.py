@@ -1,8 +1,8 @@
-"""Dispatch to the compiled kernels of effects: one function of a code, which the step calls through a pointer.
+"""Dispatcher of effects: one compiled function of an effect's code, which the time step calls through a pointer.
 
 The step is compiled once, for any effects. In this process each effect is compiled by itself, and cached; its code is
-the address of its kernel. An exported library has a single dispatcher, `compiled_chain`, in which the code of an effect
-is its index.
+the address of its kernel. An exported library has a single dispatcher, `indexed_dispatcher`, in which the code of an
+effect is its index.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from sim_heating.base.kernels.jit import c_function, call_effect, handle
 from sim_heating.heating.effects import Effect
 
 SIGNATURE = types.float64(types.int64, types.CPointer(types.float64), types.int64, types.int64, types.float64)
-"""value [-] = chain(code, B, c, p, wall_K), wall_K [K]."""
+"""value [-] = dispatcher(code, B, c, p, wall_K), wall_K [K]."""
 KERNEL = types.float64(types.CPointer(types.float64), types.int64, types.int64, types.float64)
 """value [-] = kernel(B, c, p, wall_K), wall_K [K]."""
 
 
 @dataclass(frozen=True)
-class Chain:
-    """Dispatcher and codes of a set of effects.
+class EffectDispatcher:
+    """Dispatcher of a set of effects, and their codes.
 
-    function : value = function(code, B, c, p, wall_K), value [-] and wall_K [K]; kept here so that it stays alive
+    function : value = function(code, B, c, p, wall_K), value [-] and wall_K [K]; a reference that keeps it alive
     codes    : code of each effect, in the order in which the effects were given: an address, or an index
     """
 
@@ -42,20 +42,17 @@ class Chain:
 
     @property
     def handle(self) -> Any:
-        """What kernels take for the dispatcher: its address; the function itself where nothing is compiled."""
+        """The dispatcher as kernels take it: its address; the function itself where compilation is disabled."""
         return handle(self.function)
 
 
 def _nothing(code: int, B: Any, c: int, p: int, wall_K: float) -> float:
-    """Dispatcher of an ensemble without effects; never called."""
+    """Dispatcher of an ensemble without effects; it is never called."""
     return 0.0
 
 
 def _join(kernels: Sequence[Any]) -> Callable[..., float]:
-    """One function that dispatches to the kernel of a code.
-
-    Nested, two branches a level, so that any number of kernels can be compiled into it.
-    """
+    """One function that calls the kernel of a code: nested, two branches a level, for any number of kernels."""
     last = len(kernels) - 1
     kernel = kernels[last]
     if last == 0:
@@ -71,24 +68,24 @@ def _join(kernels: Sequence[Any]) -> Callable[..., float]:
 
 
 @cache
-def compiled_chain(effects: tuple[Effect, ...]) -> Chain:
-    """These effects compiled into one function, as an exported library needs; the code of an effect is its index."""
+def indexed_dispatcher(effects: tuple[Effect, ...]) -> EffectDispatcher:
+    """Dispatcher with these effects compiled into it, for an exported library; the code of an effect is its index."""
     function = _join([e.kernel for e in effects]) if effects else _nothing
-    return Chain(c_function(SIGNATURE, function, cache=not effects), tuple(range(len(effects))))
+    return EffectDispatcher(c_function(SIGNATURE, function, cache=not effects), tuple(range(len(effects))))
 
 
-def chain_of(effects: tuple[Effect, ...]) -> Chain:
-    """Dispatcher of these effects for this process: the code of an effect is the address of its kernel.
+def effect_dispatcher(effects: tuple[Effect, ...]) -> EffectDispatcher:
+    """Dispatcher of these effects for this process; the code of an effect is the address of its kernel.
 
     raises : InputError naming the effect that cannot be compiled
     """
     if numba.config.DISABLE_JIT or not effects:  # type: ignore[attr-defined]
-        return compiled_chain(effects)
-    return Chain(_compiled_call(), tuple(compiled_kernel(e).address for e in effects))
+        return indexed_dispatcher(effects)
+    return EffectDispatcher(_compiled_call(), tuple(compiled_kernel(e).address for e in effects))
 
 
 def _call(code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
-    """Dispatcher whose codes are addresses."""
+    """Dispatcher to kernels by their addresses."""
     return call_effect(code, B, c, p, wall_K)
 
 
@@ -97,15 +94,15 @@ def _compiled_call() -> Any:
     return c_function(SIGNATURE, _call)
 
 
-def file_of(effect: Effect) -> Path:
-    """The Python file that an effect's kernel comes from, compiled or not."""
+def kernel_file(effect: Effect) -> Path:
+    """Python file that an effect's kernel comes from, compiled or not."""
     kernel: Any = effect.kernel
     return Path(inspect.getfile(getattr(kernel, "py_func", kernel)))
 
 
-def place_of(effect: Effect) -> str:
-    """`effect NAME (file)`."""
-    return f"effect `{effect.name}` ({display_path(file_of(effect))})"
+def effect_context(effect: Effect) -> str:
+    """`effect NAME (file)`, the beginning of a message."""
+    return f"effect `{effect.name}` ({display_path(kernel_file(effect))})"
 
 
 def compiled_kernel(effect: Effect) -> Any:
@@ -118,18 +115,21 @@ def compiled_kernel(effect: Effect) -> Any:
         made, raises = _compiled(effect.kernel)
     except Exception as error:  # whatever the compiler finds in a user's kernel
         lines = [line.strip(' "') for line in str(error).splitlines()]
-        said = next((line for line in lines if line and not line.startswith("Failed in")), repr(error))
+        reason = next((line for line in lines if line and not line.startswith("Failed in")), repr(error))
         number = re.search(r"line (\d+)", str(error))
         at = f", line {number[1]}" if number else ""
-        raise InputError(f"{place_of(effect)}{at}: cannot be compiled: {said}") from error
+        raise InputError(f"{effect_context(effect)}{at}: cannot be compiled: {reason}") from error
     if raises:
-        raise InputError(f"{place_of(effect)}: raises, prints or takes memory, which no step can; always give a number")
+        raise InputError(
+            f"{effect_context(effect)}: raises, prints or allocates memory, which a time step cannot; "
+            "return a number for every input"
+        )
     return made
 
 
 @cache
 def _compiled(kernel: Any) -> tuple[Any, bool]:
-    """A kernel as a C function, and whether an exception is left in it: numba stores each as a constant."""
+    """A kernel as a C function, and whether it can raise: numba stores each exception as a constant."""
     made = c_function(KERNEL, kernel.py_func)
     constants = made._library._get_module_for_linking().global_variables
     return made, any(constant.name.startswith(".const.picklebuf") for constant in constants)

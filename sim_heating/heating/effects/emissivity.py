@@ -8,11 +8,11 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.kernels.block import TIME
 from sim_heating.base.kernels.elementary import logistic
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.parameters import Parameter
-from sim_heating.heating.effects import Effect, Try
+from sim_heating.heating import flight_variables as flight
+from sim_heating.heating.effects import Effect, SearchStart
 
 FACTOR, CHANGE, SLOPE, DURATION = range(4)
 REFERENCE_K = 1000.0
@@ -31,11 +31,11 @@ def emittance_changes(B: FloatArray, c: int, p: int, wall_K: float) -> float:
 
     Source: the observation, Williams and Curry, NASA RP-1193 (1992); the form, docs/effects.md, equation 9.
     """
-    changed = (B[p + FACTOR] - 1.0) * logistic((B[c + TIME] - B[p + CHANGE]) / B[p + DURATION])
+    changed = (B[p + FACTOR] - 1.0) * logistic((B[c + flight.time_s] - B[p + CHANGE]) / B[p + DURATION])
     return max(1.0 + changed + B[p + SLOPE] * (wall_K - REFERENCE_K), 0.0)
 
 
-def tries(flown: Conditions) -> Sequence[Try]:
+def search_starts(flown: Conditions) -> Sequence[SearchStart]:
     """Search starts for an emittance error (docs/effects.md, equation 9), with the emittance as declared.
 
     flown   : conditions of the flight
@@ -43,10 +43,10 @@ def tries(flown: Conditions) -> Sequence[Try]:
     """
     times = np.quantile(flown.time_s, [0.2, 0.35, 0.5, 0.65, 0.8])
     return [
-        Try(("emissivity_factor",)),
-        Try(("emissivity_slope",)),
+        SearchStart(("emissivity_factor",)),
+        SearchStart(("emissivity_slope",)),
         *(
-            Try(("emissivity_factor", "change_s", "duration_s"), {"change_s": float(t), "duration_s": duration})
+            SearchStart(("emissivity_factor", "change_s", "duration_s"), {"change_s": float(t), "duration_s": duration})
             for t in times
             for duration in (3.0, 25.0)
         ),
@@ -65,7 +65,7 @@ EFFECT = Effect(
     kernel=emittance_changes,
     needs_wall=True,
     neutral={"emissivity_factor": 1.0, "emissivity_slope": 0.0},
-    tries=tries,
+    search_starts=search_starts,
     physics="Coatings age, are contaminated or blistered, and radiate otherwise when hot than their tables say.",
     source="Emittance drift of reused tiles, Williams & Curry, NASA RP-1193 (1992)",
 )

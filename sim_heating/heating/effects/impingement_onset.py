@@ -8,10 +8,10 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.kernels.block import ALPHA
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.parameters import Parameter
-from sim_heating.heating.effects import Effect, Try
+from sim_heating.heating import flight_variables as flight
+from sim_heating.heating.effects import Effect, SearchStart
 
 ONSET, SLOPE = range(2)
 
@@ -28,17 +28,17 @@ def impingement(B: FloatArray, c: int, p: int, wall_K: float) -> float:
 
     Source: fig. 14 of the founding paper (onset at 37 deg in flight, OMS pod of STS-2); docs/effects.md, equation 12.
     """
-    return B[p + SLOPE] * max(0.0, B[c + ALPHA] - B[p + ONSET])
+    return B[p + SLOPE] * max(0.0, B[c + flight.alpha_deg] - B[p + ONSET])
 
 
-def tries(flown: Conditions) -> Sequence[Try]:
+def search_starts(flown: Conditions) -> Sequence[SearchStart]:
     """Search starts for flow impingement (docs/effects.md, equation 12), with no rise yet.
 
     flown   : conditions of the flight
     returns : onsets at six quantiles, 0.3 to 0.99, of the angle of attack flown [deg]
     """
     onsets = np.quantile(flown["alpha_deg"], [0.3, 0.6, 0.8, 0.9, 0.96, 0.99])
-    return [Try(("alpha_onset_deg", "slope"), {"alpha_onset_deg": float(x)}) for x in onsets]
+    return [SearchStart(("alpha_onset_deg", "slope"), {"alpha_onset_deg": float(x)}) for x in onsets]
 
 
 EFFECT = Effect(
@@ -53,7 +53,7 @@ EFFECT = Effect(
     kernel=impingement,
     needs=("alpha_deg",),
     neutral={"slope": 0.0},
-    tries=tries,
+    search_starts=search_starts,
     physics="Above an angle of attack the flow impinges on the point and the ratio rises with angle of attack.",
     source="OMS pod of STS-2, fig. 14 of 'Trends in Shuttle Entry Heating from the Correlation of Flight Test ...'",
 )

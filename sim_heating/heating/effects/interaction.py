@@ -5,29 +5,29 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.parameters import SECOND_ORDER, SHORT, UNITS, Parameter, per
-from sim_heating.heating.effects import Effect, Try
+from sim_heating.base.parameters import SECOND_ORDER, SHORT
+from sim_heating.heating.effects import Effect, SearchStart, model_parameter
 
-PAIRS = tuple((i, j) for i, j in SECOND_ORDER if i != j)
+PAIRS = tuple((SHORT[i], SHORT[j]) for i, j in SECOND_ORDER if i != j)
+"""Every two ratio variables, as they stand in parameter names."""
 
 
-def tries(flown: Conditions) -> Sequence[Try]:
+def search_starts(flown: Conditions) -> Sequence[SearchStart]:
     """Search starts for interaction (docs/effects.md, equation 13): each mixed derivative alone."""
-    return [Try((f"d_{SHORT[i]}_{SHORT[j]}",)) for i, j in PAIRS]
+    return [SearchStart((f"d_{first}_{second}",)) for first, second in PAIRS]
 
 
 EFFECT = Effect(
     name="interaction",
     mode="model",
     parameters=tuple(
-        Parameter(
-            f"d_{SHORT[i]}_{SHORT[j]}", per(UNITS[i], UNITS[j]), 0.0, 1e-3, -10.0, 10.0,
-            f"product term of {SHORT[i]} and {SHORT[j]}",
+        model_parameter(
+            f"d_{first}_{second}", f"ratio.d_{first}_{second}", f"product term of {first} and {second}",
+            sigma=1e-3, lower=-10.0, upper=10.0,
         )
-        for i, j in PAIRS
+        for first, second in PAIRS
     ),
-    places=tuple(f"ratio.d_{SHORT[i]}_{SHORT[j]}" for i, j in PAIRS),
-    tries=tries,
+    search_starts=search_starts,
     physics="The derivative against one variable changes with another: a flap heats more at higher angle of attack.",
     source="Eq. 2 of 'Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers'",
 )  # fmt: skip

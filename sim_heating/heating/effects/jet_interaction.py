@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.kernels.block import JETS
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.parameters import Parameter
-from sim_heating.heating.effects import Effect, Try
+from sim_heating.heating import flight_variables as flight
+from sim_heating.heating.effects import Effect, SearchStart
 
 GAIN = 0
 
@@ -25,12 +25,12 @@ def jet_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
 
     Source: the observation, pitch-jet spikes of STS-2 in the founding paper; the form, docs/effects.md, equation 14.
     """
-    return 1.0 + B[p + GAIN] * B[c + JETS]
+    return 1.0 + B[p + GAIN] * B[c + flight.jets]
 
 
-def tries(flown: Conditions) -> Sequence[Try]:
+def search_starts(flown: Conditions) -> Sequence[SearchStart]:
     """Search start for jet interaction (docs/effects.md, equation 14): no dependence [-] on the jets yet."""
-    return [Try(("jet_gain",))]
+    return [SearchStart(("jet_gain",))]
 
 
 EFFECT = Effect(
@@ -40,7 +40,7 @@ EFFECT = Effect(
     kernel=jet_factor,
     needs=("jets",),
     neutral={"jet_gain": 0.0},
-    tries=tries,
+    search_starts=search_starts,
     physics="A firing jet disturbs the flow at the point, or the density that was derived from dynamic pressure.",
     source="Pitch-jet spikes of STS-2 in 'Trends in Shuttle Entry Heating from the Correlation of Flight Test ...'",
 )

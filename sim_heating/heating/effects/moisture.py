@@ -15,11 +15,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.parameters import Parameter
-from sim_heating.heating.effects import Effect, Try
+from sim_heating.heating.effects import Effect, SearchStart, model_parameter
 
 
-def tries(flown: Conditions) -> Sequence[Try]:
+def search_starts(flown: Conditions) -> Sequence[SearchStart]:
     """Search starts for moisture (docs/effects.md, equations 15 and 16), with no latent heat yet.
 
     flown   : conditions of the flight, not used
@@ -31,8 +30,8 @@ def tries(flown: Conditions) -> Sequence[Try]:
     diffusing = ("vapour_W_m", "boil_K", "width_K")
     at = (340.0, 373.0, 420.0)
     return [
-        *(Try(names, {"boil_K": T}) for names in (evaporating, diffusing) for T in at),
-        *(Try(condensing, {"boil_K": T, "condense_K": T - 40.0}) for T in at),
+        *(SearchStart(names, {"boil_K": T}) for names in (evaporating, diffusing) for T in at),
+        *(SearchStart(condensing, {"boil_K": T, "condense_K": T - 40.0}) for T in at),
     ]
 
 
@@ -40,23 +39,22 @@ EFFECT = Effect(
     name="moisture",
     mode="model",
     parameters=(
-        Parameter("latent_J_kg", "J/kg", 5000.0, 2e4, 0.0, 3e6, "heat taken up as it boils, per mass of insulation"),
-        Parameter("boil_K", "K", 373.0, 20.0, 200.0, 1000.0, "temperature at which it boils"),
-        Parameter("deposit_J_kg", "J/kg", 0.0, 2e4, 0.0, 3e6, "heat given off where vapour condenses"),
-        Parameter("condense_K", "K", 330.0, 20.0, 200.0, 1000.0, "temperature at which it condenses"),
-        Parameter("width_K", "K", 8.0, 4.0, 0.5, 200.0, "width of either in temperature"),
-        Parameter("vapour_W_m", "W/m", 0.0, 2.0, 0.0, 200.0, "integral of its vapour's conductivity, up to boiling"),
-    ),
-    places=(
-        "stack.moisture.latent_J_kg",
-        "stack.moisture.boil_K",
-        "stack.moisture.deposit_J_kg",
-        "stack.moisture.condense_K",
-        "stack.moisture.width_K",
-        "stack.moisture.vapour_W_m",
+        model_parameter(
+            "latent_J_kg",
+            "stack.moisture.latent_J_kg",
+            "heat taken up as it boils, per mass of insulation",
+            value=5000.0,
+        ),
+        model_parameter("boil_K", "stack.moisture.boil_K"),
+        model_parameter("deposit_J_kg", "stack.moisture.deposit_J_kg"),
+        model_parameter("condense_K", "stack.moisture.condense_K"),
+        model_parameter("width_K", "stack.moisture.width_K"),
+        model_parameter(
+            "vapour_W_m", "stack.moisture.vapour_W_m", "integral of its vapour's conductivity, up to boiling"
+        ),
     ),
     neutral={"latent_J_kg": 0.0, "deposit_J_kg": 0.0, "vapour_W_m": 0.0},
-    tries=tries,
+    search_starts=search_starts,
     physics="Adsorbed water boils as heat reaches it; vapour condenses in cooler depths before it leaves.",
     source="Apparent heat capacity: Voller & Swaminathan, Numer. Heat Transfer B 19 (1991) 175; vapour diffusing down "
     "its density: Philip & de Vries, Trans. Am. Geophys. Union 38 (1957) 222",

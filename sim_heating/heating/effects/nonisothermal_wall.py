@@ -8,11 +8,11 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.kernels.block import TIME
 from sim_heating.base.kernels.elementary import exp
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.parameters import Parameter
-from sim_heating.heating.effects import Effect, Try
+from sim_heating.heating import flight_variables as flight
+from sim_heating.heating.effects import Effect, SearchStart
 
 LAG, FRACTION, OVERSHOOT, DECAY, BEGIN = range(5)
 
@@ -29,10 +29,10 @@ def overshoot_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
 
     Source: the process, Chapman and Rubesin (1949); the form, docs/effects.md, equation 17, its lag equation 18.
     """
-    return 1.0 + B[p + OVERSHOOT] * exp(-max(B[c + TIME] - B[p + BEGIN], 0.0) / B[p + DECAY])
+    return 1.0 + B[p + OVERSHOOT] * exp(-max(B[c + flight.time_s] - B[p + BEGIN], 0.0) / B[p + DECAY])
 
 
-def tries(flown: Conditions) -> Sequence[Try]:
+def search_starts(flown: Conditions) -> Sequence[SearchStart]:
     """Search starts for a non-isothermal wall (docs/effects.md, equations 17 and 18), with no lag or excess yet.
 
     flown   : conditions of the flight
@@ -42,9 +42,9 @@ def tries(flown: Conditions) -> Sequence[Try]:
     heating = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
     begins = [float(flown.time_s[int(np.argmax(heating >= part * np.max(heating)))]) for part in (0.1, 0.5)]
     return [
-        *(Try(("lag_s", "lag_fraction"), {"lag_s": lag}) for lag in (1.5, 3.0, 6.0)),
+        *(SearchStart(("lag_s", "lag_fraction"), {"lag_s": lag}) for lag in (1.5, 3.0, 6.0)),
         *(
-            Try(
+            SearchStart(
                 ("lag_s", "lag_fraction", "overshoot", "decay_s", "decay_begin_s"),
                 {"lag_s": 3.0, "decay_s": decay, "decay_begin_s": begin},
             )
@@ -67,7 +67,7 @@ EFFECT = Effect(
     kernel=overshoot_factor,
     lags=True,
     neutral={"lag_fraction": 0.0, "overshoot": 0.0},
-    tries=tries,
+    search_starts=search_starts,
     physics="A wall that is colder upstream gives more heat behind the step, less so as both warm: larger, lagging.",
     source="Chapman & Rubesin, J. Aero. Sci. 16 (1949) 547; Kays & Crawford, Convective Heat and Mass Transfer",
 )

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.kernels.block import BETA
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.parameters import Parameter
-from sim_heating.heating.effects import Effect, Try
+from sim_heating.heating import flight_variables as flight
+from sim_heating.heating.effects import Effect, SearchStart
 
 SLOPE, CURVATURE = range(2)
 
@@ -25,12 +25,14 @@ def added_by_sideslip(B: FloatArray, c: int, p: int, wall_K: float) -> float:
 
     Source: the observation, NASA TM-86032 and the founding paper; the form, docs/effects.md, equation 21.
     """
-    return B[p + SLOPE] * abs(B[c + BETA]) + B[p + CURVATURE] * B[c + BETA] * B[c + BETA]
+    return (
+        B[p + SLOPE] * abs(B[c + flight.beta_deg]) + B[p + CURVATURE] * B[c + flight.beta_deg] * B[c + flight.beta_deg]
+    )
 
 
-def tries(flown: Conditions) -> Sequence[Try]:
+def search_starts(flown: Conditions) -> Sequence[SearchStart]:
     """Search starts for sideslip (docs/effects.md, equation 21): |beta| or beta^2 alone, beta in [deg]."""
-    return [Try(("slope_abs_beta",)), Try(("d_beta2",))]
+    return [SearchStart(("slope_abs_beta",)), SearchStart(("d_beta2",))]
 
 
 EFFECT = Effect(
@@ -42,7 +44,7 @@ EFFECT = Effect(
     ),
     kernel=added_by_sideslip,
     needs=("beta_deg",),
-    tries=tries,
+    search_starts=search_starts,
     physics="A vortex or an attachment line moves onto a point with sideslip of either sign.",
     source="Sideslip on OMS pods and side fuselage: founding paper; NASA TM-86032",
 )

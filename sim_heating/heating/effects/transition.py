@@ -8,11 +8,11 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.kernels.block import ALPHA, LOG10_RE
 from sim_heating.base.kernels.elementary import exp, logistic
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.parameters import Parameter
-from sim_heating.heating.effects import Effect, Try
+from sim_heating.heating import flight_variables as flight
+from sim_heating.heating.effects import Effect, SearchStart
 
 ONSET, ALPHA_SENSITIVITY, WIDTH, FACTOR, ALPHA_0, SPOTS = range(6)
 NARASIMHA = 0.412
@@ -34,7 +34,7 @@ def transition_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     Source: `spots`, Dhawan and Narasimha (1958), J. Fluid Mech. 3, 418, there in distance; docs/effects.md,
     equations 23 and 24.
     """
-    past = B[c + LOG10_RE] - B[p + ONSET] + B[p + ALPHA_SENSITIVITY] * (B[c + ALPHA] - B[p + ALPHA_0])
+    past = B[c + flight.log10_re] - B[p + ONSET] + B[p + ALPHA_SENSITIVITY] * (B[c + flight.alpha_deg] - B[p + ALPHA_0])
     x = past / B[p + WIDTH]
     turbulent = logistic(x)
     if B[p + SPOTS] > 0.0:
@@ -43,7 +43,7 @@ def transition_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     return 1.0 + (B[p + FACTOR] - 1.0) * turbulent
 
 
-def tries(flown: Conditions) -> Sequence[Try]:
+def search_starts(flown: Conditions) -> Sequence[SearchStart]:
     """Search starts for transition (docs/effects.md, equations 23 and 24), still laminar.
 
     flown   : conditions of the flight
@@ -59,8 +59,8 @@ def tries(flown: Conditions) -> Sequence[Try]:
         for width, spots in ((0.02, 0.0), (0.1, 0.0), (0.1, 1.0))
     ]
     return [
-        *(Try(at_any_alpha, start | {"alpha_sens": 0.0}) for start in starts),
-        *(Try(names, start | {"alpha_sens": 0.01}) for start in starts),
+        *(SearchStart(at_any_alpha, start | {"alpha_sens": 0.0}) for start in starts),
+        *(SearchStart(names, start | {"alpha_sens": 0.01}) for start in starts),
     ]
 
 
@@ -80,7 +80,7 @@ EFFECT = Effect(
     kernel=transition_factor,
     needs=("log10_re",),
     neutral={"factor": 1.0},
-    tries=tries,
+    search_starts=search_starts,
     physics="The boundary layer turns turbulent past a Reynolds number, earlier at higher angle of attack.",
     source="STS-4 Mach 12 manoeuvre in 'Trends in Shuttle Entry Heating from the Correlation of Flight Test "
     "Maneuvers'; spots: Dhawan & Narasimha, J. Fluid Mech. 3 (1958) 418",

@@ -32,7 +32,14 @@ from sim_heating.base.limits import LIMITS
 from sim_heating.base.parameters import RATIO, SENSOR, STACK, UNITS, Parameter
 from sim_heating.heating.atmosphere import us76
 from sim_heating.heating.effects import Effect, EffectUse, effects
-from sim_heating.heating.effects.compiled import KERNEL, SIGNATURE, compiled_chain, compiled_kernel, file_of, place_of
+from sim_heating.heating.effects.compiled import (
+    KERNEL,
+    SIGNATURE,
+    compiled_kernel,
+    effect_context,
+    indexed_dispatcher,
+    kernel_file,
+)
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.reference.models import COLUMNS
 from sim_heating.inputs.sensor_model import calibration
@@ -145,7 +152,7 @@ def heating_units(model_effects: tuple[Effect, ...]) -> tuple[Unit, ...]:
         for own in model_effects:
             if not own.built_in:
                 _refuse_unportable(own)
-        return compiled_chain(model_effects).function
+        return indexed_dispatcher(model_effects).function
 
     return MODEL, Unit("heating_effects", SIGNATURE, chain, _sources_of(model_effects)), THERMAL_STEP
 
@@ -155,12 +162,14 @@ def _refuse_unportable(effect: Effect) -> None:
     missing = needs(Unit("effect", KERNEL, lambda: compiled_kernel(effect)))
     if missing:
         hint = "a kernel takes and gives numbers, and may call the mathematical functions of C"
-        raise InputError(f"{place_of(effect)}: needs {', '.join(missing)}, which a host without Python lacks; {hint}")
+        raise InputError(
+            f"{effect_context(effect)}: needs {', '.join(missing)}, which a host without Python lacks; {hint}"
+        )
 
 
 def _sources_of(used: Sequence[Effect]) -> str:
     """Contents of the files that the user's own effects come from."""
-    return "".join(file_of(e).read_text() for e in used if not e.built_in)
+    return "".join(kernel_file(e).read_text() for e in used if not e.built_in)
 
 
 def _made_beside() -> tuple[Unit, ...]:

@@ -1,0 +1,174 @@
+"""What an effect consists of: its parameters, its kernel, and where the search for it in data starts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Literal
+
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import suggestion
+from sim_heating.base.kernels.block import EFFECT_SLOTS, EFFECT_WIDTH
+from sim_heating.base.parameters import CLOCK_SKEW, MODEL, Parameter
+
+
+@dataclass(frozen=True)
+class SearchStart:
+    """One start of the search for an effect: the parameters estimated together, and where the search begins.
+
+    names  : parameters of the effect that are estimated together
+    values : initial values of any of its parameters, each in its own unit; else the neutral value, or else the nominal
+
+    A start at which the effect is neutral is best: the sensitivity to its magnitude there gives to first order how much
+    the effect would reduce the error.
+    """
+
+    names: tuple[str, ...]
+    values: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ModelParameter(Parameter):
+    """A parameter of an effect of mode "model": a parameter of the model under the effect's own name for it.
+
+    stands_for : dotted name of the model's parameter, such as `stack.gap.fraction`
+    """
+
+    stands_for: str = ""
+
+
+def model_parameter(name: str, stands_for: str, text: str = "", **changes: float) -> ModelParameter:
+    """Parameter of the model under an effect's own name for it; unit, nominal value, prior and bounds are the model's.
+
+    name       : name within the effect
+    stands_for : dotted name of the model's parameter, such as `stack.gap.fraction` or `clock.skew`
+    text       : what it is, in a line; that of the model's parameter by default
+    changes    : `value`, `sigma`, `lower` or `upper` where the effect needs another than the model
+    raises     : InputError with the nearest known name where the model has no such parameter
+    """
+    known = {**MODEL, CLOCK_SKEW.name: CLOCK_SKEW}
+    if stands_for not in known:
+        raise InputError(f"parameter `{name}`: the model has no `{stands_for}`{suggestion(stands_for, known)}")
+    model = known[stands_for]
+    return ModelParameter(**asdict(model) | {"name": name, "text": text or model.text} | changes, stands_for=stands_for)
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect on the heating, on the emittance, or on parameters of the model.
+
+    name          : as in a closure report
+    mode          : "add" to the ratio; "multiply" the ratio, after everything that adds; "emittance"; or "model"
+    parameters    : in the order in which the kernel reads them, EFFECT_WIDTH at most; of mode "model": ModelParameters
+    kernel        : compiled f(B, c, p, wall_K); None for an effect of mode "model"
+    needs_wall    : whether the kernel's value depends on the wall temperature
+    lags          : whether the ratio lags; the first two parameters are then time constant [s] and fraction [-]
+    needs         : columns of the flight conditions that must exist and vary for the effect to be identifiable;
+                    `close-loop` does not look for it in other flights
+    neutral       : its magnitudes and the values at which, all of them together, it does nothing for any other
+                    parameters
+    search_starts : starts of the search for it in data, for a flight's conditions; by default one, with all parameters
+                    that have a prior, from their nominal values
+    physics       : the physical process, in a line
+    source        : publication or flight in which it was seen
+    raises        : InputError where parameters are too many, mode and kernel or parameters contradict each other, or
+                    `neutral` names a parameter that does not exist
+    """
+
+    name: str
+    mode: Literal["add", "multiply", "emittance", "model"]
+    parameters: tuple[Parameter, ...]
+    kernel: Callable[..., float] | None = field(default=None, compare=False)
+    needs_wall: bool = False
+    lags: bool = False
+    needs: tuple[str, ...] = ()
+    neutral: Mapping[str, float] = field(default_factory=dict, compare=False)
+    search_starts: Callable[[Conditions], Sequence[SearchStart]] | None = field(default=None, compare=False)
+    physics: str = ""
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        if len(self.parameters) > EFFECT_WIDTH:
+            raise InputError(f"effect {self.name}: {len(self.parameters)} parameters; {EFFECT_WIDTH} at most")
+        if (self.mode == "model") != (self.kernel is None):
+            raise InputError(
+                f'effect {self.name}: mode "{self.mode}" {"takes no" if self.kernel else "needs a"} kernel; '
+                'every mode but "model" has one'
+            )
+        if self.mode == "model" and len(self.model_parameters) != len(self.parameters):
+            raise InputError(
+                f'effect {self.name}: mode "model" takes parameters of the model; make each with model_parameter(...)'
+            )
+        self._check_names(self.neutral, "neutral")
+
+    @property
+    def built_in(self) -> bool:
+        """Whether its kernel is one of the package's; False for a user-defined one and for mode "model"."""
+        return getattr(self.kernel, "__module__", "").startswith(f"{__package__}.")
+
+    @property
+    def model_parameters(self) -> tuple[str, ...]:
+        """Dotted names of the model's parameters that its own stand for, in their order; none with a kernel."""
+        return tuple(p.stands_for for p in self.parameters if isinstance(p, ModelParameter))
+
+    @property
+    def acts_on_clock(self) -> bool:
+        """Whether it changes the times of a record's readings: such an effect has no part in the march."""
+        return CLOCK_SKEW.name in self.model_parameters
+
+    def own_name(self, model_name: str) -> str | None:
+        """Name within this effect of a parameter of the model, such as `skew_s` of `clock.skew`; None for another."""
+        return dict(zip(self.model_parameters, (p.name for p in self.parameters), strict=False)).get(model_name)
+
+    def starts_for(self, flown: Conditions) -> Sequence[SearchStart]:
+        """Starts of the search for this effect in a flight's data.
+
+        flown   : conditions of the flight, over which onsets and times are spread
+        returns : starts, each completed with the effect's neutral values
+        raises  : InputError where a start names a parameter that the effect does not have
+        """
+        if self.search_starts is None:
+            return [SearchStart(tuple(p.name for p in self.parameters if p.sigma > 0.0))]
+        starts = self.search_starts(flown)
+        self._check_names([n for s in starts for n in (*s.names, *s.values)], "search_starts")
+        return [replace(s, values={**self.neutral, **s.values}) for s in starts]
+
+    def active_parameters(self, names: Sequence[str], values: Mapping[str, float]) -> tuple[str, ...]:
+        """Parameters that change the heating at given values: where the effect is neutral there, its magnitudes only.
+
+        names   : parameters of the effect
+        values  : value of each parameter, in its unit
+        returns : those of `names` with a sensitivity that is not identically zero
+        """
+        neutral = bool(self.neutral) and all(values[n] == value for n, value in self.neutral.items())
+        return tuple(n for n in names if n in self.neutral or not neutral)
+
+    def _check_names(self, names: Iterable[str], where: str) -> None:
+        """raises : InputError where one of the names is not a parameter of this effect"""
+        known = [p.name for p in self.parameters]
+        for name in names:
+            if name not in known:
+                raise InputError(
+                    f"effect {self.name}, `{where}`: no parameter `{name}`. The effect has: {', '.join(known)}."
+                )
+
+
+@dataclass(frozen=True)
+class EffectUse:
+    """An effect with the values of its parameters, each in its unit, in the order of `effect.parameters`."""
+
+    effect: Effect
+    values: tuple[float, ...]
+
+
+def check_count(uses: tuple[EffectUse, ...], where: str) -> None:
+    """Check that the effects of one control point fit into its lane.
+
+    uses   : effects of the control point; those of mode "model" take no slot
+    where  : control point or file, for the message
+    raises : InputError where more than EFFECT_SLOTS of them have a kernel
+    """
+    kernels = sum(use.effect.kernel is not None for use in uses)
+    if kernels > EFFECT_SLOTS:
+        raise InputError(f"{where}: {kernels} effects with a kernel; {EFFECT_SLOTS} at most at one control point")

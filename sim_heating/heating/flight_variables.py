@@ -1,0 +1,38 @@
+"""Flight conditions that the kernel of an effect reads, by the names of their columns in conditions.csv.
+
+    from sim_heating import flight
+
+    B[c + flight.mach]      Mach number of the lane whose conditions begin at B[c]
+
+Each name is an offset from `c`. The values are those at the stage of the time step at which the kernel is evaluated. A
+column that a flight does not have is 0.
+"""
+
+from __future__ import annotations
+
+from sim_heating.base.kernels import block
+
+alpha_deg = block.ALPHA
+"""Angle of attack [deg]."""
+beta_deg = block.BETA
+"""Angle of sideslip [deg]."""
+log10_re = block.LOG10_RE
+"""log10 of the free-stream Reynolds number on the vehicle's reference length [-]."""
+elevon_deg = block.ELEVON
+"""Elevon deflection [deg], positive trailing edge down."""
+bodyflap_deg = block.BODYFLAP
+"""Body-flap deflection [deg], positive trailing edge down."""
+p_surface_Pa = block.P_SURFACE
+"""Surface pressure at the control point [Pa]."""
+h_ref_kg_m2_s = block.H_REF
+"""Reference film coefficient [kg/(m2 s)]."""
+H_r_J_kg = block.RECOVERY_ENTHALPY
+"""Recovery enthalpy [J/kg], zero at 0 K."""
+q_add_W_m2 = block.Q_ADD
+"""Known additional absorbed flux [W/m2]."""
+jets = block.JETS
+"""Reaction-jet firing [-], 0 (off) to 1 (firing)."""
+mach = block.MACH
+"""Mach number [-], speed over the local speed of sound."""
+time_s = block.TIME
+"""Time [s]."""
