@@ -12,7 +12,7 @@ from benchmarks.c_peer.build import FAST, STRICT, Peer, compile_peer, compiler
 from benchmarks.measure import Figure, Times, in_turn, one_thread, save
 from benchmarks.problems import NOTHING, ensemble_of, entry, points
 from sim_heating.base.kernels.block import ADDED, FILM, LANES, PCOL, PFRAC, RECOVERY
-from sim_heating.base.kernels.jit import njit, raw
+from sim_heating.base.kernels.jit import njit, pointer
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.frames import BLOCK_END, BLOCK_START, INTS_END, INTS_START
 from sim_heating.thermal.step import step
@@ -28,9 +28,9 @@ HEATED = (FILM, RECOVERY, ADDED, PCOL, PFRAC)
 
 
 @njit
-def march_heated(B, J, table, chain, time_s, heating) -> None:  # type: ignore[no-untyped-def]
+def march_heated(B, J, table, dispatcher, time_s, heating) -> None:  # type: ignore[no-untyped-def]
     """A group through an entry with its heating given, (time, 2, 5, LANES): stages 1 and 2 of the step to a time."""
-    b, j, t = raw(B), raw(J), raw(table)
+    b, j, t = pointer(B), pointer(J), pointer(table)
     for k in range(1, len(time_s)):
         for r in range(5):
             row = HEATED[r]
@@ -38,13 +38,13 @@ def march_heated(B, J, table, chain, time_s, heating) -> None:  # type: ignore[n
                 B[row * LANES + lane] = B[(row + 2) * LANES + lane]
                 B[(row + 1) * LANES + lane] = heating[k, 0, r, lane]
                 B[(row + 2) * LANES + lane] = heating[k, 1, r, lane]
-        step(b, j, t, chain, time_s[k] - time_s[k - 1])
+        step(b, j, t, dispatcher, time_s[k] - time_s[k - 1])
 
 
 def _heating(ensemble: Ensemble, time_s: FloatArray, history: FloatArray) -> FloatArray:
     """(time, 2, 5, LANES) heating of the first group; that of all others is the same."""
     rows = [row + stage for stage in (1, 2) for row in HEATED]
-    kept = np.array([ensemble.places[lane].scalar(row) for row in rows for lane in range(LANES)])
+    kept = np.array([ensemble.lane_offsets[lane].scalar(row) for row in rows for lane in range(LANES)])
     ensemble.reset()
     return ensemble.march(time_s, history, keep=kept).reshape(len(time_s), 2, len(HEATED), LANES).copy()
 
@@ -53,7 +53,12 @@ def _all_heated(ensemble: Ensemble, time_s: FloatArray, heating: FloatArray) -> 
     for g in range(len(ensemble.groups)):
         start, end, ints, ints_end = ensemble.groups[g, [BLOCK_START, BLOCK_END, INTS_START, INTS_END]]
         march_heated(
-            ensemble.state[start:end], ensemble.ints[ints:ints_end], ensemble.table, ensemble.chain, time_s, heating
+            ensemble.state[start:end],
+            ensemble.ints[ints:ints_end],
+            ensemble.table,
+            ensemble.dispatcher,
+            time_s,
+            heating,
         )
 
 

@@ -114,7 +114,8 @@ def fitted(points: list[FilterTrack], time_s: FloatArray, history: FloatArray) -
         found: list[Filtered] = []
         for _ in range(ITERATIONS):
             march.set_models([
-                p.model.altered(dict(zip(NAMES, map(float, v), strict=True))) for p, v in zip(some, at, strict=True)
+                p.model.with_parameters(dict(zip(NAMES, map(float, v), strict=True)))
+                for p, v in zip(some, at, strict=True)
             ])  # fmt: skip
             found = march.filter()
             at = at + np.array([np.linalg.solve(f.information(), f.score()) for f in found])

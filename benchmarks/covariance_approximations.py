@@ -70,7 +70,7 @@ def linear(
     read, transition, sensitivity = [], [], []
     for k in range(0, len(points), LANES):
         some = [
-            replace(p, names=(), model=p.model.altered(dict(zip(names, map(float, v), strict=True))))
+            replace(p, names=(), model=p.model.with_parameters(dict(zip(names, map(float, v), strict=True))))
             for p, v in zip(points[k : k + LANES], values[k : k + LANES], strict=True)
         ]
         nothing = [np.zeros(len(time_s) - 1)] * len(some)

@@ -117,7 +117,7 @@ def start_at(case: Case) -> StartMaker:
         window = flown(case.scenario, case.until_m_s)[1].windows[0]
         conditions = conditions_of_record(record)
         until = conditions.time_s <= window.start_s - BEFORE_S
-        ensemble = Ensemble([model.altered(case.marched)], [mesh])
+        ensemble = Ensemble([model.with_parameters(case.marched)], [mesh])
         ensemble.march(conditions.time_s[until], condition_history(conditions)[np.newaxis, until], keep=NOTHING)
         return Start(float(conditions.time_s[until][-1]), ensemble.node_temperatures(0), np.zeros((mesh.nodes, 0)))
 

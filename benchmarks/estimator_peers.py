@@ -49,13 +49,13 @@ class Plain:
         begun = self.part.initial_K(None)
         self.start_K = declared_profile(self.part) if begun is None else begun
         self.ensemble = Ensemble([self.part.model], [self.part.mesh])
-        places, mesh = self.ensemble.places, self.part.mesh
+        places, mesh = self.ensemble.lane_offsets, self.part.mesh
         self.nodes = np.array([places[0].temperature(i) for i in range(mesh.nodes)])
         self.sensors = np.array(mesh.sensors)
 
     def model(self, values: FloatArray) -> PointModel:
         """The point at parameter values."""
-        return self.part.model.altered(dict(zip(self.names, map(float, values), strict=True)))
+        return self.part.model.with_parameters(dict(zip(self.names, map(float, values), strict=True)))
 
     def march(self, values: FloatArray) -> FloatArray:
         """(step, sensor) temperatures [K] after each step."""
@@ -136,7 +136,7 @@ def by_side_by_side(point: Plain, values: FloatArray, iterations: int) -> FloatA
     scale = np.array([_scale(point, n) for n in point.names])
     m, at = len(values), values.copy()
     group = Ensemble([point.part.model] * (m + 1), [point.part.mesh] * (m + 1))
-    kept = np.array([p.temperature(i) for p in group.places for i in point.sensors])
+    kept = np.array([p.temperature(i) for p in group.lane_offsets for i in point.sensors])
     for _ in range(iterations):
         r = _several(point, group, kept, np.vstack([at, at + MOVED * np.diag(scale)]))
         J = ((r[1:] - r[0]) / (MOVED * scale)[:, np.newaxis]).T

@@ -78,6 +78,6 @@ def prescribed(history: FloatArray, model: PointModel) -> tuple[PointModel, Floa
     time_s = history[0, :, TIME]
     out = history.copy()
     ensemble = Ensemble([model], [mesh_of(model, 24)], 1.0)
-    film = ensemble.march(time_s, history, keep=np.array([ensemble.places[0].scalar(FILM + 2)]))
+    film = ensemble.march(time_s, history, keep=np.array([ensemble.lane_offsets[0].scalar(FILM + 2)]))
     out[0, :, H_REF] = film[:, 0]
     return replace(model, ratio=None, parameters={"ratio.d0": 1.0}), out

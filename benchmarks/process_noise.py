@@ -96,14 +96,14 @@ def disturbed(
     step) what was added to the heating ratio in it."""
     part = bench.problem.parts[0]
     t, history = part.time_s, condition_history(part.conditions.at(part.time_s))[np.newaxis]
-    model, begun = part.altered(bench.truth), part.initial_K(None)
+    model, begun = part.with_parameters(bench.truth), part.initial_K(None)
     profiles = np.tile(declared_profile(part) if begun is None else begun, (runs, 1))
     d = rng.normal(0.0, noise.ratio_sigma, runs)
     ensemble = Ensemble([model] * runs, [part.mesh] * runs)
     found, added = np.empty((runs, len(t) - 1, part.mesh.nodes)), np.empty((runs, len(t) - 1))
     for k, dt in enumerate(np.diff(t)):
         for i in range(runs):
-            ensemble.set_model(i, model.altered({"ratio.d0": model.value("ratio.d0") + d[i]}))
+            ensemble.set_model(i, model.with_parameters({"ratio.d0": model.value("ratio.d0") + d[i]}))
             ensemble.set_profile(i, profiles[i])
         ensemble.march(t[k : k + 2], history[:, k : k + 2], keep=NOTHING)
         profiles = np.array([ensemble.node_temperatures(i) for i in range(runs)])

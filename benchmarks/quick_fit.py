@@ -36,7 +36,7 @@ class Model:
     def whole_residual_K(self) -> FloatArray:
         """(sensor, sample) the same over the whole record, of which the fit may know little."""
         part = self.problem.parts[0]
-        return predict(part.record, part.altered(self.fit.values)).residual_K
+        return predict(part.record, part.with_parameters(self.fit.values)).residual_K
 
     @property
     def values(self) -> dict[str, float]:

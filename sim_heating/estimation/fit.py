@@ -292,7 +292,7 @@ def predict_fit(part: RecordFit, values: FloatArray) -> Prediction:
     # a shifted sample is read later than it was recorded
     end = min(float(asked.max()) + max(part.shift_s(values), 0.0), part.conditions.time_s[-1])
     marched = replace(record, conditions=record.conditions.at(march_times(record.conditions, begin, end)))
-    model, initial_K = part.altered(values), part.initial_K(values)
+    model, initial_K = part.with_parameters(values), part.initial_K(values)
     if initial_K is not None:
         profile = {"initial": "profile", "initial_profile": np.column_stack([part.mesh.depth_m, initial_K]).tolist()}
         stack = model.construction.stack.model_copy(update=profile)

@@ -160,9 +160,9 @@ class RecordFit:
         """Values of the part's unknowns by their dotted names, each in its unit ([-] for ratios, [s] for the skew)."""
         return dict(zip(self.names, vector[self.index], strict=True))
 
-    def altered(self, vector: FloatArray) -> PointModel:
+    def with_parameters(self, vector: FloatArray) -> PointModel:
         """Model of the point with the parameters of heating and stack at a parameter vector (parameter,)."""
-        return self.model.altered(dict(zip(self.marched, vector[self.index], strict=False)))
+        return self.model.with_parameters(dict(zip(self.marched, vector[self.index], strict=False)))
 
     def shift_s(self, vector: FloatArray) -> float:
         """Time [s] that is added to the recorded times: recorded T(t) = true T(t - skew), so it is minus the skew.
@@ -244,7 +244,7 @@ def set_parameters(
     Time shift: docs/clocks_and_starts.md, equation 1.
     """
     of_parts = list(zip(group, vectors, strict=True))
-    march.set_models([part.altered(v) for part, v in of_parts])
+    march.set_models([part.with_parameters(v) for part, v in of_parts])
     return [part.shift_s(v) for part, v in of_parts], [part.initial_K(v) for part, v in of_parts]
 
 
@@ -459,7 +459,9 @@ def _temperatures_K(
     part: RecordFit, vector: FloatArray, meshes: Sequence[tuple[Mesh, FloatArray | None]]
 ) -> list[FloatArray]:
     """(sensor, sample) temperatures [K] of the march on each mesh, from the initial temperatures [K] paired with it."""
-    tracks = [Track(part.altered(vector), mesh, (), part.sample_s, initial_K=initial) for mesh, initial in meshes]
+    tracks = [
+        Track(part.with_parameters(vector), mesh, (), part.sample_s, initial_K=initial) for mesh, initial in meshes
+    ]
     history = condition_history(part.conditions.at(part.time_s))[np.newaxis]
     found = LinearMarch(tracks, part.time_s, history).march([part.shift_s(vector)] * len(tracks))
     return [f.temperature_K for f in found]

@@ -185,7 +185,7 @@ def state_at(part: RecordFit, values: FloatArray, time_s: float) -> tuple[FloatA
     declared = part.track(values)
     nodes = tuple(range(part.mesh.nodes))
     track = Track(
-        part.altered(values), part.mesh, part.marched, np.array([time_s]), nodes, declared.initial_K,
+        part.with_parameters(values), part.mesh, part.marched, np.array([time_s]), nodes, declared.initial_K,
         declared.initial_columns,
     )  # fmt: skip
     found = LinearMarch([track], time, condition_history(part.conditions.at(time))[np.newaxis]).march()[0]
@@ -205,7 +205,7 @@ def refined_at(part: RecordFit, values: FloatArray, time_s: float) -> FloatArray
     if time_s <= begin:
         return initial_temperatures(part.model.construction, mesh) if initial is None else initial
     time = march_times(part.conditions, begin, time_s)
-    track = Track(part.altered(values), mesh, (), np.array([time_s]), tuple(range(mesh.nodes)), initial)
+    track = Track(part.with_parameters(values), mesh, (), np.array([time_s]), tuple(range(mesh.nodes)), initial)
     found = LinearMarch([track], time, condition_history(part.conditions.at(time))[np.newaxis]).march()[0]
     return found.temperature_K[:, 0]
 

@@ -54,7 +54,7 @@ from sim_heating.base.kernels.block import (
     T,
 )
 from sim_heating.base.kernels.elementary import exp, log10
-from sim_heating.base.kernels.jit import call_chain, folded, njit
+from sim_heating.base.kernels.jit import call_dispatcher, inline_always, njit
 from sim_heating.heating.ratio.lookup import VARIABLES, fraction, keep_axis, lanes_left, linear_ratio, table_ratios
 
 PRESSURE = VARIABLES
@@ -62,10 +62,10 @@ PRESSURE = VARIABLES
 
 
 @njit
-def with_effects(B: FloatArray, J: IntArray, chain, lane: int, stage: int, r: float, wall_K: float) -> float:  # type: ignore[no-untyped-def]
+def with_effects(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, r: float, wall_K: float) -> float:  # type: ignore[no-untyped-def]
     """Heating ratio [-] of a lane after its effects: r = L[r_lin + sum a_k] prod m_k, L the lag.
 
-    B, J   : block of the lane group and its integers;  chain : the compiled effects
+    B, J   : block of the lane group and its integers;  dispatcher : the compiled effects
     lane   : its number;  stage : 0 start, 1 middle, 2 end of the time step
     r      : ratio of the linear model [-];  wall_K : wall temperature that the effects are evaluated at [K]
     Where the lane has a lag, its state at the stage is written into B.
@@ -75,15 +75,15 @@ def with_effects(B: FloatArray, J: IntArray, chain, lane: int, stage: int, r: fl
     p = PARAMETERS * LANES + lane * N_PARAMETERS + EFFECT_PARAMETERS
     adding = J[N_ADDING + lane]
     for k in range(adding):
-        r += call_chain(chain, J[EFFECT_CODES + lane * EFFECT_SLOTS + k], B, c, p + k * EFFECT_WIDTH, wall_K)
+        r += call_dispatcher(dispatcher, J[EFFECT_CODES + lane * EFFECT_SLOTS + k], B, c, p + k * EFFECT_WIDTH, wall_K)
     if J[LAG_SLOT + lane] != NONE:
         r = _lagged(B, lane, stage, p + J[LAG_SLOT + lane] * EFFECT_WIDTH, r)
     for k in range(adding, J[N_EFFECTS + lane]):
-        r *= call_chain(chain, J[EFFECT_CODES + lane * EFFECT_SLOTS + k], B, c, p + k * EFFECT_WIDTH, wall_K)
+        r *= call_dispatcher(dispatcher, J[EFFECT_CODES + lane * EFFECT_SLOTS + k], B, c, p + k * EFFECT_WIDTH, wall_K)
     return r
 
 
-@folded
+@inline_always
 def _lagged(B: FloatArray, lane: int, stage: int, p: int, r: float) -> float:
     """Ratio [-] with its lag at a stage; time constant [s] and lagging part [-] are B[p] and B[p + 1].
 
@@ -103,10 +103,10 @@ def _lagged(B: FloatArray, lane: int, stage: int, p: int, r: float) -> float:
 
 
 @njit
-def emittance_factor(B: FloatArray, J: IntArray, chain, lane: int, stage: int, wall_K: float) -> float:  # type: ignore[no-untyped-def]
+def emittance_factor(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, wall_K: float) -> float:  # type: ignore[no-untyped-def]
     """Factor [-] on the emittance of a lane: the product of its effects on emittance at a wall temperature.
 
-    B, J   : block of the lane group and its integers;  chain : the compiled effects
+    B, J   : block of the lane group and its integers;  dispatcher : the compiled effects
     lane   : its number;  stage : 0 start, 1 middle, 2 end of the time step;  wall_K : wall temperature [K]
     returns : 1 without such effects. It multiplies epsilon of the surface balance (docs/equations.md, equation 2).
     """
@@ -115,7 +115,9 @@ def emittance_factor(B: FloatArray, J: IntArray, chain, lane: int, stage: int, w
     # Effects on emittance come after those on the ratio in the lane's list.
     first, factor = J[N_EFFECTS + lane], 1.0
     for k in range(first, first + J[N_EMITTING + lane]):
-        factor *= call_chain(chain, J[EFFECT_CODES + lane * EFFECT_SLOTS + k], B, c, p + k * EFFECT_WIDTH, wall_K)
+        factor *= call_dispatcher(
+            dispatcher, J[EFFECT_CODES + lane * EFFECT_SLOTS + k], B, c, p + k * EFFECT_WIDTH, wall_K
+        )
     return factor
 
 
@@ -137,15 +139,15 @@ def _pressure_columns(B: FloatArray, J: IntArray, table: FloatArray, stage: int)
 
 
 @njit
-def heat_lanes(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int) -> None:  # type: ignore[no-untyped-def]
+def heat_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int) -> None:  # type: ignore[no-untyped-def]
     """Film coefficient, recovery enthalpy, added flux and pressure column of all lanes at one stage.
 
     B, J  : block of the lane group and its integers; rows FILM [kg/(m2 s)], RECOVERY [J/kg], ADDED [W/m2],
             PCOL, PFRAC [-] of the stage are written, OUTSIDE counts the samples off the axes of the ratio table
-    table : property and ratio tables;  chain : the compiled effects;  stage : 0 start, 1 middle, 2 end of the step
+    table : property and ratio tables;  dispatcher : the compiled effects;  stage : 0 start, 1 middle, 2 end of the step
     Source: docs/equations.md, equations 5 to 8.
     """
-    heat_shadows(B, J, table, chain, stage)
+    heat_perturbed_lanes(B, J, table, dispatcher, stage)
     c = C_STAGES * LANES + stage * LANES * N_CONDITIONS
     for lane in range(LANES):
         B[(CELL_X + PRESSURE) * LANES + lane] = B[c + (lane * N_CONDITIONS + P_SURFACE)]
@@ -157,12 +159,12 @@ def heat_lanes(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int)
 
 
 @njit
-def heat_shadows(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int) -> None:  # type: ignore[no-untyped-def]
+def heat_perturbed_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int) -> None:  # type: ignore[no-untyped-def]
     """Film coefficient, recovery enthalpy and added flux of all lanes at one stage, without pressure columns.
 
     B, J  : block of the lane group and its integers; rows R_BASE [-], FILM [kg/(m2 s)], RECOVERY [J/kg], ADDED [W/m2]
             of the stage are written, NEGATIVE counts the end-of-step ratios below 0
-    table : property and ratio tables;  chain : the compiled effects;  stage : 0 start, 1 middle, 2 end of the step
+    table : property and ratio tables;  dispatcher : the compiled effects;  stage : 0 start, 1 middle, 2 end of the step
     Used alone for perturbed lanes, whose pressure is that of their nominal lane.
     Source: docs/equations.md, equations 5 to 8, film = r h_ref.
     """
@@ -174,7 +176,7 @@ def heat_shadows(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: in
         # Kept without effects: effects that depend on wall temperature are evaluated again at every Newton iterate.
         B[(R_BASE + stage) * LANES + lane] = r
         if J[N_EFFECTS + lane] > 0:
-            r = with_effects(B, J, chain, lane, stage, r, B[(HEAD_ROWS + T) * LANES + lane])
+            r = with_effects(B, J, dispatcher, lane, stage, r, B[(HEAD_ROWS + T) * LANES + lane])
         B[(FILM + stage) * LANES + lane] = r * B[c + H_REF]
         B[(RECOVERY + stage) * LANES + lane] = B[c + RECOVERY_ENTHALPY]
         B[(ADDED + stage) * LANES + lane] = B[c + Q_ADD]

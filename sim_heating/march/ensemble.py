@@ -60,7 +60,7 @@ from sim_heating.base.kernels.block import (
     node_rows,
     scalar_row,
 )
-from sim_heating.base.kernels.jit import handle
+from sim_heating.base.kernels.jit import address_of
 from sim_heating.heating.effects import Effect
 from sim_heating.heating.effects.compiled import effect_dispatcher
 from sim_heating.heating.ratio.lookup import pack_table
@@ -77,11 +77,11 @@ from sim_heating.march.frames import (
 from sim_heating.march.point import (
     RUNS_AWAY,
     PointModel,
-    acting,
     element_densities,
     heating_vector,
     initial_temperatures,
     insulation_layer,
+    kernel_effects,
     stack_values,
 )
 from sim_heating.thermal.elements import set_point, set_temperatures
@@ -109,7 +109,7 @@ def condition_history(conditions: Conditions) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class _Place:
+class LaneOffsets:
     """Location of a model: group, its lanes from `lane` to before `end`, and the first number of the group's block."""
 
     group: int
@@ -135,7 +135,7 @@ class Ensemble:
     models : the control points; results keep their order
     meshes : the mesh of each (resolution.pack chooses them)
     step_s : the longest time step that a march takes [s]
-    beside : an ensemble of points with the same tables and effects, whose tables this one shares
+    share_tables_with : an ensemble of points with the same tables and effects, whose tables this one shares
     kinds  : (point,) numbers; points of different kinds share no group, those of the lowest come first
     raises : InputError where there is no point
 
@@ -147,7 +147,7 @@ class Ensemble:
         models: Sequence[PointModel],
         meshes: Sequence[Mesh],
         step_s: float = 1.0,
-        beside: Ensemble | None = None,
+        share_tables_with: Ensemble | None = None,
         kinds: Sequence[int] | None = None,
     ) -> None:
         if not models:
@@ -156,12 +156,12 @@ class Ensemble:
         self.step_s = step_s
         self.meshes = tuple(meshes)
         self._effects = _distinct_effects(self.models)
-        self._chain = effect_dispatcher(self._effects)
-        self.chain = self._chain.handle
-        self._codes = dict(zip(self._effects, self._chain.codes, strict=True))
+        self._dispatcher = effect_dispatcher(self._effects)
+        self.dispatcher = self._dispatcher.address
+        self._codes = dict(zip(self._effects, self._dispatcher.codes, strict=True))
         # An address and not the function: kernels that call it need no recompiling when effects change.
-        self.move_handle = handle(compiled())
-        self._tables: TableStore = TableStore() if beside is None else beside._tables
+        self.advance_address = address_of(compiled())
+        self._tables: TableStore = TableStore() if share_tables_with is None else share_tables_with._tables
         self._arrange([0] * len(self.models) if kinds is None else kinds)
         self.table = self._tables.values
         self.reset()
@@ -189,14 +189,14 @@ class Ensemble:
         self.ints = np.zeros(integers[-1], dtype=np.int64)
         # Lanes left over repeat the last point, so that they never fail by themselves.
         self.lanes = np.array([group + [group[-1]] * (LANES - len(group)) for group in members]).ravel()
-        self.places = [_Place(0, 0, 0, 0)] * len(self.models)
+        self.lane_offsets = [LaneOffsets(0, 0, 0, 0)] * len(self.models)
         self._densities = [
             element_densities(m.construction, mesh) for m, mesh in zip(self.models, self.meshes, strict=True)
         ]
         for g, group in enumerate(members):
             for lane, i in enumerate(group):
                 end = LANES if i == group[-1] else lane + 1
-                self.places[i] = _Place(g, lane, end, int(blocks[g]))
+                self.lane_offsets[i] = LaneOffsets(g, lane, end, int(blocks[g]))
             self._pack_group(g)
 
     def block(self, group: int) -> FloatArray:
@@ -223,7 +223,7 @@ class Ensemble:
 
     def _pack_stack(self, i: int) -> None:
         """Write the part of a point's stack that does not depend on its parameters."""
-        model, mesh, place = self.models[i], self.meshes[i], self.places[i]
+        model, mesh, place = self.models[i], self.meshes[i], self.lane_offsets[i]
         B, J, lanes = self.block(place.group), self.integers(place.group), slice(place.lane, place.end)
         tables = self.point_tables(model)
         nodes = node_integers(J)
@@ -241,7 +241,7 @@ class Ensemble:
 
     def _pack_heating(self, i: int) -> None:
         """Write the part of a point's heating that does not depend on its parameters."""
-        place, uses = self.places[i], acting(self.models[i])
+        place, uses = self.lane_offsets[i], kernel_effects(self.models[i])
         J = self.integers(place.group)
         modes = [u.effect.mode for u in uses]
         lagging = [k for k, u in enumerate(uses) if u.effect.lags]
@@ -256,18 +256,18 @@ class Ensemble:
             for k, used in enumerate(uses):
                 J[EFFECT_CODES + lane * EFFECT_SLOTS + k] = self._codes[used.effect]
 
-    def set_model(self, model: int, altered: PointModel) -> None:
+    def set_model(self, model: int, changed: PointModel) -> None:
         """Give a point new parameter values.
 
         model   : index of the point
-        altered : its present model but for the values (PointModel.altered); stack, mesh, tables and effects must be the
-                  same
+        changed : its present model with other values (PointModel.with_parameters); stack, mesh, tables and effects must
+                  be the same
 
         A march then begins with `reset` or `set_profile`: until then heat contents [J/m2] are those of the earlier
         parameters, which the step would take for its start (docs/equations_march.md, equation 6).
         """
-        self.models[model] = altered
-        self.set_values(model, stack_values(altered), heating_vector(altered))
+        self.models[model] = changed
+        self.set_values(model, stack_values(changed), heating_vector(changed))
 
     def set_values(self, model: int, stack: FloatArray, heating: FloatArray) -> None:
         """Give a point new parameter values as its lane takes them; `models` keeps the values that it had.
@@ -278,7 +278,7 @@ class Ensemble:
 
         A march then begins with `reset`, `restore` or `set_profile`. Source: docs/equations_thermal_step.md, eq. 8.
         """
-        place, mesh = self.places[model], self.meshes[model]
+        place, mesh = self.lane_offsets[model], self.meshes[model]
         set_point(
             self.block(place.group), self.integers(place.group), place.lane, place.end, mesh.layer, mesh.length_m,
             self._densities[model], insulation_layer(self.models[model].construction), mesh.bondline, stack, heating,
@@ -306,7 +306,7 @@ class Ensemble:
             B[scalar_row(COLUMN)] = -1.0
 
     def _set_profile(self, i: int, temperature_K: FloatArray) -> None:
-        place = self.places[i]
+        place = self.lane_offsets[i]
         B, J = self.block(place.group), self.integers(place.group)
         set_temperatures(B, place.lane, place.end, J[N_NODES], temperature_K)
 
@@ -343,17 +343,17 @@ class Ensemble:
 
     def node_temperatures(self, model: int) -> FloatArray:
         """(node,) present temperatures of a point [K], outermost first, without the padding of its group."""
-        place = self.places[model]
+        place = self.lane_offsets[model]
         nodes = node_rows(self.block(place.group))
         return nodes[: self.meshes[model].nodes, T, place.lane].copy()
 
     def outputs(self) -> IntArray:
-        """Places in `state` of the temperatures [K] of surface, bondline and each sensor of each point, in this order.
+        """Offsets in `state` of the temperatures [K] of surface, bondline and each sensor of each point, in this order.
 
         The outputs that docs/equations_march.md, equation 16, compares.
         """
         at = []
-        for mesh, place in zip(self.meshes, self.places, strict=True):
+        for mesh, place in zip(self.meshes, self.lane_offsets, strict=True):
             at += [place.temperature(node) for node in (0, mesh.bondline, *mesh.sensors)]
         return np.array(at, dtype=np.int64)
 
@@ -362,7 +362,7 @@ class Ensemble:
 
         Energies: docs/equations_march.md, equation 24.
         """
-        return np.array([self.state[place.scalar(row)] for place in self.places])
+        return np.array([self.state[place.scalar(row)] for place in self.lane_offsets])
 
     # Moving ----------------------------------------------------------------------------------------------------------
 
@@ -383,7 +383,7 @@ class Ensemble:
         docs/equations_march.md, section 1.
         """
         vectors = self.spread(now)
-        begin_groups(self.state, self.ints, self.table, self.chain, self.move_handle, self.groups, vectors)
+        begin_groups(self.state, self.ints, self.table, self.dispatcher, self.advance_address, self.groups, vectors)
 
     def advance(self, then: FloatArray, dt: float) -> None:
         """Advance all points by one frame in one TR-BDF2 step, its conditions linear between the present and the new
@@ -399,7 +399,9 @@ class Ensemble:
         if not 0.0 < dt < np.inf:
             raise InputError(f"advance: dt is {dt:g} s; it must be above 0")
         vectors = self.spread(then)
-        advance_groups(self.state, self.ints, self.table, self.chain, self.move_handle, self.groups, vectors, dt, 1)
+        advance_groups(
+            self.state, self.ints, self.table, self.dispatcher, self.advance_address, self.groups, vectors, dt, 1
+        )
 
     def march(
         self,
@@ -468,7 +470,7 @@ class Ensemble:
         """
         out = np.empty((len(time_s) if len(kept) else 0, len(kept)))
         march_group(
-            self.block(group), self.integers(group), self.table, self.chain, self.move_handle,
+            self.block(group), self.integers(group), self.table, self.dispatcher, self.advance_address,
             time_s, histories, flights, longest_step_s, kept - self.groups[group, BLOCK_START], out,
         )  # fmt: skip
         return out
@@ -495,7 +497,7 @@ class Ensemble:
         """(point,) whose step did not converge, whose surface temperature [K] is not a number, or whose moisture has no
         unique temperature (docs/equations_march.md, equation 22).
         """
-        surface = np.array([self.state[place.temperature(0)] for place in self.places])
+        surface = np.array([self.state[place.temperature(0)] for place in self.lane_offsets])
         away = np.array([model.runs_away for model in self.models])
         return np.asarray((self.scalars(FAILED) > 0.0) | ~np.isfinite(surface) | away)
 

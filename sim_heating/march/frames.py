@@ -9,8 +9,8 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.kernels.block import C_STAGES, LANES, N_CONDITIONS
-from sim_heating.base.kernels.jit import call_step, njit, raw
-from sim_heating.thermal.step import BEGIN, hold
+from sim_heating.base.kernels.jit import call_step, njit, pointer
+from sim_heating.thermal.step import BEGIN, shift_conditions
 
 BLOCK_START, BLOCK_END, INTS_START, INTS_END = range(4)
 """Columns of the group array: where a group's numbers and integers stand."""
@@ -42,12 +42,12 @@ def set_conditions(B: FloatArray, vectors: FloatArray, first: int, share: float)
 
 @njit
 def begin_groups(
-    state: FloatArray, ints: IntArray, table: FloatArray, chain, move, groups: IntArray, now: FloatArray
+    state: FloatArray, ints: IntArray, table: FloatArray, dispatcher, advance, groups: IntArray, now: FloatArray
 ) -> None:  # type: ignore[no-untyped-def]
     """Set the flight conditions at the present time and evaluate heat contents and heat flows [W/m2] with them.
 
     state, ints : blocks and integers of all lane groups, changed;  groups : (group, 4) where each begins and ends
-    table       : property and ratio tables;  chain, move : handles of the compiled effects and of the compiled step
+    table       : property and ratio tables;  dispatcher, advance : addresses of the compiled effects and step
     now         : (group * LANES, condition) conditions, in the units of their columns
 
     Time does not advance. Needed at the start and after any change of temperatures or parameters from outside, because
@@ -56,18 +56,25 @@ def begin_groups(
     for g in range(len(groups)):
         B = state[groups[g, BLOCK_START] : groups[g, BLOCK_END]]
         set_conditions(B, now, g * LANES, 1.0)
-        call_step(move, raw(B), raw(ints[groups[g, INTS_START] : groups[g, INTS_END]]), raw(table), chain, BEGIN)
+        call_step(
+            advance,
+            pointer(B),
+            pointer(ints[groups[g, INTS_START] : groups[g, INTS_END]]),
+            pointer(table),
+            dispatcher,
+            BEGIN,
+        )
 
 
 @njit
 def advance_groups(
-    state: FloatArray, ints: IntArray, table: FloatArray, chain, move, groups: IntArray, then: FloatArray,  # type: ignore[no-untyped-def]
+    state: FloatArray, ints: IntArray, table: FloatArray, dispatcher, advance, groups: IntArray, then: FloatArray,  # type: ignore[no-untyped-def]
     dt: float, steps: int,
 ) -> None:  # fmt: skip
     """Advance all lane groups by one frame of a host, its conditions linear between the present and the new ones.
 
     state, ints : blocks and integers of all lane groups, changed;  groups : (group, 4) where each begins and ends
-    table       : property and ratio tables;  chain, move : handles of the compiled effects and of the compiled step
+    table       : property and ratio tables;  dispatcher, advance : addresses of the compiled effects and step
     then        : (group * LANES, condition) conditions at the end of the frame, in the units of their columns
     dt          : length of the frame [s];  steps : number of equal TR-BDF2 steps in it
 
@@ -76,22 +83,22 @@ def advance_groups(
     """
     for g in range(len(groups)):
         B = state[groups[g, BLOCK_START] : groups[g, BLOCK_END]]
-        b, j, t = raw(B), raw(ints[groups[g, INTS_START] : groups[g, INTS_END]]), raw(table)
+        b, j, t = pointer(B), pointer(ints[groups[g, INTS_START] : groups[g, INTS_END]]), pointer(table)
         for s in range(steps):
-            hold(b)
+            shift_conditions(b)
             set_conditions(B, then, g * LANES, 1.0 / (steps - s))
-            call_step(move, b, j, t, chain, dt / steps)
+            call_step(advance, b, j, t, dispatcher, dt / steps)
 
 
 @njit
 def march_group(
-    B: FloatArray, J: IntArray, table: FloatArray, chain, move, time_s: FloatArray, histories: FloatArray,  # type: ignore[no-untyped-def]
+    B: FloatArray, J: IntArray, table: FloatArray, dispatcher, advance, time_s: FloatArray, histories: FloatArray,  # type: ignore[no-untyped-def]
     which: IntArray, longest_step_s: float, kept: IntArray, out: FloatArray,
 ) -> None:  # fmt: skip
     """March one lane group through its flights, the conditions linear between samples.
 
     B, J           : block and integers of the group, changed
-    table          : property and ratio tables;  chain, move : handles of the compiled effects and of the compiled step
+    table          : property and ratio tables;  dispatcher, advance : addresses of the compiled effects and step
     time_s         : (time,) samples [s];  histories : (flight, time, condition), in the units of their columns
     which          : (LANES,) flight of each lane
     longest_step_s : an interval between samples that is longer is divided into equal steps no longer than this [s]
@@ -100,12 +107,12 @@ def march_group(
 
     Derived in docs/equations_march.md, equations 1 and 2.
     """
-    b, j, t = raw(B), raw(J), raw(table)
+    b, j, t = pointer(B), pointer(J), pointer(table)
     m_kept = len(kept) if len(out) > 0 else 0
     for lane in range(LANES):
         for c in range(N_CONDITIONS):
             B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], 0, c]
-    call_step(move, b, j, t, chain, BEGIN)
+    call_step(advance, b, j, t, dispatcher, BEGIN)
     for m in range(m_kept):
         out[0, m] = B[kept[m]]
     for k in range(1, len(time_s)):
@@ -113,13 +120,13 @@ def march_group(
         # Without the 1e-9 an interval that is a multiple of the longest step but for rounding would take a step more.
         steps = int(np.ceil(span / longest_step_s - 1e-9))
         for s in range(1, steps + 1):
-            hold(b)
+            shift_conditions(b)
             f = s / steps
             for lane in range(LANES):
                 for c in range(N_CONDITIONS):
                     # The last step takes the sample itself: f (then - now) would leave a rounding error in it.
                     now, then = histories[which[lane], k - 1, c], histories[which[lane], k, c]
                     B[END_STAGE + lane * N_CONDITIONS + c] = then if s == steps else now + f * (then - now)
-            call_step(move, b, j, t, chain, span / steps)
+            call_step(advance, b, j, t, dispatcher, span / steps)
         for m in range(m_kept):
             out[k, m] = B[kept[m]]

@@ -79,7 +79,7 @@ def march_points(
     # Interpolated only where a time was added: the samples themselves are taken as they are.
     flown = [f.at(time) for f in flights] if len(time) > len(flights[0]) else list(flights)
     # FILM has one row a stage; the third is that of the end of a step, where the samples are.
-    film = np.array([place.scalar(FILM + 2) for place in ensemble.places])
+    film = np.array([place.scalar(FILM + 2) for place in ensemble.lane_offsets])
     out = ensemble.march(time, histories(flown), keep=np.concatenate([ensemble.outputs(), film]))
     return _split(ensemble, time, out, flown)
 

@@ -14,26 +14,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim_heating.base.arrays import FloatArray, IntArray
-from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.kernels.block import D0, GAPS, HEAD_ROWS, LANES, N_CONDITIONS, NODE_ROWS, T_STAGE, T_START, T
-from sim_heating.base.kernels.jit import call_step, handle, njit, raw
-from sim_heating.base.parameters import CURVED, EFFECT_PREFIX, RATIO
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.frames import END_STAGE
 from sim_heating.march.point import PointModel, initial_temperatures
+from sim_heating.nominal.arrays import FloatArray, IntArray
+from sim_heating.nominal.errors import InputError, RunError
+from sim_heating.nominal.kernels.block import D0, GAPS, HEAD_ROWS, LANES, N_CONDITIONS, NODE_ROWS, T_STAGE, T_START, T
+from sim_heating.nominal.kernels.jit import address_of, call_step, njit, pointer
+from sim_heating.nominal.parameters import CURVED, EFFECT_PREFIX, RATIO
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.sensitivity import (
     DEPTH,
     FACES,
     ITSELF,
-    NO_SHADOWS,
+    NO_PERTURBED_LANES,
     WHOLE,
-    Groups,
-    Places,
-    assemble_shadows,
+    PerturbedGroups,
+    PerturbedOffsets,
+    assemble_perturbed,
     begin_columns,
-    compiled_shadows,
+    compiled_assembly,
     content_columns,
     first_star,
     net_columns,
@@ -42,12 +42,12 @@ from sim_heating.thermal.sensitivity import (
     second_star,
     solve_columns,
 )
-from sim_heating.thermal.step import BEGIN, STAGE_WEIGHT, hold
+from sim_heating.thermal.step import BEGIN, STAGE_WEIGHT, shift_conditions
 
-MOVED = 1e-5
+PERTURBATION = 1e-5
 """Perturbation, over its scale, of a parameter in which the heat balance is not affine, to either side: curvature
 then costs about 1e-10, rounding about 1e-11 of the balance itself, together about 1e-8 of a derivative."""
-MOVED_AFFINE = 1e-2
+AFFINE_PERTURBATION = 1e-2
 """Perturbation, over its scale, of a parameter in which the heat balance is affine, to one side."""
 
 LINEAR_RATIO = {p.name: k for k, p in enumerate(RATIO)}
@@ -110,7 +110,7 @@ class Linearised:
     sensitivity: FloatArray
 
 
-def moved(model: PointModel, name: str) -> tuple[float, bool]:
+def perturbation(model: PointModel, name: str) -> tuple[float, bool]:
     """Perturbation of a parameter for its derivative, and whether it is applied to both sides.
 
     model   : the point;  name : dotted name of the parameter
@@ -125,11 +125,11 @@ def moved(model: PointModel, name: str) -> tuple[float, bool]:
     known = 0.0 < definition.sigma < np.inf
     scale = definition.sigma if known else max(value, 1.0)
     curved = name in CURVED or name.startswith(EFFECT_PREFIX)
-    return (MOVED if curved else MOVED_AFFINE) * scale, curved
+    return (PERTURBATION if curved else AFFINE_PERTURBATION) * scale, curved
 
 
 @dataclass(frozen=True)
-class _Shadow:
+class _PerturbedLane:
     """One perturbed lane of a track: the nominal point, or that point with one parameter perturbed, or with another
     table.
 
@@ -146,32 +146,32 @@ class _Shadow:
     both: bool = False
     at_faces: bool = False
 
-    def model(self, track: Track, base: PointModel) -> PointModel:
+    def model(self, track: Track, nominal: PointModel) -> PointModel:
         """Model of the perturbed lane, from the nominal one."""
         if self.name:
-            return base.altered({self.name: base.value(self.name) + self.by})
-        if not self.columns or base.ratio is None:
-            return base
+            return nominal.with_parameters({self.name: nominal.value(self.name) + self.by})
+        if not self.columns or nominal.ratio is None:
+            return nominal
         # The balance is affine in the ratio, so that a whole unit of the error gives the exact derivative.
         error = track.table_errors[self.columns[0] - len(track.names)]
-        return replace(base, ratio=replace(base.ratio, ratio=base.ratio.ratio + error))
+        return replace(nominal, ratio=replace(nominal.ratio, ratio=nominal.ratio.ratio + error))
 
 
-def _shadows_of(i: int, track: Track) -> list[_Shadow]:
+def _perturbed_lanes(i: int, track: Track) -> list[_PerturbedLane]:
     """The perturbed lanes of a track, the nominal one first; none where no sensitivity is wanted."""
-    found = [_Shadow(i)] if track.columns else []
+    found = [_PerturbedLane(i)] if track.columns else []
     # A lag mixes earlier values of dr/dp into the present ratio, so that one lane cannot serve all parameters.
     remembered = any(used.effect.lags for used in track.model.effects)
     shared = () if remembered else tuple(k for k, name in enumerate(track.names) if name in LINEAR_RATIO)
     if shared:
-        found.append(_Shadow(i, shared, RATIO_ITSELF, moved(track.model, RATIO_ITSELF)[0], at_faces=True))
+        found.append(_PerturbedLane(i, shared, RATIO_ITSELF, perturbation(track.model, RATIO_ITSELF)[0], at_faces=True))
     for column, name in enumerate(track.names):
         if column not in shared:
-            (by, both), at_faces = moved(track.model, name), track.model.at_faces(name)
+            (by, both), at_faces = perturbation(track.model, name), track.model.at_faces(name)
             sides = (1.0, -1.0) if both else (1.0,)
-            found += [_Shadow(i, (column,), name, side * by, both, at_faces) for side in sides]
+            found += [_PerturbedLane(i, (column,), name, side * by, both, at_faces) for side in sides]
     tables = range(len(track.names), len(track.names) + len(track.table_errors))
-    return found + [_Shadow(i, (column,), by=1.0, at_faces=True) for column in tables]
+    return found + [_PerturbedLane(i, (column,), by=1.0, at_faces=True) for column in tables]
 
 
 class Wanted(NamedTuple):
@@ -206,16 +206,16 @@ class LinearMarch:
         self.tracks = tuple(tracks)
         self.time_s = np.ascontiguousarray(time_s, dtype=float)
         self.histories = np.ascontiguousarray(histories, dtype=float)
-        self.base = Ensemble([t.model for t in self.tracks], [t.mesh for t in self.tracks])
-        self._shadows = [shadow for i, track in enumerate(self.tracks) for shadow in _shadows_of(i, track)]
-        self.shadows = self._ensemble() if self._shadows else None
-        self.rows, self.faces = (handle(f) for f in compiled_shadows())
-        self._kept_places: dict[tuple[int, int], Places] = {}
-        self._lane_of = np.array([p.lane for p in self.base.places])
+        self.nominal = Ensemble([t.model for t in self.tracks], [t.mesh for t in self.tracks])
+        self._lanes = [lane for i, track in enumerate(self.tracks) for lane in _perturbed_lanes(i, track)]
+        self.perturbed = self._ensemble() if self._lanes else None
+        self.rows, self.faces = (address_of(f) for f in compiled_assembly())
+        self._kept_places: dict[tuple[int, int], PerturbedOffsets] = {}
+        self._lane_of = np.array([p.lane for p in self.nominal.lane_offsets])
         self._nodes, self._flights = np.zeros((2, LANES), dtype=np.int64)
         for i, track in enumerate(self.tracks):
             self._nodes[self._lane_of[i]] = track.mesh.nodes
-        for lane, i in enumerate(self.base.lanes):
+        for lane, i in enumerate(self.nominal.lanes):
             self._flights[lane] = self.tracks[i].flight
 
     def _ensemble(self) -> Ensemble:
@@ -223,49 +223,49 @@ class LinearMarch:
 
         Groups of whole rows are filled up with lanes that need the faces alone.
         """
-        tracks = [self.tracks[shadow.track] for shadow in self._shadows]
-        models = [shadow.model(track, track.model) for shadow, track in zip(self._shadows, tracks, strict=True)]
-        at_faces = np.array([shadow.at_faces for shadow in self._shadows])
+        tracks = [self.tracks[lane.track] for lane in self._lanes]
+        models = [lane.model(track, track.model) for lane, track in zip(self._lanes, tracks, strict=True)]
+        at_faces = np.array([lane.at_faces for lane in self._lanes])
         # A group costs the same with one lane as with eight: lanes at the faces alone fill the groups of whole rows.
         beside = -np.count_nonzero(~at_faces) % LANES
         kinds = [int(kind) for kind in at_faces & (np.cumsum(at_faces) > beside)]
-        return Ensemble(models, [track.mesh for track in tracks], beside=self.base, kinds=kinds)
+        return Ensemble(models, [track.mesh for track in tracks], share_tables_with=self.nominal, kinds=kinds)
 
     @cached_property
-    def _groups(self) -> Groups:
+    def _groups(self) -> PerturbedGroups:
         """The perturbed lanes as the kernel takes them."""
-        e = self.shadows
+        e = self.perturbed
         if e is None:
-            return NO_SHADOWS
-        owner = np.array([shadow.track for shadow in self._shadows])
-        whole = {place.group for place, shadow in zip(e.places, self._shadows, strict=True) if not shadow.at_faces}
-        return Groups(e.ints, e.groups, len(whole), self._lane_of[owner][e.lanes].astype(np.int64))
+            return NO_PERTURBED_LANES
+        owner = np.array([lane.track for lane in self._lanes])
+        whole = {place.group for place, lane in zip(e.lane_offsets, self._lanes, strict=True) if not lane.at_faces}
+        return PerturbedGroups(e.ints, e.groups, len(whole), self._lane_of[owner][e.lanes].astype(np.int64))
 
-    def _places(self, m: int) -> Places:
+    def _places(self, m: int) -> PerturbedOffsets:
         """Where the perturbed lanes of each track stand, m columns to a lane."""
-        faces = DEPTH if self.base.integers(0)[GAPS] == 1 else FACES
+        faces = DEPTH if self.nominal.integers(0)[GAPS] == 1 else FACES
         if (m, faces) not in self._kept_places:
             self._kept_places[m, faces] = self._find_places(m, faces)
         return self._kept_places[m, faces]
 
-    def _find_places(self, m: int, faces: int) -> Places:
+    def _find_places(self, m: int, faces: int) -> PerturbedOffsets:
         at, inverse = np.zeros(LANES, dtype=np.int64), np.zeros((LANES, m))
         plus, minus, reach = np.zeros((3, LANES, m), dtype=np.int64)
         linear = np.full((LANES, m), ITSELF)
-        stand = () if self.shadows is None else self.shadows.places
-        for shadow, place in zip(self._shadows, stand, strict=True):
-            lane, columns, first = self._lane_of[shadow.track], list(shadow.columns), place.node_0
+        stand = () if self.perturbed is None else self.perturbed.lane_offsets
+        for lane, place in zip(self._lanes, stand, strict=True):
+            lane, columns, first = self._lane_of[lane.track], list(lane.columns), place.node_0
             if not columns:
                 # Equal on both sides by default: a column without a perturbed lane has no forcing.
                 at[lane], plus[lane], minus[lane] = first, first, first
-            elif shadow.by < 0.0:
+            elif lane.by < 0.0:
                 minus[lane, columns] = first
             else:
-                plus[lane, columns], inverse[lane, columns] = first, (0.5 if shadow.both else 1.0) / shadow.by
-                reach[lane, columns] = faces if shadow.at_faces else WHOLE
-                if shadow.name == RATIO_ITSELF:
-                    linear[lane, columns] = [LINEAR_RATIO[self.tracks[shadow.track].names[k]] for k in columns]
-        return Places(at, plus, minus, inverse, reach, linear, self._nodes)
+                plus[lane, columns], inverse[lane, columns] = first, (0.5 if lane.both else 1.0) / lane.by
+                reach[lane, columns] = faces if lane.at_faces else WHOLE
+                if lane.name == RATIO_ITSELF:
+                    linear[lane, columns] = [LINEAR_RATIO[self.tracks[lane.track].names[k]] for k in columns]
+        return PerturbedOffsets(at, plus, minus, inverse, reach, linear, self._nodes)
 
     def set_models(self, models: Sequence[PointModel]) -> None:
         """Give the points new parameter values, in all lanes, nominal and perturbed.
@@ -275,10 +275,10 @@ class LinearMarch:
         Perturbations keep their size: docs/equations_march.md, equations 9 and 10.
         """
         for i, model in enumerate(models):
-            self.base.set_model(i, model)
-        if self.shadows is not None:
-            for k, shadow in enumerate(self._shadows):
-                self.shadows.set_model(k, shadow.model(self.tracks[shadow.track], models[shadow.track]))
+            self.nominal.set_model(i, model)
+        if self.perturbed is not None:
+            for k, lane in enumerate(self._lanes):
+                self.perturbed.set_model(k, lane.model(self.tracks[lane.track], models[lane.track]))
 
     def march(
         self, shifts_s: Sequence[float] | None = None, initial_K: Sequence[FloatArray | None] | None = None
@@ -294,7 +294,7 @@ class LinearMarch:
         Derived in docs/equations_march.md, equations 4 to 8.
         """
         found = self.attempt(shifts_s, initial_K)
-        self.base.check()
+        self.nominal.check()
         return [self._checked(track, result) for track, result in zip(self.tracks, found, strict=True)]
 
     @staticmethod
@@ -327,27 +327,28 @@ class LinearMarch:
         reads, count = wanted.nodes.shape[1], wanted.time_s.shape[1]
         out = np.empty((len(self.tracks), reads, count, 2 + m))
         march_linear(  # type: ignore[call-arg]
-            self.base.block(0), self.base.integers(0), (self.shadows or self.base).table, self.base.chain,
-            self.base.move_handle, self.rows, self.faces,
-            self._shadow_state(), self._groups, self._places(m),
+            self.nominal.block(0), self.nominal.integers(0), (self.perturbed or self.nominal).table,
+            self.nominal.dispatcher,
+            self.nominal.advance_address, self.rows, self.faces,
+            self._perturbed_state(), self._groups, self._places(m),
             self.time_s, self.histories, self._flights, self._start(m), wanted, out,
         )  # fmt: skip
-        failed = self.base.failed()
+        failed = self.nominal.failed()
         return [None if failed[i] else self._result(i, out) for i in range(len(self.tracks))]
 
     def _begin(self, initial_K: Sequence[FloatArray | None]) -> None:
         """Set nominal and perturbed lanes to the start of the march."""
-        self.base.reset()
-        if self.shadows is not None:
-            self.shadows.clear()
+        self.nominal.reset()
+        if self.perturbed is not None:
+            self.perturbed.clear()
         for i, profile in enumerate(initial_K):
             # The perturbed lanes take their temperatures from the nominal ones at every stage.
             if profile is not None:
-                self.base.set_profile(i, profile)
+                self.nominal.set_profile(i, profile)
 
-    def _shadow_state(self) -> FloatArray:
+    def _perturbed_state(self) -> FloatArray:
         """Blocks of the perturbed lanes."""
-        return np.zeros(0) if self.shadows is None else self.shadows.state
+        return np.zeros(0) if self.perturbed is None else self.perturbed.state
 
     def _start(self, m: int) -> FloatArray:
         """(LANES, node, m) sensitivities at the start."""
@@ -412,8 +413,8 @@ def _read_samples(
 
 @njit
 def march_linear(
-    B: FloatArray, J: IntArray, table: FloatArray, chain, move, rows, faces,  # type: ignore[no-untyped-def]
-    X: FloatArray, shadows: Groups, p: Places,
+    B: FloatArray, J: IntArray, table: FloatArray, dispatcher, advance, rows, faces,  # type: ignore[no-untyped-def]
+    X: FloatArray, perturbed: PerturbedGroups, p: PerturbedOffsets,
     time_s: FloatArray, histories: FloatArray, which: IntArray, start: FloatArray, wanted: Wanted, out: FloatArray,
 ) -> None:  # fmt: skip
     """March one lane group with the sensitivities of its lanes.
@@ -421,9 +422,9 @@ def march_linear(
         A1 S1 = e + d dt f - G_p,    A2 S2 = e + (w/d) (e1 - e) - G_p
 
     B, J, table     : block and integers of the nominal lanes, which change; property and ratio tables
-    chain, move     : handles of the compiled effects and the compiled step;  rows, faces : of the assembly of whole
+    dispatcher, advance     : addresses of the compiled effects and step;  rows, faces : of the assembly of whole
                       rows, and of the heat at the faces alone
-    X, shadows, p   : blocks of the perturbed lanes, their groups, and where those of each lane stand
+    X, perturbed, p   : blocks of the perturbed lanes, their groups, and where those of each lane stand
     time_s          : (time,) steps [s];  histories : (flight, time, condition);  which : (LANES,) flight of each lane
     start           : (LANES, node, m) sensitivities of the temperatures at the start [K over the parameter's unit]
     wanted          : samples and nodes
@@ -432,7 +433,7 @@ def march_linear(
     A lane that fails leaves numbers that are not finite in its own part of `out`. Derived in docs/equations_march.md,
     equations 4 to 8.
     """
-    b, j, t = raw(B), raw(J), raw(table)
+    b, j, t = pointer(B), pointer(J), pointer(table)
     n, m = start.shape[1], start.shape[2]
     S, S_stage, S_start = start.copy(), np.zeros((LANES, n, m)), start.copy()
     # e and f are carried from step to step: the end of one is the start of the next, as for the temperatures.
@@ -443,29 +444,29 @@ def march_linear(
     for lane in range(LANES):
         for c in range(N_CONDITIONS):
             B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], 0, c]
-    call_step(move, b, j, t, chain, BEGIN)
+    call_step(advance, b, j, t, dispatcher, BEGIN)
     # With 1 s for the time step the rows give f as the difference of content and residual.
-    assemble_shadows(B, X, shadows, table, chain, rows, faces, T, 2, 1.0)
+    assemble_perturbed(B, X, perturbed, table, dispatcher, rows, faces, T, 2, 1.0)
     for lane in range(LANES):
         if wanted.columns[lane] > 0:
             begin_columns(X, p, lane, m, S[lane], e[lane], f[lane])
     for k in range(1, len(time_s)):
         dt = time_s[k] - time_s[k - 1]
-        hold(b)
+        shift_conditions(b)
         for lane in range(LANES):
             for c in range(N_CONDITIONS):
                 B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], k, c]
-        call_step(move, b, j, t, chain, dt)
+        call_step(advance, b, j, t, dispatcher, dt)
         ddt = STAGE_WEIGHT * dt
         # Nominal temperatures first: the perturbed lanes are assembled at the stages to which the step converged.
-        assemble_shadows(B, X, shadows, table, chain, rows, faces, T_STAGE, 1, ddt)
+        assemble_perturbed(B, X, perturbed, table, dispatcher, rows, faces, T_STAGE, 1, ddt)
         for lane in range(LANES):
             if wanted.columns[lane] > 0:
                 S_start[lane] = S[lane]
                 first_star(e[lane], f[lane], dt, star[lane])
                 solve_columns(X, p, lane, m, ddt, star[lane], S_stage[lane], reduced)
                 content_columns(X, p, lane, m, S_stage[lane], middle[lane])
-        assemble_shadows(B, X, shadows, table, chain, rows, faces, T, 2, ddt)
+        assemble_perturbed(B, X, perturbed, table, dispatcher, rows, faces, T, 2, ddt)
         for lane in range(LANES):
             if wanted.columns[lane] > 0:
                 second_star(e[lane], middle[lane], star[lane])

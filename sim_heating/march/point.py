@@ -195,7 +195,7 @@ class PointModel:
             raise InputError(_unknown(self.name, name, known))
         return known[name]
 
-    def altered(self, values: Mapping[str, float]) -> PointModel:
+    def with_parameters(self, values: Mapping[str, float]) -> PointModel:
         """Copy of the point with parameters set by their dotted names.
 
         values : dotted name -> value, in the unit of the parameter ([-], [K] ...); within its bounds or beyond, as
@@ -230,7 +230,7 @@ def element_densities(construction: Construction, mesh: Mesh) -> FloatArray:
     return np.array([*(m.density_kg_m3 for m in construction.layer_materials()), 0.0])[mesh.layer]
 
 
-def acting(model: PointModel) -> list[EffectUse]:
+def kernel_effects(model: PointModel) -> list[EffectUse]:
     """Effects of a point that have a kernel, in the order in which they act.
 
     First those that add to the ratio [-], then factors on it [-], then factors on the emittance [-].
@@ -249,7 +249,7 @@ def heating_vector(model: PointModel) -> FloatArray:
     vector = np.zeros(N_PARAMETERS)
     vector[: len(RATIO)] = model.values[: len(RATIO)]
     vector[REFERENCE : REFERENCE + len(RATIO_VARIABLES)] = model.reference
-    for k, used in enumerate(acting(model)):
+    for k, used in enumerate(kernel_effects(model)):
         first = EFFECT_PARAMETERS + k * EFFECT_WIDTH
         vector[first : first + len(used.values)] = used.values
     return vector

@@ -103,7 +103,7 @@ class HeatingPlugin:
         self._published = np.zeros((4, len(outputs)))
         self.watch = partial(k.watch_frame, self._host, self._published)
         self._arguments = (
-            e.state, e.ints, e.table, e.chain, e.move_handle, e.groups,
+            e.state, e.ints, e.table, e.dispatcher, e.advance_address, e.groups,
             self.pressures, e.lanes, np.zeros((len(e.lanes), N_CONDITIONS)),
             np.array([place for _, _, place in outputs]), self._host, self._published,
         )  # fmt: skip
@@ -262,7 +262,7 @@ def _counted(names: Sequence[str], counts: FloatArray) -> dict[str, int]:
 def _outputs(points: Sequence[ControlPoint], ensemble: Ensemble) -> list[tuple[str, str, int]]:
     """(control point, `surface`, `bondline` or sensor, place in the state): all surfaces, all bondlines, all
     sensors."""
-    packed = list(zip(points, ensemble.meshes, ensemble.places, strict=True))
+    packed = list(zip(points, ensemble.meshes, ensemble.lane_offsets, strict=True))
     surfaces = [(point.name, "surface", place.temperature(0)) for point, _, place in packed]
     bondlines = [(point.name, "bondline", place.temperature(mesh.bondline)) for point, mesh, place in packed]
     sensors = [

@@ -207,14 +207,14 @@ def _update_parabolas(state: FloatArray, places: IntArray, published: FloatArray
 
 @njit
 def _heat_to(
-    state: FloatArray, ints: IntArray, table: FloatArray, chain, move, groups: IntArray, points: FloatArray,  # type: ignore[no-untyped-def]
+    state: FloatArray, ints: IntArray, table: FloatArray, dispatcher, advance, groups: IntArray, points: FloatArray,  # type: ignore[no-untyped-def]
     lanes: IntArray, vectors: FloatArray, places: IntArray, host: FloatArray, published: FloatArray, frame: FloatArray,
 ) -> None:  # fmt: skip
     """Advance from the frame that the model is at to another, in thermal steps of at most LONGEST_STEP."""
     dt = frame[F_TIME] - host[THERMAL_FRAME + F_TIME]
     steps = max(math.ceil(dt / host[LONGEST_STEP] - 1e-9), 1)
     derive_conditions(frame, host, points, lanes, vectors)
-    advance_groups(state, ints, table, chain, move, groups, vectors, dt, steps)
+    advance_groups(state, ints, table, dispatcher, advance, groups, vectors, dt, steps)
     error = _update_parabolas(state, places, published, dt)
     longer = math.pow(TARGET_SHARE * TOLERANCE_K / max(error, 1e-9), 1.0 / 3.0)
     host[WAIT] = min(host[LONGEST_WAIT], dt / steps * min(longer, LARGEST_GROWTH))
@@ -226,7 +226,7 @@ def _heat_to(
 
 @njit
 def heat_points(
-    state: FloatArray, ints: IntArray, table: FloatArray, chain, move, groups: IntArray,  # type: ignore[no-untyped-def]
+    state: FloatArray, ints: IntArray, table: FloatArray, dispatcher, advance, groups: IntArray,  # type: ignore[no-untyped-def]
     points: FloatArray, lanes: IntArray, vectors: FloatArray, places: IntArray, host: FloatArray, published: FloatArray,
     frame: FloatArray, outcome: int,
 ) -> int:  # fmt: skip
@@ -238,7 +238,7 @@ def heat_points(
     """
     if outcome == NOT_STARTED:
         derive_conditions(frame, host, points, lanes, vectors)
-        begin_groups(state, ints, table, chain, move, groups, vectors)
+        begin_groups(state, ints, table, dispatcher, advance, groups, vectors)
         host[STARTED] = 1.0
         for i in range(len(frame)):
             host[THERMAL_FRAME + i] = frame[i]
@@ -249,8 +249,8 @@ def heat_points(
         return GOOD
     if outcome == BEND and host[LAST_FRAME + F_TIME] > host[THERMAL_FRAME + F_TIME]:
         before = host[LAST_FRAME : LAST_FRAME + len(frame)].copy()
-        _heat_to(state, ints, table, chain, move, groups, points, lanes, vectors, places, host, published, before)
-    _heat_to(state, ints, table, chain, move, groups, points, lanes, vectors, places, host, published, frame)
+        _heat_to(state, ints, table, dispatcher, advance, groups, points, lanes, vectors, places, host, published, before)
+    _heat_to(state, ints, table, dispatcher, advance, groups, points, lanes, vectors, places, host, published, frame)
     failed = 0.0
     for g in range(len(groups)):
         for lane in range(LANES):

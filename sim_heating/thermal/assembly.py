@@ -84,7 +84,7 @@ from sim_heating.base.kernels.block import (
     T,
 )
 from sim_heating.base.kernels.elementary import lanes_outside, logistic
-from sim_heating.base.kernels.jit import folded, inlined, njit
+from sim_heating.base.kernels.jit import force_inline, inline_always, njit
 
 SHARE = 1.0 / 6.0
 """Share of heat content between neighbours, lambda in docs/equations_thermal_step.md, equation 4: 0 is the lumped mass
@@ -137,7 +137,7 @@ def _gather(B: FloatArray, J: IntArray, table: FloatArray, a: int, lane: int, of
     return row
 
 
-@folded
+@inline_always
 def _refresh(B: FloatArray, J: IntArray, table: FloatArray, i: int) -> None:
     """Gather the polynomials of node i again in the lanes whose temperature has left the piece they are valid in."""
     a = (HEAD_ROWS + i * NODE_ROWS) * LANES
@@ -156,7 +156,7 @@ def _refresh(B: FloatArray, J: IntArray, table: FloatArray, i: int) -> None:
             B[a + HIGH * LANES + lane] = high
 
 
-@inlined
+@force_inline
 def _integral(value: float, first: float, half: float, t: float) -> tuple[float, float]:
     """value + integral from 0 to t of (first + slope t), and first + slope t; `half` is half the slope."""
     bent = half * t
@@ -179,7 +179,7 @@ def _properties(B: FloatArray, a: int, lane: int, foot: int, f: float) -> tuple[
     return h, c, theta, k
 
 
-@inlined
+@force_inline
 def _radiated(T_K: float, begin_K: float) -> tuple[float, float]:
     """Kirchhoff's variable [K] and conductivity [-] of radiation in depth, over its conductivity at 1000 K.
 
@@ -222,7 +222,7 @@ def _write_row(
     B[a + RESIDUAL * LANES + lane] = e_left + e_right - B[a + E_STAR * LANES + lane] - across
 
 
-@inlined
+@force_inline
 def _add_in_depth(B: FloatArray, a: int, lane: int, ddt: float) -> None:
     """Add moisture, vapour and radiation in depth to the row of a node whose left neighbour has them already.
 
@@ -257,7 +257,7 @@ def _add_in_depth(B: FloatArray, a: int, lane: int, ddt: float) -> None:
     B[a + RESIDUAL * LANES + lane] += (wet_left + wet_right) * h - across
 
 
-@folded
+@inline_always
 def _assemble(B: FloatArray, J: IntArray, table: FloatArray, i: int, ddt: float) -> None:
     """Row of node i at its present temperature, heat from outside included."""
     a = (HEAD_ROWS + i * NODE_ROWS) * LANES
@@ -285,7 +285,7 @@ def _assemble(B: FloatArray, J: IntArray, table: FloatArray, i: int, ddt: float)
             B[a + DIAGONAL * LANES + lane] -= ddt * B[a + SLOPE * LANES + lane]
 
 
-@folded
+@inline_always
 def _reduce(B: FloatArray, i: int) -> None:
     """Eliminate row i, whose right neighbour is assembled (docs/equations_thermal_step.md, equation 29)."""
     a = (HEAD_ROWS + i * NODE_ROWS) * LANES

@@ -43,7 +43,7 @@ from sim_heating.base.kernels.block import (
     T,
 )
 from sim_heating.base.kernels.elementary import exp
-from sim_heating.base.kernels.jit import folded, njit
+from sim_heating.base.kernels.jit import inline_always, njit
 from sim_heating.heating.ratio.lookup import mark_order
 
 (
@@ -99,7 +99,7 @@ def set_elements(
     _set_gap(B, J, lane, layer, length_m, bondline, p)
 
 
-@folded
+@inline_always
 def _set_in_depth(B: FloatArray, J: IntArray, lane: int, layer: IntArray, insulation: int, p: FloatArray) -> None:
     """Write moisture and radiation of a lane into every node, where loops over lanes read them."""
     for i in range(len(layer) + 1):
@@ -114,14 +114,14 @@ def _set_in_depth(B: FloatArray, J: IntArray, lane: int, layer: IntArray, insula
         J[IN_DEPTH] = 1
 
 
-@folded
+@inline_always
 def _set_faces(B: FloatArray, lane: int, p: FloatArray) -> None:
     B[FACTOR_EPS * LANES + lane] = p[EMISSIVITY]
     B[BACK_H * LANES + lane], B[BACK_T * LANES + lane] = p[H_BEHIND], p[T_BEHIND]
     B[BACK_EPS * LANES + lane] = p[EPS_BEHIND]
 
 
-@folded
+@inline_always
 def _set_gap(
     B: FloatArray, J: IntArray, lane: int, layer: IntArray, length_m: FloatArray, bondline: int, p: FloatArray
 ) -> None:

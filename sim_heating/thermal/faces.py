@@ -52,7 +52,7 @@ from sim_heating.base.kernels.block import (
     T,
 )
 from sim_heating.base.kernels.elementary import lanes_outside
-from sim_heating.base.kernels.jit import folded, inlined, njit
+from sim_heating.base.kernels.jit import force_inline, inline_always, njit
 from sim_heating.heating.film import emittance_factor, with_effects
 from sim_heating.thermal.assembly import BIN_K, BINS, FAR, property_bin
 
@@ -63,26 +63,26 @@ WALL_DIFFERENCE_K = 0.01
 has to be small against the width of any effect for a sensitivity good to 1e-9."""
 
 
-@folded
-def _film(B: FloatArray, J: IntArray, chain, lane: int, stage: int, wall: float) -> tuple[float, float]:  # type: ignore[no-untyped-def]
+@inline_always
+def _film(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, wall: float) -> tuple[float, float]:  # type: ignore[no-untyped-def]
     """Film coefficient [kg/(m2 s)] of a lane whose effects depend on the wall temperature, and its slope against it."""
     h_ref = B[C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS + H_REF]
     r = B[(R_BASE + stage) * LANES + lane]
-    above = with_effects(B, J, chain, lane, stage, r, wall + WALL_DIFFERENCE_K)
-    below = with_effects(B, J, chain, lane, stage, r, wall - WALL_DIFFERENCE_K)
+    above = with_effects(B, J, dispatcher, lane, stage, r, wall + WALL_DIFFERENCE_K)
+    below = with_effects(B, J, dispatcher, lane, stage, r, wall - WALL_DIFFERENCE_K)
     slope = (above - below) * (0.5 / WALL_DIFFERENCE_K)
-    return h_ref * with_effects(B, J, chain, lane, stage, r, wall), h_ref * slope
+    return h_ref * with_effects(B, J, dispatcher, lane, stage, r, wall), h_ref * slope
 
 
-@folded
-def _factor(B: FloatArray, J: IntArray, chain, lane: int, stage: int, wall: float) -> tuple[float, float]:  # type: ignore[no-untyped-def]
+@inline_always
+def _factor(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, wall: float) -> tuple[float, float]:  # type: ignore[no-untyped-def]
     """Factor of the effects on the emittance of a lane [-], and its slope against the wall temperature [1/K]."""
-    above = emittance_factor(B, J, chain, lane, stage, wall + WALL_DIFFERENCE_K)
-    below = emittance_factor(B, J, chain, lane, stage, wall - WALL_DIFFERENCE_K)
-    return emittance_factor(B, J, chain, lane, stage, wall), (above - below) * (0.5 / WALL_DIFFERENCE_K)
+    above = emittance_factor(B, J, dispatcher, lane, stage, wall + WALL_DIFFERENCE_K)
+    below = emittance_factor(B, J, dispatcher, lane, stage, wall - WALL_DIFFERENCE_K)
+    return emittance_factor(B, J, dispatcher, lane, stage, wall), (above - below) * (0.5 / WALL_DIFFERENCE_K)
 
 
-@inlined
+@force_inline
 def _air(h_a: float, cp_a: float, h_b: float, cp_b: float, f: float, t: float) -> tuple[float, float]:
     """Enthalpy of air [J/kg] and its specific heat [J/(kg K)] within a bin.
 
@@ -98,7 +98,7 @@ def _air_row(B: FloatArray, J: IntArray, lane: int, stage: int, j: int) -> int:
     return J[ENTHALPY_TABLE + lane] + 2 * (j * J[N_PRESSURES + lane] + int(B[(PCOL + stage) * LANES + lane]))
 
 
-@folded
+@inline_always
 def _wall_enthalpy(
     B: FloatArray, J: IntArray, table: FloatArray, lane: int, stage: int, T_K: float
 ) -> tuple[float, float]:
@@ -144,7 +144,7 @@ def emittance(table: FloatArray, first: int, wall: float) -> float:
     return eps + slope * (wall - foot)
 
 
-@folded
+@inline_always
 def forget_walls(B: FloatArray) -> None:
     """Invalidate the pieces of emittance and air enthalpy kept for every lane, so that they are looked up again."""
     for lane in range(LANES):
@@ -152,7 +152,7 @@ def forget_walls(B: FloatArray) -> None:
 
 
 @njit
-def evaluate_faces(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int) -> None:  # type: ignore[no-untyped-def]
+def evaluate_faces(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int) -> None:  # type: ignore[no-untyped-def]
     """Heat from outside [W/m2] and its slope [W/(m2 K)] at surface, back and gaps, at the present temperatures.
 
     B     : block of the lane group; SOURCE and SLOPE of the nodes concerned change
@@ -160,13 +160,13 @@ def evaluate_faces(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: 
 
     Source: docs/equations_thermal_step.md, equations 14 to 18.
     """
-    evaluate_surface(B, J, table, chain, stage)
+    evaluate_surface(B, J, table, dispatcher, stage)
     evaluate_back(B, J)
     if J[GAPS] == 1:
         _evaluate_gaps(B, J, table, stage)
 
 
-@folded
+@inline_always
 def _evaluate_gaps(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> None:
     """Heat from hot gas at the nodes along a gap, each with its own wall enthalpy and the film of the surface."""
     for i in range(J[N_NODES]):
@@ -184,7 +184,7 @@ def _evaluate_gaps(B: FloatArray, J: IntArray, table: FloatArray, stage: int) ->
             B[a + SLOPE * LANES + lane] = slope + (B[a + SLOPE * LANES + lane] if face else 0.0)
 
 
-@folded
+@inline_always
 def _keep_wall(B: FloatArray, J: IntArray, table: FloatArray, lane: int, stage: int) -> None:
     """Keep the pieces of emittance and air enthalpy that contain the surface temperature of a lane, and their ends."""
     wall = B[(HEAD_ROWS + T) * LANES + lane]
@@ -200,7 +200,7 @@ def _keep_wall(B: FloatArray, J: IntArray, table: FloatArray, lane: int, stage: 
         B[(AIR + k) * LANES + lane] = table[row + k]
 
 
-@inlined
+@force_inline
 def _balance(
     B: FloatArray, lane: int, stage: int, eps: float, eps_slope: float, film: float, film_slope: float
 ) -> None:
@@ -225,20 +225,20 @@ def _balance(
     B[a + SLOPE * LANES] = film_slope * driving - film * cp_w - radiated
 
 
-@inlined
+@force_inline
 def _emittance(B: FloatArray, lane: int) -> float:
     """Emittance [-] of a lane's surface from the piece kept, without effects."""
     wall = B[(HEAD_ROWS + T) * LANES + lane]
     return B[EPS_AT_FOOT * LANES + lane] + B[EPS_SLOPE * LANES + lane] * (wall - B[EPS_FOOT * LANES + lane])
 
 
-@folded
-def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int) -> None:  # type: ignore[no-untyped-def]
+@inline_always
+def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int) -> None:  # type: ignore[no-untyped-def]
     """Heat that enters at the surface [W/m2] and its slope against the surface temperature [W/(m2 K)], of all lanes.
 
         s_0 = (1 - f) film (H_r - H_w(T)) + q_add - eps(T) sigma (T^4 - T_sur^4)
 
-    stage : 0, 1 or 2, whose conditions are used;  chain : dispatcher of the effects
+    stage : 0, 1 or 2, whose conditions are used;  dispatcher : dispatcher of the effects
 
     A negative film coefficient, from a negative ratio, is not clipped.
     Source: docs/equations_thermal_step.md, equations 14 and 17.
@@ -258,24 +258,24 @@ def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, chain, stage
     # Evaluated without effects above, then again where there are any: the loop without calls stays vectorised.
     if affected > 0:
         for lane in range(LANES):
-            _balance_with_effects(B, J, chain, lane, stage)
+            _balance_with_effects(B, J, dispatcher, lane, stage)
 
 
-@folded
-def _balance_with_effects(B: FloatArray, J: IntArray, chain, lane: int, stage: int) -> None:  # type: ignore[no-untyped-def]
+@inline_always
+def _balance_with_effects(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int) -> None:  # type: ignore[no-untyped-def]
     """Surface balance of a lane with effects on its emittance, or with effects that depend on the wall temperature."""
     wall = B[(HEAD_ROWS + T) * LANES + lane]
     eps, eps_slope = _emittance(B, lane), B[EPS_SLOPE * LANES + lane]
     if J[N_EMITTING + lane] > 0:
-        more, more_slope = _factor(B, J, chain, lane, stage, wall)
+        more, more_slope = _factor(B, J, dispatcher, lane, stage, wall)
         eps, eps_slope = eps * more, eps_slope * more + eps * more_slope
     film, film_slope = B[(FILM + stage) * LANES + lane], 0.0
     if J[WALL_EFFECTS + lane] > 0:
-        film, film_slope = _film(B, J, chain, lane, stage, wall)
+        film, film_slope = _film(B, J, dispatcher, lane, stage, wall)
     _balance(B, lane, stage, eps, eps_slope, film, film_slope)
 
 
-@folded
+@inline_always
 def evaluate_back(B: FloatArray, J: IntArray) -> None:
     """Heat that enters at the back face [W/m2] and its slope against the temperature there [W/(m2 K)], of all lanes.
 

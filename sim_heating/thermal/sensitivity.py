@@ -10,7 +10,7 @@ G(Y2) = E_n + (w/d) (E(Y1) - E_n), so that for S = dT/dp, e = dE/dp and f = dF/d
 
 which is exact for the discrete model (implicit function theorem). A is assembled once at the temperatures of the stage;
 every parameter costs one more right-hand side. G_p and E_p come from the model itself, evaluated in perturbed lanes
-("shadows" of the nominal lane, their base): one lane for each parameter with that parameter moved, or two, to either
+("perturbed" of the nominal lane, their base): one lane for each parameter with that parameter moved, or two, to either
 side, where G is not affine in it, all at the temperatures of the nominal lane (equation 34). No equation so has a
 second, differentiated form; for affine parameters the difference is exact to rounding. A parameter that acts at the
 faces only has G_p = -d dt dF/dp there and E_p = 0, and its perturbed lane needs no rows.
@@ -58,8 +58,8 @@ from sim_heating.base.kernels.block import (
     TIME,
     T,
 )
-from sim_heating.base.kernels.jit import STEP_SIGNATURE, c_function, call_step, njit, raw
-from sim_heating.heating.film import heat_shadows
+from sim_heating.base.kernels.jit import STEP_SIGNATURE, c_function, call_step, njit, pointer
+from sim_heating.heating.film import heat_perturbed_lanes
 from sim_heating.heating.ratio.lookup import linear_factor
 from sim_heating.thermal.assembly import SHARE, WHOLE_ROWS, assemble, select_pressure
 from sim_heating.thermal.faces import evaluate_faces
@@ -73,7 +73,7 @@ ITSELF = -1
 """Marks a parameter that is itself moved in its perturbed lane."""
 
 
-class Groups(NamedTuple):
+class PerturbedGroups(NamedTuple):
     """Groups of perturbed lanes.
 
     ints   : their integers;  groups : offsets of their blocks and integers, as in march/frames.py
@@ -87,10 +87,12 @@ class Groups(NamedTuple):
     source: IntArray
 
 
-NO_SHADOWS = Groups(np.zeros(0, dtype=np.int64), np.zeros((0, 4), dtype=np.int64), 0, np.zeros(0, dtype=np.int64))
+NO_PERTURBED_LANES = PerturbedGroups(
+    np.zeros(0, dtype=np.int64), np.zeros((0, 4), dtype=np.int64), 0, np.zeros(0, dtype=np.int64)
+)
 
 
-class Places(NamedTuple):
+class PerturbedOffsets(NamedTuple):
     """Offsets of the perturbed lanes of each nominal lane in their blocks.
 
     at      : (lane,) first number of node 0 of the unperturbed copy;  nodes : (lane,) node count
@@ -110,31 +112,31 @@ class Places(NamedTuple):
     nodes: IntArray
 
 
-def rows_at(B: FloatArray, J: IntArray, table: FloatArray, chain, ddt: float) -> None:  # type: ignore[no-untyped-def]
+def rows_at(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, ddt: float) -> None:  # type: ignore[no-untyped-def]
     """Rows of G = E - ddt F [J/m2] at the present temperatures of perturbed lanes, with the conditions of stage 2.
 
-    B     : block of the perturbed lanes;  J : its integers;  table, chain : as in kernel.step
+    B     : block of the perturbed lanes;  J : its integers;  table, dispatcher : as in kernel.step
     ddt   : d dt [s]; it takes the place of dt in the signature of a step
 
     Source: docs/equations_thermal_step.md, equations 25 to 28 and 34.
     """
-    heat_shadows(B, J, table, chain, END)
+    heat_perturbed_lanes(B, J, table, dispatcher, END)
     select_pressure(B, J, END)
-    evaluate_faces(B, J, table, chain, END)
+    evaluate_faces(B, J, table, dispatcher, END)
     assemble(B, J, table, ddt, WHOLE_ROWS)
 
 
-def faces_at(B: FloatArray, J: IntArray, table: FloatArray, chain, ddt: float) -> None:  # type: ignore[no-untyped-def]
+def faces_at(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, ddt: float) -> None:  # type: ignore[no-untyped-def]
     """Heat from outside [W/m2] at the present temperatures of perturbed lanes, with the conditions of stage 2.
 
     ddt is not used: the signature is that of `rows_at`. Source: docs/equations_thermal_step.md, equations 14 to 16.
     """
-    heat_shadows(B, J, table, chain, END)
-    evaluate_faces(B, J, table, chain, END)
+    heat_perturbed_lanes(B, J, table, dispatcher, END)
+    evaluate_faces(B, J, table, dispatcher, END)
 
 
 @cache
-def compiled_shadows() -> tuple[Any, Any]:
+def compiled_assembly() -> tuple[Any, Any]:
     """`rows_at` and `faces_at` as C functions, compiled when first asked for."""
     return c_function(STEP_SIGNATURE, rows_at), c_function(STEP_SIGNATURE, faces_at)
 
@@ -148,15 +150,16 @@ def _stand(B: FloatArray, X: FloatArray, start: int, source: IntArray, g: int, i
 
 
 @njit
-def assemble_shadows(
-    B: FloatArray, X: FloatArray, shadows: Groups, table: FloatArray, chain, rows, faces, row: int, stage: int,  # type: ignore[no-untyped-def]
+def assemble_perturbed(
+    B: FloatArray, X: FloatArray, perturbed: PerturbedGroups, table: FloatArray, dispatcher, rows, faces,
+    row: int, stage: int,  # type: ignore[no-untyped-def]
     ddt: float,
 ) -> None:  # fmt: skip
     """Set perturbed lanes to temperatures and conditions of their nominal lanes at a stage, and assemble their rows.
 
     B       : block of the nominal lanes
     X       : blocks of the perturbed lanes, changed
-    shadows : the groups of X
+    perturbed : the groups of X
     rows, faces : compiled `rows_at` and `faces_at`
     row     : row of B that holds the temperatures of the stage [K]
     stage   : stage whose conditions they take
@@ -164,11 +167,11 @@ def assemble_shadows(
 
     Source: docs/equations_thermal_step.md, equation 34.
     """
-    J, groups, source = shadows.ints, shadows.groups, shadows.source
+    J, groups, source = perturbed.ints, perturbed.groups, perturbed.source
     for g in range(len(groups)):
         start, ints = groups[g, 0], groups[g, 2]
         # Where only the faces are evaluated, two nodes are enough, unless gaps take heat in at others.
-        if g < shadows.whole or J[ints + GAPS] == 1:
+        if g < perturbed.whole or J[ints + GAPS] == 1:
             for i in range(J[ints + N_NODES]):
                 _stand(B, X, start, source, g, i, row)
         else:
@@ -190,8 +193,8 @@ def assemble_shadows(
                 X[to + c] = B[given + c]
             for pressure in (PCOL, PFRAC):
                 X[start + (pressure + END) * LANES + s] = B[(pressure + stage) * LANES + lane]
-        x, j = raw(X[start : groups[g, 1]]), raw(J[ints : groups[g, 3]])
-        call_step(rows if g < shadows.whole else faces, x, j, raw(table), chain, ddt)
+        x, j = pointer(X[start : groups[g, 1]]), pointer(J[ints : groups[g, 3]])
+        call_step(rows if g < perturbed.whole else faces, x, j, pointer(table), dispatcher, ddt)
 
 
 @njit
@@ -203,7 +206,7 @@ def _content(X: FloatArray, a: int) -> float:
 
 
 @njit
-def start_from_shadow(B: FloatArray, lane: int, X: FloatArray, at: int, n: int) -> None:
+def start_from_copy(B: FloatArray, lane: int, X: FloatArray, at: int, n: int) -> None:
     """Heat content [J/m2] and net heat [W/m2] of a lane from its unperturbed copy at X[at].
 
     n : number of nodes; the copy is assembled with ddt = 1 s at the lane's present temperatures
@@ -218,7 +221,7 @@ def start_from_shadow(B: FloatArray, lane: int, X: FloatArray, at: int, n: int) 
 
 
 @njit
-def _subtract_forcing(X: FloatArray, p: Places, lane: int, forced: int, ddt: float, S: FloatArray) -> None:
+def _subtract_forcing(X: FloatArray, p: PerturbedOffsets, lane: int, forced: int, ddt: float, S: FloatArray) -> None:
     """S - G_p in the first `forced` columns, with the perturbed lanes assembled for ddt [s] (equation 34)."""
     n = p.nodes[lane]
     for k in range(forced):
@@ -248,7 +251,7 @@ def _against_ratio(X: FloatArray, at: int, k: int) -> float:
 
 
 @njit
-def content_columns(X: FloatArray, p: Places, lane: int, forced: int, S: FloatArray, e: FloatArray) -> None:
+def content_columns(X: FloatArray, p: PerturbedOffsets, lane: int, forced: int, S: FloatArray, e: FloatArray) -> None:
     """Total derivatives of the heat contents of a lane, e = E_T S + E_p.
 
     X       : blocks of the perturbed lanes, assembled at the lane's temperatures;  p : their offsets
@@ -275,7 +278,7 @@ def content_columns(X: FloatArray, p: Places, lane: int, forced: int, S: FloatAr
 
 @njit
 def begin_columns(
-    X: FloatArray, p: Places, lane: int, forced: int, S: FloatArray, e: FloatArray, f: FloatArray
+    X: FloatArray, p: PerturbedOffsets, lane: int, forced: int, S: FloatArray, e: FloatArray, f: FloatArray
 ) -> None:
     """e [J/m2] and f [W/m2], over the unit of each parameter, from S [K]: after a start, or a change of S from outside.
 
@@ -302,7 +305,14 @@ def begin_columns(
 
 @njit
 def solve_columns(
-    X: FloatArray, p: Places, lane: int, forced: int, ddt: float, star: FloatArray, S: FloatArray, reduced: FloatArray
+    X: FloatArray,
+    p: PerturbedOffsets,
+    lane: int,
+    forced: int,
+    ddt: float,
+    star: FloatArray,
+    S: FloatArray,
+    reduced: FloatArray,
 ) -> None:
     """Solve A S = star - G_p for the sensitivities of a stage, with one elimination of the matrix for all parameters.
 

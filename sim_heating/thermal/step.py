@@ -75,7 +75,7 @@ from sim_heating.base.kernels.block import (
     UPPER,
     T,
 )
-from sim_heating.base.kernels.jit import STEP_SIGNATURE, c_function, folded, inlined, njit
+from sim_heating.base.kernels.jit import STEP_SIGNATURE, c_function, force_inline, inline_always, njit
 from sim_heating.heating.film import heat_lanes
 from sim_heating.heating.ratio.lookup import forget_cells
 from sim_heating.thermal.assembly import REDUCED, SHARE, WHOLE_ROWS, assemble, select_pressure
@@ -104,13 +104,13 @@ STAGED = (FILM, RECOVERY, ADDED, PCOL, PFRAC, R_BASE, LAG_VALUE, LAG_INPUT)
 """Rows that have one value for each of the three stages."""
 
 
-@inlined
+@force_inline
 def _moved(B: FloatArray, a: int, lane: int) -> float:
     """Heat that enters a lane at the node at B[a] [W/m2], linearised over its last update as Newton's system has it."""
     return B[a + SOURCE * LANES + lane] + B[a + SLOPE * LANES + lane] * B[a + DELTA * LANES + lane]
 
 
-@folded
+@inline_always
 def _keep_face_heat(B: FloatArray, J: IntArray) -> None:
     """Keep the heat at the faces of the lanes just updated (docs/equations_thermal_step.md, equation 30)."""
     front = HEAD_ROWS * LANES
@@ -134,19 +134,19 @@ def _add_energy(B: FloatArray, weight: float) -> None:
         B[ENERGY_OUT * LANES + lane] += weight * B[STAGE_OUT * LANES + lane]
 
 
-@folded
-def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, chain) -> None:  # type: ignore[no-untyped-def]
+@inline_always
+def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, dispatcher) -> None:  # type: ignore[no-untyped-def]
     """Heat content [J/m2] and net heat [W/m2] of all nodes at the present temperatures, with the conditions of stage 2.
 
     B     : block of the lane group; E_START, NET, STAGE_IN and STAGE_OUT change
-    J     : its integers;  table : property and ratio tables;  chain : dispatcher of the effects
+    J     : its integers;  table : property and ratio tables;  dispatcher : dispatcher of the effects
 
     A step leaves the same quantities at its end; this evaluates them where no step precedes.
     Source: docs/equations_thermal_step.md, equations 3, 4 and 22.
     """
     n = J[N_NODES]
     select_pressure(B, J, END)
-    evaluate_faces(B, J, table, chain, END)
+    evaluate_faces(B, J, table, dispatcher, END)
     for lane in range(LANES):
         B[STAGE_IN * LANES + lane] = B[(HEAD_ROWS + SOURCE) * LANES + lane]
         back = (HEAD_ROWS + J[BACK_NODE + lane] * NODE_ROWS) * LANES
@@ -176,7 +176,7 @@ def _reach(B: FloatArray, dt: float) -> float:
     return min(dt, LONGEST_REACH * B[LAST_STEP * LANES])
 
 
-@folded
+@inline_always
 def _start(B: FloatArray, n: int, dt: float) -> None:
     """First stage: E* = E_n + d dt F_n with the F_n of the last step's end, and a guess along its parabola.
 
@@ -194,7 +194,7 @@ def _start(B: FloatArray, n: int, dt: float) -> None:
             B[a + T * LANES + lane] = temperature + moved
 
 
-@folded
+@inline_always
 def _finish(B: FloatArray, n: int, dt: float) -> None:
     """E_(n+1), F_(n+1) = (E_(n+1) - E*) / (d dt), and the parabola through start, stage and end.
 
@@ -221,7 +221,7 @@ def _finish(B: FloatArray, n: int, dt: float) -> None:
             B[a + RATE * LANES + lane] = after + curve * from_stage
 
 
-@folded
+@inline_always
 def _update(B: FloatArray, n: int) -> None:
     """Back substitution; lanes that are active (MOVES is 1, else 0) are updated, and their heat contents with them.
 
@@ -247,7 +247,7 @@ def _update(B: FloatArray, n: int) -> None:
             B[a + LARGEST * LANES + lane] = largest if size <= largest else size
 
 
-@folded
+@inline_always
 def _retire(B: FloatArray) -> int:
     """Take lanes whose update was small out of the iteration.
 
@@ -265,7 +265,7 @@ def _retire(B: FloatArray) -> int:
 
 
 @njit
-def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: int, dt: float) -> None:  # type: ignore[no-untyped-def]
+def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int, dt: float) -> None:  # type: ignore[no-untyped-def]
     """Newton iteration for E(Y) - E* - d dt F(Y) = 0 from the present temperatures (equations 25 to 30)."""
     n = J[N_NODES]
     behind = (HEAD_ROWS + n * NODE_ROWS) * LANES
@@ -273,7 +273,7 @@ def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: in
     for lane in range(LANES):
         B[ACTIVE * LANES + lane] = 1.0
     for _ in range(NEWTON_LIMIT):
-        evaluate_faces(B, J, table, chain, stage)
+        evaluate_faces(B, J, table, dispatcher, stage)
         assemble(B, J, table, STAGE_WEIGHT * dt, REDUCED)
         for lane in range(LANES):
             # Passed from node to node through the rows, from the ghost behind: constant distances, no alias checks.
@@ -287,7 +287,7 @@ def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, chain, stage: in
         B[FAILED * LANES + lane] += B[ACTIVE * LANES + lane]
 
 
-@folded
+@inline_always
 def _start_second_stage(B: FloatArray, n: int, dt: float) -> None:
     """Second stage: E* = E_n + (w/d) (E(Y1) - E_n), and a guess along the first stage with the last step's curvature.
 
@@ -308,7 +308,7 @@ def _start_second_stage(B: FloatArray, n: int, dt: float) -> None:
 
 
 @njit
-def step(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> None:  # type: ignore[no-untyped-def]
+def step(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -> None:  # type: ignore[no-untyped-def]
     """Advance the node temperatures of one lane group by dt [s] with the stage inputs that the scalar rows hold.
 
         E(Y1) = E_n + d dt (F_n + F(Y1)),    E(Y2) = E_n + (w/d) (E(Y1) - E_n) + d dt F(Y2)
@@ -316,7 +316,7 @@ def step(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> Non
     B     : block of the group; T [K], RATE [K/s], ENERGY_IN and ENERGY_OUT [J/m2], ITERATIONS and FAILED change
     J     : its integers
     table : property and ratio tables
-    chain : dispatcher of the effects (heating/effects/compiled.py)
+    dispatcher : dispatcher of the effects (heating/effects/compiled.py)
     dt    : length of the step [s], above 0
 
     Heat contents and net heat at the start are those that the last step left, since the method's last stage is its end;
@@ -331,27 +331,27 @@ def step(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> Non
     for stage in range(1, 3):
         if stage == 2:
             _start_second_stage(B, n, dt)
-        _solve_stage(B, J, table, chain, stage, dt)
+        _solve_stage(B, J, table, dispatcher, stage, dt)
         _add_energy(B, (EXPLICIT_WEIGHT if stage == 1 else STAGE_WEIGHT) * dt)
     _finish(B, n, dt)
 
 
-@folded
-def _begin(B: FloatArray, J: IntArray, table: FloatArray, chain) -> None:  # type: ignore[no-untyped-def]
+@inline_always
+def _begin(B: FloatArray, J: IntArray, table: FloatArray, dispatcher) -> None:  # type: ignore[no-untyped-def]
     """Take the condition vectors of stage 2 as those that hold now."""
     forget_cells(B)
     forget_walls(B)
     for lane in range(LANES):
         B[LAG_PAST * LANES + lane] = 0.0
-    heat_lanes(B, J, table, chain, END)
-    evaluate_start(B, J, table, chain)
+    heat_lanes(B, J, table, dispatcher, END)
+    evaluate_start(B, J, table, dispatcher)
 
 
-@folded
-def _advance(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> None:  # type: ignore[no-untyped-def]
+@inline_always
+def _advance_frame(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -> None:  # type: ignore[no-untyped-def]
     """Advance by dt [s] from the conditions of stage 0 (now) to those of stage 2 (then), linear between.
 
-    The caller has moved the vectors of stage 2 to stage 0 (see `hold`) and written new ones.
+    The caller has moved the vectors of stage 2 to stage 0 (see `shift_conditions`) and written new ones.
     """
     span = LANES * N_CONDITIONS
     first = C_STAGES * LANES
@@ -365,28 +365,28 @@ def _advance(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) ->
     for lane in range(LANES):
         B[LAG_PAST * LANES + lane] = 1.0
     for stage in range(1, 3):
-        heat_lanes(B, J, table, chain, stage)
-    step(B, J, table, chain, dt)
+        heat_lanes(B, J, table, dispatcher, stage)
+    step(B, J, table, dispatcher, dt)
 
 
-def move(B: FloatArray, J: IntArray, table: FloatArray, chain, dt: float) -> None:  # type: ignore[no-untyped-def]
+def advance(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -> None:  # type: ignore[no-untyped-def]
     """Advance a lane group by a frame of dt [s], or, with dt = BEGIN, evaluate the start of a march.
 
     B     : block of the group, with the conditions of stages 0 and 2 written
-    J     : its integers;  table : property and ratio tables;  chain : dispatcher of the effects
+    J     : its integers;  table : property and ratio tables;  dispatcher : dispatcher of the effects
     dt    : [s]; BEGIN at the start and after any change from outside, else above 0
 
     One function for both, as they share most of their code, which is compiled once this way.
     Source: docs/equations_thermal_step.md, equations 19 to 24.
     """
     if dt == BEGIN:
-        _begin(B, J, table, chain)
+        _begin(B, J, table, dispatcher)
     else:
-        _advance(B, J, table, chain, dt)
+        _advance_frame(B, J, table, dispatcher, dt)
 
 
 @njit
-def hold(B: FloatArray) -> None:
+def shift_conditions(B: FloatArray) -> None:
     """Shift the conditions at the end of the last frame to the start of the next: stage 2 becomes stage 0."""
     span = LANES * N_CONDITIONS
     first = C_STAGES * LANES
@@ -396,5 +396,5 @@ def hold(B: FloatArray) -> None:
 
 @cache
 def compiled() -> Any:
-    """`move` as a C function, compiled when first asked for; jit.handle gives what a kernel takes of it."""
-    return c_function(STEP_SIGNATURE, move)
+    """`advance` as a C function, compiled when first asked for; jit.address_of gives what kernels take of it."""
+    return c_function(STEP_SIGNATURE, advance)

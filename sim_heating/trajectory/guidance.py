@@ -29,7 +29,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import read_toml
-from sim_heating.base.kernels.jit import njit, raw
+from sim_heating.base.kernels.jit import njit, pointer
 from sim_heating.trajectory.schedules import pack, places, schedule_slope, scheduled
 from sim_heating.trajectory.spec import Approach, Guidance, GuidanceChanges
 
@@ -298,7 +298,7 @@ def guidance_kernel(block: FloatArray, state: FloatArray, memory: int, seen: Flo
 @njit
 def guide(block: FloatArray, memory: FloatArray, seen: FloatArray, dt_s: float) -> None:
     """`guidance_kernel` for a host's arrays; memory (MEMORY,)."""
-    guidance_kernel(raw(block), raw(memory), 0, raw(seen), dt_s)
+    guidance_kernel(pointer(block), pointer(memory), 0, pointer(seen), dt_s)
 
 
 class EntryGuidance:

@@ -18,7 +18,7 @@ import math
 from typing import NamedTuple
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.kernels.jit import njit, raw
+from sim_heating.base.kernels.jit import njit, pointer
 from sim_heating.heating.atmosphere import speed_of_sound_kernel, us76_kernel
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import manoeuvres as mv
@@ -360,6 +360,15 @@ def run_kernel(
 ) -> tuple[int, bool]:  # fmt: skip
     """Steps until the flight ends or rows (frames, len(ROW)) are full; how many were filled, and whether it ended."""
     for k in range(rows.shape[0]):
-        if not step_kernel(raw(state), raw(flight), raw(block), raw(script), raw(aero), dt_s, raw(work), raw(rows[k])):
+        if not step_kernel(
+            pointer(state),
+            pointer(flight),
+            pointer(block),
+            pointer(script),
+            pointer(aero),
+            dt_s,
+            pointer(work),
+            pointer(rows[k]),
+        ):
             return k + 1, True
     return rows.shape[0], False

@@ -304,7 +304,7 @@ def gradients(plug, hot, noise_K2_s: float, sigma_K: float, away: float = 0.0):
     truth = LinearMarch([Track(model, mesh, (), t[1:], initial_K=hot)], t, history).march()[0].temperature_K
     read = truth + np.random.default_rng(3).normal(0.0, 1.0, truth.shape)
     samples = samples_on_grid(t[1:], mesh.sensors, read, 1.0)
-    start = model.altered({"ratio.scale": model.value("ratio.scale") + away})
+    start = model.with_parameters({"ratio.scale": model.value("ratio.scale") + away})
 
     def filtered(point: PointModel):
         track = FilterTrack(
@@ -313,7 +313,7 @@ def gradients(plug, hot, noise_K2_s: float, sigma_K: float, away: float = 0.0):
         return FilterMarch([track], t, history).filter()[0]
 
     def log_likelihood(name: str, shift: float) -> float:
-        return float(np.sum(filtered(start.altered({name: start.value(name) + shift})).log_likelihood))
+        return float(np.sum(filtered(start.with_parameters({name: start.value(name) + shift})).log_likelihood))
 
     difference = np.array([(log_likelihood(n, by) - log_likelihood(n, -by)) / (2.0 * by) for n in names])
     own = filtered(start)
@@ -343,7 +343,7 @@ def flown(plug, hot, rng: np.random.Generator, noise_K2_s: float, ratio: Disturb
     profile = hot + rng.multivariate_normal(np.zeros(mesh.nodes), some_covariance(mesh.nodes), runs)
     d, truth = rng.normal(0.0, ratio.start_sigma, runs), np.empty((runs, mesh.nodes, len(t) - 1))
     for k in range(len(t) - 1):
-        points = [model.altered({"ratio.d0": x}) for x in d]
+        points = [model.with_parameters({"ratio.d0": x}) for x in d]
         ensemble = Ensemble(points, [mesh] * runs)
         for i in range(runs):
             ensemble.set_profile(i, profile[i])

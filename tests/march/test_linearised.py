@@ -133,7 +133,9 @@ def differences(model: PointModel, steps: dict[str, float]) -> dict[str, np.ndar
     shifted = [(n, at) for n in steps for at in WEIGHTS]
     found = []
     for k in range(0, len(shifted), LANES):
-        found += marched([model.altered({n: model.value(n) + at * steps[n]}) for n, at in shifted[k : k + LANES]])
+        found += marched(
+            [model.with_parameters({n: model.value(n) + at * steps[n]}) for n, at in shifted[k : k + LANES]]
+        )
     result = {n: np.zeros(found[0].temperature_K.shape) for n in steps}
     for (n, at), run in zip(shifted, found, strict=True):
         result[n] += WEIGHTS[at] * run.temperature_K / steps[n]
@@ -172,7 +174,7 @@ def test_every_parameter_of_every_effect_and_the_ratio_that_it_acts_on(name):
 
 
 def test_gap_that_opens_between_two_marches_takes_heat_from_the_next():
-    closed = point().altered({"stack.gap.fraction": 0.0})
+    closed = point().with_parameters({"stack.gap.fraction": 0.0})
     names = ("ratio.scale", "stack.emissivity_factor", "stack.gap.fraction", "stack.contact_factor")
     mesh = choose_meshes([closed])[0][0]
     march = LinearMarch([Track(closed, mesh, names, SAMPLE_S)], TIME_S, flight(TIME_S, **{c: popu(c) for c in COLUMNS}))

@@ -287,7 +287,7 @@ def test_a_dispersed_onset_of_transition_is_that_of_the_effect(tmp_path):
     along = soaked(conditions_at_point(entry.study.vehicle, point, conditions), point, 600.0)
     for i in (0, LANES - 1):
         onset = {"effect.transition.log10_re_onset": 6.0 + moved[i, 0]}
-        model = replace(entry.lanes.models[1].altered(onset), nodes=entry.meshes[1].nodes)
+        model = replace(entry.lanes.models[1].with_parameters(onset), nodes=entry.meshes[1].nodes)
         history = march_points([model], [along], longest_step_s=4.0)[0]
         assert found.surface_K[i, 1] == pytest.approx(history.surface_K.max(), abs=0.05)
     assert found.surface_K[0, 1] > found.surface_K[-1, 1] + 20.0

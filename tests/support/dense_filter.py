@@ -44,7 +44,7 @@ def linear_step(model: PointModel, mesh: Mesh, vectors: FloatArray, dt: float, d
     n = mesh.nodes
 
     def moved(z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        ensemble = Ensemble([model.altered({"ratio.d0": model.value("ratio.d0") + z[n]})], [mesh])
+        ensemble = Ensemble([model.with_parameters({"ratio.d0": model.value("ratio.d0") + z[n]})], [mesh])
         ensemble.set_profile(0, z[:n])
         ensemble.begin(vectors[:1])
         ensemble.advance(vectors[1:], dt)

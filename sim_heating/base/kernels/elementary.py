@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.base.kernels.block import LANES
-from sim_heating.base.kernels.jit import WHOLE, inlined, power_of_two, split
+from sim_heating.base.kernels.jit import WHOLE, force_inline, power_of_two, split
 
 LN2_HIGH, LN2_LOW, LOG2_E = 6.93147180369123816490e-01, 1.90821492927058770002e-10, 1.4426950408889634
 LARGEST_EXPONENT = 708.0
@@ -24,7 +24,7 @@ LOG_TERMS = 10
 one is below 1e-18."""
 
 
-@inlined
+@force_inline
 def exp(x: float) -> float:
     """Exponential exp(x) of a number [-], within 2 units in the last place.
 
@@ -43,7 +43,7 @@ def exp(x: float) -> float:
     return total * power_of_two(k)
 
 
-@inlined
+@force_inline
 def log10(x: float) -> float:
     """Decimal logarithm log10(x) of a finite number [-], within 2 units in the last place; constant below 2^-1022.
 
@@ -63,13 +63,13 @@ def log10(x: float) -> float:
     return k * LOG10_2_HIGH + (k * LOG10_2_LOW + (2.0 * LOG10_E) * (s + s * total))
 
 
-@inlined
+@force_inline
 def logistic(x: float) -> float:
     """Logistic function 1 / (1 + exp(-x)) [-]: 0 far below, 1 far above; S of docs/equations.md, equation 19."""
     return 1.0 / (1.0 + exp(-x))
 
 
-@inlined
+@force_inline
 def lanes_outside(B: NDArray[np.float64], x: int, low: int, high: int) -> int:
     """Number of pairs of lanes with a value outside its bounds, low <= x < high.
 

@@ -126,13 +126,13 @@ _ARITHMETIC: Mapping[str, Any] = {"fastmath": False, "error_model": "numpy"}
 def njit(function: F, inline: bool = False) -> F:
     """Compile a kernel: no fastmath (bit-equal interpreted, jitted and exported), numpy division, GIL released.
 
-    inline : whether LLVM has to inline it into every caller (see `inlined`)
+    inline : whether LLVM has to inline it into every caller (see `force_inline`)
     """
     kernel = numba.njit(cache=True, nogil=True, forceinline=inline, pipeline_class=_KernelCompiler, **_ARITHMETIC)
     return cast(F, kernel(function))
 
 
-def folded(function: F) -> F:
+def inline_always(function: F) -> F:
     """Inline a kernel into its single caller before that is compiled; it would otherwise be compiled twice.
 
     Not for a large one: numba copies all of it, twice, and again with every caller around it, in a time that grows as
@@ -152,22 +152,22 @@ def c_function(signature: Any, function: Any, cache: bool = True) -> Any:
     return numba.cfunc(signature, cache=cache, pipeline_class=_Compiler, **_ARITHMETIC)(function)
 
 
-def inlined(function: F) -> F:
+def force_inline(function: F) -> F:
     """Compile a kernel like njit and inline it wherever called: a loop over lanes with calls does not vectorise."""
     return njit(function, inline=True)
 
 
 @numba.extending.intrinsic
-def _data_pointer(_typing_context: object, array: numba.types.Array):  # type: ignore[no-untyped-def]
-    pointer = numba.types.CPointer(array.dtype)
+def _array_data(_typing_context: object, array: numba.types.Array):  # type: ignore[no-untyped-def]
+    kind = numba.types.CPointer(array.dtype)
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
         return context.make_array(signature.args[0])(context, builder, args[0]).data
 
-    return pointer(array), codegen
+    return kind(array), codegen
 
 
-def raw(array):  # type: ignore[no-untyped-def]
+def pointer(array):  # type: ignore[no-untyped-def]
     """Data of a contiguous array as a kernel takes it: a C pointer when compiled, the array itself when interpreted.
 
     An exported library passes pointers as well. Indices into a pointer are never counted from its end, unlike those
@@ -176,10 +176,10 @@ def raw(array):  # type: ignore[no-untyped-def]
     return array
 
 
-@numba.extending.overload(raw, inline="always")
-def _raw_compiled(array):  # type: ignore[no-untyped-def]
+@numba.extending.overload(pointer, inline="always")
+def _pointer_compiled(array):  # type: ignore[no-untyped-def]
     if isinstance(array, numba.types.Array):
-        return lambda array: _data_pointer(array)
+        return lambda array: _array_data(array)
     return None
 
 
@@ -244,25 +244,25 @@ def _call_through_address(context, builder, signature, args):  # type: ignore[no
 
 
 @numba.extending.intrinsic
-def _call_chain(_typing_context, address, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
+def _call_dispatcher(_typing_context, address, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
     return numba.types.float64(address, code, B, c, p, wall_K), _call_through_address
 
 
-def call_chain(chain, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
-    """chain(code, B, c, p, wall_K) [-]: the effect of a code, through the address of its dispatcher.
+def call_dispatcher(dispatcher, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
+    """dispatcher(code, B, c, p, wall_K) [-]: the effect of a code, through the address of its dispatcher.
 
     wall_K : wall temperature [K];  code, B, c, p : as in heating/effects/compiled.py
 
     Interpreted, the dispatcher is the function itself. Passing an address to a kernel costs nothing; passing a function
     object costs 35 us a call.
     """
-    return chain(code, B, c, p, wall_K)
+    return dispatcher(code, B, c, p, wall_K)
 
 
-@numba.extending.overload(call_chain, inline="always")
-def _call_chain_compiled(chain, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
-    if isinstance(chain, numba.types.Integer):
-        return lambda chain, code, B, c, p, wall_K: _call_chain(chain, code, B, c, p, wall_K)
+@numba.extending.overload(call_dispatcher, inline="always")
+def _call_dispatcher_compiled(dispatcher, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
+    if isinstance(dispatcher, numba.types.Integer):
+        return lambda dispatcher, code, B, c, p, wall_K: _call_dispatcher(dispatcher, code, B, c, p, wall_K)
     return None
 
 
@@ -273,22 +273,22 @@ def call_effect(_typing_context, address, B, c, p, wall_K):  # type: ignore[no-u
 
 
 @numba.extending.intrinsic
-def _call_step(_typing_context, address, B, J, table, chain, dt):  # type: ignore[no-untyped-def]
-    return numba.types.void(address, B, J, table, chain, dt), _call_through_address
+def _call_step(_typing_context, address, B, J, table, dispatcher, dt):  # type: ignore[no-untyped-def]
+    return numba.types.void(address, B, J, table, dispatcher, dt), _call_through_address
 
 
-def call_step(step, B, J, table, chain, dt):  # type: ignore[no-untyped-def]
-    """Call step(B, J, table, chain, dt) through its address when compiled, as a function when interpreted; dt [s].
+def call_step(step, B, J, table, dispatcher, dt):  # type: ignore[no-untyped-def]
+    """Call step(B, J, table, dispatcher, dt) through its address when compiled, as a function when interpreted; dt [s].
 
     The large compiled step is made once this way; a loop that called it by name would compile it into itself again.
     """
-    step(B, J, table, chain, dt)
+    step(B, J, table, dispatcher, dt)
 
 
 @numba.extending.overload(call_step, inline="always")
-def _call_step_compiled(step, B, J, table, chain, dt):  # type: ignore[no-untyped-def]
+def _call_step_compiled(step, B, J, table, dispatcher, dt):  # type: ignore[no-untyped-def]
     if isinstance(step, numba.types.Integer):
-        return lambda step, B, J, table, chain, dt: _call_step(step, B, J, table, chain, dt)
+        return lambda step, B, J, table, dispatcher, dt: _call_step(step, B, J, table, dispatcher, dt)
     return None
 
 
@@ -299,9 +299,9 @@ STEP_SIGNATURE = numba.types.void(
     numba.types.int64,
     numba.types.float64,
 )
-"""step(B, J, table, chain, dt), dt [s], as a host's C code sees a compiled step."""
+"""step(B, J, table, dispatcher, dt), dt [s], as a host's C code sees a compiled step."""
 
 
-def handle(function):  # type: ignore[no-untyped-def]
+def address_of(function):  # type: ignore[no-untyped-def]
     """What a kernel takes for a function that it calls: the address of a compiled one, else the function itself."""
     return getattr(function, "address", function)

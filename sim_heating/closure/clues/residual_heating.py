@@ -147,7 +147,7 @@ def residual_heating(
     samples, order = filter_samples(
         channels, own.sample_s + shift, own.mesh, own.sigma_K, own.values(values), own.correction_K
     )
-    track = FilterTrack(own.altered(values), own.mesh, samples, (), own.initial_K(values))
+    track = FilterTrack(own.with_parameters(values), own.mesh, samples, (), own.initial_K(values))
     history = condition_history(own.conditions.at(own.time_s))[np.newaxis]
     found = unknown_input(track, own.time_s, history, disturbance)
     fitted = [s for s in problem.samples(values) if s.part is own and s.channel in channels]

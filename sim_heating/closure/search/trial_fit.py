@@ -187,7 +187,7 @@ def fitted_values(attempt: TrialFit) -> dict[str, float]:
 
 def fitted_effects(attempt: TrialFit) -> tuple[EffectUse, ...]:
     """The effects of an attempt's model at the values found."""
-    return attempt.problem.parts[0].altered(attempt.fit.values).effects
+    return attempt.problem.parts[0].with_parameters(attempt.fit.values).effects
 
 
 def sample_count(problem: FitProblem) -> int:

@@ -62,7 +62,7 @@ class Noise(NamedTuple):
     density_1_s: FloatArray
 
 
-class Kept(NamedTuple):
+class SmootherHistory(NamedTuple):
     """History for the smoother, of size 0 where none is wanted.
 
     mean       : (lane, time, node + 1) z after the readings of each step
@@ -77,7 +77,7 @@ class Kept(NamedTuple):
     rows: FloatArray
 
 
-class Held(NamedTuple):
+class FrozenGains(NamedTuple):
     """Covariances of one step of each lane, before its readings were taken, for frozen gains.
 
     after_s           : (lane,) time after which they serve for later steps [s]
@@ -95,7 +95,7 @@ class Held(NamedTuple):
     P: FloatArray
 
 
-class Columns(NamedTuple):
+class Workspace(NamedTuple):
     """Work space of a propagation, each (node, column): temperatures' derivatives at the end and the middle stage of a
     step.
 
@@ -114,7 +114,7 @@ class Columns(NamedTuple):
     reduced: FloatArray
 
 
-class Joint(NamedTuple):
+class StepReadings(NamedTuple):
     """Readings of one step before they are taken, in the order of time.
 
     x, mean, rate     : (reading,) fraction of the step [-], temperature [K], its rate [K/s]
@@ -133,7 +133,7 @@ class Joint(NamedTuple):
     start: FloatArray
 
 
-class Told(NamedTuple):
+class MarchOutput(NamedTuple):
     """Output of a march with a history added to the heating ratio.
 
     temperature_K : (lane, time, node) [K];  read_K : (lane, reading) temperatures read [K]
@@ -157,7 +157,7 @@ class Blocks(NamedTuple):
     end: FloatArray
 
 
-def columns_of(n: int, columns: int) -> Columns:
+def workspace_of(n: int, columns: int) -> Workspace:
     """Work space for the propagation of columns, all zero.
 
     n : nodes;  columns : number of columns, each the derivative of the node temperatures [K] against one quantity
@@ -165,10 +165,10 @@ def columns_of(n: int, columns: int) -> Columns:
     The propagation is docs/equations_march.md, equations 7 and 8.
     """
     end, middle, e, f, star, e_middle = np.zeros((6, n, columns))
-    return Columns(end, middle, e, f, star, e_middle, np.zeros(n))
+    return Workspace(end, middle, e, f, star, e_middle, np.zeros(n))
 
 
-def joint_of(readings: int, size: int, parameters: int) -> Joint:
+def step_readings_of(readings: int, size: int, parameters: int) -> StepReadings:
     """Room for the readings of one step, all zero.
 
     readings : most readings in a step;  size : of the state z;  parameters : number of sensitivities
@@ -177,10 +177,12 @@ def joint_of(readings: int, size: int, parameters: int) -> Joint:
     """
     x, mean, rate = np.zeros((3, readings))
     cross, rows, start = np.zeros((3, readings, size))
-    return Joint(x, mean, rate, np.zeros((readings, readings)), cross, np.zeros((readings, parameters)), rows, start)
+    return StepReadings(
+        x, mean, rate, np.zeros((readings, readings)), cross, np.zeros((readings, parameters)), rows, start
+    )
 
 
-def held_of(after_s: FloatArray, readings: int, size: int) -> Held:
+def frozen_gains_of(after_s: FloatArray, readings: int, size: int) -> FrozenGains:
     """Store for frozen gains, still empty.
 
     after_s  : (lane,) time after which gains are frozen [s];  readings : most readings in a step;  size : of the state
@@ -191,4 +193,6 @@ def held_of(after_s: FloatArray, readings: int, size: int) -> Held:
     lanes = len(after_s)
     node, x = np.zeros((lanes, readings), dtype=np.int64), np.zeros((lanes, readings))
     covariance, cross = np.zeros((lanes, readings, readings)), np.zeros((lanes, readings, size))
-    return Held(after_s, np.full(lanes, -1, dtype=np.int64), node, x, covariance, cross, np.zeros((lanes, size, size)))
+    return FrozenGains(
+        after_s, np.full(lanes, -1, dtype=np.int64), node, x, covariance, cross, np.zeros((lanes, size, size))
+    )

@@ -214,7 +214,7 @@ class Innovations:
         tracks += [tracks[-1]] * (LANES - len(tracks))
         if march is None:
             march = self._levelled[k] = FilterMarch(tracks, part.time_s, self._histories[k])
-        march.set_models([part.altered(vector)] * LANES)
+        march.set_models([part.with_parameters(vector)] * LANES)
         try:
             return list(march.filter(tracks)[: len(tried)])
         except RunError:
@@ -247,7 +247,7 @@ class Innovations:
         part = self.problem.parts[k]
         track, order = self._track(k, vector, self.levels, sensitive=False)
         march = FilterMarch([track], part.time_s, self._histories[k])
-        march.set_models([part.altered(vector)])
+        march.set_models([part.with_parameters(vector)])
         return track, march.filter(keep=True)[0], order
 
     def _filtered(self, vector: FloatArray) -> list[Filtered]:
@@ -262,7 +262,7 @@ class Innovations:
         march = self._whole[k]
         if march is None:
             march = self._whole[k] = FilterMarch([track], part.time_s, self._histories[k])
-        march.set_models([part.altered(vector)])
+        march.set_models([part.with_parameters(vector)])
         return march.filter([track])[0]
 
     def _track(
@@ -291,7 +291,7 @@ class Innovations:
         part, padding = self.problem.parts[k], LANES - len(vectors)
         noise = [self.levels] * len(vectors) if levels is None else list(levels)
         tracks = [self._track(k, v, n, sensitive=False)[0] for v, n in zip(vectors, noise, strict=True)]
-        models = [part.altered(v) for v in vectors]
+        models = [part.with_parameters(v) for v in vectors]
         march = self._bare.get((k, chunk))
         if march is None:
             march = self._bare[k, chunk] = FilterMarch([tracks[0]] * LANES, part.time_s, self._histories[k])

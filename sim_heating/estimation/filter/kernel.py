@@ -44,14 +44,23 @@ from sim_heating.base.kernels.block import (
     T_START,
     T,
 )
-from sim_heating.base.kernels.jit import call_step, njit, raw
+from sim_heating.base.kernels.jit import call_step, njit, pointer
 from sim_heating.base.kernels.truncated_normal import LOG_ROOT_2PI, truncated_normal
-from sim_heating.estimation.filter.arrays import Blocks, Columns, Held, Joint, Kept, Noise, Readings, State
+from sim_heating.estimation.filter.arrays import (
+    Blocks,
+    FrozenGains,
+    Noise,
+    Readings,
+    SmootherHistory,
+    State,
+    StepReadings,
+    Workspace,
+)
 from sim_heating.march.frames import END_STAGE
 from sim_heating.thermal.sensitivity import (
-    Groups,
-    Places,
-    assemble_shadows,
+    PerturbedGroups,
+    PerturbedOffsets,
+    assemble_perturbed,
     begin_columns,
     content_columns,
     first_star,
@@ -59,15 +68,15 @@ from sim_heating.thermal.sensitivity import (
     parabola_rate,
     second_star,
     solve_columns,
-    start_from_shadow,
+    start_from_copy,
 )
-from sim_heating.thermal.step import BEGIN, COLDEST_K, STAGE_WEIGHT, hold
+from sim_heating.thermal.step import BEGIN, COLDEST_K, STAGE_WEIGHT, shift_conditions
 
 (
     PRIOR, PRIOR_VARIANCE, POSTERIOR, POSTERIOR_VARIANCE, PREDICTED, PREDICTED_VARIANCE, INNOVATION, VARIANCE,
     LOG_LIKELIHOOD, N_OUT,
 ) = range(10)  # fmt: skip
-"""Columns of the output of a reading: temperature [K] and variance [K2] before and after all readings of its time;
+"""Workspace of the output of a reading: temperature [K] and variance [K2] before and after all readings of its time;
 prediction and variance, noise included, once those before it are taken; innovation [K] and its variance [K2]; log
 likelihood. The sensitivities of its prediction follow."""
 CONSTANT, PER_TEMPERATURE, PER_RATE = range(3)
@@ -79,7 +88,7 @@ LEAST_GAIN = 1e-14
 
 
 @njit
-def propagate(X: Blocks, p: Places, lane: int, forced: int, dt: float, w: Columns) -> None:
+def propagate(X: Blocks, p: PerturbedOffsets, lane: int, forced: int, dt: float, w: Workspace) -> None:
     """Propagate columns of derivatives of the temperatures through one TR-BDF2 step, in place.
 
     X      : blocks of the perturbed lanes at start, middle stage and end;  p : where those of this lane stand
@@ -101,7 +110,7 @@ def propagate(X: Blocks, p: Places, lane: int, forced: int, dt: float, w: Column
 
 
 @njit
-def _add_forcing(gamma: Columns, w: Columns, column: int, amount: float, n: int) -> None:
+def _add_forcing(gamma: Workspace, w: Workspace, column: int, amount: float, n: int) -> None:
     """Add the response to a disturbance `amount` [-] to a column; gamma.end[:, 0] is the response to 1."""
     for i in range(n):
         w.end[i, column] += gamma.end[i, 0] * amount
@@ -109,7 +118,9 @@ def _add_forcing(gamma: Columns, w: Columns, column: int, amount: float, n: int)
 
 
 @njit
-def first_pass(X: Blocks, p: Places, lane: int, dt: float, state: State, whole: bool, keep: bool, w: Columns) -> None:
+def first_pass(
+    X: Blocks, p: PerturbedOffsets, lane: int, dt: float, state: State, whole: bool, keep: bool, w: Workspace
+) -> None:
     """Propagate Gamma, the sensitivities, and where wanted F P and F itself, through one step of a lane.
 
     dt    : time step [s];  state : covariance and sensitivities at the start, unchanged
@@ -117,7 +128,7 @@ def first_pass(X: Blocks, p: Places, lane: int, dt: float, state: State, whole: 
     w     : receives columns at end and middle stage: Gamma [K], sensitivities [K over the parameter's unit], F P [K2],
             F
 
-    Columns stand in this order, so that those with forcing come first. Derived in docs/filter.md, equations 4 and 11.
+    Workspace stand in this order, so that those with forcing come first. Derived in docs/filter.md, equations 4 and 11.
     """
     n, m = p.nodes[lane], state.S.shape[2]
     first, identity, covariances = 1 + m, 1 + m + state.P.shape[1], n + 1 if whole else 0
@@ -139,7 +150,7 @@ def first_pass(X: Blocks, p: Places, lane: int, dt: float, state: State, whole: 
 
 
 @njit
-def read_column(w: Columns, column: int, node: int, x: float, start: float) -> float:
+def read_column(w: Workspace, column: int, node: int, x: float, start: float) -> float:
     """Value of a column at a node and a fraction of a step, T(x) = w0 T_n + w1 T_(n + gamma) + w2 T_(n+1).
 
     x     : fraction of the step [-];  start : value of the column at the node at the start of the step
@@ -152,8 +163,9 @@ def read_column(w: Columns, column: int, node: int, x: float, start: float) -> f
 
 @njit
 def predict_readings(
-    B: FloatArray, p: Places, lane: int, dt: float, r: Readings, first: int, count: int, state: State, whole: bool,
-    keep: bool, w: Columns, joint: Joint,
+    B: FloatArray, p: PerturbedOffsets, lane: int, dt: float, r: Readings, first: int, count: int,
+    state: State, whole: bool,
+    keep: bool, w: Workspace, joint: StepReadings,
 ) -> None:  # fmt: skip
     """Predict the readings of a step: temperatures, rates, sensitivities, rows, and cov(z at the start, T).
 
@@ -185,8 +197,9 @@ def predict_readings(
 
 @njit
 def second_pass(
-    X: Blocks, p: Places, lane: int, dt: float, r: Readings, first: int, count: int, state: State, noise: Noise,
-    decay: float, gamma: Columns, w: Columns, joint: Joint,
+    X: Blocks, p: PerturbedOffsets, lane: int, dt: float, r: Readings, first: int, count: int, state: State,
+    noise: Noise,
+    decay: float, gamma: Workspace, w: Workspace, joint: StepReadings,
 ) -> None:  # fmt: skip
     """Covariance of the state after a step, P' = F P F' + Q, and the joint covariance of its readings.
 
@@ -274,7 +287,7 @@ def innovation(lower: float, upper: float, mean: float, variance: float) -> tupl
 
 @njit
 def _take(
-    r: Readings, lane: int, k: int, q: int, count: int, n: int, state: State, z: FloatArray, joint: Joint,
+    r: Readings, lane: int, k: int, q: int, count: int, n: int, state: State, z: FloatArray, joint: StepReadings,
     transition: FloatArray, keep: bool, out: FloatArray,
 ) -> None:  # fmt: skip
     """Condition z, P, the sensitivities and the other readings of the step on reading k, number q of its step."""
@@ -319,8 +332,8 @@ def _take(
 
 @njit
 def take_readings(
-    r: Readings, lane: int, first: int, count: int, n: int, state: State, z: FloatArray, joint: Joint,
-    transition: FloatArray, kept: Kept, keep: bool, out: FloatArray,
+    r: Readings, lane: int, first: int, count: int, n: int, state: State, z: FloatArray, joint: StepReadings,
+    transition: FloatArray, kept: SmootherHistory, keep: bool, out: FloatArray,
 ) -> None:  # fmt: skip
     """Update a lane by the readings of one step, in order of time.
 
@@ -357,7 +370,7 @@ def take_readings(
 
 
 @njit
-def _repeats(held: Held, r: Readings, lane: int, first: int, count: int, joint: Joint) -> bool:
+def _repeats(held: FrozenGains, r: Readings, lane: int, first: int, count: int, joint: StepReadings) -> bool:
     """Whether the readings of a step are at the nodes and fractions of those whose covariances are stored."""
     if held.number[lane] != count:
         return False
@@ -368,7 +381,9 @@ def _repeats(held: Held, r: Readings, lane: int, first: int, count: int, joint: 
 
 
 @njit
-def _remember(held: Held, r: Readings, lane: int, first: int, count: int, state: State, joint: Joint) -> None:
+def _remember(
+    held: FrozenGains, r: Readings, lane: int, first: int, count: int, state: State, joint: StepReadings
+) -> None:
     """Store the covariances of a step for frozen gains."""
     held.number[lane], held.P[lane] = count, state.P[lane]
     for q in range(count):
@@ -378,7 +393,7 @@ def _remember(held: Held, r: Readings, lane: int, first: int, count: int, state:
 
 
 @njit
-def _recall(held: Held, lane: int, count: int, state: State, joint: Joint) -> None:
+def _recall(held: FrozenGains, lane: int, count: int, state: State, joint: StepReadings) -> None:
     """Use the stored covariances for those of this step."""
     state.P[lane] = held.P[lane]
     for q in range(count):
@@ -388,8 +403,9 @@ def _recall(held: Held, lane: int, count: int, state: State, joint: Joint) -> No
 
 @njit
 def filter_lane(
-    B: FloatArray, X: Blocks, p: Places, lane: int, k: int, time_s: FloatArray, r: Readings, first: int,
-    state: State, noise: Noise, held: Held, kept: Kept, u: Columns, w: Columns, v: Columns, joint: Joint,
+    B: FloatArray, X: Blocks, p: PerturbedOffsets, lane: int, k: int, time_s: FloatArray, r: Readings, first: int,
+    state: State, noise: Noise, held: FrozenGains, kept: SmootherHistory, u: Workspace, w: Workspace,
+    v: Workspace, joint: StepReadings,
     z: FloatArray, transition: FloatArray, out: FloatArray,
 ) -> int:  # fmt: skip
     """Filter step k of one lane: covariance, sensitivities, readings, after its temperatures have been marched.
@@ -458,20 +474,20 @@ def _put_back(B: FloatArray, lane: int, n: int, k: int, state: State, z: FloatAr
 
 
 @njit
-def disturb(B: FloatArray, X: Blocks, shadows: Groups, lane: int, change: float) -> None:
+def disturb(B: FloatArray, X: Blocks, perturbed: PerturbedGroups, lane: int, change: float) -> None:
     """Add to the heating ratio (ratio.d0) of a lane and of all its perturbed lanes.
 
     B, X    : block of the lane group and blocks of the perturbed lanes, changed
-    shadows : groups of perturbed lanes and the lane that each belongs to
+    perturbed : groups of perturbed lanes and the lane that each belongs to
     change  : of the ratio [-]
 
     The perturbed lanes need it as well, since derivatives are those at the disturbed ratio. Source: docs/filter.md,
     equation 1.
     """
     B[PARAMETERS * LANES + lane * N_PARAMETERS + D0] += change
-    for s in range(len(shadows.source)):
-        if shadows.source[s] == lane:
-            at = shadows.groups[s // LANES, 0] + PARAMETERS * LANES + (s % LANES) * N_PARAMETERS + D0
+    for s in range(len(perturbed.source)):
+        if perturbed.source[s] == lane:
+            at = perturbed.groups[s // LANES, 0] + PARAMETERS * LANES + (s % LANES) * N_PARAMETERS + D0
             X.start[at] += change
             X.middle[at] += change
             X.end[at] += change
@@ -503,13 +519,14 @@ def _lag_now(X: Blocks, groups: IntArray, first: bool) -> None:
 
 @njit
 def begin_march(
-    B: FloatArray, J: IntArray, table: FloatArray, chain, move,  # type: ignore[no-untyped-def]
+    B: FloatArray, J: IntArray, table: FloatArray, dispatcher, advance,  # type: ignore[no-untyped-def]
     histories: FloatArray, which: IntArray,
 ) -> None:  # fmt: skip
     """Set the first conditions of all lanes of a group and evaluate heat contents [J/m2] and heat flows [W/m2] with
     them.
 
-    B, J, table : block and integers of the group, property and ratio tables;  chain, move : handles of the compiled
+    B, J, table : block and integers of the group, property and ratio tables;  dispatcher,
+    advance : handles of the compiled
                   effects and the compiled step
     histories   : (flight, time, condition);  which : (LANES,) flight of each lane
 
@@ -518,21 +535,21 @@ def begin_march(
     for lane in range(LANES):
         for c in range(N_CONDITIONS):
             B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], 0, c]
-    call_step(move, raw(B), raw(J), raw(table), chain, BEGIN)
+    call_step(advance, pointer(B), pointer(J), pointer(table), dispatcher, BEGIN)
 
 
 @njit
-def step_beside_shadows(
-    B: FloatArray, J: IntArray, table: FloatArray, chain, move, rows, faces,  # type: ignore[no-untyped-def]
-    X: Blocks, shadows: Groups,
-    time_s: FloatArray, histories: FloatArray, which: IntArray, p: Places, lanes: int, k: int,
+def step_with_perturbed(
+    B: FloatArray, J: IntArray, table: FloatArray, dispatcher, advance, rows, faces,  # type: ignore[no-untyped-def]
+    X: Blocks, perturbed: PerturbedGroups,
+    time_s: FloatArray, histories: FloatArray, which: IntArray, p: PerturbedOffsets, lanes: int, k: int,
 ) -> None:  # fmt: skip
     """March step k of a lane group from temperatures and ratios that may have been changed, and assemble its perturbed
     lanes.
 
     B, J, table    : block and integers of the group, changed; property and ratio tables
-    chain, move, rows, faces : handles of the compiled effects, step and assembly
-    X, shadows, p  : blocks of the perturbed lanes, assembled at start, middle stage and end; their groups and places
+    dispatcher, advance, rows, faces : addresses of the compiled effects, step and assembly
+    X, perturbed, p  : blocks of the perturbed lanes, assembled at start, middle stage and end; their groups and places
     time_s         : (time,) steps [s];  histories : (flight, time, condition);  which : (LANES,) flight of each lane
     lanes          : number of lanes that are filtered
 
@@ -540,35 +557,35 @@ def step_beside_shadows(
     again, from the perturbed lanes at the start. Derived in docs/equations_march.md, equations 6 and 7.
     """
     dt = time_s[k] - time_s[k - 1]
-    _lag_before(X, shadows.groups, k == 1)
+    _lag_before(X, perturbed.groups, k == 1)
     # With 1 s for the time step the residual is heat content minus net heat, which gives the net heat.
-    assemble_shadows(B, X.start, shadows, table, chain, rows, faces, T, 2, 1.0)
-    _lag_now(X, shadows.groups, k == 1)
+    assemble_perturbed(B, X.start, perturbed, table, dispatcher, rows, faces, T, 2, 1.0)
+    _lag_now(X, perturbed.groups, k == 1)
     # Only lanes that are filtered: the padding has no perturbed lanes to start from.
     for lane in range(lanes):
-        start_from_shadow(B, lane, X.start, p.at[lane], p.nodes[lane])
-    hold(raw(B))
+        start_from_copy(B, lane, X.start, p.at[lane], p.nodes[lane])
+    shift_conditions(pointer(B))
     for lane in range(LANES):
         for c in range(N_CONDITIONS):
             B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], k, c]
-    call_step(move, raw(B), raw(J), raw(table), chain, dt)
+    call_step(advance, pointer(B), pointer(J), pointer(table), dispatcher, dt)
     ddt = STAGE_WEIGHT * dt
-    assemble_shadows(B, X.middle, shadows, table, chain, rows, faces, T_STAGE, 1, ddt)
-    assemble_shadows(B, X.end, shadows, table, chain, rows, faces, T, 2, ddt)
+    assemble_perturbed(B, X.middle, perturbed, table, dispatcher, rows, faces, T_STAGE, 1, ddt)
+    assemble_perturbed(B, X.end, perturbed, table, dispatcher, rows, faces, T, 2, ddt)
 
 
 @njit
 def march_filter(
-    B: FloatArray, J: IntArray, table: FloatArray, chain, move, rows, faces,  # type: ignore[no-untyped-def]
-    X: Blocks, shadows: Groups, time_s: FloatArray, histories: FloatArray, which: IntArray,
-    p: Places, r: Readings, state: State, noise: Noise, held: Held, kept: Kept,
-    u: Columns, w: Columns, v: Columns, joint: Joint, out: FloatArray,
+    B: FloatArray, J: IntArray, table: FloatArray, dispatcher, advance, rows, faces,  # type: ignore[no-untyped-def]
+    X: Blocks, perturbed: PerturbedGroups, time_s: FloatArray, histories: FloatArray, which: IntArray,
+    p: PerturbedOffsets, r: Readings, state: State, noise: Noise, held: FrozenGains, kept: SmootherHistory,
+    u: Workspace, w: Workspace, v: Workspace, joint: StepReadings, out: FloatArray,
 ) -> None:  # fmt: skip
     """Filter the lanes of one group through a flight; blocks B and X are changed and their contents lost.
 
     B, J, table    : block and integers of the group; property and ratio tables
-    chain, move, rows, faces : handles of the compiled effects, step and assembly
-    X, shadows, p  : blocks of the perturbed lanes, their groups and places
+    dispatcher, advance, rows, faces : addresses of the compiled effects, step and assembly
+    X, perturbed, p  : blocks of the perturbed lanes, their groups and places
     time_s         : (time,) steps [s];  histories : (flight, time, condition);  which : (LANES,) flight of each lane
     r, state, noise, held, kept, u, w, v, joint : readings, filter state, process noise, frozen gains, history, work
     space
@@ -580,9 +597,11 @@ def march_filter(
     lanes, size = state.P.shape[0], state.P.shape[1]
     z, transition = np.zeros(size), np.zeros((size, size))
     next_reading = np.zeros(lanes, dtype=np.int64)
-    begin_march(B, J, table, chain, move, histories, which)
+    begin_march(B, J, table, dispatcher, advance, histories, which)
     for k in range(1, len(time_s)):
-        step_beside_shadows(B, J, table, chain, move, rows, faces, X, shadows, time_s, histories, which, p, lanes, k)
+        step_with_perturbed(
+            B, J, table, dispatcher, advance, rows, faces, X, perturbed, time_s, histories, which, p, lanes, k
+        )
         for lane in range(lanes):
             if state.diverged[lane] == 0:
                 next_reading[lane] = filter_lane(
@@ -591,5 +610,5 @@ def march_filter(
                 )  # fmt: skip
                 n = p.nodes[lane]
                 # Only now: the disturbance is constant over a step, and the readings of step k act from k + 1 on.
-                disturb(B, X, shadows, lane, z[n] - state.d[lane])
+                disturb(B, X, perturbed, lane, z[n] - state.d[lane])
                 state.d[lane] = z[n]

@@ -18,7 +18,16 @@ from numpy.typing import ArrayLike, NDArray
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.kernels.block import D0, LANES, T, node_rows, parameters_at
-from sim_heating.estimation.filter.arrays import Blocks, Kept, Noise, Readings, State, columns_of, held_of, joint_of
+from sim_heating.estimation.filter.arrays import (
+    Blocks,
+    Noise,
+    Readings,
+    SmootherHistory,
+    State,
+    frozen_gains_of,
+    step_readings_of,
+    workspace_of,
+)
 from sim_heating.estimation.filter.kernel import (
     INNOVATION,
     LOG_LIKELIHOOD,
@@ -270,15 +279,16 @@ class FilterMarch(LinearMarch):
         out[..., LOG_LIKELIHOOD] = 0.0
         self._begin([point.initial_K for point in points])
         # Copies: the filter disturbs ratios and temperatures, and the points must serve for another march.
-        B = self.base.block(0).copy()
+        B = self.nominal.block(0).copy()
         march_filter(
-            B, self.base.integers(0), self.base.table, self.base.chain,
-            self.base.move_handle, self.rows, self.faces,
-            Blocks(*(self._shadow_state().copy() for _ in range(3))), self._groups,
+            B, self.nominal.integers(0), self.nominal.table, self.nominal.dispatcher,
+            self.nominal.advance_address, self.rows, self.faces,
+            Blocks(*(self._perturbed_state().copy() for _ in range(3))), self._groups,
             self.time_s, self.histories, self._flights, self._places(1 + m), readings, state, noise,
-            held_of(after_s, most, n + 1), kept,
-            columns_of(n, 1 + m), columns_of(n, 1 + m + (2 if keep else 1) * (n + 1)), columns_of(n, n + 1 + most),
-            joint_of(most, n + 1, m), out,
+            frozen_gains_of(after_s, most, n + 1), kept,
+            workspace_of(n, 1 + m), workspace_of(n, 1 + m + (2 if keep else 1) * (n + 1)), workspace_of(n,
+            n + 1 + most),
+            step_readings_of(most, n + 1, m), out,
         )  # fmt: skip
         self._leave(B)
         for i, point in enumerate(points):
@@ -288,12 +298,12 @@ class FilterMarch(LinearMarch):
                     f"{point.model.name}: the filter diverged at {self.time_s[step]:g} s: a temperature fell below "
                     "0 K or is not a number; the noise declared does not fit the readings"
                 )
-        self.base.check()
+        self.nominal.check()
         return [self._filtered(i, points[i], steps[i], out, state, kept) for i in range(len(points))]
 
     def _leave(self, B: FloatArray) -> None:
         """Take over the block of a finished march, its ratios undisturbed again."""
-        own = self.base.block(0)
+        own = self.nominal.block(0)
         d0 = [parameters_at(lane) + D0 for lane in range(LANES)]
         B[d0] = own[d0]
         own[:] = B
@@ -320,11 +330,11 @@ class FilterMarch(LinearMarch):
             decay[lane], density[lane] = 1.0 / point.disturbance.correlation_s, point.disturbance.density_1_s
         return Noise(nodes, decay, density)
 
-    def _kept(self, points: Sequence[FilterTrack], n: int, keep: bool) -> Kept:
+    def _kept(self, points: Sequence[FilterTrack], n: int, keep: bool) -> SmootherHistory:
         lanes, steps = len(points), len(self.time_s) - 1 if keep else -1
         count = max(len(p.samples.time_s) for p in points) if keep else 0
         size = (steps + 1, n + 1, n + 1)
-        kept = Kept(
+        kept = SmootherHistory(
             np.zeros((lanes, *size[:2])), np.zeros((lanes, *size)), np.zeros((lanes, max(steps, 0), *size[1:])),
             np.zeros((lanes, count, n + 1)),
         )  # fmt: skip
@@ -351,7 +361,7 @@ class FilterMarch(LinearMarch):
         return Readings(count, time_s, node, gain, bias, variance, lower, upper, direct)
 
     def _filtered(
-        self, i: int, point: FilterTrack, step: IntArray, out: FloatArray, state: State, kept: Kept
+        self, i: int, point: FilterTrack, step: IntArray, out: FloatArray, state: State, kept: SmootherHistory
     ) -> Filtered:
         lane, own = self._lane_of[i], point.mesh.nodes + 1
         told = out[lane, : len(point.samples.time_s)]
@@ -366,7 +376,7 @@ class FilterMarch(LinearMarch):
             told[:, PREDICTED], told[:, PREDICTED_VARIANCE],
             told[:, INNOVATION], told[:, VARIANCE], told[:, LOG_LIKELIHOOD],
             told[:, N_OUT : N_OUT + point.parameters],
-            node_rows(self.base.block(0))[: own - 1, T, lane].copy(), float(state.d[lane]),
+            node_rows(self.nominal.block(0))[: own - 1, T, lane].copy(), float(state.d[lane]),
             state.P[lane, :own, :own], history,
         )  # fmt: skip
 

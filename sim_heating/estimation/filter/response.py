@@ -20,10 +20,10 @@ from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.errors import RunError
 from sim_heating.base.kernels.block import HEAD_ROWS, LANES, NODE_ROWS, T_STAGE, T_START, T
 from sim_heating.base.kernels.jit import njit
-from sim_heating.estimation.filter.arrays import Blocks, Columns, Readings, State, Told, columns_of
-from sim_heating.estimation.filter.kernel import begin_march, disturb, first_pass, read_column, step_beside_shadows
+from sim_heating.estimation.filter.arrays import Blocks, MarchOutput, Readings, State, Workspace, workspace_of
+from sim_heating.estimation.filter.kernel import begin_march, disturb, first_pass, read_column, step_with_perturbed
 from sim_heating.estimation.filter.march import FilterMarch, FilterTrack
-from sim_heating.thermal.sensitivity import Groups, Places, parabola
+from sim_heating.thermal.sensitivity import PerturbedGroups, PerturbedOffsets, parabola
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class Response:
         start   : (node, k) temperatures at the start for one unit of k more unknowns [K], or None
         returns : (reading, start | knot) dy/du [K]
 
-        Columns of knots that lie ahead of a step are skipped. Derived in docs/residual_heating.md, equations 1 to 3.
+        Workspace of knots that lie ahead of a step are skipped. Derived in docs/residual_heating.md, equations 1 to 3.
         """
         nodes, extra = self.transition.shape[1], 0 if start is None else start.shape[1]
         columns = np.concatenate([np.zeros((len(weights), extra)), weights], axis=1)
@@ -108,26 +108,26 @@ class ResponseMarch(FilterMarch):
             add[self._lane_of[i]] = added[i]
         self._begin([p.initial_K for p in self.points] if initial_K is None else list(initial_K))
         columns = n + 1 if derivative else 0
-        told = Told(
+        told = MarchOutput(
             np.zeros((lanes, steps + 1, n)), np.full((lanes, count), np.nan), np.zeros((lanes, steps, n, columns)),
             np.zeros((lanes, count, columns)),
         )  # fmt: skip
         nothing = State(
             np.zeros((lanes, 0, 0)), np.zeros((lanes, n, 0)), np.zeros(lanes), np.zeros(lanes, dtype=np.int64)
         )
-        B = self.base.block(0).copy()
+        B = self.nominal.block(0).copy()
         march_response(
-            B, self.base.integers(0), self.base.table, self.base.chain,
-            self.base.move_handle, self.rows, self.faces,
-            Blocks(*(self._shadow_state().copy() for _ in range(3))), self._groups,
+            B, self.nominal.integers(0), self.nominal.table, self.nominal.dispatcher,
+            self.nominal.advance_address, self.rows, self.faces,
+            Blocks(*(self._perturbed_state().copy() for _ in range(3))), self._groups,
             self.time_s, self.histories, self._flights, self._places(1), readings,
-            nothing, add, columns_of(n, n + 2), told,
+            nothing, add, workspace_of(n, n + 2), told,
         )  # fmt: skip
         self._leave(B)
-        self.base.check()
+        self.nominal.check()
         return [self._response(i, told, self._steps[i]) for i in range(lanes)]
 
-    def _response(self, i: int, told: Told, step: IntArray) -> Response:
+    def _response(self, i: int, told: MarchOutput, step: IntArray) -> Response:
         point, lane = self.points[i], self._lane_of[i]
         own, s = point.mesh.nodes, point.samples
         z = slice(own + 1)
@@ -143,16 +143,17 @@ class ResponseMarch(FilterMarch):
 
 @njit
 def march_response(
-    B: FloatArray, J: IntArray, table: FloatArray, chain, move, rows, faces,  # type: ignore[no-untyped-def]
-    X: Blocks, shadows: Groups, time_s: FloatArray, histories: FloatArray, which: IntArray, p: Places, r: Readings,
-    state: State, added: FloatArray, w: Columns, told: Told,
+    B: FloatArray, J: IntArray, table: FloatArray, dispatcher, advance, rows, faces,  # type: ignore[no-untyped-def]
+    X: Blocks, perturbed: PerturbedGroups, time_s: FloatArray, histories: FloatArray, which: IntArray,
+    p: PerturbedOffsets, r: Readings,
+    state: State, added: FloatArray, w: Workspace, told: MarchOutput,
 ) -> None:  # fmt: skip
     """March one lane group with histories added to the heating ratios; blocks B and X are changed and their contents
     lost.
 
     B, J, table    : block and integers of the group; property and ratio tables
-    chain, move, rows, faces : handles of the compiled effects, step and assembly
-    X, shadows, p  : blocks of the perturbed lanes, their groups and places
+    dispatcher, advance, rows, faces : addresses of the compiled effects, step and assembly
+    X, perturbed, p  : blocks of the perturbed lanes, their groups and places
     time_s         : (time,) steps [s];  histories : (flight, time, condition);  which : (LANES,) flight of each lane
     r, state       : readings; a filter state without covariance and sensitivities
     added          : (lane, step) addition to the ratio [-]
@@ -165,10 +166,12 @@ def march_response(
     next_reading = np.zeros(lanes, dtype=np.int64)
     for lane in range(lanes):
         _keep_temperatures(B, lane, p.nodes[lane], told.temperature_K[lane, 0])
-        disturb(B, X, shadows, lane, added[lane, 0])
-    begin_march(B, J, table, chain, move, histories, which)
+        disturb(B, X, perturbed, lane, added[lane, 0])
+    begin_march(B, J, table, dispatcher, advance, histories, which)
     for k in range(1, len(time_s)):
-        step_beside_shadows(B, J, table, chain, move, rows, faces, X, shadows, time_s, histories, which, p, lanes, k)
+        step_with_perturbed(
+            B, J, table, dispatcher, advance, rows, faces, X, perturbed, time_s, histories, which, p, lanes, k
+        )
         for lane in range(lanes):
             n = p.nodes[lane]
             if told.transition.shape[3] > 0:
@@ -178,7 +181,7 @@ def march_response(
             _keep_temperatures(B, lane, n, told.temperature_K[lane, k])
             # The difference to the step before: `disturb` adds, and no addition acts behind the last step.
             if k < len(time_s) - 1:
-                disturb(B, X, shadows, lane, added[lane, k] - added[lane, k - 1])
+                disturb(B, X, perturbed, lane, added[lane, k] - added[lane, k - 1])
 
 
 @njit
@@ -189,7 +192,15 @@ def _keep_temperatures(B: FloatArray, lane: int, n: int, out: FloatArray) -> Non
 
 @njit
 def _tell_readings(
-    B: FloatArray, w: Columns, lane: int, n: int, k: int, time_s: FloatArray, r: Readings, first: int, told: Told
+    B: FloatArray,
+    w: Workspace,
+    lane: int,
+    n: int,
+    k: int,
+    time_s: FloatArray,
+    r: Readings,
+    first: int,
+    told: MarchOutput,
 ) -> int:
     """Temperatures and rows of the readings of step k; returns the number of the next reading."""
     q = first

@@ -85,7 +85,7 @@ def estimate_contents(fitted: FitResult) -> Estimate:
 
 def _effects(fitted: FitResult) -> list[dict[str, Any]]:
     """The effects of each control point's model at the values found."""
-    models = {p.record.declared.control_point: p.altered(fitted.fit.values) for p in fitted.problem.parts}
+    models = {p.record.declared.control_point: p.with_parameters(fitted.fit.values) for p in fitted.problem.parts}
     return [
         {
             "name": used.effect.name,

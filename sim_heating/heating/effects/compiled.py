@@ -20,7 +20,7 @@ from numba import types
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path
-from sim_heating.base.kernels.jit import c_function, call_effect, handle
+from sim_heating.base.kernels.jit import address_of, c_function, call_effect
 from sim_heating.heating.effects import Effect
 
 SIGNATURE = types.float64(types.int64, types.CPointer(types.float64), types.int64, types.int64, types.float64)
@@ -41,9 +41,9 @@ class EffectDispatcher:
     codes: tuple[int, ...]
 
     @property
-    def handle(self) -> Any:
+    def address(self) -> Any:
         """The dispatcher as kernels take it: its address; the function itself where compilation is disabled."""
-        return handle(self.function)
+        return address_of(self.function)
 
 
 def _nothing(code: int, B: Any, c: int, p: int, wall_K: float) -> float:

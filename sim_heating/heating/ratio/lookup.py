@@ -37,7 +37,7 @@ from sim_heating.base.kernels.block import (
     SECOND,
 )
 from sim_heating.base.kernels.elementary import lanes_outside
-from sim_heating.base.kernels.jit import folded, inlined, njit
+from sim_heating.base.kernels.jit import force_inline, inline_always, njit
 from sim_heating.heating.ratio.table import RatioTable
 
 VARIABLES = 5
@@ -231,7 +231,7 @@ def keep_axis(B: FloatArray, table: FloatArray, lane: int, a: int, first: int, n
     return i
 
 
-@folded
+@inline_always
 def _keep_cell(B: FloatArray, table: FloatArray, offset: int, lane: int) -> None:
     """Cache the cell that contains a lane's variables, and the ratios at its 32 corners, 0 for a lane without table."""
     first, node = offset + VARIABLES, 0
@@ -258,7 +258,7 @@ def _halve(B: FloatArray, corners: int, into: int, half: int, a: int) -> None:
             B[(into + c) * LANES + lane] = low + f * (B[(corners + half + c) * LANES + lane] - low)
 
 
-@inlined
+@force_inline
 def lanes_left(B: FloatArray, a: int) -> int:
     """Number of pairs of lanes of which at least one has left the cached cell of axis a.
 
@@ -267,7 +267,7 @@ def lanes_left(B: FloatArray, a: int) -> int:
     return lanes_outside(B, (CELL_X + a) * LANES, (CELL_LOW + a) * LANES, (CELL_HIGH + a) * LANES)
 
 
-@inlined
+@force_inline
 def fraction(B: FloatArray, a: int, lane: int) -> float:
     """Position of a lane's variable in its cached cell of axis a [-]: 0 at the lower node, 1 at the upper one.
 

@@ -20,7 +20,7 @@ from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.conditions import FRAME
 from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.block import H_REF, LANES, N_CONDITIONS, N_PARAMETERS, P_SURFACE, PARAMETERS, Q_ADD, TIME
-from sim_heating.base.kernels.jit import njit, raw
+from sim_heating.base.kernels.jit import njit, pointer
 from sim_heating.heating.atmosphere import HIGHEST_M
 from sim_heating.heating.ratio.lookup import mark_order
 from sim_heating.planning.dispersion.spec import Input
@@ -241,7 +241,14 @@ def fly_kernel(
         outcome[f], k = ENDLESS, 0
         while k < frames * every:
             going = pm.step_kernel(
-                raw(state), raw(flights[f]), raw(blocks[f]), raw(script), raw(aero), dt_s, raw(work), raw(row)
+                pointer(state),
+                pointer(flights[f]),
+                pointer(blocks[f]),
+                pointer(script),
+                pointer(aero),
+                dt_s,
+                pointer(work),
+                pointer(row),
             )
             if not DEEPEST_M <= row[1] <= HIGHEST_M or not row[2] < np.inf:
                 outcome[f] = GONE

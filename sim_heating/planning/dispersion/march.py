@@ -113,7 +113,7 @@ class LaneMarch:
 
     def _group(self, p: int, mesh: Mesh) -> _Group:
         model, e = self.models[p], self.ensemble
-        number = e.places[p * LANES].group
+        number = e.lane_offsets[p * LANES].group
         first = parameters_at(0)
         J = e.integers(number)
         length = 0 if model.ratio is None else VARIABLES + sum(len(a) for a in model.ratio.axes)
@@ -238,7 +238,7 @@ class LaneMarch:
         kept = self._columns[2 * LANES * p : 2 * LANES * (p + 1)] - start
         out = np.empty((len(time_s), 2 * LANES))
         march_group(
-            e.block(g), e.integers(g), e.table, e.chain, e.move_handle, time_s, histories,
+            e.block(g), e.integers(g), e.table, e.dispatcher, e.advance_address, time_s, histories,
             np.arange(LANES), SOAK_STEP_S, kept, out,
         )  # fmt: skip
         return out

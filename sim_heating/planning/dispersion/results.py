@@ -468,7 +468,7 @@ def _track(
 ) -> Track:  # fmt: skip
     """A point along the mean flight, read at its surface and bondline when they are hottest."""
     model, mesh = entry.lanes.models[p], entry.meshes[p]
-    moved = model.altered({name: model.value(name) + mean[k] for k, name in own})
+    moved = model.with_parameters({name: model.value(name) + mean[k] for k, name in own})
     times = np.unique(_peak_times(marched, conditions))
     return Track(moved, mesh, tuple(name for _, name in own), times, (0, mesh.bondline), flight=flight)
 

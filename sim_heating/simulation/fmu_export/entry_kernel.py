@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from sim_heating.base.kernels.jit import folded, njit
+from sim_heating.base.kernels.jit import inline_always, njit
 from sim_heating.heating.atmosphere import HIGHEST_M
 from sim_heating.simulation.fmu_export.library import (
     BEGINS,
@@ -88,7 +88,7 @@ def _follow_inputs(R, N, share: float, dt: float) -> None:  # type: ignore[no-un
     runge_kutta_step(state, at(R, N[FLIGHT]), at(R, N[AERO]), at(R, N[WORK]), dt, alpha, bank, beta, elevon, flap)
 
 
-@folded
+@inline_always
 def _start(R, N, A) -> int:  # type: ignore[no-untyped-def]
     """The initial state on the schedule of guidance."""
     for k in range(N[N_INPUTS]):
@@ -100,7 +100,7 @@ def _start(R, N, A) -> int:  # type: ignore[no-untyped-def]
     return _observe(R, N)
 
 
-@folded
+@inline_always
 def _step(R, N, A) -> int:  # type: ignore[no-untyped-def]
     """The flight to the end of a communication step."""
     length = R[NEXT] - R[NOW]

@@ -45,7 +45,7 @@ from sim_heating.heating.reference.models import COLUMNS
 from sim_heating.inputs.sensor_model import calibration
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.march.ensemble import Ensemble
-from sim_heating.march.point import PointModel, acting, element_densities, insulation_layer, stack_values
+from sim_heating.march.point import PointModel, element_densities, insulation_layer, kernel_effects, stack_values
 from sim_heating.simulation.fmu_export import heating_kernel as k
 from sim_heating.simulation.fmu_export.image import TEXT_BYTES, Image, Kind, Problem, Role, Variable, identifier
 from sim_heating.simulation.fmu_export.library import (
@@ -137,7 +137,7 @@ def heating_image(vehicle: Vehicle, control_points: Sequence[str] | None = None,
 
 def _library_effects(models: Sequence[PointModel]) -> tuple[Effect, ...]:
     """Effects of the library: all that the package has, so that one library serves all vehicles, and the user's own."""
-    own = dict.fromkeys(u.effect for m in models for u in acting(m))
+    own = dict.fromkeys(u.effect for m in models for u in kernel_effects(m))
     return tuple(dict.fromkeys([*(e for e in effects().values() if e.kernel and e.built_in), *own]))
 
 
@@ -148,13 +148,13 @@ THERMAL_STEP = Unit("heating_thermal_step", STEP_SIGNATURE, compiled)
 def heating_units(model_effects: tuple[Effect, ...]) -> tuple[Unit, ...]:
     """Functions of the library: the model's; in the order of `A`, the effects, the thermal step."""
 
-    def chain() -> Any:
+    def dispatcher() -> Any:
         for own in model_effects:
             if not own.built_in:
                 _refuse_unportable(own)
         return indexed_dispatcher(model_effects).function
 
-    return MODEL, Unit("heating_effects", SIGNATURE, chain, _sources_of(model_effects)), THERMAL_STEP
+    return MODEL, Unit("heating_effects", SIGNATURE, dispatcher, _sources_of(model_effects)), THERMAL_STEP
 
 
 def _refuse_unportable(effect: Effect) -> None:
@@ -267,8 +267,8 @@ class _Packer:
             J = ints[row[2] : row[3]]
             for lane in range(LANES):
                 model = self.ensemble.models[self.ensemble.lanes[g * LANES + lane]]
-                codes = J[EFFECT_CODES + lane * EFFECT_SLOTS :][: len(acting(model))]
-                codes[:] = [self.known.index(used.effect) for used in acting(model)]
+                codes = J[EFFECT_CODES + lane * EFFECT_SLOTS :][: len(kernel_effects(model))]
+                codes[:] = [self.known.index(used.effect) for used in kernel_effects(model)]
         return ints
 
     def _pack_inputs(self) -> dict[int, int]:
@@ -309,7 +309,7 @@ class _Packer:
         numbers = image.numbers(np.zeros(k.POINT_WIDTH * len(e.models)))
         R, rows, sensors = np.zeros(k.POINT_WIDTH * len(e.models)), [], []
         for i, (point, model, mesh, place) in enumerate(
-            zip(self.plugin.points, e.models, e.meshes, e.places, strict=True)
+            zip(self.plugin.points, e.models, e.meshes, e.lane_offsets, strict=True)
         ):
             own = R[k.POINT_WIDTH * i : k.POINT_WIDTH * (i + 1)]
             block = e.block(place.group)
@@ -361,7 +361,7 @@ class _Packer:
             if limit is not None:
                 text = f"highest temperature of the {what}"
                 self._add(f"{name}.limit.{what}_K", Role.TUNABLE, numbers + place, text, "K", 0.0, HOTTEST_LIMIT_K)
-        uses = acting(model)
+        uses = kernel_effects(model)
         for slot, used in enumerate(uses):
             self._name_effect(name, used, uses[:slot], numbers + EFFECT_PARAMETERS + slot * EFFECT_WIDTH)
 

@@ -38,7 +38,7 @@ from sim_heating.base.kernels.block import (
     SURROUNDINGS4,
     T,
 )
-from sim_heating.base.kernels.jit import folded, njit
+from sim_heating.base.kernels.jit import inline_always, njit
 from sim_heating.heating.film import emittance_factor
 from sim_heating.heating.reference.models import COLUMNS
 from sim_heating.inputs.sensor_model import indicated
@@ -102,7 +102,7 @@ def _first_problem(values, ranges, n: int) -> int:  # type: ignore[no-untyped-de
     return GOOD
 
 
-@folded
+@inline_always
 def _apply_parameters(R, N, B: FloatArray, J: IntArray, g: int) -> None:  # type: ignore[no-untyped-def]
     """Write the parameters of all points of a group into its block."""
     for i in range(N[N_POINTS]):
@@ -146,7 +146,7 @@ def _begin(R, N, A, inputs, time: float) -> None:  # type: ignore[no-untyped-def
     begin_groups(state, ints, carray(at(R, N[TABLE]), N[N_TABLE]), A[0], A[1], groups, vectors)
 
 
-@folded
+@inline_always
 def _advance(R, N, A, inputs, time: float, dt: float) -> None:  # type: ignore[no-untyped-def]
     _derive(R, N, inputs, time)
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
@@ -167,7 +167,7 @@ def _write_parameters(R, N) -> None:  # type: ignore[no-untyped-def]
         _apply_parameters(R, N, B, ints[groups[g, INTS_START] : groups[g, INTS_END]], g)
 
 
-@folded
+@inline_always
 def _clear_counts(R, N) -> None:  # type: ignore[no-untyped-def]
     """Clear what is counted in all groups."""
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
@@ -216,7 +216,7 @@ def _write_outputs(R, N, A) -> int:  # type: ignore[no-untyped-def]
 # whose step did not converge.
 
 
-@folded
+@inline_always
 def _start(R, N, A) -> int:  # type: ignore[no-untyped-def]
     """The initial temperatures of the stacks in the conditions of the inputs."""
     n = N[N_INPUTS]
@@ -235,7 +235,7 @@ def _start(R, N, A) -> int:  # type: ignore[no-untyped-def]
     return GOOD if outcome == GOOD else 2 * n + 1 + outcome
 
 
-@folded
+@inline_always
 def _step(R, N, A) -> int:  # type: ignore[no-untyped-def]
     """All points to the end of a step."""
     n, dt = N[N_INPUTS], R[NEXT] - R[NOW]
