@@ -14,14 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sim_heating.base.arrays import FloatArray, IntArray
+from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.kernels.block import D0, GAPS, HEAD_ROWS, LANES, N_CONDITIONS, NODE_ROWS, T_STAGE, T_START, T
+from sim_heating.base.kernels.jit import address_of, call_step, njit, pointer
+from sim_heating.base.parameters import CURVED, EFFECT_PREFIX, RATIO
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.frames import END_STAGE
 from sim_heating.march.point import PointModel, initial_temperatures
-from sim_heating.nominal.arrays import FloatArray, IntArray
-from sim_heating.nominal.errors import InputError, RunError
-from sim_heating.nominal.kernels.block import D0, GAPS, HEAD_ROWS, LANES, N_CONDITIONS, NODE_ROWS, T_STAGE, T_START, T
-from sim_heating.nominal.kernels.jit import address_of, call_step, njit, pointer
-from sim_heating.nominal.parameters import CURVED, EFFECT_PREFIX, RATIO
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.sensitivity import (
     DEPTH,
@@ -223,9 +223,9 @@ class LinearMarch:
 
         Groups of whole rows are filled up with lanes that need the faces alone.
         """
-        tracks = [self.tracks[lane.track] for lane in self._lanes]
-        models = [lane.model(track, track.model) for lane, track in zip(self._lanes, tracks, strict=True)]
-        at_faces = np.array([lane.at_faces for lane in self._lanes])
+        tracks = [self.tracks[perturbed.track] for perturbed in self._lanes]
+        models = [perturbed.model(track, track.model) for perturbed, track in zip(self._lanes, tracks, strict=True)]
+        at_faces = np.array([perturbed.at_faces for perturbed in self._lanes])
         # A group costs the same with one lane as with eight: lanes at the faces alone fill the groups of whole rows.
         beside = -np.count_nonzero(~at_faces) % LANES
         kinds = [int(kind) for kind in at_faces & (np.cumsum(at_faces) > beside)]
@@ -237,8 +237,10 @@ class LinearMarch:
         e = self.perturbed
         if e is None:
             return NO_PERTURBED_LANES
-        owner = np.array([lane.track for lane in self._lanes])
-        whole = {place.group for place, lane in zip(e.lane_offsets, self._lanes, strict=True) if not lane.at_faces}
+        owner = np.array([perturbed.track for perturbed in self._lanes])
+        whole = {
+            place.group for place, perturbed in zip(e.lane_offsets, self._lanes, strict=True) if not perturbed.at_faces
+        }
         return PerturbedGroups(e.ints, e.groups, len(whole), self._lane_of[owner][e.lanes].astype(np.int64))
 
     def _places(self, m: int) -> PerturbedOffsets:
@@ -253,18 +255,18 @@ class LinearMarch:
         plus, minus, reach = np.zeros((3, LANES, m), dtype=np.int64)
         linear = np.full((LANES, m), ITSELF)
         stand = () if self.perturbed is None else self.perturbed.lane_offsets
-        for lane, place in zip(self._lanes, stand, strict=True):
-            lane, columns, first = self._lane_of[lane.track], list(lane.columns), place.node_0
+        for perturbed, place in zip(self._lanes, stand, strict=True):
+            lane, columns, first = self._lane_of[perturbed.track], list(perturbed.columns), place.node_0
             if not columns:
                 # Equal on both sides by default: a column without a perturbed lane has no forcing.
                 at[lane], plus[lane], minus[lane] = first, first, first
-            elif lane.by < 0.0:
+            elif perturbed.by < 0.0:
                 minus[lane, columns] = first
             else:
-                plus[lane, columns], inverse[lane, columns] = first, (0.5 if lane.both else 1.0) / lane.by
-                reach[lane, columns] = faces if lane.at_faces else WHOLE
-                if lane.name == RATIO_ITSELF:
-                    linear[lane, columns] = [LINEAR_RATIO[self.tracks[lane.track].names[k]] for k in columns]
+                plus[lane, columns], inverse[lane, columns] = first, (0.5 if perturbed.both else 1.0) / perturbed.by
+                reach[lane, columns] = faces if perturbed.at_faces else WHOLE
+                if perturbed.name == RATIO_ITSELF:
+                    linear[lane, columns] = [LINEAR_RATIO[self.tracks[perturbed.track].names[k]] for k in columns]
         return PerturbedOffsets(at, plus, minus, inverse, reach, linear, self._nodes)
 
     def set_models(self, models: Sequence[PointModel]) -> None:
@@ -277,8 +279,8 @@ class LinearMarch:
         for i, model in enumerate(models):
             self.nominal.set_model(i, model)
         if self.perturbed is not None:
-            for k, lane in enumerate(self._lanes):
-                self.perturbed.set_model(k, lane.model(self.tracks[lane.track], models[lane.track]))
+            for k, perturbed in enumerate(self._lanes):
+                self.perturbed.set_model(k, perturbed.model(self.tracks[perturbed.track], models[perturbed.track]))
 
     def march(
         self, shifts_s: Sequence[float] | None = None, initial_K: Sequence[FloatArray | None] | None = None

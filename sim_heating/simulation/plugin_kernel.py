@@ -249,7 +249,9 @@ def heat_points(
         return GOOD
     if outcome == BEND and host[LAST_FRAME + F_TIME] > host[THERMAL_FRAME + F_TIME]:
         before = host[LAST_FRAME : LAST_FRAME + len(frame)].copy()
-        _heat_to(state, ints, table, dispatcher, advance, groups, points, lanes, vectors, places, host, published, before)
+        _heat_to(
+            state, ints, table, dispatcher, advance, groups, points, lanes, vectors, places, host, published, before
+        )
     _heat_to(state, ints, table, dispatcher, advance, groups, points, lanes, vectors, places, host, published, frame)
     failed = 0.0
     for g in range(len(groups)):
