@@ -1,10 +1,10 @@
-"""The command sim-heating, as itself and as python -m sim_heating."""
+"""Entry point of the command `sim-heating` and of `python -m sim_heating`."""
 
 import sys
 
 
 def main() -> int:
-    """Run the command; its modules take a second to load, and an interrupt meanwhile is told like any other."""
+    """Run the command; an interrupt while its modules load is reported in one line, as any later one."""
     try:
         from sim_heating import cli
     except KeyboardInterrupt:
@@ -13,5 +13,5 @@ def main() -> int:
     return cli.main()
 
 
-if __name__ == "__main__":  # a process started beside this one imports it again
+if __name__ == "__main__":  # processes that a command starts import this module again
     sys.exit(main())

@@ -1,11 +1,12 @@
-"""The command `sim-heating`: a group whose commands are imported when they are asked for.
+"""The command `sim-heating`: a group whose commands are imported when they are called.
 
-`sim-heating --help` and `--version` answer in a fraction of a second because a command's module imports the program's
-own modules only within its functions.
+`sim-heating --help` and `--version` answer in a fraction of a second because a command's module imports numpy, numba
+and the modules of the program within its functions only (tests/cli/test_startup.py).
 """
 
 from __future__ import annotations
 
+import os
 import signal
 from importlib import import_module
 from typing import Any
@@ -34,7 +35,7 @@ COMMANDS = {
 
 
 class LazyGroup(click.Group):
-    """A group that imports the module of a command when the command is asked for."""
+    """A group that imports the module of a command when the command is called."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
@@ -56,22 +57,22 @@ class LazyGroup(click.Group):
 @click.version_option(package_name="sim-heating", prog_name="sim-heating")
 def cli() -> None:
     """Aerodynamic heating alongside a flight simulator: temperatures from a trajectory, and back."""
-    from sim_heating.heating.effects import user_effect_files
+    if os.environ.get("SIM_HEATING_EFFECTS"):  # the import is slow, and help should not wait for it
+        from sim_heating.heating.effects import user_effect_files
 
-    # A folder that does not exist is refused by all commands alike, whether they use effects or not.
-    user_effect_files()
+        user_effect_files()  # a folder that does not exist is refused by all commands, whether they use effects or not
 
 
-def _stop(*_: object) -> None:
+def _interrupt(*_: object) -> None:
     raise KeyboardInterrupt
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command; 0 done, 1 a run that failed or was interrupted, 2 bad usage or input."""
-    for name in ("SIGTERM", "SIGHUP"):  # Windows has but the first; nohup ignores the second
+    """Run the command; its exit status: 0 done, 1 failed or interrupted, 2 bad usage or input."""
+    for name in ("SIGTERM", "SIGHUP"):  # Windows has only the first; nohup ignores the second
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, _stop)
+            signal.signal(number, _interrupt)
     try:
         cli.main(arguments, prog_name="sim-heating", standalone_mode=False)
     except click.exceptions.Exit as stop:

@@ -1,16 +1,17 @@
-"""The command `close-loop`."""
+"""The command `sim-heating close-loop`."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
-from rich.table import Table
-from rich.text import Text
 
 from sim_heating.base.errors import RunError
-from sim_heating.cli.console import CONSOLE, ERRORS, OUT, PATH, print_outputs, progress_line
+from sim_heating.cli.console import CONSOLE, ERRORS, OUT, PATH, print_outputs, print_table, progress_line
+
+if TYPE_CHECKING:
+    from sim_heating.closure.report import Closure, ParameterEstimate
 
 
 @click.command("close-loop")
@@ -19,9 +20,9 @@ from sim_heating.cli.console import CONSOLE, ERRORS, OUT, PATH, print_outputs, p
 @click.option("--scheduler", metavar="ADDRESS", help="a Dask scheduler, as tcp://host:8786; default: local processes")
 @click.option("--workers", type=click.IntRange(1), help="number of local processes; default: one a core")
 def close_loop(records: tuple[Path, ...], out: Path, scheduler: str | None, workers: int | None) -> None:
-    """Find what the declared model of flight RECORDS lacks, add it, and report the error before and after.
+    """Identify the effect that the declared model of flight RECORDS lacks; report errors before and after.
 
-    RECORDS are directories of flight records, or directories that hold such; several are each treated by itself.
+    RECORDS are directories of flight records, or directories that hold such; each record is treated by itself.
     """
     from sim_heating.base.files import require_writable
     from sim_heating.closure.batch import close_all, find_records, summary_row
@@ -31,18 +32,18 @@ def close_loop(records: tuple[Path, ...], out: Path, scheduler: str | None, work
 
     found = find_records(records)
     if len(found) == 1:
-        loaded = load_record(found[0])
+        record = load_record(found[0])
         require_writable(out, FILES)
-        with progress_line(loaded.name) as progress:
-            closed = close_one(loaded, progress=progress)
+        with progress_line(record.name) as progress:
+            closed = close_one(record, progress=progress)
             names = write_closed_loop(closed, out)
-        CONSOLE.print(_shown([summary_row(closed.report)]))
-        _tell(closed.report)
+        _print_rows([summary_row(closed.report)])
+        _print_details(closed.report)
         print_outputs(out, names)
         return
     with progress_line("close-loop") as progress:
         rows = close_all(found, out, scheduler=scheduler, workers=workers, progress=progress)
-    CONSOLE.print(_shown(rows))
+    _print_rows(rows)
     for row in rows:
         for line in row.get("verdicts", ()):
             CONSOLE.print(line)
@@ -54,38 +55,22 @@ def close_loop(records: tuple[Path, ...], out: Path, scheduler: str | None, work
         raise RunError(f"{len(failed)} of {len(rows)} records failed; the others are done and kept")
 
 
-def _shown(rows: list[dict[str, Any]]) -> Table:
-    table = Table(title="What the declared models lack", title_justify="left")
-    table.add_column("record", no_wrap=True)
-    table.add_column("found", min_width=20)
-    table.add_column("posterior", justify="right")
-    for head in ("before, fit", "after, fit", "before, held out", "after, held out", "noise floor"):
-        table.add_column(head, justify="right", max_width=8)
-    errors = [f"{when}_{what}_rmse_K" for what in ("fit", "holdout") for when in ("before", "after")]
-    for row in rows:
-        if "failed" in row:
-            table.add_row(row["record"], Text("failed", style="red"))
-            continue
-        cells = ["-" if row[key] is None else f"{row[key]:.2f} K" for key in (*errors, "noise_floor_K")]
-        table.add_row(row["record"], _found(row), f"{row['posterior']:.3f}", *cells)
-    return table
+def _print_rows(rows: list[dict[str, Any]]) -> None:
+    """Print the table of all records; what was found in red where the run failed or the data are faulty."""
+    from sim_heating.closure.report import closures_table
+
+    table = closures_table(rows)
+    found = [column.head for column in table.layout].index("found")
+    print_table(table, lambda i, k: "red" if k == found and ("failed" in rows[i] or rows[i]["doubts"]) else "")
 
 
-def _found(row: dict[str, Any]) -> Text:
-    """What a row names; where the record itself is in doubt that comes first, and the effect is no finding."""
-    effects = " + ".join(row["effects"])
-    doubts = ", ".join(dict.fromkeys(row["doubts"]))
-    return Text.assemble((doubts, "red"), f" ({effects})") if doubts else Text(effects)
-
-
-def _tell(report: Any) -> None:
-    """What a person should know beside the table."""
-    for verdict in report.verdicts:
-        CONSOLE.print(verdict.words)
+def _print_details(report: Closure) -> None:
+    """Print faults of the data, parameters of the effects, proposals and warnings of one record."""
+    for fault in report.verdicts:
+        CONSOLE.print(fault.words)
     for effect in report.effects:
-        told = ", ".join(_value(n, p) for n, p in effect.parameters.items())
-        if told:
-            CONSOLE.print(f"{effect.name}: {told}")
+        if effect.parameters:
+            CONSOLE.print(f"{effect.name}: {', '.join(_bound(n, p) for n, p in effect.parameters.items())}")
     if report.effects[0].name == "unknown":
         for line in report.evidence.proposal():
             CONSOLE.print(line)
@@ -94,6 +79,6 @@ def _tell(report: Any) -> None:
     CONSOLE.print(f"Calibration: {report.false_alarm}")
 
 
-def _value(name: str, parameter: Any) -> str:
+def _bound(name: str, parameter: ParameterEstimate) -> str:
     unit = "" if parameter.unit == "1" else f" {parameter.unit}"
     return f"{name} {parameter.value:.4g} +- {parameter.sigma:.2g}{unit}"

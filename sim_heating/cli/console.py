@@ -1,4 +1,4 @@
-"""What all commands share: where results go, progress, words on the terminal."""
+"""What all commands share: options, the progress line, and printing of tables and file names."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from sim_heating.base.report.table import Table
 
 PLAIN_WIDTH = 110
-"""Columns of a table where the output is no terminal."""
+"""Width in characters where the output is not a terminal."""
 CONSOLE = Console(width=None if sys.stdout.isatty() else PLAIN_WIDTH, markup=False, highlight=False)
 ERRORS = Console(stderr=True, soft_wrap=True, markup=False, highlight=False)
 
 
 def results_directory(_: click.Context, __: click.Parameter, value: str) -> Path:
-    """The directory of results, refused before any work where it cannot be one."""
+    """Value of an option --out; a directory that cannot be made or written is refused before any work."""
     from sim_heating.base.files import display_path, require_writable
     from sim_heating.base.files.text import abbreviated, os_error_reason
 
@@ -34,29 +34,29 @@ def results_directory(_: click.Context, __: click.Parameter, value: str) -> Path
         raise InputError("--out: is empty; name a directory for the results")
     path = Path(value)
     try:
-        there = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
+        existing = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
     except OSError as error:
         raise InputError(
             f"--out {abbreviated(value)}: {os_error_reason(error)}; name another directory for the results"
         ) from None
-    if not there.is_dir():
-        raise InputError(f"--out {value}: {display_path(there)} is a file; name a directory for the results")
+    if not existing.is_dir():
+        raise InputError(f"--out {value}: {display_path(existing)} is a file; name a directory for the results")
     require_writable(path)
     return path
 
 
 def optional_directory(context: click.Context, parameter: click.Parameter, value: str | None) -> Path | None:
-    """The same for a directory that may be left out."""
+    """Value of an option for a directory of results that may be omitted; None where it is."""
     return None if value is None else results_directory(context, parameter, value)
 
 
 def comma_list(_: click.Context, parameter: click.Parameter, value: str | None) -> tuple[str, ...] | None:
-    """`a,b,c` as names, each once."""
+    """Value of an option `a,b,c` as names; each may be given once."""
     if value is None:
         return None
     option, names = parameter.opts[0], tuple(name.strip() for name in value.split(",") if name.strip())
     if not names:
-        raise InputError(f"{option}: names nothing; give one name or more, a comma between")
+        raise InputError(f"{option}: holds no name; give one or more, separated by commas")
     from sim_heating.base.files import repeated_name
 
     if (name := repeated_name(names)) is not None:
@@ -70,24 +70,24 @@ PATH = click.Path(path_type=Path)
 
 @contextmanager
 def progress_line(title: str) -> Iterator[Callable[[float, str], None]]:
-    """A progress line on the terminal; its text lines alone where the output is no terminal."""
+    """A progress line on the terminal; where the output is not a terminal, one line of text for each stage."""
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[text]}"), TimeElapsedColumn())
     with Progress(*columns, console=ERRORS, transient=True, disable=not ERRORS.is_terminal) as bar:
         task = bar.add_task(title, total=1.0, text="starting")
         last = [""]
 
-        def tell(fraction: float, text: str) -> None:
+        def report_progress(fraction: float, text: str) -> None:
             bar.update(task, completed=fraction, text=text)
             stage = text.split(":")[0]
             if not ERRORS.is_terminal and stage != last[0]:
                 last[0] = stage
                 ERRORS.print(f"{title}: {stage} ...")
 
-        yield tell
+        yield report_progress
 
 
 def print_outputs(out: Path, names: list[str]) -> None:
-    """The files that were written into a directory, but for the list of them that stands there hidden."""
+    """Print the names of the files written into a directory, without hidden ones."""
     names = [n for n in names if not Path(n).name.startswith(".")]
     pictures = [n for n in names if n.endswith(".png")]
     files = [n for n in names if not n.endswith(".png")]
@@ -102,9 +102,18 @@ def print_table(table: Table, style: Callable[[int, int], str] | None = None) ->
 
     style : (row, column) -> style of the cell, as `red`; plain where not given
     """
-    rendered = RichTable(title=table.title, title_justify="left")
+    rendered, texts = RichTable(title=table.title, title_justify="left"), table.texts
+    natural = [max(map(len, cells)) for cells in zip([c.head for c in table.layout], *texts, strict=True)]
+    wrap_heads = sum(natural) + 3 * len(natural) + 1 > CONSOLE.width  # before cells: a number stays on one line
     for i, column in enumerate(table.layout):
-        rendered.add_column(column.head, justify="left" if column.is_text else "right", overflow="fold", no_wrap=i == 0)
-    for i, row in enumerate(table.texts):
+        longest = max(map(len, (*column.head.split(), *(row[i] for row in texts))))
+        rendered.add_column(
+            column.head,
+            justify="left" if column.is_text else "right",
+            overflow="fold",
+            no_wrap=i == 0,
+            max_width=longest if wrap_heads and not column.is_text else None,
+        )
+    for i, row in enumerate(texts):
         rendered.add_row(*(Text(cell, style="" if style is None else style(i, k)) for k, cell in enumerate(row)))
     CONSOLE.print(rendered)

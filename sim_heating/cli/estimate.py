@@ -1,7 +1,4 @@
-"""The command `sim-heating estimate`.
-
-The command `sim-heating design`.
-"""
+"""The commands `sim-heating estimate` and `sim-heating design`."""
 
 from __future__ import annotations
 
@@ -10,19 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.table import Table
 
 from sim_heating.base.errors import InputError, RunError, error_context
-from sim_heating.cli.console import CONSOLE, OUT, PATH, comma_list, print_outputs, progress_line
+from sim_heating.cli.console import CONSOLE, OUT, PATH, comma_list, print_outputs, print_table, progress_line
 
 ESTIMATED = "estimated"
-"""Of a level of noise that is to be found."""
-HIGHEST = 1e4
-"""No level or time of a noise that means anything is above this."""
+"""Value of an option for a level of noise that the fit is to find."""
+LARGEST_NOISE = 1e4
+"""Upper bound of levels and correlation times of noise."""
 
 
-def _condition(_: click.Context, __: click.Parameter, value: str | None) -> dict[str, float]:
-    """`alpha_deg=40,...` as a condition."""
+def _reference_condition(_: click.Context, __: click.Parameter, value: str | None) -> dict[str, float]:
+    """Value of --reference, `alpha_deg=40,...`, by name of the variable."""
     from sim_heating.base.conditions import RATIO_VARIABLES
     from sim_heating.base.files import suggestion
     from sim_heating.base.limits import limit_message, out_of_range
@@ -46,7 +42,7 @@ def _condition(_: click.Context, __: click.Parameter, value: str | None) -> dict
 
 
 def _fit_segments(_: click.Context, __: click.Parameter, value: tuple[str, ...]) -> list[list[float]]:
-    """`640,760`, as often as there are segments."""
+    """Values of --fit, each `640,760`, as [start, end] times [s]."""
     found = []
     for item in value:
         try:
@@ -60,7 +56,7 @@ def _fit_segments(_: click.Context, __: click.Parameter, value: tuple[str, ...])
 
 
 def _start(_: click.Context, __: click.Parameter, value: str) -> Any:
-    """`declared`, or `circuit:650` and the like: how a fit starts, as a maker of starts."""
+    """Value of --start, `declared` or `circuit:650` and the like, as a function that makes the initial state."""
     from sim_heating.base.files import suggestion
     from sim_heating.estimation.starts import STARTS
 
@@ -82,56 +78,65 @@ def _start(_: click.Context, __: click.Parameter, value: str) -> Any:
 
 
 def _process_noise(nodes: str | None, ratio: str | None) -> Any:
-    """What `--process-noise` and `--ratio-noise` say; None where neither is given."""
+    """Process noise of `--process-noise` and `--ratio-noise`; None where neither is given."""
     from sim_heating.estimation.filter.process_noise import CORRELATION, FIRST_GUESS, NODE, RATIO, ProcessNoise
 
     if nodes is None and ratio is None:
         return None
-    q, sigma, tau, looked_for = 0.0, 0.0, ProcessNoise().ratio_correlation_s, []
+    q, sigma, tau, estimated = 0.0, 0.0, ProcessNoise().ratio_correlation_s, []
     if nodes == ESTIMATED:
-        q, looked_for = FIRST_GUESS[NODE], [NODE]
+        q, estimated = FIRST_GUESS[NODE], [NODE]
     elif nodes is not None:
         q = _level(nodes, f"--process-noise {nodes}: give K/sqrt(s), as 0.2, or `{ESTIMATED}`")
     if ratio is not None:
         first, _comma, time_s = ratio.partition(",")
         hint = f"--ratio-noise {ratio}: give sigma and correlation time in s, as 0.01,30, or `{ESTIMATED}`"
         if first == ESTIMATED:
-            sigma, looked_for = FIRST_GUESS[RATIO], [*looked_for, RATIO]
+            sigma, estimated = FIRST_GUESS[RATIO], [*estimated, RATIO]
         else:
             sigma = _level(first, hint)
         if time_s:
             tau = _level(time_s, hint)
         elif first == ESTIMATED:
-            looked_for.append(CORRELATION)
+            estimated.append(CORRELATION)
         if tau == 0.0 or not (time_s or first == ESTIMATED):
             raise InputError(hint)
-    return ProcessNoise(q, sigma, tau, tuple(looked_for))
+    return ProcessNoise(q, sigma, tau, tuple(estimated))
 
 
 def _level(text: str, hint: str) -> float:
-    """A number from 0 to HIGHEST."""
+    """A number from 0 to LARGEST_NOISE; InputError with the hint for any other text."""
     try:
         found = float(text)
     except ValueError:
         raise InputError(hint) from None
-    if not 0.0 <= found <= HIGHEST:
-        raise InputError(f"{hint}; {text} is not within 0 to {HIGHEST:g}")
+    if not 0.0 <= found <= LARGEST_NOISE:
+        raise InputError(f"{hint}; {text} is not within 0 to {LARGEST_NOISE:g}")
     return found
 
 
 @click.command()
 @click.argument("records", type=PATH, nargs=-1, required=True)
 @OUT
-@click.option("--parameters", callback=comma_list, help="dotted names, with commas; default: magnitude and derivatives")
-@click.option("--reference", callback=_condition, help="alpha_deg=40,... that derivatives are about")
-@click.option("--start", default="declared", callback=_start, help="declared, or circuit, profile, filter:TIME_S")
+@click.option(
+    "--parameters", callback=comma_list, help="dotted names, separated by commas; default: magnitude and derivatives"
+)
+@click.option(
+    "--reference", callback=_reference_condition, help="condition alpha_deg=40,... that derivatives are about"
+)
+@click.option(
+    "--start",
+    default="declared",
+    callback=_start,
+    help="initial temperatures: declared, or circuit, profile or filter:TIME_S",
+)
 @click.option(
     "--fit",
     "fit",
     multiple=True,
     callback=_fit_segments,
     metavar="START,END",
-    help="fit these times of each record, in s, in place of its own segments; may be given again",
+    help="fit this segment of each record, times in s, in place of its own; may be repeated",
 )
 @click.option(
     "--process-noise",
@@ -142,9 +147,11 @@ def _level(text: str, hint: str) -> float:
 @click.option(
     "--ratio-noise",
     metavar="SIGMA,TIME_S",
-    help="Kalman filter: a heating ratio that wanders, its sigma and correlation time, or `estimated`",
+    help="Kalman filter: random variation of the heating ratio, sigma and correlation time, or `estimated`",
 )
-@click.option("--segments", type=float, help="instead: fit short segments of so many s in turn (one record)")
+@click.option(
+    "--segments", type=float, metavar="LENGTH_S", help="fit consecutive segments of this length [s] (one record)"
+)
 def estimate(
     records: tuple[Path, ...],
     out: Path,
@@ -162,13 +169,17 @@ def estimate(
     noise = _process_noise(node_noise, ratio_noise)
     if segments is not None:
         if noise is not None:
-            raise InputError("--segments: short segments are fitted without noise of the process; leave one out")
+            raise InputError(
+                "--segments: segments are fitted without process noise; leave out --process-noise and --ratio-noise"
+            )
         if reference or start is not None:
-            raise InputError("--segments: short segments have starts and references of their own; leave those out")
+            raise InputError(
+                "--segments: each segment has its own start and reference; leave out --start and --reference"
+            )
         _estimate_trend(records, out, parameters, fit, segments)
         return
     from sim_heating.estimation.fit import estimate as fit_records
-    from sim_heating.estimation.report.report import estimate_contents, output_files, write_fit
+    from sim_heating.estimation.report.report import estimate_contents, estimate_table, output_files, write_fit
     from sim_heating.inputs.record import load_record
 
     loaded = [_with_fit(load_record(path), fit) for path in records]
@@ -181,22 +192,17 @@ def estimate(
         progress(0.95, "writing")
         names = write_fit(fitted, out)
     found = estimate_contents(fitted)
-    table = Table(title=f"{', '.join(r.name for r in loaded)}: estimate", title_justify="left")
-    for head in ("parameter", "value", "sigma", "unit"):
-        table.add_column(head, justify="left" if head in ("parameter", "unit") else "right")
-    for name, parameter in found.parameters.items():
-        table.add_row(name, f"{parameter.value:.5g}", f"{parameter.sigma:.2g}", parameter.unit)
-    CONSOLE.print(table)
+    print_table(estimate_table(f"{', '.join(r.name for r in loaded)}: estimate", found))
     for name, why in found.not_estimated.items():
         CONSOLE.print(f"{name}: not estimated, {why}")
     for line in fitted.warnings:
         CONSOLE.print(line, style="red")
     if fitted.innovations is not None:
         CONSOLE.print(fitted.innovations.levels.noise.words())
-    _tell_fit(found)
+    _print_errors(found)
     print_outputs(out, names)
     if not found.converged:
-        raise RunError(f"estimate: {fitted.fit.status.value}; {out} holds where it ended, which is no estimate")
+        raise RunError(f"estimate: {fitted.fit.status.value}; {out} holds the last iteration, which is not an estimate")
 
 
 def _with_fit(record: Any, fit: list[list[float]]) -> Any:
@@ -206,14 +212,14 @@ def _with_fit(record: Any, fit: list[list[float]]) -> Any:
 def _estimate_trend(
     records: tuple[Path, ...], out: Path, parameters: tuple[str, ...] | None, fit: list[list[float]], length_s: float
 ) -> None:
-    """Short segments of one record, one after the other."""
+    """Fit consecutive segments of one record, and print how many were fitted and omitted."""
     from sim_heating.base.files import require_writable
     from sim_heating.estimation.report.report import TREND, write_trend
     from sim_heating.estimation.trend import trend
     from sim_heating.inputs.record import load_record
 
     if len(records) > 1:
-        raise InputError(f"--segments: {len(records)} records; short segments are of one record, give them one by one")
+        raise InputError(f"--segments: {len(records)} records are given; segments are fitted to one record at a time")
     record = _with_fit(load_record(records[0]), fit)
     require_writable(out, TREND)
     with progress_line("estimate") as progress:
@@ -227,8 +233,8 @@ def _estimate_trend(
     print_outputs(out, names)
 
 
-def _tell_fit(found: Any) -> None:
-    """Errors before and after, against the noise floor."""
+def _print_errors(found: Any) -> None:
+    """Print RMSE of the declared and the fitted model, and the noise floor."""
     declared = (found.model_extra or {}).get("predicted", {})
     for what in ("fit", "holdout"):
         before, after = declared.get(what), getattr(found, what)
@@ -243,10 +249,16 @@ def _tell_fit(found: Any) -> None:
 @click.command()
 @click.argument("scenario", type=PATH)
 @OUT
-@click.option("--parameters", callback=comma_list, help="dotted names whose bounds are to be small, with commas")
-@click.option("--criterion", type=click.Choice(["D", "A"]), help="volume of the bounds, or their mean square")
-@click.option("--evaluations", type=click.IntRange(1), help="designs that are tried")
-@click.option("--repetitions", type=click.IntRange(0), default=0, help="hold the bounds against so many actual fits")
+@click.option(
+    "--parameters",
+    callback=comma_list,
+    help="dotted names of the parameters whose bounds are minimised, separated by commas",
+)
+@click.option("--criterion", type=click.Choice(["D", "A"]), help="D: volume of the bounds; A: their mean square")
+@click.option("--evaluations", type=click.IntRange(1), help="number of designs to evaluate")
+@click.option(
+    "--repetitions", type=click.IntRange(0), default=0, help="check the bounds against this many simulated fits"
+)
 def design(
     scenario: Path,
     out: Path,
@@ -257,7 +269,7 @@ def design(
 ) -> None:
     """Design a scenario's manoeuvres: the bounds they would give, the most informative ones, other instruments."""
     from sim_heating.base.files import require_writable
-    from sim_heating.estimation.design.report import FILES, notes, summary, write_design
+    from sim_heating.estimation.design.report import FILES, bounds_table, notes, summary, write_design
     from sim_heating.estimation.design.report import design as design_manoeuvres
     from sim_heating.inputs.scenario import load_scenario, with_design
 
@@ -269,27 +281,19 @@ def design(
         progress(0.99, "writing")
         names = write_design(designed, out)
     found = summary(designed)
-    table = Table(title=f"{loaded.title}: {found['control_point']}, one standard deviation", title_justify="left")
-    flights = designed.planner.design.flights
-    for head in ("parameter", "unit", "as planned", "optimal", *(f"{n} flights" for n in flights if n > 1)):
-        table.add_column(head, justify="left" if head in ("parameter", "unit") else "right")
-    for name, p in found["parameters"].items():
-        after = [p["after_flights"][str(n)] for n in flights if n > 1]
-        cells = [f"{x:.3g}" for x in (p["planned_sigma"], p["optimal_sigma"], *after)]
-        table.add_row(name, p["unit"], *cells)
-    CONSOLE.print(table)
+    print_table(bounds_table(designed, [n for n in designed.planner.design.flights if n > 1]))
     CONSOLE.print(f"{found['tried']} designs tried, {found['kept_limits']} keep the limits")
     for varied in found["varied"]:
         planned, best = (found[k]["manoeuvres"][varied["manoeuvre"] - 1][varied["key"]] for k in ("planned", "optimal"))
         CONSOLE.print(f"{varied['key']}: {planned:.4g} planned, {best:.4g} optimal")
-    _tell_checks(found)
+    _print_checks(found)
     for line in notes(designed):
         CONSOLE.print(line)
     print_outputs(out, names)
 
 
-def _tell_checks(found: dict[str, Any]) -> None:
-    """Bounds of a design by the scenario's own source, and against actual fits."""
+def _print_checks(found: dict[str, Any]) -> None:
+    """Print the bounds of a design flown in the scenario's own source, and those of simulated fits."""
     for name in found["parameters"]:
         if found["checked"] is not None:
             planned, best = (found["checked"][k]["sigma"][name] for k in ("planned", "optimal"))

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 
 def _fmu_file(_: click.Context, __: click.Parameter, value: Path) -> Path:
+    """Value of --out; a file that cannot be written is refused before any work."""
     from sim_heating.base.files import require_writable
 
     if value.suffix != ".fmu":
@@ -34,7 +35,7 @@ PLATFORMS = click.option(
     default="linux",
     show_default=True,
     callback=comma_list,
-    help="comma between; others than linux need ziglang",
+    help="separated by commas; platforms other than linux need ziglang",
 )
 
 
@@ -47,7 +48,7 @@ def fmu() -> None:
 @click.argument("vehicle")
 @FMU_OUT
 @click.option(
-    "--control-points", "points", callback=comma_list, help="names, comma between; all of the vehicle's by default"
+    "--control-points", "points", callback=comma_list, help="names, separated by commas; default: all of the vehicle's"
 )
 @FMI
 @PLATFORMS
@@ -56,7 +57,7 @@ def fmu() -> None:
     type=click.Choice(["vehicle", "columns"]),
     default="vehicle",
     show_default=True,
-    help="where h_ref and H_r come from: the vehicle's reference heating, or inputs of their own",
+    help="source of h_ref and H_r: the vehicle's reference heating, or inputs of the FMU",
 )
 def export(
     vehicle: str, out: Path, points: tuple[str, ...] | None, fmi: str, platforms: tuple[str, ...], reference: str
@@ -67,12 +68,12 @@ def export(
 
     targets_of(platforms, int(fmi))
     with progress_line("fmu export") as progress:
-        progress(0.1, "compiling, where that has not been done before")
+        progress(0.1, "compiling, unless compiled before")
         loaded = load_vehicle(vehicle)
         columns = reference == "columns"
         image = export_fmu(loaded, out, points, fmi=int(fmi), platforms=platforms, columns=columns, progress=progress)
     count = len(loaded.control_points if points is None else points)
-    _tell(out, f"{count} control points, ", image, fmi, platforms)
+    _print_export(out, image, fmi, platforms, f"{count} control points, ")
 
 
 @fmu.command("trajectory")
@@ -93,16 +94,17 @@ def trajectory(scenario: Path, out: Path, fmi: str, platforms: tuple[str, ...]) 
         check_source(spec)
     targets_of(platforms, int(fmi))
     with progress_line("fmu trajectory") as progress:
-        progress(0.1, "compiling, where that has not been done before")
+        progress(0.1, "compiling, unless compiled before")
         image = export_entry(
             spec, vehicle, out, title=loaded.title, fmi=int(fmi), platforms=platforms, progress=progress
         )
-    _tell(out, "", image, fmi, platforms)
+    _print_export(out, image, fmi, platforms)
 
 
-def _tell(out: Path, held: str, image: Image, fmi: str, platforms: tuple[str, ...]) -> None:
+def _print_export(out: Path, image: Image, fmi: str, platforms: tuple[str, ...], content: str = "") -> None:
+    """Print version, content, platforms and size of an FMU that was written."""
     from sim_heating.simulation.fmu_export.description import variables_of
 
     count = sum(1 for _ in variables_of(image, int(fmi)))
-    told = f"FMI {fmi}.0, {held}{count} variables, {', '.join(platforms)}, {out.stat().st_size / 1e6:.2f} MB"
-    CONSOLE.print(f"Wrote {out}: {told}", soft_wrap=True)
+    about = f"FMI {fmi}.0, {content}{count} variables, {', '.join(platforms)}, {out.stat().st_size / 1e6:.2f} MB"
+    CONSOLE.print(f"Wrote {out}: {about}", soft_wrap=True)

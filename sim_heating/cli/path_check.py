@@ -1,4 +1,4 @@
-"""Say of a path what it is - record, ratio table, vehicle, scenario, study - and what is wrong with it."""
+"""Recognise a path as a record, ratio table, vehicle, scenario, study or material, and check it."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path, read_text, read_toml, read_toml_dict, suggestion
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table
 from sim_heating.inputs.record import DECLARATION, Record, load_record
+from sim_heating.inputs.scenario import load_scenario
+from sim_heating.inputs.vehicle import load_vehicle, vehicle_names
 from sim_heating.thermal.stack import Material
 
 VEHICLE = "vehicle.toml"
@@ -19,7 +21,11 @@ FORMATS = ("flight-record/1", "vehicle/1", "scenario/1", "study/1")
 
 @dataclass(frozen=True)
 class CheckedPath:
-    """What a path was found to be, without fault; `summary` is one line for a person."""
+    """A path without fault.
+
+    kind    : record, ratio table, vehicle, scenario, study or material
+    summary : one line for a person
+    """
 
     kind: str
     path: Path
@@ -27,13 +33,13 @@ class CheckedPath:
 
 
 def check_path(path: str | os.PathLike[str]) -> CheckedPath:
-    """Recognise a record, vehicle, scenario, study, ratio table or material by what is there, and check it whole.
+    """Recognise a path by its content, and check all that it holds.
 
-    raises : InputError with everything that is wrong, or that the path is none of these
+    raises : InputError with everything that is wrong, or that the path is not recognised
     """
     place = Path(path)
     if not os.path.lexists(place):
-        if place.name == str(path) and place.name in _vehicle_names():
+        if place.name == str(path) and place.name in vehicle_names():
             return _vehicle(place)
         read_text(place)
     if place.is_dir():
@@ -44,16 +50,16 @@ def check_path(path: str | os.PathLike[str]) -> CheckedPath:
 
 
 def _directory(place: Path) -> CheckedPath:
-    held = sorted(p.name for p in place.iterdir())
-    if DECLARATION in held and VEHICLE in held:
+    names = sorted(p.name for p in place.iterdir())
+    if DECLARATION in names and VEHICLE in names:
         raise InputError(
             f"{display_path(place)}: holds both {DECLARATION} and {VEHICLE}; a directory is one or the other"
         )
-    if DECLARATION in held:
+    if DECLARATION in names:
         return CheckedPath("record", place, describe_record(load_record(place)))
-    if VEHICLE in held:
+    if VEHICLE in names:
         return _vehicle(place)
-    found = f"; it holds {', '.join(held[:8])}" if held else "; it is empty"
+    found = f"; it holds {', '.join(names[:8])}" if names else "; it is empty"
     raise InputError(f"{display_path(place)}: is neither a record ({DECLARATION}) nor a vehicle ({VEHICLE}){found}")
 
 
@@ -81,39 +87,23 @@ def _format_rule(found: object) -> str:
 
 def _csv(place: Path) -> CheckedPath:
     text = read_text(place)
-    names = next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")
-    columns = {name.strip() for name in names.split(",")}
+    head = next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")
+    columns = {name.strip() for name in head.split(",")}
     if "time_s" in columns and (place.parent / DECLARATION).is_file():
         return _directory(place.parent)
     if columns & {*RATIO_VARIABLES, "ratio"} and "time_s" not in columns:
         return CheckedPath("ratio table", place, describe_table(read_ratio_table(place)))
     kinds = "a ratio table has columns " + ", ".join((*RATIO_VARIABLES, "ratio"))
-    raise InputError(f"{display_path(place)}: is no record, vehicle, scenario or ratio table; {kinds}")
-
-
-# The two loaders stand later in the data's way than this module's other needs; they are imported where they are used,
-# so that a record is checked without them.
-
-
-def _vehicle_names() -> list[str]:
-    from sim_heating.inputs.vehicle import vehicle_names
-
-    return vehicle_names()
+    raise InputError(f"{display_path(place)}: is not a record, vehicle, scenario or ratio table; {kinds}")
 
 
 def _vehicle(place: Path) -> CheckedPath:
-    from sim_heating.inputs.vehicle import load_vehicle
-
     vehicle = load_vehicle(place)
-    points = len(vehicle.control_points)
-    return CheckedPath("vehicle", place, f"vehicle {getattr(vehicle, 'name', place.name)}: {points} control points")
+    return CheckedPath("vehicle", place, f"vehicle {vehicle.name}: {len(vehicle.control_points)} control points")
 
 
 def _scenario(place: Path) -> CheckedPath:
-    from sim_heating.inputs.scenario import load_scenario
-
-    scenario = load_scenario(place)
-    return CheckedPath("scenario", place, f"scenario {getattr(scenario, 'title', '') or place.stem}")
+    return CheckedPath("scenario", place, f"scenario {load_scenario(place).title or place.stem}")
 
 
 def _study(place: Path) -> CheckedPath:

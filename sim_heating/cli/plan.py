@@ -15,7 +15,7 @@ from sim_heating.cli.console import CONSOLE, ERRORS, OUT, PATH, print_outputs, p
 @OUT
 @click.option("--scheduler", metavar="ADDRESS", help="a Dask scheduler, as tcp://host:8786; default: local processes")
 @click.option("--workers", type=click.IntRange(1), help="number of local processes; default: one a core")
-@click.option("--vehicle", help="fly this vehicle, a name or directory, and not the study's own")
+@click.option("--vehicle", help="fly this vehicle, a name or directory, in place of the study's own")
 def plan(study: Path, out: Path, scheduler: str | None, workers: int | None, vehicle: str | None) -> None:
     """Plan missions with the tables: dispersions, envelopes, optimal entries of a study."""
     from sim_heating.planning.plan import plan as run_study

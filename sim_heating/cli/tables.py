@@ -1,4 +1,4 @@
-"""Commands that make tables and records: `update-tables`, `ratio-tables`, `measured-records`."""
+"""The commands `sim-heating update-tables`, `ratio-tables` and `measured-records`."""
 
 from __future__ import annotations
 
@@ -15,9 +15,13 @@ from sim_heating.cli.console import CONSOLE, OUT, PATH, optional_directory, prog
 @click.option("--vehicle", required=True, help="name or directory of the vehicle whose table is revised")
 @click.option("--out", callback=optional_directory, help="put a copy of the vehicle there and revise that")
 @click.option(
-    "--record", "records", type=PATH, multiple=True, help="the estimate's records, where it does not find them"
+    "--record",
+    "records",
+    type=PATH,
+    multiple=True,
+    help="the estimate's records, where they are not at the paths in it",
 )
-@click.option("--point", help="the control point, where the estimate is of several")
+@click.option("--point", help="the control point, where the estimate has several")
 @click.option("--check", "checked", type=PATH, multiple=True, help="another record to predict before and after")
 @click.option("--dry-run", is_flag=True, help="show what would change and write nothing")
 @click.option("--revert", metavar="POINT", help="put table and effects of this point back to the parent revision")
@@ -39,7 +43,7 @@ def update_tables(
         _revert_table(vehicle, revert, out is not None or dry_run)
         return
     if revert is not None:
-        raise InputError(f"--revert {revert}: stands alone; leave out {fit}")
+        raise InputError(f"--revert {revert}: takes no FIT; leave out {fit}")
     with progress_line("update-tables") as progress:
         updated = report.update_tables(
             fit, vehicle, out, records=records, point=point, checks=checked, dry_run=dry_run, progress=progress
@@ -53,8 +57,8 @@ def update_tables(
     why = revision_path(place, made.control_point, made.revision, "json")
     picture = " and .png" if why.with_suffix(".png").is_file() else ""
     effects = f" and {point_path(place, made.control_point)}" if made.effects else ""
-    told = f"Wrote {place / made.table}{effects}, revision {made.revision}; why: {why}{picture}"
-    CONSOLE.print(told, soft_wrap=True)
+    line = f"Wrote {place / made.table}{effects}, revision {made.revision}; why: {why}{picture}"
+    CONSOLE.print(line, soft_wrap=True)
 
 
 def _revert_table(vehicle: str, point: str | None, more: bool) -> None:
@@ -66,9 +70,9 @@ def _revert_table(vehicle: str, point: str | None, more: bool) -> None:
     if point is None:
         raise InputError("update-tables: give FIT, an estimate.json or its directory, or --revert POINT")
     if more:
-        raise InputError(f"--revert {point}: stands alone; leave out --out and --dry-run")
+        raise InputError(f"--revert {point}: takes no other option; leave out --out and --dry-run")
     undone, now = revert(load_vehicle(vehicle), point)
-    CONSOLE.print(f"{point}: revision {undone} undone, revision {now} is in force, byte for byte")
+    CONSOLE.print(f"{point}: revision {undone} undone; revision {now} is in force, byte for byte")
 
 
 @click.command("ratio-tables")

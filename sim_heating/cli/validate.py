@@ -1,4 +1,4 @@
-"""The command `validate`."""
+"""The command `sim-heating validate`."""
 
 from __future__ import annotations
 
@@ -16,5 +16,4 @@ def validate(paths: tuple[Path, ...]) -> None:
     from sim_heating.cli.path_check import check_path
 
     for path in paths:
-        found = check_path(path)
-        CONSOLE.print(f"{path}: good. {found.summary}", soft_wrap=True)
+        CONSOLE.print(f"{path}: good. {check_path(path).summary}", soft_wrap=True)

@@ -21,7 +21,7 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.files import read_json, write_json
 from sim_heating.base.files.package import PACKAGE, package_version
 from sim_heating.base.report.page import Page, Picture, Section, write_page
-from sim_heating.base.report.table import Table
+from sim_heating.base.report.table import Column, Table
 from sim_heating.closure.clues.correlation import ResidualEvidence, flight_variables
 from sim_heating.closure.clues.residual_heating import NAME as HEATING_NAME
 from sim_heating.closure.clues.residual_heating import ResidualHeating, write_residual_heating
@@ -200,6 +200,33 @@ def closure_page(found: Closure) -> Page:
         _beyond(found),
     ]  # fmt: skip
     return Page(title, subtitle, sections, _headline(found), warnings)
+
+
+def closures_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Effects found in records and the errors before and after, a row a record.
+
+    rows : as `batch.summary_row` gives them, or the name of a record and why it `failed`
+    """
+    errors = {
+        "before, fit": "before_fit_rmse_K", "after, fit": "after_fit_rmse_K",
+        "before, held out": "before_holdout_rmse_K", "after, held out": "after_holdout_rmse_K",
+        "noise floor": "noise_floor_K",
+    }  # fmt: skip
+    columns = [Column("record"), Column("found", is_text=True), Column("posterior", format=".3f")]
+    columns += [Column(head, key, ".2f", "K") for head, key in errors.items()]
+    cells = [
+        [r["record"], "failed", *[""] * (len(columns) - 2)]
+        if "failed" in r
+        else [r["record"], _found_text(r), r["posterior"], *(r[key] for key in errors.values())]
+        for r in rows
+    ]
+    return Table("What the declared models lack", columns, cells)
+
+
+def _found_text(row: Mapping[str, Any]) -> str:
+    """What a row names; faults of the record's data come first, as an effect is no finding then."""
+    effects, faults = " + ".join(row["effects"]), ", ".join(dict.fromkeys(row["doubts"]))
+    return f"{faults} ({effects})" if faults else effects
 
 
 def _headline(found: Closure) -> tuple[str, str]:

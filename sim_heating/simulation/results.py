@@ -1,4 +1,4 @@
-"""Results as files: one self-describing NetCDF file, CSV for everybody, and a summary in JSON.
+"""Results of runs and predictions: tables for a person, CSV, and one self-describing NetCDF file.
 
 NetCDF (through xarray) because time histories of many points and sensors share their axes, carry units and long
 names, and are opened by MATLAB, Julia, Panoply, ncdump and spreadsheets with a plug-in; a table format would repeat
@@ -17,6 +17,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.files import write_csv
 from sim_heating.base.files.package import package_version
+from sim_heating.base.report.table import Column, Table
 from sim_heating.march.history import PointHistory
 from sim_heating.thermal.stack import Sensor
 
@@ -47,6 +48,46 @@ def write_temperatures_csv(path: Path, time_s: FloatArray, history: PointHistory
     columns = {"time_s": time_s, "surface_K": history.surface_K, "bondline_K": history.bondline_K}
     columns |= {s.column: values for s, values in zip(sensors, history.sensors_K, strict=True)}
     write_csv(path, columns, {"time_s": ".10g"} | {name: ".4f" for name in columns if name != "time_s"})
+
+
+def run_table(title: str, summary: Mapping[str, Any], rmse_K: Mapping[str, float]) -> Table:
+    """Peak temperatures of a run and their margins to the limits, a row a control point.
+
+    summary : as `run.summary` gives it
+    rmse_K  : RMSE against measured histories [K] by control point; without any there is no such column
+    """
+    columns = [
+        Column("control point", "control_point"),
+        Column("peak surface", "peak_surface_K", ".0f", "K"),
+        Column("at", "peak_surface_s", ".0f", "s"),
+        Column("margin", "surface_margin_K", "+.0f", "K"),
+        Column("peak bondline", "peak_bondline_K", ".0f", "K"),
+        Column("margin", "bondline_margin_K", "+.0f", "K"),
+    ]
+    rows = [[name, *(point[c.key] for c in columns[1:])] for name, point in summary["control_points"].items()]
+    if rmse_K:
+        columns.append(Column("RMSE against measured", "rmse_K", ".1f", "K"))
+        rows = [[*row, rmse_K.get(row[0], "")] for row in rows]
+    return Table(title, columns, rows)
+
+
+def prediction_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
+    """Errors of declared models against measured temperatures, a row a record.
+
+    summaries : as `predict.summary` gives them
+    """
+    columns = [
+        Column("record"),
+        Column("control point", "control_point", is_text=True),
+        Column("RMSE, fit", "fit_rmse_K", ".2f", "K"),
+        Column("RMSE, holdout", "holdout_rmse_K", ".2f", "K"),
+        Column("noise floor", "noise_floor_K", ".2f", "K"),
+    ]
+    rows = [
+        [s["record"], s["control_point"], *(s[k] and s[k]["rmse_K"] for k in ("fit", "holdout")), s["noise_floor_K"]]
+        for s in summaries
+    ]
+    return Table("Declared model against measurement", columns, rows)
 
 
 def histories_dataset(

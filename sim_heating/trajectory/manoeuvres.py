@@ -223,8 +223,12 @@ class ManoeuvreScript:
         return windows(self.manoeuvres, self.started_s, until_s)
 
     def events(self, until_s: float = np.inf) -> list[tuple[float, str]]:
-        """Start of each manoeuvre, and at the end of the flight those that were never reached."""
+        """Start of each manoeuvre, and at the end of the flight those whose trigger was never met."""
         return events(self.manoeuvres, self.started_s, until_s)
+
+
+NOT_FLOWN = "trigger never met; manoeuvre not flown"
+"""End of the text of a manoeuvre's event where the flight ended before its trigger."""
 
 
 def windows(manoeuvres: Sequence[Manoeuvre], started_s: FloatArray, until_s: float = np.inf) -> list[Window]:
@@ -238,13 +242,13 @@ def windows(manoeuvres: Sequence[Manoeuvre], started_s: FloatArray, until_s: flo
 
 
 def events(manoeuvres: Sequence[Manoeuvre], started_s: FloatArray, until_s: float = np.inf) -> list[tuple[float, str]]:
-    """(time, text) of manoeuvres begun, and of those whose trigger was not reached."""
+    """(time, text) of manoeuvres begun, and of those whose trigger was never met."""
     found = []
     for m, s in zip(manoeuvres, started_s, strict=True):
         if 0.0 <= s < until_s:
             found.append((float(s), f"{m.kind} at {_trigger_text(m)}"))
         elif np.isfinite(until_s):
-            found.append((float(until_s), f"{m.kind} at {_trigger_text(m)} was not reached"))
+            found.append((float(until_s), f"{m.kind} at {_trigger_text(m)}: {NOT_FLOWN}"))
     return sorted(found, key=lambda e: e[0])
 
 

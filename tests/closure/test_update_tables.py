@@ -508,7 +508,7 @@ def test_what_does_not_belong_together_is_refused_in_one_line(
     ("arguments", "hint"),
     [
         (["--vehicle", "./orbiter"], "give FIT"),
-        (["first.json", "--vehicle", "./orbiter", "--revert", POINT], "stands alone"),
+        (["first.json", "--vehicle", "./orbiter", "--revert", POINT], "takes no FIT"),
         (["--vehicle", "./orbiter", "--revert", POINT], "was not made from flight data"),
         (["--vehicle", "./orbiter", "--revert", "V09T9257"], "did you mean `V09T9527`"),
         (["first.json", "--vehicle", "orbitr"], "no vehicle of this name"),

@@ -46,7 +46,7 @@ def told(capsys, *arguments: object) -> tuple[int, str]:
         (["--parameters", "sensor.LS_surface.bais"], "a sensor has no `bais`; did you mean `bias`"),
         (["--parameters", "effect.transitoin.factor"], "unknown effect `transitoin`; did you mean `transition`"),
         (["--parameters", "ratio.scale,ratio.scale"], "`ratio.scale` is repeated"),
-        (["--parameters", ","], "names nothing"),
+        (["--parameters", ","], "holds no name"),
         (["--reference", "alpha_deg"], "alpha_deg: `` is not a number; write alpha_deg=40"),
         (["--reference", "alpha=40"], "`alpha` is not a ratio variable; did you mean `alpha_deg`"),
         (["--reference", "alpha_deg=nan"], "alpha_deg: nan is not a finite number"),
@@ -64,7 +64,7 @@ def told(capsys, *arguments: object) -> tuple[int, str]:
         (["--segments", "-3"], "segments of -3 s; give a length in s above 0"),
         (["--segments", "0.001"], "segments of 0.001 s are shorter than the 1 s between samples"),
         (["--segments", "5", "--fit", "5000,6000"], "the fit segments hold no time that was recorded"),
-        (["--segments", "5", "--start", "profile:600"], "short segments have starts and references of their own"),
+        (["--segments", "5", "--start", "profile:600"], "each segment has its own start and reference"),
     ],
 )
 def test_request_that_cannot_be_is_answered_in_a_line(capsys, tmp_path, arguments, line):
@@ -170,5 +170,5 @@ def test_fit_that_does_not_converge_keeps_its_files_and_fails(capsys, tmp_path):
     out = tmp_path / "out"
     status, text = told(capsys, PRACTICE.parent / "sts96_480", "--out", out)
     assert status == 1
-    assert text.endswith(f"is not smooth here; {out} holds where it ended, which is no estimate")
+    assert text.endswith(f"is not smooth here; {out} holds the last iteration, which is not an estimate")
     assert read_json(out / "estimate.json")["converged"] is False

@@ -253,7 +253,7 @@ def test_a_priori_temperatures_are_farther_from_the_readings_than_a_posteriori_o
         (["--ratio-noise", "0.01"], "give sigma and correlation time in s, as 0.01,30, or `estimated`"),
         (["--ratio-noise", "0.01,0"], "give sigma and correlation time"),
         (["--ratio-noise", "0.01,nan"], "give sigma and correlation time"),
-        (["--process-noise", "0.1", "--segments", "5"], "short segments are fitted without noise of the process"),
+        (["--process-noise", "0.1", "--segments", "5"], "segments are fitted without process noise"),
     ],
 )
 def test_levels_that_cannot_be_are_refused_in_a_line(options, hint, wandered, tmp_path: Path, capsys) -> None:

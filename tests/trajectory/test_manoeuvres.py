@@ -63,7 +63,7 @@ def test_a_mach_trigger_waits_for_mach_to_fall():
 def test_a_trigger_that_is_never_reached_is_reported_at_the_end():
     _, _, script = flown({"kind": "popu", "at_mach": 2.0})
     assert script.windows(120.0) == []
-    assert script.events(120.0) == [(120.0, "popu at Mach 2 was not reached")]
+    assert script.events(120.0) == [(120.0, "popu at Mach 2: trigger never met; manoeuvre not flown")]
 
 
 def test_manoeuvres_on_one_channel_wait_for_each_other():

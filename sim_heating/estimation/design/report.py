@@ -5,6 +5,7 @@ Pictures of a design: planned and optimal manoeuvre, bounds along each number, a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from sim_heating.base.files import output_directory, write_json, write_text_atom
 from sim_heating.base.files.package import package_version
 from sim_heating.base.progress import Progress, quiet
 from sim_heating.base.report.figure import ANGLES, new_figure, save_figure
+from sim_heating.base.report.table import Column, Table
 from sim_heating.estimation.design.check import RepeatedFits, repeated_fits
 from sim_heating.estimation.design.information import PRESSURE, Experiment, design_criterion
 from sim_heating.estimation.design.instruments import InstrumentVariant, instrumentation
@@ -198,15 +200,29 @@ def notes(designed: DesignResult) -> list[str]:
     return lines
 
 
+def bounds_table(designed: DesignResult, flights: Sequence[int]) -> Table:
+    """Standard deviations of the wanted parameters: as planned, optimal, and after several optimal flights.
+
+    flights : numbers of flights
+    """
+    columns = [
+        Column("parameter"),
+        Column("unit", is_text=True),
+        Column("as planned", "planned_sigma", ".3g"),
+        Column("optimal", "optimal_sigma", ".3g"),
+        *(Column(f"{n} flights", f"after_{n}_flights_sigma", ".3g") for n in flights),
+    ]
+    rows = [
+        [name, p["unit"], p["planned_sigma"], p["optimal_sigma"], *(p["after_flights"][str(n)] for n in flights)]
+        for name, p in summary(designed)["parameters"].items()
+    ]
+    point = designed.planner.point.name
+    return Table(f"{designed.scenario.title}: {point}, one standard deviation", columns, rows)
+
+
 def bounds_csv(designed: DesignResult) -> str:
     """Bounds of the wanted parameters, a line a parameter."""
-    found, flights = summary(designed)["parameters"], designed.planner.design.flights
-    head = ["parameter", "unit", "planned_sigma", "optimal_sigma", *(f"after_{n}_flights_sigma" for n in flights)]
-    rows = [
-        [name, p["unit"], *(f"{x:.6g}" for x in (p["planned_sigma"], p["optimal_sigma"], *p["after_flights"].values()))]
-        for name, p in found.items()
-    ]
-    return "\n".join(",".join(row) for row in [head, *rows]) + "\n"
+    return bounds_table(designed, designed.planner.design.flights).csv(".6g")
 
 
 def write_design(designed: DesignResult, out: Path) -> list[str]:

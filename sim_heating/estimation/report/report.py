@@ -12,6 +12,7 @@ import numpy as np
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.files import output_directory, write_csv
 from sim_heating.base.files.package import package_version
+from sim_heating.base.report.table import Column, Table
 from sim_heating.estimation.design.information import sensitivity_to_effort
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.inference.residual_tests import (
@@ -81,6 +82,17 @@ def estimate_contents(fitted: FitResult) -> Estimate:
             "program": f"sim-heating {package_version()}",
         }
     )
+
+
+def estimate_table(title: str, estimate: Estimate) -> Table:
+    """Estimated parameters with their standard deviations, a row a parameter."""
+    columns = [
+        Column("parameter"),
+        Column("value", format=".5g"),
+        Column("sigma", format=".2g"),
+        Column("unit", is_text=True),
+    ]
+    return Table(title, columns, [[name, p.value, p.sigma, p.unit] for name, p in estimate.parameters.items()])
 
 
 def _effects(fitted: FitResult) -> list[dict[str, Any]]:

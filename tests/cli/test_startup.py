@@ -1,0 +1,58 @@
+"""Help and version answer without loading the libraries of numbers, pictures and models."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import click
+import pytest
+
+from sim_heating.cli import COMMANDS, cli
+from tests.support.paths import ROOT
+
+HEAVY = {
+    "numpy", "scipy", "numba", "llvmlite", "pydantic", "matplotlib", "pandas", "xarray", "jsbsim", "fmpy", "pint",
+    "dask", "distributed",
+}  # fmt: skip
+"""Packages that a help text does not need; each takes longer to import than all that it does need."""
+LOADED = """
+import json, sys
+from sim_heating.__main__ import main
+status = main()
+print(json.dumps([status, sorted({name.split(".")[0] for name in sys.modules})]))
+"""
+FMU_COMMANDS = ("export", "trajectory")
+
+
+def packages_loaded(*arguments: str) -> set[str]:
+    """Names of the packages that a process has imported after a command."""
+    command = [sys.executable, "-c", LOADED, *arguments]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    status, packages = json.loads(done.stdout.splitlines()[-1])
+    assert status == 0
+    return set(packages)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("--help",),
+        ("--version",),
+        *((name, "--help") for name in COMMANDS),
+        *(("fmu", name, "--help") for name in FMU_COMMANDS),
+    ],
+    ids=" ".join,
+)
+def test_help_and_version_load_no_heavy_package(arguments: tuple[str, ...]) -> None:
+    assert packages_loaded(*arguments) & HEAVY == set()
+
+
+def test_help_of_every_command_is_covered() -> None:
+    context = click.Context(cli)
+    groups = {name: cli.get_command(context, name) for name in cli.list_commands(context)}
+    subcommands = {name: tuple(g.commands) for name, g in groups.items() if isinstance(g, click.Group)}
+    assert subcommands == {"fmu": FMU_COMMANDS}
