@@ -210,9 +210,7 @@ def test_more_effects_than_the_kernel_holds_are_refused():
 
 def own_effect(folder):
     lines = [
-        "from sim_heating.heating.effects import Effect",
-        "from sim_heating.base.kernels.jit import njit",
-        "from sim_heating.base.parameters import Parameter",
+        "from sim_heating import Effect, Parameter, njit",
         "@njit",
         "def double(B, c, p, wall_K):",
         "    return B[p]",

@@ -18,8 +18,7 @@ from sim_heating.base.kernels.block import N_CONDITIONS
 from sim_heating.cli import main
 from sim_heating.closure.batch import record_job
 from sim_heating.closure.search.candidates import candidates
-from sim_heating.heating import flight_variables as flight
-from sim_heating.heating.effects import effects
+from sim_heating.heating.effects import effects, flight
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import load_record
 from sim_heating.inputs.scenario import load_scenario
@@ -30,10 +29,7 @@ GROWTH = 0.15
 SOURCE = '''
 """Heating grows with the angle of attack beyond what a table says, as its square."""
 
-from sim_heating.base.kernels.jit import njit
-from sim_heating.base.parameters import Parameter
-from sim_heating.heating import flight_variables as flight
-from sim_heating.heating.effects import Effect
+from sim_heating import Effect, Parameter, flight, njit
 
 
 @njit
@@ -128,7 +124,7 @@ def test_predict_takes_it_from_a_vehicle():
 
 
 CLOCK_EFFECT = """
-from sim_heating.heating.effects import Effect, model_parameter
+from sim_heating import Effect, model_parameter
 
 EFFECT = Effect("own-clock", "model", (model_parameter("recorder_lag_s", "clock.skew", sigma=2.0),))
 """
@@ -162,9 +158,7 @@ def test_a_user_defined_clock_effect_is_looked_for_and_its_parameter_has_its_own
 
 
 def test_a_file_that_is_wrong_is_told_with_its_line(own_folder, capsys):
-    (own_folder / "broken.py").write_text(
-        "from sim_heating.heating.effects import Effect\n\nEFFECT = Effect(nme='x')\n"
-    )
+    (own_folder / "broken.py").write_text("from sim_heating import Effect\n\nEFFECT = Effect(nme='x')\n")
     assert main(["run", scenario("plain"), "--out", "plain"]) == 0  # nobody asked for an effect
     assert main(["validate", scenario("own", EFFECT.format(table="", growth=GROWTH))]) == 2
     told = capsys.readouterr().err
@@ -177,7 +171,14 @@ def test_a_file_that_is_wrong_is_told_with_its_line(own_folder, capsys):
     [
         ("EFFECT = 3\n", "EFFECT is a int; it must be an Effect"),
         ("def f(:\n", "line 1: SyntaxError"),
-        ("import no_such_module\n", "line 1: ModuleNotFoundError"),
+        ("import no_such_module\n", "line 1: ModuleNotFoundError: No module named 'no_such_module'$"),
+        ("\nfrom sim_heating.moved import Effect\n", "line 2: .*; write `from sim_heating import Effect,"),
+        ("from sim_heating.heating.effects import Try\n", "line 1: .*; write `from sim_heating import Effect,"),
+        (
+            "from sim_heating import Effect\nEFFECT = Effect('a', 'add', (), tries=3)\n",
+            "`tries` is now `search_starts`",
+        ),
+        ("from sim_heating import Effect\nEFFECT = Effect('a', 'model', (), places=())\n", "with model_parameter"),
     ],
 )
 def test_what_is_no_effect_is_refused(own_folder, text, told):
@@ -237,8 +238,8 @@ def test_the_example_peaks_at_its_mach_number_and_has_a_flight_to_try_it_on(monk
 
 
 INTERPRETED = """
+from sim_heating import flight
 from sim_heating.base.kernels.block import N_CONDITIONS
-from sim_heating.heating import flight_variables as flight
 from sim_heating.heating.effects import effect
 from sim_heating.heating.effects.compiled import effect_dispatcher
 flown = [0.0] * N_CONDITIONS

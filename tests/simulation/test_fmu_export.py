@@ -375,10 +375,7 @@ def test_damaged_table_is_refused_with_its_path(fmus, tmp_path, change, told):
 OWN_EFFECT = """
 import math
 
-from sim_heating.base.kernels.jit import njit
-from sim_heating.base.parameters import Parameter
-from sim_heating.heating import flight_variables as flight
-from sim_heating.heating.effects import Effect
+from sim_heating import Effect, Parameter, flight, njit
 
 @njit
 def growth(B, c, p, wall_K):

@@ -11,8 +11,7 @@ from sim_heating.base.conditions import Conditions
 from sim_heating.base.kernels.elementary import logistic
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.parameters import Parameter
-from sim_heating.heating import flight_variables as flight
-from sim_heating.heating.effects import Effect, SearchStart
+from sim_heating.heating.effects import Effect, SearchStart, flight
 
 FACTOR, CHANGE, SLOPE, DURATION = range(4)
 REFERENCE_K = 1000.0

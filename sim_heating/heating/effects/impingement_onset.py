@@ -10,8 +10,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.parameters import Parameter
-from sim_heating.heating import flight_variables as flight
-from sim_heating.heating.effects import Effect, SearchStart
+from sim_heating.heating.effects import Effect, SearchStart, flight
 
 ONSET, SLOPE = range(2)
 

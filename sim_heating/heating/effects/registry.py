@@ -21,7 +21,7 @@ PUBLIC = "write `from sim_heating import Effect, Parameter, SearchStart, flight,
 """What a user's effect imports, for the message about a file that imports from elsewhere."""
 RENAMED = {
     "'tries'": "`tries` is now `search_starts`",
-    "'places'": "`places` is gone; make each parameter with model_parameter(...)",
+    "'places'": "in place of `places`, make each parameter with model_parameter(...)",
 }
 """Former arguments of Effect as they stand in Python's message, and what to write now."""
 
