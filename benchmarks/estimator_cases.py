@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from benchmarks.problems import NOTHING
 from sim_heating.base.parameters import CLOCK_SKEW, Parameter
 from sim_heating.estimation.inference.likelihood import reading_intervals
-from sim_heating.estimation.problem import FitProblem, joint_reference
+from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.estimation.record_fit import Start, StartMaker
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record, Segments
@@ -137,9 +137,9 @@ class Repeatable:
 
     def draw(self, rng: np.random.Generator) -> None:
         """Measure once more: noise and recorder words of all sensors."""
-        part = self.problem.parts[0]
+        part = self.problem.record_fits[0]
         part.channels = [
-            replace(c, observed=reading_intervals(c.sensor, measured(c.sensor, self.true_K[c.number], rng)))
+            replace(c, intervals=reading_intervals(c.sensor, measured(c.sensor, self.true_K[c.number], rng)))
             for c in part.channels
         ]
 
@@ -149,7 +149,7 @@ def repeatable(case: Case) -> Repeatable:
     record = record_of(case.name)
     flat = {n: replace(_definition(record, n), sigma=np.inf) for n in case.truth}
     starts = [None if case.whole else start_at(case)]
-    problem = FitProblem([record], list(case.truth), joint_reference([record]), priors=flat, starts=starts)
+    problem = FitProblem([record], list(case.truth), joint_reference([record]), FitOptions(priors=flat, starts=starts))
     truth = np.array(list(case.truth.values()))
     return Repeatable(problem, truth, {s.channel.number: s.mean_K for s in problem.samples(truth)})
 

@@ -38,12 +38,12 @@ def made_and_fitted(number: int, out: Path) -> dict[str, Any]:
     answer = tomllib.loads(toml_text(answer))
     fitted = estimate([load_record(out / name)], reference=answer["reference_condition"])
     if not fitted.fit.converged:
-        raise RuntimeError(f"{name}: {fitted.fit.words()[0]}")
+        raise RuntimeError(f"{name}: {fitted.fit.describe()[0]}")
     truth = np.array([answer["true_errors"][label.removeprefix("ratio.")] for label in fitted.labels])
     white = [r.whiteness.p_value for r in sensor_residual_tests(fitted) if r.whiteness]
     problem, half, sigma = fitted.problem, fitted.bounds.half_width(), fitted.bounds.sigma
     values = {"corrected": fitted.fit.values}
-    for part in problem.parts:
+    for part in problem.record_fits:
         part.correction_K = 0.0
     values["uncorrected"] = maximise(problem.evaluate, problem.parameters, values["corrected"]).values
     return {

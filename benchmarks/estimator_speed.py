@@ -31,7 +31,7 @@ from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, sample
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.inference.newton import maximise
 from sim_heating.estimation.inference.observability import default_names
-from sim_heating.estimation.problem import FitProblem, joint_reference
+from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.estimation.side_by_side import JointMarch
 from sim_heating.heating.effects import effects, use
 from sim_heating.inputs.points import conditions_of_record
@@ -81,9 +81,9 @@ def the_papers_case() -> list[Figure]:
     """All methods on one problem, in turn."""
     begin = start_at(replace(CASES["popu"], truth={}))  # the record is of the declared model
     record = record_of("popu")
-    problem = FitProblem([record], NAMES, joint_reference([record]), starts=[begin])
+    problem = FitProblem([record], NAMES, joint_reference([record]), FitOptions(starts=[begin]))
     start = np.array([p.value for p in problem.parameters])
-    point = plain(problem.parts[0], NAMES)
+    point = plain(problem.record_fits[0], NAMES)
     tasks = {
         "this": lambda: gauss_newton(problem, start),
         "filter": lambda: by_filter(point, start),
@@ -139,7 +139,7 @@ def _against_filterpy(
 def growth() -> list[Figure]:
     """How one march grows with the nodes: with sensitivities, and with the covariance."""
     record = record_of("popu")
-    part = FitProblem([record], NAMES, joint_reference([record])).parts[0]
+    part = FitProblem([record], NAMES, joint_reference([record])).record_fits[0]
     history = condition_history(part.conditions.at(part.time_s))[np.newaxis]
     tasks: dict[str, Task] = {}
     for nodes in NODES:
@@ -242,7 +242,7 @@ def the_practice_record() -> list[Figure]:
     """A whole warm fit of a whole entry."""
     record = load_record(RECORD)
     times = in_turn({"this": lambda: estimate([record])}, ROUNDS)
-    part = FitProblem([record], ["ratio.scale"], joint_reference([record])).parts[0]
+    part = FitProblem([record], ["ratio.scale"], joint_reference([record])).record_fits[0]
     shown = f"{part.mesh.nodes} nodes, {len(part.time_s) - 1} steps, 6 parameters"
     return [Figure("a warm fit of a whole entry, practice record p06", times.best("this") * 1e3, "ms", note=shown)]
 
@@ -255,7 +255,7 @@ def side_by_side() -> list[Figure]:
     problems = [FitProblem([record], [*names, "stack.coating.thickness_factor"], about)]
     for name in kernels:
         more = [f"effect.{name}.{p}" for p in effects()[name].starts_for(flown)[0].names]
-        problems.append(FitProblem([record], [*names, *more], about, effects=[use(name)]))
+        problems.append(FitProblem([record], [*names, *more], about, FitOptions(effects=[use(name)])))
     at, together = [np.array([p.value for p in problem.parameters]) for problem in problems], JointMarch(problems)
     moved = iter(range(10**9))
 

@@ -73,10 +73,10 @@ def repeat(bench: Repeatable, seeds: Sequence[Sequence[int]]) -> Repetitions:
         bench.draw(rng)
         fit = maximise(problem.evaluate, problem.parameters, bench.truth, problem.log_likelihoods)
         if not fit.converged:
-            raise RuntimeError(f"seed {seed}: {fit.words()[0]}")
+            raise RuntimeError(f"seed {seed}: {fit.describe()[0]}")
         found = fit_bounds(problem.samples(fit.values), fit)
         tests = [
-            sensor_residuals(s.channel.sensor.name, s.time_s, s.channel.observed, s.mean_K, s.sigma_K, rng)
+            sensor_residuals(s.channel.sensor.name, s.time_s, s.channel.intervals, s.mean_K, s.sigma_K, rng)
             for s in problem.samples(fit.values)
         ]
         white = [t.whiteness.p_value for t in tests if t.whiteness]

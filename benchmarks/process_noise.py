@@ -94,9 +94,9 @@ def disturbed(
 ) -> tuple[FloatArray, FloatArray]:
     """(run, step, node) true temperatures [K] after each step of a fit's march with noise of the process, and (run,
     step) what was added to the heating ratio in it."""
-    part = bench.problem.parts[0]
+    part = bench.problem.record_fits[0]
     t, history = part.time_s, condition_history(part.conditions.at(part.time_s))[np.newaxis]
-    model, begun = part.with_parameters(bench.truth), part.initial_K(None)
+    model, begun = part.model_at(bench.truth), part.initial_K(None)
     profiles = np.tile(declared_profile(part) if begun is None else begun, (runs, 1))
     d = rng.normal(0.0, noise.ratio_sigma, runs)
     ensemble = Ensemble([model] * runs, [part.mesh] * runs)
@@ -117,11 +117,11 @@ def disturbed(
 
 def measure(problem: FitProblem, true_K: FloatArray, rng: np.random.Generator) -> None:
     """Read true temperatures (step, node) with the noise and the words of all sensors."""
-    part = problem.parts[0]
+    part = problem.record_fits[0]
     channels = []
     for c in part.channels:
         at = np.interp(part.sample_s[c.samples], part.time_s[1:], true_K[:, part.mesh.sensors[c.number]])
-        channels.append(replace(c, observed=reading_intervals(c.sensor, measured(c.sensor, at, rng))))
+        channels.append(replace(c, intervals=reading_intervals(c.sensor, measured(c.sensor, at, rng))))
     part.channels = channels
 
 
@@ -146,11 +146,11 @@ def _row(
 ) -> tuple[FloatArray, ...]:
     """A row of Fits."""
     if not fit.converged:
-        raise RuntimeError(fit.words()[0])
+        raise RuntimeError(fit.describe()[0])
     samples = fitted.samples(fit.values)
     found = fit_bounds(samples, fit)
     tests = [
-        sensor_residuals(s.channel.sensor.name, s.time_s, s.channel.observed, s.mean_K, s.spread_K, rng)
+        sensor_residuals(s.channel.sensor.name, s.time_s, s.channel.intervals, s.mean_K, s.spread_K, rng)
         for s in samples
     ]
     white = np.array([t.whiteness.p_value for t in tests if t.whiteness])

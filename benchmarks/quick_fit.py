@@ -11,13 +11,13 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import RunError
 from sim_heating.base.parameters import Parameter
 from sim_heating.estimation.fit import fit_bounds, predict_fit
-from sim_heating.estimation.inference.newton import Fit, Settings, maximise
-from sim_heating.estimation.problem import FitProblem, joint_reference
+from sim_heating.estimation.inference.newton import Fit, NewtonSettings, maximise
+from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.heating.effects import EffectUse
 from sim_heating.inputs.record import Record
 from sim_heating.simulation.predict import predict
 
-SETTLED = Settings(gain=1e-2, step=3e-2, iterations=20)
+SETTLED = NewtonSettings(min_improvement=1e-2, min_step=3e-2, iterations=20)
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,13 +30,13 @@ class Model:
     @property
     def residual_K(self) -> FloatArray:
         """(sensor, sample) measured less predicted of the plain march, to the last sample fitted or held out."""
-        return predict_fit(self.problem.parts[0], self.fit.values).residual_K
+        return predict_fit(self.problem.record_fits[0], self.fit.values).residual_K
 
     @property
     def whole_residual_K(self) -> FloatArray:
         """(sensor, sample) the same over the whole record, of which the fit may know little."""
-        part = self.problem.parts[0]
-        return predict(part.record, part.with_parameters(self.fit.values)).residual_K
+        part = self.problem.record_fits[0]
+        return predict(part.record, part.model_at(self.fit.values)).residual_K
 
     @property
     def values(self) -> dict[str, float]:
@@ -67,7 +67,9 @@ def quick_fit(
     best: Model | None = None
     about = joint_reference([record]) if reference is None else reference
     for start in starts:
-        problem = FitProblem([record], names, about, effects=effects, priors=priors, widened=np.inf if flat else 1.0)
+        problem = FitProblem(
+            [record], names, about, FitOptions(effects=effects, priors=priors, prior_scale=np.inf if flat else 1.0)
+        )
         first = np.array([start.get(p.name, p.value) for p in problem.parameters])
         try:
             fit = maximise(problem.evaluate, problem.parameters, first, problem.log_likelihoods, SETTLED)

@@ -57,7 +57,7 @@ def speed() -> list[Figure]:
     record = raised()
     problem, values = FitProblem([record], ["ratio.scale"], joint_reference([record])), np.zeros(1)
     found = residual_heating(problem, values)
-    part = problem.parts[0]
+    part = problem.record_fits[0]
     known = found.input.disturbance
     times = in_turn(
         {
@@ -83,7 +83,7 @@ def speed() -> list[Figure]:
 
 def filtered(problem: FitProblem, known: Disturbance) -> None:
     """One pass forward and back."""
-    part = problem.parts[0]
+    part = problem.record_fits[0]
     read = np.array([part.record.thermocouples[c.sensor.column] for c in part.channels])
     read = read[:, np.searchsorted(part.record.time_s, part.sample_s)]
     intervals = [reading_intervals(c.sensor, T) for c, T in zip(part.channels, read, strict=True)]

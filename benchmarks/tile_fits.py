@@ -22,7 +22,7 @@ from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import RunError
 from sim_heating.base.parameters import Parameter
 from sim_heating.estimation.inference.observability import constant_variables, default_names
-from sim_heating.estimation.problem import FitProblem, joint_reference
+from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.heating.effects import use
 from sim_heating.inputs.record import Record
 from sim_heating.inputs.scenario import Scenario
@@ -194,10 +194,10 @@ def _normal_equations(
     for change in (np.array([STEP_S, 0.0]), np.array([0.0, STEP_STRETCH])):
         moved = compared_records(scenario, flown=flown, shift_s=(clock + change)[0], stretch=(clock + change)[1])[name]
         names, reference = list(tile.after.values), tile.after.problem.reference
-        problem = FitProblem([moved], names, reference, effects=[use("transition")], widened=np.inf)
+        problem = FitProblem([moved], names, reference, FitOptions(effects=[use("transition")], prior_scale=np.inf))
         columns.append((problem.samples(values)[0].mean_K - here.mean_K) / np.max(change))
     sensitivity = np.array(columns).T
-    own = here.own[:, np.any(here.own != 0.0, axis=0)]
+    own = here.sensitivity[:, np.any(here.sensitivity != 0.0, axis=0)]
     basis, _ = np.linalg.qr(own)
     residual = np.interp(here.time_s, tile.record.time_s, tile.record.temperatures_K()[0]) - here.mean_K
     projected = (sensitivity - basis @ (basis.T @ sensitivity)) / here.sigma_K

@@ -31,7 +31,7 @@ from sim_heating.closure.report import (
 from sim_heating.closure.search.search import SearchResult, search_effects
 from sim_heating.closure.search.trial_fit import QUICK, WIDENED, TrialFit, fitted_effects, fitted_values
 from sim_heating.estimation.fit import FitResult, estimate
-from sim_heating.estimation.inference.newton import Settings
+from sim_heating.estimation.inference.newton import NewtonSettings
 from sim_heating.estimation.report.estimate_file import NAME
 from sim_heating.estimation.report.report import FIT_FILES, noise_floor_K, write_fit
 from sim_heating.heating.effects import effects
@@ -45,7 +45,7 @@ SEARCH_PART = 0.8
 """Part of the time that the search takes."""
 LEFT = 0.2
 """Mean square of the normalised residuals, beyond that of noise, from which on what is left is told."""
-REFIT = Settings(gain=1e-3, step=0.02, iterations=10, reach=QUICK.reach)
+REFIT = NewtonSettings(min_improvement=1e-3, min_step=0.02, iterations=10, trust_radius=QUICK.trust_radius)
 """When the last fit stops: far within its bounds, and no step is longer than those of the search."""
 SENSOR_PARAMETERS = {"bias": "bias_K", "gain": "gain"}
 
@@ -88,9 +88,9 @@ def refit(found: SearchResult) -> FitResult:
     Effects' priors are as wide as in the search.
     """
     last = found.added[-1]
-    part = last.problem.parts[0]
+    part = last.problem.record_fits[0]
     priors = {p.name: p for p in last.problem.parameters if p.name == CLOCK_SKEW.name}
-    for name in part.marched:
+    for name in part.march_names:
         if name.startswith(EFFECT_PREFIX):
             own = part.model.definition(name)
             priors[name] = replace(own, sigma=WIDENED * own.sigma)
@@ -100,8 +100,7 @@ def refit(found: SearchResult) -> FitResult:
         reference=dict(zip(RATIO_VARIABLES, last.problem.reference, strict=True)),
         effects=fitted_effects(last),
         priors=priors,
-        first=fitted_values(last),
-        settings=REFIT,
+        settings=replace(REFIT, first_values=fitted_values(last)),
     )
 
 

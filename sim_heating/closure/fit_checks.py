@@ -21,8 +21,8 @@ from sim_heating.closure.record_checks import (
     TRAJECTORY,
     DataFault,
 )
-from sim_heating.estimation.inference.newton import Settings, maximise
-from sim_heating.estimation.problem import FitProblem
+from sim_heating.estimation.inference.newton import NewtonSettings, maximise
+from sim_heating.estimation.problem import FitOptions, FitProblem
 from sim_heating.inputs.record import Record
 from sim_heating.inputs.sensor_model import calibrated
 
@@ -36,7 +36,7 @@ FACTORS = (0.5, 2.0)
 """Diffusivity over the declared one beyond which it is another material."""
 STARTS = (0.25, 1.0, 4.0)
 INSULATION = ("stack.rsi.conductivity_factor", "stack.rsi.heat_capacity_factor")
-QUICK = Settings(gain=1e-2, step=3e-2, iterations=20)
+QUICK = NewtonSettings(min_improvement=1e-2, min_step=3e-2, iterations=20)
 
 
 def check_fit(problem: FitProblem, values: FloatArray, residual: ResidualHeating) -> list[DataFault]:
@@ -59,8 +59,8 @@ def check_fit(problem: FitProblem, values: FloatArray, residual: ResidualHeating
 
 def magnitude(problem: FitProblem, values: FloatArray) -> DataFault | None:
     """Heating as a whole that no table is off by."""
-    record = problem.parts[0].record
-    scale = problem.parts[0].values(values).get("ratio.scale")
+    record = problem.record_fits[0].record
+    scale = problem.record_fits[0].values(values).get("ratio.scale")
     if scale is None or SCALES[0] < scale < SCALES[1]:
         return None
     return DataFault(
@@ -130,13 +130,16 @@ def _how(t: FloatArray, apart: FloatArray, floor_K: float) -> str:
 def _insulation(problem: FitProblem, values: FloatArray) -> tuple[float, float, float] | None:
     """Factors of conductivity and heat capacity that are likeliest, and the residual with them over the noise; None
     where they cannot be fitted."""
-    part = problem.parts[0]
+    part = problem.record_fits[0]
     names = [n for n in part.names if n not in INSULATION]
     start = [part.values(values)[n] for n in names]
     other = FitProblem(
-        [part.record], [*names, *INSULATION], problem.reference, effects=part.model.effects, widened=np.inf
+        [part.record],
+        [*names, *INSULATION],
+        problem.reference,
+        FitOptions(effects=part.model.effects, prior_scale=np.inf),
     )
-    other.parts[0].sigma_K.update(part.sigma_K)
+    other.record_fits[0].sigma_K.update(part.sigma_K)
     first = np.array([[*start, k, 1.0] for k in STARTS])
     likely = other.log_likelihoods(first)
     if not np.any(np.isfinite(likely)):
@@ -145,13 +148,13 @@ def _insulation(problem: FitProblem, values: FloatArray) -> tuple[float, float, 
     fit = maximise(other.evaluate, other.parameters, begin, other.log_likelihoods, QUICK)
     if not np.isfinite(fit.log_likelihood):
         return None
-    k, c = (other.parts[0].values(fit.values)[n] for n in INSULATION)
+    k, c = (other.record_fits[0].values(fit.values)[n] for n in INSULATION)
     return k, c, _rms_in_floors(other, fit.values)
 
 
 def material(problem: FitProblem, insulated: tuple[float, float, float], before: float) -> DataFault | None:
     """Another insulation where its diffusivity is off by a large factor."""
-    (k, c, left), part = insulated, problem.parts[0]
+    (k, c, left), part = insulated, problem.record_fits[0]
     if FACTORS[0] < k / c < FACTORS[1]:
         return None
     layers = part.record.declared.stack.layer
@@ -169,9 +172,9 @@ def _rms_in_floors(problem: FitProblem, values: FloatArray) -> float:
     """RMS of the residuals of a fit over the noise floor of each sensor."""
     squares, count = 0.0, 0
     for s in problem.samples(values):
-        middle = s.part.record.thermocouples[s.channel.sensor.column]
-        read = middle[np.searchsorted(s.part.record.time_s, s.time_s)]
-        floor, within = s.channel.sensor.noise_floor_K(s.sigma_K), s.channel.observed.within
+        middle = s.record_fit.record.thermocouples[s.channel.sensor.column]
+        read = middle[np.searchsorted(s.record_fit.record.time_s, s.time_s)]
+        floor, within = s.channel.sensor.noise_floor_K(s.sigma_K), s.channel.intervals.within
         squares += float(np.sum(((read - s.mean_K)[within] / floor) ** 2))
         count += int(np.count_nonzero(within))
     return float(np.sqrt(squares / count))

@@ -1,11 +1,12 @@
 """The fit of heating and thermal parameters to flight records, from the records to values with bounds.
 
-Magnitude and derivatives of the heating ratio, and whatever else is named, are those that make the measured samples
-most likely (problem.py, newton.py). Parameters that the data cannot identify are left out, with the reason; the noise
-of sensors that declare none is estimated too; bounds are corrected for coloured residuals; errors are those of the
-plain march at the values found. With noise of the process the innovations of a Kalman filter take the place of
-residuals (innovations.py), and the fit without it is where the search begins. Method: HEATEST, "Trends in Shuttle Entry
-Heating from the Correlation of Flight Test Maneuvers"; equations in docs/estimation_statistics.md.
+Magnitude and derivatives of the heating ratio, and any other parameters that are named, are those that make the
+measured samples most likely (problem.py, inference/newton.py). Parameters that the data cannot identify are omitted,
+with the reason; the noise of sensors that declare none is estimated as well; bounds are corrected for coloured
+residuals; errors are those of the plain march at the values found. With process noise the innovations of a Kalman
+filter take the place of residuals (filter/innovations.py), and the fit without it is where the search begins. Method:
+HEATEST, "Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers"; equations in
+docs/estimation_statistics.md.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from sim_heating.estimation.inference.bounds import ChannelResiduals as Residual
 from sim_heating.estimation.inference.bounds import CramerRaoBounds, cramer_rao_bounds
 from sim_heating.estimation.inference.identifiability import correlation
 from sim_heating.estimation.inference.likelihood import likelihood
-from sim_heating.estimation.inference.newton import Fit, Settings, Status, check_parameters, maximise
+from sim_heating.estimation.inference.newton import Fit, NewtonSettings, Status, check_parameters, maximise
 from sim_heating.estimation.inference.observability import (
     constant_variables,
     default_names,
@@ -34,7 +35,7 @@ from sim_heating.estimation.inference.observability import (
     parameters_without_heating,
     without_stuck_sensors,
 )
-from sim_heating.estimation.problem import FitProblem, joint_reference
+from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.estimation.record_fit import PredictedSamples, RecordFit, Start, StartMaker, march_times, sensor_errors
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.inputs.record import Record, require_distinct_records
@@ -45,7 +46,7 @@ from sim_heating.simulation.predict import predict as predict_record
 FEWEST_SAMPLES = 3
 """Least number of sample times in a fit."""
 NOISE_ROUNDS = 4
-MISFIT = 1.3
+MODEL_ERROR_RATIO = 1.3
 """RMS of the residuals over that of noise above which the model is reported as deficient."""
 NOISE_CHANGE = 0.01
 """Relative change below which noise has converged."""
@@ -53,16 +54,16 @@ MAGNITUDES_TRIED = np.geomspace(0.002, 2.0, 8)
 """Ratios tried as the start of a fit that has no table to start from."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FitResult:
     """Result of a fit.
 
     problem       : records, parameters and samples;  fit : the most probable values
     bounds        : covariance corrected for coloured residuals, and without that correction
-    not_estimated : parameters left out, with the reason
+    not_estimated : omitted parameters, with the reason
     before, after : each record predicted by the declared model, and at the values found [K]
     warnings      : one line each
-    innovations   : of the filter, in a fit with noise of the process
+    innovations   : of the filter, in a fit with process noise
 
     Source: docs/estimation_statistics.md, equations 13 to 26.
     """
@@ -75,6 +76,12 @@ class FitResult:
     after: tuple[Prediction, ...]
     warnings: tuple[str, ...]
     innovations: Innovations | None = None
+
+    def __repr__(self) -> str:
+        values = zip(self.labels, self.fit.values, self.bounds.sigma, strict=True)
+        found = ", ".join(f"{label}={value:.5g} +- {sigma:.2g}" for label, value, sigma in values)
+        names = ", ".join(record_fit.record.name for record_fit in self.problem.record_fits)
+        return f"FitResult({names}: {found}; {self.fit.status.name.lower()})"
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -92,7 +99,7 @@ class FitResult:
     def samples(self) -> list[PredictedSamples]:
         """The fitted channels at the values found [K], as the march or the filter predicts them.
 
-        Source: docs/estimation_statistics.md, equation 1, or 32 for a fit with noise of the process.
+        Source: docs/estimation_statistics.md, equation 1, or 32 for a fit with process noise.
         """
         return (self.innovations or self.problem).samples(self.fit.values)
 
@@ -105,8 +112,7 @@ def estimate(
     effects: Sequence[EffectUse] = (),
     priors: Mapping[str, Parameter] | None = None,
     starts: Sequence[Start | StartMaker | None] | None = None,
-    first: Mapping[str, float] | None = None,
-    settings: Settings | None = None,
+    settings: NewtonSettings | None = None,
     process_noise: ProcessNoise | None = None,
     progress: Progress = quiet,
 ) -> FitResult:
@@ -116,55 +122,55 @@ def estimate(
     reference : values of ratio variables that derivatives are about ([deg], [-]), where not the records' own
     effects   : effects in addition to the declared model, their parameters estimated where `names` includes them
     priors    : dotted name -> Parameter with another prior or other bounds
-    starts    : where the march of each record begins (part.Start, initial.STARTS)
-    first     : values of parameters that the iteration begins with, where not those of their priors
-    settings  : when the iteration stops, and how far it may step
-    process_noise : given or to be estimated; None for none, an output-error fit
+    starts    : by record, where its march begins: a record_fit.Start, or what makes one (starts.STARTS)
+    settings  : values that the iteration begins with, when it stops, and how far it may step
+    process_noise : given or to be estimated; None for an output-error fit
     progress  : called with the fraction done and a line of text
     returns   : values, bounds, predictions [K] before and after, warnings
     raises    : InputError where nothing can be estimated, RunError where the model cannot be marched at the start or at
                 the values found
 
     A fit that does not converge is returned, with its status. Source: docs/estimation_statistics.md, equations 13 to
-    26 and 31; 32 to 35 with noise of the process.
+    26 and 31; 32 to 35 with process noise.
     """
     _check_records(records)
     checked = [without_stuck_sensors(record) for record in records]
-    records, stuck = [record for record, _ in checked], [line for _, told in checked for line in told]
+    records, stuck = [record for record, _ in checked], [line for _, lines in checked for line in lines]
     wanted = tuple(names) if names is not None else default_names(records)
-    effects = (*effects, *implied_effects(wanted, effects))
-    about = joint_reference(records, reference)
-    out = constant_variables(wanted, records) | parameters_without_heating(wanted, records)
-    left = _remaining_names(wanted, out, records)
-    problem = FitProblem(records, left, about, effects=effects, priors=priors, starts=starts)
+    options = FitOptions((*effects, *implied_effects(wanted, effects)), priors=priors, starts=starts)
+    condition = joint_reference(records, reference)
+    omitted = constant_variables(wanted, records) | parameters_without_heating(wanted, records)
+    remaining = _remaining_names(wanted, omitted, records)
+    first = {} if settings is None else settings.first_values
+    problem = FitProblem(records, remaining, condition, options)
     _check_samples(problem)
-    begin = _first_values(problem, first or {})
+    begin = _first_values(problem, first)
     while True:
-        worst = least_determined(
-            [u.label for u in problem.unknowns], _information(problem, begin), _ratio(problem, begin), records
-        )
+        labels, information = [u.label for u in problem.unknowns], _information(problem, begin)
+        worst = least_determined(labels, information, _ratio(problem, begin), records)
         if not worst:
             break
         # one at a time: each omission lowers the bounds of the others
-        out |= worst
-        left = _remaining_names([n for n in left if n not in {label.partition(AT)[0] for label in worst}], out, records)
-        problem = FitProblem(records, left, about, effects=effects, priors=priors, starts=starts)
-        begin = _first_values(problem, first or {})
+        omitted |= worst
+        names_out = {label.partition(AT)[0] for label in worst}
+        remaining = _remaining_names([n for n in remaining if n not in names_out], omitted, records)
+        problem = FitProblem(records, remaining, condition, options)
+        begin = _first_values(problem, first)
     fit, innovations = _fit(problem, begin, settings, progress), None
     if process_noise is not None and fit.status is not Status.NO_START:
         fit, innovations = _fit_filtered(problem, process_noise, fit, progress)
-    return _fit_result(problem, fit, out, stuck, innovations)
+    return _fit_result(problem, fit, omitted, stuck, innovations)
 
 
-def _remaining_names(names: Sequence[str], out: Mapping[str, str], records: Sequence[Record]) -> list[str]:
+def _remaining_names(names: Sequence[str], omitted: Mapping[str, str], records: Sequence[Record]) -> list[str]:
     """The names that remain to be estimated.
 
     raises : InputError with the reasons where none remains
     """
-    left = [n for n in names if n not in out]
-    if not left:
-        raise InputError(f"{records[0].name}: nothing to estimate: {'; '.join(dict.fromkeys(out.values()))}")
-    return left
+    remaining = [n for n in names if n not in omitted]
+    if not remaining:
+        raise InputError(f"{records[0].name}: nothing to estimate: {'; '.join(dict.fromkeys(omitted.values()))}")
+    return remaining
 
 
 def implied_effects(names: Sequence[str], given: Sequence[EffectUse] = ()) -> list[EffectUse]:
@@ -178,9 +184,9 @@ def implied_effects(names: Sequence[str], given: Sequence[EffectUse] = ()) -> li
 
 
 def _check_samples(problem: FitProblem) -> None:
-    times = sum(len(part.sample_s) for part in problem.parts)
+    times = sum(len(record_fit.sample_s) for record_fit in problem.record_fits)
     if times < FEWEST_SAMPLES:
-        names = ", ".join(part.record.name for part in problem.parts)
+        names = ", ".join(record_fit.record.name for record_fit in problem.record_fits)
         raise InputError(
             f"{names}: readings at {times} time(s) in the fit segments, too few to estimate from; at least "
             f"{FEWEST_SAMPLES} are needed"
@@ -189,7 +195,7 @@ def _check_samples(problem: FitProblem) -> None:
 
 def _check_records(records: Sequence[Record]) -> None:
     if not records:
-        raise InputError("estimate: there is no record; give at least one")
+        raise InputError("estimate: no record; give at least one")
     require_distinct_records([r.name for r in records])
     models = {r.declared.heating.reference for r in records}
     if len(models) > 1:
@@ -219,85 +225,90 @@ def _information(problem: FitProblem, values: FloatArray) -> FloatArray:
 def _ratio(problem: FitProblem, values: FloatArray) -> float:
     """A typical heating ratio of the fit: d0, else the declared one; NaN where there is neither."""
     d0 = [abs(v) for u, v in zip(problem.unknowns, values, strict=True) if u.parameter.name == "ratio.d0"]
-    known = d0 or [r for r in (mean_ratio(part.record) for part in problem.parts) if np.isfinite(r)]
+    known = d0 or [r for r in (mean_ratio(record_fit.record) for record_fit in problem.record_fits) if np.isfinite(r)]
     return float(np.mean(known)) if known else float("nan")
 
 
-def _fit(problem: FitProblem, first: FloatArray, settings: Settings | None, progress: Progress) -> Fit:
+def _fit(problem: FitProblem, first: FloatArray, settings: NewtonSettings | None, progress: Progress) -> Fit:
     """Newton's iteration, in turn with the noise of the sensors that declare none, and again with meshes corrected."""
     steps = [0]
 
-    def told(at: FloatArray, log_posterior: float) -> None:
+    def report(at: FloatArray, log_posterior: float) -> None:
         steps[0] += 1
         progress(min(0.9, 0.1 * steps[0]), f"iteration {steps[0]}: log posterior {log_posterior:.2f}")
 
-    unknown_noise = any(c.sensor.noise_sigma_K is None for part in problem.parts for c in part.channels)
+    unknown_noise = any(
+        c.sensor.noise_sigma_K is None for record_fit in problem.record_fits for c in record_fit.channels
+    )
     if unknown_noise:
-        # residuals at the start include the misfit: this noise is too large, and is set again after the fit
-        problem.settle_noise(first)
+        # residuals at the start include model errors: this noise is too large, and is set again after the fit
+        problem.update_noise(first)
 
-    def fitted(start: FloatArray) -> Fit:
-        return maximise(problem.evaluate, problem.parameters, start, problem.log_likelihoods, settings, told)
+    def fit_from(start: FloatArray) -> Fit:
+        return maximise(problem.evaluate, problem.parameters, start, problem.log_likelihoods, settings, report)
 
-    fit = fitted(first)
+    fit = fit_from(first)
     for _ in range(NOISE_ROUNDS if unknown_noise else 0):
-        if fit.status is not Status.CONVERGED or problem.settle_noise(fit.values) < NOISE_CHANGE:
+        if fit.status is not Status.CONVERGED or problem.update_noise(fit.values) < NOISE_CHANGE:
             break
-        fit = fitted(fit.values)
+        fit = fit_from(fit.values)
     if fit.status in (Status.CONVERGED, Status.ITERATIONS):
         # only now: the error of a mesh depends on the parameters, and costs several marches
         problem.correct_meshes(fit.values)
-        fit = fitted(fit.values)
+        fit = fit_from(fit.values)
     return replace(fit, iterations=steps[0])
 
 
 def _fit_filtered(problem: FitProblem, noise: ProcessNoise, first: Fit, progress: Progress) -> tuple[Fit, Innovations]:
-    """The fit on the innovations of the filter, starting from one without noise of the process."""
+    """The fit on the innovations of the filter, starting from one without process noise."""
     steps = [first.iterations]
 
-    def told(at: FloatArray, log_posterior: float) -> None:
+    def report(at: FloatArray, log_posterior: float) -> None:
         steps[0] += 1
         progress(min(0.9, 0.1 * steps[0]), f"iteration {steps[0]}: log posterior {log_posterior:.2f}, filtered")
 
-    fit, innovations = fit_innovations(problem, noise, first.values, told)
+    fit, innovations = fit_innovations(problem, noise, first.values, report)
     return replace(fit, iterations=steps[0]), innovations
 
 
 def _fit_result(
-    problem: FitProblem, fit: Fit, out: dict[str, str], told: Sequence[str], innovations: Innovations | None
+    problem: FitProblem, fit: Fit, omitted: dict[str, str], notes: Sequence[str], innovations: Innovations | None
 ) -> FitResult:
     if fit.status is Status.NO_START:
-        raise RunError(f"estimate: {fit.words()[0]}")
+        raise RunError(f"estimate: {fit.describe()[0]}")
     samples = (innovations or problem).samples(fit.values)
-    after = tuple(predict_fit(part, fit.values) for part in problem.parts)
-    before = tuple(predict_record(part.record) for part in problem.parts)
-    told = (*told, *table_warnings(problem.parts), *fit_warnings(problem, fit, samples))
-    return FitResult(problem, fit, fit_bounds(samples, fit), out, before, after, told, innovations)
+    after = tuple(predict_fit(record_fit, fit.values) for record_fit in problem.record_fits)
+    before = tuple(predict_record(record_fit.record) for record_fit in problem.record_fits)
+    notes = (*notes, *table_warnings(problem.record_fits), *fit_warnings(problem, fit, samples))
+    return FitResult(problem, fit, fit_bounds(samples, fit), omitted, before, after, notes, innovations)
 
 
-def predict_fit(part: RecordFit, values: FloatArray) -> Prediction:
+def predict_fit(record_fit: RecordFit, values: FloatArray) -> Prediction:
     """The plain march of a record at a parameter vector, no measurement assimilated.
 
-    part    : record with its start and mesh;  values : (parameter,)
+    record_fit : record with its start and mesh;  values : (parameter,)
     returns : predicted indications [K] of all sensors at the record's times; NaN before the start of the fit and after
               the last sample that is fitted or held out
 
     It ends there because the ratio of a short segment need not be valid far from it.
     Source: docs/estimation_statistics.md, equation 1, without the correction of equation 31.
     """
-    own, record = part.values(values), part.record
-    wrong = {s.name: sensor_errors(s, own) for s in record.sensors}
-    asked = record.time_s[record.fit_mask() | record.holdout_mask()]
-    begin = part.conditions.time_s[0] if part.start is None else part.start.time_s
+    own, record = record_fit.values(values), record_fit.record
+    errors = {s.name: sensor_errors(s, own) for s in record.sensors}
+    wanted_s = record.time_s[record.fit_mask() | record.holdout_mask()]
+    begin = record_fit.conditions.time_s[0] if record_fit.start is None else record_fit.start.time_s
     # a shifted sample is read later than it was recorded
-    end = min(float(asked.max()) + max(part.shift_s(values), 0.0), part.conditions.time_s[-1])
+    end = min(float(wanted_s.max()) + max(record_fit.shift_s(values), 0.0), record_fit.conditions.time_s[-1])
     marched = replace(record, conditions=record.conditions.at(march_times(record.conditions, begin, end)))
-    model, initial_K = part.with_parameters(values), part.initial_K(values)
+    model, initial_K = record_fit.model_at(values), record_fit.initial_K(values)
     if initial_K is not None:
-        profile = {"initial": "profile", "initial_profile": np.column_stack([part.mesh.depth_m, initial_K]).tolist()}
+        profile = {
+            "initial": "profile",
+            "initial_profile": np.column_stack([record_fit.mesh.depth_m, initial_K]).tolist(),
+        }
         stack = model.construction.stack.model_copy(update=profile)
         model = replace(model, construction=model.construction.model_copy(update={"stack": stack}))
-    found = predict_record(marched, model, skew_s=-part.shift_s(values), errors=wrong)
+    found = predict_record(marched, model, skew_s=-record_fit.shift_s(values), errors=errors)
     return replace(found, record=record)
 
 
@@ -312,8 +323,8 @@ def fit_bounds(samples: Sequence[PredictedSamples], fit: Fit) -> CramerRaoBounds
     """
     channels = []
     for s in samples:
-        found = likelihood(s.channel.observed, s.mean_K, s.spread_K)
-        name = f"{s.part.record.name}/{s.channel.sensor.name}"
+        found = likelihood(s.channel.intervals, s.mean_K, s.spread_K)
+        name = f"{s.record_fit.record.name}/{s.channel.sensor.name}"
         channels.append(Residuals(name, s.time_s, found.score, found.information, s.jacobian[:, ~fit.on_bound]))
     free = cramer_rao_bounds(channels, fit.prior_information[~fit.on_bound])
     place = np.ix_(~fit.on_bound, ~fit.on_bound)
@@ -322,18 +333,20 @@ def fit_bounds(samples: Sequence[PredictedSamples], fit: Fit) -> CramerRaoBounds
     return replace(free, covariance=whole, white=white)
 
 
-def table_warnings(parts: Sequence[RecordFit]) -> list[str]:
+def table_warnings(record_fits: Sequence[RecordFit]) -> list[str]:
     """One line for each variable ([deg], [-]) that leaves the ratio table over the fit segments.
 
     The table holds its edge value outside, so that the estimate includes the difference (docs/equations.md, section 2).
     """
     lines = []
-    for part in parts:
-        t = part.conditions.time_s
-        for o in outside_table(part.model, part.conditions.at(t[part.record.fit_mask(t)])):
+    for record_fit in record_fits:
+        t = record_fit.conditions.time_s
+        for o in outside_table(record_fit.model, record_fit.conditions.at(t[record_fit.record.fit_mask(t)])):
             lines.append(
-                f"{part.record.name}: {o.variable} is up to {o.farthest:.3g} outside its ratio table over the fit "
-                f"segments, from {o.first_s:g} s on; the table's edge stands in, and estimates take up the difference"
+                f"{record_fit.record.name}: {o.variable} is up to {o.farthest:.3g} outside its ratio table over the "
+                f"fit "
+                f"segments, from {o.first_s:g} s on; its edge value is used there, so that estimates include the "
+                f"difference"
             )
     return lines
 
@@ -346,23 +359,24 @@ def fit_warnings(problem: FitProblem, fit: Fit, samples: Sequence[PredictedSampl
     Thresholds are 1.3 times the expected RMS of residuals [-], and scaled eigenvalues of 1e-6.
     Source: docs/estimation_statistics.md, equations 19 and 29.
     """
-    found = [] if fit.status is Status.CONVERGED else [fit.status.value]
-    found += problem.mesh_lines
-    for u, value, on in zip(problem.unknowns, fit.values, fit.on_bound, strict=True):
-        if on:
-            found.append(f"{u.label} is on its bound, {value:g}")
-        if on and u.parameter.name == "stack.coating.thickness_factor" and value < 1.0:
-            found.append(
-                "a coating that would have to be thinner than none is mostly a clock: the thermocouples lead the "
+    lines = [] if fit.status is Status.CONVERGED else [fit.status.value]
+    lines += problem.mesh_warnings
+    for u, value, bounded in zip(problem.unknowns, fit.values, fit.on_bound, strict=True):
+        if bounded:
+            lines.append(f"{u.label} is on its bound, {value:g}")
+        if bounded and u.parameter.name == "stack.coating.thickness_factor" and value < 1.0:
+            lines.append(
+                "a coating thickness on its lower bound mostly indicates a clock error, thermocouples that lead the "
                 f"flight conditions; estimate {CLOCK_SKEW.name} as well"
             )
     excess = rms_normalised_residual(samples)
-    if excess > MISFIT:
-        found.append(
-            f"residuals are {excess:.1f} times what noise would leave: the model lacks something, and the bounds are "
-            "those of a model that is wrong"
+    if excess > MODEL_ERROR_RATIO:
+        lines.append(
+            f"residuals are {excess:.1f} times as large as noise would make them: the model is incomplete, and the "
+            f"bounds "
+            "do not include its error"
         )
-    return found + [f"{d.words()}: their bounds are wide" for d in fit.singular]
+    return lines + [f"{d.describe()}; their bounds are wide" for d in fit.singular]
 
 
 def rms_normalised_residual(everything: Sequence[PredictedSamples]) -> float:
@@ -375,7 +389,7 @@ def rms_normalised_residual(everything: Sequence[PredictedSamples]) -> float:
 
     Source: docs/estimation_statistics.md, equation 29.
     """
-    scored = [likelihood(s.channel.observed, s.mean_K, s.spread_K) for s in everything]
+    scored = [likelihood(s.channel.intervals, s.mean_K, s.spread_K) for s in everything]
     squares = sum(float(np.sum(f.score**2)) for f in scored)
     return float(np.sqrt(squares / sum(float(np.sum(f.information)) for f in scored)))
 
@@ -390,6 +404,6 @@ def lag1_autocorrelation(everything: Sequence[PredictedSamples]) -> float:
 
     Source: docs/estimation_statistics.md, equation 30.
     """
-    scored = [likelihood(s.channel.observed, s.mean_K, s.spread_K) for s in everything]
+    scored = [likelihood(s.channel.intervals, s.mean_K, s.spread_K) for s in everything]
     products = sum(float(np.sum(f.score[1:] * f.score[:-1])) for f in scored)
     return products / sum(float(np.sum(f.information)) for f in scored)

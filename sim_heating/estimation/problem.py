@@ -2,9 +2,9 @@
 
 Every record is marched with its sensitivities (march/linearised.py), its samples are compared with the predicted
 indications of its sensors (record_fit.py), and log likelihood, gradient and information add up over the records
-(docs/estimation_statistics.md, equations 13 and 14). Parameters of heating and
-stack are those of a control point, shared by all its records; those of clocks, sensors and initial profiles belong to
-one record. Records on common times are marched side by side, others in threads.
+(docs/estimation_statistics.md, equations 13 and 14). Parameters of heating and stack are those of a control point,
+shared by all its records; those of clocks, sensors and initial profiles belong to one record. Records on common times
+are marched side by side, others in threads.
 """
 
 from __future__ import annotations
@@ -62,12 +62,37 @@ class FitParameter:
 
     label     : its name in results, with its record or control point where there are several
     parameter : definition, prior and bounds
-    parts     : numbers of the records that have it
+    records   : indices of the records that have it
     """
 
     label: str
     parameter: Parameter
-    parts: tuple[int, ...]
+    records: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class FitOptions:
+    """Options of a fit, all with defaults.
+
+    effects        : in addition to the declared model
+    fixed          : values of parameters that are not estimated but differ from the declared ones
+    priors         : dotted name -> Parameter with another prior or other bounds
+    prior_scale    : factor on the sigma of all other priors [-]; infinite for flat ones
+    starts         : by record, start of its march, how that is made, or None for the declared one
+    sample_masks   : (sample,) of each record, which of its samples are fitted; by default those of the fit segments
+    longest_step_s : limit on the steps of the march [s]
+    """
+
+    effects: Sequence[EffectUse] = ()
+    fixed: Mapping[str, float] | None = None
+    priors: Mapping[str, Parameter] | None = None
+    prior_scale: float = 1.0
+    starts: Sequence[Start | StartMaker | None] | None = None
+    sample_masks: Sequence[NDArray[np.bool_]] | None = None
+    longest_step_s: float = LONGEST_STEP_S
+
+
+DEFAULT_OPTIONS = FitOptions()
 
 
 class FitProblem:
@@ -76,13 +101,7 @@ class FitProblem:
     records   : flight records
     names     : dotted names of the parameters
     reference : the condition that derivatives are about: alpha, beta [deg], log10 Re [-], elevon, bodyflap [deg]
-    effects   : in addition to the declared model
-    fixed     : values of parameters that are not estimated but differ from the declared ones
-    priors    : dotted name -> Parameter with another prior or other bounds
-    starts    : by record, start of its march, how that is made, or None for the declared one
-    chosen    : (sample,) of each record, which of its samples are fitted; by default those of the fit segments
-    widened   : factor on the sigma of all priors [-]; infinite for flat ones
-    longest_step_s : limit on the steps of the march [s]
+    options   : effects, priors, starts and samples, where not the declared ones
     raises    : InputError where no sample is fitted, or a parameter does not exist in the model
 
     Likelihood: docs/estimation_statistics.md, equations 3 to 14.
@@ -93,71 +112,66 @@ class FitProblem:
         records: Sequence[Record],
         names: Sequence[str],
         reference: tuple[float, ...],
-        *,
-        effects: Sequence[EffectUse] = (),
-        fixed: Mapping[str, float] | None = None,
-        priors: Mapping[str, Parameter] | None = None,
-        starts: Sequence[Start | StartMaker | None] | None = None,
-        chosen: Sequence[NDArray[np.bool_]] | None = None,
-        widened: float = 1.0,
-        longest_step_s: float = LONGEST_STEP_S,
+        options: FitOptions = DEFAULT_OPTIONS,
     ) -> None:
-        self.reference, self.widened, self.longest_step_s = reference, widened, longest_step_s
-        self.priors = dict(priors or {})
-        models = [replace(point_of_record(r, fixed, effects), reference=reference) for r in records]
-        meshes = [mesh for mesh, _ in choose_meshes(models, longest_step_s)]
-        begin = list(starts) if starts is not None else [None] * len(records)
-        self.parts = [
-            self._part(record, model, mesh, start(record, model, mesh) if callable(start) else start, names)
+        self.reference, self.options = reference, options
+        self.priors = dict(options.priors or {})
+        models = [replace(point_of_record(r, options.fixed, options.effects), reference=reference) for r in records]
+        meshes = [mesh for mesh, _ in choose_meshes(models, options.longest_step_s)]
+        begin = list(options.starts) if options.starts is not None else [None] * len(records)
+        self.record_fits = [
+            self._record_fit(record, model, mesh, start(record, model, mesh) if callable(start) else start, names)
             for record, model, mesh, start in zip(records, models, meshes, begin, strict=True)
         ]
-        self.unknowns = self._number()
-        for i, part in enumerate(self.parts):
-            self._choose_samples(part, None if chosen is None else chosen[i])
+        self.unknowns = self._index_parameters()
+        for i, record_fit in enumerate(self.record_fits):
+            self._choose_samples(record_fit, None if options.sample_masks is None else options.sample_masks[i])
         self._group()
 
-    # What is unknown -------------------------------------------------------------------------------------------------
+    # Parameters ------------------------------------------------------------------------------------------------------
 
     @staticmethod
-    def _part(record: Record, model: PointModel, mesh: Mesh, start: Start | None, names: Sequence[str]) -> RecordFit:
-        other = tuple(n for n in names if sensor_definition(record, n) is not None)
-        marched = tuple(n for n in names if n not in other)
-        for name in marched:
+    def _record_fit(
+        record: Record, model: PointModel, mesh: Mesh, start: Start | None, names: Sequence[str]
+    ) -> RecordFit:
+        sensor_names = tuple(n for n in names if sensor_definition(record, n) is not None)
+        march_names = tuple(n for n in names if n not in sensor_names)
+        for name in march_names:
             model.definition(name)
-        return RecordFit(record, model, mesh, start, conditions_of_record(record), marched, other)
+        return RecordFit(record, model, mesh, start, conditions_of_record(record), march_names, sensor_names)
 
-    def _number(self) -> list[FitParameter]:
-        """Place every part's unknowns in the parameter vector, shared where they are of one control point."""
-        points = {part.record.declared.control_point for part in self.parts}
+    def _index_parameters(self) -> list[FitParameter]:
+        """Index the unknowns of every record in the parameter vector, shared where they are of one control point."""
+        points = {record_fit.record.declared.control_point for record_fit in self.record_fits}
         found: dict[tuple[str, str], tuple[str, Parameter, list[int]]] = {}
-        for i, part in enumerate(self.parts):
-            for k, name in enumerate(part.names):
-                own = k >= len(part.marched)
-                owner = part.record.name if own else part.record.declared.control_point
-                several = len(self.parts) > 1 if own else len(points) > 1
+        for i, record_fit in enumerate(self.record_fits):
+            for k, name in enumerate(record_fit.names):
+                of_record = k >= len(record_fit.march_names)
+                owner = record_fit.record.name if of_record else record_fit.record.declared.control_point
+                several = len(self.record_fits) > 1 if of_record else len(points) > 1
                 label = f"{name}{AT}{owner}" if several else name
-                found.setdefault((name, owner), (label, self._parameter(part, name), []))[2].append(i)
+                found.setdefault((name, owner), (label, self._parameter(record_fit, name), []))[2].append(i)
         keys = list(found)
-        for part in self.parts:
-            owners = [part.record.declared.control_point] * len(part.marched)
-            owners += [part.record.name] * (len(part.names) - len(part.marched))
-            index = [keys.index((name, owner)) for name, owner in zip(part.names, owners, strict=True)]
-            part.index = np.array(index, dtype=np.int64)
-        return [FitParameter(label, parameter, tuple(parts)) for label, parameter, parts in found.values()]
+        for record_fit in self.record_fits:
+            owners = [record_fit.record.declared.control_point] * len(record_fit.march_names)
+            owners += [record_fit.record.name] * (len(record_fit.names) - len(record_fit.march_names))
+            index = [keys.index((name, owner)) for name, owner in zip(record_fit.names, owners, strict=True)]
+            record_fit.index = np.array(index, dtype=np.int64)
+        return [FitParameter(label, parameter, tuple(numbers)) for label, parameter, numbers in found.values()]
 
-    def _parameter(self, part: RecordFit, name: str) -> Parameter:
-        """Definition of an unknown of a part; its value is where the fit starts, and the mean of its prior."""
-        for own in part.start.unknowns if part.start else ():
+    def _parameter(self, record_fit: RecordFit, name: str) -> Parameter:
+        """Definition of an unknown of a record; its value is where the fit starts, and the mean of its prior."""
+        for own in record_fit.start.unknowns if record_fit.start else ():
             if own.name == name:
                 return own
-        known = sensor_definition(part.record, name)
+        known = sensor_definition(record_fit.record, name)
         if known is None:
-            known = part.model.definition(name)
-            known = replace(known, value=part.model.value(name))
+            known = record_fit.model.definition(name)
+            known = replace(known, value=record_fit.model.value(name))
         if name == CLOCK_SKEW.name:
             known = replace(known, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)
-        if self.widened != 1.0:
-            known = replace(known, sigma=self.widened * known.sigma)
+        if self.options.prior_scale != 1.0:
+            known = replace(known, sigma=self.options.prior_scale * known.sigma)
         return replace(self.priors.get(name, known), name=name)
 
     @property
@@ -168,32 +182,36 @@ class FitProblem:
         """
         return [replace(u.parameter, name=u.label) for u in self.unknowns]
 
-    # What is fitted --------------------------------------------------------------------------------------------------
+    # Samples ---------------------------------------------------------------------------------------------------------
 
-    def _choose_samples(self, part: RecordFit, chosen: NDArray[np.bool_] | None) -> None:
-        record, flown = part.record, part.conditions.time_s
-        begin = flown[0] if part.start is None else part.start.time_s
+    def _choose_samples(self, record_fit: RecordFit, sample_mask: NDArray[np.bool_] | None) -> None:
+        record, flown = record_fit.record, record_fit.conditions.time_s
+        begin = flown[0] if record_fit.start is None else record_fit.start.time_s
         # the set of samples must not change with the skew, or likelihoods could not be compared
-        slack = SKEW_SPAN_S if CLOCK_SKEW.name in part.names else 0.0
+        slack = SKEW_SPAN_S if CLOCK_SKEW.name in record_fit.names else 0.0
         t = record.time_s
-        mask = record.fit_mask() if chosen is None else chosen
+        mask = record.fit_mask() if sample_mask is None else sample_mask
         mask = mask & ((t >= begin + slack) & (t <= flown[-1] - slack) if slack else (t >= begin) & (t <= flown[-1]))
-        read = record.read_mask & mask
-        if not np.any(read):
+        fitted = record.read_mask & mask
+        if not np.any(fitted):
             raise InputError(
                 f"{record.name}: no sample of a used sensor lies in the fit segments and within the conditions "
                 f"({begin:g} to {flown[-1]:g} s); nothing can be estimated"
             )
-        part.sample_s = t[read]
-        part.channels = fitted_channels(record, part.sample_s, read)
-        part.sigma_K = {c.number: max(c.sensor.noise_sigma_K or 1.0, least_sigma_K(c.sensor)) for c in part.channels}
-        part.time_s = march_times(part.conditions, begin, float(part.sample_s[-1]) + slack, self.longest_step_s)
+        record_fit.sample_s = t[fitted]
+        record_fit.channels = fitted_channels(record, record_fit.sample_s, fitted)
+        record_fit.sigma_K = {
+            c.number: max(c.sensor.noise_sigma_K or 1.0, least_sigma_K(c.sensor)) for c in record_fit.channels
+        }
+        record_fit.time_s = march_times(
+            record_fit.conditions, begin, float(record_fit.sample_s[-1]) + slack, self.options.longest_step_s
+        )
 
     def _group(self) -> None:
-        self.groups = lane_groups(self.parts)
+        self.groups = lane_groups(self.record_fits)
         self._marches: list[LinearMarch | None] = [None] * len(self.groups)
         # a march packs its arrays when it is made: it is kept and set to other parameters
-        self._bare: list[LinearMarch | None] = [None] * len(self.parts)
+        self._plain_marches: list[LinearMarch | None] = [None] * len(self.record_fits)
         self._last: list[tuple[bytes | None, Sequence[Linearised]]] = [(None, [])] * len(self.groups)
 
     # Likelihood ------------------------------------------------------------------------------------------------------
@@ -212,26 +230,26 @@ class FitProblem:
 
         def one(k: int) -> Evaluation:
             total, gradient, information = 0.0, np.zeros(m), np.zeros((m, m))
-            for s in self._samples_of(k, vector):
-                at = s.part.index
-                of_channel, score, weight = scores(s.channel.observed, s.mean_K, s.sigma_K)
+            for s in self._samples_of_group(k, vector):
+                at = s.record_fit.index
+                of_channel, score, weight = scores(s.channel.intervals, s.mean_K, s.sigma_K)
                 total += of_channel
-                gradient[at] += score @ s.own
-                # no index stands twice in a part, so that += with an index array adds everything
-                information[at[:, np.newaxis], at] += (s.own * weight[:, np.newaxis]).T @ s.own
+                gradient[at] += score @ s.sensitivity
+                # no index occurs twice in a record, so that += with an index array adds everything
+                information[at[:, np.newaxis], at] += (s.sensitivity * weight[:, np.newaxis]).T @ s.sensitivity
             return Evaluation(total, gradient, information)
 
         try:
             found = in_threads(one, len(self.groups))
         except RunError:
-            return self.nothing()
+            return self.failed_evaluation()
         return Evaluation(
             sum(f.log_likelihood for f in found),
             np.sum([f.gradient for f in found], axis=0),
             np.sum([f.information for f in found], axis=0),
         )
 
-    def nothing(self) -> Evaluation:
+    def failed_evaluation(self) -> Evaluation:
         """Evaluation where a march failed: log likelihood NaN [-], gradient and information 0.
 
         A search treats it as a point outside the domain (newton.maximise; docs/estimation_statistics.md, section "The
@@ -249,18 +267,18 @@ class FitProblem:
         Source: docs/estimation_statistics.md, equations 1 and 2.
         """
 
-        found = in_threads(lambda k: self._samples_of(k, vector), len(self.groups))
+        found = in_threads(lambda k: self._samples_of_group(k, vector), len(self.groups))
         return [s for of_group in found for s in of_group]
 
-    def _samples_of(self, k: int, vector: FloatArray) -> list[PredictedSamples]:
-        """All channels of a group of parts."""
+    def _samples_of_group(self, k: int, vector: FloatArray) -> list[PredictedSamples]:
+        """All channels of a group of records."""
         return [
             samples
-            for part, found in zip(self.groups[k], self._marched(k, vector), strict=True)
-            for samples in self._of_part(part, part.corrected(found), vector)
+            for record_fit, found in zip(self.groups[k], self._march_group(k, vector), strict=True)
+            for samples in self._samples_of_record(record_fit, record_fit.with_mesh_correction(found), vector)
         ]
 
-    def _marched(self, k: int, vector: FloatArray) -> Sequence[Linearised]:
+    def _march_group(self, k: int, vector: FloatArray) -> Sequence[Linearised]:
         """A group marched at a parameter vector; the latest result of each group is cached."""
         known, found = self._last[k]
         if known != vector.tobytes():
@@ -271,39 +289,43 @@ class FitProblem:
         return found
 
     def marched(self, vector: FloatArray) -> list[Linearised]:
-        """Linearised march of each part at a parameter vector, without the correction for its mesh.
+        """Linearised march of each record at a parameter vector, without the correction for its mesh.
 
         vector  : (parameter,)
-        returns : by part, temperatures [K] at its sensors, rates [K/s] and sensitivities
+        returns : by record, temperatures [K] at its sensors, rates [K/s] and sensitivities
         raises  : RunError where a march failed
         """
         found = {
             id(p): f
             for k, group in enumerate(self.groups)
-            for p, f in zip(group, self._marched(k, vector), strict=True)
+            for p, f in zip(group, self._march_group(k, vector), strict=True)
         }
-        return [found[id(part)] for part in self.parts]
+        return [found[id(record_fit)] for record_fit in self.record_fits]
 
-    def keep(self, vector: FloatArray, marched: Mapping[int, Linearised]) -> None:
+    def cache_march(self, vector: FloatArray, marched: Mapping[int, Linearised]) -> None:
         """Store results of marches made elsewhere, so that the next evaluation at that vector marches nothing.
 
         vector  : (parameter,) at which they were made
-        marched : number of the part -> its march [K]
+        marched : index of the record -> its march [K]
         """
         for k, group in enumerate(self.groups):
-            self._last[k] = (vector.tobytes(), [marched[self.parts.index(part)] for part in group])
+            self._last[k] = (vector.tobytes(), [marched[self.record_fits.index(record_fit)] for record_fit in group])
 
-    def keeps(self, vector: FloatArray) -> bool:
+    def has_cached(self, vector: FloatArray) -> bool:
         """Whether an evaluation at a parameter vector (parameter,) needs no march."""
         return all(known == vector.tobytes() for known, _ in self._last)
 
-    def _of_part(self, part: RecordFit, found: Linearised, vector: FloatArray) -> list[PredictedSamples]:
-        """The channels of a part at a parameter vector."""
-        values, samples = part.values(vector), []
-        for c in part.channels:
-            mean, own = indications(c, found, part.names, values, part.read)
-            time = part.sample_s[c.samples]
-            samples.append(PredictedSamples(part, c, time, mean, own, len(self.unknowns), part.sigma_K[c.number]))
+    def _samples_of_record(
+        self, record_fit: RecordFit, found: Linearised, vector: FloatArray
+    ) -> list[PredictedSamples]:
+        """The channels of a record at a parameter vector."""
+        values, samples = record_fit.values(vector), []
+        for c in record_fit.channels:
+            mean, own = indications(c, found, record_fit.names, values, record_fit.march_columns)
+            time = record_fit.sample_s[c.samples]
+            samples.append(
+                PredictedSamples(record_fit, c, time, mean, own, len(self.unknowns), record_fit.sigma_K[c.number])
+            )
         return samples
 
     def log_likelihoods(self, vectors: FloatArray) -> FloatArray:
@@ -313,39 +335,43 @@ class FitProblem:
 
         Source: docs/estimation_statistics.md, equations 3 and 5.
         """
-        return np.concatenate([self._several(vectors[k : k + LANES]) for k in range(0, len(vectors), LANES)])
+        return np.concatenate(
+            [self._lane_log_likelihoods(vectors[k : k + LANES]) for k in range(0, len(vectors), LANES)]
+        )
 
-    def _several(self, vectors: FloatArray) -> FloatArray:
+    def _lane_log_likelihoods(self, vectors: FloatArray) -> FloatArray:
         def one(k: int) -> FloatArray:
-            part, march = self.parts[k], self._bare_march(k)
+            record_fit, march = self.record_fits[k], self._plain_march(k)
             # a group of lanes is always full: the last candidate fills it up
             padded = [*vectors, *[vectors[-1]] * (LANES - len(vectors))]
-            marched = march.attempt(*set_parameters(march, [part] * LANES, padded))
-            return np.array([self._log_likelihood(part, v, m) for v, m in zip(vectors, marched, strict=False)])
+            marched = march.attempt(*set_parameters(march, [record_fit] * LANES, padded))
+            return np.array([self._log_likelihood(record_fit, v, m) for v, m in zip(vectors, marched, strict=False)])
 
-        return np.asarray(np.sum(in_threads(one, len(self.parts)), axis=0))
+        return np.asarray(np.sum(in_threads(one, len(self.record_fits)), axis=0))
 
-    def _bare_march(self, k: int) -> LinearMarch:
-        """A march of a part LANES times, without sensitivities."""
-        march = self._bare[k]
+    def _plain_march(self, k: int) -> LinearMarch:
+        """A march of a record LANES times, without sensitivities."""
+        march = self._plain_marches[k]
         if march is None:
-            part = self.parts[k]
-            history = condition_history(part.conditions.at(part.time_s))[np.newaxis]
-            march = self._bare[k] = LinearMarch([part.track(sensitive=False)] * LANES, part.time_s, history)
+            record_fit = self.record_fits[k]
+            history = condition_history(record_fit.conditions.at(record_fit.time_s))[np.newaxis]
+            march = self._plain_marches[k] = LinearMarch(
+                [record_fit.track(sensitive=False)] * LANES, record_fit.time_s, history
+            )
         return march
 
     @staticmethod
-    def _log_likelihood(part: RecordFit, vector: FloatArray, marched: Linearised | None) -> float:
-        """Log likelihood of the samples of a part; NaN where its march failed."""
+    def _log_likelihood(record_fit: RecordFit, vector: FloatArray, marched: Linearised | None) -> float:
+        """Log likelihood of the samples of a record; NaN where its march failed."""
         if marched is None:
             return np.nan
-        found, values, total = part.corrected(marched), part.values(vector), 0.0
-        for c in part.channels:
+        found, values, total = record_fit.with_mesh_correction(marched), record_fit.values(vector), 0.0
+        for c in record_fit.channels:
             mean, _ = indications(c, found, (), values, 0)
-            total += scores(c.observed, mean, part.sigma_K[c.number])[0]
+            total += scores(c.intervals, mean, record_fit.sigma_K[c.number])[0]
         return total
 
-    # The mesh --------------------------------------------------------------------------------------------------------
+    # Mesh ------------------------------------------------------------------------------------------------------------
 
     def correct_meshes(self, vector: FloatArray) -> None:
         """Take the discretisation error of the meshes [K] out of all predictions from now on.
@@ -356,23 +382,23 @@ class FitProblem:
         Many samples determine a parameter better than a mesh that is accurate to a fraction of one sample's noise.
         Source: docs/estimation_statistics.md, equation 31.
         """
-        in_threads(lambda k: correct_mesh(self.parts[k], vector), len(self.parts))
+        in_threads(lambda k: correct_mesh(self.record_fits[k], vector), len(self.record_fits))
 
     @property
-    def mesh_lines(self) -> list[str]:
+    def mesh_warnings(self) -> list[str]:
         """Warnings about corrections of a mesh that are large [K] or could not be made."""
-        return [part.mesh_told for part in self.parts if part.mesh_told]
+        return [record_fit.mesh_warning for record_fit in self.record_fits if record_fit.mesh_warning]
 
     # Noise -----------------------------------------------------------------------------------------------------------
 
-    def settle_noise(self, vector: FloatArray) -> float:
+    def update_noise(self, vector: FloatArray) -> float:
         """Set the noise of sensors that declare none to its most likely value at given parameters.
 
         vector  : (parameter,)
         returns : largest relative change of a noise [-]; 0 where all sensors declare theirs
         raises  : InputError where the samples of such a sensor do not determine a noise, RunError where a march failed
 
-        The noise [K] is at least observation.least_sigma_K; parameters are shared among sensors by their numbers of
+        The noise [K] is at least record_fit.least_sigma_K; parameters are shared among sensors by their numbers of
         samples.
         Source: docs/estimation_statistics.md, equation 21.
         """
@@ -381,11 +407,11 @@ class FitProblem:
         for s in everything:
             if s.channel.sensor.noise_sigma_K is None:
                 least = least_sigma_K(s.channel.sensor)
-                # each sensor pays for its share of the parameters
+                # parameters are shared among sensors by their numbers of samples
                 fitted = len(self.unknowns) * len(s.mean_K) / count
-                sigma = max(estimate_noise(s.channel.observed, s.mean_K, fitted).sigma_K, least)
+                sigma = max(estimate_noise(s.channel.intervals, s.mean_K, fitted).sigma_K, least)
                 change = max(change, abs(sigma / s.sigma_K - 1.0))
-                s.part.sigma_K[s.channel.number] = sigma
+                s.record_fit.sigma_K[s.channel.number] = sigma
         return change
 
 

@@ -1,20 +1,21 @@
-"""One record in a fit: start of its march, the samples that are read, and grouping of records marched side by side.
+"""The fit of one flight record: its march, what its sensors show of it, and the correction for its mesh.
 
-Indications of the sensors of a record for given temperatures, and their sensitivity to every parameter.
+`RecordFit` holds one record of a fit: the model of its control point, the start of its march, the samples that are
+fitted. Records on common times are marched side by side (`lane_groups`).
+
+A sensor indicates
 
     indicated = c0 + c1 T' + c2 T'^2 + ...,    T' = gain T(t - skew) + bias        (inputs/sensor_model.py)
 
 so that d indicated = (c1 + 2 c2 T' + ...) (gain dT + T dgain + dbias - gain dT/dt dskew);
 docs/estimation_statistics.md, equations 1 and 2.
 
-The discretisation error of a mesh at the sensors, and its removal from the predictions of a fit.
-
-Meshes are of second order: with T_k the temperatures on the mesh whose elements are halved k times,
+Meshes are of second order. With T_k the temperatures on the mesh whose elements are halved k times,
 
     T_k + (T_k - T_(k-1)) / 3
 
 is closer to the limit of fine meshes than T_k (Richardson's extrapolation; docs/estimation_statistics.md, equation 31).
-A correction T - T_0 that is small is made with k = 1; a larger one is not in the asymptotic range yet, and elements are
+A correction T - T_0 that is small is made with k = 1. A larger one is not in the asymptotic range yet, and elements are
 halved until the next halving leaves it unchanged. Temperatures at the start that the stack declares are evaluated again
 on every mesh: what a coarse one cannot resolve of a profile is part of its error.
 """
@@ -45,6 +46,118 @@ from sim_heating.thermal.stack import Sensor
 
 LONGEST_STEP_S = 1.0
 """Default limit on the steps of a fit's march [s]."""
+LEAST_SIGMA_K = 0.02
+"""Least noise [K] of a sensor: no thermocouple is better, and a likelihood needs some."""
+LEAST_OF_LSB = 0.05
+"""Least noise of a sensor over its recorder's step [-]."""
+SMALL_CORRECTION_K = 1.0
+"""Size of a correction [K] below which the first one is accurate to some hundredths of a kelvin."""
+SETTLED_K = 0.1
+"""Change of a correction [K] from one mesh to the next at which it is accepted."""
+MOST_HALVINGS = 6
+
+
+@dataclass(eq=False)
+class RecordFit:
+    """One record in a fit.
+
+    record     : the flight record
+    model      : the point at the values that are not estimated;  mesh : its mesh
+    start      : where the march begins; None for the first row of the conditions
+    conditions : flight conditions of the record, reference heating included
+    march_names  : dotted names of the unknowns of the march;  sensor_names : of clock and sensors
+    index      : (unknown of the record,) index of each in the parameter vector: march, start, clock and sensors
+    time_s     : (step,) times of the march [s];  sample_s : (sample,) times that are read [s]
+    channels   : fitted samples by sensor
+    sigma_K    : noise [K] by number of the sensor
+    correction_K : (sensor, sample) difference [K] of the limit of fine meshes from the march, which
+                   FitProblem.correct_meshes sets
+    mesh_warning : warning about the mesh, or empty
+    """
+
+    record: Record
+    model: PointModel
+    mesh: Mesh
+    start: Start | None
+    conditions: Conditions
+    march_names: tuple[str, ...]
+    sensor_names: tuple[str, ...]
+    index: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    time_s: FloatArray = field(default_factory=lambda: np.zeros(0))
+    sample_s: FloatArray = field(default_factory=lambda: np.zeros(0))
+    channels: list[FittedChannel] = field(default_factory=list)
+    sigma_K: dict[int, float] = field(default_factory=dict)
+    correction_K: FloatArray | float = 0.0
+    mesh_warning: str = ""
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of all unknowns of the record in the order of `index`: march, start, clock and sensors."""
+        return (*self.march_names, *(p.name for p in (self.start.unknowns if self.start else ())), *self.sensor_names)
+
+    @property
+    def march_columns(self) -> int:
+        """Number of the unknowns that are columns of the march."""
+        return len(self.names) - len(self.sensor_names)
+
+    def values(self, vector: FloatArray) -> dict[str, float]:
+        """Values of the record's unknowns by dotted name, each in its unit ([-] for ratios, [s] for the skew)."""
+        return dict(zip(self.names, vector[self.index], strict=True))
+
+    def model_at(self, vector: FloatArray) -> PointModel:
+        """Model of the point with the parameters of heating and stack at a parameter vector (parameter,)."""
+        return self.model.with_parameters(dict(zip(self.march_names, vector[self.index], strict=False)))
+
+    def shift_s(self, vector: FloatArray) -> float:
+        """Time [s] that is added to the recorded times: recorded T(t) = true T(t - skew), so it is minus the skew.
+
+        Source: docs/clocks_and_starts.md, equation 1.
+        """
+        return -self.values(vector).get(CLOCK_SKEW.name, 0.0)
+
+    def track(self, vector: FloatArray | None = None, *, sensitive: bool = True) -> Track:
+        """Input of the linearised march for this record.
+
+        vector    : (parameter,) for the initial temperatures [K] where the start has unknowns
+        sensitive : whether sensitivities to the unknowns are marched as well as temperatures
+        """
+        names = self.march_names if sensitive else ()
+        if self.start is None:
+            return Track(self.model, self.mesh, names, self.sample_s)
+        columns = self.start.columns if sensitive else None
+        return Track(self.model, self.mesh, names, self.sample_s, None, self.initial_K(vector), columns)
+
+    def initial_K(self, vector: FloatArray | None) -> FloatArray | None:
+        """(node,) temperatures [K] at the start, profile + columns @ unknowns; None for those that the stack declares.
+
+        Source: docs/clocks_and_starts.md, equations 4 and 5.
+        """
+        if self.start is None:
+            return None
+        if vector is None or not self.start.unknowns:
+            return self.start.profile
+        at = self.index[len(self.march_names) : self.march_columns]
+        return self.start.profile + self.start.columns @ vector[at]
+
+    def refined_K(self, vector: FloatArray) -> FloatArray | None:
+        """(node,) temperatures [K] at the start on the refined mesh; None for those that the stack declares.
+
+        The unknowns of the start move both meshes alike. Needed for docs/estimation_statistics.md, equation 31.
+        """
+        initial, fine = self.initial_K(vector), refined(self.mesh)
+        if initial is None or self.start is None:
+            return None
+        if self.start.refined is None:
+            return on_mesh(initial, self.mesh, fine)
+        # only the change by the unknowns is interpolated; the profile itself is known on the fine mesh
+        return self.start.refined + on_mesh(initial - self.start.profile, self.mesh, fine)
+
+    def with_mesh_correction(self, march: Linearised) -> Linearised:
+        """March with the error of its mesh [K] taken out; sensitivities stay those of the mesh.
+
+        Source: docs/estimation_statistics.md, equation 31.
+        """
+        return replace(march, temperature_K=march.temperature_K + self.correction_K)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +167,9 @@ class Start:
     time_s   : time [s]
     profile  : (node,) temperatures [K]
     columns  : (node, k) their sensitivities [K] to k unknowns of the start, which `unknowns` defines
-    refined  : temperatures [K] on the mesh of twice as many elements, for Problem.correct_meshes; by default those of
-               the profile between its nodes
-    covariance_K2 : (node, node) of the profile [K2], for a fit with noise of the process; exactly known where None
+    refined  : temperatures [K] on the mesh of twice as many elements, for FitProblem.correct_meshes; by default those
+               of the profile between its nodes
+    covariance_K2 : (node, node) of the profile [K2], for a fit with process noise; exactly known where None
 
     Kinds of start: docs/clocks_and_starts.md, equations 2 to 5.
     """
@@ -74,23 +187,38 @@ StartMaker = Callable[[Record, PointModel, Mesh], Start]
 
 
 @dataclass(frozen=True, eq=False)
-class PredictedSamples:
-    """One channel at one parameter vector, for statistics and pictures.
+class FittedChannel:
+    """The samples of one sensor that are fitted.
 
-    part, channel : to which it belongs
+    sensor    : its declaration;  number : its index in the record
+    samples   : (sample,) indices in the times that the march reads
+    intervals : in which its indications lay [K]
+    """
+
+    sensor: Sensor
+    number: int
+    samples: IntArray
+    intervals: ReadingIntervals
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedSamples:
+    """Predicted samples of one channel at one parameter vector, for statistics and pictures.
+
+    record_fit, channel : to which they belong
     time_s        : (sample,) recorded times [s]
     mean_K        : (sample,) predicted indication [K]
-    own           : (sample, unknown of the part) its sensitivities [K] per unit of each unknown
-    unknowns      : number of all unknowns
+    sensitivity   : (sample, unknown of the record) of the prediction [K] per unit of each unknown
+    unknowns      : number of all unknowns of the fit
     sigma_K       : noise of the sensor [K]
     predicted_sigma_K : standard deviation [K] of mean_K itself, (sample,) where a filter predicts
     """
 
-    part: RecordFit
+    record_fit: RecordFit
     channel: FittedChannel
     time_s: FloatArray
     mean_K: FloatArray
-    own: FloatArray
+    sensitivity: FloatArray
     unknowns: int
     sigma_K: float
     predicted_sigma_K: FloatArray | float = 0.0
@@ -105,147 +233,45 @@ class PredictedSamples:
 
     @property
     def jacobian(self) -> FloatArray:
-        """(sample, unknown) sensitivities [K] to all unknowns of the fit, 0 to those of other parts.
+        """(sample, unknown) sensitivities [K] to all unknowns of the fit, 0 to those of other records.
 
         S_i of docs/estimation_statistics.md, equation 14.
         """
         whole = np.zeros((len(self.mean_K), self.unknowns))
-        whole[:, self.part.index] = self.own
+        whole[:, self.record_fit.index] = self.sensitivity
         return whole
 
 
-@dataclass(eq=False)
-class RecordFit:
-    """One record in a fit.
-
-    record     : the flight record
-    model      : the point at the values that are not estimated;  mesh : its mesh
-    start      : where the march begins; None for the first row of the conditions
-    conditions : flight conditions of the record, reference heating included
-    marched, other : dotted names of the unknowns of the march, and of clock and sensors
-    index      : (unknown of the part,) place of each in the parameter vector: marched, start, other
-    time_s     : (step,) times of the march [s];  sample_s : (sample,) times that are read [s]
-    channels   : fitted samples by sensor
-    sigma_K    : noise [K] by number of the sensor
-    correction_K : (sensor, sample) difference [K] of the limit of fine meshes from the march (Problem.correct_meshes)
-    mesh_told  : warning about the mesh, or empty
-    """
-
-    record: Record
-    model: PointModel
-    mesh: Mesh
-    start: Start | None
-    conditions: Conditions
-    marched: tuple[str, ...]
-    other: tuple[str, ...]
-    index: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    time_s: FloatArray = field(default_factory=lambda: np.zeros(0))
-    sample_s: FloatArray = field(default_factory=lambda: np.zeros(0))
-    channels: list[FittedChannel] = field(default_factory=list)
-    sigma_K: dict[int, float] = field(default_factory=dict)
-    correction_K: FloatArray | float = 0.0
-    mesh_told: str = ""
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Names of all unknowns of the part in the order of `index`: march, start, clock and sensors."""
-        return (*self.marched, *(p.name for p in (self.start.unknowns if self.start else ())), *self.other)
-
-    @property
-    def read(self) -> int:
-        """Number of the unknowns that are columns of the march."""
-        return len(self.names) - len(self.other)
-
-    def values(self, vector: FloatArray) -> dict[str, float]:
-        """Values of the part's unknowns by their dotted names, each in its unit ([-] for ratios, [s] for the skew)."""
-        return dict(zip(self.names, vector[self.index], strict=True))
-
-    def with_parameters(self, vector: FloatArray) -> PointModel:
-        """Model of the point with the parameters of heating and stack at a parameter vector (parameter,)."""
-        return self.model.with_parameters(dict(zip(self.marched, vector[self.index], strict=False)))
-
-    def shift_s(self, vector: FloatArray) -> float:
-        """Time [s] that is added to the recorded times: recorded T(t) = true T(t - skew), so it is minus the skew.
-
-        Source: docs/clocks_and_starts.md, equation 1.
-        """
-        return -self.values(vector).get(CLOCK_SKEW.name, 0.0)
-
-    def track(self, vector: FloatArray | None = None, *, sensitive: bool = True) -> Track:
-        """Input of the linearised march for this part.
-
-        vector    : (parameter,) for the initial temperatures [K] where the start has unknowns
-        sensitive : whether sensitivities to the unknowns are marched as well as temperatures
-        """
-        names = self.marched if sensitive else ()
-        if self.start is None:
-            return Track(self.model, self.mesh, names, self.sample_s)
-        columns = self.start.columns if sensitive else None
-        return Track(self.model, self.mesh, names, self.sample_s, None, self.initial_K(vector), columns)
-
-    def initial_K(self, vector: FloatArray | None) -> FloatArray | None:
-        """(node,) temperatures [K] at the start, profile + columns @ unknowns; None for those that the stack declares.
-
-        Source: docs/clocks_and_starts.md, equations 4 and 5.
-        """
-        if self.start is None:
-            return None
-        if vector is None or not self.start.unknowns:
-            return self.start.profile
-        at = self.index[len(self.marched) : self.read]
-        return self.start.profile + self.start.columns @ vector[at]
-
-    def refined_K(self, vector: FloatArray) -> FloatArray | None:
-        """(node,) temperatures [K] at the start on the refined mesh; None for those that the stack declares.
-
-        The unknowns of the start move both meshes alike. Needed for docs/estimation_statistics.md, equation 31.
-        """
-        initial, fine = self.initial_K(vector), refined(self.mesh)
-        if initial is None or self.start is None:
-            return None
-        if self.start.refined is None:
-            return on_mesh(initial, self.mesh, fine)
-        # only the change by the unknowns is interpolated; the profile itself is known on the fine mesh
-        return self.start.refined + on_mesh(initial - self.start.profile, self.mesh, fine)
-
-    def corrected(self, found: Linearised) -> Linearised:
-        """March with the error of its mesh [K] taken out; sensitivities stay those of the mesh.
-
-        Source: docs/estimation_statistics.md, equation 31.
-        """
-        return replace(found, temperature_K=found.temperature_K + self.correction_K)
-
-
-def lane_groups(parts: Iterable[RecordFit]) -> list[list[RecordFit]]:
-    """Groups of parts on common times and with meshes of one size, LANES parts at most in a group."""
+def lane_groups(record_fits: Iterable[RecordFit]) -> list[list[RecordFit]]:
+    """Groups of records on common times and with meshes of one size, LANES records at most in a group."""
     alike: dict[tuple[bytes, int], list[RecordFit]] = {}
-    for part in parts:
+    for record_fit in record_fits:
         # lanes of a kernel share steps and array sizes
-        alike.setdefault((part.time_s.tobytes(), part.mesh.nodes), []).append(part)
+        alike.setdefault((record_fit.time_s.tobytes(), record_fit.mesh.nodes), []).append(record_fit)
     return [group[k : k + LANES] for group in alike.values() for k in range(0, len(group), LANES)]
 
 
 def group_march(group: Sequence[RecordFit]) -> LinearMarch:
-    """Linearised march of a group of parts on common times, one lane each."""
-    tracks = [replace(part.track(), flight=i) for i, part in enumerate(group)]
+    """Linearised march of a group of records on common times, one lane each."""
+    tracks = [replace(record_fit.track(), flight=i) for i, record_fit in enumerate(group)]
     time = group[0].time_s
-    histories = np.stack([condition_history(part.conditions.at(time)) for part in group])
+    histories = np.stack([condition_history(record_fit.conditions.at(time)) for record_fit in group])
     return LinearMarch(tracks, time, histories)
 
 
 def set_parameters(
     march: LinearMarch, group: Sequence[RecordFit], vectors: Sequence[FloatArray]
 ) -> tuple[list[float], list[FloatArray | None]]:
-    """Set the models of a march to parameter vectors, one for each of its parts.
+    """Set the models of a march to parameter vectors, one for each of its records.
 
-    vectors : by part, (parameter,)
+    vectors : by record, (parameter,)
     returns : time shifts [s] and initial temperatures [K] (None: as declared), as the march takes them
 
     Time shift: docs/clocks_and_starts.md, equation 1.
     """
-    of_parts = list(zip(group, vectors, strict=True))
-    march.set_models([part.with_parameters(v) for part, v in of_parts])
-    return [part.shift_s(v) for part, v in of_parts], [part.initial_K(v) for part, v in of_parts]
+    pairs = list(zip(group, vectors, strict=True))
+    march.set_models([record_fit.model_at(v) for record_fit, v in pairs])
+    return [record_fit.shift_s(v) for record_fit, v in pairs], [record_fit.initial_K(v) for record_fit, v in pairs]
 
 
 def march_times(
@@ -267,62 +293,71 @@ def march_times(
     return np.append(np.repeat(knots[:-1], pieces) + within, knots[-1])
 
 
-def declared_profile(part: RecordFit) -> FloatArray:
-    """(node,) temperatures [K] that the stack of a part declares."""
-    return initial_temperatures(part.model.construction, part.mesh)
+def declared_profile(record_fit: RecordFit) -> FloatArray:
+    """(node,) temperatures [K] that the stack of a record declares."""
+    return initial_temperatures(record_fit.model.construction, record_fit.mesh)
 
 
-LEAST_SIGMA_K = 0.02
-"""Least noise [K] of a sensor: no thermocouple is better, and a likelihood needs some."""
-LEAST_OF_LSB = 0.05
-"""Least noise of a sensor over its recorder's step [-]."""
+# What the sensors show ------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class FittedChannel:
-    """The samples of one sensor that are fitted.
-
-    sensor   : its declaration;  number : its place in the record
-    samples  : (sample,) places in the times that the march reads
-    observed : intervals [K] in which its indications lay
-    """
-
-    sensor: Sensor
-    number: int
-    samples: IntArray
-    observed: ReadingIntervals
-
-
-def fitted_channels(record: Record, time_s: FloatArray, chosen: NDArray[np.bool_]) -> list[FittedChannel]:
-    """The used sensors of a record with their samples at the chosen times.
+def fitted_channels(record: Record, time_s: FloatArray, mask: NDArray[np.bool_]) -> list[FittedChannel]:
+    """The used sensors of a record with their samples that are fitted.
 
     time_s  : (read,) times that the march reads [s]
-    chosen  : (sample,) boolean mask over the record's samples
+    mask    : (sample,) which of the record's samples are fitted
     returns : one channel for each used sensor with a reading; lost readings are left out
 
     Intervals of recorder words: docs/estimation_statistics.md, equation 4.
     """
-    found = []
+    channels = []
     for number, sensor in enumerate(record.sensors):
-        read = record.thermocouples[sensor.column]
-        mine = chosen & np.isfinite(read)
-        if sensor.used and np.any(mine):
-            places = np.searchsorted(time_s, record.time_s[mine])
-            found.append(FittedChannel(sensor, number, places, reading_intervals(sensor, read[mine])))
-    return found
+        reading = record.thermocouples[sensor.column]
+        fitted = mask & np.isfinite(reading)
+        if sensor.used and np.any(fitted):
+            indices = np.searchsorted(time_s, record.time_s[fitted])
+            channels.append(FittedChannel(sensor, number, indices, reading_intervals(sensor, reading[fitted])))
+    return channels
 
 
-def least_sigma_K(sensor: Sensor) -> float:
-    """The least noise [K] that is assumed for a sensor: 0.02 K, or 0.05 of its recorder's step.
+def indications(
+    channel: FittedChannel, march: Linearised, names: Sequence[str], values: Mapping[str, float], march_columns: int
+) -> tuple[FloatArray, FloatArray]:
+    """Indications of a channel and their sensitivities to the parameters.
 
-    A modelling choice of this program: below it the likelihood of docs/estimation_statistics.md, equation 5, becomes
-    that of an interval without noise, whose score is not smooth.
+        indicated = c0 + c1 T' + ...,   T' = gain T(t - skew) + bias
+
+    march   : temperatures [K], sensitivities and rates [K/s]
+    names   : (parameter,) of the record: first the columns of the march, then clock and sensors
+    values  : dotted name -> value
+    march_columns : number of columns of the march that are read
+    returns : (sample,) indications [K]; (sample, parameter) sensitivities [K] per unit of each parameter
+
+    The march already reads T at t - skew. Source: docs/estimation_statistics.md, equations 1 and 2.
     """
-    return max(LEAST_SIGMA_K, LEAST_OF_LSB * sensor.lsb_K)
+    sensor, errors = channel.sensor, sensor_errors(channel.sensor, values)
+    T = march.temperature_K[channel.number, channel.samples]
+    jacobian = np.zeros((len(T), len(names)))
+    np.multiply(
+        march.sensitivity[channel.number, channel.samples, :march_columns], errors.gain, out=jacobian[:, :march_columns]
+    )
+    for k, name in enumerate(names[march_columns:], start=march_columns):
+        if name == CLOCK_SKEW.name:
+            jacobian[:, k] = -errors.gain * march.rate_K_s[channel.number, channel.samples]
+        elif name == sensor_parameter(sensor, "bias"):
+            jacobian[:, k] = 1.0
+        elif name == sensor_parameter(sensor, "gain"):
+            jacobian[:, k] = T
+    # most sensors have no curve: this saves a polynomial for every sample of every evaluation
+    if sensor.calibration is None:
+        return errors.gain * T + errors.bias_K, jacobian
+    calibration = np.polynomial.Polynomial(sensor.calibration)
+    slope = calibration.deriv()(errors.gain * T + errors.bias_K)
+    return calibrated(sensor, T, errors), slope[:, np.newaxis] * jacobian
 
 
 def sensor_errors(sensor: Sensor, values: Mapping[str, float]) -> SensorErrors:
-    """Bias [K] and gain [-] of a sensor as parameters state them; 0 and 1 where they do not.
+    """Bias [K] and gain [-] of a sensor at parameter values; 0 and 1 where these do not include them.
 
     values : dotted name -> value
 
@@ -355,80 +390,51 @@ def sensor_definition(record: Record, name: str) -> Parameter | None:
     sensor, _, what = name.removeprefix(SENSOR_PREFIX).rpartition(".")
     known = [s.name for s in record.used_sensors]
     if sensor not in known:
-        raise InputError(f"{record.name}: `{name}` names no sensor that is used{suggestion(sensor, known)}")
+        raise InputError(f"{record.name}: `{name}`: unknown or unused sensor `{sensor}`{suggestion(sensor, known)}")
     if what not in SENSOR:
-        raise InputError(f"{record.name}: `{name}`: a sensor has no `{what}`{suggestion(what, SENSOR)}")
+        raise InputError(f"{record.name}: `{name}`: unknown sensor parameter `{what}`{suggestion(what, SENSOR)}")
     return SENSOR[what]
 
 
-def indications(
-    channel: FittedChannel, marched: Linearised, names: Sequence[str], values: Mapping[str, float], named: int
-) -> tuple[FloatArray, FloatArray]:
-    """Indications of a channel and their sensitivities to the parameters.
+def least_sigma_K(sensor: Sensor) -> float:
+    """The least noise [K] that is assumed for a sensor: 0.02 K, or 0.05 of its recorder's step.
 
-        indicated = c0 + c1 T' + ...,   T' = gain T(t - skew) + bias
-
-    marched : temperatures [K], sensitivities and rates [K/s] of the march
-    names   : (parameter,) of the part, the first `named` of them being columns of the march, then clock and sensors
-    values  : dotted name -> value
-    named   : number of columns of the march that are read
-    returns : (sample,) indications [K]; (sample, parameter) sensitivities [K] per unit of each parameter
-
-    The march already reads T at t - skew. Source: docs/estimation_statistics.md, equations 1 and 2.
+    A modelling choice of this program: below it the likelihood of docs/estimation_statistics.md, equation 5, becomes
+    that of an interval without noise, whose score is not smooth.
     """
-    sensor, wrong = channel.sensor, sensor_errors(channel.sensor, values)
-    T = marched.temperature_K[channel.number, channel.samples]
-    jacobian = np.zeros((len(T), len(names)))
-    np.multiply(marched.sensitivity[channel.number, channel.samples, :named], wrong.gain, out=jacobian[:, :named])
-    for k, name in enumerate(names[named:], start=named):
-        if name == CLOCK_SKEW.name:
-            jacobian[:, k] = -wrong.gain * marched.rate_K_s[channel.number, channel.samples]
-        elif name == sensor_parameter(sensor, "bias"):
-            jacobian[:, k] = 1.0
-        elif name == sensor_parameter(sensor, "gain"):
-            jacobian[:, k] = T
-    # most sensors have no curve: this saves a polynomial for every sample of every evaluation
-    if sensor.calibration is None:
-        return wrong.gain * T + wrong.bias_K, jacobian
-    calibration = np.polynomial.Polynomial(sensor.calibration)
-    slope = calibration.deriv()(wrong.gain * T + wrong.bias_K)
-    return calibrated(sensor, T, wrong), slope[:, np.newaxis] * jacobian
+    return max(LEAST_SIGMA_K, LEAST_OF_LSB * sensor.lsb_K)
 
 
-SMALL_CORRECTION_K = 1.0
-"""Size of a correction [K] below which the first one is accurate to some hundredths of a kelvin."""
-SETTLED_K = 0.1
-"""Change of a correction [K] from one mesh to the next at which it is accepted."""
-MOST_HALVINGS = 6
+# Correction for the mesh ----------------------------------------------------------------------------------------------
 
 
-def correct_mesh(part: RecordFit, vector: FloatArray) -> None:
-    """Set the correction and the warning of a part, at a parameter vector.
+def correct_mesh(record_fit: RecordFit, vector: FloatArray) -> None:
+    """Set the mesh correction of a record and the warning about it, at a parameter vector.
 
-    part   : its correction_K becomes (sensor, sample) [K], 0 where none can be found
-    vector : (parameter,) values at which the error is evaluated; its change with the parameters is neglected
+    record_fit : its correction_K becomes (sensor, sample) [K], 0 where none can be found
+    vector     : (parameter,) values at which the error is evaluated; its change with the parameters is neglected
 
-    A correction of 1 [K] or more, or one that could not be found, leaves a warning in mesh_told.
+    A correction of 1 [K] or more, or one that could not be found, leaves a warning in mesh_warning.
     Source: docs/estimation_statistics.md, equation 31.
     """
-    mesh = f"{part.record.name}: the mesh of {part.mesh.nodes} nodes"
-    finer = "leave `nodes` out of [stack], or ask for more"
-    part.correction_K, part.mesh_told = 0.0, ""
+    mesh = f"{record_fit.record.name}: the mesh of {record_fit.mesh.nodes} nodes"
+    finer = "remove `nodes` from [stack], or increase it"
+    record_fit.correction_K, record_fit.mesh_warning = 0.0, ""
     try:
-        part.correction_K = mesh_error_K(part, vector)
+        record_fit.correction_K = mesh_error_K(record_fit, vector)
     except RunError as error:
-        part.mesh_told = f"{mesh} could not be corrected, and predictions keep its error ({error}); {finer}"
+        record_fit.mesh_warning = f"{mesh} could not be corrected; predictions keep its error ({error}); {finer}"
         return
-    worst = float(np.max(np.abs(part.correction_K)))
+    worst = float(np.max(np.abs(record_fit.correction_K)))
     if worst >= SMALL_CORRECTION_K:
-        part.mesh_told = (
-            f"{mesh} is up to {worst:.1f} K off; predictions are corrected, their sensitivities to the parameters are "
-            f"not; {finer}"
+        record_fit.mesh_warning = (
+            f"{mesh} has errors of up to {worst:.1f} K; predictions are corrected, their sensitivities to the "
+            f"parameters are not; {finer}"
         )
 
 
-def mesh_error_K(part: RecordFit, vector: FloatArray) -> FloatArray:
-    """Correction that the limit of fine meshes adds to the march of a part, by Richardson's extrapolation.
+def mesh_error_K(record_fit: RecordFit, vector: FloatArray) -> FloatArray:
+    """Correction that the limit of fine meshes adds to the march of a record, by Richardson's extrapolation.
 
         T_k - T_0 + (T_k - T_(k-1)) / 3,   k = 1 where that is below 1 K
 
@@ -439,8 +445,10 @@ def mesh_error_K(part: RecordFit, vector: FloatArray) -> FloatArray:
 
     Second order holds for smooth solutions. Source: docs/estimation_statistics.md, equation 31.
     """
-    fine, initial = refined(part.mesh), part.refined_K(vector)
-    coarse, found = _temperatures_K(part, vector, [(part.mesh, part.initial_K(vector)), (fine, initial)])
+    fine, initial = refined(record_fit.mesh), record_fit.refined_K(vector)
+    coarse, found = _temperatures_K(
+        record_fit, vector, [(record_fit.mesh, record_fit.initial_K(vector)), (fine, initial)]
+    )
     # T_1 - T_0 + (T_1 - T_0) / 3
     error = 4.0 / 3.0 * (found - coarse)
     for _ in range(1, MOST_HALVINGS):
@@ -448,20 +456,20 @@ def mesh_error_K(part: RecordFit, vector: FloatArray) -> FloatArray:
             return error
         finer = refined(fine)
         initial, fine, last = None if initial is None else on_mesh(initial, fine, finer), finer, found
-        (found,) = _temperatures_K(part, vector, [(fine, initial)])
+        (found,) = _temperatures_K(record_fit, vector, [(fine, initial)])
         before, error = error, found - coarse + (found - last) / 3.0
         if np.max(np.abs(error - before)) < SETTLED_K:
             return error
-    raise RunError(f"elements halved {MOST_HALVINGS} times still change it by more than {SETTLED_K:g} K")
+    raise RunError(f"after {MOST_HALVINGS} halvings of the elements it still changes by more than {SETTLED_K:g} K")
 
 
 def _temperatures_K(
-    part: RecordFit, vector: FloatArray, meshes: Sequence[tuple[Mesh, FloatArray | None]]
+    record_fit: RecordFit, vector: FloatArray, meshes: Sequence[tuple[Mesh, FloatArray | None]]
 ) -> list[FloatArray]:
     """(sensor, sample) temperatures [K] of the march on each mesh, from the initial temperatures [K] paired with it."""
     tracks = [
-        Track(part.with_parameters(vector), mesh, (), part.sample_s, initial_K=initial) for mesh, initial in meshes
+        Track(record_fit.model_at(vector), mesh, (), record_fit.sample_s, initial_K=initial) for mesh, initial in meshes
     ]
-    history = condition_history(part.conditions.at(part.time_s))[np.newaxis]
-    found = LinearMarch(tracks, part.time_s, history).march([part.shift_s(vector)] * len(tracks))
+    history = condition_history(record_fit.conditions.at(record_fit.time_s))[np.newaxis]
+    found = LinearMarch(tracks, record_fit.time_s, history).march([record_fit.shift_s(vector)] * len(tracks))
     return [f.temperature_K for f in found]

@@ -1,7 +1,7 @@
 """Fits of several problems marched side by side: eight cost little more than one.
 
 Candidates for a deficiency of a declared model are problems over one record that differ in effects and unknowns. Parts
-of all of them that are on common times share lane groups (part.side_by_side); the likelihoods remain separate.
+of all of them that are on common times share lane groups (record_fit.side_by_side); the likelihoods remain separate.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.estimation.inference.newton import Evaluation, Fit, Iteration, Settings, iteration
+from sim_heating.estimation.inference.newton import Evaluation, Fit, Iteration, NewtonSettings, iteration
 from sim_heating.estimation.problem import FitProblem, in_threads
 from sim_heating.estimation.record_fit import RecordFit, group_march, lane_groups, set_parameters
 from sim_heating.march.linearised import Linearised, LinearMarch
@@ -20,10 +20,10 @@ from sim_heating.march.linearised import Linearised, LinearMarch
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """Parts marched together; members : (problem, part) numbers of each."""
+    """Parts marched together; members : (problem, record_fit) numbers of each."""
 
     members: tuple[tuple[int, int], ...]
-    parts: tuple[RecordFit, ...]
+    record_fits: tuple[RecordFit, ...]
     march: LinearMarch
 
 
@@ -35,9 +35,9 @@ class JointMarch:
 
     def __init__(self, problems: Sequence[FitProblem]) -> None:
         self.problems = tuple(problems)
-        place = {part: (i, k) for i, p in enumerate(problems) for k, part in enumerate(p.parts)}
+        place = {record_fit: (i, k) for i, p in enumerate(problems) for k, record_fit in enumerate(p.record_fits)}
         self._groups = [
-            _Group(tuple(place[part] for part in group), tuple(group), group_march(group))
+            _Group(tuple(place[record_fit] for record_fit in group), tuple(group), group_march(group))
             for group in lane_groups(place)
         ]
 
@@ -49,13 +49,13 @@ class JointMarch:
 
         Nothing is marched where all problems already hold results for these vectors.
         """
-        if all(problem.keeps(vector) for problem, vector in zip(self.problems, vectors, strict=True)):
+        if all(problem.has_cached(vector) for problem, vector in zip(self.problems, vectors, strict=True)):
             return [True] * len(self.problems)
 
         def one(k: int) -> list[Linearised | None]:
             group = self._groups[k]
             return group.march.attempt(
-                *set_parameters(group.march, group.parts, [vectors[i] for i, _ in group.members])
+                *set_parameters(group.march, group.record_fits, [vectors[i] for i, _ in group.members])
             )
 
         marched: list[dict[int, Linearised]] = [{} for _ in self.problems]
@@ -63,10 +63,10 @@ class JointMarch:
             for (i, k), result in zip(group.members, results, strict=True):
                 if result is not None:
                     marched[i][k] = result
-        whole = [len(found) == len(problem.parts) for problem, found in zip(self.problems, marched, strict=True)]
+        whole = [len(found) == len(problem.record_fits) for problem, found in zip(self.problems, marched, strict=True)]
         for i, problem in enumerate(self.problems):
             if whole[i]:
-                problem.keep(vectors[i], marched[i])
+                problem.cache_march(vectors[i], marched[i])
         return whole
 
     def evaluate(self, vectors: Sequence[FloatArray]) -> list[Evaluation]:
@@ -78,13 +78,15 @@ class JointMarch:
         Source: docs/estimation_statistics.md, equation 14.
         """
         return [
-            problem.evaluate(vector) if marched else problem.nothing()
+            problem.evaluate(vector) if marched else problem.failed_evaluation()
             for problem, vector, marched in zip(self.problems, vectors, self.march(vectors), strict=True)
         ]
 
 
 def maximise_together(
-    problems: Sequence[FitProblem], starts: Sequence[ArrayLike | None] | None = None, settings: Settings | None = None
+    problems: Sequence[FitProblem],
+    starts: Sequence[ArrayLike | None] | None = None,
+    settings: NewtonSettings | None = None,
 ) -> list[Fit]:
     """The fit of each problem as newton.maximise finds it, all of them iterated side by side.
 

@@ -21,7 +21,7 @@ from sim_heating.base.progress import Progress, quiet
 from sim_heating.estimation.fit import FEWEST_SAMPLES
 from sim_heating.estimation.inference.newton import Fit, maximise
 from sim_heating.estimation.inference.observability import default_names
-from sim_heating.estimation.problem import FitProblem, joint_reference
+from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.estimation.record_fit import RecordFit, Start, march_times
 from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.inputs.record import Record
@@ -110,16 +110,18 @@ def trend(
             continue
         if last is not None:
             start = _next_start(*last, begin)
-        problem = FitProblem([record], chosen, joint_reference([record]), starts=[start], chosen=[mask])
+        problem = FitProblem(
+            [record], chosen, joint_reference([record]), FitOptions(starts=[start], sample_masks=[mask])
+        )
         first = np.array([p.value for p in problem.parameters]) if last is None else _carried_values(problem, *last)
         fit = maximise(problem.evaluate, problem.parameters, first, problem.log_likelihoods)
         if fit.converged:
             problem.correct_meshes(fit.values)
             # one line of these is enough: every segment has the mesh of the record
-            meshes += problem.mesh_lines
+            meshes += problem.mesh_warnings
             fit = maximise(problem.evaluate, problem.parameters, fit.values, problem.log_likelihoods)
         if not fit.converged or not np.all(np.isfinite(fit.covariance)):
-            in_vain.append(f"{begin:g} to {end:g} s: {fit.words()[0]}")
+            in_vain.append(f"{begin:g} to {end:g} s: {fit.describe()[0]}")
             left_out.append(in_vain[-1])
             continue
         last = (problem, fit)
@@ -146,15 +148,17 @@ def _carried_values(problem: FitProblem, before: FitProblem, fit: Fit) -> FloatA
     """First values of a segment: those of the segment before it, nothing added to its start."""
     known = dict(zip((u.label for u in before.unknowns), fit.values, strict=True))
     # unknowns of the start are deviations from the temperatures handed over, so that they begin at 0
-    own = {*problem.parts[0].marched, *problem.parts[0].other}
+    own = {*problem.record_fits[0].march_names, *problem.record_fits[0].sensor_names}
     return np.array([known[p.name] if p.name in own else p.value for p in problem.parameters])
 
 
 def _next_start(problem: FitProblem, fit: Fit, time_s: float) -> Start:
     """Start at a later time from a fit: temperatures [K], and the largest directions of their covariance."""
-    part = problem.parts[0]
-    T, S = state_at(part, fit.values, time_s)
-    own = fit.covariance[np.ix_(part.index[: part.read], part.index[: part.read])]
+    record_fit = problem.record_fits[0]
+    T, S = state_at(record_fit, fit.values, time_s)
+    own = fit.covariance[
+        np.ix_(record_fit.index[: record_fit.march_columns], record_fit.index[: record_fit.march_columns])
+    ]
     values, vectors = np.linalg.eigh(own)
     # the svd of S C^(1/2) keeps the small directions that an eigendecomposition of S C S' would lose to rounding
     U, s, _ = np.linalg.svd(S @ (vectors * np.sqrt(np.maximum(values, 0.0))), full_matrices=False)
@@ -163,60 +167,64 @@ def _next_start(problem: FitProblem, fit: Fit, time_s: float) -> Start:
         Parameter(f"initial.{k + 1}", "1", 0.0, 1.0, text="along a direction of the temperatures handed over")
         for k in range(kept)
     )
-    return Start(time_s, T, U[:, :kept] * s[:kept], unknowns, refined_at(part, fit.values, time_s))
+    return Start(time_s, T, U[:, :kept] * s[:kept], unknowns, refined_at(record_fit, fit.values, time_s))
 
 
-def state_at(part: RecordFit, values: FloatArray, time_s: float) -> tuple[FloatArray, FloatArray]:
-    """Node temperatures of a part at a time, and their sensitivities.
+def state_at(record_fit: RecordFit, values: FloatArray, time_s: float) -> tuple[FloatArray, FloatArray]:
+    """Node temperatures of a record_fit at a time, and their sensitivities.
 
-    values  : (parameter,);  time_s : [s]; before the start of the part, its initial temperatures
+    values  : (parameter,);  time_s : [s]; before the start of the record_fit, its initial temperatures
     returns : (node,) temperatures [K]; (node, unknown of the march) sensitivities [K] per unit of each unknown
 
     S_T of docs/clocks_and_starts.md, equation 5.
     """
-    begin = part.conditions.time_s[0] if part.start is None else part.start.time_s
+    begin = record_fit.conditions.time_s[0] if record_fit.start is None else record_fit.start.time_s
     if time_s <= begin:
-        profile = part.initial_K(values)
-        columns = np.zeros((part.mesh.nodes, part.read)) if part.start is None else part.start.columns
+        profile = record_fit.initial_K(values)
+        columns = (
+            np.zeros((record_fit.mesh.nodes, record_fit.march_columns))
+            if record_fit.start is None
+            else record_fit.start.columns
+        )
         if profile is None:
-            profile = initial_temperatures(part.model.construction, part.mesh)
+            profile = initial_temperatures(record_fit.model.construction, record_fit.mesh)
         return profile, columns
-    time = march_times(part.conditions, begin, time_s)
-    declared = part.track(values)
-    nodes = tuple(range(part.mesh.nodes))
+    time = march_times(record_fit.conditions, begin, time_s)
+    declared = record_fit.track(values)
+    nodes = tuple(range(record_fit.mesh.nodes))
     track = Track(
-        part.with_parameters(values), part.mesh, part.marched, np.array([time_s]), nodes, declared.initial_K,
-        declared.initial_columns,
+        record_fit.model_at(values), record_fit.mesh, record_fit.march_names, np.array([time_s]), nodes,
+        declared.initial_K, declared.initial_columns,
     )  # fmt: skip
-    found = LinearMarch([track], time, condition_history(part.conditions.at(time))[np.newaxis]).march()[0]
+    found = LinearMarch([track], time, condition_history(record_fit.conditions.at(time))[np.newaxis]).march()[0]
     return found.temperature_K[:, 0], found.sensitivity[:, 0]
 
 
-def refined_at(part: RecordFit, values: FloatArray, time_s: float) -> FloatArray:
-    """Node temperatures of a part at a time on its refined mesh, twice as many elements.
+def refined_at(record_fit: RecordFit, values: FloatArray, time_s: float) -> FloatArray:
+    """Node temperatures of a record_fit at a time on its refined mesh, twice as many elements.
 
-    values  : (parameter,);  time_s : [s]; before the start of the part, its initial temperatures
+    values  : (parameter,);  time_s : [s]; before the start of the record_fit, its initial temperatures
     returns : (node of the refined mesh,) [K]
 
     The next segment needs them for its mesh correction, docs/estimation_statistics.md, equation 31.
     """
-    mesh, initial = refined(part.mesh), part.refined_K(values)
-    begin = part.conditions.time_s[0] if part.start is None else part.start.time_s
+    mesh, initial = refined(record_fit.mesh), record_fit.refined_K(values)
+    begin = record_fit.conditions.time_s[0] if record_fit.start is None else record_fit.start.time_s
     if time_s <= begin:
-        return initial_temperatures(part.model.construction, mesh) if initial is None else initial
-    time = march_times(part.conditions, begin, time_s)
-    track = Track(part.with_parameters(values), mesh, (), np.array([time_s]), tuple(range(mesh.nodes)), initial)
-    found = LinearMarch([track], time, condition_history(part.conditions.at(time))[np.newaxis]).march()[0]
+        return initial_temperatures(record_fit.model.construction, mesh) if initial is None else initial
+    time = march_times(record_fit.conditions, begin, time_s)
+    track = Track(record_fit.model_at(values), mesh, (), np.array([time_s]), tuple(range(mesh.nodes)), initial)
+    found = LinearMarch([track], time, condition_history(record_fit.conditions.at(time))[np.newaxis]).march()[0]
     return found.temperature_K[:, 0]
 
 
 def _segment(record: Record, problem: FitProblem, fit: Fit, begin: float, end: float, count: int) -> Segment:
     flown = record.conditions.at(np.linspace(begin, min(end, record.conditions.time_s[-1]), CONDITION_POINTS))
     condition = tuple(float(np.mean(flown[v])) for v in RATIO_VARIABLES)
-    m = len(problem.parts[0].marched)
+    m = len(problem.record_fits[0].march_names)
     values, sigmas = fit.values[:m], fit.sigma[:m]
     size = 1.0
-    if problem.parts[0].marched[0] == "ratio.scale" and record.ratio_table is not None:
+    if problem.record_fits[0].march_names[0] == "ratio.scale" and record.ratio_table is not None:
         size = float(table_ratios_at(record.ratio_table, np.array([condition]))[0])
-    ratio = size * (1.0 + values[0]) if problem.parts[0].marched[0] == "ratio.scale" else values[0]
+    ratio = size * (1.0 + values[0]) if problem.record_fits[0].march_names[0] == "ratio.scale" else values[0]
     return Segment(begin, end, count, condition, float(ratio), float(abs(size) * sigmas[0]), values, sigmas)

@@ -13,7 +13,7 @@ from sim_heating.closure.clues.axial_force import axial_steps
 from sim_heating.closure.clues.correlation import SIGNIFICANCE_LEVEL, ResidualEvidence, residual_evidence
 from sim_heating.closure.clues.residual_heating import ResidualHeating, residual_heating
 from sim_heating.closure.clues.shapes import candidate_shapes, p_value, profiled_information, trials_factor
-from sim_heating.estimation.problem import FitProblem, joint_reference
+from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.inputs.record import Record
 from tests.support.missing import record_with
@@ -24,7 +24,7 @@ ONSET_DEG = 41.0
 
 def left_of(record: Record) -> ResidualHeating:
     """The residual heating of a record after one Newton step of its derivatives."""
-    problem = FitProblem([record], FITTED, joint_reference([record]), widened=np.inf)
+    problem = FitProblem([record], FITTED, joint_reference([record]), FitOptions(prior_scale=np.inf))
     values = np.zeros(len(FITTED))
     for _ in range(3):
         found = problem.evaluate(values)

@@ -189,7 +189,7 @@ def test_limits_that_no_design_keeps_are_told():
 
 
 def test_a_manoeuvre_that_tells_nothing_of_a_parameter_is_refused():
-    with pytest.raises(InputError, match=r"ratio\.d_bodyflap: bodyflap_deg does not move"):
+    with pytest.raises(InputError, match=r"ratio\.d_bodyflap: bodyflap_deg is constant"):
         DesignSearch(planner_of(parameters=["ratio.d_bodyflap"]))
 
 

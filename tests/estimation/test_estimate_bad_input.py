@@ -42,8 +42,8 @@ def told(capsys, *arguments: object) -> tuple[int, str]:
     ("arguments", "line"),
     [
         (["--parameters", "ratio.scal"], "no parameter `ratio.scal`; did you mean `ratio.scale`"),
-        (["--parameters", "sensor.LS_surfac.bias"], "names no sensor that is used; did you mean `LS_surface`"),
-        (["--parameters", "sensor.LS_surface.bais"], "a sensor has no `bais`; did you mean `bias`"),
+        (["--parameters", "sensor.LS_surfac.bias"], "unknown or unused sensor `LS_surfac`; did you mean `LS_surface`"),
+        (["--parameters", "sensor.LS_surface.bais"], "unknown sensor parameter `bais`; did you mean `bias`"),
         (["--parameters", "effect.transitoin.factor"], "unknown effect `transitoin`; did you mean `transition`"),
         (["--parameters", "ratio.scale,ratio.scale"], "`ratio.scale` is repeated"),
         (["--parameters", ","], "holds no name"),
@@ -94,9 +94,9 @@ def test_sensor_that_never_moves_is_left_out_and_the_rest_is_estimated(capsys, t
     record = damaged(tmp_path, "thermocouples.csv", lambda c: c | {"LS_bond_K": np.full(len(c["time_s"]), 294.0)})
     status, text = told(capsys, record, "--parameters", "ratio.scale", "--out", tmp_path / "out")
     assert status == 0
-    assert "sensor LS_bond: never moves, it reads 294 K in all" in text
+    assert "sensor LS_bond: stuck at 294 K in all" in text
     found = json.loads((tmp_path / "out" / "estimate.json").read_text())
-    assert any("never moves" in line for line in found["warnings"])
+    assert any("stuck at" in line for line in found["warnings"])
     assert list(found["statistics"]["sensors"]) == ["LS_surface"]
 
 
@@ -111,7 +111,7 @@ def test_constant_alpha_leaves_out_its_derivative_alone(capsys, tmp_path):
     record = damaged(tmp_path, "conditions.csv", lambda c: c | {"alpha_deg": np.full(len(c["time_s"]), 40.9)})
     names = "ratio.scale,ratio.d_alpha,ratio.d_logre"
     status, text = told(capsys, record, "--parameters", names, "--out", tmp_path / "out")
-    assert (status, "ratio.d_alpha: not estimated, alpha_deg does not move" in text) == (0, True)
+    assert (status, "ratio.d_alpha: not estimated, alpha_deg is constant" in text) == (0, True)
     found = json.loads((tmp_path / "out" / "estimate.json").read_text())
     assert set(found["parameters"]) == {"ratio.scale", "ratio.d_logre"}
 
@@ -119,7 +119,7 @@ def test_constant_alpha_leaves_out_its_derivative_alone(capsys, tmp_path):
 def test_constant_alpha_and_nothing_else_to_estimate_is_an_error(capsys, tmp_path):
     record = damaged(tmp_path, "conditions.csv", lambda c: c | {"alpha_deg": np.full(len(c["time_s"]), 40.9)})
     status, text = told(capsys, record, "--parameters", "ratio.d_alpha", "--out", tmp_path / "out")
-    assert (status, "nothing to estimate: alpha_deg does not move" in text) == (2, True)
+    assert (status, "nothing to estimate: alpha_deg is constant" in text) == (2, True)
 
 
 def test_few_samples_estimate_what_they_tell_and_no_more():

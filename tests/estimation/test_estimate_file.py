@@ -35,7 +35,7 @@ GOOD: dict[str, Any] = {
         "ratio.d_alpha": {"value": 0.001, "sigma": 0.0001, "unit": "1/deg"},
         "stack.coating.thickness_factor": {"value": 1.2, "sigma": 0.03, "unit": "1"},
     },
-    "not_estimated": {"ratio.d_beta": "beta_deg does not move"},
+    "not_estimated": {"ratio.d_beta": "beta_deg is constant"},
     "correlation": correlations(NAMES, COVARIANCE),
     "noise_floor_K": 1.7,
     "fit": {"rmse_K": 1.8, "max_abs_K": 6.0, "n": 300},

@@ -80,7 +80,7 @@ def mid_entry(nodes: int, at_s: float, profile: int) -> FitProblem:
         stack = of.declared.stack.model_copy(update=changes)
         return replace(of, declared=of.declared.model_copy(update={"stack": stack}))
 
-    whole = FitProblem([declared(record, nodes=100)], ["ratio.scale"], joint_reference([record])).parts[0]
+    whole = FitProblem([declared(record, nodes=100)], ["ratio.scale"], joint_reference([record])).record_fits[0]
     depth_m = np.linspace(0.0, whole.mesh.depth_m[-1], profile)
     then_K = np.interp(depth_m, whole.mesh.depth_m, state_at(whole, np.zeros(1), at_s)[0])
     start = np.column_stack([depth_m, then_K]).tolist()
@@ -99,19 +99,19 @@ def test_mesh_of_few_nodes_that_starts_from_a_profile_is_corrected_to_the_exact_
     pairs = list(zip(before, problem.samples(at), exact.samples(at), strict=True))
     assert max(np.max(np.abs(b.mean_K - e.mean_K)) for b, _, e in pairs) > 0.2
     assert max(np.max(np.abs(s.mean_K - e.mean_K)) for _, s, e in pairs) < 0.05
-    assert bool(problem.mesh_lines) == (nodes < 14)
-    assert not exact.mesh_lines
+    assert bool(problem.mesh_warnings) == (nodes < 14)
+    assert not exact.mesh_warnings
 
 
 def test_fit_on_a_mesh_that_cannot_be_corrected_says_so() -> None:
     problem = mid_entry(8, 60.0, 3)  # a fall of hundreds of kelvin that begins at the surface
     problem.correct_meshes(np.zeros(1))
-    (told,) = problem.mesh_lines
+    (told,) = problem.mesh_warnings
     assert told.startswith("p06: the mesh of 8 nodes could not be corrected, and predictions keep its error")
 
 
 def test_a_profile_on_halved_elements_is_the_same_between_the_nodes() -> None:
-    part = FitProblem([record_of("popu")], ["ratio.scale"], (0.0,) * 5).parts[0]
+    part = FitProblem([record_of("popu")], ["ratio.scale"], (0.0,) * 5).record_fits[0]
     profile = np.linspace(900.0, 300.0, part.mesh.nodes)
     halved = on_mesh(profile, part.mesh, refined(part.mesh))
     np.testing.assert_allclose(halved[::2], profile)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import Parameter
-from sim_heating.estimation.inference.newton import Evaluate, Evaluation, Settings, Status, maximise
+from sim_heating.estimation.inference.newton import Evaluate, Evaluation, NewtonSettings, Status, maximise
 
 FloatArray = NDArray[np.float64]
 approx = pytest.approx
@@ -86,10 +86,10 @@ def test_a_linear_model_is_solved_by_one_step() -> None:
 def test_a_step_of_a_linear_model_gains_what_it_promises() -> None:
     design = np.random.default_rng(1).normal(size=(20, 3))
     model, known = line(design, np.random.default_rng(2).normal(size=20)), parameters(3, sigma=2.0)
-    begun = maximise(model, known, [1.0, 2.0, -1.0], Settings(iterations=0))
+    begun = maximise(model, known, [1.0, 2.0, -1.0], NewtonSettings(iterations=0))
     found = maximise(model, known, begun.values)
-    assert begun.promised == approx(found.log_posterior - begun.log_posterior, rel=1e-10)
-    assert found.promised == approx(0.0, abs=1e-12)
+    assert begun.predicted_gain == approx(found.log_posterior - begun.log_posterior, rel=1e-10)
+    assert found.predicted_gain == approx(0.0, abs=1e-12)
 
 
 def test_a_gaussian_prior_and_data_of_equal_weight_meet_halfway() -> None:
@@ -103,7 +103,7 @@ def test_a_gaussian_prior_and_data_of_equal_weight_meet_halfway() -> None:
 
 def test_rosenbrocks_valley_is_followed_to_its_end() -> None:
     fit = maximise(ROSENBROCK, parameters(2), start=[-1.2, 1.0])
-    assert fit.words() == ["converged"]
+    assert fit.describe() == ["converged"]
     np.testing.assert_allclose(fit.values, [1.0, 1.0], atol=1e-6)
 
 
@@ -148,7 +148,7 @@ def test_a_ridge_that_bends_is_followed_in_few_steps_of_limited_reach() -> None:
         Parameter("scale", "1", 0.0), Parameter("step", "1", 0.0, 0.6, -0.9, 3.0),
         Parameter("K", "K", 700.0, 1e3, 300.0, 2500.0), Parameter("width", "K", 60.0, 120.0, 1.0, 1e3),
     ]  # fmt: skip
-    fit = maximise(counted, known, settings=Settings(reach=0.4))
+    fit = maximise(counted, known, settings=NewtonSettings(trust_radius=0.4))
     assert fit.converged
     np.testing.assert_allclose(fit.values, truth, rtol=2e-2)
     assert len(evaluated) < 60
@@ -171,7 +171,7 @@ def test_a_maximum_beyond_a_bound_is_held_there_and_the_rest_is_the_maximum_give
     design = np.array([[1.0, 0.5], [0.5, 1.0], [0.2, -0.3]])
     data = np.array([-3.0, 2.0, 0.1])
     fit = maximise(line(design, data), parameters(2, value=1.0, lower=0.0))
-    assert fit.words() == ["converged", "a is on its bound, 0"]
+    assert fit.describe() == ["converged", "a is on its bound, 0"]
     assert fit.values[0] == 0.0
     assert fit.values[1] == approx(design[:, 1] @ data / (design[:, 1] @ design[:, 1]))
     assert fit.sigma.tolist() == approx([0.0, 1.0 / np.linalg.norm(design[:, 1])])
@@ -189,7 +189,11 @@ def test_bounded_linear_problems_agree_with_scipys(seed: int) -> None:
 
     rng = np.random.default_rng(seed)
     design, data = rng.normal(size=(12, 5)) @ rng.normal(size=(5, 5)), 3.0 * rng.normal(size=12)
-    fit = maximise(line(design, data), parameters(5, lower=-0.2, upper=0.3), settings=Settings(gain=1e-14, step=1e-8))
+    fit = maximise(
+        line(design, data),
+        parameters(5, lower=-0.2, upper=0.3),
+        settings=NewtonSettings(min_improvement=1e-14, min_step=1e-8),
+    )
     expected = lsq_linear(design, data, (-0.2, 0.3), tol=1e-14).x
     assert fit.converged
     np.testing.assert_allclose(fit.values, expected, atol=1e-7)
@@ -199,7 +203,7 @@ def test_two_columns_that_move_together_are_named_and_their_sum_is_found() -> No
     x = np.linspace(-1.0, 1.0, 9)
     design = np.stack([x, x, np.ones(9)], axis=1)
     fit = maximise(line(design, 3.0 * x + 1.0), parameters(3))
-    assert fit.words() == ["converged", "a and b move against each other without the data telling"]
+    assert fit.describe() == ["converged", "the data do not separate a and b: they may change in opposite directions"]
     assert fit.values[0] + fit.values[1] == approx(3.0)
     assert np.isinf(fit.sigma[:2]).all()
     assert fit.sigma[2] == approx(1.0 / 3.0)
@@ -209,13 +213,13 @@ def test_a_parameter_without_effect_keeps_its_start_and_is_named() -> None:
     design = np.stack([np.ones(4), np.zeros(4)], axis=1)
     fit = maximise(line(design, np.full(4, 7.0)), parameters(2), start=[0.0, 5.0])
     assert fit.values.tolist() == approx([7.0, 5.0])
-    assert fit.words() == ["converged", "the data do not inform b"]
+    assert fit.describe() == ["converged", "the data do not identify b"]
 
 
 def test_a_prior_tells_what_the_data_do_not() -> None:
     design = np.ones((4, 2))
     fit = maximise(line(design, np.full(4, 2.0)), [Parameter("a", "1", 0.0), Parameter("b", "1", 0.5, 0.1)])
-    assert fit.words() == ["converged"]
+    assert fit.describe() == ["converged"]
     np.testing.assert_allclose(fit.values, [1.5, 0.5])
     np.testing.assert_allclose(fit.sigma, [math.hypot(0.5, 0.1), 0.1])
 
@@ -232,14 +236,14 @@ def test_a_gradient_that_belongs_to_another_function_is_told_as_divergence() -> 
 
     fit = maximise(evaluate, parameters(1), start=[1.0])
     assert fit.status is Status.STALLED
-    assert "diverged" in fit.words()[0]
+    assert "diverged" in fit.describe()[0]
 
 
 def test_a_start_without_value_and_too_few_iterations_are_told() -> None:
     nowhere = maximise(lambda p: Evaluation(math.nan, p, np.eye(1)), parameters(1))
     assert nowhere.status is Status.NO_START
     assert np.isnan(nowhere.sigma[0])
-    short = maximise(poisson, parameters(1), start=[20.0], settings=Settings(iterations=1))
+    short = maximise(poisson, parameters(1), start=[20.0], settings=NewtonSettings(iterations=1))
     assert short.status is Status.ITERATIONS
     assert short.iterations == 1
 

@@ -20,7 +20,7 @@ from sim_heating.estimation.filter.process_noise import CORRELATION, NODE, RATIO
 from sim_heating.estimation.filter.records import filtered_start
 from sim_heating.estimation.fit import fit_bounds
 from sim_heating.estimation.inference.newton import maximise
-from sim_heating.estimation.problem import FitProblem, joint_reference
+from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.inputs.record import Record, Segments, write_record
 
 NAMES = (
@@ -36,7 +36,9 @@ RARE = 1e-3
 def everything() -> FitProblem:
     """A parameter of every kind: heating, stack, clock, a sensor's bias and gain."""
     record = record_of(CASE)
-    return FitProblem([record], NAMES, joint_reference([record]), starts=[bench_of(CASE).problem.parts[0].start])
+    return FitProblem(
+        [record], NAMES, joint_reference([record]), FitOptions(starts=[bench_of(CASE).problem.record_fits[0].start])
+    )
 
 
 def test_without_noise_of_the_process_it_is_output_error(everything: FitProblem) -> None:
@@ -67,9 +69,9 @@ def test_log_likelihoods_side_by_side_are_those_one_by_one_and_none_where_the_fi
 def test_records_that_are_fitted_together_add_their_log_likelihoods() -> None:
     one = record_of(CASE)
     other = replace(one, directory=Path("other"))
-    start, at = bench_of(CASE).problem.parts[0].start, np.array([0.03])
+    start, at = bench_of(CASE).problem.record_fits[0].start, np.array([0.03])
     alone, both = (
-        FitProblem(records, ["ratio.scale"], joint_reference([one]), starts=[start] * len(records))
+        FitProblem(records, ["ratio.scale"], joint_reference([one]), FitOptions(starts=[start] * len(records)))
         for records in ([one], [one, other])
     )
     single, double = (Innovations(p, WANDERING).evaluate(at) for p in (alone, both))
@@ -79,11 +81,13 @@ def test_records_that_are_fitted_together_add_their_log_likelihoods() -> None:
 
 def test_a_start_by_the_filter_brings_its_own_uncertainty() -> None:
     record = record_of(CASE)
-    part = bench_of(CASE).problem.parts[0]
+    part = bench_of(CASE).problem.record_fits[0]
     start = filtered_start(record, part.model, part.mesh, part.start.time_s)
     assert start.covariance_K2 is not None
     known, unknown = (
-        Innovations(FitProblem([record], ["ratio.scale"], joint_reference([record]), starts=[s]), ProcessNoise())
+        Innovations(
+            FitProblem([record], ["ratio.scale"], joint_reference([record]), FitOptions(starts=[s])), ProcessNoise()
+        )
         for s in (replace(start, covariance_K2=None), start)
     )
     first = [[s.predicted_sigma_K[0] for s in i.samples(np.zeros(1))] for i in (known, unknown)]
@@ -162,13 +166,13 @@ def test_no_noise_is_found_where_there_is_none() -> None:
 def test_noise_of_sensors_that_declare_none_is_found_beside_that_of_the_process() -> None:
     bench, rng = bench_of(CASE), np.random.default_rng(8)
     measure(bench.problem, disturbed(bench, WHITE, 1, rng)[0][0], rng)
-    part, record = bench.problem.parts[0], record_of(CASE)
+    part, record = bench.problem.record_fits[0], record_of(CASE)
     silent = [s.model_copy(update={"noise_sigma_K": None}) for s in record.sensors]
     thermocouples = record.declared.thermocouples.model_copy(update={"sensor": silent})
     unknown = replace(record, declared=record.declared.model_copy(update={"thermocouples": thermocouples}))
-    problem = FitProblem([unknown], list(CASES[CASE].truth), bench.problem.reference, starts=[part.start])
-    own = problem.parts[0]
-    own.channels = [replace(c, observed=read.observed) for c, read in zip(own.channels, part.channels, strict=True)]
+    problem = FitProblem([unknown], list(CASES[CASE].truth), bench.problem.reference, FitOptions(starts=[part.start]))
+    own = problem.record_fits[0]
+    own.channels = [replace(c, intervals=read.intervals) for c, read in zip(own.channels, part.channels, strict=True)]
     own.sigma_K = dict.fromkeys(own.sigma_K, 3.0)
     innovations = Innovations(problem, WHITE)
     innovations.settle(bench.truth)
@@ -186,14 +190,14 @@ def wandered(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray
     stack = coarse.declared.stack.model_copy(update={"nodes": None})  # as fine as the mesh that the command chooses
     record = replace(coarse, declared=coarse.declared.model_copy(update={"stack": stack}))
     case, about = CASES[CASE], joint_reference([coarse])
-    problem = FitProblem([record], list(case.truth), about, starts=[start_at(case)])
-    part, bench = problem.parts[0], Repeatable(problem, np.array(list(case.truth.values())), {})
+    problem = FitProblem([record], list(case.truth), about, FitOptions(starts=[start_at(case)]))
+    part, bench = problem.record_fits[0], Repeatable(problem, np.array(list(case.truth.values())), {})
     true_K, added = (x[0] for x in disturbed(bench, WANDERING, 1, rng))
     measure(problem, true_K, rng)
     start = part.start.profile
     initial = {"initial": "profile", "initial_profile": np.column_stack([part.mesh.depth_m, start]).tolist()}
     columns = {"time_s": part.sample_s} | {
-        c.sensor.column: 0.5 * (c.observed.lower_K + c.observed.upper_K) for c in part.channels
+        c.sensor.column: 0.5 * (c.intervals.lower_K + c.intervals.upper_K) for c in part.channels
     }
     declared = record.declared.model_copy(update={"stack": stack.model_copy(update=initial), "segments": Segments()})
     flown = record.conditions.at(part.time_s)

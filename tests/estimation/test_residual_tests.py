@@ -174,15 +174,15 @@ def test_an_elevon_that_follows_alpha_makes_their_derivatives_a_direction_in_wor
     J = np.stack([np.ones(40), alpha, 0.4 * alpha + 1e-5 * np.sin(alpha)], axis=1)
     (found,) = directions(J.T @ J, NAMES)
     assert set(found.members) == {"ratio.d_alpha", "ratio.d_elevon"}
-    assert found.words().endswith("move against each other without the data telling")
-    assert found.move[2] / found.move[1] == approx(-1.0 / 0.4, rel=1e-3)
-    assert np.linalg.norm(J @ found.move) < 1e-4 * np.linalg.norm(J[:, 1] * found.move[1])
+    assert found.describe().endswith("they may change in opposite directions")
+    assert found.change[2] / found.change[1] == approx(-1.0 / 0.4, rel=1e-3)
+    assert np.linalg.norm(J @ found.change) < 1e-4 * np.linalg.norm(J[:, 1] * found.change[1])
 
 
 def test_parameters_that_cancel_move_together() -> None:
     J = np.stack([np.ones(9), np.arange(9.0), -np.arange(9.0)], axis=1)
     (found,) = directions(J.T @ J, NAMES)
-    assert found.words() == "ratio.d_alpha and ratio.d_elevon move together without the data telling"
+    assert found.describe() == "the data do not separate ratio.d_alpha and ratio.d_elevon: they may change together"
 
 
 def test_what_the_data_do_not_tell_has_no_finite_bound_and_the_rest_keeps_its_own() -> None:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from sim_heating.estimation.inference.newton import Settings, Status, maximise
-from sim_heating.estimation.problem import FitProblem, joint_reference
+from sim_heating.estimation.inference.newton import NewtonSettings, Status, maximise
+from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.estimation.side_by_side import JointMarch, maximise_together
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.inputs.record import in_segments
@@ -30,7 +30,7 @@ def problem(effects: Sequence[EffectUse] = (), more: Sequence[str] = ()) -> FitP
     record, _ = practice_record("p06")
     chosen = [in_segments(record.time_s, FITTED_S)]
     names = ["ratio.scale", "ratio.d_alpha", *more]
-    return FitProblem([record], names, joint_reference([record]), effects=effects, chosen=chosen)
+    return FitProblem([record], names, joint_reference([record]), FitOptions(effects=effects, sample_masks=chosen))
 
 
 def firsts(problems: Sequence[FitProblem]) -> list[np.ndarray]:
@@ -63,7 +63,7 @@ def test_problem_whose_march_fails_spoils_none_beside_it(problems):
 def test_fits_side_by_side_are_those_of_each_alone(problems):
     starts = firsts(problems)
     starts[3] = np.full_like(starts[3], np.nan)
-    settings = Settings(iterations=3)
+    settings = NewtonSettings(iterations=3)
     fits = maximise_together(problems, starts, settings)
     assert fits[3].status is Status.NO_START
     for k in (0, 1, 2, 4):

@@ -24,7 +24,9 @@ def true_profile(name: str, time_s: float) -> tuple:
     """Part of a fit, and its temperatures [K] at a time with the true parameters."""
     record, model = practice_record(name)[0], practice_model(name)
     problem = FitProblem([record], list(model.parameters), model.reference)
-    return problem.parts[0], state_at(problem.parts[0], np.array(list(model.parameters.values())), time_s)[0]
+    return problem.record_fits[0], state_at(problem.record_fits[0], np.array(list(model.parameters.values())), time_s)[
+        0
+    ]
 
 
 @pytest.mark.parametrize("name", ["p06", "p07"])

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.block import ALPHA, CONDITION_COLUMNS, FAILED, FILM, JETS, LOG10_RE, N_CONDITIONS
 from sim_heating.closure.search.candidates import candidates
-from sim_heating.estimation.problem import FitProblem, joint_reference
+from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.estimation.side_by_side import JointMarch
 from sim_heating.heating import flight_variables
 from sim_heating.heating.effects import Effect, EffectUse, effect, effects, use
@@ -176,11 +176,11 @@ def test_neutral_effect_does_nothing_whatever_else_it_has():
     looked_for = candidates(record, conditions_of_record(record))
     tried = {c.form: c for c in reversed(looked_for) if len(c.felt) < len(c.names)}.values()
     assert {c.name for c in tried} == {e.name for e in effects().values() if 0 < len(e.neutral) < len(e.parameters)}
-    problems = [FitProblem([record], c.names, joint_reference([record]), effects=c.uses) for c in tried]
+    problems = [FitProblem([record], c.names, joint_reference([record]), FitOptions(effects=c.uses)) for c in tried]
     starts = [np.array([c.start[p.name] for p in q.parameters]) for c, q in zip(tried, problems, strict=True)]
     assert all(JointMarch(problems).march(starts))
     for c, problem, start in zip(tried, problems, starts, strict=True):
-        own = np.concatenate([s.own for s in problem.samples(start)])
+        own = np.concatenate([s.sensitivity for s in problem.samples(start)])
         moved = {p.name for p, column in zip(problem.parameters, own.T, strict=True) if np.any(column != 0.0)}
         assert moved, c
         assert moved <= set(c.felt), c

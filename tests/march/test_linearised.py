@@ -19,7 +19,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import check
 from sim_heating.base.kernels.block import LANES
 from sim_heating.base.parameters import EFFECT_PREFIX, RATIO, STACK
-from sim_heating.estimation.problem import FitProblem, joint_reference
+from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.estimation.starts import profile_start
 from sim_heating.heating.effects import effects, use
 from sim_heating.heating.ratio.table import RatioTable
@@ -210,7 +210,7 @@ def problem(names: Sequence[str]) -> FitProblem:
     record = recorded()
     chosen = in_segments(record.time_s, [POPU_S])
     start = partial(profile_start, time_s=POPU_S[0] - 20.0)
-    return FitProblem([record], names, joint_reference([record]), starts=[start], chosen=[chosen])
+    return FitProblem([record], names, joint_reference([record]), FitOptions(starts=[start], sample_masks=[chosen]))
 
 
 def test_clock_skew_bias_gain_and_initial_profile():

@@ -59,7 +59,7 @@ def test_a_brighter_lamp_tells_more_of_the_clock_and_less_more_of_the_coating() 
 
 def test_what_the_step_told_predicts_the_thermocouples_to_their_noise() -> None:
     found = fitted(50e3)
-    floor = found.problem.parts[0].record.noise_floor_K()
+    floor = found.problem.record_fits[0].record.noise_floor_K()
     before, after = (np.sqrt(np.nanmean(p[0].residual_K ** 2)) for p in (found.before, found.after))
     assert before > 5.0 * floor
     assert after == pytest.approx(floor, rel=0.1)

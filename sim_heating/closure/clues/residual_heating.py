@@ -142,15 +142,15 @@ def residual_heating(
     without         : name of a sensor that is left out
     raises          : RunError where the model cannot be marched
     """
-    own = problem.parts[part]
+    own = problem.record_fits[part]
     shift, channels = own.shift_s(values), [c for c in own.channels if c.sensor.name != without]
     samples, order = filter_samples(
         channels, own.sample_s + shift, own.mesh, own.sigma_K, own.values(values), own.correction_K
     )
-    track = FilterTrack(own.with_parameters(values), own.mesh, samples, (), own.initial_K(values))
+    track = FilterTrack(own.model_at(values), own.mesh, samples, (), own.initial_K(values))
     history = condition_history(own.conditions.at(own.time_s))[np.newaxis]
     found = unknown_input(track, own.time_s, history, disturbance)
-    fitted = [s for s in problem.samples(values) if s.part is own and s.channel in channels]
+    fitted = [s for s in problem.samples(values) if s.record_fit is own and s.channel in channels]
     mean_K = np.concatenate([s.mean_K for s in fitted])
     with_K = np.empty_like(mean_K)
     with_K[order] = found.read_K

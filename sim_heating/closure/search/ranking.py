@@ -90,7 +90,7 @@ def posteriors(delta_bic: Mapping[str, float]) -> dict[str, float]:
 
 def prior_penalty(attempt: TrialFit) -> float:
     """By how much priors speak against the values found: the sum of squares of sigmas from what is declared."""
-    part, found = attempt.problem.parts[0], fitted_values(attempt)
+    part, found = attempt.problem.record_fits[0], fitted_values(attempt)
     known = {n: sensor_definition(part.record, n) or part.model.definition(n) for n in attempt.candidate.prior}
     return float(sum(((found[n] - p.value) / p.sigma) ** 2 for n, p in known.items()))
 

@@ -49,14 +49,15 @@ def predicted_gains(base: TrialFit, tried: Sequence[Candidate]) -> list[float]:
 
     The base's own sensitivities hold for all: a candidate begins without any effect, or little.
     """
-    part, start = base.problem.parts[0], fitted_values(base)
-    fixed = {n: start[n] for n in part.marched if not n.startswith(EFFECT_PREFIX)}
+    part, start = base.problem.record_fits[0], fitted_values(base)
+    fixed = {n: start[n] for n in part.march_names if not n.startswith(EFFECT_PREFIX)}
     problems = [
-        candidate_problem(base, part, c, tuple(dict.fromkeys((*part.other, *c.felt))), fixed=fixed) for c in tried
+        candidate_problem(base, part, c, tuple(dict.fromkeys((*part.sensor_names, *c.felt))), fixed=fixed)
+        for c in tried
     ]
     firsts = [start_values(p, {**start, **c.start}) for p, c in zip(problems, tried, strict=True)]
-    known = np.concatenate([s.own for s in base.problem.samples(base.fit.values)])
-    inner = known[:, [k for k, n in enumerate(part.names) if n not in part.other]]
+    known = np.concatenate([s.sensitivity for s in base.problem.samples(base.fit.values)])
+    inner = known[:, [k for k, n in enumerate(part.names) if n not in part.sensor_names]]
     marched, scored = JointMarch(problems).march(firsts), _Scored()
     return [
         _promise(problem, first, inner, scored) - base.fit.log_likelihood if done else -np.inf
@@ -71,7 +72,7 @@ class _Scored(dict[tuple[int, bytes], tuple[float, FloatArray, FloatArray]]):
         """Those of one channel."""
         key = s.channel.number, s.mean_K.tobytes()
         if key not in self:
-            self[key] = scores(s.channel.observed, s.mean_K, s.sigma_K)
+            self[key] = scores(s.channel.intervals, s.mean_K, s.sigma_K)
         return self[key]
 
 
@@ -80,7 +81,7 @@ def _promise(problem: FitProblem, first: FloatArray, known: FloatArray, scored: 
     everything = problem.samples(first)
     found = [scored.of(s) for s in everything]
     score, weight = np.concatenate([f[1] for f in found]), np.concatenate([f[2] for f in found])
-    own = np.concatenate([s.own for s in everything])
+    own = np.concatenate([s.sensitivity for s in everything])
     gradient, information = score @ own, weight @ own**2
     lower = np.array([p.lower for p in problem.parameters])
     upper = np.array([p.upper for p in problem.parameters])
@@ -115,7 +116,7 @@ def fit_in_stages(
     history = [_gains(fits, reached)]
     for stage, (within, settings) in enumerate(STAGES[1:], start=1):
         best = float(np.max(history[-1], initial=0.0))
-        near, step = history[-1] >= within * best, np.array([f.promised for f in fits])
+        near, step = history[-1] >= within * best, np.array([f.predicted_gain for f in fits])
         if stage == 1:
             near |= (np.array(promised) >= PATIENCE * best) | (history[-1] + HOPE * step >= best)
         elif stage == 2:

@@ -150,7 +150,7 @@ def _judged(rounds: Sequence[SearchRound], added: Sequence[TrialFit]) -> tuple[t
 def search_round(base: TrialFit, taken: Sequence[str], progress: Progress) -> SearchRound:
     """Weigh every candidate on top of a model, fit the promising ones, keep the best attempt of each effect."""
     progress(0.0, "weighing candidates")
-    record = base.problem.parts[0].record
+    record = base.problem.record_fits[0].record
     flown = conditions_of_record(record)
     tried = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), taken)
     gains = predicted_gains(base, tried)

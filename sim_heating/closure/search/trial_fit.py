@@ -22,8 +22,8 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import CLOCK_SKEW, Parameter
 from sim_heating.closure.search.candidates import Candidate
 from sim_heating.estimation.fit import FitResult, lag1_autocorrelation, predict_fit, rms_normalised_residual
-from sim_heating.estimation.inference.newton import Fit, Settings
-from sim_heating.estimation.problem import SKEW_SPAN_S, FitProblem
+from sim_heating.estimation.inference.newton import Fit, NewtonSettings
+from sim_heating.estimation.problem import SKEW_SPAN_S, FitOptions, FitProblem
 from sim_heating.estimation.record_fit import RecordFit
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.heating.effects import EffectUse
@@ -37,7 +37,13 @@ WIDENED = 3.0
 """Priors of effects' parameters are this much wider in the search: enough to keep a first step within reason."""
 NODES_PART, FEWEST_NODES = 1.0 / 3.0, 14
 """Nodes that a search marches, over those of a fit; and how many it has at least."""
-QUICK = Settings(gain=0.05, step=0.2, iterations=25, lengths=(0.5, 0.25, 0.1, 0.03, 0.01, 1e-3), reach=0.4)
+QUICK = NewtonSettings(
+    min_improvement=0.05,
+    min_step=0.2,
+    iterations=25,
+    step_fractions=(0.5, 0.25, 0.1, 0.03, 0.01, 1e-3),
+    trust_radius=0.4,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +68,7 @@ class TrialFit:
     @property
     def prediction(self) -> Prediction:
         """The record at the values found."""
-        return predict_fit(self.problem.parts[0], self.fit.values)
+        return predict_fit(self.problem.record_fits[0], self.fit.values)
 
     @property
     def excess(self) -> float:
@@ -92,7 +98,7 @@ class TrialFit:
 
 def base_trial(before: FitResult) -> TrialFit:
     """The declared model with its magnitude and derivatives, and a clock that may be a little off."""
-    whole = before.problem.parts[0]
+    whole = before.problem.record_fits[0]
     start = {**dict(zip(whole.names, before.fit.values, strict=True)), CLOCK_SKEW.name: 0.0}
     fitted, held = whole.record.fit_mask(), whole.record.holdout_mask()
     quick = thin_record(whole.record, max(int(NODES_PART * whole.mesh.nodes), FEWEST_NODES))
@@ -101,7 +107,7 @@ def base_trial(before: FitResult) -> TrialFit:
 
     def over(chosen: NDArray[np.bool_]) -> FitProblem:
         problem = _over(before, quick, chosen, longest_step_s=MAX_STEP_S)
-        part = problem.parts[0]
+        part = problem.record_fits[0]
         part.correction_K = error_K[:, np.isin(at_s, part.sample_s)]
         return problem
 
@@ -116,15 +122,18 @@ def base_trial(before: FitResult) -> TrialFit:
 
 def _over(before: FitResult, record: Record, chosen: NDArray[np.bool_], **more: Any) -> FitProblem:
     """The declared model over some of the samples of a record, whole or thinned."""
-    whole = before.problem.parts[0]
+    whole = before.problem.record_fits[0]
     interval = float(np.median(np.diff(whole.record.time_s)))
     off = min(AGREEMENT * interval, SKEW_SPAN_S)
     clock = {CLOCK_SKEW.name: replace(CLOCK_SKEW, lower=-off, upper=off)}
     names = (*whole.names, CLOCK_SKEW.name)
     problem = FitProblem(
-        [record], names, before.problem.reference, priors=clock, widened=WIDENED, chosen=[chosen], **more
+        [record],
+        names,
+        before.problem.reference,
+        FitOptions(priors=clock, prior_scale=WIDENED, sample_masks=[chosen], **more),
     )
-    problem.parts[0].sigma_K.update(whole.sigma_K)
+    problem.record_fits[0].sigma_K.update(whole.sigma_K)
     return problem
 
 
@@ -132,10 +141,10 @@ def _changed_by_thinning(
     full: FitProblem, quick: FitProblem, start: Mapping[str, float]
 ) -> tuple[FloatArray, FloatArray]:
     """(sensor, sample) what the record as it is, on a mesh without error, adds to the thinned one, and the times."""
-    at, part = start_values(full, start), full.parts[0]
+    at, part = start_values(full, start), full.record_fits[0]
     full.correct_meshes(at)
     try:
-        exact, coarse = (p.parts[0].corrected(p.marched(at)[0]).temperature_K for p in (full, quick))
+        exact, coarse = (p.record_fits[0].with_mesh_correction(p.marched(at)[0]).temperature_K for p in (full, quick))
     except RunError:  # a model so wrong that it cannot be marched everywhere: the quick march stands as it is
         return np.zeros((len(part.mesh.sensors), len(part.sample_s))), part.sample_s
     return exact - coarse, part.sample_s
@@ -143,20 +152,20 @@ def _changed_by_thinning(
 
 def problem_with(base: TrialFit, candidate: Candidate) -> FitProblem:
     """The base's problem with a candidate's unknowns."""
-    return candidate_problem(base, base.problem.parts[0], candidate, _names(base, candidate), widened=WIDENED)
+    return candidate_problem(base, base.problem.record_fits[0], candidate, _names(base, candidate), prior_scale=WIDENED)
 
 
 def held_out_problem_with(base: TrialFit, candidate: Candidate) -> FitProblem | None:
     """The same over the samples held out."""
     if base.held_out is None:
         return None
-    part = base.held_out.parts[0]
+    part = base.held_out.record_fits[0]
     chosen = [part.record.holdout_mask()]
-    return candidate_problem(base, part, candidate, _names(base, candidate), widened=WIDENED, chosen=chosen)
+    return candidate_problem(base, part, candidate, _names(base, candidate), prior_scale=WIDENED, sample_masks=chosen)
 
 
 def _names(base: TrialFit, candidate: Candidate) -> tuple[str, ...]:
-    return tuple(dict.fromkeys((*base.problem.parts[0].names, *candidate.names)))
+    return tuple(dict.fromkeys((*base.problem.record_fits[0].names, *candidate.names)))
 
 
 def candidate_problem(
@@ -169,9 +178,9 @@ def candidate_problem(
     if CLOCK_SKEW.name in candidate.names:
         priors[CLOCK_SKEW.name] = replace(CLOCK_SKEW, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)
     more |= {"effects": uses, "priors": priors, "longest_step_s": MAX_STEP_S}
-    problem = FitProblem([part.record], names, base.problem.reference, **more)
-    problem.parts[0].sigma_K.update(part.sigma_K)
-    problem.parts[0].correction_K = part.correction_K
+    problem = FitProblem([part.record], names, base.problem.reference, FitOptions(**more))
+    problem.record_fits[0].sigma_K.update(part.sigma_K)
+    problem.record_fits[0].correction_K = part.correction_K
     return problem
 
 
@@ -187,12 +196,12 @@ def fitted_values(attempt: TrialFit) -> dict[str, float]:
 
 def fitted_effects(attempt: TrialFit) -> tuple[EffectUse, ...]:
     """The effects of an attempt's model at the values found."""
-    return attempt.problem.parts[0].with_parameters(attempt.fit.values).effects
+    return attempt.problem.record_fits[0].model_at(attempt.fit.values).effects
 
 
 def sample_count(problem: FitProblem) -> int:
     """Number of its samples."""
-    return sum(len(channel.samples) for part in problem.parts for channel in part.channels)
+    return sum(len(channel.samples) for part in problem.record_fits for channel in part.channels)
 
 
 MAX_STEP_S = 2.0

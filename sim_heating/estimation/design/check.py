@@ -14,7 +14,7 @@ from sim_heating.base.progress import Progress, quiet
 from sim_heating.estimation.design.information import Experiment
 from sim_heating.estimation.inference.likelihood import reading_intervals
 from sim_heating.estimation.inference.newton import maximise
-from sim_heating.estimation.problem import FitProblem, joint_reference
+from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.estimation.record_fit import Start
 from sim_heating.heating.effects import EffectUse
 from sim_heating.inputs.record import Record
@@ -60,16 +60,16 @@ def repeated_fits(
     begin = None if start is None else replace(start, unknowns=tuple(of_start.values()))
     names = [n for n in told.names if n not in of_start]
     about = joint_reference([record], reference)
-    problem = FitProblem([record], names, about, effects=effects, priors=known, starts=[begin])
-    parameters, part = problem.parameters, problem.parts[0]
+    problem = FitProblem([record], names, about, FitOptions(effects=effects, priors=known, starts=[begin]))
+    parameters, record_fit = problem.parameters, problem.record_fits[0]
     rng = np.random.default_rng(seed)
     errors, failed = [], 0
     for k in range(repetitions):
         truth = draw_truth(parameters, rng)
-        part.channels = [
+        record_fit.channels = [
             replace(
                 s.channel,
-                observed=reading_intervals(
+                intervals=reading_intervals(
                     s.channel.sensor, _simulated_readings(s.channel.sensor, s.mean_K, s.sigma_K, rng)
                 ),
             )

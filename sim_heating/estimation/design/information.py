@@ -28,7 +28,7 @@ from sim_heating.base.parameters import CLOCK_SKEW, SENSOR_PREFIX, Parameter
 from sim_heating.estimation.inference.identifiability import covariance
 from sim_heating.estimation.inference.likelihood import expected_information
 from sim_heating.estimation.inference.observability import variables_of
-from sim_heating.estimation.problem import FitProblem, joint_reference
+from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.estimation.record_fit import PredictedSamples, Start
 from sim_heating.heating.effects import EffectUse
 from sim_heating.inputs.record import Record
@@ -231,7 +231,7 @@ def experiment(
     """
     about = joint_reference([record], reference)
     marched = [n for n in names if n != PRESSURE.name]
-    problem = FitProblem([record], marched, about, effects=effects, starts=[start])
+    problem = FitProblem([record], marched, about, FitOptions(effects=effects, starts=[start]))
     unknowns = tuple(replace(u.parameter, name=u.label) for u in problem.unknowns)
     values = np.array([p.value for p in unknowns])
     found = problem.samples(values)
@@ -259,7 +259,7 @@ def _pressure_slopes(
     for factor in (1.0 + PRESSURE_STEP, 1.0 - PRESSURE_STEP):
         pressure = factor * record.conditions["p_surface_Pa"]
         moved = replace(record, conditions=record.conditions.with_columns(p_surface_Pa=pressure))
-        sides.append(FitProblem([moved], [], about, effects=effects, starts=[known]).samples(np.zeros(0)))
+        sides.append(FitProblem([moved], [], about, FitOptions(effects=effects, starts=[known])).samples(np.zeros(0)))
     return [(high.mean_K - low.mean_K) / (2.0 * PRESSURE_STEP) for high, low in zip(*sides, strict=True)]
 
 

@@ -35,13 +35,13 @@ from sim_heating.estimation.filter.process_noise import CORRELATION, Level, Leve
 from sim_heating.estimation.filter.records import filter_samples
 from sim_heating.estimation.inference.identifiability import scale
 from sim_heating.estimation.inference.likelihood import likelihood
-from sim_heating.estimation.inference.newton import Evaluation, Fit, Settings, Status, StepCallback, maximise
+from sim_heating.estimation.inference.newton import Evaluation, Fit, NewtonSettings, Status, StepCallback, maximise
 from sim_heating.estimation.problem import FitProblem, in_threads
 from sim_heating.estimation.record_fit import PredictedSamples, least_sigma_K
 from sim_heating.march.ensemble import condition_history
 from sim_heating.march.point import PointModel
 
-SETTINGS = Settings(gain=1e-4, step=1e-2)
+SETTINGS = NewtonSettings(min_improvement=1e-4, min_step=1e-2)
 """A hundredth of a sigma: differences of a log likelihood give a gradient no more accurately than that."""
 STEP = 0.1
 """Parameters are moved by this part of their sigma, the others being known, for the gradient."""
@@ -65,15 +65,15 @@ class Innovations:
         self.problem = problem
         undeclared = {
             (k, c.number): part.sigma_K[c.number]
-            for k, part in enumerate(problem.parts)
+            for k, part in enumerate(problem.record_fits)
             for c in part.channels
             if c.sensor.noise_sigma_K is None
         }
         self.levels = Levels(noise, undeclared)
-        self._histories = [condition_history(p.conditions.at(p.time_s))[np.newaxis] for p in problem.parts]
+        self._histories = [condition_history(p.conditions.at(p.time_s))[np.newaxis] for p in problem.record_fits]
         self._bare: dict[tuple[int, int], FilterMarch] = {}
-        self._whole: list[FilterMarch | None] = [None] * len(problem.parts)
-        self._levelled: list[FilterMarch | None] = [None] * len(problem.parts)
+        self._whole: list[FilterMarch | None] = [None] * len(problem.record_fits)
+        self._levelled: list[FilterMarch | None] = [None] * len(problem.record_fits)
         self._last: tuple[bytes, Levels, list[Filtered]] | None = None
 
     # Likelihood ------------------------------------------------------------------------------------------------------
@@ -90,11 +90,11 @@ class Innovations:
         try:
             samples = self.samples(vector)
         except RunError:
-            return self.problem.nothing()
+            return self.problem.failed_evaluation()
         m = len(self.problem.unknowns)
         total, information = 0.0, np.zeros((m, m))
         for s in samples:
-            found = likelihood(s.channel.observed, s.mean_K, s.spread_K)
+            found = likelihood(s.channel.intervals, s.mean_K, s.spread_K)
             total += float(np.sum(found.log_likelihood))
             own = s.jacobian
             information += (own.T * found.information) @ own
@@ -108,7 +108,7 @@ class Innovations:
         Source: docs/estimation_statistics.md, equation 32.
         """
         chunks = [slice(i, i + LANES) for i in range(0, len(vectors), LANES)]
-        jobs = [(k, c) for k in range(len(self.problem.parts)) for c in range(len(chunks))]
+        jobs = [(k, c) for k in range(len(self.problem.record_fits)) for c in range(len(chunks))]
         found = in_threads(lambda j: self._several(*jobs[j], vectors[chunks[jobs[j][1]]]), len(jobs))
         total = np.zeros(len(vectors))
         for (_, c), of_part in zip(jobs, found, strict=True):
@@ -152,7 +152,7 @@ class Innovations:
             for width in NARROW if again else WIDE:
                 self._search(level, vector, width)
         for (k, number), sigma in self.levels.sigma_K.items():
-            self.problem.parts[k].sigma_K[number] = sigma
+            self.problem.record_fits[k].sigma_K[number] = sigma
         return _change(before, self.levels)
 
     def _search(self, level: Level, vector: FloatArray, width: float) -> None:
@@ -178,12 +178,14 @@ class Innovations:
 
     def _at_least(self, levels: Levels) -> Levels:
         """Levels with no sensor below the least noise of one (observation.least_sigma_K)."""
-        floor = {(k, c.number): least_sigma_K(c.sensor) for k, p in enumerate(self.problem.parts) for c in p.channels}
+        floor = {
+            (k, c.number): least_sigma_K(c.sensor) for k, p in enumerate(self.problem.record_fits) for c in p.channels
+        }
         return replace(levels, sigma_K={key: max(s, floor[key]) for key, s in levels.sigma_K.items()})
 
     def _of_levels(self, vector: FloatArray, tried: Sequence[Levels]) -> FloatArray:
         """(level,) log likelihoods, parameters about a vector integrated out; LANES of them at most."""
-        found = in_threads(lambda k: self._one_at_levels(k, vector, tried), len(self.problem.parts))
+        found = in_threads(lambda k: self._one_at_levels(k, vector, tried), len(self.problem.record_fits))
         return np.array([self._marginal(vector, of_level) for of_level in zip(*found, strict=True)])
 
     def _marginal(self, vector: FloatArray, found: Sequence[Filtered | None]) -> float:
@@ -192,7 +194,7 @@ class Innovations:
         known = np.array([p.sigma**-2.0 for p in parameters])
         g, M = known * (np.array([p.value for p in parameters]) - vector), np.diag(known)
         total = 0.0
-        for part, f in zip(self.problem.parts, found, strict=True):
+        for part, f in zip(self.problem.record_fits, found, strict=True):
             if f is None:
                 return -np.inf
             total += float(np.sum(f.log_likelihood))
@@ -208,13 +210,13 @@ class Innovations:
 
     def _one_at_levels(self, k: int, vector: FloatArray, tried: Sequence[Levels]) -> list[Filtered | None]:
         """A record filtered with sensitivities at several levels; None where its filter diverged."""
-        part, march = self.problem.parts[k], self._levelled[k]
+        part, march = self.problem.record_fits[k], self._levelled[k]
         tracks = [self._track(k, vector, levels)[0] for levels in tried]
         # a group of lanes is always full
         tracks += [tracks[-1]] * (LANES - len(tracks))
         if march is None:
             march = self._levelled[k] = FilterMarch(tracks, part.time_s, self._histories[k])
-        march.set_models([part.with_parameters(vector)] * LANES)
+        march.set_models([part.model_at(vector)] * LANES)
         try:
             return list(march.filter(tracks)[: len(tried)])
         except RunError:
@@ -244,43 +246,43 @@ class Innovations:
 
         The smoother is that of docs/filter.md, after Rauch, Tung and Striebel (1965).
         """
-        part = self.problem.parts[k]
+        part = self.problem.record_fits[k]
         track, order = self._track(k, vector, self.levels, sensitive=False)
         march = FilterMarch([track], part.time_s, self._histories[k])
-        march.set_models([part.with_parameters(vector)])
+        march.set_models([part.model_at(vector)])
         return track, march.filter(keep=True)[0], order
 
     def _filtered(self, vector: FloatArray) -> list[Filtered]:
         """Every record filtered with sensitivities; the last ones are kept."""
         if self._last is None or self._last[:2] != (vector.tobytes(), self.levels):
-            found = in_threads(lambda k: self._one(k, vector), len(self.problem.parts))
+            found = in_threads(lambda k: self._one(k, vector), len(self.problem.record_fits))
             self._last = (vector.tobytes(), self.levels, found)
         return self._last[2]
 
     def _one(self, k: int, vector: FloatArray) -> Filtered:
-        part, track = self.problem.parts[k], self._track(k, vector, self.levels)[0]
+        part, track = self.problem.record_fits[k], self._track(k, vector, self.levels)[0]
         march = self._whole[k]
         if march is None:
             march = self._whole[k] = FilterMarch([track], part.time_s, self._histories[k])
-        march.set_models([part.with_parameters(vector)])
+        march.set_models([part.model_at(vector)])
         return march.filter([track])[0]
 
     def _track(
         self, k: int, vector: FloatArray, levels: Levels, *, sensitive: bool = True
     ) -> tuple[FilterTrack, NDArray[np.int64]]:
         """A record as the filter takes it, and the places of its readings among those of the channels."""
-        part = self.problem.parts[k]
+        part = self.problem.record_fits[k]
         values, time_s = part.values(vector), part.sample_s + part.shift_s(vector)
         sigma = {c.number: levels.sigma_K.get((k, c.number), part.sigma_K[c.number]) for c in part.channels}
         samples, order = filter_samples(
             part.channels, time_s, part.mesh, sigma, values, part.correction_K, part.names if sensitive else ()
         )
         start, noise = part.start, levels.noise
-        columns = np.zeros((part.mesh.nodes, len(part.names) - len(part.marched)))
+        columns = np.zeros((part.mesh.nodes, len(part.names) - len(part.march_names)))
         if start is not None:
             columns[:, : start.columns.shape[1]] = start.columns
         track = FilterTrack(
-            part.model, part.mesh, samples, part.marched if sensitive else (), part.initial_K(vector),
+            part.model, part.mesh, samples, part.march_names if sensitive else (), part.initial_K(vector),
             columns if sensitive else None, None if start is None else start.covariance_K2, noise.node_K_sqrt_s**2,
             noise.disturbance,
         )  # fmt: skip
@@ -288,10 +290,10 @@ class Innovations:
 
     def _several(self, k: int, chunk: int, vectors: FloatArray, levels: Sequence[Levels] | None = None) -> FloatArray:
         """(candidate,) log likelihoods of a record; NaN where its filter diverged."""
-        part, padding = self.problem.parts[k], LANES - len(vectors)
+        part, padding = self.problem.record_fits[k], LANES - len(vectors)
         noise = [self.levels] * len(vectors) if levels is None else list(levels)
         tracks = [self._track(k, v, n, sensitive=False)[0] for v, n in zip(vectors, noise, strict=True)]
-        models = [part.with_parameters(v) for v in vectors]
+        models = [part.model_at(v) for v in vectors]
         march = self._bare.get((k, chunk))
         if march is None:
             march = self._bare[k, chunk] = FilterMarch([tracks[0]] * LANES, part.time_s, self._histories[k])
@@ -314,7 +316,7 @@ class Innovations:
 
     def _of_part(self, k: int, filtered: Filtered, vector: FloatArray) -> list[PredictedSamples]:
         """The channels of a record as its filter predicts them."""
-        part, order = self.problem.parts[k], self._track(k, vector, self.levels, sensitive=False)[1]
+        part, order = self.problem.record_fits[k], self._track(k, vector, self.levels, sensitive=False)[1]
         mean, variance = np.empty((2, len(order)))
         own = np.empty((len(order), len(part.names)))
         mean[order], variance[order] = filtered.predicted_K, filtered.predicted_variance_K2

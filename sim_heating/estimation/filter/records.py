@@ -79,7 +79,7 @@ def filter_samples(
     rows, added = [], np.zeros((len(mesh.sensors), len(time_s))) + added_K
     direct = []
     for channel in found:
-        low, high = channel.observed.lower_K, channel.observed.upper_K
+        low, high = channel.intervals.lower_K, channel.intervals.upper_K
         # the tangent is taken at the middle of a word, at the finite end of an open one
         middle = np.where(np.isfinite(low), np.where(np.isfinite(high), 0.5 * (low + high), low), high)
         slope, constant = calibration_line(channel.sensor, middle)

@@ -1,7 +1,7 @@
 """Directions in parameter space that an information matrix identifies, and the covariance that follows from it.
 
 With parameters scaled to unit information each, s_i = 1 / sqrt(M_ii), the scaled matrix has ones on its diagonal, and
-the eigenvalue of a direction is the information on the parameters moved together over that on each alone: two
+the eigenvalue of a direction is the information on the parameters changed together over that on each alone: two
 parameters of correlation rho have the eigenvalues 1 +- rho. A direction is singular where its eigenvalue is below
 a threshold. Derived in docs/estimation_statistics.md, equations 18 and 19.
 """
@@ -28,25 +28,25 @@ class Direction:
     """A direction of the scaled parameters.
 
     eigenvalue : information along it, over that on each parameter alone [-]
-    move       : (parameter,) change of the parameters along it, in their units, the largest scaled part positive
-    members    : names of the parameters that move, the largest part first
-    opposed    : whether some of them move against the first
+    change     : (parameter,) change of the parameters along it, in their units, the largest scaled component positive
+    members    : names of the parameters that change, the largest component first
+    opposed    : whether some of them change in the direction opposite to the first
 
     Source: docs/estimation_statistics.md, equation 19.
     """
 
     eigenvalue: float
-    move: FloatArray
+    change: FloatArray
     members: tuple[str, ...]
     opposed: bool
 
-    def words(self) -> str:
+    def describe(self) -> str:
         """One clause for a report, naming the parameters that the data do not separate."""
         if len(self.members) == 1:
-            return f"the data do not inform {self.members[0]}"
+            return f"the data do not identify {self.members[0]}"
         listed = " and ".join((", ".join(self.members[:-1]), self.members[-1]))
-        how = "against each other" if self.opposed else "together"
-        return f"{listed} move {how} without the data telling"
+        how = "in opposite directions" if self.opposed else "together"
+        return f"the data do not separate {listed}: they may change {how}"
 
 
 def scale(information: FloatArray) -> FloatArray:
@@ -57,8 +57,8 @@ def scale(information: FloatArray) -> FloatArray:
 
     Source: docs/estimation_statistics.md, equation 19.
     """
-    own = np.diag(information)
-    return 1.0 / np.sqrt(np.where(own > 0.0, own, 1.0))
+    diagonal = np.diag(information)
+    return 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
 
 
 def scaled_eigenvectors(information: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -90,30 +90,30 @@ def directions(information: FloatArray, names: Sequence[str], below: float = SIN
 
 def _direction(eigenvalue: float, vector: FloatArray, s: FloatArray, names: Sequence[str]) -> Direction:
     order = np.argsort(-np.abs(vector))
-    # the sign of an eigenvector is arbitrary; fixed, reports of like fits agree
+    # the sign of an eigenvector is arbitrary: it is fixed so that reports of similar fits agree
     vector = vector * np.sign(vector[order[0]])
-    parts = [i for i in order if abs(vector[i]) >= NAMED_COMPONENT]
-    return Direction(eigenvalue, vector * s, tuple(names[i] for i in parts), bool(np.any(vector[parts] < 0.0)))
+    named = [i for i in order if abs(vector[i]) >= NAMED_COMPONENT]
+    return Direction(eigenvalue, vector * s, tuple(names[i] for i in named), bool(np.any(vector[named] < 0.0)))
 
 
 def covariance(information: FloatArray) -> FloatArray:
     """Covariance of parameters from their information: its inverse, through the scaled eigenvectors.
 
     information : (parameter, parameter) of data and priors ([-] for parameters without unit)
-    returns     : (parameter, parameter); infinite variance and NaN covariances for parameters with a part in a
-                  direction whose scaled eigenvalue is below ROUNDING
+    returns     : (parameter, parameter); infinite variance and NaN covariances for parameters with a component in
+                  a direction whose scaled eigenvalue is below ROUNDING
 
     Source: docs/estimation_statistics.md, equations 18 and 19.
     """
     values, vectors = scaled_eigenvectors(information)
-    told = values > ROUNDING
+    identified = values > ROUNDING
     s = scale(information)
-    inverse = (vectors[:, told] / values[told]) @ vectors[:, told].T * np.outer(s, s)
+    inverse = (vectors[:, identified] / values[identified]) @ vectors[:, identified].T * np.outer(s, s)
     # a pseudo-inverse would report a small variance in directions of which nothing is known
-    untold = np.sum(vectors[:, ~told] ** 2, axis=1) > ROUNDING
-    inverse[untold, :] = np.nan
-    inverse[:, untold] = np.nan
-    inverse[untold, untold] = np.inf
+    undetermined = np.sum(vectors[:, ~identified] ** 2, axis=1) > ROUNDING
+    inverse[undetermined, :] = np.nan
+    inverse[:, undetermined] = np.nan
+    inverse[undetermined, undetermined] = np.inf
     return inverse
 
 
@@ -125,8 +125,8 @@ def predicted_gain(gradient: FloatArray, covariance: FloatArray) -> float:
 
     Source: docs/estimation_statistics.md, equation 17.
     """
-    told = np.where(np.isfinite(covariance), covariance, 0.0)
-    return 0.5 * float(gradient @ told @ gradient)
+    identified = np.where(np.isfinite(covariance), covariance, 0.0)
+    return 0.5 * float(gradient @ identified @ gradient)
 
 
 def correlation(covariance: FloatArray) -> FloatArray:

@@ -1,23 +1,23 @@
-"""Newton-Raphson on a log posterior: the most probable parameters within their bounds, and how the search ended.
+"""Newton-Raphson search for the most probable parameters within their bounds.
 
 With log likelihood L(p), gradient g and information M (Gauss-Newton, or observed), priors N(value, sigma^2):
 
     (M + P) step = g + P (value - p),   P = diag(1 / sigma^2),   0 for a flat prior
 
-on the parameters that are not held by a bound; the step is shortened until the posterior grows and is cut off at the
+on the parameters that are not fixed at a bound; the step is shortened until the posterior grows and is cut off at the
 bounds (Bertsekas, "Projected Newton Methods for Optimization Problems with Simple Constraints", SIAM J. Control Optim.
 20 (1982)). The whole step is tried first, and a few more from its end where it does not help (Chamberlain et al., "The
-watchdog technique for forcing convergence", Math. Programming Study 16 (1982)); then all lengths of it in one call.
-Levenberg damping where M + P is singular, more where no length helps. Converged when a full step predicts an
-improvement below `gain` and moves nothing by more than `step` of its sigma. Derived in docs/estimation_statistics.md,
-equations 13 to 17.
+watchdog technique for forcing convergence", Math. Programming Study 16 (1982)); then all fractions of it in one call.
+Levenberg damping where M + P is singular, more where no fraction helps. Converged when a full step predicts an
+improvement below `min_improvement` and changes no parameter by more than `min_step` of its sigma. Derived in
+docs/estimation_statistics.md, equations 13 to 17.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
@@ -47,7 +47,7 @@ WATCHED = 3
 the last time.
 """
 SHORTER = 0.5
-"""Factor on `reach` after whole steps did not help; it grows back after they do."""
+"""Factor on `trust_radius` after whole steps did not help; it grows back after they do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,24 +80,26 @@ Iteration = Generator[FloatArray, Any, "Fit"]
 
 
 @dataclass(frozen=True)
-class Settings:
-    """When to stop, and which lengths of a step are tried at once.
+class NewtonSettings:
+    """When a search stops, how far it may step, and where it begins.
 
-    gain       : improvement of the log posterior [-] that a full step must predict for another iteration
-    step       : change of a parameter over its sigma [-] that a full step must make for another iteration
-    iterations : largest number of steps
-    lengths    : fractions of the full step [-], the best of which is taken
-    reach      : limit on the move of a parameter in one step, over the sigma of its prior [-], for a model far from
-                 linear
+    min_improvement : of the log posterior [-] that a full step must predict for another iteration
+    min_step        : change of a parameter over its sigma [-] that a full step must make for another iteration
+    iterations      : largest number of steps
+    step_fractions  : fractions of the full step [-], the best of which is taken
+    trust_radius    : limit on the change of a parameter in one step, over the sigma of its prior [-], for a strongly
+                      nonlinear model
+    first_values    : label of a parameter -> value that the search begins with; the prior's value for all others
 
     Source: docs/estimation_statistics.md, equation 17 and the line search above it.
     """
 
-    gain: float = 1e-6
-    step: float = 1e-3
+    min_improvement: float = 1e-6
+    min_step: float = 1e-3
     iterations: int = 50
-    lengths: tuple[float, ...] = tuple(0.5**k for k in range(8))
-    reach: float = math.inf
+    step_fractions: tuple[float, ...] = tuple(0.5**k for k in range(8))
+    trust_radius: float = math.inf
+    first_values: Mapping[str, float] = field(default_factory=dict)
 
 
 class Status(Enum):
@@ -120,11 +122,11 @@ class Fit:
     log_likelihood, log_posterior : at the values [-]; the posterior without its constant
     information   : (parameter, parameter) of the data alone
     prior_information : (parameter,) 1 / sigma^2
-    on_bound      : (parameter,) whether a parameter is held by a bound
+    on_bound      : (parameter,) whether a parameter is fixed at a bound
     singular      : directions that data and priors together do not identify
     status        : how the search ended
     iterations    : steps taken
-    promised      : improvement of the log posterior [-] that Newton's next step predicts along the identified
+    predicted_gain : improvement of the log posterior [-] that Newton's next step predicts along the identified
                     directions
     history       : (iteration + 1, parameter) values, the start first
 
@@ -142,7 +144,7 @@ class Fit:
     singular: tuple[Direction, ...]
     status: Status
     iterations: int
-    promised: float
+    predicted_gain: float
     history: FloatArray
 
     @property
@@ -161,13 +163,13 @@ class Fit:
         """
         return np.sqrt(np.diag(self.covariance))
 
-    def words(self) -> list[str]:
+    def describe(self) -> list[str]:
         """Lines for a report: the status, parameters on their bounds, directions that are not identified."""
-        held = zip(self.names, self.values, self.on_bound, strict=True)
+        bounded = zip(self.names, self.values, self.on_bound, strict=True)
         return [
             self.status.value,
-            *(f"{name} is on its bound, {value:g}" for name, value, on in held if on),
-            *(direction.words() for direction in self.singular),
+            *(f"{name} is on its bound, {value:g}" for name, value, on in bounded if on),
+            *(direction.describe() for direction in self.singular),
         ]
 
 
@@ -195,15 +197,15 @@ class _Posterior:
         """Log prior density [-] of (..., parameter) values, without its constant."""
         return np.asarray(-0.5 * np.sum(self.information * (values - self.mean) ** 2, axis=-1))
 
-    def added_to(self, at: FloatArray, found: Evaluation) -> Evaluation:
-        """The evaluation of the posterior."""
+    def evaluation(self, at: FloatArray, likelihood: Evaluation) -> Evaluation:
+        """Log posterior, gradient and information at a point, from those of the likelihood there."""
         return Evaluation(
-            found.log_likelihood + float(self.log_prior(at)),
-            found.gradient + self.information * (self.mean - at),
-            found.information + np.diag(self.information),
+            likelihood.log_likelihood + float(self.log_prior(at)),
+            likelihood.gradient + self.information * (self.mean - at),
+            likelihood.information + np.diag(self.information),
         )
 
-    def held(self, at: FloatArray, gradient: FloatArray) -> BoolArray:
+    def on_bound(self, at: FloatArray, gradient: FloatArray) -> BoolArray:
         """Parameters on a bound that the gradient would push beyond it."""
         # released as soon as the gradient points inwards again
         return ((at <= self.lower) & (gradient <= 0.0)) | ((at >= self.upper) & (gradient >= 0.0))
@@ -225,7 +227,7 @@ def check_parameters(parameters: Sequence[Parameter]) -> None:
         elif not p.lower <= p.value <= p.upper:
             problems.append(f"{p.name}: prior value {p.value:g} is outside its bounds {p.lower:g} to {p.upper:g}")
     if not parameters:
-        problems.append("there is no parameter to estimate; name one at least")
+        problems.append("no parameter to estimate; name at least one")
     if problems:
         raise InputError(*problems)
 
@@ -235,25 +237,25 @@ def maximise(
     parameters: Sequence[Parameter],
     start: ArrayLike | None = None,
     log_likelihoods: LogLikelihoods | None = None,
-    settings: Settings | None = None,
-    told: StepCallback = lambda at, log_posterior: None,
+    settings: NewtonSettings | None = None,
+    on_step: StepCallback = lambda at, log_posterior: None,
 ) -> Fit:
     """The most probable values of parameters with priors and bounds.
 
         (M + P) step = g + P (value - p)
 
     evaluate        : log likelihood [-], gradient and information at a parameter vector
-    start           : (parameter,) first values, clipped to the bounds; by default those of the priors
+    start           : (parameter,) first values, clipped to the bounds; by default those of settings and priors
     log_likelihoods : log likelihoods [-] of several parameter vectors at once; by default `evaluate` one after another
     settings        : when to stop and how far to step
-    told            : called with values and log posterior after every step
+    on_step         : called with values and log posterior after every step
     returns         : the fit; its `status` states whether the search converged, it does not raise where it did not
     raises          : InputError for an invalid prior or bounds
 
     Source: docs/estimation_statistics.md, equations 13 to 17.
     """
     several = log_likelihoods or (lambda values: np.array([evaluate(v).log_likelihood for v in values]))
-    search = iteration(parameters, start, settings, told)
+    search = iteration(parameters, start, settings, on_step)
     asked = next(search)
     while True:
         try:
@@ -266,23 +268,25 @@ def maximise(
 def iteration(
     parameters: Sequence[Parameter],
     start: ArrayLike | None = None,
-    settings: Settings | None = None,
-    told: StepCallback = lambda at, log_posterior: None,
+    settings: NewtonSettings | None = None,
+    on_step: StepCallback = lambda at, log_posterior: None,
 ) -> Iteration:
     """The search of `maximise` as a generator, whose caller evaluates: so that many fits can be marched side by side.
 
     parameters : priors and bounds, each in its unit ([-] where it has none)
-    start      : (parameter,) first values, clipped to the bounds; by default those of the priors
-    yields     : (parameter,) vector to be answered with its Evaluation, or (candidate, parameter) vectors to be
-                 answered with their log likelihoods [-]
+    start      : (parameter,) first values, clipped to the bounds; by default those of settings and priors
+    yields     : (parameter,) vector, for which it is sent the Evaluation, or (candidate, parameter) vectors, for which
+                 it is sent their log likelihoods [-]
     returns    : the fit, as the value of StopIteration
     raises     : InputError for an invalid prior or bounds
 
     Source: docs/estimation_statistics.md, equations 13 to 17.
     """
     posterior = _Posterior.of(parameters)
-    at = np.clip(posterior.mean if start is None else np.asarray(start, dtype=float), posterior.lower, posterior.upper)
-    search = _NewtonSearch(posterior, settings or Settings(), at, told)
+    settings = settings or NewtonSettings()
+    first = [settings.first_values.get(p.name, p.value) for p in parameters] if start is None else start
+    at = np.clip(np.asarray(first, dtype=float), posterior.lower, posterior.upper)
+    search = _NewtonSearch(posterior, settings, at, on_step)
     status = yield from search.run()
     return search.fit(tuple(p.name for p in parameters), status)
 
@@ -290,15 +294,15 @@ def iteration(
 class _NewtonSearch:
     """State of a search: current point, evaluation there, damping and trust."""
 
-    def __init__(self, posterior: _Posterior, settings: Settings, at: FloatArray, told: StepCallback) -> None:
-        self.posterior, self.settings, self.told = posterior, settings, told
+    def __init__(self, posterior: _Posterior, settings: NewtonSettings, at: FloatArray, on_step: StepCallback) -> None:
+        self.posterior, self.settings, self.on_step = posterior, settings, on_step
         self.damping, self.trust, self.watched = 0.0, 1.0, WATCHED
         self.history = [at]
 
     def move_to(self, at: FloatArray, likelihood: Evaluation) -> None:
         self.at, self.likelihood = at, likelihood
-        self.found = self.posterior.added_to(at, self.likelihood)
-        self.held = self.posterior.held(at, self.found.gradient)
+        self.found = self.posterior.evaluation(at, self.likelihood)
+        self.on_bound = self.posterior.on_bound(at, self.found.gradient)
 
     def run(self) -> Generator[FloatArray, Any, Status]:
         start = self.history[0]
@@ -307,36 +311,36 @@ class _NewtonSearch:
             return Status.NO_START
         for _ in range(self.settings.iterations):
             step = self.step(self.damping, self.trust)
-            if self.done(step):
+            if self.is_converged(step):
                 return Status.CONVERGED
-            moved = yield from self.whole(step)
-            self.trust = min(self.trust / SHORTER, 1.0) if moved else SHORTER * self.trust
+            accepted = yield from self.take_whole_steps(step)
+            self.trust = min(self.trust / SHORTER, 1.0) if accepted else SHORTER * self.trust
             # along a bent valley whole steps keep failing: do not pay for them again at once
-            self.watched = WATCHED if moved else 0
-            moved = moved or (yield from self.along(step))
-            while not moved and self.damping < LARGEST_DAMPING:
+            self.watched = WATCHED if accepted else 0
+            accepted = accepted or (yield from self.take_best_fraction(step))
+            while not accepted and self.damping < LARGEST_DAMPING:
                 self.damping = max(FIRST_DAMPING, MORE * self.damping)
-                moved = yield from self.along(self.step(self.damping, self.trust))
-            if not moved:
-                # no length helps at the maximum either, where the remaining gradient is rounding
-                return Status.CONVERGED if self.within_rounding() else Status.STALLED
+                accepted = yield from self.take_best_fraction(self.step(self.damping, self.trust))
+            if not accepted:
+                # no fraction helps at the maximum either, where the remaining gradient is rounding
+                return Status.CONVERGED if self.is_within_rounding() else Status.STALLED
             self.history.append(self.at)
-            self.told(self.at, self.found.log_likelihood)
+            self.on_step(self.at, self.found.log_likelihood)
             if not _finite(self.found):
                 return Status.STALLED
             # damping dies out, so that the last steps are Newton's own and the end is quadratic
             self.damping *= LESS if self.damping > FIRST_DAMPING else 0.0
-        return Status.CONVERGED if self.done(self.step(self.damping, self.trust)) else Status.ITERATIONS
+        return Status.CONVERGED if self.is_converged(self.step(self.damping, self.trust)) else Status.ITERATIONS
 
     def step(self, damping: float, trust: float) -> FloatArray:
-        """(parameter,) damped step of the parameters that no bound holds, the best one within the box.
+        """(parameter,) damped step of the parameters that are not on a bound, the best one within the box.
 
         damping : Levenberg damping of the scaled information [-]
-        trust   : fraction of `reach` that the step may use [-]
+        trust   : fraction of `trust_radius` that the step may use [-]
 
         Source: docs/estimation_statistics.md, equation 16.
         """
-        step, free = np.zeros_like(self.at), ~self.held
+        step, free = np.zeros_like(self.at), ~self.on_bound
         if not free.any():
             return step
         values, vectors = scaled_eigenvectors(self.found.information[np.ix_(free, free)])
@@ -355,31 +359,32 @@ class _NewtonSearch:
     def box(self, trust: float) -> tuple[FloatArray, FloatArray]:
         """(parameter,) largest moves down and up.
 
-        They end at the bounds, and at `trust` times `reach` from where the first of a sequence of whole steps began.
+        They end at the bounds, and at `trust` times `trust_radius` from where the first of a sequence of whole steps
+        began.
         """
-        if not np.isfinite(self.settings.reach):
-            nowhere = np.full_like(self.at, np.inf)
-            return -nowhere, nowhere
-        # the prior's sigma is the scale of reach; a flat prior gives a parameter no limit
+        if not np.isfinite(self.settings.trust_radius):
+            unlimited = np.full_like(self.at, np.inf)
+            return -unlimited, unlimited
+        # the prior's sigma is the scale of the radius; a flat prior gives a parameter no limit
         known = self.posterior.information
-        reach = trust * self.settings.reach / np.sqrt(np.where(known > 0.0, known, np.finfo(float).tiny))
+        radius = trust * self.settings.trust_radius / np.sqrt(np.where(known > 0.0, known, np.finfo(float).tiny))
         begin = self.history[-1] - self.at
         return (
-            np.maximum(self.posterior.lower - self.at, begin - reach),
-            np.minimum(self.posterior.upper - self.at, begin + reach),
+            np.maximum(self.posterior.lower - self.at, begin - radius),
+            np.minimum(self.posterior.upper - self.at, begin + radius),
         )
 
-    def done(self, step: FloatArray) -> bool:
+    def is_converged(self, step: FloatArray) -> bool:
         """Whether the undamped step predicts a negligible improvement and is a small part of each sigma."""
         if self.damping > 0.0 or self.trust < 1.0:
             # a damped or shortened step is small because it was made small: convergence is judged on the full one
             step = self.step(0.0, 1.0)
-        promised = 0.5 * float(self.found.gradient @ step)
+        improvement = 0.5 * float(self.found.gradient @ step)
         sigma = np.sqrt(np.diag(self.covariance()))
-        moved = np.abs(step) <= self.settings.step * np.where(self.held, np.inf, sigma)
-        return promised < self.settings.gain and bool(np.all(moved))
+        small = np.abs(step) <= self.settings.min_step * np.where(self.on_bound, np.inf, sigma)
+        return improvement < self.settings.min_improvement and bool(np.all(small))
 
-    def whole(self, step: FloatArray) -> Generator[FloatArray, Any, bool]:
+    def take_whole_steps(self, step: FloatArray) -> Generator[FloatArray, Any, bool]:
         """Take a whole step, cut off at the bounds, where it raises the posterior, which is the usual case.
 
         Where it does not, further whole steps from its end may: along a curved ridge every step leaves it a little.
@@ -397,10 +402,10 @@ class _NewtonSearch:
         self.move_to(*begin)
         return False
 
-    def along(self, step: FloatArray) -> Generator[FloatArray, Any, bool]:
+    def take_best_fraction(self, step: FloatArray) -> Generator[FloatArray, Any, bool]:
         """Take the best of the fractions of a step, cut off at the bounds; False where none raises the posterior."""
-        lengths = np.array(self.settings.lengths)[:, None]
-        candidates = np.clip(self.at + lengths * step, self.posterior.lower, self.posterior.upper)
+        fractions = np.array(self.settings.step_fractions)[:, None]
+        candidates = np.clip(self.at + fractions * step, self.posterior.lower, self.posterior.upper)
         reached = np.asarray((yield candidates), dtype=float) + self.posterior.log_prior(candidates)
         # a candidate that cannot be marched loses to any that can
         reached = np.where(np.isfinite(reached), reached, -np.inf)
@@ -410,21 +415,21 @@ class _NewtonSearch:
             self.move_to(candidates[best], (yield candidates[best]))
         return raised
 
-    def within_rounding(self) -> bool:
+    def is_within_rounding(self) -> bool:
         """Whether the improvement that an undamped step predicts is below the rounding of the log posterior."""
-        promised = 0.5 * float(self.found.gradient @ self.step(0.0, self.trust))
-        return promised < max(self.settings.gain, 1e-12 * abs(self.found.log_likelihood))
+        improvement = 0.5 * float(self.found.gradient @ self.step(0.0, self.trust))
+        return improvement < max(self.settings.min_improvement, 1e-12 * abs(self.found.log_likelihood))
 
     def covariance(self) -> FloatArray:
         """(parameter, parameter) bound on the parameters that are not on a bound; 0 for the others."""
-        free = np.ix_(~self.held, ~self.held)
+        free = np.ix_(~self.on_bound, ~self.on_bound)
         whole = np.zeros_like(self.found.information)
         whole[free] = covariance(self.found.information[free])
         return whole
 
     def fit(self, names: tuple[str, ...], status: Status) -> Fit:
         broken = status is Status.NO_START or not _finite(self.found)
-        free = np.flatnonzero(~self.held)
+        free = np.flatnonzero(~self.on_bound)
         known = self.found.information[np.ix_(free, free)]
         singular = [] if broken else directions(known, [names[i] for i in free], SINGULAR)
         C = np.full_like(self.found.information, np.nan) if broken else self.covariance()
@@ -436,11 +441,11 @@ class _NewtonSearch:
             log_posterior=self.found.log_likelihood,
             information=self.likelihood.information,
             prior_information=self.posterior.information,
-            on_bound=self.held,
+            on_bound=self.on_bound,
             singular=tuple(singular),
             status=status,
             iterations=len(self.history) - 1,
-            promised=0.0 if broken else predicted_gain(self.found.gradient, C),
+            predicted_gain=0.0 if broken else predicted_gain(self.found.gradient, C),
             history=np.array(self.history),
         )
 

@@ -1,7 +1,7 @@
-"""Which parameters a record identifies, and the reason why others are left out.
+"""Which parameters a record identifies, and the reason why others are omitted.
 
-A derivative is identified where its variable moves over the fit segments, where no other parameter does the same to all
-samples, and where its bound over the variable's own excursion is below the heating ratio itself
+A derivative is identified where its variable changes over the fit segments, where no other parameter has the same
+effect on all samples, and where its bound over the variable's own excursion is below the heating ratio itself
 (docs/estimation_statistics.md, equation 20).
 """
 
@@ -27,13 +27,13 @@ CONSTANT_BELOW = {"alpha_deg": 0.05, "beta_deg": 0.02, "log10_re": 0.01, "elevon
 """Standard deviation over the fit segments below which a variable counts as constant, in its own unit."""
 FEWEST_STUCK = 10
 STUCK = 10.0
-"""Movement of the declared model, in recorder steps or sigmas, from which on a constant sensor is stuck."""
+"""Change of the declared model, in recorder steps or sigmas, above which a sensor with constant readings is stuck."""
 MAGNITUDES = ("ratio.scale", "ratio.d0")
 DERIVATIVES = tuple(f"ratio.d_{short}" for short in SHORT)
 
 
 def default_names(records: Sequence[Record]) -> tuple[str, ...]:
-    """Parameters that are estimated where none are named: the magnitude and the five first derivatives.
+    """Parameters that are estimated by default: the magnitude and the five first derivatives.
 
     `ratio.scale` where every record has a ratio table, else `ratio.d0` [-]; the derivatives are those of the founding
     paper, "Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers", equation 2.
@@ -57,7 +57,7 @@ def deviations(records: Sequence[Record]) -> FloatArray:
 def _fitted_rows(record: Record) -> NDArray[np.bool_]:
     """(row of the conditions,) within the span of the fit segments that has samples."""
     t, mask = record.conditions.time_s, record.fit_mask(record.conditions.time_s)
-    # conditions without samples inform nothing, whatever moves there
+    # conditions without samples contain no information, whatever changes there
     samples = record.time_s[record.fit_mask()]
     return mask & (t >= samples.min(initial=np.inf)) & (t <= samples.max(initial=-np.inf))
 
@@ -78,35 +78,35 @@ def variables_of(name: str) -> tuple[int, ...]:
 
 
 def constant_variables(names: Sequence[str], records: Sequence[Record]) -> dict[str, str]:
-    """Derivatives against variables that are constant over the fit segments, with the reason for leaving them out.
+    """Derivatives against variables that are constant over the fit segments, with the reason for omitting them.
 
     names   : dotted names of parameters
     returns : name -> reason; the standard deviation is compared with 0.05 [deg] (beta 0.02 [deg], log10 Re 0.01 [-])
 
     First of the two criteria of docs/estimation_statistics.md, equation 20.
     """
-    moved = deviations(records)
-    found = {}
+    sigma = deviations(records)
+    reasons = {}
     for name in names:
         for i in variables_of(name):
-            if moved[i] < CONSTANT_BELOW[RATIO_VARIABLES[i]]:
-                found[name] = (
-                    f"{RATIO_VARIABLES[i]} does not move over the fit segments (standard deviation {moved[i]:.2g}); "
-                    "a manoeuvre in it would tell"
+            if sigma[i] < CONSTANT_BELOW[RATIO_VARIABLES[i]]:
+                reasons[name] = (
+                    f"{RATIO_VARIABLES[i]} is constant over the fit segments (standard deviation {sigma[i]:.2g}); "
+                    "a manoeuvre in it would identify the derivative"
                 )
-    return found
+    return reasons
 
 
 def parameters_without_heating(names: Sequence[str], records: Sequence[Record]) -> dict[str, str]:
-    """Parameters of the heating ratio where there is no aerodynamic heating at all, with the reason.
+    """Parameters of the heating ratio where a record has no aerodynamic heating at all, with the reason.
 
     The ratio enters the surface balance only as r h_ref (docs/equations.md, section 1): with h_ref = 0 [kg/(m2 s)]
     throughout, as in a ground step test, no temperature [K] depends on it.
     """
     if any(np.any(conditions_of_record(r)["h_ref_kg_m2_s"] != 0.0) for r in records):
         return {}
-    why = "h_ref is 0 throughout, so nothing depends on a heating ratio; name parameters of stack, clock or sensors"
-    return {n: why for n in names if n.startswith("ratio.")}
+    reason = "h_ref is 0 throughout, so nothing depends on a heating ratio; name parameters of stack, clock or sensors"
+    return {n: reason for n in names if n.startswith("ratio.")}
 
 
 def mean_ratio(record: Record) -> float:
@@ -123,7 +123,7 @@ def mean_ratio(record: Record) -> float:
 def least_determined(
     labels: Sequence[str], information: FloatArray, ratio: float, records: Sequence[Record]
 ) -> dict[str, str]:
-    """The least determined derivative, with the reason, where it should be left out; empty where all are identified.
+    """The least determined derivative, with the reason, where it should be omitted; empty where all are identified.
 
         sigma_k prod_v std(x_v) > ratio
 
@@ -138,57 +138,56 @@ def least_determined(
     """
     singular = directions(information, list(labels), SINGULAR)
     sigma = np.sqrt(np.abs(np.diag(covariance(information))))
-    moved = deviations(records)
+    excursion = deviations(records)
     worst, name, reason = 1.0, "", ""
     for k, label in enumerate(labels):
         variables = variables_of(label)
         if not variables:
             continue
-        bound = float(sigma[k] * np.prod(moved[list(variables)]))
+        bound = float(sigma[k] * np.prod(excursion[list(variables)]))
         if not np.isfinite(bound):
             bound = np.inf
-        # false for a NaN ratio as well: nothing is judged where no scale is known
+        # false for a NaN ratio as well: without a scale no bound is too large
         if bound > worst * ratio:
             worst, name = bound / ratio, label
             # the text shows the excursion, as a longer one is the remedy
-            excursion = " x ".join(f"{moved[i]:.2g} of {RATIO_VARIABLES[i]}" for i in variables)
-            reason = f"its bound over the excursion flown ({excursion}) is {bound / ratio:.1f} times the ratio itself"
+            flown = " x ".join(f"{excursion[i]:.2g} of {RATIO_VARIABLES[i]}" for i in variables)
+            reason = f"its bound over the excursion flown ({flown}) is {bound / ratio:.1f} times the ratio itself"
             if singular:
-                reason = f"{reason}; {singular[0].words()}"
+                reason = f"{reason}; {singular[0].describe()}"
     if not name and singular and not np.all(np.isfinite(sigma)):
         name = [label for label, s in zip(labels, sigma, strict=True) if not np.isfinite(s)][-1]
-        reason = singular[0].words()
+        reason = singular[0].describe()
     return {name: reason} if name else {}
 
 
 def without_stuck_sensors(record: Record) -> tuple[Record, list[str]]:
-    """A record without the sensors that are stuck at one value although the declared model moves them.
+    """A record without the sensors that are stuck at one value although the declared model changes there.
 
     returns : the record, such sensors no longer used; one line for each, with its value [K]
     raises  : InputError where that is every used sensor
 
-    Stuck: at least 10 readings, all equal, where the declared model moves by more than ten recorder steps or sigmas
-           [K].
-    The criterion is a rule of this program, not of a publication.
+    A sensor is stuck where it has at least 10 readings, all equal, and the declared model changes by more than ten
+    recorder steps or sigmas [K]. The criterion is a rule of this program, not of a publication.
     """
-    mask, told = record.fit_mask(), []
+    mask, lines = record.fit_mask(), []
     indicated = predict(record).indicated_K[:, mask]
     stuck = []
     for sensor, read, expected in zip(record.sensors, record.temperatures_K()[:, mask], indicated, strict=True):
         known = np.isfinite(read) & np.isfinite(expected)
         if not sensor.used or np.count_nonzero(known) < FEWEST_STUCK or np.ptp(read[known]) > 0.0:
             continue
-        moves = float(np.ptp(expected[known]))
-        if moves > STUCK * max(sensor.lsb_K, sensor.noise_sigma_K or 1.0):
+        change = float(np.ptp(expected[known]))
+        if change > STUCK * max(sensor.lsb_K, sensor.noise_sigma_K or 1.0):
             stuck.append(sensor.name)
-            told.append(
-                f"{record.name}, sensor {sensor.name}: never moves, it reads {read[known][0]:g} K in all "
-                f"{np.count_nonzero(known)} samples where the declared model moves by {moves:.0f} K; left out"
+            lines.append(
+                f"{record.name}, sensor {sensor.name}: stuck at {read[known][0]:g} K in all "
+                f"{np.count_nonzero(known)} samples where the declared model changes by {change:.0f} K; not used"
             )
     if not stuck:
         return record, []
     if len(stuck) == len(record.used_sensors):
-        raise InputError(f"{'; '.join(told)}; no sensor is left to estimate from")
+        raise InputError(f"{'; '.join(lines)}; no sensor remains to estimate from")
     sensors = [s.model_copy(update={"used": s.used and s.name not in stuck}) for s in record.sensors]
     thermocouples = record.declared.thermocouples.model_copy(update={"sensor": sensors})
-    return replace(record, declared=record.declared.model_copy(update={"thermocouples": thermocouples})), told
+    return replace(record, declared=record.declared.model_copy(update={"thermocouples": thermocouples})), lines

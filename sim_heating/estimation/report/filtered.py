@@ -56,15 +56,15 @@ class FilteredSensor:
 class FilteredHistory:
     """A record as the filter of a fit sees it; `disturbed`: whether its heating ratio may wander."""
 
-    part: RecordFit
+    record_fit: RecordFit
     sensors: tuple[FilteredSensor, ...]
     smoothed: Smoothed
     disturbed: bool
 
 
-def filtered_history(innovations: Innovations, values: FloatArray, part: RecordFit) -> FilteredHistory:
+def filtered_history(innovations: Innovations, values: FloatArray, record_fit: RecordFit) -> FilteredHistory:
     """One record of a fit filtered and smoothed at parameter values."""
-    k = innovations.problem.parts.index(part)
+    k = innovations.problem.record_fits.index(record_fit)
     track, filtered, order = innovations.filtered(values, k)
     smoothed, s = smooth(filtered), track.samples
     along = [np.interp(s.time_s, smoothed.time_s, column) for column in smoothed.temperature_K.T]
@@ -74,19 +74,19 @@ def filtered_history(innovations: Innovations, values: FloatArray, part: RecordF
     told[0::2, order] = s.gain * [filtered.prior_K, filtered.posterior_K, np.array(along)[s.node, reading]] + s.bias_K
     variances = [filtered.prior_variance_K2, filtered.posterior_variance_K2, np.array(spread)[s.node, reading] ** 2]
     told[1::2, order] = np.abs(s.gain) * np.sqrt(np.maximum(variances, 0.0))
-    ends = np.cumsum([len(c.samples) for c in part.channels])[:-1]
-    marched = [m for m in innovations.problem.samples(values) if m.part is part]
+    ends = np.cumsum([len(c.samples) for c in record_fit.channels])[:-1]
+    marched = [m for m in innovations.problem.samples(values) if m.record_fit is record_fit]
     sensors = []
     for m, own in zip(marched, np.split(told, ends, axis=1), strict=True):
-        at = np.searchsorted(part.record.time_s, m.time_s)
-        read = part.record.thermocouples[m.channel.sensor.column][at]
+        at = np.searchsorted(record_fit.record.time_s, m.time_s)
+        read = record_fit.record.thermocouples[m.channel.sensor.column][at]
         sensors.append(FilteredSensor(m.channel, m.time_s, read, m.mean_K, *own))
-    return FilteredHistory(part, tuple(sensors), smoothed, track.disturbance.density_1_s > 0.0)
+    return FilteredHistory(record_fit, tuple(sensors), smoothed, track.disturbance.density_1_s > 0.0)
 
 
 def write_filtered(folder: Path, found: FilteredHistory) -> None:
     """Write filtered.csv, filtered.png and, where the ratio may wander, ratio_disturbance.csv."""
-    time_s, smoothed = found.part.sample_s, found.smoothed
+    time_s, smoothed = found.record_fit.sample_s, found.smoothed
     columns: dict[str, FloatArray] = {"time_s": time_s}
     for s in found.sensors:
         for what, values in s.columns().items():
@@ -113,7 +113,7 @@ def draw_filtered(path: Path, found: FilteredHistory) -> None:
         _band(a, smoothed.time_s, smoothed.ratio, smoothed.ratio_sigma, SMOOTHED, step="post", drawstyle="steps-post")
         a.axhline(0.0, color="0.3", linewidth=0.8)
         a.set_ylabel("added to the\nheating ratio")
-    record, t = found.part.record, found.part.sample_s
+    record, t = found.record_fit.record, found.record_fit.sample_s
     plot_flown(axes[-1], record.conditions, float(t[0]), float(t[-1]))
     axes[-1].set_xlim(t[0], t[-1])
     axes[-1].set_xlabel(f"time, s; bands: {SIGMAS:g} sigma; dots: measured")

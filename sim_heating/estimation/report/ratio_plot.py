@@ -73,17 +73,19 @@ def plot_flight(a: Axes, x: FloatArray, ratio: FloatArray, sigma: FloatArray) ->
     a.plot(x, ratio, color=FLOWN, linestyle="--", linewidth=1.6, label="flight estimate")
 
 
-def draw_ratio(path: Path, fitted: FitResult, part: RecordFit) -> bool:
+def draw_ratio(path: Path, fitted: FitResult, record_fit: RecordFit) -> bool:
     """Declared table and flight estimate of a record's control point, a panel for each derivative; whether drawn."""
-    chosen = {n: int(k) for n, k in zip(part.names, part.index, strict=True) if n in {p.name for p in RATIO}}
+    chosen = {
+        n: int(k) for n, k in zip(record_fit.names, record_fit.index, strict=True) if n in {p.name for p in RATIO}
+    }
     if not chosen:
         return False
     names, index = tuple(chosen), list(chosen.values())
     reference = np.array(fitted.problem.reference)
     values, covariance = fitted.fit.values[index], fitted.bounds.covariance[np.ix_(index, index)]
-    samples = np.unique(np.concatenate([part.sample_s[c.samples] for c in part.channels]))
-    flown = condition_history(part.conditions.at(samples))[:, : len(RATIO_VARIABLES)]
-    held, table = panel_variables(names), part.record.ratio_table
+    samples = np.unique(np.concatenate([record_fit.sample_s[c.samples] for c in record_fit.channels]))
+    flown = condition_history(record_fit.conditions.at(samples))[:, : len(RATIO_VARIABLES)]
+    held, table = panel_variables(names), record_fit.record.ratio_table
     columns = min(len(held), COLUMNS)
     rows = -(-len(held) // columns)
     figure, axes = new_figure(1.5 + 3.4 * columns, 0.8 + 3.4 * rows, rows, columns, squeeze=False)
@@ -99,7 +101,7 @@ def draw_ratio(path: Path, fitted: FitResult, part: RecordFit) -> bool:
     for a in axes[:, 0]:
         a.set_ylabel("heating ratio (2 sigma bands)")
     axes[0, 0].legend(fontsize=8, loc="best")
-    beside = " without the effects" if part.model.effects else ""
-    title = f"{part.record.declared.control_point}: heating ratio{beside}\nabout {describe_condition(reference)}"
+    beside = " without the effects" if record_fit.model.effects else ""
+    title = f"{record_fit.record.declared.control_point}: heating ratio{beside}\nabout {describe_condition(reference)}"
     save_figure(figure, path, title, axes)
     return True

@@ -41,7 +41,7 @@ from sim_heating.simulation.results import write_temperatures_csv
 def estimate_contents(fitted: FitResult) -> Estimate:
     """The contents of estimate.json."""
     problem, sigma = fitted.problem, fitted.bounds.sigma
-    records = [part.record for part in problem.parts]
+    records = [record_fit.record for record_fit in problem.record_fits]
     points = {r.declared.control_point for r in records}
     white = np.sqrt(np.diag(fitted.bounds.white))
     return Estimate.model_validate(
@@ -97,7 +97,7 @@ def estimate_table(title: str, estimate: Estimate) -> Table:
 
 def _effects(fitted: FitResult) -> list[dict[str, Any]]:
     """The effects of each control point's model at the values found."""
-    models = {p.record.declared.control_point: p.with_parameters(fitted.fit.values) for p in fitted.problem.parts}
+    models = {p.record.declared.control_point: p.model_at(fitted.fit.values) for p in fitted.problem.record_fits}
     return [
         {
             "name": used.effect.name,
@@ -147,10 +147,10 @@ def _sensitivity_to_effort(fitted: FitResult) -> dict[str, dict[str, float]]:
 def noise_floor_K(fitted: FitResult) -> float | None:
     """Noise floor of all fit segments [K], the estimated noise standing in where a sensor declares none."""
     total, count = 0.0, 0
-    for part in fitted.problem.parts:
-        sigma = {c.sensor.name: part.sigma_K[c.number] for c in part.channels}
-        n = sum(len(c.samples) for c in part.channels)
-        floor = part.record.noise_floor_K(estimated_sigma_K=sigma)
+    for record_fit in fitted.problem.record_fits:
+        sigma = {c.sensor.name: record_fit.sigma_K[c.number] for c in record_fit.channels}
+        n = sum(len(c.samples) for c in record_fit.channels)
+        floor = record_fit.record.noise_floor_K(estimated_sigma_K=sigma)
         total, count = total + n * floor**2, count + n
     return float(np.sqrt(total / count)) if count and np.isfinite(total) else None
 
@@ -158,11 +158,11 @@ def noise_floor_K(fitted: FitResult) -> float | None:
 def sensor_residual_tests(fitted: FitResult) -> list[SensorResiduals]:
     """Normalised residuals of every sensor that was fitted, and their tests; the draws are the same every time."""
     rng = np.random.default_rng(0)
-    several = len(fitted.problem.parts) > 1
+    several = len(fitted.problem.record_fits) > 1
     return [
         sensor_residuals(
-            f"{s.part.record.name}/{s.channel.sensor.name}" if several else s.channel.sensor.name,
-            s.time_s, s.channel.observed, s.mean_K, s.spread_K, rng,
+            f"{s.record_fit.record.name}/{s.channel.sensor.name}" if several else s.channel.sensor.name,
+            s.time_s, s.channel.intervals, s.mean_K, s.spread_K, rng,
         )
         for s in fitted.samples()
     ]  # fmt: skip
@@ -236,13 +236,13 @@ def write_fit(fitted: FitResult, out: Path) -> list[str]:
 
     with output_directory(out) as folder:
         write_estimate(folder / NAME, estimate_contents(fitted))
-        for part, before, after in zip(fitted.problem.parts, fitted.before, fitted.after, strict=True):
+        for record_fit, before, after in zip(fitted.problem.record_fits, fitted.before, fitted.after, strict=True):
             home = folder if len(fitted.after) == 1 else folder / after.record.name
             home.mkdir(exist_ok=True)
             history = after.history
             write_temperatures_csv(home / TEMPERATURES, history.time_s, history, after.record.sensors)
             draw_fit(home / FIT_PICTURE, before, after)
-            draw_ratio(home / RATIO_PICTURE, fitted, part)
+            draw_ratio(home / RATIO_PICTURE, fitted, record_fit)
             if fitted.innovations is not None:
-                write_filtered(home, filtered_history(fitted.innovations, fitted.fit.values, part))
+                write_filtered(home, filtered_history(fitted.innovations, fitted.fit.values, record_fit))
         return sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
