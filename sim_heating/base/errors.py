@@ -11,6 +11,13 @@ class InputError(ValueError):
 
     problems : one line each: what, where, and what to do. All problems of a file are given at once;
                the first stands alone as the message of a one-line report.
+
+    >>> import sim_heating as sh
+    >>> try:
+    ...     sh.load_vehicle("orbitre")
+    ... except sh.InputError as error:
+    ...     print(error)
+    vehicle `orbitre`: unknown vehicle; did you mean `orbiter`?
     """
 
     def __init__(self, *problems: str) -> None:
@@ -28,4 +35,9 @@ def error_context(place: str) -> Iterator[None]:
 
 
 class RunError(RuntimeError):
-    """A run whose input was good and that failed all the same (no convergence, a host that stopped)."""
+    """A run that failed although its input was good: no convergence, or a host that stopped.
+
+    >>> import sim_heating as sh
+    >>> issubclass(sh.RunError, RuntimeError)
+    True
+    """

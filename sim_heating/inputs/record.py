@@ -319,7 +319,7 @@ def load_record(directory: str | os.PathLike[str] | Record) -> Record:
     >>> import sim_heating as sh
     >>> record = sh.load_record("scenarios/records/practice/p06")
     >>> [sensor.name for sensor in record.sensors]
-    []
+    ['LS_surface', 'LS_bond']
     """
     if isinstance(directory, Record):
         return directory

@@ -80,10 +80,12 @@ def plan(
     raises    : InputError where the study asks for nothing, a directory or scheduler cannot be used, or its only part
                 fails for its input
 
+    >>> from tempfile import TemporaryDirectory
     >>> import sim_heating as sh
-    >>> planned = sh.plan("scenarios/studies/small_envelope.toml", folder / "plan", workers=1)
+    >>> with TemporaryDirectory() as folder:
+    ...     planned = sh.plan("scenarios/studies/small_envelope.toml", f"{folder}/plan", workers=1)
     >>> planned
-    0
+    <Plan 'A small envelope, for a first look': envelope, next_flight>
     """
     study, out = load_study(study, vehicle), Path(out)
     engine = Engine(out / LEDGER, scheduler, workers)

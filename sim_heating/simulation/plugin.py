@@ -75,6 +75,16 @@ class HeatingPlugin:
     Attributes: `names` of the control points; `outputs`, (control point, `surface`, `bondline` or sensor) of each of
     `temperatures()`; `ensemble`, whose state is that at `heated_s`; `pressures`, (point, PRESSURE_WIDTH + 1) as
     simulation/plugin_kernel.py takes them.
+
+    >>> import sim_heating as sh
+    >>> plugin = sh.HeatingPlugin(sh.load_vehicle("orbiter"), ["V09T9527"])
+    >>> frame = {"time_s": 0.0, "altitude_m": 74e3, "velocity_m_s": 6800.0, "alpha_deg": 40.0, "beta_deg": 0.0,
+    ...          "elevon_deg": 1.0, "bodyflap_deg": 15.0, "rho_kg_m3": 4.6e-5}
+    >>> plugin.reset(frame)
+    >>> for i in range(1, 601):  # ten seconds at 60 Hz
+    ...     plugin.step(frame | {"time_s": i / 60.0})
+    >>> round(float(plugin.surface_K[0]))
+    0
     """
 
     def __init__(

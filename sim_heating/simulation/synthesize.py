@@ -45,8 +45,8 @@ def synthesize(
 
     >>> import sim_heating as sh
     >>> records = sh.synthesize("scenarios/recorded_sts107.toml")
-    >>> len(records)
-    0
+    >>> list(records)[:2]
+    ['V09T9527', 'LOWER_FWD']
     """
     scenario = load_scenario(scenario)
     if flight is None:

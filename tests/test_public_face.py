@@ -1,0 +1,118 @@
+"""What a user imports: `import sim_heating as sh` and its names, each documented by an example that runs."""
+
+from __future__ import annotations
+
+import ast
+import doctest
+import importlib
+import json
+import pkgutil
+import re
+import subprocess
+import sys
+
+import pytest
+
+import sim_heating as sh
+from tests.support.paths import ROOT
+
+NAMES = (
+    "load_vehicle", "load_scenario", "load_record", "run", "synthesize", "predict", "estimate", "close_loop",
+    "update_tables", "plan", "design", "HeatingPlugin", "export_fmu", "Effect", "effects", "InputError", "RunError",
+    "__version__",
+)  # fmt: skip
+"""Names that every release keeps."""
+FUNCTIONS = sorted(n for n in sh.__all__ if n.islower() and callable(getattr(sh, n)))
+HEAVY = ("numpy", "scipy", "numba", "matplotlib", "pandas", "xarray", "pydantic", "jsbsim", "fmpy")
+
+
+def python(code: str) -> str:
+    return subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+
+
+def import_everything() -> None:
+    for module in pkgutil.walk_packages(sh.__path__, "sim_heating."):
+        if module.name not in ("sim_heating.__main__", "sim_heating.plugin", "sim_heating.vehicle"):
+            importlib.import_module(module.name)
+
+
+def test_the_promised_names_are_there():
+    assert set(NAMES) <= set(sh.__all__)
+    assert set(dir(sh)) == set(sh.__all__)
+
+
+def test_importing_the_package_imports_nothing_heavy():
+    loaded = json.loads(python("import json, sys, sim_heating; dir(sim_heating); print(json.dumps(list(sys.modules)))"))
+    assert not set(HEAVY) & set(loaded)
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="simulate"):
+        sh.simulate  # noqa: B018
+
+
+@pytest.mark.parametrize("name", [n for n in NAMES if n != "__version__"])
+def test_the_example_of_a_public_name_runs(name: str, monkeypatch: pytest.MonkeyPatch):
+    """Twice for a function, and the second time with every module of the package imported.
+
+    Importing a subpackage binds its name in the package above; a folder with the name of a function would hide it.
+    """
+    monkeypatch.chdir(ROOT)
+    example = doctest.DocTestParser().get_doctest(getattr(sh, name).__doc__ or "", {}, name, None, 0)
+    assert example.examples, f"{name} has no example"
+    runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
+    said: list[str] = []
+    assert runner.run(example, out=said.append, clear_globs=False).failed == 0, "".join(said)
+    import_everything()
+    assert runner.run(example, out=said.append).failed == 0, "".join(said)
+
+
+def test_no_module_hides_a_public_name():
+    before = {name: getattr(sh, name) for name in sh.__all__}
+    import_everything()
+    assert {name: getattr(sh, name) for name in sh.__all__} == before
+
+
+@pytest.mark.parametrize(("module", "name"), [("plugin", "HeatingPlugin"), ("vehicle", "load_vehicle")])
+def test_an_earlier_import_works_and_names_the_one_to_use(module: str, name: str):
+    sys.modules.pop(f"sim_heating.{module}", None)
+    with pytest.warns(DeprecationWarning, match=f"from sim_heating import {name}"):
+        earlier = importlib.import_module(f"sim_heating.{module}")
+    assert getattr(earlier, name) is getattr(sh, name)
+
+
+def shown_to_users():
+    """Python that a user reads: blocks of the pages, and the examples."""
+    for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
+        for k, block in enumerate(re.findall(r"^```python\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)):
+            yield pytest.param(block, id=f"{page.name}-{k}")
+    for path in sorted((ROOT / "examples").rglob("*.py")):
+        yield pytest.param(path.read_text(), id=path.relative_to(ROOT).as_posix())
+
+
+@pytest.mark.parametrize("code", list(shown_to_users()))
+def test_what_users_are_shown_uses_the_public_face_alone(code: str):
+    tree = ast.parse(code)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("sim_heating"):
+            assert node.module == "sim_heating", f"line {node.lineno}: {node.module}"
+            assert {a.name for a in node.names} <= set(sh.__all__)
+        elif isinstance(node, ast.Import):
+            assert not [a.name for a in node.names if a.name.startswith("sim_heating.")]
+    aliases = {a.asname or a.name for n in ast.walk(tree) if isinstance(n, ast.Import)
+               for a in n.names if a.name == "sim_heating"}  # fmt: skip
+    used = {n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute) and isinstance(n.value, ast.Name)
+            and n.value.id in aliases}  # fmt: skip
+    assert used <= set(sh.__all__)
+
+
+def test_paths_that_pages_name_exist():
+    """Files in backticks: of the repository, or of the package."""
+    wrong = []
+    for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
+        for path in re.findall(r"`((?:[\w.-]+/)+[\w.-]+\.(?:py|toml|c|h))`", page.read_text()):
+            places = [ROOT / path, ROOT / "sim_heating" / path]
+            tops = {p.name for root in (ROOT, ROOT / "sim_heating") for p in root.iterdir()}
+            if path.split("/")[0] in tops and not any(p.is_file() for p in places):
+                wrong.append(f"{page.name}: {path}")
+    assert not wrong, "\n".join(wrong)
