@@ -83,8 +83,8 @@ class HeatingPlugin:
     >>> plugin.reset(frame)
     >>> for i in range(1, 601):  # ten seconds at 60 Hz
     ...     plugin.step(frame | {"time_s": i / 60.0})
-    >>> round(float(plugin.surface_K[0]))
-    0
+    >>> round(plugin.surface_K["V09T9527"])
+    989
     """
 
     def __init__(
