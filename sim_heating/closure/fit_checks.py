@@ -174,7 +174,7 @@ def _rms_in_floors(problem: FitProblem, values: FloatArray) -> float:
     for s in problem.samples(values):
         middle = s.record_fit.record.thermocouples[s.channel.sensor.column]
         read = middle[np.searchsorted(s.record_fit.record.time_s, s.time_s)]
-        floor, within = s.channel.sensor.noise_floor_K(s.sigma_K), s.channel.intervals.within
+        floor, within = s.channel.sensor.noise_floor_K(s.sigma_K), s.channel.intervals.is_finite
         squares += float(np.sum(((read - s.mean_K)[within] / floor) ** 2))
         count += int(np.count_nonzero(within))
     return float(np.sqrt(squares / count))

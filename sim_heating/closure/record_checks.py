@@ -281,4 +281,4 @@ def _read_K(record: Record) -> FloatArray:
     """(sensor, sample) measurements; NaN where lost, or at an end of the recorder's range."""
     read = record.temperatures_K()
     seen = [reading_intervals(sensor, own) for sensor, own in zip(record.sensors, read, strict=True)]
-    return np.array([np.where(o.within, T, np.nan) for o, T in zip(seen, read, strict=True)])
+    return np.array([np.where(o.is_finite, T, np.nan) for o, T in zip(seen, read, strict=True)])

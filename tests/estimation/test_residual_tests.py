@@ -222,16 +222,16 @@ def test_noise_below_and_above_the_step_of_a_word_is_found_within_its_limits(sig
     ]
     assert likely(sum(f.lower_K <= sigma <= f.upper_K for f in found), trials)
     assert np.mean([f.sigma_K for f in found]) == approx(sigma, rel=0.05)
-    assert all(f.told for f in found)
+    assert all(f.is_bounded_below for f in found)
 
 
 def test_noise_that_rounding_hides_is_bounded_from_above_alone_and_told_so() -> None:
     mean = np.linspace(600.0, 900.0, 60)
     found = estimate_noise(reading_intervals(WORD, quantised(WORD, mean)), mean)
-    assert not found.told
+    assert not found.is_bounded_below
     assert found.sigma_K == approx(0.5)
     assert found.sigma_K < found.upper_K < 5.0
-    assert "rounding hides the noise" in found.words("T1")
+    assert "hidden by rounding" in found.describe("T1")
 
 
 def test_lost_samples_take_no_part_in_noise() -> None:
@@ -337,7 +337,7 @@ def test_residuals_of_a_coarse_word_pass_all_tests_that_their_rounding_errors_fa
 def test_too_few_samples_are_refused_and_all_lost_are_named() -> None:
     with pytest.raises(InputError, match="5 samples are too few"):
         whiteness(np.arange(5.0), np.ones(5))
-    with pytest.raises(InputError, match="leave no chi-square"):
+    with pytest.raises(InputError, match="leave no degree of freedom"):
         chi_square(np.ones(3), fitted=3)
     with pytest.raises(InputError, match="sensor T1: every sample"):
         sensor_residuals(

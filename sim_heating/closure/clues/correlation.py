@@ -34,6 +34,7 @@ from sim_heating.closure.clues.shapes import (
     profiled_information,
     trials_factor,
 )
+from sim_heating.estimation.inference.residual_tests import sidak_p_value
 from sim_heating.heating.reference.gas import wall_enthalpy_grid
 from sim_heating.inputs.points import conditions_of_record, wall_enthalpy_of
 from sim_heating.simulation.predict import Prediction
@@ -237,7 +238,7 @@ def correlations(residual: ResidualHeating, variables: Mapping[str, FloatArray])
         n = min(_effective(d, np.interp(t - lag, t, v)[here]), max(resolved, 3.0))
         found.append((name, lag, value, n, _chance(value, n)))
     several = sum(1 if name == TIME else len(LAGS_S) for name in variables)
-    told = [Correlation(*f, float(-np.expm1(several * np.log1p(-min(f[4], 1.0 - 1e-16))))) for f in found]
+    told = [Correlation(*f, sidak_p_value(f[4], several)) for f in found]
     return sorted(told, key=lambda c: -abs(c.value))
 
 

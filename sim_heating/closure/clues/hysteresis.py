@@ -22,6 +22,7 @@ from scipy.stats import t as student
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.closure.clues.residual_heating import ResidualHeating
+from sim_heating.estimation.inference.residual_tests import sidak_p_value
 
 ANGLES = ("alpha_deg", "beta_deg", "elevon_deg", "bodyflap_deg")
 MOVED_DEG = 1.0
@@ -83,7 +84,7 @@ def hysteresis_loops(residual: ResidualHeating, variables: Mapping[str, FloatArr
         z, dof = _rate_term(t[own], v[own], others, d[own], covariance[own, own])
         box = float(np.ptp(v[own]) * np.ptp(d[own]))
         one = float(2.0 * student.sf(abs(z), dof)) if dof > 0 else 1.0
-        several = float(-np.expm1(len(spans) * np.log1p(-min(one, 1.0 - 1e-16))))
+        several = sidak_p_value(one, len(spans))
         begin, end = float(t[own][0]), float(t[own][-1])
         found.append(HysteresisLoop(name, begin, end, area, sigma, area / box if box > 0.0 else 0.0, z, several))
     return sorted(found, key=lambda loop: loop.start_s)

@@ -21,6 +21,7 @@ from scipy.stats import chi2
 from sim_heating.base.arrays import FloatArray
 from sim_heating.closure.clues.residual_heating import ResidualHeating
 from sim_heating.estimation.filter.heating_input import precision
+from sim_heating.estimation.inference.residual_tests import sidak_p_value
 
 LAGS_S = (-20.0, -10.0, -5.0, -2.0, 0.0, 2.0, 5.0, 10.0, 20.0, 40.0)
 """How much later than its variable a shape is [s]; a thermocouple's clock is rarely off by more."""
@@ -132,7 +133,7 @@ def trials_factor(weights: ProfiledInformation, columns: FloatArray, seed: int =
 def p_value(z: float, independent_looks: float) -> float:
     """Probability of a |z| as large from noise alone in so many looks."""
     one = float(chi2.sf(z * z, 1))
-    return float(-np.expm1(independent_looks * np.log1p(-min(one, 1.0 - 1e-16))))
+    return sidak_p_value(one, independent_looks)
 
 
 def candidate_shapes(time_s: FloatArray, variables: Mapping[str, FloatArray]) -> tuple[list[Shape], FloatArray]:

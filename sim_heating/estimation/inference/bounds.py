@@ -37,7 +37,7 @@ MAX_LAG_OF_SAMPLES = 0.2
 MAX_LAG_OF_ROOT = 2.0
 """Longest lag over the square root of that number."""
 MAX_LAG = 100
-"""Longest lag; colour that lasts longer is not seen."""
+"""Longest lag; longer autocorrelation is not detected."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +105,7 @@ class CramerRaoBounds:
 
 
 def grid_index(time_s: FloatArray) -> IntArray:
-    """Places of samples on a grid of their median interval: gaps and lost samples leave places free.
+    """Indices of samples on a grid of their median interval: gaps and lost samples leave grid points empty.
 
     time_s  : (sample,) increasing times [s]
     returns : (sample,) integers, 0 first; an interval counts as its nearest number of median intervals, 1 at least
@@ -119,15 +119,15 @@ def grid_index(time_s: FloatArray) -> IntArray:
     if np.any(steps <= 0.0):
         raise InputError("sample times of a residual do not increase; sort them")
     # the median: a few gaps, however long, do not move it
-    places = np.maximum(np.rint(steps / np.median(steps)), 1.0).astype(np.int64)
-    return np.concatenate([[0], np.cumsum(places)])
+    intervals = np.maximum(np.rint(steps / np.median(steps)), 1.0).astype(np.int64)
+    return np.concatenate([[0], np.cumsum(intervals)])
 
 
 def place_on_grid(index: IntArray, values: FloatArray) -> FloatArray:
-    """Values at their places of the grid, 0 where there is no sample.
+    """Values at their grid points, 0 where there is no sample.
 
-    index   : (sample,) places [-] of `grid_index`;  values : (sample, ...) in any unit
-    returns : (place, ...) in the same unit
+    index   : (sample,) of `grid_index` [-];  values : (sample, ...) in any unit
+    returns : (point, ...) in the same unit
 
     With zeros in the gaps, the lagged sums of docs/estimation_statistics.md, equation 23, need no bookkeeping.
     """
@@ -137,10 +137,10 @@ def place_on_grid(index: IntArray, values: FloatArray) -> FloatArray:
 
 
 def lagged_sums(values: FloatArray, last: int) -> FloatArray:
-    """Sums of the values one lag before and after each place of a grid; for lag 0 the values themselves.
+    """Sums of the values one lag before and after each point of a grid; for lag 0 the values themselves.
 
-    values  : (place,) in any unit;  last : largest lag in places [-]
-    returns : (lag, place) T_l values, 0 to `last`
+    values  : (point,) in any unit;  last : largest lag in grid points [-]
+    returns : (lag, point) T_l values, 0 to `last`
 
     Source: the matrices T_l of docs/estimation_statistics.md, equation 23, applied to a vector.
     """
@@ -165,12 +165,12 @@ class _GriddedResiduals:
         D, u = place_on_grid(index, np.sqrt(channel.information)), place_on_grid(index, channel.score)
         return cls(place_on_grid(index, np.ones(len(index))), D, place_on_grid(index, channel.weighted), u)
 
-    def spread(self, values: FloatArray, last: int) -> FloatArray:
-        """(lag, place) T_l times values (place,), 0 where there is no sample."""
+    def lagged(self, values: FloatArray, last: int) -> FloatArray:
+        """(lag, point) T_l times values (point,), 0 where there is no sample."""
         return lagged_sums(values, last) * self.present
 
-    def weighted_spread(self, values: FloatArray, last: int) -> FloatArray:
-        """(lag, place): W_l times values (place,)."""
+    def weighted_lagged(self, values: FloatArray, last: int) -> FloatArray:
+        """(lag, point) W_l times values (point,)."""
         return lagged_sums(values * self.D, last) * self.D
 
 
@@ -230,15 +230,15 @@ def _solve_autocovariances(
     gridded: Sequence[_GriddedResiduals], lags: Sequence[int], inverse: FloatArray
 ) -> list[FloatArray]:
     """Autocovariances up to a number of lags a channel, from the expectation of the sums over residuals."""
-    parts = [_Expectation.of(g, last, inverse) for g, last in zip(gridded, lags, strict=True)]
-    weighted = np.concatenate([p.weighted for p in parts])
-    system = weighted @ np.concatenate([p.plain for p in parts]).T
+    expectations = [_Expectation.of(g, last, inverse) for g, last in zip(gridded, lags, strict=True)]
+    weighted = np.concatenate([e.weighted for e in expectations])
+    system = weighted @ np.concatenate([e.plain for e in expectations]).T
     ends = np.cumsum([last + 1 for last in lags])
-    for part, end, last in zip(parts, ends, lags, strict=True):
+    for expectation, end, last in zip(expectations, ends, lags, strict=True):
         own = slice(end - last - 1, end)
-        # the product above couples all channels through the shared parameters; this part is each channel's own
-        system[own, own] += part.own
-    sums = np.concatenate([p.sums for p in parts])
+        # the product above couples all channels through the shared parameters; this term is each channel's own
+        system[own, own] += expectation.own
+    sums = np.concatenate([e.sums for e in expectations])
     # least squares: where parameters absorb a lag entirely the system is singular there
     solved = lstsq(system, sums, cond=1e-10, lapack_driver="gelsy")[0]
     return list(np.split(solved, ends[:-1]))
@@ -264,8 +264,8 @@ class _Expectation:
         # tr(W_k T_l) is 0 for different lags
         own = np.diag(lagged_sums(g.D, last) @ g.D)
         weighted, plain = [], []
-        for a, taken in zip(g.A.T, inverse @ g.A.T, strict=True):
-            rows, columns = g.weighted_spread(taken, last), g.spread(a, last)
+        for a, projected in zip(g.A.T, inverse @ g.A.T, strict=True):
+            rows, columns = g.weighted_lagged(projected, last), g.lagged(a, last)
             own -= 2.0 * rows @ columns.T
             weighted.append(rows @ g.A)
             plain.append(columns @ g.A @ inverse)
@@ -302,7 +302,7 @@ def cramer_rao_bounds(
     prior = np.diag(np.broadcast_to(prior_information, parameters))
     information = A.T @ A + prior
     white = covariance(information)
-    # unidentified directions took nothing out of the residuals
+    # unidentified directions do not reduce the residuals
     inverse = np.where(np.isfinite(white), white, 0.0)
     found = autocovariances(channels, inverse)
     middle, free = prior.astype(float), 0.0
@@ -310,7 +310,7 @@ def cramer_rao_bounds(
     for channel, c in zip(channels, found, strict=True):
         w = taper_weights(len(c) - 1)
         g = _GriddedResiduals.of(channel)
-        filtered = np.stack([w * c @ g.spread(a, len(c) - 1) for a in g.A.T], axis=1)
+        filtered = np.stack([w * c @ g.lagged(a, len(c) - 1) for a in g.A.T], axis=1)
         # the truncated autocovariance need not be positive definite: the floor also keeps variances positive
         middle += _raise_to_floor(g.A.T @ filtered, c[0] * g.A.T @ g.A)
         # sum of squared weights over lags of both signs; a spectrum at frequency 0 has half the freedom of others

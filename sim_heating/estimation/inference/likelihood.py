@@ -6,10 +6,10 @@ With indicated temperature y ~ N(m, sigma^2), m the model's prediction after cal
     recorder word       log L = log [Phi((b - m) / sigma) - Phi((a - m) / sigma)],   y was in [a, b),
 
 the interval open at either end of the word's span. The derivatives of the second are moments of the truncated normal
-(interval.py): score E x / sigma, information (1 - var x) / sigma^2, between 0 and that of an unrounded sample, so that
-log L is concave in m. The moments themselves are the update of a normal prior by a rounded sample: R. E. Curry,
-"Estimation and Control with Quantized Measurements" (MIT Press, 1970). Derived in docs/estimation_statistics.md,
-equations 3 to 12.
+(base/kernels/truncated_normal.py): score E x / sigma, information (1 - var x) / sigma^2, between 0 and that of an
+unrounded sample, so that log L is concave in m. The moments themselves are the update of a normal prior by a rounded
+sample: R. E. Curry, "Estimation and Control with Quantized Measurements" (MIT Press, 1970). Derived in
+docs/estimation_statistics.md, equations 3 to 12.
 """
 
 from __future__ import annotations
@@ -53,37 +53,37 @@ class ReadingIntervals:
     upper_K: FloatArray
 
     @property
-    def lost(self) -> NDArray[np.bool_]:
+    def is_lost(self) -> NDArray[np.bool_]:
         """(sample,) whether a sample was lost: its interval [K] is NaN."""
         return np.isnan(self.lower_K)
 
     @property
-    def within(self) -> NDArray[np.bool_]:
+    def is_finite(self) -> NDArray[np.bool_]:
         """(sample,) whether the interval [K] of a sample is finite: neither lost nor at an end of the word's span."""
         return np.isfinite(self.upper_K - self.lower_K)
 
-    def chosen(self, mask: NDArray[np.bool_]) -> ReadingIntervals:
+    def select(self, mask: NDArray[np.bool_]) -> ReadingIntervals:
         """Intervals [K] of the samples that a boolean mask (sample,) selects."""
         return ReadingIntervals(self.lower_K[mask], self.upper_K[mask])
 
 
-def reading_intervals(sensor: Sensor, read_K: ArrayLike) -> ReadingIntervals:
+def reading_intervals(sensor: Sensor, reading_K: ArrayLike) -> ReadingIntervals:
     """Intervals of the indicated temperature that readings of a sensor stand for.
 
-        code k = rint((read - R0) / LSB),   [a, b) = [R0 + (k - 1/2) LSB, R0 + (k + 1/2) LSB)
+        code k = rint((reading - R0) / LSB),   [a, b) = [R0 + (k - 1/2) LSB, R0 + (k + 1/2) LSB)
 
     sensor  : its recorder word, bits [-] and range_K = (R0, R1) [K]; without one a reading is taken as unrounded
-    read_K  : (sample,) readings [K]; one between two codes counts as the nearer, one outside the span as the end code
+    reading_K : (sample,) readings [K]; one between two codes counts as the nearer, one outside the span as the end code
     returns : (sample,) intervals [K], open below at code 0 and above at the last code
 
     Source: docs/estimation_statistics.md, equation 4.
     """
-    read = np.asarray(read_K, dtype=float)
+    reading = np.asarray(reading_K, dtype=float)
     if sensor.bits is None or sensor.range_K is None:
-        return ReadingIntervals(read, read)
+        return ReadingIntervals(reading, reading)
     # a reading that was converted to engineering units with other constants may lie between two codes
     last = 2.0**sensor.bits - 1.0
-    code = np.clip(np.rint((read - sensor.range_K[0]) / sensor.lsb_K), 0.0, last)
+    code = np.clip(np.rint((reading - sensor.range_K[0]) / sensor.lsb_K), 0.0, last)
     lower = np.where(code == 0.0, -math.inf, sensor.range_K[0] + (code - 0.5) * sensor.lsb_K)
     upper = np.where(code == last, math.inf, sensor.range_K[0] + (code + 0.5) * sensor.lsb_K)
     return ReadingIntervals(lower, upper)
@@ -138,7 +138,7 @@ def likelihood(samples: ReadingIntervals, mean_K: ArrayLike, sigma_K: ArrayLike)
         "information_log_sigma": 2.0 * (square + 1.0) - terms[..., SPREAD],
         "information_cross": (2.0 * mean - terms[..., SKEW]) / sigma,
     }
-    return Likelihood(**{name: np.where(samples.lost, 0.0, values) for name, values in of_samples.items()})
+    return Likelihood(**{name: np.where(samples.is_lost, 0.0, values) for name, values in of_samples.items()})
 
 
 def scores(samples: ReadingIntervals, mean_K: FloatArray, sigma_K: float) -> tuple[float, FloatArray, FloatArray]:
@@ -170,7 +170,7 @@ def log_likelihood(samples: ReadingIntervals, mean_K: ArrayLike, sigma_K: ArrayL
     Source: docs/estimation_statistics.md, equations 3 and 5.
     """
     terms, _ = _terms(samples, mean_K, sigma_K)
-    return np.where(samples.lost, 0.0, terms[..., LOG_Z])
+    return np.where(samples.is_lost, 0.0, terms[..., LOG_Z])
 
 
 def posterior_moments(
@@ -246,10 +246,10 @@ def quantile_residuals(
 
 
 def _terms(samples: ReadingIntervals, mean_K: ArrayLike, sigma_K: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """(..., 7) terms of interval.py for the broadcast samples, and sigma in their shape [K]."""
+    """(..., 7) terms of base/kernels/truncated_normal.py for the broadcast samples, and sigma in their shape [K]."""
     mean = np.asarray(mean_K, dtype=float)
-    parts = np.broadcast_arrays(samples.lower_K, samples.upper_K, mean, _positive(sigma_K))
-    lower, upper, mean, sigma = (np.array(p, order="C") for p in parts)
+    arrays = np.broadcast_arrays(samples.lower_K, samples.upper_K, mean, _positive(sigma_K))
+    lower, upper, mean, sigma = (np.array(a, order="C") for a in arrays)
     terms = np.empty((mean.size, N_TERMS))
     fill_terms(lower.ravel(), upper.ravel(), mean.ravel(), sigma.ravel(), terms)
     return terms.reshape(*mean.shape, N_TERMS), sigma

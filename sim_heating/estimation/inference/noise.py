@@ -2,7 +2,7 @@
 
     maximise  sum_i log L_i(sigma) + (p / 2) log(sigma^2 + step^2 / 12)
 
-over sigma at the fitted predictions; the last term makes good what p fitted parameters took out of the residuals
+over sigma at the fitted predictions; the last term corrects for the p fitted parameters, which reduced the residuals
 (without rounding sigma^2 = sum of squares / (n - p)). Limits are where the log likelihood has fallen by half the 95%
 point of chi-square. Derived in docs/estimation_statistics.md, equation 21.
 """
@@ -22,9 +22,9 @@ from sim_heating.base.errors import InputError
 from sim_heating.estimation.inference.likelihood import ReadingIntervals, log_likelihood
 
 FLOOR = 0.1
-"""Least sigma over the step of a word: below it a sample is its interval and nothing more."""
+"""Least sigma over the step of a word: below it the likelihood of a sample is that of its interval alone."""
 LIKELIHOOD_DROP = 0.5 * float(chi2.ppf(0.95, 1))
-"""Fall of the log likelihood at the 95% limits [-], 1.92."""
+"""Drop of the log likelihood at the 95% limits [-], 1.92."""
 POINTS = 32
 """Values of sigma on the first grid of the search."""
 
@@ -44,19 +44,19 @@ class NoiseEstimate:
     upper_K: float
 
     @property
-    def told(self) -> bool:
+    def is_bounded_below(self) -> bool:
         """Whether the data bound the noise [K] from below, and not only from above.
 
-        The likelihood has then fallen by 1.92 before a tenth of the recorder's step: docs/estimation_statistics.md,
+        The likelihood has then dropped by 1.92 above a tenth of the recorder's step: docs/estimation_statistics.md,
         equation 21.
         """
         return self.lower_K > 0.0
 
-    def words(self, sensor: str) -> str:
+    def describe(self, sensor: str) -> str:
         """One line for a report: the noise of a named sensor with its limits [K], or its upper limit alone."""
-        if self.told:
+        if self.is_bounded_below:
             return f"sensor {sensor}: noise {self.sigma_K:.3g} K ({self.lower_K:.3g} to {self.upper_K:.3g})"
-        return f"sensor {sensor}: rounding hides the noise, it is below {self.upper_K:.3g} K; declare noise_sigma_K"
+        return f"sensor {sensor}: noise below {self.upper_K:.3g} K, hidden by rounding; declare noise_sigma_K"
 
 
 def estimate_noise(samples: ReadingIntervals, mean_K: FloatArray, fitted: float = 0.0) -> NoiseEstimate:
@@ -73,31 +73,33 @@ def estimate_noise(samples: ReadingIntervals, mean_K: FloatArray, fitted: float 
     Searched from a tenth of the recorder's step (1e-3 of the largest residual scale where nothing was rounded) to
     thirty times that scale. Source: docs/estimation_statistics.md, equation 21.
     """
-    there = ~samples.lost
-    kept, mean = samples.chosen(there), np.asarray(mean_K, dtype=float)[there]
+    present = ~samples.is_lost
+    intervals, mean = samples.select(present), np.asarray(mean_K, dtype=float)[present]
     if len(mean) <= fitted + 1.0:
-        raise InputError(f"{len(mean)} samples are too few to estimate noise beside {fitted:g} fitted parameters")
-    inner = kept.upper_K - kept.lower_K
-    if not np.isfinite(inner).any():
-        raise InputError("every sample is at an end of its word's span; nothing tells of noise, declare it")
-    step = float(np.min(inner))
-    distance = np.maximum(np.maximum(kept.lower_K - mean, mean - kept.upper_K), 0.0)
+        raise InputError(
+            f"{len(mean)} samples are too few to estimate noise in addition to {fitted:g} fitted parameters"
+        )
+    width = intervals.upper_K - intervals.lower_K
+    if not np.isfinite(width).any():
+        raise InputError("every sample is at an end of its word's span, which does not determine a noise; declare it")
+    step = float(np.min(width))
+    distance = np.maximum(np.maximum(intervals.lower_K - mean, mean - intervals.upper_K), 0.0)
     # a whole step on top of every residual: never below the true scale, so that the upper limit is bracketed
     largest = float(np.sqrt(np.mean((distance + step) ** 2)))
     if largest == 0.0:
-        raise InputError("samples and predictions agree in every digit; there is no noise to estimate, declare it")
+        raise InputError("samples and predictions agree in every digit, which leaves no noise to estimate; declare it")
 
     def value(log_sigma: float) -> float:
         sigma = math.exp(log_sigma)
-        taken = 0.5 * fitted * math.log(sigma**2 + step**2 / 12.0)
-        return float(np.sum(log_likelihood(kept, mean, sigma))) + taken
+        correction = 0.5 * fitted * math.log(sigma**2 + step**2 / 12.0)
+        return float(np.sum(log_likelihood(intervals, mean, sigma))) + correction
 
     least = FLOOR * step if step > 0.0 else 1e-3 * largest
     return _limits(value, math.log(least), math.log(30.0 * largest))
 
 
 def _limits(value: Callable[[float], float], least: float, most: float) -> NoiseEstimate:
-    """Maximum of a log likelihood over log sigma, and where it has fallen by FALL on either side."""
+    """Maximum of a log likelihood over log sigma, and where it has dropped by LIKELIHOOD_DROP on either side."""
     # the likelihood of rounded samples need not have a single maximum in log sigma: grid first, then refine
     grid = np.linspace(least, most, POINTS)
     k = int(np.argmax([value(x) for x in grid]))
@@ -107,8 +109,8 @@ def _limits(value: Callable[[float], float], least: float, most: float) -> Noise
     best = float(found.x) if -found.fun > value(least) else least
     top = value(best)
 
-    def fallen(x: float) -> float:
+    def above_limit(x: float) -> float:
         return value(x) - top + LIKELIHOOD_DROP
 
-    lower = math.exp(brentq(fallen, least, best)) if fallen(least) < 0.0 else 0.0
-    return NoiseEstimate(math.exp(best), lower, math.exp(brentq(fallen, best, most)))
+    lower = math.exp(brentq(above_limit, least, best)) if above_limit(least) < 0.0 else 0.0
+    return NoiseEstimate(math.exp(best), lower, math.exp(brentq(above_limit, best, most)))

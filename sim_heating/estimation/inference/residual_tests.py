@@ -49,11 +49,13 @@ def chi_square(residual: FloatArray, fitted: float = 0.0) -> HypothesisTest:
 
     Source: docs/estimation_statistics.md, equation 27.
     """
-    left = residual[np.isfinite(residual)]
-    dof = left.size - fitted
+    present = residual[np.isfinite(residual)]
+    dof = present.size - fitted
     if dof <= 0.0:
-        raise InputError(f"{left.size} samples for {fitted:g} fitted parameters leave no chi-square; fit fewer")
-    total = float(left @ left)
+        raise InputError(
+            f"{present.size} samples for {fitted:g} fitted parameters leave no degree of freedom; fit fewer parameters"
+        )
+    total = float(present @ present)
     # two-sided: noise declared too large is as wrong as noise declared too small
     return HypothesisTest(total, dof, float(2.0 * min(chi2.sf(total, dof), chi2.cdf(total, dof))))
 
@@ -73,20 +75,20 @@ def whiteness(time_s: FloatArray, residual: FloatArray, lags: int | None = None)
     Source: G. M. Ljung and G. E. P. Box, "On a Measure of Lack of Fit in Time Series Models", Biometrika 65 (1978),
     where no sample is lost; docs/estimation_statistics.md, equation 28.
     """
-    heard = np.isfinite(residual)
-    n = int(np.count_nonzero(heard))
+    present = np.isfinite(residual)
+    n = int(np.count_nonzero(present))
     _require_samples(n)
-    index, values = grid_index(time_s[heard]), residual[heard]
+    index, values = grid_index(time_s[present]), residual[present]
     power = float(values @ values) / n
     if power == 0.0:
-        raise InputError("residuals are all 0; there is no noise to test for colour")
+        raise InputError("residuals are all 0, without noise to test for colour")
     # on a grid, lost samples are zeros: lagged products skip them, and lagged ones count the pairs
-    e, there = place_on_grid(index, values), place_on_grid(index, np.ones(n))
+    e, occupied = place_on_grid(index, values), place_on_grid(index, np.ones(n))
     last = min(10, n // 5) if lags is None else lags
-    pairs, products = 0.5 * (lagged_sums(there, last) @ there)[1:], 0.5 * (lagged_sums(e, last) @ e)[1:]
-    met = pairs > 0.0
-    total = float(np.sum(products[met] ** 2 / pairs[met])) * (n + 2) / n / power**2
-    used = int(np.count_nonzero(met))
+    pairs, products = 0.5 * (lagged_sums(occupied, last) @ occupied)[1:], 0.5 * (lagged_sums(e, last) @ e)[1:]
+    paired = pairs > 0.0
+    total = float(np.sum(products[paired] ** 2 / pairs[paired])) * (n + 2) / n / power**2
+    used = int(np.count_nonzero(paired))
     return HypothesisTest(total, used, float(chi2.sf(total, used)))
 
 
@@ -98,18 +100,20 @@ def normality(residual: FloatArray) -> HypothesisTest:
 
     Source: Shapiro and Wilk (1965), as scipy.stats.shapiro computes it; its p-value holds up to 5000 samples.
     """
-    left = residual[np.isfinite(residual)]
-    _require_samples(left.size)
-    if np.ptp(left) == 0.0:
-        raise InputError(f"residuals are all {left[0]:g}; there is no noise to test for normality")
-    thinned = left[:: math.ceil(left.size / MOST_FOR_SHAPIRO)]
+    present = residual[np.isfinite(residual)]
+    _require_samples(present.size)
+    if np.ptp(present) == 0.0:
+        raise InputError(f"residuals are all {present[0]:g}, without noise to test for normality")
+    thinned = present[:: math.ceil(present.size / MOST_FOR_SHAPIRO)]
     statistic, p_value = shapiro(thinned)
     return HypothesisTest(float(statistic), float(thinned.size), float(p_value))
 
 
 def _require_samples(samples: int) -> None:
     if samples < FEWEST:
-        raise InputError(f"{samples} samples are too few to test residuals, {FEWEST} are needed; fit a longer segment")
+        raise InputError(
+            f"{samples} samples are too few to test residuals, at least {FEWEST} are needed; fit a longer segment"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,12 +153,28 @@ def sensor_residuals(
     Source: docs/estimation_statistics.md, equations 12 and 28; Shapiro and Wilk (1965).
     """
     residual = quantile_residuals(samples, mean_K, sigma_K, rng)
-    left = residual[np.isfinite(residual)]
-    if left.size == 0:
-        raise InputError(f"sensor {name}: every sample of the segment is lost; leave the sensor or the segment out")
+    present = residual[np.isfinite(residual)]
+    if present.size == 0:
+        raise InputError(f"sensor {name}: every sample of the segment is lost; remove the sensor or the segment")
     white = normal = None
-    if left.size >= FEWEST and np.ptp(left) > 0.0:
+    if present.size >= FEWEST and np.ptp(present) > 0.0:
         white, normal = whiteness(time_s, residual), normality(residual)
     return SensorResiduals(
-        name, residual, float(left.mean()), float(np.sqrt(np.mean(left**2))), int(left.size), white, normal
+        name, residual, float(present.mean()), float(np.sqrt(np.mean(present**2))), int(present.size), white, normal
     )
+
+
+def sidak_p_value(p_value: float, tests: float) -> float:
+    """Probability that the best of some independent tests does as well by chance.
+
+        1 - (1 - p)^n
+
+    p_value : that of a single test [-]
+    tests   : their number n [-], which need not be an integer
+    returns : [-]
+
+    Source: Z. Sidak, "Rectangular Confidence Regions for the Means of Multivariate Normal Distributions", J. Am. Stat.
+    Assoc. 62 (1967).
+    """
+    # log1p and expm1 keep the digits of a small p; 1 - 1e-16 avoids log 0 for p = 1
+    return float(-np.expm1(tests * np.log1p(-min(p_value, 1.0 - 1e-16))))
