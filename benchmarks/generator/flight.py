@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
-from sim_heating.heating.atmosphere import derive, us76_kernel
+from sim_heating.heating.atmosphere import free_stream, us76_kernel
 
 FloatArray = NDArray[np.float64]
 Generator = np.random.Generator
@@ -61,7 +61,7 @@ def draw_flight(rng: Generator, kinds: Sequence[str]) -> Flight:
     standard = np.array([us76_kernel(h)[2] for h in altitude[::10]])
     shear = rng.uniform(0.0, 0.04) * _smooth(rng, len(time), 30.0)
     rho = np.exp(np.interp(time, time[::10], np.log(standard)) + shear)
-    derived = derive(altitude, velocity, rho, REFERENCE_LENGTH_M)
+    derived = free_stream(altitude, velocity, rho, REFERENCE_LENGTH_M)
     axial_g = rng.uniform(0.25, 0.35) * 0.5 * rho * velocity**2 / ballistic / 9.80665
     state = {"time_s": time, "altitude_m": altitude, "velocity_m_s": velocity, **derived, "rho_kg_m3": rho}
     return Flight(state | controls | {"axial_accel_g": axial_g}, manoeuvres)

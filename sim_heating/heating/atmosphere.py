@@ -126,7 +126,7 @@ def _layer_bases(base: FloatArray, gradient: FloatArray) -> tuple[FloatArray, Fl
 
 
 @njit
-def cell(x: FloatArray, at: float) -> tuple[int, float]:
+def cell_by_bisection(x: FloatArray, at: float) -> tuple[int, float]:
     """Cell of an increasing table that contains a value, and the fraction of the way through it [-].
 
     x       : (n,) increasing nodes, n at least 2;  at : the value, in the unit of x
@@ -163,7 +163,7 @@ def _make_lower_kernel() -> Callable[[float], tuple[float, float, float]]:
         # Below 80 km the molar mass is constant, and molecular-scale and kinetic temperature are the same.
         ratio = 1.0
         if altitude_m > z_mass[0]:
-            k, f = cell(z_mass, altitude_m)
+            k, f = cell_by_bisection(z_mass, altitude_m)
             ratio = mass_ratio[k] + f * (mass_ratio[k + 1] - mass_ratio[k])
         return T_molecular * ratio, p, p * MOLAR_MASS / (MOLAR_GAS_CONSTANT * T_molecular)
 
@@ -208,7 +208,7 @@ def _make_upper_kernel() -> Callable[[float], tuple[float, float, float]]:
 
     @njit
     def upper(altitude_m: float) -> tuple[float, float, float]:
-        i, s = cell(z, altitude_m)
+        i, s = cell_by_bisection(z, altitude_m)
         step = z[i + 1] - z[i]
         p = math.exp(_hermite(s, step, ln_p[i], ln_p[i + 1], slope_p[i], slope_p[i + 1]))
         rho = math.exp(_hermite(s, step, ln_rho[i], ln_rho[i + 1], slope_rho[i], slope_rho[i + 1]))
@@ -257,7 +257,7 @@ def speed_of_sound_kernel(T_K: float) -> float:
 
 
 @njit
-def derive_kernel(
+def free_stream_kernel(
     altitude_m: float, velocity_m_s: float, rho_kg_m3: float, reference_length_m: float
 ) -> tuple[float, float, float, float]:
     """Free-stream temperature [K], pressure [Pa], Mach number [-] and log10 Re [-] of one frame.
@@ -292,7 +292,7 @@ def _sutherland_loop(T: FloatArray, mu: FloatArray) -> None:
 @njit
 def _derive_loop(z: FloatArray, V: FloatArray, rho: FloatArray, length: float, out: FloatArray) -> None:
     for i in range(len(z)):
-        out[0, i], out[1, i], out[2, i], out[3, i] = derive_kernel(z[i], V[i], rho[i], length)
+        out[0, i], out[1, i], out[2, i], out[3, i] = free_stream_kernel(z[i], V[i], rho[i], length)
 
 
 def _checked_altitude(altitude_m: ArrayLike) -> FloatArray:
@@ -360,7 +360,7 @@ def speed_of_sound(T_K: ArrayLike) -> FloatArray:
     return np.sqrt(GAMMA * R_AIR * _checked_positive("T_K", T_K))
 
 
-def derive(
+def free_stream(
     altitude_m: ArrayLike, velocity_m_s: ArrayLike, rho_kg_m3: ArrayLike, reference_length_m: float
 ) -> dict[str, FloatArray]:
     """Free-stream temperature, pressure, Mach and Reynolds number from what a host gives.

@@ -55,14 +55,21 @@ from sim_heating.base.kernels.block import (
 )
 from sim_heating.base.kernels.elementary import exp, log10
 from sim_heating.base.kernels.jit import call_dispatcher, inline_always, njit
-from sim_heating.heating.ratio.lookup import VARIABLES, fraction, keep_axis, lanes_left, linear_ratio, table_ratios
+from sim_heating.heating.ratio.lookup import (
+    VARIABLES,
+    cache_axis_cell,
+    fraction,
+    lanes_outside_cell,
+    linear_ratio,
+    table_ratios,
+)
 
 PRESSURE = VARIABLES
 """Index of the pressure axis among the table cells that a lane caches; the ratio table's own axes come before it."""
 
 
 @njit
-def with_effects(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, r: float, wall_K: float) -> float:  # type: ignore[no-untyped-def]
+def ratio_with_effects(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, r: float, wall_K: float) -> float:  # type: ignore[no-untyped-def]
     """Heating ratio [-] of a lane after its effects: r = L[r_lin + sum a_k] prod m_k, L the lag.
 
     B, J   : block of the lane group and its integers;  dispatcher : the compiled effects
@@ -77,14 +84,14 @@ def with_effects(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, 
     for k in range(adding):
         r += call_dispatcher(dispatcher, J[EFFECT_CODES + lane * EFFECT_SLOTS + k], B, c, p + k * EFFECT_WIDTH, wall_K)
     if J[LAG_SLOT + lane] != NONE:
-        r = _lagged(B, lane, stage, p + J[LAG_SLOT + lane] * EFFECT_WIDTH, r)
+        r = _lagged_ratio(B, lane, stage, p + J[LAG_SLOT + lane] * EFFECT_WIDTH, r)
     for k in range(adding, J[N_EFFECTS + lane]):
         r *= call_dispatcher(dispatcher, J[EFFECT_CODES + lane * EFFECT_SLOTS + k], B, c, p + k * EFFECT_WIDTH, wall_K)
     return r
 
 
 @inline_always
-def _lagged(B: FloatArray, lane: int, stage: int, p: int, r: float) -> float:
+def _lagged_ratio(B: FloatArray, lane: int, stage: int, p: int, r: float) -> float:
     """Ratio [-] with its lag at a stage; time constant [s] and lagging part [-] are B[p] and B[p + 1].
 
     m_1 = r_1 - b + (m_0 - r_0 + b) exp(-x), x = dt / tau, b = (r_1 - r_0) / x (docs/equations.md, equation 8).
@@ -129,9 +136,9 @@ def _pressure_columns(B: FloatArray, J: IntArray, table: FloatArray, stage: int)
     for lane in range(LANES):
         B[(CELL_X + PRESSURE) * LANES + lane] = log10(B[(CELL_X + PRESSURE) * LANES + lane])
     # Pressure changes slowly: most steps stay in the cached column and skip the search.
-    if lanes_left(B, PRESSURE) > 0:
+    if lanes_outside_cell(B, PRESSURE) > 0:
         for lane in range(LANES):
-            column = keep_axis(B, table, lane, PRESSURE, J[PRESSURE_TABLE + lane], J[N_PRESSURES + lane])
+            column = cache_axis_cell(B, table, lane, PRESSURE, J[PRESSURE_TABLE + lane], J[N_PRESSURES + lane])
             B[CELL_COLUMN * LANES + lane] = float(column)
     for lane in range(LANES):
         B[(PCOL + stage) * LANES + lane] = B[CELL_COLUMN * LANES + lane]
@@ -176,7 +183,7 @@ def heat_perturbed_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatch
         # Kept without effects: effects that depend on wall temperature are evaluated again at every Newton iterate.
         B[(R_BASE + stage) * LANES + lane] = r
         if J[N_EFFECTS + lane] > 0:
-            r = with_effects(B, J, dispatcher, lane, stage, r, B[(HEAD_ROWS + T) * LANES + lane])
+            r = ratio_with_effects(B, J, dispatcher, lane, stage, r, B[(HEAD_ROWS + T) * LANES + lane])
         B[(FILM + stage) * LANES + lane] = r * B[c + H_REF]
         B[(RECOVERY + stage) * LANES + lane] = B[c + RECOVERY_ENTHALPY]
         B[(ADDED + stage) * LANES + lane] = B[c + Q_ADD]

@@ -45,7 +45,7 @@ from sim_heating.base.kernels.block import (
 )
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.limits import LIMITS
-from sim_heating.heating.atmosphere import derive_kernel
+from sim_heating.heating.atmosphere import free_stream_kernel
 from sim_heating.heating.reference.models import reference_kernel
 from sim_heating.heating.reference.stagnation import COLD_WALL_K
 from sim_heating.heating.surface_pressure import pressure_below_rise, stagnation_pressure_coefficient
@@ -169,7 +169,7 @@ def derive_conditions(
     """
     rho, V, alpha, beta = frame[F_RHO], frame[F_VELOCITY], frame[F_ALPHA], frame[F_BETA]
     code = int(host[CODE])
-    T_inf, p_inf, mach, log10_re = derive_kernel(frame[F_ALTITUDE], V, rho, host[LENGTH])
+    T_inf, p_inf, mach, log10_re = free_stream_kernel(frame[F_ALTITUDE], V, rho, host[LENGTH])
     radius, length = host[RADIUS], -1.0
     h_ref, H_r = 0.0, 0.0
     rise, cos_beta = 0.5 * rho * V * V * stagnation_pressure_coefficient(mach), math.cos(math.radians(beta))

@@ -44,7 +44,7 @@ from sim_heating.base.kernels.block import (
 )
 from sim_heating.base.kernels.elementary import exp
 from sim_heating.base.kernels.jit import inline_always, njit
-from sim_heating.heating.ratio.lookup import mark_order
+from sim_heating.heating.ratio.lookup import write_order
 
 (
     COATING_THICKNESS, COATING_CONDUCTIVITY, COATING_CAPACITY, RSI_CONDUCTIVITY, RSI_CAPACITY, EMISSIVITY, RADIATIVE,
@@ -170,7 +170,7 @@ def set_point(
         p = PARAMETERS * LANES + lane * N_PARAMETERS
         for k in range(N_PARAMETERS):
             B[p + k] = heating[k]
-        mark_order(B, p)
+        write_order(B, p)
 
 
 @njit

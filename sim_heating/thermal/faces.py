@@ -53,7 +53,7 @@ from sim_heating.base.kernels.block import (
 )
 from sim_heating.base.kernels.elementary import lanes_outside
 from sim_heating.base.kernels.jit import force_inline, inline_always, njit
-from sim_heating.heating.film import emittance_factor, with_effects
+from sim_heating.heating.film import emittance_factor, ratio_with_effects
 from sim_heating.thermal.assembly import BIN_K, BINS, FAR, property_bin
 
 SIGMA = 5.670374419e-8
@@ -68,10 +68,10 @@ def _film(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, wall: f
     """Film coefficient [kg/(m2 s)] of a lane whose effects depend on the wall temperature, and its slope against it."""
     h_ref = B[C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS + H_REF]
     r = B[(R_BASE + stage) * LANES + lane]
-    above = with_effects(B, J, dispatcher, lane, stage, r, wall + WALL_DIFFERENCE_K)
-    below = with_effects(B, J, dispatcher, lane, stage, r, wall - WALL_DIFFERENCE_K)
+    above = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall + WALL_DIFFERENCE_K)
+    below = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall - WALL_DIFFERENCE_K)
     slope = (above - below) * (0.5 / WALL_DIFFERENCE_K)
-    return h_ref * with_effects(B, J, dispatcher, lane, stage, r, wall), h_ref * slope
+    return h_ref * ratio_with_effects(B, J, dispatcher, lane, stage, r, wall), h_ref * slope
 
 
 @inline_always

@@ -60,7 +60,7 @@ from sim_heating.base.kernels.block import (
 )
 from sim_heating.base.kernels.jit import STEP_SIGNATURE, c_function, call_step, njit, pointer
 from sim_heating.heating.film import heat_perturbed_lanes
-from sim_heating.heating.ratio.lookup import linear_factor
+from sim_heating.heating.ratio.lookup import linear_ratio_derivative
 from sim_heating.thermal.assembly import SHARE, WHOLE_ROWS, assemble, select_pressure
 from sim_heating.thermal.faces import evaluate_faces
 from sim_heating.thermal.step import BDF_WEIGHT, GAMMA, STAGE_WEIGHT
@@ -100,7 +100,7 @@ class PerturbedOffsets(NamedTuple):
     inverse : (lane, parameter) reciprocal of the difference, in 1 over the parameter's unit
     reach   : (lane, parameter) where the parameter acts: NOWHERE, FACES, DEPTH or WHOLE
     linear  : (lane, parameter) index of a parameter of the linear heating ratio, whose perturbed lane has the ratio
-              itself moved (heating_ratio.kernel.linear_factor), or ITSELF
+              itself moved (heating.ratio.lookup.linear_ratio_derivative), or ITSELF
     """
 
     at: IntArray
@@ -247,7 +247,7 @@ def _against_ratio(X: FloatArray, at: int, k: int) -> float:
     block = first - lane
     p = block + PARAMETERS * LANES + lane * N_PARAMETERS
     c = block + C_STAGES * LANES + (END * LANES + lane) * N_CONDITIONS
-    return linear_factor(X, p, c, X[first + CELL_WORK * LANES], k)
+    return linear_ratio_derivative(X, p, c, X[first + CELL_WORK * LANES], k)
 
 
 @njit

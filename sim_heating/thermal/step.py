@@ -77,7 +77,7 @@ from sim_heating.base.kernels.block import (
 )
 from sim_heating.base.kernels.jit import STEP_SIGNATURE, c_function, force_inline, inline_always, njit
 from sim_heating.heating.film import heat_lanes
-from sim_heating.heating.ratio.lookup import forget_cells
+from sim_heating.heating.ratio.lookup import invalidate_cells
 from sim_heating.thermal.assembly import REDUCED, SHARE, WHOLE_ROWS, assemble, select_pressure
 from sim_heating.thermal.faces import evaluate_faces, forget_walls
 
@@ -339,7 +339,7 @@ def step(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -
 @inline_always
 def _begin(B: FloatArray, J: IntArray, table: FloatArray, dispatcher) -> None:  # type: ignore[no-untyped-def]
     """Take the condition vectors of stage 2 as those that hold now."""
-    forget_cells(B)
+    invalidate_cells(B)
     forget_walls(B)
     for lane in range(LANES):
         B[LAG_PAST * LANES + lane] = 0.0

@@ -12,7 +12,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import FRAME, STATE, Conditions
 from sim_heating.base.errors import InputError
-from sim_heating.heating.atmosphere import derive
+from sim_heating.heating.atmosphere import free_stream
 
 OnFrame = Callable[[FloatArray], None]
 
@@ -66,7 +66,7 @@ def conditions_from_rows(rows: FloatArray, length_m: float) -> Conditions:
     given = {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(ROW)}
     for i in TURNING:
         given[ROW[i]] = np.unwrap(given[ROW[i]], period=360.0)
-    given |= derive(given["altitude_m"], given["velocity_m_s"], given["rho_kg_m3"], length_m)
+    given |= free_stream(given["altitude_m"], given["velocity_m_s"], given["rho_kg_m3"], length_m)
     given["qbar_Pa"] = 0.5 * given["rho_kg_m3"] * given["velocity_m_s"] ** 2
     order = STATE + tuple(name for name in given if name not in STATE)
     return Conditions({name: given[name] for name in order})

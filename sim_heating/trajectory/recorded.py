@@ -15,7 +15,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import CsvTable, raise_problems, read_csv_columns
 from sim_heating.base.limits import implausible
 from sim_heating.base.progress import Progress
-from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, derive
+from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, free_stream
 from sim_heating.trajectory.flight import EXTRAS, Flight, OnFrame, reference_length_m
 from sim_heating.trajectory.spec import TrajectorySpec
 
@@ -51,7 +51,7 @@ def read_conditions(path: Path, length_m: float) -> Conditions:
     table = read_csv_columns(path, REQUIRED, OPTIONAL)
     raise_problems(_problems(table))
     given = dict(table.columns)
-    derived = derive(given["altitude_m"], given["velocity_m_s"], given["rho_kg_m3"], length_m)
+    derived = free_stream(given["altitude_m"], given["velocity_m_s"], given["rho_kg_m3"], length_m)
     columns = derived | {"qbar_Pa": 0.5 * given["rho_kg_m3"] * given["velocity_m_s"] ** 2} | given
     order = STATE + tuple(name for name in columns if name not in STATE)
     return Conditions({name: columns[name] for name in order})

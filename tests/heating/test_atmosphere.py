@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from sim_heating.base.errors import InputError
 from sim_heating.heating.atmosphere import (
     EARTH_RADIUS_M,
-    derive,
-    derive_kernel,
+    free_stream,
+    free_stream_kernel,
     geometric,
     geopotential,
     gravity,
@@ -112,30 +112,31 @@ def test_sound_travels_at_its_published_speed_at_sea_level_and_70_km():
 
 def test_peak_heating_of_a_shuttle_entry_is_flown_at_its_true_mach_and_reynolds_number():
     # STS-107 at 533 s: 23.23 thousand ft/s is a true Mach of 24.01; log10 Re on 32.77 m is 6.061
-    state = derive(71158.0, 7081.0, 7.038e-5, 32.77)
+    state = free_stream(71158.0, 7081.0, 7.038e-5, 32.77)
     assert state["mach"] == pytest.approx([24.01], abs=0.01)
     assert state["log10_re"] == pytest.approx([6.061], abs=0.002)
 
 
 def test_mach_above_86_km_uses_the_warm_thermosphere_and_not_a_frozen_one():
-    assert derive(120e3, 7486.0, 2.222e-8, 32.77)["mach"] == pytest.approx([19.7], abs=0.1)  # 26.7 at a frozen 187 K
+    state = free_stream(120e3, 7486.0, 2.222e-8, 32.77)
+    assert state["mach"] == pytest.approx([19.7], abs=0.1)  # 26.7 at a frozen 187 K
 
 
 def test_a_dispersed_density_is_kept_and_scales_the_pressure():
     T, p, rho = us76_kernel(100e3)
-    thick = derive(100e3, 7000.0, 1.3 * rho, 10.0)
+    thick = free_stream(100e3, 7000.0, 1.3 * rho, 10.0)
     assert thick["p_inf_Pa"] == pytest.approx([1.3 * p])
     assert thick["T_inf_K"] == pytest.approx([T])
 
 
 def test_a_body_at_rest_has_a_finite_reynolds_number():
-    assert derive(0.0, 0.0, 1.225, 30.0)["log10_re"] == pytest.approx([-3.0])
+    assert free_stream(0.0, 0.0, 1.225, 30.0)["log10_re"] == pytest.approx([-3.0])
 
 
 def test_one_frame_and_a_flight_get_the_same_numbers():
     z, V, rho = np.array([120e3, 70e3, 10e3]), np.array([7500.0, 7000.0, 300.0]), np.array([2e-8, 8e-5, 0.4])
-    flight = derive(z, V, rho, 32.77)
-    frames = np.array([derive_kernel(*row, 32.77) for row in zip(z, V, rho, strict=True)])
+    flight = free_stream(z, V, rho, 32.77)
+    frames = np.array([free_stream_kernel(*row, 32.77) for row in zip(z, V, rho, strict=True)])
     assert np.array_equal(frames.T, [flight["T_inf_K"], flight["p_inf_Pa"], flight["mach"], flight["log10_re"]])
 
 
@@ -150,4 +151,4 @@ def test_one_frame_and_a_flight_get_the_same_numbers():
 )
 def test_a_host_that_sends_nonsense_is_told_which_number(arguments, name):
     with pytest.raises(InputError, match=name):
-        derive(*arguments)
+        free_stream(*arguments)

@@ -30,12 +30,12 @@ from sim_heating.base.kernels.block import (
 )
 from sim_heating.base.parameters import SECOND_ORDER
 from sim_heating.heating.ratio.lookup import (
-    forget_cells,
+    invalidate_cells,
     linear_ratio,
-    mark_order,
     pack_table,
     table_ratio,
     table_ratios,
+    write_order,
 )
 from sim_heating.heating.ratio.table import RatioTable
 from tests.support.walls import practice_record
@@ -110,7 +110,7 @@ def test_declared_table_of_a_record_equals_scipy_along_its_flight():
 def test_lanes_look_up_what_one_point_looks_up_also_outside_the_table(table, places):
     packed, J = pack_table(table), np.zeros(integers_size(2), dtype=np.int64)
     B = np.zeros(block_size(2))
-    forget_cells(B)
+    invalidate_cells(B)
     J[RATIO_TABLE : RATIO_TABLE + LANES] = 0
     for fractions in places:  # one after the other, so that cells are left and entered
         x = within(table, fractions)
@@ -132,14 +132,14 @@ def test_variables_outside_are_counted_save_those_of_a_single_value(table, fract
     expected = sum(len(a) > 1 and not a[0] <= v <= a[-1] for a, v in zip(table.axes, x, strict=True))
     for lane in range(LANES):
         B[conditions_at(1, lane) :][:5] = x
-    forget_cells(B)
+    invalidate_cells(B)
     table_ratios(B, J, packed, 1)
     assert np.all(B[scalar_row(OFF_AXES)] == expected)
 
 
 def test_lane_without_a_table_has_tabulated_ratio_zero():
     J, B = np.zeros(integers_size(2), dtype=np.int64), np.ones(block_size(2))
-    forget_cells(B)
+    invalidate_cells(B)
     J[RATIO_TABLE : RATIO_TABLE + LANES] = NO_TABLE
     table_ratios(B, J, np.zeros(1), 0)
     assert np.all(B[scalar_row(CELL_WORK)] == 0.0)
@@ -157,7 +157,7 @@ def model_ratio(x: np.ndarray, about: np.ndarray, table: RatioTable | None = Non
     for key, value in parameters.items():
         B[int(key.removeprefix("at_"))] = value
     B[REFERENCE : REFERENCE + 5] = about
-    mark_order(B, 0)
+    write_order(B, 0)
     B[CONDITIONS_FIRST : CONDITIONS_FIRST + 5] = x
     return linear_ratio(B, 0, CONDITIONS_FIRST, 0.0 if table is None else lookup(table, x))
 

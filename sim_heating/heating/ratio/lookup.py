@@ -158,7 +158,7 @@ def linear_ratio(B: FloatArray, p: int, c: int, tabulated: float) -> float:
 
 
 @njit
-def linear_factor(B: FloatArray, p: int, c: int, tabulated: float, k: int) -> float:
+def linear_ratio_derivative(B: FloatArray, p: int, c: int, tabulated: float, k: int) -> float:
     """Derivative of `linear_ratio` with respect to one of its parameters, exact as the model is linear in them.
 
     B, p, c   : as in `linear_ratio`;  tabulated : ratio of the table [-]
@@ -181,7 +181,7 @@ def linear_factor(B: FloatArray, p: int, c: int, tabulated: float, k: int) -> fl
 
 
 @njit
-def mark_order(B: FloatArray, p: int) -> None:
+def write_order(B: FloatArray, p: int) -> None:
     """Write the highest order (0, 1 or 2) of the linear model with a derivative that is not 0 into B[p + ORDER].
 
     B, p : block of a lane group and where a lane's parameters begin
@@ -195,7 +195,7 @@ def mark_order(B: FloatArray, p: int) -> None:
 
 
 @njit
-def forget_cells(B: FloatArray) -> None:
+def invalidate_cells(B: FloatArray) -> None:
     """Invalidate the table cells that all lanes cache, after tables or temperatures of a group were set from outside.
 
     B : block of the lane group. The bounds of every cached cell are made empty, so that the next lookup searches.
@@ -207,7 +207,7 @@ def forget_cells(B: FloatArray) -> None:
 
 
 @njit
-def keep_axis(B: FloatArray, table: FloatArray, lane: int, a: int, first: int, n: int) -> int:
+def cache_axis_cell(B: FloatArray, table: FloatArray, lane: int, a: int, first: int, n: int) -> int:
     """Find and cache the cell of one axis that contains a lane's variable.
 
     B, lane  : block of the lane group and number of the lane; its variable is in row CELL_X + a, in the axis's unit
@@ -232,12 +232,12 @@ def keep_axis(B: FloatArray, table: FloatArray, lane: int, a: int, first: int, n
 
 
 @inline_always
-def _keep_cell(B: FloatArray, table: FloatArray, offset: int, lane: int) -> None:
+def _cache_cell(B: FloatArray, table: FloatArray, offset: int, lane: int) -> None:
     """Cache the cell that contains a lane's variables, and the ratios at its 32 corners, 0 for a lane without table."""
     first, node = offset + VARIABLES, 0
     for a in range(VARIABLES):
         n = 1 if offset == NO_TABLE else int(table[offset + a])
-        node = node * n + keep_axis(B, table, lane, a, first, n)
+        node = node * n + cache_axis_cell(B, table, lane, a, first, n)
         first += n
     for corner in range(32):
         at, stride = first + node, 1
@@ -249,7 +249,7 @@ def _keep_cell(B: FloatArray, table: FloatArray, offset: int, lane: int) -> None
 
 
 @njit
-def _halve(B: FloatArray, corners: int, into: int, half: int, a: int) -> None:
+def _interpolate_along(B: FloatArray, corners: int, into: int, half: int, a: int) -> None:
     """Interpolate the corners along variable a, whose fraction is in its CELL_X row; half as many values remain."""
     for c in range(half):
         for lane in range(LANES):
@@ -259,7 +259,7 @@ def _halve(B: FloatArray, corners: int, into: int, half: int, a: int) -> None:
 
 
 @force_inline
-def lanes_left(B: FloatArray, a: int) -> int:
+def lanes_outside_cell(B: FloatArray, a: int) -> int:
     """Number of pairs of lanes of which at least one has left the cached cell of axis a.
 
     B : block of the lane group; rows CELL_X + a, CELL_LOW + a and CELL_HIGH + a, in the unit of the axis
@@ -283,10 +283,10 @@ def _interpolate(B: FloatArray, J: IntArray, table: FloatArray) -> None:
     # All lanes are searched when one has left: rare in a flight, and the test stays free of branches.
     left = 0
     for a in range(VARIABLES):
-        left += lanes_left(B, a)
+        left += lanes_outside_cell(B, a)
     if left > 0:
         for lane in range(LANES):
-            _keep_cell(B, table, J[RATIO_TABLE + lane], lane)
+            _cache_cell(B, table, J[RATIO_TABLE + lane], lane)
     for lane in range(LANES):
         B[OFF_AXES * LANES + lane] = 0.0
     for a in range(VARIABLES):
@@ -297,11 +297,11 @@ def _interpolate(B: FloatArray, J: IntArray, table: FloatArray) -> None:
             B[(CELL_X + a) * LANES + lane] = min(max(f, 0.0), 1.0)
     # Variable 4 first: bit a of a corner's number belongs to variable a, so that both halves are contiguous rows.
     # The table's own corners are kept; from four values on the work rows are overwritten in place.
-    _halve(B, CORNERS, CELL_WORK + 8, 16, 4)
-    _halve(B, CELL_WORK + 8, CELL_WORK, 8, 3)
-    _halve(B, CELL_WORK, CELL_WORK, 4, 2)
-    _halve(B, CELL_WORK, CELL_WORK, 2, 1)
-    _halve(B, CELL_WORK, CELL_WORK, 1, 0)
+    _interpolate_along(B, CORNERS, CELL_WORK + 8, 16, 4)
+    _interpolate_along(B, CELL_WORK + 8, CELL_WORK, 8, 3)
+    _interpolate_along(B, CELL_WORK, CELL_WORK, 4, 2)
+    _interpolate_along(B, CELL_WORK, CELL_WORK, 2, 1)
+    _interpolate_along(B, CELL_WORK, CELL_WORK, 1, 0)
 
 
 @njit

@@ -22,7 +22,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.block import H_REF, LANES, N_CONDITIONS, N_PARAMETERS, P_SURFACE, PARAMETERS, Q_ADD, TIME
 from sim_heating.base.kernels.jit import njit, pointer
 from sim_heating.heating.atmosphere import HIGHEST_M
-from sim_heating.heating.ratio.lookup import mark_order
+from sim_heating.heating.ratio.lookup import write_order
 from sim_heating.planning.dispersion.spec import Input
 from sim_heating.simulation.plugin_kernel import PRESSURE_WIDTH, derive_conditions
 from sim_heating.thermal.elements import set_elements
@@ -302,4 +302,4 @@ def set_lanes(
         p = PARAMETERS * LANES + lane * N_PARAMETERS
         for k in range(N_PARAMETERS):
             B[p + k] = heating[lane, k]
-        mark_order(B, p)
+        write_order(B, p)
