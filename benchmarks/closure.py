@@ -85,10 +85,9 @@ def made_and_closed(task: tuple[int, int, str]) -> bytes:
 def rmse_K(found: SearchResult) -> dict[str, float]:
     """RMSE [K] of each part of a record that is measured, refitted with what was found."""
     from sim_heating.closure.close import refit
-    from sim_heating.closure.report import segment_errors
 
     fitted = refit(found) if found.added else found.before
-    return {part: e["rmse_K"] for part, e in segment_errors(fitted.after[0]).items() if e}
+    return {part: e["rmse_K"] for part, e in fitted.after[0].segment_errors().items() if e}
 
 
 def beyond(after: Mapping[str, float], other: Mapping[str, float]) -> bool:

@@ -107,8 +107,6 @@ def _one(task: Task) -> bytes:
 
 def summary_row(report: Any) -> dict[str, Any]:
     """A closure as a row of the summary."""
-    from sim_heating.closure.report import segment_errors
-
     row: dict[str, Any] = {
         "record": report.record.name,
         "control_point": report.record.declared.control_point,
@@ -119,7 +117,7 @@ def summary_row(report: Any) -> dict[str, Any]:
         "verdicts": [v.words for v in report.verdicts],
     }
     for name, prediction in (("predicted", report.predicted), ("before", report.before), ("after", report.after)):
-        for what, errors in segment_errors(prediction).items():
+        for what, errors in prediction.segment_errors().items():
             row[f"{name}_{what}_rmse_K"] = None if errors is None else errors["rmse_K"]
     return row
 

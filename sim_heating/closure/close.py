@@ -25,7 +25,6 @@ from sim_heating.closure.report import (
     Finding,
     ParameterEstimate,
     false_alarm_statement,
-    segment_errors,
     write_closure,
 )
 from sim_heating.closure.search.search import SearchResult, search_effects
@@ -174,11 +173,11 @@ def _sensor(attempt: TrialFit) -> str | None:
 def _tried(found: SearchResult) -> list[CandidateScore]:
     """The candidates of the first pass; those not worth a fit with what was promised of them, and errors as before."""
     first = found.rounds[0]
-    before = segment_errors(found.before.after[0])
+    before = found.before.after[0].segment_errors()
     rows = [("none", 0.0, before)]
     for a in first.attempts:
         try:
-            rows.append((a.name, a.delta_bic, segment_errors(a.prediction)))
+            rows.append((a.name, a.delta_bic, a.prediction.segment_errors()))
         except RunError:  # found in steps that the plain march cannot take
             continue
     rows += [(name, delta, before) for name, delta in first.passed.items()]

@@ -33,7 +33,7 @@ from sim_heating.closure.plots import (
     variables_figure,
 )
 from sim_heating.closure.record_checks import DataFault
-from sim_heating.inputs.record import Record, pooled_rmse_K
+from sim_heating.inputs.record import Record
 from sim_heating.simulation.predict import Prediction
 
 NAME, PAGE = "closure.json", "report.html"
@@ -132,16 +132,6 @@ class Closure:
         return self.effects[0].name not in (NONE, UNKNOWN)
 
 
-def segment_errors(prediction: Prediction) -> dict[str, Any]:
-    """Errors over fit and holdout segments, pooled over the used sensors; None where there are none."""
-    record = prediction.record
-    used = [i for i, s in enumerate(record.sensors) if s.used]
-    residual = prediction.residual_K[used]
-    return {
-        "fit": pooled_rmse_K(residual, record.fit_mask()), "holdout": pooled_rmse_K(residual, record.holdout_mask()),
-    }  # fmt: skip
-
-
 def closure_json(found: Closure) -> dict[str, Any]:
     """The contents of closure.json."""
     effects = [e.numbers() for e in found.effects]
@@ -150,9 +140,9 @@ def closure_json(found: Closure) -> dict[str, Any]:
         "format": "closure-report/1",
         "records": [str(found.record.directory)],
         "sensors": [s.name for s in found.record.used_sensors],
-        "predicted": segment_errors(found.predicted),
-        "before": segment_errors(found.before),
-        "after": segment_errors(found.after),
+        "predicted": found.predicted.segment_errors(),
+        "before": found.before.segment_errors(),
+        "after": found.after.segment_errors(),
         "noise_floor_K": _finite(found.noise_floor_K),
         "reference_condition": dict(zip(RATIO_VARIABLES, map(float, found.reference), strict=True)),
         "effect": effects[0],
@@ -230,7 +220,7 @@ def _found_text(row: Mapping[str, Any]) -> str:
 
 
 def _headline(found: Closure) -> tuple[str, str]:
-    before, after = segment_errors(found.before), segment_errors(found.after)
+    before, after = found.before.segment_errors(), found.after.segment_errors()
     told = _change("fitted", before["fit"], after["fit"]) + _change("held out", before["holdout"], after["holdout"])
     if found.verdicts:
         return f"No aerothermal finding: {found.verdicts[0].kind}", found.verdicts[0].words
@@ -256,7 +246,7 @@ def _errors(found: Closure) -> Section:
     if found.added:
         stages.append((f"With {found.named} (after)", found.after))
     for label, prediction in stages:
-        e = segment_errors(prediction)
+        e = prediction.segment_errors()
         rows.append([label, *(t for part in ("fit", "holdout") for t in _cells(e[part]))])
     heads = ["", "RMSE fitted, K", "largest, K", "samples", "RMSE held out, K", "largest, K", "samples"]
     floor = f"Noise floor, from sensor noise and quantisation: {found.noise_floor_K:.2f} K. "

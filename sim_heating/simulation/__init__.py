@@ -1,1 +1,1 @@
-"""Flights simulated: runs, synthetic records, predictions, the plug-in for a host simulator, and its FMU."""
+"""Simulation: runs of scenarios, synthetic records, predictions, the plug-in for a host simulator, and its FMU."""

@@ -1,8 +1,8 @@
 """A ground step test: a lamp's step of known flux on an installed thermocouple, as a flight record.
 
 There is no flow: `heating.reference = "none"`, h_ref is 0, and the known absorbed flux is the column `q_add_W_m2`.
-Stack and clock are estimated, so that neither is in doubt when a manoeuvre is flown, as the founding paper suggests.
-A test is planned with the records that this module makes; measured records have the same form.
+Stack and clock are estimated before a manoeuvre is flown, as the founding paper suggests. A test is planned with the
+records that this module makes; measured records have the same form.
 """
 
 from __future__ import annotations
@@ -21,15 +21,16 @@ from sim_heating.inputs.record import Record, RecordFile, make_record
 from sim_heating.inputs.sensor_model import SensorErrors, measured, sample_times
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.simulation.predict import predict
+from sim_heating.simulation.synthesize import point_declaration
 
 AT_REST = {"rho_kg_m3": 1.225, "T_inf_K": 288.15, "p_inf_Pa": 101325.0, "p_surface_Pa": 101325.0}
-"""Air about a vehicle on the ground, U.S. Standard Atmosphere at sea level."""
+"""Air around a vehicle on the ground, U.S. Standard Atmosphere at sea level."""
 BEFORE_S = 10.0
-"""Time of the record before the lamp [s]: longer than a skew that is looked for."""
+"""Time of the record before the lamp is lit [s]; longer than any clock skew."""
 RISE_S = 0.1
 """Time in which the lamp's shutter opens or closes [s]."""
 TRUE_NODES, TRUE_STEP_S = 160, 0.1
-"""Mesh and spacing of conditions that synthetic readings are made with, finer than those of a fit."""
+"""Nodes of the mesh and spacing of conditions [s] for synthetic readings, finer than those of a fit."""
 
 
 def step_record(
@@ -44,11 +45,14 @@ def step_record(
     errors: Mapping[str, SensorErrors] | None = None,
     seed: int = 1,
 ) -> Record:
-    """What a step of absorbed flux would be measured as: a record that declares the point's own stack.
+    """Synthetic record of a step of absorbed flux on a control point, with its declared stack.
 
-    lit_s, after_s : how long the lamp is on, and how long is recorded after that
+    flux_W_m2      : flux that the surface absorbs [W/m2]
+    lit_s, after_s : time that the lamp is on, and that is recorded after it [s]
     parameters     : dotted model parameters in which the truth differs from the declaration
-    skew_s, errors : by how much the thermocouples' clock lags, and what is wrong with sensors, by name
+    skew_s         : lag of the thermocouples' clock [s]
+    errors         : gain and bias errors of sensors, by name
+    seed           : of the noise
     raises         : InputError where the point has no sensor
     """
     if not point.sensors:
@@ -59,11 +63,13 @@ def step_record(
     empty = {"time_s": clock} | {s.column: np.full(len(clock), 300.0) for s in point.sensors}
     fine = make_record(declared, _conditions(flux_W_m2, lit_s, end_s, TRUE_STEP_S), empty, None, point.name)
     model = replace(point_of_record(fine, parameters), nodes=TRUE_NODES)
-    wrong, rng = errors or {}, np.random.default_rng([seed, *point.name.encode()])
+    faults, rng = errors or {}, np.random.default_rng([seed, *point.name.encode()])
     true = predict(fine, model, skew_s=skew_s).history.sensors_K
     columns = {"time_s": clock}
     for sensor, T in zip(point.sensors, true, strict=True):
-        columns[sensor.column] = measured(sensor, np.nan_to_num(T, nan=300.0), rng, wrong.get(sensor.name), np.isnan(T))
+        columns[sensor.column] = measured(
+            sensor, np.nan_to_num(T, nan=300.0), rng, faults.get(sensor.name), np.isnan(T)
+        )
     return make_record(declared, _conditions(flux_W_m2, lit_s, end_s, 1.0), columns, None, point.name)
 
 
@@ -71,24 +77,16 @@ def _conditions(flux_W_m2: float, lit_s: float, end_s: float, spacing_s: float) 
     on, off = BEFORE_S, BEFORE_S + lit_s
     edges = [on, on + RISE_S, off, off + RISE_S]
     time = np.union1d(np.round(np.arange(0.0, end_s + 0.5 * spacing_s, spacing_s), 6), np.round(edges, 6))
-    still = {name: np.zeros(len(time)) for name in STATE} | {n: np.full(len(time), v) for n, v in AT_REST.items()}
+    constant = {name: np.zeros(len(time)) for name in STATE} | {n: np.full(len(time), v) for n, v in AT_REST.items()}
     flux = np.interp(time, edges, [0.0, flux_W_m2, flux_W_m2, 0.0])
-    return Conditions(still | {"time_s": time, "q_add_W_m2": flux})
+    return Conditions(constant | {"time_s": time, "q_add_W_m2": flux})
 
 
 def _declaration(vehicle: Vehicle, point: ControlPoint, flux_W_m2: float) -> dict[str, Any]:
     initial_K = AT_REST["T_inf_K"]
-    stack = point.construction.stack.model_dump(exclude_unset=True) | {"surroundings_K": initial_K}
-    return {
-        "format": "flight-record/1",
-        "title": f"Ground step test, {flux_W_m2 / 1e3:g} kW/m2: {point.title}",
-        "vehicle": vehicle.name,
-        "control_point": point.name,
-        "measured": False,
-        "thermocouples": {
-            "sensor": [s.model_dump(exclude_unset=True, exclude={"rate_hz", "sample_offset_s"}) for s in point.sensors]
-        },
-        "stack": stack | {"initial": "uniform", "initial_K": initial_K},
-        "materials": {n: m.model_dump(exclude_unset=True) for n, m in point.construction.materials.items()},
+    title = f"Ground step test, {flux_W_m2 / 1e3:g} kW/m2: {point.title}"
+    data = point_declaration(vehicle, point, title, point.sensors)
+    return data | {
+        "stack": data["stack"] | {"surroundings_K": initial_K, "initial": "uniform", "initial_K": initial_K},
         "heating": {"reference": "none", "wall_enthalpy": vehicle.heating.model_dump()["wall_enthalpy"]},
     }

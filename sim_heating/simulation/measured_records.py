@@ -2,8 +2,9 @@
 
     sim-heating measured-records SCENARIO --out DIRECTORY
 
-makes DIRECTORY/<control point> of every [[compare]]: what an estimator takes, where temperatures of a flight are at
-hand and its trajectory is not. The clock of the measured history may lag that of the flight and run at another rate,
+writes DIRECTORY/<control point> for every [[compare]]: records for an estimator where temperatures of a flight were
+published and its trajectory was not. The clock of the measured history may lag that of the flight and run at another
+rate,
 
     recorded time = shift + stretch (time of the flight).
 
@@ -25,8 +26,8 @@ from sim_heating.inputs.scenario import MeasuredHistory, Scenario
 from sim_heating.simulation.run import fly_scenario
 from sim_heating.simulation.synthesize import declaration
 
-KEPT_DIGITS = ".7g"
-"""Format of numbers in a record's files: finer than any of them is known."""
+NUMBER_FORMAT = ".7g"
+"""Format of numbers in a record's files; finer than their accuracy."""
 
 
 def compared_records(
@@ -34,9 +35,9 @@ def compared_records(
 ) -> dict[str, Record]:
     """A record of every measured history of a scenario, by control point.
 
-    flown           : the flight, where it has been flown already
-    shift_s, stretch: of the recorded clock against that of the flight
-    raises          : InputError where the scenario compares with nothing, or a control point has no sensor
+    flown            : the flight, where it has been flown already
+    shift_s, stretch : shift [s] and rate of the recorded clock relative to that of the flight
+    raises           : InputError where the scenario compares with nothing, or a control point has no sensor
     """
     if not scenario.compare:
         raise InputError(f"{display_path(scenario.path)}: compares with no measured history; add a [[compare]]")
@@ -51,8 +52,7 @@ def _record(scenario: Scenario, measured: MeasuredHistory, flown: Conditions) ->
     if len(point.sensors) != 1:
         raise InputError(
             f"{display_path(scenario.path)}, [[compare]]: {point.name} has {len(point.sensors)} sensors; a measured "
-            f"history "
-            "is that of one"
+            "history is that of one"
         )
     sensor = point.sensors[0].model_copy(
         update={"bits": None, "range_K": None, "rate_hz": None, "noise_sigma_K": float(np.median(measured.sigma_K))}
@@ -67,7 +67,7 @@ def _record(scenario: Scenario, measured: MeasuredHistory, flown: Conditions) ->
 def write_compared_records(scenario: Scenario, directory: Path) -> list[Path]:
     """Write the records of a scenario's measured histories.
 
-    returns : the directories, of the control points' names in lower case
+    returns : the directories, named as the control points in lower case
     raises  : as compared_records and write_record
     """
     note = "\n".join(
@@ -76,9 +76,8 @@ def write_compared_records(scenario: Scenario, directory: Path) -> list[Path]:
             f"Made by sim-heating measured-records of scenarios/{scenario.path.name}, which states how.",
         )
     )
-    written = []
-    for name, record in compared_records(scenario).items():
-        formats = dict.fromkeys((*record.conditions.columns, *record.thermocouples), KEPT_DIGITS)
-        written.append(directory / name.lower())
-        write_record(record, written[-1], formats, note)
-    return written
+    records = {directory / name.lower(): record for name, record in compared_records(scenario).items()}
+    for path, record in records.items():
+        formats = dict.fromkeys((*record.conditions.columns, *record.thermocouples), NUMBER_FORMAT)
+        write_record(record, path, formats, note)
+    return list(records)

@@ -1,4 +1,4 @@
-"""Pictures of a flight and its temperatures; each function draws one file and shows nothing."""
+"""Pictures of a flight and its temperatures; a function draws one picture and opens no window."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from sim_heating.march.history import PointHistory
 from sim_heating.trajectory.flight import Window
 
 BEFORE_S, AFTER_S = 15.0, 25.0
-"""How much of the flight around a manoeuvre is drawn."""
+"""Time before and after a manoeuvre that is drawn [s]."""
 SHUTTLE_MACH_M_S = 304.8
-"""1000 ft/s, the 'Mach' of the Shuttle's literature."""
+"""1000 ft/s [m/s], the unit of 'Mach' in the Shuttle literature."""
 HOT_STRUCTURE = 0.95
-"""A point whose bondline comes this close to its surface's peak is not insulated; it is left out of bondlines."""
+"""Ratio of bondline to surface peak above which a point is hot structure and has no line among the bondlines."""
 DRAWN_CHANGE_DEG = 0.5
-"""An angle that moves less during a manoeuvre is not drawn beside the one that is flown."""
+"""An angle that changes less during a manoeuvre is not drawn with the one that is flown [deg]."""
 
 
 def _shade(axes: Axes, windows: Sequence[Window]) -> None:
@@ -33,7 +33,7 @@ def _shade(axes: Axes, windows: Sequence[Window]) -> None:
 
 
 def _name_windows(axes: Axes, windows: Sequence[Window]) -> None:
-    """What was flown in each shaded span, above it."""
+    """Name the manoeuvre of each shaded span above it."""
     for window in windows:
         place = (0.5 * (window.start_s + window.end_s), 1.02)
         axes.annotate(
@@ -42,7 +42,7 @@ def _name_windows(axes: Axes, windows: Sequence[Window]) -> None:
 
 
 def _twin(axes: Axes, x: FloatArray, y: FloatArray, label: str, color: str) -> None:
-    """A second quantity on the right, its axis in the colour of its line."""
+    """Plot a second quantity on an axis on the right, in the colour of its line."""
     other = axes.twinx()
     other.plot(x, y, color=color)
     other.set_ylabel(label, color=color)
@@ -118,7 +118,7 @@ def _plot_by_peak(
 def draw_manoeuvre(
     path: Path | None, title: str, flown: Conditions, points: Sequence[PointHistory], window: Window, variable: str
 ) -> Figure:
-    """Thermocouple and surface temperatures about one manoeuvre; below, the angle that is flown and what moves with it.
+    """Thermocouple and surface temperatures about one manoeuvre; below, the angles that change.
 
     As figures 5, 10 and 13 of the founding paper.
     """
@@ -140,7 +140,7 @@ def draw_manoeuvre(
 
 
 def _plot_moving(axes: Axes, flown: Conditions, shown: np.ndarray, variable: str) -> None:
-    """The manoeuvred variable, and dashed on the right the other angles that move meanwhile."""
+    """Plot the manoeuvred variable, and dashed, on the right, the other angles that change."""
     t = flown.time_s[shown]
     label, color = ANGLES.get(variable, ("reaction jets, 0 to 1", "tab:red"))
     lines = axes.plot(t, flown[variable][shown], color=color, linewidth=2.2, label=label)
@@ -157,7 +157,7 @@ def _plot_moving(axes: Axes, flown: Conditions, shown: np.ndarray, variable: str
 
 
 def _manoeuvre_title(flown: Conditions, window: Window) -> str:
-    """What was flown at which speed, in both ways of counting Mach."""
+    """Name and speed of a manoeuvre, with both definitions of Mach number."""
     begin = flown.at([window.start_s])
     V, mach = float(begin["velocity_m_s"][0]), float(begin["mach"][0])
     what = NAMES.get(window.kind, window.kind)

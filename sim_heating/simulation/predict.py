@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from sim_heating.march.point import PointModel
 from sim_heating.simulation.results import write_temperatures_csv
 
 FILES = TABLE, SUMMARY, PICTURE = "temperatures.csv", "summary.json", "prediction.png"
-"""What a prediction writes."""
+"""Files that a prediction writes."""
 
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class Prediction:
     """Temperatures of a record's declared model at the record's own sample times.
 
     history     : at the times of the measurements; NaN where they lie outside the conditions
-    indicated_K : (sensor, sample) what each sensor would show, calibration applied, without noise
+    indicated_K : (sensor, sample) indication of each sensor, calibration applied, without noise
     residual_K  : (sensor, sample) measured minus indicated
     """
 
@@ -44,6 +44,13 @@ class Prediction:
     indicated_K: FloatArray
     residual_K: FloatArray
     outside: tuple[Outside, ...]
+
+    def segment_errors(self) -> dict[str, Any]:
+        """rmse_K, max_abs_K and n over the fit and the holdout segments, pooled over the used sensors; None where a
+        segment holds no sample."""
+        residual = self.residual_K[[i for i, sensor in enumerate(self.record.sensors) if sensor.used]]
+        masks = {"fit": self.record.fit_mask(), "holdout": self.record.holdout_mask()}
+        return {name: pooled_rmse_K(residual, mask) for name, mask in masks.items()}
 
     def __repr__(self) -> str:
         found = pooled_rmse_K(self.residual_K)
@@ -87,7 +94,7 @@ def predict(
 
     record : a flight record, or its directory
     model  : another model than the declared one
-    skew_s : by how much the thermocouples' clock lags [s];  errors : what is wrong with sensors, by name
+    skew_s : by how much the thermocouples' clock lags [s];  errors : gain and bias errors of sensors, by name
     raises : InputError where no sample lies within the conditions, RunError where a step did not converge
 
     >>> import sim_heating as sh
@@ -104,31 +111,29 @@ def predict(
     marched = march_points([model], [conditions], extra_times_s=within)[0]
     history = replace(_resampled(marched, t), time_s=record.time_s)
     pairs = zip(record.sensors, history.sensors_K, strict=True)
-    wrong = errors or {}
-    indicated = np.array([calibrated(sensor, values, wrong.get(sensor.name)) for sensor, values in pairs])
+    faults = errors or {}
+    indicated = np.array([calibrated(sensor, values, faults.get(sensor.name)) for sensor, values in pairs])
     residual = record.temperatures_K() - indicated
     return Prediction(record, history, indicated, residual, tuple(outside_table(model, conditions)))
 
 
 def _resampled(marched: PointHistory, time_s: FloatArray) -> PointHistory:
-    def held(values: FloatArray) -> FloatArray:
+    def at_samples(values: FloatArray) -> FloatArray:
         return at_times(marched.time_s, values, time_s)
 
     return replace(
         marched,
         time_s=time_s,
-        surface_K=held(marched.surface_K),
-        bondline_K=held(marched.bondline_K),
-        sensors_K=held(marched.sensors_K),
-        ratio=held(marched.ratio),
+        surface_K=at_samples(marched.surface_K),
+        bondline_K=at_samples(marched.bondline_K),
+        sensors_K=at_samples(marched.sensors_K),
+        ratio=at_samples(marched.ratio),
     )
 
 
 def summary(prediction: Prediction) -> dict[str, object]:
-    """Errors over fit and holdout segments, pooled over the used sensors, as summary.json holds them."""
+    """Content of summary.json: errors over fit and holdout segments, pooled over the used sensors."""
     record = prediction.record
-    used = [i for i, sensor in enumerate(record.sensors) if sensor.used]
-    residual = prediction.residual_K[used]
     by_sensor = {
         s.name: pooled_rmse_K(prediction.residual_K[i], record.fit_mask()) for i, s in enumerate(record.sensors)
     }
@@ -140,8 +145,7 @@ def summary(prediction: Prediction) -> dict[str, object]:
         "program": f"sim-heating {package_version()}",
         "record": record.name,
         "control_point": record.declared.control_point,
-        "fit": pooled_rmse_K(residual, record.fit_mask()),
-        "holdout": pooled_rmse_K(residual, record.holdout_mask()),
+        **prediction.segment_errors(),
         "noise_floor_K": None if floor is None or not np.isfinite(floor) else floor,
         "sensors": by_sensor,
         "outside_table": [vars(o) for o in prediction.outside],

@@ -43,8 +43,7 @@ LONG_NAMES = {
 
 
 def write_temperatures_csv(path: Path, time_s: FloatArray, history: PointHistory, sensors: Sequence[Sensor]) -> None:
-    """temperatures.csv of one control point: time_s, surface_K, bondline_K, then each sensor under its column's
-    name."""
+    """Write temperatures.csv of one control point: time_s, surface_K, bondline_K, then one column a sensor."""
     columns = {"time_s": time_s, "surface_K": history.surface_K, "bondline_K": history.bondline_K}
     columns |= {s.column: values for s, values in zip(sensors, history.sensors_K, strict=True)}
     write_csv(path, columns, {"time_s": ".10g"} | {name: ".4f" for name in columns if name != "time_s"})

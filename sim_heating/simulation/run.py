@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 def fly_fmu(
     spec: TrajectorySpec, vehicle_dir: Path, *, on_frame: OnFrame | None = None, progress: Progress | None = None
 ) -> Flight:
-    """`trajectory.fmu.fly`; FMPy and pint are slow to import, and wanted only here."""
+    """`trajectory.fmu.flight.fly`, imported when it is used: FMPy and pint are slow to import."""
     from sim_heating.trajectory.fmu import flight as fmu
 
     return fmu.fly(spec, vehicle_dir, on_frame=on_frame, progress=progress)
@@ -51,13 +51,15 @@ MANOEUVRE_VARIABLE = {
     "sideslip-doublet": "beta_deg",
     "jet-firing": "jets",
 }
-"""Column that a manoeuvre moves."""
+"""Column of the conditions that a manoeuvre varies."""
 SUMMARY, CONDITIONS, HISTORIES, TABLE = "summary.json", "conditions.csv", "flight.nc", "temperatures.csv"
 TRAJECTORY, TEMPERATURES, COMPARED = "trajectory.png", "temperatures.png", "compared.png"
 PLOTTED_POINTS = 3
-"""Control points drawn for one manoeuvre: those whose surface answers it most."""
+"""Control points drawn for one manoeuvre: those whose surface temperature responds most."""
+RESPONSE_S = 5.0
+"""Time after a manoeuvre in which a surface still responds to it [s]."""
 PLOTTED_RESPONSE_K = 2.0
-"""A surface that moves less about its trend is drawn only where none moves more."""
+"""A surface with a smaller response [K] is drawn only where none has a larger one."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ class PointResult:
 
 @dataclass(frozen=True, repr=False)
 class RunResult:
-    """A flown scenario.
+    """Results of a run: the flight of a scenario and the temperatures along it.
 
     scenario       : what was flown
     flight         : conditions, manoeuvres and events of the trajectory
@@ -108,7 +110,7 @@ class RunResult:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A prediction against a measured history."""
+    """A measured history, the prediction of its control point, and the residual at its samples [K]."""
 
     measured: MeasuredHistory
     history: PointHistory
@@ -122,7 +124,7 @@ class Comparison:
 
 
 def fly_scenario(scenario: Scenario, *, progress: Progress = quiet, on_frame: OnFrame | None = None) -> Flight:
-    """The trajectory of a scenario from its source."""
+    """Fly the trajectory of a scenario with its source."""
     spec = scenario.declared.trajectory
     return SOURCES[spec.source](spec, scenario.vehicle.directory, on_frame=on_frame, progress=progress)
 
@@ -130,7 +132,7 @@ def fly_scenario(scenario: Scenario, *, progress: Progress = quiet, on_frame: On
 def models_of(
     scenario: Scenario, flown: Conditions, *, truth: bool = False
 ) -> tuple[list[PointModel], list[Conditions]]:
-    """Models and conditions of a scenario's control points; with `truth` altered as its [truth] says."""
+    """Models and conditions of a scenario's control points; with `truth` those of its [truth]."""
     parameters = scenario.declared.truth.parameters if truth else {}
     reference = mean_condition(flown)
     points = [scenario.vehicle.control_point(name) for name in scenario.names]
@@ -158,18 +160,18 @@ def run(scenario: Scenario | str | os.PathLike[str], *, progress: Progress = qui
     """
     scenario = load_scenario(scenario)
     heating = scenario.declared.heating
-    beside = _PluginAlongside(scenario) if heating.alongside else None
-    flight = fly_scenario(scenario, progress=lambda f, text: progress(0.7 * f, f"flying: {text}"), on_frame=beside)
+    alongside = _PluginAlongside(scenario) if heating.alongside else None
+    flight = fly_scenario(scenario, progress=lambda f, text: progress(0.7 * f, f"flying: {text}"), on_frame=alongside)
     progress(0.7, "marching the control points")
     models, flights = models_of(scenario, flight.conditions)
     histories = march_points(models, flights, longest_step_s=heating.longest_step_s)
     points = {m.name: PointResult(m, c, h) for m, c, h in zip(models, flights, histories, strict=True)}
     progress(0.85, "temperatures done")
-    return RunResult(scenario, flight, points, None if beside is None else beside.apart(histories))
+    return RunResult(scenario, flight, points, None if alongside is None else alongside.differences_K(histories))
 
 
 class _PluginAlongside:
-    """The plug-in as a host's frame callback, keeping surface temperatures at whole samples."""
+    """The plug-in as a host's frame callback; it keeps the surface temperatures at the samples of the flight."""
 
     def __init__(self, scenario: Scenario) -> None:
         effects = {name: scenario.effects(name) for name in scenario.names}
@@ -189,11 +191,13 @@ class _PluginAlongside:
             self._times.append(time)
             self._surface.append(self.plugin.surface_temperatures())
 
-    def apart(self, histories: list[PointHistory]) -> dict[str, float]:
+    def differences_K(self, histories: list[PointHistory]) -> dict[str, float]:
+        """Largest difference of surface temperature from a march [K], by control point."""
         self.plugin.check()
-        beside = np.array(self._surface)
-        count = min(len(beside), len(histories[0].time_s))
-        return {h.name: float(np.max(np.abs(h.surface_K[:count] - beside[:count, i]))) for i, h in enumerate(histories)}
+        surface = np.array(self._surface)
+        count = min(len(surface), len(histories[0].time_s))
+        differences = (np.abs(h.surface_K[:count] - surface[:count, i]) for i, h in enumerate(histories))
+        return {h.name: float(np.max(d)) for h, d in zip(histories, differences, strict=True)}
 
 
 def compare(result: RunResult) -> list[Comparison]:
@@ -203,11 +207,11 @@ def compare(result: RunResult) -> list[Comparison]:
         history = result.points[measured.control_point].history
         t = measured.time_s
         within = (t >= history.time_s[0]) & (t <= history.time_s[-1])
-        kept = replace(
+        compared = replace(
             measured, time_s=t[within], temperature_K=measured.temperature_K[within], sigma_K=measured.sigma_K[within]
         )
-        predicted = np.interp(kept.time_s, history.time_s, history.surface_K)
-        comparisons.append(Comparison(kept, history, kept.temperature_K - predicted))
+        predicted = np.interp(compared.time_s, history.time_s, history.surface_K)
+        comparisons.append(Comparison(compared, history, compared.temperature_K - predicted))
     return comparisons
 
 
@@ -217,7 +221,7 @@ def rmse_by_point(result: RunResult) -> dict[str, float]:
 
 
 def summary(result: RunResult) -> dict[str, object]:
-    """What a run found, as summary.json holds it."""
+    """Content of summary.json: peaks and margins by control point, events, manoeuvres, comparisons."""
     scenario, flown = result.scenario, result.flight.conditions
     points = {}
     for name, point in result.points.items():
@@ -242,11 +246,11 @@ def summary(result: RunResult) -> dict[str, object]:
 
 def files_of(scenario: Scenario) -> list[str]:
     """Names of all files that a run of a scenario may write."""
-    homes = [""] if len(scenario.names) == 1 else [f"{name}/" for name in scenario.names]
-    flown = scenario.declared.trajectory.manoeuvre
-    manoeuvres = {_picture_of(i, m.kind) for i in range(1, len(flown) + 1) for m in flown}
+    folders = [""] if len(scenario.names) == 1 else [f"{name}/" for name in scenario.names]
+    declared = scenario.declared.trajectory.manoeuvre
+    manoeuvres = {_picture_of(i, m.kind) for i in range(1, len(declared) + 1) for m in declared}
     return [SUMMARY, CONDITIONS, HISTORIES, TRAJECTORY, TEMPERATURES, COMPARED,
-            *(f"{home}{TABLE}" for home in homes), *sorted(manoeuvres)]  # fmt: skip
+            *(f"{folder}{TABLE}" for folder in folders), *sorted(manoeuvres)]  # fmt: skip
 
 
 def _picture_of(number: int, kind: str) -> str:
@@ -257,8 +261,8 @@ def write_run(result: RunResult, out: Path, *, progress: Progress = quiet) -> li
     """Write all files of a run, all together or not at all; returns their names within the directory."""
     with output_directory(out) as folder:
         write_json(folder / SUMMARY, summary(result))
-        flown, said = with_reference_heating(result)
-        write_csv(folder / CONDITIONS, flown.columns, ".12g", said)
+        flown, notes = with_reference_heating(result)
+        write_csv(folder / CONDITIONS, flown.columns, ".12g", notes)
         _write_histories(result, folder)
         progress(0.92, "drawing")
         draw_run(result, folder)
@@ -268,12 +272,15 @@ def write_run(result: RunResult, out: Path, *, progress: Progress = quiet) -> li
 
 
 def with_reference_heating(result: RunResult) -> tuple[Conditions, dict[str, str]]:
-    """The flight's conditions with h_ref and H_r, and what is said at the head of their file where h_ref is left out:
-    a flat plate's depends on the running length, so that each control point has its own."""
+    """The flight's conditions with h_ref and H_r where these are common to all control points.
+
+    returns : conditions, and notes for the head of their file on columns left out (h_ref of a flat plate depends on the
+              running length of the control point)
+    """
     columns = {name: [p.conditions[name] for p in result.points.values()] for name in ("h_ref_kg_m2_s", "H_r_J_kg")}
-    common = {name: c[0] for name, c in columns.items() if all(np.array_equal(own, c[0]) for own in c)}
+    common = {name: c[0] for name, c in columns.items() if all(np.array_equal(other, c[0]) for other in c)}
     reference = result.scenario.vehicle.heating.reference
-    why = f"left out, as `{reference}` has another at each control point, by its running length"
+    why = f"left out, as `{reference}` differs between control points with their running length"
     return result.flight.conditions.with_columns(**common), {name: why for name in columns if name not in common}
 
 
@@ -281,15 +288,15 @@ def _write_histories(result: RunResult, folder: Path) -> None:
     vehicle = result.scenario.vehicle
     sensors = {name: vehicle.control_point(name).sensors for name in result.points}
     for name, point in result.points.items():
-        own = folder if len(result.points) == 1 else folder / name
-        own.mkdir(exist_ok=True)
-        write_temperatures_csv(own / TABLE, point.history.time_s, point.history, sensors[name])
+        point_folder = folder if len(result.points) == 1 else folder / name
+        point_folder.mkdir(exist_ok=True)
+        write_temperatures_csv(point_folder / TABLE, point.history.time_s, point.history, sensors[name])
     result.to_xarray().to_netcdf(folder / HISTORIES)
 
 
 def draw_run(result: RunResult, folder: Path) -> None:
     """Pictures of a run: trajectory, temperatures, each manoeuvre, measured against predicted."""
-    from sim_heating.simulation import plots  # matplotlib is slow to import, and wanted only here
+    from sim_heating.simulation import plots  # matplotlib is slow to import
 
     title, flown, windows = result.scenario.title, result.flight.conditions, result.flight.windows
     histories = [p.history for p in result.points.values()]
@@ -319,12 +326,12 @@ def _outermost_sensor(point: PointResult) -> PointHistory:
 
 
 def _largest_responses(histories: list[PointHistory], window: Window) -> list[PointHistory]:
-    """The points whose surface temperature moves most about its trend during a manoeuvre."""
+    """The points whose surface temperature departs most from its linear trend during a manoeuvre."""
 
-    def moved(history: PointHistory) -> float:
-        held = (history.time_s >= window.start_s) & (history.time_s <= window.end_s + 5.0)
-        t, surface = history.time_s[held], history.surface_K[held]
+    def response_K(history: PointHistory) -> float:
+        inside = (history.time_s >= window.start_s) & (history.time_s <= window.end_s + RESPONSE_S)
+        t, surface = history.time_s[inside], history.surface_K[inside]
         return float(np.ptp(surface - np.interp(t, t[[0, -1]], surface[[0, -1]]))) if len(t) > 2 else 0.0
 
-    ordered = sorted(histories, key=moved, reverse=True)
-    return [h for h in ordered[:PLOTTED_POINTS] if moved(h) > PLOTTED_RESPONSE_K] or ordered[:1]
+    ordered = sorted(histories, key=response_K, reverse=True)
+    return [h for h in ordered[:PLOTTED_POINTS] if response_K(h) > PLOTTED_RESPONSE_K] or ordered[:1]

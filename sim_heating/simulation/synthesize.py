@@ -1,4 +1,4 @@
-"""A flown scenario as flight records: the truth marched, the sensor model applied, the declared tables told."""
+"""Synthetic flight records of a scenario: its truth marched, the sensor model applied, the declared tables written."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sim_heating.inputs.points import mean_condition
 from sim_heating.inputs.record import DECLARATION, Record, RecordFile, make_record, write_record
 from sim_heating.inputs.scenario import Scenario, load_scenario
 from sim_heating.inputs.sensor_model import SensorErrors, lost_samples, measured, sample_times
-from sim_heating.inputs.vehicle import ControlPoint
+from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.march.history import PointHistory, at_times, march_points
 from sim_heating.simulation.run import fly_scenario, models_of
 from sim_heating.thermal.stack import Sensor
@@ -37,11 +37,11 @@ def synthesize(
 ) -> dict[str, Record]:
     """Fly a scenario with its truth and measure it: one record a control point that has sensors.
 
-    What a flight crew would have is in the records: declared tables and stacks, and nothing of the truth.
+    The records hold what a flight crew would have, declared tables and stacks, and nothing of the truth.
     scenario : a scenario, or the path of its file
     flight   : the scenario's flight where it has been flown already
-    halvings : how often the elements of the meshes are halved; a fit corrects for the error of its mesh, and sees that
-               of the data's
+    halvings : number of times that the elements of the meshes are halved; the mesh error of the data remains in a fit,
+               which corrects for its own only
 
     >>> import sim_heating as sh
     >>> records = sh.synthesize("scenarios/recorded_sts107.toml")
@@ -54,11 +54,11 @@ def synthesize(
     progress(0.7, "marching the truth")
     flown = flight.conditions
     models, flights = models_of(scenario, flown, truth=True)
-    wanted = scenario.declared.measurements
+    measurements = scenario.declared.measurements
     points = [scenario.vehicle.control_point(name) for name in scenario.names]
     measurable = [(p, m, c) for p, m, c in zip(points, models, flights, strict=True) if p.sensors]
     clocks = [_clock(scenario, p, flown) for p, _, _ in measurable]
-    true_times = [_within(clock - wanted.clock_skew_s, flown) for clock in clocks]
+    true_times = [_within(clock - measurements.clock_skew_s, flown) for clock in clocks]
     histories = march_points(
         [m for _, m, _ in measurable],
         [c for _, _, c in measurable],
@@ -74,9 +74,9 @@ def synthesize(
 
 
 def _clock(scenario: Scenario, point: ControlPoint, flown: Conditions) -> FloatArray:
-    wanted = scenario.declared.measurements
+    measurements = scenario.declared.measurements
     start, end = flown.time_s[0], flown.time_s[-1]
-    return sample_times(point.sensors, start, end, rate_hz=wanted.rate_hz, offset_s=wanted.sample_offset_s)
+    return sample_times(point.sensors, start, end, rate_hz=measurements.rate_hz, offset_s=measurements.sample_offset_s)
 
 
 def _within(time_s: FloatArray, flown: Conditions) -> FloatArray:
@@ -86,13 +86,13 @@ def _within(time_s: FloatArray, flown: Conditions) -> FloatArray:
 def _record(
     scenario: Scenario, point: ControlPoint, conditions: Conditions, history: PointHistory, clock: FloatArray
 ) -> Record:
-    wanted = scenario.declared.measurements
-    rng = np.random.default_rng([wanted.seed, *point.name.encode()])
-    faults = {f.sensor: SensorErrors(f.bias_K, f.gain) for f in wanted.fault}
-    true = at_times(history.time_s, history.sensors_K, clock - wanted.clock_skew_s)
+    measurements = scenario.declared.measurements
+    rng = np.random.default_rng([measurements.seed, *point.name.encode()])
+    faults = {f.sensor: SensorErrors(f.bias_K, f.gain) for f in measurements.fault}
+    true = at_times(history.time_s, history.sensors_K, clock - measurements.clock_skew_s)
     columns: dict[str, FloatArray] = {"time_s": clock}
     for sensor, temperature in zip(point.sensors, true, strict=True):
-        lost = lost_samples(clock, rng, wanted.lost_fraction, wanted.gaps_s) | np.isnan(temperature)
+        lost = lost_samples(clock, rng, measurements.lost_fraction, measurements.gaps_s) | np.isnan(temperature)
         known = np.where(np.isnan(temperature), 0.0, temperature)
         columns[sensor.column] = measured(sensor, known, rng, faults.get(sensor.name), lost)
         if np.all(np.isnan(columns[sensor.column])):
@@ -104,43 +104,52 @@ def _record(
     return make_record(declaration(scenario, point, point.sensors), conditions, columns, point.ratio, point.name)
 
 
-def declaration(scenario: Scenario, point: ControlPoint, sensors: Sequence[Sensor]) -> RecordFile:
-    """The declaration of a record of a control point with these sensors."""
-    heating = scenario.vehicle.heating
-    data: dict[str, Any] = {
+def point_declaration(vehicle: Vehicle, point: ControlPoint, title: str, sensors: Sequence[Sensor]) -> dict[str, Any]:
+    """Entries of record.toml for synthetic data of a control point: its sensors, stack and materials."""
+    return {
         "format": "flight-record/1",
-        "title": f"{scenario.title}: {point.title}",
-        "vehicle": scenario.vehicle.name,
+        "title": title,
+        "vehicle": vehicle.name,
         "control_point": point.name,
         "measured": False,
-        "conditions": {"file": CONDITIONS},
         "thermocouples": {
-            "file": THERMOCOUPLES,
-            "sensor": [s.model_dump(exclude_unset=True, exclude={"rate_hz", "sample_offset_s"}) for s in sensors],
+            "sensor": [s.model_dump(exclude_unset=True, exclude={"rate_hz", "sample_offset_s"}) for s in sensors]
         },
         "stack": point.construction.stack.model_dump(exclude_unset=True),
         "materials": {n: m.model_dump(exclude_unset=True) for n, m in point.construction.materials.items()},
-        "heating": {
-            "reference": "columns",
-            "nose_radius_m": heating.nose_radius_m,
-            "wall_enthalpy": heating.model_dump()["wall_enthalpy"],
-            "ratio_table": TABLE,
-        },
     }
-    data["heating"] = {k: v for k, v in data["heating"].items() if v is not None}
+
+
+def declaration(scenario: Scenario, point: ControlPoint, sensors: Sequence[Sensor]) -> RecordFile:
+    """Content of record.toml for a control point with these sensors."""
+    vehicle = scenario.vehicle
+    data = point_declaration(vehicle, point, f"{scenario.title}: {point.title}", sensors)
+    heating = {
+        "reference": "columns",
+        "nose_radius_m": vehicle.heating.nose_radius_m,
+        "wall_enthalpy": vehicle.heating.model_dump()["wall_enthalpy"],
+        "ratio_table": TABLE,
+    }
+    data |= {
+        "conditions": {"file": CONDITIONS},
+        "thermocouples": {"file": THERMOCOUPLES} | data["thermocouples"],
+        "heating": {name: value for name, value in heating.items() if value is not None},
+    }
     return check(data, RecordFile, f"record of {point.name}")
 
 
 def files_of(scenario: Scenario) -> list[str]:
-    """Names of all files that the records of a scenario are."""
+    """Names of all files of the records of a scenario."""
     measured = [name for name in scenario.names if scenario.vehicle.control_point(name).sensors]
-    homes = [""] if len(measured) == 1 else [f"{name}/" for name in measured]
-    return [TRUTH, *(f"{home}{n}" for home in homes for n in (DECLARATION, CONDITIONS, THERMOCOUPLES, TABLE))]
+    folders = [""] if len(measured) == 1 else [f"{name}/" for name in measured]
+    return [TRUTH, *(f"{folder}{n}" for folder in folders for n in (DECLARATION, CONDITIONS, THERMOCOUPLES, TABLE))]
 
 
 def write_records(scenario: Scenario, records: dict[str, Record], out: Path) -> list[str]:
-    """Write the records, in `out` itself where there is one, and beside them what the truth was; names of what was
-    made."""
+    """Write the records and truth.toml; a single record goes into `out` itself.
+
+    returns : names of the files and folders in `out`
+    """
     comment = f"Synthetic: {scenario.title}. Made by sim-heating synthesize."
     with output_directory(out) as folder:
         for name, record in records.items():
@@ -151,12 +160,12 @@ def write_records(scenario: Scenario, records: dict[str, Record], out: Path) -> 
 
 
 def _truth_text(scenario: Scenario, flown: Conditions) -> str:
-    truth, wanted = scenario.declared.truth, scenario.declared.measurements
+    truth, measurements = scenario.declared.truth, scenario.declared.measurements
     data = {
         "scenario": scenario.title,
         "parameters": dict(truth.parameters),
         "reference_condition": dict(zip(RATIO_VARIABLES, mean_condition(flown), strict=True)),
         "effect": [e.model_dump(exclude_none=True) for e in (*truth.effect, *scenario.declared.effect)],
-        "measurements": wanted.model_dump(exclude_none=True),
+        "measurements": measurements.model_dump(exclude_none=True),
     }
-    return toml_text(data, "What the records were made with beyond what they declare.")
+    return toml_text(data, "The truth that the records were made with, beyond what they declare.")

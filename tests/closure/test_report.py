@@ -29,7 +29,6 @@ from sim_heating.closure.report import (
     ParameterEstimate,
     closure_json,
     closure_page,
-    segment_errors,
     write_closure,
 )
 from sim_heating.closure.search.ranking import posteriors
@@ -56,7 +55,7 @@ def closed() -> Closure:
         for u, v, s in zip(after.problem.unknowns, after.fit.values, sigma, strict=True)
     }
     bic = -2.0 * (after.fit.log_likelihood - before.fit.log_likelihood) + np.log(2000.0)
-    errors = [segment_errors(f.after[0]) for f in (before, after)]
+    errors = [f.after[0].segment_errors() for f in (before, after)]
     weighed = {"none": 0.0, "impingement-onset": float(bic)}
     tried = [
         CandidateScore(name, delta, e["fit"]["rmse_K"], e["holdout"]["rmse_K"], posteriors(weighed)[name])
@@ -119,7 +118,7 @@ def test_a_record_without_holdout_says_null():
             update={"segments": record.declared.segments.model_copy(update={"holdout": []})}
         ),
     )
-    assert segment_errors(replace(closed().after, record=bare))["holdout"] is None
+    assert replace(closed().after, record=bare).segment_errors()["holdout"] is None
 
 
 def test_posteriors_are_those_of_equal_priors():
