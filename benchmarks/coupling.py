@@ -22,7 +22,7 @@ AIRBORNE_S, FRAMES, ROUNDS, ENTRIES = 400.0, 600, 15, 5
 
 
 def _entry(scenario: Scenario) -> JSBSimEntry:
-    return JSBSimEntry(scenario.declared.trajectory, scenario.vehicle.directory)
+    return JSBSimEntry(scenario.declared.trajectory, scenario.vehicle)
 
 
 def _plugin(scenario: Scenario, longest_wait_s: float = LONGEST_WAIT_S) -> HeatingPlugin:
@@ -31,7 +31,7 @@ def _plugin(scenario: Scenario, longest_wait_s: float = LONGEST_WAIT_S) -> Heati
 
 
 def _frames(entry: JSBSimEntry, count: int, on_frame: OnFrame) -> None:
-    """So many frames of the host alone, without guidance."""
+    """A number of frames of the host alone, without guidance."""
     host = entry.host
     for _ in range(count):
         host.step()

@@ -326,7 +326,7 @@ def _fmu_problems(spec: TrajectorySpec, vehicle: Vehicle) -> Sequence[str]:
         return ()
     from sim_heating.trajectory.fmu.flight import problems_of  # FMPy and pint are slow to import, and wanted only here
 
-    return problems_of(spec, vehicle.directory)
+    return problems_of(spec, vehicle)
 
 
 def _design_problems(declared: ScenarioFile) -> list[str]:

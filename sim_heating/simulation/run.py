@@ -22,7 +22,7 @@ from sim_heating.march.point import PointModel
 from sim_heating.simulation.plugin import HeatingPlugin
 from sim_heating.simulation.results import histories_dataset, write_temperatures_csv
 from sim_heating.trajectory import entry3dof, recorded
-from sim_heating.trajectory.flight import Flight, OnFrame, Window
+from sim_heating.trajectory.flight import Flight, OnFrame, VehicleData, Window
 from sim_heating.trajectory.jsbsim import entry as jsbsim
 from sim_heating.trajectory.spec import TrajectorySpec
 
@@ -32,12 +32,12 @@ if TYPE_CHECKING:
 
 
 def fly_fmu(
-    spec: TrajectorySpec, vehicle_dir: Path, *, on_frame: OnFrame | None = None, progress: Progress | None = None
+    spec: TrajectorySpec, vehicle: VehicleData, *, on_frame: OnFrame | None = None, progress: Progress | None = None
 ) -> Flight:
     """`trajectory.fmu.flight.fly`, imported when it is used: FMPy and pint are slow to import."""
     from sim_heating.trajectory.fmu import flight as fmu
 
-    return fmu.fly(spec, vehicle_dir, on_frame=on_frame, progress=progress)
+    return fmu.fly(spec, vehicle, on_frame=on_frame, progress=progress)
 
 
 SOURCES = {"jsbsim": jsbsim.fly, "entry-3dof": entry3dof.fly, "recorded": recorded.fly, "fmu": fly_fmu}
@@ -126,7 +126,7 @@ class Comparison:
 def fly_scenario(scenario: Scenario, *, progress: Progress = quiet, on_frame: OnFrame | None = None) -> Flight:
     """Fly the trajectory of a scenario with its source."""
     spec = scenario.declared.trajectory
-    return SOURCES[spec.source](spec, scenario.vehicle.directory, on_frame=on_frame, progress=progress)
+    return SOURCES[spec.source](spec, scenario.vehicle, on_frame=on_frame, progress=progress)
 
 
 def models_of(

@@ -21,15 +21,14 @@ from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import CsvTable, display_path, read_csv_columns, read_toml
+from sim_heating.base.files import Convertible, CsvTable, display_path, read_csv_columns, read_toml
 from sim_heating.base.kernels.jit import njit
-from sim_heating.trajectory.spec import TrajectorySpec
+from sim_heating.trajectory.spec import Positive, TrajectorySpec
 
-Positive = Annotated[float, Field(gt=0.0)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 Span = tuple[float, float]
 
@@ -39,11 +38,7 @@ SCHEDULE_SOUND_M_S = 300.0
 """Speed of sound with which an alpha schedule over velocity is read as one over Mach, for the body flap alone."""
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Reference(_Strict):
+class Reference(Convertible):
     """Reference quantities of the coefficients; the moment reference is a fraction of the length, from the nose."""
 
     area_m2: Positive
@@ -53,7 +48,7 @@ class Reference(_Strict):
     moment_reference_fraction: Fraction
 
 
-class Mass(_Strict):
+class Mass(Convertible):
     """Mass, centre of gravity (fraction of the length from the nose) and inertia, which scales with mass."""
 
     mass_kg: Positive
@@ -66,7 +61,7 @@ class Mass(_Strict):
     Ixz_kg_m2: float = 0.0
 
 
-class TableFiles(_Strict):
+class TableFiles(Convertible):
     """File names of the tables; a vehicle without elevon or body flap leaves them out."""
 
     longitudinal: str
@@ -74,7 +69,7 @@ class TableFiles(_Strict):
     bodyflap: str | None = None
 
 
-class Surface(_Strict):
+class Surface(Convertible):
     """Travel and rate of a control surface, trailing edge down positive.
 
     schedule_deg : deflection that the other surface is trimmed for [deg]; of the elevon, for the body flap
@@ -85,14 +80,14 @@ class Surface(_Strict):
     schedule_deg: float = 0.0
 
 
-class CmShift(_Strict):
+class CmShift(Convertible):
     """Pitching-moment increment that flights showed: nothing below mach[0], linear, whole above mach[1]."""
 
     Cm: float = 0.0
     mach: tuple[Positive, Positive] = (5.0, 12.0)
 
 
-class Lateral(_Strict):
+class Lateral(Convertible):
     """Sideslip derivatives, constant."""
 
     Cl_beta_deg: float = 0.0
@@ -100,7 +95,7 @@ class Lateral(_Strict):
     CY_beta_rad: float = 0.0
 
 
-class Damping(_Strict):
+class Damping(Convertible):
     """Rate derivatives per radian of q c / 2V, p b / 2V and r b / 2V."""
 
     Cmq: float = 0.0
@@ -108,7 +103,7 @@ class Damping(_Strict):
     Cnr: float = 0.0
 
 
-class AeroFile(_Strict):
+class AeroFile(Convertible):
     """Contents of aero.toml."""
 
     format: Literal["aero/1"]

@@ -20,7 +20,7 @@ from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import manoeuvres as mv
 from sim_heating.trajectory import point_mass as pm
 from sim_heating.trajectory.aero import Aero, flown_aero
-from sim_heating.trajectory.flight import ROW, Flight, OnFrame, Sampler, reference_length_m
+from sim_heating.trajectory.flight import ROW, Flight, OnFrame, Sampler, VehicleData
 from sim_heating.trajectory.schedules import pack
 from sim_heating.trajectory.spec import Guidance, Initial, TrajectorySpec
 from sim_heating.trajectory.trimmed_aero import aero_block, low_speed_rows
@@ -89,7 +89,7 @@ class Entry:
 
 
 def fly(
-    spec: TrajectorySpec, vehicle_dir: Path, *, on_frame: OnFrame | None = None, progress: Progress | None = None
+    spec: TrajectorySpec, vehicle: VehicleData, *, on_frame: OnFrame | None = None, progress: Progress | None = None
 ) -> Flight:
     """Fly a scenario's trajectory with the built-in 3-DOF entry.
 
@@ -98,8 +98,8 @@ def fly(
     raises   : InputError for a scenario or vehicle that cannot be flown, RunError where the flight leaves the
                atmosphere model or is no number
     """
-    entry = Entry(spec, vehicle_dir)
-    sampler = Sampler(spec.sample_s, reference_length_m(vehicle_dir))
+    entry = Entry(spec, vehicle.directory)
+    sampler = Sampler(spec.sample_s, vehicle.reference_length_m)
     events: list[tuple[float, str]] = []
     first_speed, frames, ended = float(entry.state[pm.LAST_SPEED]), max(round(spec.rate_hz), 1), False
     while not ended:

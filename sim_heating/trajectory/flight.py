@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -27,6 +27,20 @@ TURNING = tuple(ROW.index(name) for name in ("bank_deg", "heading_deg", "longitu
 _TOLERANCE_S = 1e-7  # a host that adds up its frame time is 1e-9 s off after 1000 s
 
 
+class VehicleData(Protocol):
+    """What the trajectory sources need of a vehicle; `inputs.vehicle.Vehicle` provides it.
+
+    directory          : folder with its aero/, guidance.toml and jsbsim/
+    reference_length_m : length of the Reynolds number [m]
+    """
+
+    @property
+    def directory(self) -> Path: ...
+
+    @property
+    def reference_length_m(self) -> float: ...
+
+
 @dataclass(frozen=True)
 class Window:
     """When a manoeuvre was flown [s]."""
@@ -43,18 +57,6 @@ class Flight:
     conditions: Conditions
     events: list[tuple[float, str]] = field(default_factory=list)
     windows: list[Window] = field(default_factory=list)
-
-
-def reference_length_m(vehicle_dir: Path) -> float:
-    """Reference length of a vehicle [m], for its Reynolds number; from vehicle.toml."""
-    path = Path(vehicle_dir) / "vehicle.toml"
-    try:
-        length = tomllib.loads(path.read_text(encoding="utf-8")).get("reference_length_m")
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error}); name a vehicle's directory") from error
-    if isinstance(length, bool) or not isinstance(length, int | float) or not length > 0.0:
-        raise InputError(f"{path}: reference_length_m is {length!r}; give a length above 0 m")
-    return float(length)
 
 
 def conditions_from_rows(rows: FloatArray, length_m: float) -> Conditions:

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.kernels.jit import njit, pointer
-from sim_heating.heating.atmosphere import speed_of_sound_kernel, us76_kernel
+from sim_heating.heating.atmosphere import G0_M_S2, speed_of_sound_kernel, us76_kernel
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import manoeuvres as mv
 from sim_heating.trajectory.guidance import clipped, first_memory_kernel, guidance_kernel
@@ -34,7 +34,6 @@ WGS84_FLATTENING = 1.0 / 298.257223563
 WGS84_ROTATION_RAD_S = 7.292115e-5
 WGS84_J2 = 1.08262982e-3
 """NIMA TR8350.2, third edition, tables 3.1 and 3.3 (J2 from the normalised C20)."""
-G0_M_S2 = 9.80665
 
 (
     MU, J2, ROTATION, RADIUS, FLATTENING, MASS, AREA, FLAP_LOW, FLAP_HIGH, FLAP_AXIS, CY_BETA,

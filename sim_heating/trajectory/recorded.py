@@ -16,7 +16,7 @@ from sim_heating.base.files import CsvTable, raise_problems, read_csv_columns
 from sim_heating.base.limits import implausible
 from sim_heating.base.progress import Progress
 from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, free_stream
-from sim_heating.trajectory.flight import EXTRAS, Flight, OnFrame, reference_length_m
+from sim_heating.trajectory.flight import EXTRAS, Flight, OnFrame, VehicleData
 from sim_heating.trajectory.spec import TrajectorySpec
 
 DERIVED = ("T_inf_K", "p_inf_Pa", "mach", "log10_re")
@@ -25,7 +25,7 @@ OPTIONAL = (*DERIVED, "jets", "qbar_Pa", "q_add_W_m2", *EXTRAS, *HEATING)
 
 
 def fly(
-    spec: TrajectorySpec, vehicle_dir: Path, *, on_frame: OnFrame | None = None, progress: Progress | None = None
+    spec: TrajectorySpec, vehicle: VehicleData, *, on_frame: OnFrame | None = None, progress: Progress | None = None
 ) -> Flight:
     """The recorded flight of spec.file, one frame a row; nothing is resampled and there are no events.
 
@@ -35,7 +35,7 @@ def fly(
     """
     if spec.file is None:
         raise InputError('trajectory: source = "recorded" needs `file`, a CSV of flight conditions')
-    conditions = read_conditions(Path(spec.file), reference_length_m(vehicle_dir))
+    conditions = read_conditions(Path(spec.file), vehicle.reference_length_m)
     if on_frame is not None:
         _give_frames(conditions, on_frame)
     if progress is not None:

@@ -10,7 +10,9 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, Field, ValidationInfo, create_model, field_validator, model_validator
+
+from sim_heating.base.files import Convertible
 
 Axis = Literal["mach", "velocity_m_s"]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -38,13 +40,7 @@ def _limits(pair: tuple[float, float]) -> tuple[float, float]:
 Limits = Annotated[tuple[float, float], AfterValidator(_limits)]
 
 
-class Table(BaseModel):
-    """A TOML table in which an unknown key is an error."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Initial(Table):
+class Initial(Convertible):
     """State at time 0: position on the WGS84 ellipsoid, velocity relative to the air (wind is added to it)."""
 
     altitude_m: Positive
@@ -60,7 +56,7 @@ MACH_COUNTS_BELOW_M = 90.0e3
 """Mach ends a flight below this altitude only: in the hot air above it is low."""
 
 
-class Stop(Table):
+class Stop(Convertible):
     """The flight ends at the first of these, each passed from above (time from below); Mach counts below 90 km."""
 
     mach: Positive | None = None
@@ -78,7 +74,7 @@ class Stop(Table):
         )
 
 
-class VehicleState(Table):
+class VehicleState(Convertible):
     """The vehicle as flown; what is left out is the vehicle's own default.
 
     cg_fraction : centre of gravity from the nose over the reference length
@@ -94,7 +90,7 @@ class VehicleState(Table):
     cm_shift: bool | float = True
 
 
-class Approach(Table):
+class Approach(Convertible):
     """Below `below_mach`: angle of attack flies a reference dynamic pressure, bank is small, then a flare.
 
     qbar_Pa : reference dynamic pressure [[mach, Pa]]
@@ -111,7 +107,7 @@ class Approach(Table):
     flare_time_s: Positive = 10.0
 
 
-class Target(Table):
+class Target(Convertible):
     """Where a heading error is measured to; bank reverses when the error leaves the deadband."""
 
     latitude_deg: float = Field(ge=-90.0, le=90.0)
@@ -119,7 +115,7 @@ class Target(Table):
     deadband_deg: Positive = 12.0
 
 
-class Guidance(Table):
+class Guidance(Convertible):
     """Entry guidance; a vehicle's guidance.toml gives the defaults, a scenario replaces single keys.
 
     alpha_deg       : angle-of-attack schedule [[x, deg]] with x as in alpha_against
@@ -153,27 +149,23 @@ class Guidance(Table):
         return self
 
 
-class GuidanceChanges(Table):
+def _with_optional_fields(model: type[BaseModel]) -> Any:
+    """A table with the keys and rules of a model, in which every key may be absent (None)."""
+    fields: dict[str, Any] = {}
+    for name, field in model.model_fields.items():
+        kind: Any = Annotated[(field.annotation, *field.metadata)] if field.metadata else field.annotation
+        fields[name] = (kind | None, None)
+    return create_model(f"Optional{model.__name__}", __base__=Convertible, **fields)
+
+
+_OptionalGuidance: Any = _with_optional_fields(Guidance)
+
+
+class GuidanceChanges(_OptionalGuidance):
     """The keys of Guidance that a scenario replaces; all optional."""
 
-    alpha_deg: Schedule | None = None
-    alpha_against: Axis | None = None
-    alpha_limits_deg: Limits | None = None
-    alpha_rate_deg_s: Positive | None = None
-    drag_m_s2: Schedule | None = None
-    start_drag_m_s2: Positive | None = None
-    bank_limits_deg: Limits | None = None
-    bank_rate_deg_s: Positive | None = None
-    first_bank: Literal["right", "left"] | None = None
-    reversals_m_s: tuple[Positive, ...] | None = None
-    target: Target | None = None
-    frequency_rad_s: Positive | None = None
-    damping: Positive | None = None
-    scale_height_m: Positive | None = None
-    approach: Approach | None = None
 
-
-class Dispersions(Table):
+class Dispersions(Convertible):
     """What the real atmosphere does beside US76: density times a factor, steady wind over altitude."""
 
     density_factor: tuple[tuple[float, Positive], ...] | None = None
@@ -187,7 +179,7 @@ class Dispersions(Table):
         return self
 
 
-class _Triggered(Table):
+class _Triggered(Convertible):
     """A manoeuvre starts when speed or Mach falls through a value, or at a time: exactly one of the three."""
 
     at_velocity_m_s: Positive | None = None
@@ -301,14 +293,14 @@ Manoeuvre = Annotated[
 ]
 
 
-class FmuVariable(Table):
+class FmuVariable(Convertible):
     """A variable of an FMU and its unit, which is that of the FMU where it is not given."""
 
     variable: str
     unit: str | None = None
 
 
-class FmuValue(Table):
+class FmuValue(Convertible):
     """A start value with its unit."""
 
     value: float
@@ -318,7 +310,7 @@ class FmuValue(Table):
 Command = Literal["alpha_deg", "bank_deg", "beta_deg", "elevon_deg", "bodyflap_deg", "jets"]
 
 
-class FmuInput(Table):
+class FmuInput(Convertible):
     """What an input of an FMU is given: a command of guidance and manoeuvres, or a schedule [[time_s, value], ...].
 
     unit : of the schedule, or of the input where the FMU does not tell; a command is converted from its own
@@ -335,7 +327,7 @@ class FmuInput(Table):
         return self
 
 
-class FmuSource(Table):
+class FmuSource(Convertible):
     """An FMU as a trajectory: what its variables mean.
 
     interface: the one to use where the FMU has both; co-simulation where it is not given
@@ -347,9 +339,9 @@ class FmuSource(Table):
     """
 
     interface: Literal["co-simulation", "model-exchange"] | None = None
-    columns: dict[str, str | Annotated[float, Field(strict=True)] | FmuVariable] = {}
-    start: dict[str, bool | int | float | str | FmuValue] = {}
-    inputs: dict[str, Command | FmuInput] = {}
+    columns: dict[str, str | Annotated[float, Field(strict=True)] | FmuVariable] = Field(default={})
+    start: dict[str, bool | int | float | str | FmuValue] = Field(default={})
+    inputs: dict[str, Command | FmuInput] = Field(default={})
     tolerance: Positive | None = None
     timeout_s: Positive = 30.0
 
@@ -370,7 +362,7 @@ class FmuSource(Table):
         return {command for command in given if command is not None}
 
 
-class TrajectorySpec(Table):
+class TrajectorySpec(Convertible):
     """The [trajectory] table of a scenario.
 
     rate_hz : integration frames a second (communication steps of an FMU); 60, or 4 for the 3-DOF entry, where not given

@@ -243,7 +243,7 @@ def test_a_dispersed_flight_is_the_built_in_entry_bit_for_bit(tmp_path):
     changes = entry.of_flight(np.array([0.03, 1.0, 12.0, -300.0]))
     spec = dispersed(entry.fleet.base, entry.inputs, changes)
     flown = fly_many(entry.fleet, entry.inputs, [{}, changes])
-    own = entry3dof.fly(spec, entry.study.vehicle.directory).conditions
+    own = entry3dof.fly(spec, entry.study.vehicle).conditions
     count = min(len(own), flown.filled[1])
     for name in ("altitude_m", "velocity_m_s", "alpha_deg", "elevon_deg", "rho_kg_m3", "gamma_deg"):
         np.testing.assert_array_equal(flown.rows[1, :count, ROW.index(name)], own[name][:count])

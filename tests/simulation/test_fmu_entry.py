@@ -24,9 +24,9 @@ from sim_heating.trajectory import entry3dof
 from sim_heating.trajectory.flight import Flight
 from sim_heating.trajectory.fmu import flight as fmu
 from sim_heating.trajectory.spec import TrajectorySpec
-from tests.support.paths import ROOT
+from tests.support.paths import ORBITER, ROOT
 
-ORBITER = ROOT / "aircraft_data" / "orbiter"
+VEHICLE = load_vehicle(ORBITER)
 SPEC = load_scenario(ROOT / "scenarios" / "entry_3dof.toml").declared.trajectory
 STOP = {"velocity_m_s": 5800.0}
 """Soon after the POPU at 20,000 ft/s."""
@@ -38,7 +38,7 @@ pytestmark = needs_compiler
 
 @pytest.fixture(scope="module")
 def built_in() -> Flight:
-    return entry3dof.fly(TrajectorySpec.model_validate(SPEC.model_dump() | {"stop": STOP}), ORBITER)
+    return entry3dof.fly(TrajectorySpec.model_validate(SPEC.model_dump() | {"stop": STOP}), VEHICLE)
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def entry(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
 
 def fly(path: Path, stop: dict[str, float] = STOP, **more: Any) -> Flight:
     table = {"source": "fmu", "file": str(path), "rate_hz": SPEC.rate_hz, "stop": stop}
-    return fmu.fly(TrajectorySpec.model_validate(table | more), ORBITER)
+    return fmu.fly(TrajectorySpec.model_validate(table | more), VEHICLE)
 
 
 def assert_same_bits(flown: Flight, expected: Flight) -> None:
@@ -92,7 +92,7 @@ def test_a_manoeuvre_is_parameters_and_can_be_another(entry: dict[int, Path]) ->
         start |= {f"manoeuvre[2].point[{i}].after_s": after, f"manoeuvre[2].point[{i}].offset": offset}
     own = {"kind": "sideslip-doublet", "at_time_s": 400.0, "amplitude_deg": 2.0, "rate_deg_s": 0.5, "hold_s": 4.0}
     spec = TrajectorySpec.model_validate(SPEC.model_dump() | {"stop": {"time_s": 440.0}, "manoeuvre": [own]})
-    expected = entry3dof.fly(spec, ORBITER)
+    expected = entry3dof.fly(spec, VEHICLE)
     assert np.ptp(expected.conditions["beta_deg"]) == pytest.approx(4.0)
     assert_same_bits(fly(entry[3], {"time_s": 440.0}, fmu={"start": start}), expected)
 
@@ -101,7 +101,7 @@ def test_initial_state_and_mass_are_parameters(entry: dict[int, Path]) -> None:
     changed = {"gamma_deg": -1.5, "velocity_m_s": 7300.0, "bank_deg": 20.0}
     table = SPEC.model_dump() | {"stop": {"time_s": 300.0}, "vehicle": {"mass_kg": 90000.0}}
     table["initial"] = table["initial"] | changed
-    expected = entry3dof.fly(TrajectorySpec.model_validate(table), ORBITER)
+    expected = entry3dof.fly(TrajectorySpec.model_validate(table), VEHICLE)
     start = {f"initial.{name}": value for name, value in changed.items()} | {"vehicle.mass_kg": 90000.0}
     assert_same_bits(fly(entry[3], {"time_s": 300.0}, fmu={"start": start}), expected)
 
@@ -114,7 +114,7 @@ def test_a_longer_communication_step_is_divided_into_frames(entry: dict[int, Pat
 def test_a_stop_between_two_steps_is_passed_by_the_last_one(entry: dict[int, Path]) -> None:
     frames: list[float] = []
     table = {"source": "fmu", "file": str(entry[3]), "rate_hz": 4.0, "stop": {"time_s": 20.1}}
-    fmu.fly(TrajectorySpec.model_validate(table), ORBITER, on_frame=lambda row: frames.append(float(row[0])))
+    fmu.fly(TrajectorySpec.model_validate(table), VEHICLE, on_frame=lambda row: frames.append(float(row[0])))
     assert frames[-1] == 20.25
 
 
@@ -168,7 +168,7 @@ def test_trajectory_and_heating_fmu_together_are_the_plug_in_beside_the_entry(
         surface.append(float(plugin.surface_temperatures()[0]))
 
     spec = TrajectorySpec.model_validate(SPEC.model_dump() | {"stop": {"time_s": until_s}})
-    entry3dof.fly(spec, ORBITER, on_frame=beside)
+    entry3dof.fly(spec, VEHICLE, on_frame=beside)
     assert max(surface) > 800.0
     assert [row["V09T9527.surface_K"] for row in rows] == surface
 

@@ -49,7 +49,7 @@ def glide(rate_hz: float) -> tuple[Conditions, list[np.ndarray]]:
     """Two minutes through a POPU: the samples of a flight and all its frames."""
     frames: list[np.ndarray] = []
     spec = TrajectorySpec.model_validate(GLIDE | {"rate_hz": rate_hz, "sample_s": 1.0 / rate_hz})
-    flight = entry3dof.fly(spec, AIRCRAFT / "orbiter", on_frame=lambda row: frames.append(row.copy()))
+    flight = entry3dof.fly(spec, load_vehicle(AIRCRAFT / "orbiter"), on_frame=lambda row: frames.append(row.copy()))
     return flight.conditions, frames
 
 

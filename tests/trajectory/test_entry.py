@@ -15,6 +15,8 @@ from hypothesis import strategies as st
 
 from sim_heating.base.conditions import FRAME
 from sim_heating.base.errors import InputError, RunError
+from sim_heating.heating.atmosphere import G0_M_S2
+from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.trajectory import entry3dof, recorded
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import point_mass as pm
@@ -25,9 +27,9 @@ from sim_heating.trajectory.guidance import EntryGuidance, Observed, resolve_gui
 from sim_heating.trajectory.jsbsim import entry as jsbsim
 from sim_heating.trajectory.spec import GuidanceChanges, Initial, TrajectorySpec
 from sim_heating.trajectory.trimmed_aero import aero_block, trimmed_kernel
-from tests.support.paths import ROOT
+from tests.support.paths import ORBITER, ROOT
 
-ORBITER = ROOT / "aircraft_data" / "orbiter"
+VEHICLE = load_vehicle(ORBITER)
 AERO = load_aero(ORBITER)
 VACUUM = {"density_factor": [[0.0, 1e-30]]}
 STS107 = {
@@ -56,7 +58,7 @@ def crossing(c, speed, name):
 @pytest.fixture(scope="module")
 def nominal():
     """The whole flight of the fitted STS-107 state to landing speed."""
-    return entry3dof.fly(spec(), ORBITER)
+    return entry3dof.fly(spec(), VEHICLE)
 
 
 # ---- conserved quantities and order -------------------------------------------------------------------------------
@@ -143,7 +145,7 @@ def test_a_ballistic_entry_slows_down_as_allen_and_eggers_say():
 
 def test_peak_deceleration_of_a_ballistic_entry_is_at_the_entry_speed_over_the_root_of_e():
     rows = ballistic_entry(50.0)
-    drag = rows[:, ROW.index("axial_accel_g")] * pm.G0_M_S2
+    drag = rows[:, ROW.index("axial_accel_g")] * G0_M_S2
     peak = int(np.argmax(drag))
     assert drag[peak] == pytest.approx(7000.0**2 / (2.0 * math.e * SCALE_M), rel=1e-4)
     assert rows[peak, 2] == pytest.approx(7000.0 * math.exp(-0.5), rel=0.01)  # a flat maximum, frames 60 m/s apart
@@ -161,7 +163,7 @@ def test_an_equilibrium_glide_has_the_range_of_saenger():
     a, b = (int(np.flatnonzero(rows[:, 2] < v)[0]) for v in (6000.0, 3000.0))
     r = pm.WGS84_RADIUS_M + 60000.0
     lift, drag, _ = AERO.coefficients(20.0, 40.0, rows[a, 5], rows[a, 6])
-    u = (rows[[a, b], 2] ** 2 + 2.0 * pm.G0_M_S2 * (rows[[a, b], 1] - 60000.0)) * r / pm.WGS84_MU_M3_S2
+    u = (rows[[a, b], 2] ** 2 + 2.0 * G0_M_S2 * (rows[[a, b], 1] - 60000.0)) * r / pm.WGS84_MU_M3_S2
     range_m = 0.5 * r * lift / drag * math.log((1.0 - u[1]) / (1.0 - u[0]))
     assert math.radians(longitude[b] - longitude[a]) * r == pytest.approx(range_m, rel=0.01)
 
@@ -250,10 +252,10 @@ def test_drag_follows_its_reference_once_it_is_tracked(nominal):
 
 def test_bank_and_angle_of_attack_never_move_faster_than_their_limits():
     rows = []
-    entry3dof.fly(spec(rate_hz=10.0), ORBITER, on_frame=lambda row: rows.append(row.copy()))
+    entry3dof.fly(spec(rate_hz=10.0), VEHICLE, on_frame=lambda row: rows.append(row.copy()))
     alpha = np.array(rows)[:, FRAME.index("alpha_deg")]
     assert np.abs(np.diff(alpha)).max() <= 2.0 / 10.0 + 1e-9
-    c = entry3dof.fly(spec(sample_s=0.25), ORBITER).conditions
+    c = entry3dof.fly(spec(sample_s=0.25), VEHICLE).conditions
     assert np.abs(np.diff(c["bank_deg"])).max() <= 5.0 * 0.25 + 1e-9
 
 
@@ -267,7 +269,7 @@ def test_bank_reverses_at_the_declared_velocities(nominal):
 
 def test_with_a_target_bank_turns_the_vehicle_towards_it():
     target = {"target": {"latitude_deg": 28.6, "longitude_deg": -80.7, "deadband_deg": 10.0}}
-    c = entry3dof.fly(spec(guidance=target), ORBITER).conditions
+    c = entry3dof.fly(spec(guidance=target), VEHICLE).conditions
     lat, lon = np.radians(c["latitude_deg"]), np.radians(c["longitude_deg"])
     there, east = math.radians(28.6), np.radians(-80.7) - lon
     away = np.arccos(np.sin(lat) * math.sin(there) + np.cos(lat) * math.cos(there) * np.cos(east)) * 6371.0
@@ -282,7 +284,7 @@ def test_with_a_target_bank_turns_the_vehicle_towards_it():
 
 def test_a_popu_in_flight_starts_at_20000_ft_s_and_moves_nothing_else():
     popu = {"kind": "popu", "at_velocity_m_s": 6096.0, "rate_deg_s": 1.0, "hold_s": 3.0}
-    flight = entry3dof.fly(spec(manoeuvre=[popu], rate_hz=10.0, sample_s=0.1), ORBITER)
+    flight = entry3dof.fly(spec(manoeuvre=[popu], rate_hz=10.0, sample_s=0.1), VEHICLE)
     c, window = flight.conditions, flight.windows[0]
     assert np.interp(window.start_s, c.time_s, c["velocity_m_s"]) == pytest.approx(6096.0, abs=0.02)
     inside = (c.time_s > window.start_s) & (c.time_s < window.end_s)
@@ -300,7 +302,7 @@ def test_control_pulses_show_in_the_columns_and_stay_in_travel():
         {"kind": "sideslip-doublet", "at_velocity_m_s": 5000.0},
         {"kind": "jet-firing", "at_velocity_m_s": 4500.0},
     ]
-    flight = entry3dof.fly(spec(manoeuvre=manoeuvre, stop={"mach": 10.0}), ORBITER)
+    flight = entry3dof.fly(spec(manoeuvre=manoeuvre, stop={"mach": 10.0}), VEHICLE)
     c = flight.conditions
     assert [w.kind for w in flight.windows] == [m["kind"] for m in manoeuvre]
     assert c["elevon_deg"].max() == AERO.file.elevon.range_deg[1]
@@ -316,12 +318,12 @@ def test_the_flight_stops_at_the_first_limit_it_passes():
         ({"mach": 12.0}, "mach", 12.0), ({"velocity_m_s": 5000.0}, "velocity_m_s", 5000.0),
         ({"altitude_m": 60e3}, "altitude_m", 60e3), ({"time_s": 333.0}, "time_s", 333.0),
     ):  # fmt: skip
-        last = entry3dof.fly(spec(stop=stop, rate_hz=10.0, sample_s=0.1), ORBITER).conditions[name][-1]
+        last = entry3dof.fly(spec(stop=stop, rate_hz=10.0, sample_s=0.1), VEHICLE).conditions[name][-1]
         assert last == pytest.approx(value, rel=2e-3)
 
 
 def test_the_step_does_not_matter(nominal):
-    fine = entry3dof.fly(spec(rate_hz=20.0), ORBITER).conditions
+    fine = entry3dof.fly(spec(rate_hz=20.0), VEHICLE).conditions
     for speed in (7000.0, 5000.0, 3000.0, 1000.0):
         assert crossing(fine, speed, "altitude_m") == pytest.approx(
             crossing(nominal.conditions, speed, "altitude_m"), abs=60.0
@@ -331,8 +333,8 @@ def test_the_step_does_not_matter(nominal):
 def test_the_point_mass_agrees_with_six_degrees_of_freedom():
     """Same guidance, tables and start; own kernel against JSBSim: altitude within 100 m at every speed, time 1 s."""
     stop = {"mach": 2.5}
-    three = entry3dof.fly(spec(stop=stop), ORBITER).conditions
-    six = jsbsim.fly(spec(source="jsbsim", stop=stop), ORBITER).conditions
+    three = entry3dof.fly(spec(stop=stop), VEHICLE).conditions
+    six = jsbsim.fly(spec(source="jsbsim", stop=stop), VEHICLE).conditions
     tolerance = {"altitude_m": 100.0, "time_s": 1.0, "alpha_deg": 0.2, "latitude_deg": 0.05, "longitude_deg": 0.05}
     for speed in np.arange(7400.0, 800.0, -200.0):
         for name, allowed in tolerance.items():
@@ -342,7 +344,7 @@ def test_the_point_mass_agrees_with_six_degrees_of_freedom():
 def test_a_flight_that_skips_out_is_an_error_and_not_a_number():
     fast = STS107 | {"velocity_m_s": 8600.0}
     with pytest.raises(RunError, match="outside the atmosphere"):
-        entry3dof.fly(spec(initial=fast), ORBITER)
+        entry3dof.fly(spec(initial=fast), VEHICLE)
 
 
 def test_interpreted_and_compiled_flights_are_the_same_bits():
@@ -428,7 +430,7 @@ def write_columns(path, columns):
 
 def recorded_flight(path):
     """The flight of a recorded CSV."""
-    return recorded.fly(TrajectorySpec(source="recorded", file=str(path)), ORBITER)
+    return recorded.fly(TrajectorySpec(source="recorded", file=str(path)), VEHICLE)
 
 
 def test_a_recorded_flight_comes_back_as_it_was_flown(nominal, tmp_path):
@@ -461,4 +463,4 @@ def test_a_damaged_recording_is_refused_with_file_row_and_column(nominal, tmp_pa
 def test_a_flight_into_the_ground_is_an_error() -> None:
     dive = {**STS107, "altitude_m": 20e3, "velocity_m_s": 800.0, "gamma_deg": -85.0}
     with pytest.raises(RunError, match=r"is at -\d+ m with \d+ m/s, outside the atmosphere \(0 to"):
-        entry3dof.fly(spec(initial=dive, stop={"time_s": 900.0}), ORBITER)
+        entry3dof.fly(spec(initial=dive, stop={"time_s": 900.0}), VEHICLE)

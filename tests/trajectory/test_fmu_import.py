@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from sim_heating.base.errors import InputError
 from sim_heating.heating.atmosphere import us76
 from sim_heating.inputs.scenario import load_scenario
+from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.simulation.run import run
 from sim_heating.trajectory.flight import Flight
 from sim_heating.trajectory.fmu import flight as fmu
@@ -26,6 +27,8 @@ from sim_heating.trajectory.jsbsim.host import euler_angles
 from sim_heating.trajectory.spec import TrajectorySpec
 from tests.support.fmus import closed_form, description, glide_fmu, library, needs_compiler, pack, platform_folder
 from tests.support.paths import ORBITER
+
+VEHICLE = load_vehicle(ORBITER)
 
 approx = pytest.approx
 COLUMNS = {
@@ -54,7 +57,7 @@ def spec(path: Path, columns: dict[str, Any] = COLUMNS, stop: dict[str, float] |
 
 
 def fly(path: Path, *args: Any, **kwargs: Any) -> Flight:
-    return fmu.fly(spec(path, *args, **kwargs), ORBITER)
+    return fmu.fly(spec(path, *args, **kwargs), VEHICLE)
 
 
 # ---- versions and interfaces --------------------------------------------------------------------------------------
@@ -266,7 +269,7 @@ def test_a_flight_ends_at_the_first_stop(glide: Path) -> None:
 @needs_compiler
 def test_each_step_is_given_to_the_host_before_the_next_is_taken(glide: Path) -> None:
     frames: list[float] = []
-    fmu.fly(spec(glide), ORBITER, on_frame=lambda row: frames.append(float(row[0])))
+    fmu.fly(spec(glide), VEHICLE, on_frame=lambda row: frames.append(float(row[0])))
     assert frames == approx(np.arange(81) / 4.0)
 
 

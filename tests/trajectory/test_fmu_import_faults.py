@@ -20,6 +20,7 @@ import pytest
 
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.cli import main
+from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.trajectory.flight import Flight
 from sim_heating.trajectory.fmu import flight as fmu
 from sim_heating.trajectory.spec import TrajectorySpec
@@ -27,7 +28,7 @@ from tests.support.fmus import FAULTS, UNITS, description, glide_fmu, library, n
 from tests.support.paths import ORBITER
 
 pytestmark = needs_compiler
-VEHICLE = ORBITER
+VEHICLE = load_vehicle(ORBITER)
 COLUMNS = {
     "altitude_m": "h", "velocity_m_s": "speed", "alpha_deg": "alpha", "beta_deg": 0.0, "elevon_deg": 0.0,
     "bodyflap_deg": 0.0,
@@ -39,13 +40,13 @@ def binary(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return library(tmp_path_factory.mktemp("glide"))
 
 
-def running(pattern: str = r"fmu_process\.py|sleep 30\.25") -> set[str]:
+def running(pattern: str = r"fmu/process\.py|sleep 30\.25") -> set[str]:
     """Processes that run an FMU, and those that an FMU starts here."""
     found = subprocess.run(["pgrep", "-f", pattern], capture_output=True, text=True, check=False)
     return set(found.stdout.split())
 
 
-def gone(before: set[str], pattern: str = r"fmu_process\.py|sleep 30\.25") -> bool:
+def gone(before: set[str], pattern: str = r"fmu/process\.py|sleep 30\.25") -> bool:
     """Whether no more processes run than before, within the time that the system takes to end them."""
     until_s = time.monotonic() + 5.0
     while not running(pattern) <= before:
@@ -137,13 +138,13 @@ def test_an_interrupted_flight_leaves_nothing(binary: Path, tmp_path: Path) -> N
 
 HANGING = """
 import sys
-from pathlib import Path
+from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.trajectory.fmu import flight
 from sim_heating.trajectory.spec import TrajectorySpec
 
 start = {"fault": int(sys.argv[2]), "fault_time": 0.0}
 table = {"source": "fmu", "file": sys.argv[1], "fmu": {"columns": %r, "start": start, "timeout_s": 300.0}}
-flight.fly(TrajectorySpec.model_validate(table), Path(%r), on_frame=lambda row: print("flying", flush=True))
+flight.fly(TrajectorySpec.model_validate(table), load_vehicle(%r), on_frame=lambda row: print("flying", flush=True))
 """
 
 
@@ -153,13 +154,13 @@ def test_a_hanging_fmu_ends_with_the_process_that_flies_it(
 ) -> None:
     path, own = glide_fmu(tmp_path / "glide.fmu", binary), tmp_path / "killed"
     own.mkdir()
-    command = [sys.executable, "-c", HANGING % (COLUMNS, str(VEHICLE)), str(path), str(FAULTS.index("forks and hangs"))]
+    command = [sys.executable, "-c", HANGING % (COLUMNS, str(ORBITER)), str(path), str(FAULTS.index("forks and hangs"))]
     environment = os.environ | {"TMPDIR": str(own)}
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment) as flying:
         assert flying.stdout is not None
         assert flying.stdout.readline() == b"flying\n"
         time.sleep(0.5)
-        its_own = rf"fmu_process\.py {flying.pid}$"
+        its_own = rf"fmu/process\.py {flying.pid}$"
         assert len(running(its_own)) == 2
         flying.send_signal(sent)
     assert gone(set(), its_own)

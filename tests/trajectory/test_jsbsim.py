@@ -12,6 +12,7 @@ from jsbsim import get_default_root_dir
 from sim_heating.base.conditions import FRAME
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.heating.atmosphere import us76
+from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.trajectory import entry3dof
 from sim_heating.trajectory.aero import Aero, load_aero
 from sim_heating.trajectory.entry3dof import low_speed_rows
@@ -21,6 +22,8 @@ from sim_heating.trajectory.jsbsim.host import FT_M, VEHICLE_READS, InitialState
 from sim_heating.trajectory.manoeuvres import polygon
 from sim_heating.trajectory.spec import TrajectorySpec
 from tests.support.paths import ORBITER
+
+VEHICLE = load_vehicle(ORBITER)
 
 approx = pytest.approx
 
@@ -51,12 +54,12 @@ def orbiter() -> Aero:
 
 @pytest.fixture(scope="module")
 def flight() -> Flight:
-    return jsbsim.fly(entry(manoeuvre=MANOEUVRES), ORBITER)
+    return jsbsim.fly(entry(manoeuvre=MANOEUVRES), VEHICLE)
 
 
 @pytest.fixture(scope="module")
 def quiet_flight() -> Flight:
-    return jsbsim.fly(entry(), ORBITER)
+    return jsbsim.fly(entry(), VEHICLE)
 
 
 def window(flight: Flight, kind: str, number: int = 0) -> Window:
@@ -165,7 +168,7 @@ def test_density_is_us76_from_122_km_down(quiet_flight: Flight) -> None:
 
 def test_dispersed_density_is_flown_and_reported() -> None:
     thin = {"density_factor": [[0.0, 1.2], [60e3, 1.2], [100e3, 0.8]]}
-    c = jsbsim.fly(entry(dispersions=thin, stop={"time_s": 260.0}), ORBITER).conditions
+    c = jsbsim.fly(entry(dispersions=thin, stop={"time_s": 260.0}), VEHICLE).conditions
     factor = np.interp(c["altitude_m"], [60e3, 100e3], [1.2, 0.8])
     np.testing.assert_allclose(c["rho_kg_m3"], factor * us76(c["altitude_m"])[2], rtol=1e-6)
     np.testing.assert_allclose(c["qbar_Pa"], 0.5 * c["rho_kg_m3"] * c["velocity_m_s"] ** 2)
@@ -174,7 +177,7 @@ def test_dispersed_density_is_flown_and_reported() -> None:
 def test_initial_speed_is_that_against_the_wind() -> None:
     spec = entry(dispersions={"wind_east_m_s": [[0.0, 80.0]], "wind_north_m_s": [[0.0, -40.0]]}, stop={"time_s": 1.0})
     seen: list[float] = []
-    c = jsbsim.fly(spec, ORBITER, on_frame=lambda row: seen.append(float(row[2]))).conditions
+    c = jsbsim.fly(spec, VEHICLE, on_frame=lambda row: seen.append(float(row[2]))).conditions
     assert seen[0] == approx(7250.0, abs=1e-6)
     assert (c["gamma_deg"][0], c["heading_deg"][0]) == approx((-1.2, 60.0), abs=1e-6)
     assert abs(c["beta_deg"][0]) < 1e-6
@@ -182,7 +185,7 @@ def test_initial_speed_is_that_against_the_wind() -> None:
 
 def test_a_tail_wind_adds_to_the_ground_speed() -> None:
     calm, windy = (
-        jsbsim.JSBSimEntry(entry(initial={**ENTRY_INTERFACE, "heading_deg": 90.0}, dispersions=d), ORBITER).host.fdm
+        jsbsim.JSBSimEntry(entry(initial={**ENTRY_INTERFACE, "heading_deg": 90.0}, dispersions=d), VEHICLE).host.fdm
         for d in ({}, {"wind_east_m_s": [[0.0, 80.0]]})
     )
     gain = (windy["velocities/v-east-fps"] - calm["velocities/v-east-fps"]) * FT_M
@@ -229,14 +232,14 @@ def test_axial_acceleration_is_that_of_the_axial_force(quiet_flight: Flight, orb
 
 def test_the_same_flight_twice_is_the_same_to_the_last_bit() -> None:
     spec = entry(stop={"time_s": 120.0}, manoeuvre=[{"kind": "popu", "at_time_s": 30.0}])
-    first, second = (jsbsim.fly(spec, ORBITER).conditions for _ in range(2))
+    first, second = (jsbsim.fly(spec, VEHICLE).conditions for _ in range(2))
     assert all(np.array_equal(first[name], second[name]) for name in first.names)
 
 
 def test_60_and_120_frames_a_second_fly_the_same_entry() -> None:
     spec = entry(stop={"velocity_m_s": 5900.0}, manoeuvre=MANOEUVRES[:1])
-    slow = jsbsim.fly(spec, ORBITER).conditions
-    fast = jsbsim.fly(spec.model_copy(update={"rate_hz": 120.0}), ORBITER).conditions
+    slow = jsbsim.fly(spec, VEHICLE).conditions
+    fast = jsbsim.fly(spec.model_copy(update={"rate_hz": 120.0}), VEHICLE).conditions
     n = min(len(slow), len(fast))
     largest = {name: np.max(np.abs(slow[name][:n] - fast[name][:n])) for name in slow.names}
     assert largest["altitude_m"] < 1.0  # measured 0.5 m, of 600 s of flight
@@ -246,7 +249,7 @@ def test_60_and_120_frames_a_second_fly_the_same_entry() -> None:
 
 def test_three_and_six_degrees_of_freedom_fly_the_same_entry(quiet_flight: Flight) -> None:
     six = quiet_flight.conditions
-    three = entry3dof.fly(entry(source="entry-3dof", rate_hz=10.0), ORBITER).conditions
+    three = entry3dof.fly(entry(source="entry-3dof", rate_hz=10.0), VEHICLE).conditions
     for velocity in (7000.0, 6000.0, 4000.0, 2000.0):
         a, b = (c.at(np.interp(-velocity, -c["velocity_m_s"][200:], c.time_s[200:])) for c in (six, three))
         assert a.time_s == approx(b.time_s, abs=3.0)  # measured 1.3 s
@@ -256,7 +259,7 @@ def test_three_and_six_degrees_of_freedom_fly_the_same_entry(quiet_flight: Fligh
 
 
 def test_the_orbiter_flies_on_to_the_ground() -> None:
-    landed = jsbsim.fly(entry(stop={"altitude_m": 0.0}, rate_hz=20.0), ORBITER)
+    landed = jsbsim.fly(entry(stop={"altitude_m": 0.0}, rate_hz=20.0), VEHICLE)
     c = landed.conditions
     assert c["altitude_m"][-1] < 30.0
     assert 90.0 < c["velocity_m_s"][-1] < 140.0
@@ -330,7 +333,7 @@ def test_every_manoeuvre_is_an_event_and_a_window(flight: Flight) -> None:
 
 def test_each_frame_is_given_once_and_in_order() -> None:
     rows: list[np.ndarray] = []
-    jsbsim.fly(entry(stop={"time_s": 3.0}), ORBITER, on_frame=lambda row: rows.append(row.copy()))
+    jsbsim.fly(entry(stop={"time_s": 3.0}), VEHICLE, on_frame=lambda row: rows.append(row.copy()))
     table = np.array(rows)
     assert table.shape == (181, len(FRAME))
     assert table[:, 0] == approx(np.arange(181) / 60.0, abs=1e-12)
@@ -376,7 +379,7 @@ def test_another_aircraft_is_read_by_its_own_property_names_and_leaves_no_file(
 
 
 def test_jsbsim_is_silent(capfd: pytest.CaptureFixture[str]) -> None:
-    jsbsim.fly(entry(stop={"time_s": 1.0}), ORBITER)
+    jsbsim.fly(entry(stop={"time_s": 1.0}), VEHICLE)
     assert capfd.readouterr() == ("", "")
 
 
@@ -407,17 +410,17 @@ def fly_on(flight: jsbsim.JSBSimEntry) -> None:
 def test_an_entry_above_circular_speed_skips_out() -> None:
     fast = {**ENTRY_INTERFACE, "velocity_m_s": 7600.0}
     with pytest.raises(RunError, match=r"skipped out at \d+\.\d\d s: altitude 127"):
-        jsbsim.fly(entry(initial=fast), ORBITER)
+        jsbsim.fly(entry(initial=fast), VEHICLE)
 
 
 def test_a_flight_into_the_ground_is_an_error() -> None:
     dive = {**ENTRY_INTERFACE, "altitude_m": 20e3, "velocity_m_s": 800.0, "gamma_deg": -80.0}
     with pytest.raises(RunError, match=r"hit the ground at \d+\.\d\d s"):
-        jsbsim.fly(entry(initial=dive, stop={"time_s": 400.0}), ORBITER)
+        jsbsim.fly(entry(initial=dive, stop={"time_s": 400.0}), VEHICLE)
 
 
 def test_a_state_that_is_not_a_number_is_an_error() -> None:
-    flight = jsbsim.JSBSimEntry(entry(), ORBITER)
+    flight = jsbsim.JSBSimEntry(entry(), VEHICLE)
     flight.step()
     flight.host.node("control/yaw-frequency-rad_s").set_double_value(math.nan)
     with pytest.raises(RunError, match=r"not a number at 0\.\d\d s"):
@@ -425,7 +428,7 @@ def test_a_state_that_is_not_a_number_is_an_error() -> None:
 
 
 def test_lost_control_is_an_error() -> None:
-    flight = jsbsim.JSBSimEntry(entry(), ORBITER)
+    flight = jsbsim.JSBSimEntry(entry(), VEHICLE)
     for axis in ("pitch", "roll", "yaw"):
         flight.host.node(f"control/jet-limit-{axis}-lbsft").set_double_value(0.0)
     flight.host.node("control/elevon-max-deg").set_double_value(-30.0)
@@ -435,4 +438,4 @@ def test_lost_control_is_an_error() -> None:
 
 def test_an_entry_without_an_initial_state_is_refused() -> None:
     with pytest.raises(InputError, match="initial"):
-        jsbsim.fly(TrajectorySpec(source="recorded", file="x.csv"), ORBITER)
+        jsbsim.fly(TrajectorySpec(source="recorded", file="x.csv"), VEHICLE)

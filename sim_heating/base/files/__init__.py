@@ -25,7 +25,9 @@ from sim_heating.base.files.text import (
     write_text_atomic,
 )
 from sim_heating.base.files.toml import (
+    Convertible,
     Declared,
+    Extensible,
     LocatedError,
     Location,
     check,
@@ -36,8 +38,9 @@ from sim_heating.base.files.toml import (
 )
 
 __all__ = [
-    "COLDEST_K", "MARKER", "CsvTable", "Declared", "LocatedError", "Location", "celsius_rule", "check", "csv_text",
-    "display_path", "files_written", "json_text", "known_keys", "nearest_name", "output_directory", "raise_problems",
-    "raw_text", "read_csv_columns", "read_json", "read_text", "read_toml", "read_toml_dict", "repeated_name",
-    "require_writable", "suggestion", "toml_text", "write_csv", "write_json", "write_text_atomic",
+    "COLDEST_K", "MARKER", "Convertible", "CsvTable", "Declared", "Extensible", "LocatedError", "Location",
+    "celsius_rule", "check", "csv_text", "display_path", "files_written", "json_text", "known_keys", "nearest_name",
+    "output_directory", "raise_problems", "raw_text", "read_csv_columns", "read_json", "read_text", "read_toml",
+    "read_toml_dict", "repeated_name", "require_writable", "suggestion", "toml_text", "write_csv", "write_json",
+    "write_text_atomic",
 ]  # fmt: skip

@@ -29,9 +29,21 @@ M = TypeVar("M", bound=BaseModel)
 
 
 class Declared(BaseModel):
-    """Base of everything declared in a TOML file: unknown keys, NaN and silent conversions are refused."""
+    """Base of everything that is declared in a file: unknown keys, NaN, infinities and conversions are refused."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class Convertible(Declared):
+    """A `Declared` whose values pydantic may convert without loss: a list to a tuple, a numeric text to a number."""
+
+    model_config = ConfigDict(strict=False)
+
+
+class Extensible(Declared):
+    """A `Declared` that accepts and keeps unknown keys, for files that later versions of the program may extend."""
+
+    model_config = ConfigDict(extra="allow")
 
 
 class LocatedError(ValueError):

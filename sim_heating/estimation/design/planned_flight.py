@@ -134,7 +134,7 @@ class Planner:
     def _fly(self, manoeuvres: tuple[Manoeuvre, ...], searched: bool) -> Flight:
         spec = self.scenario.declared.trajectory
         spec = spec.model_copy(update={"manoeuvre": manoeuvres, **(SEARCH_TRAJECTORY if searched else {})})
-        return SOURCES[spec.source](spec, self.scenario.vehicle.directory)
+        return SOURCES[spec.source](spec, self.scenario.vehicle)
 
     def fly(self, manoeuvres: Sequence[Manoeuvre], searched: bool = True) -> PlannedFlight:
         """Fly manoeuvres with the 3-DOF entry, or, not `searched`, with the scenario's own source."""

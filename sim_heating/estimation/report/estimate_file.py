@@ -15,12 +15,21 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import LocatedError, Location, check, display_path, read_json, suggestion, write_json
+from sim_heating.base.files import (
+    Extensible,
+    LocatedError,
+    Location,
+    check,
+    display_path,
+    read_json,
+    suggestion,
+    write_json,
+)
 from sim_heating.base.limits import limit_message, out_of_range
 from sim_heating.base.parameters import AT, MODEL
 from sim_heating.inputs.record import DECLARATION, Record
@@ -32,13 +41,7 @@ SLACK = 1e-6
 """Negative eigenvalue of a correlation matrix that is accepted as rounding [-]."""
 
 
-class _JsonModel(BaseModel):
-    """Base of what is read from JSON: checked, with unknown keys kept."""
-
-    model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
-
-
-class EstimatedParameter(_JsonModel):
+class EstimatedParameter(Extensible):
     """One parameter.
 
     value, sigma : estimate and one standard deviation, corrected for coloured residuals, in `unit`
@@ -56,7 +59,7 @@ class EstimatedParameter(_JsonModel):
     prior_sigma: float | None = Field(default=None, ge=0.0)
 
 
-class FitErrors(_JsonModel):
+class FitErrors(Extensible):
     """Pooled residuals [K] of the plain march at the estimated parameters, and their number."""
 
     rmse_K: float = Field(ge=0.0)
@@ -64,7 +67,7 @@ class FitErrors(_JsonModel):
     n: int = Field(ge=0)
 
 
-class ReferenceCondition(_JsonModel):
+class ReferenceCondition(Extensible):
     """The condition that the derivatives are about ([deg], log10 Re [-])."""
 
     alpha_deg: float
@@ -89,14 +92,14 @@ class ReferenceCondition(_JsonModel):
         return np.array([getattr(self, name) for name in RATIO_VARIABLES])
 
 
-class Excursion(_JsonModel):
+class Excursion(Extensible):
     """Least and greatest value of a variable over the fitted samples ([deg], log10 Re [-])."""
 
     min: float
     max: float
 
 
-class FittedEffect(_JsonModel):
+class FittedEffect(Extensible):
     """An effect of the fitted model with all its values, estimated or fixed; its control point, in a fit of several."""
 
     name: str
@@ -104,7 +107,7 @@ class FittedEffect(_JsonModel):
     control_point: str | None = None
 
 
-class Estimate(_JsonModel):
+class Estimate(Extensible):
     """Contents of estimate.json.
 
     records             : directories of the records, as given to the command
@@ -130,17 +133,17 @@ class Estimate(_JsonModel):
     iterations: int = Field(ge=0)
     reference_condition: ReferenceCondition
     parameters: dict[str, EstimatedParameter]
-    not_estimated: dict[str, str] = {}
-    correlation: dict[str, float] = {}
+    not_estimated: dict[str, str] = Field(default={})
+    correlation: dict[str, float] = Field(default={})
     noise_floor_K: float | None = None
     fit: FitErrors | None = None
     holdout: FitErrors | None = None
     control_point: str | None = None
     vehicle: str | None = None
     segments: list[list[list[float]]] | None = None
-    excursions: dict[str, Excursion] = {}
-    inputs: dict[str, str] = {}
-    effects: list[FittedEffect] = []
+    excursions: dict[str, Excursion] = Field(default={})
+    inputs: dict[str, str] = Field(default={})
+    effects: list[FittedEffect] = Field(default=[])
     program: str | None = None
 
     @model_validator(mode="after")

@@ -72,7 +72,7 @@ def _six_dof(entry: DispersedEntry, changes: dict[str, float]) -> FloatArray:
     spec = dispersed(entry.fleet.base, entry.inputs, changes)
     spec = spec.model_copy(update={"source": "jsbsim", "rate_hz": RATE_HZ, "sample_s": SAMPLE_S})
     try:
-        flown = jsbsim.fly(spec, vehicle.directory).conditions
+        flown = jsbsim.fly(spec, vehicle).conditions
     except RunError:
         return np.full((len(QUANTITIES), len(entry.points)), np.nan)
     points = [p.point for p in entry.points]

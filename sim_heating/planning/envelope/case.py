@@ -166,12 +166,12 @@ class Base:
 
     def _reversal(self, case: Case, asked_km: float) -> float:
         """Velocity [m/s] of the one reversal that leads to a cross-range on the side of the first bank."""
-        flown = entry3dof.fly(self._spec(case, ()), self.vehicle.directory).conditions
+        flown = entry3dof.fly(self._spec(case, ()), self.vehicle).conditions
         side = float(np.sign(self._cross_range_km(flown)))
         most, slowest = abs(self._cross_range_km(flown)), float(flown["velocity_m_s"][-1])
 
         def missed(velocity_m_s: float) -> float:
-            flight = entry3dof.fly(self._spec(case, (velocity_m_s,)), self.vehicle.directory)
+            flight = entry3dof.fly(self._spec(case, (velocity_m_s,)), self.vehicle)
             return side * self._cross_range_km(flight.conditions) - asked_km
 
         fastest = 0.95 * float(np.max(flown["velocity_m_s"]))
@@ -210,7 +210,7 @@ class Base:
         return spec.model_copy(update={"vehicle": state})
 
     def _flown(self, case: Case, spec: TrajectorySpec) -> Flown:
-        flown = entry3dof.fly(spec, self.vehicle.directory).conditions
+        flown = entry3dof.fly(spec, self.vehicle).conditions
         aero = flown_aero(spec, self.vehicle.directory)
         low, high = aero.file.elevon.range_deg
         beta, aileron = lateral_trim(aero, flown, case.lateral_cg_m, self.elevon_arm_m)

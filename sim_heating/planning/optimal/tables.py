@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
-from sim_heating.heating.atmosphere import speed_of_sound, us76
+from sim_heating.heating.atmosphere import G0_M_S2, speed_of_sound, us76
 from sim_heating.inputs.points import conditions_at_point
 from sim_heating.march.history import march_points
 from sim_heating.march.point import PointModel
@@ -73,7 +73,7 @@ def conditions_along(
     T, _, rho = us76(h)
     mach = V / speed_of_sound(T)
     flown = np.array([aero.at(*at) for at in zip(mach.tolist(), alpha.tolist(), V.tolist(), strict=True)])
-    drag_g = 0.5 * rho * V**2 * aero.area_m2 / aero.mass_kg / pm.G0_M_S2
+    drag_g = 0.5 * rho * V**2 * aero.area_m2 / aero.mass_kg / G0_M_S2
     columns = {
         "time_s": time_s, "altitude_m": h, "velocity_m_s": V, "alpha_deg": alpha, "beta_deg": 0.0,
         "elevon_deg": flown[:, 3], "bodyflap_deg": flown[:, 4], "rho_kg_m3": rho, "jets": 0.0,

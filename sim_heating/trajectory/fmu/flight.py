@@ -25,7 +25,7 @@ from sim_heating.base.limits import frame_problem
 from sim_heating.base.progress import Progress
 from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, speed_of_sound_kernel, us76_kernel
 from sim_heating.trajectory import guidance as gd
-from sim_heating.trajectory.flight import ROW, Flight, OnFrame, Sampler, Window, reference_length_m
+from sim_heating.trajectory.flight import ROW, Flight, OnFrame, Sampler, VehicleData, Window
 from sim_heating.trajectory.fmu.columns import ColumnsOfFmu, Frame, unit_of
 from sim_heating.trajectory.fmu.model import FmuModel, fitting, item_named, read_fmu
 from sim_heating.trajectory.fmu.session import Answer, FmuSession
@@ -42,15 +42,15 @@ class FmuFlight:
     raises : InputError, all problems of one kind at once
     """
 
-    def __init__(self, spec: TrajectorySpec, vehicle_dir: Path) -> None:
+    def __init__(self, spec: TrajectorySpec, vehicle: VehicleData) -> None:
         if spec.file is None:
             raise InputError('trajectory: source = "fmu" needs `file`, an FMU')
         self.spec = spec
         self.model: FmuModel = read_fmu(Path(spec.file), spec.fmu.interface)
-        self.columns = ColumnsOfFmu(self.model, spec, vehicle_dir)
+        self.columns = ColumnsOfFmu(self.model, spec, vehicle.directory)
         self.start = self.model.start_values(spec.fmu)
-        self.inputs = InputsOfFmu(self.model, spec, vehicle_dir, self.columns.have)
-        self.sampler = Sampler(spec.sample_s, reference_length_m(vehicle_dir))
+        self.inputs = InputsOfFmu(self.model, spec, vehicle.directory, self.columns.have)
+        self.sampler = Sampler(spec.sample_s, vehicle.reference_length_m)
 
     def fly(self, on_frame: OnFrame | None, progress: Progress | None) -> Flight:
         """Step the FMU until the flight ends."""
@@ -123,7 +123,7 @@ class FmuFlight:
 
 
 def fly(
-    spec: TrajectorySpec, vehicle_dir: Path, *, on_frame: OnFrame | None = None, progress: Progress | None = None
+    spec: TrajectorySpec, vehicle: VehicleData, *, on_frame: OnFrame | None = None, progress: Progress | None = None
 ) -> Flight:
     """Fly a scenario's trajectory with the FMU of spec.file, from 0 s on.
 
@@ -132,13 +132,13 @@ def fly(
     raises   : InputError for an FMU or mapping that cannot be flown; RunError where the FMU fails, crashes, hangs, or
                gives what is no flight
     """
-    return FmuFlight(spec, vehicle_dir).fly(on_frame, progress)
+    return FmuFlight(spec, vehicle).fly(on_frame, progress)
 
 
-def problems_of(spec: TrajectorySpec, vehicle_dir: Path) -> Sequence[str]:
+def problems_of(spec: TrajectorySpec, vehicle: VehicleData) -> Sequence[str]:
     """What is wrong between a scenario and its FMU, found without running the FMU."""
     try:
-        FmuFlight(spec, vehicle_dir)
+        FmuFlight(spec, vehicle)
     except InputError as error:
         return error.problems
     return ()

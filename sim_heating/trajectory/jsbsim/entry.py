@@ -7,13 +7,11 @@ rest.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.progress import Progress
 from sim_heating.heating.atmosphere import speed_of_sound_kernel, us76_kernel
 from sim_heating.trajectory.aero import Aero, flown_aero
-from sim_heating.trajectory.flight import Flight, OnFrame, Sampler, reference_length_m
+from sim_heating.trajectory.flight import Flight, OnFrame, Sampler, VehicleData
 from sim_heating.trajectory.guidance import ALPHA_COMMAND, EntryGuidance, Observed, first_memory, resolve_guidance
 from sim_heating.trajectory.jsbsim.host import InitialState, open_vehicle
 from sim_heating.trajectory.jsbsim.pilot import Commands, Observer
@@ -34,7 +32,7 @@ REPORT_S = 20.0
 
 
 def fly(
-    spec: TrajectorySpec, vehicle_dir: Path, *, on_frame: OnFrame | None = None, progress: Progress | None = None
+    spec: TrajectorySpec, vehicle: VehicleData, *, on_frame: OnFrame | None = None, progress: Progress | None = None
 ) -> Flight:
     """Fly a scenario's trajectory in JSBSim.
 
@@ -43,7 +41,7 @@ def fly(
     raises   : InputError for a scenario or vehicle that cannot be flown; RunError with time and state where the
                vehicle goes out of control, skips out, hits the ground, or is no number
     """
-    entry = JSBSimEntry(spec, vehicle_dir)
+    entry = JSBSimEntry(spec, vehicle)
     if on_frame is not None:
         on_frame(entry.host.read_frame())
     next_report_s = REPORT_S
@@ -64,20 +62,20 @@ class JSBSimEntry:
     seen     : what guidance saw last
     """
 
-    def __init__(self, spec: TrajectorySpec, vehicle_dir: Path) -> None:
+    def __init__(self, spec: TrajectorySpec, vehicle: VehicleData) -> None:
         if spec.initial is None:
             raise InputError("trajectory: a JSBSim entry needs [trajectory.initial]")
-        guidance = resolve_guidance(spec.guidance, vehicle_dir)
-        aero = flown_aero(spec, vehicle_dir)
+        guidance = resolve_guidance(spec.guidance, vehicle.directory)
+        aero = flown_aero(spec, vehicle.directory)
         self.spec = spec
-        self.host = open_vehicle(vehicle_dir, aero, rate_hz=spec.rate_hz, dispersions=spec.dispersions)
+        self.host = open_vehicle(vehicle.directory, aero, rate_hz=spec.rate_hz, dispersions=spec.dispersions)
         self.frames_a_command = max(round(spec.rate_hz / COMMAND_HZ), 1)
         self._initial = spec.initial
         self._guidance = EntryGuidance(guidance, spec.initial.bank_deg)
         self._script = ManoeuvreScript(spec.manoeuvre)
         self._commands = Commands(self.host, aero, guidance, spec.vehicle)
         self._observer = Observer(self.host)
-        self._sampler = Sampler(spec.sample_s, reference_length_m(vehicle_dir))
+        self._sampler = Sampler(spec.sample_s, vehicle.reference_length_m)
         self._frames_a_sample = whole_frames(spec.sample_s * spec.rate_hz)
         self._start(aero)
 

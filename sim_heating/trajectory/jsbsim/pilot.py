@@ -8,6 +8,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import FRAME
+from sim_heating.heating.atmosphere import G0_M_S2
 from sim_heating.trajectory.aero import Aero
 from sim_heating.trajectory.flight import ROW
 from sim_heating.trajectory.guidance import Observed, clipped
@@ -16,7 +17,7 @@ from sim_heating.trajectory.manoeuvres import CLOSED, OPEN, Offsets
 from sim_heating.trajectory.schedules import pack, scheduled
 from sim_heating.trajectory.spec import Guidance, VehicleState
 
-G0_FT_S2 = 9.80665 / FT_M
+G0_FT_S2 = G0_M_S2 / FT_M
 
 
 class Observer:
