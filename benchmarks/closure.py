@@ -72,10 +72,13 @@ def made_and_closed(task: tuple[int, int, str]) -> bytes:
         "effect": answer["effect"], "form": answer["form"], "named": found.names, "cpu_s": seconds,
         "accepted": answer.get("accepted", [answer["effect"]]), "separable": answer.get("separable", True),
         "residual_over_floor": answer.get("residual_over_floor"), "noise_colour": answer["noise_colour"],
-        "lasting": found.rounds[0].base.lasting,
+        "lag1_autocorrelation": found.rounds[0].base.lag1_autocorrelation,
         "after": after, "truth": answer["true_rmse_K"], "known": known,
         "rounds": [
-            {"excess": r.excess, "attempts": [[a.name, a.delta_bic, a.weighed, a.excess] for a in r.attempts[:4]]}
+            {
+                "excess_chi2": r.excess_chi2,
+                "trials": [[t.name, t.delta_bic, t.score, t.excess_chi2] for t in r.trials[:4]],
+            }
             for r in found.rounds
         ],
     }  # fmt: skip
@@ -104,7 +107,7 @@ def knowing(found: SearchResult, effect: str) -> SearchResult:
 
     others = {*effects(), SENSOR_EFFECT} - {effect}
     one = search_round(base_trial(found.before), sorted(others), lambda fraction, text: None)
-    return replace(found, rounds=(one,), added=one.attempts[:1], unknown=False)
+    return replace(found, rounds=(one,), added=one.trials[:1], unknown=False)
 
 
 def right(row: dict[str, Any]) -> bool:

@@ -71,7 +71,7 @@ def timed(folder: Path) -> Row:
     record, seconds, named = load_record(folder), [], ""
     for _ in range(ROUNDS):
         start = time.process_time()
-        named = " and ".join(close_loop(record).found.names)
+        named = " and ".join(close_loop(record).search.names)
         seconds.append(time.process_time() - start)
     return Row(folder.name, named, min(seconds), command_s(folder))
 

@@ -45,7 +45,7 @@ def close_loop(records: tuple[Path, ...], out: Path, scheduler: str | None, work
         rows = close_all(found, out, scheduler=scheduler, workers=workers, progress=progress)
     _print_rows(rows)
     for row in rows:
-        for line in row.get("verdicts", ()):
+        for line in row.get("fault_messages", ()):
             CONSOLE.print(line)
     CONSOLE.print(f"Wrote {out}: summary.json, summary.csv, and a folder for each record")
     failed = [row for row in rows if "failed" in row]
@@ -61,13 +61,13 @@ def _print_rows(rows: list[dict[str, Any]]) -> None:
 
     table = closures_table(rows)
     found = [column.head for column in table.layout].index("found")
-    print_table(table, lambda i, k: "red" if k == found and ("failed" in rows[i] or rows[i]["doubts"]) else "")
+    print_table(table, lambda i, k: "red" if k == found and ("failed" in rows[i] or rows[i]["data_faults"]) else "")
 
 
 def _print_details(report: Closure) -> None:
     """Print faults of the data, parameters of the effects, proposals and warnings of one record."""
-    for fault in report.verdicts:
-        CONSOLE.print(fault.words)
+    for fault in report.faults:
+        CONSOLE.print(fault.message)
     for effect in report.effects:
         if effect.parameters:
             CONSOLE.print(f"{effect.name}: {', '.join(_bound(n, p) for n, p in effect.parameters.items())}")

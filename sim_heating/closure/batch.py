@@ -1,4 +1,4 @@
-"""close-loop over many records: each by itself, on as many processes as there are, and a summary of all."""
+"""close-loop over many records: each by itself, in parallel processes, with a summary of all."""
 
 from __future__ import annotations
 
@@ -22,7 +22,9 @@ from sim_heating.inputs.record import DECLARATION, load_record, require_distinct
 
 SUMMARIES = JSON, CSV = "summary.json", "summary.csv"
 LEDGER = "finished"
-"""Folder of what is finished, below the results."""
+"""Folder of finished records, below the results."""
+EARLIER_KEYS = {"doubts": "data_faults", "verdicts": "fault_messages"}
+"""Keys of rows that earlier versions wrote -> their names now."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +36,9 @@ class Task:
 
 
 def find_records(paths: Sequence[Path]) -> list[Path]:
-    """Records among paths: a record's directory itself, or all below a directory that holds records.
+    """Records among paths: a record's directory itself, or all directly below a directory.
 
-    raises : InputError where there is none, or two have one name
+    raises : InputError where a directory holds none, or two records have one name
     """
     found: list[Path] = []
     for path in paths:
@@ -59,36 +61,39 @@ def close_all(
     workers: int | None = None,
     progress: Progress = quiet,
 ) -> list[dict[str, Any]]:
-    """Close the loop on every record into DIR/<record>; a row of the summary for each, in their order.
+    """Close the loop on every record into DIR/<record>, and write summary.json and summary.csv into DIR.
 
-    A record whose inputs and program are as when it was finished is not done again. One that fails leaves its reason in
-    its row, and the others go on. Writes summary.json and summary.csv.
+    A finished record is not done again while its inputs and the program are unchanged. One that fails has the reason in
+    its row; the others go on.
 
-    raises : InputError where the scheduler or a folder of results cannot be used
+    scheduler : address of a Dask scheduler; None for local processes
+    workers   : number of local processes; None for one a core
+    returns   : one row of the summary for each record, in their order
+    raises    : InputError where the scheduler or a folder of results cannot be used
     """
     from sim_heating.closure.close import FILES
 
     jobs = [record_job(path, out / path.resolve().name) for path in records]
     for folder, names in ((out, SUMMARIES), *((job.task.out, FILES) for job in jobs)):
         require_writable(folder, names)
-    ended = run_batches(jobs, _one, out / LEDGER, scheduler=scheduler, workers=workers, progress=progress)
+    outcome = run_batches(jobs, _close_record, out / LEDGER, scheduler=scheduler, workers=workers, progress=progress)
     rows = []
     for path, job in zip(records, jobs, strict=True):
-        if job.id in ended.done:
-            rows.append(json.loads(ended.done[job.id].read_text(encoding="utf-8")))
+        if job.id in outcome.done:
+            rows.append(_read_row(outcome.done[job.id]))
         else:
-            rows.append({"record": path.resolve().name, "failed": ended.failed[job.id]})
+            rows.append({"record": path.resolve().name, "failed": outcome.failed[job.id]})
     with output_directory(out) as folder:
         write_json(folder / JSON, {"format": "closure-summary/1", "records": rows})
-        _write_table(folder / CSV, rows)
+        _write_summary_csv(folder / CSV, rows)
     return rows
 
 
 def record_job(record: Path, out: Path) -> Job:
-    """A record's job, named by all that its result depends on."""
+    """A record's job; its name depends on everything that its result depends on."""
     try:
         inputs = inputs_hash(load_record(record))
-    except InputError:  # told by the job itself
+    except InputError:  # the job itself reports it
         inputs = "unreadable"
     digest = hashlib.sha256("|".join([inputs, package_version(), *sorted(effects())]).encode())
     for path in user_effect_files():
@@ -96,8 +101,8 @@ def record_job(record: Path, out: Path) -> Job:
     return Job(f"{record.resolve().name}-{digest.hexdigest()[:12]}.json", Task(str(record), str(out)))
 
 
-def _one(task: Task) -> bytes:
-    """Close the loop on one record and write its folder; its row of the summary."""
+def _close_record(task: Task) -> bytes:
+    """Close the loop on one record and write its folder; its row of the summary as JSON."""
     from sim_heating.closure.close import close_loop, write_closed_loop
 
     closed = close_loop(load_record(task.record))
@@ -113,8 +118,8 @@ def summary_row(report: Any) -> dict[str, Any]:
         "effects": [e.name for e in report.effects],
         "posterior": report.effects[0].posterior,
         "noise_floor_K": report.noise_floor_K,
-        "doubts": [v.kind for v in report.verdicts],
-        "verdicts": [v.words for v in report.verdicts],
+        "data_faults": [f.kind for f in report.faults],
+        "fault_messages": [f.message for f in report.faults],
     }
     for name, prediction in (("predicted", report.predicted), ("before", report.before), ("after", report.after)):
         for what, errors in prediction.segment_errors().items():
@@ -122,12 +127,19 @@ def summary_row(report: Any) -> dict[str, Any]:
     return row
 
 
+def _read_row(path: Path) -> dict[str, Any]:
+    """The row of a finished record, also of one that an earlier version wrote."""
+    row = json.loads(path.read_text(encoding="utf-8"))
+    return {EARLIER_KEYS.get(key, key): value for key, value in row.items()}
+
+
 ERROR_COLUMNS = tuple(
     f"{when}_{what}_rmse_K" for when in ("predicted", "before", "after") for what in ("fit", "holdout")
 )
 
 
-def _write_table(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+def _write_summary_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """The numbers of the summary, one row a record."""
     columns: dict[str, Any] = {"record": [row["record"] for row in rows]}
     columns["effects"] = ["+".join(row["effects"]) if "effects" in row else "failed" for row in rows]
     for name in ("posterior", "noise_floor_K", *ERROR_COLUMNS):

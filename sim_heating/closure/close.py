@@ -1,4 +1,4 @@
-"""Close the loop on one record: search, refit with what was found, and everything that a report tells of it."""
+"""Close the loop on one record: search for the missing effect, refit with it, and collect the results for a report."""
 
 from __future__ import annotations
 
@@ -38,27 +38,33 @@ from sim_heating.inputs.record import Record
 
 FILES = (*REPORT_FILES, NAME, *FIT_FILES)
 """Names of all files that a closed loop may write."""
-FEWEST_SAMPLES = 10
-"""Times of readings below which anything goes with what is left."""
-SEARCH_PART = 0.8
-"""Part of the time that the search takes."""
-LEFT = 0.2
-"""Mean square of the normalised residuals, beyond that of noise, from which on what is left is told."""
+MIN_SAMPLES = 10
+"""Times of readings below which any effect would explain the residual."""
+SEARCH_FRACTION = 0.8
+"""Fraction of the time that the search takes."""
+REPORTED_EXCESS = 0.2
+"""Excess chi-square from which on the residual of the added effects is reported."""
 REFIT = NewtonSettings(min_improvement=1e-3, min_step=0.02, iterations=10, trust_radius=QUICK.trust_radius)
-"""When the last fit stops: far within its bounds, and no step is longer than those of the search."""
+"""Convergence of the last fit: far within its bounds; no step is longer than those of the search."""
 SENSOR_PARAMETERS = {"bias": "bias_K", "gain": "gain"}
+"""Parameters of a sensor by their names in closure.json."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ClosedLoop:
     """A record with its loop closed.
 
-    found : the search;  fitted : the last fit, all of its parameters with bounds;  report : what is told of it
+    search : the rounds of the search and the effects that were added
+    fitted : the last fit, all parameters with bounds
+    report : the contents of closure.json and of the page
     """
 
-    found: SearchResult
+    search: SearchResult
     fitted: FitResult
     report: Closure
+
+    def __repr__(self) -> str:
+        return repr(self.report).replace("Closure", "ClosedLoop", 1)
 
 
 def close_loop(record: Record, *, progress: Progress = quiet) -> ClosedLoop:
@@ -68,33 +74,33 @@ def close_loop(record: Record, *, progress: Progress = quiet) -> ClosedLoop:
              be fitted
     """
     times = int(np.count_nonzero(record.read_mask))
-    if times < FEWEST_SAMPLES:
-        raise InputError(f"{record.name}: readings at {times} time(s); a loop is closed on {FEWEST_SAMPLES} at least")
-    doubts = check_record(record)
-    on_clock = [v.words for v in doubts if v.kind == CLOCK]
-    if on_clock:
-        raise InputError(*on_clock)
-    found = search_effects(record, progress=lambda f, text: progress(SEARCH_PART * f, text))
-    progress(SEARCH_PART, "refitting with what was found")
-    fitted = refit(found) if found.added else found.before
+    if times < MIN_SAMPLES:
+        raise InputError(f"{record.name}: readings at {times} time(s); close-loop needs {MIN_SAMPLES} at least")
+    faults = check_record(record)
+    of_clock = [f.message for f in faults if f.kind == CLOCK]
+    if of_clock:
+        raise InputError(*of_clock)
+    result = search_effects(record, progress=lambda f, text: progress(SEARCH_FRACTION * f, text))
+    progress(SEARCH_FRACTION, "refitting with the effects found")
+    fitted = refit(result) if result.added else result.before
     progress(0.9, "residual as heating")
-    return ClosedLoop(found, fitted, _report(found, fitted, doubts))
+    return ClosedLoop(result, fitted, _closure(result, fitted, faults))
 
 
-def refit(found: SearchResult) -> FitResult:
-    """The record fitted with the declared model's parameters and all that was added, to the end and with bounds.
+def refit(result: SearchResult) -> FitResult:
+    """The record fitted to convergence with the declared model's parameters and all added effects, with bounds.
 
-    Effects' priors are as wide as in the search.
+    Priors of the effects are as wide as in the search.
     """
-    last = found.added[-1]
+    last = result.added[-1]
     part = last.problem.record_fits[0]
     priors = {p.name: p for p in last.problem.parameters if p.name == CLOCK_SKEW.name}
     for name in part.march_names:
         if name.startswith(EFFECT_PREFIX):
-            own = part.model.definition(name)
-            priors[name] = replace(own, sigma=WIDENED * own.sigma)
+            parameter = part.model.definition(name)
+            priors[name] = replace(parameter, sigma=WIDENED * parameter.sigma)
     return estimate(
-        [found.record],
+        [result.record],
         part.names,
         reference=dict(zip(RATIO_VARIABLES, last.problem.reference, strict=True)),
         effects=fitted_effects(last),
@@ -103,96 +109,106 @@ def refit(found: SearchResult) -> FitResult:
     )
 
 
-def _report(found: SearchResult, fitted: FitResult, doubts: Sequence[DataFault]) -> Closure:
-    before, values = found.before, found.before.fit.values
+def _closure(result: SearchResult, fitted: FitResult, faults: Sequence[DataFault]) -> Closure:
+    """The results of a search and its refit, for the report; `faults` are those found before any fit."""
+    before, values = result.before, result.before.fit.values
     residual = residual_heating(before.problem, values)
-    after = fitted.after[0] if found.added else before.after[0]
-    left = residual_heating(fitted.problem, fitted.fit.values) if found.added else None
+    after = fitted.after[0] if result.added else before.after[0]
+    residual_after = residual_heating(fitted.problem, fitted.fit.values) if result.added else None
     estimated = {
         u.label: ParameterEstimate(float(v), float(s), u.parameter.unit)
         for u, v, s in zip(fitted.problem.unknowns, fitted.fit.values, fitted.bounds.sigma, strict=True)
     }
     return Closure(
-        record=found.record,
+        record=result.record,
         predicted=before.before[0],
         before=before.after[0],
         after=after,
         noise_floor_K=noise_floor_K(fitted) or float("nan"),
         reference=before.problem.reference,
-        effects=_named(found, estimated),
-        candidates=_tried(found),
+        effects=_findings(result, estimated),
+        candidates=_candidate_scores(result),
         parameters=estimated,
         residual=residual,
-        residual_after=left,
+        residual_after=residual_after,
         evidence=residual_evidence(residual, ratio_at(before.after[0], residual.time_s)),
-        verdicts=[*unresolved(doubts, after), *check_fit(fitted.problem, fitted.fit.values, left or residual)],
+        faults=[
+            *unresolved(faults, after),
+            *check_fit(fitted.problem, fitted.fit.values, residual_after or residual),
+        ],
         false_alarm=false_alarm_statement(),
-        warnings=[*fitted.warnings, *_left_over(found, left)],
+        warnings=[*fitted.warnings, *_residual_warning(result, residual_after)],
     )
 
 
-def _left_over(found: SearchResult, left: ResidualHeating | None) -> list[str]:
-    """A line on what is left beside the effects that were added, where that is more than noise."""
-    if left is None or found.added[-1].excess < LEFT:
+def _residual_warning(result: SearchResult, residual: ResidualHeating | None) -> list[str]:
+    """A line on the residual of the added effects, where it is more than noise."""
+    if residual is None or result.added[-1].excess_chi2 < REPORTED_EXCESS:
         return []
-    size = math.sqrt(1.0 + found.added[-1].excess)
+    size = math.sqrt(1.0 + result.added[-1].excess_chi2)
     return [
-        f"what is left is {size:.2f} times noise, little beside what was explained: another effect, or a form that is "
-        f"not quite that of {' and '.join(found.names)}. {residual_evidence(left).proposal()[0]}"
+        f"the residual is {size:.2f} times noise, small compared with what the effects explain: another effect, or a "
+        f"form that differs from that of {' and '.join(result.names)}. {residual_evidence(residual).proposal()[0]}"
     ]
 
 
-def _named(found: SearchResult, estimated: Mapping[str, ParameterEstimate]) -> list[Finding]:
-    if not found.added:
-        name = found.names[0]
-        posterior = found.rounds[0].posterior["none"]
+def _findings(result: SearchResult, estimated: Mapping[str, ParameterEstimate]) -> list[Finding]:
+    """The added effects; "none" or "unknown" where there are none."""
+    if not result.added:
+        name = result.names[0]
+        posterior = result.rounds[0].posterior["none"]
         return [Finding(name, posterior if name == "none" else 1.0 - posterior, {})]
-    return [Finding(a.name, a.posterior, effect_parameters(a, estimated), _sensor(a)) for a in found.added]
+    return [Finding(t.name, t.posterior, effect_parameters(t, estimated), _sensor_of(t)) for t in result.added]
 
 
-def effect_parameters(attempt: TrialFit, estimated: Mapping[str, ParameterEstimate]) -> dict[str, ParameterEstimate]:
-    """The parameters of an effect by their names within it."""
-    effect = effects().get(attempt.name)
-    own = {}
-    for name in attempt.candidate.names:
+def effect_parameters(trial: TrialFit, estimated: Mapping[str, ParameterEstimate]) -> dict[str, ParameterEstimate]:
+    """The estimates of an effect by their names within it."""
+    effect = effects().get(trial.name)
+    named = {}
+    for name in trial.candidate.names:
         if name.startswith(SENSOR_PREFIX):
             short = SENSOR_PARAMETERS[name.rpartition(".")[2]]
         else:
             short = (effect and effect.own_name(name)) or name.rpartition(".")[2]
         if name in estimated:
-            own[short] = estimated[name]
-    return own
+            named[short] = estimated[name]
+    return named
 
 
-def _sensor(attempt: TrialFit) -> str | None:
+def _sensor_of(trial: TrialFit) -> str | None:
     """The thermocouple that an effect is of; None where it is of no single one."""
-    first = attempt.candidate.names[0]
+    first = trial.candidate.names[0]
     return first.removeprefix(SENSOR_PREFIX).rpartition(".")[0] if first.startswith(SENSOR_PREFIX) else None
 
 
-def _tried(found: SearchResult) -> list[CandidateScore]:
-    """The candidates of the first pass; those not worth a fit with what was promised of them, and errors as before."""
-    first = found.rounds[0]
-    before = found.before.after[0].segment_errors()
+def _candidate_scores(result: SearchResult) -> list[CandidateScore]:
+    """The candidates of the first round; those that were not fitted have their predicted BIC, and errors as before."""
+    first = result.rounds[0]
+    before = result.before.after[0].segment_errors()
     rows = [("none", 0.0, before)]
-    for a in first.attempts:
+    for trial in first.trials:
         try:
-            rows.append((a.name, a.delta_bic, a.prediction.segment_errors()))
-        except RunError:  # found in steps that the plain march cannot take
+            rows.append((trial.name, trial.delta_bic, trial.prediction.segment_errors()))
+        except RunError:  # fitted in steps that the plain march cannot take
             continue
-    rows += [(name, delta, before) for name, delta in first.passed.items()]
+    rows += [(name, delta_bic, before) for name, delta_bic in first.screened_out.items()]
     return [
         CandidateScore(
-            name, delta, e["fit"]["rmse_K"], e["holdout"]["rmse_K"] if e["holdout"] else None,
-            first.posterior.get(name, 0.0),
+            name=name,
+            delta_bic=delta_bic,
+            fit_rmse_K=errors["fit"]["rmse_K"],
+            holdout_rmse_K=errors["holdout"]["rmse_K"] if errors["holdout"] else None,
+            posterior=first.posterior.get(name, 0.0),
         )
-        for name, delta, e in rows
-    ]  # fmt: skip
+        for name, delta_bic, errors in rows
+    ]
 
 
 def write_closed_loop(closed: ClosedLoop, out: Path) -> list[str]:
-    """Write closure.json, report.html, residual_heating.csv and the last fit's estimate.json with its files into a
-    folder, all or nothing; names of the files."""
+    """Write all files of a closed loop into a folder, or none.
+
+    returns : names of closure.json, report.html, residual_heating.csv, and the last fit's estimate.json with its files
+    """
     with output_directory(out) as folder:
         write_closure(closed.report, folder)
         write_fit(closed.fitted, folder)

@@ -1,4 +1,4 @@
-"""Pictures of a closure report: before and after, residual heating against time and variables, candidates, loops."""
+"""Figures of a closure report: before and after, residual heating against time and variables, candidates, loops."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ LABELS = {n: f"{label}, deg" for n, (label, _) in ANGLES.items()} | {
     "wall_enthalpy_ratio": "wall over recovery enthalpy", "axial_accel_g": "axial acceleration, g", TIME: "time, s",
 }  # fmt: skip
 SIGMAS = 2.0
-SHOWN = 4.0
-"""A point whose sigma is this many times the median is not drawn against variables: it tells nothing."""
-MOST_PANELS, MOST_LOOPS = 6, 3
+MAX_SIGMA_RATIO = 4.0
+"""Points of a sigma above this many times the median are not drawn against variables."""
+MAX_PANELS, MAX_LOOPS = 6, 3
 
 
 def comparison_figure(predicted: Prediction, before: Prediction, after: Prediction, effect: str) -> Figure:
-    """Measured against predicted, every used sensor: declared tables, derivatives fitted, with the effect."""
+    """Measured against predicted temperatures of each used sensor: declared tables, derivatives fitted, with effect."""
     curves = [(predicted, PREDICTED, "declared tables"), (before, BEFORE, "derivatives fitted")]
     if after is not before:
         curves.append((after, AFTER, f"with {effect}"))
@@ -38,11 +38,11 @@ def comparison_figure(predicted: Prediction, before: Prediction, after: Predicti
     return figure
 
 
-def heating_figure(before: ResidualHeating, after: ResidualHeating | None, found: ResidualEvidence) -> Figure:
-    """The residual as a heating ratio against time, and what moved."""
+def heating_figure(before: ResidualHeating, after: ResidualHeating | None, evidence: ResidualEvidence) -> Figure:
+    """The residual as a heating ratio against time, with the angles that changed."""
     flown = before.record.conditions.at(before.time_s)
-    moved = [name for name in ANGLES if np.ptp(flown[name]) > 0.5]
-    if moved:
+    changed = [name for name in ANGLES if np.ptp(flown[name]) > 0.5]
+    if changed:
         figure, axes = new_figure(9.5, 6.0, 2, sharex=True, height_ratios=[2.0, 1.0])
     else:
         figure, axes = new_figure(9.5, 4.0, 1)
@@ -50,15 +50,15 @@ def heating_figure(before: ResidualHeating, after: ResidualHeating | None, found
     if after is not None:
         _band(axes[0], after, AFTER, "with the effect")
     axes[0].axhline(0.0, color="0.3", linewidth=0.8)
-    for span in found.active:
+    for span in evidence.active:
         axes[0].axvspan(span.start_s, span.end_s, ymax=0.03, color="tab:red", linewidth=0)
     axes[0].set_ylabel("missing heating ratio")
     axes[0].set_ylim(*_limits(before))
     axes[0].legend(fontsize=8, loc="best")
-    for name in moved:
+    for name in changed:
         label, color = ANGLES[name]
         axes[1].plot(before.time_s, flown[name], color=color, label=label, linewidth=1.1)
-    if moved:
+    if changed:
         axes[1].set_ylabel("deg")
         axes[1].legend(fontsize=8, loc="best", ncols=4)
     for a in axes:
@@ -70,35 +70,40 @@ def heating_figure(before: ResidualHeating, after: ResidualHeating | None, found
 
 
 def _band(a: Axes, residual: ResidualHeating, color: str, label: str) -> None:
+    """A history with its band of SIGMAS."""
     t, d, s = residual.time_s, residual.delta_ratio, residual.sigma
     a.fill_between(t, d - SIGMAS * s, d + SIGMAS * s, color=color, alpha=0.25, linewidth=0)
     a.plot(t, d, color=color, linewidth=1.2, label=label)
 
 
 def _limits(residual: ResidualHeating) -> tuple[float, float]:
-    """Span of what is well told."""
-    told = _told(residual)
-    d, s = residual.delta_ratio[told], SIGMAS * residual.sigma[told]
+    """Limits of the axis of well-determined points, with a margin."""
+    shown = _well_determined(residual)
+    d, s = residual.delta_ratio[shown], SIGMAS * residual.sigma[shown]
     low, high = float(np.min(d - s)), float(np.max(d + s))
     return low - 0.08 * (high - low), high + 0.08 * (high - low)
 
 
-def _told(residual: ResidualHeating) -> NDArray[np.bool_]:
-    here = residual.fitted
-    return np.asarray(here & (residual.sigma <= SHOWN * np.median(residual.sigma[here])))
+def _well_determined(residual: ResidualHeating) -> NDArray[np.bool_]:
+    """(knot,) fitted knots whose sigma is not far above the median."""
+    fitted = residual.fitted
+    return np.asarray(fitted & (residual.sigma <= MAX_SIGMA_RATIO * np.median(residual.sigma[fitted])))
 
 
 def variables_figure(residual: ResidualHeating, variables: Mapping[str, FloatArray], order: Sequence[str]) -> Figure:
-    """The residual heating against each variable, coloured by time; those that tell most first."""
-    told = _told(residual)
-    names = [n for n in order if n in variables and n != TIME and np.ptp(variables[n][told]) > 0.0][:MOST_PANELS]
+    """The residual heating against each variable, coloured by time.
+
+    variables : (knot,) by name;  order : names, those that explain most first
+    """
+    shown = _well_determined(residual)
+    names = [n for n in order if n in variables and n != TIME and np.ptp(variables[n][shown]) > 0.0][:MAX_PANELS]
     columns = 3
     rows = max(-(-len(names) // columns), 1)
     figure, axes = new_figure(9.5, 2.7 * rows + 0.4, rows, columns, sharey=True)
-    t, d, s = (x[told] for x in (residual.time_s, residual.delta_ratio, residual.sigma))
+    t, d, s = (x[shown] for x in (residual.time_s, residual.delta_ratio, residual.sigma))
     mappable = None
     for a, name in zip(axes.ravel(), names, strict=False):
-        v = variables[name][told]
+        v = variables[name][shown]
         a.errorbar(v, d, s, fmt="none", ecolor="0.8", elinewidth=0.6, zorder=1, rasterized=True)
         mappable = a.scatter(v, d, c=t, s=7, cmap="viridis", zorder=2, rasterized=True)
         a.axhline(0.0, color="0.3", linewidth=0.8)
@@ -115,19 +120,21 @@ def variables_figure(residual: ResidualHeating, variables: Mapping[str, FloatArr
 
 
 def hysteresis_figure(
-    residual: ResidualHeating, variables: Mapping[str, FloatArray], found: ResidualEvidence
+    residual: ResidualHeating, variables: Mapping[str, FloatArray], evidence: ResidualEvidence
 ) -> Figure | None:
-    """The manoeuvres in which the residual loops most, at most three; None where none does."""
-    told = sorted((loop for loop in found.loops if loop.significant), key=lambda loop: -abs(loop.filled))[:MOST_LOOPS]
-    if not told:
+    """The manoeuvres with the widest loops of the residual, at most MAX_LOOPS; None where none is significant."""
+    widest = sorted((loop for loop in evidence.loops if loop.significant), key=lambda loop: -abs(loop.filled))[
+        :MAX_LOOPS
+    ]
+    if not widest:
         return None
-    figure, axes = new_figure(9.5, 3.0, 1, MOST_LOOPS)
-    for a in axes[len(told) :]:
+    figure, axes = new_figure(9.5, 3.0, 1, MAX_LOOPS)
+    for a in axes[len(widest) :]:
         a.set_visible(False)
-    for a, loop in zip(axes, told, strict=False):
-        own = (residual.time_s >= loop.start_s) & (residual.time_s <= loop.end_s)
-        v, d = variables[loop.variable][own], residual.delta_ratio[own]
-        a.errorbar(v, d, residual.sigma[own], color=BEFORE, marker="o", markersize=3, linewidth=1.0, ecolor="0.8")
+    for a, loop in zip(axes, widest, strict=False):
+        inside = (residual.time_s >= loop.start_s) & (residual.time_s <= loop.end_s)
+        v, d = variables[loop.variable][inside], residual.delta_ratio[inside]
+        a.errorbar(v, d, residual.sigma[inside], color=BEFORE, marker="o", markersize=3, linewidth=1.0, ecolor="0.8")
         a.annotate("", (v[1], d[1]), (v[0], d[0]), arrowprops={"arrowstyle": "->", "color": BEFORE})
         a.set_xlabel(LABELS[loop.variable])
         a.set_title(f"{loop.start_s:.0f} to {loop.end_s:.0f} s", fontsize=9)
@@ -137,7 +144,7 @@ def hysteresis_figure(
 
 
 def ranking_figure(names: Sequence[str], delta_bic: Sequence[float], chosen: Sequence[str]) -> Figure:
-    """BIC of each candidate over that of none, best at the top; the axis is linear within 10 and logarithmic beyond."""
+    """BIC of each candidate minus that of none, best at the top; axis linear within 10, logarithmic beyond."""
     figure, axes = new_figure(9.5, 0.27 * len(names) + 0.9, 1)
     a = axes[0]
     y = np.arange(len(names))[::-1]

@@ -1,8 +1,8 @@
-"""What a record itself tells before it is fitted: clocks, another flight's temperatures, a sensor that stands or jumps.
+"""Checks of a record before it is fitted: units of its clocks, another flight's temperatures, stuck or jumping sensors.
 
-`before_fit` asks the record and one march of its declared model, and says of each doubt by what it is seen. What a fit
-then explains was none: `standing` keeps the others. Readings at an end of a recorder's range are left out: they stand
-still there whatever the sensor does.
+`check_record` examines the record and one march of its declared model, and states for each fault what shows it. A fault
+that the later fit explains was none: `unresolved` keeps the others. Readings at an end of a recorder's range are left
+out, since there they are constant whatever the sensor does.
 """
 
 from __future__ import annotations
@@ -26,158 +26,168 @@ from sim_heating.thermal.stack import Sensor
 
 SENSOR, CLOCK, MATERIAL, TRAJECTORY = "broken sensor", "clock", "material", "trajectory"
 UNITS = {"milliseconds": 1e-3, "minutes": 60.0, "hours": 3600.0}
-"""Units that a clock may be in, in s."""
-ALIKE = 0.9
-"""Correlation of measured and predicted temperatures from which a clock in another unit is told."""
-SPANS_APART = 8.0
-"""Measurements and conditions of which one lasts this many times as long as the other are on two clocks."""
+"""Units of time that a clock may be in by mistake, in s."""
+MIN_CORRELATION = 0.9
+"""Correlation of measured and predicted temperatures that confirms another unit of a clock."""
+MAX_SPAN_RATIO = 8.0
+"""Spans of measurements and conditions that differ by more than this factor are on clocks of two units."""
 DECELERATION_M_S2 = (0.05, 300.0)
-"""Mean deceleration of an entry lies between."""
-SHIFT_S, SHIFT_STEP_S, LEAST_SHIFT_S = 900.0, 10.0, 20.0
-"""How far measurements are moved against conditions, in which steps, and from where on it is another flight [s]."""
-LEAST_OVERLAP = 0.6
-SLOWEST_M_S = 1000.0
-"""A record whose velocity stays below is no entry but a test on the ground."""
+"""Limits of the mean deceleration of an entry."""
+SHIFT_S, SHIFT_STEP_S, MIN_SHIFT_S = 900.0, 10.0, 20.0
+"""Largest shift of the measurements that is tried, step between shifts, and the least that indicates another flight
+[s]."""
+MIN_OVERLAP = 0.6
+"""Part of the readings that have to lie within the conditions after a shift."""
+MIN_ENTRY_SPEED_M_S = 1000.0
+"""A record whose velocity stays below is a ground test."""
 MAX_REMAINING = 0.5
-"""What leaves less than this part of the residual is told: a shift, or another material."""
-FEWEST_STUCK = 30
-JUMP, SLOW = 12.0, 3.0
-"""A sensor that jumps by so many floors from one sample to the next, at a depth that heat takes so many times longer to
-reach."""
-ABOUT = 8
-"""Samples before and behind a jump, lines through which are compared."""
-GAP = 1.5
-"""Samples further apart than so many of their usual distances are not looked at for a jump between them."""
+"""A shift, or another material, is reported where it leaves less than this part of the residual."""
+MIN_STUCK_SAMPLES = 30
+JUMP_FLOORS, DIFFUSION_SAMPLES = 12.0, 3.0
+"""A jump is at least this many noise floors from one sample to the next, at a depth that heat takes at least this many
+sample intervals to reach."""
+JUMP_WINDOW = 8
+"""Samples before and after a jump through which a line is fitted."""
+MAX_GAP = 1.5
+"""Samples further apart than this many median intervals are not searched for a jump between them."""
 EXPLAINED, AT_NOISE = 2.0, 1.6
 """Residual over the noise below which a record is explained, and below which a sensor is at its noise."""
 
 
 @dataclass(frozen=True)
 class DataFault:
-    """One finding.
+    """An error of the data or of the declaration of a record, as distinct from a missing effect.
 
-    kind   : "broken sensor", "clock", "material", "trajectory"
-    words  : what is wrong, by what it is seen, what to do
-    sensor : the one that is meant, where it is a single one
+    kind    : "broken sensor", "clock", "material" or "trajectory"
+    message : what is wrong, what shows it, what to do
+    sensor  : name of the thermocouple concerned; None where the fault is not of a single one
     """
 
     kind: str
-    words: str
+    message: str
     sensor: str | None = None
 
 
 def check_record(record: Record) -> list[DataFault]:
-    """What the record itself tells: clocks, another flight's temperatures, a sensor that stands still.
+    """Faults that a record shows before any fit: clocks, another flight's temperatures, stuck and jumping sensors.
 
-    raises : RunError where the declared model cannot be marched
+    returns : a fault of its clocks alone where there is one, since nothing else can be examined then
+    raises  : RunError where the declared model cannot be marched
     """
-    on_clock = clock_fault(record)
-    if on_clock is not None:
-        return [on_clock]
-    flown, indicated = _march(record)
-    elsewhere = None if _on_ground(record) else time_shift_fault(record, flown, indicated)
-    return (
-        ([] if elsewhere is None else [elsewhere]) + stuck_sensors(record, flown, indicated) + jumping_sensors(record)
-    )
+    of_clock = clock_fault(record)
+    if of_clock is not None:
+        return [of_clock]
+    flown_s, indicated_K = _declared_readings(record)
+    shift = None if _is_ground_test(record) else time_shift_fault(record, flown_s, indicated_K)
+    sensors = stuck_sensors(record, flown_s, indicated_K) + jumping_sensors(record)
+    return sensors if shift is None else [shift, *sensors]
 
 
 def clock_fault(record: Record) -> DataFault | None:
-    """Measurements and conditions on clocks of two units."""
-    read, flown = float(np.ptp(record.time_s)), float(np.ptp(record.conditions.time_s))
-    if read <= 0.0 or flown <= 0.0 or 1.0 / SPANS_APART < read / flown < SPANS_APART:
+    """Clocks of measurements and conditions in different units; None where their spans agree or no unit fits."""
+    read_s, flown_s = float(np.ptp(record.time_s)), float(np.ptp(record.conditions.time_s))
+    if read_s <= 0.0 or flown_s <= 0.0 or 1.0 / MAX_SPAN_RATIO < read_s / flown_s < MAX_SPAN_RATIO:
         return None
-    slow = float(np.ptp(record.conditions["velocity_m_s"])) / flown
-    trusted = _on_ground(record) or _is_entry(slow)
+    deceleration = float(np.ptp(record.conditions["velocity_m_s"])) / flown_s
+    # the conditions are right where their clock makes a possible flight; the measurements' clock is then at fault
+    conditions_right = _is_ground_test(record) or _is_entry(deceleration)
     for unit, seconds in UNITS.items():
         for factor in (seconds, 1.0 / seconds):
-            if not 1.0 / SPANS_APART < factor * read / flown < 1.2:
+            if not 1.0 / MAX_SPAN_RATIO < factor * read_s / flown_s < 1.2:
                 continue
-            wrong = "thermocouples" if trusted else "flight conditions"
-            own = unit if (factor == seconds) == trusted else f"s where the other file has {unit}"
-            alike = _correlation_at(record, factor, trusted)
-            if alike > ALIKE:
+            wrong = "thermocouples" if conditions_right else "flight conditions"
+            found = unit if (factor == seconds) == conditions_right else f"s where the other file has {unit}"
+            correlation = _correlation_at(record, factor, conditions_right)
+            if correlation > MIN_CORRELATION:
                 return DataFault(
                     CLOCK,
-                    f"{record.name}: the clock of the {wrong} is in {own}: measurements span {read:.4g} and conditions "
-                    f"{flown:.4g}, and with one of them times {factor if trusted else 1.0 / factor:g} measured and "
-                    f"predicted temperatures go together (correlation {alike:.2f}). Give time_s in s.",
+                    f"{record.name}: the clock of the {wrong} is in {found}: measurements span {read_s:.4g} and "
+                    f"conditions {flown_s:.4g}; with one of them multiplied by "
+                    f"{factor if conditions_right else 1.0 / factor:g}, measured and predicted temperatures agree "
+                    f"(correlation {correlation:.2f}). Give time_s in s.",
                 )
     return None
 
 
-def _on_ground(record: Record) -> bool:
-    return bool(record.conditions["velocity_m_s"].max() < SLOWEST_M_S)
+def _is_ground_test(record: Record) -> bool:
+    return bool(record.conditions["velocity_m_s"].max() < MIN_ENTRY_SPEED_M_S)
 
 
 def _is_entry(deceleration_m_s2: float) -> bool:
     return DECELERATION_M_S2[0] < deceleration_m_s2 < DECELERATION_M_S2[1]
 
 
-def _correlation_at(record: Record, factor: float, trusted: bool) -> float:
-    """Correlation of measured and predicted temperatures, the clock of the measurements (or that of the conditions)
-    being of another unit; of the sensor where it is largest."""
+def _correlation_at(record: Record, factor: float, conditions_right: bool) -> float:
+    """Largest correlation, over the sensors, of measured and predicted temperatures with a clock in another unit.
+
+    factor           : by which times of the measurements are multiplied, or those of the conditions divided
+    conditions_right : whether it is the measurements' clock that is changed
+    """
     flown, read = record.conditions, dict(record.thermocouples)
-    if trusted:
+    if conditions_right:
         read["time_s"] = record.time_s * factor
     else:
         flown = flown.with_columns(time_s=flown.time_s / factor)
     other = replace(record, conditions=flown, thermocouples=read)
     try:
-        t, indicated = _march(other)
+        t, indicated_K = _declared_readings(other)
     except RunError:
         return 0.0
     best = 0.0
-    for measured, expected in zip(other.temperatures_K(), indicated, strict=True):
+    for measured, predicted in zip(other.temperatures_K(), indicated_K, strict=True):
         known = np.isfinite(measured) & (other.time_s >= t[0]) & (other.time_s <= t[-1])
-        at = np.interp(other.time_s[known], t, expected)
+        at = np.interp(other.time_s[known], t, predicted)
         if np.count_nonzero(known) > 10 and np.ptp(at) > 0.0 and np.ptp(measured[known]) > 0.0:
             best = max(best, float(np.corrcoef(measured[known], at)[0, 1]))
     return best
 
 
-def _march(record: Record) -> tuple[FloatArray, FloatArray]:
-    """Times of the conditions and what each sensor should show there by the declared model (sensor, time)."""
+def _declared_readings(record: Record) -> tuple[FloatArray, FloatArray]:
+    """(time,) times of the conditions [s] and (sensor, time) readings that the declared model predicts [K]."""
     history = march_points([point_of_record(record)], [conditions_of_record(record)])[0]
     pairs = zip(record.sensors, history.sensors_K, strict=True)
     return history.time_s, np.array([calibrated(s, T) for s, T in pairs])
 
 
 def time_shift_fault(record: Record, flown_s: FloatArray, indicated_K: FloatArray) -> DataFault | None:
-    """Temperatures of a flight that is minutes earlier or later than the conditions say.
+    """Temperatures of a flight minutes earlier or later than the conditions.
 
-    Measured temperatures are fitted by a + b (predicted, moved by a shift), so that an error of the heating as a whole
+    Measured temperatures are fitted by a + b (predicted, shifted in time), so that an error of the heating as a whole
     does not count.
+    flown_s, indicated_K : (time,) [s] and (sensor, time) [K], readings that the declared model predicts
     """
     used = [i for i, s in enumerate(record.sensors) if s.used]
     read, t = _read_K(record)[used], record.time_s
-    asked = record.fit_mask()
+    fitted = record.fit_mask()
     shifts = np.arange(-SHIFT_S, SHIFT_S + 1.0, SHIFT_STEP_S)
-    left = np.array([_left_at(s, t[asked], read[:, asked], flown_s, indicated_K[used]) for s in shifts])
-    now = _left_at(0.0, t[asked], read[:, asked], flown_s, indicated_K[used])
-    if not np.any(np.isfinite(left)) or not np.isfinite(now):
+    error_K = np.array([_shape_error_K(s, t[fitted], read[:, fitted], flown_s, indicated_K[used]) for s in shifts])
+    unshifted_K = _shape_error_K(0.0, t[fitted], read[:, fitted], flown_s, indicated_K[used])
+    if not np.any(np.isfinite(error_K)) or not np.isfinite(unshifted_K):
         return None
-    k = int(np.nanargmin(left))
-    if abs(shifts[k]) < LEAST_SHIFT_S or left[k] > MAX_REMAINING * now:
+    k = int(np.nanargmin(error_K))
+    if abs(shifts[k]) < MIN_SHIFT_S or error_K[k] > MAX_REMAINING * unshifted_K:
         return None
-    word = "later" if shifts[k] > 0.0 else "earlier"
+    direction = "later" if shifts[k] > 0.0 else "earlier"
     return DataFault(
         TRAJECTORY,
-        f"{record.name}: the temperatures are those of a flight {abs(shifts[k]):.0f} s {word} than the conditions: "
-        f"moved by that, prediction and measurement differ in shape by {left[k]:.1f} K instead of {now:.1f} K. No "
-        "clock is off by so much; check which trajectory, or which zero of time, the record holds.",
+        f"{record.name}: the temperatures are those of a flight {abs(shifts[k]):.0f} s {direction} than the "
+        f"conditions: with that shift, prediction and measurement differ in shape by {error_K[k]:.1f} K instead of "
+        f"{unshifted_K:.1f} K. No clock has so large an error; check trajectory and zero of time of the record.",
     )
 
 
-def _left_at(shift_s: float, t: FloatArray, read: FloatArray, flown_s: FloatArray, indicated: FloatArray) -> float:
-    """RMS of what a line leaves of measured against moved predicted temperatures [K]; NaN for too little overlap."""
+def _shape_error_K(
+    shift_s: float, t: FloatArray, read: FloatArray, flown_s: FloatArray, indicated: FloatArray
+) -> float:
+    """RMS about the line of measured over shifted predicted temperatures [K]; NaN for too little overlap."""
     at = t - shift_s
     inside = (at >= flown_s[0]) & (at <= flown_s[-1])
-    if np.count_nonzero(inside) < LEAST_OVERLAP * len(t):
+    if np.count_nonzero(inside) < MIN_OVERLAP * len(t):
         return float("nan")
     squares, count = 0.0, 0
-    for measured, expected in zip(read, indicated, strict=True):
+    for measured, predicted in zip(read, indicated, strict=True):
         known = inside & np.isfinite(measured)
-        x, y = np.interp(at[known], flown_s, expected), measured[known]
+        x, y = np.interp(at[known], flown_s, predicted), measured[known]
         if len(y) < 10 or np.ptp(x) == 0.0:
             continue
         x, y = x - np.mean(x), y - np.mean(y)
@@ -186,26 +196,29 @@ def _left_at(shift_s: float, t: FloatArray, read: FloatArray, flown_s: FloatArra
 
 
 def stuck_sensors(record: Record, flown_s: FloatArray, indicated_K: FloatArray) -> list[DataFault]:
-    """Sensors that stand still for a time in which the declared model moves them by many of their steps."""
+    """Used sensors with constant readings while the declared model changes by many of their resolution steps.
+
+    flown_s, indicated_K : (time,) [s] and (sensor, time) [K], readings that the declared model predicts
+    """
     found = []
-    for sensor, read, expected in zip(record.sensors, _read_K(record), indicated_K, strict=True):
+    for sensor, read, predicted in zip(record.sensors, _read_K(record), indicated_K, strict=True):
         known = np.isfinite(read) & (record.time_s >= flown_s[0]) & (record.time_s <= flown_s[-1])
         t, values = record.time_s[known], read[known]
-        if not sensor.used or len(values) < FEWEST_STUCK:
+        if not sensor.used or len(values) < MIN_STUCK_SAMPLES:
             continue
         ends = np.append(np.flatnonzero(np.diff(values) != 0.0), len(values) - 1)
         begins = np.append(0, ends[:-1] + 1)
         k = int(np.argmax(ends - begins))
-        own = slice(begins[k], ends[k] + 1)
-        moves = float(np.ptp(np.interp(t[own], flown_s, expected)))
+        longest = slice(begins[k], ends[k] + 1)
+        change = float(np.ptp(np.interp(t[longest], flown_s, predicted)))
         step = max(sensor.lsb_K, sensor.noise_sigma_K or 1.0)
-        if ends[k] - begins[k] + 1 >= FEWEST_STUCK and moves > STUCK * step:
+        if ends[k] - begins[k] + 1 >= MIN_STUCK_SAMPLES and change > STUCK * step:
             found.append(
                 DataFault(
                     SENSOR,
-                    f"{record.name}, sensor {sensor.name}: stands still at {values[begins[k]]:.1f} K from "
-                    f"{t[begins[k]]:.0f} to {t[ends[k]]:.0f} s, where the declared model moves it by {moves:.0f} K. It "
-                    "is stuck; set used = false, or end the fit before.",
+                    f"{record.name}, sensor {sensor.name}: is stuck at {values[begins[k]]:.1f} K from "
+                    f"{t[begins[k]]:.0f} to {t[ends[k]]:.0f} s, while the declared model changes by {change:.0f} K. "
+                    "Set used = false, or end the fit before.",
                     sensor.name,
                 )
             )
@@ -213,26 +226,32 @@ def stuck_sensors(record: Record, flown_s: FloatArray, indicated_K: FloatArray) 
 
 
 def jumping_sensors(record: Record) -> list[DataFault]:
-    """Sensors in depth that jump, and stay, faster than heat diffuses to them: lines through the samples before and
-    behind, up to the middle between, are apart."""
+    """Used sensors in depth whose level steps faster than heat diffuses to them.
+
+    Lines through the JUMP_WINDOW samples before and after are compared at the middle between them.
+    """
     found = []
     for sensor, read in zip(record.sensors, _read_K(record), strict=True):
         t, T = record.time_s[np.isfinite(read)], read[np.isfinite(read)]
-        if not sensor.used or len(T) < 4 * ABOUT or not _deep(record, sensor.depth_m, float(np.median(np.diff(t)))):
+        if (
+            not sensor.used
+            or len(T) < 4 * JUMP_WINDOW
+            or not _is_deep(record, sensor.depth_m, float(np.median(np.diff(t))))
+        ):
             continue
-        floor, apart = _floor_K(sensor), np.diff(t)[ABOUT - 1 : len(t) - ABOUT]
-        middle = t[ABOUT - 1 : len(t) - ABOUT] + 0.5 * apart
-        before = _line_at(t[:-ABOUT], T[:-ABOUT], middle)
-        step = _line_at(t[ABOUT:], T[ABOUT:], middle) - before
-        alone = np.abs(T[ABOUT : len(T) - ABOUT + 1] - before) > 0.5 * JUMP * floor
-        sudden = np.where(alone & (apart < GAP * np.median(np.diff(t))), np.abs(step), 0.0)
+        floor, interval = _floor_K(sensor), np.diff(t)[JUMP_WINDOW - 1 : len(t) - JUMP_WINDOW]
+        middle = t[JUMP_WINDOW - 1 : len(t) - JUMP_WINDOW] + 0.5 * interval
+        before = _line_at(t[:-JUMP_WINDOW], T[:-JUMP_WINDOW], middle)
+        step = _line_at(t[JUMP_WINDOW:], T[JUMP_WINDOW:], middle) - before
+        distinct = np.abs(T[JUMP_WINDOW : len(T) - JUMP_WINDOW + 1] - before) > 0.5 * JUMP_FLOORS * floor
+        sudden = np.where(distinct & (interval < MAX_GAP * np.median(np.diff(t))), np.abs(step), 0.0)
         k = int(np.argmax(sudden))
-        if sudden[k] > JUMP * floor:
+        if sudden[k] > JUMP_FLOORS * floor:
             found.append(
                 DataFault(
                     SENSOR,
-                    f"{record.name}, sensor {sensor.name}: jumps by {step[k]:+.1f} K at {t[k + ABOUT]:.0f} s, faster "
-                    "than heat reaches its depth. Set used = false, or end the fit before.",
+                    f"{record.name}, sensor {sensor.name}: jumps by {step[k]:+.1f} K at {t[k + JUMP_WINDOW]:.0f} s, "
+                    "faster than heat reaches its depth. Set used = false, or end the fit before.",
                     sensor.name,
                 )
             )
@@ -240,45 +259,48 @@ def jumping_sensors(record: Record) -> list[DataFault]:
 
 
 def _line_at(t: FloatArray, T: FloatArray, at_s: FloatArray) -> FloatArray:
-    """(window,) least-squares lines through each ABOUT samples in a row, at one time each."""
-    t, T = (np.lib.stride_tricks.sliding_window_view(x, ABOUT) for x in (t, T))
-    about, mean = t - np.mean(t, axis=1, keepdims=True), np.mean(T, axis=1)
-    slope = np.sum(about * T, axis=1) / np.sum(about**2, axis=1)
+    """(window,) value at one time each of least-squares lines through each JUMP_WINDOW consecutive samples."""
+    t, T = (np.lib.stride_tricks.sliding_window_view(x, JUMP_WINDOW) for x in (t, T))
+    centred, mean = t - np.mean(t, axis=1, keepdims=True), np.mean(T, axis=1)
+    slope = np.sum(centred * T, axis=1) / np.sum(centred**2, axis=1)
     return np.asarray(mean + slope * (at_s - np.mean(t, axis=1)))
 
 
-def _deep(record: Record, depth_m: float, period_s: float) -> bool:
-    """Whether heat takes SLOW times longer than a sample to a depth: (sum of dx / sqrt(a) over the layers)^2 / 4."""
-    root_s, left = 0.0, depth_m
+def _is_deep(record: Record, depth_m: float, period_s: float) -> bool:
+    """Whether heat takes more than DIFFUSION_SAMPLES intervals to a depth: (sum of dx / sqrt(a) over layers)^2 / 4."""
+    root_s, remaining_m = 0.0, depth_m
     for layer, a in zip(record.declared.stack.layer, layer_diffusivities(record.construction), strict=True):
-        through = min(layer.thickness_m, left)
+        through = min(layer.thickness_m, remaining_m)
         root_s += through / np.sqrt(a)
-        left -= through
-    return bool(0.25 * root_s**2 > SLOW * period_s)
+        remaining_m -= through
+    return bool(0.25 * root_s**2 > DIFFUSION_SAMPLES * period_s)
 
 
-def unresolved(doubts: Sequence[DataFault], after: Prediction) -> list[DataFault]:
-    """Those of the verdicts before a fit that its prediction does not clear: the sensor meant is not at its noise, or,
-    where none is meant, the record is not explained."""
+def unresolved(faults: Sequence[DataFault], after: Prediction) -> list[DataFault]:
+    """Faults found before a fit that its prediction does not explain.
+
+    A fault of one sensor is explained where that sensor is at its noise, one of the whole record where all used ones
+    are within EXPLAINED times theirs.
+    """
     floors = np.array([_floor_K(s) for s in after.record.sensors])
     residual = np.where(np.isfinite(_read_K(after.record)), after.residual_K, np.nan) / floors[:, np.newaxis]
 
-    def cleared(doubt: DataFault) -> bool:
-        own = residual[[s.used if doubt.sensor is None else s.name == doubt.sensor for s in after.record.sensors]]
-        left = own[np.isfinite(own)]
-        most = EXPLAINED if doubt.sensor is None else AT_NOISE
-        return len(left) > 0 and float(np.sqrt(np.mean(left**2))) < most
+    def is_explained(fault: DataFault) -> bool:
+        own = residual[[s.used if fault.sensor is None else s.name == fault.sensor for s in after.record.sensors]]
+        known = own[np.isfinite(own)]
+        limit = EXPLAINED if fault.sensor is None else AT_NOISE
+        return len(known) > 0 and float(np.sqrt(np.mean(known**2))) < limit
 
-    return [doubt for doubt in doubts if not cleared(doubt)]
+    return [fault for fault in faults if not is_explained(fault)]
 
 
 def _floor_K(sensor: Sensor) -> float:
-    """Noise floor of a sensor, of sigma 1 K where the record gives none."""
+    """Noise floor of a sensor [K]; its sigma is taken as 1 K where the record gives none."""
     return sensor.noise_floor_K(sensor.noise_sigma_K or 1.0)
 
 
 def _read_K(record: Record) -> FloatArray:
-    """(sensor, sample) measurements; NaN where lost, or at an end of the recorder's range."""
+    """(sensor, sample) measurements [K]; NaN where lost, or at an end of the recorder's range."""
     read = record.temperatures_K()
-    seen = [reading_intervals(sensor, own) for sensor, own in zip(record.sensors, read, strict=True)]
-    return np.array([np.where(o.is_finite, T, np.nan) for o, T in zip(seen, read, strict=True)])
+    classified = [reading_intervals(sensor, own) for sensor, own in zip(record.sensors, read, strict=True)]
+    return np.array([np.where(o.is_finite, T, np.nan) for o, T in zip(classified, read, strict=True)])

@@ -1,10 +1,11 @@
-"""What close-loop leaves in a folder: closure.json, residual_heating.csv, and report.html for a review.
+"""What close-loop writes into a folder: closure.json, residual_heating.csv, and report.html for a review.
 
-closure.json is the format "closure-report/1"; beside its keys stand `estimated` (all parameters of the last fit),
-`residual` (size and bandwidth of the residual heating, what no heating explains), `evidence`, `verdicts` on the record
-itself, `false_alarm` and `warnings`.
+closure.json is the format "closure-report/1"; further keys are `estimated` (all parameters of the last fit), `residual`
+and `residual_after` (size and bandwidth of the residual heating, residuals that no heating explains), `evidence`,
+`data_faults` (errors of the record itself), `false_alarm` and `warnings`.
 
-How often an effect is named where there is none: counted over records made without one, and said in every report.
+The chance of a false alarm, an effect named where nothing is missing, is counted over records made without an effect
+(closure_calibration.json) and stated in every report.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from scipy.stats import beta
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.files import read_json, write_json
 from sim_heating.base.files.package import PACKAGE, package_version
+from sim_heating.base.parameters import EFFECT_PREFIX
 from sim_heating.base.report.page import Page, Picture, Section, write_page
 from sim_heating.base.report.table import Column, Table
 from sim_heating.closure.clues.correlation import ResidualEvidence, flight_variables
@@ -43,18 +45,26 @@ NONE, UNKNOWN = "none", "unknown"
 
 @dataclass(frozen=True)
 class ParameterEstimate:
-    """A parameter with its bound; `declared` is where the fit started from, None where that says nothing."""
+    """An estimated parameter.
+
+    value, sigma : in its unit; sigma is not finite where the record does not determine it
+    unit         : as in closure.json, "1" where it has none
+    """
 
     value: float
     sigma: float
     unit: str
-    declared: float | None = None
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What was found: an effect, "none" or "unknown"; `parameters` by their names within the effect; `sensor` is the
-    thermocouple that it is of, where it is of one."""
+    """A named effect, or "none" or "unknown".
+
+    name       : as in closure.json
+    posterior  : its probability among the candidates
+    parameters : estimates by their names within the effect
+    sensor     : the thermocouple that the effect is of; None where it is of no single one
+    """
 
     name: str
     posterior: float
@@ -63,20 +73,25 @@ class Finding:
 
     @property
     def title(self) -> str:
-        """The effect, and what it is of."""
+        """The effect, with its sensor where it has one."""
         return f"{self.name} of {self.sensor}" if self.sensor else self.name
 
-    def numbers(self) -> dict[str, Any]:
-        """For closure.json."""
-        of = {} if self.sensor is None else {"sensor": {"value": self.sensor, "sigma": None, "unit": ""}}
-        parameters = of | {n: _plain(p) for n, p in self.parameters.items()}
+    def as_json(self) -> dict[str, Any]:
+        """Its entry in closure.json."""
+        sensor = {} if self.sensor is None else {"sensor": {"value": self.sensor, "sigma": None, "unit": ""}}
+        parameters = sensor | {n: _parameter_json(p) for n, p in self.parameters.items()}
         return {"name": self.name, "posterior": self.posterior, "parameters": parameters}
 
 
 @dataclass(frozen=True)
 class CandidateScore:
-    """One candidate: BIC minus that of none, errors of the plain march; holdout None where there is none; its
-    probability by all that was weighed."""
+    """One candidate of the first round.
+
+    delta_bic      : its BIC minus that of "none"
+    fit_rmse_K     : RMSE of the plain march over the fit segments [K]
+    holdout_rmse_K : over the segments held out [K]; None where there are none
+    posterior      : its probability, with all evidence that was weighed
+    """
 
     name: str
     delta_bic: float
@@ -84,25 +99,26 @@ class CandidateScore:
     holdout_rmse_K: float | None
     posterior: float
 
-    def numbers(self) -> dict[str, Any]:
-        """For closure.json."""
+    def as_json(self) -> dict[str, Any]:
+        """Its entry in closure.json."""
         return {n: value for n, value in asdict(self).items() if n != "posterior"}
 
 
 @dataclass(frozen=True, eq=False)
 class Closure:
-    """Everything that a report tells of one record.
+    """The result of closing the loop on one record.
 
-    predicted, before, after : the declared tables, the derivatives fitted, the effects added; `after` is `before` where
-                               nothing was added
-    noise_floor_K : of the used sensors over the fit segments;  reference : what the derivatives are about
-    effects       : what was found, in the order in which it was added; one of "none" or "unknown" where nothing was
-    candidates    : of the first pass, "none" included
-    parameters    : everything estimated in the last fit, by dotted names
-    residual, residual_after : what the derivatives leave, and what the effects leave, as heating
-    evidence      : of the first residual
-    verdicts      : what is wrong with the record itself
-    false_alarm   : chance of an effect being named where there is none, and what it is calibrated on
+    predicted, before, after : declared tables; derivatives fitted; effects added, `before` where none were
+    noise_floor_K : of the used sensors over the fit segments [K]
+    reference     : the ratio variables that the derivatives refer to
+    effects       : effects in the order in which they were added; a single "none" or "unknown" where there are none
+    candidates    : of the first round, "none" included
+    parameters    : all estimates of the last fit, by dotted names
+    residual, residual_after : residual heating after the derivatives, and after the effects
+    evidence      : on the cause of the first residual
+    faults        : errors of the record itself
+    false_alarm   : chance of naming an effect where there is none, with its calibration
+    warnings      : on the fit and its residual
     """
 
     record: Record
@@ -117,24 +133,30 @@ class Closure:
     residual: ResidualHeating
     residual_after: ResidualHeating | None
     evidence: ResidualEvidence
-    verdicts: Sequence[DataFault] = ()
+    faults: Sequence[DataFault] = ()
     false_alarm: str = ""
     warnings: Sequence[str] = ()
 
     @property
     def named(self) -> str:
-        """Names of what was found, in words."""
+        """Names of the effects, joined."""
         return " + ".join(e.name for e in self.effects)
 
     @property
     def added(self) -> bool:
-        """Whether the model was changed."""
+        """Whether effects were added to the model."""
         return self.effects[0].name not in (NONE, UNKNOWN)
+
+    def __repr__(self) -> str:
+        errors = (p.segment_errors()["fit"]["rmse_K"] for p in (self.before, self.after))
+        fault = f", {self.faults[0].kind}" if self.faults else ""
+        before, after = (f"{e:.2f} K" for e in errors)
+        return f"<Closure of {self.record.name}: {self.named}{fault}, RMSE {before} before, {after} after>"
 
 
 def closure_json(found: Closure) -> dict[str, Any]:
     """The contents of closure.json."""
-    effects = [e.numbers() for e in found.effects]
+    effects = [e.as_json() for e in found.effects]
     several = {"effects": effects} if len(effects) > 1 else {}
     return {
         "format": "closure-report/1",
@@ -147,13 +169,13 @@ def closure_json(found: Closure) -> dict[str, Any]:
         "reference_condition": dict(zip(RATIO_VARIABLES, map(float, found.reference), strict=True)),
         "effect": effects[0],
         **several,
-        "candidates": [c.numbers() for c in sorted(found.candidates, key=lambda c: c.delta_bic)],
+        "candidates": [c.as_json() for c in sorted(found.candidates, key=lambda c: c.delta_bic)],
         "residual_heating": HEATING_NAME,
-        "estimated": {n: _plain(p) for n, p in found.parameters.items()},
-        "residual": found.residual.numbers(),
-        "residual_after": None if found.residual_after is None else found.residual_after.numbers(),
-        "evidence": {**found.evidence.numbers(), "proposal": found.evidence.proposal()},
-        "verdicts": [{"kind": v.kind, "words": v.words} for v in found.verdicts],
+        "estimated": {n: _parameter_json(p) for n, p in found.parameters.items()},
+        "residual": found.residual.as_json(),
+        "residual_after": None if found.residual_after is None else found.residual_after.as_json(),
+        "evidence": {**found.evidence.as_json(), "proposal": found.evidence.proposal()},
+        "data_faults": [{"kind": f.kind, "message": f.message} for f in found.faults],
         "false_alarm": found.false_alarm,
         "warnings": list(found.warnings),
         "program": f"sim-heating {package_version()}",
@@ -161,15 +183,17 @@ def closure_json(found: Closure) -> dict[str, Any]:
 
 
 def _finite(value: float) -> float | None:
+    """A number for JSON: None where it is not finite."""
     return float(value) if math.isfinite(value) else None
 
 
-def _plain(p: ParameterEstimate) -> dict[str, Any]:
+def _parameter_json(p: ParameterEstimate) -> dict[str, Any]:
+    """A parameter as closure.json has it."""
     return {"value": float(p.value), "sigma": _finite(p.sigma), "unit": p.unit}
 
 
 def write_closure(found: Closure, folder: Path) -> None:
-    """The files of a closure into a folder that is there."""
+    """Write the files of a closure into an existing folder."""
     write_json(folder / NAME, closure_json(found))
     write_residual_heating(folder / HEATING_NAME, found.residual)
     write_page(folder / PAGE, closure_page(found))
@@ -184,10 +208,10 @@ def closure_page(found: Closure) -> Page:
     title = record.declared.title or record.declared.control_point
     kind = "measured" if record.declared.measured else "synthetic"
     subtitle = f"Record {record.name}, control point {record.declared.control_point}, {kind} data"
-    warnings = [*(v.words for v in found.verdicts), *found.warnings]
+    warnings = [*(f.message for f in found.faults), *found.warnings]
     sections = [
-        _errors(found), _comparison(found), _effects(found), _candidates(found), _heating(found), _evidence(found),
-        _beyond(found),
+        _errors_section(found), _comparison_section(found), _parameters_section(found), _candidates_section(found),
+        _heating_section(found), _evidence_section(found), _sensors_section(found),
     ]  # fmt: skip
     return Page(title, subtitle, sections, _headline(found), warnings)
 
@@ -215,24 +239,26 @@ def closures_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 
 def _found_text(row: Mapping[str, Any]) -> str:
     """What a row names; faults of the record's data come first, as an effect is no finding then."""
-    effects, faults = " + ".join(row["effects"]), ", ".join(dict.fromkeys(row["doubts"]))
+    effects, faults = " + ".join(row["effects"]), ", ".join(dict.fromkeys(row["data_faults"]))
     return f"{faults} ({effects})" if faults else effects
 
 
 def _headline(found: Closure) -> tuple[str, str]:
+    """The outcome, and one line on it."""
     before, after = found.before.segment_errors(), found.after.segment_errors()
-    told = _change("fitted", before["fit"], after["fit"]) + _change("held out", before["holdout"], after["holdout"])
-    if found.verdicts:
-        return f"No aerothermal finding: {found.verdicts[0].kind}", found.verdicts[0].words
+    errors = _change("fitted", before["fit"], after["fit"]) + _change("held out", before["holdout"], after["holdout"])
+    if found.faults:
+        return f"No aerothermal finding: {found.faults[0].kind}", found.faults[0].message
     if found.added:
-        sure = f"Posterior {found.effects[0].posterior:.3f} against all candidates, none included. "
-        return f"Found: {found.named}", sure + told
+        posterior = f"Posterior {found.effects[0].posterior:.3f} against all candidates, none included. "
+        return f"Found: {found.named}", posterior + errors
     if found.effects[0].name == UNKNOWN:
         return "Something is missing that no candidate explains", " ".join(found.evidence.proposal()[:1])
-    return "The declared model and its derivatives explain the record", told
+    return "The declared model and its derivatives explain the record", errors
 
 
 def _change(what: str, before: Mapping[str, float] | None, after: Mapping[str, float] | None) -> str:
+    """RMSE over fitted or held-out data, before and after."""
     if before is None or after is None:
         return ""
     if before is after or before["rmse_K"] == after["rmse_K"]:
@@ -240,30 +266,35 @@ def _change(what: str, before: Mapping[str, float] | None, after: Mapping[str, f
     return f"RMSE over {what} data: {before['rmse_K']:.2f} K before, {after['rmse_K']:.2f} K after. "
 
 
-def _errors(found: Closure) -> Section:
-    rows = []
+def _errors_section(found: Closure) -> Section:
     stages = [("Declared tables, nothing fitted", found.predicted), ("Derivatives fitted (before)", found.before)]
     if found.added:
         stages.append((f"With {found.named} (after)", found.after))
+    rows = []
     for label, prediction in stages:
-        e = prediction.segment_errors()
-        rows.append([label, *(t for part in ("fit", "holdout") for t in _cells(e[part]))])
-    heads = ["", "RMSE fitted, K", "largest, K", "samples", "RMSE held out, K", "largest, K", "samples"]
-    floor = f"Noise floor, from sensor noise and quantisation: {found.noise_floor_K:.2f} K. "
+        errors = prediction.segment_errors()
+        rows.append([label, *(cell for segment in ("fit", "holdout") for cell in _error_cells(errors[segment]))])
+    columns: list[Column | str] = [
+        "",
+        Column("RMSE fitted, K", "fit_rmse_K", ".2f"), Column("largest, K", "fit_max_abs_K", ".1f"),
+        Column("samples", "fit_n", ".0f"),
+        Column("RMSE held out, K", "holdout_rmse_K", ".2f"), Column("largest, K", "holdout_max_abs_K", ".1f"),
+        Column("samples", "holdout_n", ".0f"),
+    ]  # fmt: skip
     caption = (
-        f"{floor}Errors are those of the plain march, no measurement assimilated. Held-out samples were fitted by "
-        "nothing; that candidates were weighed on them too is all the use that was made of them."
+        f"Noise floor, from sensor noise and quantisation: {found.noise_floor_K:.2f} K. Errors are those of the plain "
+        "march, with no measurement assimilated. Held-out samples entered no fit; they were used only to rank the "
+        "candidates."
     )
-    return Section("Errors", tables=[Table(caption, heads, rows, strong=[len(rows) - 1])])
+    return Section("Errors", tables=[Table(caption, columns, rows, strong=[len(rows) - 1])])
 
 
-def _cells(errors: Mapping[str, float] | None) -> list[str]:
-    if errors is None:
-        return ["-", "-", "0"]
-    return [f"{errors['rmse_K']:.2f}", f"{errors['max_abs_K']:.1f}", f"{errors['n']:.0f}"]
+def _error_cells(errors: Mapping[str, float] | None) -> list[float | None]:
+    """RMSE, largest error, number of samples."""
+    return [None, None, 0] if errors is None else [errors["rmse_K"], errors["max_abs_K"], errors["n"]]
 
 
-def _comparison(found: Closure) -> Section:
+def _comparison_section(found: Closure) -> Section:
     caption = "Each used sensor with its residuals below (measured minus predicted); held-out spans shaded."
     return Section(
         "Measured against predicted",
@@ -271,125 +302,129 @@ def _comparison(found: Closure) -> Section:
     )
 
 
-def _effects(found: Closure) -> Section:
+def _parameters_section(found: Closure) -> Section:
     rows = [
-        [f"{e.name}{f' of {e.sensor}' if e.sensor else ''}: {n}", f"{p.value:.5g}", _bound(p), p.unit]
-        for e in found.effects
-        for n, p in e.parameters.items()
+        [f"{e.title}: {n}", p.value, _sigma_cell(p), p.unit] for e in found.effects for n, p in e.parameters.items()
     ]
-    own = len(rows)
-    rows += [[n, f"{p.value:.5g}", _bound(p), p.unit] for n, p in found.parameters.items() if not _is_effect(n)]
+    of_effects = len(rows)
+    derivatives = {n: p for n, p in found.parameters.items() if not n.startswith(EFFECT_PREFIX)}
+    rows += [[n, p.value, _sigma_cell(p), p.unit] for n, p in derivatives.items()]
     reference = ", ".join(f"{n} {v:.4g}" for n, v in zip(RATIO_VARIABLES, found.reference, strict=True))
     caption = f"One standard deviation, corrected for coloured residuals. Derivatives are about {reference}."
-    heads = ["", "value", "sigma", "unit"]
-    return Section("Estimated parameters", tables=[Table(caption, heads, rows, strong=list(range(own)))])
+    columns: list[Column | str] = ["", Column("value", format=".5g"), Column("sigma", format=".2g"), "unit"]
+    return Section("Estimated parameters", tables=[Table(caption, columns, rows, strong=list(range(of_effects)))])
 
 
-def _is_effect(name: str) -> bool:
-    return name.startswith("effect.")
+def _sigma_cell(p: ParameterEstimate) -> float | str:
+    """A sigma, or a word where it is not finite."""
+    return p.sigma if math.isfinite(p.sigma) else "not determined"
 
 
-def _bound(p: ParameterEstimate) -> str:
-    return f"{p.sigma:.2g}" if math.isfinite(p.sigma) else "not told"
-
-
-def _candidates(found: Closure) -> Section:
-    tried = sorted(found.candidates, key=lambda c: c.delta_bic)
-    if not tried:
-        return Section("Candidates", ["None was tried."])
-    rows = [
-        [c.name, f"{c.delta_bic:+.1f}", f"{c.fit_rmse_K:.2f}", _or_dash(c.holdout_rmse_K), f"{c.posterior:.3f}"]
-        for c in tried
-    ]
+def _candidates_section(found: Closure) -> Section:
+    ranked = sorted(found.candidates, key=lambda c: c.delta_bic)
+    if not ranked:
+        return Section("Candidates", ["No candidate was tried."])
+    rows = [[c.name, c.delta_bic, c.fit_rmse_K, c.holdout_rmse_K, c.posterior] for c in ranked]
     chosen = [e.name for e in found.effects]
-    marked = [i for i, c in enumerate(tried) if c.name in chosen]
-    caption = "Probabilities weigh more than BIC: segments held out, sizes that nobody would expect, numbers of forms."
-    heads = ["", "BIC - BIC of none", "RMSE fitted, K", "RMSE held out, K", "probability"]
-    table = Table(caption, heads, rows, strong=marked)
-    figure = ranking_figure([c.name for c in tried], [c.delta_bic for c in tried], chosen)
-    text = [found.false_alarm] if found.false_alarm else []
-    return Section(
-        "Candidates", text, tables=[table], pictures=[Picture(figure, "Blue: what was added. Linear within 10.")]
+    marked = [i for i, c in enumerate(ranked) if c.name in chosen]
+    caption = (
+        "Probabilities include more than BIC: the fit of segments held out, priors on magnitudes, the number of forms."
     )
+    columns: list[Column | str] = [
+        "", Column("BIC - BIC of none", "delta_bic", "+.1f"), Column("RMSE fitted, K", "fit_rmse_K", ".2f"),
+        Column("RMSE held out, K", "holdout_rmse_K", ".2f"), Column("probability", "posterior", ".3f"),
+    ]  # fmt: skip
+    table = Table(caption, columns, rows, strong=marked)
+    figure = ranking_figure([c.name for c in ranked], [c.delta_bic for c in ranked], chosen)
+    text = [found.false_alarm] if found.false_alarm else []
+    picture = Picture(figure, "Blue: added effects. The axis is linear within 10.")
+    return Section("Candidates", text, tables=[table], pictures=[picture])
 
 
-def _or_dash(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"
-
-
-def _heating(found: Closure) -> Section:
-    numbers = found.residual.numbers()
+def _heating_section(found: Closure) -> Section:
+    half_amplitude_Hz = found.residual.input.half_amplitude_Hz
     text = [
-        "What has to be added to the heating ratio for the measured temperatures to be explained: the inverse heat "
+        "The heating ratio that has to be added for the measured temperatures to be explained: the inverse heat "
         "conduction problem, regularised by the noise model that the record itself makes most likely. Changes up to "
-        f"{numbers['half_amplitude_Hz']:.3g} Hz come back at more than half their size "
-        f"(a period of {_period(numbers['half_amplitude_Hz'])})."
+        f"{half_amplitude_Hz:.3g} Hz are recovered with more than half their size (a period of "
+        f"{_period(half_amplitude_Hz)})."
     ]
     variables = flight_variables(found.residual)
-    order = [f.shape.variable for f in found.evidence.followed]
+    order = [f.shape.variable for f in found.evidence.shape_fits]
     order += [n for n in variables if n not in order]
+    over_time = heating_figure(found.residual, found.residual_after, found.evidence)
+    over_variables = variables_figure(found.residual, variables, order)
     pictures = [
-        Picture(
-            heating_figure(found.residual, found.residual_after, found.evidence), "Missing heating ratio against time."
-        ),
-        Picture(
-            variables_figure(found.residual, variables, order),
-            "Missing heating ratio against what moved; bars: 1 sigma.",
-        ),
+        Picture(over_time, "Missing heating ratio against time."),
+        Picture(over_variables, "Missing heating ratio against the variables that changed; bars: 1 sigma."),
     ]
     return Section("Residual as heating", text, pictures=pictures)
 
 
 def _period(frequency_Hz: float) -> str:
-    return f"{1.0 / frequency_Hz:.0f} s" if frequency_Hz > 0.0 else "none: the readings tell nothing"
+    """The period of a frequency, in words."""
+    return f"{1.0 / frequency_Hz:.0f} s" if frequency_Hz > 0.0 else "none: the readings do not determine it"
 
 
-def _evidence(found: Closure) -> Section:
+def _evidence_section(found: Closure) -> Section:
     e = found.evidence
-    rows = [
-        [c.variable, f"{c.lag_s:+g}", f"{c.value:+.2f}", f"{c.n_effective:.0f}", *map(_short, (c.chance, c.chance_all))]
-        for c in e.correlations
-    ]
-    correlated = Table(
-        "Weighted by 1 / sigma^2. Chance: of one as large from a history that has nothing to do with it, alone, and "
-        "over all variables and lags.",
-        ["variable", "lag, s", "correlation", "effective points", "chance", "chance, all looks"],
-        rows,
-    )
-    followed = Table(
-        f"Best form of each variable, of what any history would explain. The shapes make {e.looks:.0f} independent "
-        f"looks; noise alone would do as well as the best with a chance of {_short(e.chance)}.",
-        ["shape", "size", "sigmas", "explains"],
-        [[f.shape.words(), f"{f.amplitude:+.3g}", f"{abs(f.z):.1f}", f"{f.share:.0%}"] for f in e.followed[:8]],
-    )
+    correlations = Table(
+        "Weighted by 1 / sigma^2. The p-value is that of a correlation as large with an unrelated history, for the one "
+        "variable and lag, and over all of them.",
+        [
+            "variable", Column("lag, s", "lag_s", "+g"), Column("correlation", "value", "+.2f"),
+            Column("effective points", "n_effective", ".0f"), Column("p-value", "p_value", ".2g"),
+            Column("p-value, all", "p_value_all", ".2g"),
+        ],
+        [
+            [c.variable, c.lag_s, c.value, c.n_effective, _p_value_cell(c.p_value), _p_value_cell(c.p_value_all)]
+            for c in e.correlations
+        ],
+    )  # fmt: skip
+    fits = Table(
+        f"Best shape of each variable, and its part of the gain of the best history of any shape. The shapes amount to "
+        f"{e.trials_factor:.0f} independent trials; the p-value of the best, from noise alone, is "
+        f"{_p_value_text(e.p_value)}.",
+        [
+            "shape", Column("size", "amplitude", "+.3g"), Column("sigmas", "z", ".1f"),
+            Column("explains", "share", ".0%"),
+        ],
+        [[f.shape.describe(), f.amplitude, abs(f.z), f.share] for f in e.shape_fits[:8]],
+    )  # fmt: skip
     figure = hysteresis_figure(found.residual, flight_variables(found.residual), e)
-    caption = "Residual around manoeuvres that loop most: an error of the thermal model, a clock or a lag."
+    caption = "Residual around the manoeuvres with the widest loops: an error of the thermal model, a clock or a lag."
     pictures = [] if figure is None else [Picture(figure, caption)]
-    return Section("Evidence", points=e.proposal(), tables=[followed, correlated], pictures=pictures)
+    return Section("Evidence", points=e.proposal(), tables=[fits, correlations], pictures=pictures)
 
 
-def _short(chance: float) -> str:
-    return f"{chance:.2g}" if chance > 1e-6 else "below 1e-6"
+def _p_value_cell(p: float) -> float | str:
+    """A p-value, or a word where it is too small to matter."""
+    return p if p > 1e-6 else "below 1e-6"
 
 
-def _beyond(found: Closure) -> Section:
+def _p_value_text(p: float) -> str:
+    """A p-value within a sentence."""
+    return f"{p:.2g}" if p > 1e-6 else "below 1e-6"
+
+
+def _sensors_section(found: Closure) -> Section:
     text = [
-        "With the best heating history in place, what a sensor still shows is not heating at the surface: conduction, "
-        "the sensor, its clock."
+        "A residual that remains with the best heating history is not due to heating at the surface: conduction, the "
+        "sensor, its clock."
     ]
-    return Section("What no heating explains", text, points=[s.words() for s in found.residual.sensors])
+    return Section("Residuals that no heating explains", text, points=[s.describe() for s in found.residual.sensors])
 
 
 CALIBRATION = PACKAGE / "closure" / "closure_calibration.json"
-LEVEL = 0.95
+CONFIDENCE_LEVEL = 0.95
 
 
 def false_alarm_statement() -> str:
-    """The chance of a false alarm, and what it rests on, in a line."""
-    counted = read_json(CALIBRATION)
-    named, records = int(counted["named"]), int(counted["records"])
-    limit = float(beta.ppf(LEVEL, named + 1, records - named))
+    """The chance of a false alarm with its calibration, in one line."""
+    calibration = read_json(CALIBRATION)
+    named, records = int(calibration["named"]), int(calibration["records"])
+    limit = float(beta.ppf(CONFIDENCE_LEVEL, named + 1, records - named))
     return (
         f"An effect was named in {named} of {records} synthetic records that had none: chance of a false alarm below "
-        f"{limit:.1%} with {LEVEL:.0%} confidence on such records"
+        f"{limit:.1%} with {CONFIDENCE_LEVEL:.0%} confidence on such records"
     )

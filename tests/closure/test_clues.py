@@ -1,4 +1,4 @@
-"""What a residual goes with: the variable that made it, and no other where nothing did."""
+"""A residual heating is traced to the variable that made it, and to none where there is only noise."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ FITTED = ["ratio.scale", "ratio.d_alpha", "ratio.d_logre", "ratio.d_elevon", "ra
 ONSET_DEG = 41.0
 
 
-def left_of(record: Record) -> ResidualHeating:
-    """The residual heating of a record after one Newton step of its derivatives."""
+def residual_after_newton(record: Record) -> ResidualHeating:
+    """The residual heating of a record after three Newton steps of its derivatives."""
     problem = FitProblem([record], FITTED, joint_reference([record]), FitOptions(prior_scale=np.inf))
     values = np.zeros(len(FITTED))
     for _ in range(3):
@@ -33,79 +33,81 @@ def left_of(record: Record) -> ResidualHeating:
 
 
 @cache
-def told(what: str) -> tuple[ResidualHeating, ResidualEvidence]:
+def residual_with(what: str) -> tuple[ResidualHeating, ResidualEvidence]:
     uses: dict[str, list[EffectUse]] = {
         "nothing": [],
         "onset": [use("impingement-onset", {"alpha_onset_deg": ONSET_DEG, "slope": 0.002})],
         "skew": [],
     }
     record, _ = record_with(uses[what], 5, skew_s=2.0 if what == "skew" else 0.0)
-    left = left_of(record)
-    return left, residual_evidence(left)
+    residual = residual_after_newton(record)
+    return residual, residual_evidence(residual)
 
 
-def test_heating_above_an_onset_angle_is_told_as_that():
-    _, found = told("onset")
-    best = found.followed[0]
+def test_heating_above_an_onset_angle_is_recognised_as_such():
+    _, found = residual_with("onset")
+    best = found.shape_fits[0]
     assert (best.shape.variable, best.shape.form) in {("alpha_deg", "above"), ("alpha_deg", "square")}
     assert abs(best.shape.lag_s) <= 2.0
     assert best.share > 0.7
-    assert found.chance < 1e-6
+    assert found.p_value < 1e-6
     assert "alpha_deg" in found.proposal()[0]
 
 
-def test_a_heating_of_the_table_makes_no_loops_and_a_clock_does():
-    _, onset = told("onset")
-    _, skew = told("skew")
+def test_an_error_of_the_table_makes_no_hysteresis_and_a_clock_error_does():
+    _, onset = residual_with("onset")
+    _, skew = residual_with("skew")
     assert not any(loop.significant for loop in onset.loops)
     assert any(loop.significant and loop.variable == "alpha_deg" for loop in skew.loops)
     assert any("thermal model, a clock or a lag" in line for line in skew.proposal())
-    assert skew.followed[0].shape.form == "rate"
+    assert skew.shape_fits[0].shape.form == "rate"
 
 
-def test_where_nothing_is_missing_nothing_is_proposed():
-    _, found = told("nothing")
-    assert found.chance > SIGNIFICANCE_LEVEL
+def test_nothing_is_proposed_where_nothing_is_missing():
+    _, found = residual_with("nothing")
+    assert found.p_value > SIGNIFICANCE_LEVEL
     assert found.active == ()
-    assert found.proposal() == ["Nothing is left that noise would not leave."]
+    assert found.proposal() == ["The residual is consistent with noise."]
     assert not any(loop.significant for loop in found.loops)
-    assert all(c.chance_all > SIGNIFICANCE_LEVEL for c in found.correlations)
+    assert all(c.p_value_all > SIGNIFICANCE_LEVEL for c in found.correlations)
 
 
-def test_spans_in_which_it_acts_are_those_in_which_the_angle_was_beyond_the_onset():
-    left, found = told("onset")
-    alpha = left.record.conditions.at(left.time_s)["alpha_deg"]
+def test_active_spans_are_those_with_the_angle_beyond_the_onset():
+    residual, found = residual_with("onset")
+    alpha = residual.record.conditions.at(residual.time_s)["alpha_deg"]
     for span in found.active[:2]:
-        own = (left.time_s > span.start_s - 10.0) & (left.time_s < span.end_s + 10.0)
+        own = (residual.time_s > span.start_s - 10.0) & (residual.time_s < span.end_s + 10.0)
         assert np.max(alpha[own]) > ONSET_DEG - 1.0
 
 
-def test_a_history_that_takes_more_than_all_heating_away_is_called_impossible():
-    left, _ = told("onset")
-    ratio = np.full(len(left.time_s), 0.05)
-    sound = residual_evidence(left, ratio)
+def test_a_history_that_removes_more_than_all_heating_is_reported_as_negative():
+    residual, _ = residual_with("onset")
+    ratio = np.full(len(residual.time_s), 0.05)
+    sound = residual_evidence(residual, ratio)
     assert sound.negative_s == 0.0
-    taken = replace(left, input=replace(left.input, delta_ratio=np.where(left.fitted, -0.1, 0.0)))
+    taken = replace(residual, input=replace(residual.input, delta_ratio=np.where(residual.fitted, -0.1, 0.0)))
     assert residual_evidence(taken, ratio).negative_s > 500.0
 
 
-def test_chance_of_the_best_of_many_shapes_is_uniform_on_noise():
-    left, _ = told("nothing")
-    weights = profiled_information(left)
-    _, columns = candidate_shapes(left.time_s, {"alpha_deg": left.record.conditions.at(left.time_s)["alpha_deg"]})
-    several = trials_factor(weights, columns, seed=1)
-    values, vectors = np.linalg.eigh(weights.information)
+def test_the_p_value_of_the_best_of_many_shapes_is_uniform_on_noise():
+    residual, _ = residual_with("nothing")
+    profiled = profiled_information(residual)
+    _, columns = candidate_shapes(
+        residual.time_s, {"alpha_deg": residual.record.conditions.at(residual.time_s)["alpha_deg"]}
+    )
+    trials = trials_factor(profiled, columns, seed=1)
+    values, vectors = np.linalg.eigh(profiled.information)
     rng = np.random.default_rng(2)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    power = np.einsum("ij,ij->j", columns, weights.information @ columns)
+    power = np.einsum("ij,ij->j", columns, profiled.information @ columns)
     drawn = columns.T @ (root @ rng.normal(size=(len(values), 300))) / np.sqrt(power)[:, np.newaxis]
-    chances = [p_value(float(z), several) for z in np.max(np.abs(drawn), axis=0)]
-    assert kstest(chances, "uniform").pvalue > 1e-3
+    p_values = [p_value(float(z), trials) for z in np.max(np.abs(drawn), axis=0)]
+    assert kstest(p_values, "uniform").pvalue > 1e-3
 
 
 def with_axial(relative: float, at_s: float) -> Record:
-    """A record with an axial acceleration that steps by a part at a time, noise of a thousandth on it."""
-    record, _ = told("nothing")[0].record, None
+    """A record with an axial acceleration that steps by a part at a time, with noise of a thousandth."""
+    record = residual_with("nothing")[0].record
     flown = record.conditions
     C = 1e-4 * (1.0 + 0.02 * (flown["alpha_deg"] - 40.0))
     C = C * (1.0 + relative * (flown.time_s > at_s) + np.random.default_rng(1).normal(0.0, 1e-3, len(flown)))
@@ -119,11 +121,11 @@ def test_a_step_in_axial_acceleration_is_found_in_time_and_size():
     assert found is not None
     assert found[0].time_s == pytest.approx(1100.3, abs=2.0)
     assert found[0].relative == pytest.approx(0.03, rel=0.1)
-    assert found[0].chance < 1e-6
+    assert found[0].p_value < 1e-6
 
 
-def test_no_step_is_found_where_there_is_none_and_none_is_looked_for_without_the_column():
+def test_no_step_is_found_in_noise_or_without_the_column():
     found = axial_steps(with_axial(0.0, 1100.3))
     assert found is not None
-    assert all(step.chance > 1e-3 for step in found)
-    assert axial_steps(told("nothing")[0].record) is None
+    assert all(step.p_value > 1e-3 for step in found)
+    assert axial_steps(residual_with("nothing")[0].record) is None

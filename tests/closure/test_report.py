@@ -1,4 +1,4 @@
-"""The report of a closed loop: closure.json to the letter of its format, and a page that a browser shows."""
+"""The report of a closed loop: closure.json by its format, and a page that a browser shows."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def closed() -> Closure:
     names = [u.label for u in before.problem.unknowns]
     after = estimate([record], [*names, "effect.impingement-onset.slope"], effects=[ONSET])
     residual = residual_heating(before.problem, before.fit.values)
-    left = residual_heating(after.problem, after.fit.values)
+    residual_after = residual_heating(after.problem, after.fit.values)
     sigma = after.bounds.sigma
     parameters = {
         u.label: ParameterEstimate(float(v), float(s), u.parameter.unit)
@@ -56,20 +56,21 @@ def closed() -> Closure:
     }
     bic = -2.0 * (after.fit.log_likelihood - before.fit.log_likelihood) + np.log(2000.0)
     errors = [f.after[0].segment_errors() for f in (before, after)]
-    weighed = {"none": 0.0, "impingement-onset": float(bic)}
-    tried = [
-        CandidateScore(name, delta, e["fit"]["rmse_K"], e["holdout"]["rmse_K"], posteriors(weighed)[name])
-        for (name, delta), e in zip(weighed.items(), errors, strict=True)
+    delta_bic = {"none": 0.0, "impingement-onset": float(bic)}
+    scores = [
+        CandidateScore(name, delta, e["fit"]["rmse_K"], e["holdout"]["rmse_K"], posteriors(delta_bic)[name])
+        for (name, delta), e in zip(delta_bic.items(), errors, strict=True)
     ]
-    posterior = posteriors(weighed)["impingement-onset"]
+    posterior = posteriors(delta_bic)["impingement-onset"]
     named = Finding("impingement-onset", posterior, {"slope": parameters["effect.impingement-onset.slope"]})
     return Closure(
         record, before.before[0], before.after[0], after.after[0], record.noise_floor_K(), before.problem.reference,
-        [named], tried, parameters, residual, left, residual_evidence(residual), (), "Calibrated on null records: 2 %.",
+        [named], scores, parameters, residual, residual_after, residual_evidence(residual), (),
+        "Calibrated on null records: 2 %.",
     )  # fmt: skip
 
 
-def test_every_field_of_the_format_is_there_with_its_unit_and_meaning():
+def test_closure_json_has_every_field_of_its_format():
     data = json.loads(json.dumps(closure_json(closed())))
     record = closed().record
     assert data["format"] == "closure-report/1"
@@ -103,14 +104,14 @@ def test_errors_fall_towards_the_noise_floor_as_the_model_grows():
     assert after == pytest.approx(data["noise_floor_K"], rel=0.05)
 
 
-def test_several_effects_stand_in_the_order_in_which_they_were_added():
+def test_several_effects_are_listed_in_the_order_in_which_they_were_added():
     more = Finding("catalysis", 0.9, {})
     data = closure_json(replace(closed(), effects=[*closed().effects, more]))
     assert [e["name"] for e in data["effects"]] == ["impingement-onset", "catalysis"]
     assert data["effect"] == data["effects"][0]
 
 
-def test_a_record_without_holdout_says_null():
+def test_holdout_errors_of_a_record_without_holdout_are_null():
     record = closed().record
     bare = replace(
         record,
@@ -121,13 +122,13 @@ def test_a_record_without_holdout_says_null():
     assert replace(closed().after, record=bare).segment_errors()["holdout"] is None
 
 
-def test_posteriors_are_those_of_equal_priors():
+def test_posteriors_have_equal_priors():
     found = posteriors({"none": 0.0, "a": -2.0 * np.log(3.0), "b": 1e4})
     assert found["a"] == pytest.approx(0.75)
     assert sum(found.values()) == pytest.approx(1.0)
 
 
-def test_the_folder_holds_json_history_and_page(tmp_path):
+def test_the_folder_contains_json_history_and_page(tmp_path):
     with output_directory(tmp_path / "out") as folder:
         write_closure(closed(), folder)
     assert files_written(tmp_path / "out") == {"closure.json", "report.html", "residual_heating.csv"}
@@ -137,7 +138,7 @@ def test_the_folder_holds_json_history_and_page(tmp_path):
 
 
 class Elements(HTMLParser):
-    """What a page refers to, its text, and whether every element is closed."""
+    """Addresses and text of a page, and its elements that are not closed."""
 
     VOID = ("meta", "img", "link", "br")
 
@@ -160,7 +161,7 @@ class Elements(HTMLParser):
         self.text.append(data)
 
 
-def test_the_page_loads_nothing_from_elsewhere_and_holds_what_a_review_asks_for():
+def test_the_page_is_self_contained_and_has_every_section():
     html = page_html(closure_page(closed()))
     found = Elements(html)
     assert found.open == []
@@ -175,19 +176,19 @@ def test_the_page_loads_nothing_from_elsewhere_and_holds_what_a_review_asks_for(
     assert f"{after:.2f}" in text
 
 
-def test_a_verdict_on_the_record_stands_before_any_finding():
-    page = closure_page(replace(closed(), verdicts=[DataFault(SENSOR, "TC1 is stuck")]))
+def test_a_fault_of_the_record_comes_before_any_finding():
+    page = closure_page(replace(closed(), faults=[DataFault(SENSOR, "TC1 is stuck")]))
     assert page.verdict == ("No aerothermal finding: broken sensor", "TC1 is stuck")
     assert 'role="alert">TC1 is stuck' in page_html(page)
 
 
-def test_nothing_from_a_record_becomes_markup():
+def test_text_of_a_record_is_escaped_in_the_page():
     page = Page("<script>x</script>", "a & b", [Section("s", ["<b>"], tables=[Table("", ["<i>"], [["<u>"]])])])
     html = page_html(page)
     assert not re.search(r"<(script|b|i|u)>", html)
 
 
-def test_a_figure_is_drawn_the_same_each_time():
+def test_a_figure_has_the_same_bytes_each_time():
     def picture() -> str:
         figure = Figure()
         figure.subplots().plot([0.0, 1.0])

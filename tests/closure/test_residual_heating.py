@@ -1,4 +1,4 @@
-"""What a record leaves, as heating: exact where conduction has a closed form, and within its sigma on a flight."""
+"""Residual heating: exact where conduction has a closed form, and within its sigma on a flight."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ A = K / (RHO * C)
 TIME_S = np.arange(0.0, 301.0)
 H_REF, H_R, RATIO = 1e-7, 1e11, 1.0
 FLUX = H_REF * H_R
-"""Enthalpy so large that the wall's does not count: the flux is the ratio times this [W/m2]."""
+"""The enthalpy is so large that the wall's is negligible: the flux is the ratio times this [W/m2]."""
 SIGMA_K = 0.5
 HALF_SPACE_M = 0.15
 """Deep against sqrt(4 a t), 25 mm."""
 
 
 def half_space(depth_m: float, rise_K: np.ndarray, seed: int) -> UnknownInput:
-    """What a thermocouple in a half space tells of a ratio that is thought to be constant."""
+    """Residual heating from a thermocouple in a half space whose model has a constant ratio."""
     construction = wall((material(K, C, RHO), HALF_SPACE_M), initial_K=300.0)
     model = PointModel("half space", construction, (depth_m,), nodes=120, parameters={"ratio.d0": RATIO})
     mesh = pack([model]).meshes[0]
@@ -73,17 +73,17 @@ def sine_rise(amplitude: float, frequency_Hz: float) -> np.ndarray:
     return rise
 
 
-def amplitude_left(found: UnknownInput, frequency_Hz: float) -> float:
+def recovered_amplitude(found: UnknownInput, frequency_Hz: float) -> float:
     phase = 2.0 * math.pi * frequency_Hz * found.time_s
     waves = np.column_stack([np.sin(phase), np.cos(phase), np.ones_like(phase)])
     fit = np.linalg.lstsq(waves, found.delta_ratio, rcond=None)[0]
     return float(np.hypot(fit[0], fit[1]))
 
 
-def test_a_sine_in_the_ratio_of_a_half_space_comes_back_as_large_as_stated():
-    # the noise model is that of the slow sine; a faster one under the same model falls to half where it is said to
+def test_a_sine_in_the_ratio_of_a_half_space_is_recovered_with_the_stated_amplitude():
+    # the noise model is that of the slow sine; under the same model a faster one falls to half at the stated frequency
     slow = half_space(0.0, sine_rise(0.1, 0.02), seed=2)
-    assert amplitude_left(slow, 0.02) == pytest.approx(0.1, rel=0.1)
+    assert recovered_amplitude(slow, 0.02) == pytest.approx(0.1, rel=0.1)
     half = slow.half_amplitude_Hz
     assert 0.02 < half < 0.5
     R = slow.covariance @ slow.information
@@ -97,8 +97,7 @@ RISE = 0.1
 
 @cache
 def flown(seed: int, size: float = RISE) -> tuple[Record, ResidualHeating, float]:
-    """A record whose ratio rises by a part at 500 s and falls back at 580 s, which its model does not know, and by how
-    much that is."""
+    """A record whose ratio rises by a part at 500 s and falls back at 580 s, unknown to its model; and that rise."""
 
     def jets(t: np.ndarray) -> np.ndarray:
         return np.clip(t - BEGIN_S, 0.0, 1.0) - np.clip(t - END_S, 0.0, 1.0)
@@ -137,20 +136,20 @@ def test_an_error_in_depth_is_not_explained_by_heating():
     other = replace(record, thermocouples=read)
     problem = FitProblem([other], ["ratio.scale"], joint_reference([other]))
     found = residual_heating(problem, np.zeros(1))
-    left = found.sensors[-1]
-    assert found.input.excess > 10.0  # noise is found larger, and no history is bent to the sensor
+    sensor = found.sensors[-1]
+    assert found.input.excess > 10.0  # the noise is found larger, and no history follows the sensor
     assert np.max(np.abs(found.delta_ratio)) < 2.0 * flown(3)[2]
-    assert left.after_rmse_K > 5.0 * left.floor_K
-    assert "no heating" in left.words()
+    assert sensor.after_rmse_K > 5.0 * sensor.floor_K
+    assert "does not explain" in sensor.describe()
 
 
-def test_nothing_is_found_where_nothing_is_missing():
+def test_no_heating_is_found_where_none_is_missing():
     _, found, _ = flown(4, 0.0)
     assert found.input.gain_log_likelihood < 5.0
     assert np.max(np.abs(found.delta_ratio)) < 0.1 * flown(3)[2]
 
 
-def test_the_history_is_written_as_the_contract_says(tmp_path):
+def test_the_history_is_written_with_the_columns_of_its_format(tmp_path):
     _, found, _ = flown(3)
     write_residual_heating(tmp_path / "residual_heating.csv", found)
     table = read_csv_columns(tmp_path / "residual_heating.csv", ("time_s", "delta_ratio", "sigma"))

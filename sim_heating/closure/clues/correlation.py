@@ -1,12 +1,12 @@
-"""What a residual heating goes with: variables of the flight at lags, manoeuvres, a step in axial acceleration.
+"""Evidence on the cause of a residual heating: flight variables at lags, manoeuvres, steps in axial acceleration.
 
 Correlations weigh each knot by 1 / sigma^2. Neighbours are not independent: the effective number of points is
 
     n_e = n / (1 + 2 sum_k rho_d(k) rho_v(k)),
 
 rho the autocorrelations of the residual and of the variable (M. S. Bartlett, J. R. Stat. Soc. 98 (1935) 536), at most
-the degrees of freedom that the readings resolve, and the chance of a correlation as large is that of Student's t with
-n_e - 2. The look-elsewhere is that over variables and lags (Sidak).
+the degrees of freedom that the readings resolve, and the p-value of a correlation is that of Student's t with n_e - 2
+degrees of freedom, corrected for the number of variables and lags (Sidak).
 """
 
 from __future__ import annotations
@@ -40,39 +40,41 @@ from sim_heating.inputs.points import conditions_of_record, wall_enthalpy_of
 from sim_heating.simulation.predict import Prediction
 
 WALL, ENTHALPY = "wall_K", "wall_enthalpy_ratio"
-ACTIVE = 3.0
-"""A residual heating is active where it exceeds so many of its sigmas."""
-GAP_S, SHORTEST_S = 15.0, 5.0
-"""Active spans closer than this are one; shorter ones are not told [s]."""
-MOST_SPANS = 6
-SIGNS = 2.0
-LARGEST = 3.0
-"""A shape that would have to be larger than so many times the history cancels against what was fitted: no proposal."""
+ACTIVE_SIGMAS = 3.0
+"""A residual heating is active where it exceeds this many of its sigmas."""
+GAP_S, MIN_SPAN_S = 15.0, 5.0
+"""Active spans closer than the first are joined; spans shorter than the second are not reported [s]."""
+MAX_SPANS = 6
+NEGATIVE_SIGMAS = 2.0
+"""A ratio is negative where it is so by more than this many sigmas."""
+MAX_AMPLITUDE = 3.0
+"""Largest amplitude of a shape, over the residual's own: a larger one cancels against fitted parameters."""
 SIGNIFICANCE_LEVEL = 0.01
-"""A chance below this is called significant."""
+"""p-value below which evidence is called significant."""
 
 
 @dataclass(frozen=True)
 class Correlation:
-    """Weighted correlation of the residual heating with a variable at the lag where it is largest.
+    """Weighted correlation of the residual heating with a variable, at the lag where it is largest.
 
-    chance : of one as large from a history that has nothing to do with it, at this lag;  chance_all : at any variable
-             and lag looked at
+    n_effective : effective number of independent points
+    p_value     : of a correlation as large with an unrelated history, at this lag
+    p_value_all : at any of the variables and lags examined
     """
 
     variable: str
     lag_s: float
     value: float
     n_effective: float
-    chance: float
-    chance_all: float
+    p_value: float
+    p_value_all: float
 
 
 @dataclass(frozen=True)
 class ActiveSpan:
-    """A span in which the residual heating exceeds its sigma.
+    """A span in which the residual heating is significant.
 
-    delta_ratio : mean;  relative : over the model's ratio, NaN where that is unknown
+    delta_ratio : its mean [-];  relative : mean over the model's ratio, NaN where that is unknown
     """
 
     start_s: float
@@ -83,92 +85,97 @@ class ActiveSpan:
 
 @dataclass(frozen=True)
 class ResidualEvidence:
-    """What a residual heating tells.
+    """Evidence that a residual heating gives on its cause.
 
-    correlations : a variable each, largest first
-    followed     : the best shape of each variable, largest gain first
-    looks        : independent looks that the shapes make
-    chance       : of a shape as good from noise alone, looks included
-    active       : spans, the largest first
-    loops        : hysteresis in manoeuvres
-    axial        : steps in axial acceleration; None where the record has none
-    negative_s   : how long the ratio would have to be negative, by more than SIGNS sigma; None where it is not known
+    correlations  : one for each variable, largest first
+    shape_fits    : the best shape of each variable, largest gain first
+    trials_factor : independent trials that the shapes amount to
+    p_value       : of a shape as good from noise alone, corrected by the trials factor
+    active        : spans, the largest first
+    loops         : hysteresis in manoeuvres
+    axial         : steps in axial acceleration; None where the record has none
+    negative_s    : how long the ratio would have to be negative by more than NEGATIVE_SIGMAS [s]; None where unknown
     """
 
     correlations: tuple[Correlation, ...]
-    followed: tuple[ShapeFit, ...]
-    looks: float
-    chance: float
+    shape_fits: tuple[ShapeFit, ...]
+    trials_factor: float
+    p_value: float
     active: tuple[ActiveSpan, ...]
     loops: tuple[HysteresisLoop, ...]
     axial: tuple[AxialStep, ...] | None
     negative_s: float | None = None
 
     def proposal(self) -> list[str]:
-        """What a person would look at next, a line each: which variable, at which lag, active when, how large."""
-        if not self.followed or self.chance > SIGNIFICANCE_LEVEL:
-            return ["Nothing is left that noise would not leave."]
-        best = self.followed[0]
+        """The evidence in lines for a person: which variable, at which lag, active when, how large."""
+        if not self.shape_fits or self.p_value > SIGNIFICANCE_LEVEL:
+            return ["The residual is consistent with noise."]
+        best = self.shape_fits[0]
         lines = [
-            f"What is left goes with {best.shape.words()}: {best.amplitude:+.3g} of ratio at its largest, "
-            f"{abs(best.z):.0f} sigma; that is {best.share:.0%} of what any heating history would explain."
+            f"The residual follows {best.shape.describe()}: {best.amplitude:+.3g} of ratio at its largest, "
+            f"{abs(best.z):.0f} sigma; that is {best.share:.0%} of the gain of the best heating history."
         ]
-        rivals = [f for f in self.followed[1:] if f.share > 0.8 * best.share]
+        rivals = [f for f in self.shape_fits[1:] if f.share > 0.8 * best.share]
         if rivals:
-            told = "; ".join(f"{r.shape.words()} ({r.share:.0%})" for r in rivals[:3])
-            lines.append(f"Nearly as well: {told}. The record does not tell these apart.")
+            listed = "; ".join(f"{r.shape.describe()} ({r.share:.0%})" for r in rivals[:3])
+            lines.append(f"Nearly as good: {listed}. The record cannot distinguish them.")
         if best.shape.form == "rate":
             lines.append(
-                "A heating that follows a rate of change is the mark of coating, clock or lag, not of a table."
+                "A residual that follows a rate of change indicates coating, clock or lag error rather than a table "
+                "error."
             )
         if self.negative_s:
             lines.append(
-                f"For {self.negative_s:.0f} s the heating ratio would have to be negative: no heating does that; look "
-                "at conduction, sensors and clocks."
+                f"The heating ratio would have to be negative for {self.negative_s:.0f} s, which no heating can be: "
+                "examine conduction, sensors and clocks."
             )
         if best.share < 0.5:
-            lines.append("No variable explains half of it: look for something that the record does not hold.")
+            lines.append(
+                "No variable explains half of it: the cause may be something that the record does not contain."
+            )
         for span in self.active[:3]:
             size = f"{span.delta_ratio:+.3g}" + ("" if math.isnan(span.relative) else f" ({span.relative:+.0%})")
             lines.append(f"Active from {span.start_s:.0f} to {span.end_s:.0f} s: {size} of ratio on average.")
         lines += self._hysteresis()
-        lines += [step.words() + self._with(step) for step in self.axial or () if step.chance < SIGNIFICANCE_LEVEL]
-        return lines
+        significant = [step for step in self.axial or () if step.p_value < SIGNIFICANCE_LEVEL]
+        return lines + [step.describe() + self._distance_from_edge(step) for step in significant]
 
-    def _with(self, step: AxialStep) -> str:
-        """How far a step in acceleration is from where the residual heating sets in or ends."""
+    def _distance_from_edge(self, step: AxialStep) -> str:
+        """How far in time a step in acceleration is from the nearest start or end of the missing heating."""
         edges = [edge for span in self.active for edge in (span.start_s, span.end_s)]
         if not edges:
             return ""
         nearest = min(edges, key=lambda edge: abs(edge - step.time_s))
-        return f" The missing heating sets in or ends {abs(nearest - step.time_s):.0f} s from there."
+        return f" The missing heating starts or ends {abs(nearest - step.time_s):.0f} s from there."
 
     def _hysteresis(self) -> list[str]:
-        told = sorted((loop for loop in self.loops if loop.significant), key=lambda loop: -abs(loop.filled))
-        if not told:
+        """The fullest significant loop, and how many there are."""
+        significant = sorted((loop for loop in self.loops if loop.significant), key=lambda loop: -abs(loop.filled))
+        if not significant:
             return []
-        more = f" {len(told)} of {len(self.loops)} excursions of an angle show it." if len(told) > 1 else ""
-        return [told[0].words() + more]
+        count = len(significant)
+        more = f" {count} of {len(self.loops)} excursions of an angle show it." if count > 1 else ""
+        return [significant[0].describe() + more]
 
-    def numbers(self) -> dict[str, Any]:
-        """For closure.json."""
+    def as_json(self) -> dict[str, Any]:
+        """Its contents for closure.json."""
         return {
             "correlations": [asdict(c) for c in self.correlations],
-            "follows": [
+            "shapes": [
                 {**asdict(f.shape), "amplitude": f.amplitude, "z": f.z, "gain": f.gain, "share": f.share}
-                for f in self.followed
+                for f in self.shape_fits
             ],
-            "independent_looks": self.looks,
-            "chance_from_noise": self.chance,
+            "trials_factor": self.trials_factor,
+            "p_value": self.p_value,
             "active": [{k: None if v != v else v for k, v in asdict(a).items()} for a in self.active],
-            "hysteresis": [loop.numbers() for loop in self.loops],
+            "hysteresis": [loop.as_json() for loop in self.loops],
             "negative_ratio_s": self.negative_s,
             "axial_steps": None if self.axial is None else [asdict(s) for s in self.axial],
         }
 
 
 def residual_evidence(residual: ResidualHeating, ratio: FloatArray | None = None) -> ResidualEvidence:
-    """Everything above for one residual heating.
+    """All evidence of one residual heating.
 
     ratio : (knot,) the model's heating ratio, where it is known
     """
@@ -177,40 +184,46 @@ def residual_evidence(residual: ResidualHeating, ratio: FloatArray | None = None
 
 
 def _evidence(residual: ResidualHeating, ratio: FloatArray | None) -> ResidualEvidence:
-    here = residual.fitted
+    fitted = residual.fitted
     t, variables = residual.time_s, flight_variables(residual)
-    weights = profiled_information(residual)
-    tried, columns = candidate_shapes(t, variables)
-    largest = LARGEST * float(np.max(np.abs(residual.delta_ratio)))
-    found = [f for f in weights.weigh(tried, columns) if abs(f.amplitude) <= largest]
-    names = dict.fromkeys(f.shape.variable for f in found)
-    best = [next(f for f in found if f.shape.variable == name) for name in names]
-    several = trials_factor(weights, columns)
+    profiled = profiled_information(residual)
+    shapes, columns = candidate_shapes(t, variables)
+    largest = MAX_AMPLITUDE * float(np.max(np.abs(residual.delta_ratio)))
+    fits = [f for f in profiled.fit_shapes(shapes, columns) if abs(f.amplitude) <= largest]
+    names = dict.fromkeys(f.shape.variable for f in fits)
+    best = [next(f for f in fits if f.shape.variable == name) for name in names]
+    trials = trials_factor(profiled, columns)
     return ResidualEvidence(
-        tuple(correlations(residual, {n: v for n, v in variables.items() if np.ptp(v[here]) > 0.0})),
-        tuple(best), several, p_value(best[0].z, several) if best else 1.0,
-        tuple(active_spans(residual, ratio)), tuple(hysteresis_loops(residual, variables)),
-        axial_steps(residual.record),
-        None if ratio is None else negative_s(residual, ratio),
-    )  # fmt: skip
+        correlations=tuple(correlations(residual, {n: v for n, v in variables.items() if np.ptp(v[fitted]) > 0.0})),
+        shape_fits=tuple(best),
+        trials_factor=trials,
+        p_value=p_value(best[0].z, trials) if best else 1.0,
+        active=tuple(active_spans(residual, ratio)),
+        loops=tuple(hysteresis_loops(residual, variables)),
+        axial=axial_steps(residual.record),
+        negative_s=None if ratio is None else negative_s(residual, ratio),
+    )
 
 
 def ratio_at(prediction: Prediction, time_s: FloatArray) -> FloatArray | None:
-    """The heating ratio of a prediction at other times; None where there is no aerodynamic heating."""
+    """(time,) heating ratio of a prediction at other times; None where there is no aerodynamic heating."""
     history = prediction.history
     known = np.isfinite(history.ratio)
     return np.interp(time_s, history.time_s[known], history.ratio[known]) if np.any(known) else None
 
 
 def negative_s(residual: ResidualHeating, ratio: FloatArray) -> float:
-    """How long ratio and correction together are negative [s], by more than SIGNS sigma."""
-    below = residual.fitted & (ratio + residual.delta_ratio < -SIGNS * residual.sigma)
+    """For how long ratio and correction together are negative by more than NEGATIVE_SIGMAS [s]."""
+    below = residual.fitted & (ratio + residual.delta_ratio < -NEGATIVE_SIGMAS * residual.sigma)
     return float(np.sum(np.gradient(residual.time_s)[below]))
 
 
 def flight_variables(residual: ResidualHeating) -> dict[str, FloatArray]:
-    """(knot,) what a heating may depend on: the ratio variables, jets, further columns of the record, wall temperature
-    and enthalpy over the recovery enthalpy, time."""
+    """(knot,) variables that a heating may depend on, by name.
+
+    The ratio variables, jets, further columns of the record, wall temperature, its enthalpy over the recovery enthalpy,
+    and time.
+    """
     record, t = residual.record, residual.time_s
     flown = conditions_of_record(record).at(t)
     known = {*STATE, *HEATING, "q_add_W_m2"} - {"mach"}
@@ -226,29 +239,30 @@ def flight_variables(residual: ResidualHeating) -> dict[str, FloatArray]:
 
 
 def correlations(residual: ResidualHeating, variables: Mapping[str, FloatArray]) -> list[Correlation]:
-    """Each variable at the lag of its largest correlation, largest first."""
-    here = residual.fitted
-    t, d, w = residual.time_s, residual.delta_ratio[here], residual.sigma[here] ** -2.0
+    """The correlation with each variable at the lag where it is largest, largest first."""
+    fitted = residual.fitted
+    t, d, w = residual.time_s, residual.delta_ratio[fitted], residual.sigma[fitted] ** -2.0
     resolved = float(np.trace(residual.input.covariance @ residual.input.information))
     found = []
     for name, v in variables.items():
         lags = (0.0,) if name == TIME else LAGS_S
-        tried = [(_correlation(d, np.interp(t - lag, t, v)[here], w), lag) for lag in lags]
-        value, lag = max(tried, key=lambda c: abs(c[0]))
-        n = min(_effective(d, np.interp(t - lag, t, v)[here]), max(resolved, 3.0))
-        found.append((name, lag, value, n, _chance(value, n)))
-    several = sum(1 if name == TIME else len(LAGS_S) for name in variables)
-    told = [Correlation(*f, sidak_p_value(f[4], several)) for f in found]
-    return sorted(told, key=lambda c: -abs(c.value))
+        at_lags = [(_correlation(d, np.interp(t - lag, t, v)[fitted], w), lag) for lag in lags]
+        value, lag = max(at_lags, key=lambda c: abs(c[0]))
+        n = min(_effective_points(d, np.interp(t - lag, t, v)[fitted]), max(resolved, 3.0))
+        found.append((name, lag, value, n, _correlation_p_value(value, n)))
+    trials = sum(1 if name == TIME else len(LAGS_S) for name in variables)
+    corrected = [Correlation(*f, sidak_p_value(f[4], trials)) for f in found]
+    return sorted(corrected, key=lambda c: -abs(c.value))
 
 
 def _correlation(d: FloatArray, v: FloatArray, w: FloatArray) -> float:
+    """Weighted correlation coefficient of two series; 0 where one is constant."""
     d, v = d - np.average(d, weights=w), v - np.average(v, weights=w)
     size = math.sqrt(float(np.sum(w * d * d)) * float(np.sum(w * v * v)))
     return float(np.sum(w * d * v)) / size if size > 0.0 else 0.0
 
 
-def _effective(d: FloatArray, v: FloatArray) -> float:
+def _effective_points(d: FloatArray, v: FloatArray) -> float:
     """Bartlett's number of independent points of two series, at least 3."""
     n = len(d)
     sum_ = float(np.sum(_autocorrelation(d)[1:] * _autocorrelation(v)[1:]))
@@ -256,6 +270,7 @@ def _effective(d: FloatArray, v: FloatArray) -> float:
 
 
 def _autocorrelation(x: FloatArray) -> FloatArray:
+    """(lag,) autocorrelation of a series, up to half its length."""
     x = x - np.mean(x)
     power = float(x @ x)
     lags = len(x) // 2
@@ -265,15 +280,16 @@ def _autocorrelation(x: FloatArray) -> FloatArray:
     return np.asarray(np.fft.irfft(spectrum)[:lags] / power)
 
 
-def _chance(r: float, n: float) -> float:
+def _correlation_p_value(r: float, n: float) -> float:
+    """Two-sided p-value of a correlation r of n effective points."""
     r = min(abs(r), 1.0 - 1e-12)
     return float(2.0 * student.sf(r * math.sqrt((n - 2.0) / (1.0 - r * r)), n - 2.0))
 
 
 def active_spans(residual: ResidualHeating, ratio: FloatArray | None = None) -> list[ActiveSpan]:
-    """Spans in which the history exceeds ACTIVE sigma, the largest first."""
+    """Spans in which the history exceeds ACTIVE_SIGMAS of its sigma, the largest first."""
     t, d = residual.time_s, residual.delta_ratio
-    beyond = residual.fitted & (np.abs(d) > ACTIVE * residual.sigma)
+    beyond = residual.fitted & (np.abs(d) > ACTIVE_SIGMAS * residual.sigma)
     spans: list[list[int]] = []
     for k in np.flatnonzero(beyond):
         if spans and t[k] - t[spans[-1][1]] <= GAP_S and d[k] * d[spans[-1][1]] > 0.0:
@@ -288,9 +304,10 @@ def active_spans(residual: ResidualHeating, ratio: FloatArray | None = None) -> 
         found.append(
             ActiveSpan(max(float(t[first]) - half, float(t[0])), float(t[last]) + half, float(np.mean(d[own])), over)
         )
-    told = [a for a in found if a.end_s - a.start_s >= SHORTEST_S]
-    return _largest(told)[:MOST_SPANS]
+    long_enough = [a for a in found if a.end_s - a.start_s >= MIN_SPAN_S]
+    return _largest(long_enough)[:MAX_SPANS]
 
 
 def _largest(spans: Sequence[ActiveSpan]) -> list[ActiveSpan]:
+    """Spans in the order of their integrals of delta_ratio over time."""
     return sorted(spans, key=lambda a: -abs(a.delta_ratio) * (a.end_s - a.start_s))

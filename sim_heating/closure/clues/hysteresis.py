@@ -1,4 +1,4 @@
-"""Hysteresis: the same angle heated differently on its way out and back.
+"""Hysteresis: different heating at the same angle on its way out and back.
 
 The founding paper: heating at a given angle of attack is the same each time, so that a loop of the residual against the
 variable that a manoeuvre moves is an error of the thermal model (coating thickness, a clock, a lag), not of the heating
@@ -25,22 +25,24 @@ from sim_heating.closure.clues.residual_heating import ResidualHeating
 from sim_heating.estimation.inference.residual_tests import sidak_p_value
 
 ANGLES = ("alpha_deg", "beta_deg", "elevon_deg", "bodyflap_deg")
-MOVED_DEG = 1.0
-"""A manoeuvre takes an angle this far from its median over WINDOW_S."""
+MIN_EXCURSION_DEG = 1.0
+"""Excursion of an angle from its median over WINDOW_S that makes a manoeuvre."""
 WINDOW_S, MARGIN_S = 150.0, 6.0
-FEWEST = 4
+MIN_KNOTS = 4
 """Knots that a loop has at least."""
-SURE, LEAST_FILLED = 0.01, 0.1
-"""A loop is told where chance makes none like it and it is no line."""
+SIGNIFICANCE_LEVEL, MIN_FILLED = 0.01, 0.1
+"""A loop is reported with a p-value below the first and an area, over that of its box, above the second."""
 
 
 @dataclass(frozen=True, eq=False)
 class HysteresisLoop:
-    """One manoeuvre.
+    """The loop of residual heating against an angle over one manoeuvre.
 
-    area, sigma : integral of delta_ratio dv around it, closed by a chord [ratio deg]
-    filled      : the area over that of the box around the loop, -1 to 1
-    z           : of the term in dv/dt;  chance : of that from noise and scatter, all manoeuvres looked at
+    variable       : the angle;  start_s, end_s : of the manoeuvre
+    area, sigma    : integral of delta_ratio dv around it, closed by a chord [deg]
+    filled         : the area over that of the box around the loop, -1 to 1
+    z              : of the term in dv/dt
+    p_value        : of that term from noise and scatter, over all manoeuvres of the record
     """
 
     variable: str
@@ -50,52 +52,55 @@ class HysteresisLoop:
     sigma: float
     filled: float
     z: float
-    chance: float
+    p_value: float
 
     @property
     def significant(self) -> bool:
-        """Whether noise alone does not make such a loop."""
-        return self.chance < SURE and abs(self.filled) > LEAST_FILLED
+        """Whether noise alone is unlikely to make the loop."""
+        return self.p_value < SIGNIFICANCE_LEVEL and abs(self.filled) > MIN_FILLED
 
-    def words(self) -> str:
-        """A line."""
+    def describe(self) -> str:
+        """One line for a person."""
         return (
             f"Hysteresis against {self.variable} from {self.start_s:.0f} to {self.end_s:.0f} s: the loop fills "
-            f"{abs(self.filled):.0%} of its box ({abs(self.z):.1f} sigma). The thermal model, a clock or a lag is in "
-            "error, not the heating table."
+            f"{abs(self.filled):.0%} of its box ({abs(self.z):.1f} sigma). This "
+            "indicates an error of the thermal model, a clock or a lag, not of the heating table."
         )
 
-    def numbers(self) -> dict[str, Any]:
-        """For closure.json."""
+    def as_json(self) -> dict[str, Any]:
+        """Its fields for closure.json."""
         return asdict(self)
 
 
 def hysteresis_loops(residual: ResidualHeating, variables: Mapping[str, FloatArray]) -> list[HysteresisLoop]:
-    """The manoeuvres of a record, in order of time."""
+    """The manoeuvres of a record, in order of time.
+
+    variables : (knot,) flight variables by name, of which the ANGLES are examined
+    """
     t, d, covariance = residual.time_s, residual.delta_ratio, residual.input.covariance
     angles = {n: variables[n] for n in ANGLES if n in variables}
-    spans = [(n, own) for n, v in angles.items() for own in manoeuvres(t, v) if np.all(residual.fitted[own])]
-    found = []
-    for name, own in spans:
+    spans = [(n, knots) for n, v in angles.items() for knots in manoeuvres(t, v) if np.all(residual.fitted[knots])]
+    loops = []
+    for name, knots in spans:
         v = angles[name]
-        row = _around(v, own)
-        area, sigma = float(row @ d), float(np.sqrt(row @ covariance @ row))
-        others = [u[own] for n, u in angles.items() if n != name and np.ptp(u[own]) > 0.5 * MOVED_DEG]
-        z, dof = _rate_term(t[own], v[own], others, d[own], covariance[own, own])
-        box = float(np.ptp(v[own]) * np.ptp(d[own]))
-        one = float(2.0 * student.sf(abs(z), dof)) if dof > 0 else 1.0
-        several = sidak_p_value(one, len(spans))
-        begin, end = float(t[own][0]), float(t[own][-1])
-        found.append(HysteresisLoop(name, begin, end, area, sigma, area / box if box > 0.0 else 0.0, z, several))
-    return sorted(found, key=lambda loop: loop.start_s)
+        weights = _area_weights(v, knots)
+        area, sigma = float(weights @ d), float(np.sqrt(weights @ covariance @ weights))
+        others = [u[knots] for n, u in angles.items() if n != name and np.ptp(u[knots]) > 0.5 * MIN_EXCURSION_DEG]
+        z, dof = _rate_term(t[knots], v[knots], others, d[knots], covariance[knots, knots])
+        box = float(np.ptp(v[knots]) * np.ptp(d[knots]))
+        single = float(2.0 * student.sf(abs(z), dof)) if dof > 0 else 1.0
+        corrected = sidak_p_value(single, len(spans))
+        begin, end = float(t[knots][0]), float(t[knots][-1])
+        loops.append(HysteresisLoop(name, begin, end, area, sigma, area / box if box > 0.0 else 0.0, z, corrected))
+    return sorted(loops, key=lambda loop: loop.start_s)
 
 
 def _rate_term(
     time_s: FloatArray, v: FloatArray, others: Sequence[FloatArray], d: FloatArray, covariance: FloatArray
 ) -> tuple[float, int]:
-    """t of the term in dv/dt and its degrees of freedom, 0 where there are too few knots."""
-    own = [np.ones_like(v), v - np.mean(v), (v - np.mean(v)) ** 2, *(u - np.mean(u) for u in others)]
-    X = np.column_stack([*own, np.gradient(v, time_s)])
+    """Student's t of the term in dv/dt, and its degrees of freedom: 0 where there are too few knots."""
+    columns = [np.ones_like(v), v - np.mean(v), (v - np.mean(v)) ** 2, *(u - np.mean(u) for u in others)]
+    X = np.column_stack([*columns, np.gradient(v, time_s)])
     dof = len(d) - X.shape[1]
     if dof < 1:
         return 0.0, 0
@@ -108,22 +113,22 @@ def _rate_term(
 
 
 def manoeuvres(time_s: FloatArray, v: FloatArray) -> list[slice]:
-    """Knots of each excursion of a variable and back."""
+    """Knots of each excursion of a variable from its median and back."""
     spacing = float(np.median(np.diff(time_s)))
-    away = np.abs(v - median_filter(v, 2 * int(0.5 * WINDOW_S / spacing) + 1, mode="nearest")) > MOVED_DEG
+    displaced = np.abs(v - median_filter(v, 2 * int(0.5 * WINDOW_S / spacing) + 1, mode="nearest")) > MIN_EXCURSION_DEG
     spans: list[list[int]] = []
-    for k in np.flatnonzero(away):
+    for k in np.flatnonzero(displaced):
         if spans and time_s[k] - time_s[spans[-1][1]] <= 2.0 * MARGIN_S:
             spans[-1][1] = int(k)
         else:
             spans.append([int(k), int(k)])
-    wider = int(np.ceil(MARGIN_S / spacing))
-    found = [slice(max(a - wider, 0), min(b + wider, len(v) - 1) + 1) for a, b in spans]
-    return [s for s in found if s.stop - s.start >= FEWEST and time_s[s.stop - 1] - time_s[s.start] <= WINDOW_S]
+    margin = int(np.ceil(MARGIN_S / spacing))
+    found = [slice(max(a - margin, 0), min(b + margin, len(v) - 1) + 1) for a, b in spans]
+    return [s for s in found if s.stop - s.start >= MIN_KNOTS and time_s[s.stop - 1] - time_s[s.start] <= WINDOW_S]
 
 
-def _around(v: FloatArray, own: slice) -> FloatArray:
-    """(knot,) of which the product with delta_ratio is the area, the loop closed by a chord."""
+def _area_weights(v: FloatArray, own: slice) -> FloatArray:
+    """(knot,) weights whose product with delta_ratio is the area of the loop, closed by a chord."""
     row = np.zeros(len(v))
     closed = np.append(v[own], v[own][0])
     step = np.diff(closed)

@@ -1,8 +1,8 @@
-"""What a fit leaves, as the heating that would explain it, and what no heating explains.
+"""The residual of a fit as the heating that would explain it, and the residual that no heating explains.
 
 The smoother of estimation/filter/heating_input.py on the samples and at the values of a fit: a history delta_ratio(t)
-that, added to the heating ratio, makes the measured samples likely, with its sigma. What the sensors show beyond that
-history is not heating at the surface: conduction, a sensor, a clock.
+that, added to the heating ratio, makes the measured samples likely, with its sigma. A residual of the sensors beyond
+that history is not due to heating at the surface: conduction, a sensor, a clock.
 """
 
 from __future__ import annotations
@@ -32,10 +32,11 @@ NAME = "residual_heating.csv"
 
 @dataclass(frozen=True, eq=False)
 class SensorResidual:
-    """What one sensor shows beyond the model, without and with the best heating history.
+    """Residuals of one sensor, without and with the best heating history.
 
-    time_s, read_K : (sample,) as recorded;  before_K, after_K : (sample,) measured minus indicated
-    floor_K        : its noise floor [K]
+    time_s, read_K     : (sample,) as recorded
+    before_K, after_K  : (sample,) measured minus predicted [K], without and with the history
+    floor_K            : its noise floor [K]
     """
 
     sensor: Sensor
@@ -47,34 +48,34 @@ class SensorResidual:
 
     @property
     def before_rmse_K(self) -> float:
-        """Without the history."""
+        """RMS residual without the history [K]."""
         return float(np.sqrt(np.mean(self.before_K**2)))
 
     @property
     def after_rmse_K(self) -> float:
-        """With it."""
+        """RMS residual with the history [K]."""
         return float(np.sqrt(np.mean(self.after_K**2)))
 
-    def words(self) -> str:
-        """A line."""
+    def describe(self) -> str:
+        """One line for a person."""
         times = self.after_rmse_K / self.floor_K
-        told = (
+        residuals = (
             f"{self.sensor.name}: {self.before_rmse_K:.2f} K, {self.after_rmse_K:.2f} K with the best heating history"
         )
         if times < 1.3:
-            return f"{told}, which is its noise ({self.floor_K:.2f} K)"
-        return f"{told}, {times:.1f} times its noise: that part is no heating at the surface"
+            return f"{residuals}, which is its noise ({self.floor_K:.2f} K)"
+        return f"{residuals}, {times:.1f} times its noise: heating at the surface does not explain that part"
 
 
 @dataclass(frozen=True, eq=False)
 class ResidualHeating:
     """The residual of one record as a heating ratio.
 
-    input    : the history with its sigma, and how the readings answer to it
-    sensors  : what each used sensor shows, without and with it
-    jacobian : (reading, unknown) sensitivities to what the fit has estimated, readings as those of `input`
-    prior_information : (unknown,) 1 / sigma^2 of the fit's priors
-    names    : (unknown,) labels of what the fit has estimated
+    input    : the history with its sigma, and the response of the readings to it
+    sensors  : residuals of each used sensor, without and with it
+    jacobian : (reading, parameter) sensitivities to the fitted parameters, readings in the order of `input`
+    prior_information : (parameter,) 1 / sigma^2 of the fit's priors
+    names    : (parameter,) labels of the fitted parameters
     span_s   : (2,) first and last time that was fitted
     march_s, mesh : (time,) and nodes of `input.temperature_K`
     """
@@ -91,26 +92,26 @@ class ResidualHeating:
 
     @property
     def time_s(self) -> FloatArray:
-        """(knot,) [s]."""
+        """(knot,) times [s]."""
         return self.input.time_s
 
     @property
     def delta_ratio(self) -> FloatArray:
-        """(knot,) what is to be added to the ratio."""
+        """(knot,) missing heating ratio [-], to be added to the model's."""
         return self.input.delta_ratio
 
     @property
     def sigma(self) -> FloatArray:
-        """(knot,) its standard deviation."""
+        """(knot,) standard deviation of delta_ratio [-]."""
         return self.input.sigma
 
     @property
     def fitted(self) -> NDArray[np.bool_]:
-        """(knot,) which lie within the times that were fitted."""
+        """(knot,) whether a knot lies within the times that were fitted."""
         return np.asarray((self.time_s >= self.span_s[0]) & (self.time_s <= self.span_s[1]))
 
-    def numbers(self) -> dict[str, Any]:
-        """For closure.json: size, gain, bandwidth, and what no heating explains."""
+    def as_json(self) -> dict[str, Any]:
+        """Size, gain, bandwidth and sensors for closure.json."""
         here = self.fitted
         return {
             "rms_delta_ratio": float(np.sqrt(np.mean(self.delta_ratio[here] ** 2))),
@@ -135,11 +136,12 @@ class ResidualHeating:
 def residual_heating(
     problem: FitProblem, values: FloatArray, part: int = 0, disturbance: Disturbance | None = None, without: str = ""
 ) -> ResidualHeating:
-    """The heating history that explains what a fit leaves of one of its records.
+    """The heating history that explains the residual of one record of a fit.
 
     problem, values : the fit; its samples are the readings, its values the model
-    disturbance     : noise model of the history; by the largest likelihood, where None
-    without         : name of a sensor that is left out
+    part            : which of the fit's records
+    disturbance     : noise model of the history; None for the likeliest one
+    without         : name of a sensor that is omitted
     raises          : RunError where the model cannot be marched
     """
     own = problem.record_fits[part]
@@ -149,32 +151,32 @@ def residual_heating(
     )
     track = FilterTrack(own.model_at(values), own.mesh, samples, (), own.initial_K(values))
     history = condition_history(own.conditions.at(own.time_s))[np.newaxis]
-    found = unknown_input(track, own.time_s, history, disturbance)
+    smoothed = unknown_input(track, own.time_s, history, disturbance)
     fitted = [s for s in problem.samples(values) if s.record_fit is own and s.channel in channels]
     mean_K = np.concatenate([s.mean_K for s in fitted])
     with_K = np.empty_like(mean_K)
-    with_K[order] = found.read_K
+    with_K[order] = smoothed.read_K
     jacobian = np.concatenate([s.jacobian for s in fitted])[order]
     prior = np.array([p.sigma**-2.0 for p in problem.parameters])
     names = tuple(u.label for u in problem.unknowns)
-    sensors = _split(own, channels, mean_K, with_K)
+    sensors = _sensor_residuals(own, channels, mean_K, with_K)
     span = (float(own.sample_s[0]), float(own.sample_s[-1]))
-    return ResidualHeating(own.record, found, sensors, jacobian, prior, names, span, own.time_s, own.mesh)
+    return ResidualHeating(own.record, smoothed, sensors, jacobian, prior, names, span, own.time_s, own.mesh)
 
 
-def _split(
+def _sensor_residuals(
     part: RecordFit, channels: Sequence[FittedChannel], mean_K: FloatArray, with_K: FloatArray
 ) -> tuple[SensorResidual, ...]:
-    """What channels one after the other show, sensor by sensor."""
+    """Residuals of each channel, out of readings concatenated in the order of the channels."""
     ends = np.cumsum([len(c.samples) for c in channels])[:-1]
-    found = []
+    residuals = []
     for c, before, after in zip(channels, np.split(mean_K, ends), np.split(with_K, ends), strict=True):
         t, floor = part.sample_s[c.samples], c.sensor.noise_floor_K(float(part.sigma_K[c.number]))
         read = part.record.thermocouples[c.sensor.column][np.searchsorted(part.record.time_s, t)]
-        found.append(SensorResidual(c.sensor, t, read, read - before, read - after, floor))
-    return tuple(found)
+        residuals.append(SensorResidual(c.sensor, t, read, read - before, read - after, floor))
+    return tuple(residuals)
 
 
-def write_residual_heating(path: Path, found: ResidualHeating) -> None:
-    """time_s, delta_ratio, sigma."""
-    write_csv(path, {"time_s": found.time_s, "delta_ratio": found.delta_ratio, "sigma": found.sigma})
+def write_residual_heating(path: Path, residual: ResidualHeating) -> None:
+    """Write the history as CSV: time_s, delta_ratio, sigma."""
+    write_csv(path, {"time_s": residual.time_s, "delta_ratio": residual.delta_ratio, "sigma": residual.sigma})

@@ -1,13 +1,13 @@
 """Shapes that a missing heating may have: a variable of the flight, in some form, at some lag; and how well each fits.
 
-A history a f(t) added to the ratio changes the log likelihood of the readings, everything that the fit estimates
-adjusting to it, by
+A history a f(t) added to the ratio changes the log likelihood of the readings, with all fitted parameters adjusted to
+it, by
 
     b a - A a^2 / 2,    A = f' A~ f,  b = f' b~,    A~ = A - C N^-1 C',  b~ = b - C N^-1 g,
 
 A, b information and score of the history (estimation/filter/heating_input.py), N, g those of the fitted parameters, C
-across. The best amplitude is b / A, its gain z^2 / 2 with z = b / sqrt(A), which is N(0, 1) where nothing is missing.
-What looking at many shapes adds to the largest z^2 is simulated: b~ is then N(0, A~).
+the cross information. The best amplitude is b / A, its gain z^2 / 2 with z = b / sqrt(A), which is N(0, 1) where
+nothing is missing. The effect of trying many shapes on the largest z^2 is simulated: b~ is then N(0, A~).
 """
 
 from __future__ import annotations
@@ -24,22 +24,26 @@ from sim_heating.estimation.filter.heating_input import precision
 from sim_heating.estimation.inference.residual_tests import sidak_p_value
 
 LAGS_S = (-20.0, -10.0, -5.0, -2.0, 0.0, 2.0, 5.0, 10.0, 20.0, 40.0)
-"""How much later than its variable a shape is [s]; a thermocouple's clock is rarely off by more."""
+"""Lags of a shape behind its variable [s]; a thermocouple's clock rarely has a larger error."""
 QUANTILES = (0.2, 0.4, 0.6, 0.75, 0.9, 0.97)
-"""Thresholds tried, as parts of the time that a variable is below them."""
+"""Thresholds that are tried, as quantiles of a variable."""
 SHARPNESS = 0.02
 """Width of a step over the range of its variable."""
-MOVES = 1e-6
-"""A variable that moves less, over its size, does not move."""
+MIN_RELATIVE_RANGE = 1e-6
+"""Range over magnitude below which a variable counts as constant."""
 DRAWS = 400
+"""Simulated scores behind the trials factor."""
 TIME = "time_s"
 
 
 @dataclass(frozen=True)
 class Shape:
-    """One history: a form of a variable, `lag_s` behind it.
+    """A form of a flight variable, `lag_s` behind it.
 
-    form : "linear", "square", "magnitude", "above", "step" or "rate";  at : threshold of "above" and "step"
+    variable : its name
+    form     : "linear", "square", "magnitude", "above", "step" or "rate"
+    at       : threshold of "above" and "step", centre of "square"
+    lag_s    : how much later than the variable [s]
     """
 
     variable: str
@@ -47,8 +51,8 @@ class Shape:
     at: float = 0.0
     lag_s: float = 0.0
 
-    def words(self) -> str:
-        """What it is."""
+    def describe(self) -> str:
+        """The shape in words."""
         v = self.variable
         lag = f", {abs(self.lag_s):g} s {'behind' if self.lag_s > 0 else 'ahead of'} it" if self.lag_s else ""
         forms = {
@@ -61,10 +65,12 @@ class Shape:
 
 @dataclass(frozen=True)
 class ShapeFit:
-    """How a history follows a shape.
+    """The fit of a residual heating by one shape.
 
-    amplitude : of the shape at its largest [ratio];  z : over its sigma;  gain : of log likelihood
-    share     : of what the best history of any shape gains
+    amplitude : of the shape at its largest [-, heating ratio]
+    z         : amplitude over its sigma
+    gain      : of log likelihood
+    share     : gain over that of the best history of any shape
     """
 
     shape: Shape
@@ -76,93 +82,111 @@ class ShapeFit:
 
 @dataclass(frozen=True, eq=False)
 class ProfiledInformation:
-    """A~, b~, and the gain of the best history under its noise model."""
+    """Information and score of a heating history with all fitted parameters adjusted to it.
+
+    information : (knot, knot) A~;  score : (knot,) b~
+    best_gain   : of log likelihood, by the best history under its noise model
+    """
 
     information: FloatArray
     score: FloatArray
     best_gain: float
 
-    def weigh(self, shapes: Sequence[Shape], columns: FloatArray) -> list[ShapeFit]:
-        """Each shape (knot, shape), largest gain first."""
+    def fit_shapes(self, shapes: Sequence[Shape], columns: FloatArray) -> list[ShapeFit]:
+        """Every shape fitted by itself, largest gain first; columns : (knot, shape) their histories."""
         power = np.einsum("ij,ij->j", columns, self.information @ columns)
         b = columns.T @ self.score
-        told = power > 1e-12 * float(np.max(power, initial=0.0))
-        z = np.divide(b, np.sqrt(power), out=np.zeros_like(b), where=told)
-        amplitude = np.divide(b, power, out=np.zeros_like(b), where=told)
-        found = [
+        resolved = power > 1e-12 * float(np.max(power, initial=0.0))
+        z = np.divide(b, np.sqrt(power), out=np.zeros_like(b), where=resolved)
+        amplitude = np.divide(b, power, out=np.zeros_like(b), where=resolved)
+        fits = [
             ShapeFit(s, float(a), float(x), 0.5 * float(x) ** 2, self.share(0.5 * float(x) ** 2))
             for s, a, x in zip(shapes, amplitude, z, strict=True)
         ]
-        return sorted(found, key=lambda f: -f.gain)
+        return sorted(fits, key=lambda f: -f.gain)
 
     def share(self, gain: float) -> float:
-        """Part of the best gain; 0 where there is none."""
+        """Part of the best gain; 0 where no history gains anything."""
         return min(gain / self.best_gain, 1.0) if self.best_gain > 1.0 else 0.0
 
 
 def profiled_information(residual: ResidualHeating) -> ProfiledInformation:
-    """Information and score of a history with everything that was fitted adjusting to it."""
-    found, J = residual.input, residual.jacobian
+    """Information and score of the residual heating of a fit, with its parameters adjusted."""
+    history, J = residual.input, residual.jacobian
     if J.shape[1] == 0:
-        A, b = found.information, found.score
+        A, b = history.information, history.score
     else:
-        weighted = found.weight[:, np.newaxis] * J
-        C = found.answer.T @ weighted
+        weighted = history.weight[:, np.newaxis] * J
+        C = history.answer.T @ weighted
         N = J.T @ weighted + np.diag(residual.prior_information)
         s = 1.0 / np.sqrt(np.maximum(np.diag(N), 1e-300))
         inverse = np.linalg.pinv(N * np.outer(s, s), rcond=1e-10, hermitian=True) * np.outer(s, s)
-        A = found.information - C @ inverse @ C.T
-        b = found.score - C @ inverse @ (J.T @ found.slope + C.T @ found.delta_ratio)
-    Q, _ = precision(found.time_s, found.disturbance)
+        A = history.information - C @ inverse @ C.T
+        b = history.score - C @ inverse @ (J.T @ history.slope + C.T @ history.delta_ratio)
+    Q, _ = precision(history.time_s, history.disturbance)
     return ProfiledInformation(A, b, 0.5 * float(b @ np.linalg.solve(A + Q, b)))
 
 
-def trials_factor(weights: ProfiledInformation, columns: FloatArray, seed: int = 0) -> float:
-    """Number of independent looks that give the same largest z^2 on noise alone as all the shapes do."""
-    values, vectors = np.linalg.eigh(weights.information)
+def trials_factor(profiled: ProfiledInformation, columns: FloatArray, seed: int = 0) -> float:
+    """Number of independent trials that give the same largest z^2 from noise alone as all the shapes do.
+
+    columns : (knot, shape) histories;  seed : of the simulated scores
+    """
+    values, vectors = np.linalg.eigh(profiled.information)
     draws = (vectors * np.sqrt(np.maximum(values, 0.0))) @ np.random.default_rng(seed).normal(size=(len(values), DRAWS))
-    power = np.einsum("ij,ij->j", columns, weights.information @ columns)
-    told = power > 1e-12 * float(np.max(power, initial=0.0))
-    if not np.any(told):
+    power = np.einsum("ij,ij->j", columns, profiled.information @ columns)
+    resolved = power > 1e-12 * float(np.max(power, initial=0.0))
+    if not np.any(resolved):
         return 1.0
-    z2 = (columns[:, told].T @ draws) ** 2 / power[told, np.newaxis]
-    middle = float(np.median(np.max(z2, axis=0)))
-    return max(float(np.log(0.5) / np.log(chi2.cdf(middle, 1))), 1.0)
+    z2 = (columns[:, resolved].T @ draws) ** 2 / power[resolved, np.newaxis]
+    median = float(np.median(np.max(z2, axis=0)))
+    return max(float(np.log(0.5) / np.log(chi2.cdf(median, 1))), 1.0)
 
 
-def p_value(z: float, independent_looks: float) -> float:
-    """Probability of a |z| as large from noise alone in so many looks."""
-    one = float(chi2.sf(z * z, 1))
-    return sidak_p_value(one, independent_looks)
+def p_value(z: float, trials: float) -> float:
+    """Probability of a |z| as large from noise alone in a number of independent trials."""
+    single = float(chi2.sf(z * z, 1))
+    return sidak_p_value(single, trials)
 
 
 def candidate_shapes(time_s: FloatArray, variables: Mapping[str, FloatArray]) -> tuple[list[Shape], FloatArray]:
-    """All shapes of the variables that move, and their histories (knot, shape), each of largest magnitude 1."""
-    found: list[Shape] = []
+    """All shapes of the variables that are not constant.
+
+    returns : shapes, and their histories (knot, shape), each of largest magnitude 1
+    """
+    shapes: list[Shape] = []
     columns: list[FloatArray] = []
     for name, v in variables.items():
-        if np.ptp(v) <= MOVES * max(float(np.max(np.abs(v))), 1e-300):
+        if np.ptp(v) <= MIN_RELATIVE_RANGE * max(float(np.max(np.abs(v))), 1e-300):
             continue
         for form, at in _forms(name, v):
             for lag in (0.0,) if name == TIME else LAGS_S:
                 values = _values(time_s, np.interp(time_s - lag, time_s, v), form, at)
                 size = float(np.max(np.abs(values - np.mean(values))))
                 if size > 0.0:
-                    found.append(Shape(name, form, at, lag))
+                    shapes.append(Shape(name, form, at, lag))
                     columns.append((values - np.mean(values)) / size)
-    return found, np.array(columns).T.reshape(len(time_s), len(found))
+    return shapes, np.array(columns).T.reshape(len(time_s), len(shapes))
 
 
 def _forms(name: str, v: FloatArray) -> list[tuple[str, float]]:
-    ends = [float(q) for q in np.unique(np.quantile(v, QUANTILES)) if np.min(v) < q < np.max(v)]
-    steps = [("step", at) for at in ends]
+    """Forms of a variable, each with its threshold or centre."""
+    thresholds = [float(q) for q in np.unique(np.quantile(v, QUANTILES)) if np.min(v) < q < np.max(v)]
+    steps = [("step", at) for at in thresholds]
     if name == TIME:
         return [("linear", 0.0), *(("step", float(q)) for q in np.quantile(v, np.linspace(0.04, 0.96, 24)))]
-    forms = [("linear", 0.0), ("square", float(np.mean(v))), ("rate", 0.0), *(("above", at) for at in ends), *steps]
+    forms = [
+        ("linear", 0.0),
+        ("square", float(np.mean(v))),
+        ("rate", 0.0),
+        *(("above", at) for at in thresholds),
+        *steps,
+    ]
     return [*forms, ("magnitude", 0.0)] if np.min(v) < 0.0 < np.max(v) else forms
 
 
 def _values(time_s: FloatArray, v: FloatArray, form: str, at: float) -> FloatArray:
+    """(knot,) a form of a variable."""
     if form == "square":
         return (v - at) ** 2
     if form == "magnitude":

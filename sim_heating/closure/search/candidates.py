@@ -1,7 +1,7 @@
-"""What is tried where the declared model does not explain a record: every effect that the record could tell of.
+"""Candidates of the search: every effect that the record could identify, with the values to start from.
 
-A candidate is an effect with a set of parameters to be estimated and the values to start from. Effects of clocks and
-sensors have no place in the march: their parameters are those of the record.
+A candidate is an effect with a set of parameters to be estimated. Effects of clocks and sensors do not enter the march:
+their parameters are those of the record.
 """
 
 from __future__ import annotations
@@ -19,44 +19,44 @@ from sim_heating.heating.effects import Effect, EffectUse, SearchStart, effects,
 from sim_heating.inputs.record import Record
 
 SENSOR_EFFECT = "sensor-bias"
-"""What a closure report calls thermocouples that are off."""
+"""Name in a closure report of a wrong bias or gain of a thermocouple."""
 CONSTANT = 1e-3
 """Standard deviation below which a flight condition other than the ratio variables counts as constant, in its unit."""
 
 
 class Form(NamedTuple):
-    """What is estimated, and the values of what is not."""
+    """The estimated parameters of a candidate, and the values of the others."""
 
     names: frozenset[str]
     fixed: frozenset[tuple[str, float]]
 
-    def within(self, other: Form) -> bool:
-        """Whether the other estimates all that this one does, and more that has one value here."""
+    def is_special_case_of(self, other: Form) -> bool:
+        """Whether the other estimates all parameters that this one does, and more that are fixed here."""
         return self.names < other.names and other.fixed <= self.fixed
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One thing to try.
+    """One effect at one start, to be fitted on top of a model.
 
-    name  : of the effect, as a closure report has it
-    uses  : the effects that the march carries for it, with the values that it starts from
-    names : dotted names of what is estimated on top of what is estimated already
-    start : their values to begin with
-    felt  : those that change anything there
-    prior : those whose prior says how likely a value is; what is sought from several starts is left out
+    name       : of the effect, as a closure report has it
+    uses       : the effects that the march includes for it, with the values that it starts from
+    names      : dotted names of the parameters that are estimated in addition to the model's
+    start      : their values to start from
+    active     : those that change the prediction at the start
+    with_prior : those whose prior counts in the score; a parameter that is started from several values has none
     """
 
     name: str
     uses: tuple[EffectUse, ...]
     names: tuple[str, ...]
     start: Mapping[str, float]
-    felt: tuple[str, ...]
-    prior: tuple[str, ...]
+    active: tuple[str, ...]
+    with_prior: tuple[str, ...]
 
     @property
     def form(self) -> Form:
-        """Candidates of one form differ in where they start."""
+        """The form; candidates of one form differ in where they start."""
         values = {
             f"{EFFECT_PREFIX}{used.effect.name}.{p.name}": value
             for used in self.uses
@@ -66,17 +66,18 @@ class Candidate:
 
 
 def candidates(record: Record, flown: Conditions, taken: Sequence[str] = ()) -> list[Candidate]:
-    """All candidates for a record, without the effects that are in the model already.
+    """All candidates for a record, without the effects that are already in the model.
 
     flown : its conditions over the samples that are fitted
+    taken : names of the effects in the model
     """
     lag_taken = any(effects()[name].lags for name in taken if name in effects())
     found = []
     for name, effect in effects().items():
         if name not in taken and not (effect.lags and lag_taken) and all(_varies(v, flown) for v in effect.needs):
-            found += _of_effect(effect, record, flown)
+            found += _effect_candidates(effect, record, flown)
     if SENSOR_EFFECT not in taken:
-        found += _of_sensors(record)
+        found += _sensor_candidates(record)
     return found
 
 
@@ -85,51 +86,54 @@ def _varies(variable: str, flown: Conditions) -> bool:
     return variable in flown and bool(np.std(flown[variable]) > CONSTANT_BELOW.get(variable, CONSTANT))
 
 
-def _of_effect(effect: Effect, record: Record, flown: Conditions) -> list[Candidate]:
+def _effect_candidates(effect: Effect, record: Record, flown: Conditions) -> list[Candidate]:
+    """The candidates of one effect, without those of parameters that the record cannot identify."""
     if effect.acts_on_clock:
         names = (CLOCK_SKEW.name,)
-        return [Candidate(effect.name, (), names, {}, felt=names, prior=names)]
-    tries = effect.starts_for(flown)
-    sought = _sought(tries)
+        return [Candidate(effect.name, (), names, {}, active=names, with_prior=names)]
+    starts = effect.starts_for(flown)
+    searched = _searched_parameters(starts)
     return [
-        _of_try(effect, one, sought)
-        for one in tries
-        if not constant_variables([place for name in one.names for place in _places(effect, name)], [record])
+        _candidate_at(effect, start, searched)
+        for start in starts
+        if not constant_variables([place for name in start.names for place in _places(effect, name)], [record])
     ]
 
 
 def _places(effect: Effect, name: str) -> tuple[str, ...]:
-    """The model's parameters that a parameter of an effect stands for."""
+    """Dotted names of the model parameters behind a parameter of an effect."""
     return tuple(p for p, own in zip(effect.model_parameters, effect.parameters, strict=False) if own.name == name)
 
 
-def _sought(tries: Sequence[SearchStart]) -> frozenset[str]:
-    """Parameters that tries begin at several values of."""
-    begun: dict[str, set[float]] = {}
-    for one in tries:
-        for name in set(one.names) & set(one.values):
-            begun.setdefault(name, set()).add(one.values[name])
-    return frozenset(name for name, values in begun.items() if len(values) > 1)
+def _searched_parameters(starts: Sequence[SearchStart]) -> frozenset[str]:
+    """Parameters with several start values."""
+    values: dict[str, set[float]] = {}
+    for start in starts:
+        for name in set(start.names) & set(start.values):
+            values.setdefault(name, set()).add(start.values[name])
+    return frozenset(name for name, several in values.items() if len(several) > 1)
 
 
-def _of_try(effect: Effect, one: SearchStart, sought: Collection[str]) -> Candidate:
+def _candidate_at(effect: Effect, start: SearchStart, searched: Collection[str]) -> Candidate:
+    """The candidate of an effect at one start, its values within their bounds."""
     limits = {p.name: (p.lower, p.upper) for p in effect.parameters}
     used = use(
-        effect.name, {name: min(max(value, limits[name][0]), limits[name][1]) for name, value in one.values.items()}
+        effect.name, {name: min(max(value, limits[name][0]), limits[name][1]) for name, value in start.values.items()}
     )
     values = dict(zip((p.name for p in effect.parameters), used.values, strict=True))
-    first = {f"{EFFECT_PREFIX}{effect.name}.{p}": values[p] for p in one.names}
-    prior = tuple(f"{EFFECT_PREFIX}{effect.name}.{p}" for p in one.names if p not in sought)
-    felt = tuple(f"{EFFECT_PREFIX}{effect.name}.{p}" for p in effect.active_parameters(one.names, values))
-    return Candidate(effect.name, (used,), tuple(first), first, felt, prior)
+    prefix = f"{EFFECT_PREFIX}{effect.name}."
+    first = {f"{prefix}{p}": values[p] for p in start.names}
+    with_prior = tuple(f"{prefix}{p}" for p in start.names if p not in searched)
+    active = tuple(f"{prefix}{p}" for p in effect.active_parameters(start.names, values))
+    return Candidate(effect.name, (used,), tuple(first), first, active, with_prior)
 
 
-def _of_sensors(record: Record) -> list[Candidate]:
-    """Bias, gain, or both, of each sensor that is used, where there are two at least: of a single one neither is told
-    from heating."""
+def _sensor_candidates(record: Record) -> list[Candidate]:
+    """Bias, gain, or both, of each used sensor; none for a single one, whose errors resemble heating."""
     found = []
     for sensor in record.used_sensors if len(record.used_sensors) > 1 else []:
-        for wrong in (("bias",), ("gain",), ("bias", "gain")):
-            start = {f"{SENSOR_PREFIX}{sensor.name}.{what}": SENSOR[what].value for what in wrong}
-            found.append(Candidate(SENSOR_EFFECT, (), tuple(start), start, felt=tuple(start), prior=tuple(start)))
+        for errors in (("bias",), ("gain",), ("bias", "gain")):
+            start = {f"{SENSOR_PREFIX}{sensor.name}.{error}": SENSOR[error].value for error in errors}
+            names = tuple(start)
+            found.append(Candidate(SENSOR_EFFECT, (), names, start, active=names, with_prior=names))
     return found

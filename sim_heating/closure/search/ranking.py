@@ -1,15 +1,15 @@
-"""Candidates weighed against each other by what their freedom would gain from noise alone.
+"""Candidates ranked by the Bayesian information criterion.
 
     BIC = -2 log L / c + k log n,
 
-k parameters estimated from n samples. c is the mean square of the best model's normalised residuals, at least 1: what
-even the best model leaves is the scale on which differences count (quasi-likelihood; Burnham & Anderson, Model
-Selection and Multimodel Inference, 2nd ed., sec. 2.5). To that are added
+k parameters estimated from n samples. c is the reduced chi-square of the best model, at least 1: what even the best
+model leaves is the scale on which differences count (quasi-likelihood; Burnham & Anderson, Model Selection and
+Multimodel Inference, 2nd ed., sec. 2.5). The score adds
 
-- two for the logarithm of the number of forms of an effect, and the squares of sigmas by which magnitudes are off what
-  is declared as likely: neither many forms nor a value that nobody would expect come for nothing;
-- -2 log L / c of the segments held out, at the values found without them; c is what the best model leaves there: how
-  far forms reach beyond what they were fitted to.
+- two for the logarithm of the number of forms of an effect, and the squares of the sigmas by which magnitudes are off
+  their priors: many forms, and values that nobody would expect, have their price;
+- -2 log L / c of the segments held out, at the values found without them, with the c of the best model there: how well
+  a form extends beyond the data that it was fitted to.
 """
 
 from __future__ import annotations
@@ -26,78 +26,85 @@ from sim_heating.estimation.inference.newton import Fit
 from sim_heating.estimation.record_fit import sensor_definition
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SearchRound:
     """One pass over all candidates on top of a model.
 
-    base, excess : that model, and its excess
-    attempts     : the best attempt of each effect, best first
-    posterior    : the probability of each with equal prior ones, `none` included
-    passed       : effects not worth a fit, and the delta_bic that their best start promised
+    base, excess_chi2 : that model, and its reduced chi-square less one
+    trials            : the best trial fit of each effect, best first
+    posterior         : the probability of each with equal prior ones, `none` included
+    screened_out      : effects that were not fitted, with the BIC difference that their best start predicts
     """
 
     base: TrialFit
-    excess: float
-    attempts: tuple[TrialFit, ...]
+    excess_chi2: float
+    trials: tuple[TrialFit, ...]
     posterior: Mapping[str, float]
-    passed: Mapping[str, float]
+    screened_out: Mapping[str, float]
+
+    def __repr__(self) -> str:
+        best = ", ".join(f"{t.name} {t.score:+.1f}" for t in self.trials[:3])
+        return f"<SearchRound: excess chi2 {self.excess_chi2:.3g}; {best or 'no candidate fitted'}>"
 
 
 def score_round(
-    base: TrialFit, attempts: Sequence[TrialFit], passed: Mapping[str, float], forms: Mapping[str, int]
+    base: TrialFit, trials: Sequence[TrialFit], screened_out: Mapping[str, float], forms: Mapping[str, int]
 ) -> SearchRound:
-    """The round; `forms` says how many forms of each effect were tried, which share its prior probability."""
-    excess = base.excess
-    if not attempts:
-        return SearchRound(base, excess, (), {"none": 1.0}, passed)
-    best = min(attempts, key=lambda a: a.delta_bic)
-    c = max(1.0, 1.0 + min(excess, best.excess))
-    held_out, c_held_out = base.likelihood_held_out, max(1.0, best.square_held_out)
-    against = {
-        a.name: delta_bic(base, a.fit, a.candidate, c)
-        - 2.0 * (a.likelihood_held_out - held_out) / c_held_out
-        + 2.0 * float(np.log(forms[a.name]))
-        + prior_penalty(a)
-        for a in attempts
+    """Score the trial fits of a round against each other.
+
+    base         : the model that they are on top of
+    screened_out : predicted BIC difference of effects that were not fitted
+    forms        : number of forms of each effect that were tried, which share its prior probability
+    """
+    excess = base.excess_chi2
+    if not trials:
+        return SearchRound(base, excess, (), {"none": 1.0}, screened_out)
+    best = min(trials, key=lambda t: t.delta_bic)
+    c = max(1.0, 1.0 + min(excess, best.excess_chi2))
+    held_out, c_held_out = base.held_out_log_likelihood, max(1.0, best.held_out_chi2)
+    scores = {
+        t.name: delta_bic(base, t.fit, t.candidate, c)
+        - 2.0 * (t.held_out_log_likelihood - held_out) / c_held_out
+        + 2.0 * float(np.log(forms[t.name]))
+        + prior_penalty(t)
+        for t in trials
     }
-    posterior = posteriors({"none": 0.0, **against})
-    told = [replace(a, weighed=against[a.name], posterior=posterior[a.name]) for a in attempts]
-    return SearchRound(base, excess, tuple(sorted(told, key=lambda a: a.weighed)), posterior, passed)
+    posterior = posteriors({"none": 0.0, **scores})
+    scored = [replace(t, score=scores[t.name], posterior=posterior[t.name]) for t in trials]
+    return SearchRound(base, excess, tuple(sorted(scored, key=lambda t: t.score)), posterior, screened_out)
 
 
-def model_bic(attempt: TrialFit, best: TrialFit) -> float:
-    """BIC of a whole model, its residuals on the scale of those of the best one, segments held out with theirs."""
-    c, parameters = max(1.0, 1.0 + best.excess), len(attempt.problem.unknowns)
-    held_out = attempt.likelihood_held_out / max(1.0, best.square_held_out)
-    return -2.0 * (attempt.fit.log_likelihood / c + held_out) + parameters * float(
-        np.log(sample_count(attempt.problem))
-    )
+def model_bic(trial: TrialFit, best: TrialFit) -> float:
+    """BIC of a whole model with the segments held out, residuals on the scale of those of the best model."""
+    c, parameters = max(1.0, 1.0 + best.excess_chi2), len(trial.problem.unknowns)
+    held_out = trial.held_out_log_likelihood / max(1.0, best.held_out_chi2)
+    return -2.0 * (trial.fit.log_likelihood / c + held_out) + parameters * float(np.log(sample_count(trial.problem)))
 
 
 def delta_bic(base: TrialFit, fit: Fit, candidate: Candidate, c: float) -> float:
-    """BIC of a fit minus that of the model it is on top of."""
+    """BIC of a fit minus that of the model it is on top of; c is the scale of the residuals."""
     gained = fit.log_likelihood - base.fit.log_likelihood
     return float(-2.0 * gained / c + len(candidate.names) * np.log(sample_count(base.problem)))
 
 
 def posteriors(delta_bic: Mapping[str, float]) -> dict[str, float]:
     """Probability of each candidate with equal prior ones, exp(-BIC / 2) over their sum."""
-    least = min(delta_bic.values())
-    weight = {name: math.exp(-0.5 * (delta - least)) for name, delta in delta_bic.items()}
+    lowest = min(delta_bic.values())
+    weight = {name: math.exp(-0.5 * (delta - lowest)) for name, delta in delta_bic.items()}
     total = sum(weight.values())
     return {name: w / total for name, w in weight.items()}
 
 
-def prior_penalty(attempt: TrialFit) -> float:
-    """By how much priors speak against the values found: the sum of squares of sigmas from what is declared."""
-    part, found = attempt.problem.record_fits[0], fitted_values(attempt)
-    known = {n: sensor_definition(part.record, n) or part.model.definition(n) for n in attempt.candidate.prior}
-    return float(sum(((found[n] - p.value) / p.sigma) ** 2 for n, p in known.items()))
+def prior_penalty(trial: TrialFit) -> float:
+    """Sum of the squares of the sigmas by which the estimates are off their priors."""
+    part, found = trial.problem.record_fits[0], fitted_values(trial)
+    priors = {n: sensor_definition(part.record, n) or part.model.definition(n) for n in trial.candidate.with_prior}
+    return float(sum(((found[n] - p.value) / p.sigma) ** 2 for n, p in priors.items()))
 
 
 def count_forms(tried: Sequence[Candidate]) -> dict[str, int]:
-    """How many forms of each effect there are, without those that are another one at one value of what it estimates."""
+    """Number of forms of each effect, without those that are special cases of another."""
     forms: dict[str, set[Form]] = {}
     for c in tried:
         forms.setdefault(c.name, set()).add(c.form)
-    return {name: sum(not any(f.within(g) for g in those) for f in those) for name, those in forms.items()}
+    return {name: sum(not any(f.is_special_case_of(g) for g in those) for f in those) for name, those in forms.items()}

@@ -1,7 +1,7 @@
-"""Which candidates are fitted on top of a model, and how far.
+"""Screening of candidates: which are fitted on top of a model, and how far.
 
-Candidates begin where they have no effect yet. There the gain of a candidate is known from its sensitivities alone;
-the best starts of each are then fitted, LANES of them side by side, those that fall behind for some steps only.
+Candidates start where they have no effect yet. There the gain of a candidate follows from its sensitivities alone; the
+best starts of each are then fitted side by side, and those that fall behind are stopped after some steps.
 """
 
 from __future__ import annotations
@@ -22,121 +22,131 @@ from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import PredictedSamples
 from sim_heating.estimation.side_by_side import JointMarch, maximise_together
 
-STARTS_FITTED = 2
-"""Starts of a set of parameters that are fitted, the most promising ones."""
-NEAR = 0.5
-"""Part of the best promise from which on several starts of a candidate are fitted."""
-BEHIND = 0.25
-"""Part of the best promise below which a candidate is not fitted."""
-WORTH = 5.0
-"""By how much a promised gain in log likelihood may fall short of what its parameters cost."""
+MAX_STARTS = 2
+"""Starts of one form that are fitted, the most promising ones."""
+SECOND_START_SHARE = 0.5
+"""Part of the best predicted gain from which on several starts of a form are fitted."""
+MIN_GAIN_SHARE = 0.25
+"""Part of the best predicted gain below which a candidate is not fitted."""
+GAIN_MARGIN = 5.0
+"""By how much a predicted gain in log likelihood may fall short of the cost of its parameters."""
 STAGES = (
     (0.0, replace(QUICK, iterations=4)), (0.9, replace(QUICK, iterations=8)), (0.5, replace(QUICK, iterations=8)),
     (0.8, QUICK),
 )  # fmt: skip
-"""Part of the best gain that a candidate has to have reached to be fitted further, and how far."""
-PATIENCE = 0.8
-"""Part of the best gain from which on what a candidate promised at first keeps it in the second stage."""
-HOPE = 3.0
-"""Steps like the next one that keep a candidate, if their promises would make it the best; one in the last stage."""
-CLOSE = 5.0
-"""By how much its log likelihood may stay behind the best where it is fitted to the end."""
+"""Part of the best gain that a candidate has to have reached to enter the stage, and the settings of the stage."""
+PREDICTED_SHARE = 0.8
+"""A candidate also enters the second stage with a gain, predicted at its start, of this part of the best."""
+STEPS_AHEAD = 3.0
+"""A candidate also goes on where this many steps like its next one would make it the best; one in the last stage."""
+LIKELIHOOD_MARGIN = 5.0
+"""By how much the log likelihood of a candidate that is fitted to the end may stay below the best."""
 
 
-def predicted_gains(base: TrialFit, tried: Sequence[Candidate]) -> list[float]:
-    """Gain in log likelihood that the linearisation of each candidate at its start promises, the base's parameters
-    moving with it; minus infinity where the model cannot be marched there.
+def predicted_gains(base: TrialFit, candidates: Sequence[Candidate]) -> list[float]:
+    """Gain in log likelihood that a linearisation at each candidate's start predicts, the base's parameters adjusted.
 
-    The base's own sensitivities hold for all: a candidate begins without any effect, or little.
+    returns : minus infinity where the model cannot be marched at the start
+
+    The base's own sensitivities are used for all of them, since a candidate has no or little effect at its start.
     """
     part, start = base.problem.record_fits[0], fitted_values(base)
     fixed = {n: start[n] for n in part.march_names if not n.startswith(EFFECT_PREFIX)}
     problems = [
-        candidate_problem(base, part, c, tuple(dict.fromkeys((*part.sensor_names, *c.felt))), fixed=fixed)
-        for c in tried
+        candidate_problem(base, part, c, tuple(dict.fromkeys((*part.sensor_names, *c.active))), fixed=fixed)
+        for c in candidates
     ]
-    firsts = [start_values(p, {**start, **c.start}) for p, c in zip(problems, tried, strict=True)]
+    firsts = [start_values(p, {**start, **c.start}) for p, c in zip(problems, candidates, strict=True)]
     known = np.concatenate([s.sensitivity for s in base.problem.samples(base.fit.values)])
     inner = known[:, [k for k, n in enumerate(part.names) if n not in part.sensor_names]]
-    marched, scored = JointMarch(problems).march(firsts), _Scored()
+    marched, scored = JointMarch(problems).march(firsts), _ScoreCache()
     return [
-        _promise(problem, first, inner, scored) - base.fit.log_likelihood if done else -np.inf
+        _predicted_likelihood(problem, first, inner, scored) - base.fit.log_likelihood if done else -np.inf
         for problem, first, done in zip(problems, firsts, marched, strict=True)
     ]
 
 
-class _Scored(dict[tuple[int, bytes], tuple[float, FloatArray, FloatArray]]):
-    """likelihood.scores of channels, each prediction scored once: before they act, many candidates predict the same."""
+class _ScoreCache(dict[tuple[int, bytes], tuple[float, FloatArray, FloatArray]]):
+    """Scores of channels, each prediction scored once: at their starts, many candidates predict the same."""
 
-    def of(self, s: PredictedSamples) -> tuple[float, FloatArray, FloatArray]:
-        """Those of one channel."""
+    def score(self, s: PredictedSamples) -> tuple[float, FloatArray, FloatArray]:
+        """Log likelihood, score and weight of one channel."""
         key = s.channel.number, s.mean_K.tobytes()
         if key not in self:
             self[key] = scores(s.channel.intervals, s.mean_K, s.sigma_K)
         return self[key]
 
 
-def _promise(problem: FitProblem, first: FloatArray, known: FloatArray, scored: _Scored) -> float:
-    """Log likelihood that a Gauss-Newton step promises; `known` (sample, parameter): the base's sensitivities."""
-    everything = problem.samples(first)
-    found = [scored.of(s) for s in everything]
-    score, weight = np.concatenate([f[1] for f in found]), np.concatenate([f[2] for f in found])
-    own = np.concatenate([s.sensitivity for s in everything])
+def _predicted_likelihood(problem: FitProblem, first: FloatArray, known: FloatArray, scored: _ScoreCache) -> float:
+    """Log likelihood after a Gauss-Newton step; known : (sample, parameter) sensitivities of the base."""
+    channels = problem.samples(first)
+    channel_scores = [scored.score(s) for s in channels]
+    score, weight = np.concatenate([f[1] for f in channel_scores]), np.concatenate([f[2] for f in channel_scores])
+    own = np.concatenate([s.sensitivity for s in channels])
     gradient, information = score @ own, weight @ own**2
     lower = np.array([p.lower for p in problem.parameters])
     upper = np.array([p.upper for p in problem.parameters])
-    held = ((first <= lower) & (gradient <= 0.0)) | ((first >= upper) & (gradient >= 0.0))
-    J = np.column_stack([known, own[:, ~held & (information > 0.0)]])
+    on_bound = ((first <= lower) & (gradient <= 0.0)) | ((first >= upper) & (gradient >= 0.0))
+    J = np.column_stack([known, own[:, ~on_bound & (information > 0.0)]])
     M = J.T @ (J * weight[:, np.newaxis])
-    return sum(f[0] for f in found) + predicted_gain(J.T @ score, covariance(M))
+    return sum(f[0] for f in channel_scores) + predicted_gain(J.T @ score, covariance(M))
 
 
-def select_candidates(tried: Sequence[Candidate], gains: Sequence[float], n: int) -> list[int]:
-    """Which candidates are fitted: the most promising starts of each form, but none that promises much less than the
-    best, or too little to be worth its parameters."""
-    most = max(gains, default=0.0)
+def select_candidates(candidates: Sequence[Candidate], gains: Sequence[float], n: int) -> list[int]:
+    """Indices of the candidates that are fitted: the most promising starts of each form.
+
+    Left out are candidates that predict much less gain than the best, or less than their parameters cost.
+    gains : predicted gain of each;  n : number of samples
+    """
+    best = max(gains, default=0.0)
     count: dict[Form, int] = {}
-    chosen = []
-    for i in sorted(range(len(tried)), key=lambda i: -gains[i]):
-        form = tried[i].form
-        allowed = STARTS_FITTED if gains[i] > NEAR * most else 1
-        worth = gains[i] > max(BEHIND * most, 0.5 * np.log(n) * len(tried[i].names) - WORTH)
-        if worth and count.get(form, 0) < allowed:
+    selected = []
+    for i in sorted(range(len(candidates)), key=lambda i: -gains[i]):
+        form = candidates[i].form
+        allowed = MAX_STARTS if gains[i] > SECOND_START_SHARE * best else 1
+        promising = gains[i] > max(MIN_GAIN_SHARE * best, 0.5 * np.log(n) * len(candidates[i].names) - GAIN_MARGIN)
+        if promising and count.get(form, 0) < allowed:
             count[form] = count.get(form, 0) + 1
-            chosen.append(i)
-    return chosen
+            selected.append(i)
+    return selected
 
 
 def fit_in_stages(
-    problems: Sequence[FitProblem], firsts: Sequence[FloatArray], reached: float, promised: Sequence[float]
+    problems: Sequence[FitProblem], firsts: Sequence[FloatArray], base: float, predicted: Sequence[float]
 ) -> list[Fit]:
-    """Fit all a little way, those that came near the best gain over `reached` further, or promised as much, and the
-    best to the end, but for those that are not going to reach the best."""
+    """Fit all candidates a few steps, the promising ones further, and to the end those that can still be the best.
+
+    firsts    : (parameter,) values that each starts from
+    base      : log likelihood of the model without them
+    predicted : gain in log likelihood of each, predicted at its start
+    """
     fits = maximise_together(problems, firsts, STAGES[0][1])
-    history = [_gains(fits, reached)]
-    for stage, (within, settings) in enumerate(STAGES[1:], start=1):
-        best = float(np.max(history[-1], initial=0.0))
-        near, step = history[-1] >= within * best, np.array([f.predicted_gain for f in fits])
+    history = [_gains(fits, base)]
+    for stage, (share, settings) in enumerate(STAGES[1:], start=1):
+        gains, next_step = history[-1], np.array([f.predicted_gain for f in fits])
+        best = float(np.max(gains, initial=0.0))
+        goes_on = gains >= share * best
         if stage == 1:
-            near |= (np.array(promised) >= PATIENCE * best) | (history[-1] + HOPE * step >= best)
+            goes_on |= (np.array(predicted) >= PREDICTED_SHARE * best) | (gains + STEPS_AHEAD * next_step >= best)
         elif stage == 2:
-            near &= history[-1] + HOPE * step >= best - CLOSE
+            goes_on &= gains + STEPS_AHEAD * next_step >= best - LIKELIHOOD_MARGIN
         else:
-            near &= np.minimum(_hoped(history), history[-1] + step) >= best - CLOSE
-        again = [k for k in range(len(fits)) if near[k] and fits[k].status is Status.ITERATIONS]
-        further = maximise_together([problems[k] for k in again], [fits[k].values for k in again], settings)
-        for k, fit in zip(again, further, strict=True):
+            goes_on &= np.minimum(_extrapolated(history), gains + next_step) >= best - LIKELIHOOD_MARGIN
+        chosen = [k for k in range(len(fits)) if goes_on[k] and fits[k].status is Status.ITERATIONS]
+        continued = maximise_together([problems[k] for k in chosen], [fits[k].values for k in chosen], settings)
+        for k, fit in zip(chosen, continued, strict=True):
             fits[k] = fit
-        history.append(_gains(fits, reached))
+        history.append(_gains(fits, base))
     return fits
 
 
-def _gains(fits: Sequence[Fit], reached: float) -> FloatArray:
-    return np.nan_to_num([f.log_likelihood - reached for f in fits], nan=-np.inf)
+def _gains(fits: Sequence[Fit], base: float) -> FloatArray:
+    """(fit,) log likelihood gained over the base; minus infinity where a fit could not be marched."""
+    return np.nan_to_num([f.log_likelihood - base for f in fits], nan=-np.inf)
 
 
-def _hoped(history: Sequence[FloatArray]) -> FloatArray:
-    """Where gains end if each stage adds the same part of what the one before it did, twice that allowed."""
+def _extrapolated(history: Sequence[FloatArray]) -> FloatArray:
+    """(fit,) where gains end if each stage adds the same fraction of the one before it, with twice that allowed."""
     with np.errstate(invalid="ignore", divide="ignore"):
         before, last = history[-2] - history[-3], history[-1] - history[-2]
         more = np.where(last < before, last**2 / (before - last), np.where(last > 0.0, np.inf, 0.0))

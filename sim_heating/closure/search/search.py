@@ -1,9 +1,10 @@
-"""From a record that its declared model does not explain to the effect that does.
+"""Search for the effects that the declared model of a record lacks.
 
-The declared model's magnitude and derivatives are fitted first. Then every candidate is fitted together with them
-(stages.py) and weighed (weighing.py). The best is added where it is weighed below none by more than GAIN and it
-explains a good part of what noise does not; that is repeated until nothing is. Where a further effect was added, each
-earlier one is weighed anew beside it.
+The declared model's magnitude and derivatives are fitted first. Then every candidate is screened (screening.py), the
+promising ones are fitted together with these (trial_fit.py), and all are ranked (ranking.py). The best is added where
+its score is below that of none by more than MIN_BIC_GAIN and it explains a good part of the excess chi-square. This is
+repeated until no candidate is added. Where a further effect was added, each earlier one is reconsidered with it in the
+model.
 """
 
 from __future__ import annotations
@@ -33,26 +34,27 @@ from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record
 
 MIN_BIC_GAIN = 10.0
-"""How much lower the BIC of an effect has to be than that of none."""
-SHARE, FIRST_SHARE = 0.5, 0.3
-"""Part of what noise does not explain that an effect has to explain; the first of several may leave more to others."""
-BESIDE = 0.1
-"""What a further effect has to explain, over what the first one did: less is left by a first one whose form differs."""
-EXPLAINED = 0.8
-"""And what all effects together have to explain to be named at all: a form of our own fits anything a little."""
-LASTING = 0.5
-"""Mean product of neighbouring normalised residuals from which on something is missing though no candidate touches it;
-a recorder's own coloured noise has a fifth of its variance in common between neighbours."""
-MOST_EFFECTS = 3
+"""How much lower the score of an effect has to be than that of none."""
+MIN_SHARE, MIN_FIRST_SHARE = 0.5, 0.3
+"""Part of the excess chi-square that an effect has to explain; the first of several may leave more to the others."""
+MIN_OVER_FIRST = 0.1
+"""Least chi-square that a further effect explains, over that of the first: a first one of another form leaves less."""
+MIN_EXPLAINED = 0.8
+"""Part of the excess that all effects together have to explain to be named: any form fits anything a little."""
+MAX_LAG1 = 0.5
+"""Lag-1 autocorrelation above which something is missing although no candidate explains it; the coloured noise of a
+recorder has a fifth of its variance in common between neighbours."""
+MAX_EFFECTS = 3
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SearchResult:
-    """What was found in one record.
+    """The result of the search for missing effects in one record.
 
-    before  : the declared model's fit, its magnitude and derivatives;  rounds : the passes
-    added   : the attempts whose effects were added, in order
-    unknown : whether something significant is left that no candidate explains
+    before  : the declared model's fit, its magnitude and derivatives
+    rounds  : passes over the candidates
+    added   : trial fits whose effects were added, in order
+    unknown : whether a significant residual remains that no candidate explains
     """
 
     record: Record
@@ -63,12 +65,15 @@ class SearchResult:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What is named: the added effects; `unknown`; or `none`."""
-        return tuple(a.name for a in self.added) or (("unknown",) if self.unknown else ("none",))
+        """Names of the added effects; else `unknown` or `none`."""
+        return tuple(t.name for t in self.added) or (("unknown",) if self.unknown else ("none",))
+
+    def __repr__(self) -> str:
+        return f"<SearchResult of {self.record.name}: {' + '.join(self.names)}, {len(self.rounds)} round(s)>"
 
 
 def search_effects(record: Record, *, progress: Progress = quiet) -> SearchResult:
-    """Look for what the declared model of a record lacks.
+    """Search for the effects that the declared model of a record lacks.
 
     raises : InputError, RunError where not even the declared model can be fitted
     """
@@ -77,97 +82,103 @@ def search_effects(record: Record, *, progress: Progress = quiet) -> SearchResul
     base = base_trial(before)
     rounds: list[SearchRound] = []
     added: list[TrialFit] = []
-    while len(added) < MOST_EFFECTS:
-        begin = 0.1 + 0.9 * len(added) / MOST_EFFECTS
+    while len(added) < MAX_EFFECTS:
+        begin = 0.1 + 0.9 * len(added) / MAX_EFFECTS
 
-        def tell(fraction: float, text: str, begin: float = begin, number: int = len(added) + 1) -> None:
-            progress(begin + 0.9 * fraction / MOST_EFFECTS, f"effect {number}: {text}")
+        def report(fraction: float, text: str, begin: float = begin, number: int = len(added) + 1) -> None:
+            progress(begin + 0.9 * fraction / MAX_EFFECTS, f"effect {number}: {text}")
 
-        rounds.append(search_round(added[-1] if added else base, [a.name for a in added], tell))
+        rounds.append(search_round(added[-1] if added else base, [t.name for t in added], report))
         best = _worth_adding(rounds, added)
         if best is None:
             break
-        added = _reconsidered(base, [*added, best], tell)
-        if added[-1].excess < BESIDE * _by_first(rounds, added):
-            break  # less is left than a further effect has to explain
-    return SearchResult(record, before, tuple(rounds), *_judged(rounds, added))
+        added = _reconsider(base, [*added, best], report)
+        if added[-1].excess_chi2 < MIN_OVER_FIRST * _explained_by_first(rounds, added):
+            break  # a further effect would have to explain more than remains
+    return SearchResult(record, before, tuple(rounds), *_conclusion(rounds, added))
 
 
 def _worth_adding(rounds: Sequence[SearchRound], added: Sequence[TrialFit]) -> TrialFit | None:
-    """The best attempt of the last round where it explains enough to be added."""
-    found = rounds[-1]
-    best = found.attempts[0] if found.attempts else None
-    if best is None or best.weighed > -MIN_BIC_GAIN:
+    """The best trial of the last round where it explains enough to be added."""
+    last = rounds[-1]
+    best = last.trials[0] if last.trials else None
+    if best is None or best.score > -MIN_BIC_GAIN:
         return None
-    least = max(SHARE * found.excess, BESIDE * _by_first(rounds, added)) if added else FIRST_SHARE * found.excess
-    return best if found.excess - best.excess >= least else None
+    if added:
+        least = max(MIN_SHARE * last.excess_chi2, MIN_OVER_FIRST * _explained_by_first(rounds, added))
+    else:
+        least = MIN_FIRST_SHARE * last.excess_chi2
+    return best if last.excess_chi2 - best.excess_chi2 >= least else None
 
 
-def _by_first(rounds: Sequence[SearchRound], added: Sequence[TrialFit]) -> float:
-    """What the first effect explained of the excess."""
-    return rounds[0].excess - added[0].excess
+def _explained_by_first(rounds: Sequence[SearchRound], added: Sequence[TrialFit]) -> float:
+    """Part of the excess chi-square that the first effect explained."""
+    return rounds[0].excess_chi2 - added[0].excess_chi2
 
 
-def _reconsidered(base: TrialFit, added: list[TrialFit], progress: Progress) -> list[TrialFit]:
-    """The effects with each earlier one weighed anew beside the others: where two act, the first found may be one that
-    comes near to both."""
+def _reconsider(base: TrialFit, added: list[TrialFit], progress: Progress) -> list[TrialFit]:
+    """The effects, one of the earlier ones replaced where another is better now that the last is in the model.
+
+    Where two effects act, the first one found may be a third that resembles both together.
+    """
     for earlier in added[:-1]:
-        others = [a for a in added if a is not earlier]
-        without = _stacked(base, others, fitted_values(added[-1]))
-        found = search_round(without[-1], [a.name for a in others], progress)
-        best = next(iter(found.attempts), None)
-        if (
-            best is not None
-            and best.name != earlier.name
-            and model_bic(best, best) < model_bic(added[-1], best) - MIN_BIC_GAIN
-        ):
+        others = [t for t in added if t is not earlier]
+        without = _stack_effects(base, others, fitted_values(added[-1]))
+        trials = search_round(without[-1], [t.name for t in others], progress).trials
+        best = next(iter(trials), None)
+        if best is None or best.name == earlier.name:
+            continue
+        if model_bic(best, best) < model_bic(added[-1], best) - MIN_BIC_GAIN:
             return [*without, best]
     return added
 
 
-def _stacked(base: TrialFit, effects: Sequence[TrialFit], values: Mapping[str, float]) -> list[TrialFit]:
+def _stack_effects(base: TrialFit, effects: Sequence[TrialFit], values: Mapping[str, float]) -> list[TrialFit]:
     """Effects one on top of the other on the base, each fitted from the values given."""
     stack = [base]
-    for one in effects:
-        below, own = stack[-1], {n: values[n] for n in one.candidate.names}
-        problem, held_out = problem_with(below, one.candidate), held_out_problem_with(below, one.candidate)
+    for trial in effects:
+        below, own = stack[-1], {n: values[n] for n in trial.candidate.names}
+        problem, held_out = problem_with(below, trial.candidate), held_out_problem_with(below, trial.candidate)
         fit = maximise_together([problem], [start_values(problem, {**fitted_values(below), **own})], QUICK)[0]
-        stack.append(replace(one, problem=problem, held_out=held_out, fit=fit))
+        stack.append(replace(trial, problem=problem, held_out=held_out, fit=fit))
     return stack[1:]
 
 
-def _judged(rounds: Sequence[SearchRound], added: Sequence[TrialFit]) -> tuple[tuple[TrialFit, ...], bool]:
-    """What of the attempts stands, and whether what is left is unknown: they explain the residual, or nothing does."""
+def _conclusion(rounds: Sequence[SearchRound], added: Sequence[TrialFit]) -> tuple[tuple[TrialFit, ...], bool]:
+    """The trials whose effects are named, and whether the residual is unknown: significant, and not explained."""
     first = rounds[0]
-    touched = bool(first.attempts) and first.attempts[0].weighed <= -MIN_BIC_GAIN
-    significant = touched or first.base.lasting > LASTING
-    left = added[-1].excess if added else first.excess
-    if added and first.excess - left >= EXPLAINED * first.excess:
+    explicable = bool(first.trials) and first.trials[0].score <= -MIN_BIC_GAIN
+    significant = explicable or first.base.lag1_autocorrelation > MAX_LAG1
+    remaining = added[-1].excess_chi2 if added else first.excess_chi2
+    if added and first.excess_chi2 - remaining >= MIN_EXPLAINED * first.excess_chi2:
         return tuple(added), False
     return (), significant
 
 
 def search_round(base: TrialFit, taken: Sequence[str], progress: Progress) -> SearchRound:
-    """Weigh every candidate on top of a model, fit the promising ones, keep the best attempt of each effect."""
-    progress(0.0, "weighing candidates")
+    """Screen every candidate on top of a model, fit the promising ones, keep the best trial of each effect.
+
+    taken : names of the effects that are no candidates
+    """
+    progress(0.0, "screening candidates")
     record = base.problem.record_fits[0].record
     flown = conditions_of_record(record)
     tried = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), taken)
     gains = predicted_gains(base, tried)
-    chosen = sorted(select_candidates(tried, gains, sample_count(base.problem)))
-    problems, start = [problem_with(base, tried[i]) for i in chosen], fitted_values(base)
-    firsts = [start_values(p, {**start, **tried[i].start}) for p, i in zip(problems, chosen, strict=True)]
-    progress(0.3, f"fitting {len(chosen)} of {len(tried)} candidates")
-    fits = fit_in_stages(problems, firsts, base.fit.log_likelihood, [gains[i] for i in chosen])
+    selected = sorted(select_candidates(tried, gains, sample_count(base.problem)))
+    problems, start = [problem_with(base, tried[i]) for i in selected], fitted_values(base)
+    firsts = [start_values(p, {**start, **tried[i].start}) for p, i in zip(problems, selected, strict=True)]
+    progress(0.3, f"fitting {len(selected)} of {len(tried)} candidates")
+    fits = fit_in_stages(problems, firsts, base.fit.log_likelihood, [gains[i] for i in selected])
     best: dict[str, TrialFit] = {}
-    for i, problem, fit in zip(chosen, problems, fits, strict=True):
+    for i, problem, fit in zip(selected, problems, fits, strict=True):
         name, delta = tried[i].name, delta_bic(base, fit, tried[i], 1.0)
         if np.isfinite(fit.log_likelihood) and (name not in best or delta < best[name].delta_bic):
             best[name] = TrialFit(name, tried[i], problem, None, fit, delta)
-    attempts = [replace(a, held_out=held_out_problem_with(base, a.candidate)) for a in best.values()]
-    passed: dict[str, float] = {}
-    for one, gain in zip(tried, gains, strict=True):
-        if one.name not in best:
-            promised = -2.0 * gain + len(one.names) * float(np.log(sample_count(base.problem)))
-            passed[one.name] = min(promised, passed.get(one.name, np.inf))
-    return score_round(base, attempts, passed, count_forms(tried))
+    trials = [replace(t, held_out=held_out_problem_with(base, t.candidate)) for t in best.values()]
+    screened_out: dict[str, float] = {}
+    for candidate, gain in zip(tried, gains, strict=True):
+        if candidate.name not in best:
+            predicted = -2.0 * gain + len(candidate.names) * float(np.log(sample_count(base.problem)))
+            screened_out[candidate.name] = min(predicted, screened_out.get(candidate.name, np.inf))
+    return score_round(base, trials, screened_out, count_forms(tried))
