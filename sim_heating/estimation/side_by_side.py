@@ -1,7 +1,8 @@
 """Fits of several problems marched side by side: eight cost little more than one.
 
-Candidates for a deficiency of a declared model are problems over one record that differ in effects and unknowns. Parts
-of all of them that are on common times share lane groups (record_fit.side_by_side); the likelihoods remain separate.
+Candidates for a deficiency of a declared model are problems over one record that differ in effects and unknowns.
+Records on common times share lane groups, whichever problem they belong to (record_fit.lane_groups); the likelihoods
+remain separate.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from sim_heating.march.linearised import Linearised, LinearMarch
 
 
 @dataclass(frozen=True, eq=False)
-class _Group:
-    """Parts marched together; members : (problem, record_fit) numbers of each."""
+class _LaneGroup:
+    """Records marched together; members : indices (problem, record) of each."""
 
     members: tuple[tuple[int, int], ...]
     record_fits: tuple[RecordFit, ...]
@@ -37,7 +38,7 @@ class JointMarch:
         self.problems = tuple(problems)
         place = {record_fit: (i, k) for i, p in enumerate(problems) for k, record_fit in enumerate(p.record_fits)}
         self._groups = [
-            _Group(tuple(place[record_fit] for record_fit in group), tuple(group), group_march(group))
+            _LaneGroup(tuple(place[record_fit] for record_fit in group), tuple(group), group_march(group))
             for group in lane_groups(place)
         ]
 
@@ -47,7 +48,7 @@ class JointMarch:
         vectors : by problem, (parameter,)
         returns : by problem, whether its march succeeded
 
-        Nothing is marched where all problems already hold results for these vectors.
+        Nothing is marched where all problems already have results for these vectors.
         """
         if all(problem.has_cached(vector) for problem, vector in zip(self.problems, vectors, strict=True)):
             return [True] * len(self.problems)
@@ -70,7 +71,7 @@ class JointMarch:
         return whole
 
     def evaluate(self, vectors: Sequence[FloatArray]) -> list[Evaluation]:
-        """Evaluation of each problem at its own parameter vector, as Problem.evaluate gives it.
+        """Evaluation of each problem at its own parameter vector, as FitProblem.evaluate returns it.
 
         vectors : by problem, (parameter,)
         returns : log likelihood [-], gradient and information of each; NaN log likelihood where its march failed
@@ -88,7 +89,7 @@ def maximise_together(
     starts: Sequence[ArrayLike | None] | None = None,
     settings: NewtonSettings | None = None,
 ) -> list[Fit]:
-    """The fit of each problem as newton.maximise finds it, all of them iterated side by side.
+    """The fit of each problem as newton.maximise finds it, all iterated side by side.
 
     starts   : by problem, (parameter,) first values, each in its unit ([-] for a ratio); by default those of the priors
     settings : when to stop and how far to step
@@ -103,23 +104,23 @@ def maximise_together(
     fits: dict[int, Fit] = {}
     together, marched = None, tuple(asked)
     while asked:
-        # lanes are packed again when a fit has ended, so that none is marched for nothing
+        # lanes are packed again when a fit has ended, so that no lane is marched in vain
         if together is None or len(asked) < len(marched):
             marched = tuple(asked)
             together = JointMarch([problems[k] for k in marched])
         found = together.evaluate([asked[k] for k in marched])
         for k, evaluation in zip(marched, found, strict=True):
-            answer = _next_request(searches[k], evaluation, problems[k])
-            if isinstance(answer, Fit):
-                fits[k] = answer
+            following = _next_request(searches[k], evaluation, problems[k])
+            if isinstance(following, Fit):
+                fits[k] = following
                 del asked[k]
             else:
-                asked[k] = answer
+                asked[k] = following
     return [fits[k] for k in range(len(problems))]
 
 
 def _next_request(search: Iteration, evaluation: Evaluation, problem: FitProblem) -> FloatArray | Fit:
-    """The next parameter vector that an iteration wants evaluated, or its fit; lengths of a step are tried at once."""
+    """The next parameter vector that an iteration needs evaluated, or its fit; fractions of a step are done here."""
     try:
         asked = search.send(evaluation)
         while asked.ndim == 2:

@@ -2,12 +2,13 @@
 
 circuit   the founding paper's approximation: every node follows the outermost thermocouple as a capacitor does through
           a resistor, dT/dt = (T_thermocouple - T) / tau, with tau = TIME_CONSTANT s^2 and s = int dx / sqrt(a)
-          [s^(1/2)] the square root of the time that heat takes to the node; then moved to what the thermocouples read,
-          linear in s between them
+          [s^(1/2)] the square root of the time that heat takes to the node; then shifted to the readings of the
+          thermocouples, linearly in s between them
 profile   conduction with the surface at the readings of the outermost thermocouple; its error is estimated
-          with the fit, a smooth function of depth: a Gaussian process in log(1 s^(1/2) + s), its largest directions.
-          For an outermost thermocouple under a coating; a deeper one makes for a poor first guess and a wide prior
-filter    by the Kalman filter from all readings since the first row of the conditions (filtering.py)
+          with the fit, a smooth function of depth: the largest directions of a Gaussian process in
+          log(1 s^(1/2) + s). For an outermost thermocouple under a coating; a deeper one gives a poor first guess and
+          a wide prior
+filter    by the Kalman filter from all readings since the first row of the conditions (filter/records.py)
 
 Equations 2 to 4 of docs/clocks_and_starts.md, with a comparison of the three.
 """
@@ -34,27 +35,28 @@ TIME_CONSTANT = 1.0
 """tau over s^2 [-]; `python -m benchmarks initial` compares others."""
 READINGS = 3
 """Number of readings that are averaged for the temperature at a thermocouple."""
-HOLDING_FILM = 10.0
-"""Film coefficient [kg/(m2 s)] that holds the surface at a temperature, some hundred times that of an entry."""
-HOLDING_CP = 1000.0
+IMPOSING_FILM = 10.0
+"""Film coefficient [kg/(m2 s)] that imposes a surface temperature, some hundred times that of an entry."""
+IMPOSING_CP = 1000.0
+"""Specific heat [J/(kg K)] of the wall enthalpy with it."""
 START_SIGMA_K = 10.0
 """Standard deviation [K] of circuit and conducted profiles, unless deeper thermocouples show a larger error."""
 START_LENGTH = 0.7
 """Correlation length of that error in log(1 + s): a factor of two in depth, four in time."""
 DIRECTIONS = 10
-"""Number of directions that are kept; the next would add less than a twentieth of OFF_K."""
+"""Number of directions that are kept; the next would add less than a twentieth of START_SIGMA_K."""
 
 
 def _read_before(record: Record, sensor: Sensor, time_s: float) -> tuple[FloatArray, FloatArray]:
-    """Times [s] and readings [K] of a sensor up to a time, the last reading held to it."""
+    """Times [s] and readings [K] of a sensor up to a time, the last reading extended to it."""
     read = record.thermocouples[sensor.column]
-    held = np.isfinite(read) & (record.time_s <= time_s)
-    if np.count_nonzero(held) < 2:
+    before = np.isfinite(read) & (record.time_s <= time_s)
+    if np.count_nonzero(before) < 2:
         raise InputError(
-            f"{record.name}, sensor {sensor.name}: no readings before {time_s:g} s to start from; start later, or as "
-            "declared"
+            f"{record.name}, sensor {sensor.name}: fewer than two readings before {time_s:g} s to start from; start "
+            "later, or use the declared start"
         )
-    return np.append(record.time_s[held], time_s), np.append(read[held], read[held][-1])
+    return np.append(record.time_s[before], time_s), np.append(read[before], read[before][-1])
 
 
 def _check_within(record: Record, time_s: float) -> None:
@@ -87,8 +89,8 @@ def circuit_profile(record: Record, model: PointModel, mesh: Mesh, time_s: float
     profile = initial_temperatures(model.construction, mesh)
     for k in range(1, len(t)):
         # exact for a constant T_tc: stable however small tau is at the outer nodes
-        kept = np.exp(-(t[k] - t[k - 1]) * rates)
-        profile = 0.5 * (read[k] + read[k - 1]) * (1.0 - kept) + profile * kept
+        decay = np.exp(-(t[k] - t[k - 1]) * rates)
+        profile = 0.5 * (read[k] + read[k - 1]) * (1.0 - decay) + profile * decay
     nodes, now = (np.array(column) for column in zip(*_readings_now(record, mesh, time_s), strict=True))
     return profile + np.interp(s, s[nodes], now - profile[nodes])
 
@@ -102,18 +104,18 @@ def _readings_now(record: Record, mesh: Mesh, time_s: float) -> list[tuple[int, 
 
 
 def circuit_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) -> Start:
-    """Start at the temperatures of the circuit analogy, nothing of them estimated.
+    """Start at the temperatures of the circuit analogy, none of them estimated.
 
     time_s  : [s]
-    returns : temperatures [K] without unknowns; a covariance [K2] of 10 K, smooth in depth, which only a fit with noise
-              of the process uses
+    returns : temperatures [K] without unknowns; a covariance [K2] of 10 K, smooth in depth, which only a fit with
+              process noise uses
     raises  : InputError as circuit_profile
 
     Source: docs/clocks_and_starts.md, equations 3 and 4.
     """
     profile = circuit_profile(record, model, mesh, time_s)
-    off = START_SIGMA_K * smooth_directions(diffusion_depths(model.construction, mesh))
-    return Start(time_s, profile, np.zeros((mesh.nodes, 0)), covariance_K2=off @ off.T)
+    root = START_SIGMA_K * smooth_directions(diffusion_depths(model.construction, mesh))
+    return Start(time_s, profile, np.zeros((mesh.nodes, 0)), covariance_K2=root @ root.T)
 
 
 def conducted_profile(record: Record, model: PointModel, mesh: Mesh, time_s: float) -> FloatArray:
@@ -137,17 +139,19 @@ def conducted_profile(record: Record, model: PointModel, mesh: Mesh, time_s: flo
     steps = np.append(steps[steps < time_s], time_s)
     later = t > begin
     surface = np.interp(steps, np.append(begin, t[later]), np.append(declared[0], read[later]))
-    held = flown.at(steps).with_columns(
-        h_ref_kg_m2_s=np.full(len(steps), HOLDING_FILM), H_r_J_kg=HOLDING_CP * surface, q_add_W_m2=np.zeros(len(steps))
+    imposed = flown.at(steps).with_columns(
+        h_ref_kg_m2_s=np.full(len(steps), IMPOSING_FILM),
+        H_r_J_kg=IMPOSING_CP * surface,
+        q_add_W_m2=np.zeros(len(steps)),
     )
     # with a ratio of 1 and no radiation the film alone sets the surface to T_tc = H_r / cp
     thermal = {name: value for name, value in model.parameters.items() if not name.startswith("ratio.")}
     wall = replace(
-        model, ratio=None, wall_enthalpy=HOLDING_CP, effects=(),
+        model, ratio=None, wall_enthalpy=IMPOSING_CP, effects=(),
         parameters={**thermal, "ratio.d0": 1.0, "stack.emissivity_factor": 0.0, "stack.gap.fraction": 0.0},
     )  # fmt: skip
     ensemble = Ensemble([wall], [mesh])
-    ensemble.march(steps, condition_history(held)[np.newaxis], keep=np.zeros(0, dtype=np.int64))
+    ensemble.march(steps, condition_history(imposed)[np.newaxis], keep=np.zeros(0, dtype=np.int64))
     return ensemble.node_temperatures(0)
 
 
@@ -162,7 +166,7 @@ def smooth_directions(s: FloatArray) -> FloatArray:
     Matern covariance of order 5/2. Source: Rasmussen and Williams (2006), chapter 4; docs/clocks_and_starts.md,
     equation 4.
     """
-    # profiles bend near the surface and are smooth deep in the wall: the logarithm makes them alike
+    # profiles bend near the surface and are smooth deep in the wall: in the logarithm they are alike
     z = np.log1p(s)
     x = np.sqrt(5.0) * np.abs(z[:, np.newaxis] - z) / START_LENGTH
     values, vectors = np.linalg.eigh((1.0 + x + x**2 / 3.0) * np.exp(-x))
@@ -170,11 +174,11 @@ def smooth_directions(s: FloatArray) -> FloatArray:
 
 
 def filter_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) -> Start:
-    """Start at the temperatures and covariance that the Kalman filter gives from all readings before a time.
+    """Start at the temperatures and covariance of the Kalman filter from all readings before a time.
 
     time_s  : [s], within the conditions
     returns : temperatures [K] and covariance [K2], no unknowns
-    raises  : InputError where the time is outside the conditions, or nothing is read before it
+    raises  : InputError where the time is outside the conditions, or there is no reading before it
 
     Comparison with the other starts: docs/clocks_and_starts.md, section "Starts"; the disturbance,
     docs/estimation_statistics.md, equation 34.
@@ -195,24 +199,24 @@ def profile_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) 
     Source: docs/clocks_and_starts.md, equation 4.
     """
     profile = conducted_profile(record, model, mesh, time_s)
-    off = max(abs(now - profile[node]) for node, now in _readings_now(record, mesh, time_s))
-    return free_start(time_s, profile, model, mesh, max(START_SIGMA_K, off))
+    largest = max(abs(now - profile[node]) for node, now in _readings_now(record, mesh, time_s))
+    return free_start(time_s, profile, model, mesh, max(START_SIGMA_K, largest))
 
 
 def free_start(
-    time_s: float, profile: FloatArray, model: PointModel, mesh: Mesh, off_K: float = START_SIGMA_K
+    time_s: float, profile: FloatArray, model: PointModel, mesh: Mesh, sigma_K: float = START_SIGMA_K
 ) -> Start:
     """Start from a profile with an estimated error that is smooth in depth.
 
-        T = profile + off_K sum_k b_k theta_k
+        T = profile + sigma_K sum_k b_k theta_k
 
     time_s  : [s];  profile : (node,) temperatures [K]
-    off_K   : standard deviation of the error at every node [K]
+    sigma_K : standard deviation of the error at every node [K]
     returns : profile, (node, k) columns [K], and unknowns theta_k with mean 0 and sigma 1 [-]
 
     Source: docs/clocks_and_starts.md, equation 4.
     """
-    columns = off_K * smooth_directions(diffusion_depths(model.construction, mesh))
+    columns = sigma_K * smooth_directions(diffusion_depths(model.construction, mesh))
     unknowns = tuple(
         Parameter(f"initial.{k + 1}", "1", 0.0, 1.0, text="along a direction of the temperatures at the start")
         for k in range(columns.shape[1])

@@ -1,9 +1,9 @@
 """Fits of consecutive short segments: the heating ratio over each, as a trend along the flight.
 
 Each segment starts at the temperatures where the one before ended, with the uncertainty that its fit left them: the
-covariance of the node temperatures, its largest directions kept, is the prior of as many unknowns of the start
-(docs/clocks_and_starts.md, equation 5). The refined mesh that corrects the predictions (Problem.correct_meshes) is
-carried along from segment to segment.
+covariance of the node temperatures, in its largest directions, is the prior of as many unknowns of the start
+(docs/clocks_and_starts.md, equation 5). The temperatures of the refined mesh that corrects the predictions
+(FitProblem.correct_meshes) pass from segment to segment as well.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ CONDITION_POINTS = 21
 class Segment:
     """One short segment.
 
-    start_s, end_s : its times [s];  samples : how many were fitted
+    start_s, end_s : its times [s];  samples : number of fitted samples
     condition      : means of the five ratio variables over it ([deg], log10 Re [-])
     ratio, sigma   : heating ratio at that mean condition, and its standard deviation [-]
     values, sigmas : of the estimated parameters, in their units
@@ -56,11 +56,11 @@ class Segment:
     sigmas: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Trend:
     """Fits of the short segments of a record.
 
-    record, names : what was fitted;  segments : those that converged, in time
+    record, names : record and parameters that were fitted;  segments : those that converged, in order of time
     left_out      : segments without a fit, with the reason
     warnings      : one line each
     """
@@ -71,6 +71,10 @@ class Trend:
     left_out: tuple[str, ...]
     warnings: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        begin, end = self.segments[0].start_s, self.segments[-1].end_s
+        return f"Trend({self.record.name}: {len(self.segments)} segments, {begin:g} to {end:g} s)"
+
 
 def trend(
     record: Record,
@@ -79,7 +83,7 @@ def trend(
     *,
     progress: Progress = quiet,
 ) -> Trend:
-    """Fit parameters, by default the magnitude of the ratio alone, to short segments of a record in turn.
+    """Fit parameters, by default the magnitude of the ratio alone, to short segments of a record one after another.
 
     length_s : length of a segment [s]
     names    : dotted names of the parameters
@@ -91,45 +95,47 @@ def trend(
     Heating from the Correlation of Flight Test Maneuvers", figure 9). Source: docs/clocks_and_starts.md, equation 5.
     """
     if not 0.0 < length_s < np.inf:
-        raise InputError(f"{record.name}: segments of {length_s:g} s; give a length in s above 0, as 5")
-    chosen = tuple(names) if names is not None else default_names([record])[:1]
+        raise InputError(f"{record.name}: segments of {length_s:g} s; give a length in s above 0, for example 5")
+    fitted = tuple(names) if names is not None else default_names([record])[:1]
     windows = _windows(record, length_s)
-    apart = float(np.median(np.diff(record.time_s))) if len(record.time_s) > 1 else 0.0
-    if length_s < apart:
-        raise InputError(f"{record.name}: segments of {length_s:g} s are shorter than the {apart:g} s between samples")
+    interval_s = float(np.median(np.diff(record.time_s))) if len(record.time_s) > 1 else 0.0
+    if length_s < interval_s:
+        raise InputError(
+            f"{record.name}: segments of {length_s:g} s are shorter than the {interval_s:g} s between samples"
+        )
     if not windows:
-        raise InputError(f"{record.name}: the fit segments hold no time that was recorded; give others")
-    found, left_out, in_vain, meshes = [], [], [], []
+        raise InputError(f"{record.name}: the fit segments contain no recorded time; give others")
+    segments, left_out, not_converged, mesh_warnings = [], [], [], []
     start, last = None, None
     for k, (begin, end) in enumerate(windows):
         progress(k / len(windows), f"segments: {k + 1} of {len(windows)}, {begin:.0f} to {end:.0f} s")
         mask = record.fit_mask() & (record.time_s >= begin) & (record.time_s < end)
         count = int(np.count_nonzero(np.isfinite(record.temperatures_K(record.used_sensors)[:, mask])))
-        if count < max(FEWEST_SAMPLES, len(chosen)):
-            left_out.append(f"{begin:g} to {end:g} s: {count} samples for {len(chosen)} parameters")
+        if count < max(FEWEST_SAMPLES, len(fitted)):
+            left_out.append(f"{begin:g} to {end:g} s: {count} samples for {len(fitted)} parameters")
             continue
         if last is not None:
             start = _next_start(*last, begin)
         problem = FitProblem(
-            [record], chosen, joint_reference([record]), FitOptions(starts=[start], sample_masks=[mask])
+            [record], fitted, joint_reference([record]), FitOptions(starts=[start], sample_masks=[mask])
         )
         first = np.array([p.value for p in problem.parameters]) if last is None else _carried_values(problem, *last)
         fit = maximise(problem.evaluate, problem.parameters, first, problem.log_likelihoods)
         if fit.converged:
             problem.correct_meshes(fit.values)
             # one line of these is enough: every segment has the mesh of the record
-            meshes += problem.mesh_warnings
+            mesh_warnings += problem.mesh_warnings
             fit = maximise(problem.evaluate, problem.parameters, fit.values, problem.log_likelihoods)
         if not fit.converged or not np.all(np.isfinite(fit.covariance)):
-            in_vain.append(f"{begin:g} to {end:g} s: {fit.describe()[0]}")
-            left_out.append(in_vain[-1])
+            not_converged.append(f"{begin:g} to {end:g} s: {fit.describe()[0]}")
+            left_out.append(not_converged[-1])
             continue
         last = (problem, fit)
-        found.append(_segment(record, problem, fit, begin, end, count))
-    if not found:
+        segments.append(_segment(record, problem, fit, begin, end, count))
+    if not segments:
         nothing = f"{record.name}: no segment of {length_s:g} s can be fitted"
-        raise RunError(f"{nothing}; {in_vain[0]}") if in_vain else InputError(f"{nothing}; {left_out[0]}")
-    return Trend(record, chosen, tuple(found), tuple(left_out), tuple(meshes[:1]))
+        raise RunError(f"{nothing}; {not_converged[0]}") if not_converged else InputError(f"{nothing}; {left_out[0]}")
+    return Trend(record, fitted, tuple(segments), tuple(left_out), tuple(mesh_warnings[:1]))
 
 
 def _windows(record: Record, length_s: float) -> list[tuple[float, float]]:
@@ -145,11 +151,11 @@ def _windows(record: Record, length_s: float) -> list[tuple[float, float]]:
 
 
 def _carried_values(problem: FitProblem, before: FitProblem, fit: Fit) -> FloatArray:
-    """First values of a segment: those of the segment before it, nothing added to its start."""
+    """First values of a segment: those of the segment before it, without a change of its start."""
     known = dict(zip((u.label for u in before.unknowns), fit.values, strict=True))
-    # unknowns of the start are deviations from the temperatures handed over, so that they begin at 0
-    own = {*problem.record_fits[0].march_names, *problem.record_fits[0].sensor_names}
-    return np.array([known[p.name] if p.name in own else p.value for p in problem.parameters])
+    # unknowns of the start are deviations from the temperatures at the end of the segment before: they begin at 0
+    carried = {*problem.record_fits[0].march_names, *problem.record_fits[0].sensor_names}
+    return np.array([known[p.name] if p.name in carried else p.value for p in problem.parameters])
 
 
 def _next_start(problem: FitProblem, fit: Fit, time_s: float) -> Start:
@@ -162,12 +168,12 @@ def _next_start(problem: FitProblem, fit: Fit, time_s: float) -> Start:
     values, vectors = np.linalg.eigh(own)
     # the svd of S C^(1/2) keeps the small directions that an eigendecomposition of S C S' would lose to rounding
     U, s, _ = np.linalg.svd(S @ (vectors * np.sqrt(np.maximum(values, 0.0))), full_matrices=False)
-    kept = min(DIRECTIONS, len(s))
+    count = min(DIRECTIONS, len(s))
     unknowns = tuple(
-        Parameter(f"initial.{k + 1}", "1", 0.0, 1.0, text="along a direction of the temperatures handed over")
-        for k in range(kept)
+        Parameter(f"initial.{k + 1}", "1", 0.0, 1.0, text="along a direction of the temperatures at the start")
+        for k in range(count)
     )
-    return Start(time_s, T, U[:, :kept] * s[:kept], unknowns, refined_at(record_fit, fit.values, time_s))
+    return Start(time_s, T, U[:, :count] * s[:count], unknowns, refined_at(record_fit, fit.values, time_s))
 
 
 def state_at(record_fit: RecordFit, values: FloatArray, time_s: float) -> tuple[FloatArray, FloatArray]:

@@ -63,7 +63,7 @@ def told(capsys, *arguments: object) -> tuple[int, str]:
         (["--ratio-noise", "1e200,30"], "1e200 is not within 0 to 10000"),
         (["--segments", "-3"], "segments of -3 s; give a length in s above 0"),
         (["--segments", "0.001"], "segments of 0.001 s are shorter than the 1 s between samples"),
-        (["--segments", "5", "--fit", "5000,6000"], "the fit segments hold no time that was recorded"),
+        (["--segments", "5", "--fit", "5000,6000"], "the fit segments contain no recorded time"),
         (["--segments", "5", "--start", "profile:600"], "each segment has its own start and reference"),
     ],
 )
@@ -103,7 +103,7 @@ def test_sensor_that_never_moves_is_left_out_and_the_rest_is_estimated(capsys, t
 def test_record_whose_sensors_all_stand_still_is_refused():
     record = practice_record("p06")[0]
     columns = {k: v if k == "time_s" else np.full(len(v), 300.0) for k, v in record.thermocouples.items()}
-    with pytest.raises(InputError, match="no sensor is left to estimate from"):
+    with pytest.raises(InputError, match="no sensor remains to estimate from"):
         estimate([replace(record, thermocouples=columns)], ["ratio.scale"])
 
 

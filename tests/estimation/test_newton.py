@@ -263,5 +263,5 @@ def test_an_impossible_prior_is_refused_by_name(keys: dict[str, float], told: st
 
 
 def test_nothing_to_estimate_is_refused() -> None:
-    with pytest.raises(InputError, match="name one"):
+    with pytest.raises(InputError, match="name at least one"):
         maximise(ROSENBROCK, [])

@@ -111,7 +111,7 @@ class Status(Enum):
     NO_START = "diverged: the model cannot be evaluated at the start"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Fit:
     """The most probable parameters.
 
@@ -146,6 +146,11 @@ class Fit:
     iterations: int
     predicted_gain: float
     history: FloatArray
+
+    def __repr__(self) -> str:
+        found = zip(self.names, self.values, self.sigma, strict=True)
+        values = ", ".join(f"{name}={value:.5g} +- {sigma:.2g}" for name, value, sigma in found)
+        return f"Fit({values}; {self.status.name.lower()} after {self.iterations} iterations)"
 
     @property
     def converged(self) -> bool:

@@ -1,8 +1,8 @@
 """Contents of `estimate.json`: values, bounds and correlations, and the inputs they were made from.
 
-The keys are those of the format "estimate/1"; in addition there is what a later reader needs to use the result: the
-control point, the segments that were fitted, the excursions that were flown in them, the program, and a hash of each
-record's files. Further keys are kept. The covariance is C_ij = rho_ij sigma_i sigma_j
+The keys are those of the format "estimate/1", and in addition what a later reader needs to use the result: the control
+point, the segments that were fitted, the excursions that were flown in them, the program, and a hash of each record's
+files. Further keys are kept. The covariance is C_ij = rho_ij sigma_i sigma_j
 (docs/estimation_statistics.md, equation 18); a pair that is not listed is uncorrelated.
 """
 
@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -39,6 +39,8 @@ PAIR = "|"
 """Between the two names of a correlation."""
 SLACK = 1e-6
 """Negative eigenvalue of a correlation matrix that is accepted as rounding [-]."""
+FORMER_KEYS = {"would_buy": "sensitivity_to_effort"}
+"""Former key -> present key: files written before are read under the present one."""
 
 
 class EstimatedParameter(Extensible):
@@ -100,7 +102,10 @@ class Excursion(Extensible):
 
 
 class FittedEffect(Extensible):
-    """An effect of the fitted model with all its values, estimated or fixed; its control point, in a fit of several."""
+    """An effect of the fitted model with all its values, estimated or fixed.
+
+    control_point : to which it belongs, in a fit of several
+    """
 
     name: str
     parameters: dict[str, float]
@@ -123,7 +128,7 @@ class Estimate(Extensible):
     segments            : fitted [start, end] times [s] of each record; None: as the records declare
     excursions          : by variable, over the fitted samples
     inputs              : record -> hash of its files, `inputs_hash`
-    effects             : those that the fitted model had, in addition to what the records declare
+    effects             : those of the fitted model, in addition to what the records declare
     program             : name and version
     """
 
@@ -146,6 +151,16 @@ class Estimate(Extensible):
     effects: list[FittedEffect] = Field(default=[])
     program: str | None = None
 
+    def __repr__(self) -> str:
+        values = ", ".join(f"{n}={p.value:.5g} +- {p.sigma:.2g} {p.unit}" for n, p in self.parameters.items())
+        names = ", ".join(Path(record).name for record in self.records)
+        return f"Estimate({names}: {values}; {'converged' if self.converged else 'not converged'})"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _present_keys(cls, data: Any) -> Any:
+        return {FORMER_KEYS.get(k, k): v for k, v in data.items()} if isinstance(data, Mapping) else data
+
     @model_validator(mode="after")
     def _check(self) -> Estimate:
         problems = [*self._parameter_problems(), *self._correlation_problems()]
@@ -160,7 +175,7 @@ class Estimate(Extensible):
         if problems:
             raise LocatedError(*problems)
         if np.linalg.eigvalsh(self.correlation_matrix(tuple(self.parameters))).min(initial=1.0) < -SLACK:
-            raise LocatedError((("correlation",), "is not that of any parameters (a negative eigenvalue)"))
+            raise LocatedError((("correlation",), "is not a correlation matrix (it has a negative eigenvalue)"))
         return self
 
     def _parameter_problems(self) -> list[tuple[Location, str]]:
@@ -180,15 +195,15 @@ class Estimate(Extensible):
         problems: list[tuple[Location, str]] = []
         for pair, rho in self.correlation.items():
             names = pair.split(PAIR)
-            strange = [n for n in names if n not in self.parameters]
+            unknown = [n for n in names if n not in self.parameters]
             if len(names) != 2 or names[0] == names[1]:
                 problems.append((("correlation", pair), 'is not a pair; write "a|b" with two parameters'))
-            elif strange:
-                problems.append((("correlation", pair), f"{strange[0]} is not among the parameters"))
+            elif unknown:
+                problems.append((("correlation", pair), f"{unknown[0]} is not among the parameters"))
             elif abs(rho) > 1.0:
                 problems.append((("correlation", pair), f"{rho:g} must lie within -1 to 1"))
             elif self.correlation.get(PAIR.join(reversed(names)), rho) != rho:
-                problems.append((("correlation", pair), "stands there both ways round with two values; remove one"))
+                problems.append((("correlation", pair), "is given in both orders with two values; remove one"))
         return problems
 
     def correlation_matrix(self, names: Sequence[str]) -> FloatArray:
@@ -246,7 +261,7 @@ def read_estimate(path: str | os.PathLike[str]) -> Estimate:
     file = Path(path)
     file = file / NAME if file.is_dir() else file
     data = read_json(file)
-    # both lie in output directories and are easily confused
+    # both are in output directories and are easily confused
     if data.get("format") == "closure-report/1":
         raise InputError(f"{display_path(file)}: is a closure report; give an estimate.json")
     return check(data, Estimate, display_path(file))

@@ -1,8 +1,8 @@
-"""What the filter of a fit with noise of the process leaves: temperatures before and after each sample, and smoothed.
+"""Output of the filter of a fit with process noise: temperatures a priori, a posteriori and smoothed.
 
-As figure 4 of the founding paper, a priori against a posteriori, beside what all samples together say
-(estimation/filter/smoother.py); all of it as the sensors would show it. Where the heating ratio wanders, what the
-samples say that it did.
+As figure 4 of the founding paper, a priori against a posteriori, together with the smoothed temperatures from all
+samples (estimation/filter/smoother.py), all as indications of the sensors. Where the heating ratio has a disturbance,
+its smoothed history.
 """
 
 from __future__ import annotations
@@ -27,13 +27,18 @@ PRIOR, POSTERIOR = "tab:orange", AFTER
 SMOOTHED = "tab:green"
 SIGMAS = 2.0
 MOST_SENSORS = 5
-"""Sensors that are drawn, outermost first; all are in the CSV."""
+"""Number of sensors that are drawn, outermost first; all are in the CSV."""
 
 
 @dataclass(frozen=True, eq=False)
 class FilteredSensor:
-    """One sensor, (sample,): as recorded; as it should be by the plain march, nothing assimilated; and before and after
-    the readings of each time and given all readings, with standard deviations."""
+    """Temperatures of one sensor, (sample,) each.
+
+    read_K, marched_K       : as recorded, and by the plain march, nothing assimilated [K]
+    prior_K, prior_sigma_K  : before the readings of each time, with the standard deviation [K]
+    posterior_K, posterior_sigma_K : after them [K]
+    smoothed_K, smoothed_sigma_K   : given all readings [K]
+    """
 
     channel: FittedChannel
     time_s: FloatArray
@@ -47,14 +52,14 @@ class FilteredSensor:
     smoothed_sigma_K: FloatArray
 
     def columns(self) -> dict[str, FloatArray]:
-        """For a CSV, by what they are."""
-        names = ("prior", "posterior", "smoothed")
-        return {f"{n}{what}_K": getattr(self, f"{n}{what}_K") for n in names for what in ("", "_sigma")}
+        """Columns of a CSV, by name."""
+        states = ("prior", "posterior", "smoothed")
+        return {f"{n}{what}_K": getattr(self, f"{n}{what}_K") for n in states for what in ("", "_sigma")}
 
 
 @dataclass(frozen=True, eq=False)
 class FilteredHistory:
-    """A record as the filter of a fit sees it; `disturbed`: whether its heating ratio may wander."""
+    """One record filtered and smoothed; `disturbed`: whether its heating ratio has a disturbance."""
 
     record_fit: RecordFit
     sensors: tuple[FilteredSensor, ...]
@@ -70,14 +75,15 @@ def filtered_history(innovations: Innovations, values: FloatArray, record_fit: R
     along = [np.interp(s.time_s, smoothed.time_s, column) for column in smoothed.temperature_K.T]
     spread = [np.interp(s.time_s, smoothed.time_s, column) for column in smoothed.sigma_K.T]
     reading = np.arange(len(s.node))
-    told = np.empty((6, len(order)))
-    told[0::2, order] = s.gain * [filtered.prior_K, filtered.posterior_K, np.array(along)[s.node, reading]] + s.bias_K
+    indicated = np.empty((6, len(order)))
+    temperatures = [filtered.prior_K, filtered.posterior_K, np.array(along)[s.node, reading]]
+    indicated[0::2, order] = s.gain * temperatures + s.bias_K
     variances = [filtered.prior_variance_K2, filtered.posterior_variance_K2, np.array(spread)[s.node, reading] ** 2]
-    told[1::2, order] = np.abs(s.gain) * np.sqrt(np.maximum(variances, 0.0))
+    indicated[1::2, order] = np.abs(s.gain) * np.sqrt(np.maximum(variances, 0.0))
     ends = np.cumsum([len(c.samples) for c in record_fit.channels])[:-1]
     marched = [m for m in innovations.problem.samples(values) if m.record_fit is record_fit]
     sensors = []
-    for m, own in zip(marched, np.split(told, ends, axis=1), strict=True):
+    for m, own in zip(marched, np.split(indicated, ends, axis=1), strict=True):
         at = np.searchsorted(record_fit.record.time_s, m.time_s)
         read = record_fit.record.thermocouples[m.channel.sensor.column][at]
         sensors.append(FilteredSensor(m.channel, m.time_s, read, m.mean_K, *own))
@@ -85,7 +91,7 @@ def filtered_history(innovations: Innovations, values: FloatArray, record_fit: R
 
 
 def write_filtered(folder: Path, found: FilteredHistory) -> None:
-    """Write filtered.csv, filtered.png and, where the ratio may wander, ratio_disturbance.csv."""
+    """Write filtered.csv, filtered.png and, where the ratio has a disturbance, ratio_disturbance.csv."""
     time_s, smoothed = found.record_fit.sample_s, found.smoothed
     columns: dict[str, FloatArray] = {"time_s": time_s}
     for s in found.sensors:
@@ -94,13 +100,13 @@ def write_filtered(folder: Path, found: FilteredHistory) -> None:
             columns[f"{s.channel.sensor.name}_{what}"][s.channel.samples] = values
     write_csv(folder / CSV, columns, {"time_s": ".10g"} | {name: ".4f" for name in columns if name != "time_s"})
     if found.disturbed:
-        told = {"time_s": smoothed.time_s, "delta_ratio": smoothed.ratio, "sigma": smoothed.ratio_sigma}
-        write_csv(folder / RATIO_CSV, told)
+        columns = {"time_s": smoothed.time_s, "delta_ratio": smoothed.ratio, "sigma": smoothed.ratio_sigma}
+        write_csv(folder / RATIO_CSV, columns)
     draw_filtered(folder / PICTURE, found)
 
 
 def draw_filtered(path: Path, found: FilteredHistory) -> None:
-    """A panel a sensor, all of it against the plain march at the values found; the ratio's disturbance, the flight."""
+    """Draw the temperatures of each sensor relative to the plain march, the ratio disturbance and the flight."""
     shown = sorted(found.sensors, key=lambda s: s.channel.sensor.depth_m)[:MOST_SENSORS]
     rows = len(shown) + found.disturbed + 1
     heights = [2.0] * len(shown) + [1.6] * found.disturbed + [1.0]

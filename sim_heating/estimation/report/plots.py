@@ -19,15 +19,18 @@ from sim_heating.inputs.record import Record, pooled_rmse_K
 from sim_heating.simulation.predict import Prediction
 
 BEFORE, AFTER = "tab:orange", "tab:blue"
-MOVES_DEG = 0.5
+DRAWN_ABOVE_DEG = 0.5
+"""Range of an angle above which it is drawn."""
 LAMP = "q_add_W_m2"
 MARGIN = 0.2
-"""How much is shown to either side of what is fitted, over its length."""
+"""Time shown on either side of the fitted samples, over their time span."""
 
 
 def draw_fit(path: Path, before: Prediction, after: Prediction) -> None:
-    """A panel a sensor with its residual below, declared and fitted; holdout segments shaded, angles flown at the
-    foot."""
+    """Draw each sensor with its residual below, declared and fitted, and the angles flown in the last panel.
+
+    Holdout segments are shaded.
+    """
     record = after.record
     figure, axes = fit_figure(record, [(before, BEFORE, "declared"), (after, AFTER, "fitted")])
     title = record.declared.title or record.declared.control_point
@@ -35,8 +38,11 @@ def draw_fit(path: Path, before: Prediction, after: Prediction) -> None:
 
 
 def fit_figure(record: Record, curves: Sequence[tuple[Prediction, str, str]]) -> tuple[Figure, np.ndarray]:
-    """Measured against some predictions (prediction, colour, label), the second of which sets the span of residuals"""
-    shown, sensors = _shown(record), [i for i, s in enumerate(record.sensors) if s.used]
+    """Figure of measured temperatures and predictions, with the residuals of each sensor.
+
+    curves : (prediction, colour, label); the second of three, or the first, sets the span of the residuals
+    """
+    shown, sensors = _shown_samples(record), [i for i, s in enumerate(record.sensors) if s.used]
     t, fitted = record.time_s[shown], record.fit_mask()
     heights = [2.0, 1.0] * len(sensors) + [1.0]
     figure, axes = new_figure(9.5, 2.4 * len(sensors) + 2.2, len(heights), sharex=True, height_ratios=heights)
@@ -66,36 +72,36 @@ def fit_figure(record: Record, curves: Sequence[tuple[Prediction, str, str]]) ->
 
 
 def shade_holdout(a: Axes, record: Record) -> None:
-    """What is held out, in grey."""
+    """Shade the holdout segments in grey."""
     for start, end in record.declared.segments.holdout:
         a.axvspan(start, end, color="0.85", linewidth=0)
 
 
-def _shown(record: Record) -> NDArray[np.bool_]:
-    """(sample,) from some time before the first sample that is fitted or held out to some time after the last."""
-    t, asked = record.time_s, record.time_s[record.fit_mask() | record.holdout_mask()]
-    margin = MARGIN * float(np.ptp(asked))
-    return np.asarray((t >= asked.min() - margin) & (t <= asked.max() + margin))
+def _shown_samples(record: Record) -> NDArray[np.bool_]:
+    """(sample,) those from some time before the first fitted or held-out sample to some time after the last."""
+    t, used = record.time_s, record.time_s[record.fit_mask() | record.holdout_mask()]
+    margin = MARGIN * float(np.ptp(used))
+    return np.asarray((t >= used.min() - margin) & (t <= used.max() + margin))
 
 
-def plot_flown(a: Axes, whole: Conditions, start_s: float, end_s: float) -> None:
-    """The angles that moved, or what a lamp gave where none did."""
-    times = whole.time_s[(whole.time_s >= start_s) & (whole.time_s <= end_s)]
-    flown = whole.at(times if len(times) else whole.time_s)
-    moved = {n: how for n, how in ANGLES.items() if np.ptp(flown[n]) > MOVES_DEG}
-    for name, (label, color) in moved.items():
+def plot_flown(a: Axes, conditions: Conditions, start_s: float, end_s: float) -> None:
+    """Draw the angles that changed, or the known flux of a lamp where none did."""
+    times = conditions.time_s[(conditions.time_s >= start_s) & (conditions.time_s <= end_s)]
+    flown = conditions.at(times if len(times) else conditions.time_s)
+    changed = {n: style for n, style in ANGLES.items() if np.ptp(flown[n]) > DRAWN_ABOVE_DEG}
+    for name, (label, color) in changed.items():
         a.plot(flown.time_s, flown[name], color=color, label=label, linewidth=1.1)
     a.set_ylabel("deg")
-    if not moved and LAMP in flown.columns:
+    if not changed and LAMP in flown.columns:
         a.plot(flown.time_s, flown[LAMP] / 1e3, color="tab:red", label="known flux", linewidth=1.1)
         a.set_ylabel("kW/m2")
     if a.lines:
         legend_above(a)
 
 
-def draw_trend(path: Path, found: Trend) -> None:
-    """Heating ratio over short segments against time and against Reynolds number, the declared table beside it."""
-    segments, record = found.segments, found.record
+def draw_trend(path: Path, trend: Trend) -> None:
+    """Draw the heating ratio over short segments against time and Reynolds number, together with the declared table."""
+    segments, record = trend.segments, trend.record
     middle = np.array([0.5 * (s.start_s + s.end_s) for s in segments])
     conditions = np.array([s.condition for s in segments])
     ratio, sigma = np.array([s.ratio for s in segments]), np.array([s.sigma for s in segments])
@@ -107,9 +113,9 @@ def draw_trend(path: Path, found: Trend) -> None:
             order = np.argsort(x)
             a.plot(x[order], declared[order], color=BEFORE, linewidth=1.2, label="declared table, same conditions")
         a.set_xlabel(label)
-    sure = sigma < 0.5 * np.abs(ratio)
-    if np.any(sure):
-        low, high = np.min((ratio - 2 * sigma)[sure]), np.max((ratio + 2 * sigma)[sure])
+    determined = sigma < 0.5 * np.abs(ratio)
+    if np.any(determined):
+        low, high = np.min((ratio - 2 * sigma)[determined]), np.max((ratio + 2 * sigma)[determined])
         axes[0].set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
     axes[0].set_ylabel("heating ratio")
     axes[0].legend(fontsize=8, loc="best")

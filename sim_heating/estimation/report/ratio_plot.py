@@ -24,25 +24,25 @@ LABELS = {
     "bodyflap_deg": "body flap, deg",
 }
 MARGIN = 1.0
-"""How far beyond the flown excursion a panel goes, in excursions."""
+"""Distance that a panel extends beyond the flown excursion, in excursions."""
 SAMPLES = 241
 COLUMNS = 3
-"""Panels in a row at most."""
+"""Maximum number of panels in a row."""
 BEFORE, FLOWN, AFTER = "0.45", "tab:orange", "tab:blue"
 
 
 def panel_variables(names: tuple[str, ...]) -> list[int]:
-    """Numbers of the variables whose derivatives are among the names; angle of attack where none is."""
+    """Indices of the variables whose derivatives are among the names; that of angle of attack where there is none."""
     return [i for i, s in enumerate(SHORT) if f"ratio.d_{s}" in names] or [0]
 
 
 def describe_condition(reference: FloatArray) -> str:
-    """A condition in words."""
+    """A condition as text."""
     return ", ".join(f"{short} {value:.3g}" for short, value in zip(SHORT, reference, strict=True))
 
 
 def along_variable(reference: FloatArray, i: int, values: FloatArray) -> FloatArray:
-    """(sample, 5) a condition with one variable replaced."""
+    """(sample, 5) conditions that differ in one variable."""
     x = np.tile(reference, (len(values), 1))
     x[:, i] = values
     return x
@@ -61,20 +61,23 @@ def panel_conditions(i: int, reference: FloatArray, flown: FloatArray, axis: Flo
 
 
 def plot_band(a: Axes, x: FloatArray, ratio: FloatArray, sigma: FloatArray | None, label: str, color: str) -> None:
-    """A ratio and its 2 sigma."""
+    """Plot a ratio with its band of 2 sigma."""
     if sigma is not None:
         a.fill_between(x, ratio - 2 * sigma, ratio + 2 * sigma, color=color, alpha=0.2, linewidth=0)
     a.plot(x, ratio, color=color, linewidth=1.6, label=label)
 
 
 def plot_flight(a: Axes, x: FloatArray, ratio: FloatArray, sigma: FloatArray) -> None:
-    """What the flight says, where it flew."""
+    """Plot the estimate of the flight with its band of 2 sigma, over the excursion flown."""
     a.fill_between(x, ratio - 2 * sigma, ratio + 2 * sigma, color=FLOWN, alpha=0.3, linewidth=0)
     a.plot(x, ratio, color=FLOWN, linestyle="--", linewidth=1.6, label="flight estimate")
 
 
 def draw_ratio(path: Path, fitted: FitResult, record_fit: RecordFit) -> bool:
-    """Declared table and flight estimate of a record's control point, a panel for each derivative; whether drawn."""
+    """Draw declared table and flight estimate of a record's control point, a panel for each derivative.
+
+    returns : whether there was a ratio parameter to draw
+    """
     chosen = {
         n: int(k) for n, k in zip(record_fit.names, record_fit.index, strict=True) if n in {p.name for p in RATIO}
     }
@@ -85,13 +88,13 @@ def draw_ratio(path: Path, fitted: FitResult, record_fit: RecordFit) -> bool:
     values, covariance = fitted.fit.values[index], fitted.bounds.covariance[np.ix_(index, index)]
     samples = np.unique(np.concatenate([record_fit.sample_s[c.samples] for c in record_fit.channels]))
     flown = condition_history(record_fit.conditions.at(samples))[:, : len(RATIO_VARIABLES)]
-    held, table = panel_variables(names), record_fit.record.ratio_table
-    columns = min(len(held), COLUMNS)
-    rows = -(-len(held) // columns)
+    variables, table = panel_variables(names), record_fit.record.ratio_table
+    columns = min(len(variables), COLUMNS)
+    rows = -(-len(variables) // columns)
     figure, axes = new_figure(1.5 + 3.4 * columns, 0.8 + 3.4 * rows, rows, columns, squeeze=False)
-    for a in axes.flat[len(held) :]:
+    for a in axes.flat[len(variables) :]:
         a.set_visible(False)
-    for a, i in zip(axes.flat, held, strict=False):
+    for a, i in zip(axes.flat, variables, strict=False):
         x = panel_conditions(i, reference, flown[:, i], None if table is None else table.axes[i])
         if table is not None:
             plot_band(a, x[:, i], declared_ratio(table, x), declared_sigma(table, x), "declared table", BEFORE)
@@ -101,7 +104,7 @@ def draw_ratio(path: Path, fitted: FitResult, record_fit: RecordFit) -> bool:
     for a in axes[:, 0]:
         a.set_ylabel("heating ratio (2 sigma bands)")
     axes[0, 0].legend(fontsize=8, loc="best")
-    beside = " without the effects" if record_fit.model.effects else ""
-    title = f"{record_fit.record.declared.control_point}: heating ratio{beside}\nabout {describe_condition(reference)}"
+    effects = " without the effects" if record_fit.model.effects else ""
+    title = f"{record_fit.record.declared.control_point}: heating ratio{effects}\nabout {describe_condition(reference)}"
     save_figure(figure, path, title, axes)
     return True

@@ -1,4 +1,4 @@
-"""What a fit leaves in a folder: estimate.json, temperatures and pictures."""
+"""Output files of a fit: estimate.json, temperatures and pictures; trend.csv of short segments."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def estimate_contents(fitted: FitResult) -> Estimate:
             "log_likelihood": fitted.fit.log_likelihood,
             "process_noise": _process_noise(fitted),
             "statistics": residual_statistics(fitted),
-            "would_buy": _sensitivity_to_effort(fitted),
+            "sensitivity_to_effort": _sensitivity_to_effort(fitted),
             "warnings": list(fitted.warnings),
             "control_point": points.pop() if len(points) == 1 else None,
             "vehicle": records[0].declared.vehicle,
@@ -110,7 +110,7 @@ def _effects(fitted: FitResult) -> list[dict[str, Any]]:
 
 
 def _process_noise(fitted: FitResult) -> dict[str, Any] | None:
-    """Levels of the noise of the process, and which of them were found; None in an output-error fit."""
+    """Levels of the process noise, and which of them were estimated; None in an output-error fit."""
     return None if fitted.innovations is None else asdict(fitted.innovations.levels.noise)
 
 
@@ -126,12 +126,12 @@ def _fitted_rows(record: Record) -> np.ndarray:
     return record.fit_mask(t) & (t >= samples.min()) & (t <= samples.max())
 
 
-def _errors(predictions: tuple[Prediction, ...], what: str) -> FitErrors | None:
+def _errors(predictions: tuple[Prediction, ...], segments: str) -> FitErrors | None:
     """Errors of the used sensors of all records over their fit or holdout segments."""
     residuals = []
     for p in predictions:
         used = [i for i, sensor in enumerate(p.record.sensors) if sensor.used]
-        mask = p.record.fit_mask() if what == "fit" else p.record.holdout_mask()
+        mask = p.record.fit_mask() if segments == "fit" else p.record.holdout_mask()
         residuals.append(p.residual_K[used][:, mask].ravel())
     found = pooled_rmse_K(np.concatenate(residuals))
     return None if found is None else FitErrors.model_validate(found)
@@ -145,7 +145,7 @@ def _sensitivity_to_effort(fitted: FitResult) -> dict[str, dict[str, float]]:
 
 
 def noise_floor_K(fitted: FitResult) -> float | None:
-    """Noise floor of all fit segments [K], the estimated noise standing in where a sensor declares none."""
+    """Noise floor of all fit segments [K], with the estimated noise of sensors that declare none."""
     total, count = 0.0, 0
     for record_fit in fitted.problem.record_fits:
         sigma = {c.sensor.name: record_fit.sigma_K[c.number] for c in record_fit.channels}
@@ -156,7 +156,7 @@ def noise_floor_K(fitted: FitResult) -> float | None:
 
 
 def sensor_residual_tests(fitted: FitResult) -> list[SensorResiduals]:
-    """Normalised residuals of every sensor that was fitted, and their tests; the draws are the same every time."""
+    """Normalised residuals of every fitted sensor, and their tests; the random draws are the same every time."""
     rng = np.random.default_rng(0)
     several = len(fitted.problem.record_fits) > 1
     return [
@@ -169,7 +169,7 @@ def sensor_residual_tests(fitted: FitResult) -> list[SensorResiduals]:
 
 
 def residual_statistics(fitted: FitResult) -> dict[str, Any]:
-    """Chi-square of the fit, and by sensor: samples, noise taken, normalised mean and RMS, whiteness, normality."""
+    """Chi-square of the fit, and by sensor: samples, assumed noise, normalised mean and RMS, whiteness, normality."""
     residuals = sensor_residual_tests(fitted)
     noise = [s.sigma_K for s in fitted.samples()]
     every = np.concatenate([r.residual for r in residuals])
@@ -198,19 +198,19 @@ FIT_FILES = TEMPERATURES, FIT_PICTURE, RATIO_PICTURE = "temperatures.csv", "fit.
 
 
 def output_files(records: Sequence[Record], *, filtered: bool = False) -> list[str]:
-    """Names of all files that a fit of some records may write; `filtered` where it has noise of the process."""
+    """Names of all files that a fit of some records may write; `filtered` where it has process noise."""
     from sim_heating.estimation.report import filtered as filter_report
 
-    homes = [""] if len(records) == 1 else [f"{record.name}/" for record in records]
+    folders = [""] if len(records) == 1 else [f"{record.name}/" for record in records]
     names = [*FIT_FILES, *(filter_report.FILES if filtered else ())]
-    return [NAME, *(f"{home}{name}" for home in homes for name in names)]
+    return [NAME, *(f"{folder}{name}" for folder in folders for name in names)]
 
 
-def write_trend(found: Trend, out: Path) -> list[str]:
+def write_trend(trend: Trend, out: Path) -> list[str]:
     """Write trend.csv and trend.png; returns the names of the files."""
     from sim_heating.estimation.report.plots import draw_trend
 
-    segments = found.segments
+    segments = trend.segments
     columns = {
         "start_s": np.array([s.start_s for s in segments]),
         "end_s": np.array([s.end_s for s in segments]),
@@ -219,30 +219,30 @@ def write_trend(found: Trend, out: Path) -> list[str]:
         "ratio": np.array([s.ratio for s in segments]),
         "sigma": np.array([s.sigma for s in segments]),
     }
-    for k, name in enumerate(found.names):
+    for k, name in enumerate(trend.names):
         columns[name] = np.array([s.values[k] for s in segments])
         columns[f"{name}.sigma"] = np.array([s.sigmas[k] for s in segments])
     with output_directory(out) as folder:
         write_csv(folder / TREND_CSV, columns)
-        draw_trend(folder / TREND_PICTURE, found)
+        draw_trend(folder / TREND_PICTURE, trend)
         return sorted(p.name for p in folder.iterdir() if p.is_file())
 
 
 def write_fit(fitted: FitResult, out: Path) -> list[str]:
     """Write estimate.json, temperatures and pictures; returns the names of the files."""
     from sim_heating.estimation.report.filtered import filtered_history, write_filtered
-    from sim_heating.estimation.report.plots import draw_fit  # matplotlib is slow to import, and wanted only here
+    from sim_heating.estimation.report.plots import draw_fit  # matplotlib is slow to import, and needed only here
     from sim_heating.estimation.report.ratio_plot import draw_ratio
 
     with output_directory(out) as folder:
         write_estimate(folder / NAME, estimate_contents(fitted))
         for record_fit, before, after in zip(fitted.problem.record_fits, fitted.before, fitted.after, strict=True):
-            home = folder if len(fitted.after) == 1 else folder / after.record.name
-            home.mkdir(exist_ok=True)
+            record_folder = folder if len(fitted.after) == 1 else folder / after.record.name
+            record_folder.mkdir(exist_ok=True)
             history = after.history
-            write_temperatures_csv(home / TEMPERATURES, history.time_s, history, after.record.sensors)
-            draw_fit(home / FIT_PICTURE, before, after)
-            draw_ratio(home / RATIO_PICTURE, fitted, record_fit)
+            write_temperatures_csv(record_folder / TEMPERATURES, history.time_s, history, after.record.sensors)
+            draw_fit(record_folder / FIT_PICTURE, before, after)
+            draw_ratio(record_folder / RATIO_PICTURE, fitted, record_fit)
             if fitted.innovations is not None:
-                write_filtered(home, filtered_history(fitted.innovations, fitted.fit.values, record_fit))
+                write_filtered(record_folder, filtered_history(fitted.innovations, fitted.fit.values, record_fit))
         return sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
