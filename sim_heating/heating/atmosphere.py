@@ -290,7 +290,13 @@ def _sutherland_loop(T: FloatArray, mu: FloatArray) -> None:
 
 
 @njit
-def _derive_loop(z: FloatArray, V: FloatArray, rho: FloatArray, length: float, out: FloatArray) -> None:
+def _speed_of_sound_loop(T: FloatArray, speed: FloatArray) -> None:
+    for i in range(len(T)):
+        speed[i] = speed_of_sound_kernel(T[i])
+
+
+@njit
+def _free_stream_loop(z: FloatArray, V: FloatArray, rho: FloatArray, length: float, out: FloatArray) -> None:
     for i in range(len(z)):
         out[0, i], out[1, i], out[2, i], out[3, i] = free_stream_kernel(z[i], V[i], rho[i], length)
 
@@ -357,7 +363,10 @@ def speed_of_sound(T_K: ArrayLike) -> FloatArray:
     raises  : InputError where T is not a number above 0
     Source: US Standard Atmosphere 1976, eq. 50.
     """
-    return np.sqrt(GAMMA * R_AIR * _checked_positive("T_K", T_K))
+    T = _checked_positive("T_K", T_K)
+    speed = np.empty(T.size)
+    _speed_of_sound_loop(T.ravel(), speed)
+    return speed.reshape(T.shape)
 
 
 def free_stream(
@@ -382,5 +391,5 @@ def free_stream(
     # Copies: to numba a read-only view is another type, for which the loop would be compiled a second time.
     z, V, rho = (np.array(a) for a in np.broadcast_arrays(*checked))
     out = np.empty((4, z.size))
-    _derive_loop(z, V, rho, float(reference_length_m), out)
+    _free_stream_loop(z, V, rho, float(reference_length_m), out)
     return {"T_inf_K": out[0], "p_inf_Pa": out[1], "mach": out[2], "log10_re": out[3]}

@@ -13,46 +13,8 @@ step, not interpolated itself.
 from __future__ import annotations
 
 from sim_heating.base.arrays import FloatArray, IntArray
-from sim_heating.base.kernels.block import (
-    ADDED,
-    C_STAGES,
-    CELL_COLUMN,
-    CELL_WORK,
-    CELL_X,
-    EFFECT_CODES,
-    EFFECT_PARAMETERS,
-    EFFECT_SLOTS,
-    EFFECT_WIDTH,
-    FILM,
-    H_REF,
-    HEAD_ROWS,
-    LAG_INPUT,
-    LAG_PAST,
-    LAG_SLOT,
-    LAG_VALUE,
-    LANES,
-    N_ADDING,
-    N_CONDITIONS,
-    N_EFFECTS,
-    N_EMITTING,
-    N_PARAMETERS,
-    N_PRESSURES,
-    NEGATIVE,
-    NONE,
-    OFF_AXES,
-    OUTSIDE,
-    P_SURFACE,
-    PARAMETERS,
-    PCOL,
-    PFRAC,
-    PRESSURE_TABLE,
-    Q_ADD,
-    R_BASE,
-    RECOVERY,
-    RECOVERY_ENTHALPY,
-    TIME,
-    T,
-)
+from sim_heating.base.kernels import block as k
+from sim_heating.base.kernels.block import LANES
 from sim_heating.base.kernels.elementary import exp, log10
 from sim_heating.base.kernels.jit import call_dispatcher, inline_always, njit
 from sim_heating.heating.ratio.lookup import (
@@ -78,15 +40,19 @@ def ratio_with_effects(B: FloatArray, J: IntArray, dispatcher, lane: int, stage:
     Where the lane has a lag, its state at the stage is written into B.
     Source: docs/equations.md, equations 6 and 8.
     """
-    c = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
-    p = PARAMETERS * LANES + lane * N_PARAMETERS + EFFECT_PARAMETERS
-    adding = J[N_ADDING + lane]
-    for k in range(adding):
-        r += call_dispatcher(dispatcher, J[EFFECT_CODES + lane * EFFECT_SLOTS + k], B, c, p + k * EFFECT_WIDTH, wall_K)
-    if J[LAG_SLOT + lane] != NONE:
-        r = _lagged_ratio(B, lane, stage, p + J[LAG_SLOT + lane] * EFFECT_WIDTH, r)
-    for k in range(adding, J[N_EFFECTS + lane]):
-        r *= call_dispatcher(dispatcher, J[EFFECT_CODES + lane * EFFECT_SLOTS + k], B, c, p + k * EFFECT_WIDTH, wall_K)
+    c = k.C_STAGES * LANES + (stage * LANES + lane) * k.N_CONDITIONS
+    p = k.PARAMETERS * LANES + lane * k.N_PARAMETERS + k.EFFECT_PARAMETERS
+    adding = J[k.N_ADDING + lane]
+    for slot in range(adding):
+        r += call_dispatcher(
+            dispatcher, J[k.EFFECT_CODES + lane * k.EFFECT_SLOTS + slot], B, c, p + slot * k.EFFECT_WIDTH, wall_K
+        )
+    if J[k.LAG_SLOT + lane] != k.NONE:
+        r = _lagged_ratio(B, lane, stage, p + J[k.LAG_SLOT + lane] * k.EFFECT_WIDTH, r)
+    for slot in range(adding, J[k.N_EFFECTS + lane]):
+        r *= call_dispatcher(
+            dispatcher, J[k.EFFECT_CODES + lane * k.EFFECT_SLOTS + slot], B, c, p + slot * k.EFFECT_WIDTH, wall_K
+        )
     return r
 
 
@@ -96,16 +62,16 @@ def _lagged_ratio(B: FloatArray, lane: int, stage: int, p: int, r: float) -> flo
 
     m_1 = r_1 - b + (m_0 - r_0 + b) exp(-x), x = dt / tau, b = (r_1 - r_0) / x (docs/equations.md, equation 8).
     """
-    now = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS + TIME
-    start = C_STAGES * LANES + lane * N_CONDITIONS + TIME
+    now = k.C_STAGES * LANES + (stage * LANES + lane) * k.N_CONDITIONS + k.TIME
+    start = k.C_STAGES * LANES + lane * k.N_CONDITIONS + k.TIME
     m = r
-    if B[LAG_PAST * LANES + lane] > 0.0 and B[now] > B[start]:
+    if B[k.LAG_PAST * LANES + lane] > 0.0 and B[now] > B[start]:
         # Exact for a linear ratio, so that time constants far below the step need no substeps.
         x = (B[now] - B[start]) / B[p]
-        behind = (r - B[LAG_INPUT * LANES + lane]) / x
-        m = r - behind + (B[LAG_VALUE * LANES + lane] - B[LAG_INPUT * LANES + lane] + behind) * exp(-x)
-    B[(LAG_VALUE + stage) * LANES + lane] = m
-    B[(LAG_INPUT + stage) * LANES + lane] = r
+        behind = (r - B[k.LAG_INPUT * LANES + lane]) / x
+        m = r - behind + (B[k.LAG_VALUE * LANES + lane] - B[k.LAG_INPUT * LANES + lane] + behind) * exp(-x)
+    B[(k.LAG_VALUE + stage) * LANES + lane] = m
+    B[(k.LAG_INPUT + stage) * LANES + lane] = r
     return r + B[p + 1] * (m - r)
 
 
@@ -117,13 +83,13 @@ def emittance_factor(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: i
     lane   : its number;  stage : 0 start, 1 middle, 2 end of the time step;  wall_K : wall temperature [K]
     returns : 1 without such effects. It multiplies epsilon of the surface balance (docs/equations.md, equation 2).
     """
-    c = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
-    p = PARAMETERS * LANES + lane * N_PARAMETERS + EFFECT_PARAMETERS
+    c = k.C_STAGES * LANES + (stage * LANES + lane) * k.N_CONDITIONS
+    p = k.PARAMETERS * LANES + lane * k.N_PARAMETERS + k.EFFECT_PARAMETERS
     # Effects on emittance come after those on the ratio in the lane's list.
-    first, factor = J[N_EFFECTS + lane], 1.0
-    for k in range(first, first + J[N_EMITTING + lane]):
+    first, factor = J[k.N_EFFECTS + lane], 1.0
+    for slot in range(first, first + J[k.N_EMITTING + lane]):
         factor *= call_dispatcher(
-            dispatcher, J[EFFECT_CODES + lane * EFFECT_SLOTS + k], B, c, p + k * EFFECT_WIDTH, wall_K
+            dispatcher, J[k.EFFECT_CODES + lane * k.EFFECT_SLOTS + slot], B, c, p + slot * k.EFFECT_WIDTH, wall_K
         )
     return factor
 
@@ -134,15 +100,15 @@ def _pressure_columns(B: FloatArray, J: IntArray, table: FloatArray, stage: int)
     to the next column; the properties are linear in log10 p between columns and constant outside them.
     """
     for lane in range(LANES):
-        B[(CELL_X + PRESSURE) * LANES + lane] = log10(B[(CELL_X + PRESSURE) * LANES + lane])
+        B[(k.CELL_X + PRESSURE) * LANES + lane] = log10(B[(k.CELL_X + PRESSURE) * LANES + lane])
     # Pressure changes slowly: most steps stay in the cached column and skip the search.
     if lanes_outside_cell(B, PRESSURE) > 0:
         for lane in range(LANES):
-            column = cache_axis_cell(B, table, lane, PRESSURE, J[PRESSURE_TABLE + lane], J[N_PRESSURES + lane])
-            B[CELL_COLUMN * LANES + lane] = float(column)
+            column = cache_axis_cell(B, table, lane, PRESSURE, J[k.PRESSURE_TABLE + lane], J[k.N_PRESSURES + lane])
+            B[k.CELL_COLUMN * LANES + lane] = float(column)
     for lane in range(LANES):
-        B[(PCOL + stage) * LANES + lane] = B[CELL_COLUMN * LANES + lane]
-        B[(PFRAC + stage) * LANES + lane] = min(max(fraction(B, PRESSURE, lane), 0.0), 1.0)
+        B[(k.PCOL + stage) * LANES + lane] = B[k.CELL_COLUMN * LANES + lane]
+        B[(k.PFRAC + stage) * LANES + lane] = min(max(fraction(B, PRESSURE, lane), 0.0), 1.0)
 
 
 @njit
@@ -155,14 +121,14 @@ def heat_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage:
     Source: docs/equations.md, equations 5 to 8.
     """
     heat_perturbed_lanes(B, J, table, dispatcher, stage)
-    c = C_STAGES * LANES + stage * LANES * N_CONDITIONS
+    c = k.C_STAGES * LANES + stage * LANES * k.N_CONDITIONS
     for lane in range(LANES):
-        B[(CELL_X + PRESSURE) * LANES + lane] = B[c + (lane * N_CONDITIONS + P_SURFACE)]
+        B[(k.CELL_X + PRESSURE) * LANES + lane] = B[c + (lane * k.N_CONDITIONS + k.P_SURFACE)]
     _pressure_columns(B, J, table, stage)
     # Only the end of the step is counted: it is a sample of the record, the other stages lie between two.
     if stage == 2:
         for lane in range(LANES):
-            B[OUTSIDE * LANES + lane] += 1.0 if B[OFF_AXES * LANES + lane] > 0.0 else 0.0
+            B[k.OUTSIDE * LANES + lane] += 1.0 if B[k.OFF_AXES * LANES + lane] > 0.0 else 0.0
 
 
 @njit
@@ -177,15 +143,15 @@ def heat_perturbed_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatch
     """
     table_ratios(B, J, table, stage)
     for lane in range(LANES):
-        c = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
-        p = PARAMETERS * LANES + lane * N_PARAMETERS
-        r = linear_ratio(B, p, c, B[CELL_WORK * LANES + lane])
+        c = k.C_STAGES * LANES + (stage * LANES + lane) * k.N_CONDITIONS
+        p = k.PARAMETERS * LANES + lane * k.N_PARAMETERS
+        r = linear_ratio(B, p, c, B[k.CELL_WORK * LANES + lane])
         # Kept without effects: effects that depend on wall temperature are evaluated again at every Newton iterate.
-        B[(R_BASE + stage) * LANES + lane] = r
-        if J[N_EFFECTS + lane] > 0:
-            r = ratio_with_effects(B, J, dispatcher, lane, stage, r, B[(HEAD_ROWS + T) * LANES + lane])
-        B[(FILM + stage) * LANES + lane] = r * B[c + H_REF]
-        B[(RECOVERY + stage) * LANES + lane] = B[c + RECOVERY_ENTHALPY]
-        B[(ADDED + stage) * LANES + lane] = B[c + Q_ADD]
+        B[(k.R_BASE + stage) * LANES + lane] = r
+        if J[k.N_EFFECTS + lane] > 0:
+            r = ratio_with_effects(B, J, dispatcher, lane, stage, r, B[(k.HEAD_ROWS + k.T) * LANES + lane])
+        B[(k.FILM + stage) * LANES + lane] = r * B[c + k.H_REF]
+        B[(k.RECOVERY + stage) * LANES + lane] = B[c + k.RECOVERY_ENTHALPY]
+        B[(k.ADDED + stage) * LANES + lane] = B[c + k.Q_ADD]
         if stage == 2:
-            B[NEGATIVE * LANES + lane] += 1.0 if r < 0.0 else 0.0
+            B[k.NEGATIVE * LANES + lane] += 1.0 if r < 0.0 else 0.0

@@ -30,8 +30,8 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.files import Declared
 from sim_heating.base.kernels.jit import njit
+from sim_heating.heating.atmosphere import GAMMA
 
-GAMMA = 1.4
 NEWTONIAN = 0.0
 FRACTION = 1.0
 PRESSURE_PARAMETERS = 4
@@ -96,29 +96,38 @@ def stagnation_pressure_coefficient(mach: float) -> float:
 
 @njit
 def surface_pressure_kernel(
-    p_inf: float, q_inf: float, mach: float, alpha_deg: float, beta_deg: float,
-    elevon_deg: float, bodyflap_deg: float, kind: float, first: float, elevon_factor: float, bodyflap_factor: float,
-) -> float:  # fmt: skip
+    p_inf: float,
+    q_inf: float,
+    mach: float,
+    alpha_deg: float,
+    beta_deg: float,
+    elevon_deg: float,
+    bodyflap_deg: float,
+    model: FloatArray,
+) -> float:
     """Surface pressure [Pa] of one point at one time, by modified Newtonian theory or as a fraction of stagnation.
 
-    p_inf, q_inf                                 : freestream static and dynamic pressure [Pa]
-    mach                                         : true Mach number [-]
-    alpha_deg, beta_deg                          : angle of attack and sideslip [deg]
-    elevon_deg, bodyflap_deg                     : deflections [deg]
-    kind, first, elevon_factor, bodyflap_factor  : a pressure model's `parameters()`
+    p_inf, q_inf             : free-stream static and dynamic pressure [Pa]
+    mach                     : true Mach number [-]
+    alpha_deg, beta_deg      : angle of attack and sideslip [deg]
+    elevon_deg, bodyflap_deg : deflections [deg]
+    model                    : `parameters()` of a pressure model, at least (PRESSURE_PARAMETERS,)
     Source: docs/equations.md, equations 30 to 32 (Lees 1955; NACA Report 1135, eq. 100).
     """
     rise, cos_beta = q_inf * stagnation_pressure_coefficient(mach), math.cos(math.radians(beta_deg))
-    return pressure_below_rise(
-        p_inf, rise, alpha_deg, cos_beta, elevon_deg, bodyflap_deg, kind, first, elevon_factor, bodyflap_factor
-    )
+    return pressure_below_rise(p_inf, rise, alpha_deg, cos_beta, elevon_deg, bodyflap_deg, model)
 
 
 @njit
 def pressure_below_rise(
-    p_inf: float, rise: float, alpha_deg: float, cos_beta: float, elevon_deg: float, bodyflap_deg: float,
-    kind: float, first: float, elevon_factor: float, bodyflap_factor: float,
-) -> float:  # fmt: skip
+    p_inf: float,
+    rise: float,
+    alpha_deg: float,
+    cos_beta: float,
+    elevon_deg: float,
+    bodyflap_deg: float,
+    model: FloatArray,
+) -> float:
     """Surface pressure [Pa] of one point from the pressure rise at the stagnation point.
 
         p = p_inf + rise max(0, cos beta sin theta)^2,   or   p = p_inf + fraction rise
@@ -126,13 +135,13 @@ def pressure_below_rise(
     p_inf, rise : freestream static pressure and stagnation pressure rise q_inf cp_max [Pa]
     cos_beta    : cosine of sideslip [-]; it and `rise` are common to all points of a vehicle, so computed once
     alpha_deg, elevon_deg, bodyflap_deg : angle of attack and deflections [deg]
-    kind, first, elevon_factor, bodyflap_factor : a pressure model's `parameters()`
+    model       : `parameters()` of a pressure model, at least (PRESSURE_PARAMETERS,)
     Source: docs/equations.md, equations 30 and 31.
     """
     # Kind as a float in the parameter block: one kernel for both models, whose blocks lie in one array.
-    if kind == FRACTION:
-        return p_inf + first * rise
-    angle = alpha_deg + first + elevon_factor * elevon_deg + bodyflap_factor * bodyflap_deg
+    if model[0] == FRACTION:
+        return p_inf + model[1] * rise
+    angle = alpha_deg + model[1] + model[2] * elevon_deg + model[3] * bodyflap_deg
     normal = cos_beta * math.sin(math.radians(angle))
     # A surface in the shadow of the flow has freestream pressure.
     return p_inf + rise * max(0.0, normal) ** 2
@@ -141,13 +150,12 @@ def pressure_below_rise(
 @njit
 def _surface_pressures(
     p_inf: FloatArray, q_inf: FloatArray, mach: FloatArray, alpha_deg: FloatArray, beta_deg: FloatArray,
-    elevon_deg: FloatArray, bodyflap_deg: FloatArray, parameters: FloatArray, out: FloatArray,
+    elevon_deg: FloatArray, bodyflap_deg: FloatArray, model: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
     for i in range(len(out)):
         out[i] = surface_pressure_kernel(
-            p_inf[i], q_inf[i], mach[i], alpha_deg[i], beta_deg[i], elevon_deg[i], bodyflap_deg[i],
-            parameters[0], parameters[1], parameters[2], parameters[3],
-        )  # fmt: skip
+            p_inf[i], q_inf[i], mach[i], alpha_deg[i], beta_deg[i], elevon_deg[i], bodyflap_deg[i], model
+        )
 
 
 def surface_pressure(model: ModifiedNewtonian | FractionOfStagnation, conditions: Conditions) -> FloatArray:

@@ -26,6 +26,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import Declared, LocatedError, display_path, read_csv_columns, read_toml
+from sim_heating.base.kernels.axis import cells_of
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table, write_ratio_table
 from sim_heating.heating.ratio.tunnel_to_flight import (
     REFERENCE,
@@ -224,7 +225,7 @@ def _from_file(base: FileBase, path: Path, alpha_deg: FloatArray, log10_re: Floa
     if not np.all(np.isfinite(values)):
         raise InputError(f"{display_path(path)}: the rows do not fill a grid of alpha_deg and log10_re")
     at_alpha = np.stack([np.interp(alpha_deg, a, column) for column in values.T])
-    i = np.clip(np.searchsorted(re, log10_re, side="right") - 1, 0, max(len(re) - 2, 0))
+    i = cells_of(re, log10_re)
     j = np.minimum(i + 1, len(re) - 1)
     w = np.where(j > i, np.clip((log10_re - re[i]) / np.where(j > i, re[j] - re[i], 1.0), 0.0, 1.0), 0.0)
     low, high = (np.take_along_axis(at_alpha, k[None], 0)[0] for k in (i, j))

@@ -185,7 +185,7 @@ def derive_conditions(
         vectors[i, ALPHA], vectors[i, BETA], vectors[i, LOG10_RE] = alpha, beta, log10_re
         vectors[i, ELEVON], vectors[i, BODYFLAP] = frame[F_ELEVON], frame[F_BODYFLAP]
         vectors[i, P_SURFACE] = pressure_below_rise(
-            p_inf, rise, alpha, cos_beta, frame[F_ELEVON], frame[F_BODYFLAP], point[0], point[1], point[2], point[3]
+            p_inf, rise, alpha, cos_beta, frame[F_ELEVON], frame[F_BODYFLAP], point
         )
         vectors[i, H_REF], vectors[i, RECOVERY_ENTHALPY] = h_ref, H_r
         vectors[i, JETS], vectors[i, MACH], vectors[i, TIME] = frame[F_JETS], mach, frame[F_TIME]

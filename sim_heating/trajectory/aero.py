@@ -26,6 +26,7 @@ from pydantic import Field
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import Convertible, CsvTable, display_path, read_csv_columns, read_toml
+from sim_heating.base.kernels.axis import cell_of
 from sim_heating.base.kernels.jit import njit
 from sim_heating.trajectory.spec import Positive, TrajectorySpec
 
@@ -142,9 +143,7 @@ def bracket(axis: FloatArray, x: float) -> tuple[int, float]:
         return 0, 0.0
     if x >= axis[last]:
         return last - 1, 1.0
-    i = 0
-    while axis[i + 1] <= x:
-        i += 1
+    i = cell_of(axis, 0, last + 1, x)
     return i, (x - axis[i]) / (axis[i + 1] - axis[i])
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import read_csv_columns
+from sim_heating.base.kernels.axis import cell_of
 from sim_heating.base.kernels.jit import njit
 from sim_heating.trajectory.aero import Aero, Grid
 from sim_heating.trajectory.guidance import clipped
@@ -51,10 +52,9 @@ def bracket_scan(block: FloatArray, start: int, points: int, x: float) -> tuple[
     """Interval of x on a short rising axis inside a block and its place 0..1 within; held at the ends."""
     if points == 1:
         return 0, 0.0
-    i = start
-    while i < start + points - 2 and x >= block[i + 1]:
-        i += 1
-    return i - start, clipped((x - block[i]) / (block[i + 1] - block[i]), 0.0, 1.0)
+    cell = cell_of(block, start, points, x)
+    i = start + cell
+    return cell, clipped((x - block[i]) / (block[i + 1] - block[i]), 0.0, 1.0)
 
 
 @njit

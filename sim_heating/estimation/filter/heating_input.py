@@ -39,6 +39,7 @@ from scipy.optimize import minimize
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.kernels.axis import cells_of
 from sim_heating.base.threads import one_thread
 from sim_heating.estimation.filter.march import Disturbance, FilterTrack
 from sim_heating.estimation.filter.response import Response, ResponseMarch
@@ -209,7 +210,7 @@ def weights(time_s: FloatArray, at_s: FloatArray) -> FloatArray:
     found = np.zeros((len(middle), len(at_s)))
     if len(at_s) == 1:
         return found + 1.0
-    left = np.clip(np.searchsorted(at_s, middle, side="right") - 1, 0, len(at_s) - 2)
+    left = cells_of(at_s, middle)
     part, rows = (middle - at_s[left]) / np.diff(at_s)[left], np.arange(len(middle))
     found[rows, left], found[rows, left + 1] = 1.0 - part, part
     return found

@@ -14,28 +14,9 @@ from __future__ import annotations
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray, IntArray
-from sim_heating.base.kernels.block import (
-    C_STAGES,
-    CELL_AXES,
-    CELL_FOOT,
-    CELL_HIGH,
-    CELL_INVERSE,
-    CELL_LOW,
-    CELL_WORK,
-    CELL_X,
-    CORNERS,
-    D0,
-    FIRST,
-    LANES,
-    N_CONDITIONS,
-    NO_TABLE,
-    OFF_AXES,
-    ORDER,
-    RATIO_TABLE,
-    REFERENCE,
-    SCALE,
-    SECOND,
-)
+from sim_heating.base.kernels import block as k
+from sim_heating.base.kernels.axis import cell_of
+from sim_heating.base.kernels.block import LANES
 from sim_heating.base.kernels.elementary import lanes_outside
 from sim_heating.base.kernels.jit import force_inline, inline_always, njit
 from sim_heating.heating.ratio.table import RatioTable
@@ -61,9 +42,7 @@ def _cell(axis: FloatArray, first: int, n: int, x: float) -> tuple[int, float]:
         return 0, 0.0
     if x >= axis[first + n - 1]:
         return n - 1, 0.0
-    i = 0
-    while x >= axis[first + i + 1]:
-        i += 1
+    i = cell_of(axis, first, n, x)
     low = axis[first + i]
     return i, (x - low) / (axis[first + i + 1] - low)
 
@@ -143,41 +122,41 @@ def linear_ratio(B: FloatArray, p: int, c: int, tabulated: float) -> float:
     tabulated : ratio of the table at the conditions [-]
     Source: docs/equations.md, equation 5 (NASA CP-2283, equation 2, with second-order terms).
     """
-    r = tabulated * (1.0 + B[p + SCALE]) + B[p + D0]
+    r = tabulated * (1.0 + B[p + k.SCALE]) + B[p + k.D0]
     # Most points have no derivatives: ORDER saves up to 20 terms a stage.
-    if B[p + ORDER] >= 1.0:
+    if B[p + k.ORDER] >= 1.0:
         for i in range(VARIABLES):
-            r += B[p + FIRST + i] * (B[c + i] - B[p + REFERENCE + i])
-    if B[p + ORDER] >= 2.0:
-        k = p + SECOND
+            r += B[p + k.FIRST + i] * (B[c + i] - B[p + k.REFERENCE + i])
+    if B[p + k.ORDER] >= 2.0:
+        term = p + k.SECOND
         for i in range(VARIABLES):
             for j in range(i, VARIABLES):
-                r += B[k] * (B[c + i] - B[p + REFERENCE + i]) * (B[c + j] - B[p + REFERENCE + j])
-                k += 1
+                r += B[term] * (B[c + i] - B[p + k.REFERENCE + i]) * (B[c + j] - B[p + k.REFERENCE + j])
+                term += 1
     return r
 
 
 @njit
-def linear_ratio_derivative(B: FloatArray, p: int, c: int, tabulated: float, k: int) -> float:
+def linear_ratio_derivative(B: FloatArray, p: int, c: int, tabulated: float, parameter: int) -> float:
     """Derivative of `linear_ratio` with respect to one of its parameters, exact as the model is linear in them.
 
     B, p, c   : as in `linear_ratio`;  tabulated : ratio of the table [-]
-    k         : offset of the parameter from B[p]: SCALE, D0, or a place from FIRST or SECOND on
+    parameter : its offset from B[p]: SCALE, D0, or one from FIRST or SECOND on
     returns   : r_table, 1, dx_i or dx_i dx_j; [-], [deg] or their product
     Source: docs/equations.md, equation 9.
     """
-    if k == SCALE:
+    if parameter == k.SCALE:
         return tabulated
-    if k == D0:
+    if parameter == k.D0:
         return 1.0
-    if k < SECOND:
-        return B[c + k - FIRST] - B[p + REFERENCE + k - FIRST]
-    i, beyond = 0, k - SECOND
+    if parameter < k.SECOND:
+        return B[c + parameter - k.FIRST] - B[p + k.REFERENCE + parameter - k.FIRST]
+    i, beyond = 0, parameter - k.SECOND
     while beyond >= VARIABLES - i:
         beyond -= VARIABLES - i
         i += 1
     j = i + beyond
-    return (B[c + i] - B[p + REFERENCE + i]) * (B[c + j] - B[p + REFERENCE + j])
+    return (B[c + i] - B[p + k.REFERENCE + i]) * (B[c + j] - B[p + k.REFERENCE + j])
 
 
 @njit
@@ -187,11 +166,11 @@ def write_order(B: FloatArray, p: int) -> None:
     B, p : block of a lane group and where a lane's parameters begin
     `linear_ratio` omits the sums above that order (docs/equations.md, equation 5).
     """
-    B[p + ORDER] = 0.0
-    for k in range(FIRST, REFERENCE):
-        if B[p + k] != 0.0:
+    B[p + k.ORDER] = 0.0
+    for parameter in range(k.FIRST, k.REFERENCE):
+        if B[p + parameter] != 0.0:
             # Second derivatives come last in the block, so that the last one that is not 0 decides.
-            B[p + ORDER] = 2.0 if k >= SECOND else 1.0
+            B[p + k.ORDER] = 2.0 if parameter >= k.SECOND else 1.0
 
 
 @njit
@@ -200,10 +179,10 @@ def invalidate_cells(B: FloatArray) -> None:
 
     B : block of the lane group. The bounds of every cached cell are made empty, so that the next lookup searches.
     """
-    for a in range(CELL_AXES):
+    for a in range(k.CELL_AXES):
         for lane in range(LANES):
-            B[(CELL_LOW + a) * LANES + lane] = FAR
-            B[(CELL_HIGH + a) * LANES + lane] = -FAR
+            B[(k.CELL_LOW + a) * LANES + lane] = FAR
+            B[(k.CELL_HIGH + a) * LANES + lane] = -FAR
 
 
 @njit
@@ -215,19 +194,18 @@ def cache_axis_cell(B: FloatArray, table: FloatArray, lane: int, a: int, first: 
     returns  : index of the cell, 0 for an axis of one value
     Bounds, lower node and inverse width are written into B; cells at the ends extend to infinity.
     """
-    x, i, low, high, foot, inverse = B[(CELL_X + a) * LANES + lane], 0, -FAR, FAR, 0.0, 0.0
+    i, low, high, foot, inverse = 0, -FAR, FAR, 0.0, 0.0
     if n > 1:
-        while i < n - 2 and x >= table[first + i + 1]:
-            i += 1
+        i = cell_of(table, first, n, B[(k.CELL_X + a) * LANES + lane])
         foot = table[first + i]
         inverse = 1.0 / (table[first + i + 1] - foot)
         # Unbounded at the ends of the axis: a variable off the table does not start a search at every stage.
         low = foot if i > 0 else -FAR
         high = table[first + i + 1] if i < n - 2 else FAR
-    B[(CELL_LOW + a) * LANES + lane] = low
-    B[(CELL_HIGH + a) * LANES + lane] = high
-    B[(CELL_FOOT + a) * LANES + lane] = foot
-    B[(CELL_INVERSE + a) * LANES + lane] = inverse
+    B[(k.CELL_LOW + a) * LANES + lane] = low
+    B[(k.CELL_HIGH + a) * LANES + lane] = high
+    B[(k.CELL_FOOT + a) * LANES + lane] = foot
+    B[(k.CELL_INVERSE + a) * LANES + lane] = inverse
     return i
 
 
@@ -236,16 +214,16 @@ def _cache_cell(B: FloatArray, table: FloatArray, offset: int, lane: int) -> Non
     """Cache the cell that contains a lane's variables, and the ratios at its 32 corners, 0 for a lane without table."""
     first, node = offset + VARIABLES, 0
     for a in range(VARIABLES):
-        n = 1 if offset == NO_TABLE else int(table[offset + a])
+        n = 1 if offset == k.NO_TABLE else int(table[offset + a])
         node = node * n + cache_axis_cell(B, table, lane, a, first, n)
         first += n
     for corner in range(32):
         at, stride = first + node, 1
         for a in range(VARIABLES - 1, -1, -1):
-            n = 1 if offset == NO_TABLE else int(table[offset + a])
+            n = 1 if offset == k.NO_TABLE else int(table[offset + a])
             at += stride if (corner >> a) & 1 == 1 and n > 1 else 0
             stride *= n
-        B[(CORNERS + corner) * LANES + lane] = 0.0 if offset == NO_TABLE else table[at]
+        B[(k.CORNERS + corner) * LANES + lane] = 0.0 if offset == k.NO_TABLE else table[at]
 
 
 @njit
@@ -254,7 +232,7 @@ def _interpolate_along(B: FloatArray, corners: int, into: int, half: int, a: int
     for c in range(half):
         for lane in range(LANES):
             low = B[(corners + c) * LANES + lane]
-            f = B[(CELL_X + a) * LANES + lane]
+            f = B[(k.CELL_X + a) * LANES + lane]
             B[(into + c) * LANES + lane] = low + f * (B[(corners + half + c) * LANES + lane] - low)
 
 
@@ -264,7 +242,7 @@ def lanes_outside_cell(B: FloatArray, a: int) -> int:
 
     B : block of the lane group; rows CELL_X + a, CELL_LOW + a and CELL_HIGH + a, in the unit of the axis
     """
-    return lanes_outside(B, (CELL_X + a) * LANES, (CELL_LOW + a) * LANES, (CELL_HIGH + a) * LANES)
+    return lanes_outside(B, (k.CELL_X + a) * LANES, (k.CELL_LOW + a) * LANES, (k.CELL_HIGH + a) * LANES)
 
 
 @force_inline
@@ -274,7 +252,8 @@ def fraction(B: FloatArray, a: int, lane: int) -> float:
     B : block of the lane group. Below 0 or above 1 only off the ends of the axis; 0 on an axis of one value.
     It is f_v of docs/equations.md, equation 7, before it is limited to 0 to 1.
     """
-    return (B[(CELL_X + a) * LANES + lane] - B[(CELL_FOOT + a) * LANES + lane]) * B[(CELL_INVERSE + a) * LANES + lane]
+    x, foot = B[(k.CELL_X + a) * LANES + lane], B[(k.CELL_FOOT + a) * LANES + lane]
+    return (x - foot) * B[(k.CELL_INVERSE + a) * LANES + lane]
 
 
 @njit
@@ -286,22 +265,22 @@ def _interpolate(B: FloatArray, J: IntArray, table: FloatArray) -> None:
         left += lanes_outside_cell(B, a)
     if left > 0:
         for lane in range(LANES):
-            _cache_cell(B, table, J[RATIO_TABLE + lane], lane)
+            _cache_cell(B, table, J[k.RATIO_TABLE + lane], lane)
     for lane in range(LANES):
-        B[OFF_AXES * LANES + lane] = 0.0
+        B[k.OFF_AXES * LANES + lane] = 0.0
     for a in range(VARIABLES):
         for lane in range(LANES):
             f = fraction(B, a, lane)
             # `&` and not `and`: without a branch the loop over lanes vectorises.
-            B[OFF_AXES * LANES + lane] += 0.0 if (f >= 0.0) & (f <= 1.0) else 1.0
-            B[(CELL_X + a) * LANES + lane] = min(max(f, 0.0), 1.0)
+            B[k.OFF_AXES * LANES + lane] += 0.0 if (f >= 0.0) & (f <= 1.0) else 1.0
+            B[(k.CELL_X + a) * LANES + lane] = min(max(f, 0.0), 1.0)
     # Variable 4 first: bit a of a corner's number belongs to variable a, so that both halves are contiguous rows.
     # The table's own corners are kept; from four values on the work rows are overwritten in place.
-    _interpolate_along(B, CORNERS, CELL_WORK + 8, 16, 4)
-    _interpolate_along(B, CELL_WORK + 8, CELL_WORK, 8, 3)
-    _interpolate_along(B, CELL_WORK, CELL_WORK, 4, 2)
-    _interpolate_along(B, CELL_WORK, CELL_WORK, 2, 1)
-    _interpolate_along(B, CELL_WORK, CELL_WORK, 1, 0)
+    _interpolate_along(B, k.CORNERS, k.CELL_WORK + 8, 16, 4)
+    _interpolate_along(B, k.CELL_WORK + 8, k.CELL_WORK, 8, 3)
+    _interpolate_along(B, k.CELL_WORK, k.CELL_WORK, 4, 2)
+    _interpolate_along(B, k.CELL_WORK, k.CELL_WORK, 2, 1)
+    _interpolate_along(B, k.CELL_WORK, k.CELL_WORK, 1, 0)
 
 
 @njit
@@ -313,8 +292,8 @@ def table_ratios(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> N
     Row OFF_AXES gets how many of the five variables lie outside the table (an axis of one value has no outside).
     The corners of a lane's cell are cached until it leaves the cell. Source: docs/equations.md, equation 7.
     """
-    c = C_STAGES * LANES + stage * LANES * N_CONDITIONS
+    c = k.C_STAGES * LANES + stage * LANES * k.N_CONDITIONS
     for a in range(VARIABLES):
         for lane in range(LANES):
-            B[(CELL_X + a) * LANES + lane] = B[c + (lane * N_CONDITIONS + a)]
+            B[(k.CELL_X + a) * LANES + lane] = B[c + (lane * k.N_CONDITIONS + a)]
     _interpolate(B, J, table)

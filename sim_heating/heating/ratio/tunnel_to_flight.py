@@ -42,6 +42,7 @@ from pydantic import Field, model_validator
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import Declared, LocatedError
+from sim_heating.base.kernels.axis import cells_of
 from sim_heating.heating.atmosphere import sutherland_kernel
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.reference.flat_plate import eckert_kernel
@@ -241,7 +242,7 @@ def _at_nodes(values: FloatArray, axis: FloatArray, nodes: FloatArray) -> FloatA
     """Values of a ratio-table array linear in log10_re, at nodes inside the axis."""
     if len(axis) == 1:
         return np.repeat(values, len(nodes), axis=LOG10_RE)
-    i = np.clip(np.searchsorted(axis, nodes, side="right") - 1, 0, len(axis) - 2)
+    i = cells_of(axis, nodes)
     w = ((nodes - axis[i]) / (axis[i + 1] - axis[i])).reshape(1, 1, -1, 1, 1)
     return np.take(values, i, LOG10_RE) * (1.0 - w) + np.take(values, i + 1, LOG10_RE) * w
 

@@ -32,6 +32,7 @@ from scipy.stats import chi2
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
+from sim_heating.base.kernels.axis import cells_of
 from sim_heating.base.parameters import RATIO, SECOND_ORDER
 from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.heating.ratio.table import RatioTable
@@ -66,7 +67,7 @@ def node_weights(axes: Sequence[FloatArray], x: FloatArray) -> csr_array:
     weights = np.ones((len(x), 1))
     # Variable by variable, each doubles the corners: 32 in the end, last variable fastest as in the ravelled ratio.
     for axis, values in zip(axes, x.T, strict=True):
-        low = np.clip(np.searchsorted(axis, values, side="right") - 1, 0, max(len(axis) - 2, 0))
+        low = cells_of(axis, values)
         high = np.minimum(low + 1, len(axis) - 1)
         width = np.where(high > low, axis[high] - axis[low], 1.0)
         f = np.clip((values - axis[low]) / width, 0.0, 1.0)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from sim_heating.base.arrays import FloatArray
+from sim_heating.base.kernels.axis import cells_of
 from sim_heating.planning.envelope.margins import ROUNDING, Evaluated
 
 FINE = 801
@@ -93,7 +94,7 @@ def scan(
 
 def fine_between(x: FloatArray, good: NDArray[np.bool_], fine: FloatArray) -> NDArray[np.bool_]:
     """(fine,) whether a place lies between two neighbouring flights that could both be flown."""
-    i = np.clip(np.searchsorted(x, fine, side="right") - 1, 0, len(x) - 2)
+    i = cells_of(x, fine)
     on = np.isin(fine, x[good])
     return np.asarray((good[i] & good[i + 1]) | on)
 

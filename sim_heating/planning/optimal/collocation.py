@@ -22,6 +22,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.kernels.axis import cells_of
 
 try:
     import casadi as ca
@@ -120,7 +121,7 @@ class Motion:
     def states_at(self, time_s: FloatArray) -> FloatArray:
         """(state, time) states at times [s] by the polynomials of the intervals."""
         tau = np.clip(np.asarray(time_s) / self.duration_s, 0.0, 1.0)
-        k = np.clip(np.searchsorted(self.mesh, tau, side="right") - 1, 0, len(self.mesh) - 2)
+        k = cells_of(self.mesh, tau)
         inside = (tau - self.mesh[k]) / (self.mesh[k + 1] - self.mesh[k])
         points = _points()
         weights = np.array([

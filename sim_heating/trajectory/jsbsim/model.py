@@ -19,6 +19,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
+from sim_heating.base.kernels.axis import cells_of
 from sim_heating.trajectory.aero import COEFFICIENTS, Aero, Damping, Grid, Lateral, Surface
 from sim_heating.trajectory.trimmed_aero import low_speed_rows
 
@@ -70,7 +71,7 @@ def with_low_speed(aero: Aero, low_speed: FloatArray) -> Aero:
 def _finer_in_alpha(grid: Grid) -> Grid:
     """The same table with more points at the low alphas, where the drag of a polar is curved."""
     alpha = np.union1d(grid.alpha_deg, np.arange(0.0, POLAR_ALPHA_DEG + 1.0, POLAR_STEP_DEG))
-    i = np.clip(np.searchsorted(grid.alpha_deg, alpha, side="right") - 1, 0, grid.alpha_deg.size - 2)
+    i = cells_of(grid.alpha_deg, alpha)
     share = ((alpha - grid.alpha_deg[i]) / np.diff(grid.alpha_deg)[i])[None, :, None, None]
     values = (1.0 - share) * grid.values[:, i] + share * grid.values[:, i + 1]
     return Grid(grid.mach, alpha, grid.deflection_deg, values)
