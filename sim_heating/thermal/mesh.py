@@ -190,6 +190,13 @@ def refined(mesh: Mesh) -> Mesh:
 
 
 def on_mesh(profile: FloatArray, mesh: Mesh, other: Mesh) -> FloatArray:
-    """(node,) temperatures [K] of one mesh on another of the same elements or parts of them, linear between nodes."""
+    """Temperatures of one mesh on another, linear between nodes.
+
+    profile : (node,) temperatures [K] on `mesh`
+    other   : mesh of the same elements, or of parts of them
+    returns : (node,) temperatures [K] on `other`; exact where it refines the mesh, as the elements are linear
+
+    The interpolation is that of the linear elements of docs/equations.md, section 3.
+    """
     at, wanted = (np.concatenate(([0.0], np.cumsum(m.length_m))) for m in (mesh, other))
     return np.interp(wanted, at, profile)
