@@ -23,7 +23,7 @@ from sim_heating.estimation.record_fit import Start, StartMaker
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record, Segments
 from sim_heating.inputs.scenario import Scenario, load_scenario
-from sim_heating.inputs.sensor_model import measured
+from sim_heating.inputs.sensor_model import measure
 from sim_heating.march.ensemble import Ensemble, condition_history
 from sim_heating.march.point import PointModel
 from sim_heating.simulation.run import fly_scenario
@@ -139,7 +139,7 @@ class Repeatable:
         """Measure once more: noise and recorder words of all sensors."""
         part = self.problem.record_fits[0]
         part.channels = [
-            replace(c, intervals=reading_intervals(c.sensor, measured(c.sensor, self.true_K[c.number], rng)))
+            replace(c, intervals=reading_intervals(c.sensor, measure(c.sensor, self.true_K[c.number], rng)))
             for c in part.channels
         ]
 

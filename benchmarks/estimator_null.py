@@ -22,14 +22,14 @@ from scipy.stats import binom
 from benchmarks.generator.record import make_and_write
 from benchmarks.measure import Figure, save
 from sim_heating.base.files import toml_text
-from sim_heating.base.parameters import SHORT
+from sim_heating.base.parameters import SHORT_NAMES
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.inference.newton import maximise
 from sim_heating.estimation.report.report import sensor_residual_tests
 from sim_heating.inputs.record import load_record
 
 RECORDS, SEED, PROCESSES = 120, 20, 2
-NAMES = ("ratio.scale", *(f"ratio.d_{short}" for short in SHORT))
+NAMES = ("ratio.scale", *(f"ratio.d_{short}" for short in SHORT_NAMES))
 
 
 def made_and_fitted(number: int, out: Path) -> dict[str, Any]:

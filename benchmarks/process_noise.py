@@ -31,7 +31,7 @@ from sim_heating.estimation.inference.newton import Fit, maximise
 from sim_heating.estimation.inference.residual_tests import sensor_residuals
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import declared_profile
-from sim_heating.inputs.sensor_model import measured
+from sim_heating.inputs.sensor_model import measure
 from sim_heating.march.ensemble import Ensemble, condition_history
 
 FloatArray = NDArray[np.float64]
@@ -115,13 +115,13 @@ def disturbed(
     return found, added
 
 
-def measure(problem: FitProblem, true_K: FloatArray, rng: np.random.Generator) -> None:
+def measure_all(problem: FitProblem, true_K: FloatArray, rng: np.random.Generator) -> None:
     """Read true temperatures (step, node) with the noise and the words of all sensors."""
     part = problem.record_fits[0]
     channels = []
     for c in part.channels:
         at = np.interp(part.sample_s[c.samples], part.time_s[1:], true_K[:, part.mesh.sensors[c.number]])
-        channels.append(replace(c, intervals=reading_intervals(c.sensor, measured(c.sensor, at, rng))))
+        channels.append(replace(c, intervals=reading_intervals(c.sensor, measure(c.sensor, at, rng))))
     part.channels = channels
 
 
@@ -132,7 +132,7 @@ def fits(
     rng, problem = np.random.default_rng(seed), bench.problem
     rows: list[list[tuple[FloatArray, ...]]] = [[] for _ in HOW]
     for true_K in disturbed(bench, noise, runs, rng)[0]:
-        measure(problem, true_K, rng)
+        measure_all(problem, true_K, rng)
         plain = maximise(problem.evaluate, problem.parameters, bench.truth, problem.log_likelihoods)
         rows[0].append(_row(bench, plain, problem, (), rng))
         for k, levels in enumerate(((), unknown), start=1):

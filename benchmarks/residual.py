@@ -22,7 +22,7 @@ from sim_heating.estimation.problem import FitProblem, joint_reference
 from sim_heating.heating.effects import use
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record, load_record
-from sim_heating.inputs.sensor_model import measured
+from sim_heating.inputs.sensor_model import measure
 from sim_heating.march.ensemble import condition_history
 from sim_heating.march.history import at_times, march_points
 from sim_heating.march.mesh_choice import pack
@@ -48,7 +48,7 @@ def raised() -> Record:
     rng, nothing = np.random.default_rng(SEED), np.zeros(len(record.time_s), dtype=bool)
     columns = {"time_s": record.time_s}
     for sensor, T in zip(record.sensors, at_times(history.time_s, history.sensors_K, record.time_s), strict=True):
-        columns[sensor.column] = measured(sensor, T, rng, None, nothing)
+        columns[sensor.column] = measure(sensor, T, rng, None, nothing)
     return replace(record, thermocouples=columns, conditions=conditions.with_columns(jets=0.0 * t))
 
 
@@ -120,7 +120,7 @@ def resolved() -> list[Figure]:
             nothing = np.full((1, len(time_s) - 1), np.nan)
             bare = FilterTrack(model, mesh, samples_on_grid(time_s[1:], mesh.sensors, nothing, sigma), (), start)
             expected = unknown_input(bare, time_s, history, taken).read_K
-            read = measured(sensor, expected, np.random.default_rng(SEED), None, np.zeros(len(expected), dtype=bool))
+            read = measure(sensor, expected, np.random.default_rng(SEED), None, np.zeros(len(expected), dtype=bool))
             seen = reading_intervals(sensor, read)
             low, high = seen.lower_K[np.newaxis], seen.upper_K[np.newaxis]
             samples = samples_on_grid(time_s[1:], mesh.sensors, low, sigma, high)

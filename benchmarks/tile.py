@@ -19,7 +19,7 @@ from sim_heating.base.conditions import Conditions
 from sim_heating.base.files import check
 from sim_heating.inputs.points import point_of_record
 from sim_heating.inputs.record import Record, RecordFile, load_record, make_record
-from sim_heating.inputs.sensor_model import measured
+from sim_heating.inputs.sensor_model import measure
 from sim_heating.simulation.predict import predict
 
 FloatArray = NDArray[np.float64]
@@ -100,7 +100,7 @@ def record(tile: Tile) -> Record:
     exact = predict(bare, model, skew_s=tile.skew_s).indicated_K[0]
     read = exact
     if tile.noise_K > 0.0:
-        read = measured(bare.sensors[0], exact, np.random.default_rng(tile.seed))
+        read = measure(bare.sensors[0], exact, np.random.default_rng(tile.seed))
     return make_record(declared, flown, {"time_s": t, "TC_K": read}, None, "tile")
 
 

@@ -61,12 +61,12 @@ def limit_message(name: str, value: float) -> str:
     return f"{value:g} {LIMITS[name][2] if math.isfinite(value) else 'is not a finite number'}"
 
 
-def implausible(table: CsvTable) -> list[str]:
+def implausible_values(table: CsvTable) -> list[str]:
     """One line for each column of conditions that holds a value that cannot be, or is in another unit."""
-    problems = table.not_kelvin("T_inf_K") if "T_inf_K" in table.columns else []
+    problems = table.celsius_problems("T_inf_K") if "T_inf_K" in table.columns else []
     for name, (lowest, highest, rule) in LIMITS.items():
         if name in table.columns:
-            problems += table.where_not(name, (table[name] >= lowest) & (table[name] <= highest), rule)
+            problems += table.problems_where_not(name, (table[name] >= lowest) & (table[name] <= highest), rule)
     return problems + _energy_problems(table)
 
 
@@ -76,6 +76,8 @@ def _energy_problems(table: CsvTable) -> list[str]:
     rule = "is below a hundredth of V^2/2 and looks like kJ/kg; give J/kg"
     problems: list[str] = []
     if "H_r_J_kg" in table.columns:
-        problems += table.where_not("H_r_J_kg", (speed < 1000.0) | (table["H_r_J_kg"] >= 0.005 * speed**2), rule)
+        problems += table.problems_where_not(
+            "H_r_J_kg", (speed < 1000.0) | (table["H_r_J_kg"] >= 0.005 * speed**2), rule
+        )
     high = (speed < HIGH_SPEED_M_S) | (np.abs(table["altitude_m"]) >= LOW_M)
-    return problems + table.where_not("altitude_m", high, LOW_RULE)
+    return problems + table.problems_where_not("altitude_m", high, LOW_RULE)

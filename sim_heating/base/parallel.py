@@ -24,7 +24,7 @@ from typing import Any
 
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files.text import repeated_name, write_bytes_atomic, write_text_atomic
-from sim_heating.base.progress import Progress, quiet
+from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.threads import one_thread
 
 Work = Callable[[Any], bytes]
@@ -81,7 +81,7 @@ def run_batches(
     *,
     scheduler: str | None = None,
     workers: int | None = None,
-    progress: Progress = quiet,
+    progress: Progress = no_progress,
 ) -> Outcome:
     """Do all jobs that have no result yet.
 

@@ -9,7 +9,7 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 
 EFFECT_PREFIX = "effect."
 """Parameters of effects are named `effect.NAME.PARAMETER`."""
-SHORT = ("alpha", "beta", "logre", "elevon", "bodyflap")
+SHORT_NAMES = ("alpha", "beta", "logre", "elevon", "bodyflap")
 """The ratio variables as they stand in parameter names."""
 UNITS = ("deg", "deg", "1", "deg", "deg")
 
@@ -35,28 +35,30 @@ class Parameter:
     text: str = ""
 
 
-def per(*units: str) -> str:
+def derivative_unit(*units: str) -> str:
     """Unit of a derivative against variables of these units: 1/deg, 1/deg2, 1."""
     angles = sum(u == "deg" for u in units)
     return {0: "1", 1: "1/deg", 2: "1/deg2"}[angles]
 
 
 def _second_order_name(i: int, j: int) -> str:
-    return f"ratio.d_{SHORT[i]}2" if i == j else f"ratio.d_{SHORT[i]}_{SHORT[j]}"
+    return f"ratio.d_{SHORT_NAMES[i]}2" if i == j else f"ratio.d_{SHORT_NAMES[i]}_{SHORT_NAMES[j]}"
 
 
-SECOND_ORDER = tuple((i, j) for i in range(len(SHORT)) for j in range(i, len(SHORT)))
+SECOND_ORDER = tuple((i, j) for i in range(len(SHORT_NAMES)) for j in range(i, len(SHORT_NAMES)))
 """Pairs of variables of the second-order terms, in the order of the kernel."""
 
 RATIO = (
     Parameter("ratio.scale", "1", 0.0, text="relative error of the tabulated ratio"),
     Parameter("ratio.d0", "1", 0.0, text="ratio at the reference condition where there is no table"),
     *(
-        Parameter(f"ratio.d_{s}", per(u), 0.0, text=f"derivative of the ratio against {v}")
-        for s, u, v in zip(SHORT, UNITS, RATIO_VARIABLES, strict=True)
+        Parameter(f"ratio.d_{s}", derivative_unit(u), 0.0, text=f"derivative of the ratio against {v}")
+        for s, u, v in zip(SHORT_NAMES, UNITS, RATIO_VARIABLES, strict=True)
     ),
     *(
-        Parameter(_second_order_name(i, j), per(UNITS[i], UNITS[j]), 0.0, text="second-order term, no factor 1/2")
+        Parameter(
+            _second_order_name(i, j), derivative_unit(UNITS[i], UNITS[j]), 0.0, text="second-order term, no factor 1/2"
+        )
         for i, j in SECOND_ORDER
     ),
 )
@@ -86,14 +88,14 @@ STACK = (
 )
 """Parameters of the thermal model; `back.*` start from what the stack declares."""
 
-CURVED = (
+NONLINEAR = (
     "stack.coating.thickness_factor", "stack.contact_factor", "back.T_K", "stack.moisture.boil_K",
     "stack.moisture.condense_K", "stack.moisture.width_K", "stack.gap.depth_m",
     "stack.rsi.radiation_from_K",
 )  # fmt: skip
 """Parameters in which the heat balance at given temperatures is not affine; no parameter of an effect need be."""
 
-AT_FACES = (
+BOUNDARY = (
     *(p.name for p in RATIO), "stack.emissivity_factor", "back.h_W_m2K", "back.T_K", "back.emissivity",
 )  # fmt: skip
 """Parameters that change what enters a wall from outside and nothing within it, like those of effects with a kernel."""

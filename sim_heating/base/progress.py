@@ -8,5 +8,5 @@ Progress = Callable[[float, str], None]
 """Told the fraction done and what is being done."""
 
 
-def quiet(_: float, __: str) -> None:
+def no_progress(_: float, __: str) -> None:
     """Progress that nobody is told of."""

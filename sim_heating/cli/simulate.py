@@ -163,7 +163,7 @@ def _scenario_folder() -> Path:
 def predict(records: tuple[Path, ...], out: Path, vehicle: str | None) -> None:
     """Predict the temperatures of flight records with their declared models, nothing fitted."""
     from sim_heating.base.files import require_writable
-    from sim_heating.inputs.points import point_with_table_of
+    from sim_heating.inputs.points import point_with_vehicle_table
     from sim_heating.inputs.record import load_record, require_distinct_records
     from sim_heating.inputs.vehicle import load_vehicle
     from sim_heating.simulation.predict import FILES, summary, write_prediction
@@ -177,7 +177,7 @@ def predict(records: tuple[Path, ...], out: Path, vehicle: str | None) -> None:
     folders = [out if len(loaded) == 1 else out / name for name in names]
     for folder in folders:
         require_writable(folder, FILES)
-    models = [None if revised is None else point_with_table_of(record, revised) for record in loaded]
+    models = [None if revised is None else point_with_vehicle_table(record, revised) for record in loaded]
     predictions = []
     with progress_line("predict") as progress:
         for i, record in enumerate(loaded):

@@ -15,7 +15,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import output_directory, require_writable, write_csv, write_json
 from sim_heating.base.files.package import package_version
 from sim_heating.base.parallel import Job, run_batches
-from sim_heating.base.progress import Progress, quiet
+from sim_heating.base.progress import Progress, no_progress
 from sim_heating.estimation.report.estimate_file import inputs_hash
 from sim_heating.heating.effects import effects, user_effect_files
 from sim_heating.inputs.record import DECLARATION, load_record, require_distinct_records
@@ -59,7 +59,7 @@ def close_all(
     *,
     scheduler: str | None = None,
     workers: int | None = None,
-    progress: Progress = quiet,
+    progress: Progress = no_progress,
 ) -> list[dict[str, Any]]:
     """Close the loop on every record into DIR/<record>, and write summary.json and summary.csv into DIR.
 

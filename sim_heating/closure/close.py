@@ -13,7 +13,7 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import files_written, output_directory
 from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, SENSOR_PREFIX
-from sim_heating.base.progress import Progress, quiet
+from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.clues.correlation import ratio_at, residual_evidence
 from sim_heating.closure.clues.residual_heating import ResidualHeating, residual_heating
 from sim_heating.closure.fit_checks import check_fit
@@ -67,7 +67,7 @@ class ClosedLoop:
         return repr(self.report).replace("Closure", "ClosedLoop", 1)
 
 
-def close_loop(record: Record, *, progress: Progress = quiet) -> ClosedLoop:
+def close_loop(record: Record, *, progress: Progress = no_progress) -> ClosedLoop:
     """Find what a record's declared model lacks, add it, refit.
 
     raises : InputError where its clocks are in two units, InputError, RunError where not even the declared model can

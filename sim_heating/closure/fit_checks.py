@@ -25,7 +25,7 @@ from sim_heating.closure.record_checks import (
 from sim_heating.estimation.inference.newton import NewtonSettings, maximise
 from sim_heating.estimation.problem import FitOptions, FitProblem
 from sim_heating.inputs.record import Record
-from sim_heating.inputs.sensor_model import calibrated
+from sim_heating.inputs.sensor_model import indicated_temperature
 
 PLAUSIBLE_SCALES = (-0.4, 0.6)
 """Limits of the relative error of a whole table; beyond them reference heating or trajectory is wrong."""
@@ -115,7 +115,7 @@ def _deviation_K(record: Record, others: ResidualHeating, suspect: SensorResidua
     """(sample,) times [s] and readings of a sensor minus those of the heating history of the others [K]."""
     node = others.mesh.sensors[[s.name for s in record.sensors].index(suspect.sensor.name)]
     T = np.interp(suspect.time_s, others.march_s, others.input.temperature_K[:, node])
-    return suspect.time_s, suspect.read_K - calibrated(suspect.sensor, T)
+    return suspect.time_s, suspect.read_K - indicated_temperature(suspect.sensor, T)
 
 
 def _describe_deviation(t: FloatArray, deviation_K: FloatArray, floor_K: float) -> str:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.report.figure import ANGLES, dress, new_figure
+from sim_heating.base.report.figure import ANGLES, add_grid_and_title, new_figure
 from sim_heating.closure.clues.correlation import ResidualEvidence
 from sim_heating.closure.clues.residual_heating import ResidualHeating
 from sim_heating.closure.clues.shapes import TIME
@@ -34,7 +34,7 @@ def comparison_figure(predicted: Prediction, before: Prediction, after: Predicti
     if after is not before:
         curves.append((after, AFTER, f"with {effect}"))
     figure, axes = fit_figure(after.record, curves)
-    dress(figure, "", axes)
+    add_grid_and_title(figure, "", axes)
     return figure
 
 
@@ -65,7 +65,7 @@ def heating_figure(before: ResidualHeating, after: ResidualHeating | None, evide
         shade_holdout(a, before.record)
     axes[-1].set_xlim(*before.span_s)
     axes[-1].set_xlabel("time, s; band: 2 sigma; red at the foot: active")
-    dress(figure, "", axes)
+    add_grid_and_title(figure, "", axes)
     return figure
 
 
@@ -115,7 +115,7 @@ def variables_figure(residual: ResidualHeating, variables: Mapping[str, FloatArr
         a.set_ylabel("missing heating ratio")
     if mappable is not None:
         figure.colorbar(mappable, ax=axes, label="time, s", aspect=40)
-    dress(figure, "", axes)
+    add_grid_and_title(figure, "", axes)
     return figure
 
 
@@ -139,7 +139,7 @@ def hysteresis_figure(
         a.set_xlabel(LABELS[loop.variable])
         a.set_title(f"{loop.start_s:.0f} to {loop.end_s:.0f} s", fontsize=9)
     axes[0].set_ylabel("missing heating ratio")
-    dress(figure, "", axes)
+    add_grid_and_title(figure, "", axes)
     return figure
 
 
@@ -153,5 +153,5 @@ def ranking_figure(names: Sequence[str], delta_bic: Sequence[float], chosen: Seq
     a.set_xscale("symlog", linthresh=10.0)
     a.axvline(0.0, color="0.3", linewidth=0.8)
     a.set_xlabel("BIC minus that without an effect (lower is better)")
-    dress(figure, "", axes)
+    add_grid_and_title(figure, "", axes)
     return figure

@@ -18,7 +18,7 @@ from sim_heating.estimation.inference.likelihood import reading_intervals
 from sim_heating.estimation.inference.observability import STUCK
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record
-from sim_heating.inputs.sensor_model import calibrated
+from sim_heating.inputs.sensor_model import indicated_temperature
 from sim_heating.march.history import march_points
 from sim_heating.simulation.predict import Prediction
 from sim_heating.thermal.mesh import layer_diffusivities
@@ -146,7 +146,7 @@ def _declared_readings(record: Record) -> tuple[FloatArray, FloatArray]:
     """(time,) times of the conditions [s] and (sensor, time) readings that the declared model predicts [K]."""
     history = march_points([point_of_record(record)], [conditions_of_record(record)])[0]
     pairs = zip(record.sensors, history.sensors_K, strict=True)
-    return history.time_s, np.array([calibrated(s, T) for s, T in pairs])
+    return history.time_s, np.array([indicated_temperature(s, T) for s, T in pairs])
 
 
 def time_shift_fault(record: Record, flown_s: FloatArray, indicated_K: FloatArray) -> DataFault | None:

@@ -19,7 +19,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import AT, CLOCK_SKEW, EFFECT_PREFIX, Parameter
-from sim_heating.base.progress import Progress, quiet
+from sim_heating.base.progress import Progress, no_progress
 from sim_heating.estimation.filter.innovations import Innovations, fit_innovations
 from sim_heating.estimation.filter.process_noise import ProcessNoise
 from sim_heating.estimation.inference.bounds import ChannelResiduals as Residuals
@@ -114,7 +114,7 @@ def estimate(
     starts: Sequence[Start | StartMaker | None] | None = None,
     settings: NewtonSettings | None = None,
     process_noise: ProcessNoise | None = None,
-    progress: Progress = quiet,
+    progress: Progress = no_progress,
 ) -> FitResult:
     """Fit parameters to records, jointly: maximum a posteriori, by Newton's method.
 

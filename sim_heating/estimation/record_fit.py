@@ -37,7 +37,7 @@ from sim_heating.base.kernels.block import LANES
 from sim_heating.base.parameters import CLOCK_SKEW, SENSOR, SENSOR_PREFIX, Parameter
 from sim_heating.estimation.inference.likelihood import ReadingIntervals, reading_intervals
 from sim_heating.inputs.record import Record
-from sim_heating.inputs.sensor_model import SensorErrors, calibrated
+from sim_heating.inputs.sensor_model import SensorErrors, indicated_temperature
 from sim_heating.march.ensemble import condition_history
 from sim_heating.march.linearised import Linearised, LinearMarch, Track
 from sim_heating.march.point import PointModel, initial_temperatures
@@ -353,7 +353,7 @@ def indications(
         return errors.gain * T + errors.bias_K, jacobian
     calibration = np.polynomial.Polynomial(sensor.calibration)
     slope = calibration.deriv()(errors.gain * T + errors.bias_K)
-    return calibrated(sensor, T, errors), slope[:, np.newaxis] * jacobian
+    return indicated_temperature(sensor, T, errors), slope[:, np.newaxis] * jacobian
 
 
 def sensor_errors(sensor: Sensor, values: Mapping[str, float]) -> SensorErrors:

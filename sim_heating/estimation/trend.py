@@ -17,7 +17,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import Parameter
-from sim_heating.base.progress import Progress, quiet
+from sim_heating.base.progress import Progress, no_progress
 from sim_heating.estimation.fit import FEWEST_SAMPLES
 from sim_heating.estimation.inference.newton import Fit, maximise
 from sim_heating.estimation.inference.observability import default_names
@@ -81,7 +81,7 @@ def trend(
     length_s: float,
     names: Sequence[str] | None = None,
     *,
-    progress: Progress = quiet,
+    progress: Progress = no_progress,
 ) -> Trend:
     """Fit parameters, by default the magnitude of the ratio alone, to short segments of a record one after another.
 

@@ -16,7 +16,7 @@ from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.tables import WallEnthalpy
 
-HEATING_APART = 0.01
+HEATING_TOLERANCE = 0.01
 """Mean relative difference at which two reference heatings are not the same one."""
 
 
@@ -127,7 +127,7 @@ def check_reference(record: Record, vehicle: Vehicle, point: ControlPoint) -> No
     weight = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
     for column in ("h_ref_kg_m2_s", "H_r_J_kg"):
         apart = float(np.sum(weight * np.abs(flown[column] / ours[column] - 1.0)) / np.sum(weight))
-        if not apart < HEATING_APART:
+        if not apart < HEATING_TOLERANCE:
             raise InputError(
                 f"{record.name}: its {column} is {apart:.1%} from that of `{wanted.reference}` on {vehicle.name}; "
                 "a ratio over one is not a ratio over the other"
@@ -139,7 +139,7 @@ def _enthalpy(declared: ConstantHeat | str) -> str:
     return value if isinstance(value, str) else f"cp = {value:g} J/(kg K)"
 
 
-def point_with_table_of(record: Record, vehicle: Vehicle) -> PointModel:
+def point_with_vehicle_table(record: Record, vehicle: Vehicle) -> PointModel:
     """The declared model of a record with the vehicle's ratio table and effects of that control point in place of the
     record's table.
 

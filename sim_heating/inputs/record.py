@@ -40,7 +40,7 @@ from sim_heating.base.files import (
     write_csv,
     write_text_atomic,
 )
-from sim_heating.base.limits import HOTTEST_K, implausible
+from sim_heating.base.limits import HOTTEST_K, implausible_values
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table, write_ratio_table
 from sim_heating.thermal.stack import Construction, Sensor, sensor_problems
 
@@ -402,7 +402,7 @@ def _condition_problems(table: CsvTable, heating: Heating) -> list[str]:
     absent = _missing_columns(table, heating)
     if absent:
         return absent
-    return table.not_increasing() + implausible(table)
+    return table.order_problems() + implausible_values(table)
 
 
 def _missing_columns(table: CsvTable, heating: Heating) -> list[str]:
@@ -414,17 +414,17 @@ def _missing_columns(table: CsvTable, heating: Heating) -> list[str]:
 
 def _measurement_problems(table: CsvTable, sensors: Sequence[Sensor]) -> list[str]:
     """Time that does not increase, temperatures in Celsius or beyond the recorder, used sensors without a sample."""
-    problems = table.not_increasing()
+    problems = table.order_problems()
     for sensor in sensors:
         T = table[sensor.column]
         if sensor.calibration is None:
-            problems += table.not_kelvin(sensor.column)
-        problems += table.where_not(sensor.column, ~(np.abs(T) > HOTTEST_K), "is not a temperature of a wall")
+            problems += table.celsius_problems(sensor.column)
+        problems += table.problems_where_not(sensor.column, ~(np.abs(T) > HOTTEST_K), "is not a temperature of a wall")
         if sensor.bits is not None and sensor.range_K is not None:
             low, high = sensor.range_K
             outside = (low - sensor.lsb_K > T) | (high + sensor.lsb_K < T)
             rule = f"is outside range_K = [{low:g}, {high:g}] of sensor {sensor.name}; correct the sample or the range"
-            problems += table.where_not(sensor.column, ~outside | (T < 100.0), rule)
+            problems += table.problems_where_not(sensor.column, ~outside | (T < 100.0), rule)
         if sensor.used and np.all(np.isnan(T)):
             rule = f"sensor {sensor.name} has no sample; set used = false or remove it"
             problems.append(f"{display_path(table.path)}, column {sensor.column}: {rule}")

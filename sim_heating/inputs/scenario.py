@@ -43,7 +43,7 @@ from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.trajectory.spec import TrajectorySpec
 
 
-class HeatingRun(Declared):
+class HeatingOptions(Declared):
     """How heating is computed along the flight."""
 
     longest_step_s: float = Field(default=1.0, gt=0.0, le=60.0, description="longest thermal step in s")
@@ -114,7 +114,7 @@ class Compare(Declared):
     holdout_s: list[list[float]] = Field(default=[], description="segments that are held out there, in s")
 
 
-class Vary(Declared):
+class DesignVariable(Declared):
     """A number of a manoeuvre that a design may change, from `low` to `high`."""
 
     manoeuvre: int = Field(default=1, ge=1, description="number of the manoeuvre in the scenario, from 1")
@@ -172,7 +172,7 @@ class Design(Declared):
     after_s: float = Field(default=40.0, ge=0.0, le=1000.0)
     evaluations: int = Field(default=64, ge=1, le=100_000)
     flights: list[int] = Field(default=[1, 2, 4], min_length=1)
-    vary: list[Vary] = Field(default=[])
+    vary: list[DesignVariable] = Field(default=[])
     limits: DesignLimits = DesignLimits()
 
     @field_validator("prior")
@@ -200,7 +200,7 @@ class ScenarioFile(Declared):
     note: str = ""
     control_points: list[str] | None = None
     trajectory: TrajectorySpec
-    heating: HeatingRun = HeatingRun()
+    heating: HeatingOptions = HeatingOptions()
     effect: list[ScenarioEffect] = Field(default=[])
     measurements: Measurements = Measurements()
     truth: Truth = Truth()
@@ -265,10 +265,10 @@ def load_scenario(path: str | os.PathLike[str] | Scenario) -> Scenario:
     declared = read_toml(place, ScenarioFile)
     beside = place.parent / declared.vehicle
     vehicle = load_vehicle(beside if (beside / "vehicle.toml").is_file() else declared.vehicle)
-    return scenario_of(place, declared, vehicle)
+    return make_scenario(place, declared, vehicle)
 
 
-def scenario_of(place: Path, declared: ScenarioFile, vehicle: Vehicle, said_by: Path | None = None) -> Scenario:
+def make_scenario(place: Path, declared: ScenarioFile, vehicle: Vehicle, said_by: Path | None = None) -> Scenario:
     """A scenario that was read from a place, with a vehicle that is loaded; raises InputError as `load_scenario`.
 
     said_by : the file that problems are told of, where it is not the scenario's own
@@ -324,9 +324,9 @@ def _fmu_problems(spec: TrajectorySpec, vehicle: Vehicle) -> Sequence[str]:
     """What is wrong between the scenario and its FMU, where it flies one."""
     if spec.source != "fmu":
         return ()
-    from sim_heating.trajectory.fmu.flight import problems_of  # FMPy and pint are slow to import, and wanted only here
+    from sim_heating.trajectory.fmu.flight import fmu_problems  # FMPy and pint are slow to import, and wanted only here
 
-    return problems_of(spec, vehicle)
+    return fmu_problems(spec, vehicle)
 
 
 def _design_problems(declared: ScenarioFile) -> list[str]:
@@ -376,7 +376,7 @@ def _attempts(call: Callable[[Any], object], items: Iterable[Any]) -> list[str]:
 
 def _measured_history(vehicle: Vehicle, compare: Compare) -> MeasuredHistory:
     table = read_csv_columns(vehicle.directory / compare.file, ("time_s", "temperature_K", "sigma_K"))
-    raise_problems([*table.not_increasing(), *table.not_kelvin("temperature_K")])
+    raise_problems([*table.order_problems(), *table.celsius_problems("temperature_K")])
     time = table["time_s"]
     until = np.inf if compare.until_s is None else compare.until_s
     held = time <= until

@@ -32,7 +32,7 @@ class SensorErrors:
     gain: float = 1.0
 
 
-def calibrated(sensor: Sensor, temperature_K: FloatArray, errors: SensorErrors | None = None) -> FloatArray:
+def indicated_temperature(sensor: Sensor, temperature_K: FloatArray, errors: SensorErrors | None = None) -> FloatArray:
     """Indicated temperature of a sensor before noise and quantisation, T_ind = c0 + c1 T' + c2 T'^2 + ...
 
     temperature_K : (sample,) true temperature at the sensor [K], at the sample times less the clock skew
@@ -42,10 +42,12 @@ def calibrated(sensor: Sensor, temperature_K: FloatArray, errors: SensorErrors |
     Source: docs/equations.md, section 5.
     """
     wrong = errors or SensorErrors()
-    return indicated(np.asarray(temperature_K, dtype=float), wrong.gain, wrong.bias_K, calibration(sensor))
+    return indicated_kernel(
+        np.asarray(temperature_K, dtype=float), wrong.gain, wrong.bias_K, calibration_coefficients(sensor)
+    )
 
 
-def calibration(sensor: Sensor) -> FloatArray:
+def calibration_coefficients(sensor: Sensor) -> FloatArray:
     """Calibration coefficients of a sensor: (order + 1,) c0 [K], c1 [-], c2 ...; 0, 1 where it declares none.
 
     Source: docs/equations.md, section 5.
@@ -54,7 +56,7 @@ def calibration(sensor: Sensor) -> FloatArray:
 
 
 @njit
-def indicated(temperature_K, gain, bias_K, coefficients):  # type: ignore[no-untyped-def]
+def indicated_kernel(temperature_K, gain, bias_K, coefficients):  # type: ignore[no-untyped-def]
     """Calibration polynomial T_ind = c0 + c1 T' + c2 T'^2 + ... of T' = gain T + bias, by Horner's rule.
 
     temperature_K : true temperature [K], a number or an array;  gain [-], bias_K [K]
@@ -71,7 +73,7 @@ def indicated(temperature_K, gain, bias_K, coefficients):  # type: ignore[no-unt
     return value
 
 
-def quantised(sensor: Sensor, indicated_K: FloatArray) -> FloatArray:
+def quantise(sensor: Sensor, indicated_K: FloatArray) -> FloatArray:
     """Temperature that the recorder word stands for: low + code LSB, code = round((T_ind - low) / LSB).
 
     indicated_K : (sample,) indicated temperature with its noise [K]
@@ -113,7 +115,7 @@ def sample_times(
     return first + np.arange(max(count, 0)) / rate
 
 
-def measured(
+def measure(
     sensor: Sensor,
     temperature_K: FloatArray,
     rng: np.random.Generator,
@@ -130,10 +132,10 @@ def measured(
 
     Source: docs/equations.md, section 5.
     """
-    indicated = calibrated(sensor, temperature_K, errors)
+    indicated = indicated_temperature(sensor, temperature_K, errors)
     # Noise is drawn for lost samples as well: losing one leaves the noise of the others unchanged.
     noisy = indicated + rng.normal(0.0, sensor.noise_sigma_K or 0.0, len(indicated))
-    read = quantised(sensor, noisy)
+    read = quantise(sensor, noisy)
     return read if lost is None else np.where(lost, np.nan, read)
 
 

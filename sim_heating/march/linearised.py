@@ -18,7 +18,7 @@ from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.kernels.block import D0, GAPS, HEAD_ROWS, LANES, N_CONDITIONS, NODE_ROWS, T_STAGE, T_START, T
 from sim_heating.base.kernels.jit import address_of, call_step, njit, pointer
-from sim_heating.base.parameters import CURVED, EFFECT_PREFIX, RATIO
+from sim_heating.base.parameters import EFFECT_PREFIX, NONLINEAR, RATIO
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.frames import END_STAGE
 from sim_heating.march.point import PointModel, initial_temperatures
@@ -124,7 +124,7 @@ def perturbation(model: PointModel, name: str) -> tuple[float, bool]:
     definition, value = model.definition(name), abs(model.value(name))
     known = 0.0 < definition.sigma < np.inf
     scale = definition.sigma if known else max(value, 1.0)
-    curved = name in CURVED or name.startswith(EFFECT_PREFIX)
+    curved = name in NONLINEAR or name.startswith(EFFECT_PREFIX)
     return (PERTURBATION if curved else AFFINE_PERTURBATION) * scale, curved
 
 

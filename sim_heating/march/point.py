@@ -16,7 +16,7 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.block import EFFECT_PARAMETERS, EFFECT_WIDTH, N_PARAMETERS, REFERENCE
-from sim_heating.base.parameters import AT_FACES, EFFECT_PREFIX, MODEL, RATIO, Parameter
+from sim_heating.base.parameters import BOUNDARY, EFFECT_PREFIX, MODEL, RATIO, Parameter
 from sim_heating.heating.effects import EffectUse, check_count
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.thermal.elements import BOILS, CONDENSES, DEPOSITED, LATENT_HEAT, WIDTH
@@ -182,8 +182,8 @@ class PointModel:
         if name.startswith(EFFECT_PREFIX):
             use, k = self._effect_place(name)
             effect = self.effects[use].effect
-            return effect.kernel is not None or effect.model_parameters[k] in AT_FACES
-        return name in AT_FACES
+            return effect.kernel is not None or effect.model_parameters[k] in BOUNDARY
+        return name in BOUNDARY
 
     def _effect_place(self, name: str) -> tuple[int, int]:
         known = {

@@ -16,7 +16,7 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import output_directory, write_json
 from sim_heating.base.files.package import package_version
 from sim_heating.base.parallel import require_scheduler
-from sim_heating.base.progress import Progress, quiet
+from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.page import Page, SavedPicture, Section, write_page
 from sim_heating.base.threads import one_thread
 from sim_heating.planning.part import Engine, Found, Part
@@ -66,7 +66,7 @@ def plan(
     vehicle: str | os.PathLike[str] | None = None,
     scheduler: str | None = None,
     workers: int | None = None,
-    progress: Progress = quiet,
+    progress: Progress = no_progress,
 ) -> Plan:
     """Compute all parts of a study and write their files, all together.
 

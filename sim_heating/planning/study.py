@@ -32,7 +32,7 @@ from pydantic import Field, model_validator
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import Declared, check, display_path, raise_problems, read_toml
 from sim_heating.heating.effects import user_effect_files
-from sim_heating.inputs.scenario import Scenario, ScenarioEffect, ScenarioFile, scenario_of
+from sim_heating.inputs.scenario import Scenario, ScenarioEffect, ScenarioFile, make_scenario
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.planning.dispersion.spec import Dispersion
 from sim_heating.planning.envelope.spec import Envelope, NextFlight
@@ -150,7 +150,7 @@ def _base(place: Path, declared: StudyFile, vehicle: Vehicle) -> Scenario:
         flown = read_toml(source, ScenarioFile)
         taken = {"trajectory": flown.trajectory, "effect": [e.model_dump() for e in flown.effect]}
         own = {k: v for k, v in given.items() if k in ("format", "vehicle", "title")}
-        scenario_of(
+        make_scenario(
             source, check(own | taken, ScenarioFile, display_path(source)), vehicle
         )  # so that the rest is the study's
         given["trajectory"] = flown.trajectory
@@ -158,7 +158,7 @@ def _base(place: Path, declared: StudyFile, vehicle: Vehicle) -> Scenario:
     else:
         given["trajectory"] = declared.trajectory
     file = check({k: v for k, v in given.items() if v is not None}, ScenarioFile, display_path(place))
-    return scenario_of(source, file, vehicle, said_by=place)
+    return make_scenario(source, file, vehicle, said_by=place)
 
 
 def _limited(place: Path, declared: StudyFile, base: Scenario) -> tuple[LimitedPoint, ...]:

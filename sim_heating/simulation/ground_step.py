@@ -18,7 +18,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import check
 from sim_heating.inputs.points import point_of_record
 from sim_heating.inputs.record import Record, RecordFile, make_record
-from sim_heating.inputs.sensor_model import SensorErrors, measured, sample_times
+from sim_heating.inputs.sensor_model import SensorErrors, measure, sample_times
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.simulation.predict import predict
 from sim_heating.simulation.synthesize import point_declaration
@@ -67,9 +67,7 @@ def step_record(
     true = predict(fine, model, skew_s=skew_s).history.sensors_K
     columns = {"time_s": clock}
     for sensor, T in zip(point.sensors, true, strict=True):
-        columns[sensor.column] = measured(
-            sensor, np.nan_to_num(T, nan=300.0), rng, faults.get(sensor.name), np.isnan(T)
-        )
+        columns[sensor.column] = measure(sensor, np.nan_to_num(T, nan=300.0), rng, faults.get(sensor.name), np.isnan(T))
     return make_record(declared, _conditions(flux_W_m2, lit_s, end_s, 1.0), columns, None, point.name)
 
 

@@ -13,7 +13,15 @@ from matplotlib.figure import Figure
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.report.figure import ANGLES, MEASURED, NAMES, SURFACE, THERMOCOUPLE, new_figure, save_figure
+from sim_heating.base.report.figure import (
+    ANGLES,
+    MANOEUVRE_NAMES,
+    MEASURED,
+    SURFACE,
+    THERMOCOUPLE,
+    new_figure,
+    save_figure,
+)
 from sim_heating.march.history import PointHistory
 from sim_heating.trajectory.flight import Window
 
@@ -37,7 +45,11 @@ def _name_windows(axes: Axes, windows: Sequence[Window]) -> None:
     for window in windows:
         place = (0.5 * (window.start_s + window.end_s), 1.02)
         axes.annotate(
-            NAMES.get(window.kind, window.kind), place, xycoords=("data", "axes fraction"), rotation=30, fontsize=7.5
+            MANOEUVRE_NAMES.get(window.kind, window.kind),
+            place,
+            xycoords=("data", "axes fraction"),
+            rotation=30,
+            fontsize=7.5,
         )
 
 
@@ -160,7 +172,7 @@ def _manoeuvre_title(flown: Conditions, window: Window) -> str:
     """Name and speed of a manoeuvre, with both definitions of Mach number."""
     begin = flown.at([window.start_s])
     V, mach = float(begin["velocity_m_s"][0]), float(begin["mach"][0])
-    what = NAMES.get(window.kind, window.kind)
+    what = MANOEUVRE_NAMES.get(window.kind, window.kind)
     return f"{what[0].upper()}{what[1:]} at {V:.0f} m/s (Shuttle 'Mach' {V / SHUTTLE_MACH_M_S:.1f}, V/a {mach:.1f})"
 
 

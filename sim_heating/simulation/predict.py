@@ -16,7 +16,7 @@ from sim_heating.base.files import output_directory, write_json
 from sim_heating.base.files.package import package_version
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record, load_record, pooled_rmse_K
-from sim_heating.inputs.sensor_model import SensorErrors, calibrated
+from sim_heating.inputs.sensor_model import SensorErrors, indicated_temperature
 from sim_heating.march.history import Outside, PointHistory, at_times, march_points, negative_ratio_s, outside_table
 from sim_heating.march.point import PointModel
 from sim_heating.simulation.results import write_temperatures_csv
@@ -112,7 +112,7 @@ def predict(
     history = replace(_resampled(marched, t), time_s=record.time_s)
     pairs = zip(record.sensors, history.sensors_K, strict=True)
     faults = errors or {}
-    indicated = np.array([calibrated(sensor, values, faults.get(sensor.name)) for sensor, values in pairs])
+    indicated = np.array([indicated_temperature(sensor, values, faults.get(sensor.name)) for sensor, values in pairs])
     residual = record.temperatures_K() - indicated
     return Prediction(record, history, indicated, residual, tuple(outside_table(model, conditions)))
 

@@ -13,7 +13,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.files import output_directory, write_csv, write_json
 from sim_heating.base.files.package import package_version
-from sim_heating.base.progress import Progress, quiet
+from sim_heating.base.progress import Progress, no_progress
 from sim_heating.inputs.points import conditions_at_point, mean_condition, point_of_vehicle
 from sim_heating.inputs.record import pooled_rmse_K
 from sim_heating.inputs.scenario import MeasuredHistory, Scenario, load_scenario
@@ -123,7 +123,7 @@ class Comparison:
         return {"rmse_K": float("nan"), "max_abs_K": float("nan"), "n": 0} if found is None else found
 
 
-def fly_scenario(scenario: Scenario, *, progress: Progress = quiet, on_frame: OnFrame | None = None) -> Flight:
+def fly_scenario(scenario: Scenario, *, progress: Progress = no_progress, on_frame: OnFrame | None = None) -> Flight:
     """Fly the trajectory of a scenario with its source."""
     spec = scenario.declared.trajectory
     return SOURCES[spec.source](spec, scenario.vehicle, on_frame=on_frame, progress=progress)
@@ -143,7 +143,7 @@ def models_of(
     return models, [conditions_at_point(scenario.vehicle, p, flown) for p in points]
 
 
-def run(scenario: Scenario | str | os.PathLike[str], *, progress: Progress = quiet) -> RunResult:
+def run(scenario: Scenario | str | os.PathLike[str], *, progress: Progress = no_progress) -> RunResult:
     """Fly a scenario and march its control points along the flight.
 
     scenario : a scenario, or the path of its file
@@ -257,7 +257,7 @@ def _picture_of(number: int, kind: str) -> str:
     return f"manoeuvre_{number}_{kind}.png"
 
 
-def write_run(result: RunResult, out: Path, *, progress: Progress = quiet) -> list[str]:
+def write_run(result: RunResult, out: Path, *, progress: Progress = no_progress) -> list[str]:
     """Write all files of a run, all together or not at all; returns their names within the directory."""
     with output_directory(out) as folder:
         write_json(folder / SUMMARY, summary(result))

@@ -13,11 +13,11 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import check, output_directory, toml_text, write_text_atomic
-from sim_heating.base.progress import Progress, quiet
+from sim_heating.base.progress import Progress, no_progress
 from sim_heating.inputs.points import mean_condition
 from sim_heating.inputs.record import DECLARATION, Record, RecordFile, make_record, write_record
 from sim_heating.inputs.scenario import Scenario, load_scenario
-from sim_heating.inputs.sensor_model import SensorErrors, lost_samples, measured, sample_times
+from sim_heating.inputs.sensor_model import SensorErrors, lost_samples, measure, sample_times
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.march.history import PointHistory, at_times, march_points
 from sim_heating.simulation.run import fly_scenario, models_of
@@ -33,7 +33,7 @@ def synthesize(
     *,
     flight: Flight | None = None,
     halvings: int = 0,
-    progress: Progress = quiet,
+    progress: Progress = no_progress,
 ) -> dict[str, Record]:
     """Fly a scenario with its truth and measure it: one record a control point that has sensors.
 
@@ -94,7 +94,7 @@ def _record(
     for sensor, temperature in zip(point.sensors, true, strict=True):
         lost = lost_samples(clock, rng, measurements.lost_fraction, measurements.gaps_s) | np.isnan(temperature)
         known = np.where(np.isnan(temperature), 0.0, temperature)
-        columns[sensor.column] = measured(sensor, known, rng, faults.get(sensor.name), lost)
+        columns[sensor.column] = measure(sensor, known, rng, faults.get(sensor.name), lost)
         if np.all(np.isnan(columns[sensor.column])):
             span = f"{conditions.time_s[0]:g} to {conditions.time_s[-1]:g} s"
             raise InputError(

@@ -115,8 +115,8 @@ def fly(
         if progress is not None and rows[-1, 0] % REPORT_S < 1.0:
             progress(_done(rows[-1], first_speed, spec), f"{rows[-1, 1] / 1e3:.1f} km, {rows[-1, 2]:.0f} m/s")
     end_s = float(rows[-1, 0])
-    windows = mv.windows(spec.manoeuvre, entry.state[pm.STARTED :], end_s)
-    events += mv.events(spec.manoeuvre, entry.state[pm.STARTED :], end_s)
+    windows = mv.manoeuvre_windows(spec.manoeuvre, entry.state[pm.STARTED :], end_s)
+    events += mv.manoeuvre_events(spec.manoeuvre, entry.state[pm.STARTED :], end_s)
     return Flight(sampler.conditions(), sorted(events, key=lambda e: e[0]), windows)
 
 

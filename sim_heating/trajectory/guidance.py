@@ -30,7 +30,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import read_toml
 from sim_heating.base.kernels.jit import njit, pointer
-from sim_heating.trajectory.schedules import pack, places, schedule_slope, scheduled
+from sim_heating.trajectory.schedules import pack, schedule_positions, schedule_slope, scheduled
 from sim_heating.trajectory.spec import Approach, Guidance, GuidanceChanges
 
 TOUCHDOWN_RATE_M_S = 1.0
@@ -49,7 +49,7 @@ OBSERVED = 13
     APPROACH_MACH, APPROACH_LOW, APPROACH_HIGH, APPROACH_BANK, APPROACH_FREQUENCY, APPROACH_DAMPING,
     FLARE_ALTITUDE, FLARE_TIME,
 ) = range(25)  # fmt: skip
-ALPHA_SCHEDULE, DRAG_SCHEDULE, REVERSALS, APPROACH_QBAR = places(25, 4)
+ALPHA_SCHEDULE, DRAG_SCHEDULE, REVERSALS, APPROACH_QBAR = schedule_positions(25, 4)
 
 ALPHA_COMMAND, BANK_COMMAND, SIGN, PHASE, CLIMB_BIAS = range(5)
 MEMORY = 5
@@ -62,7 +62,7 @@ COAST, GLIDE, TRACK, APPROACHING, FLARE = range(5)
 PHASE_NAMES = ("coast", "equilibrium glide", "drag tracking", "approach", "flare")
 
 
-class Observed(NamedTuple):
+class Observation(NamedTuple):
     """What guidance measures in one frame.
 
     altitude_rate_m_s : of the geodetic altitude, up positive
@@ -141,7 +141,7 @@ def first_memory(block: FloatArray, mach: float, velocity_m_s: float) -> FloatAr
 
 
 @njit
-def clipped(x: float, low: float, high: float) -> float:
+def clip(x: float, low: float, high: float) -> float:
     """x within [low, high]."""
     return min(max(x, low), high)
 
@@ -174,7 +174,7 @@ def bank_sign(block: FloatArray, seen: FloatArray, sign: float) -> float:
 def vertical_lift(block: FloatArray, seen: FloatArray, climb_ref: float, error: float, w: float, zeta: float) -> float:
     """Vertical component of lift over mass [m/s2] that brings altitude rate and altitude error to zero."""
     demand = -2.0 * zeta * w * (seen[CLIMB] - climb_ref) - w * w * error
-    sine = clipped(seen[CLIMB] / max(seen[SPEED], 1.0), -0.9, 0.9)
+    sine = clip(seen[CLIMB] / max(seen[SPEED], 1.0), -0.9, 0.9)
     return (demand + seen[NET_GRAVITY] + seen[DRAG] * sine) / math.sqrt(1.0 - sine * sine)
 
 
@@ -216,7 +216,7 @@ def track_lift(block: FloatArray, state: FloatArray, memory: int, seen: FloatArr
     lift = vertical_lift(block, seen, climb_ref, error, w, zeta)
     if abs(lift) < seen[LIFT]:
         bias = state[memory + CLIMB_BIAS] - INTEGRAL * w * w / (2.0 * zeta) * error * dt_s
-        state[memory + CLIMB_BIAS] = clipped(bias, -LARGEST_BIAS_M_S, LARGEST_BIAS_M_S)
+        state[memory + CLIMB_BIAS] = clip(bias, -LARGEST_BIAS_M_S, LARGEST_BIAS_M_S)
     return lift
 
 
@@ -260,8 +260,8 @@ def entry_target(
     if phase == COAST:
         return alpha, block[FIRST_BANK]
     lift = glide_lift(block, seen) if phase == GLIDE else track_lift(block, state, memory, seen, dt_s)
-    cosine = clipped(lift / max(seen[LIFT], 1e-6), -1.0, 1.0)
-    return alpha, sign * clipped(math.degrees(math.acos(cosine)), block[BANK_LOW], block[BANK_HIGH])
+    cosine = clip(lift / max(seen[LIFT], 1e-6), -1.0, 1.0)
+    return alpha, sign * clip(math.degrees(math.acos(cosine)), block[BANK_LOW], block[BANK_HIGH])
 
 
 @njit
@@ -269,10 +269,10 @@ def approach_target(block: FloatArray, seen: FloatArray, sign: float) -> tuple[f
     """Angle of attack [deg] for the vertical lift, and bank [deg], before rate limits."""
     bank = sign * block[APPROACH_BANK]
     if block[HAS_TARGET] != 0.0:
-        bank = clipped(-2.0 * heading_error_deg(block, seen), -block[APPROACH_BANK], block[APPROACH_BANK])
+        bank = clip(-2.0 * heading_error_deg(block, seen), -block[APPROACH_BANK], block[APPROACH_BANK])
     wanted = approach_lift(block, seen) / math.cos(math.radians(bank))
     alpha = max(seen[ALPHA_NOW], 1.0) * wanted / max(seen[LIFT], 0.1)
-    return clipped(alpha, block[APPROACH_LOW], block[APPROACH_HIGH]), bank
+    return clip(alpha, block[APPROACH_LOW], block[APPROACH_HIGH]), bank
 
 
 @njit
@@ -287,16 +287,16 @@ def guidance_kernel(block: FloatArray, state: FloatArray, memory: int, seen: Flo
         alpha, bank = approach_target(block, seen, sign)
     else:
         alpha, bank = entry_target(block, state, memory, seen, phase, sign, dt_s)
-    alpha = clipped(alpha, block[ALPHA_LOW], block[ALPHA_HIGH])
+    alpha = clip(alpha, block[ALPHA_LOW], block[ALPHA_HIGH])
     a, b = memory + ALPHA_COMMAND, memory + BANK_COMMAND
-    state[a] += clipped(alpha - state[a], -block[ALPHA_RATE] * dt_s, block[ALPHA_RATE] * dt_s)
-    state[b] += clipped(bank - state[b], -block[BANK_RATE] * dt_s, block[BANK_RATE] * dt_s)
+    state[a] += clip(alpha - state[a], -block[ALPHA_RATE] * dt_s, block[ALPHA_RATE] * dt_s)
+    state[b] += clip(bank - state[b], -block[BANK_RATE] * dt_s, block[BANK_RATE] * dt_s)
     state[memory + SIGN] = sign
     state[memory + PHASE] = phase
 
 
 @njit
-def guide(block: FloatArray, memory: FloatArray, seen: FloatArray, dt_s: float) -> None:
+def guidance_step(block: FloatArray, memory: FloatArray, seen: FloatArray, dt_s: float) -> None:
     """`guidance_kernel` for a host's arrays; memory (MEMORY,)."""
     guidance_kernel(pointer(block), pointer(memory), 0, pointer(seen), dt_s)
 
@@ -313,7 +313,7 @@ class EntryGuidance:
         self._memory: FloatArray | None = None
         self._seen = np.zeros(OBSERVED)
 
-    def command(self, seen: Observed) -> tuple[float, float]:
+    def command(self, seen: Observation) -> tuple[float, float]:
         """Angle of attack [deg] and bank about the velocity [deg], right positive, to be flown from this frame on.
 
         The rate limits act over the time since the last call; the first call returns the schedule and the first bank.
@@ -324,7 +324,7 @@ class EntryGuidance:
         dt_s = seen.time_s - self._seen[TIME]
         sign, phase = self._memory[SIGN], self._memory[PHASE]
         self._seen[:] = seen
-        guide(self.block, self._memory, self._seen, dt_s)
+        guidance_step(self.block, self._memory, self._seen, dt_s)
         if sign != self._memory[SIGN] or phase != self._memory[PHASE]:
             self.events += guidance_events(seen.time_s, sign, phase, self._memory)
         return float(self._memory[ALPHA_COMMAND]), float(self._memory[BANK_COMMAND])

@@ -55,7 +55,7 @@ class Offsets(NamedTuple):
     pitch: float = CLOSED
 
 
-def through(values: Iterable[tuple[float, float]], rate: float) -> Polygon:
+def polygon_through(values: Iterable[tuple[float, float]], rate: float) -> Polygon:
     """Polygon from 0 through (value, hold_s) at a rate and back to 0; a move below SMALLEST is none."""
     time, last, points = 0.0, 0.0, [(0.0, 0.0)]
     for value, hold_s in (*values, (0.0, 0.0)):
@@ -72,24 +72,28 @@ def through(values: Iterable[tuple[float, float]], rate: float) -> Polygon:
 def _popu(m: Popu) -> Polygon:
     down = (-m.down_deg, m.hold_s if m.hold_down_s is None else m.hold_down_s)
     up = (m.up_deg, m.hold_s if m.hold_up_s is None else m.hold_up_s)
-    return through([down, up] if m.first == "down" else [up, down], m.rate_deg_s)
+    return polygon_through([down, up] if m.first == "down" else [up, down], m.rate_deg_s)
 
 
 def _pulses(m: ElevonPulse | BodyflapPulse) -> Polygon:
     signs = [(-1.0) ** i if m.alternate else 1.0 for i in range(m.count)]
-    return through([v for s in signs for v in ((s * m.amplitude_deg, m.hold_s), (0.0, m.pause_s))][:-1], m.rate_deg_s)
+    return polygon_through(
+        [v for s in signs for v in ((s * m.amplitude_deg, m.hold_s), (0.0, m.pause_s))][:-1], m.rate_deg_s
+    )
 
 
 def _sweep(m: ElevonSweep | BodyflapSweep) -> Polygon:
-    return through([(m.from_deg, 0.0), (m.to_deg, m.hold_s)], m.rate_deg_s)
+    return polygon_through([(m.from_deg, 0.0), (m.to_deg, m.hold_s)], m.rate_deg_s)
 
 
 def _doublet(m: SideslipDoublet) -> Polygon:
-    return through([(m.amplitude_deg, m.hold_s), (-m.amplitude_deg, m.hold_s)], m.rate_deg_s)
+    return polygon_through([(m.amplitude_deg, m.hold_s), (-m.amplitude_deg, m.hold_s)], m.rate_deg_s)
 
 
 def _firing(m: JetFiring) -> Polygon:
-    return through([v for _ in range(m.count) for v in ((m.level, m.on_s), (0.0, m.off_s))][:-1], m.level / m.rise_s)
+    return polygon_through(
+        [v for _ in range(m.count) for v in ((m.level, m.on_s), (0.0, m.off_s))][:-1], m.level / m.rise_s
+    )
 
 
 _SHAPES: dict[str, tuple[int, Callable[[Any], Polygon]]] = {
@@ -108,7 +112,7 @@ def polygon(manoeuvre: Manoeuvre) -> Polygon:
     return _SHAPES[manoeuvre.kind][1](manoeuvre)
 
 
-def moved(manoeuvre: Manoeuvre) -> str:
+def commanded_variable(manoeuvre: Manoeuvre) -> str:
     """The command that a manoeuvre is added to."""
     return Offsets._fields[_SHAPES[manoeuvre.kind][0]]
 
@@ -157,13 +161,13 @@ def trigger_kernel(script: FloatArray, state: FloatArray, started: int, before: 
         if passed and state[started + m] < 0.0:
             share = 0.0 if which == 0 else (a - value) / (a - b)
             start = value if which == 0 else state[before] + (now[at] - state[before]) * share
-            state[started + m] = when_free(script, state, started, script[entry + CHANNEL], start)
+            state[started + m] = earliest_start(script, state, started, script[entry + CHANNEL], start)
     for i in range(3):
         state[before + i] = now[at + i]
 
 
 @njit
-def when_free(script: FloatArray, state: FloatArray, started: int, channel: float, start_s: float) -> float:
+def earliest_start(script: FloatArray, state: FloatArray, started: int, channel: float, start_s: float) -> float:
     """The given start, or the end of the last manoeuvre on the same channel where that is later."""
     for m in range(int(script[COUNT])):
         entry = PLAN + ENTRY * m
@@ -220,18 +224,18 @@ class ManoeuvreScript:
 
     def windows(self, until_s: float = np.inf) -> list[Window]:
         """When manoeuvres were flown, in the order of time; one that the end of the flight cut short ends there."""
-        return windows(self.manoeuvres, self.started_s, until_s)
+        return manoeuvre_windows(self.manoeuvres, self.started_s, until_s)
 
     def events(self, until_s: float = np.inf) -> list[tuple[float, str]]:
         """Start of each manoeuvre, and at the end of the flight those whose trigger was never met."""
-        return events(self.manoeuvres, self.started_s, until_s)
+        return manoeuvre_events(self.manoeuvres, self.started_s, until_s)
 
 
 NOT_FLOWN = "trigger never met; manoeuvre not flown"
 """End of the text of a manoeuvre's event where the flight ended before its trigger."""
 
 
-def windows(manoeuvres: Sequence[Manoeuvre], started_s: FloatArray, until_s: float = np.inf) -> list[Window]:
+def manoeuvre_windows(manoeuvres: Sequence[Manoeuvre], started_s: FloatArray, until_s: float = np.inf) -> list[Window]:
     """Windows of the started manoeuvres, by their start."""
     flown = [
         Window(m.kind, float(s), float(min(s + polygon(m)[-1][0], until_s)))
@@ -241,7 +245,9 @@ def windows(manoeuvres: Sequence[Manoeuvre], started_s: FloatArray, until_s: flo
     return sorted(flown, key=lambda w: w.start_s)
 
 
-def events(manoeuvres: Sequence[Manoeuvre], started_s: FloatArray, until_s: float = np.inf) -> list[tuple[float, str]]:
+def manoeuvre_events(
+    manoeuvres: Sequence[Manoeuvre], started_s: FloatArray, until_s: float = np.inf
+) -> list[tuple[float, str]]:
     """(time, text) of manoeuvres begun, and of those whose trigger was never met."""
     found = []
     for m, s in zip(manoeuvres, started_s, strict=True):

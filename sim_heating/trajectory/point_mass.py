@@ -22,9 +22,9 @@ from sim_heating.base.kernels.jit import njit, pointer
 from sim_heating.heating.atmosphere import G0_M_S2, speed_of_sound_kernel, us76_kernel
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import manoeuvres as mv
-from sim_heating.trajectory.guidance import clipped, first_memory_kernel, guidance_kernel
+from sim_heating.trajectory.guidance import clip, first_memory_kernel, guidance_kernel
 from sim_heating.trajectory.manoeuvres import offsets_kernel, trigger_kernel
-from sim_heating.trajectory.schedules import places, scheduled
+from sim_heating.trajectory.schedules import schedule_positions, scheduled
 from sim_heating.trajectory.spec import MACH_COUNTS_BELOW_M
 from sim_heating.trajectory.trimmed_aero import lift_drag_kernel
 
@@ -39,7 +39,7 @@ WGS84_J2 = 1.08262982e-3
     MU, J2, ROTATION, RADIUS, FLATTENING, MASS, AREA, FLAP_LOW, FLAP_HIGH, FLAP_AXIS, CY_BETA,
     STOP_TIME, STOP_MACH, STOP_SPEED, STOP_ALTITUDE,
 ) = range(6, 21)  # fmt: skip
-DENSITY, WIND_NORTH, WIND_EAST, FLAP_SCHEDULE = places(21, 4)
+DENSITY, WIND_NORTH, WIND_EAST, FLAP_SCHEDULE = schedule_positions(21, 4)
 """Places in the block of a flight: scalars after those of `trimmed_aero`, then schedules."""
 
 (
@@ -137,7 +137,7 @@ def air_at(x: float, y: float, z: float, vx: float, vy: float, vz: float, flight
 def flap_kernel(flight: FloatArray, mach: float, speed: float, d_flap_deg: float) -> float:
     """Body flap [deg]: schedule plus offset, within its travel."""
     base = scheduled(flight, FLAP_SCHEDULE, mach if flight[FLAP_AXIS] == 0.0 else speed)
-    return clipped(base + d_flap_deg, flight[FLAP_LOW], flight[FLAP_HIGH])
+    return clip(base + d_flap_deg, flight[FLAP_LOW], flight[FLAP_HIGH])
 
 
 class Forces(NamedTuple):
@@ -204,7 +204,7 @@ def observe_kernel(state: FloatArray, flight: FloatArray, aero: FloatArray, work
     seen[gd.LATITUDE], seen[gd.LONGITUDE] = math.degrees(math.asin(air.up[2])), math.degrees(math.atan2(y, x))
     row[0], row[1], row[2], row[3], row[4] = state[T], air.altitude_m, V, state[ALPHA], state[BETA]
     row[5], row[6], row[7], row[8], row[9] = f.elevon_deg, f.bodyflap_deg, air.rho_kg_m3, state[JETS], state[BANK]
-    row[10] = math.degrees(math.asin(clipped(dot(air.u, air.up) / V, -1.0, 1.0)))
+    row[10] = math.degrees(math.asin(clip(dot(air.u, air.up) / V, -1.0, 1.0)))
     row[11], row[12], row[13] = seen[gd.HEADING], seen[gd.LATITUDE], seen[gd.LONGITUDE]
     row[14] = per_mass * f.ca / G0_M_S2
 
@@ -283,10 +283,10 @@ def command_kernel(
     state[LAST_SPEED], state[LAST_MACH] = work[gd.SPEED], work[gd.MACH]
     trigger_kernel(script, state, STARTED, EXPECTED_TIME, work, NEXT)
     offsets_kernel(script, state, STARTED, work[NEXT], work, OFFSETS)
-    state[JETS] = clipped(work[OFFSETS + mv.JETS], 0.0, 1.0)
+    state[JETS] = clip(work[OFFSETS + mv.JETS], 0.0, 1.0)
     alpha, bank = state[MEMORY + gd.ALPHA_COMMAND] + work[OFFSETS + mv.ALPHA], state[MEMORY + gd.BANK_COMMAND]
     beta, elevon, flap = work[OFFSETS + mv.BETA], work[OFFSETS + mv.ELEVON], work[OFFSETS + mv.BODYFLAP]
-    return clipped(alpha, block[gd.ALPHA_LOW], block[gd.ALPHA_HIGH]), bank, beta, elevon, flap
+    return clip(alpha, block[gd.ALPHA_LOW], block[gd.ALPHA_HIGH]), bank, beta, elevon, flap
 
 
 @njit
@@ -321,7 +321,7 @@ def runge_kutta_step(
 
 
 @njit
-def move_kernel(
+def advance_kernel(
     state: FloatArray, flight: FloatArray, block: FloatArray, script: FloatArray, aero: FloatArray, dt_s: float,
     work: FloatArray,
 ) -> None:  # fmt: skip
@@ -348,7 +348,7 @@ def step_kernel(
         or (work[gd.MACH] <= flight[STOP_MACH] and work[gd.ALTITUDE] < MACH_COUNTS_BELOW_M)
     ):
         return False
-    move_kernel(state, flight, block, script, aero, dt_s, work)
+    advance_kernel(state, flight, block, script, aero, dt_s, work)
     return True
 
 

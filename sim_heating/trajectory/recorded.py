@@ -13,7 +13,7 @@ import numpy as np
 from sim_heating.base.conditions import FRAME, HEATING, STATE, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import CsvTable, raise_problems, read_csv_columns
-from sim_heating.base.limits import implausible
+from sim_heating.base.limits import implausible_values
 from sim_heating.base.progress import Progress
 from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, free_stream
 from sim_heating.trajectory.flight import EXTRAS, Flight, OnFrame, VehicleData
@@ -60,8 +60,8 @@ def read_conditions(path: Path, length_m: float) -> Conditions:
 def _problems(table: CsvTable) -> list[str]:
     z = table["altitude_m"]
     inside = (z >= LOWEST_M) & (z <= HIGHEST_M)
-    outside = table.where_not("altitude_m", inside, "is outside the atmosphere's table")
-    return [*table.not_increasing(), *outside, *implausible(table)]
+    outside = table.problems_where_not("altitude_m", inside, "is outside the atmosphere's table")
+    return [*table.order_problems(), *outside, *implausible_values(table)]
 
 
 def _give_frames(conditions: Conditions, on_frame: OnFrame) -> None:

@@ -28,7 +28,7 @@ def pack(scalars: Sequence[float], schedules: Sequence[Sequence[tuple[float, flo
     return np.concatenate([np.array(parts, dtype=float), *(t.T.ravel() for t in tables)])
 
 
-def places(first: int, schedules: int) -> Sequence[int]:
+def schedule_positions(first: int, schedules: int) -> Sequence[int]:
     """Where (start, points) of a block's schedules stand, the first at place `first`.
 
     They are numpy's integers, because numba would compile `scheduled` anew for each value of a Python integer.

@@ -20,7 +20,7 @@ from sim_heating.base.files import read_csv_columns
 from sim_heating.base.kernels.axis import cell_of
 from sim_heating.base.kernels.jit import njit
 from sim_heating.trajectory.aero import Aero, Grid
-from sim_heating.trajectory.guidance import clipped
+from sim_heating.trajectory.guidance import clip
 
 ARM, CM_SHIFT, SHIFT_LOW, SHIFT_HIGH, ELEVON_LOW, ELEVON_HIGH = range(6)
 """First numbers of a flight's block: (x_cg - x_ref) / c, flight-found Cm, its Mach numbers, elevon travel [deg]."""
@@ -34,7 +34,7 @@ the Mach and alpha points of any of them. One cell for each (mach, alpha), alpha
 table, of each body-flap node and of each elevon node; a low-speed row is mach, CL_0, CL_alpha 1/deg, CD_0, K."""
 
 
-class Place(NamedTuple):
+class TableCell(NamedTuple):
     """Where a Mach number and an angle of attack lie in the tables: the four cells about them and their weights."""
 
     c00: int
@@ -54,11 +54,11 @@ def bracket_scan(block: FloatArray, start: int, points: int, x: float) -> tuple[
         return 0, 0.0
     cell = cell_of(block, start, points, x)
     i = start + cell
-    return cell, clipped((x - block[i]) / (block[i + 1] - block[i]), 0.0, 1.0)
+    return cell, clip((x - block[i]) / (block[i + 1] - block[i]), 0.0, 1.0)
 
 
 @njit
-def place_of(aero: FloatArray, mach: float, alpha_deg: float) -> Place:
+def table_cell(aero: FloatArray, mach: float, alpha_deg: float) -> TableCell:
     """Cells and bilinear weights; held at the ends."""
     machs, alphas = int(aero[MACHS]), int(aero[ALPHAS])
     width = 3 * (1 + int(aero[FLAPS]) + int(aero[ELEVONS]))
@@ -66,20 +66,20 @@ def place_of(aero: FloatArray, mach: float, alpha_deg: float) -> Place:
     j, v = bracket_scan(aero, int(aero[AT_ALPHA]), alphas, alpha_deg)
     corner = int(aero[AT_CELLS]) + (i * alphas + j) * width
     right, up = (width if alphas > 1 else 0), (alphas * width if machs > 1 else 0)
-    return Place(
+    return TableCell(
         corner, corner + right, corner + up, corner + up + right,
         (1.0 - u) * (1.0 - v), (1.0 - u) * v, u * (1.0 - v), u * v,
     )  # fmt: skip
 
 
 @njit
-def blend(aero: FloatArray, p: Place, k: int) -> float:
+def cell_value(aero: FloatArray, p: TableCell, k: int) -> float:
     """Number k of the cells at a place, bilinear."""
     return p.w00 * aero[p.c00 + k] + p.w01 * aero[p.c01 + k] + p.w10 * aero[p.c10 + k] + p.w11 * aero[p.c11 + k]
 
 
 @njit
-def zero_moment(aero: FloatArray, p: Place, moment: float, arm: float) -> float:
+def trim_elevon(aero: FloatArray, p: TableCell, moment: float, arm: float) -> float:
     """Elevon at which moment + dCm + arm dCN is 0; the table's end where there is none.
 
     The sum falls with deflection and is linear between nodes, so halving the nodes finds it exactly.
@@ -89,14 +89,14 @@ def zero_moment(aero: FloatArray, p: Place, moment: float, arm: float) -> float:
     while high - low > 1:
         middle = (low + high) // 2
         k = first + 3 * middle
-        if moment + blend(aero, p, k + 2) + arm * blend(aero, p, k) > 0.0:
+        if moment + cell_value(aero, p, k + 2) + arm * cell_value(aero, p, k) > 0.0:
             low = middle
         else:
             high = middle
     k = first + 3 * low
-    below = moment + blend(aero, p, k + 2) + arm * blend(aero, p, k)
+    below = moment + cell_value(aero, p, k + 2) + arm * cell_value(aero, p, k)
     k = first + 3 * high
-    above = moment + blend(aero, p, k + 2) + arm * blend(aero, p, k)
+    above = moment + cell_value(aero, p, k + 2) + arm * cell_value(aero, p, k)
     if below <= 0.0:
         return aero[axis + low]
     if above >= 0.0:
@@ -109,22 +109,22 @@ def trimmed_kernel(
     mach: float, alpha_deg: float, flap_deg: float, d_elevon_deg: float, flight: FloatArray, aero: FloatArray
 ) -> tuple[float, float, float]:
     """CN, CA and elevon [deg] with the elevon in trim plus an offset, within its travel."""
-    p = place_of(aero, mach, alpha_deg)
+    p = table_cell(aero, mach, alpha_deg)
     flaps, elevons = int(aero[FLAPS]), int(aero[ELEVONS])
     k, w = bracket_scan(aero, int(aero[AT_FLAP]), flaps, flap_deg)
     a, b = 3 + 3 * k, 3 + 3 * min(k + 1, flaps - 1)
-    cn = blend(aero, p, 0) + (1.0 - w) * blend(aero, p, a) + w * blend(aero, p, b)
-    ca = blend(aero, p, 1) + (1.0 - w) * blend(aero, p, a + 1) + w * blend(aero, p, b + 1)
-    cm = blend(aero, p, 2) + (1.0 - w) * blend(aero, p, a + 2) + w * blend(aero, p, b + 2)
-    cm += flight[CM_SHIFT] * clipped((mach - flight[SHIFT_LOW]) / (flight[SHIFT_HIGH] - flight[SHIFT_LOW]), 0.0, 1.0)
+    cn = cell_value(aero, p, 0) + (1.0 - w) * cell_value(aero, p, a) + w * cell_value(aero, p, b)
+    ca = cell_value(aero, p, 1) + (1.0 - w) * cell_value(aero, p, a + 1) + w * cell_value(aero, p, b + 1)
+    cm = cell_value(aero, p, 2) + (1.0 - w) * cell_value(aero, p, a + 2) + w * cell_value(aero, p, b + 2)
+    cm += flight[CM_SHIFT] * clip((mach - flight[SHIFT_LOW]) / (flight[SHIFT_HIGH] - flight[SHIFT_LOW]), 0.0, 1.0)
     low, high = flight[ELEVON_LOW], flight[ELEVON_HIGH]
-    trim = clipped(zero_moment(aero, p, cm + flight[ARM] * cn, flight[ARM]), low, high)
-    elevon = clipped(trim + d_elevon_deg, low, high)
+    trim = clip(trim_elevon(aero, p, cm + flight[ARM] * cn, flight[ARM]), low, high)
+    elevon = clip(trim + d_elevon_deg, low, high)
     k, w = bracket_scan(aero, int(aero[AT_ELEVON]), elevons, elevon)
     first = 3 + 3 * flaps
     a, b = first + 3 * k, first + 3 * min(k + 1, elevons - 1)
-    cn += (1.0 - w) * blend(aero, p, a) + w * blend(aero, p, b)
-    ca += (1.0 - w) * blend(aero, p, a + 1) + w * blend(aero, p, b + 1)
+    cn += (1.0 - w) * cell_value(aero, p, a) + w * cell_value(aero, p, b)
+    ca += (1.0 - w) * cell_value(aero, p, a + 1) + w * cell_value(aero, p, b + 1)
     return cn, ca, elevon
 
 
@@ -135,7 +135,7 @@ def polar_kernel(mach: float, alpha_deg: float, aero: FloatArray) -> tuple[float
     while a < last - 5 and mach >= aero[a + 5]:
         a += 5
     b = min(a + 5, last)
-    u = clipped((mach - aero[a]) / max(aero[b] - aero[a], 1e-9), 0.0, 1.0)
+    u = clip((mach - aero[a]) / max(aero[b] - aero[a], 1e-9), 0.0, 1.0)
     v = 1.0 - u
     cl = v * aero[a + 1] + u * aero[b + 1] + (v * aero[a + 2] + u * aero[b + 2]) * alpha_deg
     return cl, v * aero[a + 3] + u * aero[b + 3] + (v * aero[a + 4] + u * aero[b + 4]) * cl * cl
@@ -153,7 +153,7 @@ def lift_drag_kernel(
     if rows > 0 and mach < bottom:
         cl_low, cd_low = polar_kernel(mach, alpha_deg, aero)
         top = aero[int(aero[AT_LOW]) + 5 * (rows - 1)]
-        share = clipped((mach - top) / (bottom - top), 0.0, 1.0)
+        share = clip((mach - top) / (bottom - top), 0.0, 1.0)
         cl, cd = cl_low + share * (cl - cl_low), cd_low + share * (cd - cd_low)
     return cl, cd, cd * c - cl * s, elevon
 
@@ -181,7 +181,7 @@ def aero_block(aero: Aero, low_speed: FloatArray) -> FloatArray:
     grids = (aero.basic, aero.bodyflap, aero.elevon)
     mach = np.unique(np.concatenate([g.mach for g in grids]))
     alpha = np.unique(np.concatenate([g.alpha_deg for g in grids]))
-    cells = np.concatenate([refined(g, mach, alpha) for g in grids], axis=2)
+    cells = np.concatenate([resample_grid(g, mach, alpha) for g in grids], axis=2)
     flap, elevon = aero.bodyflap.deflection_deg, aero.elevon.deflection_deg
     parts = [mach, alpha, flap, elevon, low_speed.ravel(), cells.ravel()]
     starts = AT_MACH + np.cumsum([len(p) for p in parts])[:-1]
@@ -189,7 +189,7 @@ def aero_block(aero: Aero, low_speed: FloatArray) -> FloatArray:
     return np.concatenate([np.array(head, dtype=float), *parts])
 
 
-def refined(grid: Grid, mach: FloatArray, alpha: FloatArray) -> FloatArray:
+def resample_grid(grid: Grid, mach: FloatArray, alpha: FloatArray) -> FloatArray:
     """Values of a table on finer Mach and alpha axes that contain its own: the same function, held at its ends."""
     by_mach = np.apply_along_axis(lambda v: np.interp(mach, grid.mach, v), 0, grid.values)
     return np.apply_along_axis(lambda v: np.interp(alpha, grid.alpha_deg, v), 1, by_mach)

@@ -30,7 +30,7 @@ from sim_heating.estimation.fit import estimate
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record, Segments, load_record
-from sim_heating.inputs.sensor_model import quantised
+from sim_heating.inputs.sensor_model import quantise
 from sim_heating.simulation.predict import predict
 from tests.support.paths import PRACTICE
 
@@ -60,7 +60,7 @@ def simulated_record(
     columns = dict(record.thermocouples)
     for sensor, indicated in zip(record.sensors, predicted.indicated_K, strict=True):
         noisy = indicated + rng.normal(0.0, noise * sensor.noise_sigma_K, len(indicated))
-        columns[sensor.column] = quantised(sensor, noisy)
+        columns[sensor.column] = quantise(sensor, noisy)
     return replace(record, thermocouples=columns)
 
 

@@ -22,7 +22,7 @@ from sim_heating.estimation.inference.likelihood import (
     quantile_residuals,
     reading_intervals,
 )
-from sim_heating.inputs.sensor_model import quantised
+from sim_heating.inputs.sensor_model import quantise
 from sim_heating.thermal.stack import Sensor
 
 approx = pytest.approx
@@ -161,7 +161,7 @@ def test_the_words_of_a_recorder_share_all_probability() -> None:
 
 @given(st.floats(200.0, 1600.0))
 def test_a_word_is_the_interval_that_its_sensor_rounds_to_it(T: float) -> None:
-    word = reading_intervals(WORD, quantised(WORD, np.array([T])))
+    word = reading_intervals(WORD, quantise(WORD, np.array([T])))
     assert word.lower_K[0] - 1e-9 <= T <= word.upper_K[0] + 1e-9
 
 
@@ -242,7 +242,7 @@ def test_quantile_residuals_of_rounded_noise_are_standard_normal(bits: int | Non
     rng = np.random.default_rng(3)
     recorder = sensor() if bits is None else sensor(bits=bits, range_K=[255.0, 1530.0])
     mean = np.linspace(280.0, 1500.0, 5000)
-    read = quantised(recorder, mean + rng.normal(0.0, sigma, mean.size))
+    read = quantise(recorder, mean + rng.normal(0.0, sigma, mean.size))
     residual = quantile_residuals(reading_intervals(recorder, read), mean, sigma, rng)
     assert kstest(residual, "norm").pvalue > 1e-3
 

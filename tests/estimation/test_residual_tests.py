@@ -17,7 +17,7 @@ from sim_heating.estimation.inference.identifiability import correlation, covari
 from sim_heating.estimation.inference.likelihood import ReadingIntervals, likelihood, reading_intervals
 from sim_heating.estimation.inference.noise import estimate_noise
 from sim_heating.estimation.inference.residual_tests import chi_square, normality, sensor_residuals, whiteness
-from sim_heating.inputs.sensor_model import quantised
+from sim_heating.inputs.sensor_model import quantise
 from sim_heating.thermal.stack import Sensor
 
 FloatArray = NDArray[np.float64]
@@ -136,7 +136,7 @@ def test_coarsely_rounded_samples_have_bounds_that_cover() -> None:
     ramp, time = np.linspace(700.0, 760.0, n), np.arange(n, dtype=float)
     hits = 0
     for _ in range(trials):
-        words = reading_intervals(WORD, quantised(WORD, ramp + rng.normal(size=n)))
+        words = reading_intervals(WORD, quantise(WORD, ramp + rng.normal(size=n)))
         shift = 0.0
         for _ in range(6):
             terms = likelihood(words, ramp + shift, 1.0)
@@ -217,7 +217,7 @@ def test_noise_below_and_above_the_step_of_a_word_is_found_within_its_limits(sig
     rng, trials = np.random.default_rng(20), 80
     mean = np.linspace(600.0, 900.0, 200)
     found = [
-        estimate_noise(reading_intervals(WORD, quantised(WORD, mean + rng.normal(0.0, sigma, 200))), mean)
+        estimate_noise(reading_intervals(WORD, quantise(WORD, mean + rng.normal(0.0, sigma, 200))), mean)
         for _ in range(trials)
     ]
     assert likely(sum(f.lower_K <= sigma <= f.upper_K for f in found), trials)
@@ -227,7 +227,7 @@ def test_noise_below_and_above_the_step_of_a_word_is_found_within_its_limits(sig
 
 def test_noise_that_rounding_hides_is_bounded_from_above_alone_and_told_so() -> None:
     mean = np.linspace(600.0, 900.0, 60)
-    found = estimate_noise(reading_intervals(WORD, quantised(WORD, mean)), mean)
+    found = estimate_noise(reading_intervals(WORD, quantise(WORD, mean)), mean)
     assert not found.is_bounded_below
     assert found.sigma_K == approx(0.5)
     assert found.sigma_K < found.upper_K < 5.0
@@ -323,7 +323,7 @@ def test_residuals_of_a_coarse_word_pass_all_tests_that_their_rounding_errors_fa
     """Slow ramp, step of 5 K, noise 0.5 K: rounding makes a saw of the plain residual."""
     rng, time = np.random.default_rng(29), np.arange(300.0)
     mean = 700.0 + 0.6 * time
-    read = quantised(WORD, mean + rng.normal(0.0, 0.5, 300))
+    read = quantise(WORD, mean + rng.normal(0.0, 0.5, 300))
     found = sensor_residuals("T1", time, reading_intervals(WORD, read), mean, 0.5, rng)
     assert found.n == 300
     assert found.rms == approx(1.0, abs=0.15)

@@ -14,7 +14,7 @@ from sim_heating.estimation.trend import Trend, trend
 from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.inputs.points import point_of_record
 from sim_heating.inputs.record import Record
-from sim_heating.inputs.sensor_model import measured
+from sim_heating.inputs.sensor_model import measure
 from sim_heating.simulation.predict import predict
 from tests.support.walls import practice_record
 
@@ -39,7 +39,7 @@ def remade(truth: dict[str, float], seed: int = 1, jets_gain: float = 0.0) -> Re
     true_flight = flown.with_columns(h_ref_kg_m2_s=flown["h_ref_kg_m2_s"] / (1.0 + jets_gain * flown["jets"]))
     true = predict(replace(record, conditions=true_flight), model)
     rng = np.random.default_rng(seed)
-    columns = {s.column: measured(s, T, rng) for s, T in zip(record.sensors, true.history.sensors_K, strict=True)}
+    columns = {s.column: measure(s, T, rng) for s, T in zip(record.sensors, true.history.sensors_K, strict=True)}
     return replace(record, thermocouples={"time_s": record.time_s, **columns})
 
 

@@ -10,7 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim_heating.base.errors import InputError
-from sim_heating.inputs.sensor_model import SensorErrors, calibrated, lost_samples, measured, quantised, sample_times
+from sim_heating.inputs.sensor_model import (
+    SensorErrors,
+    indicated_temperature,
+    lost_samples,
+    measure,
+    quantise,
+    sample_times,
+)
 from sim_heating.thermal.stack import Sensor
 
 approx = pytest.approx
@@ -32,46 +39,46 @@ def test_the_lsb_of_a_word_is_its_span_over_the_number_of_steps() -> None:
 
 @given(st.floats(255.0, 1530.0))
 def test_a_word_is_never_more_than_half_a_step_off_within_its_range(T: float) -> None:
-    read = quantised(WORD, np.array([T]))[0]
+    read = quantise(WORD, np.array([T]))[0]
     assert abs(read - T) <= 2.5 + 1e-9
     assert (read - 255.0) / 5.0 == approx(round((read - 255.0) / 5.0), abs=1e-9)
 
 
 def test_a_word_clips_at_both_ends_of_its_range() -> None:
-    assert quantised(WORD, np.array([0.0, 254.0, 1531.0, 9000.0])).tolist() == [255.0, 255.0, 1530.0, 1530.0]
+    assert quantise(WORD, np.array([0.0, 254.0, 1531.0, 9000.0])).tolist() == [255.0, 255.0, 1530.0, 1530.0]
 
 
 def test_quantising_twice_changes_nothing() -> None:
-    once = quantised(WORD, np.linspace(200.0, 1600.0, 777))
-    np.testing.assert_array_equal(quantised(WORD, once), once)
+    once = quantise(WORD, np.linspace(200.0, 1600.0, 777))
+    np.testing.assert_array_equal(quantise(WORD, once), once)
 
 
 def test_without_a_word_the_indicated_temperature_is_read() -> None:
     T = np.array([290.123456789])
-    assert quantised(sensor(), T)[0] == T[0]
+    assert quantise(sensor(), T)[0] == T[0]
 
 
 def test_calibration_is_a_polynomial_of_the_temperature_with_gain_and_bias() -> None:
     T = np.array([300.0, 1000.0])
     bent = sensor(calibration=[1.0, 0.99, 1e-6])
-    np.testing.assert_allclose(calibrated(bent, T), 1.0 + 0.99 * T + 1e-6 * T**2)
-    np.testing.assert_allclose(calibrated(sensor(), T, SensorErrors(bias_K=4.0, gain=1.02)), 1.02 * T + 4.0)
+    np.testing.assert_allclose(indicated_temperature(bent, T), 1.0 + 0.99 * T + 1e-6 * T**2)
+    np.testing.assert_allclose(indicated_temperature(sensor(), T, SensorErrors(bias_K=4.0, gain=1.02)), 1.02 * T + 4.0)
 
 
 def test_noise_has_the_declared_sigma_and_no_mean() -> None:
     T = np.full(20_000, 800.0)
-    read = measured(sensor(noise_sigma_K=2.0), T, np.random.default_rng(1))
+    read = measure(sensor(noise_sigma_K=2.0), T, np.random.default_rng(1))
     assert np.std(read) == approx(2.0, rel=0.02)  # 4 sigma of the estimate
     assert np.mean(read) == approx(800.0, abs=4 * 2.0 / np.sqrt(20_000))
 
 
 def test_quantisation_noise_of_a_moving_temperature_is_lsb_over_root_12() -> None:
     T = np.linspace(300.0, 1500.0, 10_000)
-    assert np.std(measured(WORD, T, np.random.default_rng(1)) - T) == approx(5.0 / np.sqrt(12.0), rel=0.01)
+    assert np.std(measure(WORD, T, np.random.default_rng(1)) - T) == approx(5.0 / np.sqrt(12.0), rel=0.01)
 
 
 def test_bias_is_applied_before_the_word_clips() -> None:
-    read = measured(WORD, np.array([1528.0]), np.random.default_rng(1), SensorErrors(bias_K=50.0))
+    read = measure(WORD, np.array([1528.0]), np.random.default_rng(1), SensorErrors(bias_K=50.0))
     assert read.tolist() == [1530.0]
 
 
@@ -79,7 +86,7 @@ def test_lost_samples_are_empty_and_gaps_include_both_ends() -> None:
     t = np.arange(10.0)
     lost = lost_samples(t, np.random.default_rng(1), 0.0, [[2.0, 4.0]])
     assert t[lost].tolist() == [2.0, 3.0, 4.0]
-    read = measured(sensor(), np.full(10, 300.0), np.random.default_rng(1), None, lost)
+    read = measure(sensor(), np.full(10, 300.0), np.random.default_rng(1), None, lost)
     assert np.isnan(read).tolist() == lost.tolist()
 
 

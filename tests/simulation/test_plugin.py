@@ -439,12 +439,12 @@ def test_a_misspelt_property_is_refused_and_not_read_as_zero(host: JSBSimHost, p
 
 def test_a_host_that_lacks_a_reading_is_refused_when_it_is_opened(tmp_path: Path) -> None:
     from sim_heating.trajectory.aero import load_aero
-    from sim_heating.trajectory.jsbsim.host import VEHICLE_READS, Read
+    from sim_heating.trajectory.jsbsim.host import VEHICLE_READS, PropertyRead
     from sim_heating.trajectory.jsbsim.model import write_aircraft
 
     model = write_aircraft(load_aero(AIRCRAFT / "orbiter"), AIRCRAFT / "orbiter", tmp_path)
     with pytest.raises(InputError, match="fcs/elevon-pos-deg"):
-        JSBSimHost(tmp_path, model, reads=dict(VEHICLE_READS) | {"elevon_deg": Read("fcs/elevn-pos-deg")})
+        JSBSimHost(tmp_path, model, reads=dict(VEHICLE_READS) | {"elevon_deg": PropertyRead("fcs/elevn-pos-deg")})
 
 
 def test_an_effect_of_the_truth_heats_the_plug_in_s_point(orbiter: Vehicle, plugin: HeatingPlugin) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sim_heating.heating.effects import EffectUse
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record
-from sim_heating.inputs.sensor_model import measured
+from sim_heating.inputs.sensor_model import measure
 from sim_heating.march.history import PointHistory, at_times, march_points
 from tests.support.walls import practice_record
 
@@ -35,6 +35,6 @@ def record_with(
     rng = np.random.default_rng(seed)
     columns = {"time_s": clock}
     for sensor, T in zip(record.sensors, at_times(history.time_s, history.sensors_K, clock - skew_s), strict=True):
-        columns[sensor.column] = measured(sensor, T, rng, None, rng.random(len(clock)) < lost)
+        columns[sensor.column] = measure(sensor, T, rng, None, rng.random(len(clock)) < lost)
     known = conditions if jets is None else conditions.with_columns(jets=0.0 * t)
     return replace(record, thermocouples=columns, conditions=known), history

@@ -23,7 +23,7 @@ from sim_heating.trajectory import point_mass as pm
 from sim_heating.trajectory.aero import Grid, flown_aero, load_aero
 from sim_heating.trajectory.entry3dof import Entry
 from sim_heating.trajectory.flight import EXTRAS, ROW, Sampler
-from sim_heating.trajectory.guidance import EntryGuidance, Observed, resolve_guidance
+from sim_heating.trajectory.guidance import EntryGuidance, Observation, resolve_guidance
 from sim_heating.trajectory.jsbsim import entry as jsbsim
 from sim_heating.trajectory.spec import GuidanceChanges, Initial, TrajectorySpec
 from sim_heating.trajectory.trimmed_aero import aero_block, trimmed_kernel
@@ -368,7 +368,7 @@ def test_interpreted_and_compiled_flights_are_the_same_bits():
 
 
 SEEN = st.builds(
-    Observed,
+    Observation,
     time_s=st.just(0.0), altitude_m=st.floats(-100.0, 130e3), velocity_m_s=st.floats(1.0, 8000.0),
     mach=st.floats(0.0, 30.0), altitude_rate_m_s=st.floats(-500.0, 500.0), drag_m_s2=st.floats(0.0, 40.0),
     lift_m_s2=st.floats(-5.0, 40.0), net_gravity_m_s2=st.floats(-1.0, 9.8), qbar_Pa=st.floats(0.0, 5e4),

@@ -348,7 +348,7 @@ def test_a_manoeuvre_that_no_input_takes_is_refused_before_the_flight(
     doublet = {"kind": "sideslip-doublet", "at_time_s": 2.0}
     own = {"columns": COLUMNS, "inputs": {"command": "beta_deg"}}
     table = {"source": "fmu", "file": str(path), "fmu": own, "manoeuvre": [doublet, manoeuvre]}
-    (problem,) = fmu.problems_of(TrajectorySpec.model_validate(table), VEHICLE)
+    (problem,) = fmu.fmu_problems(TrajectorySpec.model_validate(table), VEHICLE)
     assert re.search(told, problem)
 
 

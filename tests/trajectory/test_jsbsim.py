@@ -18,7 +18,7 @@ from sim_heating.trajectory.aero import Aero, load_aero
 from sim_heating.trajectory.entry3dof import low_speed_rows
 from sim_heating.trajectory.flight import Flight, Window
 from sim_heating.trajectory.jsbsim import entry as jsbsim
-from sim_heating.trajectory.jsbsim.host import FT_M, VEHICLE_READS, InitialState, JSBSimHost, Read, open_vehicle
+from sim_heating.trajectory.jsbsim.host import FT_M, VEHICLE_READS, InitialState, JSBSimHost, PropertyRead, open_vehicle
 from sim_heating.trajectory.manoeuvres import polygon
 from sim_heating.trajectory.spec import TrajectorySpec
 from tests.support.paths import ORBITER
@@ -366,7 +366,7 @@ def test_another_aircraft_is_read_by_its_own_property_names_and_leaves_no_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    absent = Read("simulation/dt", 0.0)
+    absent = PropertyRead("simulation/dt", 0.0)
     reads = dict(VEHICLE_READS) | {"elevon_deg": absent, "bodyflap_deg": absent, "jets": absent}
     host = JSBSimHost(Path(get_default_root_dir()) / "aircraft", "ball", reads=reads, rate_hz=100.0)
     host.start(InitialState(30000.0, 2000.0, -10.0, 90.0, 0.0))

@@ -56,7 +56,7 @@ class CsvTable:
         place = f"{display_path(self.path)}, row {self.lines[index]}, column {column}"
         return f"{place}: {self.columns[column][index]:g} {rule}"
 
-    def where_not(self, column: str, holds: ArrayLike, rule: str) -> list[str]:
+    def problems_where_not(self, column: str, holds: ArrayLike, rule: str) -> list[str]:
         """One problem line for a column where a condition does not hold in every row, naming the first such row."""
         bad = np.flatnonzero(~np.asarray(holds, dtype=bool))
         if bad.size == 0:
@@ -64,7 +64,7 @@ class CsvTable:
         more = f" (and {bad.size - 1} more rows)" if bad.size > 1 else ""
         return [self.problem(int(bad[0]), column, rule) + more]
 
-    def not_increasing(self, column: str = "time_s") -> list[str]:
+    def order_problems(self, column: str = "time_s") -> list[str]:
         """Problems of a column that must increase from row to row."""
         values = self.columns[column]
         bad = np.flatnonzero(~(np.diff(values) > 0.0)) + 1
@@ -74,9 +74,9 @@ class CsvTable:
         value = f"{values[bad[0]]:.10g}"
         return [f"{display_path(self.path)}, row {self.lines[bad[0]]}, column {column}: {value} {before}"]
 
-    def not_kelvin(self, column: str) -> list[str]:
+    def celsius_problems(self, column: str) -> list[str]:
         """Problems of a temperature column [K]; values below 100 K are taken for Celsius. NaN passes."""
-        return self.where_not(column, ~(self.columns[column] < COLDEST_K), celsius_rule())
+        return self.problems_where_not(column, ~(self.columns[column] < COLDEST_K), celsius_rule())
 
 
 def celsius_rule() -> str:

@@ -18,7 +18,7 @@ ANGLES = {
     "bodyflap_deg": ("body flap", "tab:purple"),
     "beta_deg": ("sideslip", "tab:orange"),
 }
-NAMES = {
+MANOEUVRE_NAMES = {
     "popu": "pushover-pullup",
     "elevon-pulse": "elevon pulses",
     "elevon-sweep": "elevon sweep",
@@ -43,7 +43,7 @@ def new_figure(width: float, height: float, rows: int, columns: int = 1, **keys:
 
 def save_figure(figure: Figure, path: Path | None, title: str, axes: np.ndarray) -> Figure:
     """Grid, title and file of every picture; without a path the figure is laid out and returned, not saved."""
-    dress(figure, title, axes)
+    add_grid_and_title(figure, title, axes)
     lay_out(figure)
     if path is not None:
         figure.savefig(path, dpi=DPI)
@@ -58,7 +58,7 @@ def lay_out(figure: Figure) -> None:
         figure.set_layout_engine(None)
 
 
-def dress(figure: Figure, title: str, axes: np.ndarray) -> None:
+def add_grid_and_title(figure: Figure, title: str, axes: np.ndarray) -> None:
     """Grid and title of every picture."""
     for a in axes.ravel():
         a.grid(alpha=0.3)

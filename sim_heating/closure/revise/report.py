@@ -18,8 +18,8 @@ from rich.table import Table
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
-from sim_heating.base.parameters import EFFECT_PREFIX, SHORT
-from sim_heating.base.progress import Progress, quiet
+from sim_heating.base.parameters import EFFECT_PREFIX, SHORT_NAMES
+from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.figure import new_figure, save_figure
 from sim_heating.closure.revise.evidence import ratio_names
 from sim_heating.closure.revise.revisions import RevisionFile
@@ -84,7 +84,7 @@ def update_tables(
     point: str | None = None,
     checks: Sequence[Record | str | os.PathLike[str]] = (),
     dry_run: bool = False,
-    progress: Progress = quiet,
+    progress: Progress = no_progress,
 ) -> UpdatedTables:
     """Write the derivatives and effects of an estimate into a vehicle's tables, as a new revision with its evidence.
 
@@ -136,7 +136,7 @@ def _difference(update: TableUpdate) -> Table:
     some = f", the {len(shown)} that move most by their sigma" if len(shown) < len(moved) else ""
     old = update.history.revision
     table = Table(title=f"{update.point.name}, revision {old} to {old + 1}: {many}{some}", title_justify="left")
-    for head in (*SHORT, "ratio before", "after", "", "sigma before", "after"):
+    for head in (*SHORT_NAMES, "ratio before", "after", "", "sigma before", "after"):
         table.add_column(head, justify="right", no_wrap=True)
     for i in shown:
         before, after = nodes["ratio_before"][i], nodes["ratio_after"][i]

@@ -46,7 +46,7 @@ from sim_heating.estimation.report.estimate_file import (
 )
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.ratio.uncertainty import REACH, Posterior, posterior
-from sim_heating.inputs.points import point_with_table_of
+from sim_heating.inputs.points import point_with_vehicle_table
 from sim_heating.inputs.record import Record, load_record, pooled_rmse_K
 from sim_heating.inputs.vehicle import FOLDER as VEHICLES
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle, load_vehicle, vehicle_directory
@@ -316,7 +316,10 @@ def errors_before_and_after(update: TableUpdate, records: Sequence[Record]) -> d
         _check_comparable(update, record)
         if record.name in found:
             raise InputError(f"two records are named {record.name}; rename one")
-        model, used = point_with_table_of(record, update.vehicle), [i for i, s in enumerate(record.sensors) if s.used]
+        model, used = (
+            point_with_vehicle_table(record, update.vehicle),
+            [i for i, s in enumerate(record.sensors) if s.used],
+        )
         revised = replace(model, ratio=update.table, effects=update.effects.after)
         residuals = {when: predict(record, m).residual_K[used] for when, m in (("before", model), ("after", revised))}
         masks = {"fit": record.fit_mask(), "holdout": record.holdout_mask()}

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim_heating.base.progress import Progress, quiet
+from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.search.candidates import candidates
 from sim_heating.closure.search.ranking import SearchRound, count_forms, delta_bic, model_bic, score_round
 from sim_heating.closure.search.screening import fit_in_stages, predicted_gains, select_candidates
@@ -72,7 +72,7 @@ class SearchResult:
         return f"<SearchResult of {self.record.name}: {' + '.join(self.names)}, {len(self.rounds)} round(s)>"
 
 
-def search_effects(record: Record, *, progress: Progress = quiet) -> SearchResult:
+def search_effects(record: Record, *, progress: Progress = no_progress) -> SearchResult:
     """Search for the effects that the declared model of a record lacks.
 
     raises : InputError, RunError where not even the declared model can be fitted

@@ -10,7 +10,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import RunError
 from sim_heating.base.parameters import Parameter
-from sim_heating.base.progress import Progress, quiet
+from sim_heating.base.progress import Progress, no_progress
 from sim_heating.estimation.design.information import Experiment
 from sim_heating.estimation.inference.likelihood import reading_intervals
 from sim_heating.estimation.inference.newton import maximise
@@ -18,7 +18,7 @@ from sim_heating.estimation.problem import FitOptions, FitProblem, joint_referen
 from sim_heating.estimation.record_fit import Start
 from sim_heating.heating.effects import EffectUse
 from sim_heating.inputs.record import Record
-from sim_heating.inputs.sensor_model import quantised
+from sim_heating.inputs.sensor_model import quantise
 from sim_heating.thermal.stack import Sensor
 
 
@@ -49,7 +49,7 @@ def repeated_fits(
     reference: Mapping[str, float] | None = None,
     repetitions: int = 200,
     seed: int = 1,
-    progress: Progress = quiet,
+    progress: Progress = no_progress,
 ) -> RepeatedFits:
     """Measure and fit a record again and again; `told` gives the unknowns, PRESSURE not among them, and their priors.
 
@@ -100,4 +100,4 @@ def draw_truth(parameters: Sequence[Parameter], rng: np.random.Generator) -> Flo
 
 
 def _simulated_readings(sensor: Sensor, mean_K: FloatArray, sigma_K: float, rng: np.random.Generator) -> FloatArray:
-    return quantised(sensor, mean_K + rng.normal(0.0, sigma_K, len(mean_K)))
+    return quantise(sensor, mean_K + rng.normal(0.0, sigma_K, len(mean_K)))

@@ -12,7 +12,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files import display_path
-from sim_heating.base.parameters import CLOCK_SKEW, SENSOR_PREFIX, SHORT
+from sim_heating.base.parameters import CLOCK_SKEW, SENSOR_PREFIX, SHORT_NAMES
 from sim_heating.estimation.design.information import PRESSURE, Experiment, experiment
 from sim_heating.estimation.inference.observability import constant_variables
 from sim_heating.estimation.problem import SKEW_SPAN_S
@@ -22,7 +22,7 @@ from sim_heating.heating.ratio.uncertainty import REACH, node_weights
 from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
 from sim_heating.inputs.record import Record, Segments, make_record
 from sim_heating.inputs.scenario import Design, Scenario
-from sim_heating.inputs.sensor_model import calibrated, sample_times
+from sim_heating.inputs.sensor_model import indicated_temperature, sample_times
 from sim_heating.inputs.vehicle import ControlPoint
 from sim_heating.march.ensemble import Ensemble, condition_history, histories
 from sim_heating.march.linearised import LinearMarch, Track
@@ -217,7 +217,7 @@ class Planner:
         if self.design.nuisance is not None:
             return tuple(dict.fromkeys((*self.wanted, *self.design.nuisance)))
         assert self.point.ratio is not None
-        known = [f"ratio.d_{s}" for s, axis in zip(SHORT, self.point.ratio.axes, strict=True) if len(axis) > 1]
+        known = [f"ratio.d_{s}" for s, axis in zip(SHORT_NAMES, self.point.ratio.axes, strict=True) if len(axis) > 1]
         unmoved = constant_variables(known, [self.record(planned, self.instruments)[0]])
         return tuple(dict.fromkeys((*self.wanted, *(n for n in known if n not in unmoved), *NUISANCE)))
 
@@ -239,7 +239,7 @@ class Planner:
         sigma = float((node_weights(ratio.axes, condition[np.newaxis]) @ ratio.sigma.ravel())[0])
         return {
             f"ratio.d_{short}": np.sqrt(12.0) * sigma / REACH[v]
-            for short, v in zip(SHORT, RATIO_VARIABLES, strict=True)
+            for short, v in zip(SHORT_NAMES, RATIO_VARIABLES, strict=True)
         }
 
     def record(self, planned: PlannedFlight, instruments: Instruments) -> tuple[Record, Start | None]:
@@ -253,7 +253,7 @@ class Planner:
         start, read = self._marched(flown, instruments.sensors, begin, clock)
         declared = declaration(self.scenario, self.point, instruments.sensors)
         declared = declared.model_copy(update={"segments": Segments(fit=[list(s) for s in spans])})
-        columns = {s.column: calibrated(s, T) for s, T in zip(instruments.sensors, read, strict=True)}
+        columns = {s.column: indicated_temperature(s, T) for s, T in zip(instruments.sensors, read, strict=True)}
         record = make_record(declared, flown, {"time_s": clock, **columns}, self.point.ratio, self.point.name)
         return record, start if design.start == "profile" else None
 

@@ -16,7 +16,7 @@ from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.files import output_directory, write_json, write_text_atomic
 from sim_heating.base.files.package import package_version
-from sim_heating.base.progress import Progress, quiet
+from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.figure import ANGLES, new_figure, save_figure
 from sim_heating.base.report.table import Column, Table
 from sim_heating.estimation.design.check import RepeatedFits, repeated_fits
@@ -72,7 +72,7 @@ def design(
     scenario: Scenario,
     *,
     repetitions: int = 0,
-    progress: Progress = quiet,
+    progress: Progress = no_progress,
 ) -> DesignResult:
     """Search the manoeuvres of a scenario, and what other instruments would buy.
 

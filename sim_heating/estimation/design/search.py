@@ -17,11 +17,11 @@ from scipy.stats import qmc
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.progress import Progress, quiet
+from sim_heating.base.progress import Progress, no_progress
 from sim_heating.estimation.design.information import Experiment, check_wanted, design_criterion
 from sim_heating.estimation.design.planned_flight import PlannedFlight, Planner
 from sim_heating.estimation.inference.observability import constant_variables
-from sim_heating.inputs.scenario import Vary
+from sim_heating.inputs.scenario import DesignVariable
 from sim_heating.trajectory.spec import Manoeuvre
 
 INFEASIBLE = 10.0
@@ -49,7 +49,7 @@ class TriedDesign:
 class BoundsSweep:
     """Bounds along one number about the best design: (point,) values, (point, wanted) bounds, which keep the limits."""
 
-    vary: Vary
+    vary: DesignVariable
     value: FloatArray
     sigma: FloatArray
     feasible: NDArray[np.bool_]
@@ -66,7 +66,7 @@ class DesignSearchResult:
 
     names: tuple[str, ...]
     priors: dict[str, float]
-    vary: tuple[Vary, ...]
+    vary: tuple[DesignVariable, ...]
     planned: PlannedFlight
     planned_told: Experiment
     best: PlannedFlight
@@ -141,7 +141,7 @@ class DesignSearch:
         self.tried.append(found)
         return found
 
-    def run(self, progress: Progress = quiet) -> DesignSearchResult:
+    def run(self, progress: Progress = no_progress) -> DesignSearchResult:
         """Search.
 
         raises : RunError where no design keeps the limits
@@ -206,11 +206,11 @@ def _limit_violation(flown: PlannedFlight) -> float:
     return float(sum(max(-margin, 0.0) / _tolerance(name) for name, margin in flown.margins.items()))
 
 
-def _default_vary(manoeuvres: Sequence[Manoeuvre]) -> tuple[Vary, ...]:
+def _default_vary(manoeuvres: Sequence[Manoeuvre]) -> tuple[DesignVariable, ...]:
     """All numbers of the first manoeuvre: its speed within SPEEDS, its shape within SHAPES of the planned one."""
     found = []
     for key, value in manoeuvres[0]:
         if isinstance(value, float) and value != 0.0 and key != "at_time_s":
             low, high = sorted(part * value for part in (SPEEDS if key in TRIGGERS else SHAPES))
-            found.append(Vary(key=key, low=low, high=high))
+            found.append(DesignVariable(key=key, low=low, high=high))
     return tuple(found)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
-from sim_heating.base.parameters import AT, MODEL, SHORT
+from sim_heating.base.parameters import AT, MODEL, SHORT_NAMES
 from sim_heating.estimation.inference.identifiability import SINGULAR, covariance, directions
 from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.inputs.points import conditions_of_record
@@ -29,7 +29,7 @@ FEWEST_STUCK = 10
 STUCK = 10.0
 """Change of the declared model, in recorder steps or sigmas, above which a sensor with constant readings is stuck."""
 MAGNITUDES = ("ratio.scale", "ratio.d0")
-DERIVATIVES = tuple(f"ratio.d_{short}" for short in SHORT)
+DERIVATIVES = tuple(f"ratio.d_{short}" for short in SHORT_NAMES)
 
 
 def default_names(records: Sequence[Record]) -> tuple[str, ...]:
@@ -74,7 +74,7 @@ def variables_of(name: str) -> tuple[int, ...]:
     if not stem.startswith("ratio.d_") or stem not in MODEL:
         return ()
     parts = stem.removeprefix("ratio.d_").split("_")
-    return tuple(SHORT.index(p.removesuffix("2")) for p in parts)
+    return tuple(SHORT_NAMES.index(p.removesuffix("2")) for p in parts)
 
 
 def constant_variables(names: Sequence[str], records: Sequence[Record]) -> dict[str, str]:

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
-from sim_heating.base.parameters import RATIO, SHORT
+from sim_heating.base.parameters import RATIO, SHORT_NAMES
 from sim_heating.base.report.figure import new_figure, save_figure
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.record_fit import RecordFit
@@ -33,12 +33,12 @@ BEFORE, FLOWN, AFTER = "0.45", "tab:orange", "tab:blue"
 
 def panel_variables(names: tuple[str, ...]) -> list[int]:
     """Indices of the variables whose derivatives are among the names; that of angle of attack where there is none."""
-    return [i for i, s in enumerate(SHORT) if f"ratio.d_{s}" in names] or [0]
+    return [i for i, s in enumerate(SHORT_NAMES) if f"ratio.d_{s}" in names] or [0]
 
 
 def describe_condition(reference: FloatArray) -> str:
     """A condition as text."""
-    return ", ".join(f"{short} {value:.3g}" for short, value in zip(SHORT, reference, strict=True))
+    return ", ".join(f"{short} {value:.3g}" for short, value in zip(SHORT_NAMES, reference, strict=True))
 
 
 def along_variable(reference: FloatArray, i: int, values: FloatArray) -> FloatArray:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.parameters import SECOND_ORDER, SHORT
+from sim_heating.base.parameters import SECOND_ORDER, SHORT_NAMES
 from sim_heating.heating.effects import Effect, SearchStart, model_parameter
 
-PAIRS = tuple((SHORT[i], SHORT[j]) for i, j in SECOND_ORDER if i != j)
+PAIRS = tuple((SHORT_NAMES[i], SHORT_NAMES[j]) for i, j in SECOND_ORDER if i != j)
 """Every two ratio variables, as they stand in parameter names."""
 
 

@@ -116,9 +116,11 @@ def _column_problems(table: CsvTable) -> list[str]:
     ]
     for name in RATIO_VARIABLES:
         limit = 20.0 if name == "log10_re" else 180.0
-        problems += table.where_not(name, np.abs(table[name]) <= limit, f"must lie within -{limit:g} to {limit:g}")
+        problems += table.problems_where_not(
+            name, np.abs(table[name]) <= limit, f"must lie within -{limit:g} to {limit:g}"
+        )
     if "sigma" in table.columns:
-        problems += table.where_not("sigma", table["sigma"] >= 0.0, "is not a standard deviation (0 or above)")
+        problems += table.problems_where_not("sigma", table["sigma"] >= 0.0, "is not a standard deviation (0 or above)")
     return problems
 
 

@@ -11,7 +11,7 @@ from sim_heating.base.conditions import FRAME
 from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.jit import c_function
 from sim_heating.base.limits import LIMITS
-from sim_heating.base.progress import Progress, quiet
+from sim_heating.base.progress import Progress, no_progress
 from sim_heating.simulation.fmu_export import entry_kernel as k
 from sim_heating.simulation.fmu_export.export import write_fmu
 from sim_heating.simulation.fmu_export.image import Image, Kind, Problem, Role, Variable, identifier
@@ -101,7 +101,7 @@ def export_entry(
     title: str = "",
     fmi: int = 3,
     platforms: tuple[str, ...] = ("linux",),
-    progress: Progress = quiet,
+    progress: Progress = no_progress,
 ) -> Image:
     """Write the 3-DOF entry of a scenario as a co-simulation FMU; gives its image.
 

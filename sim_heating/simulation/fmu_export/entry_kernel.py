@@ -24,7 +24,14 @@ from sim_heating.simulation.fmu_export.library import (
 )
 from sim_heating.trajectory.entry3dof import DEEPEST_M
 from sim_heating.trajectory.manoeuvres import CHANNEL, ENTRY, PITCH_MODE, PLAN, TRIGGER
-from sim_heating.trajectory.point_mass import JETS, T, first_state_kernel, move_kernel, observe_kernel, runge_kutta_step
+from sim_heating.trajectory.point_mass import (
+    JETS,
+    T,
+    advance_kernel,
+    first_state_kernel,
+    observe_kernel,
+    runge_kutta_step,
+)
 
 (
     PILOT, MANOEUVRES, CHOICES, INITIAL, FLIGHT, GUIDANCE, SCRIPT, AERO, STATE, WORK, ROW, OPTIONS,
@@ -114,7 +121,7 @@ def _step(R, N, A) -> int:  # type: ignore[no-untyped-def]
             _follow_inputs(R, N, (frame + 1.0) / frames, dt)
         else:
             flight, guidance, script = at(R, N[FLIGHT]), at(R, N[GUIDANCE]), at(R, N[SCRIPT])
-            move_kernel(state, flight, guidance, script, at(R, N[AERO]), dt, at(R, N[WORK]))
+            advance_kernel(state, flight, guidance, script, at(R, N[AERO]), dt, at(R, N[WORK]))
         if frame == frames - 1:
             state[T] = R[NEXT]
         outcome = _observe(R, N)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files.text import suggestion, write_bytes_atomic
-from sim_heating.base.progress import Progress, quiet
+from sim_heating.base.progress import Progress, no_progress
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.simulation.fmu_export.description import description
 from sim_heating.simulation.fmu_export.heating import heating_image, heating_units, making_objects
@@ -30,7 +30,7 @@ def export_fmu(
     fmi: int = 3,
     platforms: Sequence[str] = ("linux",),
     columns: bool = False,
-    progress: Progress = quiet,
+    progress: Progress = no_progress,
 ) -> Image:
     """Write the heating plug-in of a vehicle as a co-simulation FMU.
 
@@ -74,7 +74,7 @@ def write_fmu(
     units: Sequence[Unit],
     fmi: int,
     platforms: Sequence[str],
-    progress: Progress = quiet,
+    progress: Progress = no_progress,
 ) -> None:
     """Write an image and the libraries of its functions as an FMU.
 

@@ -42,7 +42,7 @@ from sim_heating.heating.effects.compiled import (
 )
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.reference.models import COLUMNS
-from sim_heating.inputs.sensor_model import calibration
+from sim_heating.inputs.sensor_model import calibration_coefficients
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.point import PointModel, element_densities, insulation_layer, kernel_effects, stack_values
@@ -386,7 +386,7 @@ class _Packer:
         for sensor, node in zip(point.sensors, mesh.sensors, strict=True):
             name = f"{quoted(point.name)}.sensor.{quoted(sensor.name)}"
             start = self.ensemble.state[place.temperature(node)]
-            coefficients = calibration(sensor)
+            coefficients = calibration_coefficients(sensor)
             numbers = self.image.numbers([1.0, 0.0, start])
             rows.append([place.temperature(node), numbers, self.image.numbers(coefficients), len(coefficients)])
             about = f"thermocouple at {1e3 * sensor.depth_m:.4g} mm"

@@ -41,7 +41,7 @@ from sim_heating.base.kernels.block import (
 from sim_heating.base.kernels.jit import inline_always, njit
 from sim_heating.heating.film import emittance_factor
 from sim_heating.heating.reference.models import COLUMNS
-from sim_heating.inputs.sensor_model import indicated
+from sim_heating.inputs.sensor_model import indicated_kernel
 from sim_heating.march.frames import BLOCK_END, BLOCK_START, INTS_END, INTS_START, advance_groups, begin_groups
 from sim_heating.simulation.fmu_export.library import (
     BEGINS,
@@ -208,7 +208,9 @@ def _write_outputs(R, N, A) -> int:  # type: ignore[no-untyped-def]
         own = at(N, N[SENSOR_INTS] + 4 * s)
         numbers = at(R, own[S_NUMBERS])
         coefficients = carray(at(R, own[S_CALIBRATION]), own[S_COEFFICIENTS])
-        numbers[S_INDICATED] = indicated(R[N[STATE] + own[S_PLACE]], numbers[S_GAIN], numbers[S_BIAS], coefficients)
+        numbers[S_INDICATED] = indicated_kernel(
+            R[N[STATE] + own[S_PLACE]], numbers[S_GAIN], numbers[S_BIAS], coefficients
+        )
     return outcome
 
 

@@ -33,7 +33,7 @@ from sim_heating.trajectory.entry3dof import flight_block
 from sim_heating.trajectory.flight import EXTRAS
 from sim_heating.trajectory.fmu.model import FmuModel
 from sim_heating.trajectory.fmu.units import Conversion
-from sim_heating.trajectory.guidance import clipped, resolve_guidance
+from sim_heating.trajectory.guidance import clip, resolve_guidance
 from sim_heating.trajectory.jsbsim.host import air_kernel, dispersion_block
 from sim_heating.trajectory.spec import FmuVariable, TrajectorySpec
 from sim_heating.trajectory.trimmed_aero import aero_block, lift_drag_kernel, low_speed_rows
@@ -248,7 +248,7 @@ class Derivation:
         down = f["velocity_down_m_s"]
         speed = math.sqrt(north * north + east * east + down * down)
         f["velocity_m_s"] = speed
-        f["gamma_deg"] = math.degrees(math.asin(clipped(-down / max(speed, 1e-9), -1.0, 1.0)))
+        f["gamma_deg"] = math.degrees(math.asin(clip(-down / max(speed, 1e-9), -1.0, 1.0)))
         f["heading_deg"] = math.degrees(math.atan2(east, north))
 
 
@@ -284,7 +284,7 @@ def _from_mach(f: Frame) -> None:
 
 def _from_rate(f: Frame) -> None:
     sine = f["altitude_rate_m_s"] / max(f["velocity_m_s"], 1e-9)
-    f["gamma_deg"] = math.degrees(math.asin(clipped(sine, -1.0, 1.0)))
+    f["gamma_deg"] = math.degrees(math.asin(clip(sine, -1.0, 1.0)))
 
 
 def _from_attitude(f: Frame) -> None:
@@ -311,7 +311,7 @@ def aerodynamic_angles(
     level = (-math.sin(h), math.cos(h), 0.0)
     below = (math.sin(g) * math.cos(h), math.sin(g) * math.sin(h), math.cos(g))
     u, v, w = pm.dot(along, body_x), pm.dot(along, body_y), pm.dot(along, body_z)
-    alpha, beta = math.atan2(w, u), math.asin(clipped(v, -1.0, 1.0))
+    alpha, beta = math.atan2(w, u), math.asin(clip(v, -1.0, 1.0))
     # The wind axes' z: body_z turned back by alpha, which lies across the velocity.
     s, c = math.sin(alpha), math.cos(alpha)
     wind_z = (c * body_z[0] - s * body_x[0], c * body_z[1] - s * body_x[1], c * body_z[2] - s * body_x[2])

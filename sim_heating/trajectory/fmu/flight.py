@@ -27,9 +27,9 @@ from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, speed_of_sound_k
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory.flight import ROW, Flight, OnFrame, Sampler, VehicleData, Window
 from sim_heating.trajectory.fmu.columns import ColumnsOfFmu, Frame, unit_of
-from sim_heating.trajectory.fmu.model import FmuModel, fitting, item_named, read_fmu
+from sim_heating.trajectory.fmu.model import FmuModel, accepted_value, item_named, read_fmu
 from sim_heating.trajectory.fmu.session import Answer, FmuSession
-from sim_heating.trajectory.manoeuvres import ManoeuvreScript, moved
+from sim_heating.trajectory.manoeuvres import ManoeuvreScript, commanded_variable
 from sim_heating.trajectory.schedules import pack, scheduled
 from sim_heating.trajectory.spec import FmuInput, TrajectorySpec
 
@@ -135,7 +135,7 @@ def fly(
     return FmuFlight(spec, vehicle).fly(on_frame, progress)
 
 
-def problems_of(spec: TrajectorySpec, vehicle: VehicleData) -> Sequence[str]:
+def fmu_problems(spec: TrajectorySpec, vehicle: VehicleData) -> Sequence[str]:
     """What is wrong between a scenario and its FMU, found without running the FMU."""
     try:
         FmuFlight(spec, vehicle)
@@ -178,12 +178,12 @@ class Pilot:
             self._memory = gd.first_memory(self._block, mach, speed)
             self._before = (speed, mach)
         sign, phase = self._memory[gd.SIGN], self._memory[gd.PHASE]
-        gd.guide(self._block, self._memory, _seen(f, speed, mach), step_s)
+        gd.guidance_step(self._block, self._memory, _seen(f, speed, mach), step_s)
         self.events += gd.guidance_events(f["time_s"], sign, phase, self._memory)
         ahead = 2.0 * speed - self._before[0], 2.0 * mach - self._before[1]
         offsets = self.script.offsets(f["time_s"] + step_s, *ahead)
         self._before = (speed, mach)
-        alpha = gd.clipped(
+        alpha = gd.clip(
             self._memory[gd.ALPHA_COMMAND] + offsets.alpha_deg, self._block[gd.ALPHA_LOW], self._block[gd.ALPHA_HIGH]
         )
         return {
@@ -192,7 +192,7 @@ class Pilot:
             "beta_deg": offsets.beta_deg,
             "elevon_deg": offsets.elevon_deg,
             "bodyflap_deg": offsets.bodyflap_deg,
-            "jets": gd.clipped(offsets.jets, 0.0, 1.0),
+            "jets": gd.clip(offsets.jets, 0.0, 1.0),
         }
 
 
@@ -255,11 +255,15 @@ def _unheard(model: FmuModel, spec: TrajectorySpec) -> list[str]:
 def _unmoved(model: FmuModel, spec: TrajectorySpec) -> list[str]:
     """Manoeuvres that no input of an FMU takes."""
     inputs = [v.name for v in model.description.modelVariables if v.causality == "input"]
-    return [
-        f"manoeuvre {number} ({m.kind}): no input takes its {moved(m)}; name one in [trajectory.fmu.inputs]"
-        + (suggestion(f"command.{moved(m)}", inputs) if inputs else f"; {model} has no inputs")
+    unused = [
+        (number, m.kind, commanded_variable(m))
         for number, m in enumerate(spec.manoeuvre, start=1)
-        if moved(m) not in spec.fmu.commands
+        if commanded_variable(m) not in spec.fmu.commands
+    ]
+    return [
+        f"manoeuvre {number} ({kind}): no input takes its {variable}; name one in [trajectory.fmu.inputs]"
+        + (suggestion(f"command.{variable}", inputs) if inputs else f"; {model} has no inputs")
+        for number, kind, variable in unused
     ]
 
 
@@ -272,7 +276,7 @@ def _value(model: FmuModel, name: str, given: FmuInput) -> Callable[[Frame, Fram
     if given.command is None:
         with error_context(where):
             for _, value in given.schedule or ():
-                fitting(variable, value)
+                accepted_value(variable, value)
         block = pack((), [given.schedule or ()])
         if given.unit is not None:
             model.scale(variable, given.unit, where)

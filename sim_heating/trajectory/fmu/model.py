@@ -132,7 +132,7 @@ class FmuModel:
         if variable.type == "String":
             return variable, value
         with error_context(where):
-            return variable, fitting(variable, value)
+            return variable, accepted_value(variable, value)
 
     def _converted(self, variable: ModelVariable, given: FmuValue, where: str) -> float:
         """A start value with a unit, in the FMU's."""
@@ -215,7 +215,7 @@ def _invalid(path: Path, error: Exception) -> str:
 Value = bool | int | float | str
 
 
-def fitting(variable: ModelVariable, value: Value) -> bool | int | float:
+def accepted_value(variable: ModelVariable, value: Value) -> bool | int | float:
     """A scenario's value as a variable takes it.
 
     raises : InputError where it takes no such value, with those that it takes

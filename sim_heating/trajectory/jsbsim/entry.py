@@ -12,7 +12,7 @@ from sim_heating.base.progress import Progress
 from sim_heating.heating.atmosphere import speed_of_sound_kernel, us76_kernel
 from sim_heating.trajectory.aero import Aero, flown_aero
 from sim_heating.trajectory.flight import Flight, OnFrame, Sampler, VehicleData
-from sim_heating.trajectory.guidance import ALPHA_COMMAND, EntryGuidance, Observed, first_memory, resolve_guidance
+from sim_heating.trajectory.guidance import ALPHA_COMMAND, EntryGuidance, Observation, first_memory, resolve_guidance
 from sim_heating.trajectory.jsbsim.host import InitialState, open_vehicle
 from sim_heating.trajectory.jsbsim.pilot import Commands, Observer
 from sim_heating.trajectory.manoeuvres import ManoeuvreScript
@@ -88,7 +88,7 @@ class JSBSimEntry:
         self._commands.first(alpha, initial.bank_deg, elevon, mach, V)
         self.host.start(InitialState(**initial.model_dump(), alpha_deg=alpha))
         self._sampler.add(self._observer.row())
-        self.seen: Observed = self._observer.observe()
+        self.seen: Observation = self._observer.observe()
 
     def ended(self) -> bool:
         """Whether the flight is at its end.

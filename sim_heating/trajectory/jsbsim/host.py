@@ -41,22 +41,22 @@ LOWEST_M = -1000.0
 DENSITY_FACTOR, WIND_NORTH, WIND_EAST = 0, 2, 4
 
 
-class Read(NamedTuple):
+class PropertyRead(NamedTuple):
     """A property and what its value is multiplied with to be in SI."""
 
     name: str
     factor: float = 1.0
 
 
-VEHICLE_READS: Mapping[str, Read] = MappingProxyType({
-    "altitude_m": Read("position/h-sl-ft", FT_M),
-    "velocity_m_s": Read("velocities/vt-fps", FT_M),
-    "alpha_deg": Read("aero/alpha-deg"),
-    "beta_deg": Read("aero/beta-deg"),
-    "elevon_deg": Read("fcs/elevon-pos-deg"),
-    "bodyflap_deg": Read("fcs/bodyflap-pos-deg"),
-    "rho_kg_m3": Read("atmosphere/rho-slugs_ft3", SLUG_FT3_KG_M3),
-    "jets": Read("control/jet-firing"),
+VEHICLE_READS: Mapping[str, PropertyRead] = MappingProxyType({
+    "altitude_m": PropertyRead("position/h-sl-ft", FT_M),
+    "velocity_m_s": PropertyRead("velocities/vt-fps", FT_M),
+    "alpha_deg": PropertyRead("aero/alpha-deg"),
+    "beta_deg": PropertyRead("aero/beta-deg"),
+    "elevon_deg": PropertyRead("fcs/elevon-pos-deg"),
+    "bodyflap_deg": PropertyRead("fcs/bodyflap-pos-deg"),
+    "rho_kg_m3": PropertyRead("atmosphere/rho-slugs_ft3", SLUG_FT3_KG_M3),
+    "jets": PropertyRead("control/jet-firing"),
 })  # fmt: skip
 """Where the columns of conditions.FRAME stand in this package's models; another aircraft has other names."""
 
@@ -106,7 +106,7 @@ class JSBSimHost:
         model: str,
         *,
         rate_hz: float = 60.0,
-        reads: Mapping[str, Read] = VEHICLE_READS,
+        reads: Mapping[str, PropertyRead] = VEHICLE_READS,
         dispersions: Dispersions | None = None,
     ) -> None:
         self.rate_hz = rate_hz

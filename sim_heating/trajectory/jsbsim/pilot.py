@@ -11,7 +11,7 @@ from sim_heating.base.conditions import FRAME
 from sim_heating.heating.atmosphere import G0_M_S2
 from sim_heating.trajectory.aero import Aero
 from sim_heating.trajectory.flight import ROW
-from sim_heating.trajectory.guidance import Observed, clipped
+from sim_heating.trajectory.guidance import Observation, clip
 from sim_heating.trajectory.jsbsim.host import FT_M, PSF_PA, JSBSimHost
 from sim_heating.trajectory.manoeuvres import CLOSED, OPEN, Offsets
 from sim_heating.trajectory.schedules import pack, scheduled
@@ -41,11 +41,11 @@ class Observer:
         self._latitude, self._longitude = host.getter("position/lat-geod-deg"), host.getter("position/long-gc-deg")
         self._row = np.empty(len(ROW))
 
-    def observe(self) -> Observed:
+    def observe(self) -> Observation:
         """What guidance measures."""
         climb, mass = -self._down(), self._mass()
         horizontal2 = self._inertial() ** 2 - climb * climb
-        return Observed(
+        return Observation(
             time_s=self._host.time_s,
             altitude_m=self._altitude() * FT_M,
             velocity_m_s=self._speed() * FT_M,
@@ -67,7 +67,7 @@ class Observer:
         self._host.read_frame(row[: len(FRAME)])
         row[len(FRAME) :] = (
             math.degrees(self._bank()),
-            math.degrees(math.asin(clipped(-self._down() / self._speed(), -1.0, 1.0))),
+            math.degrees(math.asin(clip(-self._down() / self._speed(), -1.0, 1.0))),
             self._heading_deg(),
             self._latitude(),
             self._longitude(),
@@ -108,11 +108,11 @@ class Commands:
     def write(self, alpha_deg: float, bank_deg: float, offsets: Offsets, mach: float, velocity_m_s: float) -> None:
         """Commands from now on; the angle of attack is kept within guidance's limits."""
         put = self._set
-        put["alpha-cmd-deg"](clipped(alpha_deg + offsets.alpha_deg, *self._alpha_limits))
+        put["alpha-cmd-deg"](clip(alpha_deg + offsets.alpha_deg, *self._alpha_limits))
         put["bank-cmd-deg"](bank_deg)
         put["beta-cmd-deg"](offsets.beta_deg)
         put["bodyflap-cmd-deg"](self.bodyflap_deg(mach, velocity_m_s) + offsets.bodyflap_deg)
-        put["jet-firing"](clipped(offsets.jets, 0.0, 1.0))
+        put["jet-firing"](clip(offsets.jets, 0.0, 1.0))
         self._write_pitch(offsets)
 
     def bodyflap_deg(self, mach: float, velocity_m_s: float) -> float:
