@@ -118,6 +118,7 @@ class LaneOffsets:
     start: int
 
     def temperature(self, node: int) -> int:
+        """Place of the temperature of a node in the block."""
         return self.start + (HEAD_ROWS + node * NODE_ROWS + T) * LANES + self.lane
 
     @property
@@ -126,6 +127,7 @@ class LaneOffsets:
         return self.start + HEAD_ROWS * LANES + self.lane
 
     def scalar(self, row: int) -> int:
+        """Place of a scalar of the lane in the block."""
         return self.start + row * LANES + self.lane
 
 
