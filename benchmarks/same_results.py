@@ -147,8 +147,7 @@ COMMANDS = (
         tuple(
             (*how, "{out}/orbiter", "{out}/capsule")
             for how in (
-                ("-m", "sim_heating.ratio_sources"), (*CLI, "make-tables"), (*CLI, "build-tables"),
-                (*CLI, "ratio-tables"), (*CLI, "tables"),
+                ("-m", "sim_heating.ratio_sources"), (*CLI, "ratio-tables"),
             )
         ),
     ),
@@ -157,8 +156,8 @@ COMMANDS = (
         tuple(
             (*how, "scenarios/sts96_iss.toml", *out)
             for how, out in (
-                (("-m", "sim_heating.compared_records"), ("{out}",)), ((*CLI, "compared-records"), ("--out", "{out}")),
-                ((*CLI, "make-records"), ("--out", "{out}")), ((*CLI, "measured-records"), ("--out", "{out}")),
+                (("-m", "sim_heating.compared_records"), ("{out}",)),
+                ((*CLI, "measured-records"), ("--out", "{out}")),
             )
         ),
     ),
