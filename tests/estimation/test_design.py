@@ -173,18 +173,18 @@ def test_a_search_never_leaves_its_limits_and_beats_the_plan(planner):
     search = DesignSearch(planner_of(evaluations=12))
     found = search.run()
     assert found.best.feasible
-    assert min(t.merit for t in found.tried) < 1.0
+    assert min(t.criterion for t in found.designs) < 1.0
     during = found.best.flight.conditions
     window = found.best.flight.windows[0]
     flown = (during.time_s >= window.start_s) & (during.time_s <= window.end_s)
     assert during["alpha_deg"][flown].min() >= 32.0
     assert window.end_s - window.start_s <= 40.0
-    assert found.best_told.sigma((D_ALPHA,))[0] < found.planned_told.sigma((D_ALPHA,))[0]
+    assert found.best_experiment.sigma((D_ALPHA,))[0] < found.planned_experiment.sigma((D_ALPHA,))[0]
 
 
 def test_limits_that_no_design_keeps_are_told():
     limits = {"alpha_deg": [39.9, 40.1]}
-    with pytest.raises(RunError, match="none of 4 designs keeps the limits; the nearest passes that of alpha_deg"):
+    with pytest.raises(RunError, match="none of 4 designs keeps the limits; the nearest exceeds that of alpha_deg"):
         DesignSearch(planner_of(evaluations=4, limits=limits)).run()
 
 

@@ -1,1 +1,1 @@
-"""Manoeuvres designed for what they would tell of the parameters, before anyone flies them."""
+"""Design of manoeuvres: predicted bounds of the parameters before a flight, and the most informative manoeuvre."""

@@ -1,4 +1,4 @@
-"""Predicted bounds against actual fits: truths drawn from the priors, measured, fitted; how far off the fits are."""
+"""Check of predicted bounds by repeated fits of simulated readings, with truths drawn from the priors."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from sim_heating.thermal.stack import Sensor
 class RepeatedFits:
     """Errors of repeated fits.
 
-    names  : (parameter,);  error : (fit, parameter) estimate less truth
-    failed : fits that did not converge, which are not in `error`
+    names  : (parameter,);  error : (fit, parameter) estimate minus truth
+    failed : number of fits that did not converge; they are not in `error`
     """
 
     names: tuple[str, ...]
     error: FloatArray
     failed: int
 
-    def spread(self, wanted: Sequence[str]) -> FloatArray:
+    def rms_error(self, wanted: Sequence[str]) -> FloatArray:
         """(wanted,) root mean square errors."""
         at = [self.names.index(n) for n in wanted]
         return np.sqrt(np.mean(self.error[:, at] ** 2, axis=0))
@@ -42,7 +42,7 @@ class RepeatedFits:
 
 def repeated_fits(
     record: Record,
-    told: Experiment,
+    experiment: Experiment,
     *,
     effects: Sequence[EffectUse] = (),
     start: Start | None = None,
@@ -51,16 +51,20 @@ def repeated_fits(
     seed: int = 1,
     progress: Progress = no_progress,
 ) -> RepeatedFits:
-    """Measure and fit a record again and again; `told` gives the unknowns, PRESSURE not among them, and their priors.
+    """Simulate and fit the readings of a record repeatedly, each time with another truth.
 
-    raises : RunError where no fit converges
+    experiment  : unknowns, without PRESSURE, and their priors
+    effects     : in addition to the declared model;  start : of the march
+    reference   : values of ratio variables that derivatives are about ([deg], [-])
+    repetitions : number of fits;  seed : of the random numbers
+    raises      : RunError where no fit converges
     """
-    known = {p.name: p for p in told.unknowns}
+    known = {p.name: p for p in experiment.unknowns}
     of_start = {} if start is None else {u.name: known[u.name] for u in start.unknowns}
     begin = None if start is None else replace(start, unknowns=tuple(of_start.values()))
-    names = [n for n in told.names if n not in of_start]
-    about = joint_reference([record], reference)
-    problem = FitProblem([record], names, about, FitOptions(effects=effects, priors=known, starts=[begin]))
+    names = [n for n in experiment.names if n not in of_start]
+    condition = joint_reference([record], reference)
+    problem = FitProblem([record], names, condition, FitOptions(effects=effects, priors=known, starts=[begin]))
     parameters, record_fit = problem.parameters, problem.record_fits[0]
     rng = np.random.default_rng(seed)
     errors, failed = [], 0
@@ -87,7 +91,7 @@ def repeated_fits(
 
 
 def draw_truth(parameters: Sequence[Parameter], rng: np.random.Generator) -> FloatArray:
-    """(parameter,) truths from the priors, drawn anew where outside the bounds; the value itself where one is flat."""
+    """(parameter,) a truth from the priors, drawn again where outside the bounds; the value itself for a flat prior."""
     values = []
     for p in parameters:
         value = p.value

@@ -5,7 +5,7 @@ With S_i the sensitivity of sample i to all unknowns and I_i the information tha
 
     M = sum_i S_i I_i S_i' + P,   P = diag(1 / sigma_prior^2),   cov = M^-1 (Cramer and Rao)
 
-Unknowns of one flight (clock, sensors, initial temperatures) are integrated out, M_s|p = M_ss - M_sp M_pp^-1 M_ps, and
+Unknowns of one flight (clock, sensors, initial temperatures) are marginalised, M_s|p = M_ss - M_sp M_pp^-1 M_ps, and
 the result adds up over flights. Criteria: D, the volume of the ellipsoid of the wanted parameters, and A, their mean
 square bound over a given one (Atkinson, Donev and Tobias, "Optimum Experimental Designs, with SAS", 2007, ch. 10).
 
@@ -37,13 +37,13 @@ from sim_heating.thermal.stack import Sensor
 PRESSURE = Parameter(
     "conditions.p_surface_factor", "1", 1.0, 0.3, 0.1, 10.0, "surface pressure over the one that is computed"
 )
-"""Factor on the surface pressure, as a pressure measurement at the control point would give it; 30 % without one."""
+"""Factor on the surface pressure; its prior of 30 % is that without a pressure measurement at the control point."""
 PRESSURE_STEP = 0.05
 """Relative step to either side at which the pressure is marched for its sensitivity."""
 LEVELS = 8
-"""Number of places between two codes of a word that a temperature is assumed at, before it is known."""
+"""Number of levels between two codes of a word over which an unknown temperature is averaged."""
 PRIVATE = ("initial.", CLOCK_SKEW.name, SENSOR_PREFIX)
-"""First parts of the names of unknowns that one flight does not share with another."""
+"""Prefixes of the names of unknowns that one flight does not share with another."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,13 +67,13 @@ class PredictedChannel:
 
             sum_i S_i S_i' mean_j E I(m_i + j LSB / levels)
 
-        levels : number of places [-] between two codes [K] that the temperatures are averaged over; 1 takes them as
+        levels : number of levels [-] between two codes [K] that the temperatures are averaged over; 1 takes them as
                  predicted
 
         Source: docs/manoeuvre_design.md, equations 1 and 2.
         """
-        moved = self.mean_K + self.sensor.lsb_K * np.arange(levels)[:, np.newaxis] / levels
-        weight = np.mean(expected_information(self.sensor, moved, self.sigma_K), axis=0)
+        mean_K = self.mean_K + self.sensor.lsb_K * np.arange(levels)[:, np.newaxis] / levels
+        weight = np.mean(expected_information(self.sensor, mean_K, self.sigma_K), axis=0)
         return (self.jacobian * weight[:, np.newaxis]).T @ self.jacobian
 
 
@@ -83,7 +83,7 @@ class Experiment:
 
     unknowns : with their priors before the flight, in the order of the sensitivities
     channels : predicted samples by sensor
-    levels   : 1 where the temperatures are taken as predicted, more where they are not known to a code
+    levels   : 1 where the temperatures are taken as predicted, more where they are not known to within a code
 
     Source: docs/manoeuvre_design.md, equations 1 to 3.
     """
@@ -97,8 +97,8 @@ class Experiment:
         """Dotted names of the unknowns, in the order of the sensitivities."""
         return tuple(p.name for p in self.unknowns)
 
-    def place(self, wanted: Sequence[str]) -> list[int]:
-        """Places of some parameters among the unknowns."""
+    def indices(self, wanted: Sequence[str]) -> list[int]:
+        """Indices of some parameters among the unknowns."""
         return [self.names.index(name) for name in wanted]
 
     def with_priors(self, sigma: Mapping[str, float]) -> Experiment:
@@ -127,7 +127,7 @@ class Experiment:
         return replace(self, channels=tuple(c for c in self.channels if c.sensor.name not in sensors))
 
     def information(self) -> FloatArray:
-        """(parameter, parameter) expected information of the samples alone, priors left out ([-] for ratios).
+        """(parameter, parameter) expected information of the samples alone, without priors ([-] for ratios).
 
         Source: docs/manoeuvre_design.md, equations 1 and 2.
         """
@@ -135,9 +135,9 @@ class Experiment:
         return sum((c.information(self.levels) for c in self.channels), start=nothing)
 
     def covariance(self, wanted: Sequence[str], flights: int = 1) -> FloatArray:
-        """(wanted, wanted) Cramer-Rao bound on some parameters after a number of like flights.
+        """(wanted, wanted) Cramer-Rao bound on some parameters after a number of such flights.
 
-            flights = 1: (M + P)^-1;   else (n M_s|p + P_ss)^-1, private unknowns integrated out of each flight
+            flights = 1: (M + P)^-1;   else (n M_s|p + P_ss)^-1, private unknowns of each flight marginalised
 
         wanted  : dotted names; shared between flights where there are several
         flights : number n of flights [-]
@@ -149,17 +149,17 @@ class Experiment:
         prior = np.array([p.sigma**-2.0 for p in self.unknowns])
         # one flight needs no elimination, and its private unknowns may then be wanted as well
         if flights == 1:
-            whole, at = covariance(self.information() + np.diag(prior)), self.place(wanted)
+            whole, at = covariance(self.information() + np.diag(prior)), self.indices(wanted)
         else:
             own = np.flatnonzero(shared)
-            told = flights * marginalise(self.information(), prior, ~shared) + np.diag(prior[own])
-            whole, at = covariance(told), [int(np.flatnonzero(own == k)[0]) for k in self.place(wanted)]
+            total = flights * marginalise(self.information(), prior, ~shared) + np.diag(prior[own])
+            whole, at = covariance(total), [int(np.flatnonzero(own == k)[0]) for k in self.indices(wanted)]
         return whole[np.ix_(at, at)]
 
     def sigma(self, wanted: Sequence[str], flights: int = 1) -> FloatArray:
         """(wanted,) bounds on some parameters, one standard deviation; infinite where one is not identified.
 
-        wanted  : dotted names;  flights : number of like flights [-]
+        wanted  : dotted names;  flights : number of such flights [-]
         returns : each in the unit of its parameter
 
         Source: docs/manoeuvre_design.md, equations 1 and 3.
@@ -168,7 +168,7 @@ class Experiment:
 
 
 def marginalise(information: FloatArray, prior: FloatArray, private: NDArray[np.bool_]) -> FloatArray:
-    """Information of one flight on the unknowns it shares with others, its private ones integrated out.
+    """Information of one flight on the unknowns that it shares with others, its private ones marginalised.
 
         M_s|p = M_ss - M_sp (M_pp + P_pp)^-1 M_ps
 
@@ -185,12 +185,12 @@ def marginalise(information: FloatArray, prior: FloatArray, private: NDArray[np.
     own = information[np.ix_(p, p)] + np.diag(prior[p])
     # scaled to ones on the diagonal: private unknowns have units from s to K
     scale = 1.0 / np.sqrt(np.maximum(np.diag(own), np.finfo(float).tiny))
-    known = np.linalg.lstsq(own * np.outer(scale, scale), scale[:, np.newaxis] * cross, rcond=1e-12)[0]
-    return information[np.ix_(s, s)] - (scale[:, np.newaxis] * cross).T @ known
+    solved = np.linalg.lstsq(own * np.outer(scale, scale), scale[:, np.newaxis] * cross, rcond=1e-12)[0]
+    return information[np.ix_(s, s)] - (scale[:, np.newaxis] * cross).T @ solved
 
 
 def design_criterion(criterion: str, found: FloatArray, planned: FloatArray) -> float:
-    """Design criterion: bounds of a design over those of the plan as one ratio [-]; 1 as planned, below 1 better.
+    """Bounds of a design over those of the plan as one ratio [-]: 1 for the plan, below 1 for a better design.
 
         D : (det found / det planned)^(1 / 2k);   A : root mean square of the bounds over the planned ones
 
@@ -229,16 +229,16 @@ def experiment(
 
     Source: docs/manoeuvre_design.md, equations 1, 2 and 4.
     """
-    about = joint_reference([record], reference)
+    condition = joint_reference([record], reference)
     marched = [n for n in names if n != PRESSURE.name]
-    problem = FitProblem([record], marched, about, FitOptions(effects=effects, starts=[start]))
+    problem = FitProblem([record], marched, condition, FitOptions(effects=effects, starts=[start]))
     unknowns = tuple(replace(u.parameter, name=u.label) for u in problem.unknowns)
     values = np.array([p.value for p in unknowns])
     found = problem.samples(values)
     columns = [s.jacobian for s in found]
     if PRESSURE.name in names:
         unknowns = (*unknowns, PRESSURE)
-        slopes = _pressure_slopes(record, about, effects, start)
+        slopes = _pressure_slopes(record, condition, effects, start)
         columns = [np.column_stack([c, slope]) for c, slope in zip(columns, slopes, strict=True)]
     pairs = zip(found, columns, strict=True)
     return Experiment(
@@ -247,7 +247,7 @@ def experiment(
 
 
 def _pressure_slopes(
-    record: Record, about: tuple[float, ...], effects: Sequence[EffectUse], start: Start | None
+    record: Record, condition: tuple[float, ...], effects: Sequence[EffectUse], start: Start | None
 ) -> list[FloatArray]:
     """By channel, (sample,) sensitivity of the indications [K] to the factor on the surface pressure.
 
@@ -258,22 +258,24 @@ def _pressure_slopes(
     sides: list[list[PredictedSamples]] = []
     for factor in (1.0 + PRESSURE_STEP, 1.0 - PRESSURE_STEP):
         pressure = factor * record.conditions["p_surface_Pa"]
-        moved = replace(record, conditions=record.conditions.with_columns(p_surface_Pa=pressure))
-        sides.append(FitProblem([moved], [], about, FitOptions(effects=effects, starts=[known])).samples(np.zeros(0)))
+        changed = replace(record, conditions=record.conditions.with_columns(p_surface_Pa=pressure))
+        sides.append(
+            FitProblem([changed], [], condition, FitOptions(effects=effects, starts=[known])).samples(np.zeros(0))
+        )
     return [(high.mean_K - low.mean_K) / (2.0 * PRESSURE_STEP) for high, low in zip(*sides, strict=True)]
 
 
 def sensitivity_to_effort(
     names: Sequence[str], information: FloatArray, prior: FloatArray, larger: float = 2.0, longer: float = 2.0
 ) -> dict[str, dict[str, float]]:
-    """Factor on each derivative's bound that more of a flown manoeuvre would give.
+    """Factor on each derivative's bound with larger excursions or more samples of a flown manoeuvre.
 
         larger : M_jk -> a^(n_j + n_k) M_jk, excursions of that derivative's variables a times as large
         longer : M -> b M, b times as many samples of the same kind
 
     names       : (parameter,);  information : (parameter, parameter) of the samples;  prior : (parameter,) 1 / sigma^2
     larger      : a [-];  longer : b [-]
-    returns     : derivative -> new bound over the old one [-], by "larger" and "longer"; none for an unidentified one
+    returns     : derivative -> new bound over the old one [-], by "larger" and "longer"; unidentified ones are omitted
 
     n_j counts the scaled variables in parameter j, a squared one once. Temperatures are linear in a derivative times
     its excursion. Source: docs/manoeuvre_design.md, equation 6.
@@ -285,29 +287,29 @@ def sensitivity_to_effort(
         variables = variables_of(name)
         if not variables or not np.isfinite(now[k]):
             continue
-        factor = np.array([larger ** _common(variables, variables_of(n)) for n in names])
+        factor = np.array([larger ** _shared_variables(variables, variables_of(n)) for n in names])
         large = np.sqrt(np.diag(covariance(information * np.outer(factor, factor) + np.diag(prior))))
         found[name] = {"larger": float(large[k] / now[k]), "longer": float(long[k] / now[k])}
     return found
 
 
-def _common(moved: Sequence[int], of: Sequence[int]) -> int:
+def _shared_variables(scaled: Sequence[int], of: Sequence[int]) -> int:
     """Number of variables of a derivative that are among those scaled."""
-    return sum(i in moved for i in of)
+    return sum(i in scaled for i in of)
 
 
 def check_wanted(found: Experiment, wanted: Sequence[str]) -> None:
-    """Check that the planned flight informs the wanted parameters.
+    """Check that the planned flight identifies the wanted parameters.
 
     raises : InputError naming those whose bound is infinite or not below 0.999 of their prior's sigma [-]
 
     Bounds: docs/manoeuvre_design.md, equation 1.
     """
     sigma = found.sigma(wanted)
-    prior = [found.unknowns[k].sigma for k in found.place(wanted)]
-    nothing = [n for n, s, p in zip(wanted, sigma, prior, strict=True) if not (np.isfinite(s) and s < 0.999 * p)]
-    if nothing:
+    prior = [found.unknowns[k].sigma for k in found.indices(wanted)]
+    unidentified = [n for n, s, p in zip(wanted, sigma, prior, strict=True) if not (np.isfinite(s) and s < 0.999 * p)]
+    if unidentified:
         raise InputError(
-            f"design: the flight as planned tells nothing of {', '.join(nothing)}; plan a manoeuvre that moves its "
-            "variable, or leave it out of `parameters`"
+            f"design: the flight as planned does not identify {', '.join(unidentified)}; plan a manoeuvre that changes "
+            "its variable, or remove it from `parameters`"
         )

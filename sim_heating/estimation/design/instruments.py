@@ -1,4 +1,4 @@
-"""What other instruments would buy on a given flight, and which thermocouples are not needed."""
+"""Bounds with other instruments on a given flight, and without some of the thermocouples."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ DEEPER_M = 0.004
 """Depth of an extra thermocouple below the coating."""
 BONDLINE_RANGE_K = [255.0, 477.0]
 NEAR_M = 0.0005
-"""A thermocouple nearer than this to another tells what that one does."""
+"""Distance between thermocouples below which one adds no information to the other."""
 
 
 @dataclass(frozen=True, eq=False)
 class InstrumentVariant:
-    """Bounds with other instruments: of which kind the change is, what it is, (wanted,) bounds."""
+    """Bounds with other instruments: kind of the change, the change itself, (wanted,) bounds."""
 
     kind: str
     what: str
@@ -37,36 +37,36 @@ def instrumentation(
     planner: Planner, flown: PlannedFlight, names: tuple[str, ...], priors: dict[str, float]
 ) -> list[InstrumentVariant]:
     """Bounds on the wanted parameters with the declared instruments, which come first, and with others."""
-    told = planner.experiment(flown, names, priors)
+    declared = planner.experiment(flown, names, priors)
     every = [
-        ("as declared", "as declared", told),
-        *_variants_without_march(told),
+        ("as declared", "as declared", declared),
+        *_variants_without_march(declared),
         *_variants_with_march(planner, flown, names, priors),
     ]
     return [InstrumentVariant(kind, what, e.sigma(planner.wanted)) for kind, what, e in every]
 
 
-def _variants_without_march(told: Experiment) -> Iterator[tuple[str, str, Experiment]]:
-    """Changes that need no other march."""
+def _variants_without_march(declared: Experiment) -> Iterator[tuple[str, str, Experiment]]:
+    """Changes that need no other march: words, clock, pressure, fewer thermocouples."""
     for bits in BITS:
-        yield "word", f"{bits} bits", told.with_bits(bits)
-    if CLOCK_SKEW.name in told.names:
+        yield "word", f"{bits} bits", declared.with_bits(bits)
+    if CLOCK_SKEW.name in declared.names:
         for sigma in CLOCKS_S:
-            yield "clock", f"within {sigma:g} s", told.with_priors({CLOCK_SKEW.name: sigma})
-    if PRESSURE.name in told.names:
-        yield "pressure", f"measured to {PRESSURE_KNOWN:.0%}", told.with_priors({PRESSURE.name: PRESSURE_KNOWN})
-    sensors = [c.sensor.name for c in told.channels]
+            yield "clock", f"within {sigma:g} s", declared.with_priors({CLOCK_SKEW.name: sigma})
+    if PRESSURE.name in declared.names:
+        yield "pressure", f"measured to {PRESSURE_KNOWN:.0%}", declared.with_priors({PRESSURE.name: PRESSURE_KNOWN})
+    sensors = [c.sensor.name for c in declared.channels]
     for name in sensors if len(sensors) > 1 else []:
-        yield "without", name, told.without([name])
-    outermost = min(told.channels, key=lambda c: c.sensor.depth_m).sensor.name
+        yield "without", name, declared.without([name])
+    outermost = min(declared.channels, key=lambda c: c.sensor.depth_m).sensor.name
     if len(sensors) > 2:
-        yield "without", f"all but {outermost}", told.without([n for n in sensors if n != outermost])
+        yield "without", f"all but {outermost}", declared.without([n for n in sensors if n != outermost])
 
 
 def _variants_with_march(
     planner: Planner, flown: PlannedFlight, names: tuple[str, ...], priors: dict[str, float]
 ) -> Iterator[tuple[str, str, Experiment]]:
-    """Changes that do: sample rates, and thermocouples at other depths."""
+    """Changes that need another march: sample rates, and thermocouples at other depths."""
     sensors = planner.instruments.sensors
     for rate in RATES_HZ:
         yield "rate", f"{rate:g} Hz", planner.experiment(flown, names, priors, Instruments(sensors, rate))

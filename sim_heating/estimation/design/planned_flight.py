@@ -1,4 +1,4 @@
-"""A planned flight: a scenario flown with manoeuvres as designed, held against its limits, and as a record to come."""
+"""A planned flight: a scenario flown with designed manoeuvres, its distance from limits, and its record."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from sim_heating.thermal.stack import Sensor
 from sim_heating.trajectory.flight import Flight, Window
 from sim_heating.trajectory.spec import Manoeuvre
 
-WANTED = {
+ESTIMATED_BY = {
     "popu": ("ratio.d_alpha",),
     "elevon-pulse": ("ratio.d_elevon",),
     "elevon-sweep": ("ratio.d_elevon",),
@@ -42,20 +42,20 @@ WANTED = {
     "sideslip-doublet": ("ratio.d_beta",),
     "jet-firing": (),
 }
-"""What a kind of manoeuvre is flown for."""
+"""Kind of manoeuvre -> parameters that it is flown to estimate."""
 NUISANCE = (
     "ratio.scale", "stack.coating.thickness_factor", "stack.rsi.conductivity_factor", CLOCK_SKEW.name, PRESSURE.name,
 )  # fmt: skip
-"""What is not known beside it, and the derivatives that the table of the point knows."""
+"""Unknowns in addition to these and to the derivatives of the point's ratio table."""
 SEARCH_TRAJECTORY = {"source": "entry-3dof", "rate_hz": 4.0}
-"""What designs are flown with while they are tried."""
-ADDED_K = 5.0
-"""What a manoeuvre may add to a temperature that passes its limit without it [K]."""
+"""Source and rate of the trajectory during a search."""
+ALLOWED_RISE_K = 5.0
+"""Allowed rise by manoeuvres of a temperature that exceeds its limit without them [K]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Instruments:
-    """Thermocouples, and samples a second; None: the sensors' own."""
+    """Thermocouples, and their sample rate [Hz]; None for the sensors' own."""
 
     sensors: tuple[Sensor, ...]
     rate_hz: float | None = None
@@ -80,18 +80,18 @@ class PlannedFlight:
         return all(margin >= 0.0 for margin in self.margins.values())
 
     @property
-    def passed(self) -> list[str]:
-        """Limits that are not kept, in words."""
-        told = []
+    def exceeded_limits(self) -> list[str]:
+        """One line for each limit that is exceeded."""
+        lines = []
         for name, margin in self.margins.items():
             what, _, unit = name.rpartition("_") if "_" in name else (name, "", "")
             if margin < 0.0:
-                told.append(f"{what.replace('_', ' ')} passes its limit by {-margin:.3g} {unit}".rstrip())
-        return told
+                lines.append(f"{what.replace('_', ' ')} exceeds its limit by {-margin:.3g} {unit}".rstrip())
+        return lines
 
 
 class Planner:
-    """Flies the manoeuvres of a scenario as they may be designed.
+    """Flights of a scenario with designed manoeuvres, and the information of their records.
 
     raises : InputError where the scenario has nothing to design
     """
@@ -99,22 +99,24 @@ class Planner:
     def __init__(self, scenario: Scenario) -> None:
         spec = scenario.declared.trajectory
         if spec.source == "recorded":
-            raise InputError(f"{scenario.path}: a recorded flight is what it is; give a source that flies manoeuvres")
+            raise InputError(
+                f"{scenario.path}: a recorded flight cannot be designed; give a source that flies manoeuvres"
+            )
         if not spec.manoeuvre:
-            raise InputError(f"{scenario.path}: there is no manoeuvre to design; add a [[trajectory.manoeuvre]]")
+            raise InputError(f"{scenario.path}: no manoeuvre to design; add a [[trajectory.manoeuvre]]")
         self.scenario = scenario
         self.design: Design = scenario.declared.design or Design()
         self.point = _point(scenario, self.design)
         self.effects = (*self.point.effects, *scenario.effects(self.point.name))
         self.wanted = _wanted(scenario, self.design)
         self.instruments = Instruments(self.point.sensors, scenario.declared.measurements.rate_hz)
-        asked = {"parameters": self.wanted, "nuisance": self.design.nuisance or (), "prior": self.design.prior}
-        for key, names in asked.items():
+        named = {"parameters": self.wanted, "nuisance": self.design.nuisance or (), "prior": self.design.prior}
+        for key, names in named.items():
             with error_context(f"{display_path(scenario.path)}, [design], {key}"):
                 self._check_names(tuple(names))
 
     def _check_names(self, names: Sequence[str]) -> None:
-        """Refuse names that no unknown of a design has."""
+        """Check that names are those of unknowns of a design."""
         model = point_of_vehicle(self.scenario.vehicle, self.point, effects=self.scenario.effects(self.point.name))
         for name in names:
             if name not in (CLOCK_SKEW.name, PRESSURE.name) and not name.startswith((SENSOR_PREFIX, "initial.")):
@@ -123,13 +125,13 @@ class Planner:
     # Flight ----------------------------------------------------------------------------------------------------------
 
     @cached_property
-    def bare(self) -> Flight:
+    def without_manoeuvres(self) -> Flight:
         """The flight without manoeuvres."""
         return self._fly((), searched=True)
 
     @cached_property
-    def _bare_peaks(self) -> dict[str, float]:
-        return self._peaks(self.bare)
+    def _peaks_without(self) -> dict[str, float]:
+        return self._peaks(self.without_manoeuvres)
 
     def _fly(self, manoeuvres: tuple[Manoeuvre, ...], searched: bool) -> Flight:
         spec = self.scenario.declared.trajectory
@@ -151,10 +153,10 @@ class Planner:
 
     @cached_property
     def _ensemble(self) -> Ensemble:
-        return pack(models_of(self.scenario, self.bare.conditions)[0], LONGEST_STEP_S)
+        return pack(models_of(self.scenario, self.without_manoeuvres.conditions)[0], LONGEST_STEP_S)
 
     def _peaks(self, flight: Flight) -> dict[str, float]:
-        """Highest surface and bondline temperatures [K] of the control points that limit them."""
+        """Highest surface and bondline temperatures [K] of the control points that have limits."""
         ensemble, vehicle = self._ensemble, self.scenario.vehicle
         points = [vehicle.control_point(name) for name in self.scenario.names]
         flown = histories([conditions_at_point(vehicle, p, flight.conditions) for p in points])
@@ -184,45 +186,47 @@ class Planner:
         for name in ("alpha_deg", "elevon_deg", "qbar_Pa"):
             low, high = getattr(limits, name)
             margins[name] = float(min(np.min(flown[name][during]) - low, high - np.max(flown[name][during])))
-        without = np.interp(flown.time_s, self.bare.conditions.time_s, self.bare.conditions["altitude_m"])
+        without = np.interp(
+            flown.time_s, self.without_manoeuvres.conditions.time_s, self.without_manoeuvres.conditions["altitude_m"]
+        )
         change = np.max(np.abs(flown["altitude_m"] - without)[during])
         margins["altitude_change_m"] = float(limits.altitude_change_m - change)
         if min(margins.values()) < 0.0:
-            return margins  # temperatures of a flight that is not flown are not worth a march
+            return margins  # a flight that exceeds these limits needs no march for its temperatures
         return margins | {name: self.limit(name) - peak for name, peak in self._peaks(flight).items()}
 
     def limit(self, name: str) -> float:
-        """Limit of a control point's temperature, such as "V09T9527 surface_K" [K], less the margin asked for.
+        """Limit of a control point's temperature, such as "V09T9527 surface_K" [K], minus the required margin.
 
-        Where the flight without manoeuvres passes it: its peak and ADDED_K.
+        Where the flight without manoeuvres exceeds it: its peak plus ALLOWED_RISE_K.
         """
         point, _, what = name.partition(" ")
         own = getattr(self.scenario.vehicle.control_point(point).limits, what)
         margin = getattr(self.design.limits, what.replace("_K", "_margin_K"))
         allowed = float(own) - margin
-        return allowed if self._bare_peaks[name] <= allowed else self._bare_peaks[name] + ADDED_K
+        return allowed if self._peaks_without[name] <= allowed else self._peaks_without[name] + ALLOWED_RISE_K
 
     def over_limit(self) -> list[str]:
-        """Temperatures that pass their limit without any manoeuvre."""
+        """One line for each temperature that exceeds its limit without any manoeuvre."""
         return [
-            f"{name}: {peak:.0f} K without any manoeuvre, above its limit; manoeuvres may add {ADDED_K:g} K to it"
-            for name, peak in self._bare_peaks.items()
-            if self.limit(name) == peak + ADDED_K
+            f"{name}: {peak:.0f} K without any manoeuvre, above its limit; manoeuvres may add {ALLOWED_RISE_K:g} K"
+            for name, peak in self._peaks_without.items()
+            if self.limit(name) == peak + ALLOWED_RISE_K
         ]
 
     # Information -----------------------------------------------------------------------------------------------------
 
     def names(self, planned: PlannedFlight) -> tuple[str, ...]:
-        """What is unknown: the wanted, and the nuisances that the planned flight moves."""
+        """Names of the unknowns: the wanted parameters, and the nuisances that the planned flight affects."""
         if self.design.nuisance is not None:
             return tuple(dict.fromkeys((*self.wanted, *self.design.nuisance)))
         assert self.point.ratio is not None
         known = [f"ratio.d_{s}" for s, axis in zip(SHORT_NAMES, self.point.ratio.axes, strict=True) if len(axis) > 1]
-        unmoved = constant_variables(known, [self.record(planned, self.instruments)[0]])
-        return tuple(dict.fromkeys((*self.wanted, *(n for n in known if n not in unmoved), *NUISANCE)))
+        constant = constant_variables(known, [self.record(planned, self.instruments)[0]])
+        return tuple(dict.fromkeys((*self.wanted, *(n for n in known if n not in constant), *NUISANCE)))
 
     def priors(self, names: Sequence[str], planned: PlannedFlight) -> dict[str, float]:
-        """Standard deviations before the flight: as declared; of derivatives beside the wanted, as the table says."""
+        """Standard deviations before the flight: as declared, and of unwanted derivatives those of the table."""
         condition = _mean_condition(planned, self.design)
         table = {n: s for n, s in self._table_sigma(condition).items() if n in names and n not in self.wanted}
         return table | self.design.prior
@@ -230,7 +234,7 @@ class Planner:
     def _table_sigma(self, condition: FloatArray) -> dict[str, float]:
         """Standard deviation of the table's own derivatives.
 
-        Errors of the ratio with the correlation (1 - d/l)^3 (1 + 3 d/l) of table_update.posterior, whose second
+        Errors of the ratio with the correlation (1 - d/l)^3 (1 + 3 d/l) of heating/ratio/uncertainty.py, whose second
         derivative at 0 is -12 / l^2, have a slope of standard deviation sqrt(12) sigma / l.
         """
         ratio = self.point.ratio
@@ -243,7 +247,7 @@ class Planner:
         }
 
     def record(self, planned: PlannedFlight, instruments: Instruments) -> tuple[Record, Start | None]:
-        """The record that a planned flight would bring, its readings the model's own, and where its march begins."""
+        """The record of a planned flight, with the model's temperatures as readings, and the start of its march."""
         flown, design = planned.conditions, self.design
         spans = [_span(w, flown, design) for w in planned.flight.windows]
         first, last = spans[0][0], max(end for _, end in spans)
@@ -260,7 +264,7 @@ class Planner:
     def _marched(
         self, flown: Conditions, sensors: Sequence[Sensor], begin_s: float, clock: FloatArray
     ) -> tuple[Start, FloatArray]:
-        """A start at a time with its temperatures unknown, and (sensor, sample) temperatures [K]."""
+        """A start at a time with unknown temperatures, and (sensor, sample) temperatures [K]."""
         point = replace(self.point, sensors=tuple(sensors))
         model = point_of_vehicle(self.scenario.vehicle, point, effects=self.scenario.effects(point.name))
         mesh = choose_meshes([model], LONGEST_STEP_S)[0][0]
@@ -277,7 +281,7 @@ class Planner:
         priors: dict[str, float],
         instruments: Instruments | None = None,
     ) -> Experiment:
-        """What a planned flight would tell."""
+        """Expected information of a planned flight on its unknowns."""
         record, start = self.record(planned, instruments or self.instruments)
         return experiment(record, names, effects=self.effects, start=start).with_priors(priors)
 
@@ -289,15 +293,15 @@ def _point(scenario: Scenario, design: Design) -> ControlPoint:
     for point in points:
         if point.sensors:
             return point
-    raise InputError(f"{scenario.path}: {points[0].name} has no thermocouple; choose a control point that has")
+    raise InputError(f"{scenario.path}: {points[0].name} has no thermocouple; choose a control point with one")
 
 
 def _wanted(scenario: Scenario, design: Design) -> tuple[str, ...]:
     if design.parameters is not None:
         return tuple(dict.fromkeys(design.parameters))
-    wanted = tuple(dict.fromkeys(n for m in scenario.declared.trajectory.manoeuvre for n in WANTED[m.kind]))
+    wanted = tuple(dict.fromkeys(n for m in scenario.declared.trajectory.manoeuvre for n in ESTIMATED_BY[m.kind]))
     if not wanted:
-        raise InputError(f"{scenario.path}, [design]: name the `parameters` that the manoeuvre is to tell")
+        raise InputError(f"{scenario.path}, [design]: name the `parameters` that the manoeuvre is to estimate")
     return wanted
 
 
@@ -308,7 +312,7 @@ def _span(window: Window, flown: Conditions, design: Design) -> tuple[float, flo
 
 
 def _mean_condition(planned: PlannedFlight, design: Design) -> FloatArray:
-    """(5,) mean condition over what is read."""
+    """(5,) mean condition over the times that are read."""
     flown = planned.conditions
     read = np.zeros(len(flown), dtype=bool)
     for window in planned.flight.windows:

@@ -1,6 +1,6 @@
 """A design from scenario to files: design.json, bounds.csv and pictures.
 
-Pictures of a design: planned and optimal manoeuvre, bounds along each number, and what instruments would buy.
+The pictures show the planned and the optimal manoeuvre, the bounds along each number, and those with other instruments.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ class SourceCheck:
     best_sigma: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DesignResult:
     """A finished design.
 
     instruments : bounds of the best design with other instruments, as declared first
-    checked     : by the scenario's own source where that is not the 3-DOF entry
-    fitted      : errors of actual fits of the best design and the bounds for them, where they were asked for
+    checked     : flown with the scenario's own source, where that is not the 3-DOF entry
+    fitted      : errors of simulated fits of the best design and the bounds for them, where requested
     """
 
     scenario: Scenario
@@ -62,9 +62,14 @@ class DesignResult:
     checked: SourceCheck | None
     fitted: tuple[RepeatedFits, Experiment] | None
 
+    def __repr__(self) -> str:
+        bounds = zip(self.wanted, self.found.best_experiment.sigma(self.wanted), strict=True)
+        sigmas = ", ".join(f"sigma({name})={sigma:.2g}" for name, sigma in bounds)
+        return f"DesignResult({self.planner.point.name}: {sigmas}; {len(self.found.designs)} designs)"
+
     @property
     def wanted(self) -> tuple[str, ...]:
-        """Parameters that the manoeuvres are to tell."""
+        """Parameters that the manoeuvres are to estimate."""
         return self.planner.wanted
 
 
@@ -74,9 +79,9 @@ def design(
     repetitions: int = 0,
     progress: Progress = no_progress,
 ) -> DesignResult:
-    """Search the manoeuvres of a scenario, and what other instruments would buy.
+    """Search the most informative manoeuvres of a scenario, and the bounds with other instruments.
 
-    repetitions : actual fits of the best design against which its bounds are held
+    repetitions : number of simulated fits of the best design that check its bounds
     raises      : InputError where there is nothing to design, RunError where no design keeps the limits
     """
     planner = Planner(scenario)
@@ -106,18 +111,20 @@ def _check_with_source(planner: Planner, found: DesignSearchResult) -> SourceChe
 def _repeat_fits(
     planner: Planner, found: DesignSearchResult, repetitions: int, progress: Progress
 ) -> tuple[RepeatedFits, Experiment]:
-    """Actual fits of the best design, the surface pressure taken as known in them and in the bounds."""
+    """Simulated fits of the best design, with the surface pressure known in them and in the bounds."""
     record, start = planner.record(found.best, planner.instruments)
     names = tuple(n for n in found.names if n != PRESSURE.name)
-    told = planner.experiment(found.best, names, found.priors)
-    fits = repeated_fits(record, told, effects=planner.effects, start=start, repetitions=repetitions, progress=progress)
-    return fits, told
+    experiment = planner.experiment(found.best, names, found.priors)
+    fits = repeated_fits(
+        record, experiment, effects=planner.effects, start=start, repetitions=repetitions, progress=progress
+    )
+    return fits, experiment
 
 
 def summary(designed: DesignResult) -> dict[str, Any]:
     """The contents of design.json."""
     found, wanted, declared = designed.found, designed.wanted, designed.planner.design
-    planned, best = found.planned_told, found.best_told
+    planned, best = found.planned_experiment, found.best_experiment
     return {
         "format": "design/1",
         "scenario": designed.scenario.title,
@@ -140,8 +147,8 @@ def summary(designed: DesignResult) -> dict[str, Any]:
         "planned": _flight(found.planned),
         "optimal": _flight(found.best),
         "varied": [v.model_dump() for v in found.vary],
-        "tried": len(found.tried),
-        "kept_limits": sum(t.feasible for t in found.tried),
+        "tried": len(found.designs),
+        "kept_limits": sum(t.feasible for t in found.designs),
         "instruments": [
             {"kind": v.kind, "what": v.what, "sigma": _by_name(wanted, v.sigma)} for v in designed.instruments
         ],
@@ -153,7 +160,7 @@ def summary(designed: DesignResult) -> dict[str, Any]:
 
 
 def _by_name(names: tuple[str, ...], sigma: FloatArray) -> dict[str, float | None]:
-    """By name; None where nothing is told."""
+    """By name; None where a parameter is not identified."""
     return {n: float(s) if np.isfinite(s) else None for n, s in zip(names, sigma, strict=True)}
 
 
@@ -180,23 +187,23 @@ def _check_summary(designed: DesignResult) -> dict[str, Any] | None:
 def _fit_summary(designed: DesignResult) -> dict[str, Any] | None:
     if designed.fitted is None:
         return None
-    fits, told = designed.fitted
+    fits, experiment = designed.fitted
     return {
         "fits": len(fits.error),
         "failed": fits.failed,
-        "rms_error": _by_name(designed.wanted, fits.spread(designed.wanted)),
-        "predicted": _by_name(designed.wanted, told.sigma(designed.wanted)),
+        "rms_error": _by_name(designed.wanted, fits.rms_error(designed.wanted)),
+        "predicted": _by_name(designed.wanted, experiment.sigma(designed.wanted)),
     }
 
 
 def notes(designed: DesignResult) -> list[str]:
-    """What a person should know of a design, a line each."""
+    """Notes on limits that a design or its plan exceeds, one line each."""
     lines = designed.planner.over_limit()
     if not designed.found.planned.feasible:
-        lines += [f"as planned: {line}" for line in designed.found.planned.passed]
+        lines += [f"as planned: {line}" for line in designed.found.planned.exceeded_limits]
     checked = designed.checked
     if checked is not None and not checked.best.feasible:
-        lines += [f"optimal, flown in {checked.source}: {line}" for line in checked.best.passed]
+        lines += [f"optimal, flown in {checked.source}: {line}" for line in checked.best.exceeded_limits]
     return lines
 
 
@@ -251,12 +258,12 @@ LABELS = {
 
 
 def draw_design(path: Path, designed: DesignResult) -> None:
-    """The variable of each manoeuvre, and the outermost thermocouple's temperature, as planned and as designed."""
+    """Draw the variable of each manoeuvre and the outermost thermocouple's temperature, as planned and optimal."""
     found, count = designed.found, len(designed.found.planned.manoeuvres)
     figure, axes = new_figure(8.5, 3.0 * (count + 1), count + 1)
-    for flown, told, color, label in (
-        (found.planned, found.planned_told, PLANNED, "planned"),
-        (found.best, found.best_told, OPTIMAL, "optimal"),
+    for flown, experiment, color, label in (
+        (found.planned, found.planned_experiment, PLANNED, "planned"),
+        (found.best, found.best_experiment, OPTIMAL, "optimal"),
     ):
         for k, window in enumerate(flown.flight.windows):
             variable = MANOEUVRE_VARIABLE[window.kind]
@@ -267,7 +274,7 @@ def draw_design(path: Path, designed: DesignResult) -> None:
             axes[k].plot(t, y, color=color, label=f"{label}, at {speed:.0f} m/s")
             axes[k].set_ylabel(f"{ANGLES.get(variable, ('jets', ''))[0]}{', deg' if variable in ANGLES else ''}")
             axes[k].set_xlabel("time from the start of the manoeuvre, s")
-        outermost = min(told.channels, key=lambda c: c.sensor.depth_m)
+        outermost = min(experiment.channels, key=lambda c: c.sensor.depth_m)
         since = outermost.time_s - flown.flight.windows[0].start_s
         axes[-1].plot(since, outermost.mean_K, ".-", color=color, label=label)
     axes[-1].set_ylabel(f"{outermost.sensor.name}, K")
@@ -288,8 +295,8 @@ def _around_window(
 
 
 def draw_sweeps(path: Path, designed: DesignResult) -> None:
-    """Bounds over those of the optimal design along each number that was varied; open where a limit is passed."""
-    sweeps, best = designed.sweeps, designed.found.best_told.sigma(designed.wanted)
+    """Draw the bounds along each varied number over those of the optimal design; open marks exceed a limit."""
+    sweeps, best = designed.sweeps, designed.found.best_experiment.sigma(designed.wanted)
     columns = min(3, len(sweeps))
     rows = -(-len(sweeps) // columns)
     figure, axes = new_figure(3.9 * columns, 3.2 * rows + 0.6, rows, columns, sharey=True, squeeze=False)
@@ -312,12 +319,12 @@ def draw_sweeps(path: Path, designed: DesignResult) -> None:
     for a in axes[:, 0]:
         a.set_ylabel("bound over that of the optimal design")
     axes[0, 0].legend(fontsize=8)
-    title = f"{designed.scenario.title}\nbounds about the optimal design (dotted); open: passes a limit"
+    title = f"{designed.scenario.title}\nbounds about the optimal design (dotted); open: exceeds a limit"
     save_figure(figure, path, title, axes)
 
 
 def draw_instruments(path: Path, designed: DesignResult) -> None:
-    """Bounds with other instruments over those with the declared ones."""
+    """Draw the bounds with other instruments over those with the declared ones."""
     base, others = designed.instruments[0].sigma, designed.instruments[1:]
     figure, axes = new_figure(8.5, 0.33 * len(others) * max(1, len(designed.wanted) * 0.7) + 1.8, 1)
     height = 0.8 / len(base)
@@ -328,11 +335,11 @@ def draw_instruments(path: Path, designed: DesignResult) -> None:
         shown = np.where(ratio[:, k] < highest, ratio[:, k], highest)
         axes[0].barh(rows - k * height, shown, height, color=f"C{k}", label=name)
         for row, value, at in zip(rows, ratio[:, k], shown, strict=True):
-            text = f"{value:.2f}" if value < 1000.0 else "not told"
+            text = f"{value:.2f}" if value < 1000.0 else "not identified"
             axes[0].text(at, row - k * height, f" {text}", va="center", fontsize=7.5)
     axes[0].axvline(1.0, color="0.3", linewidth=0.9)
     axes[0].set_xlim(0.0, 1.12 * highest)
     axes[0].set_yticks(rows - 0.5 * height * (len(base) - 1), [f"{v.kind}: {v.what}" for v in others], fontsize=8)
     axes[0].set_xlabel("bound over that with the declared instruments")
     axes[0].legend(fontsize=8, loc="best")
-    save_figure(figure, path, f"{designed.scenario.title}\nwhat other instruments would buy", axes)
+    save_figure(figure, path, f"{designed.scenario.title}\nbounds with other instruments", axes)

@@ -1,7 +1,8 @@
 """The most informative manoeuvre within the limits: a Sobol set over the numbers that may vary, then Nelder and Mead.
 
-What a design is worth is the ratio of its bounds to the planned ones (design.merit). Whatever breaks a limit ranks
-behind whatever keeps all, by how far it breaks them; the best design that was flown and keeps all limits is the answer.
+The value of a design is the ratio of its bounds to the planned ones (information.design_criterion). Designs that exceed
+a limit rank behind all that keep the limits, by how far they exceed them; the result is the best design that was flown
+and keeps all limits.
 """
 
 from __future__ import annotations
@@ -25,29 +26,38 @@ from sim_heating.inputs.scenario import DesignVariable
 from sim_heating.trajectory.spec import Manoeuvre
 
 INFEASIBLE = 10.0
-"""Worth of a design that breaks a limit, and more by how far; no other is worse."""
+"""Value of a design that exceeds a limit, increased by how far; no other design has a larger one."""
 TOLERANCES = {"_K": 10.0, "_deg": 1.0, "_Pa": 500.0, "_m": 500.0, "_s": 5.0}
-"""By how much limits are broken alike, by their unit."""
+"""Excesses over limits that count equally, by unit."""
 TRIGGERS = ("at_velocity_m_s", "at_mach")
 SPEEDS = (0.75, 1.05)
-"""Part of the planned speed or Mach number that is tried where a scenario names nothing to vary."""
+"""Range of speed or Mach number over the planned one, where a scenario names nothing to vary."""
 SHAPES = (0.5, 2.0)
-"""And of the manoeuvre's amplitudes, rate and holds."""
+"""Range of the manoeuvre's amplitudes, rate and holds over the planned ones."""
 
 
 @dataclass(frozen=True, eq=False)
 class TriedDesign:
-    """One design: (vary,) numbers, its worth, whether it keeps the limits, and (wanted,) bounds where it does."""
+    """One design that was evaluated.
+
+    x         : (vary,) numbers
+    criterion : information.design_criterion, or INFEASIBLE and more [-];  feasible : whether it keeps the limits
+    sigma     : (wanted,) bounds; NaN where it does not keep the limits
+    """
 
     x: FloatArray
-    merit: float
+    criterion: float
     feasible: bool
     sigma: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class BoundsSweep:
-    """Bounds along one number about the best design: (point,) values, (point, wanted) bounds, which keep the limits."""
+    """Bounds along one number about the best design.
+
+    vary     : the number;  value : (point,) its values
+    sigma    : (point, wanted) bounds;  feasible : (point,) whether the limits are kept
+    """
 
     vary: DesignVariable
     value: FloatArray
@@ -59,23 +69,24 @@ class BoundsSweep:
 class DesignSearchResult:
     """The outcome of a search.
 
-    names    : what is unknown;  priors : standard deviations that are not the parameters' own
-    vary     : what was varied;  planned, best : flights, and what they would tell
-    tried    : all designs, in their order
+    names         : of the unknowns;  priors : standard deviations that differ from the parameters' own
+    vary          : numbers that were varied
+    planned, best : flights;  planned_experiment, best_experiment : their expected information
+    designs       : all that were evaluated, in order
     """
 
     names: tuple[str, ...]
     priors: dict[str, float]
     vary: tuple[DesignVariable, ...]
     planned: PlannedFlight
-    planned_told: Experiment
+    planned_experiment: Experiment
     best: PlannedFlight
-    best_told: Experiment
-    tried: tuple[TriedDesign, ...]
+    best_experiment: Experiment
+    designs: tuple[TriedDesign, ...]
 
 
 class DesignSearch:
-    """Tries designs of one scenario, and remembers all it tried."""
+    """Search over the designs of one scenario, with all that were evaluated."""
 
     def __init__(self, planner: Planner) -> None:
         self.planner, self.design = planner, planner.design
@@ -84,17 +95,17 @@ class DesignSearch:
         self.planned = planner.fly(self.manoeuvres)
         if "manoeuvres reached" in self.planned.margins:
             raise InputError(
-                f"{planner.scenario.path}: a manoeuvre is not reached in the 3-DOF flight; change what triggers it"
+                f"{planner.scenario.path}: a manoeuvre is never triggered in the 3-DOF flight; change its trigger"
             )
-        unmoved = constant_variables(planner.wanted, [planner.record(self.planned, planner.instruments)[0]])
-        if unmoved:
-            raise InputError(*(f"{planner.scenario.path}: {name}: {why}" for name, why in unmoved.items()))
+        constant = constant_variables(planner.wanted, [planner.record(self.planned, planner.instruments)[0]])
+        if constant:
+            raise InputError(*(f"{planner.scenario.path}: {name}: {reason}" for name, reason in constant.items()))
         self.names = planner.names(self.planned)
         self.priors = planner.priors(self.names, self.planned)
-        self.planned_told = planner.experiment(self.planned, self.names, self.priors)
-        check_wanted(self.planned_told, planner.wanted)
-        self.planned_covariance = self.planned_told.covariance(planner.wanted)
-        self.tried: list[TriedDesign] = []
+        self.planned_experiment = planner.experiment(self.planned, self.names, self.priors)
+        check_wanted(self.planned_experiment, planner.wanted)
+        self.planned_covariance = self.planned_experiment.covariance(planner.wanted)
+        self.designs: list[TriedDesign] = []
         self.best: tuple[float, PlannedFlight, Experiment] | None = None
 
     @property
@@ -107,12 +118,12 @@ class DesignSearch:
         """(vary,) greatest values."""
         return np.array([v.high for v in self.vary])
 
-    def as_planned(self) -> FloatArray:
+    def planned_values(self) -> FloatArray:
         """(vary,) values of the scenario."""
         return np.array([getattr(self.manoeuvres[v.manoeuvre - 1], v.key) for v in self.vary])
 
-    def altered(self, x: FloatArray) -> tuple[Manoeuvre, ...]:
-        """The manoeuvres with (vary,) other numbers."""
+    def manoeuvres_at(self, x: FloatArray) -> tuple[Manoeuvre, ...]:
+        """The manoeuvres with other values of the (vary,) numbers."""
         changes: list[dict[str, float]] = [{} for _ in self.manoeuvres]
         for v, value in zip(self.vary, x, strict=True):
             changes[v.manoeuvre - 1][v.key] = float(value)
@@ -125,20 +136,20 @@ class DesignSearch:
                 f"{self.planner.scenario.path}, [design]: {first['loc'][-1]} = {first['input']}: {first['msg']}"
             ) from None
 
-    def attempt(self, x: FloatArray) -> TriedDesign:
-        """Fly a design and find what it would tell, where it keeps the limits."""
-        flown = self.planner.fly(self.altered(x))
-        nothing = np.full(len(self.planner.wanted), np.nan)
+    def evaluate(self, x: FloatArray) -> TriedDesign:
+        """Fly a design, and find its bounds if it keeps the limits."""
+        flown = self.planner.fly(self.manoeuvres_at(x))
+        unknown = np.full(len(self.planner.wanted), np.nan)
         if not flown.feasible:
-            found = TriedDesign(x, INFEASIBLE + _limit_violation(flown), False, nothing)
+            found = TriedDesign(x, INFEASIBLE + _limit_excess(flown), False, unknown)
         else:
-            told = self.planner.experiment(flown, self.names, self.priors)
-            covariance = told.covariance(self.planner.wanted)
-            worth = min(design_criterion(self.design.criterion, covariance, self.planned_covariance), INFEASIBLE)
-            found = TriedDesign(x, worth, True, np.sqrt(np.diag(covariance)))
-            if self.best is None or worth < self.best[0]:
-                self.best = (worth, flown, told)
-        self.tried.append(found)
+            experiment = self.planner.experiment(flown, self.names, self.priors)
+            covariance = experiment.covariance(self.planner.wanted)
+            value = min(design_criterion(self.design.criterion, covariance, self.planned_covariance), INFEASIBLE)
+            found = TriedDesign(x, value, True, np.sqrt(np.diag(covariance)))
+            if self.best is None or value < self.best[0]:
+                self.best = (value, flown, experiment)
+        self.designs.append(found)
         return found
 
     def run(self, progress: Progress = no_progress) -> DesignSearchResult:
@@ -148,52 +159,61 @@ class DesignSearch:
         """
         total, span = self.design.evaluations, self.high - self.low
 
-        def worth(u: FloatArray) -> float:
-            found = self.attempt(self.low + np.clip(u, 0.0, 1.0) * span)
-            told = f"bounds {self.best[0]:.3f} of the planned ones" if self.best else "none within the limits yet"
-            progress(min(len(self.tried) / total, 1.0), f"searching: {len(self.tried)} designs, {told}")
-            return found.merit
+        def value(u: FloatArray) -> float:
+            found = self.evaluate(self.low + np.clip(u, 0.0, 1.0) * span)
+            status = f"bounds {self.best[0]:.3f} of the planned ones" if self.best else "none within the limits yet"
+            progress(min(len(self.designs) / total, 1.0), f"searching: {len(self.designs)} designs, {status}")
+            return found.criterion
 
-        worth((self.as_planned() - self.low) / span)
+        value((self.planned_values() - self.low) / span)
         half = total // 2
         several = half if half > len(self.vary) + 1 else total - 1
         sobol = qmc.Sobol(len(self.vary), rng=np.random.default_rng(1))
         for u in sobol.random_base2(int(np.ceil(np.log2(max(several, 1)))))[:several]:
-            worth(u)
-        left = total - len(self.tried)
+            value(u)
+        left = total - len(self.designs)
         if left > len(self.vary):
-            first = min(self.tried, key=lambda t: t.merit)
+            first = min(self.designs, key=lambda t: t.criterion)
             start = np.clip((first.x - self.low) / span, 0.05, 0.95)
             box = [(0.0, 1.0)] * len(self.vary)
-            minimize(worth, start, method="Nelder-Mead", bounds=box, options={"maxfev": left, "xatol": 1e-3})
+            minimize(value, start, method="Nelder-Mead", bounds=box, options={"maxfev": left, "xatol": 1e-3})
         if self.best is None:
             raise RunError(f"design: {self._nearest()}")
-        _, best, told = self.best
+        _, best, experiment = self.best
         return DesignSearchResult(
-            self.names, self.priors, self.vary, self.planned, self.planned_told, best, told, tuple(self.tried)
+            self.names,
+            self.priors,
+            self.vary,
+            self.planned,
+            self.planned_experiment,
+            best,
+            experiment,
+            tuple(self.designs),
         )
 
     def _nearest(self) -> str:
-        closest = min(self.tried, key=lambda t: t.merit)
-        missed = self.planner.fly(self.altered(closest.x)).margins
-        name, margin = min(missed.items(), key=lambda m: m[1] / _tolerance(m[0]))
+        closest = min(self.designs, key=lambda t: t.criterion)
+        margins = self.planner.fly(self.manoeuvres_at(closest.x)).margins
+        name, margin = min(margins.items(), key=lambda m: m[1] / _tolerance(m[0]))
         return (
-            f"none of {len(self.tried)} designs keeps the limits; the nearest passes that of {name} by {-margin:.3g}; "
-            "widen the limits or what may vary"
+            f"none of {len(self.designs)} designs keeps the limits; the nearest exceeds that of {name} by "
+            f"{-margin:.3g}; widen the limits or the ranges that vary"
         )
 
     def sweep(self, found: DesignSearchResult, points: int) -> list[BoundsSweep]:
-        """Bounds along each number about the best design, the others as they are there."""
+        """Bounds along each number about the best design, with the others at their best values."""
         best = np.array([getattr(found.best.manoeuvres[v.manoeuvre - 1], v.key) for v in self.vary])
         sweeps = []
         for k, v in enumerate(self.vary):
             values = np.unique(np.append(np.linspace(v.low, v.high, points), best[k]))
-            told = [self.planner.fly(self.altered(np.where(np.arange(len(best)) == k, x, best))) for x in values]
+            flights = [
+                self.planner.fly(self.manoeuvres_at(np.where(np.arange(len(best)) == k, x, best))) for x in values
+            ]
             sigma = np.full((len(values), len(self.planner.wanted)), np.nan)
-            for i, flown in enumerate(told):
+            for i, flown in enumerate(flights):
                 if "manoeuvres reached" not in flown.margins:
                     sigma[i] = self.planner.experiment(flown, self.names, self.priors).sigma(self.planner.wanted)
-            sweeps.append(BoundsSweep(v, values, sigma, np.array([f.feasible for f in told])))
+            sweeps.append(BoundsSweep(v, values, sigma, np.array([f.feasible for f in flights])))
         return sweeps
 
 
@@ -201,8 +221,8 @@ def _tolerance(name: str) -> float:
     return next((t for end, t in TOLERANCES.items() if name.endswith(end)), 1.0)
 
 
-def _limit_violation(flown: PlannedFlight) -> float:
-    """By how much a flight breaks its limits."""
+def _limit_excess(flown: PlannedFlight) -> float:
+    """Sum of the excesses of a flight over its limits, each over its tolerance [-]."""
     return float(sum(max(-margin, 0.0) / _tolerance(name) for name, margin in flown.margins.items()))
 
 

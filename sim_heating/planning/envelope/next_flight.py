@@ -75,7 +75,7 @@ def _told(study: Study, candidate: Candidate, point: str) -> tuple[Evidence, dic
     declared = study.base.declared.model_copy(update={"trajectory": trajectory, "design": design})
     planner = Planner(replace(study.base, declared=declared))
     planned = planner.fly(candidate.flown)
-    passed = [f"{candidate.name}: {line}" for line in planned.passed]
+    passed = [f"{candidate.name}: {line}" for line in planned.exceeded_limits]
     if "manoeuvres reached" in planned.margins:
         raise InputError("the flight ends before it")
     record, _ = planner.record(planned, planner.instruments)
