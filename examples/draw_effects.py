@@ -1,14 +1,16 @@
-"""What each effect does: a flight with and without it, as pictures and a page.
+"""Pictures of what each effect does to a flight, and the tables of its parameters in docs/effects.md.
 
     python examples/draw_effects.py scenarios/all_manoeuvres.toml --docs docs
 
-writes docs/effects.md and docs/images/effect_NAME.png, from the repository's root. The magnitudes are chosen to be
-seen; every other value is an effect's nominal one.
+draws docs/images/effect_NAME.png and writes docs/effects.md, from the repository's root. The magnitudes are large
+enough to be visible; every other value is an effect's nominal one. In docs/effects.md the text before the first heading
+and the equations between an effect's source and its table are written by hand; they are kept.
 """
 
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -50,15 +52,16 @@ DRAWN: Mapping[str, Mapping[str, float]] = {
     "time-skew": {"skew_s": 3.0},
     "transition": {"log10_re_onset": 6.6, "factor": 2.5},
 }
-"""Values that are not nominal."""
+"""Values of parameters that are not nominal."""
 WITHOUT, WITH = "0.35", "tab:red"
-SHADES = ("tab:red", "tab:orange", "tab:green", "tab:blue", "tab:purple")
+SENSOR_COLORS = ("tab:red", "tab:orange", "tab:green", "tab:blue", "tab:purple")
 LEAST_RATIO = 1e-4
-"""A ratio that moves less is not what an effect acts on."""
+"""Change of the heating ratio [-] below which it is not drawn: the effect acts elsewhere."""
+TABLE = "| parameter | unit | nominal | prior sigma | bounds | |"
 
 
 def main() -> None:
-    """Fly, march with and without each effect, draw, write the page."""
+    """Fly, march without and with each effect, draw, write the page."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("scenario", type=Path)
     parser.add_argument("--docs", type=Path, default=Path("docs"))
@@ -75,41 +78,41 @@ def main() -> None:
     (given.docs / "images").mkdir(exist_ok=True)
     for name, values in DRAWN.items():
         pair = [march(model, at_point) for model in (bare, replace(bare, effects=(use(name, values),)))]
-        if name == "time-skew":
-            pair[1] = skewed(pair[0], values["skew_s"])
+        if known[name].acts_on_clock:
+            pair[1] = with_clock_skew(pair[0], values["skew_s"])
         draw(given.docs / "images" / f"effect_{name}.png", known[name], values, pair, point.sensors, flown)
-    write_text_atomic(given.docs / "effects.md", page(given.scenario, point.title))
+    file = given.docs / "effects.md"
+    write_text_atomic(file, page(file.read_text()))
 
 
 def march(model: PointModel, flown: Conditions) -> PointHistory:
-    """One point along the flight."""
+    """One control point along the flight."""
     return march_points([model], [flown])[0]
 
 
-def skewed(history: PointHistory, skew_s: float) -> PointHistory:
-    """As a clock that lags shows it: recorded T(t) = true T(t - skew)."""
+def with_clock_skew(history: PointHistory, skew_s: float) -> PointHistory:
+    """Temperatures as recorded with a clock that lags: recorded T(t) = true T(t - skew)."""
     t = history.time_s
-    moved = np.array([np.interp(t - skew_s, t, T) for T in history.sensors_K])
-    return replace(history, sensors_K=moved)
+    return replace(history, sensors_K=np.array([np.interp(t - skew_s, t, T) for T in history.sensors_K]))
 
 
 def draw(
     path: Path, effect: Effect, values: Mapping[str, float], pair: Sequence[PointHistory], sensors: Sequence[Sensor],
     flown: Conditions,
 ) -> None:  # fmt: skip
-    """Ratio without and with the effect, what it changes at each thermocouple, and what is flown."""
-    without, own = pair
+    """Draw the ratio without and with the effect, the change at each thermocouple, and the angles and jets flown."""
+    without, with_effect = pair
     t = without.time_s
-    acts = np.nanmax(np.abs(own.ratio - without.ratio)) > LEAST_RATIO
+    acts = np.nanmax(np.abs(with_effect.ratio - without.ratio)) > LEAST_RATIO
     figure, axes = new_figure(8.0, 5.6 if acts else 4.4, 3 if acts else 2, sharex=True)
     if acts:
         axes[0].plot(t, without.ratio, color=WITHOUT, label="declared", linewidth=1.2)
-        axes[0].plot(t, own.ratio, color=WITH, label=f"with {effect.name}", linewidth=1.2)
+        axes[0].plot(t, with_effect.ratio, color=WITH, label=f"with {effect.name}", linewidth=1.2)
         axes[0].set_ylabel("heating ratio")
         axes[0].legend(fontsize=8, loc="best")
     a = axes[-2]
-    for k, (sensor, color) in enumerate(zip(sensors, SHADES, strict=False)):
-        change = own.sensors_K[k] - without.sensors_K[k]
+    for k, (sensor, color) in enumerate(zip(sensors, SENSOR_COLORS, strict=False)):
+        change = with_effect.sensors_K[k] - without.sensors_K[k]
         a.plot(t, change, color=color, label=f"{1e3 * sensor.depth_m:.1f} mm deep", linewidth=1.2)
     a.set_ylabel("change of the\nthermocouples, K")
     a.legend(fontsize=8, loc="best")
@@ -120,29 +123,36 @@ def draw(
     axes[-1].set_ylim(-15.0, 62.0)
     axes[-1].legend(fontsize=8, loc="upper right", ncols=5)
     axes[-1].set_xlabel("time, s")
-    told = ", ".join(f"{n} = {v:g}" for n, v in values.items())
-    save_figure(figure, path, f"{effect.name}: {told}", axes)
+    magnitudes = ", ".join(f"{n} = {v:g}" for n, v in values.items())
+    save_figure(figure, path, f"{effect.name}: {magnitudes}", axes)
 
 
-def page(scenario: Path, title: str) -> str:
-    """What each effect is, in the words of its file, with its picture."""
-    lines = [
-        "# What each effect does", "",
-        f"Along `{scenario.as_posix()}`, at one control point ({title}): the declared model, and",
-        "the same with one effect of a magnitude that can be seen. Pictures and page:",
-        f"`python examples/draw_effects.py {scenario.as_posix()}`. An offset or a gain of one thermocouple",
-        "(`sensor-bias`) needs no picture. How to add an effect: [adding_an_effect.md](adding_an_effect.md).", "",
-    ]  # fmt: skip
+def page(present: str) -> str:
+    """Page of all effects: physics, source, equations, parameters and picture of each.
+
+    present : the page as it is, whose text before the first heading, and between the source of an effect and its table,
+              is kept
+    """
+    head, *sections = re.split(r"^## ", present, flags=re.MULTILINE)
+    by_name = {section.partition("\n")[0]: section for section in sections}
+    lines = [head.rstrip(), ""]
     for name in DRAWN:
         effect = effects()[name]
         lines += [f"## {name}", "", effect.physics, "", f"Source: {effect.source}", ""]
-        lines += ["| parameter | unit | nominal | prior sigma | bounds | |", "|---|---|---|---|---|---|"]
+        lines += equations(by_name.get(name, ""))
+        lines += [TABLE, "|---|---|---|---|---|---|"]
         lines += [
             f"| `{p.name}` | {p.unit} | {p.value:g} | {p.sigma:g} | {p.lower:g} to {p.upper:g} | {p.text} |"
             for p in effect.parameters
         ]
         lines += ["", f"![{name}](images/effect_{name}.png)", ""]
     return "\n".join(lines)
+
+
+def equations(section: str) -> list[str]:
+    """Text of an effect's section between its source and the table of its parameters; nothing for a new section."""
+    text = section.partition("\nSource: ")[2].partition("\n")[2].partition(TABLE)[0].strip()
+    return [text, ""] if text else []
 
 
 if __name__ == "__main__":

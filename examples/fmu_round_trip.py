@@ -1,12 +1,12 @@
-"""Two FMUs in one co-simulation: a trajectory drives the heating. FMPy and this file; nothing of sim_heating is used.
+"""Two FMUs in one co-simulation: a trajectory drives the heating. Uses FMPy only, nothing of sim_heating.
 
     sim-heating fmu trajectory scenarios/entry_3dof.toml --out entry.fmu
     sim-heating fmu export orbiter --control-points V09T9527 --out heating.fmu
     python examples/fmu_round_trip.py entry.fmu heating.fmu --until 900 --out round_trip.csv
 
-Every input of the heating is connected to the output of the trajectory that has its name. Each step the trajectory
-goes first and the heating follows with the conditions at the end of the step, which it reaches along a straight line
-(`input_timing` = reached): no value is late, and none is held.
+Every input of the heating is connected to the output of the trajectory of the same name. In each step the trajectory
+goes first; the heating follows with the conditions at the end of the step, which it reaches along a straight line
+(`input_timing` = reached), so that no input is delayed or held constant.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ from fmpy.simulation import (
 )
 
 REACHED = 2
+"""Value of `input_timing`: inputs are reached at the end of a step, along a straight line."""
 
 
 class Unit:
-    """One FMU of version 2 or 3, in initialization mode when it has been made, stepping after `begin`."""
+    """An instance of an FMU of version 2 or 3: in initialization mode when constructed, ready to step after `begin`."""
 
     def __init__(self, path: Path, start: dict[str, float], stop_s: float) -> None:
         self.description = fmpy.read_model_description(path)
@@ -39,9 +40,9 @@ class Unit:
         times = {"startTime": 0.0, "stopTime": stop_s}
         if not self.three:
             self.fmu.setupExperiment(**times)
-        left = apply_start_values(self.fmu, self.description, start, settable_in_instantiated)
+        remaining = apply_start_values(self.fmu, self.description, start, settable_in_instantiated)
         self.fmu.enterInitializationMode(**(times if self.three else {}))
-        apply_start_values(self.fmu, self.description, left, settable_in_initialization_mode)
+        apply_start_values(self.fmu, self.description, remaining, settable_in_initialization_mode)
 
     def names(self, causality: str) -> list[str]:
         """Names of the real variables of a causality."""
@@ -67,22 +68,22 @@ class Unit:
         self.fmu.doStep(currentCommunicationPoint=time_s, communicationStepSize=step_s)
 
     def close(self) -> None:
-        """Free the instance, remove what was unpacked."""
+        """Free the instance and remove the unpacked files."""
         self.fmu.freeInstance()
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
 def connections(trajectory: Unit, heating: Unit) -> list[str]:
-    """Inputs of the heating that the trajectory gives, unit for unit."""
-    given = set(trajectory.names("output"))
-    shared = [name for name in heating.names("input") if name in given]
+    """Inputs of the heating that are outputs of the trajectory, in the same unit; the others are printed."""
+    outputs = set(trajectory.names("output"))
+    shared = [name for name in heating.names("input") if name in outputs]
     for name in shared:
         units = trajectory.variables[name].unit, heating.variables[name].unit
         if units[0] != units[1]:
-            raise SystemExit(f"{name}: is in {units[0]} in the trajectory and in {units[1]} in the heating")
-    left = [name for name in heating.names("input") if name not in given]
-    if left:
-        print(f"not connected, as the trajectory has no such output: {', '.join(left)}")
+            raise SystemExit(f"{name}: unit {units[0]} in the trajectory, {units[1]} in the heating; they must agree")
+    unconnected = [name for name in heating.names("input") if name not in outputs]
+    if unconnected:
+        print(f"not connected, since the trajectory has no such output: {', '.join(unconnected)}")
     return shared
 
 
@@ -91,18 +92,18 @@ def co_simulate(trajectory_fmu: Path, heating_fmu: Path, until_s: float, rate_hz
     trajectory = Unit(trajectory_fmu, {}, until_s)
     heating = Unit(heating_fmu, {"input_timing": REACHED}, until_s)
     try:
-        wires, told = connections(trajectory, heating), heating.names("output")
+        connected, results = connections(trajectory, heating), heating.names("output")
         trajectory.begin()
-        heating.set(wires, trajectory.get(wires))
+        heating.set(connected, trajectory.get(connected))
         heating.begin()
         rows = []
         for n in range(round(until_s * rate_hz) + 1):
             if n > 0:
                 trajectory.step((n - 1) / rate_hz, 1.0 / rate_hz)
-                heating.set(wires, trajectory.get(wires))
+                heating.set(connected, trajectory.get(connected))
                 heating.step((n - 1) / rate_hz, 1.0 / rate_hz)
             flown = zip(("altitude_m", "velocity_m_s"), trajectory.get(["altitude_m", "velocity_m_s"]), strict=True)
-            rows.append({"time_s": n / rate_hz} | dict(flown) | dict(zip(told, heating.get(told), strict=True)))
+            rows.append({"time_s": n / rate_hz} | dict(flown) | dict(zip(results, heating.get(results), strict=True)))
         return rows
     finally:
         trajectory.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import os
 import subprocess
@@ -168,6 +169,15 @@ def test_every_effect_has_a_picture_of_what_it_does():
     for name in effects():
         assert f"(images/effect_{name}.png)" in text
         assert (docs / "images" / f"effect_{name}.png").is_file()
+
+
+def test_page_of_effects_has_the_parameters_of_the_code_and_keeps_its_equations():
+    spec = importlib.util.spec_from_file_location("draw_effects", ROOT / "examples" / "draw_effects.py")
+    draw_effects = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(draw_effects)
+    text = (ROOT / "docs" / "effects.md").read_text()
+    assert draw_effects.page(text) == text
+    assert text.count(r"\tag{") == 24
 
 
 def test_neutral_effect_does_nothing_whatever_else_it_has():
