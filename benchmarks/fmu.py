@@ -33,8 +33,8 @@ from sim_heating.simulation.fmu_export.library import (
     NOW,
     TARGETS,
     TIMING,
-    parts,
-    sources,
+    link_inputs,
+    wrapper_folder,
     wrapper_sources,
 )
 from sim_heating.simulation.run import fly_scenario
@@ -55,8 +55,8 @@ def _frames(step_s: float, count: int, start_s: float = 300.0) -> np.ndarray:
 
 def _host(work: Path) -> Path:
     host = work / "host"
-    source = str(sources() / "host" / "host.c")
-    subprocess.run(["gcc", "-std=c11", "-O2", f"-I{sources()}", "-o", str(host), source, "-ldl"], check=True)
+    source = str(wrapper_folder() / "host" / "host.c")
+    subprocess.run(["gcc", "-std=c11", "-O2", f"-I{wrapper_folder()}", "-o", str(host), source, "-ldl"], check=True)
     return host
 
 
@@ -190,10 +190,10 @@ def compile_fuzz(vehicle: Vehicle, work: Path) -> list[str]:
     """Command, less seed and number of calls, of the fuzzer with an FMU of two points in it, sanitized."""
     model = heating_image(vehicle, ["NOSECAP", "V09T9527"])
     (work / "model.bin").write_bytes(model.image.binary("{fuzzed}"))
-    made = parts(heating_units(model.effects), TARGETS["linux"], work)
-    flags = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined", f"-I{sources()}"]
+    made = link_inputs(heating_units(model.effects), TARGETS["linux"], work)
+    flags = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined", f"-I{wrapper_folder()}"]
     program = work / "fuzz"
-    command = ["gcc", *flags, "-o", program, *made, *wrapper_sources(), sources() / "host" / "fuzz.c", "-lm"]
+    command = ["gcc", *flags, "-o", program, *made, *wrapper_sources(), wrapper_folder() / "host" / "fuzz.c", "-lm"]
     subprocess.run(list(map(str, command)), check=True)
     return [str(program), str(work), "{fuzzed}", str(len(model.image.variables))]
 

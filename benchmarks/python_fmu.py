@@ -28,7 +28,7 @@ from sim_heating.base.conditions import FRAME
 from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.simulation.fmu_export.export import write_fmu
 from sim_heating.simulation.fmu_export.heating import heating_image, heating_units, quoted
-from sim_heating.simulation.fmu_export.library import sources
+from sim_heating.simulation.fmu_export.library import wrapper_folder
 from sim_heating.simulation.plugin import HeatingPlugin
 
 FloatArray = NDArray[np.float64]
@@ -140,7 +140,7 @@ def _ours(plugin: HeatingPlugin, vehicle: str, nodes: int, work: Path) -> Timed:
 def _host(work: Path) -> Path:
     """The C host of FMI 2."""
     host = work / "fmi2_host"
-    subprocess.run(["gcc", "-std=c11", "-O2", f"-I{sources()}", "-o", host, HOST, "-ldl"], check=True)
+    subprocess.run(["gcc", "-std=c11", "-O2", f"-I{wrapper_folder()}", "-o", host, HOST, "-ldl"], check=True)
     return host
 
 

@@ -85,13 +85,13 @@ def trajectory(scenario: Path, out: Path, fmi: str, platforms: tuple[str, ...]) 
     """The built-in 3-DOF entry of a scenario as a co-simulation FMU."""
     from sim_heating.base.files import display_path
     from sim_heating.inputs.scenario import load_scenario
-    from sim_heating.simulation.fmu_export.entry import check_source, export_entry
+    from sim_heating.simulation.fmu_export.entry import export_entry, require_entry_source
     from sim_heating.simulation.fmu_export.export import targets_of
 
     loaded = load_scenario(scenario)
     spec, vehicle = loaded.declared.trajectory, loaded.vehicle.directory
     with error_context(f"{display_path(scenario)}, [trajectory]"):
-        check_source(spec)
+        require_entry_source(spec)
     targets_of(platforms, int(fmi))
     with progress_line("fmu trajectory") as progress:
         progress(0.1, "compiling, unless compiled before")

@@ -25,7 +25,14 @@ from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.simulation.fmu_export.export import export_fmu
 from sim_heating.simulation.fmu_export.heating import MODEL, THERMAL_STEP, heating_image, heating_units
-from sim_heating.simulation.fmu_export.library import TARGETS, Unit, compiler, object_code, parts, wrapper_sources
+from sim_heating.simulation.fmu_export.library import (
+    TARGETS,
+    CompilationUnit,
+    compiler_command,
+    link_inputs,
+    object_code,
+    wrapper_sources,
+)
 from sim_heating.simulation.plugin import HeatingPlugin
 from sim_heating.simulation.run import fly_scenario
 from tests.support.fmu_hosts import SOURCES, Host, compile_host, run_host
@@ -405,7 +412,7 @@ def vehicle_with_effect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: s
 
 def test_effect_of_the_users_own_is_compiled_in(fmus, vehicle, flown, tmp_path, monkeypatch):
     own = load_vehicle(vehicle_with_effect(tmp_path, monkeypatch, "mach-growth", OWN_EFFECT))
-    shared = [path for unit in (MODEL, THERMAL_STEP) for path in unit.objects(TARGETS["linux"])]
+    shared = [path for unit in (MODEL, THERMAL_STEP) for path in unit.object_paths(TARGETS["linux"])]
     before = [path.stat().st_mtime_ns for path in shared]
     export_fmu(own, tmp_path / "own.fmu", POINTS)
     assert [path.stat().st_mtime_ns for path in shared] == before  # what all vehicles share is not made anew
@@ -478,14 +485,14 @@ def test_kernel_that_allocates_is_refused():
         return np.zeros(n).sum()
 
     with pytest.raises(RunError, match="greedy: needs NRT_"):
-        object_code(Unit("greedy", greedy._sig, lambda: greedy), TARGETS["linux"], "x86-64")
+        object_code(CompilationUnit("greedy", greedy._sig, lambda: greedy), TARGETS["linux"], "x86-64")
 
 
 def test_vectors_of_any_machine_are_allowed_and_roundings_of_another_are_not():
     """What the vectoriser makes of a kernel hangs on the machine that it runs on: one with AVX-512 scatters."""
     from llvmlite.binding import parse_assembly
 
-    from sim_heating.simulation.fmu_export.library import _forbidden
+    from sim_heating.simulation.fmu_export.library import forbidden_calls
 
     declared = """
         declare void @llvm.masked.scatter.v4f64.v4p0(<4 x double>, <4 x ptr>, <4 x i1>)
@@ -495,7 +502,7 @@ def test_vectors_of_any_machine_are_allowed_and_roundings_of_another_are_not():
         declare double @llvm.fma.f64(double, double, double)
         declare ptr @malloc(i64)
     """
-    assert _forbidden(parse_assembly(declared)) == ["llvm.fma.f64", "malloc"]
+    assert forbidden_calls(parse_assembly(declared)) == ["llvm.fma.f64", "malloc"]
 
 
 # The command ---------------------------------------------------------------------------------------------------------
@@ -533,7 +540,7 @@ def test_odd_titles_and_names_make_a_valid_description(fmi, tmp_path):
         (["orbitr", "--out", "x.fmu"], "orbiter"),
         (["orbiter", "--out", "x.zip"], "ends in .fmu"),
         (["orbiter", "--out", "x.fmu", "--control-points", "NOSECUP"], "NOSECAP"),
-        (["orbiter", "--out", "x.fmu", "--platforms", "amiga"], "there is no platform `amiga`"),
+        (["orbiter", "--out", "x.fmu", "--platforms", "amiga"], "unknown platform `amiga`"),
         (["orbiter", "--out", "x.fmu", "--fmi", "2", "--platforms", "linux-arm64"], "export for FMI 3"),
     ],
 )
@@ -551,7 +558,7 @@ def test_a_scenario_of_another_source_is_told_with_its_file(capsys, tmp_path):
     assert main(["fmu", "trajectory", str(scenario), "--out", str(out)]) == 2
     told = capsys.readouterr().err.splitlines()
     assert len(told) == 1
-    assert 'nominal.toml, [trajectory]: source = "jsbsim" has no FMU of ours' in told[0]
+    assert 'nominal.toml, [trajectory]: source = "jsbsim" cannot be exported as an FMU' in told[0]
 
 
 def test_no_compiler_is_needed_once_the_library_is_there_and_told_of_where_it_is(fmus, vehicle, tmp_path, monkeypatch):
@@ -559,7 +566,7 @@ def test_no_compiler_is_needed_once_the_library_is_there_and_told_of_where_it_is
     monkeypatch.setitem(sys.modules, "ziglang", None)
     export_fmu(vehicle, tmp_path / "other.fmu", ["V07T9975"])
     with pytest.raises(InputError, match=r"pip install 'sim-heating\[fmu\]'"):
-        compiler(TARGETS["linux"])
+        compiler_command(TARGETS["linux"])
 
 
 @pytest.fixture(scope="module")
@@ -568,7 +575,7 @@ def linked(vehicle, tmp_path_factory) -> tuple[Path, list[Path], int]:
     folder = tmp_path_factory.mktemp("linked")
     model = heating_image(vehicle, ["NOSECAP", "V09T9527"])
     (folder / "model.bin").write_bytes(model.image.binary("{token}"))
-    made = [*parts(heating_units(model.effects), TARGETS["linux"], folder), *wrapper_sources()]
+    made = [*link_inputs(heating_units(model.effects), TARGETS["linux"], folder), *wrapper_sources()]
     return folder, made, len(model.image.variables)
 
 

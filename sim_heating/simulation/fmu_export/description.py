@@ -20,7 +20,7 @@ BASE_UNITS: dict[str, dict[str, float]] = {
     "deg/s": {"rad": 1, "s": -1}, "m/s2": {"m": 1, "s": -2}, "m2": {"m": 2}, "kg": {"kg": 1},
     "N": {"kg": 1, "m": 1, "s": -2}, "W/m": {"kg": 1, "m": 1, "s": -3},
 }  # fmt: skip
-"""Exponents of the SI base units; what is in degrees has a factor besides."""
+"""Exponents of the SI base units; units with degrees also have a factor."""
 CAUSALITY = {
     Role.INDEPENDENT: ("independent", "continuous"), Role.INPUT: ("input", "continuous"),
     Role.TUNABLE: ("parameter", "tunable"), Role.FIXED: ("parameter", "fixed"),
@@ -30,12 +30,12 @@ CATEGORIES = (("logStatusError", "why a call was refused"),)
 
 
 def description(image: Image, token: str, fmi: int) -> bytes:
-    """The description of an image, with variables that the version of FMI knows."""
+    """modelDescription.xml of an image, with the variables that the version of FMI supports."""
     return _fmi3(image, token) if fmi == 3 else _fmi2(image, token)
 
 
 def variables_of(image: Image, fmi: int) -> Iterator[tuple[int, Variable]]:
-    """Value reference and variable; FMI 2 has no arrays."""
+    """Value references and variables; FMI 2 has no arrays."""
     return ((i, v) for i, v in enumerate(image.variables) if fmi == 3 or not v.shape)
 
 
@@ -68,9 +68,9 @@ def _units(root: ET.Element, image: Image, fmi: int) -> None:
 
 
 def _limits(v: Variable) -> dict[str, str]:
-    """min, max and nominal, unit, as far as there are any."""
-    given = {"min": v.lower, "max": v.upper, "nominal": v.nominal}
-    found = {name: _number(x) for name, x in given.items() if x is not None and np.isfinite(x)}
+    """Attributes min, max, nominal and unit, as far as the variable has them."""
+    limits = {"min": v.lower, "max": v.upper, "nominal": v.nominal}
+    found = {name: _number(x) for name, x in limits.items() if x is not None and np.isfinite(x)}
     return found | ({} if v.unit == "1" or v.kind is not Kind.NUMBER else {"unit": v.unit})
 
 
@@ -87,14 +87,14 @@ def _experiment(root: ET.Element, image: Image) -> None:
     ET.SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="100.0", stepSize=_number(image.step_s))
 
 
-NO_TEXT = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
+NOT_XML = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
 """Characters that XML cannot hold."""
 
 
 def _text(root: ET.Element) -> bytes:
     for element in root.iter():
         for name, value in element.items():
-            element.set(name, NO_TEXT.sub(" ", value))
+            element.set(name, NOT_XML.sub(" ", value))
     ET.indent(root)
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
 

@@ -1,9 +1,8 @@
-"""The 3-DOF entry of a scenario as the image of an FMU: its blocks, with a name for each number that may be changed."""
+"""The 3-DOF entry of a scenario as the image of an FMU: its blocks, with a variable for each number that may be set."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,19 +13,15 @@ from sim_heating.base.limits import LIMITS
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.simulation.fmu_export import entry_kernel as k
 from sim_heating.simulation.fmu_export.export import write_fmu
-from sim_heating.simulation.fmu_export.image import Image, Kind, Problem, Role, Variable, identifier
+from sim_heating.simulation.fmu_export.image import Image, Problem, Role, identifier
 from sim_heating.simulation.fmu_export.library import (
-    FUNCTION,
     INPUT_SLOPES,
-    INPUTS,
-    INPUTS_NEXT,
-    INPUTS_NOW,
-    N_INPUTS,
-    R_HEAD,
+    MODEL_SIGNATURE,
     REACHED,
     TIMING,
-    Unit,
+    CompilationUnit,
 )
+from sim_heating.simulation.fmu_export.packer import ImagePacker, Input
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import manoeuvres as mv
 from sim_heating.trajectory import point_mass as pm
@@ -36,19 +31,22 @@ from sim_heating.trajectory.fmu.columns import unit_of
 from sim_heating.trajectory.spec import TrajectorySpec
 
 MANOEUVRES, POINTS = 4, 12
-"""Manoeuvres that an FMU has at least, and points of each polygon at least; what a scenario does not use is at rest."""
+"""Least number of manoeuvres of an FMU, and of points of a manoeuvre; those that a scenario does not use do nothing."""
 NEVER_S = 1e9
 
-INPUT_TEXTS = (
-    ("command.alpha_deg", "deg", 40.0, "angle of attack to be reached at the end of a step"),
-    ("command.bank_deg", "deg", 60.0, "bank about the velocity to be reached at the end of a step, right positive"),
-    ("command.beta_deg", "deg", 1.0, "sideslip to be reached at the end of a step"),
-    ("command.elevon_deg", "deg", 1.0, "elevon about its trim, to be reached at the end of a step"),
-    ("command.bodyflap_deg", "deg", 1.0, "body flap about its schedule, to be reached at the end of a step"),
-    ("command.jets", "1", 1.0, "share of the reaction jets that fire over a step"),
+INPUTS = tuple(
+    Input(*about, -180.0, 180.0)
+    for about in (
+        ("command.alpha_deg", "deg", 40.0, "angle of attack to be reached at the end of a step"),
+        ("command.bank_deg", "deg", 60.0, "bank about the velocity to be reached at the end of a step, right positive"),
+        ("command.beta_deg", "deg", 1.0, "sideslip to be reached at the end of a step"),
+        ("command.elevon_deg", "deg", 1.0, "elevon about its trim, to be reached at the end of a step"),
+        ("command.bodyflap_deg", "deg", 1.0, "body flap about its schedule, to be reached at the end of a step"),
+        ("command.jets", "1", 1.0, "share of the reaction jets that fire over a step"),
+    )
 )
 PILOTS = (
-    ("inside", "guidance and manoeuvres of this FMU command; inputs are not looked at"),
+    ("inside", "guidance and manoeuvres of this FMU command; inputs are ignored"),
     ("host", "the inputs command; guidance and manoeuvres of this FMU do nothing"),
 )
 TRIGGERS = (
@@ -84,12 +82,12 @@ GUIDANCE = (
     ("guidance.damping", gd.DAMPING, 0.2, 10.0, "1"),
     ("guidance.scale_height_m", gd.SCALE_HEIGHT, 1e3, 1e5, "m"),
 )
-"""Scalars of the blocks that may be changed: name, place, limits, unit; schedules stay as exported."""
+"""Scalars of the blocks that may be set: name, place, limits, unit; schedules stay as exported."""
 GUIDANCE_OUTPUTS = (
     ("mach", gd.MACH, "1"), ("altitude_rate_m_s", gd.CLIMB, "m/s"), ("drag_m_s2", gd.DRAG, "m/s2"),
     ("lift_m_s2", gd.LIFT, "m/s2"), ("net_gravity_m_s2", gd.NET_GRAVITY, "m/s2"),
 )  # fmt: skip
-"""What guidance sees beside the frame, for a host that guides."""
+"""Outputs in addition to the frame, for the guidance of a host: name, place, unit."""
 NOMINAL = {"altitude_m": 1e5, "velocity_m_s": 7e3, "rho_kg_m3": 1e-4}
 
 
@@ -103,25 +101,26 @@ def export_entry(
     platforms: tuple[str, ...] = ("linux",),
     progress: Progress = no_progress,
 ) -> Image:
-    """Write the 3-DOF entry of a scenario as a co-simulation FMU; gives its image.
+    """Write the 3-DOF entry of a scenario as a co-simulation FMU.
 
-    spec   : [trajectory] of a scenario with source "entry-3dof"; its stop is left to the host
+    spec   : [trajectory] of a scenario with source "entry-3dof"; the host ends the flight
     fmi, platforms, progress : as in `write_fmu`
-    raises : InputError for another source, a platform without a compiler, a place that cannot be written
+    returns : the image of the FMU
+    raises  : InputError for another source, a platform without a compiler, a place that cannot be written
     """
     image = entry_image(spec, vehicle_dir, title)
     write_fmu(out, image, ENTRY_UNITS, fmi, platforms, progress)
     return image
 
 
-ENTRY_UNITS = (Unit("entry_move", FUNCTION, lambda: c_function(FUNCTION, k.advance)),)
+ENTRY_UNITS = (CompilationUnit("entry_advance", MODEL_SIGNATURE, lambda: c_function(MODEL_SIGNATURE, k.advance)),)
 """The compiled function of the library."""
 
 
-def check_source(spec: TrajectorySpec) -> None:
+def require_entry_source(spec: TrajectorySpec) -> None:
     """raises : InputError where a trajectory is not of the 3-DOF entry"""
     if spec.source != "entry-3dof" or spec.initial is None:
-        raise InputError(f'source = "{spec.source}" has no FMU of ours; give one with "entry-3dof"')
+        raise InputError(f'source = "{spec.source}" cannot be exported as an FMU; give a scenario with "entry-3dof"')
 
 
 def entry_image(spec: TrajectorySpec, vehicle_dir: Path, title: str = "") -> Image:
@@ -129,25 +128,22 @@ def entry_image(spec: TrajectorySpec, vehicle_dir: Path, title: str = "") -> Ima
 
     raises : InputError where the scenario is flown by another source
     """
-    check_source(spec)
+    require_entry_source(spec)
     name = identifier(Path(vehicle_dir).name)
     image = Image(f"{name}_entry", title or f"3-DOF entry of {name}", 1.0 / spec.rate_hz)
-    _Packer(image, spec, Entry(spec, vehicle_dir)).pack()
+    _EntryPacker(image, spec, Entry(spec, vehicle_dir)).pack()
     return image
 
 
-class _Packer:
-    """Puts a flight into an image, block by block."""
+class _EntryPacker(ImagePacker):
+    """Packs the blocks of an entry into an image."""
 
     def __init__(self, image: Image, spec: TrajectorySpec, entry: Entry) -> None:
-        self.image, self.spec, self.entry = image, spec, entry
-        self.head: dict[int, int] = {}
+        super().__init__(image, k.N_MODEL)
+        self.spec, self.entry = spec, entry
 
     def pack(self) -> None:
         image = self.image
-        image.numbers(np.zeros(R_HEAD))
-        image.integers(np.zeros(k.N_MODEL))
-        image.variables.append(Variable("time", Kind.NUMBER, Role.INDEPENDENT, 0, "time", "s"))
         self._pack_inputs()
         self._pack_initial()
         self._pack_blocks()
@@ -155,7 +151,7 @@ class _Packer:
         self._pack_outputs()
         image.set_integers([*self.head.items(), (TIMING, REACHED), (k.PILOT, k.INSIDE)])
         row = self.head[k.ROW]
-        outside = "has left the atmosphere's table (200 km); start slower or steeper"
+        outside = "is above the atmosphere's table (200 km); start slower or steeper"
         image.problems += [
             Problem("the communication step", f"is longer than {k.LONGEST_COMMUNICATION_S:g} s"),
             Problem("altitude_m", outside, row + k.ALTITUDE_IN_ROW),
@@ -163,50 +159,43 @@ class _Packer:
             Problem("the state", "is not a number; check start values and inputs"),
         ]
 
-    def _add(self, *args: Any, **kwargs: Any) -> None:
-        self.image.variables.append(Variable(*args, **kwargs))
-
     def _pack_inputs(self) -> None:
-        image, n = self.image, len(INPUT_TEXTS)
-        starts = np.zeros(n)
+        starts = np.zeros(len(INPUTS))
         starts[:2] = self.entry.state[[pm.ALPHA, pm.BANK]]
-        place = image.numbers(starts)
-        for i, (name, unit, nominal, text) in enumerate(INPUT_TEXTS):
-            self._add(name, Kind.NUMBER, Role.INPUT, place + i, text, unit, -180.0, 180.0, nominal)
-        copies = {there: image.numbers(starts) for there in (INPUTS_NOW, INPUTS_NEXT)}
-        self.head |= {INPUTS: place, N_INPUTS: n, INPUT_SLOPES: image.numbers(np.zeros(n)), **copies}
-        self._add("pilot", Kind.INTEGER, Role.FIXED, k.PILOT, "who commands", lower=1, upper=2, choices=PILOTS)
+        self.add_inputs(INPUTS, starts)
+        self.head[INPUT_SLOPES] = self.image.add_numbers(np.zeros(len(INPUTS)))
+        self.add_choice("pilot", Role.FIXED, k.PILOT, "who commands", PILOTS)
 
     def _pack_initial(self) -> None:
         assert self.spec.initial is not None
-        place = self.image.numbers(initial_numbers(self.spec.initial))
+        place = self.image.add_numbers(initial_numbers(self.spec.initial))
         for i, (name, lower, upper) in enumerate(INITIAL):
             text = f"{name.rsplit('_', 1)[0].replace('_', ' ')} at the start, relative to the air"
-            self._add(f"initial.{name}", Kind.NUMBER, Role.FIXED, place + i, text, unit_of(name), lower, upper)
-        options = self.image.numbers([self.entry.dt_s])
+            self.add_number(f"initial.{name}", Role.FIXED, place + i, text, unit_of(name), lower, upper)
+        options = self.image.add_numbers([self.entry.dt_s])
         text = "longest frame; a longer communication step is divided"
-        self._add("frame_s", Kind.NUMBER, Role.FIXED, options, text, "s", 1e-3, 10.0)
+        self.add_number("frame_s", Role.FIXED, options, text, "s", 1e-3, 10.0)
         self.head |= {k.INITIAL: place, k.OPTIONS: options}
 
     def _pack_blocks(self) -> None:
         image, entry = self.image, self.entry
-        flight = image.numbers(self._unending(entry.flight), aligned=True)
-        block = image.numbers(entry.block, aligned=True)
+        flight = image.add_numbers(self._without_stop(entry.flight), aligned=True)
+        block = image.add_numbers(entry.block, aligned=True)
         for first, named in ((flight, VEHICLE), (block, GUIDANCE)):
             for name, place, lower, upper, unit in named:
                 text = name.split(".")[1].rsplit("_", 1)[0].replace("_", " ") + ", see docs/equations.md"
-                self._add(name, Kind.NUMBER, Role.FIXED, first + place, text, unit, lower, upper)
-        self.head |= {k.FLIGHT: flight, k.GUIDANCE: block, k.AERO: image.numbers(entry.tables, aligned=True)}
+                self.add_number(name, Role.FIXED, first + place, text, unit, lower, upper)
+        self.head |= {k.FLIGHT: flight, k.GUIDANCE: block, k.AERO: image.add_numbers(entry.tables, aligned=True)}
 
     @staticmethod
-    def _unending(flight: np.ndarray) -> np.ndarray:
-        """The block of a flight that nothing ends."""
-        own = flight.copy()
-        own[[pm.STOP_TIME, pm.STOP_MACH, pm.STOP_SPEED, pm.STOP_ALTITUDE]] = np.inf, 0.0, 0.0, -np.inf
-        return own
+    def _without_stop(flight: np.ndarray) -> np.ndarray:
+        """The block of a flight without a stop condition."""
+        copy = flight.copy()
+        copy[[pm.STOP_TIME, pm.STOP_MACH, pm.STOP_SPEED, pm.STOP_ALTITUDE]] = np.inf, 0.0, 0.0, -np.inf
+        return copy
 
     def _pack_manoeuvres(self) -> None:
-        """Scripts of MANOEUVRES or more polygons of POINTS or more points; a last point repeats to the end."""
+        """Pack the script: MANOEUVRES or more polygons of POINTS or more points; the last point is repeated."""
         script = self.entry.script
         flown = int(script[mv.COUNT])
         n = max(flown, MANOEUVRES)
@@ -220,37 +209,35 @@ class _Packer:
             plan += [*own[: mv.PITCH_MODE + 1], first, first + 2 * (points - 1)]
             choices += [own[mv.TRIGGER] + 1, own[mv.CHANNEL] + 1, own[mv.PITCH_MODE] + 1]
             numbers += [x for point in shape for x in point]
-        place, chosen = self.image.numbers([*plan, *numbers]), self.image.integers(choices)
+        place, chosen = self.image.add_numbers([*plan, *numbers]), self.image.add_integers(choices)
         self.head |= {k.SCRIPT: place, k.CHOICES: chosen, k.MANOEUVRES: n}
         for m in range(n):
             self._name_manoeuvre(m, place, chosen + k.CHOICES_EACH * m, mv.PLAN + mv.ENTRY * n + 2 * points * m, points)
 
     def _name_manoeuvre(self, m: int, script: int, chosen: int, first: int, points: int) -> None:
         own = f"manoeuvre[{m + 1}]"
-        kinds = (("trigger", TRIGGERS, "what begins it"), ("moves", CHANNELS, "what it moves"),
+        kinds = (("trigger", TRIGGERS, "what triggers it"), ("moves", CHANNELS, "what it varies"),
                  ("pitch", PITCHES, "pitch axis meanwhile"))  # fmt: skip
         for i, (name, known, text) in enumerate(kinds):
-            self._add(
-                f"{own}.{name}", Kind.INTEGER, Role.FIXED, chosen + i, text, lower=1, upper=len(known), choices=known
-            )
+            self.add_choice(f"{own}.{name}", Role.FIXED, chosen + i, text, known)
         text = "time [s], speed [m/s] or Mach number at which it begins"
-        self._add(f"{own}.at", Kind.NUMBER, Role.FIXED, script + mv.PLAN + mv.ENTRY * m + mv.VALUE, text, lower=0.0)
+        self.add_number(f"{own}.at", Role.FIXED, script + mv.PLAN + mv.ENTRY * m + mv.VALUE, text, lower=0.0)
         for i in range(points):
             place, at = script + first + 2 * i, f"{own}.point[{i + 1}]"
-            self._add(f"{at}.after_s", Kind.NUMBER, Role.FIXED, place, "time since its beginning", "s", lower=0.0)
-            self._add(f"{at}.offset", Kind.NUMBER, Role.FIXED, place + 1, "offset then, in the unit of what it moves")
+            self.add_number(f"{at}.after_s", Role.FIXED, place, "time since its beginning", "s", lower=0.0)
+            self.add_number(f"{at}.offset", Role.FIXED, place + 1, "offset then, in the unit of what it varies")
 
     def _pack_outputs(self) -> None:
         image, n = self.image, self.head[k.MANOEUVRES]
-        state = image.numbers(np.zeros(pm.STARTED + n), aligned=True)
-        work, row = image.numbers(np.zeros(pm.WORK), aligned=True), image.numbers(np.zeros(len(ROW)))
+        state = image.add_numbers(np.zeros(pm.STARTED + n), aligned=True)
+        work, row = image.add_numbers(np.zeros(pm.WORK), aligned=True), image.add_numbers(np.zeros(len(ROW)))
         self.head |= {k.STATE: state, k.WORK: work, k.ROW: row}
         for i, name in enumerate(ROW[1:], start=1):
             text = f"{name.rsplit('_', 1)[0].replace('_', ' ')}, as in a frame" if i < len(FRAME) else "of the flight"
             lower, upper, _ = LIMITS.get(name, (-np.inf, np.inf, ""))
-            self._add(name, Kind.NUMBER, Role.OUTPUT, row + i, text, unit_of(name), lower, upper, NOMINAL.get(name))
+            self.add_number(name, Role.OUTPUT, row + i, text, unit_of(name), lower, upper, NOMINAL.get(name))
         for name, place, unit in GUIDANCE_OUTPUTS:
-            self._add(name, Kind.NUMBER, Role.OUTPUT, work + place, "as guidance sees it", unit)
+            self.add_number(name, Role.OUTPUT, work + place, "as guidance uses it", unit)
         for m in range(n):
             text = "when it began; -1 before"
-            self._add(f"manoeuvre[{m + 1}].began_s", Kind.NUMBER, Role.OUTPUT, state + pm.STARTED + m, text, "s")
+            self.add_number(f"manoeuvre[{m + 1}].began_s", Role.OUTPUT, state + pm.STARTED + m, text, "s")

@@ -1,8 +1,8 @@
-"""The 3-DOF entry as functions of two arrays (native.py), made of the kernels that `trajectory.entry3dof` runs.
+"""The 3-DOF entry as a function of two arrays (library.py), made of the kernels that `trajectory.entry3dof` runs.
 
-A communication step is one frame of the entry, or as many equal ones as are needed to keep each within `frame_s`.
-Guidance and manoeuvres inside command angle of attack and bank; or, where PILOT says so, the inputs do, which are
-reached at the end of a step along a straight line. Nothing ends a flight here: that is the host's to say.
+A communication step is one frame of the entry, or several equal ones, each at most `frame_s` long. Angle of attack and
+bank are commanded by guidance and manoeuvres inside or, with PILOT = HOST, by the inputs, which are reached at the end
+of a step along a straight line. The host ends the flight.
 """
 
 from __future__ import annotations
@@ -36,28 +36,28 @@ from sim_heating.trajectory.point_mass import (
 (
     PILOT, MANOEUVRES, CHOICES, INITIAL, FLIGHT, GUIDANCE, SCRIPT, AERO, STATE, WORK, ROW, OPTIONS,
 ) = range(8, 20)  # fmt: skip
-"""Integers of the model behind those of native.py: who commands, how many manoeuvres there are, and where arrays begin;
-the choices (three a manoeuvre) in N, all others in R."""
+"""Integers of the model after those of library.py: who commands, the number of manoeuvres, and the places of arrays: of
+the choices (three a manoeuvre) in N, of all others in R."""
 N_MODEL = 24
 INSIDE, HOST = 1, 2
 """Values of PILOT: guidance and manoeuvres inside, or the host through the inputs."""
 TRIGGER_CHOICE, CHANNEL_CHOICE, PITCH_CHOICE = range(3)
 CHOICES_EACH = 3
 FRAME_S = 0
-"""Of the options: longest frame [s]."""
+"""Place in the options: longest frame [s]."""
 LONGEST_COMMUNICATION_S = 600.0
 
-IN_ALPHA, IN_BANK, IN_BETA, IN_ELEVON, IN_FLAP, IN_JETS = range(6)
+IN_ALPHA, IN_BANK, IN_BETA, IN_ELEVON, IN_BODYFLAP, IN_JETS = range(6)
 """Inputs, in the order of their places."""
 
-TOO_LONG, TOO_HIGH, TOO_LOW, NO_NUMBER = range(4)
+TOO_LONG, TOO_HIGH, TOO_LOW, NOT_FINITE = range(4)
 """Problems of the image, by number."""
 ALTITUDE_IN_ROW, SPEED_IN_ROW = 1, 2
 
 
 @njit
 def _choose(R, N) -> None:  # type: ignore[no-untyped-def]
-    """Write what manoeuvres are triggered by and move into their script."""
+    """Write trigger, channel and pitch mode of each manoeuvre into its script."""
     for m in range(N[MANOEUVRES]):
         own, entry = at(N, N[CHOICES] + CHOICES_EACH * m), N[SCRIPT] + PLAN + ENTRY * m
         R[entry + TRIGGER] = own[TRIGGER_CHOICE] - 1.0
@@ -67,11 +67,11 @@ def _choose(R, N) -> None:  # type: ignore[no-untyped-def]
 
 @njit
 def _observe(R, N) -> int:  # type: ignore[no-untyped-def]
-    """Write the frame, and what guidance sees; the problem with it, if there is one."""
+    """Write the frame and what guidance uses; its problem, GOOD without one."""
     row = at(R, N[ROW])
     observe_kernel(at(R, N[STATE]), at(R, N[FLIGHT]), at(R, N[AERO]), at(R, N[WORK]), row)
     if not (math.isfinite(row[ALTITUDE_IN_ROW]) and math.isfinite(row[SPEED_IN_ROW])):
-        return NO_NUMBER
+        return NOT_FINITE
     if row[ALTITUDE_IN_ROW] > HIGHEST_M:
         return TOO_HIGH
     if row[ALTITUDE_IN_ROW] < DEEPEST_M:
@@ -87,17 +87,17 @@ def _follow_inputs(R, N, share: float, dt: float) -> None:  # type: ignore[no-un
     bank = before[IN_BANK] + share * (after[IN_BANK] - before[IN_BANK])
     beta = before[IN_BETA] + share * (after[IN_BETA] - before[IN_BETA])
     elevon = before[IN_ELEVON] + share * (after[IN_ELEVON] - before[IN_ELEVON])
-    flap = before[IN_FLAP] + share * (after[IN_FLAP] - before[IN_FLAP])
+    flap = before[IN_BODYFLAP] + share * (after[IN_BODYFLAP] - before[IN_BODYFLAP])
     if share == 1.0:
         alpha, bank, beta = after[IN_ALPHA], after[IN_BANK], after[IN_BETA]
-        elevon, flap = after[IN_ELEVON], after[IN_FLAP]
+        elevon, flap = after[IN_ELEVON], after[IN_BODYFLAP]
     state[JETS] = min(max(after[IN_JETS], 0.0), 1.0)
     runge_kutta_step(state, at(R, N[FLIGHT]), at(R, N[AERO]), at(R, N[WORK]), dt, alpha, bank, beta, elevon, flap)
 
 
 @inline_always
 def _start(R, N, A) -> int:  # type: ignore[no-untyped-def]
-    """The initial state on the schedule of guidance."""
+    """Set the initial state on the schedule of guidance."""
     for k in range(N[N_INPUTS]):
         R[N[INPUTS_NEXT] + k] = R[N[INPUTS] + k]
     _choose(R, N)
@@ -109,7 +109,7 @@ def _start(R, N, A) -> int:  # type: ignore[no-untyped-def]
 
 @inline_always
 def _step(R, N, A) -> int:  # type: ignore[no-untyped-def]
-    """The flight to the end of a communication step."""
+    """Advance the flight to the end of a communication step."""
     length = R[NEXT] - R[NOW]
     if not length <= LONGEST_COMMUNICATION_S:
         return TOO_LONG
@@ -131,7 +131,7 @@ def _step(R, N, A) -> int:  # type: ignore[no-untyped-def]
 
 
 def advance(R, N, A) -> int:  # type: ignore[no-untyped-def]
-    """The model (native.py)."""
+    """The model, as library.py describes it."""
     if N[BEGINS] == 1:
         return _start(R, N, A)
     return _step(R, N, A)

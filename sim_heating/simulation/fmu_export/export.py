@@ -14,12 +14,12 @@ from sim_heating.base.files.text import suggestion, write_bytes_atomic
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.simulation.fmu_export.description import description
-from sim_heating.simulation.fmu_export.heating import heating_image, heating_units, making_objects
+from sim_heating.simulation.fmu_export.heating import compiling_objects, heating_image, heating_units
 from sim_heating.simulation.fmu_export.image import Image
-from sim_heating.simulation.fmu_export.library import TARGETS, Target, Unit, library
+from sim_heating.simulation.fmu_export.library import TARGETS, CompilationUnit, Target, shared_library
 
 STAMP = (1980, 1, 1, 0, 0, 0)
-"""Time of the files in the archive: the same model gives the same bytes, but for the date in its description."""
+"""Time of the files in the archive: a model always gives the same bytes, except for the date in its description."""
 
 
 def export_fmu(
@@ -40,7 +40,7 @@ def export_fmu(
     fmi            : version, 2 or 3
     platforms      : keys of library.TARGETS
     columns        : h_ref and H_r are inputs, instead of the vehicle's reference heating
-    progress       : told the fraction done and what is being done
+    progress       : called with the fraction done and a line of text
     raises         : InputError for an unknown name, a platform without a compiler, a place that cannot be written
 
     >>> from tempfile import TemporaryDirectory
@@ -51,27 +51,30 @@ def export_fmu(
     vehicle = load_vehicle(vehicle)
     for name in control_points or ():
         vehicle.control_point(name)
-    with making_objects(targets_of(platforms, fmi)):
+    with compiling_objects(targets_of(platforms, fmi)):
         model = heating_image(vehicle, control_points, columns=columns)
     write_fmu(Path(out), model.image, heating_units(model.effects), fmi, platforms, progress)
     return model.image
 
 
 def targets_of(platforms: Sequence[str], fmi: int) -> list[Target]:
-    """Targets by name; InputError for one that there is not, or that this version of the standard does not know."""
+    """Targets by name.
+
+    raises : InputError for an unknown name, or a platform that this version of the standard does not name
+    """
     unknown = [name for name in platforms if name not in TARGETS]
     if unknown:
-        raise InputError(f"fmu: there is no platform `{unknown[0]}`{suggestion(unknown[0], TARGETS)}")
+        raise InputError(f"fmu: unknown platform `{unknown[0]}`{suggestion(unknown[0], TARGETS)}")
     targets = [TARGETS[name] for name in platforms]
     if fmi == 2 and any(t.fmi2 is None for t in targets):
-        raise InputError("fmu: FMI 2 knows no 64-bit ARM platform; export for FMI 3")
+        raise InputError("fmu: FMI 2 names no 64-bit ARM platform; export for FMI 3")
     return targets
 
 
 def write_fmu(
     out: Path,
     image: Image,
-    units: Sequence[Unit],
+    units: Sequence[CompilationUnit],
     fmi: int,
     platforms: Sequence[str],
     progress: Progress = no_progress,
@@ -79,17 +82,17 @@ def write_fmu(
     """Write an image and the libraries of its functions as an FMU.
 
     units    : as `library` takes them
-    progress : told the fraction done and what is being done
+    progress : called with the fraction done and a line of text
     """
     targets = targets_of(platforms, fmi)
     token = "{" + hashlib.sha256(image.binary("")).hexdigest()[:32] + "}"
     files = {"modelDescription.xml": description(image, token, fmi), "resources/model.bin": image.binary(token)}
     for k, (platform, target) in enumerate(zip(platforms, targets, strict=True)):
-        first = "" if target.native else ", whose C library ziglang builds when it first links for it"
+        first = "" if target.native else "; ziglang builds its C library the first time"
         progress(0.5 * (1.0 + k / len(targets)), f"library for {platform}{first}")
         folder = target.fmi2 if fmi == 2 else target.fmi3
-        made = library(units, target)
-        files[f"binaries/{folder}/{image.name}{target.suffix}"] = made.read_bytes()
+        path = shared_library(units, target)
+        files[f"binaries/{folder}/{image.name}{target.suffix}"] = path.read_bytes()
     write_bytes_atomic(out, _archive(files))
 
 

@@ -1,4 +1,4 @@
-"""A vehicle's control points as the image of an FMU: what the heating plug-in packs, with a name for each number."""
+"""A vehicle's control points as the image of an FMU: the arrays of the heating plug-in and their variables."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -49,30 +49,28 @@ from sim_heating.march.point import PointModel, element_densities, insulation_la
 from sim_heating.simulation.fmu_export import heating_kernel as k
 from sim_heating.simulation.fmu_export.image import TEXT_BYTES, Image, Kind, Problem, Role, Variable, identifier
 from sim_heating.simulation.fmu_export.library import (
-    FUNCTION,
     HELD,
     INPUT_SLOPES,
-    INPUTS,
     INPUTS_NEXT,
     INPUTS_NOW,
-    N_INPUTS,
-    R_HEAD,
+    MODEL_SIGNATURE,
     TARGETS,
     TIMING,
+    CompilationUnit,
     Target,
-    Unit,
-    compiler,
-    needs,
-    objects,
-    wrapper,
+    compiler_command,
+    missing_functions,
+    object_files,
+    wrapper_objects,
 )
+from sim_heating.simulation.fmu_export.packer import ImagePacker, Input
 from sim_heating.simulation.plugin import HeatingPlugin
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.step import compiled
 
 START_ALTITUDE_M = 122e3
 INPUT_STARTS = {"altitude_m": START_ALTITUDE_M, "velocity_m_s": 7600.0, "alpha_deg": 40.0}
-"""Entry interface: what inputs are before a host sets them; the density is that of the standard atmosphere."""
+"""Inputs before a host sets them: the entry interface; the density is that of the standard atmosphere."""
 INPUT_TEXTS = {
     "altitude_m": ("m", 1e5, "geometric altitude"),
     "velocity_m_s": ("m/s", 7000.0, "speed relative to the air"),
@@ -88,7 +86,10 @@ INPUT_TEXTS = {
 }
 """Unit, nominal value and meaning of each input."""
 TIMINGS = (
-    ("held", "inputs are values at the start of a step, held over it unless the host gives more"),
+    (
+        "held",
+        "inputs are values at the start of a step, held over it unless the host gives derivatives or later values",
+    ),
     ("reached", "inputs are values at the end of a step, reached along a straight line from the last ones"),
 )
 OUTPUTS = (
@@ -100,20 +101,21 @@ OUTPUTS = (
         "W/m2",
         -np.inf,
         1e5,
-        "flux that the flow brings to the surface, at the wall's temperature",
+        "convective flux to the surface at the wall's temperature",
     ),
     ("heating.radiated_W_m2", "W/m2", -np.inf, 1e5, "net flux that the surface radiates"),
-    ("heating.absorbed_W_m2", "W/m2", -np.inf, 1e4, "flux that goes into the wall"),
+    ("heating.absorbed_W_m2", "W/m2", -np.inf, 1e4, "flux absorbed by the wall"),
     ("limit.surface_margin_K", "K", -np.inf, 100.0, "limit of the surface less its temperature"),
     ("limit.bondline_margin_K", "K", -np.inf, 100.0, "limit of the bondline less its temperature"),
 )
-"""What each control point gives out, in the order of the kernel: name, unit, least and nominal value, meaning."""
-HOTTEST_LIMIT_K = 1e5
+"""Outputs of each control point, in the order of the kernel: name, unit, least and nominal value, meaning."""
+NO_LIMIT_K = 1e5
+"""Stands for a limit that is not declared [K]."""
 
 
 @dataclass(frozen=True)
 class HeatingModel:
-    """The image of a vehicle's heating and the effects that its library must hold."""
+    """The image of a vehicle's heating, and the effects compiled into its library."""
 
     image: Image
     effects: tuple[Effect, ...]
@@ -126,40 +128,44 @@ def heating_image(vehicle: Vehicle, control_points: Sequence[str] | None = None,
     control_points : names; all by default
     columns        : h_ref and H_r are inputs, instead of the vehicle's reference heating
     nodes          : as in HeatingPlugin
-    raises         : InputError for a name that there is not
+    raises         : InputError for an unknown name
     """
     plugin = HeatingPlugin(vehicle, control_points, nodes=nodes)
     known = _library_effects(plugin.ensemble.models)
     image = Image(f"{identifier(vehicle.name)}_heating", f"Heating of {vehicle.title}", 1.0)
-    _Packer(image, vehicle, plugin, known, columns).pack()
+    _HeatingPacker(image, vehicle, plugin, known, columns).pack()
     return HeatingModel(image, known)
 
 
 def _library_effects(models: Sequence[PointModel]) -> tuple[Effect, ...]:
-    """Effects of the library: all that the package has, so that one library serves all vehicles, and the user's own."""
-    own = dict.fromkeys(u.effect for m in models for u in kernel_effects(m))
-    return tuple(dict.fromkeys([*(e for e in effects().values() if e.kernel and e.built_in), *own]))
+    """Effects of the library: all of the package, so that one library serves all vehicles, and user-defined ones."""
+    used = dict.fromkeys(u.effect for m in models for u in kernel_effects(m))
+    return tuple(dict.fromkeys([*(e for e in effects().values() if e.kernel and e.built_in), *used]))
 
 
-MODEL = Unit("heating_move", FUNCTION, lambda: c_function(FUNCTION, k.advance))
-THERMAL_STEP = Unit("heating_thermal_step", STEP_SIGNATURE, compiled)
+MODEL = CompilationUnit("heating_advance", MODEL_SIGNATURE, lambda: c_function(MODEL_SIGNATURE, k.advance))
+THERMAL_STEP = CompilationUnit("heating_thermal_step", STEP_SIGNATURE, compiled)
 
 
-def heating_units(model_effects: tuple[Effect, ...]) -> tuple[Unit, ...]:
-    """Functions of the library: the model's; in the order of `A`, the effects, the thermal step."""
+def heating_units(model_effects: tuple[Effect, ...]) -> tuple[CompilationUnit, ...]:
+    """Functions of the library: the model's, then those in the order of `A`, the effects and the thermal step."""
 
     def dispatcher() -> Any:
-        for own in model_effects:
-            if not own.built_in:
-                _refuse_unportable(own)
+        for effect in model_effects:
+            if not effect.built_in:
+                _refuse_unportable(effect)
         return indexed_dispatcher(model_effects).function
 
-    return MODEL, Unit("heating_effects", SIGNATURE, dispatcher, _sources_of(model_effects)), THERMAL_STEP
+    return (
+        MODEL,
+        CompilationUnit("heating_effects", SIGNATURE, dispatcher, _effect_sources(model_effects)),
+        THERMAL_STEP,
+    )
 
 
 def _refuse_unportable(effect: Effect) -> None:
-    """raises : InputError naming an effect of the user's own that needs what a host without Python does not have"""
-    missing = needs(Unit("effect", KERNEL, lambda: compiled_kernel(effect)))
+    """raises : InputError naming a user-defined effect that needs what a host without Python does not have"""
+    missing = missing_functions(CompilationUnit("effect", KERNEL, lambda: compiled_kernel(effect)))
     if missing:
         hint = "a kernel takes and gives numbers, and may call the mathematical functions of C"
         raise InputError(
@@ -167,94 +173,97 @@ def _refuse_unportable(effect: Effect) -> None:
         )
 
 
-def _sources_of(used: Sequence[Effect]) -> str:
-    """Contents of the files that the user's own effects come from."""
+def _effect_sources(used: Sequence[Effect]) -> str:
+    """Contents of the files of user-defined effects."""
     return "".join(kernel_file(e).read_text() for e in used if not e.built_in)
 
 
-def _made_beside() -> tuple[Unit, ...]:
-    """Units that a second process makes while the first one makes that of the thermal step."""
+def _units_of_second_process() -> tuple[CompilationUnit, ...]:
+    """Units that a second process compiles while the first one compiles the thermal step."""
     return heating_units(_library_effects(()))[:2]
 
 
 @contextmanager
-def making_objects(targets: Sequence[Target]) -> Iterator[None]:
-    """Make the object files that libraries of all vehicles share, where they are not in the cache: that of the thermal
-    step before the block begins, the others and the C wrapper in a second process meanwhile; all are there when it
-    ends.
+def compiling_objects(targets: Sequence[Target]) -> Iterator[None]:
+    """Compile the object files that libraries of all vehicles share, unless they are in the cache.
+
+    The thermal step is compiled before the block begins; the others and the C wrapper in a second process, which has
+    ended when the block ends.
 
     raises : InputError where there is no compiler that could link them
     """
-    units = (THERMAL_STEP, *_made_beside())
-    if all(path.is_file() for unit in units for target in targets for path in unit.objects(target)):
+    units = (THERMAL_STEP, *_units_of_second_process())
+    if all(path.is_file() for unit in units for target in targets for path in unit.object_paths(target)):
         yield
         return
     for target in targets:
-        compiler(target)
+        compiler_command(target)
     names = [name for name, target in TARGETS.items() if target in targets]
-    command = [sys.executable, "-c", f"from {__name__} import make_others; make_others({names})"]
+    command = [
+        sys.executable,
+        "-c",
+        f"from {__name__} import compile_in_second_process; compile_in_second_process({names})",
+    ]
     folder = str(numba.config.CACHE_DIR)  # type: ignore[attr-defined]
-    beside = subprocess.Popen(
+    process = subprocess.Popen(
         command, env=os.environ | {"NUMBA_CACHE_DIR": folder}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
     try:
-        _make([THERMAL_STEP], targets)
+        _compile_objects([THERMAL_STEP], targets)
         yield
-        beside.wait()
+        process.wait()
     finally:
-        beside.kill()
-        beside.wait()
+        process.kill()
+        process.wait()
 
 
-def make_others(platforms: Sequence[str]) -> None:
+def compile_in_second_process(platforms: Sequence[str]) -> None:
     """What the second process of `making_objects` does."""
     targets = [TARGETS[name] for name in platforms]
-    _make(_made_beside(), targets)
+    _compile_objects(_units_of_second_process(), targets)
     for target in targets:
-        wrapper(target)
+        wrapper_objects(target)
 
 
-def _make(units: Sequence[Unit], targets: Sequence[Target]) -> None:
+def _compile_objects(units: Sequence[CompilationUnit], targets: Sequence[Target]) -> None:
     for target in targets:
         for unit in units:
-            objects(unit, target)
+            object_files(unit, target)
 
 
 def quoted(part: str) -> str:
-    """A part of a structured name: as it is where it is an identifier, else in quotes, with those within it escaped."""
+    """A part of a structured name: unchanged where it is an identifier, else in quotes and escaped."""
     plain = re.fullmatch(r"[A-Za-z_]\w*", part, flags=re.ASCII)
     return part if plain else "'" + re.sub(r"(['\\])", r"\\\1", part) + "'"
 
 
-class _Packer:
-    """Puts a plug-in into an image, piece by piece."""
+class _HeatingPacker(ImagePacker):
+    """Packs the arrays of a plug-in into an image."""
 
     def __init__(self, image: Image, vehicle: Vehicle, plugin: HeatingPlugin, known: tuple[Effect, ...], columns: bool):
-        self.image, self.vehicle, self.plugin, self.known, self.columns = image, vehicle, plugin, known, columns
+        super().__init__(image, k.N_MODEL)
+        self.vehicle, self.plugin, self.known, self.columns = vehicle, plugin, known, columns
         self.ensemble: Ensemble = plugin.ensemble
         self.inputs = [*FRAME[1:], "q_add_W_m2", *(("h_ref_kg_m2_s", "H_r_J_kg") if columns else ())]
 
     def pack(self) -> None:
         image, e = self.image, self.ensemble
-        image.numbers(np.zeros(R_HEAD))
-        image.integers(np.zeros(k.N_MODEL))
-        image.variables.append(Variable("time", Kind.NUMBER, Role.INDEPENDENT, 0, "time", "s"))
-        head = self._pack_inputs()
-        head |= self._pack_options()
-        head |= {
+        self._pack_inputs()
+        self._pack_options()
+        self.head |= {
             k.N_POINTS: len(e.models), k.N_ROWS: len(e.lanes), k.N_GROUPS: len(e.groups), k.N_STATE: len(e.state),
             k.N_TABLE: len(e.table), k.N_INTS: len(e.ints),
-            k.GROUPS: image.integers(e.groups), k.LANE_POINTS: image.integers(e.lanes),
-            k.INTS: image.integers(self._integers()),
-            k.STATE: image.numbers(e.state, aligned=True), k.TABLE: image.numbers(e.table),
-            k.VECTORS: image.numbers(np.zeros((len(e.lanes), k.N_CONDITIONS))),
-            k.FRAMES: image.numbers(np.zeros(len(FRAME))),
+            k.GROUPS: image.add_integers(e.groups), k.LANE_POINTS: image.add_integers(e.lanes),
+            k.INTS: image.add_integers(self._integers()),
+            k.STATE: image.add_numbers(e.state, aligned=True), k.TABLE: image.add_numbers(e.table),
+            k.VECTORS: image.add_numbers(np.zeros((len(e.lanes), k.N_CONDITIONS))),
+            k.FRAMES: image.add_numbers(np.zeros(len(FRAME))),
         }  # fmt: skip
-        head |= self._pack_host() | self._pack_points(head)
-        image.set_integers(list(head.items()))
+        self._pack_host()
+        self._pack_points()
+        image.set_integers(list(self.head.items()))
         n = len(self.inputs)
-        given, before = head[INPUTS_NEXT], head[INPUTS_NOW]
-        for first in (given, before):
+        for first in (self.head[INPUTS_NEXT], self.head[INPUTS_NOW]):
             image.problems += [Problem(name, LIMITS[name][2], first + i) for i, name in enumerate(self.inputs)]
         image.problems.append(Problem("the communication step", f"is longer than {k.LONGEST_COMMUNICATION_S:g} s"))
         image.problems += [Problem(m.name, "its thermal step did not converge; take shorter ones") for m in e.models]
@@ -271,42 +280,31 @@ class _Packer:
                 codes[:] = [self.known.index(used.effect) for used in kernel_effects(model)]
         return ints
 
-    def _pack_inputs(self) -> dict[int, int]:
-        image, n = self.image, len(self.inputs)
+    def _pack_inputs(self) -> None:
         density = float(us76(START_ALTITUDE_M)[2])
         starts = [({**INPUT_STARTS, "rho_kg_m3": density}).get(name, 0.0) for name in self.inputs]
-        place = image.numbers(starts)
-        for i, name in enumerate(self.inputs):
-            unit, nominal, text = INPUT_TEXTS[name]
-            lower, upper, _ = LIMITS[name]
-            image.variables.append(
-                Variable(name, Kind.NUMBER, Role.INPUT, place + i, text, unit, lower, upper, nominal)
-            )
-        copies = {at: image.numbers(starts) for at in (INPUTS_NOW, INPUTS_NEXT)}
-        ranges = image.numbers([LIMITS[name][:2] for name in self.inputs])
-        zeros = {at: image.numbers(np.zeros(n)) for at in (INPUT_SLOPES, k.HEATED)}
-        return {INPUTS: place, N_INPUTS: n, k.RANGES: ranges, **copies, **zeros}
+        self.add_inputs([Input(name, *INPUT_TEXTS[name], *LIMITS[name][:2]) for name in self.inputs], starts)
+        self.head[k.RANGES] = self.image.add_numbers([LIMITS[name][:2] for name in self.inputs])
+        for place in (INPUT_SLOPES, k.INPUTS_AT_STATE):
+            self.head[place] = self.image.add_numbers(np.zeros(len(self.inputs)))
 
-    def _pack_options(self) -> dict[int, int]:
-        image = self.image
-        options = image.numbers([self.plugin.longest_step_s])
-        timing, longest = "what the inputs of a step are", "longest thermal step; a longer one of the host is divided"
-        image.variables += [
-            Variable("input_timing", Kind.INTEGER, Role.TUNABLE, TIMING, timing, lower=1, upper=2, choices=TIMINGS),
-            Variable("longest_step_s", Kind.NUMBER, Role.TUNABLE, options, longest, "s", 0.01, 60.0, 1.0),
-        ]
-        return {k.OPTIONS: options, TIMING: HELD}
+    def _pack_options(self) -> None:
+        options = self.image.add_numbers([self.plugin.longest_step_s])
+        self.add_choice("input_timing", Role.TUNABLE, TIMING, "what the inputs of a step are", TIMINGS)
+        longest = "longest thermal step; a longer one of the host is divided"
+        self.add_number("longest_step_s", Role.TUNABLE, options, longest, "s", 0.01, 60.0, 1.0)
+        self.head |= {k.OPTIONS: options, TIMING: HELD}
 
-    def _pack_host(self) -> dict[int, int]:
+    def _pack_host(self) -> None:
         host = np.zeros(k.HOST_WIDTH)
         host[:3] = self.plugin._host[:3]
         if self.columns:
             host[k.CODE] = COLUMNS
-        return {k.HOST: self.image.numbers(host), k.PRESSURES: self.image.numbers(self.plugin.pressures)}
+        self.head |= {k.HOST: self.image.add_numbers(host), k.PRESSURES: self.image.add_numbers(self.plugin.pressures)}
 
-    def _pack_points(self, head: Mapping[int, int]) -> dict[int, int]:
+    def _pack_points(self) -> None:
         e, image = self.ensemble, self.image
-        numbers = image.numbers(np.zeros(k.POINT_WIDTH * len(e.models)))
+        numbers = image.add_numbers(np.zeros(k.POINT_WIDTH * len(e.models)))
         R, rows, sensors = np.zeros(k.POINT_WIDTH * len(e.models)), [], []
         for i, (point, model, mesh, place) in enumerate(
             zip(self.plugin.points, e.models, e.meshes, e.lane_offsets, strict=True)
@@ -317,50 +315,54 @@ class _Packer:
             own[:N_PARAMETERS] = block[p : p + N_PARAMETERS]
             own[k.P_STACK : k.P_STACK + len(STACK)] = stack_values(model)
             limits = point.limits
-            own[k.P_SURFACE_LIMIT] = HOTTEST_LIMIT_K if limits.surface_K is None else limits.surface_K
-            own[k.P_BONDLINE_LIMIT] = HOTTEST_LIMIT_K if limits.bondline_K is None else limits.bondline_K
+            own[k.P_SURFACE_LIMIT] = NO_LIMIT_K if limits.surface_K is None else limits.surface_K
+            own[k.P_BONDLINE_LIMIT] = NO_LIMIT_K if limits.bondline_K is None else limits.bondline_K
             own[k.P_OUT + k.SURFACE] = e.state[place.temperature(0)]
             own[k.P_OUT + k.BONDLINE] = e.state[place.temperature(mesh.bondline)]
             mine = e.lanes[place.group * LANES : (place.group + 1) * LANES] == i
             densities = element_densities(model.construction, mesh)
             rows.append([
                 place.group, int(np.argmax(mine)), int(np.sum(mine)), len(mesh.layer),
-                image.integers(mesh.layer), image.numbers(mesh.length_m), image.numbers(densities),
+                image.add_integers(mesh.layer), image.add_numbers(mesh.length_m), image.add_numbers(densities),
                 place.temperature(mesh.bondline), insulation_layer(model.construction), mesh.bondline,
             ])  # fmt: skip
             self._name_point(point, model, numbers + k.POINT_WIDTH * i)
             sensors += self._pack_sensors(point, mesh, place)
-            self._pack_ratio_table(point, place, head)
+            self._pack_ratio_table(point, place)
         whole = image.R
         whole[numbers : numbers + len(R)] = R
         image.set_numbers(whole)
-        return {
-            k.POINT_NUMBERS: numbers, k.POINT_INTS: image.integers(rows), k.N_SENSORS: len(sensors),
-            k.SENSOR_INTS: image.integers(sensors) if sensors else 0, k.CALIBRATIONS: 0,
+        self.head |= {
+            k.POINT_NUMBERS: numbers, k.POINT_INTS: image.add_integers(rows), k.N_SENSORS: len(sensors),
+            k.SENSOR_INTS: image.add_integers(sensors) if sensors else 0, k.CALIBRATIONS: 0,
         }  # fmt: skip
 
     def _name_point(self, point: ControlPoint, model: PointModel, numbers: int) -> None:
-        """Names for the numbers of one point."""
+        """Add the variables of one point."""
         name = quoted(point.name)
         declared = point.limits
-        have = {"limit.surface_margin_K": declared.surface_K, "limit.bondline_margin_K": declared.bondline_K}
+        limits = {"limit.surface_margin_K": declared.surface_K, "limit.bondline_margin_K": declared.bondline_K}
         for i, (what, unit, lower, nominal, text) in enumerate(OUTPUTS):
-            if what not in have or have[what] is not None:
-                self._add(f"{name}.{what}", Role.OUTPUT, numbers + k.P_OUT + i, text, unit, lower, nominal=nominal)
+            if what not in limits or limits[what] is not None:
+                self.add_number(
+                    f"{name}.{what}", Role.OUTPUT, numbers + k.P_OUT + i, text, unit, lower, nominal=nominal
+                )
         for i, p in enumerate(RATIO):
             self._name_parameter(f"{name}.{p.name}", p, numbers + i)
         for i, p in enumerate(STACK):
             self._name_parameter(f"{name}.{p.name}", p, numbers + k.P_STACK + i)
         for i, (variable, unit) in enumerate(zip(RATIO_VARIABLES, UNITS, strict=True)):
-            text = "condition that the derivatives of the ratio are about"
+            text = "reference condition of the derivatives of the ratio"
             lower, upper, _ = LIMITS[variable]
-            self._add(f"{name}.reference.{variable}", Role.TUNABLE, numbers + REFERENCE + i, text, unit, lower, upper)
+            self.add_number(
+                f"{name}.reference.{variable}", Role.TUNABLE, numbers + REFERENCE + i, text, unit, lower, upper
+            )
         for what, limit, place in (
             ("surface", declared.surface_K, k.P_SURFACE_LIMIT), ("bondline", declared.bondline_K, k.P_BONDLINE_LIMIT)
         ):  # fmt: skip
             if limit is not None:
                 text = f"highest temperature of the {what}"
-                self._add(f"{name}.limit.{what}_K", Role.TUNABLE, numbers + place, text, "K", 0.0, HOTTEST_LIMIT_K)
+                self.add_number(f"{name}.limit.{what}_K", Role.TUNABLE, numbers + place, text, "K", 0.0, NO_LIMIT_K)
         uses = kernel_effects(model)
         for slot, used in enumerate(uses):
             self._name_effect(name, used, uses[:slot], numbers + EFFECT_PARAMETERS + slot * EFFECT_WIDTH)
@@ -372,50 +374,44 @@ class _Packer:
             self._name_parameter(f"{name}.effect.{which}.{p.name}", p, place + i)
 
     def _name_parameter(self, name: str, p: Parameter, place: int) -> None:
-        self._add(name, Role.TUNABLE, place, p.text, p.unit, p.lower, p.upper)
-
-    def _add(
-        self, name: str, role: Role, place: int, text: str, unit: str,
-        lower: float = -np.inf, upper: float = np.inf, nominal: float | None = None, shape: tuple[int, ...] = (),
-    ) -> None:  # fmt: skip
-        self.image.variables.append(Variable(name, Kind.NUMBER, role, place, text, unit, lower, upper, nominal, shape))
+        self.add_number(name, Role.TUNABLE, place, p.text, p.unit, p.lower, p.upper)
 
     def _pack_sensors(self, point: ControlPoint, mesh: Mesh, place: Any) -> list[list[int]]:
-        """Rows of a point's thermocouples, and names for what they show."""
+        """Add the variables of a point's thermocouples; their rows of SENSOR_INTS."""
         rows = []
         for sensor, node in zip(point.sensors, mesh.sensors, strict=True):
             name = f"{quoted(point.name)}.sensor.{quoted(sensor.name)}"
             start = self.ensemble.state[place.temperature(node)]
             coefficients = calibration_coefficients(sensor)
-            numbers = self.image.numbers([1.0, 0.0, start])
-            rows.append([place.temperature(node), numbers, self.image.numbers(coefficients), len(coefficients)])
+            numbers = self.image.add_numbers([1.0, 0.0, start])
+            rows.append([place.temperature(node), numbers, self.image.add_numbers(coefficients), len(coefficients)])
             about = f"thermocouple at {1e3 * sensor.depth_m:.4g} mm"
-            shown = f"{about}, without noise and quantisation"
-            self._add(f"{name}.indicated_K", Role.OUTPUT, numbers + k.S_INDICATED, shown, "K", nominal=1000.0)
+            text = f"{about}, without noise and quantisation"
+            self.add_number(f"{name}.indicated_K", Role.OUTPUT, numbers + k.S_INDICATED, text, "K", nominal=1000.0)
             self._name_parameter(f"{name}.gain", SENSOR["gain"], numbers + k.S_GAIN)
             self._name_parameter(f"{name}.bias", SENSOR["bias"], numbers + k.S_BIAS)
         return rows
 
-    def _pack_ratio_table(self, point: ControlPoint, place: Any, head: Mapping[int, int]) -> None:
-        """Names for a point's ratio table, and the integers by which another one takes its place."""
+    def _pack_ratio_table(self, point: ControlPoint, place: Any) -> None:
+        """Add the variables of a point's ratio table, and the integers by which a table from a file replaces it."""
         e, name = self.ensemble, f"{quoted(point.name)}.ratio_table"
         i = self.plugin.points.index(point)
         lanes = np.flatnonzero(e.lanes[place.group * LANES : (place.group + 1) * LANES] == i)
-        places = head[k.INTS] + e.groups[place.group, 2] + RATIO_TABLE + lanes
-        reference = self.image.text(self.vehicle.heating.reference)
+        places = self.head[k.INTS] + e.groups[place.group, 2] + RATIO_TABLE + lanes
+        reference = self.image.add_text(self.vehicle.heating.reference)
         inside = int(e.integers(place.group)[RATIO_TABLE + lanes[0]])
-        own = [head[k.TABLE], reference, inside, len(places), *places]
-        first = self.image.integers([*np.zeros(TEXT_BYTES // 8), *own])
+        about = [self.head[k.TABLE], reference, inside, len(places), *places]
+        first = self.image.add_integers([*np.zeros(TEXT_BYTES // 8), *about])
         text = "path of a ratio table (CSV) in place of the one inside"
         self.image.variables.append(Variable(f"{name}.file", Kind.TABLE, Role.FIXED, first, text))
-        self._name_table(name, point.ratio, head[k.TABLE] + inside)
+        self._name_table(name, point.ratio, self.head[k.TABLE] + inside)
 
     def _name_table(self, name: str, table: RatioTable, at: int) -> None:
         shape = tuple(len(axis) for axis in table.axes)
         at += len(shape)
         for variable, axis, unit in zip(RATIO_VARIABLES, table.axes, UNITS, strict=True):
             text = "nodes of the ratio table"
-            self._add(f"{name}.{variable}", Role.CONSTANT, at, text, unit, shape=(len(axis),))
+            self.add_number(f"{name}.{variable}", Role.CONSTANT, at, text, unit, shape=(len(axis),))
             at += len(axis)
         text = f"heating ratio at the nodes, {' x '.join(RATIO_VARIABLES)}"
-        self._add(f"{name}.ratio", Role.FIXED, at, text, "1", -1e3, 1e3, shape=shape)
+        self.add_number(f"{name}.ratio", Role.FIXED, at, text, "1", -1e3, 1e3, shape=shape)

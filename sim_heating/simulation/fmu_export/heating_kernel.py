@@ -1,9 +1,9 @@
-"""The heating plug-in as functions of two arrays (native.py), made of the very functions that the simulator runs.
+"""The heating plug-in as a function of two arrays (library.py), made of the functions that the simulator runs.
 
 Inputs are what a host gives in a frame (conditions.FRAME without the time), the added flux, and, where the reference
-heating is the host's own, h_ref and H_r. A step goes from the conditions at its start to those at its end; where the
-conditions at the start are not those at the end of the step before, they have jumped, and the model begins anew with
-them.
+heating is the host's own, h_ref and H_r. A step goes from the conditions at its start to those at its end. Where the
+conditions at the start are not those at the end of the step before, they have jumped: the thermal step starts from
+them without extrapolating.
 """
 
 from __future__ import annotations
@@ -59,43 +59,42 @@ from sim_heating.simulation.plugin_kernel import CODE, F_TIME, PRESSURE_WIDTH, d
 from sim_heating.thermal.elements import EPS_BEHIND, set_point
 from sim_heating.thermal.faces import SIGMA, emittance
 
-# Integers of the model, behind those of native.py: how many of what there are, and where arrays begin, in R or N.
+# Integers of the model, after those of library.py: numbers of entries, and places of arrays in R or N.
 (
     N_POINTS, N_ROWS, N_GROUPS, N_STATE, N_TABLE, N_INTS, N_SENSORS,
     GROUPS, LANE_POINTS, INTS, POINT_INTS, SENSOR_INTS,
-    STATE, TABLE, VECTORS, PRESSURES, HOST, FRAMES, HEATED, RANGES, OPTIONS, POINT_NUMBERS, CALIBRATIONS,
+    STATE, TABLE, VECTORS, PRESSURES, HOST, FRAMES, INPUTS_AT_STATE, RANGES, OPTIONS, POINT_NUMBERS, CALIBRATIONS,
 ) = range(8, 31)  # fmt: skip
 N_MODEL = 32
 LONGEST_STEP = 0
-"""Of the options: longest thermal step [s]."""
+"""Place in the options: longest thermal step [s]."""
 F_Q_ADD, F_H_REF, F_H_R = len(FRAME), len(FRAME) + 1, len(FRAME) + 2
 FRAME_WIDTH = len(FRAME) + 3
 HOST_WIDTH = 16
 LONGEST_COMMUNICATION_S = 600.0
-"""Longer steps of a host are refused: a clock in other units."""
+"""Longest communication step [s]; longer ones are refused, as of a clock in other units."""
 
-# A point's integers: its group, its first lane and how many it has, its elements, where their layers stand in N, their
-# lengths and densities in R, the place of its bondline in the state, the layer of insulation, the node of the bondline.
+# A point's integers: its group, first lane, number of lanes, number of elements, place of their layers in N, places of
+# their lengths and densities in R, place of the bondline in the state, layer of insulation, node of the bondline.
 (
     P_GROUP, P_LANE, P_LANES, P_ELEMENTS, P_LAYERS, P_LENGTHS, P_DENSITIES, P_BONDLINE, P_INSULATION, P_BOTTOM,
 ) = range(10)  # fmt: skip
 POINT_INTS_WIDTH = 10
 STACK_WIDTH = EPS_BEHIND + 1
-# A point's numbers: parameters as the kernel holds them (base/kernels/block.py), those of its stack, limits, and what
-# is given out.
+# A point's numbers: parameters as in a lane of the kernel (base/kernels/block.py), those of its stack, limits, outputs.
 P_STACK = N_PARAMETERS
 P_SURFACE_LIMIT, P_BONDLINE_LIMIT = P_STACK + STACK_WIDTH, P_STACK + STACK_WIDTH + 1
 P_OUT = P_STACK + STACK_WIDTH + 2
 SURFACE, BONDLINE, RATIO, CONVECTED, RADIATED, ABSORBED, SURFACE_MARGIN, BONDLINE_MARGIN = range(8)
 POINT_WIDTH = P_OUT + 8
-# A sensor's integers: its place in the state, its numbers (gain, bias, what it shows) and its calibration.
+# A sensor's integers: its place in the state, places of its numbers (gain, bias, indication) and its calibration.
 S_PLACE, S_NUMBERS, S_CALIBRATION, S_COEFFICIENTS = range(4)
 S_GAIN, S_BIAS, S_INDICATED = range(3)
 
 
 @njit
-def _first_problem(values, ranges, n: int) -> int:  # type: ignore[no-untyped-def]
-    """Number of the first input out of its range, GOOD where there is none."""
+def _first_out_of_range(values, ranges, n: int) -> int:  # type: ignore[no-untyped-def]
+    """Number of the first input out of its range, GOOD where all are within."""
     for k in range(n):
         if not ranges[2 * k] <= values[k] <= ranges[2 * k + 1]:
             return k
@@ -103,7 +102,7 @@ def _first_problem(values, ranges, n: int) -> int:  # type: ignore[no-untyped-de
 
 
 @inline_always
-def _apply_parameters(R, N, B: FloatArray, J: IntArray, g: int) -> None:  # type: ignore[no-untyped-def]
+def _write_group_parameters(R, N, B: FloatArray, J: IntArray, g: int) -> None:  # type: ignore[no-untyped-def]
     """Write the parameters of all points of a group into its block."""
     for i in range(N[N_POINTS]):
         own = at(N, N[POINT_INTS] + POINT_INTS_WIDTH * i)
@@ -120,7 +119,7 @@ def _apply_parameters(R, N, B: FloatArray, J: IntArray, g: int) -> None:  # type
 
 
 @njit
-def _derive(R, N, inputs, time: float) -> None:  # type: ignore[no-untyped-def]
+def _derive_vectors(R, N, inputs, time: float) -> None:  # type: ignore[no-untyped-def]
     """Condition vectors of all lanes from inputs."""
     n = N[N_ROWS]
     frame = carray(at(R, N[FRAMES]), len(FRAME))
@@ -139,7 +138,7 @@ def _derive(R, N, inputs, time: float) -> None:  # type: ignore[no-untyped-def]
 
 @njit
 def _begin(R, N, A, inputs, time: float) -> None:  # type: ignore[no-untyped-def]
-    _derive(R, N, inputs, time)
+    _derive_vectors(R, N, inputs, time)
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
     state, ints = carray(at(R, N[STATE]), N[N_STATE]), carray(at(N, N[INTS]), N[N_INTS])
     vectors = carray(at(R, N[VECTORS]), (N[N_ROWS], N_CONDITIONS))
@@ -148,7 +147,7 @@ def _begin(R, N, A, inputs, time: float) -> None:  # type: ignore[no-untyped-def
 
 @inline_always
 def _advance(R, N, A, inputs, time: float, dt: float) -> None:  # type: ignore[no-untyped-def]
-    _derive(R, N, inputs, time)
+    _derive_vectors(R, N, inputs, time)
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
     state, ints = carray(at(R, N[STATE]), N[N_STATE]), carray(at(N, N[INTS]), N[N_INTS])
     vectors = carray(at(R, N[VECTORS]), (N[N_ROWS], N_CONDITIONS))
@@ -164,12 +163,12 @@ def _write_parameters(R, N) -> None:  # type: ignore[no-untyped-def]
     state, ints = carray(at(R, N[STATE]), N[N_STATE]), carray(at(N, N[INTS]), N[N_INTS])
     for g in range(N[N_GROUPS]):
         B = state[groups[g, BLOCK_START] : groups[g, BLOCK_END]]
-        _apply_parameters(R, N, B, ints[groups[g, INTS_START] : groups[g, INTS_END]], g)
+        _write_group_parameters(R, N, B, ints[groups[g, INTS_START] : groups[g, INTS_END]], g)
 
 
 @inline_always
 def _clear_counts(R, N) -> None:  # type: ignore[no-untyped-def]
-    """Clear what is counted in all groups."""
+    """Set the counters of all groups to 0."""
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
     for g in range(N[N_GROUPS]):
         B = at(R, N[STATE] + groups[g, BLOCK_START])
@@ -180,7 +179,7 @@ def _clear_counts(R, N) -> None:  # type: ignore[no-untyped-def]
 
 @njit
 def _write_outputs(R, N, A) -> int:  # type: ignore[no-untyped-def]
-    """Write what hosts read; number of the first point whose step did not converge, GOOD where there is none."""
+    """Write the outputs; number of the first point whose step did not converge, GOOD where all did."""
     outcome = GOOD
     for i in range(N[N_POINTS] - 1, -1, -1):
         own = at(N, N[POINT_INTS] + POINT_INTS_WIDTH * i)
@@ -220,32 +219,32 @@ def _write_outputs(R, N, A) -> int:  # type: ignore[no-untyped-def]
 
 @inline_always
 def _start(R, N, A) -> int:  # type: ignore[no-untyped-def]
-    """The initial temperatures of the stacks in the conditions of the inputs."""
+    """Set the initial temperatures of the stacks, in the conditions of the inputs."""
     n = N[N_INPUTS]
     for k in range(n):
         R[N[INPUTS_NEXT] + k] = R[N[INPUTS] + k]
     given = at(R, N[INPUTS_NEXT])
-    bad = _first_problem(given, at(R, N[RANGES]), n)
+    bad = _first_out_of_range(given, at(R, N[RANGES]), n)
     if bad != GOOD:
         return bad
     _write_parameters(R, N)
     _clear_counts(R, N)
     _begin(R, N, A, given, R[NOW])
     for k in range(n):
-        R[N[HEATED] + k] = given[k]
+        R[N[INPUTS_AT_STATE] + k] = given[k]
     outcome = _write_outputs(R, N, A)
     return GOOD if outcome == GOOD else 2 * n + 1 + outcome
 
 
 @inline_always
 def _step(R, N, A) -> int:  # type: ignore[no-untyped-def]
-    """All points to the end of a step."""
+    """Advance all points to the end of a step."""
     n, dt = N[N_INPUTS], R[NEXT] - R[NOW]
     now, then, ranges = at(R, N[INPUTS_NOW]), at(R, N[INPUTS_NEXT]), at(R, N[RANGES])
-    bad = _first_problem(now, ranges, n)
+    bad = _first_out_of_range(now, ranges, n)
     if bad != GOOD:
         return n + bad
-    bad = _first_problem(then, ranges, n)
+    bad = _first_out_of_range(then, ranges, n)
     if bad != GOOD:
         return bad
     if not dt <= LONGEST_COMMUNICATION_S:
@@ -254,18 +253,18 @@ def _step(R, N, A) -> int:  # type: ignore[no-untyped-def]
     if jumped:
         _write_parameters(R, N)
     for k in range(n):
-        jumped = jumped or R[N[HEATED] + k] != now[k]
+        jumped = jumped or R[N[INPUTS_AT_STATE] + k] != now[k]
     if jumped:
         _begin(R, N, A, now, R[NOW])
     _advance(R, N, A, then, R[NEXT], dt)
     for k in range(n):
-        R[N[HEATED] + k] = then[k]
+        R[N[INPUTS_AT_STATE] + k] = then[k]
     outcome = _write_outputs(R, N, A)
     return GOOD if outcome == GOOD else 2 * n + 1 + outcome
 
 
 def advance(R, N, A) -> int:  # type: ignore[no-untyped-def]
-    """The model (native.py)."""
+    """The model, as library.py describes it."""
     if N[BEGINS] == 1:
         return _start(R, N, A)
     return _step(R, N, A)

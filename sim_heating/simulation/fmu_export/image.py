@@ -1,4 +1,4 @@
-"""The image of a model: the two arrays that its functions work on, the variables in them, and what can go wrong.
+"""The image of a model: the two arrays that its function works on, the variables in them, and its error messages.
 
 `model.bin`, little-endian, 8 bytes a number, no gaps:
 
@@ -7,9 +7,9 @@
     variables           int64 kind, role, place, count, place of the name; float64 lower, upper
     problems            int64 place of the name and of the rule in the text, place of the value in R or -1
     R, N                float64, int64
-    text                UTF-8, each piece ended by a 0, filled up with zeros to a whole number of words
+    text                UTF-8, each piece ended by a 0, padded with zeros to a whole number of words
 
-The checksum is the sum of all words behind it, each mixed with its place, modulo 2^64 (`checksum`).
+The checksum is the sum of all words after it, each mixed with its place, modulo 2^64 (`checksum`).
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from numpy.typing import ArrayLike, NDArray
 
 MAGIC = b"sim-heating-fmu2"
 LINE = 8
-"""Numbers of a cache line, on which a block begins."""
+"""Numbers in a cache line, at which an aligned block begins."""
 TEXT_BYTES = 1024
-"""Room for the path of a table, and its end."""
+"""Bytes for the path of a table, with the 0 that ends it."""
 
 
 class Kind(IntEnum):
@@ -53,9 +53,10 @@ class Role(IntEnum):
 class Variable:
     """A variable of the FMU; its value reference is its place in the list.
 
+    place   : of its first entry in R or N
+    unit    : SI or degrees, "1" for a pure number
     shape   : of an array, empty for one number
-    unit    : contract unit, "1" where it has none
-    choices : of an enumeration: text of 1, 2, ...
+    choices : name and text of each value 1, 2, ... of an enumeration
     """
 
     name: str
@@ -72,13 +73,13 @@ class Variable:
 
     @property
     def count(self) -> int:
-        """How many entries of its array it takes."""
+        """Number of entries of its array that it takes."""
         return TEXT_BYTES // 8 if self.kind is Kind.TABLE else int(np.prod(self.shape, dtype=int))
 
 
 @dataclass(frozen=True)
 class Problem:
-    """What an outcome means: a name, a rule, and where the value stands in R (-1 where there is none)."""
+    """Message for an outcome of the model: a name, a rule, and the place of the value in R (-1 without one)."""
 
     name: str
     rule: str
@@ -87,11 +88,13 @@ class Problem:
 
 @dataclass
 class Image:
-    """An image in the making, then whole.
+    """An image, to which numbers, integers, variables and problems are added.
 
     name      : of the model, an identifier
-    title     : what it is, in a line
-    step_s    : communication step that hosts are advised to take [s]
+    title     : one line on the model
+    step_s    : communication step recommended to hosts [s]
+    variables : in the order of their value references
+    problems  : in the order of the outcomes of the model
     """
 
     name: str
@@ -105,24 +108,24 @@ class Image:
     n_R: int = 0
     n_N: int = 0
 
-    def numbers(self, values: ArrayLike, *, aligned: bool = False) -> int:
-        """Put numbers into R; their place."""
+    def add_numbers(self, values: ArrayLike, *, aligned: bool = False) -> int:
+        """Add numbers to R, with `aligned` at the beginning of a cache line; the place of the first."""
         if aligned and self.n_R % LINE:
-            self.numbers(np.zeros(LINE - self.n_R % LINE))
-        own = np.array(values, dtype=np.float64).ravel()
-        self._R.append(own)
-        self.n_R += len(own)
-        return self.n_R - len(own)
+            self.add_numbers(np.zeros(LINE - self.n_R % LINE))
+        added = np.array(values, dtype=np.float64).ravel()
+        self._R.append(added)
+        self.n_R += len(added)
+        return self.n_R - len(added)
 
-    def integers(self, values: ArrayLike) -> int:
-        """Put integers into N; their place."""
-        own = np.array(values, dtype=np.int64).ravel()
-        self._N.append(own)
-        self.n_N += len(own)
-        return self.n_N - len(own)
+    def add_integers(self, values: ArrayLike) -> int:
+        """Add integers to N; the place of the first."""
+        added = np.array(values, dtype=np.int64).ravel()
+        self._N.append(added)
+        self.n_N += len(added)
+        return self.n_N - len(added)
 
-    def text(self, piece: str) -> int:
-        """Put a text into the image; its place."""
+    def add_text(self, piece: str) -> int:
+        """Add a text to the image; its place."""
         return _append(self._text, piece)
 
     @property
@@ -136,14 +139,17 @@ class Image:
         return np.concatenate(self._N)
 
     def set_integers(self, values: Sequence[tuple[int, int]]) -> None:
-        """Change integers: (place, value)."""
+        """Set integers of N.
+
+        values : (place, value) of each
+        """
         whole = self.N
         for place, value in values:
             whole[place] = value
         self._N = [whole]
 
     def set_numbers(self, R: NDArray[np.float64]) -> None:
-        """Take all numbers from an array of the same length."""
+        """Replace all numbers of R by an array of equal length."""
         self._R = [np.array(R, dtype=np.float64)]
 
     def value(self, variable: Variable) -> NDArray[np.float64] | int | str:
@@ -174,7 +180,7 @@ class Image:
 
 
 def identifier(name: str) -> str:
-    """A name as an identifier of C."""
+    """A name as a C identifier."""
     plain = re.sub(r"\W", "_", name, flags=re.ASCII)
     return f"_{plain}" if plain[:1].isdigit() else plain
 
@@ -188,7 +194,8 @@ def _append(text: bytearray, piece: str) -> int:
 def checksum(body: bytes) -> int:
     """Sum of the words modulo 2^64, each plus a multiple of its place and then mixed as splitmix64 does.
 
-    One changed or moved word changes the sum, several leave it with a chance of 2^-64 (Steele, Lea and Flood, 2014).
+    A single changed or moved word changes the sum; several leave it unchanged with a probability of 2^-64 (Steele, Lea
+    and Flood, 2014).
     """
     words = np.frombuffer(body, dtype="<u8")
     z = words + np.arange(1, len(words) + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)

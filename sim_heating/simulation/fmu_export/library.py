@@ -1,23 +1,21 @@
 """From compiled kernels to a shared library that needs no Python: numba's LLVM IR, llvmlite's objects, a C linker.
 
-numba compiles a kernel to two functions: one of plain arithmetic, and one around it that speaks Python. The first is
-kept under a plain C name, the second dropped. What is left may call nothing but the functions of ALLOWED; memory,
-printing or an exception in a kernel would need more, and is refused here.
+numba compiles a kernel to two functions: one of plain arithmetic, and one around it that is called from Python. The
+first is kept under a plain C name, the second dropped. The first may call the functions of ALLOWED_CALLS only; a kernel
+that allocates memory, prints or raises needs others and is refused.
 
-For x86-64 every function is made once for any processor and once for those with AVX2; the wrapper chooses. Results
-do not depend on it: the arithmetic is strict, nothing is contracted.
+For x86-64 every function is compiled once for any processor and once for those with AVX2; the wrapper chooses. Results
+do not depend on it: the arithmetic is strict, without contraction to fused operations.
 
-What a compiled model shares with the C wrapper: two arrays, and a function of them.
+A compiled model shares two arrays with the C wrapper (fmu/ at the top of the repository): its numbers `R` (float64) and
+its integers `N` (int64). The wrapper uses their first entries, below, and the place of each variable; all others belong
+to the model. A model is one function, as start and step have most of their code in common,
 
-All numbers of a model stand in one float64 array `R`, all integers in one int64 array `N`. The wrapper (fmu/ at the
-top of the repository) knows their first entries, below, and the place of each variable; everything behind them is the
-model's own. A model is one function, as most of what its two deeds consist of is the same,
+    advance(R, N, A) -> outcome   where N[BEGINS] is 1, set the initial state at R[NOW] from parameters and inputs;
+                                  else advance it from R[NOW] to R[NEXT], inputs linear from INPUTS_NOW to INPUTS_NEXT
 
-    move(R, N, A) -> outcome      where N[BEGINS] is 1, the initial state at R[NOW], from parameters and inputs;
-                                  else from R[NOW] to R[NEXT], inputs linear from INPUTS_NOW to INPUTS_NEXT
-
-with A the addresses of further compiled functions that it calls. An outcome is GOOD or a problem of the image
-(image.py) by its number; after a problem the state is as it was.
+with A the addresses of further compiled functions that it calls. An outcome is GOOD or the number of a problem of the
+image (image.py); after a problem the state is unchanged.
 """
 
 from __future__ import annotations
@@ -47,16 +45,54 @@ from sim_heating.base.files.package import data_folders
 from sim_heating.base.files.text import write_bytes_atomic
 from sim_heating.base.kernels.jit import source_digest
 
-ALLOWED = {
+# What a model shares with the C wrapper ------------------------------------------------------------------------------
+
+GOOD = -1
+"""Outcome of a model without a problem."""
+
+# First numbers of R.
+NOW, NEXT = 0, 1
+"""Times of the state and of the end of the step [s]."""
+R_HEAD = 8
+
+# First integers of N: place of the inputs in R and their number; places of their values at the start and at the end of
+# a step, and of their slopes; 1 where a parameter has been set since the last step; timing of the inputs; 1 where the
+# model starts.
+INPUTS, N_INPUTS, INPUTS_NOW, INPUTS_NEXT, INPUT_SLOPES, CHANGED, TIMING, BEGINS = range(8)
+I_HEAD = 8
+HELD, REACHED = 1, 2
+"""Timing of inputs: values at the start of a step, held over it unless the host gives derivatives or later values; or
+values at its end, reached along a straight line."""
+
+MODEL_SIGNATURE = types.int64(types.CPointer(types.float64), types.CPointer(types.int64), types.CPointer(types.int64))
+"""Signature of a model in C: addresses of R, N and A; its outcome."""
+
+
+@numba.extending.intrinsic
+def _at(_typing_context, pointer, first):  # type: ignore[no-untyped-def]
+
+    def codegen(_context, builder, _signature, args):  # type: ignore[no-untyped-def]
+        return builder.gep(args[0], [args[1]])
+
+    return pointer(pointer, types.int64), codegen
+
+
+at: Any = _at
+"""at(pointer, first): the pointer to a later number of an array."""
+
+
+# Compiling and linking -----------------------------------------------------------------------------------------------
+
+ALLOWED_CALLS = {
     "acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cbrt", "ceil", "copysign", "cos", "cosh",
     "erf", "erfc", "exp", "exp2", "expm1", "fabs", "floor", "fmax", "fmin", "fmod", "frexp", "hypot", "ldexp",
     "lgamma", "log", "log10", "log1p", "log2", "memcpy", "memmove", "memset", "modf", "nearbyint", "pow",
     "remainder", "rint", "round", "sin", "sinh", "sqrt", "tan", "tanh", "tgamma", "trunc",
 }  # fmt: skip
-"""Functions of C99 that a kernel may call: every platform's libm or libc has them."""
-CALLED_INTRINSICS = {"exp10", "fma", "fmuladd", "powi", "roundeven"}
-"""Intrinsics `llvm.NAME` that become calls that not every platform has, or round as the machine does (fma). All others
-become instructions or calls of ALLOWED; which of them there are depends on what this machine's vectors can do."""
+"""Functions of C99 that a kernel may call; libm or libc of every platform has them."""
+REFUSED_INTRINSICS = {"exp10", "fma", "fmuladd", "powi", "roundeven"}
+"""Intrinsics `llvm.NAME` that become calls that not every platform has, or whose rounding depends on the machine (fma).
+All others become instructions or calls of ALLOWED_CALLS; which of them occur depends on the vectors of this machine."""
 _package_digest = cache(source_digest)
 
 
@@ -64,11 +100,11 @@ _package_digest = cache(source_digest)
 class Target:
     """A platform.
 
-    triple     : of LLVM
-    zig        : of ziglang's linker
+    triple     : its name in LLVM
+    zig        : its name in ziglang's linker
     suffix     : of a shared library
-    fmi2, fmi3 : folder in `binaries`, None where FMI 2 has none
-    levels     : processors to compile for, the most able last; "" where there is one
+    fmi2, fmi3 : folder in `binaries`; None where FMI 2 names none
+    levels     : processors to compile for, the most capable last; "" where there is only one
     """
 
     triple: str
@@ -80,9 +116,10 @@ class Target:
 
     @property
     def native(self) -> bool:
-        """Whether this is the machine that runs now."""
-        own = llvm.get_process_triple()
-        return self.triple.split("-")[0] == own.split("-")[0] and ("linux" in self.triple) == ("linux" in own)
+        """Whether this is the platform of the running process."""
+        running = llvm.get_process_triple()
+        same_processor = self.triple.split("-")[0] == running.split("-")[0]
+        return same_processor and ("linux" in self.triple) == ("linux" in running)
 
 
 X86_LEVELS = ("x86-64", "x86-64-v3")
@@ -97,20 +134,20 @@ TARGETS: Mapping[str, Target] = {
 
 
 @dataclass(frozen=True)
-class Unit:
-    """A function that is compiled into an object file for each processor, with all that it calls by name.
+class CompilationUnit:
+    """A function that is compiled into an object file for each processor, with all functions that it calls by name.
 
-    name      : in C, without the suffix of a level
-    signature : numba's
-    make      : gives the function, `jit.c_function` of pointers and numbers; not asked where a library or an object is
-                in the cache
-    more      : what it depends on beside the package's own sources
+    name         : in C, without the suffix of a level
+    signature    : of numba
+    make         : returns the function, a `jit.c_function` of pointers and numbers; not called where the library or the
+                   object file is in the cache
+    dependencies : text of sources that it depends on in addition to the package's own
     """
 
     name: str
     signature: Any
     make: Callable[[], Any]
-    more: str = ""
+    dependencies: str = ""
 
     @cached_property
     def compiled(self) -> Any:
@@ -122,9 +159,9 @@ class Unit:
         kinds = [_C_TYPES[str(t)] for t in self.signature.args]
         return f"{_C_TYPES[str(self.signature.return_type)]} {name}({', '.join(kinds)});"
 
-    def objects(self, target: Target) -> list[Path]:
-        """Where the object files for a platform are kept, one for each level."""
-        folder = _folder([self], target)
+    def object_paths(self, target: Target) -> list[Path]:
+        """Paths of the object files for a platform in the cache, one for each level."""
+        folder = _cache_folder([self], target)
         return [folder / f"{self.name}_{k}.o" for k in range(len(target.levels))]
 
 
@@ -132,8 +169,8 @@ _C_TYPES = {"float64": "double", "int64": "int64_t", "none": "void", "float64*":
 _IR_TYPES = {"float64": "double", "int64": "i64", "none": "void", "float64*": "ptr", "int64*": "ptr"}
 
 
-def _plain_c(unit: Unit, symbol: str) -> str:
-    """IR of the function's plain C face. numba's own: status f(result *, exception **, arguments)."""
+def _c_entry_point(unit: CompilationUnit, symbol: str) -> str:
+    """IR of a plain C function around numba's, which is: status f(result *, exception **, arguments)."""
     signature = unit.signature
     native = unit.compiled.native_name.removeprefix("cfunc.")
     kinds = [_IR_TYPES[str(t)] for t in signature.args]
@@ -152,49 +189,52 @@ define hidden {result} @{symbol}({given}) {{
 """
 
 
-_COUNTING = re.compile(r"^(define [^\n]*@NRT_(?:incref|decref)\([^\n]*\{)\n.*?^\}", re.MULTILINE | re.DOTALL)
+_REFERENCE_COUNTING = re.compile(r"^(define [^\n]*@NRT_(?:incref|decref)\([^\n]*\{)\n.*?^\}", re.MULTILINE | re.DOTALL)
 _TARGET_LINE = re.compile(r"^target (?:triple|datalayout) = .*$", re.MULTILINE)
 
 
-def _module_text(unit: Unit, symbol: str) -> str:
-    """IR of a unit's function and all that it calls.
+def _module_text(unit: CompilationUnit, symbol: str) -> str:
+    """IR of a unit's function and all that it calls, also where it is from the cache, which `inspect_llvm` is not.
 
-    Whether it has just been compiled or comes from the cache: `inspect_llvm` knows only the first. Reference counts
-    are left out: all memory is the host's, and a kernel that asked for some would be refused.
+    Reference counts are removed: all memory is the host's, and a kernel that allocates some is refused.
     """
     text = str(unit.compiled._library._get_module_for_linking())
-    text = _COUNTING.sub(r"\1\n  ret void\n}", _TARGET_LINE.sub("", text))
-    return text + _plain_c(unit, symbol)
+    text = _REFERENCE_COUNTING.sub(r"\1\n  ret void\n}", _TARGET_LINE.sub("", text))
+    return text + _c_entry_point(unit, symbol)
 
 
-def _forbidden(module: llvm.ModuleRef) -> list[str]:
-    """What a module calls that no host has."""
+def forbidden_calls(module: llvm.ModuleRef) -> list[str]:
+    """Names of the functions that a module calls and a host without Python does not have."""
     called = {f.name for f in module.functions if f.is_declaration}
     intrinsics = {name for name in called if name.startswith("llvm.")}
-    return sorted({n for n in intrinsics if n.split(".")[1] in CALLED_INTRINSICS} | (called - intrinsics - ALLOWED))
+    return sorted(
+        {n for n in intrinsics if n.split(".")[1] in REFUSED_INTRINSICS} | (called - intrinsics - ALLOWED_CALLS)
+    )
 
 
-def object_code(unit: Unit, target: Target, level: str, suffix: str = "") -> bytes:
+def object_code(unit: CompilationUnit, target: Target, level: str, suffix: str = "") -> bytes:
     """Object file of a compiled function for a platform and a processor.
 
     suffix : of its name in C
-    raises : RunError naming what it calls that a host without Python does not have
+    raises : RunError naming the functions that it calls and a host without Python does not have
     """
     module, machine = _module_and_machine(unit, target, level, suffix)
-    forbidden = _forbidden(module)
+    forbidden = forbidden_calls(module)
     if forbidden:
         raise RunError(f"{unit.name}: needs {', '.join(forbidden)}, which a host without Python does not have")
     return bytes(machine.emit_object(module))
 
 
-def needs(unit: Unit) -> list[str]:
-    """What a compiled function calls that a host without Python does not have."""
+def missing_functions(unit: CompilationUnit) -> list[str]:
+    """Names of the functions that a unit calls and a host without Python does not have."""
     target = TARGETS["linux"]
-    return _forbidden(_module_and_machine(unit, target, target.levels[0])[0])
+    return forbidden_calls(_module_and_machine(unit, target, target.levels[0])[0])
 
 
-def _module_and_machine(unit: Unit, target: Target, level: str, suffix: str = "") -> tuple[llvm.ModuleRef, Any]:
-    """A unit's function with what it calls, and nothing else, for a processor; what makes code of it."""
+def _module_and_machine(
+    unit: CompilationUnit, target: Target, level: str, suffix: str = ""
+) -> tuple[llvm.ModuleRef, Any]:
+    """Module of a unit's function and all that it calls, for a processor, and the machine that emits its code."""
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
     machine = llvm.Target.from_triple(target.triple).create_target_machine(
@@ -206,7 +246,7 @@ def _module_and_machine(unit: Unit, target: Target, level: str, suffix: str = ""
     for value in [*module.functions, *module.global_variables]:
         if not value.is_declaration and value.name != symbol:
             value.linkage = "internal"
-    # numba has optimised the functions already; for the most able processor the whole is looked at once more.
+    # numba has optimised the functions already; for the most capable processor the module is optimised once more.
     builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=1))
     passes = builder.getModulePassManager()
     if level != target.levels[-1]:
@@ -216,18 +256,18 @@ def _module_and_machine(unit: Unit, target: Target, level: str, suffix: str = ""
     return module, machine
 
 
-def sources() -> Path:
+def wrapper_folder() -> Path:
     """The folder of the C wrapper: at the top of a checkout, within the package when installed."""
     for folder in data_folders("fmu"):
         if (folder / "wrapper.h").is_file():
             return folder
-    raise InputError("the C sources of the FMU wrapper are not here; install the package anew")
+    raise InputError("the C sources of the FMU wrapper are missing; install the package again")
 
 
-def compiler(target: Target) -> list[str]:
+def compiler_command(target: Target) -> list[str]:
     """Command of a C compiler that links for a platform.
 
-    raises : InputError saying what to install
+    raises : InputError naming what to install
     """
     found = shutil.which("gcc") or shutil.which("cc") or shutil.which("clang")
     if target.native and found:
@@ -235,11 +275,11 @@ def compiler(target: Target) -> list[str]:
     if importlib.util.find_spec("ziglang") is not None:
         return [sys.executable, "-m", "ziglang", "cc", "-target", target.zig]
     what = "a C compiler" if target.native else f"a linker for {target.fmi3}"
-    raise InputError(f"fmu: {what} is not here; install one: pip install 'sim-heating[fmu]'")
+    raise InputError(f"fmu: {what} was not found; install one: pip install 'sim-heating[fmu]'")
 
 
-def _table_of_functions(units: Sequence[Unit], target: Target) -> str:
-    """C source that names the functions of each level, the most able one last."""
+def _function_table_source(units: Sequence[CompilationUnit], target: Target) -> str:
+    """C source of the table `models`: the functions of each level, the most capable last."""
     levels = range(len(target.levels))
     lines = ['#include "wrapper.h"']
     lines += [unit.prototype(f"{unit.name}_{k}") for unit in units for k in levels]
@@ -252,43 +292,43 @@ def _table_of_functions(units: Sequence[Unit], target: Target) -> str:
     return "\n".join(lines)
 
 
-def _folder(units: Sequence[Unit], target: Target) -> Path:
-    """Place in the cache by all that a library or an object is made of."""
+def _cache_folder(units: Sequence[CompilationUnit], target: Target) -> Path:
+    """Folder of the cache for a library or object files, named by a digest of all that they are made of."""
     digest = hashlib.sha256()
     for part in (_package_digest(), numba.__version__, llvmlite.__version__, repr(target)):
         digest.update(part.encode())
     for unit in units:
-        digest.update(f"{unit.name} {unit.more}".encode())
-    for path in (*sorted(sources().glob("*.[ch]")), Path(inspect.getfile(object_code))):
+        digest.update(f"{unit.name} {unit.dependencies}".encode())
+    for path in (*sorted(wrapper_folder().glob("*.[ch]")), Path(inspect.getfile(object_code))):
         digest.update(path.read_bytes())
     return Path(numba.config.CACHE_DIR) / "fmu" / digest.hexdigest()[:24]  # type: ignore[attr-defined]
 
 
-def library(units: Sequence[Unit], target: Target) -> Path:
-    """The shared library of a model for a platform, made where it is not in the cache.
+def shared_library(units: Sequence[CompilationUnit], target: Target) -> Path:
+    """Shared library of a model for a platform, compiled and linked unless it is in the cache.
 
-    units  : the model (native.py), and what it calls through addresses, in the order of `A`
-    raises : InputError where there is no compiler, RunError where a function cannot be made or linked
+    units  : the model, and the functions that it calls through addresses in the order of `A`
+    raises : InputError without a compiler, RunError where a function cannot be compiled or linked
     """
-    folder = _folder(units, target)
-    made = folder / f"model{target.suffix}"
-    if made.is_file():
-        return made
-    command = compiler(target)
+    folder = _cache_folder(units, target)
+    path = folder / f"model{target.suffix}"
+    if path.is_file():
+        return path
+    command = compiler_command(target)
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder) as work:
-        partial = Path(work) / made.name
+        partial = Path(work) / path.name
         _link(units, target, command, Path(work), partial)
-        partial.replace(made)
-    return made
+        partial.replace(path)
+    return path
 
 
-def objects(unit: Unit, target: Target) -> list[Path]:
-    """Object files of a unit for each processor of a platform, made where they are not in the cache.
+def object_files(unit: CompilationUnit, target: Target) -> list[Path]:
+    """Object files of a unit for each processor of a platform, compiled unless they are in the cache.
 
-    raises : RunError where a function cannot be made
+    raises : RunError where a function cannot be compiled
     """
-    found = unit.objects(target)
+    found = unit.object_paths(target)
     for k, (path, level) in enumerate(zip(found, target.levels, strict=True)):
         if not path.is_file():
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -296,27 +336,30 @@ def objects(unit: Unit, target: Target) -> list[Path]:
     return found
 
 
-def parts(units: Sequence[Unit], target: Target, folder: Path) -> list[Path]:
-    """What a library has beside the wrapper: objects, and the table of functions, written to a folder."""
-    found = [path for unit in units for path in objects(unit, target)]
+def link_inputs(units: Sequence[CompilationUnit], target: Target, folder: Path) -> list[Path]:
+    """Files that a library is linked from in addition to the wrapper: object files, and the table of functions.
+
+    folder : the table is written there
+    """
+    found = [path for unit in units for path in object_files(unit, target)]
     table = folder / "functions.c"
-    table.write_text(_table_of_functions(units, target))
+    table.write_text(_function_table_source(units, target))
     return [table, *found]
 
 
 def wrapper_sources() -> list[Path]:
     """The C files of the wrapper."""
-    return sorted(sources().glob("*.c"))
+    return sorted(wrapper_folder().glob("*.c"))
 
 
-def wrapper(target: Target) -> list[Path]:
-    """Object files of the C wrapper, which all libraries share, made where they are not in the cache.
+def wrapper_objects(target: Target) -> list[Path]:
+    """Object files of the C wrapper, which all libraries share, compiled unless they are in the cache.
 
-    raises : InputError where there is no compiler, RunError where it fails
+    raises : InputError without a compiler, RunError where it fails
     """
-    command = compiler(target)
+    command = compiler_command(target)
     name = "zig" if "ziglang" in command else Path(command[0]).name
-    folder = _folder([], target)
+    folder = _cache_folder([], target)
     made = [folder / f"{source.stem}_{name}.o" for source in wrapper_sources()]
     folder.mkdir(parents=True, exist_ok=True)
     for source, out in zip(wrapper_sources(), made, strict=True):
@@ -329,14 +372,14 @@ def wrapper(target: Target) -> list[Path]:
 
 
 def _flags(target: Target) -> list[str]:
-    flags = ["-O2", "-std=c11", "-ffp-contract=off", "-fvisibility=hidden", f"-I{sources()}"]
+    flags = ["-O2", "-std=c11", "-ffp-contract=off", "-fvisibility=hidden", f"-I{wrapper_folder()}"]
     return flags if "windows" in target.triple else [*flags, "-fPIC"]
 
 
-def _link(units: Sequence[Unit], target: Target, command: Sequence[str], work: Path, out: Path) -> None:
+def _link(units: Sequence[CompilationUnit], target: Target, command: Sequence[str], work: Path, out: Path) -> None:
     needed = [] if "windows" in target.triple else ["-lm"]
     needed += ["-Wl,-z,defs", "-Wl,-s"] if "linux" in target.triple else []
-    files = [*parts(units, target, work), *wrapper(target)]
+    files = [*link_inputs(units, target, work), *wrapper_objects(target)]
     _run_compiler([*command, "-shared", *_flags(target), "-o", out, *files, *needed], target, "linking")
 
 
@@ -344,39 +387,3 @@ def _run_compiler(command: Sequence[str | Path], target: Target, what: str) -> N
     done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise RunError(f"fmu: {what} for {target.fmi3} failed: {done.stderr.strip()}")
-
-
-__all__ = ["FUNCTION", "GOOD", "at", "source_digest"]
-
-GOOD = -1
-"""Outcome of a function that has no problem."""
-
-# First numbers of R.
-NOW, NEXT = 0, 1
-"""Time that the state is at, and the end of the step asked for [s]."""
-R_HEAD = 8
-
-# First integers of N: where the inputs stand in R, how many there are; where their values at the start and at the end
-# of a step stand, and their slopes; whether a parameter has been set since the last step; what a given input means;
-# whether the model begins.
-INPUTS, N_INPUTS, INPUTS_NOW, INPUTS_NEXT, INPUT_SLOPES, CHANGED, TIMING, BEGINS = range(8)
-I_HEAD = 8
-HELD, REACHED = 1, 2
-"""An input is given as it is at the start of the step, and held unless its host says more; or as it is at the end, and
-reached along a straight line."""
-
-FUNCTION = types.int64(types.CPointer(types.float64), types.CPointer(types.int64), types.CPointer(types.int64))
-"""A model as C sees it."""
-
-
-@numba.extending.intrinsic
-def _at(_typing_context, pointer, first):  # type: ignore[no-untyped-def]
-
-    def codegen(_context, builder, _signature, args):  # type: ignore[no-untyped-def]
-        return builder.gep(args[0], [args[1]])
-
-    return pointer(pointer, types.int64), codegen
-
-
-at: Any = _at
-"""at(pointer, first): the pointer to a later number of an array."""

@@ -1,0 +1,64 @@
+"""What the packing of any model into an image begins with: the numbers that the C wrapper knows, time, and inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sim_heating.simulation.fmu_export.image import Image, Kind, Role, Variable
+from sim_heating.simulation.fmu_export.library import INPUTS, INPUTS_NEXT, INPUTS_NOW, N_INPUTS, R_HEAD
+
+
+class Input(NamedTuple):
+    """An input of an FMU, with the limits that a host has to keep."""
+
+    name: str
+    unit: str
+    nominal: float
+    text: str
+    lower: float
+    upper: float
+
+
+class ImagePacker:
+    """Packs a model into an image, whose variables and arrays grow with each call.
+
+    image      : empty at first
+    n_integers : first integers of N that the model and the C wrapper use
+
+    Attribute `head`: values of those integers by their place, written at the end with `Image.set_integers`.
+    """
+
+    def __init__(self, image: Image, n_integers: int) -> None:
+        self.image = image
+        self.head: dict[int, int] = {}
+        image.add_numbers(np.zeros(R_HEAD))
+        image.add_integers(np.zeros(n_integers))
+        self.add_number("time", Role.INDEPENDENT, 0, "time", "s")
+
+    def add_number(
+        self, name: str, role: Role, place: int, text: str, unit: str = "1",
+        lower: float = -np.inf, upper: float = np.inf, nominal: float | None = None, shape: tuple[int, ...] = (),
+    ) -> None:  # fmt: skip
+        """Add a variable for a number, or an array of them, at a place of R."""
+        self.image.variables.append(Variable(name, Kind.NUMBER, role, place, text, unit, lower, upper, nominal, shape))
+
+    def add_choice(self, name: str, role: Role, place: int, text: str, choices: tuple[tuple[str, str], ...]) -> None:
+        """Add a variable for an integer at a place of N, from 1 to the number of choices."""
+        self.image.variables.append(
+            Variable(name, Kind.INTEGER, role, place, text, lower=1, upper=len(choices), choices=choices)
+        )
+
+    def add_inputs(self, inputs: Sequence[Input], starts: ArrayLike) -> None:
+        """Add the inputs, and room for their values at the start and at the end of a step.
+
+        starts : (input,) values before a host sets them
+        """
+        place = self.image.add_numbers(starts)
+        for i, (name, unit, nominal, text, lower, upper) in enumerate(inputs):
+            self.add_number(name, Role.INPUT, place + i, text, unit, lower, upper, nominal)
+        self.head |= {INPUTS: place, N_INPUTS: len(inputs)}
+        self.head |= {copy: self.image.add_numbers(starts) for copy in (INPUTS_NOW, INPUTS_NEXT)}
