@@ -178,9 +178,9 @@ def implied_effects(names: Sequence[str], given: Sequence[EffectUse] = ()) -> li
 
     names : of which those like `effect.NAME.PARAMETER` count;  given : effects already in the model
     """
-    known = {u.effect.name for u in given}
+    present = {u.effect.name for u in given}
     wanted = dict.fromkeys(n.split(".")[1] for n in names if n.startswith(EFFECT_PREFIX) and n.count(".") >= 2)
-    return [use(name) for name in wanted if name not in known]
+    return [use(name) for name in wanted if name not in present]
 
 
 def _check_samples(problem: FitProblem) -> None:
@@ -225,8 +225,8 @@ def _information(problem: FitProblem, values: FloatArray) -> FloatArray:
 def _ratio(problem: FitProblem, values: FloatArray) -> float:
     """A typical heating ratio of the fit: d0, else the declared one; NaN where there is neither."""
     d0 = [abs(v) for u, v in zip(problem.unknowns, values, strict=True) if u.parameter.name == "ratio.d0"]
-    known = d0 or [r for r in (mean_ratio(record_fit.record) for record_fit in problem.record_fits) if np.isfinite(r)]
-    return float(np.mean(known)) if known else float("nan")
+    ratios = d0 or [r for r in (mean_ratio(record_fit.record) for record_fit in problem.record_fits) if np.isfinite(r)]
+    return float(np.mean(ratios)) if ratios else float("nan")
 
 
 def _fit(problem: FitProblem, first: FloatArray, settings: NewtonSettings | None, progress: Progress) -> Fit:
@@ -336,18 +336,17 @@ def fit_bounds(samples: Sequence[PredictedSamples], fit: Fit) -> CramerRaoBounds
 def table_warnings(record_fits: Sequence[RecordFit]) -> list[str]:
     """One line for each variable ([deg], [-]) that leaves the ratio table over the fit segments.
 
-    The table holds its edge value outside, so that the estimate includes the difference (docs/equations.md, section 2).
+    Outside, the table has its edge value, so that the estimate includes the difference (docs/equations.md, section 2).
     """
     lines = []
     for record_fit in record_fits:
-        t = record_fit.conditions.time_s
-        for o in outside_table(record_fit.model, record_fit.conditions.at(t[record_fit.record.fit_mask(t)])):
-            lines.append(
-                f"{record_fit.record.name}: {o.variable} is up to {o.farthest:.3g} outside its ratio table over the "
-                f"fit "
-                f"segments, from {o.first_s:g} s on; its edge value is used there, so that estimates include the "
-                f"difference"
-            )
+        name, conditions = record_fit.record.name, record_fit.conditions
+        fitted = conditions.at(conditions.time_s[record_fit.record.fit_mask(conditions.time_s)])
+        lines += [
+            f"{name}: {o.variable} is up to {o.farthest:.3g} outside its ratio table over the fit segments, from "
+            f"{o.first_s:g} s on; the edge value is used there, and estimates include the difference"
+            for o in outside_table(record_fit.model, fitted)
+        ]
     return lines
 
 
@@ -372,9 +371,8 @@ def fit_warnings(problem: FitProblem, fit: Fit, samples: Sequence[PredictedSampl
     excess = rms_normalised_residual(samples)
     if excess > MODEL_ERROR_RATIO:
         lines.append(
-            f"residuals are {excess:.1f} times as large as noise would make them: the model is incomplete, and the "
-            f"bounds "
-            "do not include its error"
+            f"residuals are {excess:.1f} times as large as those of noise alone: the model is incomplete, and the "
+            "bounds do not include its error"
         )
     return lines + [f"{d.describe()}; their bounds are wide" for d in fit.singular]
 
@@ -384,7 +382,7 @@ def rms_normalised_residual(everything: Sequence[PredictedSamples]) -> float:
 
         sqrt(sum_i u_i^2 / sum_i I_i)
 
-    everything : all fitted channels, scores u [1/K] and information I [1/K2] of which are taken at their predictions
+    everything : all fitted channels, scores u [1/K] and information I [1/K2] of which are those at their predictions
                  [K]
 
     Source: docs/estimation_statistics.md, equation 29.

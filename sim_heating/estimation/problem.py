@@ -53,7 +53,7 @@ from sim_heating.thermal.mesh import Mesh
 
 THREADS = os.cpu_count() or 1
 SKEW_SPAN_S = 5.0
-"""Bounds of an estimated skew [s]; samples this near the ends of the conditions are left out then."""
+"""Bounds of an estimated skew [s]; samples this near the ends of the conditions are then omitted."""
 
 
 @dataclass(frozen=True)
@@ -164,15 +164,14 @@ class FitProblem:
         for own in record_fit.start.unknowns if record_fit.start else ():
             if own.name == name:
                 return own
-        known = sensor_definition(record_fit.record, name)
-        if known is None:
-            known = record_fit.model.definition(name)
-            known = replace(known, value=record_fit.model.value(name))
+        parameter = sensor_definition(record_fit.record, name)
+        if parameter is None:
+            parameter = replace(record_fit.model.definition(name), value=record_fit.model.value(name))
         if name == CLOCK_SKEW.name:
-            known = replace(known, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)
+            parameter = replace(parameter, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)
         if self.options.prior_scale != 1.0:
-            known = replace(known, sigma=self.options.prior_scale * known.sigma)
-        return replace(self.priors.get(name, known), name=name)
+            parameter = replace(parameter, sigma=self.options.prior_scale * parameter.sigma)
+        return replace(self.priors.get(name, parameter), name=name)
 
     @property
     def parameters(self) -> list[Parameter]:
@@ -210,7 +209,7 @@ class FitProblem:
     def _group(self) -> None:
         self.groups = lane_groups(self.record_fits)
         self._marches: list[LinearMarch | None] = [None] * len(self.groups)
-        # a march packs its arrays when it is made: it is kept and set to other parameters
+        # a march packs its arrays when it is made: it is stored and set to other parameters
         self._plain_marches: list[LinearMarch | None] = [None] * len(self.record_fits)
         self._last: list[tuple[bytes | None, Sequence[Linearised]]] = [(None, [])] * len(self.groups)
 
@@ -280,8 +279,8 @@ class FitProblem:
 
     def _march_group(self, k: int, vector: FloatArray) -> Sequence[Linearised]:
         """A group marched at a parameter vector; the latest result of each group is cached."""
-        known, found = self._last[k]
-        if known != vector.tobytes():
+        cached, found = self._last[k]
+        if cached != vector.tobytes():
             group, march = self.groups[k], self._marches[k]
             march = self._marches[k] = group_march(group) if march is None else march
             found = march.march(*set_parameters(march, group, [vector] * len(group)))
@@ -313,7 +312,7 @@ class FitProblem:
 
     def has_cached(self, vector: FloatArray) -> bool:
         """Whether an evaluation at a parameter vector (parameter,) needs no march."""
-        return all(known == vector.tobytes() for known, _ in self._last)
+        return all(cached == vector.tobytes() for cached, _ in self._last)
 
     def _samples_of_record(
         self, record_fit: RecordFit, found: Linearised, vector: FloatArray

@@ -1,6 +1,6 @@
 """The fit of one flight record: its march, what its sensors show of it, and the correction for its mesh.
 
-`RecordFit` holds one record of a fit: the model of its control point, the start of its march, the samples that are
+`RecordFit` is one record of a fit: the model of its control point, the start of its march, the samples that are
 fitted. Records on common times are marched side by side (`lane_groups`).
 
 A sensor indicates
@@ -142,7 +142,7 @@ class RecordFit:
     def refined_K(self, vector: FloatArray) -> FloatArray | None:
         """(node,) temperatures [K] at the start on the refined mesh; None for those that the stack declares.
 
-        The unknowns of the start move both meshes alike. Needed for docs/estimation_statistics.md, equation 31.
+        The unknowns of the start change both meshes alike. Needed for docs/estimation_statistics.md, equation 31.
         """
         initial, fine = self.initial_K(vector), refined(self.mesh)
         if initial is None or self.start is None:
@@ -153,7 +153,7 @@ class RecordFit:
         return self.start.refined + on_mesh(initial - self.start.profile, self.mesh, fine)
 
     def with_mesh_correction(self, march: Linearised) -> Linearised:
-        """March with the error of its mesh [K] taken out; sensitivities stay those of the mesh.
+        """March with the correction for its mesh [K] added to its temperatures; sensitivities remain those of the mesh.
 
         Source: docs/estimation_statistics.md, equation 31.
         """
@@ -244,11 +244,11 @@ class PredictedSamples:
 
 def lane_groups(record_fits: Iterable[RecordFit]) -> list[list[RecordFit]]:
     """Groups of records on common times and with meshes of one size, LANES records at most in a group."""
-    alike: dict[tuple[bytes, int], list[RecordFit]] = {}
+    groups: dict[tuple[bytes, int], list[RecordFit]] = {}
     for record_fit in record_fits:
         # lanes of a kernel share steps and array sizes
-        alike.setdefault((record_fit.time_s.tobytes(), record_fit.mesh.nodes), []).append(record_fit)
-    return [group[k : k + LANES] for group in alike.values() for k in range(0, len(group), LANES)]
+        groups.setdefault((record_fit.time_s.tobytes(), record_fit.mesh.nodes), []).append(record_fit)
+    return [group[k : k + LANES] for group in groups.values() for k in range(0, len(group), LANES)]
 
 
 def group_march(group: Sequence[RecordFit]) -> LinearMarch:
@@ -306,7 +306,7 @@ def fitted_channels(record: Record, time_s: FloatArray, mask: NDArray[np.bool_])
 
     time_s  : (read,) times that the march reads [s]
     mask    : (sample,) which of the record's samples are fitted
-    returns : one channel for each used sensor with a reading; lost readings are left out
+    returns : one channel for each used sensor with a reading; lost readings are omitted
 
     Intervals of recorder words: docs/estimation_statistics.md, equation 4.
     """

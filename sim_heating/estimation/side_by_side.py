@@ -100,32 +100,32 @@ def maximise_together(
     """
     begin = [None] * len(problems) if starts is None else list(starts)
     searches = [iteration(p.parameters, first, settings) for p, first in zip(problems, begin, strict=True)]
-    asked = {k: next(search) for k, search in enumerate(searches)}
+    requests = {k: next(search) for k, search in enumerate(searches)}
     fits: dict[int, Fit] = {}
-    together, marched = None, tuple(asked)
-    while asked:
+    together, marched = None, tuple(requests)
+    while requests:
         # lanes are packed again when a fit has ended, so that no lane is marched in vain
-        if together is None or len(asked) < len(marched):
-            marched = tuple(asked)
+        if together is None or len(requests) < len(marched):
+            marched = tuple(requests)
             together = JointMarch([problems[k] for k in marched])
-        found = together.evaluate([asked[k] for k in marched])
+        found = together.evaluate([requests[k] for k in marched])
         for k, evaluation in zip(marched, found, strict=True):
             following = _next_request(searches[k], evaluation, problems[k])
             if isinstance(following, Fit):
                 fits[k] = following
-                del asked[k]
+                del requests[k]
             else:
-                asked[k] = following
+                requests[k] = following
     return [fits[k] for k in range(len(problems))]
 
 
 def _next_request(search: Iteration, evaluation: Evaluation, problem: FitProblem) -> FloatArray | Fit:
     """The next parameter vector that an iteration needs evaluated, or its fit; fractions of a step are done here."""
     try:
-        asked = search.send(evaluation)
-        while asked.ndim == 2:
-            asked = search.send(problem.log_likelihoods(asked))
+        request = search.send(evaluation)
+        while request.ndim == 2:
+            request = search.send(problem.log_likelihoods(request))
     except StopIteration as ended:
         fit: Fit = ended.value
         return fit
-    return asked
+    return request

@@ -44,7 +44,7 @@ START_SIGMA_K = 10.0
 START_LENGTH = 0.7
 """Correlation length of that error in log(1 + s): a factor of two in depth, four in time."""
 DIRECTIONS = 10
-"""Number of directions that are kept; the next would add less than a twentieth of START_SIGMA_K."""
+"""Number of directions; the next would add less than a twentieth of START_SIGMA_K."""
 
 
 def _read_before(record: Record, sensor: Sensor, time_s: float) -> tuple[FloatArray, FloatArray]:
@@ -128,7 +128,7 @@ def conducted_profile(record: Record, model: PointModel, mesh: Mesh, time_s: flo
     returns : (node,) temperatures [K]
     raises  : InputError where that sensor has fewer than two readings before that time, or it is outside the conditions
 
-    A thermocouple under a coating is taken for the surface. Source: docs/clocks_and_starts.md, profile start;
+    A thermocouple under a coating counts as the surface. Source: docs/clocks_and_starts.md, profile start;
     conduction as in docs/equations.md, section 3.
     """
     t, read = _read_before(record, min(record.used_sensors, key=lambda sensor: sensor.depth_m), time_s)

@@ -1,6 +1,6 @@
 """Fits of consecutive short segments: the heating ratio over each, as a trend along the flight.
 
-Each segment starts at the temperatures where the one before ended, with the uncertainty that its fit left them: the
+Each segment starts at the temperatures where the one before ended, with the uncertainty of its fit: the
 covariance of the node temperatures, in its largest directions, is the prior of as many unknowns of the start
 (docs/clocks_and_starts.md, equation 5). The temperatures of the refined mesh that corrects the predictions
 (FitProblem.correct_meshes) pass from segment to segment as well.
@@ -33,7 +33,7 @@ from sim_heating.thermal.mesh import refined
 DIRECTIONS = 4
 """Number of directions of the temperatures' covariance that are passed from a segment to the next."""
 CONDITION_POINTS = 21
-"""Number of points of a segment that its mean condition is taken over."""
+"""Number of points of a segment over which its mean condition is averaged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,10 +152,10 @@ def _windows(record: Record, length_s: float) -> list[tuple[float, float]]:
 
 def _carried_values(problem: FitProblem, before: FitProblem, fit: Fit) -> FloatArray:
     """First values of a segment: those of the segment before it, without a change of its start."""
-    known = dict(zip((u.label for u in before.unknowns), fit.values, strict=True))
+    last = dict(zip((u.label for u in before.unknowns), fit.values, strict=True))
     # unknowns of the start are deviations from the temperatures at the end of the segment before: they begin at 0
     carried = {*problem.record_fits[0].march_names, *problem.record_fits[0].sensor_names}
-    return np.array([known[p.name] if p.name in carried else p.value for p in problem.parameters])
+    return np.array([last[p.name] if p.name in carried else p.value for p in problem.parameters])
 
 
 def _next_start(problem: FitProblem, fit: Fit, time_s: float) -> Start:
@@ -177,9 +177,9 @@ def _next_start(problem: FitProblem, fit: Fit, time_s: float) -> Start:
 
 
 def state_at(record_fit: RecordFit, values: FloatArray, time_s: float) -> tuple[FloatArray, FloatArray]:
-    """Node temperatures of a record_fit at a time, and their sensitivities.
+    """Node temperatures of a record at a time, and their sensitivities.
 
-    values  : (parameter,);  time_s : [s]; before the start of the record_fit, its initial temperatures
+    values  : (parameter,);  time_s : [s]; before the start of the record, its initial temperatures
     returns : (node,) temperatures [K]; (node, unknown of the march) sensitivities [K] per unit of each unknown
 
     S_T of docs/clocks_and_starts.md, equation 5.
@@ -207,9 +207,9 @@ def state_at(record_fit: RecordFit, values: FloatArray, time_s: float) -> tuple[
 
 
 def refined_at(record_fit: RecordFit, values: FloatArray, time_s: float) -> FloatArray:
-    """Node temperatures of a record_fit at a time on its refined mesh, twice as many elements.
+    """Node temperatures of a record at a time on its refined mesh, which has twice as many elements.
 
-    values  : (parameter,);  time_s : [s]; before the start of the record_fit, its initial temperatures
+    values  : (parameter,);  time_s : [s]; before the start of the record, its initial temperatures
     returns : (node of the refined mesh,) [K]
 
     The next segment needs them for its mesh correction, docs/estimation_statistics.md, equation 31.

@@ -52,7 +52,7 @@ def planned(planner: Planner) -> PlannedFlight:
 
 
 @pytest.fixture(scope="module")
-def told(planner: Planner, planned: PlannedFlight) -> Experiment:
+def planned_experiment(planner: Planner, planned: PlannedFlight) -> Experiment:
     return planner.experiment(planned, NAMES, {})
 
 
@@ -75,22 +75,25 @@ def test_a_prior_adds_its_information():
     assert line(x, b=0.5).sigma(("b",))[0] ** -2 == pytest.approx(np.sum(x**2) + 4.0, rel=1e-9)
 
 
-def test_what_is_not_told_has_no_bound():
+def test_what_is_not_identified_has_no_bound():
     assert np.isinf(line(np.zeros(5)).sigma(("b",))[0])
 
 
-def test_two_like_flights_halve_the_variance_of_what_no_prior_tells():
+def test_two_equal_flights_halve_the_variance_of_a_parameter_with_a_flat_prior():
     x = np.linspace(0.0, 1.0, 6)
     assert line(x).sigma(("b",), 2) == pytest.approx(line(x).sigma(("b",)) / np.sqrt(2.0))
 
 
-def test_a_clock_of_its_own_in_each_flight_is_averaged_and_a_coating_is_not(told):
-    shared, private = told.with_priors({CLOCK_SKEW.name: 1e-6}), told.with_priors({COATING: 1e-6})
+def test_a_separate_clock_in_each_flight_is_averaged_and_a_coating_is_not(planned_experiment):
+    shared, private = (
+        planned_experiment.with_priors({CLOCK_SKEW.name: 1e-6}),
+        planned_experiment.with_priors({COATING: 1e-6}),
+    )
     assert private.sigma((D_ALPHA,), 4)[0] < 0.51 * private.sigma((D_ALPHA,))[0]
     assert shared.sigma((COATING,), 4)[0] > 0.51 * shared.sigma((COATING,))[0]  # its prior is not repeated
 
 
-def test_private_unknowns_taken_out_leave_the_schur_complement():
+def test_marginalised_private_unknowns_leave_the_schur_complement():
     rng = np.random.default_rng(3)
     S = rng.normal(size=(20, 5))
     M, prior = S.T @ S, np.array([0.0, 0.0, 1.0, 0.0, 2.0])
@@ -114,7 +117,7 @@ def test_a_criterion_does_not_depend_on_units():
         assert design_criterion(criterion, a * units, b * units) == pytest.approx(design_criterion(criterion, a, b))
 
 
-def test_twice_the_excursion_halves_a_bound_and_twice_the_samples_take_it_to_its_root():
+def test_twice_the_excursion_halves_a_bound_and_twice_the_samples_divide_it_by_the_root_of_two():
     information = np.array([[2.0, 0.4], [0.4, 1.0]])
     found = sensitivity_to_effort(("ratio.d_alpha", "ratio.scale"), information, np.zeros(2))
     assert found == {"ratio.d_alpha": pytest.approx({"larger": 0.5, "longer": np.sqrt(0.5)})}
@@ -125,27 +128,29 @@ def test_a_known_parameter_gains_less_than_an_unknown_one():
     assert found["ratio.d_alpha"]["larger"] == pytest.approx(np.sqrt(2.0 / 5.0))
 
 
-def test_longer_words_faster_samples_and_better_clocks_never_hurt(told):
+def test_longer_words_faster_samples_and_better_clocks_never_hurt(planned_experiment):
     def bound(e: Experiment) -> float:
         return float(e.sigma((D_ALPHA,))[0])
 
-    words = [bound(told.with_bits(bits)) for bits in (8, 10, 12, 16)]
+    words = [bound(planned_experiment.with_bits(bits)) for bits in (8, 10, 12, 16)]
     assert np.all(np.diff(words) < 0.0)
-    assert words[-1] == pytest.approx(bound(told.with_bits(None)), rel=1e-3)
-    assert bound(told.with_priors({CLOCK_SKEW.name: 0.1})) < bound(told.with_priors({CLOCK_SKEW.name: 0.5}))
-    assert bound(told.with_priors({PRESSURE.name: 0.02})) <= bound(told)
-    for channel in told.channels:
-        assert bound(told.without([channel.sensor.name])) >= bound(told)
+    assert words[-1] == pytest.approx(bound(planned_experiment.with_bits(None)), rel=1e-3)
+    assert bound(planned_experiment.with_priors({CLOCK_SKEW.name: 0.1})) < bound(
+        planned_experiment.with_priors({CLOCK_SKEW.name: 0.5})
+    )
+    assert bound(planned_experiment.with_priors({PRESSURE.name: 0.02})) <= bound(planned_experiment)
+    for channel in planned_experiment.channels:
+        assert bound(planned_experiment.without([channel.sensor.name])) >= bound(planned_experiment)
 
 
-def test_more_pressure_conducts_more_so_that_the_coating_cools_and_the_tile_warms(told):
-    k = told.names.index(PRESSURE.name)
-    outermost, inch_deep = told.channels[0].jacobian[:, k], told.channels[3].jacobian[:, k]
+def test_more_pressure_conducts_more_so_that_the_coating_cools_and_the_tile_warms(planned_experiment):
+    k = planned_experiment.names.index(PRESSURE.name)
+    outermost, inch_deep = planned_experiment.channels[0].jacobian[:, k], planned_experiment.channels[3].jacobian[:, k]
     assert np.all(outermost < 0.0)
     assert np.all(inch_deep > 0.0)
 
 
-def test_readings_of_a_record_are_not_looked_at():
+def test_readings_of_a_record_are_not_used():
     record, _ = practice_record("p06")
     other = {
         n: v if n == "time_s" else np.where(np.isfinite(v), 400.0, np.nan) for n, v in record.thermocouples.items()
@@ -163,10 +168,10 @@ def test_predicted_bounds_are_those_of_actual_fits():
     assert start is not None
     known = replace(start, columns=start.columns[:, :0], unknowns=())
     names = (D_ALPHA, "ratio.scale", COATING, CLOCK_SKEW.name)
-    told = experiment(record, names, start=known).with_priors({COATING: 0.05, CLOCK_SKEW.name: 0.1})
-    fits = repeated_fits(record, told, start=known, repetitions=200)
+    predicted = experiment(record, names, start=known).with_priors({COATING: 0.05, CLOCK_SKEW.name: 0.1})
+    fits = repeated_fits(record, predicted, start=known, repetitions=200)
     assert fits.failed == 0
-    assert fits.spread(names) == pytest.approx(told.sigma(names), rel=0.10)
+    assert fits.rms_error(names) == pytest.approx(predicted.sigma(names), rel=0.10)
 
 
 def test_a_search_never_leaves_its_limits_and_beats_the_plan(planner):
@@ -182,13 +187,13 @@ def test_a_search_never_leaves_its_limits_and_beats_the_plan(planner):
     assert found.best_experiment.sigma((D_ALPHA,))[0] < found.planned_experiment.sigma((D_ALPHA,))[0]
 
 
-def test_limits_that_no_design_keeps_are_told():
+def test_limits_that_no_design_keeps_are_an_error():
     limits = {"alpha_deg": [39.9, 40.1]}
     with pytest.raises(RunError, match="none of 4 designs keeps the limits; the nearest exceeds that of alpha_deg"):
         DesignSearch(planner_of(evaluations=4, limits=limits)).run()
 
 
-def test_a_manoeuvre_that_tells_nothing_of_a_parameter_is_refused():
+def test_a_manoeuvre_that_does_not_identify_a_parameter_is_refused():
     with pytest.raises(InputError, match=r"ratio\.d_bodyflap: bodyflap_deg is constant"):
         DesignSearch(planner_of(parameters=["ratio.d_bodyflap"]))
 
@@ -197,13 +202,13 @@ def test_a_manoeuvre_that_tells_nothing_of_a_parameter_is_refused():
     ("key", "names"),
     [("parameters", ["ratio.d_alfa"]), ("nuisance", ["ratio.d_alfa"]), ("prior", {"ratio.d_alfa": 1e-4})],
 )
-def test_a_misspelt_parameter_is_told_with_its_place_and_the_nearest(key, names):
-    told = rf"toml, \[design\], {key}: .*no parameter `ratio\.d_alfa`; did you mean `ratio\.d_alpha`"
-    with pytest.raises(InputError, match=told):
+def test_a_misspelt_parameter_is_reported_with_its_place_and_the_nearest(key, names):
+    message = rf"toml, \[design\], {key}: .*no parameter `ratio\.d_alfa`; did you mean `ratio\.d_alpha`"
+    with pytest.raises(InputError, match=message):
         planner_of(**{key: names})
 
 
-def test_a_whole_design_says_what_was_found():
+def test_a_whole_design_reports_its_result():
     designed = design(planner_of(evaluations=3, vary=[{"key": "hold_s", "low": 0.0, "high": 6.0}]).scenario)
     found = summary(designed)
     parameter = found["parameters"][D_ALPHA]
@@ -214,7 +219,7 @@ def test_a_whole_design_says_what_was_found():
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [
         ('key = "hold_s"', 'key = "hold"', "`hold` is not a number that this manoeuvre gives; did you mean `hold_s`"),
         ('criterion = "D"', 'criterion = "E"', "criterion"),
@@ -224,11 +229,11 @@ def test_a_whole_design_says_what_was_found():
         ("flights = [1, 2, 4]", "flights = [0]", "0 is no number of flights"),
     ],
 )
-def test_a_wrong_design_table_is_told(tmp_path, old, new, told):
+def test_a_wrong_design_table_is_reported(tmp_path, old, new, message):
     text = SCENARIO.read_text(encoding="utf-8")
     assert old in text
     (tmp_path / "wrong.toml").write_text(text.replace(old, new), encoding="utf-8")
-    with pytest.raises(InputError, match=told.replace("[", r"\[").replace(".", r"\.")):
+    with pytest.raises(InputError, match=message.replace("[", r"\[").replace(".", r"\.")):
         load_scenario(tmp_path / "wrong.toml")
 
 

@@ -31,7 +31,7 @@ def damaged(home: Path, file: str, change: Change) -> Path:
     return home / "p06"
 
 
-def told(capsys, *arguments: object) -> tuple[int, str]:
+def run_estimate(capsys, *arguments: object) -> tuple[int, str]:
     """Exit status of `estimate` and what it printed, on one line."""
     status = main(["estimate", *map(str, arguments)])
     captured = capsys.readouterr()
@@ -67,32 +67,32 @@ def told(capsys, *arguments: object) -> tuple[int, str]:
         (["--segments", "5", "--start", "profile:600"], "each segment has its own start and reference"),
     ],
 )
-def test_request_that_cannot_be_is_answered_in_a_line(capsys, tmp_path, arguments, line):
-    status, text = told(capsys, PRACTICE / "p06", "--out", tmp_path / "out", *arguments)
+def test_invalid_request_is_answered_in_a_line(capsys, tmp_path, arguments, line):
+    status, text = run_estimate(capsys, PRACTICE / "p06", "--out", tmp_path / "out", *arguments)
     assert (status, line in text) == (2, True), text
     assert not (tmp_path / "out").exists()
 
 
 def test_two_records_of_one_name_are_refused(capsys, tmp_path):
-    status, text = told(capsys, PRACTICE / "p06", PRACTICE / "p06", "--out", tmp_path / "out")
+    status, text = run_estimate(capsys, PRACTICE / "p06", PRACTICE / "p06", "--out", tmp_path / "out")
     assert (status, "two records are named p06; rename one" in text) == (2, True)
 
 
-def test_clocks_that_do_not_overlap_are_told(capsys, tmp_path):
+def test_clocks_that_do_not_overlap_are_an_error(capsys, tmp_path):
     record = damaged(tmp_path, "thermocouples.csv", lambda c: c | {"time_s": c["time_s"] + 5000.0})
-    status, text = told(capsys, record, "--out", tmp_path / "out")
+    status, text = run_estimate(capsys, record, "--out", tmp_path / "out")
     assert (status, "put both files on one clock" in text) == (2, True)
 
 
-def test_channel_that_is_lost_altogether_is_told(capsys, tmp_path):
+def test_channel_without_any_reading_is_an_error(capsys, tmp_path):
     record = damaged(tmp_path, "thermocouples.csv", lambda c: c | {"LS_bond_K": np.full(len(c["time_s"]), np.nan)})
-    status, text = told(capsys, record, "--out", tmp_path / "out")
+    status, text = run_estimate(capsys, record, "--out", tmp_path / "out")
     assert (status, "sensor LS_bond has no sample; set used = false or remove it" in text) == (2, True)
 
 
-def test_sensor_that_never_moves_is_left_out_and_the_rest_is_estimated(capsys, tmp_path):
+def test_stuck_sensor_is_not_used_and_the_rest_is_estimated(capsys, tmp_path):
     record = damaged(tmp_path, "thermocouples.csv", lambda c: c | {"LS_bond_K": np.full(len(c["time_s"]), 294.0)})
-    status, text = told(capsys, record, "--parameters", "ratio.scale", "--out", tmp_path / "out")
+    status, text = run_estimate(capsys, record, "--parameters", "ratio.scale", "--out", tmp_path / "out")
     assert status == 0
     assert "sensor LS_bond: stuck at 294 K in all" in text
     found = json.loads((tmp_path / "out" / "estimate.json").read_text())
@@ -100,17 +100,17 @@ def test_sensor_that_never_moves_is_left_out_and_the_rest_is_estimated(capsys, t
     assert list(found["statistics"]["sensors"]) == ["LS_surface"]
 
 
-def test_record_whose_sensors_all_stand_still_is_refused():
+def test_record_whose_sensors_are_all_stuck_is_refused():
     record = practice_record("p06")[0]
     columns = {k: v if k == "time_s" else np.full(len(v), 300.0) for k, v in record.thermocouples.items()}
     with pytest.raises(InputError, match="no sensor remains to estimate from"):
         estimate([replace(record, thermocouples=columns)], ["ratio.scale"])
 
 
-def test_constant_alpha_leaves_out_its_derivative_alone(capsys, tmp_path):
+def test_constant_alpha_omits_its_derivative_alone(capsys, tmp_path):
     record = damaged(tmp_path, "conditions.csv", lambda c: c | {"alpha_deg": np.full(len(c["time_s"]), 40.9)})
     names = "ratio.scale,ratio.d_alpha,ratio.d_logre"
-    status, text = told(capsys, record, "--parameters", names, "--out", tmp_path / "out")
+    status, text = run_estimate(capsys, record, "--parameters", names, "--out", tmp_path / "out")
     assert (status, "ratio.d_alpha: not estimated, alpha_deg is constant" in text) == (0, True)
     found = json.loads((tmp_path / "out" / "estimate.json").read_text())
     assert set(found["parameters"]) == {"ratio.scale", "ratio.d_logre"}
@@ -118,14 +118,14 @@ def test_constant_alpha_leaves_out_its_derivative_alone(capsys, tmp_path):
 
 def test_constant_alpha_and_nothing_else_to_estimate_is_an_error(capsys, tmp_path):
     record = damaged(tmp_path, "conditions.csv", lambda c: c | {"alpha_deg": np.full(len(c["time_s"]), 40.9)})
-    status, text = told(capsys, record, "--parameters", "ratio.d_alpha", "--out", tmp_path / "out")
+    status, text = run_estimate(capsys, record, "--parameters", "ratio.d_alpha", "--out", tmp_path / "out")
     assert (status, "nothing to estimate: alpha_deg is constant" in text) == (2, True)
 
 
-def test_few_samples_estimate_what_they_tell_and_no_more():
+def test_few_samples_estimate_what_they_identify_and_no_more():
     record = practice_record("p06")[0]
-    kept = np.isin(record.time_s, (620.0, 640.0, 705.0))
-    columns = {k: v if k == "time_s" else np.where(kept, v, np.nan) for k, v in record.thermocouples.items()}
+    present = np.isin(record.time_s, (620.0, 640.0, 705.0))
+    columns = {k: v if k == "time_s" else np.where(present, v, np.nan) for k, v in record.thermocouples.items()}
     found = estimate([replace(record, thermocouples=columns)])
     assert found.labels[0] == "ratio.scale"
     assert len(found.labels) < 5
@@ -133,12 +133,12 @@ def test_few_samples_estimate_what_they_tell_and_no_more():
     assert np.all(np.isfinite(found.bounds.sigma))
 
 
-def test_manoeuvre_outside_the_table_is_told(capsys, tmp_path):
+def test_manoeuvre_outside_the_table_has_a_warning(capsys, tmp_path):
     shutil.copytree(PRACTICE / "p06", tmp_path / "p06")
     path = tmp_path / "p06" / "ratio_table.csv"
     head, *rows = path.read_text().splitlines()
     path.write_text("\n".join([head, *(row for row in rows if float(row.split(",")[0]) <= 25.0)]) + "\n")
-    status, text = told(capsys, tmp_path / "p06", "--parameters", "ratio.scale", "--out", tmp_path / "out")
+    status, text = run_estimate(capsys, tmp_path / "p06", "--parameters", "ratio.scale", "--out", tmp_path / "out")
     assert status == 0
     assert "alpha_deg is up to" in text
     assert "outside its ratio table over the fit segments" in text
@@ -152,7 +152,7 @@ def test_manoeuvre_outside_the_table_is_told(capsys, tmp_path):
         (Parameter("ratio.scale", "1", 0.0, 1.0, 1.0, -1.0), "bounds 1 to -1; give the lower one first"),
     ],
 )
-def test_impossible_prior_is_refused(prior, line):
+def test_invalid_prior_is_refused(prior, line):
     with pytest.raises(InputError) as caught:
         estimate([practice_record("p06")[0]], ["ratio.scale"], priors={"ratio.scale": prior})
     assert line in str(caught.value)
@@ -161,14 +161,14 @@ def test_impossible_prior_is_refused(prior, line):
 def test_damaged_record_is_named_with_its_file(capsys, tmp_path):
     shutil.copytree(PRACTICE / "p06", tmp_path / "p06")
     (tmp_path / "p06" / "conditions.csv").unlink()
-    status, text = told(capsys, tmp_path / "p06", "--out", tmp_path / "out")
+    status, text = run_estimate(capsys, tmp_path / "p06", "--out", tmp_path / "out")
     assert (status, "conditions.csv" in text) == (2, True)
 
 
 def test_fit_that_does_not_converge_keeps_its_files_and_fails(capsys, tmp_path):
     """A tile under a boundary layer that turns turbulent, which no linear derivative says."""
     out = tmp_path / "out"
-    status, text = told(capsys, PRACTICE.parent / "sts96_480", "--out", out)
+    status, text = run_estimate(capsys, PRACTICE.parent / "sts96_480", "--out", out)
     assert status == 1
     assert text.endswith(f"is not smooth here; {out} holds the last iteration, which is not an estimate")
     assert read_json(out / "estimate.json")["converged"] is False

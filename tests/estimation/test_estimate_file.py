@@ -66,7 +66,7 @@ def test_sigma_and_correlation_give_back_the_covariance_of_any_choice_of_paramet
     np.testing.assert_allclose(estimate.covariance(NAMES[::2]), COVARIANCE[::2, ::2], rtol=1e-12)
 
 
-def test_a_pair_may_be_named_either_way_round() -> None:
+def test_a_pair_may_be_named_in_either_order() -> None:
     turned = {"|".join(reversed(k.split("|"))): v for k, v in GOOD["correlation"].items()}
     np.testing.assert_allclose(
         check(good(correlation=turned), Estimate, "here").covariance(NAMES), COVARIANCE, rtol=1e-12
@@ -109,7 +109,7 @@ def test_a_damaged_estimate_is_refused_in_one_line(name: str, tmp_path: Path) ->
     assert all("\n" not in line for line in caught.value.problems)
 
 
-def test_a_directory_without_an_estimate_is_told(tmp_path: Path) -> None:
+def test_a_directory_without_an_estimate_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"estimate\.json: there is no such file"):
         read_estimate(tmp_path)
 

@@ -36,7 +36,7 @@ def test_estimates_from_8_bit_data_are_unbiased(found: Repetitions) -> None:
     assert np.all(np.abs(found.bias) < 3.3)
 
 
-def test_95_percent_bounds_cover_the_truth_so_often(found: Repetitions) -> None:
+def test_95_percent_bounds_cover_the_truth_in_95_percent_of_fits(found: Repetitions) -> None:
     low, high = binom.interval(1.0 - RARE, TRIALS, 0.95)
     hits = found.covered * TRIALS
     assert np.all((hits >= low) & (hits <= high))
@@ -46,7 +46,7 @@ def test_stated_sigmas_are_the_scatter_of_the_estimates(found: Repetitions) -> N
     assert np.all(np.abs(np.log(found.told_over_found)) < 3.3 / np.sqrt(2.0 * TRIALS))
 
 
-def test_residual_tests_are_odd_as_often_as_they_say(found: Repetitions) -> None:
+def test_p_values_of_residual_tests_are_uniform(found: Repetitions) -> None:
     for p in (found.white, found.normal):
         low, high = binom.interval(1.0 - RARE, p.size, 0.05)
         assert low <= np.count_nonzero(p < 0.05) <= high
@@ -72,7 +72,7 @@ def test_a_coarse_mesh_corrected_predicts_like_a_fine_one() -> None:
 
 
 def mid_entry(nodes: int, at_s: float, profile: int) -> FitProblem:
-    """A tile from a time within its entry on, declared with so many nodes and the temperatures there at so many
+    """A tile from a time within its entry on, declared with a number of nodes and the temperatures there at a number of
     depths."""
     record = practice_record("p06")[0]
 
@@ -103,11 +103,11 @@ def test_mesh_of_few_nodes_that_starts_from_a_profile_is_corrected_to_the_exact_
     assert not exact.mesh_warnings
 
 
-def test_fit_on_a_mesh_that_cannot_be_corrected_says_so() -> None:
+def test_fit_on_a_mesh_that_cannot_be_corrected_has_a_warning() -> None:
     problem = mid_entry(8, 60.0, 3)  # a fall of hundreds of kelvin that begins at the surface
     problem.correct_meshes(np.zeros(1))
-    (told,) = problem.mesh_warnings
-    assert told.startswith("p06: the mesh of 8 nodes could not be corrected, and predictions keep its error")
+    (warning,) = problem.mesh_warnings
+    assert warning.startswith("p06: the mesh of 8 nodes could not be corrected; predictions keep its error")
 
 
 def test_a_profile_on_halved_elements_is_the_same_between_the_nodes() -> None:

@@ -35,8 +35,8 @@ OTHER = {"popu_mach20": "flap_mach21", "flap_mach21": "popu_mach20"}
 
 
 @dataclass(frozen=True)
-class Hangar:
-    """Records by scenario and control point in `home`, the estimate of each scenario beside them; the flights."""
+class FlownRecords:
+    """Records by scenario and control point in `home`, with the estimate of each scenario; the flights."""
 
     home: Path
     flights: dict[str, tuple[Scenario, Flight]]
@@ -59,8 +59,8 @@ def altered(name: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def hangar(tmp_path_factory: pytest.TempPathFactory) -> Hangar:
-    home, flights = tmp_path_factory.mktemp("hangar"), {}
+def flown_records(tmp_path_factory: pytest.TempPathFactory) -> FlownRecords:
+    home, flights = tmp_path_factory.mktemp("flown_records"), {}
     for name, point in FITTED.items():
         (home / f"{name}.toml").write_text(altered(name))
         scenario = load_scenario(home / f"{name}.toml")
@@ -68,12 +68,12 @@ def hangar(tmp_path_factory: pytest.TempPathFactory) -> Hangar:
         flights[name] = (scenario, flight)
         write_records(scenario, synthesize(scenario, flight=flight, halvings=2), home / name)
         assert main(["estimate", str(home / name / point), "--out", str(home / f"{name}_fit")]) == 0
-    return Hangar(home, flights)
+    return FlownRecords(home, flights)
 
 
-def errors(hangar: Hangar, name: str, seed: int) -> dict[str, float]:
+def errors(flown_records: FlownRecords, name: str, seed: int) -> dict[str, float]:
     """Estimate less truth over sigma, by parameter, for the noise of a seed."""
-    scenario, flight = hangar.flights[name]
+    scenario, flight = flown_records.flights[name]
     noise = scenario.declared.measurements.model_copy(update={"seed": seed})
     declared = scenario.declared.model_copy(update={"measurements": noise})
     record = synthesize(replace(scenario, declared=declared, names=(FITTED[name],)), flight=flight, halvings=2)[
@@ -85,37 +85,39 @@ def errors(hangar: Hangar, name: str, seed: int) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("scenario", FITTED)
-def test_the_truth_lies_within_the_bounds_of_what_the_flight_tells(hangar: Hangar, scenario: str) -> None:
-    found = hangar.estimate(scenario)
-    truth = tomllib.loads((hangar.home / scenario / "truth.toml").read_text())
+def test_the_truth_is_within_the_bounds_of_the_estimates_of_the_flight(
+    flown_records: FlownRecords, scenario: str
+) -> None:
+    found = flown_records.estimate(scenario)
+    truth = tomllib.loads((flown_records.home / scenario / "truth.toml").read_text())
     assert found.reference_condition.model_dump() == pytest.approx(truth["reference_condition"], abs=1e-6)
     assert set(found.parameters) >= {"ratio.scale", "ratio.d_elevon", DERIVATIVE[scenario]}
-    drawn = [errors(hangar, scenario, seed) for seed in SEEDS]
+    drawn = [errors(flown_records, scenario, seed) for seed in SEEDS]
     low, high = chi2.ppf([0.0005, 0.9995], len(SEEDS))
     for name in drawn[0]:
         assert low < sum(z[name] ** 2 for z in drawn) < high, (name, [z[name] for z in drawn])
 
 
 @pytest.mark.parametrize("scenario", FITTED)
-def test_a_popu_tells_alpha_and_a_flap_manoeuvre_the_flap_to_a_fifth_of_what_is_wrong(
-    hangar: Hangar, scenario: str
+def test_a_popu_determines_alpha_and_a_flap_manoeuvre_the_flap_to_a_fifth_of_the_table_error(
+    flown_records: FlownRecords, scenario: str
 ) -> None:
     derivative = DERIVATIVE[scenario]
-    assert hangar.estimate(scenario).parameters[derivative].sigma < 0.2 * TRUTH[derivative]
+    assert flown_records.estimate(scenario).parameters[derivative].sigma < 0.2 * TRUTH[derivative]
 
 
-def test_a_flap_that_never_moves_is_not_estimated(hangar: Hangar) -> None:
-    assert "is constant" in hangar.estimate("popu_mach20").not_estimated["ratio.d_bodyflap"]
+def test_a_flap_that_never_moves_is_not_estimated(flown_records: FlownRecords) -> None:
+    assert "is constant" in flown_records.estimate("popu_mach20").not_estimated["ratio.d_bodyflap"]
 
 
 @pytest.mark.parametrize("scenario", FITTED)
 def test_the_revised_table_predicts_the_fitted_and_the_other_manoeuvre(
-    hangar: Hangar, scenario: str, tmp_path: Path
+    flown_records: FlownRecords, scenario: str, tmp_path: Path
 ) -> None:
     point = FITTED[scenario]
     other = tmp_path / "other"
-    other.symlink_to(hangar.record(OTHER[scenario], point))
-    fit = str(hangar.home / f"{scenario}_fit")
+    other.symlink_to(flown_records.record(OTHER[scenario], point))
+    fit = str(flown_records.home / f"{scenario}_fit")
     arguments = ["update-tables", fit, "--vehicle", "orbiter", "--out", str(tmp_path), "--check", str(other)]
     assert main(arguments) == 0
     made = read_json(tmp_path / "orbiter" / "ratio_revisions" / point / "revision_2.json")["errors_K"]

@@ -75,7 +75,7 @@ INTERVALS = [
     (30.0, 1e3), (0.3, 0.3 + 2**-30), (-(2**-20), 2**-21), (50.0, 50.0 + 2**-20), (0.0, math.inf), (4.0, math.inf),
     (50.0, math.inf),
 ]  # fmt: skip
-"""In sigma from the mean: about it, beside it, remote, narrow, open."""
+"""In sigma from the mean: about it, next to it, remote, narrow, open."""
 
 
 @pytest.mark.parametrize("ends", INTERVALS)
@@ -171,7 +171,7 @@ def test_the_ends_of_a_words_span_are_open() -> None:
     assert ends.upper_K.tolist() == [257.5, 262.5, math.inf]
 
 
-def test_a_lost_sample_says_nothing_and_a_prediction_without_value_is_not_hidden() -> None:
+def test_a_lost_sample_has_no_information_and_a_prediction_without_value_gives_nan() -> None:
     samples = reading_intervals(WORD, [500.0, math.nan])
     found = likelihood(samples, [500.0, 500.0], 1.0)
     for name in Likelihood.__dataclass_fields__:
@@ -189,7 +189,7 @@ def test_candidates_of_a_line_search_broadcast_against_the_samples() -> None:
 
 
 @pytest.mark.parametrize("sigma", [0.0, -1.0, math.nan])
-def test_noise_that_cannot_be_is_refused(sigma: float) -> None:
+def test_noise_that_is_not_positive_is_refused(sigma: float) -> None:
     with pytest.raises(InputError, match="must be above 0"):
         likelihood(reading_intervals(WORD, [500.0]), 500.0, sigma)
 

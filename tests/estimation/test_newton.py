@@ -1,4 +1,4 @@
-"""Newton-Raphson on a log posterior: problems of known maximum, bounds, priors, directions that data do not tell."""
+"""Newton-Raphson on a log posterior: problems of known maximum, bounds, priors, unidentified directions."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_a_linear_model_is_solved_by_one_step() -> None:
     np.testing.assert_allclose(fit.covariance, np.linalg.inv(design.T @ design), rtol=1e-10)
 
 
-def test_a_step_of_a_linear_model_gains_what_it_promises() -> None:
+def test_a_step_of_a_linear_model_gains_what_it_predicts() -> None:
     design = np.random.default_rng(1).normal(size=(20, 3))
     model, known = line(design, np.random.default_rng(2).normal(size=20)), parameters(3, sigma=2.0)
     begun = maximise(model, known, [1.0, 2.0, -1.0], NewtonSettings(iterations=0))
@@ -123,8 +123,8 @@ def test_a_decay_far_from_its_start_is_reached_by_shorter_steps_and_every_step_i
     assert np.all(np.diff([evaluate(p).log_likelihood for p in fit.history]) > 0.0)
 
 
-def test_a_ridge_that_bends_is_followed_in_few_steps_of_limited_reach() -> None:
-    # (1 + scale) (1 + step S((T - K) / width)), almost all of it hot: only the product is told well
+def test_a_ridge_that_bends_is_followed_in_few_steps_within_a_trust_radius() -> None:
+    # (1 + scale) (1 + step S((T - K) / width)), almost all of it hot: only the product is determined well
     T = np.linspace(450.0, 1000.0, 400)
     sigma, truth = 1e-3, np.array([-0.4, 0.9, 600.0, 40.0])
 
@@ -167,7 +167,7 @@ def test_candidates_come_in_one_batch_and_lead_to_the_same_maximum() -> None:
     np.testing.assert_array_equal(one.history, batch.history)
 
 
-def test_a_maximum_beyond_a_bound_is_held_there_and_the_rest_is_the_maximum_given_it() -> None:
+def test_a_maximum_beyond_a_bound_stops_at_it_and_the_rest_is_the_maximum_given_it() -> None:
     design = np.array([[1.0, 0.5], [0.5, 1.0], [0.2, -0.3]])
     data = np.array([-3.0, 2.0, 0.1])
     fit = maximise(line(design, data), parameters(2, value=1.0, lower=0.0))
@@ -199,7 +199,7 @@ def test_bounded_linear_problems_agree_with_scipys(seed: int) -> None:
     np.testing.assert_allclose(fit.values, expected, atol=1e-7)
 
 
-def test_two_columns_that_move_together_are_named_and_their_sum_is_found() -> None:
+def test_two_equal_columns_are_named_and_their_sum_is_found() -> None:
     x = np.linspace(-1.0, 1.0, 9)
     design = np.stack([x, x, np.ones(9)], axis=1)
     fit = maximise(line(design, 3.0 * x + 1.0), parameters(3))
@@ -216,7 +216,7 @@ def test_a_parameter_without_effect_keeps_its_start_and_is_named() -> None:
     assert fit.describe() == ["converged", "the data do not identify b"]
 
 
-def test_a_prior_tells_what_the_data_do_not() -> None:
+def test_a_prior_identifies_what_the_data_do_not() -> None:
     design = np.ones((4, 2))
     fit = maximise(line(design, np.full(4, 2.0)), [Parameter("a", "1", 0.0), Parameter("b", "1", 0.5, 0.1)])
     assert fit.describe() == ["converged"]
@@ -230,7 +230,7 @@ def test_steps_into_what_the_model_cannot_evaluate_are_shortened() -> None:
     assert fit.values[0] == approx(3.0, rel=1e-3)
 
 
-def test_a_gradient_that_belongs_to_another_function_is_told_as_divergence() -> None:
+def test_a_gradient_that_belongs_to_another_function_is_reported_as_divergence() -> None:
     def evaluate(p: FloatArray) -> Evaluation:
         return Evaluation(-0.5 * float(p @ p), 2.0 * p, np.eye(1))
 
@@ -239,7 +239,7 @@ def test_a_gradient_that_belongs_to_another_function_is_told_as_divergence() -> 
     assert "diverged" in fit.describe()[0]
 
 
-def test_a_start_without_value_and_too_few_iterations_are_told() -> None:
+def test_a_start_without_value_and_too_few_iterations_are_reported() -> None:
     nowhere = maximise(lambda p: Evaluation(math.nan, p, np.eye(1)), parameters(1))
     assert nowhere.status is Status.NO_START
     assert np.isnan(nowhere.sigma[0])
@@ -249,7 +249,7 @@ def test_a_start_without_value_and_too_few_iterations_are_told() -> None:
 
 
 @pytest.mark.parametrize(
-    ("keys", "told"),
+    ("keys", "message"),
     [
         ({"sigma": 0.0}, "a: prior 0 .- 0; give a finite value and a sigma above 0"),
         ({"value": math.nan}, "a: prior nan"),
@@ -257,8 +257,8 @@ def test_a_start_without_value_and_too_few_iterations_are_told() -> None:
         ({"value": 3.0, "upper": 1.0}, "a: prior value 3 is outside its bounds"),
     ],
 )
-def test_an_impossible_prior_is_refused_by_name(keys: dict[str, float], told: str) -> None:
-    with pytest.raises(InputError, match=told):
+def test_an_invalid_prior_is_refused_by_name(keys: dict[str, float], message: str) -> None:
+    with pytest.raises(InputError, match=message):
         maximise(ROSENBROCK, parameters(2, **keys))
 
 

@@ -67,8 +67,8 @@ def test_95_percent_bounds_cover_the_truth_95_times_in_100_though_noise_is_colou
     time, design = np.arange(n, dtype=float), slow_design(n)
     hits = np.zeros(3, dtype=int)
     for _ in range(trials):
-        kept = rng.random(n) >= lost
-        values, found = fitted(time[kept], autoregressive(n, phi, rng)[kept], design[kept])
+        present = rng.random(n) >= lost
+        values, found = fitted(time[present], autoregressive(n, phi, rng)[present], design[present])
         hits += np.abs(values) < found.half_width()
     assert all(likely(h, trials) for h in hits)
 
@@ -82,7 +82,7 @@ def test_bounds_for_white_noise_are_overconfident_where_noise_is_coloured() -> N
 
 
 def test_the_mean_of_autoregressive_noise_has_the_bound_of_its_spectrum() -> None:
-    """Variance of the mean is (1 + phi) / (1 - phi) / n for long records, told to sqrt(2 / dof) of itself."""
+    """Variance of the mean is (1 + phi) / (1 - phi) / n for long records, determined to sqrt(2 / dof) of itself."""
     n, phi = 5000, 0.7
     data = autoregressive(n, phi, np.random.default_rng(13))
     _, found = fitted(np.arange(n, dtype=float), data, np.ones((n, 1)))
@@ -169,7 +169,7 @@ def test_covariance_is_the_inverse_information_whatever_the_units() -> None:
     np.testing.assert_allclose(covariance(M) * np.outer(s, s), np.linalg.inv(M / np.outer(s, s)), rtol=1e-9)
 
 
-def test_an_elevon_that_follows_alpha_makes_their_derivatives_a_direction_in_words() -> None:
+def test_an_elevon_that_follows_alpha_makes_their_derivatives_a_direction_that_is_described() -> None:
     alpha = np.linspace(-5.0, 5.0, 40)
     J = np.stack([np.ones(40), alpha, 0.4 * alpha + 1e-5 * np.sin(alpha)], axis=1)
     (found,) = directions(J.T @ J, NAMES)
@@ -185,7 +185,7 @@ def test_parameters_that_cancel_move_together() -> None:
     assert found.describe() == "the data do not separate ratio.d_alpha and ratio.d_elevon: they may change together"
 
 
-def test_what_the_data_do_not_tell_has_no_finite_bound_and_the_rest_keeps_its_own() -> None:
+def test_what_the_data_do_not_identify_has_no_finite_bound_and_the_rest_keeps_its_own() -> None:
     J = np.stack([np.ones(9), np.arange(9.0) - 4.0, 2.0 * (np.arange(9.0) - 4.0)], axis=1)
     C = covariance(J.T @ J)
     assert np.sqrt(np.diag(C)).tolist() == approx([1.0 / 3.0, math.inf, math.inf])
@@ -193,7 +193,7 @@ def test_what_the_data_do_not_tell_has_no_finite_bound_and_the_rest_keeps_its_ow
     assert np.isnan(correlation(C)[0, 1])
 
 
-def test_correlated_but_told_parameters_are_no_singular_direction() -> None:
+def test_correlated_but_identified_parameters_are_no_singular_direction() -> None:
     """Coating and skew of correlation -0.96: eigenvalues 1 -+ 0.96."""
     M = np.array([[1.0, 0.96], [0.96, 1.0]]) * np.outer([3.0, 50.0], [3.0, 50.0])
     assert directions(M, ["coating", "skew"]) == []
@@ -225,7 +225,7 @@ def test_noise_below_and_above_the_step_of_a_word_is_found_within_its_limits(sig
     assert all(f.is_bounded_below for f in found)
 
 
-def test_noise_that_rounding_hides_is_bounded_from_above_alone_and_told_so() -> None:
+def test_noise_that_rounding_hides_is_bounded_from_above_alone_and_described_so() -> None:
     mean = np.linspace(600.0, 900.0, 60)
     found = estimate_noise(reading_intervals(WORD, quantise(WORD, mean)), mean)
     assert not found.is_bounded_below
@@ -243,15 +243,15 @@ def test_lost_samples_take_no_part_in_noise() -> None:
 
 
 @pytest.mark.parametrize(
-    ("read", "told"),
+    ("read", "message"),
     [([700.0, 700.0, 700.0], "agree in every digit"), ([700.0], "too few")],
 )
-def test_noise_that_nothing_tells_is_refused(read: list[float], told: str) -> None:
-    with pytest.raises(InputError, match=told):
+def test_noise_that_the_samples_do_not_determine_is_refused(read: list[float], message: str) -> None:
+    with pytest.raises(InputError, match=message):
         estimate_noise(reading_intervals(sensor(), read), np.full(len(read), 700.0))
 
 
-def test_samples_at_the_end_of_a_word_tell_no_noise() -> None:
+def test_samples_at_the_end_of_a_word_determine_no_noise() -> None:
     with pytest.raises(InputError, match="end of its word"):
         estimate_noise(reading_intervals(WORD, np.full(20, 1530.0)), np.full(20, 1600.0))
 
@@ -295,14 +295,14 @@ def test_a_gap_is_a_time_and_no_neighbourhood() -> None:
     assert whiteness(time, noise, lags=1).statistic == approx((pairs.sum() / 9.0 / power) ** 2 * 9.0 * 14.0 / 12.0)
 
 
-def test_normality_tells_gaussian_from_uniform_and_thins_what_is_long() -> None:
+def test_normality_distinguishes_gaussian_from_uniform_and_thins_long_series() -> None:
     rng = np.random.default_rng(26)
     assert normality(rng.normal(size=300)).p_value > 0.01
     assert normality(rng.uniform(size=300)).p_value < 1e-4
     assert normality(rng.normal(size=12_000)).dof == 4000
 
 
-def test_chi_square_is_odd_for_noise_declared_too_small_and_too_large() -> None:
+def test_chi_square_rejects_noise_declared_too_small_and_too_large() -> None:
     r = np.random.default_rng(27).normal(size=400)
     r[:20] = np.nan
     right = chi_square(r, fitted=0)

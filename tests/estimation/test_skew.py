@@ -37,7 +37,7 @@ def test_lead_at_which_the_coating_is_none_grows_with_thickness_and_falls_with_t
     assert 1.0 < zero[10.0, 1300.0] < 1.5  # the paper: negative by a lead of one second
 
 
-def test_lead_beyond_that_stops_at_the_bound_and_is_told_as_a_clock():
+def test_lead_beyond_that_stops_at_the_bound_and_is_reported_as_a_clock_error():
     fit = estimate([record(Tile(10.0, 1300.0, skew_s=-2.0, noise_K=1.0))], NAMES)
     assert any("is on its bound" in line for line in fit.warnings)
     assert any("estimate clock.skew as well" in line for line in fit.warnings)

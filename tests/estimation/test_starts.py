@@ -30,7 +30,7 @@ def true_profile(name: str, time_s: float) -> tuple:
 
 
 @pytest.mark.parametrize("name", ["p06", "p07"])
-def test_conducting_wall_is_a_tenth_as_far_off_as_the_circuit(name):
+def test_conducting_wall_has_a_tenth_of_the_error_of_the_circuit(name):
     part, true = true_profile(name, 640.0)
     given = part.record, part.model, part.mesh, 640.0
     conducted = np.sqrt(np.mean((conducted_profile(*given) - true) ** 2))

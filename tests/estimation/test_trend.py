@@ -71,11 +71,11 @@ def test_jet_spikes_in_the_derived_density_mislead_unless_the_jets_are_a_regress
     record = remade({"ratio.d_alpha": 3e-4}, jets_gain=0.5)
     names, about = ["ratio.scale", "ratio.d_alpha"], {"alpha_deg": 40.0}
     plain = estimate([record], names, reference=about)
-    told = estimate([record], [*names, "effect.jet-interaction.jet_gain"], reference=about)
-    error = [abs(f.fit.values[1] - 3e-4) for f in (plain, told)]
-    assert error[1] < 3.0 * told.bounds.sigma[1]
-    assert error[0] > 10.0 * told.bounds.sigma[1]
-    assert told.fit.values[2] == pytest.approx(1.0 / 1.5 - 1.0, abs=3.0 * told.bounds.sigma[2])
+    with_jets = estimate([record], [*names, "effect.jet-interaction.jet_gain"], reference=about)
+    error = [abs(f.fit.values[1] - 3e-4) for f in (plain, with_jets)]
+    assert error[1] < 3.0 * with_jets.bounds.sigma[1]
+    assert error[0] > 10.0 * with_jets.bounds.sigma[1]
+    assert with_jets.fit.values[2] == pytest.approx(1.0 / 1.5 - 1.0, abs=3.0 * with_jets.bounds.sigma[2])
 
 
 def test_segments_longer_than_their_data_or_of_no_length_are_refused():

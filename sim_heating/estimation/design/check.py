@@ -59,12 +59,12 @@ def repeated_fits(
     repetitions : number of fits;  seed : of the random numbers
     raises      : RunError where no fit converges
     """
-    known = {p.name: p for p in experiment.unknowns}
-    of_start = {} if start is None else {u.name: known[u.name] for u in start.unknowns}
+    priors = {p.name: p for p in experiment.unknowns}
+    of_start = {} if start is None else {u.name: priors[u.name] for u in start.unknowns}
     begin = None if start is None else replace(start, unknowns=tuple(of_start.values()))
     names = [n for n in experiment.names if n not in of_start]
     condition = joint_reference([record], reference)
-    problem = FitProblem([record], names, condition, FitOptions(effects=effects, priors=known, starts=[begin]))
+    problem = FitProblem([record], names, condition, FitOptions(effects=effects, priors=priors, starts=[begin]))
     parameters, record_fit = problem.parameters, problem.record_fits[0]
     rng = np.random.default_rng(seed)
     errors, failed = [], 0

@@ -83,7 +83,7 @@ class Experiment:
 
     unknowns : with their priors before the flight, in the order of the sensitivities
     channels : predicted samples by sensor
-    levels   : 1 where the temperatures are taken as predicted, more where they are not known to within a code
+    levels   : 1 where the temperatures are taken as predicted, more where they are uncertain by more than a code
 
     Source: docs/manoeuvre_design.md, equations 1 to 3.
     """
@@ -253,7 +253,7 @@ def _pressure_slopes(
 
     Source: docs/manoeuvre_design.md, equation 4.
     """
-    # the start is held: only the march from it on depends on the pressure
+    # the start is fixed: only the march from it on depends on the pressure
     known = None if start is None else replace(start, columns=start.columns[:, :0], unknowns=())
     sides: list[list[PredictedSamples]] = []
     for factor in (1.0 + PRESSURE_STEP, 1.0 - PRESSURE_STEP):

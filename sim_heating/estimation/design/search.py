@@ -171,12 +171,12 @@ class DesignSearch:
         sobol = qmc.Sobol(len(self.vary), rng=np.random.default_rng(1))
         for u in sobol.random_base2(int(np.ceil(np.log2(max(several, 1)))))[:several]:
             value(u)
-        left = total - len(self.designs)
-        if left > len(self.vary):
+        remaining = total - len(self.designs)
+        if remaining > len(self.vary):
             first = min(self.designs, key=lambda t: t.criterion)
             start = np.clip((first.x - self.low) / span, 0.05, 0.95)
             box = [(0.0, 1.0)] * len(self.vary)
-            minimize(value, start, method="Nelder-Mead", bounds=box, options={"maxfev": left, "xatol": 1e-3})
+            minimize(value, start, method="Nelder-Mead", bounds=box, options={"maxfev": remaining, "xatol": 1e-3})
         if self.best is None:
             raise RunError(f"design: {self._nearest()}")
         _, best, experiment = self.best

@@ -12,7 +12,7 @@ J. Guid. Control Dyn. 20 (1997).
 Residuals of a fit are less coloured than the noise: with Q = 1 - A M^-1 A' the sums over residuals at each lag
 have the expectation sum_l c(l) tr(W_k Q T_l Q), T_l being 1 where two samples are l apart, W_k the same with weights
 sqrt(I_i I_j); that linear system is solved for c. Lags end where autocorrelation does, with a flat-top taper:
-D. N. Politis, "Adaptive Bandwidth Choice", J. Nonparametr. Stat. 15 (2003). Sensors are taken as independent of
+D. N. Politis, "Adaptive Bandwidth Choice", J. Nonparametr. Stat. 15 (2003). Sensors count as independent of
 each other. Derived in docs/estimation_statistics.md, equations 22 to 26 (M is written N there).
 """
 
@@ -42,7 +42,7 @@ MAX_LAG = 100
 
 @dataclass(frozen=True, eq=False)
 class ChannelResiduals:
-    """One sensor's samples in one segment, lost ones left out.
+    """Residuals of one sensor in one segment, without lost samples.
 
     time_s      : (sample,) increasing [s]
     score       : (sample,) d log L / d mean [1/K], residual / sigma^2 where nothing is rounded
@@ -118,7 +118,7 @@ def grid_index(time_s: FloatArray) -> IntArray:
     steps = np.diff(time_s)
     if np.any(steps <= 0.0):
         raise InputError("sample times of a residual do not increase; sort them")
-    # the median: a few gaps, however long, do not move it
+    # the median: a few gaps, however long, do not change it
     intervals = np.maximum(np.rint(steps / np.median(steps)), 1.0).astype(np.int64)
     return np.concatenate([[0], np.cumsum(intervals)])
 

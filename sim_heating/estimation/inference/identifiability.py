@@ -109,7 +109,7 @@ def covariance(information: FloatArray) -> FloatArray:
     identified = values > ROUNDING
     s = scale(information)
     inverse = (vectors[:, identified] / values[identified]) @ vectors[:, identified].T * np.outer(s, s)
-    # a pseudo-inverse would report a small variance in directions of which nothing is known
+    # a pseudo-inverse would report a small variance in directions without any information
     undetermined = np.sum(vectors[:, ~identified] ** 2, axis=1) > ROUNDING
     inverse[undetermined, :] = np.nan
     inverse[:, undetermined] = np.nan

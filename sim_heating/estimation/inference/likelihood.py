@@ -68,11 +68,11 @@ class ReadingIntervals:
 
 
 def reading_intervals(sensor: Sensor, reading_K: ArrayLike) -> ReadingIntervals:
-    """Intervals of the indicated temperature that readings of a sensor stand for.
+    """Intervals of the indicated temperature that readings of a sensor represent.
 
         code k = rint((reading - R0) / LSB),   [a, b) = [R0 + (k - 1/2) LSB, R0 + (k + 1/2) LSB)
 
-    sensor  : its recorder word, bits [-] and range_K = (R0, R1) [K]; without one a reading is taken as unrounded
+    sensor  : its recorder word, bits [-] and range_K = (R0, R1) [K]; without one a reading counts as unrounded
     reading_K : (sample,) readings [K]; one between two codes counts as the nearer, one outside the span as the end code
     returns : (sample,) intervals [K], open below at code 0 and above at the last code
 

@@ -43,7 +43,7 @@ FIRST_DAMPING = 1e-3
 LARGEST_DAMPING = 1e6
 MORE, LESS = 10.0, 0.1
 WATCHED = 3
-"""Whole steps taken on from one that lowered the posterior, before its fractions are tried; 0 where they did not help
+"""Further whole steps after one that lowered the posterior, before its fractions are tried; 0 where they did not help
 the last time.
 """
 SHORTER = 0.5
@@ -261,10 +261,10 @@ def maximise(
     """
     several = log_likelihoods or (lambda values: np.array([evaluate(v).log_likelihood for v in values]))
     search = iteration(parameters, start, settings, on_step)
-    asked = next(search)
+    request = next(search)
     while True:
         try:
-            asked = search.send(evaluate(asked) if asked.ndim == 1 else several(asked))
+            request = search.send(evaluate(request) if request.ndim == 1 else several(request))
         except StopIteration as ended:
             fit: Fit = ended.value
             return fit
@@ -362,7 +362,7 @@ class _NewtonSearch:
         return step
 
     def box(self, trust: float) -> tuple[FloatArray, FloatArray]:
-        """(parameter,) largest moves down and up.
+        """(parameter,) largest changes down and up.
 
         They end at the bounds, and at `trust` times `trust_radius` from where the first of a sequence of whole steps
         began.
@@ -371,8 +371,8 @@ class _NewtonSearch:
             unlimited = np.full_like(self.at, np.inf)
             return -unlimited, unlimited
         # the prior's sigma is the scale of the radius; a flat prior gives a parameter no limit
-        known = self.posterior.information
-        radius = trust * self.settings.trust_radius / np.sqrt(np.where(known > 0.0, known, np.finfo(float).tiny))
+        prior = self.posterior.information
+        radius = trust * self.settings.trust_radius / np.sqrt(np.where(prior > 0.0, prior, np.finfo(float).tiny))
         begin = self.history[-1] - self.at
         return (
             np.maximum(self.posterior.lower - self.at, begin - radius),
@@ -435,8 +435,8 @@ class _NewtonSearch:
     def fit(self, names: tuple[str, ...], status: Status) -> Fit:
         broken = status is Status.NO_START or not _finite(self.found)
         free = np.flatnonzero(~self.on_bound)
-        known = self.found.information[np.ix_(free, free)]
-        singular = [] if broken else directions(known, [names[i] for i in free], SINGULAR)
+        information = self.found.information[np.ix_(free, free)]
+        singular = [] if broken else directions(information, [names[i] for i in free], SINGULAR)
         C = np.full_like(self.found.information, np.nan) if broken else self.covariance()
         return Fit(
             names=names,

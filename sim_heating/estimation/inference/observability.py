@@ -174,15 +174,15 @@ def without_stuck_sensors(record: Record) -> tuple[Record, list[str]]:
     indicated = predict(record).indicated_K[:, mask]
     stuck = []
     for sensor, read, expected in zip(record.sensors, record.temperatures_K()[:, mask], indicated, strict=True):
-        known = np.isfinite(read) & np.isfinite(expected)
-        if not sensor.used or np.count_nonzero(known) < FEWEST_STUCK or np.ptp(read[known]) > 0.0:
+        valid = np.isfinite(read) & np.isfinite(expected)
+        if not sensor.used or np.count_nonzero(valid) < FEWEST_STUCK or np.ptp(read[valid]) > 0.0:
             continue
-        change = float(np.ptp(expected[known]))
+        change = float(np.ptp(expected[valid]))
         if change > STUCK * max(sensor.lsb_K, sensor.noise_sigma_K or 1.0):
             stuck.append(sensor.name)
             lines.append(
-                f"{record.name}, sensor {sensor.name}: stuck at {read[known][0]:g} K in all "
-                f"{np.count_nonzero(known)} samples where the declared model changes by {change:.0f} K; not used"
+                f"{record.name}, sensor {sensor.name}: stuck at {read[valid][0]:g} K in all "
+                f"{np.count_nonzero(valid)} samples where the declared model changes by {change:.0f} K; not used"
             )
     if not stuck:
         return record, []

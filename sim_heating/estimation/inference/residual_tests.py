@@ -21,7 +21,7 @@ from sim_heating.estimation.inference.likelihood import ReadingIntervals, quanti
 FEWEST = 8
 """Number of samples below which nothing is tested."""
 MOST_FOR_SHAPIRO = 5000
-"""Number of samples up to which the p-value of Shapiro and Wilk holds."""
+"""Number of samples up to which the p-value of Shapiro and Wilk is valid."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def chi_square(residual: FloatArray, fitted: float = 0.0) -> HypothesisTest:
 
 
 def whiteness(time_s: FloatArray, residual: FloatArray, lags: int | None = None) -> HypothesisTest:
-    """Portmanteau test of autocorrelation up to a number of lags, lost samples (NaN) and gaps left out of the pairs.
+    """Portmanteau test of autocorrelation up to a number of lags, without pairs across lost samples (NaN) and gaps.
 
         Q = (n + 2) / n sum_k n_k rho_k^2,    rho_k = mean of products k apart / mean square
 
@@ -98,7 +98,7 @@ def normality(residual: FloatArray) -> HypothesisTest:
     residual : (sample,) [-], lost samples NaN
     raises   : InputError for fewer than 8 samples, and for residuals that are all equal
 
-    Source: Shapiro and Wilk (1965), as scipy.stats.shapiro computes it; its p-value holds up to 5000 samples.
+    Source: Shapiro and Wilk (1965), as scipy.stats.shapiro computes it; its p-value is valid up to 5000 samples.
     """
     present = residual[np.isfinite(residual)]
     _require_samples(present.size)

@@ -185,7 +185,7 @@ class Estimate(Extensible):
         for label, p in self.parameters.items():
             name = label.partition(AT)[0]
             if name.startswith("ratio.") and name not in MODEL:
-                problems.append((("parameters", name), f"there is no such parameter{suggestion(name, known)}"))
+                problems.append((("parameters", name), f"unknown parameter{suggestion(name, known)}"))
             elif name in MODEL and p.unit != MODEL[name].unit:
                 rule = f'"{p.unit}" is not the unit of {name}; it is "{MODEL[name].unit}"'
                 problems.append((("parameters", name, "unit"), rule))
@@ -268,7 +268,7 @@ def read_estimate(path: str | os.PathLike[str]) -> Estimate:
 
 
 def write_estimate(path: str | os.PathLike[str], estimate: Estimate) -> None:
-    """Write an estimate to a file, atomically; it reads back equal. Empty optional keys are left out."""
+    """Write an estimate to a file, atomically; it reads back equal. Empty optional keys are omitted."""
     data = estimate.model_dump()
     data["parameters"] = {n: {k: v for k, v in p.items() if v is not None} for n, p in data["parameters"].items()}
     optional = ("control_point", "vehicle", "segments", "excursions", "inputs", "effects", "program")
