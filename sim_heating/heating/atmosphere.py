@@ -1,7 +1,7 @@
 """Free stream: US Standard Atmosphere 1976 to 200 km, viscosity, speed of sound, and the conditions derived from them.
 
-A host gives altitude, density and velocity. Temperature, pressure, Mach and Reynolds number are derived here and
-nowhere else, because hosts get them wrong where it matters (a temperature that is constant above 86 km).
+A host simulation gives altitude, density and velocity. Temperature, pressure, Mach and Reynolds number are derived here
+only: the atmospheres of hosts are wrong where it matters (a temperature that is constant above 86 km).
 
 Sources: US Standard Atmosphere 1976, NOAA-S/T 76-1562 ("US76"; its own equation and table numbers are cited);
 docs/equations_reference_heating.md, equations 1 to 4.
@@ -264,7 +264,7 @@ def free_stream_kernel(
 
         T = T_US76(z),  p = rho p_US76(z) / rho_US76(z),  M = V / sqrt(gamma R T),  Re = rho V L / mu(T)
 
-    altitude_m, velocity_m_s, rho_kg_m3 : what the host gives [m], [m/s], [kg/m3]; density above 0
+    altitude_m, velocity_m_s, rho_kg_m3 : of the frame [m], [m/s], [kg/m3]; density above 0
     reference_length_m                  : L [m]
     Nothing is checked; an altitude outside -5 to 200 km counts as the nearest end, and log10 Re is not below -3.
     Source: docs/equations_reference_heating.md, equations 1 to 3.
@@ -302,7 +302,7 @@ def _free_stream_loop(z: FloatArray, V: FloatArray, rho: FloatArray, length: flo
 
 
 def _checked_altitude(altitude_m: ArrayLike) -> FloatArray:
-    # Negated, so that a value that is not a number is among the bad ones.
+    # Negated, so that a value that is not a number is bad too.
     z = np.asarray(altitude_m, dtype=float)
     bad = ~((z >= LOWEST_M) & (z <= HIGHEST_M))
     if np.any(bad):
@@ -347,7 +347,7 @@ def sutherland_viscosity(T_K: ArrayLike) -> FloatArray:
     raises  : InputError where T is not a number above 0
 
     The Reynolds number of a record is defined with this law at every temperature. For hot gas use
-    `reference_heating.gas.viscosity`. Source: US Standard Atmosphere 1976, eq. 51.
+    `heating.reference.gas.viscosity`. Source: US Standard Atmosphere 1976, eq. 51.
     """
     T = _checked_positive("T_K", T_K)
     mu = np.empty(T.size)
@@ -372,7 +372,7 @@ def speed_of_sound(T_K: ArrayLike) -> FloatArray:
 def free_stream(
     altitude_m: ArrayLike, velocity_m_s: ArrayLike, rho_kg_m3: ArrayLike, reference_length_m: float
 ) -> dict[str, FloatArray]:
-    """Free-stream temperature, pressure, Mach and Reynolds number from what a host gives.
+    """Free-stream temperature, pressure, Mach and Reynolds number from altitude, velocity and density.
 
         T = T_US76(z);  p = rho R T, R of US76's mean molar mass at z;  M = V / sqrt(gamma R T);  Re = rho V L / mu(T)
 

@@ -1,5 +1,5 @@
-"""From flight conditions to the heating of a wall, compiled: film coefficient, recovery enthalpy and pressure of each
-stage of the time step.
+"""Heating of a wall under flight conditions, compiled: film coefficient, recovery enthalpy and pressure at each stage
+of the time step.
 
     film = r h_ref,    r = ratio of the linear model, then effects that add, then a lag, then effects that multiply.
 

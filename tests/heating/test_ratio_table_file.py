@@ -67,7 +67,7 @@ def test_a_node_twice_names_both_rows(tmp_path: Path) -> None:
 
 def test_a_mistyped_axis_value_is_named_by_its_row(tmp_path: Path) -> None:
     changed = [line.replace("50,0,5,-5", "50,0,5.5,-5") for line in lines()]
-    expected = "row 14, column log10_re: 5.5 stands on 1 nodes, other values on 5; correct it or complete the grid"
+    expected = "row 14, column log10_re: 5.5 occurs at 1 nodes, other values at 5; correct it or complete the grid"
     assert expected in problem(tmp_path, changed)
 
 

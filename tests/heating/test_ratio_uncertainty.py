@@ -14,7 +14,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.heating.ratio.lookup import pack_table, table_ratio
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.ratio.uncertainty import (
-    REACH,
+    CORRELATION_LENGTH,
     Evidence,
     correlation,
     node_weights,
@@ -96,7 +96,7 @@ def test_measured_node_and_its_neighbour_follow_the_two_variable_normal_distribu
 
 
 def test_correlation_10_degrees_off_is_that_of_wendlands_function() -> None:
-    d = 10.0 / REACH["alpha_deg"]
+    d = 10.0 / CORRELATION_LENGTH["alpha_deg"]
     assert correlation("alpha_deg", np.array([-10.0]))[0] == pytest.approx((1 - d) ** 3 * (1 + 3 * d), rel=1e-14)
 
 

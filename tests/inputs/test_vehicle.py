@@ -320,7 +320,7 @@ DAMAGES = {
         ("density_kg_m3 = 1600.0", 'based_on = "inconel"', "unknown key"),
     ],
     "ratio_tables/FACE.csv": [
-        ("\n10,0,4.5,0,0,", "\n10,0,4.5,0,1,", "bodyflap_deg: 1 stands on 1 nodes"),
+        ("\n10,0,4.5,0,0,", "\n10,0,4.5,0,1,", "bodyflap_deg: 1 occurs at 1 nodes"),
         ("# reference: sutton-graves", "# reference: fay-riddell", "is `fay-riddell`; the vehicle's tables are over"),
         ("# reference: sutton-graves\n", "", "is not stated; the vehicle's tables are over"),
         ("sigma", "sigm", "sigm"),

@@ -203,11 +203,11 @@ def _oddities(update: TableUpdate) -> Iterator[str]:
         )
     if update.informed.left_out:
         yield f"{update.informed.left_out} fitted samples lay outside the table and were left out"
-    if update.after.surprise < SURPRISING:
+    if update.after.p_value < SURPRISING:
         n = len(update.after.innovation)
         yield (
             "The flight is farther from the table than its sigma allows (chi-square "
-            f"{update.after.chi_square:.1f} on {n}, chance {update.after.surprise:.1g}): the sigma column or the "
+            f"{update.after.chi_square:.1f} on {n}, chance {update.after.p_value:.1g}): the sigma column or the "
             "estimate's bounds are too small"
         )
     negative = int(np.count_nonzero((update.table.ratio < 0.0) & (update.history.table.ratio >= 0.0)))

@@ -45,7 +45,7 @@ from sim_heating.estimation.report.estimate_file import (
     read_estimate,
 )
 from sim_heating.heating.ratio.table import RatioTable
-from sim_heating.heating.ratio.uncertainty import REACH, Posterior, posterior
+from sim_heating.heating.ratio.uncertainty import CORRELATION_LENGTH, Posterior, posterior
 from sim_heating.inputs.points import point_with_vehicle_table
 from sim_heating.inputs.record import Record, load_record, pooled_rmse_K
 from sim_heating.inputs.vehicle import FOLDER as VEHICLES
@@ -415,7 +415,7 @@ def _made(update: TableUpdate, errors: dict[str, dict[str, Any]]) -> dict[str, A
         "parameters": {n: p.model_dump() for n, p in update.parameters.items()},
         "effects": update.effects.changes(),
         "not_written": update.not_written,
-        "reach": REACH,
+        "reach": CORRELATION_LENGTH,
         "chi_square": update.after.chi_square,
         "degrees_of_freedom": len(update.after.innovation),
         "evidence": {

@@ -18,7 +18,7 @@ from sim_heating.estimation.inference.observability import constant_variables
 from sim_heating.estimation.problem import SKEW_SPAN_S
 from sim_heating.estimation.record_fit import LONGEST_STEP_S, Start, march_times
 from sim_heating.estimation.starts import free_start
-from sim_heating.heating.ratio.uncertainty import REACH, node_weights
+from sim_heating.heating.ratio.uncertainty import CORRELATION_LENGTH, node_weights
 from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
 from sim_heating.inputs.record import Record, Segments, make_record
 from sim_heating.inputs.scenario import Design, Scenario
@@ -242,7 +242,7 @@ class Planner:
             return {}
         sigma = float((node_weights(ratio.axes, condition[np.newaxis]) @ ratio.sigma.ravel())[0])
         return {
-            f"ratio.d_{short}": np.sqrt(12.0) * sigma / REACH[v]
+            f"ratio.d_{short}": np.sqrt(12.0) * sigma / CORRELATION_LENGTH[v]
             for short, v in zip(SHORT_NAMES, RATIO_VARIABLES, strict=True)
         }
 

@@ -1,4 +1,4 @@
-"""Surface recombination: a hotter wall is more catalytic, and a flow of higher enthalpy has more atoms to recombine."""
+"""Catalysis: a hotter wall is more catalytic, and a flow of higher enthalpy has more atoms to recombine."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ REFERENCE_K = 1000.0
 
 
 @njit
-def emittance_changes(B: FloatArray, c: int, p: int, wall_K: float) -> float:
+def emissivity_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     """Factor of the effect on the tabulated emittance [-], not below 0.
 
         f = 1 + (factor - 1) S((t - change) / duration) + slope (T_w - 1000 K),    S(x) = 1 / (1 + exp(-x))
@@ -57,14 +57,14 @@ EFFECT = Effect(
     mode="emittance",
     parameters=(
         Parameter("emissivity_factor", "1", 1.0, 0.1, 0.05, 2.0, "emittance over the declared one"),
-        Parameter("change_s", "s", -1e4, 100.0, -1e5, 1e5, "time from which it holds; long before the flight: always"),
-        Parameter("emissivity_slope", "1/K", 0.0, 1e-4, -2e-3, 2e-3, "relative change of the emittance a kelvin"),
+        Parameter("change_s", "s", -1e4, 100.0, -1e5, 1e5, "start of the change; before the flight: always"),
+        Parameter("emissivity_slope", "1/K", 0.0, 1e-4, -2e-3, 2e-3, "relative change of the emittance per kelvin"),
         Parameter("duration_s", "s", 2.0, 20.0, 0.2, 1e3, "time constant of the change"),
     ),
-    kernel=emittance_changes,
+    kernel=emissivity_factor,
     needs_wall=True,
     neutral={"emissivity_factor": 1.0, "emissivity_slope": 0.0},
     search_starts=search_starts,
-    physics="Coatings age, are contaminated or blistered, and radiate otherwise when hot than their tables say.",
+    physics="Coatings age, are contaminated or blister; their emittance when hot differs from their tables.",
     source="Emittance drift of reused tiles, Williams & Curry, NASA RP-1193 (1992)",
 )

@@ -16,7 +16,7 @@ ONSET, SLOPE = range(2)
 
 
 @njit
-def impingement(B: FloatArray, c: int, p: int, wall_K: float) -> float:
+def impingement_ratio(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     """Ratio that flow impingement adds above an onset angle of attack [-].
 
         f = slope max(0, alpha - alpha_onset)
@@ -49,7 +49,7 @@ EFFECT = Effect(
         ),
         Parameter("slope", "1/deg", 0.002, 0.002, -0.1, 0.1, "rise of the ratio above it"),
     ),
-    kernel=impingement,
+    kernel=impingement_ratio,
     needs=("alpha_deg",),
     neutral={"slope": 0.0},
     search_starts=search_starts,

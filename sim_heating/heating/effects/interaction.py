@@ -1,4 +1,4 @@
-"""Interaction: two variables together do more, or less, than the sum of each, docs/effects.md, equation 13."""
+"""Interaction: a product term of two ratio variables, docs/effects.md, equation 13."""
 
 from __future__ import annotations
 

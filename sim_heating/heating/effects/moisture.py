@@ -6,7 +6,8 @@ fibres are cooler and condenses there. Its heat is conducted with
 
     k_vapour = vapour du/dT,    vapour = D L rho_v    [W/m]
 
-(diffusivity, latent heat, density of vapour where it dries: some 20 W/m over wet fibres at 370 K, less as humidity).
+(diffusivity, latent heat, density of vapour where it dries: about 20 W/m over wet fibres at 370 K, less over merely
+humid ones).
 docs/effects.md, equations 15 and 16; in the thermal model docs/equations_thermal_step.md, equations 12 and 13.
 """
 

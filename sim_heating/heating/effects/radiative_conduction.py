@@ -34,6 +34,6 @@ EFFECT = Effect(
     neutral={"k_rad": 0.0},
     search_starts=search_starts,
     physics="In fibres that are optically thick radiation diffuses: its conductivity is proportional to T^3. "
-    "A declared conductivity holds it as far as it was measured.",
+    "A declared conductivity includes it up to the temperature of the measurement.",
     source="Rosseland diffusion; Howell, Siegel & Menguc, Thermal Radiation Heat Transfer, 5th ed., ch. 12",
 )

@@ -1,4 +1,4 @@
-"""Sideslip: heating grows with its magnitude, on whichever side the wind comes from."""
+"""Sideslip: heating grows with the magnitude of the sideslip angle, equally for both signs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SLOPE, CURVATURE = range(2)
 
 
 @njit
-def added_by_sideslip(B: FloatArray, c: int, p: int, wall_K: float) -> float:
+def sideslip_ratio(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     """Ratio that sideslip of either sign adds [-].
 
         f = slope |beta| + d_beta2 beta^2
@@ -38,10 +38,10 @@ EFFECT = Effect(
     name="sideslip",
     mode="add",
     parameters=(
-        Parameter("slope_abs_beta", "1/deg", 0.0, 0.01, -1.0, 1.0, "rise of the ratio with |beta|"),
-        Parameter("d_beta2", "1/deg2", 0.0, 0.01, -1.0, 1.0, "and with beta^2"),
+        Parameter("slope_abs_beta", "1/deg", 0.0, 0.01, -1.0, 1.0, "rise of the ratio with the magnitude of beta"),
+        Parameter("d_beta2", "1/deg2", 0.0, 0.01, -1.0, 1.0, "rise of the ratio with beta^2"),
     ),
-    kernel=added_by_sideslip,
+    kernel=sideslip_ratio,
     needs=("beta_deg",),
     search_starts=search_starts,
     physics="A vortex or an attachment line moves onto a point with sideslip of either sign.",

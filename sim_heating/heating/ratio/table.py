@@ -146,9 +146,9 @@ def _missing_nodes(table: CsvTable, axes: tuple[FloatArray, ...], index: tuple[N
     if len(table) == whole:
         return []
     # A mistyped axis value makes a whole plane of nodes look missing; the value is the better message.
-    odd = _odd_value(table, shape, index)
-    if odd:
-        return [odd]
+    rare_value = _rare_value(table, shape, index)
+    if rare_value:
+        return [rare_value]
     have = set(zip(*(i.tolist() for i in index), strict=True))
     node = next(n for n in np.ndindex(*shape) if n not in have)
     at = ", ".join(f"{name} {axis[i]:g}" for name, axis, i in zip(RATIO_VARIABLES, axes, node, strict=True))
@@ -157,14 +157,14 @@ def _missing_nodes(table: CsvTable, axes: tuple[FloatArray, ...], index: tuple[N
     ]
 
 
-def _odd_value(table: CsvTable, shape: tuple[int, ...], index: tuple[NDArray[np.intp], ...]) -> str | None:
+def _rare_value(table: CsvTable, shape: tuple[int, ...], index: tuple[NDArray[np.intp], ...]) -> str | None:
     """Message about an axis value with fewer than half as many nodes as the others, as a mistyped one has."""
     for name, size, i in zip(RATIO_VARIABLES, shape, index, strict=True):
         counts = np.bincount(i, minlength=size)
         rarest = int(np.argmin(counts))
         if 2 * counts[rarest] < np.median(counts):
             row = int(np.flatnonzero(i == rarest)[0])
-            rule = f"stands on {counts[rarest]} nodes, other values on {np.median(counts):g}; "
+            rule = f"occurs at {counts[rarest]} nodes, other values at {np.median(counts):g}; "
             return table.problem(row, name, rule + "correct it or complete the grid")
     return None
 

@@ -2,13 +2,13 @@
 
 A ratio is measured at one flow state on a model, h / h_ref on the model's own reference sphere. In flight it is
 
-    r_flight = r_tunnel * theory(flight) / theory(tunnel)
+    r_flight = r_tunnel * Theta(flight) / Theta(tunnel)
 
-with theory the film coefficient of Eckert's flat plate, at the local pressure and edge speed of a windward surface,
-over that of Fay and Riddell's sphere:
+with the theoretical ratio Theta the film coefficient of Eckert's flat plate, at the local pressure and edge speed of a
+windward surface, over that of Fay and Riddell's sphere:
 
-    theory_laminar   ~ Re_L^0     both are proportional to Re^-1/2: real-gas and edge properties remain
-    theory_turbulent ~ Re_L^0.3   Re^-1/5 over the laminar Re^-1/2 of the sphere
+    Theta_laminar   ~ Re_L^0     both are proportional to Re^-1/2: real-gas and edge properties remain
+    Theta_turbulent ~ Re_L^0.3   Re^-1/5 over the laminar Re^-1/2 of the sphere
 
 Transitional flow is a blend by intermittency,
 
@@ -139,11 +139,11 @@ class Scaling(Declared):
         alpha_deg : angle of attack [deg]; without effect where `fixed_angle_deg` is given
         """
         angle = alpha_deg + self.inclination_deg if self.fixed_angle_deg is None else self.fixed_angle_deg
-        # At 90 deg the edge speed V cos(angle), and theory with it, would be 0.
+        # At 90 deg the edge speed V cos(angle), and the theoretical ratio with it, would be 0.
         return min(max(angle, SHALLOWEST_DEG), 89.0)
 
 
-def theory(state: FlowState, log10_re: float, angle_deg: float, x_over_L: float, turbulent: bool) -> float:
+def theoretical_ratio(state: FlowState, log10_re: float, angle_deg: float, x_over_L: float, turbulent: bool) -> float:
     """Flat-plate film coefficient on a windward surface over that of the reference sphere [-].
 
     state     : flow state of tunnel or flight
@@ -170,7 +170,7 @@ def scale_table(table: RatioTable, scaling: Scaling, log10_re: FloatArray | None
     Source: docs/equations.md, equations 10 to 12.
     """
     if table.sigma is None:
-        raise InputError("ratio table: there is no sigma to add to; give the column `sigma`")
+        raise InputError("ratio table: has no column `sigma`, to which scaling adds; give one")
     if table.reference not in (None, REFERENCE):
         raise InputError(f"ratio table: is over `{table.reference}`; scaling takes ratios over `{REFERENCE}`")
     nodes = table.axes[LOG10_RE] if log10_re is None else np.asarray(log10_re, dtype=float)
@@ -178,10 +178,10 @@ def scale_table(table: RatioTable, scaling: Scaling, log10_re: FloatArray | None
     at_tunnel = np.clip(nodes, table.axes[LOG10_RE][0], table.axes[LOG10_RE][-1])
     factor, added = _corrections(scaling, table.axes[ALPHA], at_tunnel, nodes)
     shape = (factor.shape[0], 1, factor.shape[1], 1, 1)
-    ratio = _at_nodes(table.ratio, table.axes[LOG10_RE], at_tunnel)
+    ratio = _at_log10_re(table.ratio, table.axes[LOG10_RE], at_tunnel)
     ratio = ratio * factor.reshape(shape)
     # A common factor: the tunnel's relative sigma is carried over unchanged.
-    measured = _at_nodes(table.sigma, table.axes[LOG10_RE], at_tunnel) * factor.reshape(shape)
+    measured = _at_log10_re(table.sigma, table.axes[LOG10_RE], at_tunnel) * factor.reshape(shape)
     sigma = np.hypot(measured, added.reshape(shape) * ratio)
     axes = (*table.axes[:LOG10_RE], nodes, *table.axes[LOG10_RE + 1 :])
     return replace(table, axes=axes, ratio=ratio, sigma=sigma, header=_header(table, scaling, added))
@@ -204,13 +204,13 @@ def correction(
 
     alpha_deg        : angle of attack [deg], the same in both
     tunnel_log10_re, flight_log10_re : log10 of the free-stream Reynolds numbers [-]
-    returns          : theory(flight) / theory(tunnel), with the transitional blend where both onsets are given; sigma
+    returns          : Theta(flight) / Theta(tunnel), with the transitional blend where both onsets are given; sigma
     Source: docs/equations.md, equations 10 to 12.
     """
     angle = scaling.angle_deg(alpha_deg)
     ends = ((scaling.tunnel, tunnel_log10_re), (scaling.flight, flight_log10_re))
-    laminar = [theory(s, re, angle, scaling.x_over_L, False) for s, re in ends]
-    turbulent = [theory(s, re, angle, scaling.x_over_L, True) for s, re in ends]
+    laminar = [theoretical_ratio(s, re, angle, scaling.x_over_L, False) for s, re in ends]
+    turbulent = [theoretical_ratio(s, re, angle, scaling.x_over_L, True) for s, re in ends]
     # Independent errors of the method, of both onsets and of the size of the correction, added in quadrature below.
     steps = [scaling.method_sigma]
     if scaling.tunnel_transition is None or scaling.flight_transition is None:
@@ -238,7 +238,7 @@ def _blend(transition: Transition, log10_re: float, f: float, onset_sigma: float
     return blend, 0.5 * spread * abs(f - 1.0) / blend
 
 
-def _at_nodes(values: FloatArray, axis: FloatArray, nodes: FloatArray) -> FloatArray:
+def _at_log10_re(values: FloatArray, axis: FloatArray, nodes: FloatArray) -> FloatArray:
     """Values of a ratio-table array linear in log10_re, at nodes inside the axis."""
     if len(axis) == 1:
         return np.repeat(values, len(nodes), axis=LOG10_RE)
@@ -250,19 +250,19 @@ def _at_nodes(values: FloatArray, axis: FloatArray, nodes: FloatArray) -> FloatA
 def _header(table: RatioTable, scaling: Scaling, added: FloatArray) -> dict[str, str]:
     """Header of the table with the assumptions of the scaling added."""
     angle = "alpha" if scaling.fixed_angle_deg is None else f"{scaling.fixed_angle_deg:g} deg"
-    told = (
-        f"{scaling.regime}, tunnel {_told(scaling.tunnel)} to flight {_told(scaling.flight)}, "
+    assumptions = (
+        f"{scaling.regime}, tunnel {_state_text(scaling.tunnel)} to flight {_state_text(scaling.flight)}, "
         f"at x/L {scaling.x_over_L:g}, surface at {angle}"
     )
     ends = (("tunnel", scaling.tunnel_transition), ("flight", scaling.flight_transition))
     onsets = [f"{name} {t.onset_log10_re:g} (width {t.width:g})" for name, t in ends if t is not None]
-    header = {**table.header, "reference": REFERENCE, "scaled": told}
+    header = {**table.header, "reference": REFERENCE, "scaled": assumptions}
     if onsets:
         header["scaled_onset_log10_re"] = ", ".join(onsets) + f", each +-{scaling.onset_sigma:g}"
     return header | {"scaled_sigma_added": f"{added.min():.3f} to {added.max():.3f} of the ratio, in quadrature"}
 
 
-def _told(state: FlowState) -> str:
+def _state_text(state: FlowState) -> str:
     return f"{state.velocity_m_s:g} m/s {state.T_inf_K:g} K wall {state.wall_K:g} K length {state.length_m:g} m"
 
 

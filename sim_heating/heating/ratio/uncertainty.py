@@ -1,4 +1,7 @@
-"""Node values of a ratio table, given estimates of linear combinations of them: exact linear-Gaussian update.
+"""Uncertainty of heating ratios: of a table updated by flight estimates, and of the ratio that an estimate predicts.
+
+A ratio table is a normal prior for its node values n. Estimates y measure linear combinations of them, and the update
+is exact:
 
     prior       n ~ N(n_0, K),  K_ij = sigma_i sigma_j rho(x_i, x_j)
     evidence    y = H n + e,  e ~ N(0, C)
@@ -9,13 +12,13 @@ axes of Wendland's (1 - d/l)^3 (1 + 3 d/l), which is positive definite, smooth, 
 nodes farther than l in any variable from every node that the data weigh keep their values. Several pieces of evidence
 are applied together to the table before all of them: their order does not matter, and no step is approximate.
 
+An estimate predicts the ratio at any condition, with its standard deviation, as
+
+    r = r_table + sum_k b_k theta_k,    b = r_table for ratio.scale, 1 for ratio.d0, dx_i, dx_i dx_j for derivatives
+
+Equations: docs/equations.md, 9 (prediction) and 15 to 17 (update).
 Sources: Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), eqs. 2.23 and 2.24, with linear
-functionals for values; Wendland, Adv. Comput. Math. 4 (1995) 389, function phi_1,1; docs/equations.md, equations 15
-to 17.
-
-Heating ratio of a fit at any condition, r = r_table + sum_k b_k theta_k, with its standard deviation.
-
-b = r_table for ratio.scale, 1 for ratio.d0, dx_i, dx_i dx_j for the derivatives (docs/equations.md, equation 9).
+functionals for values; Wendland, Adv. Comput. Math. 4 (1995) 389, function phi_1,1.
 """
 
 from __future__ import annotations
@@ -37,21 +40,21 @@ from sim_heating.base.parameters import RATIO, SECOND_ORDER
 from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.heating.ratio.table import RatioTable
 
-REACH = {"alpha_deg": 30.0, "beta_deg": 20.0, "log10_re": 2.0, "elevon_deg": 30.0, "bodyflap_deg": 30.0}
+CORRELATION_LENGTH = {"alpha_deg": 30.0, "beta_deg": 20.0, "log10_re": 2.0, "elevon_deg": 30.0, "bodyflap_deg": 30.0}
 """Distance l [deg], or [-] for log10_re, at which errors of two nodes are independent; see docs/table_updates.md."""
 
 SINGULAR = 1e-8
-"""Smallest diagonal [-] of the Cholesky root of a correlation matrix that is not taken as singular."""
+"""Diagonal [-] of the Cholesky root below which a correlation matrix counts as singular."""
 
 
 def correlation(variable: str, distance: FloatArray) -> FloatArray:
     """Correlation (1 - d)^3 (1 + 3 d) [-] of the errors of two nodes along one variable, d = distance / l < 1; else 0.
 
-    variable : name of the axis, a key of REACH, which has l
+    variable : name of the axis; CORRELATION_LENGTH has its l
     distance : difference of the two nodes, any shape, in the unit of the axis: [deg], or [-] for log10_re
     Source: Wendland 1995, Adv. Comput. Math. 4, 389, phi_1,1; docs/equations.md, equation 15.
     """
-    d = np.abs(distance) / REACH[variable]
+    d = np.abs(distance) / CORRELATION_LENGTH[variable]
     return np.where(d < 1.0, (1.0 - np.minimum(d, 1.0)) ** 3 * (1.0 + 3.0 * d), 0.0)
 
 
@@ -105,7 +108,7 @@ class Evidence:
 class Posterior:
     """A ratio table updated by evidence, with the quantities that its uncertainty is computed from.
 
-    prior        : the table before
+    prior        : the table before the update
     ratio, sigma : updated ratio and standard deviation [-], on its grid
     innovation   : (k,) y - H n_0, all evidence concatenated
     chi_square   : innovation' S^-1 innovation [-]; about k where the table's sigma and the estimates' bounds are right
@@ -121,7 +124,7 @@ class Posterior:
     root: FloatArray
 
     @property
-    def surprise(self) -> float:
+    def p_value(self) -> float:
         """Probability [-] of a chi-square at least as large as this one, if the table's sigma and the bounds are right.
 
         Upper tail of the chi-square distribution with k degrees of freedom (docs/equations.md, equation 17).
@@ -157,7 +160,7 @@ def prior_covariance(table: RatioTable, first: IntArray, second: IntArray) -> Fl
     Source: docs/equations.md, equation 15.
     """
     shape = table.ratio.shape
-    assert table.sigma is not None  # posterior asks for it
+    assert table.sigma is not None  # checked by posterior
     sigma = table.sigma.ravel()
     K = np.outer(sigma[first], sigma[second])
     places = zip(np.unravel_index(first, shape), np.unravel_index(second, shape), strict=True)
@@ -180,13 +183,13 @@ def posterior(table: RatioTable, evidence: Sequence[Evidence]) -> Posterior:
     Source: Rasmussen and Williams (2006), eqs. 2.23 and 2.24; docs/equations.md, equations 15 to 17.
     """
     if table.sigma is None:
-        raise InputError("ratio table: has no sigma column, so there is nothing to weigh the flight against; add one")
+        raise InputError("ratio table: has no sigma column, which the flight's uncertainty is weighed against; add one")
     # An estimate of effects alone has no ratio parameter, and so no rows.
     evidence = [e for e in evidence if e.names]
     if not evidence:
         return Posterior(table, table.ratio, table.sigma, np.zeros(0), 0.0, np.zeros((table.ratio.size, 0)))
     nodes = np.unique(np.concatenate([e.nodes for e in evidence]))
-    H = np.vstack([_spread(e, nodes) for e in evidence])
+    H = np.vstack([_design_rows(e, nodes) for e in evidence])
     value = np.concatenate([e.value for e in evidence])
     G = prior_covariance(table, np.arange(table.ratio.size), nodes) @ H.T
     S = H @ G[nodes]
@@ -198,7 +201,7 @@ def posterior(table: RatioTable, evidence: Sequence[Evidence]) -> Posterior:
     innovation = value - H @ table.ratio.ravel()[nodes]
     # Scaled to a correlation matrix: parameters have units from 1 to 1/deg^2, and SINGULAR needs one common measure.
     scale = np.sqrt(np.maximum(np.diag(S), np.finfo(float).tiny))
-    L = _root(S / np.outer(scale, scale))
+    L = _cholesky_root(S / np.outer(scale, scale))
     root = solve_triangular(L, (G / scale).T, lower=True).T
     whitened = solve_triangular(L, innovation / scale, lower=True)
     ratio = table.ratio + (root @ whitened).reshape(table.ratio.shape)
@@ -208,17 +211,17 @@ def posterior(table: RatioTable, evidence: Sequence[Evidence]) -> Posterior:
     return Posterior(table, ratio, sigma, innovation, float(whitened @ whitened), root)
 
 
-def _root(S: FloatArray) -> FloatArray:
+def _cholesky_root(S: FloatArray) -> FloatArray:
     try:
         L: FloatArray = cholesky(S, lower=True)
     except np.linalg.LinAlgError:
         L = np.zeros_like(S)
     if np.min(np.diag(L)) < SINGULAR:
-        raise InputError("ratio table: the estimates repeat one another without uncertainty; state their sigma")
+        raise InputError("ratio table: estimates without uncertainty repeat one another; state their sigma")
     return L
 
 
-def _spread(evidence: Evidence, nodes: IntArray) -> FloatArray:
+def _design_rows(evidence: Evidence, nodes: IntArray) -> FloatArray:
     H = np.zeros((len(evidence.names), len(nodes)))
     H[:, np.searchsorted(nodes, evidence.nodes)] = evidence.H
     return H

@@ -51,7 +51,7 @@ def _load_grid() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatA
 
 
 @njit
-def _cell(x: float, first: float, step: float, count: int) -> tuple[int, float]:
+def _uniform_cell(x: float, first: float, step: float, count: int) -> tuple[int, float]:
     """Interval of a uniform axis and the fraction within it [-]; values outside count as the nearest end."""
     s = min(max((x - first) / step, 0.0), count - 1.0)
     i = min(int(s), count - 2)
@@ -75,8 +75,8 @@ def _make_lookup() -> Callable[[float, float], tuple[float, float, float]]:
 
     @njit
     def lookup(T_K: float, p_Pa: float) -> tuple[float, float, float]:
-        i, w = _cell(math.log10(p_Pa), p_first, p_step, p_count)
-        j, s = _cell(T_K, T_first, T_step, T_count)
+        i, w = _uniform_cell(math.log10(p_Pa), p_first, p_step, p_count)
+        j, s = _uniform_cell(T_K, T_first, T_step, T_count)
         # Below the table h is proportional to T, which keeps cp positive for cold walls and wind-tunnel streams.
         h = _blend(h_grid, i, w, j, s) * min(T_K / T_first, 1.0)
         return h, _blend(Z_grid, i, w, j, s), _blend(D_grid, i, w, j, s)
@@ -95,9 +95,9 @@ def _make_inverse() -> Callable[[float, float], tuple[float, float]]:
 
     @njit
     def inverse(h_J_kg: float, p_Pa: float) -> tuple[float, float]:
-        i, w = _cell(math.log10(p_Pa), p_first, p_step, p_count)
+        i, w = _uniform_cell(math.log10(p_Pa), p_first, p_step, p_count)
         h_first = (1.0 - w) * h_grid[i, 0] + w * h_grid[i + 1, 0]
-        # The same straight line to 0 K as in the lookup, so that this stays its inverse.
+        # Below the table the straight line to 0 K of the lookup, of which this is the inverse.
         if h_J_kg <= h_first:
             return T_first * h_J_kg / h_first, _blend(Z_grid, i, w, 0, 0.0)
         bin_ = h_J_kg * (1.0 / ENTHALPY_BIN)

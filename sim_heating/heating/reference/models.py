@@ -1,6 +1,6 @@
 """Reference heating by name: film coefficient h_ref [kg/(m2 s)] and recovery enthalpy H_r [J/kg] of a flight.
 
-One compiled kernel serves a frame of a host and, in a loop, a whole flight. A heating ratio is defined over one of
+One compiled kernel evaluates a frame of a host and, in a loop, a whole flight. A heating ratio is defined over one of
 these models; the header of its table names it. Equations: docs/equations_reference_heating.md, section 3.
 """
 
@@ -72,7 +72,7 @@ def reference_model(name: str) -> ReferenceModel:
     if name in REFERENCE_MODELS:
         return REFERENCE_MODELS[name]
     hint = suggestion(str(name), REFERENCE_MODELS, cutoff=0.4)
-    raise InputError(f"heating.reference: there is no reference heating `{name}`{hint}")
+    raise InputError(f"heating.reference: unknown reference heating `{name}`{hint}")
 
 
 @njit
@@ -144,7 +144,7 @@ def _check_geometry(model: ReferenceModel, nose_radius_m: float, running_length_
     given = {"heating.nose_radius_m": nose_radius_m, "wall_temperature_K": T_w_K}
     if model.on_plate:
         if running_length_m is None:
-            raise InputError(f"heating.running_length_m: `{model.name}` needs one (from the leading edge)")
+            raise InputError(f"heating.running_length_m: `{model.name}` needs a length from the leading edge")
         given["heating.running_length_m"] = running_length_m
     bad = {key: value for key, value in given.items() if not 0.0 < value < np.inf}
     problems = [f"{key}: {value} (must be finite and above 0)" for key, value in bad.items()]
@@ -192,9 +192,9 @@ def reference_heating(
     # Copies, so that a change of the result does not change the record.
     if model.code == COLUMNS:
         return conditions["h_ref_kg_m2_s"].copy(), conditions["H_r_J_kg"].copy()
-    still = np.zeros(len(conditions))
+    absent = np.zeros(len(conditions))
     # The kernel has one signature; a column that the model does not read is given as zeros.
-    inputs = [conditions[n] if n in model.needs else still for n in _PLATE]
+    inputs = [conditions[n] if n in model.needs else absent for n in _PLATE]
     # Copies: to numba a read-only column is another type, for which the loop would be compiled a second time.
     rho, V, T_inf, alpha = (np.array(a, dtype=float) for a in inputs)
     h_ref, H_r = np.empty(len(conditions)), np.empty(len(conditions))

@@ -1,8 +1,8 @@
 """Stagnation-point heating of a sphere as a film coefficient: Fay-Riddell, Detra-Kemp-Riddell, Sutton-Graves.
 
 The film coefficient is h_ref = q_ref / (h_0 - h_w) [kg/(m2 s)] for a cold wall of 300 K; it is used with the recovery
-enthalpy H_r = V^2/2 + cp T_inf. The three differ by about 6 % in q between 6 and 7.5 km/s, so that a heating ratio is
-valid only with the one that it was formed with.
+enthalpy H_r = V^2/2 + cp T_inf. The three models differ by about 6 % in q between 6 and 7.5 km/s, so that a heating
+ratio is valid only with the model over which it was formed.
 
 In the two correlations h_0 - h_w is V^2/2 + cp (T_inf - 300 K), which changes sign at about 400 m/s in cold air. Below
 850 m/s the film coefficient is therefore taken from the formula's own speed group, q_ref / (V^2/2), times a factor that
@@ -33,9 +33,9 @@ SLOWEST_M_S = 1.0
 """Speed [m/s] below which a body is heated as at this speed."""
 SPEED_EXACT_M_S = 850.0
 """Speed [m/s] from which the film coefficient is q_ref/(h_0 - h_w) exactly."""
-SPEED_HELD_M_S = 550.0
+SPEED_CONSTANT_M_S = 550.0
 """Speed [m/s] below which the ratio (V^2/2) / (h_0 - h_w) is constant."""
-SPEED_HELD_AT_M_S = 0.5 * (SPEED_EXACT_M_S + SPEED_HELD_M_S)
+SPEED_OF_CONSTANT_M_S = 0.5 * (SPEED_EXACT_M_S + SPEED_CONSTANT_M_S)
 """Speed [m/s] at which that constant ratio is taken: 700 m/s joins the two with a continuous slope."""
 
 SUTTON_GRAVES = 1.7415e-4
@@ -67,8 +67,8 @@ def _enthalpy_factor(V: float, T_inf_K: float) -> float:
     """
     v = V
     if V < SPEED_EXACT_M_S:
-        above = max(V - SPEED_HELD_M_S, 0.0)
-        v = SPEED_HELD_AT_M_S + 0.5 * above * above / (SPEED_EXACT_M_S - SPEED_HELD_M_S)
+        above = max(V - SPEED_CONSTANT_M_S, 0.0)
+        v = SPEED_OF_CONSTANT_M_S + 0.5 * above * above / (SPEED_EXACT_M_S - SPEED_CONSTANT_M_S)
     kinetic = 0.5 * v * v
     return kinetic / (kinetic + CP_AIR * (T_inf_K - COLD_WALL_K))
 
@@ -134,8 +134,8 @@ def shock_density_ratio(rho_kg_m3: float, velocity_m_s: float, p_Pa: float, h_J_
         if abs(f) < SHOCK_TOLERANCE:
             return eps
         # No second point for a secant yet: a fixed-point step, as (1 - eps) f is eps less the ratio that eps leads to.
-        move = (1.0 - eps) * f if k == 0 else f * (eps - before) / (f - f_before)
-        before, f_before, eps = eps, f, eps - move
+        change = (1.0 - eps) * f if k == 0 else f * (eps - before) / (f - f_before)
+        before, f_before, eps = eps, f, eps - change
         if not NARROWEST < eps < WIDEST:
             break
     low, high = NARROWEST, WIDEST
