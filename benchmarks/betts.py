@@ -12,36 +12,43 @@ from typing import Any
 import numpy as np
 
 from sim_heating.planning.optimal import dynamics as od
-from sim_heating.planning.optimal.collocation import Bounds, Motion, Problem, ca, require_casadi, straight_guess
+from sim_heating.planning.optimal.collocation import (
+    Motion,
+    OptimalControlProblem,
+    UpperBounds,
+    ca,
+    require_casadi,
+    straight_guess,
+)
 
 FT_M = 0.3048
 MASS_SLUG = 203000.0 / 32.174
 AREA_FT2 = 2690.0
 PLANET = od.Planet(20902900.0 * FT_M, 1.4076539e16 * FT_M**3)
 HEATING_LIMIT = 70.0
-"""Btu/(ft2 s)"""
+"""Heating of the wing leading edge [Btu/(ft2 s)]."""
 PUBLISHED = {"free": (34.1412, 2008.59), "limited": (30.6255, 2198.67)}
 """Betts' final latitude [deg] and time [s], as also quoted by the Dymos documentation's tests."""
 
 
 def density_slug_ft3(altitude_ft: Any) -> Any:
-    """0.002378 exp(-h / 23800)."""
+    """Density [slug/ft3]: rho = 0.002378 exp(-h / 23800), h in ft."""
     return 0.002378 * ca.exp(-altitude_ft / 23800.0)
 
 
 def lift_drag(alpha_deg: Any) -> tuple[Any, Any]:
-    """CL and CD."""
+    """CL and CD over the angle of attack."""
     return -0.20704 + 0.029244 * alpha_deg, 0.07854 - 0.0061592 * alpha_deg + 0.000621408 * alpha_deg**2
 
 
 def heating_Btu_ft2_s(rho_slug_ft3: Any, speed_ft_s: Any, alpha_deg: Any) -> Any:
-    """Heating of the wing leading edge, q_r(rho, V) q_a(alpha)."""
+    """Heating of the wing leading edge [Btu/(ft2 s)]: q_r(rho, V) q_a(alpha)."""
     by_alpha = 1.0672181 - 0.019213774 * alpha_deg + 2.1286289e-4 * alpha_deg**2 - 1.0117249e-6 * alpha_deg**3
     return 17700.0 * ca.sqrt(rho_slug_ft3) * (1e-4 * speed_ft_s) ** 3.07 * by_alpha
 
 
-def betts_problem() -> Problem:
-    """The problem; its path is the heating over its limit."""
+def betts_problem() -> OptimalControlProblem:
+    """Betts' problem; its path is the heating over HEATING_LIMIT."""
     require_casadi()
     x, u = ca.SX.sym("x", od.STATES), ca.SX.sym("u", 2)
     speed, rho = x[od.SPEED] / FT_M, density_slug_ft3(x[od.ALTITUDE] / FT_M)
@@ -50,7 +57,7 @@ def betts_problem() -> Problem:
     rates = od.motion_rates(x, force * CL, force * CD, u[od.BANK], PLANET)
     start = np.array([260e3 * FT_M, 0.0, 0.0, 25600.0 * FT_M, np.radians(-1.0), np.radians(90.0)])
     heating = heating_Btu_ft2_s(rho, speed, u[od.ALPHA]) / HEATING_LIMIT
-    return Problem(
+    return OptimalControlProblem(
         model=ca.Function("model", [x, u], [ca.vertcat(*rates), heating]),
         goal=od.cross_range_function(start, 1.0),
         scale=od.SCALE, control_scale=od.CONTROL_SCALE, lower=od.LOWEST, upper=od.HIGHEST,
@@ -61,12 +68,12 @@ def betts_problem() -> Problem:
     )  # fmt: skip
 
 
-def betts_guess(problem: Problem) -> Motion:
+def betts_guess(problem: OptimalControlProblem) -> Motion:
     """Straight lines from the start to the end state, 17.4 deg, bank from -75 deg to 0."""
     end = np.array([80e3 * FT_M, np.radians(75.0), np.radians(25.0), 2500.0 * FT_M, np.radians(-5.0), np.radians(10.0)])
     return straight_guess(problem, end, np.array([[17.4, 17.4], [-75.0, 0.0]]), 2000.0)
 
 
-def betts_bounds(limited: bool) -> Bounds:
-    """Heating bounded, or free."""
-    return Bounds(path=(1.0 if limited else np.inf,))
+def betts_bounds(limited: bool) -> UpperBounds:
+    """Heating up to its limit, or free."""
+    return UpperBounds(path=(1.0 if limited else np.inf,))

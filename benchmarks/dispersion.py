@@ -25,7 +25,7 @@ from sim_heating.base.parallel import Job, run_batches
 from sim_heating.base.threads import one_thread
 from sim_heating.march.mesh_choice import choose_meshes
 from sim_heating.planning.dispersion.entry import BATCH, SOBOL, Batch, DispersedEntry
-from sim_heating.planning.dispersion.flight import condition_kernel, fleet, fly_many
+from sim_heating.planning.dispersion.flight import condition_kernel, entry_sampler
 from sim_heating.planning.dispersion.march import LaneMarch
 from sim_heating.planning.dispersion.statistics import deviations
 from sim_heating.planning.study import load_study
@@ -37,7 +37,7 @@ FLIGHTS, SHORT = 10_000, 1_280
 ROUNDS = 5
 """In turn: one process, two, one plain process, two at once."""
 FINE_STEP_S, FINE_SAMPLE_S = 0.25, 0.5
-"""Steps that the study's are held against."""
+"""Steps that the study's are compared with [s]."""
 
 
 def _jobs(flights: int) -> list[Job]:
@@ -117,20 +117,20 @@ def _memory_GiB() -> tuple[float, float]:
 def _parts(entry: DispersedEntry) -> dict[str, float]:
     """Processor time [s] of a flight: flying, conditions, and the bare march of the kernels."""
     z = entry.rows(Batch(SOBOL, 0, LANES))
-    moved = deviations(entry.inputs, z)
-    changes = [entry.of_flight(row) for row in moved]
+    deviation = deviations(entry.inputs, z)
+    changes = [entry.flight_deviations(row) for row in deviation]
     best = dict.fromkeys(("flight", "conditions", "march", "kernel"), np.inf)
     lanes = entry.lanes
     for _ in range(5):
         t0 = time.process_time()
-        flown = fly_many(entry.fleet, entry.inputs, changes)
+        flown = entry.sampler.fly(entry.inputs, changes)
         t1 = time.process_time()
         kept: list[tuple[np.ndarray, np.ndarray]] = []
-        entry.march(flown, moved, z, kept)
+        entry.march(flown, deviation, z, kept)
         t2 = time.process_time()
-        time_s = lanes.times(int(flown.filled.max()))
+        time_s = lanes.times(int(flown.frame_counts.max()))
         histories = np.empty((len(lanes.points), LANES, len(time_s), kept[0][1].shape[-1]))
-        condition_kernel(flown.rows, flown.filled, lanes.host, lanes.numbers, lanes.still, time_s, histories)
+        condition_kernel(flown.rows, flown.frame_counts, lanes.host, lanes.numbers, lanes.soak, time_s, histories)
         lanes.ensemble.reset()
         t3 = time.process_time()
         lanes.march_all(time_s, histories)
@@ -144,17 +144,17 @@ def _errors_K(entry: DispersedEntry) -> tuple[float, float]:
     """Largest difference of any peak of 16 flights from one in fine steps on the program's own meshes: surface,
     bondline."""
     z = entry.rows(Batch(SOBOL, 0, 16))
-    moved = deviations(entry.inputs, z)
-    changes = [entry.of_flight(row) for row in moved]
+    deviation = deviations(entry.inputs, z)
+    changes = [entry.flight_deviations(row) for row in deviation]
     study, found = entry.study, []
-    fine = fleet(study.base.declared.trajectory, study.vehicle.directory, FINE_STEP_S, FINE_SAMPLE_S)
+    fine = entry_sampler(study.base.declared.trajectory, study.vehicle.directory, FINE_STEP_S, FINE_SAMPLE_S)
     meshes = [mesh for mesh, _ in choose_meshes(entry.lanes.models, FINE_SAMPLE_S)]
     marches = (
-        (entry.fleet, entry.lanes),
+        (entry.sampler, entry.lanes),
         (fine, LaneMarch(study.vehicle, entry.points, entry.effects, meshes, FINE_SAMPLE_S, study.declared.soak_s)),
     )
-    for flights, lanes in marches:
-        flown = fly_many(flights, entry.inputs, changes)
+    for sampler, lanes in marches:
+        flown = sampler.fly(entry.inputs, changes)
         parts = [lanes.march(flown, k, [], [None] * len(entry.points)) for k in (0, LANES)]
         found.append([np.vstack([getattr(p, q) for p in parts]) for q in ("surface_K", "bondline_K")])
     apart = [np.abs(a - b) for a, b in zip(*found, strict=True)]
@@ -173,7 +173,7 @@ def run() -> list[Figure]:
     entry = DispersedEntry(bare)
     entry.check()
     entry.fly(Batch(SOBOL, 0, BATCH))
-    ended = fly_many(entry.fleet, entry.inputs, [{}]).end_s[0]
+    ended = entry.sampler.fly(entry.inputs, [{}]).end_s[0]
     parts = _parts(entry)
     half, one = _timed(entry, SHORT // 2, 1), _timed(entry, SHORT, 1)
     two_short = _timed(entry, 2 * SHORT, 2)

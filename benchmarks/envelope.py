@@ -84,7 +84,7 @@ def _figures(study: str, found: dict) -> list[Figure]:
     figures = []
     before = found["envelope"]["before"]
     for name, after in found["envelope"]["boundaries"].items():
-        for which in ("middle", "sure"):
+        for which in ("nominal", "conservative"):
             a, b = before[name]["area"][which], after["area"][which]
             figures.append(
                 Figure(f"{study}, {name}: area allowed ({which}), after the flight", b, "", note=f"{a:.4g} before")

@@ -15,7 +15,7 @@ from sim_heating.cli.console import CONSOLE, ERRORS, OUT, PATH, print_outputs, p
 @OUT
 @click.option("--scheduler", metavar="ADDRESS", help="a Dask scheduler, as tcp://host:8786; default: local processes")
 @click.option("--workers", type=click.IntRange(1), help="number of local processes; default: one a core")
-@click.option("--vehicle", help="fly this vehicle, a name or directory, in place of the study's own")
+@click.option("--vehicle", help="fly this vehicle, by name or directory, instead of the study's own")
 def plan(study: Path, out: Path, scheduler: str | None, workers: int | None, vehicle: str | None) -> None:
     """Plan missions with the tables: dispersions, envelopes, optimal entries of a study."""
     from sim_heating.planning.plan import plan as run_study
@@ -24,14 +24,14 @@ def plan(study: Path, out: Path, scheduler: str | None, workers: int | None, veh
     loaded = load_study(study, vehicle)
     with progress_line(loaded.title) as progress:
         planned = run_study(loaded, out, scheduler=scheduler, workers=workers, progress=progress)
-    for found in planned.found.values():
-        for table in found.tables:
+    for result in planned.results.values():
+        for table in result.tables:
             print_table(table)
-        for note in found.notes:
+        for note in result.notes:
             CONSOLE.print(note)
     print_outputs(out, list(planned.files))
     for name, why in planned.failed.items():
         ERRORS.print(f"{name}: {why}")
     if planned.failed:
-        done = f"; {', '.join(planned.found)} is done and kept" if planned.found else ""
-        raise RunError(f"{', '.join(planned.failed)}: found nothing{done}")
+        done = f"; {', '.join(planned.results)} completed, results kept" if planned.results else ""
+        raise RunError(f"{', '.join(planned.failed)}: no result{done}")

@@ -1,4 +1,4 @@
-"""A part of a study: what it is given, what it returns, and the digest that its stored batches depend on."""
+"""Part of a study: its arguments, its result, and the digest that its finished batches depend on."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from sim_heating.planning.study import HASH_LENGTH, Study
 
 @dataclass(frozen=True)
 class Engine:
-    """Where many flights are computed.
+    """Where flights are computed and their results stored.
 
-    ledger    : folder for finished batches, one below it for each kind
-    scheduler, workers : as `batches.run_batches` takes them
+    ledger             : folder for finished batches, with a folder below it for each kind
+    scheduler, workers : as base/parallel.py, `run_batches`, takes them
     """
 
     ledger: Path
@@ -30,7 +30,7 @@ class Engine:
 
 @cache
 def program_digest() -> str:
-    """Digest of the program's own files: batches of another version are not those of this one."""
+    """Digest of the program's own files, so that batches of another version are not taken for those of this one."""
     digest = hashlib.sha256()
     for path in sorted([*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.csv")]):
         digest.update(path.read_bytes())
@@ -38,34 +38,40 @@ def program_digest() -> str:
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A picture: its file, relative to the output, and what it shows."""
+class PartPicture:
+    """A picture of a part: its file, relative to the output, and its caption."""
 
     file: str
     caption: str
 
 
 @dataclass(frozen=True)
-class Found:
-    """What a part found.
+class PartResult:
+    """The result of a part.
 
-    data     : for study.json, plain values
+    data                    : plain values, for study.json
     tables, pictures, notes : for the page; a note is one line
     """
 
     data: Mapping[str, Any]
     tables: tuple[Table, ...] = ()
-    pictures: tuple[Picture, ...] = ()
+    pictures: tuple[PartPicture, ...] = ()
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return (
+            f"<PartResult: {len(self.tables)} tables, {len(self.pictures)} pictures, {len(self.notes)} notes; data "
+            f"{', '.join(self.data)}>"
+        )
 
 
 @dataclass(frozen=True)
-class Part:
-    """What a table of a study asks for.
+class StudyPart:
+    """Computation that a table of a study asks for.
 
-    run   : (study, folder for its files, engine, progress) -> found; files go below the folder
-    files : study -> names of the files that it may write, from there
+    run   : (study, folder for its files, engine, progress) -> result; its files are written below the folder
+    files : study -> names of the files that it may write, relative to the folder
     """
 
-    run: Callable[[Study, Path, Engine, Progress], Found]
+    run: Callable[[Study, Path, Engine, Progress], PartResult]
     files: Callable[[Study], Sequence[str]]

@@ -1,8 +1,8 @@
-"""What `sim-heating plan` does: the parts of a study one after the other, and everything they found as files.
+"""Run a study, as `sim-heating plan` does: its parts one after the other, and their results as files.
 
-A part takes a study and gives a `Found`: plain data for study.json, tables and pictures for the page. A part that fails
-is told in one line; what the others found is kept. Linear algebra takes one thread, here and in the batches: the same
-study gives the same bytes whatever the number of cores, and whatever the process did before.
+A part computes a `PartResult` from a study: plain data for study.json, tables and pictures for the page. A part that
+fails is reported in one line, and the results of the others are kept. Linear algebra uses one thread, here and in the
+batches: a study gives the same bytes whatever the number of cores, and whatever the process did before.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ from sim_heating.base.parallel import require_scheduler
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.page import Page, SavedPicture, Section, write_page
 from sim_heating.base.threads import one_thread
-from sim_heating.planning.part import Engine, Found, Part
+from sim_heating.planning.dispersion.report import DISPERSION
+from sim_heating.planning.envelope.report import ENVELOPE, NEXT_FLIGHT
+from sim_heating.planning.optimal.report import OPTIMAL
+from sim_heating.planning.part import Engine, PartResult, StudyPart
 from sim_heating.planning.study import Study, load_study
 
 FORMAT = "study-report/1"
 SUMMARY, PAGE = "study.json", "report.html"
-
-
 LEDGER = "batches"
 """Folder of finished batches below the results."""
 
@@ -34,27 +35,23 @@ LEDGER = "batches"
 class Plan:
     """A study with the results of its parts.
 
-    found  : result of each part that succeeded, by the name of its table in the study
-    failed : why a part failed, in one line
-    files  : names of the files that were written
+    results : of each part that succeeded, by the name of its table in the study
+    failed  : why a part failed, one line each, by the name of its table
+    files   : names of the files that were written
     """
 
     study: Study
-    found: dict[str, Found] = field(default_factory=dict)
+    results: dict[str, PartResult] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
     files: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         failed = f", failed: {', '.join(self.failed)}" if self.failed else ""
-        return f"<Plan {self.study.title!r}: {', '.join(self.found) or 'no result'}{failed}>"
+        return f"<Plan {self.study.title!r}: {', '.join(self.results) or 'no result'}{failed}>"
 
 
-def parts_of(study: Study) -> dict[str, Part]:
+def parts_of(study: Study) -> dict[str, StudyPart]:
     """The parts that a study asks for, by the names of its tables."""
-    from sim_heating.planning.dispersion.report import DISPERSION  # parts know of plans
-    from sim_heating.planning.envelope.report import ENVELOPE, NEXT_FLIGHT
-    from sim_heating.planning.optimal.report import OPTIMAL
-
     parts = {"dispersion": DISPERSION, "envelope": ENVELOPE, "next_flight": NEXT_FLIGHT, "optimal": OPTIMAL}
     return {name: part for name, part in parts.items() if getattr(study.declared, name) is not None}
 
@@ -68,16 +65,16 @@ def plan(
     workers: int | None = None,
     progress: Progress = no_progress,
 ) -> Plan:
-    """Compute all parts of a study and write their files, all together.
+    """Compute all parts of a study and write their files.
 
     study     : a study, or the path of its file
     out       : directory for the results; finished batches are kept below it and are not computed again
-    vehicle   : fly this one, by name or directory, and not the study's own
+    vehicle   : name or directory of a vehicle to fly instead of the study's own
     scheduler : address of a Dask scheduler; otherwise local processes
     workers   : number of local processes; one a core where not given
     progress  : called with the fraction done, from 0 to 1, and a line of text
-    returns   : what each part found, and which of them failed
-    raises    : InputError where the study asks for nothing, a directory or scheduler cannot be used, or its only part
+    returns   : the result of each part, or why it failed
+    raises    : InputError where the study has no part, a directory or scheduler cannot be used, or its only part
                 fails for its input
 
     >>> from tempfile import TemporaryDirectory
@@ -91,7 +88,7 @@ def plan(
     engine = Engine(out / LEDGER, scheduler, workers)
     parts = parts_of(study)
     if not parts:
-        raise InputError(f"{study.path}: asks for nothing; give it a table such as [dispersion]")
+        raise InputError(f"{study.path}: has no table that asks for a result; add one, such as [dispersion]")
     done = Plan(study)
     expected = [SUMMARY, PAGE, *(name for part in parts.values() for name in part.files(study))]
     with output_directory(out, expected) as folder, one_thread():
@@ -99,7 +96,7 @@ def plan(
             require_scheduler(engine.scheduler)
         for i, (name, part) in enumerate(parts.items()):
             try:
-                done.found[name] = part.run(study, folder, engine, _within(progress, name, i, len(parts)))
+                done.results[name] = part.run(study, folder, engine, _within(progress, name, i, len(parts)))
             except (InputError, RunError) as error:
                 if isinstance(error, InputError) and len(parts) == 1:
                     raise
@@ -111,14 +108,14 @@ def plan(
 
 
 def _within(progress: Progress, name: str, i: int, parts: int) -> Progress:
-    def tell(fraction: float, text: str) -> None:
+    def report(fraction: float, text: str) -> None:
         progress((i + fraction) / parts, f"{name}: {text}")
 
-    return tell
+    return report
 
 
 def summary(plan: Plan) -> dict[str, Any]:
-    """study.json."""
+    """Contents of study.json."""
     study = plan.study
     return {
         "format": FORMAT,
@@ -127,7 +124,7 @@ def summary(plan: Plan) -> dict[str, Any]:
         "vehicle": study.vehicle.name,
         "revision": study.vehicle.revision,
         "study": study.hash,
-        **{name: dict(found.data) for name, found in plan.found.items()},
+        **{name: dict(result.data) for name, result in plan.results.items()},
         "failed": plan.failed,
     }
 
@@ -138,15 +135,13 @@ def page_of(plan: Plan, folder: Path) -> Page:
     sections = [
         Section(
             name.replace("_", " ").capitalize(),
-            points=found.notes,
-            tables=found.tables,
-            pictures=[SavedPicture(folder / p.file, p.caption) for p in found.pictures],
+            points=result.notes,
+            tables=result.tables,
+            pictures=[SavedPicture(folder / p.file, p.caption) for p in result.pictures],
         )
-        for name, found in plan.found.items()
+        for name, result in plan.results.items()
     ]
-    about = Section(
-        "What was asked", text=[line for line in (study.declared.note.strip(), limits_in_words(study)) if line]
-    )
+    about = Section("Study", text=[line for line in (study.declared.note.strip(), limits_in_words(study)) if line])
     warnings = [f"{name}: {why}" for name, why in plan.failed.items()]
     return Page(study.title, study.stamp, [about, *sections], warnings=warnings)
 

@@ -1,33 +1,30 @@
-"""The error of a ratio table as a few independent numbers: what its sigma and correlation mean along a flown path.
+"""Errors of a ratio table as a few independent numbers, and the sensitivity of peak temperatures to them.
 
-A ratio is above 0, and a table's sigma may be most of it: nodes are taken as lognormal, with the ratio as their mean
-and the covariance K of heating/ratio/uncertainty.py, that of the evidence included where the table is a revision:
+Two descriptions of one error, that of the nodes with the covariance K of heating/ratio/uncertainty.py, less what the
+revisions of the table have already determined.
+
+Lognormal modes, for tables drawn at random (dispersion). A ratio is above 0, and its sigma may be most of it, so that
+nodes are lognormal with the ratio as their mean:
 
     n_i = r_i exp(g_i - G_ii / 2),      Cov(g_i, g_j) = G_ij = ln(1 + K_ij / (r_i r_j))
 
-Along a path with weights W the logarithm's error has C = W G W' = V L V'. The modes
+Along a path with weights W the error of the logarithm has C = W G W' = V L V'. The modes
 
     B = G W' V L^(-1/2),        g = B z,  z independent standard normal,
 
-give C along the path exactly, for as many modes as there are; those with the least variance, LOST of the sum in all,
-are left out. Off the path the error is its expectation given the error on it: the path has to be a typical one.
+give C along the path exactly if all are kept; those with the least variance, LOST of the sum in all, are left out. Off
+the path the error is its expectation given the error on it, so that the path has to be a typical one.
 
-What the sigma of a ratio table means for peak temperatures: exact sensitivities to the errors of its nodes.
-
-The node errors of a control point's table are e = L z with z ~ N(0, I), L L' their covariance: the prior of
-`table_update.posterior` (sigma column and reach), less what the table's revisions have told,
-
-    L L' = K - A A'
-
-Along a flight they appear as W e (multilinear weights W, weighed with the heat flux, q W L = U S V'); the first few
-right singular vectors V_k hold nearly all of it. The march is linearised in each direction L V_k (linear_march), and
-a peak temperature, whose sensitivity is that at its own time, has
+Linear directions, for exact sensitivities (envelope). Node errors are e = L z with z ~ N(0, I) and L L' = K. Along a
+flight they appear as W e. With the heat flux q as weight, q W L = U S V'; the first few right singular vectors V_k hold
+nearly all of it. The march is linearised in each direction L V_k (march/linearised.py), and a peak temperature, whose
+sensitivity is that at its own time, has
 
     dT/dz = V_k dT/dc,    sigma_T = |dT/dz|
 
-After another piece of evidence y = H e + noise(C) on the same nodes, z has the covariance M^-1, M = I + (H L)' C^-1 H
-L, and sigma_T^2 = dT/dz' M^-1 dT/dz. Tables of different control points are taken one by one: their common errors are
-not known.
+After further evidence y = H e + noise(C) on the same nodes, z has the covariance M^-1, M = I + (H L)' C^-1 H L, and
+sigma_T^2 = dT/dz' M^-1 dT/dz. Tables of different control points are treated one by one: errors that they have in
+common are not known.
 """
 
 from __future__ import annotations
@@ -50,14 +47,16 @@ from sim_heating.march.linearised import LinearMarch, Track
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.mesh import Mesh
 
+# Lognormal modes -----------------------------------------------------------------------------------------------------
+
 LOST = 1e-3
 """Share of the variance along the path that may be left out."""
-LEAST = -0.9
-"""Least relative covariance of two nodes, whose logarithm is taken of 1 more; evidence may make it negative."""
+LEAST_COVARIANCE = -0.9
+"""Least relative covariance K_ij / (r_i r_j) of two nodes; evidence may make it negative; ln(1 + x) needs x > -1."""
 
 
 def table_modes(vehicle: Vehicle, point: str, path: FloatArray, factor: float = 1.0) -> FloatArray:
-    """(node, mode) errors of the logarithm of a point's table by a unit of each mode; none where it has no sigma.
+    """(node, mode) error of the logarithm of a point's table for a unit of each mode; no mode where it has no sigma.
 
     path   : (sample, 5) ratio variables of a typical flight
     factor : on the sigma that the table states
@@ -69,13 +68,13 @@ def table_modes(vehicle: Vehicle, point: str, path: FloatArray, factor: float = 
         return np.zeros((mean.size, 0))
     if not np.min(mean) > 0.0:
         raise InputError(
-            f"{point}: its ratio table holds {np.min(mean):g}; only ratios above 0 are dispersed, take `tables = 0`"
+            f"{point}: its ratio table holds {np.min(mean):g}; only ratios above 0 can be dispersed; set `tables = 0`"
         )
     W = node_weights(known.prior.axes, path)
     nodes = np.unique(W.indices)
     own = W[:, nodes].toarray()
     K = known.covariance(np.arange(mean.size), nodes)
-    G = np.log1p(np.maximum(factor**2 * K / np.outer(mean, mean[nodes]), LEAST))
+    G = np.log1p(np.maximum(factor**2 * K / np.outer(mean, mean[nodes]), LEAST_COVARIANCE))
     along = own @ G[nodes] @ own.T
     variance, vectors = np.linalg.eigh(0.5 * (along + along.T))
     order = np.argsort(variance)[::-1]
@@ -94,16 +93,18 @@ def table_factors(modes: FloatArray, z: FloatArray) -> FloatArray:
     return np.asarray(np.exp(modes @ z.T - 0.5 * np.sum(modes**2, axis=1)[:, np.newaxis]))
 
 
+# Linear directions ---------------------------------------------------------------------------------------------------
+
 NEGLECTED = 1e-3
-"""Share of the variance along a flight, weighed with the heat flux, that the directions may leave out."""
-LOOKED_AT = 150
-"""Samples of a flight, about, from which the directions are taken."""
+"""Share of the variance along a flight, weighted with the heat flux, that the directions may leave out."""
+FLIGHT_SAMPLES = 150
+"""Approximate number of samples of a flight from which the directions are computed."""
 
 
 def covariance_root(vehicle: Vehicle, point: str) -> FloatArray | None:
-    """(node, node) L of a control point's table, None where it states no sigma.
+    """(node, node) root L of the covariance of a control point's table; None where the table states no sigma.
 
-    raises : InputError where the table was changed behind its revisions
+    raises : InputError where the table was changed without a revision
     """
     known = table_posterior(vehicle, point)
     if known is None:
@@ -114,18 +115,18 @@ def covariance_root(vehicle: Vehicle, point: str) -> FloatArray | None:
 
 
 def informed_root(root: FloatArray, evidence: Evidence) -> FloatArray:
-    """(z, z) B with B B' = M^-1: multiplied with dT/dz from the left it gives what is left after the evidence."""
+    """(z, z) B with B B' = M^-1: dT/dz B is the sensitivity that remains after the evidence."""
     rows = evidence.H @ root[evidence.nodes]
     M = np.eye(root.shape[1]) + rows.T @ np.linalg.solve(evidence.covariance, rows)
     return np.asarray(np.linalg.inv(np.linalg.cholesky(M)).T)
 
 
 def directions(root: FloatArray, table: RatioTable, flown: Conditions) -> FloatArray:
-    """(z, k) orthonormal V_k: what of the node errors a flight sees."""
+    """(z, k) orthonormal directions V_k of the node errors that a flight depends on."""
     x = np.stack([flown[v] for v in RATIO_VARIABLES], axis=1)
     flux = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
     heated = np.flatnonzero(flux > 0.0)
-    heated = heated[:: max(len(heated) // LOOKED_AT, 1)]
+    heated = heated[:: max(len(heated) // FLIGHT_SAMPLES, 1)]
     seen = node_weights(table.axes, x[heated])
     _, s, Vt = np.linalg.svd(flux[heated, np.newaxis] * (seen @ root), full_matrices=False)
     left_out = 1.0 - np.cumsum(s**2) / np.sum(s**2)
@@ -133,8 +134,8 @@ def directions(root: FloatArray, table: RatioTable, flown: Conditions) -> FloatA
 
 
 @dataclass(frozen=True, eq=False)
-class Peak:
-    """A peak temperature [K], its time [s], and dT/dz [K], empty where the table has no sigma."""
+class PeakSensitivity:
+    """A peak temperature [K], its time [s], and its slope dT/dz [K], which is empty where the table has no sigma."""
 
     temperature_K: float
     time_s: float
@@ -142,19 +143,19 @@ class Peak:
 
     @property
     def sigma_K(self) -> float:
-        """One standard deviation by the table's own sigma."""
+        """Standard deviation of the peak due to the sigma of the table [K]."""
         return float(np.linalg.norm(self.slope))
 
 
 @dataclass(frozen=True, eq=False)
 class PointPeaks:
-    """Peaks of one control point along a flight."""
+    """Peak temperatures of one control point along a flight."""
 
-    surface: Peak
-    bondline: Peak
+    surface: PeakSensitivity
+    bondline: PeakSensitivity
 
 
-def peaks(
+def peak_sensitivities(
     models: Sequence[PointModel],
     meshes: Sequence[Mesh],
     roots: Sequence[FloatArray | None],
@@ -162,39 +163,40 @@ def peaks(
 ) -> list[PointPeaks]:
     """Peak temperatures of control points with their sensitivities to the errors of their tables.
 
-    flights : conditions of each point on common times, which the march steps to
+    roots   : of the covariance of each table (`covariance_root`)
+    flights : conditions of each point on common times, at which the march stops
     raises  : RunError where a step did not converge
     """
-    found: list[PointPeaks] = []
+    peaks: list[PointPeaks] = []
     for first in range(0, len(models), LANES):
         own = slice(first, first + LANES)
-        found += _marched(models[own], meshes[own], roots[own], flights[own])
-    return found
+        peaks += _march_linearised(models[own], meshes[own], roots[own], flights[own])
+    return peaks
 
 
-def _marched(
+def _march_linearised(
     models: Sequence[PointModel],
     meshes: Sequence[Mesh],
     roots: Sequence[FloatArray | None],
     flights: Sequence[Conditions],
 ) -> list[PointPeaks]:
     time = flights[0].time_s
-    seen, tracks = [], []
+    bases, tracks = [], []
     for i, (model, mesh, root, flown) in enumerate(zip(models, meshes, roots, flights, strict=True)):
         V = np.zeros((0, 0))
         errors: tuple[FloatArray, ...] = ()
         if root is not None and model.ratio is not None:
             V = directions(root, model.ratio, flown)
             errors = tuple((root @ v).reshape(model.ratio.ratio.shape) for v in V.T)
-        seen.append(V)
+        bases.append(V)
         tracks.append(Track(model, mesh, (), time, (0, mesh.bondline), flight=i, table_errors=errors))
     out = LinearMarch(tracks, time, histories(flights)).march()
     return [
         PointPeaks(*(_peak(time, r.temperature_K[node], r.sensitivity[node], V) for node in (0, 1)))
-        for r, V in zip(out, seen, strict=True)
+        for r, V in zip(out, bases, strict=True)
     ]
 
 
-def _peak(time_s: FloatArray, temperature_K: FloatArray, sensitivity: FloatArray, V: FloatArray) -> Peak:
+def _peak(time_s: FloatArray, temperature_K: FloatArray, sensitivity: FloatArray, V: FloatArray) -> PeakSensitivity:
     i = int(np.argmax(temperature_K))
-    return Peak(float(temperature_K[i]), float(time_s[i]), V @ sensitivity[i])
+    return PeakSensitivity(float(temperature_K[i]), float(time_s[i]), V @ sensitivity[i])

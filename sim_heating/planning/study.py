@@ -1,21 +1,21 @@
-"""A study for mission planning as a file: which vehicle, flying what, below which limits, and what is asked of it.
+"""A study for mission planning as a file: vehicle, base entry, temperature limits, and the results asked for.
 
 format = "study/1"
 title = "..."
 vehicle = "orbiter"                 # a vehicle's name, or its directory relative to the study
-revision = "1"                      # the revision that is meant, where another one is to be refused
-scenario = "../entry_3dof.toml"     # the base entry: [trajectory], [[effect]] of a scenario; or inline:
+revision = "1"                      # optional: refuse any other revision of the vehicle
+scenario = "../entry_3dof.toml"     # the base entry: [trajectory] and [[effect]] of a scenario; or inline:
 [trajectory]                        # as in a scenario
 [[effect]]                          # as in a scenario
-control_points = ["NOSECAP"]        # all where absent
-soak_s = 1800.0                     # how long heat goes on to the bondline after the entry, unheated from outside
-[[limit]]                           # control_point; surface_K and bondline_K where not the vehicle's own
+control_points = ["NOSECAP"]        # default: all
+soak_s = 1800.0                     # soak after the entry, in which heat still flows to the bondline
+[[limit]]                           # control_point; surface_K, bondline_K in place of the vehicle's own
 [dispersion]                        # planning/dispersion/spec.py
 [envelope]                          # maps and boundaries, planning/envelope/spec.py
-[next_flight]                       # manoeuvres that may be flown next, planning/envelope/spec.py
+[next_flight]                       # candidate manoeuvres for the next flight, planning/envelope/spec.py
 [optimal]                           # an optimal entry, keys as in planning/optimal/spec.py
 
-A table that is absent asks nothing. The hash of a study is that of all it says and of every file that it reads.
+A table that is absent asks for no result. The hash of a study covers its contents and every file that it reads.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ from sim_heating.inputs.scenario import Scenario, ScenarioEffect, ScenarioFile, 
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.planning.dispersion.spec import Dispersion
 from sim_heating.planning.envelope.spec import Envelope, NextFlight
-from sim_heating.planning.limited_point import LimitedPoint
+from sim_heating.planning.limited_point import LimitedPoint, vehicle_place
 from sim_heating.planning.optimal.spec import Limit, OptimalStudy, OptimalStudyFile, optimal_study
 from sim_heating.trajectory.spec import TrajectorySpec
 
 HASH_LENGTH = 12
-"""Characters of the hash that a figure names."""
+"""Characters of the hash that every figure shows."""
 
 
 class StudyFile(Declared):
@@ -66,7 +66,7 @@ class StudyFile(Declared):
     @model_validator(mode="after")
     def _has_one_base(self) -> StudyFile:
         if (self.scenario is None) == (self.trajectory is None):
-            raise ValueError("a study flies either a `scenario` or a [trajectory] of its own: give one of them")
+            raise ValueError("give either `scenario` or [trajectory], not both and not neither")
         return self
 
 
@@ -74,8 +74,8 @@ class StudyFile(Declared):
 class Study:
     """A checked study.
 
-    base   : the entry that everything starts from, with its vehicle
-    points : control points looked at, with the temperatures that they may not pass
+    base   : the base entry with its vehicle
+    points : its control points with their temperature limits
     hash   : of the study and all its inputs, HASH_LENGTH characters
     """
 
@@ -84,6 +84,9 @@ class Study:
     base: Scenario
     points: tuple[LimitedPoint, ...]
     hash: str
+
+    def __repr__(self) -> str:
+        return f"<Study `{self.title}`: {self.stamp}>"
 
     @property
     def title(self) -> str:
@@ -97,11 +100,11 @@ class Study:
 
     @property
     def stamp(self) -> str:
-        """What every figure names: vehicle, revision, study hash."""
+        """Vehicle, revision and hash of the study, as every figure shows them."""
         return f"{self.vehicle.name}, revision {self.vehicle.revision}, study {self.hash}"
 
     def optimal(self) -> OptimalStudy | None:
-        """The optimal entry that is asked for, where one is."""
+        """The optimal entry that the study asks for; None where it has no [optimal]."""
         given = self.declared.optimal
         if given is None:
             return None
@@ -114,28 +117,23 @@ def load_study(path: str | os.PathLike[str] | Study, vehicle: str | os.PathLike[
     """Read and check a study and everything that it names.
 
     path    : of the study's TOML file; a study that has been loaded is returned as it is
-    vehicle : fly this one, by name or directory, and not the study's own; its revision is then not asked for
+    vehicle : name or directory of a vehicle to fly instead of the study's own; any revision of it is accepted
     raises  : InputError with one line a problem
     """
     if isinstance(path, Study):
         return path
     place = Path(path)
     declared = read_toml(place, StudyFile)
-    loaded = load_vehicle(_vehicle_place(place, declared.vehicle) if vehicle is None else vehicle)
+    loaded = load_vehicle(vehicle_place(place, declared.vehicle) if vehicle is None else vehicle)
     if vehicle is None and declared.revision not in (None, loaded.revision):
         raise InputError(
-            f'{display_path(place)}: `revision`: "{declared.revision}" is meant and {loaded.name} is at '
-            f'"{loaded.revision}"'
+            f'{display_path(place)}: `revision`: the study needs "{declared.revision}" and {loaded.name} is at '
+            f'"{loaded.revision}"; change one of them'
         )
     base = _base(place, declared, loaded)
-    study = Study(place, declared, base, _limited(place, declared, base), _hash(place, declared, base))
+    study = Study(place, declared, base, _limited_points(place, declared, base), _hash(place, declared, base))
     study.optimal()
     return study
-
-
-def _vehicle_place(place: Path, vehicle: str) -> str | Path:
-    beside = place.parent / vehicle
-    return beside if (beside / "vehicle.toml").is_file() else vehicle
 
 
 def _base(place: Path, declared: StudyFile, vehicle: Vehicle) -> Scenario:
@@ -146,13 +144,12 @@ def _base(place: Path, declared: StudyFile, vehicle: Vehicle) -> Scenario:
     if declared.scenario is not None:
         source = place.parent / declared.scenario
         if not source.is_file():
-            raise InputError(f"{display_path(place)}: `scenario`: there is no {display_path(source)}")
+            raise InputError(f"{display_path(place)}: `scenario`: the file {display_path(source)} does not exist")
         flown = read_toml(source, ScenarioFile)
         taken = {"trajectory": flown.trajectory, "effect": [e.model_dump() for e in flown.effect]}
         own = {k: v for k, v in given.items() if k in ("format", "vehicle", "title")}
-        make_scenario(
-            source, check(own | taken, ScenarioFile, display_path(source)), vehicle
-        )  # so that the rest is the study's
+        # Checked by itself first, so that its own problems are reported with its path and all others with the study's.
+        make_scenario(source, check(own | taken, ScenarioFile, display_path(source)), vehicle)
         given["trajectory"] = flown.trajectory
         given["effect"] = [e.model_dump() for e in (*flown.effect, *declared.effect)]
     else:
@@ -161,8 +158,8 @@ def _base(place: Path, declared: StudyFile, vehicle: Vehicle) -> Scenario:
     return make_scenario(source, file, vehicle, said_by=place)
 
 
-def _limited(place: Path, declared: StudyFile, base: Scenario) -> tuple[LimitedPoint, ...]:
-    """The control points with the study's limits, the vehicle's own where it gives none."""
+def _limited_points(place: Path, declared: StudyFile, base: Scenario) -> tuple[LimitedPoint, ...]:
+    """The control points with the study's limits, or the vehicle's own where the study gives none."""
     given = {limit.control_point: limit for limit in declared.limit}
     named = [("limit", name) for name in given]
     candidates = declared.next_flight.manoeuvre if declared.next_flight is not None else []
@@ -181,7 +178,7 @@ def _limited(place: Path, declared: StudyFile, base: Scenario) -> tuple[LimitedP
 
 
 def _hash(place: Path, declared: StudyFile, base: Scenario) -> str:
-    """SHA-256 over what the study says, the base entry, all files of the vehicle and effects of the user's own."""
+    """SHA-256 over the study, the base entry, all files of the vehicle, and user-defined effects."""
     digest = hashlib.sha256(declared.model_dump_json().encode())
     digest.update(base.declared.model_dump_json(exclude={"vehicle", "title"}).encode())
     for path in _input_files(base.vehicle.directory):
@@ -193,5 +190,5 @@ def _hash(place: Path, declared: StudyFile, base: Scenario) -> str:
 
 
 def _input_files(directory: Path) -> Iterable[Path]:
-    """Files of a vehicle that a computation may read."""
+    """Files of a vehicle that a computation may read, in the order of their names."""
     return sorted(p for p in directory.rglob("*") if p.suffix in (".toml", ".csv", ".json", ".xml") and p.is_file())

@@ -1,4 +1,4 @@
-"""Dispersed entries: designs, statistics with known answers, table errors, the chain against flights of the program."""
+"""Dispersed entries: designs, statistics with known answers, table errors, the whole chain against single flights."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from sim_heating.heating.ratio.uncertainty import node_weights, prior_covariance
 from sim_heating.inputs.points import conditions_at_point
 from sim_heating.march.history import march_points
 from sim_heating.planning.dispersion.entry import BATCH, DIFFERENCE, SOBOL, Batch, DispersedEntry
-from sim_heating.planning.dispersion.flight import GONE, WHOLE, dispersed, fly_many
-from sim_heating.planning.dispersion.results import batches_of, exact_slopes, notes_of, told
+from sim_heating.planning.dispersion.flight import COMPLETED, LEFT_ATMOSPHERE, entry_with_deviations
+from sim_heating.planning.dispersion.results import batches_of, evaluate, exact_slopes, notes_of
 from sim_heating.planning.dispersion.spec import Input
 from sim_heating.planning.dispersion.statistics import (
     deviations,
@@ -29,7 +29,7 @@ from sim_heating.planning.dispersion.statistics import (
     sobol_rows,
 )
 from sim_heating.planning.ratio_table_modes import table_factors, table_modes
-from sim_heating.planning.soak import soaked
+from sim_heating.planning.soak import with_soak
 from sim_heating.planning.study import load_study
 from sim_heating.trajectory import entry3dof
 from sim_heating.trajectory.flight import ROW, conditions_from_rows
@@ -94,19 +94,19 @@ def entry_of(tmp_path, inputs="", **given):
 
 
 def refusal(tmp_path, text):
-    """Why a study with this input is refused."""
+    """The message for a study with this input."""
     with pytest.raises(InputError) as error:
         entry_of(tmp_path, f"[[dispersion.input]]\n{text}\n").check()
     return str(error.value)
 
 
-def flown_all(entry):
-    """All flights of a dispersion, put together."""
-    found = {}
-    for what, batches in batches_of(entry).items():
+def dispersion_of(entry):
+    """The result of all flights of a dispersion, flown in this process."""
+    flown = {}
+    for purpose, batches in batches_of(entry).items():
         parts = [entry.fly(b) for b in batches]
-        found[what] = {n: np.concatenate([p[n] for p in parts]) for n in parts[0]} if parts else {}
-    return told(entry, found)
+        flown[purpose] = {n: np.concatenate([p[n] for p in parts]) for n in parts[0]} if parts else {}
+    return evaluate(entry, flown)
 
 
 # Designs ------------------------------------------------------------------------------------------------------------
@@ -126,11 +126,11 @@ def test_rows_are_standard_normal():
 
 def test_a_uniform_input_stays_between_its_ends_and_a_normal_one_has_its_sigma():
     inputs = [Input(name="entry.gamma_deg", low=-0.1, high=0.3), Input(name="vehicle.mass_kg", sigma=50.0)]
-    moved = deviations(inputs, sobol_rows(2, 1, 0, 0, 1024))
-    assert moved[:, 0].min() >= -0.1
-    assert moved[:, 0].max() <= 0.3
-    np.testing.assert_allclose(moved.mean(axis=0), [0.1, 0.0], atol=0.5)
-    np.testing.assert_allclose(moved.std(axis=0), [i.standard_deviation for i in inputs], rtol=0.01)
+    deviation = deviations(inputs, sobol_rows(2, 1, 0, 0, 1024))
+    assert deviation[:, 0].min() >= -0.1
+    assert deviation[:, 0].max() <= 0.3
+    np.testing.assert_allclose(deviation.mean(axis=0), [0.1, 0.0], atol=0.5)
+    np.testing.assert_allclose(deviation.std(axis=0), [i.standard_deviation for i in inputs], rtol=0.01)
 
 
 def test_saltellis_design_swaps_one_group_and_comes_in_pieces():
@@ -145,7 +145,7 @@ def test_saltellis_design_swaps_one_group_and_comes_in_pieces():
 # Statistics ---------------------------------------------------------------------------------------------------------
 
 
-def test_bounds_of_a_quantile_hold_as_often_as_they_say():
+def test_bounds_of_a_quantile_hold_with_their_confidence():
     """Exponential values, 95 % bounds of the 0.9 quantile, 2000 samples of 200: within three binomial deviations."""
     rng, truth = np.random.default_rng(4), -np.log(0.1)
     covered = sum(
@@ -155,7 +155,7 @@ def test_bounds_of_a_quantile_hold_as_often_as_they_say():
     assert covered / 2000 < 0.99
 
 
-def test_a_quantile_reached_by_flights_without_an_end_is_not_told():
+def test_a_quantile_among_flights_that_were_not_completed_is_unknown():
     x = np.arange(100.0)
     x[:20] = np.nan
     value, low, high = quantile(x, 0.9, 0.95)
@@ -169,9 +169,9 @@ def test_too_few_flights_for_a_bound_have_none():
 
 
 def test_no_event_in_n_flights_has_the_exact_upper_bound():
-    found = probability(np.zeros(100, dtype=bool), 0.95)
-    assert found.low == 0.0
-    assert found.high == pytest.approx(1.0 - 0.025 ** (1.0 / 100.0), rel=1e-12)
+    estimate = probability(np.zeros(100, dtype=bool), 0.95)
+    assert estimate.low == 0.0
+    assert estimate.high == pytest.approx(1.0 - 0.025 ** (1.0 / 100.0), rel=1e-12)
 
 
 def test_sobol_quantiles_scatter_less_than_random_ones():
@@ -185,21 +185,21 @@ def test_sobol_quantiles_scatter_less_than_random_ones():
     assert scatter(sobol_rows) < 0.5 * scatter(random_rows)
 
 
-def test_ishigamis_indices_are_found():
+def test_ishigamis_function_has_its_known_indices():
     """f = sin x1 + 7 sin^2 x2 + 0.1 x3^4 sin x1 on [-pi, pi]^3; Ishigami and Homma (1990): S = 0.3139, 0.4424, 0,
     S_T = 0.5576, 0.4424, 0.2437."""
     groups = [[0], [1], [2]]
     rows = saltelli_rows(groups, 1, 4096, 0, 5 * 4096)
     x = (2.0 * ndtr(rows) - 1.0) * np.pi
     f = np.sin(x[:, 0]) + 7.0 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
-    found = indices(f, 3, 0.95, 1)
-    np.testing.assert_allclose(found.first, [0.3139, 0.4424, 0.0], atol=0.02)
-    np.testing.assert_allclose(found.total, [0.5576, 0.4424, 0.2437], atol=0.01)
-    assert np.all((found.total_bounds[:, 0] < found.total) & (found.total < found.total_bounds[:, 1]))
+    estimate = indices(f, 3, 0.95, 1)
+    np.testing.assert_allclose(estimate.first, [0.3139, 0.4424, 0.0], atol=0.02)
+    np.testing.assert_allclose(estimate.total, [0.5576, 0.4424, 0.2437], atol=0.01)
+    assert np.all((estimate.total_bounds[:, 0] < estimate.total) & (estimate.total < estimate.total_bounds[:, 1]))
     blocks = f.reshape(5, -1)
     other = sobol_indices(func={"f_A": blocks[:1], "f_B": blocks[1:2], "f_AB": blocks[2:, np.newaxis]}, n=4096)
-    np.testing.assert_allclose(found.first, np.ravel(other.first_order), atol=2e-3)
-    np.testing.assert_allclose(found.total, np.ravel(other.total_order), rtol=1e-3)
+    np.testing.assert_allclose(estimate.first, np.ravel(other.first_order), atol=2e-3)
+    np.testing.assert_allclose(estimate.total, np.ravel(other.total_order), rtol=1e-3)
 
 
 # Errors of ratio tables ---------------------------------------------------------------------------------------------
@@ -208,7 +208,7 @@ def test_ishigamis_indices_are_found():
 def test_modes_give_the_covariance_that_sigma_and_reach_state_along_the_path(tmp_path):
     entry = entry_of(tmp_path, tables=1.0)
     point = entry.points[1].point
-    rows = entry.planned.rows[0, : entry.planned.filled[0]]
+    rows = entry.planned.rows[0, : entry.planned.frame_counts[0]]
     path = conditions_from_rows(rows, 32.77362)
     x = np.stack([path[v] for v in ("alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg")], axis=1)
     W = node_weights(point.ratio.axes, x)
@@ -240,11 +240,11 @@ def test_dispersed_tables_keep_mean_and_sigma_where_it_is_flown(tmp_path):
 
 def test_a_dispersed_flight_is_the_built_in_entry_bit_for_bit(tmp_path):
     entry = entry_of(tmp_path, FLIGHT, more="step_s = 0.25\nthermal_step_s = 1.0")
-    changes = entry.of_flight(np.array([0.03, 1.0, 12.0, -300.0]))
-    spec = dispersed(entry.fleet.base, entry.inputs, changes)
-    flown = fly_many(entry.fleet, entry.inputs, [{}, changes])
+    changes = entry.flight_deviations(np.array([0.03, 1.0, 12.0, -300.0]))
+    spec = entry_with_deviations(entry.sampler.base, entry.inputs, changes)
+    flown = entry.sampler.fly(entry.inputs, [{}, changes])
     own = entry3dof.fly(spec, entry.study.vehicle).conditions
-    count = min(len(own), flown.filled[1])
+    count = min(len(own), flown.frame_counts[1])
     for name in ("altitude_m", "velocity_m_s", "alpha_deg", "elevon_deg", "rho_kg_m3", "gamma_deg"):
         np.testing.assert_array_equal(flown.rows[1, :count, ROW.index(name)], own[name][:count])
 
@@ -253,19 +253,19 @@ def test_peaks_are_those_of_the_programs_march_along_the_same_flight(tmp_path):
     """One step a sample on the same meshes; the soak in longer steps: 0.05 K."""
     entry = entry_of(tmp_path, FLIGHT + THERMAL)
     z = sobol_rows(entry.dimensions, 1, 0, 0, LANES)
-    moved = deviations(entry.inputs, z)
-    flown = fly_many(entry.fleet, entry.inputs, [entry.of_flight(row) for row in moved])
-    found = entry.march(flown, moved, z)
+    deviation = deviations(entry.inputs, z)
+    flown = entry.sampler.fly(entry.inputs, [entry.flight_deviations(row) for row in deviation])
+    peaks = entry.march(flown, deviation, z)
     for i in (0, 5):
-        conditions = conditions_from_rows(flown.rows[i, : flown.filled[i]], 32.77362)
+        conditions = conditions_from_rows(flown.rows[i, : flown.frame_counts[i]], 32.77362)
         for p, limited in enumerate(entry.points):
-            factors = {"stack.emissivity_factor": 1.0 + moved[i, 4]}
-            factors |= {"stack.rsi.conductivity_factor": 1.0 + moved[i, 5]} if p == 1 else {}
+            factors = {"stack.emissivity_factor": 1.0 + deviation[i, 4]}
+            factors |= {"stack.rsi.conductivity_factor": 1.0 + deviation[i, 5]} if p == 1 else {}
             model = replace(entry.lanes.models[p], parameters=factors, nodes=entry.meshes[p].nodes)
-            along = soaked(conditions_at_point(entry.study.vehicle, limited.point, conditions), limited.point, 600.0)
+            along = with_soak(conditions_at_point(entry.study.vehicle, limited.point, conditions), limited.point, 600.0)
             history = march_points([model], [along], longest_step_s=4.0)[0]
-            assert found.surface_K[i, p] == pytest.approx(history.surface_K.max(), abs=0.05)
-            assert found.bondline_K[i, p] == pytest.approx(history.bondline_K.max(), abs=0.05)
+            assert peaks.surface_K[i, p] == pytest.approx(history.surface_K.max(), abs=0.05)
+            assert peaks.bondline_K[i, p] == pytest.approx(history.bondline_K.max(), abs=0.05)
 
 
 TRANSITION = """
@@ -280,18 +280,18 @@ ONSET = '[[dispersion.input]]\nname = "effect.transition.log10_re_onset"\nsigma 
 def test_a_dispersed_onset_of_transition_is_that_of_the_effect(tmp_path):
     entry = entry_of(tmp_path, ONSET, limits=TRANSITION)
     z = np.linspace(-2.0, 2.0, LANES)[:, np.newaxis]
-    moved = deviations(entry.inputs, z)
-    found = entry.march(entry.planned, moved, z)
-    conditions = conditions_from_rows(entry.planned.rows[0, : entry.planned.filled[0]], 32.77362)
+    deviation = deviations(entry.inputs, z)
+    peaks = entry.march(entry.planned, deviation, z)
+    conditions = conditions_from_rows(entry.planned.rows[0, : entry.planned.frame_counts[0]], 32.77362)
     point = entry.points[1].point
-    along = soaked(conditions_at_point(entry.study.vehicle, point, conditions), point, 600.0)
+    along = with_soak(conditions_at_point(entry.study.vehicle, point, conditions), point, 600.0)
     for i in (0, LANES - 1):
-        onset = {"effect.transition.log10_re_onset": 6.0 + moved[i, 0]}
+        onset = {"effect.transition.log10_re_onset": 6.0 + deviation[i, 0]}
         model = replace(entry.lanes.models[1].with_parameters(onset), nodes=entry.meshes[1].nodes)
         history = march_points([model], [along], longest_step_s=4.0)[0]
-        assert found.surface_K[i, 1] == pytest.approx(history.surface_K.max(), abs=0.05)
-    assert found.surface_K[0, 1] > found.surface_K[-1, 1] + 20.0
-    np.testing.assert_allclose(found.surface_K[:, 0], found.surface_K[0, 0], rtol=1e-12)
+        assert peaks.surface_K[i, 1] == pytest.approx(history.surface_K.max(), abs=0.05)
+    assert peaks.surface_K[0, 1] > peaks.surface_K[-1, 1] + 20.0
+    np.testing.assert_allclose(peaks.surface_K[:, 0], peaks.surface_K[0, 0], rtol=1e-12)
 
 
 def test_a_flight_is_the_same_whatever_flew_before_it(tmp_path):
@@ -303,22 +303,22 @@ def test_a_flight_is_the_same_whatever_flew_before_it(tmp_path):
 
 def test_flights_that_skip_out_count_as_above_every_limit(tmp_path):
     entry = entry_of(tmp_path, '[[dispersion.input]]\nname = "entry.velocity_m_s"\nlow = 0.0\nhigh = 300.0\n')
-    found = flown_all(entry)
-    gone = found.columns["outcome"] == GONE
+    result = dispersion_of(entry)
+    gone = result.columns["outcome"] == LEFT_ATMOSPHERE
     assert 0 < gone.sum() < len(gone)
-    assert found.ended.count == np.sum(found.columns["outcome"] == WHOLE)
-    assert all(a.exceeded is None or a.exceeded.count >= gone.sum() for a in found.answers)
-    assert any("did not come to their end" in line for line in notes_of(found))
+    assert result.completed.count == np.sum(result.columns["outcome"] == COMPLETED)
+    assert all(a.exceeded is None or a.exceeded.count >= gone.sum() for a in result.peaks)
+    assert any("were not completed" in line for line in notes_of(result))
 
 
-# What a study is told -----------------------------------------------------------------------------------------------
+# What a study reports -----------------------------------------------------------------------------------------------
 
 
 def test_first_order_holds_where_small_thermal_inputs_alone_are_dispersed(tmp_path):
-    found = flown_all(entry_of(tmp_path, THERMAL, flights=256))
-    for answer in found.answers:
-        assert answer.first["holds"], answer
-        assert answer.first["sigma_K"] == pytest.approx(answer.sigma_K, rel=0.06)
+    result = dispersion_of(entry_of(tmp_path, THERMAL, flights=256))
+    for peak in result.peaks:
+        assert peak.first["holds"], peak
+        assert peak.first["sigma_K"] == pytest.approx(peak.sigma_K, rel=0.06)
 
 
 def test_exact_slopes_are_those_of_differences(tmp_path):
@@ -327,86 +327,86 @@ def test_exact_slopes_are_those_of_differences(tmp_path):
     z = np.zeros((LANES, entry.dimensions))
     for k in range(2):
         z[2 * k, k], z[2 * k + 1, k] = DIFFERENCE, -DIFFERENCE
-    moved = deviations(entry.inputs, z)
-    flown = fly_many(entry.fleet, entry.inputs, [{}] * LANES)
-    peaks = entry.march(flown, moved, z)
+    deviation = deviations(entry.inputs, z)
+    flown = entry.sampler.fly(entry.inputs, [{}] * LANES)
+    peaks = entry.march(flown, deviation, z)
     T = np.array([peaks.surface_K, peaks.bondline_K])
     for quantity, point, k, slope in exact_slopes(entry):
-        apart = T[quantity, 2 * k, point] - T[quantity, 2 * k + 1, point]
-        assert slope == pytest.approx(apart / (moved[2 * k, k] - moved[2 * k + 1, k]), rel=1e-3)
+        difference = T[quantity, 2 * k, point] - T[quantity, 2 * k + 1, point]
+        assert slope == pytest.approx(difference / (deviation[2 * k, k] - deviation[2 * k + 1, k]), rel=1e-3)
 
 
-def test_a_limit_that_no_flight_keeps_is_one_clear_line(tmp_path):
+def test_a_limit_that_every_flight_exceeds_is_reported_in_one_line(tmp_path):
     limits = '[[limit]]\ncontrol_point = "NOSECAP"\nsurface_K = 1200.0\n'
-    found = flown_all(entry_of(tmp_path, THERMAL, limits=limits))
-    lines = [line for line in notes_of(found) if "no flight keeps" in line]
+    result = dispersion_of(entry_of(tmp_path, THERMAL, limits=limits))
+    lines = [line for line in notes_of(result) if "every flight exceeds" in line]
     assert len(lines) == 1
-    assert "NOSECAP: no flight keeps the limit of 1200 K at its surface; the coolest comes to 1" in lines[0]
-    assert found.kept.count == 0
+    assert "NOSECAP: every flight exceeds the limit of 1200 K at its surface; the lowest peak is 1" in lines[0]
+    assert result.within_limits.count == 0
 
 
-def test_flights_outside_the_tables_are_told_with_the_distance_and_not_called_safe(tmp_path):
-    """From 130 km log10 Re begins below 2, where the tables begin."""
+def test_flights_outside_the_tables_are_reported_with_the_distance_and_do_not_count_as_within_the_limits(tmp_path):
+    """From 130 km, log10 Re begins below 2, the lower end of the tables."""
     limits = '[[limit]]\ncontrol_point = "NOSECAP"\nsurface_K = 3000.0\n'
-    found = flown_all(entry_of(tmp_path, THERMAL, altitude_m=130e3, limits=limits))
-    assert found.kept.value == 1.0
-    assert found.safe.value == 0.0
-    worst = max(found.outside, key=lambda o: o.farthest)
+    result = dispersion_of(entry_of(tmp_path, THERMAL, altitude_m=130e3, limits=limits))
+    assert result.within_limits.value == 1.0
+    assert result.within_limits_and_data.value == 0.0
+    worst = max(result.excursions, key=lambda o: o.farthest)
     assert (worst.variable, worst.flights) == ("log10_re", 64)
-    assert worst.farthest == pytest.approx(2.0 - found.columns["least.log10_re"].min())
-    assert any("log10_re lies outside" in line and "not called safe" in line for line in notes_of(found))
+    assert worst.farthest == pytest.approx(2.0 - result.columns["least.log10_re"].min())
+    assert any("log10_re lies outside" in line and "do not count as within" in line for line in notes_of(result))
 
 
-def test_a_trim_that_the_elevon_does_not_reach_is_told_and_not_called_safe(tmp_path):
-    """As far forward as the aerodynamics go, with the body flap down all the way."""
+def test_a_trim_beyond_the_elevons_travel_is_reported_and_does_not_count_as_within_the_limits(tmp_path):
+    """The most forward centre of gravity of the aerodynamics, with the body flap fully down."""
     limits = "[trajectory.vehicle]\ncg_fraction = 0.65\nbodyflap_deg = [[0.0, 22.5]]\n"
     limits += '[[limit]]\ncontrol_point = "NOSECAP"\nsurface_K = 3000.0\n'
-    found = flown_all(entry_of(tmp_path, THERMAL, limits=limits, flights=16))
-    assert found.kept.value == 1.0
-    assert found.safe.value == 0.0
-    lines = [line for line in notes_of(found) if line.startswith("trim:")]
+    result = dispersion_of(entry_of(tmp_path, THERMAL, limits=limits, flights=16))
+    assert result.within_limits.value == 1.0
+    assert result.within_limits_and_data.value == 0.0
+    lines = [line for line in notes_of(result) if line.startswith("trim:")]
     assert len(lines) == 1
-    assert f"in 16 of 16 flights, for {found.columns['end_s'][0] + 0.5:.0f} s at most" in lines[0]
+    assert f"in 16 of 16 flights, for {result.columns['end_s'][0] + 0.5:.0f} s at most" in lines[0]
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ('name = "vehicle.cg_fraction"\nsigma = 0.01', "outside 0.65 to 0.675"),
         ('name = "air.density"\nsigma = 1.0\nover = [[0.0, 0.5]]', "makes a factor of"),
         ('name = "stack.emissivity_factor"\nsigma = 0.4', "leaves 0 to 1.5"),
-        ('name = "ratio.d_alpha"\nsigma = 0.4', "the sigma of the tables says how they err"),
+        ('name = "ratio.d_alpha"\nsigma = 0.4', "the sigma of the ratio tables states their error"),
         ('name = "effect.transition.log10_re_onset"\nsigma = 0.1', "there is no parameter"),
         ('name = "stack.emissivity_factor"\nsigma = 0.01\ncontrol_points = ["WING_LE"]', "not among the study's"),
     ],
 )
-def test_inputs_that_cannot_be_are_told_before_any_flight(tmp_path, text, told):
-    why = refusal(tmp_path, text)
-    assert told in why
-    assert "input 1" in why
+def test_impossible_inputs_are_refused_before_any_flight(tmp_path, text, message):
+    refused = refusal(tmp_path, text)
+    assert message in refused
+    assert "input 1" in refused
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ('name = "entry.gamma_deg"', "give sigma, or low and high"),
         ('name = "entry.gama_deg"\nsigma = 0.1', "there is no input `entry.gama_deg`; did you mean `entry.gamma_deg`"),
         ('name = "stack.emisivity_factor"\nsigma = 0.1', "did you mean `stack.emissivity_factor`"),
         ('name = "air.density"\nsigma = 1.0', "give `over`"),
-        ('name = "entry.gamma_deg"\nsigma = 1.0\nover = [[0.0, 1.0]]', "goes with air.density"),
-        ('name = "entry.gamma_deg"\nsigma = 1.0\ncontrol_points = ["NOSECAP"]', "is of the flight"),
+        ('name = "entry.gamma_deg"\nsigma = 1.0\nover = [[0.0, 1.0]]', "is only for air.density"),
+        ('name = "entry.gamma_deg"\nsigma = 1.0\ncontrol_points = ["NOSECAP"]', "changes the flight"),
     ],
 )
-def test_an_input_that_is_declared_wrongly_is_refused_with_its_place(tmp_path, text, told):
-    why = refusal(tmp_path, text)
-    assert told in why
-    assert "[dispersion.input]" in why
+def test_an_input_that_is_declared_wrongly_is_refused_with_its_place(tmp_path, text, message):
+    refused = refusal(tmp_path, text)
+    assert message in refused
+    assert "[dispersion.input]" in refused
 
 
-def test_every_input_is_told_in_words_with_its_size_and_unit(tmp_path):
+def test_every_input_is_described_with_its_size_and_unit(tmp_path):
     wave = '[[dispersion.input]]\nname = "air.density"\nsigma = 2.0\nover = [[0.0, 0.0], [60000.0, -0.04]]\n{}'
     entry = entry_of(tmp_path, FLIGHT + wave.format('title = "a wave"\n') + THERMAL, tables=1.0)
-    assert entry.words == [
+    assert entry.group_descriptions == [
         ("path angle at entry", "sigma 0.02 deg"),
         ("density, relative (profile 1)", "sigma 0.08 at most"),
         ("wind to the east", "-20 to 20 m/s at most"),
@@ -416,11 +416,11 @@ def test_every_input_is_told_in_words_with_its_size_and_unit(tmp_path):
         ("stack.rsi.conductivity_factor", "sigma 0.05"),
         ("ratio tables", "their own sigma"),
     ]
-    assert len(entry.words) == len(entry.groups)
+    assert len(entry.group_descriptions) == len(entry.groups)
 
 
 @pytest.mark.parametrize("path", sorted((SCENARIOS / "studies").glob("dispersed_*.toml")), ids=lambda p: p.stem)
-def test_shipped_studies_are_good(path):
+def test_shipped_dispersions_can_be_flown(path):
     entry = DispersedEntry(load_study(path))
     entry.check()
     assert entry.dimensions > len(entry.inputs)

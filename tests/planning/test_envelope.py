@@ -1,4 +1,4 @@
-"""Envelope expansion: what the flights, the trim and the tables' sigma have to do whatever the numbers are."""
+"""Envelope expansion: trends of flights and trim, consistency of the tables' sigma, and the command."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.march.ensemble import histories
 from sim_heating.march.history import march_points
 from sim_heating.march.linearised import LinearMarch, Track
-from sim_heating.planning.envelope.case import Base, Case, Flown, alpha_schedule, cross_range_km
-from sim_heating.planning.envelope.margins import Evaluated, Judge
+from sim_heating.planning.envelope.case import BaseEntry, Case, FlownCase, alpha_schedule, cross_range_km
+from sim_heating.planning.envelope.margins import EvaluatedCase, MarginEvaluator
 from sim_heating.planning.limited_point import LimitedPoint
 from sim_heating.planning.plan import parts_of
-from sim_heating.planning.ratio_table_modes import informed_root, peaks
+from sim_heating.planning.ratio_table_modes import informed_root, peak_sensitivities
 from sim_heating.planning.study import load_study
 from sim_heating.trajectory.aero import load_aero
 from sim_heating.trajectory.point_mass import WGS84_RADIUS_M
@@ -39,31 +39,31 @@ STOP_M_S = 5500.0
 
 
 @cache
-def base(stop_m_s: float = STOP_M_S) -> Base:
+def base(stop_m_s: float = STOP_M_S) -> BaseEntry:
     scenario = load_scenario(ROOT / "scenarios" / "entry_3dof.toml")
     spec = scenario.declared.trajectory
     changes = {"manoeuvre": (), "stop": Stop(velocity_m_s=stop_m_s), "sample_s": 2.0}
-    return Base(spec.model_copy(update=changes), scenario.vehicle)
+    return BaseEntry(spec.model_copy(update=changes), scenario.vehicle)
 
 
 @cache
-def judge() -> Judge:
+def evaluator() -> MarginEvaluator:
     scenario = load_scenario(ROOT / "scenarios" / "entry_3dof.toml")
     points = [scenario.vehicle.control_point(name) for name in POINTS]
     limited = [LimitedPoint(p, p.limits.surface_K, p.limits.bondline_K) for p in points]
-    return Judge(base(), limited, scenario, soak_s=0.0)
+    return MarginEvaluator(base(), limited, scenario, soak_s=0.0)
 
 
 @cache
-def flown(case: Case) -> Flown:
+def flown(case: Case) -> FlownCase:
     return base().fly(case)
 
 
 @cache
-def evaluated(case: Case) -> Evaluated:
-    found = judge().evaluate(case)
-    assert found.error is None, found.error
-    return found
+def evaluated(case: Case) -> EvaluatedCase:
+    result = evaluator().evaluate(case)
+    assert result.error is None, result.error
+    return result
 
 
 def peak(case: Case, limit: str) -> float:
@@ -85,7 +85,7 @@ def test_a_heavier_vehicle_and_a_shorter_flight_are_hotter(limit: str) -> None:
     assert peak(Case(drag_factor=0.8), limit) < peak(Case(), limit)
 
 
-def test_drag_tracking_takes_a_denser_atmosphere_out() -> None:
+def test_drag_tracking_compensates_a_denser_atmosphere() -> None:
     thin, dense = flown(Case(density_factor=0.8)).conditions, flown(Case(density_factor=1.2)).conditions
     at = [float(np.interp(-6500.0, -c["velocity_m_s"], c["altitude_m"])) for c in (thin, dense)]
     assert at[1] - at[0] == pytest.approx(7000.0 * np.log(1.5), rel=0.25)
@@ -109,22 +109,22 @@ def test_the_elevon_and_the_body_flap_share_the_heat() -> None:
     assert peak(down, "V07T9730 surface") < peak(up, "V07T9730 surface") - 10.0
 
 
-def test_a_trim_that_the_elevon_does_not_reach_is_told_by_how_much() -> None:
+def test_a_trim_beyond_the_elevons_travel_is_reported_with_the_distance() -> None:
     case = Case(cg_fraction=0.65, bodyflap_deg=22.5)
     c = flown(case)
     held = c.conditions["elevon_deg"] <= c.trim.low_deg + 1e-9
-    assert np.all(c.trim.wanted_deg[held] < c.trim.low_deg)
-    assert np.array_equal(c.trim.wanted_deg[~held], c.conditions["elevon_deg"][~held])
+    assert np.all(c.trim.required_deg[held] < c.trim.low_deg)
+    assert np.array_equal(c.trim.required_deg[~held], c.conditions["elevon_deg"][~held])
     assert evaluated(case).margins["elevon travel, up"].margin < -5.0
-    assert any(m.kind == "elevon" for _, m in evaluated(case).passed_other)
+    assert any(m.kind == "elevon" for _, m in evaluated(case).other_violations)
 
 
-def test_outside_a_table_is_told_with_variable_and_distance() -> None:
-    found = evaluated(Case(cg_fraction=0.65, bodyflap_deg=22.5))
-    m = found.margins["BODYFLAP ratio table, elevon below -10 deg"]
+def test_a_flight_outside_a_table_is_reported_with_variable_and_distance() -> None:
+    result = evaluated(Case(cg_fraction=0.65, bodyflap_deg=22.5))
+    m = result.margins["BODYFLAP ratio table, elevon below -10 deg"]
     assert m.margin == pytest.approx(m.value + 10.0)
     assert m.margin < 0.0
-    assert any(line.startswith("BODYFLAP: elevon_deg up to") for line in found.outside)
+    assert any(line.startswith("BODYFLAP: elevon_deg up to") for line in result.outside)
 
 
 def test_a_station_holds_its_angle_of_attack_and_leaves_the_rest() -> None:
@@ -144,10 +144,10 @@ def test_cross_range_is_the_distance_from_the_first_great_circle() -> None:
     assert cross_range_km((0.0, 0.0), 0.0, (0.0, 10.0)) == pytest.approx(-R * np.radians(10.0))
 
 
-def test_a_cross_range_that_is_asked_for_is_flown_and_one_out_of_reach_is_told() -> None:
+def test_a_required_cross_range_is_flown_and_one_out_of_reach_is_refused() -> None:
     most = abs(flown(Case(one_sided=True)).cross_range_km)
     assert abs(flown(Case(cross_range_km=0.6 * most)).cross_range_km) == pytest.approx(0.6 * most, abs=3.0)
-    refused = judge().evaluate(Case(cross_range_km=2.0 * most))
+    refused = evaluator().evaluate(Case(cross_range_km=2.0 * most))
     assert refused.margins == {}
     assert f"{most:.0f} km is the most that is flown" in (refused.error or "")
 
@@ -177,7 +177,7 @@ def test_sideslip_and_aileron_balance_a_lateral_centre_of_gravity() -> None:
     assert starboard == pytest.approx(mirrored.at_side(-11.0)["elevon_deg"] - plain.conditions["elevon_deg"])
 
 
-# What the tables' sigma means ----------------------------------------------------------------------------------------
+# Sigma of the tables --------------------------------------------------------------------------------------------------
 
 
 def at_point(case: Case, name: str) -> Conditions:
@@ -187,42 +187,42 @@ def at_point(case: Case, name: str) -> Conditions:
 
 def marched(name: str, tables: list[RatioTable], conditions: Conditions) -> np.ndarray:
     """(table, time) surface temperatures with other tables."""
-    model = judge().models[POINTS.index(name)]
-    found = march_points([replace(model, ratio=t) for t in tables], [conditions] * len(tables))
-    return np.array([h.surface_K for h in found])
+    model = evaluator().models[POINTS.index(name)]
+    histories_K = march_points([replace(model, ratio=t) for t in tables], [conditions] * len(tables))
+    return np.array([h.surface_K for h in histories_K])
 
 
 @pytest.mark.parametrize("name", POINTS)
 def test_sensitivities_to_errors_of_a_table_are_those_of_a_table_with_errors(name: str) -> None:
     conditions, i = at_point(Case(), name), POINTS.index(name)
-    root, table = judge().roots[i], judge().points[i].point.ratio
+    root, table = evaluator().roots[i], evaluator().points[i].point.ratio
     assert root is not None
-    found = peaks([judge().models[i]], [judge().meshes[i]], [root], [conditions])[0].surface
-    at = int(np.flatnonzero(conditions.time_s == found.time_s)[0])
+    peak = peak_sensitivities([evaluator().models[i]], [evaluator().meshes[i]], [root], [conditions])[0].surface
+    at = int(np.flatnonzero(conditions.time_s == peak.time_s)[0])
     rng = np.random.default_rng(3)
     for _ in range(3):
         z = rng.standard_normal(root.shape[1])
         error = 0.02 * (root @ z).reshape(table.ratio.shape)
         both = [replace(table, ratio=table.ratio + sign * error) for sign in (1.0, -1.0)]
         T = marched(name, both, conditions)[:, at]
-        assert (T[0] - T[1]) / 0.04 == pytest.approx(float(found.slope @ z), abs=0.03 * found.sigma_K)
+        assert (T[0] - T[1]) / 0.04 == pytest.approx(float(peak.slope @ z), abs=0.03 * peak.sigma_K)
 
 
 def test_tables_drawn_from_their_own_covariance_spread_the_peak_by_its_sigma() -> None:
     name, share, draws = "WING_LE", 0.1, 400
     conditions, i = at_point(Case(), name), POINTS.index(name)
-    root, table = judge().roots[i], judge().points[i].point.ratio
+    root, table = evaluator().roots[i], evaluator().points[i].point.ratio
     assert root is not None
     sigma = evaluated(Case()).margins[f"{name} surface"].sigma
     z = np.random.default_rng(4).standard_normal((draws, root.shape[1]))
     tables = [replace(table, ratio=table.ratio + share * (root @ row).reshape(table.ratio.shape)) for row in z]
-    found = np.std(np.max(marched(name, tables, conditions), axis=1)) / share
-    assert found == pytest.approx(sigma, rel=4.0 / np.sqrt(2.0 * draws))
+    spread = np.std(np.max(marched(name, tables, conditions), axis=1)) / share
+    assert spread == pytest.approx(sigma, rel=4.0 / np.sqrt(2.0 * draws))
 
 
-def test_an_error_in_proportion_to_the_table_is_its_scale() -> None:
+def test_an_error_in_proportion_to_the_table_acts_as_ratio_scale() -> None:
     i = POINTS.index("WING_LE")
-    conditions, model, mesh = at_point(Case(), "WING_LE"), judge().models[i], judge().meshes[i]
+    conditions, model, mesh = at_point(Case(), "WING_LE"), evaluator().models[i], evaluator().meshes[i]
     table = model.ratio
     assert table is not None
     times = conditions.time_s
@@ -232,25 +232,25 @@ def test_an_error_in_proportion_to_the_table_is_its_scale() -> None:
 
 
 def evidence(table: RatioTable, sigma: float) -> Evidence:
-    """The ratio at 40 deg, Mach-20 Reynolds number, told to a sigma."""
+    """Evidence on the ratio at 40 deg and the Reynolds number of Mach 20, with a sigma."""
     at = np.array([[40.0, 0.0, 6.0, 0.0, 10.0]])
     W = node_weights(table.axes, at)
     nodes = np.unique(W.indices)
     return Evidence(("ratio",), nodes, W[:, nodes].toarray(), W @ table.ratio.ravel(), np.array([[sigma**2]]))
 
 
-def test_what_a_flight_tells_leaves_the_sigma_that_the_updated_table_states() -> None:
-    table, root = judge().points[1].point.ratio, judge().roots[1]
+def test_evidence_of_a_flight_leaves_the_sigma_that_the_updated_table_states() -> None:
+    table, root = evaluator().points[1].point.ratio, evaluator().roots[1]
     assert root is not None
-    told = evidence(table, 0.02)
+    measured = evidence(table, 0.02)
     elsewhere = node_weights(table.axes, np.array([[34.0, 0.0, 6.3, 0.0, 10.0], [40.0, 0.0, 6.0, 0.0, 10.0]]))
-    left = np.linalg.norm((elsewhere @ root) @ informed_root(root, told), axis=1)
-    assert left == pytest.approx(posterior(table, [told]).sigma_along(elsewhere), rel=1e-6)
+    remaining = np.linalg.norm((elsewhere @ root) @ informed_root(root, measured), axis=1)
+    assert remaining == pytest.approx(posterior(table, [measured]).sigma_along(elsewhere), rel=1e-6)
     nothing = np.linalg.norm((elsewhere @ root) @ informed_root(root, evidence(table, 1e9)), axis=1)
     assert nothing == pytest.approx(np.linalg.norm(elsewhere @ root, axis=1), rel=1e-9)
 
 
-# As a user has it ----------------------------------------------------------------------------------------------------
+# The command ---------------------------------------------------------------------------------------------------------
 
 STUDY = f"""format = "study/1"
 title = "Pod and leading edge"
@@ -280,7 +280,7 @@ at_velocity_m_s = 6400.0
 
 @pytest.fixture(scope="module")
 def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A study with a vehicle whose tables are a tenth lower than those of the Orbiter before it."""
+    """Results for a vehicle whose tables are a tenth lower than those of the Orbiter, the vehicle `before`."""
     home = tmp_path_factory.mktemp("planned")
     (home / "study.toml").write_text(STUDY)
     shutil.copytree(load_vehicle("orbiter").directory, home / "later" / "orbiter")
@@ -294,27 +294,27 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_cooler_tables_open_the_envelope(planned: Path) -> None:
-    found = read_json(planned / "out" / "study.json")["envelope"]
-    before, after = found["before"]["alpha"]["area"], found["boundaries"]["alpha"]["area"]
-    assert after["middle"] > before["middle"] + 1.0
-    stretch = found["boundaries"]["alpha"]["stretches"][0]
-    assert stretch["low_limit"] == "WING_LE surface" or stretch["low_middle"] == -14.0
-    assert stretch["high_limit"] == "V07T9975 surface"
-    assert -6.0 < stretch["high_middle"] < 0.0
+    result = read_json(planned / "out" / "study.json")["envelope"]
+    before, after = result["before"]["alpha"]["area"], result["boundaries"]["alpha"]["area"]
+    assert after["nominal"] > before["nominal"] + 1.0
+    segment = result["boundaries"]["alpha"]["segments"][0]
+    assert segment["low_limit"] == "WING_LE surface" or segment["low_nominal"] == -14.0
+    assert segment["high_limit"] == "V07T9975 surface"
+    assert -6.0 < segment["high_nominal"] < 0.0
 
 
-def test_the_edge_that_was_found_is_met_when_it_is_flown(planned: Path) -> None:
+def test_a_flight_at_the_edge_meets_its_limit(planned: Path) -> None:
     study = load_study(planned / "study.toml", planned / "later" / "orbiter")
-    edge = read_json(planned / "out" / "study.json")["envelope"]["boundaries"]["alpha"]["stretches"][0]["high_middle"]
-    own = Judge(Base(study.base.declared.trajectory, study.vehicle), study.points, study.base, 0.0)
+    edge = read_json(planned / "out" / "study.json")["envelope"]["boundaries"]["alpha"]["segments"][0]["high_nominal"]
+    own = MarginEvaluator(BaseEntry(study.base.declared.trajectory, study.vehicle), study.points, study.base, 0.0)
     assert own.evaluate(Case(alpha_offset_deg=edge)).margins["V07T9975 surface"].margin == pytest.approx(0.0, abs=0.5)
 
 
-def test_a_manoeuvre_at_the_pod_takes_sigma_away_there(planned: Path) -> None:
+def test_a_manoeuvre_reduces_the_sigma_of_the_pod_that_it_heats(planned: Path) -> None:
     ranked = read_json(planned / "out" / "study.json")["next_flight"]["manoeuvres"]
     now, after = ranked[0]["sigma_K"]["alpha"]
     assert after < 0.8 * now
-    assert 0.0 < ranked[0]["shrunk"] < 1.0
+    assert 0.0 < ranked[0]["sigma_reduction"] < 1.0
     assert ranked[0]["bounds"]["V07T9975"]["ratio.scale"] > 0.01
 
 
@@ -325,36 +325,36 @@ def test_every_file_names_vehicle_revision_and_study(planned: Path) -> None:
         head = (out / "envelope" / name).read_text()
         assert study in head
         assert "revision 1" in head
-    rows = read_csv_columns(out / "envelope" / "boundary_alpha.csv", ("drag_factor", "high_middle"), keep_other=False)
-    assert rows["high_middle"][0] == pytest.approx(
-        read_json(out / "study.json")["envelope"]["boundaries"]["alpha"]["stretches"][0]["high_middle"], rel=1e-5
+    rows = read_csv_columns(out / "envelope" / "boundary_alpha.csv", ("drag_factor", "high_nominal"), keep_other=False)
+    assert rows["high_nominal"][0] == pytest.approx(
+        read_json(out / "study.json")["envelope"]["boundaries"]["alpha"]["segments"][0]["high_nominal"], rel=1e-5
     )
     for name in ("map_alpha", "boundary_alpha", "before_after_alpha", "next_flight"):
         assert (out / "envelope" / f"{name}.png").stat().st_size > 10_000
 
 
-def test_a_study_says_before_it_is_done_which_files_it_may_write(planned: Path) -> None:
-    """So that a file of someone else's that is in the way is told before the work."""
+def test_a_study_announces_all_files_that_it_may_write(planned: Path) -> None:
+    """So that a file which is not the program's own is reported before the work."""
     study = load_study(planned / "study.toml", planned / "later" / "orbiter")
     announced = {name for part in parts_of(study).values() for name in part.files(study)}
     assert files_written(planned / "out") - {"study.json", "report.html"} == announced
 
 
 @pytest.mark.parametrize("name", ["alpha_expansion", "cg_expansion", "small_envelope"])
-def test_shipped_studies_are_good(name: str) -> None:
+def test_shipped_envelopes_can_be_read(name: str) -> None:
     study = load_study(ROOT / "scenarios" / "studies" / f"{name}.toml")
-    asked, candidates = study.declared.envelope, study.declared.next_flight
-    assert asked is not None
+    envelope, candidates = study.declared.envelope, study.declared.next_flight
+    assert envelope is not None
     assert candidates is not None
     assert {p for c in candidates.manoeuvre for p in c.control_points} <= set(study.base.names)
-    for b in asked.boundary:
+    for b in envelope.boundary:
         case = b.case(b.members()[0], b.at[0], b.values[0])
         assert getattr(case, b.along) == b.at[0]
         assert getattr(case, b.across) == b.values[0]
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [
         ('across = "alpha_offset_deg"', 'across = "alpha_ofset_deg"', "alpha_offset_deg"),
         ("values = [-14.0, -6.0, 0.0]", "values = [0.0, -6.0]", "must rise"),
@@ -363,17 +363,17 @@ def test_shipped_studies_are_good(name: str) -> None:
         ("at = [1.0]", "at = [-0.5, 1.0]", "`along`: drag_factor -0.5 must be above 0"),
         ("at = [1.0]", "at = [1.0]\nfixed = { cg_fraction = 1.5 }", "cg_fraction 1.5 must be between 0 and 1"),
         ('along = "drag_factor"', 'along = "alpha_offset_deg"', "is given by `along` and by `across`"),
-        ('along = "drag_factor"', 'along = "station_alpha_deg"', "is held about `alpha_station`: give both"),
+        ('along = "drag_factor"', 'along = "station_alpha_deg"', "is held about `alpha_station`; give both"),
         ("axes = { alpha", "fixed = { alpha_offset_deg = 1.0 }\naxes = { alpha", "is given by `axes` and by `fixed`"),
     ],
 )
-def test_a_study_that_asks_for_what_there_is_not_is_refused_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, told: str
+def test_a_study_that_asks_for_something_impossible_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, message: str
 ) -> None:
     assert old in STUDY
     (tmp_path / "study.toml").write_text(STUDY.replace(old, new))
     assert main(["plan", str(tmp_path / "study.toml"), "--out", str(tmp_path / "out"), "--workers", "1"]) == 2
     errors = capsys.readouterr().err.strip().splitlines()
-    assert any(told in line for line in errors)
+    assert any(message in line for line in errors)
     assert all(str(tmp_path / "study.toml") in line for line in errors)
     assert not (tmp_path / "out").exists()

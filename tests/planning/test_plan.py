@@ -1,4 +1,4 @@
-"""`sim-heating plan` as a user meets it: files of a study, kills, processes, one clear line where it cannot."""
+"""The command `sim-heating plan`: files of a study, interruption, processes, and one clear line for every failure."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def study(tmp_path):
 
 
 def results(out):
-    """Bytes of all results, the ledger of finished batches left out."""
+    """Bytes of all results, without the ledger of finished batches."""
     return {
         p.relative_to(out).as_posix(): p.read_bytes()
         for p in sorted(out.rglob("*"))
@@ -80,7 +80,7 @@ def start(study, out, workers, **environment):
     return subprocess.Popen(arguments, env=os.environ | environment, start_new_session=True, **quiet)
 
 
-def test_a_study_killed_at_any_moment_goes_on_to_the_same_bytes_on_any_number_of_processes(study, tmp_path):
+def test_a_study_killed_at_any_moment_continues_to_the_same_bytes_on_any_number_of_processes(study, tmp_path):
     whole, out, moments = tmp_path / "whole", tmp_path / "out", random.Random(7)
     assert cli.main(["plan", str(study), "--out", str(whole), "--workers", "1"]) == 0
     for kill in range(3):
@@ -109,13 +109,13 @@ def test_a_process_that_did_other_work_before_gives_the_bytes_of_a_fresh_one(stu
 def test_results_name_vehicle_revision_and_study_and_agree_with_each_other(study, tmp_path):
     out = tmp_path / "out"
     assert cli.main(["plan", str(study), "--out", str(out), "--workers", "1"]) == 0
-    found, loaded = json.loads((out / "study.json").read_text()), load_study(study)
-    assert (found["vehicle"], found["revision"], found["study"]) == ("orbiter", "1", loaded.hash)
+    summary, loaded = json.loads((out / "study.json").read_text()), load_study(study)
+    assert (summary["vehicle"], summary["revision"], summary["study"]) == ("orbiter", "1", loaded.hash)
     page = (out / "report.html").read_text()
     assert loaded.stamp in page
     assert page.count("data:image/png;base64,") == 3
     assert 'src="http' not in page
-    surface = next(p for p in found["dispersion"]["peaks"] if p["quantity"] == "peak surface")
+    surface = next(p for p in summary["dispersion"]["peaks"] if p["quantity"] == "peak surface")
     flights = pq.read_table(out / "dispersion_flights.parquet")
     peaks = flights.column("surface_K.V09T9527").to_numpy()
     assert len(peaks) == 48
@@ -124,28 +124,28 @@ def test_results_name_vehicle_revision_and_study_and_agree_with_each_other(study
     assert set(surface["sobol_indices"]) == {"entry.gamma_deg", "stack.emissivity_factor", "ratio tables"}
 
 
-def test_the_hash_is_that_of_the_study_and_of_the_vehicles_files(study, tmp_path):
+def test_the_hash_changes_with_the_study(study, tmp_path):
     before = load_study(study).hash
     assert load_study(study).hash == before
     study.write_text(study.read_text().replace("sigma = 0.02", "sigma = 0.021"))
     assert load_study(study).hash != before
 
 
-def test_a_scheduler_that_is_away_is_one_clear_line_and_nothing_is_written(study, tmp_path, capsys, monkeypatch):
+def test_an_absent_scheduler_is_one_clear_line_and_nothing_is_written(study, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(batches, "ANSWER_S", 1.0)
     out = tmp_path / "out"
     assert cli.main(["plan", str(study), "--out", str(out), "--scheduler", "tcp://127.0.0.1:1"]) == 2
-    told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
-    assert len(told) == 1
-    assert "no Dask scheduler answers there" in told[0]
+    errors = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
+    assert len(errors) == 1
+    assert "no Dask scheduler answers there" in errors[0]
     assert not results(out)
 
 
 @pytest.mark.parametrize(
-    ("more", "told"),
+    ("more", "message"),
     [
-        ('revision = "7"', '`revision`: "7" is meant and orbiter is at "1"'),
-        ('scenario = "nowhere.toml"', "give one of them"),
+        ('revision = "7"', '`revision`: the study needs "7" and orbiter is at "1"'),
+        ('scenario = "nowhere.toml"', "give either `scenario` or [trajectory]"),
         ('[[limit]]\ncontrol_point = "NOSECAP"', "`NOSECAP` is not among the study's control points"),
         (ENVELOPE.replace("-4.0, 0.0", "-1e9"), "alpha_offset_deg -1e+09 must be between -90 and 90"),
         ("soak = 3.0", "unknown key `soak`; did you mean `soak_s`"),
@@ -155,32 +155,30 @@ def test_a_scheduler_that_is_away_is_one_clear_line_and_nothing_is_written(study
         ),
     ],
 )
-def test_a_study_that_cannot_be_is_told_in_a_line(study, tmp_path, capsys, more, told):
+def test_an_impossible_study_is_refused_in_a_line(study, tmp_path, capsys, more, message):
     study.write_text(STUDY.format(more=more))
     assert cli.main(["plan", str(study), "--out", str(tmp_path / "out")]) == 2
-    assert told in " ".join(capsys.readouterr().err.split())
+    assert message in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="no file system in which nothing can be made")
-def test_a_place_that_cannot_hold_finished_batches_is_told_in_a_line(study, capsys):
+def test_a_folder_that_cannot_hold_finished_batches_is_reported_in_a_line(study, capsys):
     assert cli.main(["plan", str(study), "--out", "/proc/nowhere"]) == 2
-    said = capsys.readouterr().err.strip().splitlines()
-    assert len(said) == 1
-    assert "results cannot be written there" in said[0]
+    errors = capsys.readouterr().err.strip().splitlines()
+    assert len(errors) == 1
+    assert "results cannot be written there" in errors[0]
 
 
-def test_a_control_point_that_a_study_names_wrongly_is_told_of_the_study_and_not_of_its_scenario(
-    study, tmp_path, capsys
-):
+def test_an_unknown_control_point_of_a_study_is_reported_with_the_file_of_the_study(study, tmp_path, capsys):
     text, flown = STUDY.format(more=""), entry_3dof("mach = 2.5")
     base = ROOT / "scenarios" / "entry_3dof.toml"
     study.write_text(text.replace(flown, f'scenario = "{base}"\n').replace('"V09T9527"', '"V09T952"'))
     assert cli.main(["plan", str(study), "--out", str(tmp_path / "out")]) == 2
-    said = capsys.readouterr().err.strip().splitlines()
-    assert said == [f"error: {study}: vehicle orbiter: there is no control point `V09T952`; did you mean `V09T9527`?"]
+    errors = capsys.readouterr().err.strip().splitlines()
+    assert errors == [f"error: {study}: vehicle orbiter: there is no control point `V09T952`; did you mean `V09T9527`?"]
 
 
-def test_an_effect_that_a_scenario_names_wrongly_is_told_of_the_scenario(study, tmp_path, capsys):
+def test_an_unknown_effect_of_a_scenario_is_reported_with_the_file_of_the_scenario(study, tmp_path, capsys):
     base = tmp_path / "base.toml"
     head = 'format = "scenario/1"\ntitle = "base"\nvehicle = "orbiter"\n'
     base.write_text(f'{head}[[effect]]\nname = "gapflow"\n{entry_3dof("mach = 2.5")}')
@@ -189,7 +187,7 @@ def test_an_effect_that_a_scenario_names_wrongly_is_told_of_the_scenario(study, 
     assert f"error: {base}: " in capsys.readouterr().err
 
 
-def test_a_page_of_someone_elses_is_told_before_the_work_and_nothing_is_left(study, tmp_path, capsys):
+def test_a_page_that_is_not_the_programs_own_is_reported_before_the_work_and_kept(study, tmp_path, capsys):
     out = tmp_path / "out"
     out.mkdir()
     (out / "report.html").write_text("mine")
@@ -200,20 +198,20 @@ def test_a_page_of_someone_elses_is_told_before_the_work_and_nothing_is_left(stu
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="no file system in which nothing can be made")
-def test_worker_processes_that_do_not_start_are_told_in_a_line(study, tmp_path, capsys):
+def test_worker_processes_that_do_not_start_are_reported_in_a_line(study, tmp_path, capsys):
     """Dask has no folder to start them in."""
     with dask.config.set({"temporary-directory": "/proc/nowhere"}):
         assert cli.main(["plan", str(study), "--out", str(tmp_path / "out"), "--workers", "2"]) == 1
-    told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("dispersion:")]
-    assert len(told) == 1
-    assert "the worker processes did not start" in told[0]
-    assert "take --workers 1" in told[0]
+    errors = [line for line in capsys.readouterr().err.splitlines() if line.startswith("dispersion:")]
+    assert len(errors) == 1
+    assert "the worker processes did not start" in errors[0]
+    assert "take --workers 1" in errors[0]
 
 
-def test_a_study_that_asks_for_nothing_says_so(study, tmp_path, capsys):
+def test_a_study_without_a_part_is_refused(study, tmp_path, capsys):
     study.write_text(STUDY.format(more="").split("[dispersion]")[0])
     assert cli.main(["plan", str(study), "--out", str(tmp_path / "out")]) == 2
-    assert "asks for nothing" in capsys.readouterr().err
+    assert "has no table that asks for a result" in capsys.readouterr().err
 
 
 OPTIMAL = """
@@ -225,20 +223,20 @@ limit = [{ control_point = "NOSECAP" }]
 """
 
 
-def test_a_studys_optimal_entry_is_of_its_vehicle(study):
+def test_the_optimal_entry_of_a_study_is_flown_with_its_vehicle(study):
     study.write_text(STUDY.format(more="") + OPTIMAL)
-    asked = load_study(study).optimal()
-    assert asked is not None
-    assert asked.vehicle.name == "orbiter"
-    assert [p.point.name for p in asked.points] == ["NOSECAP"]
+    optimal = load_study(study).optimal()
+    assert optimal is not None
+    assert optimal.vehicle.name == "orbiter"
+    assert [p.point.name for p in optimal.points] == ["NOSECAP"]
 
 
-def test_a_misspelt_key_of_an_optimal_entry_is_told_with_its_table(study, tmp_path, capsys):
+def test_a_misspelt_key_of_an_optimal_entry_is_reported_with_its_table(study, tmp_path, capsys):
     study.write_text(STUDY.format(more="") + OPTIMAL.replace("alpha_limits_deg", "alpha_limit_deg"))
     assert cli.main(["plan", str(study), "--out", str(tmp_path / "out")]) == 2
-    told = capsys.readouterr().err
-    assert "[optimal]" in told
-    assert "`alpha_limits_deg`" in told
+    error = capsys.readouterr().err
+    assert "[optimal]" in error
+    assert "`alpha_limits_deg`" in error
 
 
 def with_optimal(study, **given):
@@ -249,43 +247,43 @@ def with_optimal(study, **given):
 
 
 def test_an_optimiser_that_fails_is_one_line_and_the_dispersion_is_kept(study, tmp_path, capsys):
-    """Nobody is down in five minutes."""
+    """No entry ends within five minutes."""
     with_optimal(study, duration_s=[200.0, 300.0])
     out = tmp_path / "out"
     assert cli.main(["plan", str(study), "--out", str(out), "--workers", "1"]) == 1
-    told = capsys.readouterr().err.splitlines()
-    assert [line for line in told if line.startswith("optimal:")] == [
+    lines = capsys.readouterr().err.splitlines()
+    assert [line for line in lines if line.startswith("optimal:")] == [
         "optimal: optimal entry `Entry for a test`: no flight was found: no flight meets all bounds at once; relax a "
-        "limit or the end state"
+        "limit or the final state"
     ]
-    assert told[-1] == "failed: optimal: found nothing; dispersion is done and kept"
-    found = json.loads((out / "study.json").read_text())
-    assert list(found["failed"]) == ["optimal"]
-    assert found["dispersion"]["flights"] == 48
+    assert lines[-1] == "failed: optimal: no result; dispersion completed, results kept"
+    summary = json.loads((out / "study.json").read_text())
+    assert list(summary["failed"]) == ["optimal"]
+    assert summary["dispersion"]["flights"] == 48
     assert pq.read_table(out / "dispersion_flights.parquet").num_rows == 48
     assert "no flight meets all bounds at once" in (out / "report.html").read_text()
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere", ""])
-def test_a_scheduler_that_is_away_is_told_once_and_before_any_part(study, tmp_path, capsys, monkeypatch, address):
+def test_an_absent_scheduler_is_reported_once_and_before_any_part(study, tmp_path, capsys, monkeypatch, address):
     monkeypatch.setattr(batches, "ANSWER_S", 1.0)
     with_optimal(study)
     out = tmp_path / "out"
     assert cli.main(["plan", str(study), "--out", str(out), "--scheduler", address]) == 2
-    told = capsys.readouterr().err.splitlines()
-    assert len(told) == 1
-    assert "no Dask scheduler answers there" in told[0]
+    errors = capsys.readouterr().err.splitlines()
+    assert len(errors) == 1
+    assert "no Dask scheduler answers there" in errors[0]
     assert not out.exists()
 
 
-def test_an_envelope_of_which_nothing_can_be_flown_fails_and_says_why(study, tmp_path, capsys):
+def test_an_envelope_without_a_possible_flight_fails_with_the_reason(study, tmp_path, capsys):
     """Straight up, out of the atmosphere."""
     study.write_text(STUDY.format(more="").split("[dispersion]")[0].replace("-1.2", "89.0") + ENVELOPE)
     out = tmp_path / "out"
     assert cli.main(["plan", str(study), "--out", str(out), "--workers", "1"]) == 1
-    told = [line for line in capsys.readouterr().err.splitlines() if not line.endswith("...")]
-    assert len(told) == 2
-    assert told[0].startswith(f"envelope: {study}: none of 2 flights can be flown; first alpha_offset_deg -4: ")
-    assert "outside the atmosphere" in told[0]
-    assert told[1] == "failed: envelope: found nothing"
+    errors = [line for line in capsys.readouterr().err.splitlines() if not line.endswith("...")]
+    assert len(errors) == 2
+    assert errors[0].startswith(f"envelope: {study}: none of 2 flights can be flown; the first: alpha_offset_deg -4: ")
+    assert "outside the atmosphere" in errors[0]
+    assert errors[1] == "failed: envelope: no result"
     assert list(json.loads((out / "study.json").read_text())["failed"]) == ["envelope"]

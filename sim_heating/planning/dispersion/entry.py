@@ -1,14 +1,14 @@
-"""A study's dispersed entry, ready to be flown in batches: from numbers of flights to peak temperatures, as Parquet.
+"""The dispersed entry of a study, flown in batches: from the numbers of flights to peak temperatures, as Parquet.
 
-A batch is BATCH flights of one design, LANES at a time through the thermal march. What it gives hangs on the study and
-on the numbers of its flights alone.
+A batch is BATCH flights of one design, marched LANES at a time. Its result depends only on the study and on the numbers
+of its flights.
 """
 
 from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -21,28 +21,34 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import repeated_name
 from sim_heating.base.kernels.block import LANES
 from sim_heating.march.mesh_choice import LADDER, mesh_of_nodes
-from sim_heating.planning.dispersion import statistics as sampling
-from sim_heating.planning.dispersion.flight import LARGEST, Fleet, Flown, dispersed, fleet, fly_many, labels
-from sim_heating.planning.dispersion.march import LaneMarch, Peaks, bare_model
-from sim_heating.planning.dispersion.spec import FLIGHT_INPUTS, Dispersion, Input
+from sim_heating.planning.dispersion.flight import (
+    EntrySampler,
+    SampledFlights,
+    entry_sampler,
+    entry_with_deviations,
+    input_labels,
+)
+from sim_heating.planning.dispersion.march import FlightPeaks, LaneMarch, ParameterPlace, model_without_sensors
+from sim_heating.planning.dispersion.spec import FLIGHT_INPUTS, LARGEST_SIGMAS, Dispersion, Input
+from sim_heating.planning.dispersion.statistics import axis_rows, deviations, random_rows, saltelli_rows, sobol_rows
 from sim_heating.planning.ratio_table_modes import table_factors, table_modes
 from sim_heating.planning.study import Study
 from sim_heating.thermal.mesh import Mesh, refined
 from sim_heating.trajectory.flight import conditions_from_rows
 
 BATCH = 64
-"""Flights of a batch, a whole number of LANES; a power of two, so that a batch is a balanced part of its sequence."""
+"""Flights of a batch, a multiple of LANES; a power of two, so that a batch is a balanced part of its sequence."""
 MESH_TOLERANCE_K = 0.3
-"""What halving every element may change of any peak of the planned flight [K], times 4/3, for a mesh to be taken."""
+"""Largest error of a peak of the planned flight by the mesh [K]: 4/3 of its change when every element is halved."""
 DIFFERENCE = 0.1
-"""Standard deviations that an input is moved by, to either side, for differences about the planned flight."""
-SOBOL, RANDOM, INDEX, AXES, TWICE = "sobol", "random", "index", "axes", "twice"
-"""Designs: flights that count, of sensitivity indices, of differences, and those flown in six degrees of freedom."""
+"""Step of an input, to either side, for differences about the planned flight, in standard deviations."""
+SOBOL, RANDOM, INDEX, AXES, SPOT_CHECK = "sobol", "random", "index", "axes", "spot-check"
+"""Designs: two for the statistics, then for sensitivity indices, differences, and six degrees of freedom."""
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Flights `start` to `stop` of a design, of one scramble where it has several."""
+    """Flights `start` to before `stop` of a design, and of one scramble if it has several."""
 
     design: str
     start: int
@@ -51,12 +57,15 @@ class Batch:
 
     @property
     def id(self) -> str:
-        """Name of its file."""
+        """Name of its file in the ledger."""
         return f"{self.design}-{self.scramble:04d}-{self.start:09d}.parquet"
 
 
 class DispersedEntry:
-    """The dispersed entry of a study; made in each process from the study alone."""
+    """The dispersed entry of a study; each process makes it from the study alone.
+
+    raises : InputError where the study has no [dispersion]
+    """
 
     def __init__(self, study: Study) -> None:
         if study.declared.dispersion is None:
@@ -64,45 +73,51 @@ class DispersedEntry:
         self.study = study
         self.spec: Dispersion = study.declared.dispersion
         self.inputs: list[Input] = self.spec.input
-        self.labels = labels(self.inputs)
+        self.labels = input_labels(self.inputs)
         self.points = study.points
         self.effects = [study.base.effects(p.point.name) for p in self.points]
 
     def __getstate__(self) -> dict[str, Any]:
-        """The study, and what takes long to make, where it is made: another process need not make it again."""
+        """The study, and the results that take long to compute if they are there: another process then has them."""
         return {key: self.__dict__[key] for key in ("study", "meshes", "modes", "mode_columns") if key in self.__dict__}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__init__(state.pop("study"))  # type: ignore[misc]
         self.__dict__.update(state)
 
+    def __repr__(self) -> str:
+        return f"<DispersedEntry `{self.study.title}`: {len(self.inputs)} inputs, {len(self.points)} control points>"
+
     def __call__(self, batch: Batch) -> bytes:
         """The results of a batch flown as a point mass, as a Parquet file."""
         return parquet_bytes(self.fly(batch))
 
-    # What is made once a process -------------------------------------------------------------------------------------
+    # Computed once a process -----------------------------------------------------------------------------------------
 
     @cached_property
-    def fleet(self) -> Fleet:
-        """Flights of the planned entry."""
-        spec, place = self.study.base.declared.trajectory, self.study.vehicle.directory
-        return fleet(spec, place, self.spec.step_s, self.spec.thermal_step_s)
+    def sampler(self) -> EntrySampler:
+        """Sampler of the planned entry."""
+        spec, directory = self.study.base.declared.trajectory, self.study.vehicle.directory
+        return entry_sampler(spec, directory, self.spec.step_s, self.spec.thermal_step_s)
 
     @cached_property
-    def planned(self) -> Flown:
-        """The planned flight, without deviations, in LANES copies."""
-        flown = fly_many(self.fleet, self.inputs, [{}] * LANES)
+    def planned(self) -> SampledFlights:
+        """The planned flight, without deviations, in LANES copies.
+
+        raises : InputError where it does not meet its stop
+        """
+        flown = self.sampler.fly(self.inputs, [{}] * LANES)
         if flown.outcome[0] != 0:
             raise InputError(
-                f"{self.study.path}: the planned entry does not come to its [trajectory.stop]; at "
-                f"{flown.end_s[0]:.0f} s it is still flying or out of the atmosphere"
+                f"{self.study.path}: the planned entry never meets its [trajectory.stop]: at {flown.end_s[0]:.0f} s it "
+                "is still flying or has left the atmosphere; change the stop or the initial state"
             )
         return flown
 
     @cached_property
     def modes(self) -> list[FloatArray]:
-        """(node, mode) errors of the logarithm of each point's ratio table, by a unit of each mode."""
-        rows = self.planned.rows[0, : self.planned.filled[0]]
+        """(node, mode) error of the logarithm of each point's ratio table for a unit of each mode [-]."""
+        rows = self.planned.rows[0, : self.planned.frame_counts[0]]
         path = conditions_from_rows(rows, self.study.vehicle.reference_length_m)
         x = np.stack([path[v] for v in RATIO_VARIABLES], axis=1)
         if self.spec.tables == 0.0:
@@ -111,53 +126,55 @@ class DispersedEntry:
 
     @cached_property
     def mode_columns(self) -> list[slice]:
-        """Columns of a row of normal numbers that are each point's modes; those of the inputs come first."""
+        """Columns of a row of normal numbers for the modes of each point; those of the inputs come first."""
         ends = len(self.inputs) + np.cumsum([0, *(m.shape[1] for m in self.modes)])
         return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
     @property
     def dimensions(self) -> int:
-        """Independent numbers of a flight."""
+        """Number of independent normal numbers of a flight."""
         return self.mode_columns[-1].stop
 
     @cached_property
     def groups(self) -> list[tuple[str, list[int]]]:
-        """What sensitivity indices are of: each input, and the ratio tables together."""
+        """Label and columns of each group of a sensitivity index: every input, and the ratio tables together."""
         single = [(label, [k]) for k, label in enumerate(self.labels)]
         tables = list(range(len(self.inputs), self.dimensions))
         return [*single, *([("ratio tables", tables)] if tables else [])]
 
     @cached_property
-    def words(self) -> list[tuple[str, str]]:
-        """What the groups are, and how large with their unit."""
+    def group_descriptions(self) -> list[tuple[str, str]]:
+        """Name of each group, and its size with the unit."""
         several = {i.name for i, label in zip(self.inputs, self.labels, strict=True) if label == f"{i.name}#1"}
-        told = []
-        for i, label, places in zip(self.inputs, self.labels, self.places, strict=True):
+        described = []
+        for i, label, places in zip(self.inputs, self.labels, self.parameter_places, strict=True):
             named = i.title or (f"profile {int(label.rpartition('#')[2]) + 1}" if i.name in several else "")
-            unit = self.lanes.models[places[0][0]].definition(i.name).unit if places else "1"
-            told.append(i.model_copy(update={"title": named}).told(unit))
-        return [*told, ("ratio tables", "their own sigma")][: len(self.groups)]
+            unit = self.lanes.models[places[0].point].definition(i.name).unit if places else "1"
+            described.append(i.model_copy(update={"title": named}).describe(unit))
+        return [*described, ("ratio tables", "their own sigma")][: len(self.groups)]
 
     @cached_property
     def meshes(self) -> list[Mesh]:
-        """Of each point the coarsest mesh whose peaks along the planned flight are right to MESH_TOLERANCE_K."""
-        models = [bare_model(self.study.vehicle, p, e) for p, e in zip(self.points, self.effects, strict=True)]
+        """For each point the coarsest mesh whose peaks along the planned flight are accurate to MESH_TOLERANCE_K."""
+        models = [
+            model_without_sensors(self.study.vehicle, p, e) for p, e in zip(self.points, self.effects, strict=True)
+        ]
         chosen: list[Mesh | None] = [None] * len(models)
         for nodes in LADDER:
             coarse = [mesh_of_nodes(m, nodes, self.spec.thermal_step_s) for m in models]
             fine = [refined(mesh) for mesh in coarse]
-            apart = np.abs(self._planned_peaks(coarse) - self._planned_peaks(fine)).max(axis=0)
+            change = np.abs(self._planned_peaks(coarse) - self._planned_peaks(fine)).max(axis=0)
             chosen = [
-                mesh if old is None and error < 0.75 * MESH_TOLERANCE_K else old
-                for old, mesh, error in zip(chosen, coarse, apart, strict=True)
+                mesh if old is None and moved < 0.75 * MESH_TOLERANCE_K else old
+                for old, mesh, moved in zip(chosen, coarse, change, strict=True)
             ]
             if None not in chosen:
                 break
         return [m if m is not None else last for m, last in zip(chosen, coarse, strict=True)]
 
     def _planned_peaks(self, meshes: Sequence[Mesh]) -> FloatArray:
-        found = self._lanes(meshes).march(self.planned, 0, [], [None] * len(self.points))
-        return np.array([found.surface_K[0], found.bondline_K[0]])
+        peaks = self._lanes(meshes).march(self.planned, 0, [], [None] * len(self.points))
+        return np.array([peaks.surface_K[0], peaks.bondline_K[0]])
 
     def _lanes(self, meshes: Sequence[Mesh]) -> LaneMarch:
         return LaneMarch(
@@ -170,9 +187,9 @@ class DispersedEntry:
         return self._lanes(self.meshes)
 
     @cached_property
-    def places(self) -> list[list[tuple[int, str, int]]]:
-        """Where each input acts on the points: (point, kind, place); nowhere for an input of the flight."""
-        return [[] if i.name in FLIGHT_INPUTS else self.places_of(i) for i in self.inputs]
+    def parameter_places(self) -> list[list[ParameterPlace]]:
+        """Parameters of the points that each input changes; none for an input that changes the flight."""
+        return [[] if i.name in FLIGHT_INPUTS else self._places_of(i) for i in self.inputs]
 
     # Flying ----------------------------------------------------------------------------------------------------------
 
@@ -180,25 +197,25 @@ class DispersedEntry:
         """(flight, dimension) standard normal numbers of a batch."""
         d, seed = self.dimensions, self.spec.seed
         if batch.design == AXES:
-            return sampling.axis_rows(d, DIFFERENCE, batch.start, batch.stop)
+            return axis_rows(d, DIFFERENCE, batch.start, batch.stop)
         if batch.design == INDEX:
             groups = [columns for _, columns in self.groups]
-            return sampling.saltelli_rows(groups, seed, self.spec.index_flights, batch.start, batch.stop)
-        draw = sampling.random_rows if self.spec.sampling == RANDOM else sampling.sobol_rows
+            return saltelli_rows(groups, seed, self.spec.index_flights, batch.start, batch.stop)
+        draw = random_rows if self.spec.sampling == RANDOM else sobol_rows
         return draw(d, seed, batch.scramble, batch.start, batch.stop)
 
     def fly(self, batch: Batch) -> dict[str, FloatArray]:
-        """Deviations, how the flights went, and peaks, by column."""
+        """Columns of the results of a batch: deviations, outcomes of the flights, and peaks."""
         z = self.rows(batch)
-        moved = sampling.deviations(self.inputs, z)
-        flown = fly_many(self.fleet, self.inputs, [self.of_flight(row) for row in moved])
-        peaks = self.march(flown, moved, z)
+        deviation = deviations(self.inputs, z)
+        flown = self.sampler.fly(self.inputs, [self.flight_deviations(row) for row in deviation])
+        peaks = self.march(flown, deviation, z)
         names = [p.point.name for p in self.points]
         least, most = peaks.extent[:, 0], peaks.extent[:, 1]
         return {
             "scramble": np.full(len(z), float(batch.scramble)),
             "flight": np.arange(batch.start, batch.stop, dtype=float),
-            **{f"input.{label}": moved[:, k] for k, label in enumerate(self.labels)},
+            **{f"input.{label}": deviation[:, k] for k, label in enumerate(self.labels)},
             "outcome": flown.outcome.astype(float),
             "end_s": flown.end_s,
             "untrimmed_s": flown.untrimmed_s,
@@ -209,32 +226,33 @@ class DispersedEntry:
             **{f"bondline_K.{n}": peaks.bondline_K[:, k] for k, n in enumerate(names)},
         }
 
-    def of_flight(self, moved: FloatArray) -> dict[str, float]:
-        """The deviations of one row that change the flight, by label."""
-        named = zip(self.inputs, self.labels, moved.tolist(), strict=True)
+    def flight_deviations(self, deviation: FloatArray) -> dict[str, float]:
+        """Deviations of one row (input,) that change the flight, by label."""
+        named = zip(self.inputs, self.labels, deviation.tolist(), strict=True)
         return {label: value for i, label, value in named if i.name in FLIGHT_INPUTS}
 
     def march(
-        self, flown: Flown, moved: FloatArray, z: FloatArray, keep: list[tuple[FloatArray, FloatArray]] | None = None
-    ) -> Peaks:
-        """Peaks along flights, LANES at a time; deviations (flight, input) and normal numbers (flight, dimension).
+        self,
+        flown: SampledFlights,
+        deviation: FloatArray,
+        z: FloatArray,
+        keep: list[tuple[FloatArray, FloatArray]] | None = None,
+    ) -> FlightPeaks:
+        """Peaks along flights, LANES at a time.
 
-        keep : as LaneMarch.march takes it
+        deviation : (flight, input), each in the unit of its input;  z : (flight, dimension) normal numbers
+        keep      : as LaneMarch.march takes it
         """
-        changes = [
-            (p, kind, place, moved[:, k])
-            for k, places in enumerate(self.places)
-            for p, kind, place in places
-        ]  # fmt: skip
+        changes = [(place, deviation[:, k]) for k, places in enumerate(self.parameter_places) for place in places]
         tables = [
             table_factors(m, z[:, c]) if m.shape[1] else None
             for m, c in zip(self.modes, self.mode_columns, strict=True)
         ]
         parts = [self.lanes.march(flown, first, changes, tables, keep) for first in range(0, len(z), LANES)]
-        return Peaks(*(np.concatenate([getattr(p, key) for p in parts]) for key in Peaks.__dataclass_fields__))
+        return FlightPeaks(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(FlightPeaks)))
 
     def check(self) -> None:
-        """Everything that may be wrong with the inputs, before any flight.
+        """Check the inputs before any flight.
 
         raises : InputError with one line a problem
         """
@@ -251,8 +269,8 @@ class DispersedEntry:
             raise InputError(*problems)
 
     def _check_input(self, i: Input, k: int) -> None:
-        low, high = (i.low, i.high) if i.sigma is None else (-LARGEST * i.sigma, LARGEST * i.sigma)
-        assert low is not None  # Input says so
+        low, high = (i.low, i.high) if i.sigma is None else (-LARGEST_SIGMAS * i.sigma, LARGEST_SIGMAS * i.sigma)
+        assert low is not None  # Input has either sigma or both ends
         assert high is not None
         for name in i.control_points or []:
             self.study.vehicle.control_point(name)
@@ -262,28 +280,29 @@ class DispersedEntry:
             self._check_flight_input(i, self.labels[k], low, high)
             return
         if i.name.startswith("ratio.") and i.name != "ratio.scale":
-            raise InputError(f"`{i.name}`: the sigma of the tables says how they err; disperse `ratio.scale`, or that")
-        for p, _, _ in self.places_of(i):
-            model = self.lanes.models[p]
+            raise InputError(
+                f"`{i.name}` is not dispersed: the sigma of the ratio tables states their error; disperse `ratio.scale`"
+            )
+        for place in self._places_of(i):
+            model = self.lanes.models[place.point]
             definition, value = model.definition(i.name), model.value(i.name)
             if not definition.lower <= value + low <= value + high <= definition.upper:
                 raise InputError(
                     f"`{i.name}`: {value + low:g} to {value + high:g} leaves {definition.lower:g} to "
-                    f"{definition.upper:g} at {model.name} ({LARGEST:g} sigma count); make it narrower, or uniform"
+                    f"{definition.upper:g} at {model.name}, by {LARGEST_SIGMAS:g} sigma; make it narrower, or uniform"
                 )
 
-    def places_of(self, i: Input) -> list[tuple[int, str, int]]:
-        """Where an input acts on the points."""
+    def _places_of(self, i: Input) -> list[ParameterPlace]:
         return [
-            (p, *self.lanes.place_of(p, i.name))
+            self.lanes.place_of(p, i.name)
             for p, point in enumerate(self.points)
             if i.control_points is None or point.point.name in i.control_points
         ]
 
     def _check_flight_input(self, i: Input, label: str, low: float, high: float) -> None:
-        aero = self.fleet.aero
+        aero = self.sampler.aero
         for value in (low, high):
-            spec = dispersed(self.fleet.base, self.inputs, {label: value})
+            spec = entry_with_deviations(self.sampler.base, self.inputs, {label: value})
             aero.with_changes(
                 mass_kg=spec.vehicle.mass_kg, cg_fraction=spec.vehicle.cg_fraction, cm_shift=spec.vehicle.cm_shift
             )
@@ -293,14 +312,17 @@ class DispersedEntry:
                 factors.append(1.0 + value)
             if factors and min(factors) <= 0.0:
                 raise InputError(
-                    f"`{i.name}`: a deviation of {value:g} makes a factor of {min(factors):g}; make it smaller"
+                    f"`{i.name}`: a deviation of {value:g} makes a factor of {min(factors):g}, which must be above 0; "
+                    "make the deviation smaller"
                 )
             if initial is not None and not (initial.altitude_m > 0.0 and initial.velocity_m_s > 0.0):
-                raise InputError(f"`{i.name}`: a deviation of {value:g} makes no entry; make it smaller")
+                raise InputError(
+                    f"`{i.name}`: a deviation of {value:g} leaves no altitude or no velocity; make it smaller"
+                )
 
 
 def require_pyarrow() -> None:
-    """raises : InputError where pyarrow is not installed."""
+    """Check that Parquet files can be written; raises InputError where pyarrow is not installed."""
     try:
         import pyarrow  # noqa: F401
     except ImportError:

@@ -1,12 +1,12 @@
-"""The part [dispersion] of a study: flights in batches, what they tell, and where first order tells the same.
+"""Results of a dispersion: flights in batches, first-order estimate, statistics of the peaks, study.json and notes.
 
-What the exact sensitivities along the mean flight say of the peaks' scatter, to first order.
+First order means the exact sensitivities along the mean flight, one standard deviation of each input at a time:
 
     T_peak = T_mean + sum_k s_k z_k,      variance sum_k s_k^2,      quantile T_mean + z_q sqrt(variance)
 
-s_k [K] is the sensitivity of a peak times the standard deviation of input k. Of thermal parameters and effects it is
-exact (march/linearised.py), at the time of the peak; of what changes the flight, and of the modes of ratio tables, a
-central difference of flights DIFFERENCE standard deviations to either side.
+s_k [K] is the sensitivity of a peak times the standard deviation of input k. For thermal parameters and effects it is
+exact (march/linearised.py), at the time of the peak; for inputs that change the flight, and for modes of ratio tables,
+it is a central difference of flights DIFFERENCE standard deviations to either side.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from sim_heating.base.arrays import BoolArray, FloatArray
+from sim_heating.base.arrays import BoolArray, FloatArray, IntArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.kernels.block import LANES, TIME
@@ -33,14 +33,15 @@ from sim_heating.planning.dispersion.entry import (
     DIFFERENCE,
     INDEX,
     RANDOM,
-    TWICE,
+    SOBOL,
+    SPOT_CHECK,
     Batch,
     DispersedEntry,
     parquet_bytes,
 )
-from sim_heating.planning.dispersion.flight import WHOLE, fly_many
+from sim_heating.planning.dispersion.flight import COMPLETED
 from sim_heating.planning.dispersion.march import QUANTITIES
-from sim_heating.planning.dispersion.spot_checks import SpotChecks, fly_twice, told_apart
+from sim_heating.planning.dispersion.spot_checks import SpotChecks, fly_with_both_sources, spot_checks
 from sim_heating.planning.dispersion.statistics import (
     Indices,
     Probability,
@@ -54,98 +55,23 @@ from sim_heating.planning.dispersion.statistics import (
 from sim_heating.planning.study import Study
 
 Columns = dict[str, FloatArray]
+"""Results of flights by column, as DispersedEntry.fly gives them."""
 
 FLIGHTS_FILE = "dispersion_flights.parquet"
 ROW_GROUP = 64
 """Batches of a row group of the merged file."""
 
-
-@dataclass(frozen=True)
-class Answer:
-    """What the flights tell of one peak of one point.
-
-    limit      : [K], None where there is none
-    exceeded   : probability that the peak is above it; flights without an end count as above
-    first      : what first order says: mean, sigma and quantiles [K], and whether it holds
-    indices    : Sobol' indices by group, None where they were not asked for or the peak is constant
-    """
-
-    point: str
-    quantity: str
-    mean_K: float
-    sigma_K: float
-    quantiles: list[Quantile]
-    limit: float | None
-    least_K: float
-    exceeded: Probability | None
-    first: dict[str, Any]
-    indices: Indices | None
-
-
-@dataclass(frozen=True)
-class Outside:
-    """How often and how far flights left a ratio table."""
-
-    point: str
-    variable: str
-    flights: int
-    farthest: float
-
-
-@dataclass(frozen=True)
-class Dispersed:
-    """All that a dispersion found.
-
-    kept  : probability that a flight comes to its end with all peaks below their limits
-    safe  : that it does so, never leaves a ratio table and is trimmed all the way
-    ended : that it comes to its end
-    """
-
-    entry: DispersedEntry
-    columns: Columns
-    answers: list[Answer]
-    outside: list[Outside]
-    kept: Probability
-    safe: Probability
-    ended: Probability
-    order: FirstOrder
-    checks: SpotChecks | None
-
-    def values(self, answer: Answer) -> FloatArray:
-        """(flight,) the peak of an answer [K]."""
-        return self.columns[f"{answer.quantity}.{answer.point}"]
-
-
-def batch_results(entry: DispersedEntry, batch: Batch) -> bytes:
-    """The results of a batch as a Parquet file: spot checks are flown with both sources, other designs as a point mass.
-
-    A function of this module, because another process that takes part has to import it by name.
-    """
-    return parquet_bytes(fly_twice(entry, entry.rows(batch))) if batch.design == TWICE else entry(batch)
-
-
-def batches_of(entry: DispersedEntry) -> dict[str, list[Batch]]:
-    """All batches of a dispersion by what they are for."""
-    spec = entry.spec
-    each = spec.flights // spec.scrambles
-    main = [
-        Batch(spec.sampling, first, min(first + BATCH, each), scramble)
-        for scramble in range(spec.scrambles)
-        for first in range(0, each, BATCH)
-    ]
-    count = spec.index_flights * (len(entry.groups) + 2)
-    index = [Batch(INDEX, first, min(first + BATCH, count)) for first in range(0, count, BATCH)]
-    twice = [Batch(TWICE, k, k + 1) for k in range(min(spec.spot_checks, each))]
-    return {"main": main, "axes": axis_batches(entry, BATCH), "index": index, "twice": twice}
+# Flights in batches --------------------------------------------------------------------------------------------------
 
 
 def disperse(
     study: Study, ledger: Path, *, scheduler: str | None = None, workers: int | None = None, progress: Progress
-) -> tuple[Dispersed, dict[str, list[Path]]]:
-    """Fly all flights of a study's dispersion and say what they tell; gives the batches' files as well.
+) -> tuple[DispersionResult, dict[str, list[Path]]]:
+    """Fly all flights of a study's dispersion and evaluate them.
 
-    ledger : folder that is this study's alone
-    raises : InputError for inputs that cannot be; RunError where batches failed
+    ledger  : folder for finished batches, used by this study alone
+    returns : the result, and the files of the batches by their purpose (`batches_of`)
+    raises  : InputError for inputs that cannot be dispersed; RunError where batches failed
     """
     entry = DispersedEntry(study)
     entry.check()
@@ -157,14 +83,45 @@ def disperse(
     if outcome.failed:
         name, why = next(iter(outcome.failed.items()))
         raise RunError(
-            f"{len(outcome.failed)} of {len(jobs)} batches failed, {name} first: {why}; run again to try them"
+            f"{len(outcome.failed)} of {len(jobs)} batches failed, {name} first: {why}; run again to repeat them"
         )
-    files = {what: [ledger / batch.id for batch in some] for what, some in batches.items()}
-    return told(entry, {what: read_columns(some) for what, some in files.items()}), files
+    files = {purpose: [ledger / batch.id for batch in some] for purpose, some in batches.items()}
+    return evaluate(entry, {purpose: read_columns(some) for purpose, some in files.items()}), files
+
+
+def batches_of(entry: DispersedEntry) -> dict[str, list[Batch]]:
+    """All batches of a dispersion by purpose: main (the statistics), axes (first order), index, spot checks."""
+    spec = entry.spec
+    each = spec.flights // spec.scrambles
+    main = [
+        Batch(spec.sampling, first, min(first + BATCH, each), scramble)
+        for scramble in range(spec.scrambles)
+        for first in range(0, each, BATCH)
+    ]
+    index_count, axis_count = spec.index_flights * (len(entry.groups) + 2), 2 * entry.dimensions + 1
+    axes, index = (
+        [Batch(design, first, min(first + BATCH, count)) for first in range(0, count, BATCH)]
+        for design, count in ((AXES, axis_count), (INDEX, index_count))
+    )
+    checks = [Batch(SPOT_CHECK, k, k + 1) for k in range(min(spec.spot_checks, each))]
+    return {"main": main, "axes": axes, "index": index, "spot checks": checks}
+
+
+def batch_results(entry: DispersedEntry, batch: Batch) -> bytes:
+    """The results of a batch as a Parquet file: spot checks are flown with both sources, other designs as a point mass.
+
+    A function of this module, because another process that takes part has to import it by name.
+    """
+    if batch.design == SPOT_CHECK:
+        return parquet_bytes(fly_with_both_sources(entry, entry.rows(batch)))
+    return entry(batch)
 
 
 def read_columns(files: Sequence[Path]) -> Columns:
-    """All columns of Parquet files, one after the other."""
+    """All columns of Parquet files, one file after the other.
+
+    raises : InputError where a file is damaged
+    """
     import pyarrow.parquet as pq
 
     if not files:
@@ -181,7 +138,7 @@ def read_columns(files: Sequence[Path]) -> Columns:
 
 
 def merge(files: Sequence[Path], path: Path) -> None:
-    """The batches as one Parquet file, a few at a time in memory."""
+    """Write the batches as one Parquet file, with a few of them in memory at a time."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -191,63 +148,240 @@ def merge(files: Sequence[Path], path: Path) -> None:
             writer.write_table(pa.concat_tables([pq.read_table(f) for f in files[k : k + ROW_GROUP]]).combine_chunks())
 
 
-def told(entry: DispersedEntry, flown: Mapping[str, Columns]) -> Dispersed:
-    """What the flights tell, by what they were for (`batches_of`)."""
+# First order ---------------------------------------------------------------------------------------------------------
+
+NEAR = 0.1
+"""Distance from the counted quantile, over the scatter, at which a first-order one outside its bounds still agrees."""
+
+
+@dataclass(frozen=True)
+class FirstOrder:
+    """Peaks of the mean flight and their sensitivities.
+
+    mean  : (quantity, point) [K]
+    slope : (quantity, point, dimension) [K] per standard deviation
+    """
+
+    mean: FloatArray
+    slope: FloatArray
+
+    @property
+    def sigma(self) -> FloatArray:
+        """(quantity, point) standard deviation [K]."""
+        return np.asarray(np.sqrt(np.sum(self.slope**2, axis=-1)))
+
+    def quantile(self, q: float) -> FloatArray:
+        """(quantity, point) quantile of a normal distribution [K]."""
+        return np.asarray(self.mean + norm.ppf(q) * self.sigma)
+
+    def share(self, columns: list[int]) -> FloatArray:
+        """(quantity, point) share of the variance due to some dimensions [-]."""
+        whole = np.maximum(np.sum(self.slope**2, axis=-1), 1e-30)
+        return np.asarray(np.sum(self.slope[..., columns] ** 2, axis=-1) / whole)
+
+
+def first_order(entry: DispersedEntry, columns: Columns) -> FirstOrder:
+    """First-order estimate from the results of the batches of the design AXES."""
+    names = [p.point.name for p in entry.points]
+    T = np.array([[columns[f"{quantity}.{n}"] for n in names] for quantity in QUANTITIES])
+    d, inputs = entry.dimensions, len(entry.inputs)
+    z = axis_rows(d, DIFFERENCE, 0, 2 * d + 1)
+    steps = np.column_stack([deviations(entry.inputs, z[:, :inputs]), z[:, inputs:]])
+    k = np.arange(d)
+    width = steps[2 * k + 1, k] - steps[2 * k + 2, k]
+    scale = np.array([*(i.standard_deviation for i in entry.inputs), *np.ones(d - inputs)])
+    slope = (T[..., 1::2] - T[..., 2::2]) / width * scale
+    for quantity, point, column, exact in exact_slopes(entry):
+        slope[quantity, point, column] = exact * scale[column]
+    return FirstOrder(T[..., 0], slope)
+
+
+def exact_slopes(entry: DispersedEntry) -> list[tuple[int, int, int, float]]:
+    """(quantity, point, input, dT_peak / d input) of every thermal parameter and effect, along the mean flight.
+
+    Slopes are in [K] per unit of the input, at the time of the peak.
+    """
+    mean = deviations(entry.inputs, np.zeros((1, entry.dimensions)))
+    flown = entry.sampler.fly(entry.inputs, [entry.flight_deviations(mean[0])] * LANES)
+    marched: list[tuple[FloatArray, FloatArray]] = []
+    entry.march(flown, np.repeat(mean, LANES, axis=0), np.zeros((LANES, entry.dimensions)), marched)
+    changes = [_changing(entry, p) for p in range(len(entry.points))]
+    changed = [p for p, names in enumerate(changes) if names]
+    slopes = []
+    for first in range(0, len(changed), LANES):
+        chosen = changed[first : first + LANES]
+        tracks = [_track(entry, p, changes[p], mean[0], marched[p], flight) for flight, p in enumerate(chosen)]
+        time_s = marched[chosen[0]][1][0, :, TIME]
+        results = LinearMarch(tracks, time_s, np.array([marched[p][1][0] for p in chosen])).march()
+        for p, track, result in zip(chosen, tracks, results, strict=True):
+            at = np.searchsorted(track.sample_s, _peak_times(*marched[p]))
+            for quantity, sample in enumerate(at):
+                own = result.sensitivity[quantity, sample]
+                slopes += [(quantity, p, k, float(s)) for (k, _), s in zip(changes[p], own, strict=True)]
+    return slopes
+
+
+def _changing(entry: DispersedEntry, point: int) -> list[tuple[int, str]]:
+    """Number and name of each input that changes a parameter of a point."""
+    places = enumerate(entry.parameter_places)
+    return [(k, entry.inputs[k].name) for k, some in places if any(place.point == point for place in some)]
+
+
+def _track(
+    entry: DispersedEntry, p: int, changes: list[tuple[int, str]], mean: FloatArray,
+    marched: tuple[FloatArray, FloatArray], flight: int,
+) -> Track:  # fmt: skip
+    """A point along the mean flight, read at its surface and bondline when they are hottest."""
+    model, mesh = entry.lanes.models[p], entry.meshes[p]
+    at_mean = model.with_parameters({name: model.value(name) + mean[k] for k, name in changes})
+    times = np.unique(_peak_times(*marched))
+    return Track(at_mean, mesh, tuple(name for _, name in changes), times, (0, mesh.bondline), flight=flight)
+
+
+def _peak_times(temperatures: FloatArray, conditions: FloatArray) -> FloatArray:
+    """Times at which surface and bondline of the first lane are hottest [s]."""
+    return conditions[0, np.argmax(temperatures[:, : len(QUANTITIES)], axis=0), TIME]
+
+
+# Statistics ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class PeakStatistics:
+    """Statistics of one peak temperature of one point.
+
+    limit    : [K]; None where there is none
+    least_K  : lowest peak of all flights [K]
+    exceeded : probability of a peak above the limit; flights that were not completed count as above it
+    first    : first-order mean, sigma and quantiles [K], and whether they agree with those counted
+    indices  : Sobol' indices by group; None where they were not asked for or the peak is constant
+    """
+
+    point: str
+    quantity: str
+    mean_K: float
+    sigma_K: float
+    quantiles: list[Quantile]
+    limit: float | None
+    least_K: float
+    exceeded: Probability | None
+    first: dict[str, Any]
+    indices: Indices | None
+
+    @property
+    def location(self) -> str:
+        """Location of the peak: surface or bondline."""
+        return self.quantity.removesuffix("_K")
+
+
+@dataclass(frozen=True)
+class TableExcursion:
+    """Flights that left the ratio table of a point in one variable, and the largest distance from it."""
+
+    point: str
+    variable: str
+    flights: int
+    farthest: float
+
+
+@dataclass(frozen=True)
+class DispersionResult:
+    """The result of a dispersion.
+
+    columns                : of all flights of the statistics
+    peaks                  : statistics of every peak
+    excursions             : flights that left a ratio table
+    within_limits          : probability that a flight is completed with all peaks below their limits
+    within_limits_and_data : that it also never leaves a ratio table and is trimmed all the way
+    completed              : that it meets its stop
+    order                  : first-order estimate;  checks : None where no flight was checked
+    """
+
+    entry: DispersedEntry
+    columns: Columns
+    peaks: list[PeakStatistics]
+    excursions: list[TableExcursion]
+    within_limits: Probability
+    within_limits_and_data: Probability
+    completed: Probability
+    order: FirstOrder
+    checks: SpotChecks | None
+
+    def __repr__(self) -> str:
+        return (
+            f"<DispersionResult `{self.entry.study.title}`: {self.completed.flights} flights, {len(self.peaks)} peaks, "
+            f"within all limits {self.within_limits.value:.4g}>"
+        )
+
+    def values(self, peak: PeakStatistics) -> FloatArray:
+        """(flight,) values of a peak [K]."""
+        return self.columns[f"{peak.quantity}.{peak.point}"]
+
+
+def evaluate(entry: DispersedEntry, flown: Mapping[str, Columns]) -> DispersionResult:
+    """Evaluate all flights of a dispersion.
+
+    flown  : columns by the purpose of their batches (`batches_of`)
+    raises : RunError where fewer than two flights were completed
+    """
     columns, index = flown["main"], flown["index"]
     order = first_order(entry, flown["axes"])
-    checks = told_apart(entry, flown["twice"]) if flown["twice"] else None
-    whole = columns["outcome"] == WHOLE
-    above = ~whole
-    answers = []
+    checks = spot_checks(entry, flown["spot checks"]) if flown["spot checks"] else None
+    completed = columns["outcome"] == COMPLETED
+    above = ~completed
+    peaks = []
     for p, limited in enumerate(entry.points):
         for k, (quantity, limit) in enumerate(zip(QUANTITIES, (limited.surface_K, limited.bondline_K), strict=True)):
             if quantity == QUANTITIES[1] and entry.meshes[p].bondline == 0:
-                continue  # a wall of one layer has no other bondline than its surface
-            answer = _answer(entry, columns, index, order, k, p, limit)
-            answers.append(answer)
+                continue  # the bondline of a wall of one layer is its surface
+            peaks.append(_peak_statistics(entry, columns, index, order, k, p, limit))
             if limit is not None and np.isfinite(limit):
                 above |= ~(columns[f"{quantity}.{limited.point.name}"] <= limit)
     confidence = entry.spec.confidence
-    outside, left = _outside(entry, columns)
-    unsafe = above | left | (columns["untrimmed_s"] > 0.0)
-    return Dispersed(
-        entry, columns, answers, outside, probability(~above, confidence), probability(~unsafe, confidence),
-        probability(whole, confidence), order, checks,
+    excursions, outside = _table_excursions(entry, columns)
+    unknown = above | outside | (columns["untrimmed_s"] > 0.0)
+    return DispersionResult(
+        entry, columns, peaks, excursions, probability(~above, confidence), probability(~unknown, confidence),
+        probability(completed, confidence), order, checks,
     )  # fmt: skip
 
 
-def _answer(
+def _peak_statistics(
     entry: DispersedEntry, columns: Columns, index: Columns, order: FirstOrder, k: int, p: int, limit: float | None
-) -> Answer:
+) -> PeakStatistics:
     spec, point, quantity = entry.spec, entry.points[p].point.name, QUANTITIES[k]
     x = columns[f"{quantity}.{point}"]
     known = x[np.isfinite(x)]
     if len(known) < 2:
-        raise RunError(f"of {len(x)} flights {len(known)} come to their end; look at the entry and what disperses it")
-    found = quantiles(x, columns["scramble"].astype(np.int64), spec.quantiles, spec.confidence)
+        raise RunError(
+            f"{len(known)} of {len(x)} flights were completed and two are needed; check the entry and its dispersed "
+            "inputs"
+        )
+    scrambles: IntArray = columns["scramble"].astype(np.int64)
+    counted = quantiles(x, scrambles, spec.quantiles, spec.confidence)
     sigma = float(np.std(known, ddof=1))
     limit = limit if limit is not None and np.isfinite(limit) else None
     driven = None
     if index:
         driven = indices(index[f"{quantity}.{point}"], len(entry.groups), spec.confidence, spec.seed)
-    return Answer(
-        point, quantity, float(np.mean(known)), sigma, found, limit, float(np.min(known)),
+    return PeakStatistics(
+        point, quantity, float(np.mean(known)), sigma, counted, limit, float(np.min(known)),
         None if limit is None else probability(~(x <= limit), spec.confidence),
-        _first(entry, order, k, p, found, sigma), driven,
+        _compare_first_order(entry, order, k, p, counted, sigma), driven,
     )  # fmt: skip
 
 
-def _first(
-    entry: DispersedEntry, order: FirstOrder, k: int, p: int, found: Sequence[Quantile], sigma: float
+def _compare_first_order(
+    entry: DispersedEntry, order: FirstOrder, k: int, p: int, counted: Sequence[Quantile], sigma: float
 ) -> dict[str, Any]:
-    """First order beside the counted quantiles; it holds where each is within the counted one's bounds or near it."""
+    """First order against the counted quantiles; it holds where each is within the counted one's bounds or near it."""
     lines = []
-    for quantile in found:
+    for quantile in counted:
         value = float(order.quantile(quantile.q)[k, p])
-        apart = None if quantile.value is None else value - quantile.value
+        difference = None if quantile.value is None else value - quantile.value
         within = quantile.low is not None and quantile.high is not None and quantile.low <= value <= quantile.high
-        holds = apart is not None and (within or abs(apart) <= NEAR * sigma)
-        lines.append({"q": quantile.q, "value_K": value, "apart_K": apart, "holds": holds})
+        holds = difference is not None and (within or abs(difference) <= NEAR * sigma)
+        lines.append({"q": quantile.q, "value_K": value, "difference_K": difference, "holds": holds})
     shares = {name: float(order.share(columns)[k, p]) for name, columns in entry.groups}
     return {
         "mean_K": float(order.mean[k, p]), "sigma_K": float(order.sigma[k, p]), "quantiles": lines,
@@ -255,77 +389,65 @@ def _first(
     }  # fmt: skip
 
 
-def _outside(entry: DispersedEntry, columns: Columns) -> tuple[list[Outside], BoolArray]:
-    """Flights that left the axes of the points' tables; an axis of one value has no outside."""
-    found, left = [], np.zeros(len(columns["outcome"]), dtype=bool)
+def _table_excursions(entry: DispersedEntry, columns: Columns) -> tuple[list[TableExcursion], BoolArray]:
+    """Flights beyond the axes of the ratio tables, and (flight,) whether it is one; an axis of one value has no end."""
+    excursions, outside = [], np.zeros(len(columns["outcome"]), dtype=bool)
     for limited in entry.points:
         for variable, axis in zip(RATIO_VARIABLES, limited.point.ratio.axes, strict=True):
-            beyond = np.maximum(axis[0] - columns[f"least.{variable}"], columns[f"most.{variable}"] - axis[-1])
-            if len(axis) > 1 and np.any(beyond > 0.0):
-                count = int(np.count_nonzero(beyond > 0.0))
-                found.append(Outside(limited.point.name, variable, count, float(np.max(beyond))))
-                left |= beyond > 0.0
-    return found, left
+            distance = np.maximum(axis[0] - columns[f"least.{variable}"], columns[f"most.{variable}"] - axis[-1])
+            if len(axis) > 1 and np.any(distance > 0.0):
+                count = int(np.count_nonzero(distance > 0.0))
+                excursions.append(TableExcursion(limited.point.name, variable, count, float(np.max(distance))))
+                outside |= distance > 0.0
+    return excursions, outside
 
 
-def data_of(found: Dispersed) -> dict[str, Any]:
+# study.json ----------------------------------------------------------------------------------------------------------
+
+BOUNDS = {
+    SOBOL: "order statistics and Clopper-Pearson as for independent flights; those of a Sobol' scramble are more "
+    "even, so that the bounds are wide as a rule; `scatter` is the standard error between independent scrambles",
+    RANDOM: "order statistics and Clopper-Pearson, exact: the flights are independent",
+}
+"""Explanation of the bounds, by sampling."""
+
+
+def data_of(result: DispersionResult) -> dict[str, Any]:
     """A dispersion as study.json holds it."""
-    entry, spec = found.entry, found.entry.spec
+    entry, spec = result.entry, result.entry.spec
     names = [name for name, _ in entry.groups]
-    untrimmed = found.columns["untrimmed_s"]
+    untrimmed = result.columns["untrimmed_s"]
     return {
         "flights": spec.flights, "sampling": spec.sampling, "scrambles": spec.scrambles, "seed": spec.seed,
         "confidence": spec.confidence, "dimensions": entry.dimensions,
-        "inputs": dict(zip(names, map(", ".join, entry.words), strict=True)),
+        "inputs": dict(zip(names, map(", ".join, entry.group_descriptions), strict=True)),
         "bounds": BOUNDS[spec.sampling],
         "steps": {"flight_s": spec.step_s, "thermal_s": spec.thermal_step_s},
         "nodes": {p.point.name: mesh.nodes for p, mesh in zip(entry.points, entry.meshes, strict=True)},
         "table_modes": {p.point.name: m.shape[1] for p, m in zip(entry.points, entry.modes, strict=True)},
-        "came_to_their_end": asdict(found.ended),
-        "kept_all_limits": asdict(found.kept),
-        "kept_limits_tables_and_trim": asdict(found.safe),
-        "elevon_at_its_end": {"flights": int(np.count_nonzero(untrimmed > 0.0)), "longest_s": float(np.max(untrimmed))},
-        "outside_tables": [asdict(o) for o in found.outside],
+        "completed": asdict(result.completed),
+        "within_limits": asdict(result.within_limits),
+        "within_limits_tables_and_trim": asdict(result.within_limits_and_data),
+        "elevon_at_limit": {"flights": int(np.count_nonzero(untrimmed > 0.0)), "longest_s": float(np.max(untrimmed))},
+        "outside_tables": [asdict(o) for o in result.excursions],
         "negative_ratio_flights": {
-            p.point.name: int(np.sum(found.columns[f"negative.{p.point.name}"])) for p in entry.points
+            p.point.name: int(np.sum(result.columns[f"negative.{p.point.name}"])) for p in entry.points
         },
-        "peaks": [_data(a, names) for a in found.answers],
-        "six_degrees_of_freedom": _checks(found),
+        "peaks": [_peak_data(a, names) for a in result.peaks],
+        "six_degrees_of_freedom": _check_data(result),
     }  # fmt: skip
 
 
-def _checks(found: Dispersed) -> dict[str, Any] | None:
-    """Largest differences of peaks in six degrees of freedom from the point mass's; None where none was flown."""
-    if found.checks is None:
-        return None
-    apart, points = found.checks.apart_K, [p.point.name for p in found.entry.points]
-    whole = int(np.count_nonzero(~np.any(np.isnan(apart), axis=(1, 2))))
-    data: dict[str, Any] = {"flights": len(apart), "came_to_their_end": whole}
-    if whole:
-        for quantity, largest in zip(QUANTITIES, found.checks.largest_K, strict=True):
-            told = {a.point for a in found.answers if a.quantity == quantity}
-            data[f"largest_{quantity}"] = {n: float(x) for n, x in zip(points, largest, strict=True) if n in told}
-    return data
-
-
-BOUNDS = {
-    "sobol": "order statistics and Clopper-Pearson as for independent flights; those of a Sobol' scramble are more "
-    "even, so that the bounds are wide as a rule; `scatter` is the standard error between independent scrambles",
-    RANDOM: "order statistics and Clopper-Pearson, exact: the flights are independent",
-}
-"""What the bounds are, by sampling."""
-
-
-def _data(answer: Answer, names: Sequence[str]) -> dict[str, Any]:
+def _peak_data(peak: PeakStatistics, names: Sequence[str]) -> dict[str, Any]:
     data: dict[str, Any] = {
-        "control_point": answer.point, "quantity": f"peak {place_of(answer)}",
-        "limit_K": answer.limit, "mean_K": answer.mean_K, "sigma_K": answer.sigma_K, "least_K": answer.least_K,
-        "quantiles": [asdict(q) for q in answer.quantiles],
-        "exceeded": None if answer.exceeded is None else asdict(answer.exceeded),
-        "first_order": answer.first,
+        "control_point": peak.point, "quantity": f"peak {peak.location}",
+        "limit_K": peak.limit, "mean_K": peak.mean_K, "sigma_K": peak.sigma_K, "least_K": peak.least_K,
+        "quantiles": [asdict(q) for q in peak.quantiles],
+        "exceeded": None if peak.exceeded is None else asdict(peak.exceeded),
+        "first_order": peak.first,
     }  # fmt: skip
-    if answer.indices is not None:
-        i = answer.indices
+    if peak.indices is not None:
+        i = peak.indices
         data["sobol_indices"] = {
             name: {"first": float(i.first[g]), "first_bounds": i.first_bounds[g].tolist(), "total": float(i.total[g]),
                    "total_bounds": i.total_bounds[g].tolist()}
@@ -334,149 +456,81 @@ def _data(answer: Answer, names: Sequence[str]) -> dict[str, Any]:
     return data
 
 
-def place_of(answer: Answer) -> str:
-    """Where an answer's peak is: surface or bondline."""
-    return answer.quantity.removesuffix("_K")
+def _check_data(result: DispersionResult) -> dict[str, Any] | None:
+    """Largest differences of peaks in six degrees of freedom from the point mass's; None where none was flown."""
+    if result.checks is None:
+        return None
+    difference, points = result.checks.difference_K, [p.point.name for p in result.entry.points]
+    completed = int(np.count_nonzero(~np.any(np.isnan(difference), axis=(1, 2))))
+    data: dict[str, Any] = {"flights": len(difference), "completed": completed}
+    if completed:
+        for quantity, largest in zip(QUANTITIES, result.checks.largest_K, strict=True):
+            evaluated = {a.point for a in result.peaks if a.quantity == quantity}
+            data[f"largest_{quantity}"] = {n: float(x) for n, x in zip(points, largest, strict=True) if n in evaluated}
+    return data
 
 
-def notes_of(found: Dispersed) -> list[str]:
-    """What a person has to know, in lines."""
-    n = found.entry.spec.flights
+# Notes ---------------------------------------------------------------------------------------------------------------
+
+
+def notes_of(result: DispersionResult) -> list[str]:
+    """Notes for a reader, one line each: incomplete flights, limits, tables, trim, spot checks, first order."""
+    n = result.entry.spec.flights
     lines = []
-    if found.ended.count < n:
-        lines.append(
-            f"{n - found.ended.count} of {n} flights did not come to their end; they count as above every limit"
-        )
-    for a in found.answers:
+    if result.completed.count < n:
+        lines.append(f"{n - result.completed.count} of {n} flights were not completed; they count as above every limit")
+    for a in result.peaks:
         if a.exceeded is not None and a.exceeded.count == a.exceeded.flights:
             lines.append(
-                f"{a.point}: no flight keeps the limit of {a.limit:.0f} K at its {place_of(a)}; the "
-                f"coolest comes to {a.least_K:.0f} K"
+                f"{a.point}: every flight exceeds the limit of {a.limit:.0f} K at its {a.location}; the lowest peak is "
+                f"{a.least_K:.0f} K"
             )
-    by_variable: dict[str, list[Outside]] = {}
-    for o in found.outside:
-        by_variable.setdefault(o.variable, []).append(o)
-    for variable, some in by_variable.items():
-        worst = max(some, key=lambda o: o.farthest)
-        whose = _which([o.point for o in some], len(found.entry.points), "control points")
-        lines.append(
-            f"{variable} lies outside the ratio tables of {whose}: {worst.farthest:.3g} "
-            f"beyond at most, in {max(o.flights for o in some)} of {n} flights; edge values held there, and these "
-            "flights are not called safe"
-        )
-    untrimmed = found.columns["untrimmed_s"]
-    if np.any(untrimmed > 0.0):
-        lines.append(
-            f"trim: the elevon is at an end of its travel in {np.count_nonzero(untrimmed > 0.0)} of {n} flights, for "
-            f"{np.max(untrimmed):.0f} s at most; not trimmed there, and these flights are not called safe"
-        )
-    checks = _checks(found)
-    if checks is not None and checks["came_to_their_end"] == 0:
-        lines.append("six degrees of freedom: none of the flights came to its end there; nothing is compared")
-    elif checks is not None:
-        agree = [(f"{q.removesuffix('_K')}s", checks[f"largest_{q}"].values()) for q in QUANTITIES]
-        told = " and ".join(f"{max(apart):.1f} K at the {where}" for where, apart in agree if apart)
-        lines.append(f"{checks['flights']} flights again in six degrees of freedom: peaks agree within {told}")
-    fails = [f"{a.point} {place_of(a)}" for a in found.answers if not a.first["holds"]]
+    lines += [*_excursion_notes(result), *_trim_notes(result), *_check_notes(result)]
+    fails = [f"{a.point} {a.location}" for a in result.peaks if not a.first["holds"]]
     if fails:
-        lines.append(f"first order does not give the counted quantiles of {_which(fails, len(found.answers), 'peaks')}")
+        all_of = _all_or_names(fails, len(result.peaks), "peaks")
+        lines.append(f"first order does not reproduce the counted quantiles of {all_of}")
     return lines
 
 
-def _which(names: Sequence[str], of: int, what: str) -> str:
-    """Names, or that it is all of them."""
-    return f"all {of} {what}" if len(names) == of > 1 else ", ".join(names)
+def _excursion_notes(result: DispersionResult) -> list[str]:
+    by_variable: dict[str, list[TableExcursion]] = {}
+    for o in result.excursions:
+        by_variable.setdefault(o.variable, []).append(o)
+    lines = []
+    for variable, some in by_variable.items():
+        worst = max(some, key=lambda o: o.farthest)
+        points = _all_or_names([o.point for o in some], len(result.entry.points), "control points")
+        lines.append(
+            f"{variable} lies outside the ratio tables of {points}: by {worst.farthest:.3g} at most, in "
+            f"{max(o.flights for o in some)} of {result.entry.spec.flights} flights; edge values are held there, and "
+            "these flights do not count as within the limits, the tables and the trim"
+        )
+    return lines
 
 
-NEAR = 0.1
-"""Part of the scatter that a first-order quantile may lie beside the counted one, where it is outside its bounds."""
+def _trim_notes(result: DispersionResult) -> list[str]:
+    untrimmed = result.columns["untrimmed_s"]
+    if not np.any(untrimmed > 0.0):
+        return []
+    return [
+        f"trim: the elevon is at an end of its travel in {np.count_nonzero(untrimmed > 0.0)} of "
+        f"{result.entry.spec.flights} flights, for {np.max(untrimmed):.0f} s at most; these flights are not trimmed "
+        "there and do not count as within the limits, the tables and the trim"
+    ]
 
 
-@dataclass(frozen=True)
-class FirstOrder:
-    """Peaks of the mean flight and their sensitivities.
-
-    mean  : (quantity, point) [K]
-    slope : (quantity, point, dimension) K per standard deviation
-    """
-
-    mean: FloatArray
-    slope: FloatArray
-
-    @property
-    def sigma(self) -> FloatArray:
-        """(quantity, point) [K]."""
-        return np.asarray(np.sqrt(np.sum(self.slope**2, axis=-1)))
-
-    def quantile(self, q: float) -> FloatArray:
-        """(quantity, point) [K]."""
-        return np.asarray(self.mean + norm.ppf(q) * self.sigma)
-
-    def share(self, columns: list[int]) -> FloatArray:
-        """(quantity, point) share of the variance that some dimensions bring."""
-        whole = np.maximum(np.sum(self.slope**2, axis=-1), 1e-30)
-        return np.asarray(np.sum(self.slope[..., columns] ** 2, axis=-1) / whole)
+def _check_notes(result: DispersionResult) -> list[str]:
+    checks = _check_data(result)
+    if checks is None:
+        return []
+    if checks["completed"] == 0:
+        return ["six degrees of freedom: no flight was completed there; nothing is compared"]
+    largest = [(f"{q.removesuffix('_K')}s", checks[f"largest_{q}"].values()) for q in QUANTITIES]
+    agreement = " and ".join(f"{max(values):.1f} K at the {where}" for where, values in largest if values)
+    return [f"{checks['flights']} flights repeated in six degrees of freedom: peaks agree within {agreement}"]
 
 
-def axis_batches(entry: DispersedEntry, size: int) -> list[Batch]:
-    """The flights that differences are taken of."""
-    count = 2 * entry.dimensions + 1
-    return [Batch(AXES, first, min(first + size, count)) for first in range(0, count, size)]
-
-
-def first_order(entry: DispersedEntry, columns: dict[str, FloatArray]) -> FirstOrder:
-    """From the results of `axis_batches`, put together by column."""
-    names = [p.point.name for p in entry.points]
-    T = np.array([[columns[f"{quantity}.{n}"] for n in names] for quantity in QUANTITIES])
-    d = entry.dimensions
-    z = axis_rows(d, DIFFERENCE, 0, 2 * d + 1)
-    moved = np.column_stack([deviations(entry.inputs, z[:, : len(entry.inputs)]), z[:, len(entry.inputs) :]])
-    k = np.arange(d)
-    apart = moved[2 * k + 1, k] - moved[2 * k + 2, k]
-    scale = np.array([*(i.standard_deviation for i in entry.inputs), *np.ones(d - len(entry.inputs))])
-    slope = (T[..., 1::2] - T[..., 2::2]) / apart * scale
-    for quantity, point, column, exact in exact_slopes(entry):
-        slope[quantity, point, column] = exact * scale[column]
-    return FirstOrder(T[..., 0], slope)
-
-
-def exact_slopes(entry: DispersedEntry) -> list[tuple[int, int, int, float]]:
-    """(quantity, point, input, dT_peak / d input) of every thermal parameter and effect, along the mean flight."""
-    mean = deviations(entry.inputs, np.zeros((1, entry.dimensions)))
-    flown = fly_many(entry.fleet, entry.inputs, [entry.of_flight(mean[0])] * LANES)
-    kept: list[tuple[FloatArray, FloatArray]] = []
-    entry.march(flown, np.repeat(mean, LANES, axis=0), np.zeros((LANES, entry.dimensions)), kept)
-    own = [[(k, i.name) for k, i in enumerate(entry.inputs) if _acts(entry, k, p)] for p in range(len(entry.points))]
-    named = [p for p, names in enumerate(own) if names]
-    found = []
-    for first in range(0, len(named), LANES):
-        chosen = named[first : first + LANES]
-        tracks = [_track(entry, p, own[p], mean[0], *kept[p], flight) for flight, p in enumerate(chosen)]
-        time_s = kept[chosen[0]][1][0, :, TIME]
-        marched = LinearMarch(tracks, time_s, np.array([kept[p][1][0] for p in chosen])).march()
-        for p, track, result in zip(chosen, tracks, marched, strict=True):
-            at = np.searchsorted(track.sample_s, _peak_times(*kept[p]))
-            for quantity, sample in enumerate(at):
-                slopes = result.sensitivity[quantity, sample]
-                found += [(quantity, p, k, float(s)) for (k, _), s in zip(own[p], slopes, strict=True)]
-    return found
-
-
-def _track(
-    entry: DispersedEntry, p: int, own: list[tuple[int, str]], mean: FloatArray, marched: FloatArray,
-    conditions: FloatArray, flight: int,
-) -> Track:  # fmt: skip
-    """A point along the mean flight, read at its surface and bondline when they are hottest."""
-    model, mesh = entry.lanes.models[p], entry.meshes[p]
-    moved = model.with_parameters({name: model.value(name) + mean[k] for k, name in own})
-    times = np.unique(_peak_times(marched, conditions))
-    return Track(moved, mesh, tuple(name for _, name in own), times, (0, mesh.bondline), flight=flight)
-
-
-def _peak_times(marched: FloatArray, conditions: FloatArray) -> FloatArray:
-    """When surface and bondline of the first lane are hottest [s]."""
-    return conditions[0, np.argmax(marched[:, : len(QUANTITIES)], axis=0), TIME]
-
-
-def _acts(entry: DispersedEntry, k: int, point: int) -> bool:
-    return any(p == point for p, _, _ in entry.places[k])
+def _all_or_names(names: Sequence[str], of: int, noun: str) -> str:
+    """`all 12 peaks` where every one is named, else the names."""
+    return f"all {of} {noun}" if len(names) == of > 1 else ", ".join(names)

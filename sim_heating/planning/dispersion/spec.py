@@ -1,16 +1,16 @@
-"""What is uncertain about an entry, and how much: the [dispersion] table of a study.
+"""Uncertain inputs of an entry and their distributions: the [dispersion] table of a study.
 
 [dispersion]
 flights = 8192                      # in all, over `scrambles` independent scrambles of a Sobol' sequence
 [[dispersion.input]]
-name = "entry.gamma_deg"            # FLIGHT_INPUTS, a dotted parameter of the control points, or of an effect of theirs
-sigma = 0.03                        # normal, about what the study declares; or low, high: uniform deviation from it
-over = [[0.0, 0.2], [80e3, 1.0]]    # for `air.*`: the deviation times this, over altitude [m]
-title = "the whole column"          # what tells it from others of its name, in tables and pictures
-control_points = ["NOSECAP"]        # for a parameter of points: these alone; one deviation for all of them
+name = "entry.gamma_deg"            # one of FLIGHT_INPUTS, or a dotted parameter of the control points or their effects
+sigma = 0.03                        # normal about the declared value; or low and high: uniform deviation from it
+over = [[0.0, 0.2], [80e3, 1.0]]    # for `air.*`: factor on the deviation over altitude [m]
+title = "the whole column"          # distinguishes it from others of its name, in tables and pictures
+control_points = ["NOSECAP"]        # for a parameter of points: only these; one deviation for all of them
 
-Every input is a deviation from the base entry. Each input is independent of the others; a ratio table that has a sigma
-is uncertain by itself, correlated between its nodes (`table_modes.py`).
+Every input is a deviation from the base entry, independent of the others. A ratio table that has a sigma is uncertain
+by itself, with correlated nodes (planning/ratio_table_modes.py).
 """
 
 from __future__ import annotations
@@ -40,10 +40,13 @@ FLIGHT_INPUTS = {
     "vehicle.cg_fraction": ("centre of gravity over length", "1"),
     "guidance.alpha_deg": ("angle of attack held", "deg"),
 }
-"""Inputs that change the flight, in words and with their units. `air.density`, `aero.CN` and `aero.CA` are relative
+"""Inputs that change the flight: description and unit. `air.density`, `aero.CN` and `aero.CA` are relative
 deviations; `aero.Cm` adds to the pitching moment at all Mach numbers; `guidance.alpha_deg` to the schedule of angle of
 attack."""
 PROFILED = ("air.density", "air.wind_north_m_s", "air.wind_east_m_s")
+"""Inputs that are profiles over altitude."""
+LARGEST_SIGMAS = 5.0
+"""Standard deviations that a normal deviation stays within: one in two million lies beyond."""
 
 
 class Input(Declared):
@@ -81,39 +84,42 @@ class Input(Declared):
             raise ValueError(
                 f"`{self.name}`: give `over`, [[altitude_m, factor], ...]"
                 if self.over is None
-                else f"`{self.name}`: `over` goes with {', '.join(PROFILED)} alone"
+                else f"`{self.name}`: `over` is only for {', '.join(PROFILED)}"
             )
         if self.control_points is not None and self.name in FLIGHT_INPUTS:
-            raise ValueError(f"`{self.name}`: is of the flight, not of control points; leave `control_points` out")
+            raise ValueError(f"`{self.name}` changes the flight, not a control point; remove `control_points`")
         return self
 
     @property
     def standard_deviation(self) -> float:
-        """Of the deviation."""
+        """Standard deviation of the deviation, in the unit of the input."""
         if self.low is None or self.high is None:
             return float(self.sigma or 0.0)
         return (self.high - self.low) / math.sqrt(12.0)
 
-    def told(self, unit: str) -> tuple[str, str]:
-        """What it is and how large, in words; a parameter of points, whose unit is given, under its own name."""
+    def describe(self, unit: str) -> tuple[str, str]:
+        """Name and size of the input for tables and pictures, as ("mass", "sigma 400 kg").
+
+        unit : of a parameter of control points, which is described by its own name; FLIGHT_INPUTS have their own unit
+        """
         words, unit = FLIGHT_INPUTS.get(self.name, (self.name, unit))
-        what = f"{words} ({self.title})" if self.title else words
+        name = f"{words} ({self.title})" if self.title else words
         most = max((abs(factor) for _, factor in self.over or []), default=1.0)
         low, high = (0.0 if end is None else end * most for end in (self.low, self.high))
         size = f"{low:.3g} to {high:.3g}" if self.sigma is None else f"sigma {self.sigma * most:.3g}"
-        return what, f"{size}{'' if unit == '1' else f' {unit}'}{'' if self.over is None else ' at most'}"
+        return name, f"{size}{'' if unit == '1' else f' {unit}'}{'' if self.over is None else ' at most'}"
 
 
 class Dispersion(Declared):
-    """How many flights, of what, and what is told of them.
+    """The [dispersion] table: number of flights, design, inputs, and statistics asked for.
 
     sampling      : "sobol": scrambled Sobol' sequences; "random": independent flights
-    scrambles     : independent scrambles that the flights are shared among
-    index_flights : N of the sensitivity indices, which cost N (inputs + 2) flights; 0 leaves them out
-    quantiles     : of peak temperatures;  confidence : of their bounds and of those of probabilities
-    tables        : factor on the sigma of the ratio tables; 0 takes them as they stand
-    step_s        : of the flight;  thermal_step_s : of the thermal march, a whole number of them
-    spot_checks   : flights that are flown again in six degrees of freedom (JSBSim)
+    scrambles     : independent scrambles, each with the same number of flights
+    index_flights : N of the sensitivity indices, which cost N (inputs + 2) flights; 0 omits them
+    quantiles     : of peak temperatures;  confidence : of their bounds and of the bounds of probabilities
+    tables        : factor on the sigma of the ratio tables; 0 disperses none
+    step_s        : of the flight [s];  thermal_step_s : of the thermal march [s], a multiple of step_s
+    spot_checks   : flights that are also flown in six degrees of freedom (JSBSim)
     """
 
     flights: int = Field(default=1024, ge=8, le=10_000_000)
@@ -133,14 +139,14 @@ class Dispersion(Declared):
     @classmethod
     def _are_quantiles(cls, quantiles: list[float]) -> list[float]:
         if not all(0.0 < q < 1.0 for q in quantiles):
-            raise ValueError(f"{quantiles}: quantiles lie between 0 and 1")
+            raise ValueError(f"{quantiles}: each must lie between 0 and 1")
         return sorted(quantiles)
 
     @model_validator(mode="after")
     def _divides(self) -> Dispersion:
         if self.flights % self.scrambles:
-            raise ValueError(f"flights: {self.flights} do not divide into {self.scrambles} scrambles of the same size")
+            raise ValueError(f"flights: {self.flights} must be a multiple of scrambles, {self.scrambles}")
         ratio = self.thermal_step_s / self.step_s
         if abs(ratio - round(ratio)) > 1e-9 or round(ratio) < 1:
-            raise ValueError(f"thermal_step_s: {self.thermal_step_s:g} is no whole number of step_s {self.step_s:g}")
+            raise ValueError(f"thermal_step_s: {self.thermal_step_s:g} must be a multiple of step_s, {self.step_s:g}")
         return self

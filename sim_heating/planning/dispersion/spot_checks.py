@@ -1,7 +1,7 @@
-"""Some flights of a dispersion again in six degrees of freedom: what the point mass leaves out, in kelvin.
+"""Spot checks of a dispersion: some flights repeated in six degrees of freedom, to show what the point mass omits [K].
 
-The same entry, deviations and guidance are flown by JSBSim and marched as `run` marches a flight. Factors on CN and CA
-are no numbers of an entry, so that these flights have none, on both sides; parameters of points and tables are nominal.
+JSBSim flies the same entry, deviations and guidance, and the flight is marched as `run` marches it. Factors on CN and
+CA cannot be given to JSBSim, so these flights have none, with either source; points and tables have nominal parameters.
 """
 
 from __future__ import annotations
@@ -16,66 +16,72 @@ from sim_heating.base.kernels.block import LANES
 from sim_heating.inputs.points import conditions_at_point
 from sim_heating.march.history import march_points
 from sim_heating.planning.dispersion.entry import DispersedEntry
-from sim_heating.planning.dispersion.flight import dispersed, fly_many
+from sim_heating.planning.dispersion.flight import AERO_FACTORS, entry_with_deviations
 from sim_heating.planning.dispersion.march import QUANTITIES
 from sim_heating.planning.dispersion.statistics import deviations
-from sim_heating.planning.soak import soaked
+from sim_heating.planning.soak import with_soak
 from sim_heating.trajectory.jsbsim import entry as jsbsim
 
 RATE_HZ, SAMPLE_S = 60.0, 1.0
-FACTORS = ("aero.CN", "aero.CA")
+"""Frames of JSBSim a second, and interval of the conditions that are kept [s]."""
+SIX_DOF, POINT_MASS = "six_dof", "point_mass"
 
 
 @dataclass(frozen=True)
 class SpotChecks:
-    """Peaks in six degrees of freedom less those of the point mass, (flight, quantity, point) [K]; NaN where either
-    flight did not come to its end."""
+    """Peaks in six degrees of freedom less those of the point mass.
 
-    apart_K: FloatArray
+    difference_K : (flight, quantity, point) [K]; NaN where either flight was not completed
+    """
+
+    difference_K: FloatArray
 
     @property
     def largest_K(self) -> FloatArray:
-        """(quantity, point) of all flights that came to their end."""
-        whole = self.apart_K[~np.any(np.isnan(self.apart_K), axis=(1, 2))]
-        return np.asarray(np.max(np.abs(whole), axis=0)) if len(whole) else np.full(self.apart_K.shape[1:], np.nan)
+        """(quantity, point) largest magnitude over the flights that were completed [K]."""
+        known = self.difference_K[~np.any(np.isnan(self.difference_K), axis=(1, 2))]
+        return np.asarray(np.max(np.abs(known), axis=0)) if len(known) else np.full(self.difference_K.shape[1:], np.nan)
 
 
-def fly_twice(entry: DispersedEntry, rows: FloatArray) -> dict[str, FloatArray]:
-    """Peaks of flights with both sources, by column: `six.` and `three.`."""
+def fly_with_both_sources(entry: DispersedEntry, rows: FloatArray) -> dict[str, FloatArray]:
+    """Peaks [K] of the flights of standard normal rows, by column: `six_dof.surface_K.POINT` and the like."""
     names = [p.point.name for p in entry.points]
     columns: dict[str, list[float]] = {}
     for row in deviations(entry.inputs, rows):
-        changes = {name: value for name, value in entry.of_flight(row).items() if name not in FACTORS}
-        for source, peaks in (("six", _six_dof(entry, changes)), ("three", _point_mass(entry, changes))):
+        changes = {name: value for name, value in entry.flight_deviations(row).items() if name not in AERO_FACTORS}
+        for source, peaks in ((SIX_DOF, _six_dof(entry, changes)), (POINT_MASS, _point_mass(entry, changes))):
             for quantity, values in zip(QUANTITIES, peaks, strict=True):
                 for name, value in zip(names, values, strict=True):
                     columns.setdefault(f"{source}.{quantity}.{name}", []).append(float(value))
     return {name: np.array(values) for name, values in columns.items()}
 
 
-def told_apart(entry: DispersedEntry, columns: dict[str, FloatArray]) -> SpotChecks:
-    """From the columns of `fly_twice`."""
-    six, three = (
+def spot_checks(entry: DispersedEntry, columns: dict[str, FloatArray]) -> SpotChecks:
+    """Compare both sources, from the columns of `fly_with_both_sources`."""
+    six_dof, point_mass = (
         np.array([[columns[f"{source}.{q}.{p.point.name}"] for p in entry.points] for q in QUANTITIES])
-        for source in ("six", "three")
+        for source in (SIX_DOF, POINT_MASS)
     )
-    return SpotChecks(np.moveaxis(six - three, 2, 0))
+    return SpotChecks(np.moveaxis(six_dof - point_mass, 2, 0))
 
 
 def _point_mass(entry: DispersedEntry, changes: dict[str, float]) -> FloatArray:
-    found = entry.lanes.march(fly_many(entry.fleet, entry.inputs, [changes] * LANES), 0, [], [None] * len(entry.points))
-    return np.array([found.surface_K[0], found.bondline_K[0]])
+    """(quantity, point) peaks [K]."""
+    flown = entry.sampler.fly(entry.inputs, [changes] * LANES)
+    peaks = entry.lanes.march(flown, 0, [], [None] * len(entry.points))
+    return np.array([peaks.surface_K[0], peaks.bondline_K[0]])
 
 
 def _six_dof(entry: DispersedEntry, changes: dict[str, float]) -> FloatArray:
+    """(quantity, point) peaks [K], NaN where JSBSim does not complete the flight."""
     vehicle, soak_s = entry.study.vehicle, entry.study.declared.soak_s
-    spec = dispersed(entry.fleet.base, entry.inputs, changes)
+    spec = entry_with_deviations(entry.sampler.base, entry.inputs, changes)
     spec = spec.model_copy(update={"source": "jsbsim", "rate_hz": RATE_HZ, "sample_s": SAMPLE_S})
     try:
         flown = jsbsim.fly(spec, vehicle).conditions
     except RunError:
         return np.full((len(QUANTITIES), len(entry.points)), np.nan)
     points = [p.point for p in entry.points]
-    flights = [soaked(conditions_at_point(vehicle, p, flown), p, soak_s) for p in points]
+    flights = [with_soak(conditions_at_point(vehicle, p, flown), p, soak_s) for p in points]
     marched = march_points(entry.lanes.models, flights)
     return np.array([[np.max(h.surface_K) for h in marched], [np.max(h.bondline_K) for h in marched]])

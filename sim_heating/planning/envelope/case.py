@@ -1,16 +1,16 @@
-"""One entry of an envelope study: the base entry with some of its variables changed, flown with the 3-DOF entry.
+"""One case of an envelope study: the base entry with some of its variables changed, flown as a 3-DOF entry.
 
 The axes along which an entry may be changed are the numeric fields of `Case`. Angle of attack is changed as a whole
 (offset, and a stretch of the schedule's axis) and about one station of the schedule; cross-range through the velocity
-at which the bank reverses for the only time, range through the level of the reference drag; trim follows from centre
+of a single bank reversal, range through the level of the reference drag; trim follows from centre
 of gravity, body flap and the flight-found pitching moment. A lateral centre of gravity is balanced at each instant
 after the flight, with
 
     roll  Cl_beta beta + Cl_a a + CN y / b = 0,   Cl_a = (dCN/d_elevon) y_e / b
     yaw   Cn_beta beta - CA y / b = 0
 
-y the offset to starboard, a half the difference of the elevons, y_e their distance from the plane of symmetry; the
-yawing moment of the elevons and the bend of the path are left out.
+y the offset to starboard, a half the difference of the elevons, y_e their distance from the plane of symmetry. The
+yawing moment of the elevons and the change of the path are neglected.
 """
 
 from __future__ import annotations
@@ -33,26 +33,27 @@ from sim_heating.trajectory.aero import Aero, flown_aero
 from sim_heating.trajectory.guidance import resolve_guidance
 from sim_heating.trajectory.spec import Guidance, TrajectorySpec
 
-FLOWN_WITH = {"source": "entry-3dof", "rate_hz": 4.0}
+TRAJECTORY = {"source": "entry-3dof", "rate_hz": 4.0}
+"""Source of every case, and its steps a second."""
 CROSS_RANGE_WITHIN_KM = 2.0
-"""How closely a cross-range that is asked for is met."""
+"""Largest error of a required cross-range [km] at the end of what can be reached."""
 STATION_RAMP = 0.25
 """Part of a station's half-width over which its offset comes and goes."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """What is changed of the base entry; what is None or neutral is as the base has it.
+    """Changes to the base entry; a variable that is None or neutral stays as in the base.
 
     alpha_offset_deg : on the whole angle-of-attack schedule
-    alpha_stretch    : of the schedule's axis: above 1 the pitch-down comes at a higher Mach number
+    alpha_stretch    : of the schedule's axis; above 1 the pitch-down comes at a higher Mach number
     station_alpha_deg: angle of attack held about `alpha_station`, a place on the schedule's own axis
-    drag_factor      : on the reference drag: below 1 a longer, higher flight
-    cross_range_km   : asked for, with one reversal of the bank
-    one_sided        : the bank never reverses: as much cross-range as the rest allows
+    drag_factor      : on the reference drag; below 1 the flight is longer and higher
+    cross_range_km   : required, with one reversal of the bank
+    one_sided        : the bank never reverses, for as much cross-range as the rest allows
     bodyflap_deg     : held down to the base's `bodyflap_above_mach`, on its schedule below; the elevon trims
-    cm_shift         : pitching moment that flights found
-    lateral_cg_m     : of the centre of gravity, to starboard
+    cm_shift         : shift of the pitching moment, as flights have shown one
+    lateral_cg_m     : offset of the centre of gravity to starboard
     """
 
     alpha_offset_deg: float = 0.0
@@ -69,41 +70,46 @@ class Case:
     density_factor: float = 1.0
     lateral_cg_m: float = 0.0
 
-    def changed(self) -> dict[str, Any]:
-        """What is not as the base has it."""
+    def changes(self) -> dict[str, Any]:
+        """The variables that differ from the base entry."""
         return {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) != f.default}
 
-    def told(self) -> str:
-        """In words."""
-        return ", ".join(f"{k} {v:g}" for k, v in self.changed().items()) or "base entry"
+    def describe(self) -> str:
+        """The changes in one line, as `alpha_offset_deg -4, mass_kg 84000`."""
+        return ", ".join(f"{k} {v:g}" for k, v in self.changes().items()) or "base entry"
 
 
-BETWEEN = {
+OPEN_RANGES = {
     "alpha_stretch": (0.0, np.inf), "alpha_station": (0.0, np.inf), "drag_factor": (0.0, np.inf),
     "cg_fraction": (0.0, 1.0), "mass_kg": (0.0, np.inf), "density_factor": (0.0, np.inf),
     "alpha_offset_deg": (-90.0, 90.0), "station_alpha_deg": LIMITS["alpha_deg"][:2],
     "bodyflap_deg": LIMITS["bodyflap_deg"][:2],
 }  # fmt: skip
-"""Ends between which alone a value has a meaning; neither is one of its values."""
+"""Range of each variable; its ends are not part of it."""
 AXES = tuple(f.name for f in fields(Case) if f.name != "one_sided")
+"""Variables that an axis of a map or boundary may have."""
 
 
 @dataclass(frozen=True)
 class Trim:
-    """How the elevon trims a flight: (time,) deflection that the moment asks for [deg], beyond its travel too."""
+    """Elevon deflection that trims a flight, and the travel of the elevon.
 
-    wanted_deg: FloatArray
+    required_deg       : (time,) deflection without a pitching moment [deg]; it may lie beyond the travel
+    low_deg, high_deg  : ends of the travel [deg]
+    """
+
+    required_deg: FloatArray
     low_deg: float
     high_deg: float
 
 
 @dataclass(frozen=True)
-class Flown:
+class FlownCase:
     """A flown case.
 
     conditions     : of the vehicle as a whole
-    cross_range_km : at the end, positive to the left of the great circle along which the flight began
-    aileron_deg    : (time,) half the difference of left and right elevon; 0 without a lateral centre of gravity
+    cross_range_km : at the end, positive to the left of the initial great circle [km]
+    aileron_deg    : (time,) half the difference of left and right elevon [deg]; 0 without a lateral centre of gravity
     """
 
     case: Case
@@ -113,19 +119,19 @@ class Flown:
     aileron_deg: FloatArray
 
     def at_side(self, y_m: float) -> Conditions:
-        """Conditions where a control point at y sees its own elevon."""
+        """Conditions of a control point at y_m, with the deflection of the elevon on its side."""
         if self.case.lateral_cg_m == 0.0 or y_m == 0.0:
             return self.conditions
         return self.conditions.with_columns(elevon_deg=self.conditions["elevon_deg"] - np.sign(y_m) * self.aileron_deg)
 
 
-class Base:
-    """What cases start from: a vehicle and its entry.
+class BaseEntry:
+    """A vehicle and the entry that cases change.
 
-    station_width : half the width of a station, on the axis of the angle-of-attack schedule
-    elevon_arm_m  : distance of the elevons from the plane of symmetry
-    bodyflap_above_mach : down to where a body flap is held
-    raises        : InputError where the entry is not one that guidance flies
+    station_width       : half the width of a station, on the axis of the angle-of-attack schedule
+    elevon_arm_m        : distance of the elevons from the plane of symmetry [m]
+    bodyflap_above_mach : Mach number down to which a changed body flap is held
+    raises              : InputError where no guidance flies the entry
     """
 
     def __init__(
@@ -138,49 +144,54 @@ class Base:
         bodyflap_above_mach: float = 8.0,
     ) -> None:
         if spec.source in ("recorded", "fmu"):
-            raise InputError(f'envelope: a {spec.source} trajectory has no guidance to change; give "entry-3dof"')
-        self.spec = spec.model_copy(update=FLOWN_WITH)
+            raise InputError(
+                f'envelope: a trajectory with source = "{spec.source}" has no guidance to change; give "entry-3dof"'
+            )
+        self.spec = spec.model_copy(update=TRAJECTORY)
         self.vehicle = vehicle
         self.guidance = resolve_guidance(spec.guidance, vehicle.directory)
         self.station_width = station_width
         self.elevon_arm_m = elevon_arm_m
         self.bodyflap_above_mach = bodyflap_above_mach
 
-    def neutral(self, axis: str, case: Case) -> float | None:
-        """What the base entry has on an axis, where it is a number; of the station's angle of attack at its station."""
+    def value_on(self, axis: str, case: Case) -> float | None:
+        """Value of the base entry on an axis, or None; for `station_alpha_deg` its angle of attack at the station."""
         if axis == "station_alpha_deg" and case.alpha_station is not None:
             schedule = alpha_schedule(replace(case, station_alpha_deg=None), self.guidance, self.station_width)
             return float(np.interp(case.alpha_station, *np.array(schedule).T))
         value = getattr(Case(), axis)
         return None if value is None else float(value)
 
-    def fly(self, case: Case) -> Flown:
+    def fly(self, case: Case) -> FlownCase:
         """Fly a case.
 
-        raises : InputError for a vehicle that cannot be flown so, RunError where the flight leaves the atmosphere or
-                 the cross-range that is asked for is out of reach
+        raises : InputError where the vehicle has no data for it; RunError where the flight leaves the atmosphere or
+                 the required cross-range is out of reach
         """
         if case.cross_range_km is None:
-            return self._flown(case, self._spec(case, () if case.one_sided else None))
-        return self._flown(case, self._spec(case, (self._reversal(case, case.cross_range_km),)))
+            return self._fly_spec(case, self._spec(case, () if case.one_sided else None))
+        return self._fly_spec(case, self._spec(case, (self._reversal_m_s(case, case.cross_range_km),)))
 
-    def _reversal(self, case: Case, asked_km: float) -> float:
-        """Velocity [m/s] of the one reversal that leads to a cross-range on the side of the first bank."""
+    def _reversal_m_s(self, case: Case, required_km: float) -> float:
+        """Velocity [m/s] of the single reversal that leads to a cross-range on the side of the first bank."""
         flown = entry3dof.fly(self._spec(case, ()), self.vehicle).conditions
         side = float(np.sign(self._cross_range_km(flown)))
         most, slowest = abs(self._cross_range_km(flown)), float(flown["velocity_m_s"][-1])
 
-        def missed(velocity_m_s: float) -> float:
+        def excess_km(velocity_m_s: float) -> float:
             flight = entry3dof.fly(self._spec(case, (velocity_m_s,)), self.vehicle)
-            return side * self._cross_range_km(flight.conditions) - asked_km
+            return side * self._cross_range_km(flight.conditions) - required_km
 
         fastest = 0.95 * float(np.max(flown["velocity_m_s"]))
-        if asked_km > most:
-            raise RunError(f"{asked_km:g} km of cross-range asked for and {most:.0f} km is the most that is flown")
-        if abs(asked_km - most) < CROSS_RANGE_WITHIN_KM:
+        if required_km > most:
+            raise RunError(
+                f"a cross-range of {required_km:g} km is out of reach, {most:.0f} km is the most that is flown; "
+                "ask for less"
+            )
+        if abs(required_km - most) < CROSS_RANGE_WITHIN_KM:
             return slowest
-        low, high = _bracketed(missed, slowest, fastest)
-        return float(brentq(missed, low, high, xtol=1.0))
+        low, high = _bracket_reversal(excess_km, slowest, fastest)
+        return float(brentq(excess_km, low, high, xtol=1.0))
 
     def _spec(self, case: Case, reversals: Sequence[float] | None) -> TrajectorySpec:
         g = self.guidance
@@ -201,7 +212,7 @@ class Base:
         return spec if case.bodyflap_deg is None else self._with_bodyflap(spec, case.bodyflap_deg)
 
     def _with_bodyflap(self, spec: TrajectorySpec, bodyflap_deg: float) -> TrajectorySpec:
-        """The body flap held at high Mach numbers, below on the schedule that trims there."""
+        """An entry with the body flap held at high Mach numbers; below, on the schedule that trims."""
         assert spec.guidance.alpha_deg is not None  # given with every case
         aero, low = flown_aero(spec, self.vehicle.directory), self.bodyflap_above_mach - 1.0
         trimming = aero.bodyflap_schedule(spec.guidance.alpha_deg, self.guidance.alpha_against)
@@ -209,34 +220,35 @@ class Base:
         state = spec.vehicle.model_copy(update={"bodyflap_deg": held, "bodyflap_against": "mach"})
         return spec.model_copy(update={"vehicle": state})
 
-    def _flown(self, case: Case, spec: TrajectorySpec) -> Flown:
+    def _fly_spec(self, case: Case, spec: TrajectorySpec) -> FlownCase:
         flown = entry3dof.fly(spec, self.vehicle).conditions
         aero = flown_aero(spec, self.vehicle.directory)
         low, high = aero.file.elevon.range_deg
         beta, aileron = lateral_trim(aero, flown, case.lateral_cg_m, self.elevon_arm_m)
         if case.lateral_cg_m != 0.0:
             flown = flown.with_columns(beta_deg=flown["beta_deg"] + beta)
-        return Flown(case, flown, self._cross_range_km(flown), Trim(wanted_elevon(aero, flown), low, high), aileron)
+        trim = Trim(required_elevon(aero, flown), low, high)
+        return FlownCase(case, flown, self._cross_range_km(flown), trim, aileron)
 
     def _cross_range_km(self, flown: Conditions) -> float:
-        assert self.spec.initial is not None  # a trajectory that flies by itself has one
+        assert self.spec.initial is not None  # every trajectory with guidance has one
         first = self.spec.initial
         end = (float(flown["latitude_deg"][-1]), float(flown["longitude_deg"][-1]))
         return cross_range_km((first.latitude_deg, first.longitude_deg), first.heading_deg, end)
 
 
-def _bracketed(missed: Callable[[float], float], slowest: float, fastest: float) -> tuple[float, float]:
-    """Velocities of a late and an earlier reversal between which the cross-range passes what is asked for."""
+def _bracket_reversal(excess_km: Callable[[float], float], slowest: float, fastest: float) -> tuple[float, float]:
+    """Velocities [m/s] of a late and an earlier reversal between which the required cross-range lies."""
     late = slowest
     for early in np.linspace(slowest, fastest, 8)[1:]:
-        if missed(float(early)) < 0.0:
+        if excess_km(float(early)) < 0.0:
             return late, float(early)
         late = float(early)
-    raise RunError("the cross-range asked for is not met by any one reversal of the bank")
+    raise RunError("no single reversal of the bank leads to the required cross-range")
 
 
 def alpha_schedule(case: Case, guidance: Guidance, station_width: float) -> tuple[tuple[float, float], ...]:
-    """The angle-of-attack schedule of a case."""
+    """The angle-of-attack schedule of a case: (place on its axis, alpha [deg])."""
     low, high = guidance.alpha_limits_deg
     x, alpha = np.array(sorted(guidance.alpha_deg), dtype=float).T
     x, alpha = x * case.alpha_stretch, alpha + case.alpha_offset_deg
@@ -252,9 +264,9 @@ def alpha_schedule(case: Case, guidance: Guidance, station_width: float) -> tupl
 
 
 def cross_range_km(start_deg: tuple[float, float], heading_deg: float, end_deg: tuple[float, float]) -> float:
-    """Distance of a place from the great circle through another one under a heading, positive to its left [km].
+    """Distance of a place from the great circle that leaves the start along a heading, positive to its left [km].
 
-    start_deg, end_deg : latitude and longitude, of the sphere of the equatorial radius
+    start_deg, end_deg : latitude and longitude, on the sphere of the equatorial radius
     """
     (lat, lon), (there, east_of) = np.radians(start_deg), np.radians(end_deg)
     psi = np.radians(heading_deg)
@@ -265,26 +277,26 @@ def cross_range_km(start_deg: tuple[float, float], heading_deg: float, end_deg: 
     return float(np.arcsin(np.clip(np.cross(up, ahead) @ end, -1.0, 1.0)) * pm.WGS84_RADIUS_M / 1e3)
 
 
-def wanted_elevon(aero: Aero, flown: Conditions) -> FloatArray:
-    """(time,) elevon that would leave no moment [deg]; beyond its travel where the travel does not suffice.
+def required_elevon(aero: Aero, flown: Conditions) -> FloatArray:
+    """(time,) elevon that leaves no pitching moment [deg], beyond its travel where the travel does not suffice.
 
-    Beyond, the moment that is left is divided by the slope of the last degree of travel.
+    Beyond the travel, the remaining moment is divided by the slope of the last degree of travel.
     """
     low, high = aero.file.elevon.range_deg
-    wanted = flown["elevon_deg"].copy()
-    for i in np.flatnonzero((wanted <= low + 1e-9) | (wanted >= high - 1e-9)):
+    required = flown["elevon_deg"].copy()
+    for i in np.flatnonzero((required <= low + 1e-9) | (required >= high - 1e-9)):
         at = [float(flown[name][i]) for name in ("mach", "alpha_deg")]
-        flap, end = float(flown["bodyflap_deg"][i]), float(wanted[i])
+        flap, end = float(flown["bodyflap_deg"][i]), float(required[i])
         inner = end + 1.0 if end <= low + 1e-9 else end - 1.0
-        left, before = (aero.coefficients(at[0], at[1], d, flap)[2] for d in (end, inner))
-        slope = (left - before) / (end - inner)
+        remaining, before = (aero.coefficients(at[0], at[1], d, flap)[2] for d in (end, inner))
+        slope = (remaining - before) / (end - inner)
         if slope < 0.0:
-            wanted[i] = end - left / slope
-    return wanted
+            required[i] = end - remaining / slope
+    return required
 
 
 def lateral_trim(aero: Aero, flown: Conditions, y_m: float, arm_m: float) -> tuple[FloatArray, FloatArray]:
-    """(time,) sideslip and aileron [deg] that balance a centre of gravity y to starboard; see the head of the module.
+    """(time,) sideslip and aileron [deg] that balance a centre of gravity y_m to starboard, by the equations above.
 
     raises : InputError where the vehicle has no sideslip derivatives or no elevon
     """

@@ -1,10 +1,10 @@
-"""What the next flight should test: manoeuvres ranked by how much they would shrink the uncertainty of the boundaries.
+"""Ranking of manoeuvres for the next flight by how much they would reduce the uncertainty of the boundaries.
 
-A candidate is flown in the base entry, and its thermocouples are read as estimation.design reads a planned flight:
-the bounds of the heating-ratio parameters with everything else that is not known beside them. What an estimate with
-these bounds would tell of a control point's table is found as `update-tables` finds it (table_update.evidence), and
-with it the sigma of every peak temperature as it would be afterwards. The expected envelope keeps its middle; its
-band shrinks.
+A candidate is flown in the base entry, and its thermocouples are read as estimation/design/planned_flight.py reads a
+planned flight: this gives Cramer-Rao bounds of the heating-ratio parameters, all other unknown parameters included. The
+evidence of an estimate with these bounds on the ratio table of a control point is that of `update-tables`
+(closure/revise/evidence.py), and with it follows the sigma of every peak temperature after the flight. The expected
+boundary stays where it is; its band becomes narrower.
 """
 
 from __future__ import annotations
@@ -25,59 +25,68 @@ from sim_heating.heating.ratio.uncertainty import Evidence
 from sim_heating.inputs.points import reference_of_record
 from sim_heating.inputs.scenario import Design
 from sim_heating.march.point import COATING_PREFIX, insulation_layer
-from sim_heating.planning.envelope.envelope import MIDDLE, SURE, FlownBoundary, Stretch, stretch
+from sim_heating.planning.envelope.envelope import (
+    CONSERVATIVE,
+    NOMINAL,
+    BoundarySegment,
+    FlownBoundary,
+    boundary_segment,
+)
 from sim_heating.planning.envelope.margins import Margin
-from sim_heating.planning.envelope.spec import Candidate
+from sim_heating.planning.envelope.spec import ManoeuvreCandidate
 from sim_heating.planning.study import Study
 
 BEFORE_S, AFTER_S = 20.0, 60.0
-"""Samples that are read around a manoeuvre [s]."""
+"""Interval in which samples are read, before and after a manoeuvre [s]."""
 EMITTANCE = "stack.emissivity_factor"
-"""Not known either: near radiation equilibrium it is all but the magnitude of the heating ratio."""
-TOLD = 0.5
-"""A derivative is estimated where its bound is below this part of what the table itself says of it."""
+"""Also unknown: near radiation equilibrium its effect is almost that of the magnitude of the heating ratio."""
+INFORMATIVE = 0.5
+"""A derivative is estimated where its bound is below this part of its sigma from the table itself."""
 
 
 @dataclass(frozen=True)
-class Prospect:
-    """A candidate, flown in advance.
+class ManoeuvreForecast:
+    """Forecast of a candidate, from a simulated flight.
 
-    evidence : control point -> what it would tell of the table
-    sigma    : control point -> bounds of what would be estimated there
-    notes    : why a control point would tell nothing, and what of the manoeuvre is beyond its limits, a line each
+    evidence : control point -> evidence that it would give on the ratio table
+    sigma    : control point -> bounds of the parameters that would be estimated there
+    notes    : one line each: why a control point would give no evidence, and limits that the manoeuvre exceeds
     """
 
-    candidate: Candidate
+    candidate: ManoeuvreCandidate
     evidence: Mapping[str, Evidence]
     sigma: Mapping[str, Mapping[str, float]]
     notes: tuple[str, ...]
 
 
-def prospect(study: Study, candidate: Candidate) -> Prospect:
-    """What a candidate would tell of each of its control points.
+def forecast_manoeuvre(study: Study, candidate: ManoeuvreCandidate) -> ManoeuvreForecast:
+    """Forecast the evidence of a candidate on each of its control points.
 
-    raises : InputError for a control point that there is not
+    raises : InputError where a control point does not exist
     """
     evidence, sigma, notes = {}, {}, []
     for name in candidate.control_points:
         study.vehicle.control_point(name)
         try:
-            evidence[name], sigma[name], lines = _told(study, candidate, name)
+            evidence[name], sigma[name], lines = _forecast_point(study, candidate, name)
             notes += lines
         except (InputError, RunError) as error:
-            notes.append(f"{candidate.name}, {name}: would tell nothing: {' '.join(str(error).split())}")
-    return Prospect(candidate, evidence, sigma, tuple(dict.fromkeys(notes)))
+            notes.append(f"{candidate.name}, {name}: would give no evidence: {' '.join(str(error).split())}")
+    return ManoeuvreForecast(candidate, evidence, sigma, tuple(dict.fromkeys(notes)))
 
 
-def _told(study: Study, candidate: Candidate, point: str) -> tuple[Evidence, dict[str, float], list[str]]:
+def _forecast_point(
+    study: Study, candidate: ManoeuvreCandidate, point: str
+) -> tuple[Evidence, dict[str, float], list[str]]:
+    """Evidence on one control point, bounds of the parameters, and limits that the manoeuvre exceeds."""
     trajectory = study.base.declared.trajectory.model_copy(update={"manoeuvre": tuple(candidate.flown)})
     design = Design(control_point=point, before_s=BEFORE_S, after_s=AFTER_S)
     declared = study.base.declared.model_copy(update={"trajectory": trajectory, "design": design})
     planner = Planner(replace(study.base, declared=declared))
     planned = planner.fly(candidate.flown)
-    passed = [f"{candidate.name}: {line}" for line in planned.exceeded_limits]
+    exceeded = [f"{candidate.name}: {line}" for line in planned.exceeded_limits]
     if "manoeuvres reached" in planned.margins:
-        raise InputError("the flight ends before it")
+        raise InputError("the flight ends before the manoeuvre; fly it earlier")
     record, _ = planner.record(planned, planner.instruments)
     names, covariance = _bounds(planner, planned)
     estimate = Estimate(
@@ -91,7 +100,7 @@ def _told(study: Study, candidate: Candidate, point: str) -> tuple[Evidence, dic
     )  # fmt: skip
     informed = flight_evidence(estimate, [record], study.vehicle, study.vehicle.control_point(point))
     bounds = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
-    return informed.evidence, bounds, passed
+    return informed.evidence, bounds, exceeded
 
 
 def _bounds(planner: Planner, planned: PlannedFlight) -> tuple[tuple[str, ...], np.ndarray]:
@@ -100,68 +109,77 @@ def _bounds(planner: Planner, planned: PlannedFlight) -> tuple[tuple[str, ...], 
     every = [n for n in (*planner.names(planned), EMITTANCE) if not (bare and n.startswith(COATING_PREFIX))]
     table = planner.priors(every, planned)
     ratio = [n for n in every if n in MAGNITUDES or n.startswith("ratio.d_")]
-    told = planner.experiment(planned, every, table)
-    kept = [
-        n for n, s in zip(ratio, told.sigma(ratio), strict=True) if n in MAGNITUDES or s < TOLD * table.get(n, np.inf)
+    information = planner.experiment(planned, every, table)
+    estimated = [
+        n
+        for n, s in zip(ratio, information.sigma(ratio), strict=True)
+        if n in MAGNITUDES or s < INFORMATIVE * table.get(n, np.inf)
     ]
-    flat = dict.fromkeys(kept, np.inf)
-    return tuple(kept), told.with_priors({**table, **flat}).covariance(kept)
+    flat = dict.fromkeys(estimated, np.inf)
+    return tuple(estimated), information.with_priors({**table, **flat}).covariance(estimated)
 
 
 # Ranking -------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Ranked:
-    """A candidate's worth.
+class RankedManoeuvre:
+    """A candidate with the reduction of uncertainty that it would bring.
 
-    sigma_K : boundary -> mean sigma of the temperatures that limit it, at its edges, now and after the manoeuvre
-    sure    : boundary -> area of what is surely allowed, now and after
-    shrunk  : mean over all edges of the part of sigma that it would take away; the local width of a band goes with it
+    sigma_K           : boundary -> mean sigma [K] of the temperatures that make its edges, now and after the manoeuvre
+    conservative_area : boundary -> area of the conservative boundary, now and after
+    sigma_reduction   : mean over all edges of the relative reduction of sigma [-]; the local width of a band follows it
     """
 
-    prospect: Prospect
+    forecast: ManoeuvreForecast
     sigma_K: dict[str, tuple[float, float]]
-    sure: dict[str, tuple[float, float]]
-    shrunk: float
+    conservative_area: dict[str, tuple[float, float]]
+    sigma_reduction: float
 
 
-def limiting(s: Stretch) -> list[Margin]:
-    """The temperatures that make the edges of a stretch, or keep it closed, as the tables stand and surely; each once,
-    as the flight nearest to its edge has it."""
+def limiting_margins(s: BoundarySegment) -> list[Margin]:
+    """Margins with a sigma that make the nominal and conservative edges of a segment, or close it.
+
+    Each limit appears once, with the margin of the flight nearest to its edge.
+    """
     edges: list[tuple[float, str]] = []
-    for which in (MIDDLE, SURE):
+    for which in (NOMINAL, CONSERVATIVE):
         g, a = s.greatest.get(which), s.allowed[which]
-        own = (a.low, a.high, a.least_bad) if g is None else (g,)
+        own = (a.low, a.high, a.least_violated) if g is None else (g,)
         edges += [(e.at, e.limit) for e in own if e is not None and e.limit not in [limit for _, limit in edges]]
-    found = []
+    margins = []
     for at, limit in edges:
         known = [i for i, f in enumerate(s.flights) if limit in f.margins]
         if known:
             nearest = min(known, key=lambda i: abs(s.places[i] - at))
-            found.append(s.flights[nearest].margins[limit])
-    return [m for m in found if m.sigma > 0.0]
+            margins.append(s.flights[nearest].margins[limit])
+    return [m for m in margins if m.sigma > 0.0]
 
 
-def after(boundary: FlownBoundary, manoeuvre: str, sigmas: float) -> FlownBoundary:
-    """The boundary as it would be after a manoeuvre that finds the tables to be right."""
+def boundary_after(boundary: FlownBoundary, manoeuvre: str, sigmas: float) -> FlownBoundary:
+    """The boundary as it would be after a manoeuvre that confirms the tables."""
     declared = boundary.declared
-    later = [stretch(declared, s.member, s.along, s.inside, s.flights, sigmas, manoeuvre) for s in boundary.stretches]
+    later = (
+        boundary_segment(declared, s.member, s.along, s.inside, s.flights, sigmas, manoeuvre) for s in boundary.segments
+    )
     return FlownBoundary(declared, tuple(later))
 
 
-def rank(prospects: Sequence[Prospect], boundaries: Sequence[FlownBoundary], sigmas: float) -> list[Ranked]:
-    """Candidates, the one that shrinks the bands most first."""
-    found = []
-    for p in prospects:
-        name = p.candidate.name
-        sigma, sure, parts = {}, {}, []
+def rank_manoeuvres(
+    forecasts: Sequence[ManoeuvreForecast], boundaries: Sequence[FlownBoundary], sigmas: float
+) -> list[RankedManoeuvre]:
+    """Rank candidates, the largest reduction of sigma first."""
+    ranked = []
+    for forecast in forecasts:
+        name = forecast.candidate.name
+        sigma, area, reductions = {}, {}, []
         for b in boundaries:
-            edges = [m for s in b.stretches for m in limiting(s)]
-            now, left = [m.sigma for m in edges], [m.after.get(name, m.sigma) for m in edges]
-            parts += [1.0 - later / before for before, later in zip(now, left, strict=True)]
+            edges = [m for s in b.segments for m in limiting_margins(s)]
+            now, after = [m.sigma for m in edges], [m.sigma_after.get(name, m.sigma) for m in edges]
+            reductions += [1.0 - later / before for before, later in zip(now, after, strict=True)]
             if edges:
-                sigma[b.declared.name] = (float(np.mean(now)), float(np.mean(left)))
-            sure[b.declared.name] = (b.area(SURE), after(b, name, sigmas).area(SURE))
-        found.append(Ranked(p, sigma, sure, float(np.mean(parts)) if parts else 0.0))
-    return sorted(found, key=lambda r: -r.shrunk)
+                sigma[b.declared.name] = (float(np.mean(now)), float(np.mean(after)))
+            later_boundary = boundary_after(b, name, sigmas)
+            area[b.declared.name] = (b.area(CONSERVATIVE), later_boundary.area(CONSERVATIVE))
+        ranked.append(RankedManoeuvre(forecast, sigma, area, float(np.mean(reductions)) if reductions else 0.0))
+    return sorted(ranked, key=lambda r: -r.sigma_reduction)

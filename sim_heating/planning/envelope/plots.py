@@ -1,4 +1,4 @@
-"""Pictures of maps, boundaries, two revisions side by side, and the worth of manoeuvres; each stands alone."""
+"""Pictures of an envelope: maps, boundaries, two revisions side by side, and the ranking of manoeuvres."""
 
 from __future__ import annotations
 
@@ -10,12 +10,20 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
+from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.report.figure import new_figure, save_figure
 from sim_heating.planning.envelope.boundary import END_OF_STUDY
-from sim_heating.planning.envelope.envelope import MIDDLE, PERHAPS, SURE, FlownBoundary, FlownMap, Stretch
-from sim_heating.planning.envelope.margins import Evaluated
-from sim_heating.planning.envelope.next_flight import Ranked
-from sim_heating.planning.envelope.tables import NOTHING, limits_of
+from sim_heating.planning.envelope.envelope import (
+    CONSERVATIVE,
+    NOMINAL,
+    OPTIMISTIC,
+    BoundarySegment,
+    FlownBoundary,
+    FlownMap,
+)
+from sim_heating.planning.envelope.margins import EvaluatedCase
+from sim_heating.planning.envelope.next_flight import RankedManoeuvre
+from sim_heating.planning.envelope.tables import NOTHING, edge_limits
 
 LABELS = {
     "alpha_offset_deg": "offset of angle of attack, deg",
@@ -31,16 +39,18 @@ LABELS = {
     "density_factor": "density over the nominal",
     "lateral_cg_m": "lateral centre of gravity, m",
 }
+"""Labels of the axes, by variable of a case."""
 FASTEST_MACH = 100.0
-DRAWN = 7
-"""Limits drawn in a map over one axis: those with the least margins."""
+"""A station above this is a velocity [m/s]."""
+MOST_LIMITS = 7
+"""Largest number of limits in a map over one axis: those with the least margins."""
 COLOURS = [f"C{i}" for i in range(10)]
 HEAD_WIDTH = 70
 """Characters of a line above one of several panels."""
 
 
 def draw_map(path: Path, title: str, flown: FlownMap, sigmas: float) -> None:
-    """Margins over one axis, with their bands; over two, the least margin, its limit named."""
+    """Draw a map: over one axis the margins with their bands, over two the least margin and the name of its limit."""
     axes = flown.declared.axes
     if len(axes) == 1:
         _draw_line_map(path, title, flown, sigmas)
@@ -53,14 +63,14 @@ def _draw_line_map(path: Path, title: str, flown: FlownMap, sigmas: float) -> No
     (name, values), a = next(iter(flown.declared.axes.items())), axes[0]
     good = [(x, f) for x, f in zip(values, flown.flights, strict=True) if f.error is None]
     hot = {n for _, f in good for n, m in f.margins.items() if m.unit == "K"}
-    least = sorted(hot, key=lambda n: min(f.margins[n].margin for _, f in good))[:DRAWN]
+    least = sorted(hot, key=lambda n: min(f.margins[n].margin for _, f in good))[:MOST_LIMITS]
     x = np.array([v for v, _ in good])
     for colour, limit in zip(COLOURS, least, strict=False):
         y = np.array([f.margins[limit].margin for _, f in good])
         s = sigmas * np.array([f.margins[limit].sigma for _, f in good])
         a.plot(x, y, "o-", color=colour, markersize=3.5, label=limit)
         a.fill_between(x, y - s, y + s, color=colour, alpha=0.10, linewidth=0)
-    _mark_refused(a, [(v, f) for v, f in zip(values, flown.flights, strict=True)])
+    _mark_excluded(a, [(v, f) for v, f in zip(values, flown.flights, strict=True)])
     a.axhline(0.0, color="k", linewidth=1.0)
     a.set_xlabel(LABELS[name])
     a.set_ylabel(f"margin to the limit, K (band: {sigmas:g} sigma of the ratio tables)")
@@ -68,11 +78,11 @@ def _draw_line_map(path: Path, title: str, flown: FlownMap, sigmas: float) -> No
     save_figure(figure, path, title, axes)
 
 
-def _mark_refused(a: Axes, flights: Sequence[tuple[float, Evaluated]]) -> None:
-    """Places that were not flown, or are out of trim or outside a table: crosses on the axis."""
-    refused = [x for x, f in flights if f.error is not None or f.passed_other]
-    if refused:
-        a.plot(refused, np.zeros(len(refused)), "kx", markersize=9, label="no flight, no trim, or outside a table")
+def _mark_excluded(a: Axes, flights: Sequence[tuple[float, EvaluatedCase]]) -> None:
+    """Mark places on the axis that could not be flown, are out of trim, or lie outside a table."""
+    excluded = [x for x, f in flights if f.error is not None or f.other_violations]
+    if excluded:
+        a.plot(excluded, np.zeros(len(excluded)), "kx", markersize=9, label="no flight, no trim, or outside a table")
 
 
 def _draw_plane_map(path: Path, title: str, flown: FlownMap) -> None:
@@ -99,20 +109,20 @@ def _draw_plane_map(path: Path, title: str, flown: FlownMap) -> None:
     a.grid(visible=False)
 
 
-def draw_boundaries(path: Path, title: str, found: Mapping[str, FlownBoundary], sigmas: float) -> None:
-    """A boundary, or the same of several revisions, side by side; edges are coloured by the limit that makes them.
+def draw_boundaries(path: Path, title: str, boundaries: Mapping[str, FlownBoundary], sigmas: float) -> None:
+    """Draw a boundary, or that of several revisions side by side; the colour of an edge is that of its limit.
 
-    found : name of the revision -> its boundary
+    boundaries : name of the revision -> its boundary
     """
-    first = next(iter(found.values())).declared
-    rows, columns = len(first.members()), len(found)
+    first = next(iter(boundaries.values())).declared
+    rows, columns = len(first.members()), len(boundaries)
     width = 8.5 if columns == 1 else 6.6 * columns
     figure, grid = new_figure(width, 5.2 * rows, rows, columns, sharex=True, sharey=True, squeeze=False)
-    names = sorted({n for b in found.values() for s in b.stretches for n in limits_of(s)} - {""})
+    names = sorted({n for b in boundaries.values() for s in b.segments for n in edge_limits(s)} - {""})
     colours = dict(zip([n for n in names if n != END_OF_STUDY], cycle(COLOURS), strict=False)) | {END_OF_STUDY: "0.5"}
-    for column, (label, boundary) in enumerate(found.items()):
+    for column, (label, boundary) in enumerate(boundaries.items()):
         for row, member in enumerate(first.members()):
-            a, own = grid[row, column], boundary.of(member)
+            a, own = grid[row, column], boundary.segments_of(member)
             _draw_boundary(a, own, colours)
             heads = [] if columns == 1 else [textwrap.fill(label, HEAD_WIDTH)]
             heads += [] if first.family is None else [f"{LABELS[first.family]} {member:g}"]
@@ -123,7 +133,7 @@ def draw_boundaries(path: Path, title: str, found: Mapping[str, FlownBoundary], 
     if first.along == "alpha_station":
         grid[0, 0].invert_xaxis()
     a = grid[0, 0]
-    handles = a.plot([], [], "-", color="0.3", linewidth=1.0, label="edge with the tables as they stand; its limit:")
+    handles = a.plot([], [], "-", color="0.3", linewidth=1.0, label="edge with the tables as declared; its limit:")
     for n in names:
         handles += a.plot([], [], "x" if n.startswith(NOTHING) else "o", color=colours[n], label=n)
     for words, strength in (
@@ -135,62 +145,62 @@ def draw_boundaries(path: Path, title: str, found: Mapping[str, FlownBoundary], 
     save_figure(figure, path, title, grid)
 
 
-def _name_speeds(a: Axes, stretches: Sequence[Stretch]) -> None:
-    """Velocities under the Mach numbers of stations; a schedule over velocity names them itself."""
-    speeds = [s.speed_m_s for s in stretches]
-    if stretches[-1].along > FASTEST_MACH:
+def _name_speeds(a: Axes, segments: Sequence[BoundarySegment]) -> None:
+    """Write velocities below the Mach numbers of stations; a schedule over velocity has them as its axis."""
+    speeds = [s.speed_m_s for s in segments]
+    if segments[-1].along > FASTEST_MACH:
         a.set_xlabel("velocity, m/s")
     elif all(v is not None for v in speeds):
-        ticks = [f"{s.along:g}\n{v / 1e3:.1f}" for s, v in zip(stretches, speeds, strict=True) if v is not None]
-        a.set_xticks([s.along for s in stretches], ticks)
+        ticks = [f"{s.along:g}\n{v / 1e3:.1f}" for s, v in zip(segments, speeds, strict=True) if v is not None]
+        a.set_xticks([s.along for s in segments], ticks)
         a.set_xlabel("Mach number, velocity in km/s")
 
 
-def _draw_boundary(a: Axes, stretches: Sequence[Stretch], colours: Mapping[str, str]) -> None:
-    """Bands, then each edge as a line with points in the colour of the limit there."""
-    x = np.array([s.along for s in stretches])
-    for which, strength in ((PERHAPS, 0.12), (SURE, 0.30)):
-        low, high = _ends(stretches, which)
+def _draw_boundary(a: Axes, segments: Sequence[BoundarySegment], colours: Mapping[str, str]) -> None:
+    """Draw the bands, then each edge as a line with points in the colour of the limit there."""
+    x = np.array([s.along for s in segments])
+    for which, strength in ((OPTIMISTIC, 0.12), (CONSERVATIVE, 0.30)):
+        low, high = _ends(segments, which)
         a.fill_between(x, low, high, color="tab:green", alpha=strength, linewidth=0)
-        alone = _alone(np.isfinite(low))
-        a.vlines(x[alone], low[alone], high[alone], color="tab:green", alpha=strength, linewidth=5.0)
-    low, high = _ends(stretches, MIDDLE)
+        isolated = _isolated(np.isfinite(low))
+        a.vlines(x[isolated], low[isolated], high[isolated], color="tab:green", alpha=strength, linewidth=5.0)
+    low, high = _ends(segments, NOMINAL)
     for y, side in ((low, 0), (high, 1)):
-        if side == 0 and stretches[0].greatest:
+        if side == 0 and segments[0].greatest:
             continue
         a.plot(x, y, "-", color="0.3", linewidth=1.0)
-        for s, value in zip(stretches, y, strict=True):
-            a.plot(s.along, value, "o", color=colours.get(limits_of(s)[side], "k"), markersize=6)
-    for s in stretches:
-        if s.value(MIDDLE)[0] is None:
-            closed = limits_of(s)[0]
-            bad = s.allowed[MIDDLE].least_bad
-            at = 0.0 if s.greatest or bad is None else bad.at
-            a.plot(s.along, at, "x", color=colours.get(closed, "k"), markersize=8)
+        for s, value in zip(segments, y, strict=True):
+            a.plot(s.along, value, "o", color=colours.get(edge_limits(s)[side], "k"), markersize=6)
+    for s in segments:
+        if s.ends(NOMINAL)[0] is None:
+            closest = s.allowed[NOMINAL].least_violated
+            at = 0.0 if s.greatest or closest is None else closest.at
+            a.plot(s.along, at, "x", color=colours.get(edge_limits(s)[0], "k"), markersize=8)
 
 
-def _alone(known: np.ndarray) -> np.ndarray:
-    """Which of the known places have no known neighbour, so that nothing is filled there."""
-    beside = np.concatenate(([False], known, [False]))
-    return known & ~beside[:-2] & ~beside[2:]
+def _isolated(known: BoolArray) -> BoolArray:
+    """(place,) whether a known place has no known neighbour, so that no band is filled there."""
+    padded = np.concatenate(([False], known, [False]))
+    return np.asarray(known & ~padded[:-2] & ~padded[2:])
 
 
-def _ends(stretches: Sequence[Stretch], which: str) -> tuple[np.ndarray, np.ndarray]:
-    ends = [s.value(which) for s in stretches]
-    return tuple(np.array([np.nan if e[k] is None else e[k] for e in ends], dtype=float) for k in (0, 1))  # type: ignore[return-value]
+def _ends(segments: Sequence[BoundarySegment], which: str) -> tuple[FloatArray, FloatArray]:
+    """(place,) low and high ends; NaN where nothing is allowed."""
+    low, high = np.array([s.ends(which) for s in segments], dtype=float).T
+    return low, high
 
 
-def draw_ranking(path: Path, title: str, ranked: Sequence[Ranked]) -> None:
-    """Sigma of the temperatures at the edges of each boundary, now and after each manoeuvre."""
-    names = [n for n in ranked[0].sure if any(n in r.sigma_K for r in ranked)]
+def draw_ranking(path: Path, title: str, ranked: Sequence[RankedManoeuvre]) -> None:
+    """Draw the sigma of the temperatures at the edges of each boundary, now and after each manoeuvre."""
+    names = [n for n in ranked[0].conservative_area if any(n in r.sigma_K for r in ranked)]
     figure, axes = new_figure(9.5, 2.2 + 0.7 * len(ranked), 1, max(len(names), 1), sharey=True)
     for a, name in zip(axes, names, strict=False):
         y = np.arange(len(ranked))
-        now, left = np.array([r.sigma_K.get(name, (np.nan, np.nan)) for r in ranked]).T
+        now, after = np.array([r.sigma_K.get(name, (np.nan, np.nan)) for r in ranked]).T
         a.barh(y, now, 0.7, color="0.85", label="now")
-        a.barh(y, left, 0.45, color="tab:blue", label="after the manoeuvre")
+        a.barh(y, after, 0.45, color="tab:blue", label="after the manoeuvre")
         a.set_xlabel(f"boundary `{name}`:\nmean sigma of the limiting temperatures, K")
-    axes[0].set_yticks(np.arange(len(ranked)), [textwrap.fill(r.prospect.candidate.name, 26) for r in ranked])
+    axes[0].set_yticks(np.arange(len(ranked)), [textwrap.fill(r.forecast.candidate.name, 26) for r in ranked])
     axes[0].invert_yaxis()
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8)
     save_figure(figure, path, title, axes)

@@ -1,6 +1,6 @@
-"""The parts `envelope` and `next_flight` of a study, as `sim-heating plan` runs them.
+"""The envelope and the next flight of a study as files, tables and pictures.
 
-The boundaries of a study on two revisions of a vehicle side by side: what flight data opened or closed.
+If the study names a vehicle `before`, the boundaries of both revisions are compared: what flight data opened or closed.
 """
 
 from __future__ import annotations
@@ -15,235 +15,254 @@ from sim_heating.base.errors import RunError
 from sim_heating.base.progress import Progress
 from sim_heating.base.report.table import Table
 from sim_heating.heating.ratio.uncertainty import Evidence
+from sim_heating.planning.envelope import plots
 from sim_heating.planning.envelope import tables as files
 from sim_heating.planning.envelope.boundary import END_OF_STUDY
 from sim_heating.planning.envelope.envelope import (
+    CONSERVATIVE,
     FOLDER,
-    MIDDLE,
-    SURE,
-    Flights,
+    NOMINAL,
     FlownBoundary,
-    Informed,
+    ForecastEvidence,
+    StudyFlights,
     fly_boundary,
     fly_map,
 )
-from sim_heating.planning.envelope.next_flight import Prospect, Ranked, prospect, rank
-from sim_heating.planning.envelope.spec import Boundary, Envelope, Map
-from sim_heating.planning.part import Engine, Found, Part, Picture
+from sim_heating.planning.envelope.next_flight import (
+    ManoeuvreForecast,
+    RankedManoeuvre,
+    forecast_manoeuvre,
+    rank_manoeuvres,
+)
+from sim_heating.planning.envelope.spec import Envelope, EnvelopeBoundary, EnvelopeMap
+from sim_heating.planning.limited_point import vehicle_place
+from sim_heating.planning.part import Engine, PartPicture, PartResult, StudyPart
 from sim_heating.planning.study import Study, load_study
 
 NOT_TESTABLE = (
-    "lateral_cg_m: no manoeuvre holds sideslip long enough: what a lateral centre of gravity heats is taken from the "
-    "tables alone and is not testable by manoeuvre"
+    "lateral_cg_m: no manoeuvre holds sideslip long enough; the heating due to a lateral centre of gravity follows "
+    "from the ratio tables alone and cannot be tested by a manoeuvre"
 )
 Draw = Callable[[Path, str], None]
+"""Draws a picture: (path, title)."""
 RANKING = "next_flight"
 
 
 @dataclass
-class _Pages:
-    """What a part shows, as it comes."""
+class _PartOutput:
+    """Tables, pictures and notes of a part while it runs."""
 
     study: Study
     folder: Path
     tables: list[Table] = field(default_factory=list)
-    pictures: list[Picture] = field(default_factory=list)
+    pictures: list[PartPicture] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         (self.folder / FOLDER).mkdir(exist_ok=True)
 
-    def place(self, name: str) -> Path:
-        """Where a file of the part goes."""
+    def path(self, name: str) -> Path:
+        """Path of a file of the part."""
         return self.folder / FOLDER / name
 
     def draw(self, name: str, title: str, draw: Draw) -> None:
-        """Draw a picture; its title names vehicle, revision and study."""
-        what = f"{title[:1].upper()}{title[1:]}"
-        draw(self.place(f"{name}.png"), f"{what}\n{self.study.title}\n{files.stamp_of(self.study)}")
-        self.pictures.append(Picture(f"{FOLDER}/{name}.png", title))
+        """Draw a picture, with vehicle, revision and study in its title."""
+        capitalised = f"{title[:1].upper()}{title[1:]}"
+        draw(self.path(f"{name}.png"), f"{capitalised}\n{self.study.title}\n{files.picture_stamp(self.study)}")
+        self.pictures.append(PartPicture(f"{FOLDER}/{name}.png", title))
 
-    def found(self, data: dict[str, Any]) -> Found:
-        """All of it."""
-        return Found(data, tuple(self.tables), tuple(self.pictures), tuple(dict.fromkeys(self.notes)))
+    def result(self, data: dict[str, Any]) -> PartResult:
+        """The result of the part."""
+        return PartResult(data, tuple(self.tables), tuple(self.pictures), tuple(dict.fromkeys(self.notes)))
 
 
-def _asked(study: Study) -> Envelope:
+def _envelope_of(study: Study) -> Envelope:
     if study.declared.envelope is None:
-        raise RunError(f"{study.path}, [next_flight]: needs an [envelope] whose uncertainty it is to shrink")
+        raise RunError(f"{study.path}, [next_flight]: needs an [envelope], whose uncertainty it reduces; add one")
     return study.declared.envelope
 
 
-def envelope_part(study: Study, folder: Path, engine: Engine, progress: Progress) -> Found:
-    """Maps and boundaries of a study, and where it names a vehicle `before`, of that one beside it."""
-    from sim_heating.planning.envelope import plots  # matplotlib is slow to import
+# Envelope ------------------------------------------------------------------------------------------------------------
 
-    asked, pages = _asked(study), _Pages(study, folder)
-    flights = Flights(study, engine, progress, _informed(_prospects(study)))
-    data: dict[str, Any] = {"sigmas": asked.sigmas, "revision": files.revision_of(study), "maps": {}, "boundaries": {}}
-    maps = [fly_map(declared, flights) for declared in asked.map]
-    boundaries = [fly_boundary(declared, asked, flights) for declared in asked.boundary]
+
+def envelope_part(study: Study, folder: Path, engine: Engine, progress: Progress) -> PartResult:
+    """Compute maps and boundaries of a study; if it names a vehicle `before`, also the boundaries of that one."""
+    envelope, output = _envelope_of(study), _PartOutput(study, folder)
+    sigmas, revision = envelope.sigmas, files.revision_label(study)
+    flights = StudyFlights(study, engine, progress, _forecast_evidence(_forecasts(study)))
+    data: dict[str, Any] = {"sigmas": sigmas, "revision": revision, "maps": {}, "boundaries": {}}
+    maps = [fly_map(declared, flights) for declared in envelope.map]
+    boundaries = [fly_boundary(declared, envelope, flights) for declared in envelope.boundary]
     flights.require_one()
     for flown in maps:
         name, title = _map_file(flown.declared), flown.declared.title or flown.declared.name
-        files.write_map(pages.place(f"{name}.csv"), study, flown)
-        pages.draw(name, title, partial(plots.draw_map, flown=flown, sigmas=asked.sigmas))
-        pages.tables.append(files.map_table(flown))
+        files.write_map(output.path(f"{name}.csv"), study, flown)
+        output.draw(name, title, partial(plots.draw_map, flown=flown, sigmas=sigmas))
+        output.tables.append(files.map_table(flown))
         data["maps"][flown.declared.name] = files.map_data(flown)
-    for found in boundaries:
-        name, title = _boundary_file(found.declared), found.declared.title or found.declared.name
-        files.write_boundary(pages.place(f"{name}.csv"), study, found, asked.sigmas)
-        pages.draw(name, title, partial(plots.draw_boundaries, found={"": found}, sigmas=asked.sigmas))
-        pages.tables.append(files.boundary_table(found))
-        data["boundaries"][found.declared.name] = files.boundary_data(found)
-    pages.notes += files.notes_of(flights.flown)
+    for boundary in boundaries:
+        name, title = _boundary_file(boundary.declared), boundary.declared.title or boundary.declared.name
+        files.write_boundary(output.path(f"{name}.csv"), study, boundary, sigmas)
+        output.draw(name, title, partial(plots.draw_boundaries, boundaries={"": boundary}, sigmas=sigmas))
+        output.tables.append(files.boundary_table(boundary))
+        data["boundaries"][boundary.declared.name] = files.boundary_data(boundary)
+    output.notes += files.flight_notes(flights.flown)
     if any(f.case.lateral_cg_m != 0.0 for f in flights.flown):
-        pages.notes.append(NOT_TESTABLE)
-    if asked.before is not None and boundaries:
-        data["before"] = _before(Side(study, boundaries), asked, engine, progress, pages)
-    return pages.found(data | {"notes": pages.notes})
+        output.notes.append(NOT_TESTABLE)
+    if envelope.before is not None and boundaries:
+        data["before"] = _compare_with_before(RevisionBoundaries(study, boundaries), envelope, engine, progress, output)
+    return output.result(data | {"notes": output.notes})
 
 
-def _map_file(declared: Map) -> str:
+def _map_file(declared: EnvelopeMap) -> str:
     return f"map_{declared.name}"
 
 
-def _boundary_file(declared: Boundary) -> str:
+def _boundary_file(declared: EnvelopeBoundary) -> str:
     return f"boundary_{declared.name}"
 
 
 def _files(study: Study) -> list[str]:
-    """All that the part may write."""
-    asked = _asked(study)
-    names = [*map(_map_file, asked.map), *map(_boundary_file, asked.boundary)]
-    sides = [
-        f"{FOLDER}/{name}" for b in asked.boundary for name in (f"before_{b.name}.csv", f"before_after_{b.name}.png")
+    """Names of all files that the part may write."""
+    envelope = _envelope_of(study)
+    names = [*map(_map_file, envelope.map), *map(_boundary_file, envelope.boundary)]
+    compared = [
+        f"{FOLDER}/{name}" for b in envelope.boundary for name in (f"before_{b.name}.csv", f"before_after_{b.name}.png")
     ]
-    return [f"{FOLDER}/{name}.{kind}" for name in names for kind in ("csv", "png")] + sides
+    return [f"{FOLDER}/{name}.{kind}" for name in names for kind in ("csv", "png")] + compared
 
 
-ENVELOPE = Part(envelope_part, _files)
+ENVELOPE = StudyPart(envelope_part, _files)
 
 
-def _before(after: Side, asked: Envelope, engine: Engine, progress: Progress, pages: _Pages) -> dict[str, Any]:
-    """The same boundaries with the vehicle `before`, beside those of the study's own."""
-    from sim_heating.planning.envelope import plots  # matplotlib is slow to import
-
-    study, named = after.study, asked.before or ""
-    beside = study.path.parent / named
-    other = load_study(study.path, beside if (beside / "vehicle.toml").is_file() else named)
-    if other.hash == study.hash:
-        pages.notes.append(f"before: {named} is the vehicle of the study itself; fly another one with --vehicle")
-        return {}
-    flights = Flights(other, engine, progress)
-    before = Side(other, [fly_boundary(b.declared, asked, flights) for b in after.boundaries])
-    for earlier, later in zip(before.boundaries, after.boundaries, strict=True):
-        name = later.declared.name
-        files.write_boundary(pages.place(f"before_{name}.csv"), other, earlier, asked.sigmas)
-        sides = {f"before: {files.stamp_of(other)}": earlier, f"after: {files.stamp_of(study)}": later}
-        title = f"{later.declared.title or name}, before and after"
-        pages.draw(f"before_after_{name}", title, partial(plots.draw_boundaries, found=sides, sigmas=asked.sigmas))
-    table, data = compare(before, after)
-    pages.tables.append(table)
-    return data
-
-
-def next_flight_part(study: Study, folder: Path, engine: Engine, progress: Progress) -> Found:
-    """Candidates for the next flight, ranked; the flights are those of the [envelope], each flown once."""
-    from sim_heating.planning.envelope import plots  # matplotlib is slow to import
-
-    asked, prospects, pages = _asked(study), _prospects(study), _Pages(study, folder)
-    flights = Flights(study, engine, progress, _informed(prospects))
-    boundaries = [fly_boundary(declared, asked, flights) for declared in asked.boundary]
-    flights.require_one()
-    if not boundaries:
-        raise RunError(f"{study.path}, [next_flight]: needs an [[envelope.boundary]] whose uncertainty it is to shrink")
-    ranked = rank(prospects, boundaries, asked.sigmas)
-    pages.draw(RANKING, "what the next flight would tell", partial(plots.draw_ranking, ranked=ranked))
-    pages.tables.append(_ranking_table(ranked))
-    pages.notes += [line for p in prospects for line in p.notes]
-    return pages.found(_ranking_data(ranked))
-
-
-NEXT_FLIGHT = Part(next_flight_part, lambda _: (f"{FOLDER}/{RANKING}.png",))
-
-_PROSPECTS: dict[str, list[Prospect]] = {}
-"""What the candidates of the present study would tell, by its hash: both parts ask."""
-
-
-def _prospects(study: Study) -> list[Prospect]:
-    asked = study.declared.next_flight
-    if asked is None:
-        return []
-    if study.hash not in _PROSPECTS:
-        _PROSPECTS.clear()
-        _PROSPECTS[study.hash] = [prospect(study, candidate) for candidate in asked.manoeuvre]
-    return _PROSPECTS[study.hash]
-
-
-def _informed(prospects: Sequence[Prospect]) -> Informed:
-    told: dict[str, dict[str, Evidence]] = {}
-    for p in prospects:
-        for point, evidence in p.evidence.items():
-            told.setdefault(point, {})[p.candidate.name] = evidence
-    return told
-
-
-def _ranking_table(ranked: Sequence[Ranked]) -> Table:
-    names = list(ranked[0].sure)
-    heads = ["manoeuvre", "read at", "sigma taken away"]
-    heads += [f"{n}: {what}, now -> after" for n in names for what in ("sigma at the edges, K", "surely allowed")]
-    rows = []
-    for r in ranked:
-        row = [r.prospect.candidate.name, ", ".join(r.prospect.evidence) or "-", f"{100.0 * r.shrunk:.0f} %"]
-        for n in names:
-            sigma = r.sigma_K.get(n)
-            row += ["-" if sigma is None else f"{sigma[0]:.0f} -> {sigma[1]:.0f}"]
-            row += [f"{r.sure[n][0]:.4g} -> {r.sure[n][1]:.4g}"]
-        rows.append(tuple(row))
-    return Table("Next flight: manoeuvres by how much of the boundaries' sigma they take away", heads, rows)
-
-
-def _ranking_data(ranked: Sequence[Ranked]) -> dict[str, Any]:
-    return {"manoeuvres": [
-        {
-            "name": r.prospect.candidate.name, "shrunk": r.shrunk, "sigma_K": r.sigma_K, "sure_area": r.sure,
-            "bounds": {p: dict(s) for p, s in r.prospect.sigma.items()}, "notes": list(r.prospect.notes),
-        }
-        for r in ranked
-    ]}  # fmt: skip
-
+# Before and after ----------------------------------------------------------------------------------------------------
 
 HEADS = ("boundary", "allowed", "before", "after", "opened", "limits before", "limits after")
 
 
 @dataclass(frozen=True)
-class Side:
-    """A study with its boundaries."""
+class RevisionBoundaries:
+    """Boundaries of a study on one revision of its vehicle."""
 
     study: Study
     boundaries: Sequence[FlownBoundary]
 
 
-def compare(before: Side, after: Side) -> tuple[Table, dict[str, Any]]:
-    """Areas of what is allowed before and after, as a table and for study.json."""
-    rows = [row for pair in zip(before.boundaries, after.boundaries, strict=True) for row in _rows(*pair)]
-    caption = f"Area allowed before ({files.revision_of(before.study)}) and after ({files.revision_of(after.study)})"
+def _compare_with_before(
+    after: RevisionBoundaries, envelope: Envelope, engine: Engine, progress: Progress, output: _PartOutput
+) -> dict[str, Any]:
+    """Fly the boundaries with the vehicle `before` and compare them with those of the study's own vehicle."""
+    study, named = after.study, envelope.before or ""
+    other = load_study(study.path, vehicle_place(study.path, named))
+    if other.hash == study.hash:
+        output.notes.append(f"before: {named} is the vehicle of the study itself; fly another one with --vehicle")
+        return {}
+    flights = StudyFlights(other, engine, progress)
+    before = RevisionBoundaries(other, [fly_boundary(b.declared, envelope, flights) for b in after.boundaries])
+    for earlier, later in zip(before.boundaries, after.boundaries, strict=True):
+        name = later.declared.name
+        files.write_boundary(output.path(f"before_{name}.csv"), other, earlier, envelope.sigmas)
+        both = {f"before: {files.picture_stamp(other)}": earlier, f"after: {files.picture_stamp(study)}": later}
+        title = f"{later.declared.title or name}, before and after"
+        draw = partial(plots.draw_boundaries, boundaries=both, sigmas=envelope.sigmas)
+        output.draw(f"before_after_{name}", title, draw)
+    table, data = compare_areas(before, after)
+    output.tables.append(table)
+    return data
+
+
+def compare_areas(before: RevisionBoundaries, after: RevisionBoundaries) -> tuple[Table, dict[str, Any]]:
+    """Allowed areas before and after, as a table and for study.json."""
+    rows = [row for pair in zip(before.boundaries, after.boundaries, strict=True) for row in _area_rows(*pair)]
+    earlier, later = files.revision_label(before.study), files.revision_label(after.study)
     data = {b.declared.name: files.boundary_data(b) for b in before.boundaries}
-    return Table(caption, HEADS, rows), {"study": before.study.hash, **data}
+    table = Table(f"Area allowed before ({earlier}) and after ({later})", HEADS, rows)
+    return table, {"study": before.study.hash, **data}
 
 
-def _rows(before: FlownBoundary, after: FlownBoundary) -> list[tuple[str, ...]]:
-    """A boundary as the tables stand, and with them so many sigma hotter."""
+def _area_rows(before: FlownBoundary, after: FlownBoundary) -> list[tuple[str, ...]]:
+    """Rows of a boundary: nominal and conservative."""
     rows = []
-    for which, said in ((MIDDLE, "as the tables stand"), (SURE, "surely")):
+    for which in (NOMINAL, CONSERVATIVE):
         a, b = before.area(which), after.area(which)
         change = f"{b - a:+.3g}" if a == 0.0 else f"{b - a:+.3g} ({100.0 * (b / a - 1.0):+.0f} %)"
         limits = [_limits(x, which) for x in (before, after)]
-        rows.append((after.declared.name, said, f"{a:.4g}", f"{b:.4g}", change, *limits))
+        rows.append((after.declared.name, which, f"{a:.4g}", f"{b:.4g}", change, *limits))
     return rows
 
 
 def _limits(boundary: FlownBoundary, which: str) -> str:
-    named = {n.removeprefix(files.CLOSED) for s in boundary.stretches for n in files.limits_of(s, which)}
+    """Names of all limits that make an edge of a boundary."""
+    named = {n.removeprefix(files.CLOSED) for s in boundary.segments for n in files.edge_limits(s, which)}
     return ", ".join(sorted(named - {"", END_OF_STUDY}))
+
+
+# Next flight ---------------------------------------------------------------------------------------------------------
+
+
+def next_flight_part(study: Study, folder: Path, engine: Engine, progress: Progress) -> PartResult:
+    """Rank the candidates for the next flight; the flights are those of the [envelope], each flown once."""
+    envelope, forecasts, output = _envelope_of(study), _forecasts(study), _PartOutput(study, folder)
+    flights = StudyFlights(study, engine, progress, _forecast_evidence(forecasts))
+    boundaries = [fly_boundary(declared, envelope, flights) for declared in envelope.boundary]
+    flights.require_one()
+    if not boundaries:
+        raise RunError(
+            f"{study.path}, [next_flight]: needs an [[envelope.boundary]], whose uncertainty it reduces; add one"
+        )
+    ranked = rank_manoeuvres(forecasts, boundaries, envelope.sigmas)
+    output.draw(RANKING, "sigma after the next flight", partial(plots.draw_ranking, ranked=ranked))
+    output.tables.append(_ranking_table(ranked))
+    output.notes += [line for f in forecasts for line in f.notes]
+    return output.result(_ranking_data(ranked))
+
+
+NEXT_FLIGHT = StudyPart(next_flight_part, lambda _: (f"{FOLDER}/{RANKING}.png",))
+
+_FORECASTS: dict[str, list[ManoeuvreForecast]] = {}
+"""Forecasts of the present study by its hash, because both parts need them."""
+
+
+def _forecasts(study: Study) -> list[ManoeuvreForecast]:
+    next_flight = study.declared.next_flight
+    if next_flight is None:
+        return []
+    if study.hash not in _FORECASTS:
+        _FORECASTS.clear()
+        _FORECASTS[study.hash] = [forecast_manoeuvre(study, candidate) for candidate in next_flight.manoeuvre]
+    return _FORECASTS[study.hash]
+
+
+def _forecast_evidence(forecasts: Sequence[ManoeuvreForecast]) -> ForecastEvidence:
+    by_point: dict[str, dict[str, Evidence]] = {}
+    for f in forecasts:
+        for point, evidence in f.evidence.items():
+            by_point.setdefault(point, {})[f.candidate.name] = evidence
+    return by_point
+
+
+def _ranking_table(ranked: Sequence[RankedManoeuvre]) -> Table:
+    names = list(ranked[0].conservative_area)
+    heads = ["manoeuvre", "read at", "sigma reduced by"]
+    heads += [f"{n}: {what}, now -> after" for n in names for what in ("sigma at the edges, K", "conservative area")]
+    rows = []
+    for r in ranked:
+        name, points = r.forecast.candidate.name, ", ".join(r.forecast.evidence) or None
+        row = [name, points, f"{100.0 * r.sigma_reduction:.0f} %"]
+        for n in names:
+            sigma, area = r.sigma_K.get(n), r.conservative_area[n]
+            row += [None if sigma is None else f"{sigma[0]:.0f} -> {sigma[1]:.0f}"]
+            row += [f"{area[0]:.4g} -> {area[1]:.4g}"]
+        rows.append(tuple(row))
+    return Table("Next flight: manoeuvres by how much they reduce the sigma of the boundaries", heads, rows)
+
+
+def _ranking_data(ranked: Sequence[RankedManoeuvre]) -> dict[str, Any]:
+    return {"manoeuvres": [
+        {
+            "name": r.forecast.candidate.name, "sigma_reduction": r.sigma_reduction, "sigma_K": r.sigma_K,
+            "conservative_area": r.conservative_area,
+            "bounds": {p: dict(s) for p, s in r.forecast.sigma.items()}, "notes": list(r.forecast.notes),
+        }
+        for r in ranked
+    ]}  # fmt: skip

@@ -1,26 +1,26 @@
-"""What a study asks of an envelope and of the next flight: its [envelope] and [next_flight] tables.
+"""Envelope and next flight of a study: its [envelope] and [next_flight] tables.
 
 [envelope]
 sigmas = 1.0                        # the band about each boundary, in sigma of the ratio tables
-before = "orbiter"                  # the same with this vehicle beside it: a name, or a directory relative to the study
+before = "orbiter"                  # for comparison, this vehicle too: a name, or a directory relative to the study
 [[envelope.map]]                    # all combinations of values along one axis or two
 name = "alpha"
 [envelope.map.axes]
 alpha_offset_deg = [-8.0, -4.0, 0.0, 4.0]
-[[envelope.boundary]]               # what is allowed of one axis, along another
+[[envelope.boundary]]               # the allowed interval of one axis, along another
 name = "alpha"
 along = "alpha_station"
 at = [24.0, 20.0, 16.0]
 across = "station_alpha_deg"
 values = [28.0, 34.0, 40.0, 46.0]
 [next_flight]
-[[next_flight.manoeuvre]]           # a candidate: what is flown, and whose thermocouples are read
+[[next_flight.manoeuvre]]           # a candidate: its manoeuvres, and the points whose thermocouples are read
 name = "POPU at 20,000 ft/s"
 control_points = ["V07T9975"]
 [[next_flight.manoeuvre.flown]]     # as a scenario's [[trajectory.manoeuvre]]
 kind = "popu"
 
-Axes are the numeric fields of `case.Case`.
+Axes are the numeric fields of `Case` in planning/envelope/case.py.
 """
 
 from __future__ import annotations
@@ -32,40 +32,38 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from sim_heating.base.files import Declared, suggestion
-from sim_heating.planning.envelope.case import AXES, BETWEEN, Case
+from sim_heating.base.files import Declared, repeated_name, suggestion
+from sim_heating.planning.envelope.case import AXES, OPEN_RANGES, Case
 from sim_heating.trajectory.spec import Manoeuvre
 
 Values = list[float]
 
 
 def _check_axes(given: Sequence[tuple[str, str, Values]]) -> None:
-    """(key, axis, values) of a table: each axis known and given once, its values with a meaning."""
+    """Check (key, axis, values) of a table: each axis is known and given once, and its values are in their range."""
     by_axis: dict[str, str] = {}
     for key, name, values in given:
         if name not in AXES:
             raise ValueError(f"there is no axis `{name}`{suggestion(name, AXES)}")
         if name in by_axis:
-            raise ValueError(
-                f"`{name}` is given by `{by_axis[name]}` and by `{key}`; take another axis for one of them"
-            )
+            raise ValueError(f"`{name}` is given by `{by_axis[name]}` and by `{key}`; use another axis for one of them")
         by_axis[name] = key
-        low, high = BETWEEN.get(name, (-np.inf, np.inf))
+        low, high = OPEN_RANGES.get(name, (-np.inf, np.inf))
         for value in values:
             if not low < value < high:
                 rule = f"above {low:g}" if np.isinf(high) else f"between {low:g} and {high:g}"
                 raise ValueError(f"`{key}`: {name} {value:g} must be {rule}")
     if ("station_alpha_deg" in by_axis) != ("alpha_station" in by_axis):
-        raise ValueError("`station_alpha_deg` is held about `alpha_station`: give both of them")
+        raise ValueError("`station_alpha_deg` is held about `alpha_station`; give both")
 
 
-def _rising(name: str, values: Values, fewest: int) -> None:
+def _require_rising(name: str, values: Values, fewest: int) -> None:
     if len(values) < fewest or any(b <= a for a, b in pairwise(values)):
-        raise ValueError(f"{name}: {values} must rise from value to value, {fewest} of them at least")
+        raise ValueError(f"{name}: {values} must rise from value to value, with {fewest} or more of them")
 
 
-class Map(Declared):
-    """Peaks and margins of every control point over one axis or two, the rest `fixed`."""
+class EnvelopeMap(Declared):
+    """Peaks and margins of every control point over one axis or two, with other variables `fixed`."""
 
     name: str = Field(pattern=r"^[\w-]+$", description="a name of letters, digits, - and _")
     title: str = ""
@@ -74,24 +72,24 @@ class Map(Declared):
     one_sided: bool = False
 
     @model_validator(mode="after")
-    def _check_axes(self) -> Map:
+    def _check_axes(self) -> EnvelopeMap:
         for name, values in self.axes.items():
-            _rising(name, values, 1)
+            _require_rising(name, values, 1)
         _check_axes(
             [*(("axes", n, v) for n, v in self.axes.items()), *(("fixed", n, [v]) for n, v in self.fixed.items())]
         )
         return self
 
     def case(self, places: dict[str, float]) -> Case:
-        """The case at a place on the axes."""
+        """The case at a place, given by the axes' values."""
         return Case(**{**self.fixed, **places}, one_sided=self.one_sided)
 
 
-class Boundary(Declared):
-    """What is allowed of the axis `across`, at each value `at` of the axis `along`, for each value `of` a `family`.
+class EnvelopeBoundary(Declared):
+    """The allowed interval of the axis `across` at each value `at` of the axis `along`, for each value `of` a `family`.
 
-    inside   : place on `across` about which the allowed interval is sought; what the base entry has there, where absent
-    greatest : "cross_range_km": not the interval itself but the most cross-range that is flown within it
+    inside   : place on `across` about which the interval is sought; by default the value of the base entry
+    greatest : "cross_range_km": the greatest cross-range within the interval, in place of the interval itself
     """
 
     name: str = Field(pattern=r"^[\w-]+$", description="a name of letters, digits, - and _")
@@ -108,22 +106,22 @@ class Boundary(Declared):
     fixed: dict[str, float] = Field(default={})
 
     @model_validator(mode="after")
-    def _check_axes(self) -> Boundary:
+    def _check_axes(self) -> EnvelopeBoundary:
         given = [("along", self.along, self.at), ("across", self.across, self.values)]
         given += [] if self.family is None else [("family", self.family, self.of)]
         _check_axes([*given, *(("fixed", n, [v]) for n, v in self.fixed.items())])
         if (self.family is None) != (not self.of):
             raise ValueError("`family` names an axis and `of` its values: give both or neither")
-        _rising("values", self.values, 2)
-        _rising("at", sorted(self.at), 1)
+        _require_rising("values", self.values, 2)
+        _require_rising("at", sorted(self.at), 1)
         return self
 
     def members(self) -> list[float | None]:
-        """Values of the family, [None] without one."""
+        """Values of the family; [None] without one."""
         return list(self.of) or [None]
 
     def case(self, member: float | None, along: float, across: float) -> Case:
-        """The case at a place."""
+        """The case of one member at a place on both axes."""
         own = {} if self.family is None or member is None else {self.family: member}
         return Case(**{**self.fixed, **own, self.along: along, self.across: across}, one_sided=self.one_sided)
 
@@ -131,10 +129,11 @@ class Boundary(Declared):
 class Envelope(Declared):
     """The [envelope] table.
 
-    sigmas              : of the ratio tables, half the width of the band about a boundary
+    sigmas              : half the width of the band about a boundary, in sigma of the ratio tables
     station_width       : half the width of a station of the angle-of-attack schedule, on its own axis
-    bodyflap_above_mach : down to where a body flap is held;  elevon_arm_m : of the elevons from the plane of symmetry
-    refinements         : how often flights are added where the edges were found
+    bodyflap_above_mach : Mach number down to which a changed body flap is held
+    elevon_arm_m        : distance of the elevons from the plane of symmetry [m]
+    refinements         : rounds in which flights are added at the edges that were found
     """
 
     sigmas: float = Field(default=1.0, gt=0.0, le=5.0)
@@ -143,20 +142,20 @@ class Envelope(Declared):
     bodyflap_above_mach: float = Field(default=8.0, gt=0.0)
     elevon_arm_m: float = Field(default=6.0, gt=0.0)
     refinements: int = Field(default=1, ge=0, le=5)
-    map: list[Map] = Field(default=[])
-    boundary: list[Boundary] = Field(default=[])
+    map: list[EnvelopeMap] = Field(default=[])
+    boundary: list[EnvelopeBoundary] = Field(default=[])
 
     @model_validator(mode="after")
     def _asks_for_something(self) -> Envelope:
         if not self.map and not self.boundary:
-            raise ValueError("asks for nothing: give it an [[envelope.map]] or an [[envelope.boundary]]")
+            raise ValueError("has neither map nor boundary; add an [[envelope.map]] or an [[envelope.boundary]]")
         for kind, names in (("maps", [m.name for m in self.map]), ("boundaries", [b.name for b in self.boundary])):
-            if len(set(names)) < len(names):
-                raise ValueError(f"`{max(names, key=names.count)}` names two {kind}; rename one")
+            if (name := repeated_name(names)) is not None:
+                raise ValueError(f"two {kind} are named `{name}`; rename one")
         return self
 
 
-class Candidate(Declared):
+class ManoeuvreCandidate(Declared):
     """Manoeuvres that may be flown together on the next flight, and the control points whose thermocouples are read."""
 
     name: str
@@ -166,20 +165,19 @@ class Candidate(Declared):
     @field_validator("control_points")
     @classmethod
     def _names_each_once(cls, names: list[str]) -> list[str]:
-        if len(set(names)) < len(names):
-            raise ValueError(f"{names}: name each control point once")
+        if (name := repeated_name(names)) is not None:
+            raise ValueError(f"`{name}` is repeated; name each control point once")
         return names
 
 
 class NextFlight(Declared):
     """The [next_flight] table."""
 
-    manoeuvre: list[Candidate] = Field(min_length=1)
+    manoeuvre: list[ManoeuvreCandidate] = Field(min_length=1)
 
     @field_validator("manoeuvre")
     @classmethod
-    def _names_differ(cls, candidates: list[Candidate]) -> list[Candidate]:
-        names = [c.name for c in candidates]
-        if len(set(names)) < len(names):
-            raise ValueError(f"{names}: each candidate needs a name of its own")
+    def _names_differ(cls, candidates: list[ManoeuvreCandidate]) -> list[ManoeuvreCandidate]:
+        if (name := repeated_name([c.name for c in candidates])) is not None:
+            raise ValueError(f"two candidates are named `{name}`; rename one")
         return candidates

@@ -1,5 +1,4 @@
-"""Maps and boundaries of an envelope as data and tables: CSV for programs, plain values for study.json, rows for a
-page."""
+"""Maps and boundaries of an envelope as CSV files, as plain values for study.json, and as tables for the page."""
 
 from __future__ import annotations
 
@@ -12,23 +11,32 @@ import numpy as np
 from sim_heating.base.files import write_csv
 from sim_heating.base.report.table import Table
 from sim_heating.closure.revise.revisions import FOLDER as REVISIONS
-from sim_heating.planning.envelope.boundary import Allowed, Greatest
-from sim_heating.planning.envelope.envelope import MIDDLE, PERHAPS, SURE, FlownBoundary, FlownMap, Stretch
-from sim_heating.planning.envelope.margins import BONDLINE, ELEVON, SURFACE, TABLE, Evaluated
+from sim_heating.planning.envelope.boundary import GreatestValue
+from sim_heating.planning.envelope.envelope import (
+    CONSERVATIVE,
+    NOMINAL,
+    OPTIMISTIC,
+    BoundarySegment,
+    FlownBoundary,
+    FlownMap,
+)
+from sim_heating.planning.envelope.margins import BONDLINE, ELEVON, SURFACE, TABLE, EvaluatedCase
 from sim_heating.planning.study import Study
 
-WHICH = (MIDDLE, SURE, PERHAPS)
+KINDS = (NOMINAL, CONSERVATIVE, OPTIMISTIC)
+"""Kinds of a boundary, in the order of CSV columns."""
 NOTHING = "nothing allowed"
 CLOSED = f"{NOTHING}: "
+"""Stands before the limit that closes a segment."""
 
 
-def revision_of(study: Study) -> str:
-    """The vehicle's revision, with the tables of it that flight data have revised."""
-    revised = _revised(study)
+def revision_label(study: Study) -> str:
+    """Revision of the vehicle, and its ratio tables that were revised after flights."""
+    revised = _revised_tables(study)
     return f"revision {study.vehicle.revision}" + (f" with tables {', '.join(revised)}" if revised else "")
 
 
-def _revised(study: Study) -> list[str]:
+def _revised_tables(study: Study) -> list[str]:
     return [
         f"{name} {p.ratio.header.get('revision', '?')}"
         for name, p in study.vehicle.control_points.items()
@@ -36,18 +44,18 @@ def _revised(study: Study) -> list[str]:
     ]
 
 
-def stamp_of(study: Study) -> str:
-    """What every picture names: how many tables are revised, and not which; the files beside it say."""
-    count = len(_revised(study))
-    told = f" with {count} revised table{'s' if count > 1 else ''}" if count else ""
-    return f"{study.vehicle.name}, revision {study.vehicle.revision}{told}, study {study.hash}"
+def picture_stamp(study: Study) -> str:
+    """Vehicle, revision and study for a picture, with the number of revised tables; the CSV files name them."""
+    count = len(_revised_tables(study))
+    tables = f" with {count} revised table{'s' if count > 1 else ''}" if count else ""
+    return f"{study.vehicle.name}, revision {study.vehicle.revision}{tables}, study {study.hash}"
 
 
-def about(study: Study, title: str) -> dict[str, str]:
-    """Head of a CSV file."""
+def csv_header(study: Study, title: str) -> dict[str, str]:
+    """Header of a CSV file: title, study, vehicle, revision."""
     return {
         "title": title, "study": f"{study.title}, {study.hash}", "vehicle": study.vehicle.name,
-        "revision": revision_of(study),
+        "revision": revision_label(study),
     }  # fmt: skip
 
 
@@ -55,7 +63,7 @@ def about(study: Study, title: str) -> dict[str, str]:
 
 
 def write_map(path: Path, study: Study, flown: FlownMap) -> None:
-    """One row for each place and control point; a place that could not be flown has empty cells."""
+    """Write a map as CSV, one row for each place and control point; a place that could not be flown has empty cells."""
     rows: list[dict[str, Any]] = []
     for place, flight in zip(flown.places, flown.flights, strict=True):
         for limited in study.points:
@@ -68,10 +76,10 @@ def write_map(path: Path, study: Study, flown: FlownMap) -> None:
                     f"{kind}_sigma_K": np.nan if m is None else m.sigma,
                     f"{kind}_margin_K": np.nan if m is None else m.margin,
                 }
-            row["told"] = flight.error or "; ".join(o for o in flight.outside if o.startswith(name))
+            row["remarks"] = flight.error or "; ".join(o for o in flight.outside if o.startswith(name))
             rows.append(row)
     columns = {key: np.array([r[key] for r in rows]) for key in rows[0]}
-    write_csv(path, columns, ".6g", about(study, flown.declared.title or flown.declared.name))
+    write_csv(path, columns, ".6g", csv_header(study, flown.declared.title or flown.declared.name))
 
 
 def map_data(flown: FlownMap) -> dict[str, Any]:
@@ -84,8 +92,8 @@ def map_data(flown: FlownMap) -> dict[str, Any]:
     }
 
 
-def flight_data(flight: Evaluated) -> dict[str, Any]:
-    """A flight for study.json: temperatures, the limits passed, where it leaves the tables."""
+def flight_data(flight: EvaluatedCase) -> dict[str, Any]:
+    """A flight for study.json: temperatures, violated limits, where it leaves the ratio tables."""
     if flight.error is not None:
         return {"error": flight.error}
     hot = {n: m for n, m in flight.margins.items() if m.unit == "K"}
@@ -95,13 +103,13 @@ def flight_data(flight: Evaluated) -> dict[str, Any]:
         "peaks_K": {n: m.value for n, m in hot.items()},
         "sigma_K": {n: m.sigma for n, m in hot.items()},
         "margins_K": {n: m.margin for n, m in hot.items()},
-        "passed": [n for n, m in flight.margins.items() if m.margin < 0.0],
+        "violated": [n for n, m in flight.margins.items() if m.margin < 0.0],
         "outside_table": list(flight.outside),
     }
 
 
 def map_table(flown: FlownMap) -> Table:
-    """The least margin at each place."""
+    """The margin that matters most at each place of a map (`EvaluatedCase.least`)."""
     rows = []
     for place, flight in zip(flown.places, flown.flights, strict=True):
         at = tuple(f"{v:g}" for v in place.values())
@@ -119,93 +127,94 @@ def map_table(flown: FlownMap) -> Table:
 # Boundaries ----------------------------------------------------------------------------------------------------------
 
 
-def limits_of(stretch: Stretch, which: str = MIDDLE) -> tuple[str, str]:
-    """What makes the low and the high end."""
-    found: Allowed | Greatest | None = stretch.greatest[which] if stretch.greatest else stretch.allowed[which]
-    if isinstance(found, Greatest):
-        return "", found.limit
-    closed = stretch.allowed[which]
-    if found is None or closed.low is None or closed.high is None:
-        why = NOTHING if closed.least_bad is None else f"{CLOSED}{closed.least_bad.limit}"
+def edge_limits(segment: BoundarySegment, which: str = NOMINAL) -> tuple[str, str]:
+    """Limits that make the low and the high end of a segment, or the limit that closes it."""
+    greatest = segment.greatest.get(which)
+    if isinstance(greatest, GreatestValue):
+        return "", greatest.limit
+    allowed = segment.allowed[which]
+    if segment.greatest or allowed.low is None or allowed.high is None:
+        why = NOTHING if allowed.least_violated is None else f"{CLOSED}{allowed.least_violated.limit}"
         return why, why
-    return closed.low.limit, closed.high.limit
+    return allowed.low.limit, allowed.high.limit
 
 
-def boundary_rows(found: FlownBoundary) -> list[dict[str, Any]]:
-    """One row for each stretch; what is not allowed is NaN."""
-    rows = []
-    for s in found.stretches:
-        low_limit, high_limit = limits_of(s)
-        row: dict[str, Any] = {} if found.declared.family is None else {found.declared.family: s.member}
-        row |= {found.declared.along: s.along, "low_limit": low_limit, "high_limit": high_limit}
+def boundary_rows(boundary: FlownBoundary) -> list[dict[str, Any]]:
+    """One row for each segment; its ends are NaN where nothing is allowed."""
+    rows, declared = [], boundary.declared
+    for s in boundary.segments:
+        low_limit, high_limit = edge_limits(s)
+        row: dict[str, Any] = {} if declared.family is None else {declared.family: s.member}
+        row |= {declared.along: s.along, "low_limit": low_limit, "high_limit": high_limit}
         if s.speed_m_s is not None:
             row["velocity_m_s"] = s.speed_m_s
-        for which in WHICH:
-            low, high = s.value(which)
+        for which in KINDS:
+            low, high = s.ends(which)
             row[f"low_{which}"] = np.nan if low is None else low
             row[f"high_{which}"] = np.nan if high is None else high
         rows.append(row)
     return rows
 
 
-def write_boundary(path: Path, study: Study, found: FlownBoundary, sigmas: float) -> None:
-    """A boundary as CSV; `sure` is with the tables so many sigma hotter, `perhaps` cooler."""
-    rows = boundary_rows(found)
+def write_boundary(path: Path, study: Study, boundary: FlownBoundary, sigmas: float) -> None:
+    """Write a boundary as CSV: nominal, conservative (tables hotter by a number of sigma), optimistic (cooler)."""
+    rows, declared = boundary_rows(boundary), boundary.declared
     columns = {key: np.array([r[key] for r in rows]) for key in rows[0]}
-    head = about(study, found.declared.title or found.declared.name)
-    head |= {
-        "across": found.declared.greatest or found.declared.across,
+    header = csv_header(study, declared.title or declared.name)
+    header |= {
+        "across": declared.greatest or declared.across,
         "band": f"{sigmas:g} sigma of the ratio tables",
     }
-    write_csv(path, columns, ".6g", head)
+    write_csv(path, columns, ".6g", header)
 
 
-def boundary_data(found: FlownBoundary) -> dict[str, Any]:
+def boundary_data(boundary: FlownBoundary) -> dict[str, Any]:
     """A boundary for study.json."""
-    rows = [{k: None if v != v else v for k, v in row.items()} for row in boundary_rows(found)]
-    areas = {which: found.area(which) for which in WHICH}
-    return {"across": found.declared.greatest or found.declared.across, "area": areas, "stretches": rows}
+    rows = [{k: None if v != v else v for k, v in row.items()} for row in boundary_rows(boundary)]
+    areas = {which: boundary.area(which) for which in KINDS}
+    return {"across": boundary.declared.greatest or boundary.declared.across, "area": areas, "segments": rows}
 
 
-def boundary_table(found: FlownBoundary) -> Table:
+def boundary_table(boundary: FlownBoundary) -> Table:
     """A boundary for the page."""
-    d = found.declared
-    heads = (*([] if d.family is None else [d.family]), d.along, "allowed", "limits", "surely", "perhaps")
+    d = boundary.declared
+    heads = (*([] if d.family is None else [d.family]), d.along, "allowed", "limits", CONSERVATIVE, OPTIMISTIC)
     rows = []
-    for s in found.stretches:
-        low, high = limits_of(s)
+    for s in boundary.segments:
+        low, high = edge_limits(s)
         limits = high if s.greatest or low == high else f"{low} | {high}"
         own = () if d.family is None else (f"{s.member:g}",)
-        rows.append((*own, f"{s.along:g}", _interval(s, MIDDLE), limits, _interval(s, SURE), _interval(s, PERHAPS)))
+        nominal, conservative, optimistic = (_interval(s, which) for which in KINDS)
+        rows.append((*own, f"{s.along:g}", nominal, limits, conservative, optimistic))
     return Table(f"Boundary: {d.title or d.name}, {d.greatest or d.across}", heads, rows)
 
 
-def _interval(stretch: Stretch, which: str) -> str:
-    low, high = stretch.value(which)
+def _interval(segment: BoundarySegment, which: str) -> str:
+    low, high = segment.ends(which)
     if low is None or high is None:
         return "-"
-    return f"{high:.4g}" if stretch.greatest else f"{low:.4g} to {high:.4g}"
+    return f"{high:.4g}" if segment.greatest else f"{low:.4g} to {high:.4g}"
 
 
-def notes_of(flights: Sequence[Evaluated]) -> tuple[str, ...]:
-    """What a reader has to know of the flights: those not flown, and how many left a table, by where."""
+def flight_notes(flights: Sequence[EvaluatedCase]) -> tuple[str, ...]:
+    """Notes on the flights: those that could not be flown, those without trim, and those that left a ratio table."""
     failed = [f"not flown: {f.error}" for f in flights if f.error is not None]
-    no_trim = [f for f in flights if any(m.kind == ELEVON for _, m in f.passed_other)]
+    no_trim = [f for f in flights if any(m.kind == ELEVON for _, m in f.other_violations)]
     trim = [] if not no_trim else [
-        f"no trim within the elevon's travel: {len(no_trim)} flights, first {no_trim[0].case.told()}; not called safe"
+        f"no trim within the elevon's travel: {len(no_trim)} flights, first {no_trim[0].case.describe()}; not allowed"
     ]  # fmt: skip
-    left: dict[str, list[Evaluated]] = {}
+    by_end: dict[str, list[EvaluatedCase]] = {}
     for f in flights:
-        for n, m in f.passed_other:
+        for n, m in f.other_violations:
             if m.kind == TABLE:
-                left.setdefault(n, []).append(f)
-    outside = [_outside(name, own) for name, own in sorted(left.items())]
+                by_end.setdefault(n, []).append(f)
+    outside = [_excursion_note(name, own) for name, own in sorted(by_end.items())]
     return tuple(dict.fromkeys([*failed, *trim, *outside]))
 
 
-def _outside(name: str, flights: Sequence[Evaluated]) -> str:
-    """How far flights were outside one end of a ratio table."""
+def _excursion_note(name: str, flights: Sequence[EvaluatedCase]) -> str:
+    """Number of flights outside one end of a ratio table, and their largest distance from it."""
     farthest = min(flights, key=lambda f: f.margins[name].margin)
     m = farthest.margins[name]
     by = f"by {-m.margin:.3g} {m.unit}".rstrip()
-    return f"outside the {name}: {len(flights)} flights, {by} at most ({farthest.case.told()}); not called safe"
+    return f"outside the {name}: {len(flights)} flights, {by} at most ({farthest.case.describe()}); not allowed"

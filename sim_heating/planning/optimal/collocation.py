@@ -1,13 +1,12 @@
-"""Maximise a function of the end state of a controlled motion by direct collocation: Radau points, IPOPT, mesh
-refinement.
+"""Optimal control by direct collocation: Radau points, IPOPT, mesh refinement.
 
     maximise goal(x(t_f))    with    dx/dt = f(x, u),  x(0) = x_0,  some of x(t_f) given or bounded,
                                      path(x, u) <= bound,  bounds on x, u and t_f
 
 States are polynomials of degree 3 on each interval that satisfy dx/dt = f at its three Radau points (order 5 at its
-end); controls are continuous and linear on each interval, so that what is found can be flown as it is. Paths are
-bounded at the Radau points. The error of an interval is the distance of its end state from an independent integration
-across it (Runge-Kutta, 16 steps); intervals with too much of it, and those in which a control bends, are halved.
+end); controls are continuous and linear on each interval, so that the solution can be flown as it is. Paths are bounded
+at the Radau points. The error of an interval is the distance of its end state from an independent integration across it
+(Runge-Kutta, 16 steps); intervals with too large an error, and those in which a control bends, are halved.
 Source: Betts, "Practical Methods for Optimal Control and Estimation Using Nonlinear Programming", 2nd ed., SIAM 2010,
 chapter 4; Waechter and Biegler, Math. Program. 106 (2006) 25-57 (IPOPT).
 """
@@ -30,6 +29,7 @@ except ImportError:
     ca = None  # type: ignore[assignment]
 
 DEGREE = 3
+"""Of the polynomial of a state on an interval."""
 SUBSTEPS = 16
 """Runge-Kutta steps across an interval, for its error estimate."""
 ITERATIONS = 300
@@ -39,31 +39,30 @@ IPOPT = {
 }  # fmt: skip
 WARM = {"warm_start_init_point": "yes", "mu_strategy": "monotone", "mu_init": 1e-5, "warm_start_bound_push": 1e-7,
         "warm_start_mult_bound_push": 1e-7, "warm_start_slack_bound_push": 1e-7}  # fmt: skip
-
-
+"""Options of IPOPT, and those added where it starts from the previous solution."""
 ACCEPTED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 STATUS = {
-    "Infeasible_Problem_Detected": "no flight meets all bounds at once; relax a limit or the end state",
-    "Restoration_Failed": "no flight was found that meets all bounds at once; relax a limit or the end state",
+    "Infeasible_Problem_Detected": "no flight meets all bounds at once; relax a limit or the final state",
+    "Restoration_Failed": "no flight was found that meets all bounds at once; relax a limit or the final state",
     "Maximum_Iterations_Exceeded": f"the optimiser did not converge in {ITERATIONS} iterations; relax a limit",
 }
 
 
 def require_casadi() -> None:
-    """raises : InputError where the optimiser is not installed"""
+    """Check that the optimiser is there; raises InputError where CasADi is not installed."""
     if ca is None:
-        raise InputError("optimal entry: CasADi is not installed; pip install 'sim-heating[plan]'")
+        raise InputError("optimal entry: CasADi is not installed: pip install 'sim-heating[plan]'")
 
 
 @dataclass(frozen=True)
-class Problem:
-    """What is to be maximised.
+class OptimalControlProblem:
+    """A function of the final state to be maximised, and the motion that leads there.
 
-    model  : CasADi function (x, u) -> dx/dt, paths (none or more);  goal : x -> what is maximised
+    model  : CasADi function (x, u) -> dx/dt, paths (none or more);  goal : x -> quantity to be maximised
     scale, control_scale : typical sizes of states and controls
     lower, upper, control_lower, control_upper : their bounds
-    start  : state at time 0;  end : state -> its value at the end
-    duration_s : shortest and longest
+    start  : (state,) at time 0;  end : number of a state -> its value at the end
+    duration_s : shortest and longest [s]
     """
 
     model: Any
@@ -80,23 +79,24 @@ class Problem:
 
 
 @dataclass(frozen=True)
-class Bounds:
-    """Upper bounds: of each path, none being bounded where this is empty, and of states at the end."""
+class UpperBounds:
+    """Upper bounds of each path (none where empty) and of states at the end, by their number."""
 
     path: Sequence[float] = ()
     end: Mapping[int, float] = field(default_factory=dict)
 
 
-FREE = Bounds()
+FREE = UpperBounds()
 
 
 @dataclass(frozen=True)
 class Motion:
-    """States at 3 points an interval and its beginning, controls at the ends of the intervals.
+    """A motion on a mesh: states at the start and 3 points of each interval, controls at the ends of the intervals.
 
-    mesh     : (interval + 1,) from 0 to 1, ends of the intervals as fractions of the duration
-    states   : (state, 3 interval + 1);  controls : (control, interval + 1)
-    goal     : what was maximised;  errors : (interval,) error estimate over `Problem.scale`
+    mesh       : (interval + 1,) ends of the intervals as fractions of the duration, from 0 to 1
+    states     : (state, 3 interval + 1);  controls : (control, interval + 1)
+    goal       : the quantity that was maximised
+    errors     : (interval,) error estimate over the scale of the states
     iterations : of IPOPT
     """
 
@@ -143,12 +143,12 @@ def collocation_times(mesh: FloatArray) -> FloatArray:
 
 
 class Transcription:
-    """A problem on a mesh, ready to be solved for several bounds.
+    """An optimal control problem on a mesh, as a nonlinear program that can be solved for several bounds.
 
-    Each interval has the duration as a variable of its own, all equal: the matrices stay banded.
+    Each interval has its own variable for the duration, all constrained to be equal, so that the matrices stay banded.
     """
 
-    def __init__(self, problem: Problem, mesh: FloatArray) -> None:
+    def __init__(self, problem: OptimalControlProblem, mesh: FloatArray) -> None:
         require_casadi()
         self.problem, self.mesh, self.count = problem, mesh, len(mesh) - 1
         self.shape = (len(problem.start), DEGREE * self.count + 1)
@@ -209,7 +209,7 @@ class Transcription:
             y = step(y, i * d, u, h)
         return ca.Function("across", [x, u, h], [y])
 
-    def _limits(self, bounds: Bounds) -> dict[str, FloatArray]:
+    def _limits(self, bounds: UpperBounds) -> dict[str, FloatArray]:
         p = self.problem
         X_low, X_high = (np.repeat((b / p.scale)[:, np.newaxis], self.shape[1], axis=1) for b in (p.lower, p.upper))
         X_low[:, 0] = X_high[:, 0] = p.start / p.scale
@@ -229,19 +229,21 @@ class Transcription:
             "lbg": np.concatenate((equal, lowest)), "ubg": np.concatenate((equal, path)),
         }  # fmt: skip
 
-    def solve(self, guess: Motion, bounds: Bounds = FREE) -> Motion:
-        """The best motion within the bounds, from a guess on any mesh; the solution before is where it starts again.
+    def solve(self, guess: Motion, bounds: UpperBounds = FREE) -> Motion:
+        """The best motion within the bounds.
 
-        raises : RunError where IPOPT finds none, with what it says
+        guess  : on any mesh; used where there is no previous solution, or none that leads to a new one
+        raises : RunError where IPOPT finds no motion, with its status
         """
         limits, status = self._limits(bounds), ""
-        tries = [(self._warm, self._last)] if self._last else []
-        for solver, start in [*tries, (self._cold, {"x0": self._flat(guess)})]:
-            found = solver(**start, **limits)
+        warm = [(self._warm, self._last)] if self._last else []
+        for solver, start in [*warm, (self._cold, {"x0": self._flat(guess)})]:
+            solution = solver(**start, **limits)
             status = solver.stats()["return_status"]
             if status in ACCEPTED:
-                self._last = {"x0": found["x"], "lam_x0": found["lam_x"], "lam_g0": found["lam_g"]}
-                return self._motion(np.array(found["x"]).ravel(), -float(found["f"]), int(solver.stats()["iter_count"]))
+                self._last = {"x0": solution["x"], "lam_x0": solution["lam_x"], "lam_g0": solution["lam_g"]}
+                x, goal = np.array(solution["x"]).ravel(), -float(solution["f"])
+                return self._motion(x, goal, int(solver.stats()["iter_count"]))
         raise RunError(f"no flight was found: {STATUS.get(status, status)}")
 
     def _flat(self, guess: Motion) -> FloatArray:
@@ -268,17 +270,18 @@ class Transcription:
         return Motion(self.mesh, duration, states, controls, goal, errors, iterations)
 
 
-def straight_guess(problem: Problem, end: FloatArray, controls: FloatArray, duration_s: float) -> Motion:
-    """A first guess: states linear from the start to `end` (state,), controls linear, (control, 2)."""
+def straight_guess(problem: OptimalControlProblem, end: FloatArray, controls: FloatArray, duration_s: float) -> Motion:
+    """A first guess: states linear from the start to `end` (state,), controls linear between (control, 2) ends."""
     points = collocation_times(np.array([0.0, 1.0]))
     states = problem.start[:, np.newaxis] + (end - problem.start)[:, np.newaxis] * points
     return Motion(np.array([0.0, 1.0]), duration_s, states, controls)
 
 
 def refined_mesh(motion: Motion, tolerance: float, bend: FloatArray, shortest_s: float = 2.0) -> FloatArray:
-    """The mesh with intervals halved whose error is above the tolerance, or in which a control bends.
+    """The mesh of a motion with those intervals halved whose error is too large or in which a control bends.
 
-    bend : for each control, how far it may be from the straight line across an interval (u'' h^2 / 8)
+    bend : (control,) largest distance from a straight line across an interval (u'' h^2 / 8), in the control's unit
+    shortest_s : no interval becomes shorter than this [s]
     """
     h = np.diff(motion.mesh)
     halve = motion.errors > tolerance
@@ -288,5 +291,5 @@ def refined_mesh(motion: Motion, tolerance: float, bend: FloatArray, shortest_s:
     halve[:-1] |= bent
     halve[1:] |= bent
     halve &= h * motion.duration_s > 2.0 * shortest_s
-    middles = 0.5 * (motion.mesh[:-1] + motion.mesh[1:])
-    return np.sort(np.concatenate((motion.mesh, middles[halve])))
+    midpoints = 0.5 * (motion.mesh[:-1] + motion.mesh[1:])
+    return np.sort(np.concatenate((motion.mesh, midpoints[halve])))

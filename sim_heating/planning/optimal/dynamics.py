@@ -1,4 +1,4 @@
-"""A point mass over a rotating sphere, symbolic: the motion that an optimal entry is sought for.
+"""Equations of motion of a point mass over a rotating sphere, symbolic, for the optimiser.
 
     dh/dt   = V sin g                        dlon/dt = V cos g sin a / (r cos lat)        dlat/dt = V cos g cos a / r
     dV/dt   = -D - mu/r^2 sin g + w^2 r cos lat (sin g cos lat - cos g sin lat cos a)
@@ -27,15 +27,18 @@ ALTITUDE, LONGITUDE, LATITUDE, SPEED, GAMMA, HEADING = range(6)
 ALPHA, BANK = range(2)
 """Controls: deg."""
 STATES = 6
+"""Number of states of the motion; integrals of wall temperatures may follow them."""
 SCALE = np.array([20e3, 0.5, 0.5, 3e3, 0.05, 0.5])
 CONTROL_SCALE = np.array([10.0, 30.0])
+"""Typical sizes of states and controls."""
 LOWEST = np.array([0.0, -np.pi, -1.5, 100.0, -1.5, -2.0 * np.pi])
 HIGHEST = np.array([150e3, np.pi, 1.5, 12e3, 1.5, 2.0 * np.pi])
+"""Bounds of the states."""
 
 
 @dataclass(frozen=True)
 class Planet:
-    """A sphere: radius [m], gravitational parameter [m3/s2], rotation [rad/s]."""
+    """A rotating sphere: radius [m], gravitational parameter [m3/s2], rotation [rad/s]."""
 
     radius_m: float
     mu_m3_s2: float
@@ -43,7 +46,7 @@ class Planet:
 
 
 def motion_rates(x: Any, lift_m_s2: Any, drag_m_s2: Any, bank_deg: Any, planet: Planet) -> list[Any]:
-    """dx/dt of the six states under lift and drag [m/s2] and a bank angle."""
+    """dx/dt of the six states under lift and drag over mass [m/s2] and a bank angle [deg]."""
     h, lat, V, g, a = x[ALTITUDE], x[LATITUDE], x[SPEED], x[GAMMA], x[HEADING]
     r, w = planet.radius_m + h, planet.rotation_rad_s
     gravity, b = planet.mu_m3_s2 / r**2, bank_deg * np.pi / 180.0
@@ -62,7 +65,7 @@ def motion_rates(x: Any, lift_m_s2: Any, drag_m_s2: Any, bank_deg: Any, planet: 
 
 
 def cross_range_function(start: FloatArray, side: float) -> Any:
-    """x -> angle [rad] from the great circle that the flight starts along, to its left (side 1) or right (side -1)."""
+    """CasADi function x -> angle [rad] from the initial great circle, to its left (side 1) or right (side -1)."""
     lon, lat, heading = start[LONGITUDE], start[LATITUDE], start[HEADING]
     up = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
     east = np.array([-np.sin(lon), np.cos(lon), 0.0])

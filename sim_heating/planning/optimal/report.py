@@ -1,12 +1,10 @@
-"""An optimal entry as a part of a study.
-
-Picture of optimal entries side by side: where they fly, how, and how hot it gets.
-"""
+"""The optimal entry of a study as files, tables and a picture: ground track, controls, temperatures."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -15,73 +13,76 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import write_csv
 from sim_heating.base.progress import Progress
 from sim_heating.base.report.figure import new_figure, save_figure
-from sim_heating.base.report.table import Table
+from sim_heating.base.report.table import Column, Table
 from sim_heating.planning.optimal.search import ROUNDS, OptimalEntry, fly_optimal
-from sim_heating.planning.part import Engine, Found, Part, Picture
+from sim_heating.planning.part import Engine, PartPicture, PartResult, StudyPart
 from sim_heating.planning.study import Study
 
 PICTURE, CONDITIONS = "optimal_entry.png", "optimal_conditions.csv"
 
 
-def optimal_part(study: Study, folder: Path, _engine: Engine, progress: Progress) -> Found:
-    """Find the entry of largest cross-range that a study's [optimal] asks for.
+def optimal_part(study: Study, folder: Path, _engine: Engine, progress: Progress) -> PartResult:
+    """Find the entry of largest cross-range for a study's [optimal].
 
     raises : RunError where no flight is found that keeps the limits
     """
-    asked = study.optimal()
-    if asked is None:
+    optimal = study.optimal()
+    if optimal is None:
         raise InputError(f"{study.path}: has no [optimal]")
-    done = [0]
+    rounds = count(1)
 
-    def told(line: str) -> None:
-        done[0] += 1
-        progress(done[0] / ROUNDS, f"round {done[0]}: {line}")
+    def report(line: str) -> None:
+        number = next(rounds)
+        progress(number / ROUNDS, f"round {number}: {line}")
 
-    entry = fly_optimal(asked, progress=told)
+    entry = fly_optimal(optimal, progress=report)
     draw_optimal(folder / PICTURE, f"{study.title}\n{study.stamp}", {"optimal": entry})
     write_csv(
         folder / CONDITIONS, entry.conditions.columns, ".10g", {"study": study.hash, "vehicle": study.vehicle.name}
     )
-    tables = (Table("Peak temperatures along the optimal entry [K]", HEADS, _rows(entry)),) if entry.peaks else ()
+    tables = (_peak_table(entry),) if entry.peaks else ()
     head = f"cross-range {entry.cross_range_deg:.3f} deg, {entry.cross_range_km:.0f} km; {entry.status}"
-    picture = Picture(PICTURE, "The optimal entry: ground track, altitude, angles, temperatures; limits dotted.")
-    return Found(_data(entry), tables, (picture,), (head, *entry.notes))
+    picture = PartPicture(PICTURE, "The optimal entry: ground track, altitude, angles, temperatures; limits dotted.")
+    return PartResult(_data(entry), tables, (picture,), (head, *entry.notes))
 
 
-OPTIMAL = Part(optimal_part, lambda _: (PICTURE, CONDITIONS))
-HEADS = ("control point", "surface", "limit", "bondline", "limit")
+OPTIMAL = StudyPart(optimal_part, lambda _: (PICTURE, CONDITIONS))
 
 
-def _rows(entry: OptimalEntry) -> list[tuple[str, ...]]:
-    return [
+def _peak_table(entry: OptimalEntry) -> Table:
+    heads = ("surface", "limit", "bondline", "limit")
+    columns: list[Column | str] = ["control point", *(Column(head, format=".0f") for head in heads)]
+    rows = [
         (
-            p.point, f"{p.surface_K:.0f}", f"{p.surface_limit_K:.0f}" if np.isfinite(p.surface_limit_K) else "-",
-            f"{p.bondline_K:.0f}", "-" if p.bondline_limit_K is None else f"{p.bondline_limit_K:.0f}",
+            p.point, p.surface_K, p.surface_limit_K if np.isfinite(p.surface_limit_K) else None,
+            p.bondline_K, p.bondline_limit_K,
         )
         for p in entry.peaks
     ]  # fmt: skip
+    return Table("Peak temperatures along the optimal entry [K]", columns, rows)
 
 
 def _data(entry: OptimalEntry) -> dict[str, object]:
-    finite = {"surface_limit_K"}
     return {
         "cross_range_deg": entry.cross_range_deg,
         "cross_range_km": entry.cross_range_km,
         "duration_s": float(entry.motion.duration_s),
         "status": entry.status,
-        "held_back_by": entry.binding,
+        "active_limits": entry.active_limits,
         "peaks": [
-            {k: None if k in finite and not np.isfinite(v) else v for k, v in asdict(p).items()} for p in entry.peaks
+            asdict(p) | {"surface_limit_K": p.surface_limit_K if np.isfinite(p.surface_limit_K) else None}
+            for p in entry.peaks
         ],
         "notes": list(entry.notes),
     }
 
 
 STYLES = ("-", "--", ":")
+"""Line styles of the entries in a picture."""
 
 
 def draw_optimal(path: Path, title: str, entries: Mapping[str, OptimalEntry]) -> None:
-    """Ground track, altitude, alpha and bank, and where points are limited their temperatures, against time.
+    """Draw ground track, altitude, alpha and bank, and the temperatures of limited points, against time.
 
     entries : up to three, by their names in the legend; limits are dotted
     """
@@ -113,7 +114,7 @@ def draw_optimal(path: Path, title: str, entries: Mapping[str, OptimalEntry]) ->
 
 
 def _draw_temperatures(axes: np.ndarray, entries: Mapping[str, OptimalEntry], end_s: float) -> None:
-    """Surfaces until the end of the flight, bondlines of those that are limited until that of the soak."""
+    """Draw surfaces until the end of the flight, and limited bondlines until that of the soak."""
     surface, bondline = axes
     insulated = {p.point.name for e in entries.values() for p in e.study.points if p.bondline_K is not None}
     for entry, style in zip(entries.values(), STYLES, strict=False):

@@ -1,15 +1,15 @@
-"""A study made ready: its problem for the optimiser, and the march that judges what the optimiser found.
-
-The entry of largest cross-range whose control points stay below their temperature limits.
+"""Search for the entry of largest cross-range whose control points stay below their temperature limits.
 
 The optimiser bounds, at each point, the temperature of a wall that stores no heat (T_e) along the flight, and its
-integral over time; the thermal model proper is then marched along what it found, soak after the end included, and each
-bound is moved by what the marched peak lacks to its limit (for the bondline, along the secant), until every limit that
-binds is met. The mesh is refined on the way.
+integral over time. The thermal model itself is then marched along the flight found, soak after the end included, and
+each bound is changed by the distance of the marched peak from its limit (for the bondline, along the secant), until
+every active limit is met. The mesh is refined on the way.
 
-With a probability P, tables are taken as ratio + z sigma, z the normal quantile of 1 - (1 - P)/n for n limited points.
-A point's table is taken to be wrong by the same number of sigma everywhere, and points to be wrong together in any way
-(Bonferroni): all stay inside with P at least.
+With a probability P, tables are ratio + z sigma, z the normal quantile of 1 - (1 - P)/n for n limited points. The error
+of a table is assumed to be the same number of sigma everywhere in it, while errors of several points may be correlated
+in any way (Bonferroni): all points stay below their limits with a probability of P or more.
+
+First the problem of a study (`EntrySearch`), then the search (`fly_optimal`) and its result.
 """
 
 from __future__ import annotations
@@ -30,27 +30,31 @@ from sim_heating.planning.limited_point import LimitedPoint
 from sim_heating.planning.optimal import dynamics as od
 from sim_heating.planning.optimal import tables
 from sim_heating.planning.optimal.collocation import (
-    Bounds,
     Motion,
-    Problem,
+    OptimalControlProblem,
     Transcription,
+    UpperBounds,
     ca,
     refined_mesh,
     require_casadi,
     straight_guess,
 )
 from sim_heating.planning.optimal.spec import OptimalStudy
-from sim_heating.planning.soak import COLD_K, soaked
+from sim_heating.planning.soak import SURROUNDINGS_K, with_soak
 from sim_heating.trajectory.trimmed_aero import ELEVON_HIGH, ELEVON_LOW
 
 SAMPLE_S = 1.0
+"""Interval of the conditions along the flight [s]."""
 LOAD_SCALE = 1e6
 """Typical integral of T_e over time [K s]."""
 
 
 @dataclass(frozen=True)
-class Peak:
-    """Marched peak temperatures of a point [K] beside its limits; `bondline_limit_K` None where there is no limit."""
+class PeakTemperatures:
+    """Marched peak temperatures of a point and its limits [K].
+
+    surface_limit_K  : infinite where there is no limit;  bondline_limit_K : None where there is no limit
+    """
 
     point: str
     surface_K: float
@@ -59,28 +63,31 @@ class Peak:
     bondline_limit_K: float | None
 
     def margins(self) -> list[float]:
-        """What is left to each limit [K]."""
+        """Distance to each limit [K], negative where it is violated."""
         bondline = [] if self.bondline_limit_K is None else [self.bondline_limit_K - self.bondline_K]
         return [self.surface_limit_K - self.surface_K, *bondline]
 
 
-class Search:
-    """A study with its splines, ready to be optimised and marched."""
+class EntrySearch:
+    """A study with its splines, as an optimal control problem and as the march that checks its solution.
+
+    raises : InputError where CasADi is not installed
+    """
 
     def __init__(self, study: OptimalStudy) -> None:
         require_casadi()
         self.study = study
         self.aero = tables.aerodynamics(study)
-        self.loaded = [i for i, p in enumerate(study.points) if p.bondline_K is not None]
-        self.z = _quantile(study)
-        self.models = [_shifted(study, p, self.z) for p in study.points]
-        self.nominal = [_shifted(study, p, 0.0) for p in study.points]
+        self.with_bondline_limit = [i for i, p in enumerate(study.points) if p.bondline_K is not None]
+        self.z = _table_sigmas(study)
+        self.models = [_model_with_table(study, p, self.z) for p in study.points]
+        self.nominal_models = [_model_with_table(study, p, 0.0) for p in study.points]
         limited = any(np.isfinite(p.surface_K) for p in study.points)
         self.wall = tables.wall_temperatures(study, self.aero, self.models) if limited else None
         self.problem = self._problem()
 
-    def _problem(self) -> Problem:
-        file, points = self.study.declared, len(self.loaded)
+    def _problem(self) -> OptimalControlProblem:
+        file, points = self.study.declared, len(self.with_bondline_limit)
         x, u = ca.MX.sym("x", od.STATES + points), ca.MX.sym("u", 2)
         air = tables.air()
         h, V, alpha = x[od.ALTITUDE], x[od.SPEED], u[od.ALPHA]
@@ -88,10 +95,10 @@ class Search:
         force = 0.5 * ca.exp(air.ln_density(h)) * V**2 * self.aero.area_m2 / self.aero.mass_kg
         wall = ca.MX(0, 1) if self.wall is None else self.wall(ca.vertcat(h, V, alpha))
         rates = od.motion_rates(x, force * coefficients[0], force * coefficients[1], u[od.BANK], tables.PLANET)
-        load_rates = [1e3 * wall[i] - COLD_K for i in self.loaded]
-        start = np.concatenate((_start(self.study), np.zeros(points)))
+        load_rates = [1e3 * wall[i] - SURROUNDINGS_K for i in self.with_bondline_limit]
+        start = np.concatenate((_initial_state(self.study), np.zeros(points)))
         loads = np.full(points, LOAD_SCALE)
-        return Problem(
+        return OptimalControlProblem(
             model=ca.Function("model", [x, u], [ca.vertcat(*rates, *load_rates), wall]),
             goal=od.cross_range_function(start, self.side),
             scale=np.concatenate((od.SCALE, loads)), control_scale=od.CONTROL_SCALE,
@@ -109,7 +116,7 @@ class Search:
 
     @property
     def side(self) -> float:
-        """1 where bank leans to the left, -1 to the right."""
+        """1 where more bank is allowed to the left, -1 to the right."""
         return 1.0 if sum(self.study.declared.bank_limits_deg) <= 0.0 else -1.0
 
     def _lowest(self) -> FloatArray:
@@ -123,7 +130,7 @@ class Search:
         return high
 
     def guess(self) -> Motion:
-        """Straight lines to an end some 20 deg aside."""
+        """First guess: straight lines to a final state with some 20 deg of cross-range."""
         file = self.study.declared
         end = self.problem.start.copy()
         for i, value in self.problem.end.items():
@@ -139,44 +146,45 @@ class Search:
         return straight_guess(self.problem, end, np.array([[alpha, alpha], bank]), duration)
 
     def conditions(self, motion: Motion) -> Conditions:
-        """The flight every second, its end included."""
+        """Flight conditions of a motion every SAMPLE_S, its end included."""
         time = np.unique(np.append(np.arange(0.0, motion.duration_s, SAMPLE_S), motion.duration_s))
         return tables.conditions_along(
             self.study, self.aero, time, motion.states_at(time)[: od.STATES], motion.controls_at(time)
         )
 
     def march(self, flown: Conditions, models: Sequence[PointModel]) -> list[PointHistory]:
-        """Temperatures along the flight and the soak after it."""
+        """March the points along the flight and the soak after it."""
         if not models:
             return []
         vehicle, soak_s = self.study.vehicle, self.study.declared.soak_s
         points = [p.point for p in self.study.points]
-        flights = [soaked(conditions_at_point(vehicle, p, flown), p, soak_s) for p in points]
+        flights = [with_soak(conditions_at_point(vehicle, p, flown), p, soak_s) for p in points]
         return march_points(models, flights)
 
-    def peaks(self, histories: Sequence[PointHistory]) -> tuple[Peak, ...]:
-        """Peaks beside the limits."""
+    def peaks(self, histories: Sequence[PointHistory]) -> tuple[PeakTemperatures, ...]:
+        """Peaks of marched points with their limits."""
         return tuple(
-            Peak(p.point.name, float(np.max(h.surface_K)), p.surface_K, float(np.max(h.bondline_K)), p.bondline_K)
+            PeakTemperatures(
+                p.point.name, float(np.max(h.surface_K)), p.surface_K, float(np.max(h.bondline_K)), p.bondline_K
+            )
             for p, h in zip(self.study.points, histories, strict=True)
         )
 
     def notes(self, flown: Conditions) -> list[str]:
-        """Where the flight leaves the ratio tables, and how long the elevon is at the end of its travel."""
-        found = [
+        """Notes on a flight: where it leaves a ratio table, and the time with the elevon at an end of its travel."""
+        lines = [
             f"{m.name}: {o.variable} up to {o.farthest:.3g} outside the ratio table, {o.duration_s:.0f} s in all, "
             f"first at {o.first_s:.0f} s"
             for m in self.models
             for o in outside_table(m, flown)
         ]
         low, high = self.aero.entry.flight[[ELEVON_LOW, ELEVON_HIGH]]
-        ended = (flown["elevon_deg"] <= low) | (flown["elevon_deg"] >= high)
-        if np.any(ended):
-            lasts = float(np.sum(np.gradient(flown.time_s)[ended]))
-            found.append(
-                f"elevon at the end of its travel for {lasts:.0f} s from {flown.time_s[ended][0]:.0f} s: not in trim"
-            )
-        return found
+        untrimmed = (flown["elevon_deg"] <= low) | (flown["elevon_deg"] >= high)
+        if np.any(untrimmed):
+            duration = float(np.sum(np.gradient(flown.time_s)[untrimmed]))
+            first = flown.time_s[untrimmed][0]
+            lines.append(f"elevon at an end of its travel for {duration:.0f} s from {first:.0f} s: not in trim")
+        return lines
 
     def hottest(self, motion: Motion) -> FloatArray:
         """Highest T_e of each point along a motion [K]."""
@@ -186,26 +194,26 @@ class Search:
         return np.asarray(np.max(1e3 * np.array(walls), axis=1), dtype=float)
 
     def loads(self, motion: Motion) -> FloatArray:
-        """Integral of T_e of each point at the end [K s]; 0 where its bondline has no limit."""
+        """Integral of T_e - SURROUNDINGS_K of each point at the end [K s]; 0 where its bondline has no limit."""
         loads = np.zeros(len(self.study.points))
-        loads[self.loaded] = motion.states[od.STATES :, -1]
+        loads[self.with_bondline_limit] = motion.states[od.STATES :, -1]
         return loads
 
 
-def _start(study: OptimalStudy) -> FloatArray:
+def _initial_state(study: OptimalStudy) -> FloatArray:
     first = study.declared.initial
     angles = np.radians([first.longitude_deg, first.latitude_deg, first.gamma_deg, first.heading_deg])
     return np.array([first.altitude_m, angles[0], angles[1], first.velocity_m_s, angles[2], angles[3]])
 
 
-def _quantile(study: OptimalStudy) -> float:
-    """Sigmas above the tables that the limits are kept with; 0 where no probability is asked for."""
+def _table_sigmas(study: OptimalStudy) -> float:
+    """Number of sigma by which the tables are raised; 0 where no probability is asked for."""
     P = study.declared.probability
     return 0.0 if P is None or not study.points else NormalDist().inv_cdf(1.0 - (1.0 - P) / len(study.points))
 
 
-def _shifted(study: OptimalStudy, limited: LimitedPoint, z: float) -> PointModel:
-    """The model of a point with its table z sigma higher."""
+def _model_with_table(study: OptimalStudy, limited: LimitedPoint, z: float) -> PointModel:
+    """The model of a point with its ratio table raised by z sigma."""
     model = point_of_vehicle(study.vehicle, limited.point)
     table = limited.point.ratio
     if z == 0.0 or table.sigma is None:
@@ -213,34 +221,37 @@ def _shifted(study: OptimalStudy, limited: LimitedPoint, z: float) -> PointModel
     return replace(model, ratio=replace(table, ratio=table.ratio + z * table.sigma))
 
 
+# The search ----------------------------------------------------------------------------------------------------------
+
 ROUNDS = 25
-"""Optimisations at most, with their marches."""
+"""Largest number of optimisations with their marches."""
 BEND = np.array([0.1, 0.5])
-"""How far alpha and bank [deg] may be from a straight line within an interval."""
+"""Largest distance of alpha and bank from a straight line within an interval [deg]."""
 Progress = Callable[[str], None]
+"""Called with one line after each round."""
 
 
 @dataclass(frozen=True)
-class Round:
-    """One optimisation: what it found, with which bounds, and what the march said."""
+class SearchRound:
+    """One optimisation and the march along its solution: the flight found, its mesh, and the marched peaks."""
 
     cross_range_deg: float
     duration_s: float
     intervals: int
     mesh_error: float
     iterations: int
-    peaks: tuple[Peak, ...]
+    peaks: tuple[PeakTemperatures, ...]
 
 
 @dataclass(frozen=True)
 class OptimalEntry:
     """An optimal entry.
 
-    conditions   : the flight, every second, in the contract's columns
-    histories    : marched temperatures of the limited points, soak included, tables as the limits were kept with
-    peaks        : of these;  nominal : the same flight with the tables as they stand
-    rounds       : how it converged
-    status       : in words;  notes : where the flight leaves a ratio table or the elevon its travel, a line each
+    conditions : of the flight, every second, and at its end
+    histories  : marched temperatures of the limited points, soak included, with the tables of `probability`
+    peaks      : of these;  nominal : of the same flight with the tables as declared
+    rounds     : of the search
+    status     : one line: the limits that are active;  notes : where the flight leaves a ratio table or is not trimmed
     """
 
     study: OptimalStudy
@@ -248,122 +259,136 @@ class OptimalEntry:
     conditions: Conditions
     cross_range_km: float
     histories: tuple[PointHistory, ...]
-    peaks: tuple[Peak, ...]
-    nominal: tuple[Peak, ...]
-    rounds: tuple[Round, ...]
+    peaks: tuple[PeakTemperatures, ...]
+    nominal: tuple[PeakTemperatures, ...]
+    rounds: tuple[SearchRound, ...]
     status: str
     notes: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"<OptimalEntry `{self.study.title}`: cross-range {self.cross_range_deg:.3f} deg, {self.status}>"
+
     @property
     def cross_range_deg(self) -> float:
-        """Angle from the great circle along which the flight began."""
+        """Angle from the initial great circle [deg]."""
         return float(np.degrees(self.motion.goal))
 
     @property
-    def binding(self) -> list[str]:
-        """Limits that hold the flight back, in words."""
+    def active_limits(self) -> list[str]:
+        """Limits that bound the cross-range, as `NOSECAP surface`."""
         near = 2.0 * self.study.declared.tolerance_K
-        found = []
+        limits = []
         for p in self.peaks:
             margins = zip(("surface", "bondline"), p.margins(), strict=False)
-            found += [f"{p.point} {where}" for where, margin in margins if margin < near]
-        return found
+            limits += [f"{p.point} {where}" for where, margin in margins if margin < near]
+        return limits
 
 
 @dataclass
 class _Steering:
-    """Bounds that the optimiser is given: T_e [K] of each point, and its integral [K s], infinite where free."""
+    """Bounds given to the optimiser.
+
+    wall_K   : (point,) of T_e [K];  load_K_s : (point,) of its integral [K s]; infinite where free
+    loaded   : numbers of the points with a bondline limit;  limited : whether any point has a surface limit
+    rounds   : (point,) loads [K s] and bondline peaks [K] of each round so far
+    """
 
     wall_K: FloatArray
     load_K_s: FloatArray
     loaded: list[int]
     limited: bool
-    seen: list[tuple[FloatArray, FloatArray]]
+    rounds: list[tuple[FloatArray, FloatArray]]
 
-    def bounds(self) -> Bounds:
-        """As a transcription takes them."""
-        return Bounds(
+    def bounds(self) -> UpperBounds:
+        """The bounds in the units and order of the problem."""
+        return UpperBounds(
             tuple(self.wall_K / 1e3) if self.limited else (),
             {od.STATES + k: self.load_K_s[i] for k, i in enumerate(self.loaded)},
         )
 
 
 def fly_optimal(study: OptimalStudy, *, progress: Progress = lambda _: None) -> OptimalEntry:
-    """The entry of largest cross-range within a study's limits.
+    """Find the entry of largest cross-range within a study's limits.
 
-    progress : told each round in a line
+    progress : called with one line after each round
     raises   : InputError where CasADi is not installed; RunError where no flight is found that keeps the limits
     """
-    search = Search(study)
+    search = EntrySearch(study)
     points = study.points
     steering = _Steering(
-        np.full(len(points), np.inf), np.full(len(points), np.inf), search.loaded, search.wall is not None, []
+        np.full(len(points), np.inf),
+        np.full(len(points), np.inf),
+        search.with_bondline_limit,
+        search.wall is not None,
+        [],
     )
-    motion, rounds = search.guess(), list[Round]()
+    motion, rounds = search.guess(), list[SearchRound]()
     mesh = np.linspace(0.0, 1.0, study.declared.intervals + 1)
     transcription = Transcription(search.problem, mesh)
     for _ in range(ROUNDS):
         try:
             motion = transcription.solve(motion, steering.bounds())
         except RunError as error:
-            raise RunError(_told(study, rounds, str(error))) from None
+            raise RunError(_failure(study, rounds, str(error))) from None
         peaks = search.peaks(search.march(search.conditions(motion), search.models))
         worst = float(np.max(motion.errors))
-        rounds.append(Round(
+        rounds.append(SearchRound(
             float(np.degrees(motion.goal)), motion.duration_s, len(motion.mesh) - 1, worst, motion.iterations, peaks
         ))  # fmt: skip
-        progress(_line(rounds[-1]))
-        steered = _steer(steering, search, motion, peaks, study.declared.tolerance_K)
+        progress(_round_line(rounds[-1]))
+        changed = _steer(steering, search, motion, peaks, study.declared.tolerance_K)
         finer = refined_mesh(motion, study.declared.mesh_tolerance, BEND)
         fine = worst <= study.declared.mesh_tolerance
-        if not steered and fine:
+        if not changed and fine:
             return _entry(search, motion, rounds)
         if not fine:
             transcription = Transcription(search.problem, finer)
-    why = f"limits and mesh did not settle in {ROUNDS} rounds, mesh error {worst:.1e} (mesh_tolerance, tolerance_K)"
-    raise RunError(_told(study, rounds, why))
+    why = f"no convergence in {ROUNDS} rounds, mesh error {worst:.1e}; raise mesh_tolerance or tolerance_K"
+    raise RunError(_failure(study, rounds, why))
 
 
-def _steer(s: _Steering, search: Search, motion: Motion, peaks: Sequence[Peak], tolerance_K: float) -> bool:
-    """Move the bounds towards what the march lacks; False where nothing needs to move.
+def _steer(
+    s: _Steering, search: EntrySearch, motion: Motion, peaks: Sequence[PeakTemperatures], tolerance_K: float
+) -> bool:
+    """Change the bounds by the distances of the marched peaks from their limits; False where no bound has to change.
 
-    Limits that bind are met from below: by no more than the tolerance, aimed at its middle.
+    Active limits are met from below within the tolerance; the target is its middle.
     """
     within = 0.5 * tolerance_K
     hottest, loads = search.hottest(motion), search.loads(motion)
-    s.seen.append((loads, np.array([p.bondline_K for p in peaks])))
-    moved = False
+    s.rounds.append((loads, np.array([p.bondline_K for p in peaks])))
+    changed = False
     for i, peak in enumerate(peaks):
-        lacking = peak.surface_limit_K - within - peak.surface_K
-        binds = hottest[i] > s.wall_K[i] - 1.0
-        if lacking < -within or (binds and lacking > within):
-            s.wall_K[i] = min(s.wall_K[i], hottest[i]) + lacking
-            moved = True
+        distance = peak.surface_limit_K - within - peak.surface_K
+        active = hottest[i] > s.wall_K[i] - 1.0
+        if distance < -within or (active and distance > within):
+            s.wall_K[i] = min(s.wall_K[i], hottest[i]) + distance
+            changed = True
         if peak.bondline_limit_K is None:
             continue
-        lacking = peak.bondline_limit_K - within - peak.bondline_K
-        binds = loads[i] > s.load_K_s[i] * (1.0 - 1e-4)
-        if lacking < -within or (binds and lacking > within):
-            s.load_K_s[i] = loads[i] + lacking * _load_per_K(s, i, peak.bondline_K)
-            moved = True
-    return moved
+        distance = peak.bondline_limit_K - within - peak.bondline_K
+        active = loads[i] > s.load_K_s[i] * (1.0 - 1e-4)
+        if distance < -within or (active and distance > within):
+            s.load_K_s[i] = loads[i] + distance * _load_per_K(s, i, peak.bondline_K)
+            changed = True
+    return changed
 
 
 def _load_per_K(s: _Steering, i: int, bondline_K: float) -> float:
-    """Slope of the load against the bondline peak: by the last two rounds where they tell, else in proportion."""
-    plain = float(s.seen[-1][0][i] / max(bondline_K - COLD_K, 1.0))
-    if len(s.seen) > 1:
-        (y0, T0), (y1, T1) = ((y[i], T[i]) for y, T in s.seen[-2:])
-        if abs(T1 - T0) > 0.2 and 0.2 * plain < (y1 - y0) / (T1 - T0) < 5.0 * plain:
+    """Slope of the load against the bondline peak [s]: from the last two rounds if they differ, else in proportion."""
+    proportional = float(s.rounds[-1][0][i] / max(bondline_K - SURROUNDINGS_K, 1.0))
+    if len(s.rounds) > 1:
+        (y0, T0), (y1, T1) = ((y[i], T[i]) for y, T in s.rounds[-2:])
+        if abs(T1 - T0) > 0.2 and 0.2 * proportional < (y1 - y0) / (T1 - T0) < 5.0 * proportional:
             return float((y1 - y0) / (T1 - T0))
-    return plain
+    return proportional
 
 
-def _entry(search: Search, motion: Motion, rounds: Sequence[Round]) -> OptimalEntry:
+def _entry(search: EntrySearch, motion: Motion, rounds: Sequence[SearchRound]) -> OptimalEntry:
     flown = search.conditions(motion)
     histories = search.march(flown, search.models)
     peaks = search.peaks(histories)
-    nominal = search.peaks(search.march(flown, search.nominal))
+    nominal = search.peaks(search.march(flown, search.nominal_models))
     entry = OptimalEntry(
         search.study, motion, flown, float(motion.goal) * tables.PLANET.radius_m / 1e3,
         tuple(histories), peaks, nominal, tuple(rounds), "", tuple(search.notes(flown)),
@@ -373,17 +398,17 @@ def _entry(search: Search, motion: Motion, rounds: Sequence[Round]) -> OptimalEn
 
 def _status(entry: OptimalEntry) -> str:
     if not any(np.isfinite(m) for p in entry.peaks for m in p.margins()):
-        kept = "no limit was asked for"
-    elif entry.binding:
-        kept = f"all limits are kept; held back by {', '.join(entry.binding)}"
+        limits = "no limit was given"
+    elif entry.active_limits:
+        limits = f"all limits are kept; active: {', '.join(entry.active_limits)}"
     else:
-        kept = "all limits are kept and none holds it back"
-    sure = entry.study.declared.probability
-    chance = "" if sure is None else f", with a probability of {sure:g} at least"
-    return f"optimal after {len(entry.rounds)} rounds: {kept}{chance}"
+        limits = "all limits are kept and none is active"
+    P = entry.study.declared.probability
+    probability = "" if P is None else f", with a probability of {P:g} or more"
+    return f"optimal after {len(entry.rounds)} rounds: {limits}{probability}"
 
 
-def _line(r: Round) -> str:
+def _round_line(r: SearchRound) -> str:
     margins = [m for p in r.peaks for m in p.margins() if np.isfinite(m)]
     least = f", least margin {min(margins):.1f} K" if margins else ""
     return (
@@ -391,15 +416,15 @@ def _line(r: Round) -> str:
     )
 
 
-def _told(study: OptimalStudy, rounds: Sequence[Round], why: str) -> str:
-    """Why no flight was found, and which limit the last one that was found passed most."""
+def _failure(study: OptimalStudy, rounds: Sequence[SearchRound], why: str) -> str:
+    """Message that states why no flight was found, and which limit the last solution violated most."""
     if not rounds or not rounds[-1].peaks:
         return f"optimal entry `{study.title}`: {why}"
     peak = min(rounds[-1].peaks, key=lambda p: min(p.margins()))
-    where, hot, limit = "surface", peak.surface_K, peak.surface_limit_K
-    if peak.bondline_limit_K is not None and peak.bondline_limit_K - peak.bondline_K < limit - hot:
-        where, hot, limit = "bondline", peak.bondline_K, peak.bondline_limit_K
+    where, peak_K, limit_K = "surface", peak.surface_K, peak.surface_limit_K
+    if peak.bondline_limit_K is not None and peak.bondline_limit_K - peak.bondline_K < limit_K - peak_K:
+        where, peak_K, limit_K = "bondline", peak.bondline_K, peak.bondline_limit_K
     return (
-        f"optimal entry `{study.title}`: {why}. The last flight found takes {peak.point} to {hot:.0f} K at the "
-        f"{where}, against {limit:.0f} K"
+        f"optimal entry `{study.title}`: {why}. The last solution has {peak.point} at {peak_K:.0f} K at the {where}, "
+        f"whose limit is {limit_K:.0f} K"
     )

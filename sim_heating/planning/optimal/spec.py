@@ -1,13 +1,13 @@
-"""A study of an optimal entry as a file: who flies from where to where, and which temperatures may not be passed.
+"""A study of an optimal entry as a file: vehicle, initial and final state, and temperature limits.
 
 format = "optimal-entry/1"
 title = "..."
 vehicle = "orbiter"                 # a vehicle's name, or its directory relative to the study
-probability = 0.95                  # of keeping all limits, tables as sure as their sigma; left out: as they stand
+probability = 0.95                  # of keeping all limits, by the sigma of the tables; default: tables as declared
 [initial]                           # as in a scenario's [trajectory.initial]
 [end]                               # altitude_m, velocity_m_s, gamma_deg
 [state]                             # as in a scenario's [trajectory.vehicle]
-[[limit]]                           # control_point; surface_K and bondline_K where not the vehicle's own
+[[limit]]                           # control_point; surface_K, bondline_K in place of the vehicle's own
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from pydantic import Field, field_validator
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import Declared, display_path, raise_problems, read_toml
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
-from sim_heating.planning.limited_point import LimitedPoint
+from sim_heating.planning.limited_point import LimitedPoint, vehicle_place
 from sim_heating.trajectory.spec import Initial, VehicleState
 
 
-class End(Declared):
+class FinalState(Declared):
     """State at the end of the entry."""
 
     altitude_m: float = Field(gt=0.0, description="altitude in m")
@@ -35,7 +35,7 @@ class End(Declared):
 
 
 class Limit(Declared):
-    """Temperatures that one control point may not pass; what is left out is the vehicle's own limit."""
+    """Temperature limits of one control point; a limit that is not given is the vehicle's own."""
 
     control_point: str
     surface_K: float | None = Field(default=None, gt=0.0, description="highest surface temperature in K")
@@ -45,9 +45,9 @@ class Limit(Declared):
 class OptimalStudyFile(Declared):
     """Contents of a study file.
 
-    alpha_limits_deg, bank_limits_deg : bank to the left is negative; cross-range is sought on the side it leans to
-    soak_s      : how long heat goes on to the bondline after the end, without heating from outside
-    tolerance_K : how closely a limit that binds is met
+    alpha_limits_deg, bank_limits_deg : negative is bank to the left; cross-range is sought on the side with more bank
+    soak_s      : length of the soak after the end, without heating from outside [s]
+    tolerance_K : largest margin at which an active limit is met [K]
     intervals   : of the first mesh;  mesh_tolerance : error of an interval over the typical size of a state
     """
 
@@ -56,7 +56,7 @@ class OptimalStudyFile(Declared):
     vehicle: str
     note: str = ""
     initial: Initial
-    end: End
+    end: FinalState
     state: VehicleState = VehicleState()
     alpha_limits_deg: list[float] = Field(min_length=2, max_length=2, description="[lowest, highest] in deg")
     bank_limits_deg: list[float] = Field(default=[-89.0, 1.0], min_length=2, max_length=2)
@@ -78,7 +78,7 @@ class OptimalStudyFile(Declared):
 
 @dataclass(frozen=True)
 class OptimalStudy:
-    """A checked study with its vehicle."""
+    """A checked study with its vehicle and limited control points."""
 
     declared: OptimalStudyFile
     vehicle: Vehicle
@@ -91,7 +91,7 @@ class OptimalStudy:
 
 
 def without_limits(study: OptimalStudy) -> OptimalStudy:
-    """The same study with its points watched and not limited."""
+    """A study with the temperatures of its points computed and not limited."""
     points = tuple(LimitedPoint(p.point, math.inf, None) for p in study.points)
     return replace(study, points=points, declared=study.declared.model_copy(update={"probability": None}))
 
@@ -103,13 +103,16 @@ def load_optimal_study(path: str | os.PathLike[str]) -> OptimalStudy:
     """
     place = Path(path)
     declared = read_toml(place, OptimalStudyFile)
-    beside = place.parent / declared.vehicle
-    vehicle = load_vehicle(beside if (beside / "vehicle.toml").is_file() else declared.vehicle)
+    vehicle = load_vehicle(vehicle_place(place, declared.vehicle))
     return optimal_study(declared, vehicle, display_path(place))
 
 
 def optimal_study(declared: OptimalStudyFile, vehicle: Vehicle, where: str = "study") -> OptimalStudy:
-    """A study of a vehicle that is loaded; raises InputError for a control point that is not there, or has no sigma."""
+    """Check a study of a vehicle that has been loaded.
+
+    where  : the file and table, for messages
+    raises : InputError with one line a problem: an unknown or repeated control point, a table without the sigma needed
+    """
     points: list[LimitedPoint] = []
     problems: list[str] = []
     for limit in declared.limit:
@@ -125,6 +128,6 @@ def optimal_study(declared: OptimalStudyFile, vehicle: Vehicle, where: str = "st
         bondline = point.limits.bondline_K if limit.bondline_K is None else limit.bondline_K
         points.append(LimitedPoint(point, limit.surface_K or point.limits.surface_K, bondline))
     if declared.initial.velocity_m_s <= declared.end.velocity_m_s:
-        problems.append(f"{where}, [end]: `velocity_m_s`: an entry ends slower than it begins")
+        problems.append(f"{where}, [end]: `velocity_m_s`: must be below that of [initial]")
     raise_problems(problems)
     return OptimalStudy(declared, vehicle, tuple(points))

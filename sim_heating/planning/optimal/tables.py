@@ -1,8 +1,8 @@
-"""Smooth stand-ins for a vehicle's tables, as an optimiser with second derivatives needs them.
+"""Splines in place of a vehicle's tables, because an optimiser needs second derivatives.
 
 Density and speed of sound over altitude, trimmed lift and drag over Mach and alpha, and for each limited control point
 the temperature of a wall that stores no heat over altitude, speed and alpha: cubic splines through values that the
-package's own functions give. They only steer the optimiser; temperatures that count are marched.
+package's own functions give. They only steer the optimiser; the temperatures of the result are marched.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ MACHS = np.concatenate((np.arange(0.5, 12.0, 0.5), [12.0, 14.0, 17.0, 20.0, 25.0
 ALPHA_STEP_DEG = 2.5
 WALL_ALTITUDE_STEP_M, WALL_SPEED_STEP_M_S = 3000.0, 350.0
 THIN_WALL_M = 1e-5
-"""A wall this thin follows its equilibrium temperature within a fraction of a second where it is hot."""
-HELD_S, WALL_STEP_S = 20.0, 2.0
+"""Thickness of a wall that reaches its equilibrium temperature within a fraction of a second where it is hot [m]."""
+NODE_S, WALL_STEP_S = 20.0, 2.0
 """Time [s] from one node of the grid to the next, and the step of the march between them."""
 PLANET = od.Planet(pm.WGS84_RADIUS_M, pm.WGS84_MU_M3_S2, pm.WGS84_ROTATION_RAD_S)
-"""The equatorial sphere of WGS84, turning."""
+"""Rotating sphere with the equatorial radius of WGS84."""
 
 
 @dataclass(frozen=True)
 class Aerodynamics:
-    """A vehicle's trimmed aerodynamics as flown, body flap on its schedule."""
+    """Trimmed aerodynamics of a vehicle, with the body flap on its schedule."""
 
     entry: Entry
     area_m2: float
@@ -58,7 +58,7 @@ class Aerodynamics:
 
 
 def aerodynamics(study: OptimalStudy) -> Aerodynamics:
-    """The study's vehicle as the built-in 3-DOF entry flies it."""
+    """Aerodynamics of the study's vehicle as in the built-in 3-DOF entry."""
     file = study.declared
     spec = TrajectorySpec(source="entry-3dof", initial=file.initial, vehicle=file.state)
     entry = Entry(spec, study.vehicle.directory)
@@ -68,7 +68,11 @@ def aerodynamics(study: OptimalStudy) -> Aerodynamics:
 def conditions_along(
     study: OptimalStudy, aero: Aerodynamics, time_s: FloatArray, states: FloatArray, controls: FloatArray
 ) -> Conditions:
-    """Flight conditions in the contract's columns from states (6, time) and controls (2, time) of a motion."""
+    """Flight conditions along a motion.
+
+    time_s   : (time,) [s]
+    states   : (6, time) as dynamics.py orders them;  controls : (2, time) angle of attack and bank [deg]
+    """
     h, V, alpha = states[od.ALTITUDE], states[od.SPEED], controls[od.ALPHA]
     T, _, rho = us76(h)
     mach = V / speed_of_sound(T)
@@ -113,29 +117,29 @@ def lift_drag(study: OptimalStudy, aero: Aerodynamics) -> Any:
 def wall_temperatures(study: OptimalStudy, aero: Aerodynamics, models: Sequence[PointModel]) -> Any:
     """(altitude, speed, alpha) -> temperature of each point's surface in equilibrium with its heating [kK], a spline.
 
-    The points' own models are marched with a wall too thin to store heat, through all nodes of the grid, neighbour to
-    neighbour.
+    The points' own models are marched with a wall too thin to store heat through all nodes of the grid, each node a
+    neighbour of the one before.
     """
     file = study.declared
-    h = _spread(0.7 * file.end.altitude_m, file.initial.altitude_m * 1.05, WALL_ALTITUDE_STEP_M)
-    V = _spread(0.6 * file.end.velocity_m_s, file.initial.velocity_m_s * 1.08, WALL_SPEED_STEP_M_S)
+    h = _nodes(0.7 * file.end.altitude_m, file.initial.altitude_m * 1.05, WALL_ALTITUDE_STEP_M)
+    V = _nodes(0.6 * file.end.velocity_m_s, file.initial.velocity_m_s * 1.08, WALL_SPEED_STEP_M_S)
     alpha = _alphas(study)
     order = _neighbours(len(h), len(V), len(alpha))
     nodes = np.array([g.ravel()[order] for g in np.meshgrid(h, V, alpha, indexing="ij")])
     count = nodes.shape[1]
     states, controls = np.zeros((od.STATES, count)), np.zeros((2, count))
     states[od.ALTITUDE], states[od.SPEED], controls[od.ALPHA] = nodes
-    time = np.linspace(0.0, HELD_S * (count - 1), count)
+    time = np.linspace(0.0, NODE_S * (count - 1), count)
     grid = conditions_along(study, aero, time, states, controls)
     flights = [conditions_at_point(study.vehicle, p.point, grid) for p in study.points]
-    walls = march_points([_thin(m) for m in models], flights, longest_step_s=WALL_STEP_S)
+    walls = march_points([_on_thin_wall(m) for m in models], flights, longest_step_s=WALL_STEP_S)
     flat = np.empty((len(models), len(order)))
     flat[:, order] = [w.surface_K / 1e3 for w in walls]
     return _spline("wall", [h, V, alpha], flat.reshape(len(models), len(h), len(V), len(alpha)))
 
 
 def _neighbours(rows: int, columns: int, layers: int) -> NDArray[np.int64]:
-    """Places of a grid's nodes in an order in which each is the neighbour of the one before."""
+    """Flat indices of the nodes of a grid, in an order in which each node is a neighbour of the one before."""
     flat = np.arange(rows * columns * layers).reshape(rows, columns, layers)
     flat[::2] = flat[::2, ::-1]
     lines = flat.reshape(-1, layers)
@@ -143,8 +147,8 @@ def _neighbours(rows: int, columns: int, layers: int) -> NDArray[np.int64]:
     return lines.ravel()
 
 
-def _thin(model: PointModel) -> PointModel:
-    """The same surface on a wall that stores no heat and passes none on."""
+def _on_thin_wall(model: PointModel) -> PointModel:
+    """The surface of a point on a wall that neither stores nor conducts heat."""
     stack = model.construction.stack
     layer = Layer(material=stack.layer[0].material, thickness_m=THIN_WALL_M)
     bare = stack.model_copy(update={"layer": [layer], "initial_profile": None, "initial_K": 300.0, "back": "adiabatic"})
@@ -154,11 +158,11 @@ def _thin(model: PointModel) -> PointModel:
 
 def _alphas(study: OptimalStudy) -> FloatArray:
     low, high = study.declared.alpha_limits_deg
-    return _spread(low, high, ALPHA_STEP_DEG)
+    return _nodes(low, high, ALPHA_STEP_DEG)
 
 
-def _spread(low: float, high: float, step: float) -> FloatArray:
-    """Even nodes from low to high, no farther apart than a step; four at least, for a cubic."""
+def _nodes(low: float, high: float, step: float) -> FloatArray:
+    """Equidistant nodes from low to high with a spacing of `step` at most; four or more, for a cubic."""
     return np.linspace(low, high, max(int(np.ceil((high - low) / step)) + 1, 4))
 
 
