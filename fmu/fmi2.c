@@ -9,7 +9,7 @@
 #define REFUSED(c, name) return (fmi2Status)refuse(c, name, "is not offered by this FMU")
 
 /* The message is the format itself, for hosts that print it as it is. */
-static void tell(Instance *m, Status status, const char *category, const char *message) {
+static void report(Instance *m, Status status, const char *category, const char *message) {
     fmi2CallbackLogger logger = (fmi2CallbackLogger)m->log;
     char format[2048], *at = format;
     for (; *message && at < format + sizeof format - 2; message++) {
@@ -64,11 +64,11 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     if (!functions) return NULL;
     if (type != fmi2CoSimulation) {
         if (functions->logger)
-            functions->logger(functions->componentEnvironment, name, fmi2Error, "logStatusError", "this FMU is for co-simulation");
+            functions->logger(functions->componentEnvironment, name, fmi2Error, "logStatusError", "this FMU supports co-simulation only");
         return NULL;
     }
     bool found = path_of_uri(location, path, sizeof path);
-    Instance *m = new_instance(name, guid, found ? path : NULL, functions->componentEnvironment, (void *)functions->logger, tell);
+    Instance *m = new_instance(name, guid, found ? path : NULL, functions->componentEnvironment, (void *)functions->logger, report);
     if (m) m->logging = logging != fmi2False;
     return m;
 }
@@ -102,7 +102,7 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n,
 
 fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Integer value[]) {
     if (!allowed(c, "fmi2GetInteger", ANY)) return fmi2Error;
-    if (n > 0 && (!vr || !value)) return (fmi2Status)refuse(c, "fmi2GetInteger", "there is no array");
+    if (n > 0 && (!vr || !value)) return (fmi2Status)refuse(c, "fmi2GetInteger", "no array is given");
     for (size_t k = 0; k < n; k++) {
         int64_t number;
         if (get_integer(c, vr[k], &number) != OK) return fmi2Error;
@@ -113,7 +113,7 @@ fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
 
 fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Integer value[]) {
     if (!allowed(c, "fmi2SetInteger", SETTABLE)) return fmi2Error;
-    if (n > 0 && (!vr || !value)) return (fmi2Status)refuse(c, "fmi2SetInteger", "there is no array");
+    if (n > 0 && (!vr || !value)) return (fmi2Status)refuse(c, "fmi2SetInteger", "no array is given");
     for (size_t k = 0; k < n; k++)
         if (set_integer(c, vr[k], value[k]) != OK) return fmi2Error;
     return fmi2OK;
@@ -133,7 +133,7 @@ fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t
 
 fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2String value[]) {
     if (!allowed(c, "fmi2GetString", ANY)) return fmi2Error;
-    if (n > 0 && (!vr || !value)) return (fmi2Status)refuse(c, "fmi2GetString", "there is no array");
+    if (n > 0 && (!vr || !value)) return (fmi2Status)refuse(c, "fmi2GetString", "no array is given");
     for (size_t k = 0; k < n; k++)
         if (get_text(c, vr[k], &value[k]) != OK) return fmi2Error;
     return fmi2OK;
@@ -141,7 +141,7 @@ fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t 
 
 fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2String value[]) {
     if (!allowed(c, "fmi2SetString", SETTABLE)) return fmi2Error;
-    if (n > 0 && (!vr || !value)) return (fmi2Status)refuse(c, "fmi2SetString", "there is no array");
+    if (n > 0 && (!vr || !value)) return (fmi2Status)refuse(c, "fmi2SetString", "no array is given");
     for (size_t k = 0; k < n; k++)
         if (set_text(c, vr[k], value[k]) != OK) return fmi2Error;
     return fmi2OK;
@@ -156,7 +156,7 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size
 
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Integer order[], const fmi2Real value[]) {
     if (!allowed(c, "fmi2SetRealInputDerivatives", INITIALIZATION | STEPPING)) return fmi2Error;
-    if (n > 0 && (!vr || !order || !value)) return (fmi2Status)refuse(c, "fmi2SetRealInputDerivatives", "there is no array");
+    if (n > 0 && (!vr || !order || !value)) return (fmi2Status)refuse(c, "fmi2SetRealInputDerivatives", "no array is given");
     for (size_t k = 0; k < n; k++) {
         if (order[k] != 1) return (fmi2Status)refuse(c, "fmi2SetRealInputDerivatives", "inputs are linear in a step; give order 1");
         if (set_slope(c, vr[k], value[k]) != OK) return fmi2Error;
@@ -178,21 +178,21 @@ fmi2Status fmi2CancelStep(fmi2Component c) { REFUSED(c, "fmi2CancelStep"); }
 
 fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value) {
     if (!allowed(c, "fmi2GetStatus", STEPPING | TERMINATED | FAILED) || !value) return fmi2Error;
-    if (kind != fmi2DoStepStatus) return (fmi2Status)refuse(c, "fmi2GetStatus", "of this kind is no status");
+    if (kind != fmi2DoStepStatus) return (fmi2Status)refuse(c, "fmi2GetStatus", "there is no status of this kind");
     *value = ((Instance *)c)->mode == FAILED ? fmi2Error : fmi2OK;
     return fmi2OK;
 }
 
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
     if (!allowed(c, "fmi2GetRealStatus", STEPPING | TERMINATED | FAILED) || !value) return fmi2Error;
-    if (kind != fmi2LastSuccessfulTime) return (fmi2Status)refuse(c, "fmi2GetRealStatus", "of this kind is no number");
+    if (kind != fmi2LastSuccessfulTime) return (fmi2Status)refuse(c, "fmi2GetRealStatus", "there is no number of this kind");
     *value = ((Instance *)c)->R[NOW];
     return fmi2OK;
 }
 
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
     if (!allowed(c, "fmi2GetBooleanStatus", STEPPING | TERMINATED | FAILED) || !value) return fmi2Error;
-    if (kind != fmi2Terminated) return (fmi2Status)refuse(c, "fmi2GetBooleanStatus", "of this kind is no Boolean");
+    if (kind != fmi2Terminated) return (fmi2Status)refuse(c, "fmi2GetBooleanStatus", "there is no Boolean of this kind");
     *value = fmi2False;
     return fmi2OK;
 }

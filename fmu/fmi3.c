@@ -7,7 +7,7 @@
 
 #define REFUSED(c, name) return (fmi3Status)refuse(c, name, "is not offered by this FMU")
 
-static void tell(Instance *m, Status status, const char *category, const char *message) {
+static void report(Instance *m, Status status, const char *category, const char *message) {
     fmi3LogMessageCallback log = (fmi3LogMessageCallback)m->log;
     if (log && (m->logging || status == ERROR)) log(m->environment, (fmi3Status)status, category, message);
 }
@@ -26,7 +26,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
                                          const fmi3ValueReference required[], size_t n_required, fmi3InstanceEnvironment environment,
                                          fmi3LogMessageCallback log, fmi3IntermediateUpdateCallback update) {
     (void)visible, (void)event_mode, (void)early_return, (void)required, (void)n_required;
-    Instance *m = new_instance(name, token, resources, environment, (void *)log, tell);
+    Instance *m = new_instance(name, token, resources, environment, (void *)log, report);
     if (m) m->logging = logging, m->update = (void *)update;
     return m;
 }
@@ -34,7 +34,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
 fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
                                           fmi3Boolean logging, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log) {
     (void)name, (void)token, (void)resources, (void)visible, (void)logging;
-    if (log) log(environment, fmi3Error, "logStatusError", "this FMU is for co-simulation");
+    if (log) log(environment, fmi3Error, "logStatusError", "this FMU supports co-simulation only");
     return NULL;
 }
 
@@ -74,7 +74,7 @@ fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t 
 
 fmi3Status fmi3GetInt64(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Int64 values[], size_t n_values) {
     if (!allowed(c, "fmi3GetInt64", ANY)) return fmi3Error;
-    if (n != n_values || (n > 0 && (!vr || !values))) return (fmi3Status)refuse(c, "fmi3GetInt64", "there is no array of that length");
+    if (n != n_values || (n > 0 && (!vr || !values))) return (fmi3Status)refuse(c, "fmi3GetInt64", "no array of that length is given");
     for (size_t k = 0; k < n; k++)
         if (get_integer(c, vr[k], &values[k]) != OK) return fmi3Error;
     return fmi3OK;
@@ -82,7 +82,7 @@ fmi3Status fmi3GetInt64(fmi3Instance c, const fmi3ValueReference vr[], size_t n,
 
 fmi3Status fmi3SetInt64(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3Int64 values[], size_t n_values) {
     if (!allowed(c, "fmi3SetInt64", SETTABLE)) return fmi3Error;
-    if (n != n_values || (n > 0 && (!vr || !values))) return (fmi3Status)refuse(c, "fmi3SetInt64", "there is no array of that length");
+    if (n != n_values || (n > 0 && (!vr || !values))) return (fmi3Status)refuse(c, "fmi3SetInt64", "no array of that length is given");
     for (size_t k = 0; k < n; k++)
         if (set_integer(c, vr[k], values[k]) != OK) return fmi3Error;
     return fmi3OK;
@@ -90,7 +90,7 @@ fmi3Status fmi3SetInt64(fmi3Instance c, const fmi3ValueReference vr[], size_t n,
 
 fmi3Status fmi3GetString(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3String values[], size_t n_values) {
     if (!allowed(c, "fmi3GetString", ANY)) return fmi3Error;
-    if (n != n_values || (n > 0 && (!vr || !values))) return (fmi3Status)refuse(c, "fmi3GetString", "there is no array of that length");
+    if (n != n_values || (n > 0 && (!vr || !values))) return (fmi3Status)refuse(c, "fmi3GetString", "no array of that length is given");
     for (size_t k = 0; k < n; k++)
         if (get_text(c, vr[k], &values[k]) != OK) return fmi3Error;
     return fmi3OK;
@@ -98,7 +98,7 @@ fmi3Status fmi3GetString(fmi3Instance c, const fmi3ValueReference vr[], size_t n
 
 fmi3Status fmi3SetString(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3String values[], size_t n_values) {
     if (!allowed(c, "fmi3SetString", SETTABLE)) return fmi3Error;
-    if (n != n_values || (n > 0 && (!vr || !values))) return (fmi3Status)refuse(c, "fmi3SetString", "there is no array of that length");
+    if (n != n_values || (n > 0 && (!vr || !values))) return (fmi3Status)refuse(c, "fmi3SetString", "no array of that length is given");
     for (size_t k = 0; k < n; k++)
         if (set_text(c, vr[k], values[k]) != OK) return fmi3Error;
     return fmi3OK;

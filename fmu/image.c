@@ -1,5 +1,5 @@
 /* resources/model.bin: a head of MAGIC and int64 counts, then variables, problems, R, N and text; all little-endian, 8
-   bytes a number. The last count is the checksum of all that is behind the head. */
+   bytes a number. The last count is the checksum of all words after the head. */
 
 #include "wrapper.h"
 
@@ -54,7 +54,7 @@ uint64_t checksum(const void *bytes, size_t size) {
     return sum;
 }
 
-/* Whether the sections fit the file exactly and every variable, problem and text lies within them. */
+/* True where the sections fill the file exactly and every variable, problem and text lies within them. */
 static bool whole(const Image *im, size_t size) {
     const int64_t counts[] = {im->n_R, im->n_N, im->n_variables, im->n_problems, im->n_text};
     for (int k = 0; k < 5; k++)
@@ -110,6 +110,6 @@ bool read_image(Image *image, const char *folder, char *why, size_t size) {
         image->text = at;
         good = consistent(image);
     }
-    if (!good) snprintf(why, size, "%.900s is damaged or of another version; export the FMU anew", path);
+    if (!good) snprintf(why, size, "%.900s is damaged or of another version; export the FMU again", path);
     return good;
 }

@@ -37,7 +37,7 @@ static int by_value(const void *a, const void *b) {
     return (x > y) - (x < y);
 }
 
-/* The next cell of a line without the blanks about it; false behind the last. */
+/* The next cell of a line without surrounding blanks; false after the last. */
 static bool next_cell(char **at, char **cell) {
     if (!*at) return false;
     char *comma = strchr(*at, ','), *end = comma ? comma : *at + strlen(*at);
@@ -48,7 +48,7 @@ static bool next_cell(char **at, char **cell) {
     return true;
 }
 
-/* Which of COLUMNS each column of the file is. */
+/* Number in NAMES of each column of the file. */
 static int read_names(char *line, int columns[], char *why, size_t size) {
     int count = 0, found = 0;
     for (char *at = line, *cell; next_cell(&at, &cell); count++) {
@@ -59,25 +59,25 @@ static int read_names(char *line, int columns[], char *why, size_t size) {
         columns[count] = k, found |= 1 << k;
     }
     for (int k = 0; k < SIGMA; k++)
-        if (!(found & 1 << k)) return snprintf(why, size, "there is no column %s", NAMES[k]), 0;
+        if (!(found & 1 << k)) return snprintf(why, size, "column %s is missing", NAMES[k]), 0;
     return count;
 }
 
 static bool read_row(char *line, int count, const int columns[], Locale locale, double row[], char *why, size_t size) {
     int k = 0;
     for (char *at = line, *cell, *end; next_cell(&at, &cell); k++) {
-        if (k == count) return snprintf(why, size, "more cells than names"), false;
+        if (k == count) return snprintf(why, size, "more cells than column names"), false;
         double value = strtod_l(cell, &end, locale);
         bool number = end > cell && !*end && !strpbrk(cell, "xX") && isfinite(value);
         if (!number || fabs(value) > LIMITS[columns[k]] || (columns[k] == SIGMA && value < 0.0))
-            return snprintf(why, size, "%s: \"%.*s\" cannot be", NAMES[columns[k]], NAME, cell), false;
+            return snprintf(why, size, "%s: \"%.*s\" is not valid", NAMES[columns[k]], NAME, cell), false;
         row[columns[k]] = value;
     }
-    if (k < count) return snprintf(why, size, "fewer cells than names"), false;
+    if (k < count) return snprintf(why, size, "fewer cells than column names"), false;
     return true;
 }
 
-/* Whether a header line agrees with the reference heating that the model has. */
+/* True where a header line agrees with the reference heating that the model has. */
 static bool same_reference(const char *line, const char *reference, char *why, size_t size) {
     line += strspn(line, "# \t");
     if (strncmp(line, "reference:", 10) != 0) return true;
@@ -106,14 +106,14 @@ static bool read_rows(char *text, const char *reference, Rows *all, Locale local
             if (all->count == all->room) {
                 all->room = all->room ? 2 * all->room : 256;
                 void *more = realloc(all->rows, all->room * sizeof *all->rows);
-                if (!more) return snprintf(why, size, "there is no memory"), false;
+                if (!more) return snprintf(why, size, "out of memory"), false;
                 all->rows = more;
             }
             good = read_row(line, count, columns, locale, all->rows[all->count++], reason, sizeof reason);
         }
         if (!good) return snprintf(why, size, "row %d: %s", number, reason), false;
     }
-    if (all->count == 0) return snprintf(why, size, "there are no rows"), false;
+    if (all->count == 0) return snprintf(why, size, "has no rows"), false;
     return true;
 }
 
@@ -128,11 +128,11 @@ static size_t node_of(const Axis *axis, double value) {
     return (size_t)(found - axis->values);
 }
 
-/* Axes and ratios behind one another, the ratios not yet set. */
+/* Axes, then ratios, which are not set yet. */
 static double *packed_axes(const Rows *all, Axis axes[], int64_t *count, char *why, size_t size) {
     size_t n = all->count, axis_nodes = 0, nodes = 1;
     double *sorted = malloc(n * VARIABLES * sizeof(double));
-    if (!sorted) return snprintf(why, size, "there is no memory"), NULL;
+    if (!sorted) return snprintf(why, size, "out of memory"), NULL;
     for (int k = 0; k < VARIABLES; k++) {
         double *values = sorted + (size_t)k * n;
         for (size_t i = 0; i < n; i++) values[i] = all->rows[i][k];
@@ -168,7 +168,7 @@ static double *pack(const Rows *all, int64_t *count, char *why, size_t size) {
         size_t node = 0;
         for (int k = 0; k < VARIABLES; k++) node = node * axes[k].count + node_of(&axes[k], all->rows[i][k]);
         if (!isnan(ratio[node])) {
-            snprintf(why, size, "the node alpha_deg %g, log10_re %g stands there twice", all->rows[i][0], all->rows[i][2]);
+            snprintf(why, size, "the node alpha_deg %g, log10_re %g is repeated", all->rows[i][0], all->rows[i][2]);
             free(table);
             return NULL;
         }
@@ -184,7 +184,7 @@ double *read_ratio_table(const char *path, const char *reference, int64_t *count
     Rows all = {NULL, 0, 0};
     double *table = NULL;
     if (text && strlen(text) != length) {
-        snprintf(reason, sizeof reason, "is no text");
+        snprintf(reason, sizeof reason, "is not text");
     } else if (text) {
         bool marked = strncmp(text, "\xef\xbb\xbf", 3) == 0;
         if (read_rows(text + (marked ? 3 : 0), reference, &all, locale, reason, sizeof reason))

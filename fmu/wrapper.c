@@ -24,7 +24,7 @@ static const double CLOCK = 1e-9;
 static void say(Instance *m, Status status, const char *category, const char *format, va_list arguments) {
     char text[1024];
     vsnprintf(text, sizeof text, format, arguments);
-    if (m->tell) m->tell(m, status, category, text);
+    if (m->report) m->report(m, status, category, text);
 }
 
 Status fail(Instance *m, const char *format, ...) {
@@ -41,7 +41,7 @@ Status refuse(Instance *m, const char *function, const char *why) {
     if (m && m->kind == INSTANCE) {
         char text[512];
         snprintf(text, sizeof text, "%s: %s", function, why);
-        if (m->tell) m->tell(m, ERROR, "logStatusError", text);
+        if (m->report) m->report(m, ERROR, "logStatusError", text);
     }
     return ERROR;
 }
@@ -54,7 +54,7 @@ bool allowed(Instance *m, const char *function, int modes) {
     return false;
 }
 
-/* Life ------------------------------------------------------------------------------------------------------------ */
+/* Instances ------------------------------------------------------------------------------------------------------- */
 
 static bool make_R(Instance *m, int64_t count) {
     void *memory = malloc((size_t)count * sizeof(double) + LINE);
@@ -66,7 +66,7 @@ static bool make_R(Instance *m, int64_t count) {
     return true;
 }
 
-/* Whether the processor and its operating system have what LLVM's x86-64-v3 takes for granted. */
+/* True where processor and operating system support all of LLVM's x86-64-v3. */
 static bool has_avx2(void) {
 #if defined(__x86_64__)
     unsigned a, b, c, d, low, high;
@@ -92,20 +92,20 @@ static void load(Instance *m) {
 }
 
 Instance *new_instance(const char *name, const char *token, const char *folder, void *environment, void *log,
-                       void (*tell)(Instance *, Status, const char *, const char *)) {
+                       void (*report)(Instance *, Status, const char *, const char *)) {
     Instance *m = calloc(1, sizeof(Instance));
     if (!m) return NULL;
     char why[1024] = "";
-    m->kind = INSTANCE, m->environment = environment, m->log = log, m->tell = tell;
+    m->kind = INSTANCE, m->environment = environment, m->log = log, m->report = report;
     size_t length = name ? strlen(name) : 0;
     m->name = calloc(length + 1, 1);
     if (m->name && name) memcpy(m->name, name, length);
     if (!m->name) {
-        snprintf(why, sizeof why, "there is no memory");
+        snprintf(why, sizeof why, "out of memory");
     } else if (length == 0) {
         snprintf(why, sizeof why, "the instance has no name");
     } else if (!folder) {
-        snprintf(why, sizeof why, "the location of the resources is not given or no file URI");
+        snprintf(why, sizeof why, "the location of the resources is not given or is not a file URI");
     } else if (read_image(&m->image, folder, why, sizeof why)) {
         const char *own = m->image.text + m->image.token;
         if (!token || strcmp(token, own) != 0) {
@@ -117,10 +117,10 @@ Instance *new_instance(const char *name, const char *token, const char *folder, 
                 load(m);
                 return m;
             }
-            snprintf(why, sizeof why, "there is no memory");
+            snprintf(why, sizeof why, "out of memory");
         }
     }
-    if (tell && m->name) tell(m, ERROR, "logStatusError", why);
+    if (report && m->name) report(m, ERROR, "logStatusError", why);
     free_instance(m);
     return NULL;
 }
@@ -142,7 +142,7 @@ Status reset(Instance *m) {
 
 static const Variable *variable(Instance *m, uint32_t ref, int kind) {
     if (ref < m->image.n_variables && m->image.variables[ref].kind == kind) return &m->image.variables[ref];
-    fail(m, "value reference %u is none of a variable of this type", (unsigned)ref);
+    fail(m, "value reference %u is not that of a variable of this type", (unsigned)ref);
     return NULL;
 }
 
@@ -164,14 +164,14 @@ static void has_changed(Instance *m, const Variable *v) {
 
 static Status run(Instance *m, bool begins);
 
-/* In initialization mode what depends on start values is computed when it is asked for. */
+/* In initialization mode values that depend on start values are computed when they are read. */
 static Status refresh(Instance *m) {
     return m->mode == INITIALIZATION && m->stale ? run(m, true) : OK;
 }
 
 Status get_numbers(Instance *m, const uint32_t *refs, size_t n, double *values, size_t n_values) {
     if (!allowed(m, "get", ANY)) return ERROR;
-    if (n > 0 && (!refs || !values)) return refuse(m, "get", "there is no array");
+    if (n > 0 && (!refs || !values)) return refuse(m, "get", "no array is given");
     if (m->mode == INITIALIZATION && m->stale)
         for (size_t k = 0; k < n; k++)
             if (refs[k] < m->image.n_variables && m->image.variables[refs[k]].role == ROLE_OUTPUT && refresh(m) != OK) return ERROR;
@@ -190,7 +190,7 @@ Status get_numbers(Instance *m, const uint32_t *refs, size_t n, double *values, 
 static Status check(Instance *m, const Variable *v, double value) {
     const char *name = m->image.text + v->name;
     if (!isfinite(value)) return fail(m, "%s cannot be %g; it must be a finite number", name, value);
-    /* What an input may be is the model's to say, when it uses it. */
+    /* The model checks the range of an input when it uses it. */
     if (v->role != ROLE_INPUT && !(v->lower <= value && value <= v->upper))
         return fail(m, "%s cannot be %g; it must be from %g to %g", name, value, v->lower, v->upper);
     return OK;
@@ -198,7 +198,7 @@ static Status check(Instance *m, const Variable *v, double value) {
 
 Status set_numbers(Instance *m, const uint32_t *refs, size_t n, const double *values, size_t n_values) {
     if (!allowed(m, "set", SETTABLE | INTERMEDIATE)) return ERROR;
-    if (n > 0 && (!refs || !values)) return refuse(m, "set", "there is no array");
+    if (n > 0 && (!refs || !values)) return refuse(m, "set", "no array is given");
     size_t at = 0;
     for (size_t k = 0; k < n; k++) {
         const Variable *v = variable(m, refs[k], KIND_NUMBER);
@@ -236,22 +236,22 @@ Status get_text(Instance *m, uint32_t ref, const char **value) {
     return OK;
 }
 
-/* What stands in N behind a table's path: where tables begin in R, the place of the name of the reference heating, the
-   table inside, how many lanes take their ratios from the one in force, and where each says which that is. Tables are
-   counted from where they begin. */
+/* Integers of N after a table's path: place of the tables in R, place of the name of the reference heating, the exported
+   table, number of lanes that use the variable's table, and the place in N of each lane's table. Tables are
+   counted from the place of the tables. */
 enum { TABLES, REFERENCE_NAME, INSIDE, N_LANES, LANES };
 
-static int64_t *behind(Instance *m, const Variable *v) { return m->N + v->place + TEXT_BYTES / 8; }
+static int64_t *table_integers(Instance *m, const Variable *v) { return m->N + v->place + TEXT_BYTES / 8; }
 
-/* The table from a file in force for a variable, in these numbers; NULL where it is the one inside. */
+/* The table from a file that a variable uses, in these numbers; NULL where it uses the one inside. */
 static const double *from_file(Instance *m, const Variable *v, const double *R) {
-    const int64_t *own = behind(m, v);
+    const int64_t *own = table_integers(m, v);
     int64_t at = m->N[own[LANES]];
     return at == own[INSIDE] ? NULL : R + own[TABLES] + at;
 }
 
-/* Put a table of `count` numbers into force for a variable, or the one inside where it is NULL. Tables from files stand
-   behind the image, in the order of their variables. False where there is no memory. */
+/* Make a variable use a table of `count` numbers, or the exported one where it is NULL. Tables from files stand after
+   the image, in the order of their variables. False where out of memory. */
 static bool put_table(Instance *m, const Variable *changed, const double *table, int64_t count) {
     const Variable *first = m->image.variables, *last = first + m->image.n_variables;
     int64_t end = m->image.n_R, needed = end + count;
@@ -266,7 +266,7 @@ static bool put_table(Instance *m, const Variable *changed, const double *table,
     for (const Variable *v = first; v < last; v++) {
         if (v->kind != KIND_TABLE) continue;
         const double *kept = v == changed ? table : from_file(m, v, R);
-        const int64_t *own = behind(m, v), size = kept ? table_size(kept) : 0;
+        const int64_t *own = table_integers(m, v), size = kept ? table_size(kept) : 0;
         if (kept) memcpy(m->R + end, kept, (size_t)size * sizeof(double));
         for (int64_t k = 0; k < own[N_LANES]; k++) m->N[own[LANES + k]] = kept ? end - own[TABLES] : own[INSIDE];
         end += size;
@@ -275,7 +275,7 @@ static bool put_table(Instance *m, const Variable *changed, const double *table,
     return true;
 }
 
-/* The path of a table, read now; none, and the table inside is in force. */
+/* Set the path of a table and read it; an empty path selects the table inside. */
 Status set_text(Instance *m, uint32_t ref, const char *value) {
     const Variable *v = variable(m, ref, KIND_TABLE);
     if (!v || !may_set(m, v)) return ERROR;
@@ -284,23 +284,23 @@ Status set_text(Instance *m, uint32_t ref, const char *value) {
     if (!value[0] && !from_file(m, v, m->R)) return OK;
     char why[800];
     int64_t count = 0;
-    double *table = value[0] ? read_ratio_table(value, m->image.text + behind(m, v)[REFERENCE_NAME], &count, why, sizeof why) : NULL;
+    double *table = value[0] ? read_ratio_table(value, m->image.text + table_integers(m, v)[REFERENCE_NAME], &count, why, sizeof why) : NULL;
     if (value[0] && !table) return fail(m, "%s: %s", name, why);
     bool put = put_table(m, v, table, count);
     free(table);
-    if (!put) return fail(m, "%s: there is no memory for %.200s", name, value);
+    if (!put) return fail(m, "%s: out of memory for %.200s", name, value);
     memset(m->N + v->place, 0, TEXT_BYTES);
     memcpy(m->N + v->place, value, strlen(value));
     has_changed(m, v);
     return OK;
 }
 
-/* Ratios set as an array are those of the table inside, which then takes the place of a file's: what is set last holds. */
+/* Ratios set as an array are those of the table inside, which then replaces that of a file: the last setting takes effect. */
 static Status drop_file(Instance *m, const Variable *ratios) {
     for (int64_t i = 0; i < m->image.n_variables; i++) {
         const Variable *v = &m->image.variables[i];
         if (v->kind != KIND_TABLE || !from_file(m, v, m->R)) continue;
-        const int64_t *own = behind(m, v), inside = own[TABLES] + own[INSIDE];
+        const int64_t *own = table_integers(m, v), inside = own[TABLES] + own[INSIDE];
         if (ratios->place < inside || ratios->place >= inside + table_size(m->R + inside)) continue;
         if (set_text(m, (uint32_t)i, "") != OK) return ERROR;
     }
@@ -310,7 +310,7 @@ static Status drop_file(Instance *m, const Variable *ratios) {
 Status set_slope(Instance *m, uint32_t ref, double slope) {
     const Variable *v = variable(m, ref, KIND_NUMBER);
     if (!v) return ERROR;
-    if (v->role != ROLE_INPUT || !isfinite(slope)) return fail(m, "%s: %g is no derivative of an input", m->image.text + v->name, slope);
+    if (v->role != ROLE_INPUT || !isfinite(slope)) return fail(m, "%s: %g is not a valid derivative of an input", m->image.text + v->name, slope);
     m->R[m->N[INPUT_SLOPES] + v->place - m->N[INPUTS]] = slope;
     return OK;
 }
@@ -324,7 +324,7 @@ static Status run(Instance *m, bool begins) {
         m->stale = false;
         return OK;
     }
-    if (outcome < 0 || outcome >= m->image.n_problems) return fail(m, "the model gave no answer");
+    if (outcome < 0 || outcome >= m->image.n_problems) return fail(m, "the model returned an unknown outcome");
     const Problem *p = &m->image.problems[outcome];
     const char *name = m->image.text + p->name, *rule = m->image.text + p->rule;
     if (p->place < 0) return fail(m, "time %.9g s, %s: %s", m->R[NEXT], name, rule);
@@ -335,7 +335,7 @@ static Status run(Instance *m, bool begins) {
 
 Status set_experiment(Instance *m, double start, bool stop_defined, double stop) {
     if (!isfinite(start) || (stop_defined && !(stop >= start)))
-        return fail(m, "start time %g and stop time %g are no experiment", start, stop);
+        return fail(m, "start time %g and stop time %g are not valid", start, stop);
     m->R[NOW] = m->R[NEXT] = start;
     m->stop_defined = stop_defined, m->stop = stop;
     m->stale = true;
@@ -363,7 +363,7 @@ Status prepare_step(Instance *m, double time, double length) {
     if (!isfinite(end) || !(length > 0.0)) return fail(m, "a step of %g s cannot be made; it must be above 0", length);
     if (!(end > now)) return fail(m, "a step of %g s is lost in rounding at %.9g s; take a longer one", length, now);
     if (m->stop_defined && end > m->stop + CLOCK * (1.0 + fabs(m->stop)))
-        return fail(m, "the step ends at %.9g s, behind the stop time %.9g s", end, m->stop);
+        return fail(m, "the step ends at %.9g s, after the stop time %.9g s", end, m->stop);
     m->R[NEXT] = end;
     const int64_t *N = m->N;
     bool reached = N[TIMING] == REACHED;
@@ -394,7 +394,7 @@ typedef struct {
 
 static size_t size_of(int64_t n_R, int64_t n_N) { return sizeof(StateHead) + 8 * (size_t)(n_R + n_N); }
 
-/* Whether a state is one of this model. */
+/* True where a state is one of this model. */
 static bool ours(Instance *m, const StateHead *state) {
     return state->kind == STATE && state->n_N == m->image.n_N && state->n_R >= m->image.n_R &&
            state->bytes == (int64_t)size_of(state->n_R, state->n_N) &&
@@ -403,12 +403,12 @@ static bool ours(Instance *m, const StateHead *state) {
 
 Status get_state(Instance *m, void **state) {
     if (!allowed(m, "get state", ANY & ~INTERMEDIATE)) return ERROR;
-    if (!state) return refuse(m, "get state", "there is no place for it");
+    if (!state) return refuse(m, "get state", "no pointer to it is given");
     size_t size = size_of(m->n_R, m->image.n_N);
     StateHead *head = *state;
     if (!head || head->kind != STATE || head->bytes != (int64_t)size) {
         head = malloc(size);
-        if (!head) return refuse(m, "get state", "there is no memory");
+        if (!head) return refuse(m, "get state", "out of memory");
         if (*state && ((StateHead *)*state)->kind == STATE) free(*state);
     }
     memset(head, 0, sizeof *head);
@@ -424,8 +424,8 @@ Status get_state(Instance *m, void **state) {
 Status set_state(Instance *m, void *state) {
     if (!allowed(m, "set state", ANY & ~INTERMEDIATE)) return ERROR;
     const StateHead *head = state;
-    if (!head || !ours(m, head)) return refuse(m, "set state", "is none of this model");
-    if (head->n_R != m->n_R && !make_R(m, head->n_R)) return refuse(m, "set state", "there is no memory");
+    if (!head || !ours(m, head)) return refuse(m, "set state", "is not of this model");
+    if (head->n_R != m->n_R && !make_R(m, head->n_R)) return refuse(m, "set state", "out of memory");
     memcpy(m->R, head + 1, 8 * (size_t)m->n_R);
     memcpy(m->N, (const char *)(head + 1) + 8 * (size_t)m->n_R, 8 * (size_t)m->image.n_N);
     m->mode = (Mode)head->mode, m->stop_defined = head->stop_defined != 0, m->stop = head->stop, m->stale = head->stale != 0;
@@ -435,7 +435,7 @@ Status set_state(Instance *m, void *state) {
 Status free_state(Instance *m, void **state) {
     if (!allowed(m, "free state", ANY)) return ERROR;
     if (!state || !*state) return OK;
-    if (((StateHead *)*state)->kind != STATE) return refuse(m, "free state", "is no state");
+    if (((StateHead *)*state)->kind != STATE) return refuse(m, "free state", "is not a state");
     ((StateHead *)*state)->kind = 0;
     free(*state);
     *state = NULL;
@@ -444,14 +444,14 @@ Status free_state(Instance *m, void **state) {
 
 Status state_size(Instance *m, void *state, size_t *size) {
     if (!allowed(m, "size of state", ANY)) return ERROR;
-    if (!state || !size || !ours(m, state)) return refuse(m, "size of state", "is none of this model");
+    if (!state || !size || !ours(m, state)) return refuse(m, "size of state", "is not of this model");
     *size = (size_t)((StateHead *)state)->bytes;
     return OK;
 }
 
 Status serialize(Instance *m, void *state, void *bytes, size_t size) {
     if (!allowed(m, "serialize state", ANY)) return ERROR;
-    if (!state || !bytes || !ours(m, state)) return refuse(m, "serialize state", "is none of this model");
+    if (!state || !bytes || !ours(m, state)) return refuse(m, "serialize state", "is not of this model");
     StateHead *head = state;
     if (size < (size_t)head->bytes) return refuse(m, "serialize state", "does not fit");
     head->sum = 0;
@@ -462,9 +462,9 @@ Status serialize(Instance *m, void *state, void *bytes, size_t size) {
 
 Status deserialize(Instance *m, const void *bytes, size_t size, void **state) {
     if (!allowed(m, "deserialize state", ANY)) return ERROR;
-    if (!bytes || !state || size < sizeof(StateHead)) return refuse(m, "deserialize state", "there is no state");
+    if (!bytes || !state || size < sizeof(StateHead)) return refuse(m, "deserialize state", "no state is given");
     StateHead *head = malloc(size);
-    if (!head) return refuse(m, "deserialize state", "there is no memory");
+    if (!head) return refuse(m, "deserialize state", "out of memory");
     memcpy(head, bytes, size);
     uint64_t told = head->sum;
     head->sum = 0;

@@ -1,7 +1,7 @@
-/* An FMU around a function of two arrays: what FMI 2 (fmi2.c) and FMI 3 (fmi3.c) share. No physics here.
+/* An FMU around a function of two arrays: what FMI 2 (fmi2.c) and FMI 3 (fmi3.c) share; it holds no physics.
 
-   A model is an image in resources/model.bin (image.c) and the function that works on it; what it does, and what the first
-   entries of the arrays mean, is written in sim_heating/simulation/fmu_export/library.py. */
+   A model is an image in resources/model.bin (image.c) and a function of its arrays; the function and the first entries of
+   the arrays are described in sim_heating/simulation/fmu_export/library.py. */
 
 #ifndef wrapper_h
 #define wrapper_h
@@ -11,7 +11,7 @@
 #include <stdint.h>
 #include <stdio.h>
 
-/* Compiled functions of a model for one kind of processor; functions.c, written by library.py, names them. */
+/* Compiled functions of a model for one kind of processor; functions.c, written by sim_heating/simulation/fmu_export/library.py, lists them. */
 typedef int64_t (*Function)(double *R, int64_t *N, int64_t *called);
 typedef struct { Function move; int64_t *called; } Model;
 extern const Model models[];
@@ -39,20 +39,20 @@ typedef struct {
     void *memory;
 } Image;
 
-/* Read resources/model.bin; false, with the reason in `why`, where that is not possible. */
+/* Read resources/model.bin; false, with the reason in `why`, where it cannot be read. */
 bool read_image(Image *image, const char *folder, char *why, size_t size);
 
-/* Sum over all words of 8 bytes, each mixed with its place so that every bit of it bears on every bit: one changed or moved
-   word changes the sum, several leave it with a chance of 2^-64. */
+/* Sum over all words of 8 bytes, each mixed with its place so that every bit affects every bit: one changed or moved word
+   changes the sum; several leave it unchanged with a probability of 2^-64. */
 uint64_t checksum(const void *bytes, size_t size);
 
-/* A file's whole contents, with a 0 behind them; NULL where it cannot be read. The path is UTF-8. */
+/* A file's whole contents, with a 0 after them; NULL where it cannot be read. The path is UTF-8. */
 char *read_file(const char *path, size_t *size);
 
 /* Nodes and ratios of a heating-ratio table (a contract CSV), packed as the kernel reads it; NULL, with the reason. */
 double *read_ratio_table(const char *path, const char *reference, int64_t *count, char *why, size_t size);
 
-/* How many numbers a packed table has. */
+/* Number of doubles of a packed table. */
 int64_t table_size(const double *table);
 
 typedef enum { OK = 0, WARNING = 1, ERROR = 3 } Status;      /* numbers of FMI 2 and of FMI 3 */
@@ -62,7 +62,7 @@ typedef enum {
 enum { ANY = 63, SETTABLE = INSTANTIATED | INITIALIZATION | STEPPING };
 
 typedef struct Instance {
-    uint64_t kind;                 /* what a pointer must point to before anything else is believed */
+    uint64_t kind;                 /* marks an instance; checked before any other member is read */
     Image image;
     const Model *model;
     double *R;
@@ -72,17 +72,17 @@ typedef struct Instance {
     Mode mode;
     bool stop_defined, stale, logging;
     double stop;
-    void (*tell)(struct Instance *, Status, const char *category, const char *message);
+    void (*report)(struct Instance *, Status, const char *category, const char *message);
     char *name;
     void *environment;
-    void *log, *update;            /* the host's callbacks, whose types the FMI version knows */
+    void *log, *update;            /* the host's callbacks; their types depend on the FMI version */
 } Instance;
 
 Instance *new_instance(const char *name, const char *token, const char *folder, void *environment, void *log,
-                       void (*tell)(Instance *, Status, const char *, const char *));
+                       void (*report)(Instance *, Status, const char *, const char *));
 void free_instance(Instance *instance);
 
-/* Whether a call is allowed now; an instance that is none, or a call out of turn, is told about and refused. */
+/* True where a call is allowed in the present mode; otherwise it is reported and refused. */
 bool allowed(Instance *instance, const char *function, int modes);
 Status fail(Instance *instance, const char *format, ...);
 Status refuse(Instance *instance, const char *function, const char *why);
@@ -98,7 +98,7 @@ Status set_slope(Instance *instance, uint32_t ref, double slope);
 Status set_experiment(Instance *instance, double start, bool stop_defined, double stop);
 Status enter_initialization(Instance *instance);
 Status exit_initialization(Instance *instance);
-/* The three parts of a step, between which FMI 3 asks its host for inputs at the end. */
+/* Parts of a step; between them FMI 3 asks its host for inputs at the end of the step. */
 Status prepare_step(Instance *instance, double time, double length);
 Status finish_step(Instance *instance);
 Status reset(Instance *instance);

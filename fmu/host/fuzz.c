@@ -46,7 +46,7 @@ static unsigned any_ref(void) { return one_of(8) ? (unsigned)one_of((int)n_varia
 static size_t any_count(void) { return (size_t)one_of(REFS + 1); }
 
 static void took(int status) {
-    if (status < 0 || status > 4) printf("a status that there is not: %d\n", status), exit(3);
+    if (status < 0 || status > 4) printf("an unknown status: %d\n", status), exit(3);
     refused += status != 0;
 }
 
@@ -138,7 +138,7 @@ static void states(Slot *s, bool two) {
         took(two ? (int)fmi2SerializeFMUstate(c, *state, bytes, size) : (int)fmi3SerializeFMUState(c, *state, (fmi3Byte *)bytes, size));
         size_t given = one_of(3) ? size : (size_t)one_of((int)size);
         if (one_of(2)) bytes[one_of((int)size)] ^= (char)(1 << one_of(8));
-        void *made = (void *)(uintptr_t)1;  /* an output: what stands there is not looked at */
+        void *made = (void *)(uintptr_t)1;  /* an output: its old value is not read */
         int outcome = two ? (int)fmi2DeSerializeFMUstate(c, bytes, given, &made) : (int)fmi3DeserializeFMUState(c, (fmi3Byte *)bytes, given, &made);
         took(outcome);
         free(bytes);

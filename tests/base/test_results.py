@@ -58,7 +58,9 @@ def test_a_second_run_replaces_the_results_of_the_first_and_nothing_else(tmp_pat
 
 def test_a_file_of_other_origin_is_never_overwritten(tmp_path: Path) -> None:
     (tmp_path / "a").write_text("mine")
-    with pytest.raises(InputError, match="a exists and is not a result of ours; choose another directory"):
+    with pytest.raises(
+        InputError, match="a already exists and was not written by sim-heating; choose another directory"
+    ):
         run(tmp_path, a="2", b="2")
     assert names(tmp_path) == {"a"}
     assert (tmp_path / "a").read_text() == "mine"

@@ -1,4 +1,4 @@
-"""The command as a person uses it: what it writes, its exit status, and one line where it cannot."""
+"""The command as a user has it: files that it writes, its exit status, and one line for an error."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ POPU = '[[trajectory.manoeuvre]]\nkind = "popu"\n'
 
 
 @pytest.fixture
-def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def workdir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty working directory with one good scenario in it, the vehicles found by name."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SIM_HEATING_AIRCRAFT_DATA", str(ROOT / "aircraft_data"))
@@ -32,66 +32,66 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def only_line(capsys: pytest.CaptureFixture[str]) -> str:
-    """The one line that an error is told in; progress lines end in dots."""
+    """The one line of an error; progress lines end in dots."""
     err = [line for line in capsys.readouterr().err.splitlines() if not line.endswith("...")]
     assert len(err) == 1, err
     assert "Traceback" not in err[0]
     return err[0]
 
 
-# What a good run leaves ----------------------------------------------------------------------------------------------
+# Outputs of a good run -----------------------------------------------------------------------------------------------
 
 
-def test_run_writes_tables_pictures_and_a_summary(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_run_writes_tables_pictures_and_a_summary(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "short.toml", "--out", "out"]) == 0
-    made = {p.name for p in (desk / "out").iterdir()}
+    made = {p.name for p in (workdir / "out").iterdir()}
     assert made >= {"temperatures.csv", "conditions.csv", "flight.nc", "summary.json", "trajectory.png"}
-    said = capsys.readouterr().out
-    assert "V09T9527" in said
-    assert "temperatures.png" in said
-    point = json.loads((desk / "out" / "summary.json").read_text())["control_points"]["V09T9527"]
+    output = capsys.readouterr().out
+    assert "V09T9527" in output
+    assert "temperatures.png" in output
+    point = json.loads((workdir / "out" / "summary.json").read_text())["control_points"]["V09T9527"]
     assert 900.0 < point["peak_surface_K"] < 1300.0
 
 
-def test_a_second_run_replaces_the_first_and_keeps_what_is_not_ours(desk: Path) -> None:
+def test_a_second_run_replaces_the_first_and_keeps_other_files(workdir: Path) -> None:
     assert main(["run", "short.toml", "--out", "out"]) == 0
-    (desk / "out" / "notes.txt").write_text("mine")
+    (workdir / "out" / "notes.txt").write_text("mine")
     assert main(["run", "short.toml", "--out", "out"]) == 0
-    assert (desk / "out" / "notes.txt").read_text() == "mine"
+    assert (workdir / "out" / "notes.txt").read_text() == "mine"
 
 
-def test_a_synthetic_record_is_valid_and_can_be_predicted(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_synthetic_record_is_valid_and_can_be_predicted(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["synthesize", "short.toml", "--out", "record"]) == 0
     assert main(["validate", "record", "short.toml"]) == 0
     assert main(["predict", "record", "--out", "predicted"]) == 0
-    fit = json.loads((desk / "predicted" / "summary.json").read_text())["fit"]
-    floor = json.loads((desk / "predicted" / "summary.json").read_text())["noise_floor_K"]
+    fit = json.loads((workdir / "predicted" / "summary.json").read_text())["fit"]
+    floor = json.loads((workdir / "predicted" / "summary.json").read_text())["noise_floor_K"]
     assert fit["rmse_K"] == pytest.approx(floor, rel=0.15)  # 305 samples: 3 sigma of an RMSE is 12 %
     assert "good" in capsys.readouterr().out
 
 
-def test_a_name_in_brackets_is_told_as_it_stands(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    shutil.copytree(TILE, desk / "[red] tile")
+def test_a_name_in_brackets_is_printed_unchanged(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(TILE, workdir / "[red] tile")
     assert main(["predict", "[red] tile", "--out", "[bold] out"]) == 0
-    said = capsys.readouterr().out
-    assert "[red] tile" in said
-    assert "Wrote [bold] out" in said
+    output = capsys.readouterr().out
+    assert "[red] tile" in output
+    assert "Wrote [bold] out" in output
 
 
-def test_several_records_are_predicted_each_in_its_own_directory(desk: Path) -> None:
+def test_several_records_are_predicted_each_in_its_own_directory(workdir: Path) -> None:
     assert main(["synthesize", "short.toml", "--out", "one"]) == 0
     assert main(["synthesize", "short.toml", "--out", "two"]) == 0
     assert main(["predict", "one", "two", "--out", "predicted"]) == 0
-    assert {p.name for p in (desk / "predicted").iterdir()} == {"one", "two"}
+    assert {p.name for p in (workdir / "predicted").iterdir()} == {"one", "two"}
 
 
-def test_validate_recognises_a_vehicle_a_table_and_a_record(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_validate_recognises_a_vehicle_a_table_and_a_record(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
     capsule = ROOT / "aircraft_data" / "capsule"
     assert main(["validate", str(capsule), str(capsule / "ratio_tables" / "FACE.csv"), str(TILE)]) == 0
     assert capsys.readouterr().out.count("good") == 3
 
 
-# What is refused, with one line and status 2 -------------------------------------------------------------------------
+# Refused with one line and status 2 ----------------------------------------------------------------------------------
 
 DAMAGED = {
     "unknown key": (SHORT.replace("title =", 'titel = "x"\ntitle ='), "did you mean `title`"),
@@ -127,16 +127,18 @@ DAMAGED = {
 
 
 @pytest.mark.parametrize("name", DAMAGED)
-def test_a_damaged_scenario_is_refused_in_one_line(name: str, desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_damaged_scenario_is_refused_in_one_line(
+    name: str, workdir: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     text, hint = DAMAGED[name]
-    (desk / "bad.toml").write_text(text)
+    (workdir / "bad.toml").write_text(text)
     assert main(["run", "bad.toml", "--out", "out/here"]) == 2
     assert hint in only_line(capsys)
-    assert not (desk / "out").exists()
+    assert not (workdir / "out").exists()
 
 
-def test_a_binary_scenario_is_refused(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (desk / "bad.toml").write_bytes(bytes(range(256)))
+def test_a_binary_scenario_is_refused(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (workdir / "bad.toml").write_bytes(bytes(range(256)))
     assert main(["synthesize", "bad.toml", "--out", "out"]) == 2
     assert "binary" in only_line(capsys)
 
@@ -158,35 +160,35 @@ def test_a_binary_scenario_is_refused(desk: Path, capsys: pytest.CaptureFixture[
     ],
     ids=lambda v: " ".join(v)[:60] if isinstance(v, list) else None,
 )
-def test_wrong_usage_is_told_in_one_line(
-    arguments: list[str], hint: str, desk: Path, capsys: pytest.CaptureFixture[str]
+def test_wrong_usage_is_reported_in_one_line(
+    arguments: list[str], hint: str, workdir: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(arguments) == 2
     assert hint in only_line(capsys)
-    assert not (desk / "out").exists()
+    assert not (workdir / "out").exists()
 
 
-def test_two_records_of_one_name_are_refused(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_records_of_one_name_are_refused(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["predict", str(TILE), str(TILE), "--out", "out"]) == 2
     assert "rename" in only_line(capsys)
 
 
-def test_a_damaged_record_leaves_no_directory(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_damaged_record_leaves_no_directory(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main(["synthesize", "short.toml", "--out", "record"])
     capsys.readouterr()
-    file = desk / "record" / "thermocouples.csv"
+    file = workdir / "record" / "thermocouples.csv"
     file.write_text(file.read_text().replace("V09T9527_K", "V09T9527_C"))
     assert main(["predict", "record", "--out", "out"]) == 2
     assert "V09T9527_K" in only_line(capsys)
-    assert not (desk / "out").exists()
+    assert not (workdir / "out").exists()
 
 
-def test_a_file_of_someone_else_is_never_overwritten(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (desk / "out").mkdir()
-    (desk / "out" / "summary.json").write_text("mine")
+def test_a_file_of_other_origin_is_never_overwritten(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (workdir / "out").mkdir()
+    (workdir / "out" / "summary.json").write_text("mine")
     assert main(["run", "short.toml", "--out", "out"]) == 2
     assert "summary.json" in only_line(capsys)
-    assert [p.name for p in (desk / "out").iterdir()] == ["summary.json"]
+    assert [p.name for p in (workdir / "out").iterdir()] == ["summary.json"]
 
 
 @pytest.mark.parametrize(
@@ -202,27 +204,29 @@ def test_a_file_of_someone_else_is_never_overwritten(desk: Path, capsys: pytest.
     ],
     ids=" ".join,
 )
-def test_a_file_of_someone_else_is_told_before_any_work(
-    command: list[str], desk: Path, capsys: pytest.CaptureFixture[str]
+def test_a_file_of_other_origin_is_refused_before_any_work(
+    command: list[str], workdir: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     both = SHORT.replace('["V09T9527"]', '["V09T9527", "V07T9975"]')
-    (desk / "popu.toml").write_text(both + POPU + "at_time_s = 20.0\n")
+    (workdir / "popu.toml").write_text(both + POPU + "at_time_s = 20.0\n")
     assert main([*command, "--out", "out"]) == 0
-    made = files_written("out")
-    assert made
+    written = files_written("out")
+    assert written
     capsys.readouterr()
-    for name in made:
-        mine = desk / "theirs" / name
+    for name in written:
+        mine = workdir / "occupied" / name
         mine.parent.mkdir(parents=True)
         mine.write_text("mine")
-        assert main([*command, "--out", "theirs"]) == 2
-        told = capsys.readouterr().err.splitlines()
-        assert told == [f"error: theirs: {name} exists and is not a result of ours; choose another directory"]
-        assert [p for p in (desk / "theirs").rglob("*") if p.is_file()] == [mine]
-        shutil.rmtree(desk / "theirs")
+        assert main([*command, "--out", "occupied"]) == 2
+        errors = capsys.readouterr().err.splitlines()
+        assert errors == [
+            f"error: occupied: {name} already exists and was not written by sim-heating; choose another directory"
+        ]
+        assert [p for p in (workdir / "occupied").rglob("*") if p.is_file()] == [mine]
+        shutil.rmtree(workdir / "occupied")
 
 
-@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no file system in which nothing can be made")
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a file system without write access")
 @pytest.mark.parametrize(
     "command",
     [
@@ -234,42 +238,42 @@ def test_a_file_of_someone_else_is_told_before_any_work(
     ],
     ids=" ".join,
 )
-def test_a_place_where_nothing_can_be_made_is_told_before_any_work(
-    command: list[str], desk: Path, capsys: pytest.CaptureFixture[str]
+def test_a_directory_that_cannot_be_written_is_refused_before_any_work(
+    command: list[str], workdir: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(command) == 2
-    told = capsys.readouterr().err.splitlines()
-    assert len(told) == 1
-    assert "results cannot be written there" in told[0]
+    errors = capsys.readouterr().err.splitlines()
+    assert len(errors) == 1
+    assert "results cannot be written there" in errors[0]
 
 
-# What fails while it runs, with status 1 -----------------------------------------------------------------------------
+# Failures of a run, with status 1 ------------------------------------------------------------------------------------
 
 
-def test_a_flight_out_of_the_atmosphere_fails_with_status_1(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_flight_out_of_the_atmosphere_fails_with_status_1(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
     up = SHORT.replace("6800.0", "12000.0").replace("-0.1", "20.0").replace("time_s = 60.0", "time_s = 900.0")
-    (desk / "up.toml").write_text(up)
+    (workdir / "up.toml").write_text(up)
     assert main(["run", "up.toml", "--out", "out"]) == 1
     assert "outside the atmosphere" in only_line(capsys)
-    assert not (desk / "out").exists()
+    assert not (workdir / "out").exists()
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_an_interrupted_run_leaves_nothing_behind(desk: Path, number: signal.Signals) -> None:
+def test_an_interrupted_run_leaves_nothing_behind(workdir: Path, number: signal.Signals) -> None:
     long = SHORT.replace("entry-3dof", "jsbsim").replace("time_s = 60.0", "time_s = 1000.0")
-    (desk / "long.toml").write_text(long.replace('source = "jsbsim"', 'source = "jsbsim"\nrate_hz = 1000.0'))
+    (workdir / "long.toml").write_text(long.replace('source = "jsbsim"', 'source = "jsbsim"\nrate_hz = 1000.0'))
     command = [sys.executable, "-m", "sim_heating", "run", "long.toml", "--out", "out"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(command, cwd=desk, env=environment, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(command, cwd=workdir, env=environment, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         while "flying" not in process.stderr.readline():
             time.sleep(0.01)
         process.send_signal(number)
-        said = process.stderr.read()
+        errors = process.stderr.read()
         assert process.wait(timeout=60) == 1
-    assert "interrupted" in said
-    assert "Traceback" not in said
-    assert sorted(p.name for p in desk.iterdir()) == ["long.toml", "short.toml"]
+    assert "interrupted" in errors
+    assert "Traceback" not in errors
+    assert sorted(p.name for p in workdir.iterdir()) == ["long.toml", "short.toml"]
 
 
 INTERRUPTED = """
@@ -284,86 +288,86 @@ sys.exit(main())
 """
 
 
-def test_an_interrupt_while_modules_load_is_one_line() -> None:
+def test_an_interrupt_while_modules_load_is_reported_in_one_line() -> None:
     done = subprocess.run([sys.executable, "-c", INTERRUPTED], cwd=ROOT, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (1, "interrupted: nothing was begun\n")
 
 
-def test_a_cache_that_cannot_be_made_is_one_line(desk: Path) -> None:
+def test_a_cache_that_cannot_be_written_is_reported_in_one_line(workdir: Path) -> None:
     command = [sys.executable, "-m", "sim_heating", "fmu", "export", "orbiter", "--out", "x.fmu"]
     environment = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": "/proc/nowhere"}
-    done = subprocess.run(command, cwd=desk, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, cwd=workdir, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1] == "failed: /proc/nowhere: No such file or directory"
-    assert sorted(p.name for p in desk.iterdir()) == ["short.toml"]
+    assert sorted(p.name for p in workdir.iterdir()) == ["short.toml"]
 
 
-# What would otherwise be quiet ---------------------------------------------------------------------------------------
+# Errors that would go unnoticed -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "hint"),
     [
         ("[measurements]\nseed = -1\n", "`seed`: -1"),
         ("[measurements]\nrate_hz = 1e9\n", "`rate_hz`: "),
         ("[measurements]\nclock_skew_s = 9999.0\n", "[measurements]: skew, offset, gaps and losses leave no sample"),
     ],
 )
-def test_measurements_that_cannot_be_made_are_one_line(
-    desk: Path, capsys: pytest.CaptureFixture[str], more: str, said: str
+def test_impossible_measurements_are_refused_in_one_line(
+    workdir: Path, capsys: pytest.CaptureFixture[str], more: str, hint: str
 ) -> None:
-    (desk / "odd.toml").write_text(SHORT + more)
+    (workdir / "odd.toml").write_text(SHORT + more)
     assert main(["synthesize", "odd.toml", "--out", "out"]) == 2
-    assert said in only_line(capsys)
-    assert not (desk / "out").exists()
+    assert hint in only_line(capsys)
+    assert not (workdir / "out").exists()
 
 
-def test_a_control_point_named_twice_is_refused(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (desk / "twice.toml").write_text(SHORT.replace('["V09T9527"]', '["V09T9527", "V09T9527"]'))
+def test_a_control_point_named_twice_is_refused(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (workdir / "twice.toml").write_text(SHORT.replace('["V09T9527"]', '["V09T9527", "V09T9527"]'))
     assert main(["validate", "twice.toml"]) == 2
     assert "`V09T9527` is repeated" in only_line(capsys)
 
 
-def test_a_manoeuvre_whose_speed_is_never_reached_is_told(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (desk / "fast.toml").write_text(SHORT + POPU + "at_velocity_m_s = 20000.0\n")
+def test_a_manoeuvre_whose_trigger_is_never_met_is_reported(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (workdir / "fast.toml").write_text(SHORT + POPU + "at_velocity_m_s = 20000.0\n")
     assert main(["run", "fast.toml", "--out", "out"]) == 0
     assert "trigger never met; manoeuvre not flown" in capsys.readouterr().out
 
 
-def test_a_flight_of_its_own_is_read_back_from_its_conditions(desk: Path) -> None:
+def test_a_flight_is_read_back_from_its_own_conditions(workdir: Path) -> None:
     assert main(["run", "short.toml", "--out", "first"]) == 0
     head = SHORT[: SHORT.index("[trajectory]")]
-    (desk / "again.toml").write_text(head + '[trajectory]\nsource = "recorded"\nfile = "first/conditions.csv"\n')
+    (workdir / "again.toml").write_text(head + '[trajectory]\nsource = "recorded"\nfile = "first/conditions.csv"\n')
     assert main(["run", "again.toml", "--out", "second"]) == 0
-    last = [(desk / d / "temperatures.csv").read_text().splitlines()[-1] for d in ("first", "second")]
+    last = [(workdir / d / "temperatures.csv").read_text().splitlines()[-1] for d in ("first", "second")]
     first, second = (line.split(",") for line in last)
     assert [float(x) for x in second] == pytest.approx([float(x) for x in first], abs=0.001)
 
 
 @pytest.mark.parametrize(("column", "factor"), [("velocity_m_s", 1.0 / 0.3048), ("altitude_m", 1e-3)])
 def test_a_recorded_flight_in_another_unit_is_refused(
-    desk: Path, capsys: pytest.CaptureFixture[str], column: str, factor: float
+    workdir: Path, capsys: pytest.CaptureFixture[str], column: str, factor: float
 ) -> None:
     assert main(["run", "short.toml", "--out", "first"]) == 0
-    header, *rows = (desk / "first" / "conditions.csv").read_text().splitlines()
+    header, *rows = (workdir / "first" / "conditions.csv").read_text().splitlines()
     place = header.split(",").index(column)
     cells = [row.split(",") for row in rows]
     damaged = [",".join([*c[:place], repr(float(c[place]) * factor), *c[place + 1 :]]) for c in cells]
-    (desk / "odd.csv").write_text("\n".join([header, *damaged]))
+    (workdir / "odd.csv").write_text("\n".join([header, *damaged]))
     head = SHORT[: SHORT.index("[trajectory]")]
-    (desk / "odd.toml").write_text(head + '[trajectory]\nsource = "recorded"\nfile = "odd.csv"\n')
+    (workdir / "odd.toml").write_text(head + '[trajectory]\nsource = "recorded"\nfile = "odd.csv"\n')
     capsys.readouterr()
     assert main(["run", "odd.toml", "--out", "out"]) == 2
     assert f"column {column}" in only_line(capsys)
 
 
-def test_predict_tells_of_a_negative_heating_ratio(desk: Path) -> None:
+def test_predict_reports_a_negative_heating_ratio(workdir: Path) -> None:
     assert main(["synthesize", "short.toml", "--out", "record"]) == 0
-    header, *rows = [x for x in (desk / "record" / "ratio_table.csv").read_text().splitlines() if x[0] != "#"]
+    header, *rows = [x for x in (workdir / "record" / "ratio_table.csv").read_text().splitlines() if x[0] != "#"]
     place = header.split(",").index("ratio")
     cells = [row.split(",") for row in rows]
-    (desk / "record" / "ratio_table.csv").write_text(
+    (workdir / "record" / "ratio_table.csv").write_text(
         "\n".join([header, *(",".join([*c[:place], "-0.0001", *c[place + 1 :]]) for c in cells)])
     )
     assert main(["predict", "record", "--out", "out"]) == 0
-    assert json.loads((desk / "out" / "summary.json").read_text())["negative_ratio_s"] > 50.0
+    assert json.loads((workdir / "out" / "summary.json").read_text())["negative_ratio_s"] > 50.0

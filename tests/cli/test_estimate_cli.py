@@ -59,9 +59,9 @@ FLIGHTS: dict[str, dict[str, Any]] = {
 
 
 @pytest.fixture(scope="module")
-def hangar(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def flown_records(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three synthesized flights whose truth differs from the Orbiter's tables."""
-    home = tmp_path_factory.mktemp("hangar")
+    home = tmp_path_factory.mktemp("flown_records")
     for name, flight in FLIGHTS.items():
         (home / f"{name}.toml").write_text(GLIDE.format(**flight | {"points": json.dumps(flight["points"])}))
         assert main(["synthesize", str(home / f"{name}.toml"), "--out", str(home / name)]) == 0
@@ -69,9 +69,9 @@ def hangar(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def desk(hangar: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(hangar)
-    return hangar
+def workdir(flown_records: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(flown_records)
+    return flown_records
 
 
 def estimate(*arguments: str, out: Path) -> dict[str, Any]:
@@ -79,12 +79,12 @@ def estimate(*arguments: str, out: Path) -> dict[str, Any]:
     return read_json(out / "estimate.json")
 
 
-def off(parameter: dict[str, Any], true: float) -> float:
+def error_in_sigma(parameter: dict[str, Any], true: float) -> float:
     """Error over sigma."""
     return abs(parameter["value"] - true) / parameter["sigma"]
 
 
-def test_from_a_scenario_to_a_better_prediction_by_commands_alone(desk: Path, tmp_path: Path) -> None:
+def test_from_a_scenario_to_a_better_prediction_by_commands_alone(workdir: Path, tmp_path: Path) -> None:
     names = ",".join(TRUTH)
     found = estimate("first", "--parameters", names, out=tmp_path / "fit")
     assert main(["update-tables", str(tmp_path / "fit"), "--vehicle", "orbiter", "--out", str(tmp_path)]) == 0
@@ -98,7 +98,7 @@ def test_from_a_scenario_to_a_better_prediction_by_commands_alone(desk: Path, tm
     assert after < 0.35 * before  # of another flight, whose clock lags by 0.6 s and whose alpha mean differs
 
 
-def test_estimate_json_holds_what_the_contract_names(desk: Path, tmp_path: Path) -> None:
+def test_estimate_json_holds_what_the_contract_names(workdir: Path, tmp_path: Path) -> None:
     found = estimate("first", "--reference", "alpha_deg=40", out=tmp_path / "fit")
     assert set(found) >= CONTRACT
     assert found["format"] == "estimate/1"
@@ -123,35 +123,35 @@ def test_estimate_json_holds_what_the_contract_names(desk: Path, tmp_path: Path)
     )
 
 
-def test_progress_is_told_by_iteration(desk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_progress_is_reported_by_iteration(workdir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = estimate("first", "--parameters", "ratio.scale", out=tmp_path / "fit")
-    said = capsys.readouterr()
+    printed = capsys.readouterr()
     for i in range(1, found["iterations"] + 1):
-        assert f"iteration {i} " in said.err
-    assert "Noise floor" in said.out
+        assert f"iteration {i} " in printed.err
+    assert "Noise floor" in printed.out
 
 
-def test_two_flights_of_one_point_share_its_ratio_and_keep_their_clocks(desk: Path, tmp_path: Path) -> None:
+def test_two_flights_of_one_point_share_its_ratio_and_keep_their_clocks(workdir: Path, tmp_path: Path) -> None:
     found = estimate("first", "second", "--parameters", ",".join([*TRUTH, "clock.skew"]), out=tmp_path / "fit")
     assert set(found["parameters"]) == {*TRUTH, "clock.skew@first", "clock.skew@second"}
-    assert off(found["parameters"]["clock.skew@first"], 0.0) < 3.0
-    assert off(found["parameters"]["clock.skew@second"], SKEW_S) < 3.0
+    assert error_in_sigma(found["parameters"]["clock.skew@first"], 0.0) < 3.0
+    assert error_in_sigma(found["parameters"]["clock.skew@second"], SKEW_S) < 3.0
     for flight in ("first", "second"):
         assert {p.name for p in (tmp_path / "fit" / flight).iterdir()} == {"temperatures.csv", "fit.png", "ratio.png"}
 
 
-def test_two_points_of_one_flight_have_a_ratio_each(desk: Path, tmp_path: Path) -> None:
+def test_two_points_of_one_flight_have_a_ratio_each(workdir: Path, tmp_path: Path) -> None:
     records = [f"both/{PLUG}", f"both/{POD}"]
     found = estimate(*records, "--parameters", "ratio.scale,ratio.d_alpha", out=tmp_path / "fit")
     assert set(found["parameters"]) == {f"{n}@{p}" for n in TRUTH for p in (PLUG, POD)}
     assert found["records"] == records
     alone = estimate(records[1], "--parameters", "ratio.scale,ratio.d_alpha", out=tmp_path / "alone")
-    for name in TRUTH:  # about the joint mean condition and about its own one, which are the same flight's
+    for name in TRUTH:  # joint and own mean condition are of one flight
         joint, single = found["parameters"][f"{name}@{POD}"], alone["parameters"][name]
         assert joint["value"] == pytest.approx(single["value"], abs=0.05 * single["sigma"])
 
 
-def test_a_segment_can_be_named_without_touching_the_record(desk: Path, tmp_path: Path) -> None:
+def test_a_segment_can_be_given_without_changing_the_record(workdir: Path, tmp_path: Path) -> None:
     whole = estimate("first", "--parameters", "ratio.scale", out=tmp_path / "whole")
     short = estimate("first", "--parameters", "ratio.scale", "--fit", "80,130", out=tmp_path / "short")
     assert short["segments"] == [[[80.0, 130.0]]]
@@ -173,30 +173,30 @@ def test_a_segment_can_be_named_without_touching_the_record(desk: Path, tmp_path
         (["--start", "circut:80"], "did you mean `circuit`"),
     ],
 )
-def test_what_cannot_be_is_said_in_a_line_and_leaves_nothing(
-    options: list[str], hint: str, desk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_invalid_options_are_refused_in_one_line_and_leave_no_files(
+    options: list[str], hint: str, workdir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["estimate", "first", *options, "--out", str(tmp_path / "fit")]) == 2
-    said = capsys.readouterr().err
-    assert hint in said
-    assert "Traceback" not in said
+    errors = capsys.readouterr().err
+    assert hint in errors
+    assert "Traceback" not in errors
     assert not (tmp_path / "fit").exists()
 
 
-def test_a_record_of_no_known_vehicle_is_fitted(tmp_path: Path) -> None:
-    brought = tmp_path / "brought"
-    shutil.copytree(PRACTICE, brought)
-    lines = (brought / "record.toml").read_text().splitlines()
-    kept = [line for line in lines if not line.startswith("vehicle")]
-    assert len(kept) == len(lines) - 1
-    (brought / "record.toml").write_text("\n".join(kept) + "\n")
-    found = estimate(str(brought), out=tmp_path / "fit")
+def test_a_record_without_a_vehicle_is_fitted(tmp_path: Path) -> None:
+    external = tmp_path / "external"
+    shutil.copytree(PRACTICE, external)
+    lines = (external / "record.toml").read_text().splitlines()
+    without = [line for line in lines if not line.startswith("vehicle")]
+    assert len(without) == len(lines) - 1
+    (external / "record.toml").write_text("\n".join(without) + "\n")
+    found = estimate(str(external), out=tmp_path / "fit")
     assert found["converged"]
     assert found["holdout"]["rmse_K"] < 1.1 * found["noise_floor_K"]
     assert found["parameters"]["ratio.d_alpha"]["sigma"] > 0.0
 
 
-def test_pictures_are_drawn_with_something_in_them(desk: Path, tmp_path: Path) -> None:
+def test_pictures_are_drawn_with_something_in_them(workdir: Path, tmp_path: Path) -> None:
     estimate("first", "--parameters", ",".join(TRUTH), out=tmp_path / "fit")
     for name in ("fit.png", "ratio.png"):
         picture = mpl_image.imread(tmp_path / "fit" / name)
@@ -205,7 +205,7 @@ def test_pictures_are_drawn_with_something_in_them(desk: Path, tmp_path: Path) -
         assert math.prod(picture.shape[:2]) > 200_000
 
 
-def test_a_fit_of_the_stack_alone_draws_no_ratio(desk: Path, tmp_path: Path) -> None:
+def test_a_fit_of_the_stack_alone_draws_no_ratio(workdir: Path, tmp_path: Path) -> None:
     estimate("first", "--parameters", "stack.coating.thickness_factor", out=tmp_path / "fit")
     assert (tmp_path / "fit" / "fit.png").exists()
     assert not (tmp_path / "fit" / "ratio.png").exists()

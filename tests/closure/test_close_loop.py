@@ -174,7 +174,7 @@ def test_a_foreign_file_in_the_output_folder_is_refused_before_any_search(name: 
     records = [str(PRACTICE / r) for r in (("p06",) if alone else ("p06", "p07"))]
     result = CliRunner().invoke(cli, ["close-loop", *records, "--out", str(tmp_path / "out")])
     assert isinstance(result.exception, InputError)
-    assert f"{mine.name} exists and is not a result of ours" in str(result.exception)
+    assert f"{mine.name} already exists and was not written by sim-heating" in str(result.exception)
     assert [p for p in (tmp_path / "out").rglob("*") if p.is_file()] == [mine]
 
 

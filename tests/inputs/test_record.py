@@ -65,7 +65,7 @@ def test_a_record_may_be_written_over_an_earlier_one_of_ours(tmp_path: Path, til
 
 def test_a_record_that_somebody_else_made_is_not_written_over(tile: Record, tmp_path: Path) -> None:
     (tmp_path / "record.toml").write_text("# mine\n")
-    with pytest.raises(InputError, match=r"record\.toml exists and is not a result of ours"):
+    with pytest.raises(InputError, match=r"record\.toml already exists and was not written by sim-heating"):
         write_record(tile, tmp_path)
 
 

@@ -192,7 +192,7 @@ def test_a_page_that_is_not_the_programs_own_is_reported_before_the_work_and_kep
     out.mkdir()
     (out / "report.html").write_text("mine")
     assert cli.main(["plan", str(study), "--out", str(out)]) == 2
-    assert "report.html exists and is not a result of ours" in capsys.readouterr().err
+    assert "report.html already exists and was not written by sim-heating" in capsys.readouterr().err
     assert [p.name for p in out.iterdir()] == ["report.html"]
     assert (out / "report.html").read_text() == "mine"
 

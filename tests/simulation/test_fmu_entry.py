@@ -1,4 +1,4 @@
-"""The 3-DOF entry as an FMU: the built-in flight to the last bit, whoever guides; and the heating driven by it."""
+"""The 3-DOF entry as an FMU: the built-in flight to the last bit, guided inside or by the host, and heating by it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SPEC = load_scenario(ROOT / "scenarios" / "entry_3dof.toml").declared.trajectory
 STOP = {"velocity_m_s": 5800.0}
 """Soon after the POPU at 20,000 ft/s."""
 needs_compiler = pytest.mark.skipif(
-    shutil.which("gcc") is None and shutil.which("cc") is None, reason="there is no C compiler to link the FMU with"
+    shutil.which("gcc") is None and shutil.which("cc") is None, reason="needs a C compiler to link the FMU"
 )
 pytestmark = needs_compiler
 
@@ -81,7 +81,7 @@ def test_guidance_of_the_host_through_the_inputs_flies_it_to_the_last_bit(
     assert flown.windows == built_in.windows
 
 
-def test_a_manoeuvre_is_parameters_and_can_be_another(entry: dict[int, Path]) -> None:
+def test_a_manoeuvre_can_be_replaced_through_its_parameters(entry: dict[int, Path]) -> None:
     """A sideslip doublet at 400 s in place of the POPU, in the slot of the second manoeuvre."""
     trigger, channel = [t[0] for t in TRIGGERS].index("time") + 1, [c[0] for c in CHANNELS].index("beta") + 1
     shape = [(0.0, 0.0), (4.0, 2.0), (8.0, 2.0), (16.0, -2.0), (20.0, -2.0), (24.0, 0.0)]
@@ -128,7 +128,7 @@ def test_the_description_is_valid(fmi: int, entry: dict[int, Path]) -> None:
     assert outputs["rho_kg_m3"] == "kg/m3"
 
 
-def test_a_vehicle_that_hits_the_ground_is_told_by_the_fmu(entry: dict[int, Path]) -> None:
+def test_a_vehicle_that_hits_the_ground_is_reported_by_the_fmu(entry: dict[int, Path]) -> None:
     start = {"initial.altitude_m": 100.0, "initial.velocity_m_s": 300.0, "initial.gamma_deg": -60.0}
     with pytest.raises(RunError, match=r"altitude_m is .* below the ground; end the flight before"):
         fly(entry[3], {"time_s": 100.0}, fmu={"start": start})
@@ -139,14 +139,14 @@ def test_a_start_value_outside_its_limits_is_refused_by_the_fmu(entry: dict[int,
         fly(entry[3], {"time_s": 100.0}, fmu={"start": {"vehicle.mass_kg": -1.0}})
 
 
-def test_another_source_has_no_fmu_of_ours(tmp_path: Path) -> None:
+def test_a_trajectory_of_another_source_is_refused(tmp_path: Path) -> None:
     nominal = load_scenario(ROOT / "scenarios" / "nominal.toml").declared.trajectory
     with pytest.raises(InputError, match=r'source = "jsbsim" cannot be exported as an FMU; give .* "entry-3dof"'):
         export_entry(nominal, ORBITER, tmp_path / "entry.fmu")
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_trajectory_and_heating_fmu_together_are_the_plug_in_beside_the_entry(
+def test_trajectory_and_heating_fmu_together_give_the_plug_in_alongside_the_entry(
     fmi: int, entry: dict[int, Path], tmp_path: Path
 ) -> None:
     vehicle, until_s = load_vehicle("orbiter"), 400.0
@@ -160,7 +160,7 @@ def test_trajectory_and_heating_fmu_together_are_the_plug_in_beside_the_entry(
 
     plugin, surface = HeatingPlugin(vehicle, ["V09T9527"]), []
 
-    def beside(frame: np.ndarray) -> None:
+    def heat(frame: np.ndarray) -> None:
         if surface:
             plugin.step(frame)
         else:
@@ -168,7 +168,7 @@ def test_trajectory_and_heating_fmu_together_are_the_plug_in_beside_the_entry(
         surface.append(float(plugin.surface_temperatures()[0]))
 
     spec = TrajectorySpec.model_validate(SPEC.model_dump() | {"stop": {"time_s": until_s}})
-    entry3dof.fly(spec, VEHICLE, on_frame=beside)
+    entry3dof.fly(spec, VEHICLE, on_frame=heat)
     assert max(surface) > 800.0
     assert [row["V09T9527.surface_K"] for row in rows] == surface
 

@@ -1,4 +1,4 @@
-"""The heating plug-in as an FMU: the simulator's numbers to the last bit, on hosts that know nothing of it."""
+"""The heating plug-in as an FMU: the simulator's numbers to the last bit, on hosts without Python."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def fmu_temperatures(host: Host, given: list[Frame]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_validates_without_a_remark(fmus, fmi):
+def test_fmpy_validates_the_fmu_without_a_problem(fmus, fmi):
     assert validate_fmu(fmus[fmi]) == []
     assert all(unit.baseUnit for unit in fmpy.read_model_description(fmus[fmi]).unitDefinitions)
 
@@ -152,7 +152,7 @@ def test_host_may_bring_its_own_reference_heating(vehicle, flown, tmp_path):
         np.testing.assert_allclose(fmu_temperatures(host, more), plugin_temperatures(vehicle, given), rtol=1e-12)
 
 
-# Which value holds when ----------------------------------------------------------------------------------------------
+# Timing of inputs ---------------------------------------------------------------------------------------------------
 
 
 def test_held_input_is_late_by_half_a_step_and_an_interpolated_one_is_not(fmus, flown, tmp_path):
@@ -160,7 +160,7 @@ def test_held_input_is_late_by_half_a_step_and_an_interpolated_one_is_not(fmus, 
     fine = run_host(host, fmus[3], "reached", frames(flown, 0.25, end), SURFACES)
     rate = np.gradient(fine, 0.25, axis=0)
 
-    def late_s(timing: str, step_s: float) -> float:
+    def delay_s(timing: str, step_s: float) -> float:
         """The delay that explains the difference best."""
         found = run_host(host, fmus[3], timing, frames(flown, step_s, end), SURFACES)
         every = slice(None, None, round(step_s / 0.25))
@@ -168,8 +168,8 @@ def test_held_input_is_late_by_half_a_step_and_an_interpolated_one_is_not(fmus, 
         return float(np.sum((exact - found) * slope) / np.sum(slope**2))
 
     for step_s in (1.0, 2.0):
-        assert 0.4 < late_s("held", step_s) / step_s < 0.6
-        assert abs(late_s("updated", step_s)) < 0.02 * step_s
+        assert 0.4 < delay_s("held", step_s) / step_s < 0.6
+        assert abs(delay_s("updated", step_s)) < 0.02 * step_s
 
 
 def test_input_derivatives_of_fmi_2_interpolate(fmus, vehicle, flown):
@@ -247,20 +247,20 @@ def test_instances_in_threads_do_not_disturb_each_other(fmus, flown):
 
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "hint"),
     [
         ({"rho_kg_m3": np.nan}, "rho_kg_m3 cannot be nan"),
         ({"velocity_m_s": 24_000.0}, "velocity_m_s is 24000; is not a speed in m/s"),
         ({"NOSECAP.stack.rsi.conductivity_factor": -1.0}, "cannot be -1; it must be from 0.001 to 10"),
     ],
 )
-def test_value_that_cannot_be_is_an_error_with_a_message_and_reset_makes_good(fmus, flown, fmi, given, told):
+def test_invalid_value_is_rejected_with_a_message_and_reset_recovers(fmus, flown, fmi, given, hint):
     first, then = frames(flown, 1.0, 1.5)[:2]
     with Host(fmus[fmi]) as host:
         host.start(first)
         with pytest.raises(FMICallException):
             host.step(then | given)
-        assert told in host.messages[-1]
+        assert hint in host.messages[-1]
         with pytest.raises(FMICallException):
             host.step(then)
         assert "not after an error" in host.messages[-1]
@@ -270,7 +270,7 @@ def test_value_that_cannot_be_is_an_error_with_a_message_and_reset_makes_good(fm
 
 
 @pytest.mark.parametrize(
-    ("starts", "time", "length", "told"),
+    ("starts", "time", "length", "hint"),
     [
         (0.0, 5.0, 1.0, "the step begins at"),
         (0.0, 0.0, 0.0, "must be above 0"),
@@ -278,15 +278,15 @@ def test_value_that_cannot_be_is_an_error_with_a_message_and_reset_makes_good(fm
         (1e9, 1e9, 1e-8, "lost in rounding"),
     ],
 )
-def test_step_that_is_none_is_refused(fmus, flown, starts, time, length, told):
+def test_invalid_step_is_refused(fmus, flown, starts, time, length, hint):
     with Host(fmus[3]) as host:
         host.start(frames(flown, 1.0, 1.5)[0] | {"time_s": starts})
         with pytest.raises(FMICallException):
             host.fmu.doStep(currentCommunicationPoint=time, communicationStepSize=length)
-        assert told in host.messages[-1]
+        assert hint in host.messages[-1]
 
 
-def test_held_input_out_of_range_is_told_at_the_start_of_the_step(fmus, flown):
+def test_held_input_out_of_range_is_reported_at_the_start_of_the_step(fmus, flown):
     with Host(fmus[3], timing="held") as host:
         host.start(frames(flown, 1.0, 1.0)[0])
         host.set({"alpha_deg": 181.0})
@@ -325,7 +325,7 @@ def test_revised_table_appears_in_a_re_export_by_path_and_as_an_array(fmus, flow
         declared = fmu_temperatures(host, given)
     np.testing.assert_array_equal(by_path, exported)
     np.testing.assert_array_equal(as_array, exported)
-    with Host(fmus[3]) as host:  # what is set last holds
+    with Host(fmus[3]) as host:  # the last setting takes effect
         host.fmu.setString([host.refs["BODYFLAP.ratio_table.file"]], [str(revised / "ratio_tables" / "BODYFLAP.csv")])
         host.fmu.setString([host.refs["NOSECAP.ratio_table.file"]], [str(revised / "ratio_tables" / "BODYFLAP.csv")])
         host.fmu.setFloat64([host.refs["NOSECAP.ratio_table.ratio"]], table.ratio.ravel().tolist())
@@ -338,7 +338,7 @@ def test_revised_table_appears_in_a_re_export_by_path_and_as_an_array(fmus, flow
     assert np.max(exported[:, 1] - declared[:, 1]) > 10.0  # K
 
 
-def test_table_set_again_and_again_takes_no_more_room(fmus, revised):
+def test_table_set_repeatedly_takes_no_more_memory(fmus, revised):
     """A state holds all that an instance has."""
     sizes = []
     with Host(fmus[3]) as host:
@@ -355,7 +355,7 @@ def test_table_set_again_and_again_takes_no_more_room(fmus, revised):
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "hint"),
     [
         (
             lambda t: t.replace("reference: fay-riddell", "reference: sutton-graves"),
@@ -363,19 +363,19 @@ def test_table_set_again_and_again_takes_no_more_room(fmus, revised):
         ),
         (lambda t: t.replace("ratio", "rato"), "unknown column rato"),
         (lambda t: t.replace("sigma", "ratio"), "two columns ratio"),
-        (lambda t: re.sub(r",[^,]*$", ",-1.0", t, count=2, flags=re.M), 'sigma: "-1.0" cannot be|unknown column'),
-        (lambda t: t + "# an afterthought\n", "cannot be"),
+        (lambda t: re.sub(r",[^,]*$", ",-1.0", t, count=2, flags=re.M), 'sigma: "-1.0" is not valid|unknown column'),
+        (lambda t: t + "# an afterthought\n", "is not valid"),
         (lambda t: "\n".join(t.splitlines()[:-1]), "do not fill the grid"),
-        (lambda t: re.sub(r",[^,]*,([^,]*)$", r",nan,\1", t, count=1, flags=re.M), "cannot be|unknown column"),
+        (lambda t: re.sub(r",[^,]*,([^,]*)$", r",nan,\1", t, count=1, flags=re.M), "is not valid|unknown column"),
     ],
 )
-def test_damaged_table_is_refused_with_its_path(fmus, tmp_path, change, told):
+def test_damaged_table_is_refused_with_its_path(fmus, tmp_path, change, hint):
     path = tmp_path / "table.csv"
     path.write_text(change((ROOT / "aircraft_data/orbiter/ratio_tables/NOSECAP.csv").read_text()))
     with Host(fmus[3]) as host:
         with pytest.raises(FMICallException):
             host.fmu.setString([host.refs["NOSECAP.ratio_table.file"]], [str(path)])
-        assert re.search(told, host.messages[-1])
+        assert re.search(hint, host.messages[-1])
         assert "table.csv" in host.messages[-1]
 
 
@@ -398,7 +398,7 @@ def own_effect(name: str, body: str) -> str:
 
 
 def vehicle_with_effect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, source: str) -> Path:
-    """The Orbiter with an effect of the user's own at all points."""
+    """The Orbiter with a user-defined effect at all points."""
     (tmp_path / "effects").mkdir()
     (tmp_path / "effects" / "own.py").write_text(source)
     monkeypatch.setenv("SIM_HEATING_EFFECTS", str(tmp_path / "effects"))
@@ -410,12 +410,14 @@ def vehicle_with_effect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: s
     return folder
 
 
-def test_effect_of_the_users_own_is_compiled_in(fmus, vehicle, flown, tmp_path, monkeypatch):
+def test_user_defined_effect_is_compiled_in(fmus, vehicle, flown, tmp_path, monkeypatch):
     own = load_vehicle(vehicle_with_effect(tmp_path, monkeypatch, "mach-growth", OWN_EFFECT))
     shared = [path for unit in (MODEL, THERMAL_STEP) for path in unit.object_paths(TARGETS["linux"])]
     before = [path.stat().st_mtime_ns for path in shared]
     export_fmu(own, tmp_path / "own.fmu", POINTS)
-    assert [path.stat().st_mtime_ns for path in shared] == before  # what all vehicles share is not made anew
+    assert [
+        path.stat().st_mtime_ns for path in shared
+    ] == before  # object files shared by all vehicles are not compiled again
     given = frames(flown, 1.0, 400.0)
     with Host(tmp_path / "own.fmu") as host:
         np.testing.assert_array_equal(fmu_temperatures(host, given), plugin_temperatures(own, given))
@@ -434,10 +436,10 @@ KERNELS = {
 
 
 @pytest.mark.parametrize("name", KERNELS)
-def test_effect_that_no_host_could_run_is_refused_by_its_name(name, tmp_path, monkeypatch):
-    body, told = KERNELS[name]
+def test_effect_that_needs_python_is_refused_by_name(name, tmp_path, monkeypatch):
+    body, reason = KERNELS[name]
     own = load_vehicle(vehicle_with_effect(tmp_path, monkeypatch, name, own_effect(name, body)))
-    with pytest.raises(InputError, match=rf"effect `{name}` \(.*own.py\).*{told}"):
+    with pytest.raises(InputError, match=rf"effect `{name}` \(.*own.py\).*{reason}"):
         export_fmu(own, tmp_path / "own.fmu", POINTS)
     assert not (tmp_path / "own.fmu").exists()
 
@@ -488,8 +490,8 @@ def test_kernel_that_allocates_is_refused():
         object_code(CompilationUnit("greedy", greedy._sig, lambda: greedy), TARGETS["linux"], "x86-64")
 
 
-def test_vectors_of_any_machine_are_allowed_and_roundings_of_another_are_not():
-    """What the vectoriser makes of a kernel hangs on the machine that it runs on: one with AVX-512 scatters."""
+def test_vector_intrinsics_are_allowed_and_fused_multiplication_is_not():
+    """The vectoriser's intrinsics depend on the machine that it runs on: one with AVX-512 scatters."""
     from llvmlite.binding import parse_assembly
 
     from sim_heating.simulation.fmu_export.library import forbidden_calls
@@ -508,7 +510,7 @@ def test_vectors_of_any_machine_are_allowed_and_roundings_of_another_are_not():
 # The command ---------------------------------------------------------------------------------------------------------
 
 
-def test_command_writes_an_fmu_and_tells_of_it(tmp_path, capsys):
+def test_command_writes_an_fmu_and_reports_its_content(tmp_path, capsys):
     out = tmp_path / "deep" / "x.fmu"
     assert main(["fmu", "export", "orbiter", "--out", str(out), "--control-points", "NOSECAP", "--fmi", "2"]) == 0
     assert "FMI 2.0, 1 control points" in capsys.readouterr().out
@@ -535,7 +537,7 @@ def test_odd_titles_and_names_make_a_valid_description(fmi, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "hint"),
     [
         (["orbitr", "--out", "x.fmu"], "orbiter"),
         (["orbiter", "--out", "x.zip"], "ends in .fmu"),
@@ -544,24 +546,26 @@ def test_odd_titles_and_names_make_a_valid_description(fmi, tmp_path):
         (["orbiter", "--out", "x.fmu", "--fmi", "2", "--platforms", "linux-arm64"], "export for FMI 3"),
     ],
 )
-def test_command_refuses_in_one_line(arguments, told, capsys, tmp_path, monkeypatch):
+def test_command_refuses_in_one_line(arguments, hint, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["fmu", "export", *arguments]) == 2
     error = [line for line in capsys.readouterr().err.splitlines() if not line.endswith("...")]
     assert len(error) == 1
-    assert told in error[0]
+    assert hint in error[0]
     assert not list(tmp_path.iterdir())
 
 
-def test_a_scenario_of_another_source_is_told_with_its_file(capsys, tmp_path):
+def test_a_scenario_of_another_source_is_refused_with_its_file(capsys, tmp_path):
     out, scenario = tmp_path / "entry.fmu", SCENARIOS / "nominal.toml"
     assert main(["fmu", "trajectory", str(scenario), "--out", str(out)]) == 2
-    told = capsys.readouterr().err.splitlines()
-    assert len(told) == 1
-    assert 'nominal.toml, [trajectory]: source = "jsbsim" cannot be exported as an FMU' in told[0]
+    errors = capsys.readouterr().err.splitlines()
+    assert len(errors) == 1
+    assert 'nominal.toml, [trajectory]: source = "jsbsim" cannot be exported as an FMU' in errors[0]
 
 
-def test_no_compiler_is_needed_once_the_library_is_there_and_told_of_where_it_is(fmus, vehicle, tmp_path, monkeypatch):
+def test_no_compiler_is_needed_once_the_library_is_cached_and_a_missing_one_is_named_otherwise(
+    fmus, vehicle, tmp_path, monkeypatch
+):
     monkeypatch.setenv("PATH", "")
     monkeypatch.setitem(sys.modules, "ziglang", None)
     export_fmu(vehicle, tmp_path / "other.fmu", ["V07T9975"])
@@ -597,9 +601,9 @@ def test_a_step_allocates_nothing(linked):
     wrapped = "-Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc"
     subprocess.run(["gcc", "-O1", f"-I{SOURCES}", wrapped, "-o", program, *made, source, "-lm"], check=True)
     done = subprocess.run([program, folder, "{token}"], capture_output=True, text=True, check=True)
-    told = dict(line.split() for line in done.stdout.splitlines())
-    assert int(told["before"]) > 0  # the counter counts
-    assert int(told["during"]) == 0
+    allocations = dict(line.split() for line in done.stdout.splitlines())
+    assert int(allocations["before"]) > 0  # the counter counts
+    assert int(allocations["during"]) == 0
 
 
 def wine() -> str | None:
@@ -623,7 +627,7 @@ def test_windows_library_agrees_under_wine(vehicle, flown, tmp_path):
 
 
 def test_runs_in_libcosim_with_the_same_bits(fmus, vehicle):
-    """A host that is none of ours: the Open Simulation Platform's, with the FMI Library below."""
+    """An independent host: the Open Simulation Platform's, with the FMI Library below."""
     pytest.importorskip("libcosimpy")
     from libcosimpy.CosimExecution import CosimExecution
     from libcosimpy.CosimManipulator import CosimManipulator

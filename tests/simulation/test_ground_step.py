@@ -1,4 +1,4 @@
-"""A lamp's step on an installed thermocouple: what it tells of the stack and of the clock before anyone flies."""
+"""A lamp's step on an installed thermocouple: stack and clock are estimated from it before a flight."""
 
 from __future__ import annotations
 
@@ -46,18 +46,18 @@ def test_a_step_gives_back_coating_conductivity_and_skew(flux_W_m2: float) -> No
     found = values(fitted(flux_W_m2))
     for name, true in (*TRUTH.items(), (SKEW, SKEW_S)):
         value, sigma = found[name]
-        # what steps of 1 s make of the flank of a step, beside the noise: 0.02 s of skew and 0.002 of a factor
+        # in addition to noise, error of steps of 1 s at the flank: 0.02 s of skew and 0.002 of a factor
         assert abs(value - true) < 3.0 * sigma + (0.02 if name == SKEW else 0.002)
 
 
-def test_a_brighter_lamp_tells_more_of_the_clock_and_less_more_of_the_coating() -> None:
+def test_a_brighter_lamp_improves_the_clock_more_than_the_coating() -> None:
     sigma = {q: {n: s for n, (_, s) in values(fitted(q)).items()} for q in (10e3, 50e3, 100e3)}
     assert sigma[10e3][SKEW] > 2.0 * sigma[50e3][SKEW] > 2.0 * sigma[100e3][SKEW]
-    assert sigma[10e3][SKEW] < 0.1  # s: the clock is told to a tenth of its sample even by the weak lamp
+    assert sigma[10e3][SKEW] < 0.1  # s: a tenth of a sample even with the weak lamp
     assert sigma[10e3][COATING] / sigma[100e3][COATING] < sigma[10e3][SKEW] / sigma[100e3][SKEW]
 
 
-def test_what_the_step_told_predicts_the_thermocouples_to_their_noise() -> None:
+def test_the_fitted_stack_predicts_the_thermocouples_to_their_noise() -> None:
     found = fitted(50e3)
     floor = found.problem.record_fits[0].record.noise_floor_K()
     before, after = (np.sqrt(np.nanmean(p[0].residual_K ** 2)) for p in (found.before, found.after))
@@ -65,7 +65,7 @@ def test_what_the_step_told_predicts_the_thermocouples_to_their_noise() -> None:
     assert after == pytest.approx(floor, rel=0.1)
 
 
-def test_a_gain_error_is_told_from_a_thick_coating() -> None:
+def test_a_gain_error_is_distinguished_from_a_thick_coating() -> None:
     vehicle = load_vehicle("orbiter")
     wrong = {PLUG: SensorErrors(gain=1.02)}
     record = step_record(vehicle, vehicle.control_point(PLUG), 50e3, parameters={COATING: 1.3}, errors=wrong)
@@ -74,7 +74,7 @@ def test_a_gain_error_is_told_from_a_thick_coating() -> None:
         assert abs(found[name][0] - true) < 3.0 * found[name][1] + 0.002
 
 
-def test_thickness_and_heat_capacity_of_a_coating_are_one_to_a_lamp() -> None:
+def test_thickness_and_heat_capacity_of_a_coating_are_not_separable_with_a_lamp() -> None:
     found = estimate([lit_plug(50e3)], [COATING, "stack.coating.heat_capacity_factor"])
     assert found.correlation[0, 1] < -0.9  # a thin coating is heat capacity and hardly a resistance
 
@@ -82,12 +82,12 @@ def test_thickness_and_heat_capacity_of_a_coating_are_one_to_a_lamp() -> None:
 def test_a_ground_test_has_no_heating_ratio_to_estimate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_record(lit_plug(50e3), tmp_path / "test")
     assert main(["estimate", str(tmp_path / "test"), "--out", str(tmp_path / "out")]) == 2
-    said = capsys.readouterr().err
-    assert "h_ref is 0 throughout" in said
+    errors = capsys.readouterr().err
+    assert "h_ref is 0 throughout" in errors
     assert not (tmp_path / "out").exists()
 
 
-def test_a_ratio_that_is_named_is_left_out_and_the_stack_is_estimated(tmp_path: Path) -> None:
+def test_a_named_ratio_is_omitted_and_the_stack_is_estimated(tmp_path: Path) -> None:
     found = estimate([lit_plug(50e3)], ["ratio.d0", COATING])
     assert found.labels == (COATING,)
     assert "nothing depends on a heating ratio" in found.not_estimated["ratio.d0"]

@@ -1,4 +1,4 @@
-"""Measured histories as flight records: what is stored is what is made; transition is found in tiles of STS-96."""
+"""Measured histories as flight records: stored ones equal those made again; transition is found in tiles of STS-96."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def made() -> dict[str, Record]:
 
 
 @pytest.mark.parametrize("name", TILES)
-def test_stored_record_is_what_its_scenario_gives(name: str) -> None:
+def test_stored_record_equals_that_made_from_its_scenario(name: str) -> None:
     stored, fresh = load_record(RECORDS / name.lower()), made()[name]
     assert stored.declared == fresh.declared
     for column, values in fresh.conditions.columns.items():
@@ -41,11 +41,11 @@ def test_stored_record_is_what_its_scenario_gives(name: str) -> None:
 
 
 def test_clock_of_a_record_is_shifted_and_stretched_against_its_flight() -> None:
-    moved = compared_records(scenario(), shift_s=-7.0, stretch=1.02)["STS96_468"]
+    shifted = compared_records(scenario(), shift_s=-7.0, stretch=1.02)["STS96_468"]
     here = made()["STS96_468"]
-    np.testing.assert_allclose(moved.conditions.time_s, -7.0 + 1.02 * here.conditions.time_s)
-    np.testing.assert_array_equal(moved.time_s, here.time_s)
-    np.testing.assert_array_equal(moved.conditions["log10_re"], here.conditions["log10_re"])
+    np.testing.assert_allclose(shifted.conditions.time_s, -7.0 + 1.02 * here.conditions.time_s)
+    np.testing.assert_array_equal(shifted.time_s, here.time_s)
+    np.testing.assert_array_equal(shifted.conditions["log10_re"], here.conditions["log10_re"])
 
 
 def test_scenario_that_compares_with_nothing_makes_no_record() -> None:
@@ -53,7 +53,7 @@ def test_scenario_that_compares_with_nothing_makes_no_record() -> None:
         compared_records(replace(scenario(), compare=()))
 
 
-def test_command_says_how_it_is_used(capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_without_arguments_names_those_it_needs(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["measured-records"]) == 2
     assert "SCENARIO" in capsys.readouterr().err
 

@@ -1,4 +1,4 @@
-"""The plug-in beside a host: what a host may do, what it is told, and that frames give what the march gives."""
+"""The plug-in alongside a host: frames agree with the march; pauses, snapshots and errors of hosts."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def shared(orbiter: Vehicle) -> HeatingPlugin:
 
 
 @pytest.fixture(scope="module")
-def unwaiting(orbiter: Vehicle) -> HeatingPlugin:
+def every_frame(orbiter: Vehicle) -> HeatingPlugin:
     """A plug-in that takes a thermal step with every frame."""
     return HeatingPlugin(orbiter, POINTS, longest_wait_s=0.0)
 
@@ -91,20 +91,20 @@ def run(plugin: HeatingPlugin, frames: Iterable[np.ndarray]) -> np.ndarray:
     return np.concatenate([plugin.surface_temperatures(), plugin.bondline_temperatures()])
 
 
-# What it computes ----------------------------------------------------------------------------------------------------
+# Agreement with the march ---------------------------------------------------------------------------------------------
 
 
 def test_frame_by_frame_is_the_march_over_the_same_conditions(
-    orbiter: Vehicle, unwaiting: HeatingPlugin, twenty_hertz: tuple[Conditions, list[np.ndarray]]
+    orbiter: Vehicle, every_frame: HeatingPlugin, twenty_hertz: tuple[Conditions, list[np.ndarray]]
 ) -> None:
     flown, frames = twenty_hertz
-    beside = run(unwaiting, frames)
+    stepped = run(every_frame, frames)
     points = [orbiter.control_point(n) for n in POINTS]
     histories = march_points(
         [point_of_vehicle(orbiter, p) for p in points], [conditions_at_point(orbiter, p, flown) for p in points]
     )
     marched = [*(h.surface_K[-1] for h in histories), *(h.bondline_K[-1] for h in histories)]
-    np.testing.assert_allclose(beside, marched, rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(stepped, marched, rtol=0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("every", [1, 2, 4, 10])
@@ -140,19 +140,19 @@ def test_a_long_frame_is_divided_into_thermal_steps(plugin: HeatingPlugin) -> No
     np.testing.assert_allclose(at_once, run(plugin, frames), rtol=0.0, atol=1e-3)
 
 
-def test_a_frame_s_values_hold_at_its_end_and_run_linearly_to_it(plugin: HeatingPlugin) -> None:
-    held = run(plugin, [frame(0.0), frame(1e-6, alpha_deg=45.0), frame(10.0, alpha_deg=45.0)])
+def test_values_of_a_frame_are_reached_linearly_at_its_end(plugin: HeatingPlugin) -> None:
+    early = run(plugin, [frame(0.0), frame(1e-6, alpha_deg=45.0), frame(10.0, alpha_deg=45.0)])
     ramped = run(plugin, [frame(0.0), frame(10.0, alpha_deg=45.0)])
-    assert held[0] > ramped[0] + 1.0
+    assert early[0] > ramped[0] + 1.0
 
 
 def test_steady_flight_takes_one_newton_iteration_a_stage(
-    unwaiting: HeatingPlugin, twenty_hertz: tuple[Conditions, list[np.ndarray]]
+    every_frame: HeatingPlugin, twenty_hertz: tuple[Conditions, list[np.ndarray]]
 ) -> None:
     """A step has two stages, and begins along the parabola of the one before."""
     _, frames = twenty_hertz
-    run(unwaiting, frames)
-    a_step = unwaiting.ensemble.scalars(ITERATIONS) / (len(frames) - 1)
+    run(every_frame, frames)
+    a_step = every_frame.ensemble.scalars(ITERATIONS) / (len(frames) - 1)
     assert np.all(a_step >= 2.0)
     assert np.all(a_step < 2.2), a_step
 
@@ -169,19 +169,19 @@ def test_a_second_vehicle_flies_with_the_same_plug_in() -> None:
 
 # Between thermal steps -----------------------------------------------------------------------------------------------
 
-NOTHING_ODD: dict[str, float] = {}
+STEADY: dict[str, float] = {}
 BURST = {"jets": 1.0, "alpha_deg": 42.0, "rho_kg_m3": 6e-5}
-"""What a frame has while jets fire for 50 ms in a gust."""
+"""Values of a frame while jets fire for 50 ms in a gust."""
 
 
 def steady_60_hertz(
-    seconds: float, odd: Mapping[str, float], odd_from: int = 600, odd_to: int = 603
+    seconds: float, changes: Mapping[str, float], changed_from: int = 600, changed_to: int = 603
 ) -> list[np.ndarray]:
-    """Frames of a glide at 60 Hz that are odd for a while."""
-    return [frame(i / 60.0, **(odd if odd_from <= i < odd_to else {})) for i in range(int(60 * seconds))]
+    """Frames of a glide at 60 Hz, some of them with other values."""
+    return [frame(i / 60.0, **(changes if changed_from <= i < changed_to else {})) for i in range(int(60 * seconds))]
 
 
-def farthest_apart_K(one: HeatingPlugin, other: HeatingPlugin, frames: list[np.ndarray]) -> float:
+def largest_difference_K(one: HeatingPlugin, other: HeatingPlugin, frames: list[np.ndarray]) -> float:
     """Largest difference of any temperature after any frame."""
     one.reset(frames[0])
     other.reset(frames[0])
@@ -193,29 +193,29 @@ def farthest_apart_K(one: HeatingPlugin, other: HeatingPlugin, frames: list[np.n
     return largest
 
 
-@pytest.mark.parametrize("odd", [NOTHING_ODD, BURST], ids=["cold wall in full heating", "burst of three frames"])
+@pytest.mark.parametrize("changes", [STEADY, BURST], ids=["cold wall in full heating", "burst of three frames"])
 def test_temperatures_between_thermal_steps_are_those_of_a_step_with_every_frame(
-    odd: dict[str, float], plugin: HeatingPlugin, unwaiting: HeatingPlugin
+    changes: dict[str, float], plugin: HeatingPlugin, every_frame: HeatingPlugin
 ) -> None:
-    assert farthest_apart_K(plugin, unwaiting, steady_60_hertz(20.0, odd)) < 0.02
+    assert largest_difference_K(plugin, every_frame, steady_60_hertz(20.0, changes)) < 0.02
 
 
-def test_temperatures_between_thermal_steps_follow_a_popu(plugin: HeatingPlugin, unwaiting: HeatingPlugin) -> None:
-    assert farthest_apart_K(plugin, unwaiting, glide(60.0)[1]) < 0.02
+def test_temperatures_between_thermal_steps_follow_a_popu(plugin: HeatingPlugin, every_frame: HeatingPlugin) -> None:
+    assert largest_difference_K(plugin, every_frame, glide(60.0)[1]) < 0.02
 
 
 def test_a_quiet_flight_takes_a_thermal_step_every_quarter_of_a_second(plugin: HeatingPlugin) -> None:
     heated = []
-    for values in steady_60_hertz(60.0, NOTHING_ODD)[1:]:
+    for values in steady_60_hertz(60.0, STEADY)[1:]:
         plugin.step(values)
         assert plugin.time_s == values[0]
         heated.append(round(60.0 * plugin.heated_s))
-    assert heated[0] == 1  # before there is a step to carry on from, every frame is one
+    assert heated[0] == 1  # without a step to extrapolate from, every frame is one
     assert heated[-1] - heated[-16] == 15
     assert len(set(heated)) < len(heated) / 12
 
 
-def test_a_frame_that_breaks_off_the_line_is_stepped_to_at_once(plugin: HeatingPlugin) -> None:
+def test_a_frame_off_the_line_is_stepped_to_at_once(plugin: HeatingPlugin) -> None:
     frames = steady_60_hertz(11.0, BURST)
     run(plugin, frames[:600])
     assert plugin.heated_s < plugin.time_s
@@ -223,11 +223,9 @@ def test_a_frame_that_breaks_off_the_line_is_stepped_to_at_once(plugin: HeatingP
     assert plugin.heated_s == plugin.time_s
 
 
-def test_the_wait_changes_no_flight_that_has_no_frames_to_wait_for(
-    plugin: HeatingPlugin, unwaiting: HeatingPlugin
-) -> None:
+def test_the_wait_does_not_change_a_flight_with_long_frames(plugin: HeatingPlugin, every_frame: HeatingPlugin) -> None:
     frames = [frame(float(t), alpha_deg=40.0 + 0.1 * t) for t in range(30)]
-    np.testing.assert_array_equal(run(plugin, frames), run(unwaiting, frames))
+    np.testing.assert_array_equal(run(plugin, frames), run(every_frame, frames))
 
 
 def test_a_flight_rewound_into_a_wait_repeats_itself_to_the_bit(plugin: HeatingPlugin) -> None:
@@ -245,17 +243,17 @@ def test_a_flight_rewound_into_a_wait_repeats_itself_to_the_bit(plugin: HeatingP
     np.testing.assert_array_equal(onwards(), first)
 
 
-# Pausing and going back ----------------------------------------------------------------------------------------------
+# Pauses, snapshots and resets ----------------------------------------------------------------------------------------
 
 
 def test_a_paused_host_changes_nothing(plugin: HeatingPlugin) -> None:
     plugin.step(frame(1.0))
     plugin.step(frame(1.0 + 1 / 60))
-    before, shown = plugin.ensemble.state.copy(), plugin.temperatures().copy()
+    before, published = plugin.ensemble.state.copy(), plugin.temperatures().copy()
     for _ in range(100):
         plugin.step(frame(1.0 + 1 / 60))
     np.testing.assert_array_equal(plugin.ensemble.state, before)
-    np.testing.assert_array_equal(plugin.temperatures(), shown)
+    np.testing.assert_array_equal(plugin.temperatures(), published)
 
 
 def test_a_rewound_flight_repeats_itself_to_the_bit(plugin: HeatingPlugin) -> None:
@@ -288,11 +286,11 @@ def test_a_flight_after_a_reset_repeats_the_first_to_the_bit(plugin: HeatingPlug
     np.testing.assert_array_equal(run(plugin, frames), first)
 
 
-# What a host gets wrong ----------------------------------------------------------------------------------------------
+# Errors of hosts ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", FRAME)
-def test_a_value_that_is_no_number_is_refused_and_changes_nothing(name: str, plugin: HeatingPlugin) -> None:
+def test_a_nan_is_refused_and_changes_nothing(name: str, plugin: HeatingPlugin) -> None:
     plugin.step(frame(1.0))
     before = plugin.ensemble.state.copy()
     with pytest.raises(InputError, match=name):
@@ -335,7 +333,7 @@ def test_a_sudden_density_spike_is_flagged_with_its_time(plugin: HeatingPlugin) 
     assert plugin.flags.last_spike_s == 6.0
 
 
-def test_density_that_altitude_explains_is_no_spike(
+def test_a_density_change_that_altitude_explains_is_not_a_spike(
     plugin: HeatingPlugin, twenty_hertz: tuple[Conditions, list[np.ndarray]]
 ) -> None:
     run(plugin, twenty_hertz[1][::20])
@@ -374,7 +372,7 @@ def test_an_unknown_control_point_is_refused_with_the_nearest(orbiter: Vehicle) 
     log_rho=st.floats(-10.0, 0.3),
     dt=st.floats(1e-3, 60.0),
 )
-def test_no_plausible_frame_makes_a_temperature_that_is_no_number(
+def test_every_plausible_frame_gives_finite_positive_temperatures(
     shared: HeatingPlugin, altitude_m: float, velocity_m_s: float, alpha_deg: float, log_rho: float, dt: float
 ) -> None:
     shared.reset(frame(0.0))

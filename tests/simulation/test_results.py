@@ -1,4 +1,4 @@
-"""Result files say what they hold, agree with each other, and open in other programs."""
+"""Result files carry units, agree with each other, and open in other programs."""
 
 from __future__ import annotations
 
@@ -64,12 +64,12 @@ def test_temperatures_csv_has_the_contract_s_columns_in_order(out: Path) -> None
 
 
 def test_the_summary_agrees_with_the_histories(out: Path, result: RunResult) -> None:
-    told = json.loads((out / "summary.json").read_text())["control_points"]["V09T9527"]
+    point = json.loads((out / "summary.json").read_text())["control_points"]["V09T9527"]
     table = pd.read_csv(out / "V09T9527" / "temperatures.csv")
-    assert told["peak_surface_K"] == pytest.approx(table["surface_K"].max(), abs=1e-4)
-    assert told["peak_surface_s"] == table["time_s"][table["surface_K"].idxmax()]
+    assert point["peak_surface_K"] == pytest.approx(table["surface_K"].max(), abs=1e-4)
+    assert point["peak_surface_s"] == table["time_s"][table["surface_K"].idxmax()]
     limit = result.scenario.vehicle.control_point("V09T9527").limits.surface_K
-    assert told["surface_margin_K"] == pytest.approx(limit - told["peak_surface_K"])
+    assert point["surface_margin_K"] == pytest.approx(limit - point["peak_surface_K"])
 
 
 def test_the_conditions_of_a_run_can_be_flown_again_as_a_recorded_trajectory(out: Path, tmp_path: Path) -> None:
@@ -93,13 +93,13 @@ def test_the_conditions_of_a_run_hold_its_reference_heating(result: RunResult, o
     np.testing.assert_allclose(table["H_r_J_kg"], point["H_r_J_kg"], rtol=1e-11)
 
 
-def test_conditions_without_a_common_film_coefficient_say_why(result: RunResult) -> None:
+def test_conditions_without_a_common_film_coefficient_state_the_reason(result: RunResult) -> None:
     def twice_as_far(point: PointResult) -> PointResult:
         h_ref = point.conditions["h_ref_kg_m2_s"] / np.sqrt(2.0)
         return replace(point, conditions=point.conditions.with_columns(h_ref_kg_m2_s=h_ref))
 
     points = result.points | {"LEE_UPPER": twice_as_far(result.points["LEE_UPPER"])}
-    flown, said = with_reference_heating(replace(result, points=points))
+    flown, notes = with_reference_heating(replace(result, points=points))
     assert "h_ref_kg_m2_s" not in flown
     assert "H_r_J_kg" in flown
-    assert "running length" in said["h_ref_kg_m2_s"]
+    assert "running length" in notes["h_ref_kg_m2_s"]

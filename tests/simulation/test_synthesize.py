@@ -1,4 +1,4 @@
-"""A flight as a record: what is told is what was declared, what was altered goes to truth.toml."""
+"""A flight as a record: it holds what was declared; an altered truth goes to truth.toml."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SURFACE = "V09T9527_K"
 
 
 def scenario(tmp_path: Path, more: str = "", **sensor: Any) -> Scenario:
-    """The glide with more tables, all its sensors changed as the keys say."""
+    """The glide with more tables, all its sensors changed by the keywords."""
     file = tmp_path / "glide.toml"
     file.write_text(GLIDE + more)
     loaded = load_scenario(file)
@@ -87,7 +87,7 @@ def test_an_altered_truth_is_in_the_readings_and_in_truth_toml_but_not_in_the_re
     assert truth["parameters"] == {"ratio.scale": 0.2}
 
 
-def test_an_undeclared_effect_is_told_in_truth_toml_alone(tmp_path: Path, plain: dict[str, Record]) -> None:
+def test_an_undeclared_effect_is_in_truth_toml_only(tmp_path: Path, plain: dict[str, Record]) -> None:
     effect = '[[truth.effect]]\nname = "impingement-onset"\ncontrol_points = ["V07T9975"]\n'
     chosen = scenario(tmp_path, effect, **PLAIN)
     made = synthesize(chosen)
@@ -103,7 +103,7 @@ def test_a_positive_skew_records_what_was_true_earlier(tmp_path: Path, plain: di
     true = plain[PLUG].thermocouples[SURFACE]
     recorded = late.thermocouples[SURFACE]
     np.testing.assert_allclose(recorded[3:], true[:-3], rtol=0.0, atol=1e-9)  # T(t) = true T(t - 3 s)
-    assert np.all(np.isnan(recorded[:3]))  # nothing is known from before the flight
+    assert np.all(np.isnan(recorded[:3]))  # no temperature exists before the flight
 
 
 def test_a_skew_between_samples_is_stepped_to_and_not_interpolated(tmp_path: Path) -> None:
@@ -122,13 +122,13 @@ def test_the_same_seed_gives_the_same_record_and_another_seed_another(tmp_path: 
     assert np.any(one != other)
 
 
-def test_noise_of_one_point_does_not_depend_on_which_others_are_looked_at(tmp_path: Path) -> None:
+def test_noise_of_one_point_does_not_depend_on_the_others_of_the_scenario(tmp_path: Path) -> None:
     both = synthesize(scenario(tmp_path))[PLUG]
     alone = synthesize(replace(scenario(tmp_path), names=(PLUG,)))[PLUG]
     np.testing.assert_array_equal(both.temperatures_K(), alone.temperatures_K())
 
 
-def test_readings_stand_on_the_steps_of_the_recorder_word(tmp_path: Path) -> None:
+def test_readings_are_multiples_of_the_recorder_s_least_significant_bit(tmp_path: Path) -> None:
     record = synthesize(scenario(tmp_path))[PLUG]
     for sensor, readings in zip(record.sensors, record.temperatures_K(), strict=True):
         codes = (readings - sensor.range_K[0]) / sensor.lsb_K  # type: ignore[index]

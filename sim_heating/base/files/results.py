@@ -176,7 +176,8 @@ def _refuse_foreign(target: Path, names: Sequence[str]) -> None:
     foreign = [n for n in names if n not in ours and os.path.exists(target / n)]
     if foreign:
         raise InputError(
-            f"{display_path(target)}: {', '.join(foreign)} exists and is not a result of ours; choose another directory"
+            f"{display_path(target)}: {', '.join(foreign)} already exists and was not written by sim-heating; choose "
+            "another directory"
         )
 
 
