@@ -160,7 +160,7 @@ def test_readings_of_a_record_are_not_used():
     assert found[0] == pytest.approx(found[1], rel=1e-12)
 
 
-def test_predicted_bounds_are_those_of_actual_fits():
+def test_predicted_bounds_are_those_of_simulated_fits():
     # of 200 fits a root mean square is known to 5 %
     planner = planner_of(before_s=5.0, after_s=15.0)
     planned = planner.fly(planner.scenario.declared.trajectory.manoeuvre)
