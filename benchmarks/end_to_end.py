@@ -24,7 +24,6 @@ import numpy as np
 from benchmarks.measure import Figure, save
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
-from sim_heating.closure.revise.evidence import basis
 from sim_heating.closure.revise.update import errors_before_and_after, prepare_update
 from sim_heating.estimation.fit import FitResult, estimate
 from sim_heating.estimation.record_fit import StartMaker
@@ -33,7 +32,7 @@ from sim_heating.estimation.report.report import estimate_contents
 from sim_heating.estimation.starts import STARTS
 from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.heating.ratio.table import RatioTable
-from sim_heating.heating.ratio.uncertainty import prior_covariance
+from sim_heating.heating.ratio.uncertainty import basis, prior_covariance
 from sim_heating.inputs.points import conditions_of_record, mean_condition
 from sim_heating.inputs.record import Record, Segments, load_record
 from sim_heating.inputs.scenario import Scenario, Truth, load_scenario

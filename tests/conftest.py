@@ -1,4 +1,4 @@
-"""What tests share: a hypothesis profile without a deadline, as the first call of a kernel compiles it; a desk."""
+"""What tests share: a hypothesis profile without a deadline, as the first call of a kernel compiles it; a workdir."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ settings.load_profile("compiled")
 
 
 @pytest.fixture
-def desk(flown: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A copy of what a module's `flown` made, to work in."""
-    shutil.copytree(flown, tmp_path, dirs_exist_ok=True)
+def workdir(flown_records: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the files that the module's fixture `flown_records` made, as working directory."""
+    shutil.copytree(flown_records, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     return tmp_path

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from sim_heating.base.errors import InputError
-from sim_heating.cli.console import CONSOLE, OUT, PATH, optional_directory, progress_line
+from sim_heating.cli.console import CONSOLE, OUT, PATH, optional_directory, print_table, progress_line
 
 
 @click.command("update-tables")
@@ -49,7 +49,10 @@ def update_tables(
             fit, vehicle, out, records=records, point=point, checks=checked, dry_run=dry_run, progress=progress
         )
     for part in report.update_report(updated.update, updated.errors_K):
-        CONSOLE.print(part)
+        if isinstance(part, str):
+            CONSOLE.print(part)
+        else:
+            print_table(part)
     place, made = updated.vehicle, updated.revision
     if place is None or made is None:
         CONSOLE.print("Dry run: nothing was written")

@@ -200,7 +200,7 @@ def test_a_figure_has_the_same_bytes_each_time():
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
+@pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
 def test_a_browser_shows_the_page_with_all_its_pictures(tmp_path: Path):
     write_closure(closed(), tmp_path)
     page = (tmp_path / "report.html").as_uri()

@@ -1,4 +1,4 @@
-"""`update-tables` with effects: what a flight said of them goes into the control point's file, and can be taken out."""
+"""`update-tables` with effects: fitted effects are written into the control point's file, and can be reverted."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ parameters = {{ coating_factor = {COATING} }}
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A hangar with the vehicle, two flights whose truth has a transition and a thick coating, and a fit of one with
-    the width and angle of the transition held at other values than nominal."""
-    home = tmp_path_factory.mktemp("hangar")
+def flown_records(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the vehicle, two flights whose truth has a transition and a thick coating, and a fit of one with
+    the width and angle of the transition fixed at other values than nominal."""
+    home = tmp_path_factory.mktemp("flown")
     one_point_orbiter(home)
     for name, flight in (
         ("first", {"altitude_m": 74000.0, "velocity_m_s": 6800.0, "sweep_deg": 5.0}),
@@ -64,50 +64,50 @@ def declared() -> dict[str, dict[str, float]]:
     return {u.effect.name: parameter_values(u) for u in load_vehicle("./orbiter").control_point(POINT).effects}
 
 
-def test_what_a_flight_told_of_effects_predicts_another_and_can_be_taken_back(
-    desk: Path, capsys: pytest.CaptureFixture[str]
+def test_effects_of_one_flight_predict_another_and_can_be_reverted(
+    workdir: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    before = contents(desk / "orbiter")
+    before = contents(workdir / "orbiter")
     arguments = ["update-tables", "first.json", "--vehicle", "./orbiter", "--check", "second"]
     assert main([*arguments, "--dry-run"]) == 0
-    assert contents(desk / "orbiter") == before
+    assert contents(workdir / "orbiter") == before
     assert "coating-thickness" in capsys.readouterr().out
 
     assert main(arguments) == 0
-    assert "clock.skew: not written, is of the record" in capsys.readouterr().out
+    assert "clock.skew: not written, belongs to the record" in capsys.readouterr().out
     fit = read_estimate("first.json").parameters
     found = declared()
     assert set(found) == {"transition", "coating-thickness"}
-    for held in ("width", "alpha_0_deg"):
-        assert found["transition"][held] == TRANSITION[held]
+    for fixed in ("width", "alpha_0_deg"):
+        assert found["transition"][fixed] == TRANSITION[fixed]
     true = {f"effect.transition.{n}": TRANSITION[n] for n in ("log10_re_onset", "factor")}
     for name, value in {**true, "effect.coating-thickness.coating_factor": COATING}.items():
         _, effect, parameter = name.split(".")
         assert abs(found[effect][parameter] - value) < 4.0 * fit[name].sigma, name
 
-    errors = read_json(desk / "orbiter" / "ratio_revisions" / POINT / "revision_2.json")["errors_K"]
-    floor = load_record(desk / "first").noise_floor_K()
+    errors = read_json(workdir / "orbiter" / "ratio_revisions" / POINT / "revision_2.json")["errors_K"]
+    floor = load_record(workdir / "first").noise_floor_K()
     for name in ("first", "second"):
         rmse = {when: errors[name]["fit"][when]["rmse_K"] for when in ("before", "after")}
         assert rmse["before"] > 5.0 * floor
         assert rmse["after"] < 1.5 * floor
     assert main(["predict", "second", "--vehicle", "./orbiter", "--out", "after"]) == 0
-    assert read_json(desk / "after" / "summary.json")["fit"] == pytest.approx(errors["second"]["fit"]["after"])
+    assert read_json(workdir / "after" / "summary.json")["fit"] == pytest.approx(errors["second"]["fit"]["after"])
 
     assert main(["update-tables", "--vehicle", "./orbiter", "--revert", POINT]) == 0
-    assert contents(desk / "orbiter") == before
+    assert contents(workdir / "orbiter") == before
 
 
-def test_a_copy_holds_the_effects_and_the_vehicle_stays(desk: Path) -> None:
-    before = contents(desk / "orbiter")
+def test_a_copy_has_the_effects_and_the_vehicle_stays(workdir: Path) -> None:
+    before = contents(workdir / "orbiter")
     assert main(["update-tables", "first.json", "--vehicle", "./orbiter", "--out", "copies"]) == 0
-    assert contents(desk / "orbiter") == before
-    text = (desk / "copies" / FILE).read_text()
+    assert contents(workdir / "orbiter") == before
+    text = (workdir / "copies" / FILE).read_text()
     assert text.startswith(Path(FILE).read_text().rstrip())
     assert [e["name"] for e in tomllib.loads(text)["effect"]] == ["transition", "coating-thickness"]
 
 
-def test_a_fit_of_an_effect_alone_leaves_every_node(desk: Path) -> None:
+def test_a_fit_of_an_effect_alone_changes_no_node(workdir: Path) -> None:
     table = load_vehicle("./orbiter").control_point(POINT).ratio
     asked = "effect.coating-thickness.coating_factor"
     assert main(["estimate", "first", "--parameters", asked, "--out", "fit"]) == 0
@@ -120,38 +120,38 @@ def test_a_fit_of_an_effect_alone_leaves_every_node(desk: Path) -> None:
 
 
 @pytest.mark.parametrize("rho", [-0.999, 0.0, 0.9])
-def test_effects_follow_the_ratio_that_the_table_draws_away_from_the_fit(desk: Path, rho: float) -> None:
+def test_effects_follow_the_ratio_that_the_table_shifts_from_the_fit(workdir: Path, rho: float) -> None:
     fit = read_estimate("first.json")
     scale, factor = (
         fit.parameters[n].model_copy(update={"sigma": s})
         for n, s in (("ratio.scale", 0.2), ("effect.transition.factor", 0.3))
     )
-    told = {"ratio.scale": scale, "effect.transition.factor": factor}
+    parameters = {"ratio.scale": scale, "effect.transition.factor": factor}
     both = {"ratio.scale|effect.transition.factor": rho}
-    write_estimate("other.json", fit.model_copy(update={"parameters": told, "correlation": both}))
+    write_estimate("other.json", fit.model_copy(update={"parameters": parameters, "correlation": both}))
     update = prepare_update("other.json", "./orbiter")
-    ((_, estimated, _, _, _, drawn, _),) = update.parameter_views()
+    ((_, estimated, _, _, _, drawn, _),) = update.parameter_comparison()
     assert abs(drawn - estimated) > 0.2 * scale.sigma
     transition = update.effects.after[0]
     follow = (parameter_values(transition)["factor"] - factor.value) / factor.sigma
     assert follow == pytest.approx(rho * (drawn - estimated) / scale.sigma, abs=1e-4)
 
 
-def test_an_effect_is_drawn_no_farther_than_its_bounds(desk: Path) -> None:
+def test_an_effect_is_shifted_no_farther_than_its_bounds(workdir: Path) -> None:
     fit = read_estimate("first.json")
-    told = {
+    parameters = {
         n: fit.parameters[n].model_copy(update={"sigma": s})
         for n, s in (("ratio.scale", 0.5), ("effect.transition.factor", 50.0))
     }
     both = {"ratio.scale|effect.transition.factor": -0.99}
-    write_estimate("other.json", fit.model_copy(update={"parameters": told, "correlation": both}))
+    write_estimate("other.json", fit.model_copy(update={"parameters": parameters, "correlation": both}))
     assert main(["update-tables", "other.json", "--vehicle", "./orbiter"]) == 0
     assert declared()["transition"]["factor"] == 1.0
-    estimated = read_json(desk / "orbiter" / "ratio_revisions" / POINT / "revision_2.json")["parameters"]
-    assert estimated["effect.transition.factor"]["value"] == told["effect.transition.factor"].value
+    estimated = read_json(workdir / "orbiter" / "ratio_revisions" / POINT / "revision_2.json")["parameters"]
+    assert estimated["effect.transition.factor"]["value"] == parameters["effect.transition.factor"].value
 
 
-def test_a_declared_effect_gives_way_and_its_comments_stay(desk: Path) -> None:
+def test_a_declared_effect_is_replaced_and_its_comments_stay(workdir: Path) -> None:
     old = (
         '\n[[effect]] # hot\nname = "transition" # seen in tunnels\nparameters = { factor = 4.0 }\nsource = "a guess"\n'
     )
@@ -167,17 +167,17 @@ def test_a_declared_effect_gives_way_and_its_comments_stay(desk: Path) -> None:
     assert "a guess" not in text
 
 
-def test_a_file_edited_since_is_not_put_back(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_edited_after_the_update_is_not_reverted(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["update-tables", "first.json", "--vehicle", "./orbiter"]) == 0
     edit(Path(FILE), lambda text: text + "# mine\n")
-    before = contents(desk / "orbiter")
+    before = contents(workdir / "orbiter")
     assert main(["update-tables", "--vehicle", "./orbiter", "--revert", POINT]) == 2
     assert "was changed after revision 2" in capsys.readouterr().err
-    assert contents(desk / "orbiter") == before
+    assert contents(workdir / "orbiter") == before
 
 
-def test_an_update_that_was_killed_before_its_table_is_found_out(
-    desk: Path, capsys: pytest.CaptureFixture[str]
+def test_an_update_killed_before_writing_its_table_is_detected(
+    workdir: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     table = Path(f"orbiter/ratio_tables/{POINT}.csv")
     old = table.read_bytes()
@@ -197,22 +197,22 @@ def test_an_update_that_was_killed_before_its_table_is_found_out(
         ("effect.transition.fctor", 2.0, "no parameter `fctor`"),
     ],
 )
-def test_effects_that_no_vehicle_can_have_are_refused_in_one_line(
-    name: str, value: float, hint: str, desk: Path, capsys: pytest.CaptureFixture[str]
+def test_impossible_effects_are_refused_in_one_line(
+    name: str, value: float, hint: str, workdir: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fit = read_estimate("first.json")
     factor = fit.parameters["effect.transition.factor"].model_copy(update={"value": value})
     write_estimate("other.json", fit.model_copy(update={"parameters": {name: factor}, "correlation": {}}))
-    before = contents(desk / "orbiter")
+    before = contents(workdir / "orbiter")
     assert main(["update-tables", "other.json", "--vehicle", "./orbiter"]) == 2
-    said = [line for line in capsys.readouterr().err.splitlines() if line.strip()]
-    assert len(said) == 1, said
-    assert hint in said[0]
-    assert contents(desk / "orbiter") == before
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.strip()]
+    assert len(lines) == 1, lines
+    assert hint in lines[0]
+    assert contents(workdir / "orbiter") == before
 
 
 @pytest.mark.parametrize("end_of_line", ["\n", "\r\n"])
-def test_line_ends_and_byte_order_mark_stay(desk: Path, end_of_line: str) -> None:
+def test_line_ends_and_byte_order_mark_stay(workdir: Path, end_of_line: str) -> None:
     raw = "\ufeff" + Path(FILE).read_text().replace("\n", end_of_line)
     effect = {"name": "catalysis", "parameters": {}, "source": "a flight"}
     once = edit_effects(raw, [effect], Path(FILE))
@@ -222,7 +222,7 @@ def test_line_ends_and_byte_order_mark_stay(desk: Path, end_of_line: str) -> Non
     assert again.count("\n") == again.count(end_of_line)
 
 
-def test_effects_in_a_form_that_cannot_be_edited_are_left_to_a_person(desk: Path) -> None:
+def test_effects_in_a_form_that_cannot_be_edited_are_refused(workdir: Path) -> None:
     raw = 'effect = [{ name = "catalysis", source = "a tunnel" }]\n' + Path(FILE).read_text()
     with pytest.raises(InputError, match="by hand"):
         edit_effects(raw, [{"name": "moisture", "parameters": {}, "source": "a flight"}], Path(FILE))

@@ -1,4 +1,4 @@
-"""`update-tables`: what a flight said of the ratio goes into the table that it is about, and can be taken out again."""
+"""`update-tables`: the ratio estimated from a flight is written into the table, and can be reverted."""
 
 from __future__ import annotations
 
@@ -77,9 +77,9 @@ def one_point_orbiter(home: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A hangar with the vehicle, two flights of it whose truth differs from its tables, and the estimate of one."""
-    home = tmp_path_factory.mktemp("hangar")
+def flown_records(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the vehicle, two flights of it whose truth differs from its tables, and the estimate of one."""
+    home = tmp_path_factory.mktemp("flown")
     one_point_orbiter(home)
     for name, flight in (
         ("first", {"altitude_m": 74000.0, "velocity_m_s": 6800.0, "sweep_deg": 5.0}),
@@ -88,12 +88,12 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (home / f"{name}.toml").write_text(GLIDE.format(**flight))
         scenario = load_scenario(home / f"{name}.toml")
         write_records(scenario, synthesize(scenario), home / name)
-        write_estimate(home / f"{name}.json", fitted(load_record(home / name), tuple(TRUTH)))
+        write_estimate(home / f"{name}.json", least_squares(load_record(home / name), tuple(TRUTH)))
     return home
 
 
-def fitted(record: Record, names: tuple[str, ...]) -> Estimate:
-    """Least squares on the outermost thermocouple by differences: an estimate that owes the estimator nothing."""
+def least_squares(record: Record, names: tuple[str, ...]) -> Estimate:
+    """Least squares on the outermost thermocouple by differences: an estimate independent of the estimator."""
 
     def residual(theta: FloatArray) -> FloatArray:
         model = point_of_record(record, dict(zip(names, theta.tolist(), strict=True)))
@@ -105,11 +105,11 @@ def fitted(record: Record, names: tuple[str, ...]) -> Estimate:
         slopes = np.stack([(residual(theta + h) - start) / h[i] for i, h in enumerate(np.diag(step))], axis=1)
         theta -= np.linalg.lstsq(slopes, start, rcond=None)[0]
     noise = record.noise_floor_K()
-    return stated(record, dict(zip(names, theta, strict=True)), noise**2 * np.linalg.inv(slopes.T @ slopes))
+    return estimate_of(record, dict(zip(names, theta, strict=True)), noise**2 * np.linalg.inv(slopes.T @ slopes))
 
 
-def stated(record: Record, values: Mapping[str, float], covariance: FloatArray, **more: Any) -> Estimate:
-    """An estimate that says this."""
+def estimate_of(record: Record, values: Mapping[str, float], covariance: FloatArray, **more: Any) -> Estimate:
+    """An estimate with these values."""
     names, sigma = tuple(values), np.sqrt(np.diag(covariance))
     data = {
         "format": "estimate/1",
@@ -150,35 +150,36 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def test_a_revised_table_predicts_the_fitted_and_another_manoeuvre(
-    desk: Path, capsys: pytest.CaptureFixture[str]
+    workdir: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = ["update-tables", "first.json", "--vehicle", "./orbiter", "--check", "second"]
     assert main(arguments) == 0
-    made = read_json(desk / "orbiter" / "ratio_revisions" / POINT / "revision_2.json")
-    floor = load_record(desk / "first").noise_floor_K()
+    made = read_json(workdir / "orbiter" / "ratio_revisions" / POINT / "revision_2.json")
+    floor = load_record(workdir / "first").noise_floor_K()
     fit = {name: parts["fit"] for name, parts in made["errors_K"].items()}
     assert fit["first"]["before"]["rmse_K"] > 10.0 * floor
     assert fit["first"]["after"]["rmse_K"] < 1.5 * floor
     assert fit["second"]["after"]["rmse_K"] < 0.2 * fit["second"]["before"]["rmse_K"]
-    said = capsys.readouterr().out
-    assert "revision 1 to 2" in said
-    assert "ratio.d_alpha" in said
+    lines = capsys.readouterr().out
+    assert "revision 1 to 2" in lines
+    assert "ratio.d_alpha" in lines
 
     assert main(["predict", "first", "--vehicle", "./orbiter", "--out", "after"]) == 0
-    assert read_json(desk / "after" / "summary.json")["fit"] == pytest.approx(fit["first"]["after"])
+    assert read_json(workdir / "after" / "summary.json")["fit"] == pytest.approx(fit["first"]["after"])
 
 
-def test_later_flights_declare_the_revised_table(desk: Path) -> None:
+def test_later_flights_declare_the_revised_table(workdir: Path) -> None:
     update_and_write()
     assert main(["synthesize", "first.toml", "--out", "third"]) == 0
     np.testing.assert_array_equal(
-        read_ratio_table(desk / "third" / "ratio_table.csv").ratio, read_ratio_table(table_of(desk / "orbiter")).ratio
+        read_ratio_table(workdir / "third" / "ratio_table.csv").ratio,
+        read_ratio_table(table_of(workdir / "orbiter")).ratio,
     )
 
 
-def test_the_true_ratio_lies_within_the_bounds_of_the_revised_table(desk: Path) -> None:
+def test_the_true_ratio_lies_within_the_bounds_of_the_revised_table(workdir: Path) -> None:
     update = prepare_update("first.json", "./orbiter")
-    views = {name: row for name, *row in update.parameter_views()}
+    views = {name: row for name, *row in update.parameter_comparison()}
     for name, true in TRUTH.items():
         _, _, before, wide, after, narrow = views[name]
         assert before == pytest.approx(0.0, abs=1e-12)
@@ -186,39 +187,39 @@ def test_the_true_ratio_lies_within_the_bounds_of_the_revised_table(desk: Path) 
         assert abs(after - TRUTH[name]) < 4.0 * narrow, (after, true)
 
 
-# What the estimate says of the nodes ---------------------------------------------------------------------------------
+# Evidence of the estimate on the nodes --------------------------------------------------------------------------------
 
 
-def test_a_table_that_differs_by_the_parameters_is_seen_to_differ_by_them(desk: Path) -> None:
-    record, vehicle = load_record(desk / "first"), load_vehicle("./orbiter")
+def test_the_evidence_recovers_parameters_by_which_a_table_differs(workdir: Path) -> None:
+    record, vehicle = load_record(workdir / "first"), load_vehicle("./orbiter")
     values = {"ratio.scale": -0.07, "ratio.d_alpha": 0.0004, "ratio.d_logre": 0.01}
-    estimate = stated(record, values, np.diag([1e-4, 1e-8, 1e-4]))
+    estimate = estimate_of(record, values, np.diag([1e-4, 1e-8, 1e-4]))
     point, about = vehicle.control_point(POINT), estimate.reference_condition
     alpha, _, log10_re, _, _ = np.meshgrid(*point.ratio.axes, indexing="ij")
-    moved = 0.93 * point.ratio.ratio + 0.0004 * (alpha - about.alpha_deg) + 0.01 * (log10_re - about.log10_re)
-    other = replace(point, ratio=replace(point.ratio, ratio=moved))
-    informed = flight_evidence(estimate, [record], vehicle, other)
-    np.testing.assert_allclose(informed.rows @ moved.ravel() - informed.at_zero, list(values.values()), rtol=1e-8)
+    other_ratio = 0.93 * point.ratio.ratio + 0.0004 * (alpha - about.alpha_deg) + 0.01 * (log10_re - about.log10_re)
+    other = replace(point, ratio=replace(point.ratio, ratio=other_ratio))
+    flight = flight_evidence(estimate, [record], vehicle, other)
+    np.testing.assert_allclose(flight.rows @ other_ratio.ravel() - flight.at_zero, list(values.values()), rtol=1e-8)
 
 
-def test_a_table_that_differs_by_a_product_of_two_variables_is_seen_to(desk: Path) -> None:
-    record, vehicle = load_record(desk / "first"), load_vehicle("./orbiter")
+def test_the_evidence_recovers_a_product_term_by_which_a_table_differs(workdir: Path) -> None:
+    record, vehicle = load_record(workdir / "first"), load_vehicle("./orbiter")
     values = {"ratio.scale": 0.1, "ratio.d_alpha": 0.0, "ratio.d_logre": 0.0, "ratio.d_alpha_logre": 0.002}
-    estimate = stated(record, values, np.diag([1e-4, 1e-8, 1e-4, 1e-6]))
+    estimate = estimate_of(record, values, np.diag([1e-4, 1e-8, 1e-4, 1e-6]))
     point, about = vehicle.control_point(POINT), estimate.reference_condition
     alpha, _, log10_re, _, _ = np.meshgrid(*point.ratio.axes, indexing="ij")
-    moved = 1.1 * point.ratio.ratio + 0.002 * (alpha - about.alpha_deg) * (log10_re - about.log10_re)
-    other = replace(point, ratio=replace(point.ratio, ratio=moved))
-    informed = flight_evidence(estimate, [record], vehicle, other)
-    seen = informed.rows @ moved.ravel() - informed.at_zero
-    np.testing.assert_allclose(seen, list(values.values()), rtol=1e-6, atol=1e-9)
+    other_ratio = 1.1 * point.ratio.ratio + 0.002 * (alpha - about.alpha_deg) * (log10_re - about.log10_re)
+    other = replace(point, ratio=replace(point.ratio, ratio=other_ratio))
+    flight = flight_evidence(estimate, [record], vehicle, other)
+    recovered = flight.rows @ other_ratio.ravel() - flight.at_zero
+    np.testing.assert_allclose(recovered, list(values.values()), rtol=1e-6, atol=1e-9)
 
 
-def test_more_samples_of_the_same_path_say_no_more(desk: Path) -> None:
+def test_more_samples_of_the_same_path_add_no_information(workdir: Path) -> None:
     one = prepare_update("first.json", "./orbiter")
-    edit(desk / "first" / "thermocouples.csv", lambda t: "\n".join(_every_second(t.splitlines())) + "\n")
+    edit(workdir / "first" / "thermocouples.csv", lambda t: "\n".join(_every_second(t.splitlines())) + "\n")
     other = prepare_update("first.json", "./orbiter")
-    assert len(other.informed.path.x) < 0.6 * len(one.informed.path.x)
+    assert len(other.flight.path.x) < 0.6 * len(one.flight.path.x)
     np.testing.assert_allclose(other.after.sigma, one.after.sigma, rtol=0.02)
 
 
@@ -226,39 +227,41 @@ def _every_second(lines: list[str]) -> list[str]:
     return [lines[0], *lines[1::2]]
 
 
-def test_an_estimate_over_another_declared_table_says_the_same_of_the_ratio(desk: Path) -> None:
+def test_an_estimate_relative_to_another_declared_table_gives_the_same_ratio(workdir: Path) -> None:
     one = prepare_update("first.json", "./orbiter")
-    declared = read_ratio_table(desk / "first" / "ratio_table.csv")
-    write_ratio_table(desk / "first" / "ratio_table.csv", replace(declared, ratio=1.25 * declared.ratio))
+    declared = read_ratio_table(workdir / "first" / "ratio_table.csv")
+    write_ratio_table(workdir / "first" / "ratio_table.csv", replace(declared, ratio=1.25 * declared.ratio))
     first = read_estimate("first.json")
     smaller = np.diag([1.0 / 1.25, 1.0])
     scale, slope = first.values(tuple(TRUTH))
     values = {"ratio.scale": (1.0 + scale) / 1.25 - 1.0, "ratio.d_alpha": slope}
     C = smaller @ first.covariance(tuple(TRUTH)) @ smaller
-    write_estimate("first.json", stated(load_record("first"), values, C))
+    write_estimate("first.json", estimate_of(load_record("first"), values, C))
     other = prepare_update("first.json", "./orbiter")
     np.testing.assert_allclose(other.after.ratio, one.after.ratio, rtol=1e-9)
     np.testing.assert_allclose(other.after.sigma, one.after.sigma, rtol=1e-6)
 
 
-def test_what_the_table_cannot_hold_is_told_and_its_value_changes_nothing(desk: Path) -> None:
-    record, known = load_record(desk / "first"), read_estimate("first.json")
+def test_parameters_that_the_table_cannot_represent_are_reported_and_change_nothing(workdir: Path) -> None:
+    record, known = load_record(workdir / "first"), read_estimate("first.json")
     C = np.zeros((4, 4))
     C[:2, :2], C[2:, 2:] = known.covariance(tuple(TRUTH)), np.diag([1e-8, 1e-4])
     updates = []
     for elevon, coating in ((0.3, 1.2), (-0.3, 0.9)):
         values = {**TRUTH, "ratio.d_elevon": elevon, "stack.coating.thickness_factor": coating}
-        write_estimate("more.json", stated(record, values, C))
+        write_estimate("more.json", estimate_of(record, values, C))
         updates.append(prepare_update("more.json", "./orbiter"))
-    assert set(updates[0].informed.not_written) == {"ratio.d_elevon", "stack.coating.thickness_factor"}
-    assert updates[0].informed.evidence.names == tuple(TRUTH)
+    assert set(updates[0].flight.not_written) == {"ratio.d_elevon", "stack.coating.thickness_factor"}
+    assert updates[0].flight.evidence.names == tuple(TRUTH)
     np.testing.assert_array_equal(updates[0].table.ratio, updates[1].table.ratio)
 
 
-def test_a_joint_estimate_of_several_points_updates_the_one_that_is_named(desk: Path) -> None:
+def test_a_joint_estimate_of_several_points_updates_the_one_that_is_named(workdir: Path) -> None:
     alone = read_estimate("first.json")
     shutil.copytree("first", "elsewhere")
-    edit(desk / "elsewhere" / "record.toml", lambda t: t.replace(f'control_point = "{POINT}"', 'control_point = "B"'))
+    edit(
+        workdir / "elsewhere" / "record.toml", lambda t: t.replace(f'control_point = "{POINT}"', 'control_point = "B"')
+    )
     both = alone.model_dump() | {
         "records": ["elsewhere", "first"],
         "parameters": {
@@ -280,13 +283,13 @@ def test_a_joint_estimate_of_several_points_updates_the_one_that_is_named(desk: 
     assert [u.record for u in other.used] == ["first"]
 
 
-def test_a_second_flight_is_weighed_together_with_the_first_whatever_their_order(desk: Path) -> None:
+def test_two_flights_give_the_same_table_in_either_order(workdir: Path) -> None:
     shutil.copytree("orbiter", "other/orbiter")
     for fit in ("first.json", "second.json"):
         update_and_write(fit)
     for fit in ("second.json", "first.json"):
         update_and_write(fit, "other/orbiter")
-    one, other = (read_ratio_table(table_of(desk / v)) for v in ("orbiter", "other/orbiter"))
+    one, other = (read_ratio_table(table_of(workdir / v)) for v in ("orbiter", "other/orbiter"))
     assert one.header["revision"] == other.header["revision"] == "3"
     np.testing.assert_allclose(one.ratio, other.ratio, rtol=2e-6)
 
@@ -294,23 +297,23 @@ def test_a_second_flight_is_weighed_together_with_the_first_whatever_their_order
 # Revisions as files --------------------------------------------------------------------------------------------------
 
 
-def test_a_revision_says_what_made_it(desk: Path) -> None:
+def test_a_revision_states_its_origin(workdir: Path) -> None:
     update = update_and_write()
-    header = read_ratio_table(table_of(desk / "orbiter")).header
+    header = read_ratio_table(table_of(workdir / "orbiter")).header
     assert (header["revision"], header["parent_revision"], header["reference"]) == ("2", "1", "fay-riddell")
     assert "first 0 to 160 s" in header["revised_from"]
     assert "ratio.scale -0.1999 +- 0.0003" in header["revised_parameters"]
-    made = read_json(desk / "orbiter" / header["evidence"])
+    made = read_json(workdir / "orbiter" / header["evidence"])
     assert made["parameters"]["ratio.scale"]["sigma"] == update.estimate.parameters["ratio.scale"].sigma
     assert made["records"][0]["inputs"].startswith("sha256:")
     assert len(made["changed"]["ratio_after"]) == np.count_nonzero(update.changed)
     assert main(["validate", "orbiter"]) == 0
 
 
-def test_rows_of_nodes_that_did_not_change_keep_their_text(desk: Path) -> None:
-    before = table_of(desk / "orbiter").read_text().splitlines()
+def test_rows_of_nodes_that_did_not_change_keep_their_text(workdir: Path) -> None:
+    before = table_of(workdir / "orbiter").read_text().splitlines()
     update = update_and_write()
-    rows = [line for line in table_of(desk / "orbiter").read_text().splitlines() if line[0].isdigit()]
+    rows = [line for line in table_of(workdir / "orbiter").read_text().splitlines() if line[0].isdigit()]
     kept = [line for line in before if line[0].isdigit()]
     same = np.array([a == b for a, b in zip(kept, rows, strict=True)])
     np.testing.assert_array_equal(same, ~update.changed.ravel())
@@ -318,23 +321,23 @@ def test_rows_of_nodes_that_did_not_change_keep_their_text(desk: Path) -> None:
 
 
 @pytest.mark.parametrize("line_end", ["\n", "\r\n"])
-def test_reverting_twice_gives_back_the_vehicle_byte_for_byte(desk: Path, line_end: str) -> None:
-    table = table_of(desk / "orbiter")
+def test_reverting_twice_gives_back_the_vehicle_byte_for_byte(workdir: Path, line_end: str) -> None:
+    table = table_of(workdir / "orbiter")
     table.write_bytes(table.read_text().replace("\n", line_end).encode())
-    start = contents(desk / "orbiter")
+    start = contents(workdir / "orbiter")
     update_and_write("first.json")
-    between = contents(desk / "orbiter")
+    between = contents(workdir / "orbiter")
     update_and_write("second.json")
     assert main(["update-tables", "--vehicle", "./orbiter", "--revert", POINT]) == 0
-    assert contents(desk / "orbiter") == between
+    assert contents(workdir / "orbiter") == between
     assert revert(load_vehicle("./orbiter"), POINT) == (2, 1)
-    assert contents(desk / "orbiter") == start
+    assert contents(workdir / "orbiter") == start
 
 
 def test_an_update_interrupted_before_its_last_step_leaves_the_old_table_in_force(
-    desk: Path, monkeypatch: pytest.MonkeyPatch
+    workdir: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before, real = table_of(desk / "orbiter").read_bytes(), os.replace
+    before, real = table_of(workdir / "orbiter").read_bytes(), os.replace
 
     def interrupted(old: Any, new: Any) -> None:
         if Path(new).name == f"{POINT}.csv":
@@ -346,45 +349,45 @@ def test_an_update_interrupted_before_its_last_step_leaves_the_old_table_in_forc
         patched.setattr(os, "replace", interrupted)
         with pytest.raises(KeyboardInterrupt):
             write_update(update, None, {}, draw_update)
-    assert table_of(desk / "orbiter").read_bytes() == before
-    assert not list((desk / "orbiter" / "ratio_tables").glob(".*"))
+    assert table_of(workdir / "orbiter").read_bytes() == before
+    assert not list((workdir / "orbiter" / "ratio_tables").glob(".*"))
     update_and_write()
-    assert read_ratio_table(table_of(desk / "orbiter")).header["revision"] == "2"
+    assert read_ratio_table(table_of(workdir / "orbiter")).header["revision"] == "2"
 
 
-def test_a_dry_run_writes_nothing(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    before = contents(desk)
+def test_a_dry_run_writes_nothing(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = contents(workdir)
     assert main(["update-tables", "first.json", "--vehicle", "./orbiter", "--dry-run"]) == 0
     assert "nothing was written" in capsys.readouterr().out
-    assert contents(desk) == before
+    assert contents(workdir) == before
 
 
-def test_out_revises_a_copy_and_leaves_the_vehicle_alone(desk: Path) -> None:
-    before = contents(desk / "orbiter")
+def test_out_revises_a_copy_and_leaves_the_vehicle_alone(workdir: Path) -> None:
+    before = contents(workdir / "orbiter")
     assert main(["update-tables", "first.json", "--vehicle", "./orbiter", "--out", "mine"]) == 0
-    assert contents(desk / "orbiter") == before
-    assert read_ratio_table(table_of(desk / "mine" / "orbiter")).header["revision"] == "2"
-    assert [p.name for p in (desk / "mine").iterdir()] == ["orbiter"]
+    assert contents(workdir / "orbiter") == before
+    assert read_ratio_table(table_of(workdir / "mine" / "orbiter")).header["revision"] == "2"
+    assert [p.name for p in (workdir / "mine").iterdir()] == ["orbiter"]
 
 
-def test_sources_do_not_overwrite_a_table_that_flight_data_revised(desk: Path) -> None:
+def test_sources_do_not_overwrite_a_table_that_flight_data_revised(workdir: Path) -> None:
     source = ROOT / "aircraft_data" / "orbiter" / "ratio_sources"
-    (desk / "orbiter" / "ratio_sources").mkdir()
+    (workdir / "orbiter" / "ratio_sources").mkdir()
     for name in ("lower_surface.csv", "windward.toml"):
-        shutil.copy(source / name, desk / "orbiter" / "ratio_sources" / name)
+        shutil.copy(source / name, workdir / "orbiter" / "ratio_sources" / name)
     edit(
-        desk / "orbiter" / "ratio_sources" / "windward.toml",
+        workdir / "orbiter" / "ratio_sources" / "windward.toml",
         lambda t: re.sub(r"(?s)^control_points = \[.*?\]", f'control_points = ["{POINT}"]', t, flags=re.MULTILINE),
     )
     write_tables("./orbiter")
     update_and_write()
-    after = table_of(desk / "orbiter").read_bytes()
+    after = table_of(workdir / "orbiter").read_bytes()
     with pytest.raises(InputError, match="is revision 2, from flight data"):
         write_tables("./orbiter")
-    assert table_of(desk / "orbiter").read_bytes() == after
+    assert table_of(workdir / "orbiter").read_bytes() == after
 
 
-# What is refused, in one line ----------------------------------------------------------------------------------------
+# Refused, in one line ----------------------------------------------------------------------------------------
 
 
 CONTROL_POINT = f"orbiter/control_points/{POINT}.toml"
@@ -395,8 +398,8 @@ BETA = {"ratio.d_beta": {"value": 0.1, "sigma": 0.01, "unit": "1/deg"}}
 WITH_PRIOR = {"ratio.scale": {"value": -0.1, "sigma": 0.01, "unit": "1", "prior_sigma": 0.2}}
 
 
-def says(**changes: Any) -> Callable[[], None]:
-    """The estimate says something else."""
+def with_values(**changes: Any) -> Callable[[], None]:
+    """The estimate with other contents."""
     return lambda: edit(Path("first.json"), lambda text: json.dumps(json.loads(text) | changes))
 
 
@@ -409,10 +412,10 @@ def without_sigma() -> None:
 
 
 def only_high_alpha() -> None:
-    def kept(row: str) -> bool:
+    def is_kept(row: str) -> bool:
         return not row[0].isdigit() or float(row.split(",")[0]) >= 45.0
 
-    edit(Path(TABLE), lambda text: "\n".join(filter(kept, text.splitlines())) + "\n")
+    edit(Path(TABLE), lambda text: "\n".join(filter(is_kept, text.splitlines())) + "\n")
 
 
 def renamed_point() -> None:
@@ -447,7 +450,7 @@ NO_PAIR = "first.json, [correlation]: 1 of 1 pairs are missing, `ratio.scale|rat
 
 
 def scale(**changes: float) -> Callable[[], None]:
-    """The estimate says something else of ratio.scale."""
+    """The estimate with another ratio.scale."""
 
     def changed(text: str) -> str:
         found = json.loads(text)
@@ -458,24 +461,27 @@ def scale(**changes: float) -> Callable[[], None]:
 
 
 REFUSED: dict[str, tuple[Callable[[], object], str]] = {
-    "not converged": (says(converged=False), "did not converge"),
-    "estimated with a prior": (says(parameters=WITH_PRIOR, correlation={}), "ratio.scale was estimated with a prior"),
+    "not converged": (with_values(converged=False), "did not converge"),
+    "estimated with a prior": (
+        with_values(parameters=WITH_PRIOR, correlation={}),
+        "ratio.scale was estimated with a prior",
+    ),
     "no bound": (scale(sigma=0.0), "first.json, [parameters.ratio.scale]: `sigma`: 0 is not within 1e-12 to 1000"),
     "too wide a bound": (scale(sigma=1e308), "first.json, [parameters.ratio.scale]: `sigma`: 1e+308 is not within"),
     "no such value": (scale(value=1e308), "first.json, [parameters.ratio.scale]: `value`: 1e+308 is beyond 1000"),
     "no heating left": (scale(value=-1.2), "first.json, [parameters.ratio.scale]: `value`: -1.2 leaves no heating"),
-    "no correlation": (says(correlation={}), NO_PAIR),
+    "no correlation": (with_values(correlation={}), NO_PAIR),
     "no such condition": (
-        says(reference_condition=dict.fromkeys(RATIO_VARIABLES, 0.0) | {"alpha_deg": 1e308}),
+        with_values(reference_condition=dict.fromkeys(RATIO_VARIABLES, 0.0) | {"alpha_deg": 1e308}),
         "first.json, [reference_condition]: `alpha_deg`: 1e+308 is not an angle of attack in degrees (-180 to 180)",
     ),
-    "no ratio parameter": (says(parameters={}, correlation={}), "no ratio parameter"),
+    "no ratio parameter": (with_values(parameters={}, correlation={}), "no ratio parameter"),
     "cut off": (lambda: edit(Path("first.json"), lambda text: text[:300]), "cut off"),
-    "no such record": (says(records=["fitrs"]), "its record `fitrs` is not there"),
-    "several points": (says(control_point="LOWER_AFT"), "the estimate is of LOWER_AFT, not of V09T9527"),
-    "record changed since": (says(inputs={"first": "sha256:0"}), "was changed since the estimate"),
-    "segments without samples": (says(segments=[[[900.0, 950.0]]]), "no sample lies in the segments"),
-    "a variable that did not move": (says(parameters=BETA, correlation={}), "do not tell ratio.d_beta"),
+    "no such record": (with_values(records=["fitrs"]), "its record `fitrs` does not exist"),
+    "several points": (with_values(control_point="LOWER_AFT"), "the estimate is of LOWER_AFT, not of V09T9527"),
+    "record changed since": (with_values(inputs={"first": "sha256:0"}), "was changed since the estimate"),
+    "segments without samples": (with_values(segments=[[[900.0, 950.0]]]), "no sample lies in the segments"),
+    "a variable that did not move": (with_values(parameters=BETA, correlation={}), "cannot distinguish ratio.d_beta"),
     "vehicle without the point": (renamed_point, "no control point `V09T9527`; did you mean `V09T9999`"),
     "other reference by name": (over_another_sphere, "over `fay-riddell`, the tables of orbiter over `sutton-graves`"),
     "other reference by value": (in_file(VEHICLE, "= 0.3048", "= 0.5"), "its h_ref_kg_m2_s is 28"),
@@ -491,17 +497,17 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_does_not_belong_together_is_refused_in_one_line(
-    name: str, desk: Path, capsys: pytest.CaptureFixture[str]
+def test_inconsistent_inputs_are_refused_in_one_line(
+    name: str, workdir: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     damage, hint = REFUSED[name]
     damage()
-    before = contents(desk)
+    before = contents(workdir)
     assert main(["update-tables", "first.json", "--vehicle", "./orbiter"]) == 2
-    said = [line for line in capsys.readouterr().err.splitlines() if line.strip()]
-    assert len(said) == 1, said
-    assert hint in said[0]
-    assert contents(desk) == before
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.strip()]
+    assert len(lines) == 1, lines
+    assert hint in lines[0]
+    assert contents(workdir) == before
 
 
 @pytest.mark.parametrize(
@@ -511,9 +517,9 @@ def test_what_does_not_belong_together_is_refused_in_one_line(
         (["first.json", "--vehicle", "./orbiter", "--revert", POINT], "takes no FIT"),
         (["--vehicle", "./orbiter", "--revert", POINT], "was not made from flight data"),
         (["--vehicle", "./orbiter", "--revert", "V09T9257"], "did you mean `V09T9527`"),
-        (["first.json", "--vehicle", "orbitr"], "no vehicle of this name"),
-        (["first.json", "--vehicle", "orbiter"], "came with the package; name a folder for a copy of yours with --out"),
-        (["first.json", "--vehicle", "./orbiter", "--out", "."], "holds orbiter already"),
+        (["first.json", "--vehicle", "orbitr"], "unknown vehicle; did you mean `orbiter`?"),
+        (["first.json", "--vehicle", "orbiter"], "came with the package; name a folder for your copy with --out"),
+        (["first.json", "--vehicle", "./orbiter", "--out", "."], "already contains orbiter"),
         (["first.json", "--vehicle", "./orbiter", "--record", "first", "--record", "second"], "name each in order"),
         (["first.json", "--vehicle", "./orbiter", "--check", "first"], "two records are named first"),
         (["nothing.json", "--vehicle", "./orbiter"], "no such file"),
@@ -521,12 +527,12 @@ def test_what_does_not_belong_together_is_refused_in_one_line(
     ],
     ids=lambda v: " ".join(v) if isinstance(v, list) else None,
 )
-def test_wrong_usage_is_told_in_one_line(
-    arguments: list[str], hint: str, desk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_wrong_usage_is_reported_in_one_line(
+    arguments: list[str], hint: str, workdir: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    if arguments[-1] == "orbiter":  # by name, from a place that has none of its own
+    if arguments[-1] == "orbiter":  # by name, from a folder without such a vehicle
         shutil.move("orbiter", "elsewhere")
     assert main(["update-tables", *arguments]) == 2
-    said = [line for line in capsys.readouterr().err.splitlines() if line.strip() and not line.endswith("...")]
-    assert len(said) == 1, said
-    assert hint in said[0]
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.strip() and not line.endswith("...")]
+    assert len(lines) == 1, lines
+    assert hint in lines[0]

@@ -1,12 +1,12 @@
-"""Fitted effects as `[[effect]]` of a control point's file, with everything else in the file as it was.
+"""Fitted effects as `[[effect]]` of a control point's file; everything else in the file stays.
 
-An effect goes there with all values that it had in the fit, estimated or held: with others the estimated ones would
-mean something else. A fitted effect takes the place of a declared one of the same name; the others stay.
+An effect is written with all values that it had in the fit, estimated or not: with others the estimated ones would have
+another meaning. A fitted effect replaces a declared one of the same name; the others stay.
 
-The table's own sigma draws the ratio parameters theta to other values than the fit's, and the effects' e follow with
-what the fit knows of both together, the mean of a normal distribution given theta:
+The table's own sigma draws the ratio parameters theta to other values than the fit's. The effects' e follow by the
+joint covariance of the fit, as the mean of a normal distribution given theta:
 
-    e = e_hat + C_e,theta C_theta^-1 (theta_table - theta_hat),    no farther than its bounds
+    e = e_hat + C_e,theta C_theta^-1 (theta_table - theta_hat),    within their bounds
 
 Source: Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), eq. A.6.
 """
@@ -34,20 +34,20 @@ from sim_heating.inputs.vehicle_files import ControlPointFile
 
 DIGITS = 6
 """Significant digits of a written value, far below any sigma."""
-OF_RECORD = "is of the record, not of the vehicle"
+OF_RECORD = "belongs to the record, not to the vehicle"
 BOM = "\ufeff"
 
 
 @dataclass(frozen=True)
 class FittedEffects:
-    """What a fit says of a control point's effects.
+    """The effects of a control point by a fit.
 
-    path        : the control point's file;  raw : its text;  text : the new one, the same where nothing is written
-    before      : the effects that it declares;  after : those that it will
-    written     : names of the fitted ones
-    moved       : estimated parameter -> how far it is from the fit, in its sigma
-    not_written : estimated parameter or effect -> why it is not in the file
-    missing     : declared effects that the fit did not have
+    path         : the control point's file;  raw : its text;  text : the new one, equal where nothing is written
+    before       : the effects that it declares;  after : those that it will declare
+    written      : names of the fitted ones
+    shift_sigmas : estimated parameter -> its distance from the fit, in sigmas of the fit
+    not_written  : estimated parameter or effect -> why it is not in the file
+    not_fitted   : declared effects that the fit did not have
     """
 
     path: Path
@@ -56,12 +56,12 @@ class FittedEffects:
     before: tuple[EffectUse, ...]
     after: tuple[EffectUse, ...]
     written: tuple[str, ...]
-    moved: dict[str, float]
+    shift_sigmas: dict[str, float]
     not_written: dict[str, str]
-    missing: tuple[str, ...]
+    not_fitted: tuple[str, ...]
 
     def changes(self) -> list[dict[str, Any]]:
-        """Each written effect: name, its values, and those that were declared before, None where it was not."""
+        """Each written effect: name, its values, and the declared ones before, None where it was not declared."""
         before, after = ({u.effect.name: parameter_values(u) for u in uses} for uses in (self.before, self.after))
         return [{"name": n, "parameters": after[n], "before": before.get(n)} for n in self.written]
 
@@ -71,26 +71,26 @@ def parameter_values(used: EffectUse) -> dict[str, float]:
     return {p.name: v for p, v in zip(used.effect.parameters, used.values, strict=True)}
 
 
-def fitted_effects_of(
+def effects_from_fit(
     estimate: Estimate,
-    informed: FlightEvidence,
+    flight: FlightEvidence,
     table: Posterior,
     path: Path,
     point: ControlPoint,
     flown: str,
     made: str,
 ) -> FittedEffects:
-    """What an estimate of one control point says of its effects.
+    """The effects of one control point by an estimate.
 
-    informed, table : the estimate as evidence, and the ratio table updated by it
+    flight, table : the estimate as evidence, and the ratio table updated by it
     path            : the control point's file
     flown, made     : records and times, and the revision's own file, for the `source` of an effect
-    raises : InputError where an effect is unknown, a value outside its bounds, or the file cannot be edited
+    raises          : InputError where an effect is unknown, a value outside its bounds, or the file cannot be edited
     """
-    beside = _beside_table(estimate, informed, table)
-    estimated = _by_effect(beside)
+    given_table = _values_given_table(estimate, flight, table)
+    estimated = _parameters_by_effect(given_table)
     in_force = {e.name: e.parameters for e in estimate.effects}
-    found, not_written = [], _of_record(estimate)
+    fitted, not_written = [], _record_parameters(estimate)
     for name in dict.fromkeys((*in_force, *estimated)):
         used = use(name, in_force.get(name, {}) | estimated.get(name, {}))
         if used.effect.acts_on_clock:
@@ -98,46 +98,47 @@ def fitted_effects_of(
         elif name not in estimated:
             not_written[f"{EFFECT_PREFIX}{name}"] = "was in the fit, but nothing of it was estimated"
         else:
-            found.append(use(name, {n: float(f"{v:.{DIGITS}g}") for n, v in parameter_values(used).items()}))
-    after = _replaced(point.effects, found)
+            fitted.append(use(name, {n: float(f"{v:.{DIGITS}g}") for n, v in parameter_values(used).items()}))
+    after = _merged(point.effects, fitted)
     check_count(after, point.name)
     raw = raw_text(path)
-    declared = [_declared(u, estimate, tuple(estimated[u.effect.name]), flown, made) for u in found]
+    declared = [_declaration(u, estimate, tuple(estimated[u.effect.name]), flown, made) for u in fitted]
     return FittedEffects(
         path=path,
         raw=raw,
-        text=edit_effects(raw, declared, path) if found else raw,
+        text=edit_effects(raw, declared, path) if fitted else raw,
         before=point.effects,
         after=after,
-        written=tuple(u.effect.name for u in found),
-        moved={
+        written=tuple(u.effect.name for u in fitted),
+        shift_sigmas={
             n: abs(v - estimate.parameters[n].value) / estimate.parameters[n].sigma
-            for n, v in beside.items()
+            for n, v in given_table.items()
             if estimate.parameters[n].sigma > 0.0
         },
         not_written=not_written,
-        missing=tuple(u.effect.name for u in point.effects if u.effect.name not in {*in_force, *estimated}),
+        not_fitted=tuple(u.effect.name for u in point.effects if u.effect.name not in {*in_force, *estimated}),
     )
 
 
-def _beside_table(estimate: Estimate, informed: FlightEvidence, table: Posterior) -> dict[str, float]:
-    """Values of the effects' parameters with the ratio of the updated table, by label."""
-    ratio, effects = informed.evidence.names, tuple(n for n in estimate.parameters if is_effect(n))
+def _values_given_table(estimate: Estimate, flight: FlightEvidence, table: Posterior) -> dict[str, float]:
+    """Values of the effects' parameters given the ratio of the updated table, by label."""
+    ratio, effects = flight.evidence.names, tuple(n for n in estimate.parameters if is_effect(n))
     rho = estimate.correlation_matrix((*ratio, *effects))
     k = len(ratio)
-    moved = informed.rows @ table.ratio.ravel() - informed.at_zero - estimate.values(ratio)
+    shift = flight.rows @ table.ratio.ravel() - flight.at_zero - estimate.values(ratio)
     scale = np.array([estimate.parameters[n].sigma for n in ratio])
-    scaled = np.divide(moved, scale, out=np.zeros(k), where=scale > 0.0)
+    scaled = np.divide(shift, scale, out=np.zeros(k), where=scale > 0.0)
     follow = rho[k:, :k] @ np.linalg.lstsq(rho[:k, :k], scaled, rcond=None)[0] if k else np.zeros(len(effects))
     sigma = np.array([estimate.parameters[n].sigma for n in effects])
     values = estimate.values(effects)
     return {
-        n: _within(n, v, v + d) for n, v, d in zip(effects, values.tolist(), (sigma * follow).tolist(), strict=True)
+        n: _within_bounds(n, v, v + d)
+        for n, v, d in zip(effects, values.tolist(), (sigma * follow).tolist(), strict=True)
     }
 
 
-def _within(label: str, fitted: float, value: float) -> float:
-    """A value drawn away from the fitted one, no farther than the bounds of the parameter."""
+def _within_bounds(label: str, fitted: float, value: float) -> float:
+    """A value within the bounds of its parameter; the fitted value always counts as within."""
     name, _, parameter = label.removeprefix(EFFECT_PREFIX).rpartition(".")
     limits = next((p for p in effect(name).parameters if p.name == parameter), None)
     if limits is None:
@@ -145,28 +146,31 @@ def _within(label: str, fitted: float, value: float) -> float:
     return min(max(value, min(limits.lower, fitted)), max(limits.upper, fitted))
 
 
-def _by_effect(values: Mapping[str, float]) -> dict[str, dict[str, float]]:
-    """Effect -> its estimated values."""
-    found: dict[str, dict[str, float]] = {}
+def _parameters_by_effect(values: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    """Effect -> its estimated values by parameter."""
+    by_effect: dict[str, dict[str, float]] = {}
     for label, value in values.items():
         name, _, parameter = label.removeprefix(EFFECT_PREFIX).rpartition(".")
-        found.setdefault(name, {})[parameter] = value
-    return found
+        by_effect.setdefault(name, {})[parameter] = value
+    return by_effect
 
 
-def _of_record(estimate: Estimate) -> dict[str, str]:
+def _record_parameters(estimate: Estimate) -> dict[str, str]:
+    """Parameters of clocks and sensors, which are not written, with the reason."""
     stems = (CLOCK_SKEW.name, SENSOR_PREFIX)
     return dict.fromkeys((n for n in estimate.parameters if n.startswith(stems)), OF_RECORD)
 
 
-def _replaced(declared: Sequence[EffectUse], fitted: Sequence[EffectUse]) -> tuple[EffectUse, ...]:
+def _merged(declared: Sequence[EffectUse], fitted: Sequence[EffectUse]) -> tuple[EffectUse, ...]:
     """The declared effects with the fitted ones in their places, new ones last."""
     new = {u.effect.name: u for u in fitted}
     return (*(new.pop(u.effect.name, u) for u in declared), *new.values())
 
 
-def _declared(used: EffectUse, estimate: Estimate, estimated: Sequence[str], flown: str, made: str) -> dict[str, Any]:
-    """An effect as a control point's file declares it: what was estimated, and what is not nominal."""
+def _declaration(
+    used: EffectUse, estimate: Estimate, estimated: Sequence[str], flown: str, made: str
+) -> dict[str, Any]:
+    """An effect as a control point's file declares it: the estimated values, and those that are not nominal."""
     nominal = {p.name: p.value for p in used.effect.parameters}
     parameters = {n: v for n, v in parameter_values(used).items() if n in estimated or v != nominal[n]}
     name = used.effect.name
@@ -177,7 +181,7 @@ def _declared(used: EffectUse, estimate: Estimate, estimated: Sequence[str], flo
 def edit_effects(raw: str, declared: Sequence[Mapping[str, Any]], path: Path) -> str:
     """A control point's file with these effects, each in place of one of its name or at the end; comments stay.
 
-    raises : InputError where the file has a form that cannot be edited so
+    raises : InputError where the file has a form that cannot be edited in this way
     """
     mark, text = (BOM, raw[1:]) if raw.startswith(BOM) else ("", raw)
     try:
@@ -199,22 +203,24 @@ def edit_effects(raw: str, declared: Sequence[Mapping[str, Any]], path: Path) ->
 
 
 def _with_effect(text: str, declared: Mapping[str, Any]) -> str:
+    """The text with one effect replaced, or appended."""
     document = tomlkit.parse(text)
-    held = next((e for e in document.get("effect", []) if e["name"] == declared["name"]), None)
-    if held is None:
-        return text.rstrip() + _end_of_line(text) * 2 + _block(declared).replace("\n", _end_of_line(text))
-    held["parameters"], held["source"] = _parameters(declared), declared["source"]
+    existing = next((e for e in document.get("effect", []) if e["name"] == declared["name"]), None)
+    if existing is None:
+        return text.rstrip() + _end_of_line(text) * 2 + _toml_block(declared).replace("\n", _end_of_line(text))
+    existing["parameters"], existing["source"] = _parameters(declared), declared["source"]
     return tomlkit.dumps(document)
 
 
-def _block(declared: Mapping[str, Any]) -> str:
+def _toml_block(declared: Mapping[str, Any]) -> str:
+    """An effect as a new block of the file."""
     table = tomlkit.table()
     table.update({**declared, "parameters": _parameters(declared)})
     return "[[effect]]\n" + table.as_string()
 
 
 def _parameters(declared: Mapping[str, Any]) -> Any:
-    """The parameters of an effect as they stand in a file, with blanks within the braces."""
+    """The parameters of an effect as an inline table, with blanks within the braces."""
     return tomlkit.value("{ " + ", ".join(f"{n} = {float(v)!r}" for n, v in declared["parameters"].items()) + " }")
 
 

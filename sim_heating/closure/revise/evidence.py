@@ -1,18 +1,18 @@
-"""From an estimate and the records it was made from to evidence on the nodes of a control point's ratio table.
+"""Evidence of a flight on the nodes of a control point's ratio table, from an estimate and the records behind it.
 
-The estimate says that along the flown path the ratio is
+By the estimate, the ratio along the flown path is
 
     r(x_t) = r_declared(x_t) + sum_k b_k(x_t) theta_k,   theta = theta_hat +- C
     b = r_declared for ratio.scale, 1 for ratio.d0, dx_i, dx_i dx_j for the derivatives
 
 and the table's own ratio along it is W n (multilinear weights). Both are compared as functions of the same few
-parameters: W n - r_declared projected on b by least squares, weights O = (h_ref H_r)^2 as heat flux, gives what the
-table says theta is, P (W n - r_declared) with P = (B' O B)^-1 B' O. So H = P W, y = theta_hat + P r_declared, and the
+parameters: W n - r_declared projected on b by least squares, weights O = (h_ref H_r)^2 as heat flux, gives the table's
+own value of theta, P (W n - r_declared) with P = (B' O B)^-1 B' O. So H = P W, y = theta_hat + P r_declared, and the
 rank of the evidence is the number of parameters, however many samples the path has: nothing is counted twice.
 
-A parameter that the table cannot hold (the derivative against a variable with one node, the curvature within one cell)
-and one that is no ratio's is averaged over: its row and column of C are left out. An estimate of effects alone is
-evidence of rank 0: the table stays.
+A parameter that the table cannot represent (the derivative against a variable with one node, the curvature within one
+cell) and one that is not of the ratio are marginalised: their rows and columns of C are left out. An estimate of
+effects alone is evidence of rank 0: the table stays.
 """
 
 from __future__ import annotations
@@ -35,37 +35,37 @@ from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 
 OUTSIDE_SHARE = 0.1
 """Share of the fitted samples outside a table's axes above which it is not updated."""
-SINGULAR = 1e-6
-"""Singular value of the scaled basis below which two parameters cannot be told apart along the path."""
+MIN_SINGULAR_VALUE = 1e-6
+"""Singular value of the scaled basis below which two parameters cannot be distinguished along the path."""
 
 
 @dataclass(frozen=True)
 class FlownPath:
-    """The samples that were fitted.
+    """The fitted samples.
 
     x        : (sample, 5) ratio variables
-    weight   : (sample,) weight in the projection
-    declared : (sample,) ratio of the record's own table, 0 without one
+    weight   : (sample,) weight in the projection [(W/m2)^2]
+    declared : (sample,) ratio of the record's own table [-], 0 without one
     """
 
     x: FloatArray
     weight: FloatArray
     declared: FloatArray
 
-    def only(self, chosen: BoolArray) -> FlownPath:
-        """Some of the samples."""
+    def subset(self, chosen: BoolArray) -> FlownPath:
+        """The chosen samples."""
         return FlownPath(self.x[chosen], self.weight[chosen], self.declared[chosen])
 
 
 @dataclass(frozen=True)
 class FlightEvidence:
-    """An estimate as evidence.
+    """An estimate as evidence on a table.
 
     evidence    : on the nodes of the table
+    rows        : (k, node) the evidence's parameters as linear combinations of the nodes, less `at_zero`
+    at_zero     : (k,) their values for a ratio of 0
     path        : the samples behind it, those inside the table
-    rows        : (k, node) what the evidence's parameters are of the nodes, less `at_zero`
-    at_zero     : (k,) what they would be of a ratio of 0
-    left_out    : how many samples lay outside the table
+    outside     : number of samples outside the table
     not_written : parameter -> why it is not in the table
     """
 
@@ -73,7 +73,7 @@ class FlightEvidence:
     rows: FloatArray
     at_zero: FloatArray
     path: FlownPath
-    left_out: int
+    outside: int
     not_written: dict[str, str]
 
 
@@ -90,10 +90,11 @@ def ratio_names(estimate: Estimate) -> tuple[str, ...]:
 def flight_evidence(
     estimate: Estimate, records: Sequence[Record], vehicle: Vehicle, point: ControlPoint
 ) -> FlightEvidence:
-    """What an estimate says of the nodes of a control point's table.
+    """The evidence of an estimate on the nodes of a control point's table.
 
-    raises : InputError where the ratio is over another reference heating, the path leaves the table, or the records
-             are not those of the estimate
+    records : those behind the estimate, in its order
+    raises  : InputError where the ratio is over another reference heating, the path leaves the table, or the records
+              are not those of the estimate
     """
     if not estimate.converged:
         raise InputError("the estimate did not converge; nothing of it is written into a table")
@@ -103,30 +104,30 @@ def flight_evidence(
     others = [n for n in estimate.parameters if n not in names]
     effects = any(is_effect(n) for n in others)
     if not names and not effects:
-        raise InputError("the estimate holds no ratio parameter and no effect, so it says nothing of the vehicle")
-    held_back = next((n for n in names if estimate.parameters[n].prior_sigma is not None), None)
-    if held_back is not None:
+        raise InputError("the estimate holds no ratio parameter and no effect, so nothing of it concerns the vehicle")
+    with_prior = next((n for n in names if estimate.parameters[n].prior_sigma is not None), None)
+    if with_prior is not None:
         raise InputError(
-            f"{held_back} was estimated with a prior, which the table is already; estimate it with a flat one"
+            f"{with_prior} was estimated with a prior, which is the table itself; estimate it with a flat one"
         )
     for record in records:
         check_reference(record, vehicle, point)
-    path, left_out = _path(estimate, records), 0
-    H, at_zero, held = np.zeros((0, point.ratio.ratio.size)), np.zeros(0), np.zeros(0, dtype=bool)
+    path, outside = _path(estimate, records), 0
+    H, at_zero, representable = np.zeros((0, point.ratio.ratio.size)), np.zeros(0), np.zeros(0, dtype=bool)
     if names:
-        path, left_out = _inside(path, point)
+        path, outside = _inside(path, point)
         H, at_zero = _projection(names, path, estimate.reference_condition.values(), point.ratio)
-        held = _held(names, path, point.ratio)
-    kept = tuple(n for n, h in zip(names, held, strict=True) if h)
-    if not kept and not effects:
-        raise InputError(f"the table of {point.name} can hold none of {', '.join(names)}; give it nodes there")
-    rows = H[held]
+        representable = _representable(names, path, point.ratio)
+    written = tuple(n for n, h in zip(names, representable, strict=True) if h)
+    if not written and not effects:
+        raise InputError(f"the table of {point.name} has too few nodes for {', '.join(names)}; add nodes there")
+    rows = H[representable]
     nodes = np.flatnonzero(np.any(rows != 0.0, axis=0))
-    value = estimate.values(kept) + at_zero[held]
-    evidence = Evidence(kept, nodes, rows[:, nodes], value, estimate.covariance(kept))
-    not_written = dict.fromkeys(set(names) - set(kept), "the nodes of the table cannot hold it")
+    value = estimate.values(written) + at_zero[representable]
+    evidence = Evidence(written, nodes, rows[:, nodes], value, estimate.covariance(written))
+    not_written = dict.fromkeys(set(names) - set(written), "the table has too few nodes for it")
     not_written |= dict.fromkeys((n for n in others if not is_effect(n)), "is neither of the ratio table nor an effect")
-    return FlightEvidence(evidence, rows, at_zero[held], path, left_out, dict(sorted(not_written.items())))
+    return FlightEvidence(evidence, rows, at_zero[representable], path, outside, dict(sorted(not_written.items())))
 
 
 def _path(estimate: Estimate, records: Sequence[Record]) -> FlownPath:
@@ -137,6 +138,7 @@ def _path(estimate: Estimate, records: Sequence[Record]) -> FlownPath:
 
 
 def _record_path(record: Record, segments: Sequence[Sequence[float]] | None) -> FlownPath:
+    """The fitted samples of one record; `segments` as the estimate states them, None for those of the record."""
     t = record.time_s
     fitted = record.fit_mask() if segments is None else in_segments(t, segments) & ~record.holdout_mask()
     fitted &= record.read_mask
@@ -152,7 +154,7 @@ def _record_path(record: Record, segments: Sequence[Sequence[float]] | None) -> 
 
 
 def _inside(path: FlownPath, point: ControlPoint) -> tuple[FlownPath, int]:
-    """The samples inside the table's axes (an axis of one value has no outside), and how many are not."""
+    """The samples inside the table's axes (an axis of one value has no outside), and how many lie outside."""
     out = np.zeros(len(path.x), dtype=bool)
     for name, axis, x in zip(RATIO_VARIABLES, point.ratio.axes, path.x.T, strict=True):
         beyond = (len(axis) > 1) & ((x < axis[0]) | (x > axis[-1]))
@@ -162,7 +164,7 @@ def _inside(path: FlownPath, point: ControlPoint) -> tuple[FlownPath, int]:
                 f"{np.mean(beyond):.0%} of the fitted samples ({x.min():.4g} to {x.max():.4g}); extend the table first"
             )
         out |= beyond
-    return path.only(~out), int(np.count_nonzero(out))
+    return path.subset(~out), int(np.count_nonzero(out))
 
 
 def _projection(
@@ -173,19 +175,19 @@ def _projection(
     root = np.sqrt(path.weight / np.sum(path.weight))
     scale = np.sqrt(np.sum((B * root[:, None]) ** 2, axis=0))
     U, s, V = np.linalg.svd(B * root[:, None] / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
-    if len(B) < len(names) or s[-1] < SINGULAR:
+    if len(B) < len(names) or s[-1] < MIN_SINGULAR_VALUE:
         least = V[-1] if len(s) else np.ones(len(names))
         alike = " and ".join(n for n, v in zip(names, least, strict=True) if abs(v) > 0.3)
-        raise InputError(f"the fitted samples do not tell {alike} apart; are the records those of the estimate?")
+        raise InputError(f"the fitted samples cannot distinguish {alike}; are the records those of the estimate?")
     P = (V.T / s) @ U.T * root / scale[:, None]
     W = node_weights(table.axes, path.x)
     return np.asarray((W.T @ P.T).T), P @ path.declared
 
 
-def _held(names: Sequence[str], path: FlownPath, table: RatioTable) -> BoolArray:
-    """(k,) whether the nodes can hold each parameter: a slope needs two nodes, a curvature one within the excursion."""
-    moved = [len(axis) > 1 for axis in table.axes]
-    bent = [np.any((a > x.min()) & (a < x.max())) for a, x in zip(table.axes, path.x.T, strict=True)]
-    second = [bent[i] if i == j else moved[i] and moved[j] for i, j in SECOND_ORDER]
-    held = dict(zip((p.name for p in RATIO), (True, True, *moved, *second), strict=True))
-    return np.array([held[name] for name in names], dtype=bool)
+def _representable(names: Sequence[str], path: FlownPath, table: RatioTable) -> BoolArray:
+    """(k,) whether the nodes can represent each parameter: a slope needs two, a curvature one within the excursion."""
+    has_slope = [len(axis) > 1 for axis in table.axes]
+    has_curvature = [np.any((a > x.min()) & (a < x.max())) for a, x in zip(table.axes, path.x.T, strict=True)]
+    second = [has_curvature[i] if i == j else has_slope[i] and has_slope[j] for i, j in SECOND_ORDER]
+    possible = dict(zip((p.name for p in RATIO), (True, True, *has_slope, *second), strict=True))
+    return np.array([possible[name] for name in names], dtype=bool)

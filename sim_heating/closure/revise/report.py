@@ -1,7 +1,7 @@
-"""A table update as a person reads it: the difference node by node, parameters, effects, errors.
+"""Report of a table update for a person: differences node by node, parameters, effects, errors, and a picture.
 
-Picture of a table update: heating ratio against each variable that was flown, with bands, as the founding paper's
-figures 8 and 12: the table before, the flight's estimate where it flew, the table after.
+The picture shows the heating ratio against each variable that was flown, with bands, as figures 8 and 12 of the
+founding paper: the table before, the flight's estimate where it flew, the table after.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from rich.table import Table
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.parameters import EFFECT_PREFIX, SHORT_NAMES
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.figure import new_figure, save_figure
+from sim_heating.base.report.table import Column, Table
 from sim_heating.closure.revise.evidence import ratio_names
 from sim_heating.closure.revise.revisions import RevisionFile
 from sim_heating.closure.revise.update import (
-    SURPRISING,
+    MIN_P_VALUE,
     TableUpdate,
     changed_nodes,
     check_target,
@@ -46,12 +46,12 @@ from sim_heating.estimation.report.ratio_plot import (
 from sim_heating.heating.ratio.uncertainty import Posterior, estimated_ratio, node_weights
 from sim_heating.inputs.record import Record, load_record
 
-ROWS = 16
-"""Nodes that are shown; the revision's file holds all."""
+MAX_ROWS = 16
+"""Nodes that are shown; the revision's file contains all."""
 ROUNDING = 1e-6
-"""Part of its sigma below which a value is no more than rounding."""
-DRAWN = 1.0
-"""A parameter of an effect that the table draws farther from the fit, in its sigma, is told."""
+"""Part of its sigma below which a value is only rounding."""
+REPORTED_SHIFT = 1.0
+"""Shift of an effect's parameter from the fit, in its sigma, above which it is reported."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -91,7 +91,7 @@ def update_tables(
     fit     : an estimate.json, or the directory that holds it
     vehicle : name or directory of the vehicle
     out     : directory that takes a copy of the vehicle, which is revised; without it the vehicle itself is
-    records : directories of the estimate's records, where they are no longer where the estimate says
+    records : directories of the estimate's records, where they are no longer where the estimate states
     point   : the control point, where the estimate is of several
     checks  : further records to predict before and after
     dry_run : work everything out and write nothing
@@ -114,112 +114,117 @@ def update_tables(
 
 
 def update_report(update: TableUpdate, errors: dict[str, dict[str, Any]]) -> Iterator[Table | str]:
-    """What is printed of an update, one after the other."""
+    """The tables and lines of an update, in the order in which they are printed.
+
+    errors : as `errors_before_and_after` gives them
+    """
     if np.any(update.changed):
-        yield _difference(update)
+        yield _difference_table(update)
     else:
         yield f"{update.point.name}: no node of the ratio table changes"
-    if update.informed.evidence.names:
-        yield _parameters(update)
+    if update.flight.evidence.names:
+        yield _parameters_table(update)
     if update.effects.written:
-        yield _effects(update)
-    yield _errors(errors)
-    yield from _oddities(update)
+        yield _effects_table(update)
+    yield _errors_table(errors)
+    yield from _cautions(update)
 
 
-def _difference(update: TableUpdate) -> Table:
-    """The nodes that move most, by their sigma before."""
+def _difference_table(update: TableUpdate) -> Table:
+    """The nodes that change most, by their sigma before."""
     nodes = {name: np.array(values) for name, values in changed_nodes(update).items()}
-    moved = np.abs(nodes["ratio_after"] - nodes["ratio_before"]) / np.maximum(nodes["sigma_before"], 1e-300)
-    shown = np.sort(np.argsort(-moved, kind="stable")[:ROWS])
-    many = f"{len(moved)} of {update.table.ratio.size} nodes change"
-    some = f", the {len(shown)} that move most by their sigma" if len(shown) < len(moved) else ""
+    change = np.abs(nodes["ratio_after"] - nodes["ratio_before"]) / np.maximum(nodes["sigma_before"], 1e-300)
+    shown = np.sort(np.argsort(-change, kind="stable")[:MAX_ROWS])
+    count = f"{len(change)} of {update.table.ratio.size} nodes change"
+    some = f", the {len(shown)} that change most by their sigma" if len(shown) < len(change) else ""
     old = update.history.revision
-    table = Table(title=f"{update.point.name}, revision {old} to {old + 1}: {many}{some}", title_justify="left")
-    for head in (*SHORT_NAMES, "ratio before", "after", "", "sigma before", "after"):
-        table.add_column(head, justify="right", no_wrap=True)
+    columns = [
+        *(Column(short, name, "g") for short, name in zip(SHORT_NAMES, RATIO_VARIABLES, strict=True)),
+        Column("ratio before", "ratio_before", ".5g"), Column("after", "ratio_after", ".5g"), Column("", "change"),
+        Column("sigma before", "sigma_before", ".3g"), Column("after", "sigma_after", ".3g"),
+    ]  # fmt: skip
+    rows = []
     for i in shown:
         before, after = nodes["ratio_before"][i], nodes["ratio_after"][i]
-        at = (f"{nodes[v][i]:g}" for v in RATIO_VARIABLES)
-        change = f"{after / before - 1.0:+.1%}" if before > 0.0 else f"{after - before:+.3g}"
-        sigma = (f"{nodes[f'sigma_{w}'][i]:.3g}" for w in ("before", "after"))
-        table.add_row(*at, f"{before:.5g}", f"{after:.5g}", change, *sigma)
-    return table
+        relative = f"{after / before - 1.0:+.1%}" if before > 0.0 else f"{after - before:+.3g}"
+        at = (nodes[v][i] for v in RATIO_VARIABLES)
+        rows.append([*at, before, after, relative, nodes["sigma_before"][i], nodes["sigma_after"][i]])
+    return Table(f"{update.point.name}, revision {old} to {old + 1}: {count}{some}", columns, rows)
 
 
-def _parameters(update: TableUpdate) -> Table:
-    table = Table(title="Each parameter: as estimated, and as the table has it", title_justify="left")
-    table.add_column("parameter")
-    for head in ("estimate", "table before", "table after"):
-        table.add_column(head, justify="right", no_wrap=True)
-    for name, *pairs in update.parameter_views():
-        table.add_row(name, *(_with_sigma(v, s) for v, s in zip(pairs[::2], pairs[1::2], strict=True)))
-    return table
+def _parameters_table(update: TableUpdate) -> Table:
+    rows = [
+        [name, *(_with_sigma(v, s) for v, s in zip(pairs[::2], pairs[1::2], strict=True))]
+        for name, *pairs in update.parameter_comparison()
+    ]
+    columns = ["parameter", "estimate", "table before", "table after"]
+    return Table("Each parameter: as estimated, and by the table", columns, rows)
 
 
 def _with_sigma(value: float, sigma: float) -> str:
-    """A value with its bound; what rounding leaves of 0 is 0."""
+    """A value with its bound; a value that is only rounding is shown as 0."""
     return f"{value if abs(value) > ROUNDING * sigma else 0.0:.4g} +- {sigma:.2g}"
 
 
-def _effects(update: TableUpdate) -> Table:
-    name = update.effects.path.name
-    table = Table(title=f"Effects in {name}", title_justify="left")
-    for head in ("effect", "parameter"):
-        table.add_column(head, no_wrap=True)
-    for head in ("estimate", "before", "after"):
-        table.add_column(head, justify="right", no_wrap=True)
+def _effects_table(update: TableUpdate) -> Table:
+    columns: list[Column | str] = [
+        "effect", Column("parameter", is_text=True), "estimate", Column("before", format=".4g"),
+        Column("after", format=".4g"),
+    ]  # fmt: skip
+    rows = []
     for effect in update.effects.changes():
-        for parameter, value in effect["parameters"].items():
-            estimated = update.parameters.get(f"{EFFECT_PREFIX}{effect['name']}.{parameter}")
-            told = _with_sigma(estimated.value, estimated.sigma) if estimated else "held"
-            before = "-" if effect["before"] is None else f"{effect['before'][parameter]:.4g}"
-            table.add_row(effect["name"], parameter, told, before, f"{value:.4g}")
-    return table
+        for name, value in effect["parameters"].items():
+            estimated = update.parameters.get(f"{EFFECT_PREFIX}{effect['name']}.{name}")
+            estimate = _with_sigma(estimated.value, estimated.sigma) if estimated else "fixed"
+            before = None if effect["before"] is None else effect["before"][name]
+            rows.append([effect["name"], name, estimate, before, value])
+    return Table(f"Effects in {update.effects.path.name}", columns, rows)
 
 
-def _errors(errors: dict[str, dict[str, Any]]) -> Table:
-    table = Table(title="RMSE of plain predictions with the vehicle before and after", title_justify="left")
-    table.add_column("record")
-    for head in ("fit, before", "after", "holdout, before", "after"):
-        table.add_column(head, justify="right", no_wrap=True)
-    for name, parts in errors.items():
-        every = (parts[part][when] for part in ("fit", "holdout") for when in ("before", "after"))
-        table.add_row(name, *("-" if e is None else f"{e['rmse_K']:.2f} K" for e in every))
-    return table
+def _errors_table(errors: dict[str, dict[str, Any]]) -> Table:
+    columns: list[Column | str] = [
+        "record",
+        Column("fit, before", "fit_before_K", ".2f", "K"), Column("after", "fit_after_K", ".2f", "K"),
+        Column("holdout, before", "holdout_before_K", ".2f", "K"), Column("after", "holdout_after_K", ".2f", "K"),
+    ]  # fmt: skip
+    rows = []
+    for name, segments in errors.items():
+        found = [segments[segment][when] for segment in ("fit", "holdout") for when in ("before", "after")]
+        rows.append([name, *(None if e is None else e["rmse_K"] for e in found)])
+    return Table("RMSE of plain predictions with the vehicle before and after", columns, rows)
 
 
-def _oddities(update: TableUpdate) -> Iterator[str]:
-    """What a person should know before trusting the revision."""
-    for name, why in update.not_written.items():
-        yield f"{name}: not written, {why}"
-    for name, moved in update.effects.moved.items():
-        if moved > DRAWN:
-            yield f"{name}: the table's sigma draws it {moved:.1f} sigma from the fit, along straight lines"
-    for name in update.effects.missing:
+def _cautions(update: TableUpdate) -> Iterator[str]:
+    """Lines that a person should read before trusting the revision."""
+    for name, reason in update.not_written.items():
+        yield f"{name}: not written, {reason}"
+    for name, shift in update.effects.shift_sigmas.items():
+        if shift > REPORTED_SHIFT:
+            yield f"{name}: the table's sigma shifts it by {shift:.1f} sigma from the fit, by a linear estimate"
+    for name in update.effects.not_fitted:
         yield (
-            f"{name}: is declared at {update.point.name} and was not in the fit, whose ratio may hold it too; "
+            f"{name}: is declared at {update.point.name} and was not in the fit, whose ratio may include it too; "
             f"estimate with {EFFECT_PREFIX}{name}.*"
         )
-    if update.informed.left_out:
-        yield f"{update.informed.left_out} fitted samples lay outside the table and were left out"
-    if update.after.p_value < SURPRISING:
+    if update.flight.outside:
+        yield f"{update.flight.outside} fitted samples lay outside the table and were omitted"
+    if update.after.p_value < MIN_P_VALUE:
         n = len(update.after.innovation)
         yield (
             "The flight is farther from the table than its sigma allows (chi-square "
-            f"{update.after.chi_square:.1f} on {n}, chance {update.after.p_value:.1g}): the sigma column or the "
+            f"{update.after.chi_square:.1f} on {n}, p-value {update.after.p_value:.1g}): the sigma column or the "
             "estimate's bounds are too small"
         )
     negative = int(np.count_nonzero((update.table.ratio < 0.0) & (update.history.table.ratio >= 0.0)))
     if negative:
-        yield f"{negative} nodes become negative, where little but the table's reach speaks for them; see the picture"
+        yield f"{negative} nodes become negative, by little more than correlation with distant ones; see the picture"
 
 
 def draw_update(path: Path, update: TableUpdate) -> None:
     """One panel for each variable whose derivative was written (angle of attack where none was); bands are 2 sigma."""
-    held = panel_variables(update.informed.evidence.names)
-    figure, axes = new_figure(1.5 + 4.7 * len(held), 4.8, 1, len(held), squeeze=False)
-    for a, i in zip(axes[0], held, strict=True):
+    variables = panel_variables(update.flight.evidence.names)
+    figure, axes = new_figure(1.5 + 4.7 * len(variables), 4.8, 1, len(variables), squeeze=False)
+    for a, i in zip(axes[0], variables, strict=True):
         _panel(a, update, i)
     axes[0, 0].set_ylabel("heating ratio (2 sigma bands)")
     axes[0, 0].legend(fontsize=8, loc="best")
@@ -228,12 +233,13 @@ def draw_update(path: Path, update: TableUpdate) -> None:
 
 
 def _panel(a: Axes, update: TableUpdate, i: int) -> None:
-    axis, flown = update.history.table.axes[i], update.informed.path.x[:, i]
+    """Ratio against one variable: table before and after, and the estimate where it was flown."""
+    axis, flown = update.history.table.axes[i], update.flight.path.x[:, i]
     reference = update.estimate.reference_condition.values()
     x = panel_conditions(i, reference, flown, axis)
     nodes = along_variable(reference, i, axis[(axis >= x[0, i]) & (axis <= x[-1, i])])
-    _table(a, i, update.before, x, nodes, "table before", BEFORE)
-    _table(a, i, update.after, x, nodes, "table after", AFTER)
+    _plot_table(a, i, update.before, x, nodes, "table before", BEFORE)
+    _plot_table(a, i, update.after, x, nodes, "table after", AFTER)
     inside = x[(x[:, i] >= flown.min()) & (x[:, i] <= flown.max())]
     names = ratio_names(update.estimate)
     values, covariance = update.estimate.values(names), update.estimate.covariance(names)
@@ -242,7 +248,8 @@ def _panel(a: Axes, update: TableUpdate, i: int) -> None:
     a.set_xlabel(LABELS[RATIO_VARIABLES[i]])
 
 
-def _table(a: Axes, i: int, table: Posterior, x: FloatArray, nodes: FloatArray, label: str, color: str) -> None:
+def _plot_table(a: Axes, i: int, table: Posterior, x: FloatArray, nodes: FloatArray, label: str, color: str) -> None:
+    """A posterior of the table with its band, and its nodes."""
     W = node_weights(table.prior.axes, x)
     plot_band(a, x[:, i], W @ table.ratio.ravel(), table.sigma_along(W), label, color)
     a.plot(nodes[:, i], node_weights(table.prior.axes, nodes) @ table.ratio.ravel(), "o", color=color, markersize=4)

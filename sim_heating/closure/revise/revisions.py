@@ -1,14 +1,14 @@
-"""Revisions of a control point's ratio table and effects as files of the vehicle: written, read back, undone.
+"""Revisions of a control point's ratio table and effects as files of the vehicle: written, read back, reverted.
 
-    ratio_tables/P.csv                     the table in force; its header says `revision` and `parent_revision`
+    ratio_tables/P.csv                     the table in force; its header states `revision` and `parent_revision`
     ratio_revisions/P/revision_1.csv       an earlier one, byte for byte
-    ratio_revisions/P/revision_2.json      what made revision 2 of revision 1: provenance, evidence, changed nodes
+    ratio_revisions/P/revision_2.json      how revision 2 was made from revision 1: provenance, evidence, changed nodes
     ratio_revisions/P/revision_2.png       and its picture, where nodes changed
     ratio_revisions/P/revision_1.toml      control_points/P.toml before revision 2, where that wrote effects
 
-The table is replaced last and in one step; what fails before leaves the vehicle as it was. A program that is killed
-between the two files is found out by `read_history`. Evidence is kept whole: a later update starts from the table
-before the first one and takes all of it together.
+The table is replaced last and in one step; a failure before leaves the vehicle as it was. A program killed between the
+two files is detected by `read_history`. Evidence is kept as a whole: a later update starts from the table before the
+first one and takes all of it together.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ FOLDER = "ratio_revisions"
 
 
 class UsedRecord(Declared):
-    """A record that informs a revision: its files by hash, and which times of it."""
+    """A record behind a revision: hash of its files, and the times that were used."""
 
     record: str
     inputs: str
@@ -42,7 +42,7 @@ class UsedRecord(Declared):
 
 
 class StoredEvidence(Declared):
-    """posterior.Evidence as a file holds it."""
+    """`heating.ratio.uncertainty.Evidence` as a file contains it."""
 
     names: list[str]
     nodes: list[int]
@@ -51,13 +51,13 @@ class StoredEvidence(Declared):
     covariance: list[list[float]]
 
     def arrays(self) -> Evidence:
-        """As the update takes it."""
+        """The evidence as arrays, for the update."""
         nodes = np.array(self.nodes, dtype=np.int64)
         return Evidence(tuple(self.names), nodes, np.array(self.H), np.array(self.value), np.array(self.covariance))
 
 
 class WrittenEffect(Declared):
-    """An effect that was written: its values, and those that were declared before."""
+    """A written effect: its values, and those declared before, None where it was not declared."""
 
     name: str
     parameters: dict[str, float]
@@ -68,14 +68,14 @@ class RevisionFile(Declared):
     """Contents of ratio_revisions/P/revision_N.json.
 
     table        : path of the table below the vehicle
-    parent       : number of the revision that it was made of
+    parent       : number of the revision that it was made from
     parent_hash, table_hash : of the two files' bytes
     estimate     : hash of the estimate's file
-    parameters   : what was estimated of the ratio and of written effects
-    effects      : what was written into the control point's file
+    parameters   : estimates of the ratio and of written effects
+    effects      : those written into the control point's file
     point_parent_hash, point_hash : of that file's bytes before and after; None where no effect was written
-    not_written  : what was estimated and is not in the vehicle, with the reason
-    reach        : distances at which the errors of two nodes are taken to be independent
+    not_written  : estimated parameters that are not in the vehicle, with the reason
+    reach        : distances from which on the errors of two nodes are taken to be independent
     chi_square   : of all evidence against the table before any of it
     changed      : nodes with another value: the five variables, ratio and sigma before and after
     """
@@ -106,14 +106,14 @@ class RevisionFile(Declared):
 
 @dataclass(frozen=True)
 class TableHistory:
-    """A table with all that made it.
+    """A table with the revisions behind it.
 
     path      : the table in force
     raw       : its text
-    table     : read
+    table     : its contents
     revision  : its number
-    base      : the table before the first update, itself where there was none
-    revisions : what has been added to `base` since, the oldest first
+    base      : the table before the first update; the one in force where there was none
+    revisions : those added to `base` since, the oldest first
     """
 
     path: Path
@@ -127,21 +127,21 @@ class TableHistory:
 def table_path(vehicle: Vehicle, point: str) -> Path:
     """The file of a control point's table.
 
-    raises : InputError where it is an earlier revision, or the table of other points too
+    raises : InputError where it is an earlier revision, or shared with other points
     """
     name = vehicle.control_point(point).declared.ratio_table
     if Path(name).parts[0] == FOLDER:
         raise InputError(f"{point}: its `ratio_table` is {name}, an earlier revision; name the one in force first")
     sharing = [p.name for p in vehicle.control_points.values() if p.declared.ratio_table == name and p.name != point]
     if sharing:
-        raise InputError(f"{name}: is the table of {', '.join(sharing)} too; give {point} a copy of its own first")
+        raise InputError(f"{name}: is the table of {', '.join(sharing)} too; give {point} its own copy first")
     return vehicle.directory / name
 
 
 def read_history(vehicle: Vehicle, point: str) -> TableHistory:
-    """The table of a control point and what made it.
+    """The table of a control point and the revisions behind it.
 
-    raises : InputError where its number is none, or the table was changed after its revision was written
+    raises : InputError where its number is not a whole one, or the table was changed after its revision was written
     """
     path = table_path(vehicle, point)
     raw = raw_text(path)
@@ -157,13 +157,13 @@ def read_history(vehicle: Vehicle, point: str) -> TableHistory:
             raise InputError(
                 f"{display_path(base)}: was changed after {display_path(made)} was written; revert the change, or "
                 f"give the table a "
-                "`revision` of its own"
+                "new `revision`"
             )
         base = revision_path(vehicle.directory, point, revision.parent, "csv")
         text, at = raw_text(base), revision.parent
         if revision.parent_hash != content_hash(text):
             raise InputError(
-                f"{display_path(base)}: is not the table that {display_path(made)} was made of; restore it"
+                f"{display_path(base)}: is not the table that {display_path(made)} was made from; restore it"
             )
         revisions.insert(0, revision)
     _refuse_half_written(vehicle.directory, point, int(number))
@@ -171,8 +171,7 @@ def read_history(vehicle: Vehicle, point: str) -> TableHistory:
 
 
 def table_posterior(vehicle: Vehicle, point: str) -> Posterior | None:
-    """What is known of a control point's table by its sigma column and the evidence of its revisions; None where it
-    states no sigma.
+    """A control point's table by its sigma column and the evidence of its revisions; None without a sigma column.
 
     raises : InputError where the table was changed after its revision was written
     """
@@ -204,9 +203,9 @@ def content_hash(text: str) -> str:
 def write_revision(
     vehicle: Vehicle, history: TableHistory, table: RatioTable, made: Mapping[str, Any], point_text: str | None = None
 ) -> RevisionFile:
-    """Write the next revision: the old files kept, what made the new ones, the effects, then the table itself.
+    """Write the next revision: the old files kept, its record of origin, the effects, then the table itself.
 
-    made       : the fields of a RevisionFile that are not of the files
+    made       : the fields of a RevisionFile that do not follow from the files
     point_text : the new text of the control point's file, None where it stays
     """
     file = point_path(vehicle.directory, made["control_point"])
@@ -248,9 +247,10 @@ def _short_axes(table: RatioTable) -> dict[str, str]:
 
 
 def revert(vehicle: Vehicle, point: str) -> tuple[int, int]:
-    """Put the parent of a revision back, byte for byte; numbers of the revision undone and of the one in force.
+    """Restore the parent of the newest revision, byte for byte.
 
-    raises : InputError where there is none, or the control point's file was changed since
+    returns : numbers of the revision undone and of the one in force
+    raises  : InputError where there is no revision from flight data, or the control point's file was changed since
     """
     history = read_history(vehicle, point)
     if not history.revisions:
@@ -272,17 +272,16 @@ def revert(vehicle: Vehicle, point: str) -> tuple[int, int]:
 
 
 def _revert_point(file: Path, kept: Path, undone: RevisionFile) -> None:
-    """Put a control point's file back, unless a person has changed it since."""
+    """Restore a control point's file, unless a person has changed it since."""
     text = raw_text(kept)
     if content_hash(text) != undone.point_parent_hash:
         raise InputError(
-            f"{display_path(kept)}: is not the file that revision {undone.revision} was made of; restore it"
+            f"{display_path(kept)}: is not the file that revision {undone.revision} was made from; restore it"
         )
     if content_hash(raw_text(file)) not in (undone.point_hash, undone.point_parent_hash):
         raise InputError(
-            f"{display_path(file)}: was changed after revision {undone.revision}, which wrote effects into it, and "
-            f"the change "
-            "would be lost; take it back first"
+            f"{display_path(file)}: was changed after revision {undone.revision}, which wrote effects into it; "
+            "undo the change first, or it would be lost"
         )
     write_text_atomic(file, text)
 
@@ -293,5 +292,5 @@ def point_path(directory: Path, point: str) -> Path:
 
 
 def revision_path(directory: Path, point: str, revision: int, kind: str) -> Path:
-    """Where a revision's table (csv), control point (toml), evidence (json) or picture (png) is kept in a vehicle."""
+    """Path of a revision's table (csv), control point (toml), evidence (json) or picture (png) in a vehicle."""
     return directory / FOLDER / point / f"revision_{revision}.{kind}"

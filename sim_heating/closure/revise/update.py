@@ -1,5 +1,6 @@
-"""From an estimate to the next revision of a control point's ratio table and effects: what changes, what that does to
-errors, and writing it."""
+"""The next revision of a control point's ratio table and effects from an estimate: the changes, the errors before and
+after, and writing it.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path, read_text, require_writable
 from sim_heating.base.files.package import data_folders, package_version
 from sim_heating.base.parameters import AT, EFFECT_PREFIX
-from sim_heating.closure.revise.effects import FittedEffects, fitted_effects_of
+from sim_heating.closure.revise.effects import FittedEffects, effects_from_fit
 from sim_heating.closure.revise.evidence import FlightEvidence, flight_evidence, is_effect
 from sim_heating.closure.revise.revisions import (
     FOLDER,
@@ -54,22 +55,23 @@ from sim_heating.simulation.predict import predict
 
 RATIO_DIGITS, SIGMA_DIGITS = 6, 4
 """Significant digits of a changed node, far below any sigma."""
-LEAST_SIGMA, HIGHEST = 1e-12, 1e3
-"""Of an estimated ratio parameter: no flight tells one more closely, and none has such a value."""
-SURPRISING = 1e-3
-"""Chance of the evidence under the table's own sigma below which a person should look."""
+MIN_SIGMA, MAX_VALUE = 1e-12, 1e3
+"""Least sigma and largest value of an estimated ratio parameter that are accepted."""
+MIN_P_VALUE = 1e-3
+"""p-value of the evidence under the table's own sigma below which the report warns."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TableUpdate:
-    """An update that is not written yet.
+    """An update of a table and its effects that is not written yet.
 
-    history       : the table in force and what made it
-    informed      : the estimate as evidence
+    estimate_hash : of the estimate's file
+    records, used : the records behind the estimate; their hashes and times
+    history       : the table in force with its revisions
+    flight        : the estimate as evidence
     before, after : posterior of the table without and with the estimate
     table         : the new revision, rounded
-    effects       : what the estimate says of effects
-    used          : the records behind the estimate
+    effects       : the effects by the estimate
     """
 
     vehicle: Vehicle
@@ -79,7 +81,7 @@ class TableUpdate:
     records: tuple[Record, ...]
     used: tuple[UsedRecord, ...]
     history: TableHistory
-    informed: FlightEvidence
+    flight: FlightEvidence
     before: Posterior
     after: Posterior
     table: RatioTable
@@ -87,7 +89,7 @@ class TableUpdate:
 
     @property
     def changed(self) -> NDArray[np.bool_]:
-        """Which nodes of the grid have another ratio or sigma."""
+        """Mask of the nodes of the grid with another ratio or sigma."""
         old = self.history.table
         assert old.sigma is not None
         assert self.table.sigma is not None
@@ -95,25 +97,29 @@ class TableUpdate:
 
     @property
     def parameters(self) -> dict[str, EstimatedParameter]:
-        """What was estimated of the ratio and of the effects that are written."""
+        """Estimates of the ratio and of the effects that are written."""
         written = tuple(f"{EFFECT_PREFIX}{name}." for name in self.effects.written)
         return {n: p for n, p in self.estimate.parameters.items() if n.startswith(("ratio.", *written))}
 
     @property
     def not_written(self) -> dict[str, str]:
-        """What was estimated and goes nowhere, with the reason."""
-        return dict(sorted((self.informed.not_written | self.effects.not_written).items()))
+        """Estimated parameters and effects that are not written, with the reason."""
+        return dict(sorted((self.flight.not_written | self.effects.not_written).items()))
 
-    def parameter_views(self) -> list[tuple[str, float, float, float, float, float, float]]:
+    def parameter_comparison(self) -> list[tuple[str, float, float, float, float, float, float]]:
         """Each written parameter, value and sigma: of the estimate, of the table before, of the table after."""
-        evidence, rows = self.informed.evidence, self.informed.rows
+        evidence, rows = self.flight.evidence, self.flight.rows
         if not evidence.names:
             return []
-        value = evidence.value - self.informed.at_zero
+        value = evidence.value - self.flight.at_zero
         columns = [value, np.sqrt(np.diag(evidence.covariance))]
         for p in (self.before, self.after):
-            columns += [rows @ p.ratio.ravel() - self.informed.at_zero, p.sigma_along(csr_array(rows))]
+            columns += [rows @ p.ratio.ravel() - self.flight.at_zero, p.sigma_along(csr_array(rows))]
         return [(n, *map(float, c)) for n, *c in zip(evidence.names, *columns, strict=True)]  # type: ignore[misc]
+
+    def __repr__(self) -> str:
+        nodes = int(np.count_nonzero(self.changed))
+        return f"<TableUpdate of {self.point.name} from revision {self.history.revision}: {nodes} nodes change>"
 
 
 def prepare_update(
@@ -122,40 +128,40 @@ def prepare_update(
     records: Sequence[str | os.PathLike[str]] = (),
     point_name: str | None = None,
 ) -> TableUpdate:
-    """Work out the next revision of a vehicle's table and effects from an estimate.
+    """The next revision of a vehicle's table and effects from an estimate.
 
     fit        : an estimate.json or its directory
     vehicle    : name or directory
-    records    : directories of the estimate's records, where they are not where it says
+    records    : directories of the estimate's records, where they are not where the estimate states
     point_name : the control point, where the estimate is of several
-    raises     : InputError where the two do not belong together or the estimate is in the table already
+    raises     : InputError where the two do not belong together or the estimate is already in the table
     """
     file = Path(fit) / NAME if Path(fit).is_dir() else Path(fit)
     whole = read_estimate(file)
-    _refuse_unweighable(whole, display_path(file))
-    estimate, loaded = _of_point(whole, _records(whole, file, records), point_name)
-    ours = load_vehicle(vehicle)
-    point = ours.control_point(loaded[0].declared.control_point)
-    history = read_history(ours, point.name)
-    used = tuple(_used(estimate, i, record) for i, record in enumerate(loaded))
-    _refuse_twice(history, used)
-    informed = flight_evidence(estimate, loaded, ours, point)
+    _check_weighable(whole, display_path(file))
+    estimate, loaded = _select_point(whole, _records(whole, file, records), point_name)
+    loaded_vehicle = load_vehicle(vehicle)
+    point = loaded_vehicle.control_point(loaded[0].declared.control_point)
+    history = read_history(loaded_vehicle, point.name)
+    used = tuple(_used_record(estimate, i, record) for i, record in enumerate(loaded))
+    _check_not_used(history, used)
+    flight = flight_evidence(estimate, loaded, loaded_vehicle, point)
     earlier = [r.evidence.arrays() for r in history.revisions]
-    before, after = posterior(history.base, earlier), posterior(history.base, [*earlier, informed.evidence])
-    effects = fitted_effects_of(
-        estimate, informed, after, point_path(ours.directory, point.name), point,
+    before, after = posterior(history.base, earlier), posterior(history.base, [*earlier, flight.evidence])
+    effects = effects_from_fit(
+        estimate, flight, after, point_path(loaded_vehicle.directory, point.name), point,
         _times(used), revision_path(Path(), point.name, history.revision + 1, "json").as_posix(),
     )  # fmt: skip
-    table = _rounded(history.table, after, _header(history, estimate, used, point.name))
+    table = _round_table(history.table, after, _header(history, estimate, used, point.name))
     update = TableUpdate(
-        ours,
+        loaded_vehicle,
         point,
         estimate,
         content_hash(read_text(file)),
         tuple(loaded),
         used,
         history,
-        informed,
+        flight,
         before,
         after,
         table,
@@ -169,7 +175,7 @@ def prepare_update(
 
 
 def _records(estimate: Estimate, file: Path, given: Sequence[str | os.PathLike[str]]) -> list[Record]:
-    """The estimate's records: as given, else where it says, from here or from beside it."""
+    """The estimate's records: as given, else where it states, relative to here or to its own file."""
     if given and len(given) != len(estimate.records):
         raise InputError(
             f"--record: {len(given)} given, the estimate is of {len(estimate.records)}; name each in order"
@@ -180,35 +186,41 @@ def _records(estimate: Estimate, file: Path, given: Sequence[str | os.PathLike[s
         place = next((p for p in places if p.is_dir()), None)
         if place is None:
             raise InputError(
-                f"{display_path(file)}: its record `{given[i] if given else name}` is not there; name it: --record"
+                f"{display_path(file)}: its record `{given[i] if given else name}` does not exist; give its directory "
+                "with --record"
             )
         found.append(load_record(place))
     return found
 
 
-def _refuse_unweighable(estimate: Estimate, name: str) -> None:
-    """raises : InputError where a ratio parameter has no value or sigma that a flight gives, or not all correlations"""
+def _check_weighable(estimate: Estimate, name: str) -> None:
+    """Check that every ratio parameter has a plausible value and sigma, and all correlations.
+
+    raises : InputError naming the parameter and the limit
+    """
     labels = [label for label in estimate.parameters if label.startswith("ratio.")]
     for label in labels:
         value, sigma = estimate.parameters[label].value, estimate.parameters[label].sigma
         where = f"{name}, [parameters.{label}]"
-        if abs(value) > HIGHEST:
-            raise InputError(f"{where}: `value`: {value:g} is beyond {HIGHEST:g}, no heating ratio; estimate it anew")
+        if abs(value) > MAX_VALUE:
+            raise InputError(
+                f"{where}: `value`: {value:g} is beyond {MAX_VALUE:g}, which is no heating ratio; estimate it again"
+            )
         if label.partition(AT)[0] == "ratio.scale" and value <= -1.0:
-            raise InputError(f"{where}: `value`: {value:g} leaves no heating (-1 is none at all); estimate it anew")
-        if not LEAST_SIGMA <= sigma <= HIGHEST:
-            span = f"{LEAST_SIGMA:g} to {HIGHEST:g}"
-            raise InputError(f"{where}: `sigma`: {sigma:g} is not within {span} and weighs nothing; estimate it anew")
+            raise InputError(f"{where}: `value`: {value:g} leaves no heating (-1 removes all of it); estimate it again")
+        if not MIN_SIGMA <= sigma <= MAX_VALUE:
+            span = f"{MIN_SIGMA:g} to {MAX_VALUE:g}"
+            raise InputError(f"{where}: `sigma`: {sigma:g} is not within {span}; estimate it again")
     of_one_point = [(a, b) for a, b in combinations(labels, 2) if a.partition(AT)[2] == b.partition(AT)[2]]
     pairs = [(f"{a}{PAIR}{b}", f"{b}{PAIR}{a}") for a, b in of_one_point]
     missing = [pair for pair, turned in pairs if not {pair, turned} & estimate.correlation.keys()]
     if missing:
-        told = f"{len(missing)} of {len(pairs)} pairs are missing, `{missing[0]}` first"
-        raise InputError(f"{name}, [correlation]: {told}; estimate it anew, or write 0 for what is uncorrelated")
+        found = f"{len(missing)} of {len(pairs)} pairs are missing, `{missing[0]}` first"
+        raise InputError(f"{name}, [correlation]: {found}; estimate it again, or write 0 for what is uncorrelated")
 
 
-def _of_point(estimate: Estimate, records: Sequence[Record], name: str | None) -> tuple[Estimate, list[Record]]:
-    """An estimate's parameters and records of one control point; a parameter `a@P` of a joint fit is `a` of P.
+def _select_point(estimate: Estimate, records: Sequence[Record], name: str | None) -> tuple[Estimate, list[Record]]:
+    """Parameters and records of one control point; a parameter `a@P` of a joint fit is `a` of P.
 
     raises : InputError where there are several and none is named, or none of that name
     """
@@ -217,8 +229,8 @@ def _of_point(estimate: Estimate, records: Sequence[Record], name: str | None) -
         raise InputError(f"the estimate is of {', '.join(points)}; name one of them with --point")
     name = points[0] if name is None else name
     if name not in points or estimate.control_point not in (None, name):
-        told = ", ".join(points if estimate.control_point is None else [estimate.control_point])
-        raise InputError(f"the estimate is of {told}, not of {name}")
+        listed = ", ".join(points if estimate.control_point is None else [estimate.control_point])
+        raise InputError(f"the estimate is of {listed}, not of {name}")
     mine = [i for i, r in enumerate(records) if r.declared.control_point == name]
     labels = _plain_names(estimate, name, alone=len(points) == 1)
     return estimate.model_copy(
@@ -233,8 +245,11 @@ def _of_point(estimate: Estimate, records: Sequence[Record], name: str | None) -
 
 
 def _plain_names(estimate: Estimate, point: str, alone: bool) -> dict[str, str]:
-    """Label -> name of the parameters of one control point; a clock's, a sensor's, and what is averaged over of others
-    keep their labels, ratios and effects of others are left out."""
+    """Label -> name of the parameters of one control point.
+
+    Parameters of clocks, of sensors and marginalised ones of other points keep their labels; ratios and effects of
+    other points are left out.
+    """
     names = {}
     for label in estimate.parameters:
         stem, _, owner = label.partition(AT)
@@ -245,21 +260,24 @@ def _plain_names(estimate: Estimate, point: str, alone: bool) -> dict[str, str]:
     return names
 
 
-def _used(estimate: Estimate, i: int, record: Record) -> UsedRecord:
+def _used_record(estimate: Estimate, i: int, record: Record) -> UsedRecord:
     """A record by hash and fitted times.
 
     raises : InputError where its files are not those that were fitted
     """
-    found, told = inputs_hash(record), estimate.inputs.get(estimate.records[i])
-    if told is not None and told != found:
-        raise InputError(f"{display_path(record.directory)}: was changed since the estimate; estimate it anew")
+    found, stated = inputs_hash(record), estimate.inputs.get(estimate.records[i])
+    if stated is not None and stated != found:
+        raise InputError(f"{display_path(record.directory)}: was changed since the estimate; estimate it again")
     segments = estimate.segments[i] if estimate.segments is not None else record.declared.segments.fit
     whole = [[float(record.time_s[0]), float(record.time_s[-1])]]
     return UsedRecord(record=record.name, inputs=found, segments=whole if segments is None else segments)
 
 
-def _refuse_twice(history: TableHistory, used: Sequence[UsedRecord]) -> None:
-    """Refuse data that are in the table already: they would count twice."""
+def _check_not_used(history: TableHistory, used: Sequence[UsedRecord]) -> None:
+    """Check that data are not in the table already: they would count twice.
+
+    raises : InputError naming record, times and revision
+    """
     for revision in history.revisions:
         for old in revision.records:
             for new in used:
@@ -268,12 +286,11 @@ def _refuse_twice(history: TableHistory, used: Sequence[UsedRecord]) -> None:
                     times = f"{shared[0][0]:g} to {shared[0][1]:g} s"
                     raise InputError(
                         f"{display_path(history.path)}: {new.record}, {times}, is in revision {revision.revision} "
-                        f"already and "
-                        "would count twice; revert that first"
+                        "already and would count twice; revert that first"
                     )
 
 
-def _rounded(old: RatioTable, after: Posterior, header: dict[str, str]) -> RatioTable:
+def _round_table(old: RatioTable, after: Posterior, header: dict[str, str]) -> RatioTable:
     """The new table: changed nodes to a few digits, the others as they were, sigma nowhere larger."""
     assert old.sigma is not None
     ratio = _significant(after.ratio, RATIO_DIGITS)
@@ -283,14 +300,17 @@ def _rounded(old: RatioTable, after: Posterior, header: dict[str, str]) -> Ratio
 
 
 def _significant(values: FloatArray, digits: int) -> FloatArray:
+    """Values rounded to significant digits."""
     return np.array([float(f"{v:.{digits}g}") for v in values.ravel()]).reshape(values.shape)
 
 
 def _times(used: Sequence[UsedRecord]) -> str:
+    """Records with their fitted times, in words."""
     return "; ".join(f"{u.record} {', '.join(f'{a:g} to {b:g} s' for a, b in u.segments)}" for u in used)
 
 
 def _header(history: TableHistory, estimate: Estimate, used: Sequence[UsedRecord], point: str) -> dict[str, str]:
+    """Header of the new table: that of the old one with the provenance of the revision."""
     number = history.revision + 1
     values = {n: p for n, p in estimate.parameters.items() if n.startswith("ratio.") or is_effect(n)}
     return {
@@ -306,10 +326,11 @@ def _header(history: TableHistory, estimate: Estimate, used: Sequence[UsedRecord
 
 
 def errors_before_and_after(update: TableUpdate, records: Sequence[Record]) -> dict[str, dict[str, Any]]:
-    """RMSE of plain predictions with table and effects in force and with the new ones, over fit and holdout.
+    """RMSE of plain predictions with table and effects in force and with the new ones, over fit and holdout segments.
 
-    Everything else, the stack above all, is as the record declares, whatever else was estimated.
-    raises : InputError where a record is of another control point, over another reference heating, or named twice
+    Everything else, notably the stack, is as the record declares.
+    returns : record -> segments -> before, after; None for segments that do not exist
+    raises  : InputError where a record is of another control point, over another reference heating, or named twice
     """
     found: dict[str, dict[str, Any]] = {}
     for record in records:
@@ -330,42 +351,46 @@ def errors_before_and_after(update: TableUpdate, records: Sequence[Record]) -> d
 
 
 def _check_comparable(update: TableUpdate, record: Record) -> None:
+    """Check that a record is of the control point of the update."""
     point = record.declared.control_point
     if point != update.point.name:
         raise InputError(f"{record.name}: is of {point}, the table is that of {update.point.name}")
 
 
 Draw = Callable[[Path, TableUpdate], None]
-"""Draws an update into a file."""
+"""Function that draws an update into a file."""
 
 
 def check_target(vehicle: str | os.PathLike[str], out: Path | None) -> None:
     """Refuse to write where the revision would change data that came with the package, or an existing copy.
 
-    raises : InputError that says what to do
+    raises : InputError that states what to do
     """
     directory = vehicle_directory(vehicle)
     if out is not None:
         if (out / directory.resolve().name).exists():
             copy = display_path(out / directory.resolve().name)
-            raise InputError(f"--out {display_path(out)}: holds {copy} already; revise that one with --vehicle {copy}")
+            raise InputError(
+                f"--out {display_path(out)}: already contains {copy}; revise that one with --vehicle {copy}"
+            )
         return
     (installed, checkout), home = data_folders(VEHICLES), directory.resolve().parent
     by_name = directory.is_absolute() and Path(vehicle).name == os.fspath(vehicle)
     if home == installed or (home == checkout and by_name):
-        raise InputError(
-            f"vehicle {directory.name}: came with the package; name a folder for a copy of yours with --out"
-        )
+        raise InputError(f"vehicle {directory.name}: came with the package; name a folder for your copy with --out")
     require_writable(directory)
 
 
 def write_update(
     update: TableUpdate, out: Path | None, errors: dict[str, dict[str, Any]], draw: Draw | None = None
 ) -> tuple[Path, RevisionFile]:
-    """Write the revision into the vehicle, or into a copy of it in `out`; the vehicle's directory and what was written.
+    """Write the revision into the vehicle, or into a copy of it in `out`.
 
-    draw   : draws the picture of the update into a file; without one there is no picture
-    raises : InputError where the place cannot be written; nothing is left half-written
+    out     : folder for the copy; None for the vehicle itself
+    errors  : as `errors_before_and_after` gives them
+    draw    : draws the picture of the update into a file; without one there is no picture
+    returns : the vehicle's directory, and what was written
+    raises  : InputError where the place cannot be written; nothing is left half-written
     """
     source = update.vehicle.directory
     try:
@@ -379,7 +404,7 @@ def write_update(
 def _write_copy(
     update: TableUpdate, target: Path, errors: dict[str, dict[str, Any]], draw: Draw | None
 ) -> tuple[Path, RevisionFile]:
-    """Revise a copy of the vehicle, made aside and put in its place as a whole."""
+    """Revise a copy of the vehicle, made in a temporary folder and renamed as a whole."""
     target.parent.mkdir(parents=True, exist_ok=True)
     partial = Path(tempfile.mkdtemp(prefix=f".{target.name}.partial-", dir=target.parent))
     try:
@@ -394,18 +419,19 @@ def _write_copy(
 def _write(
     update: TableUpdate, vehicle: Vehicle, history: TableHistory, errors: dict[str, dict[str, Any]], draw: Draw | None
 ) -> RevisionFile:
+    """Draw the picture and write the revision."""
     picture = revision_path(vehicle.directory, update.point.name, history.revision + 1, "png")
     picture.parent.mkdir(parents=True, exist_ok=True)
     if draw is not None and np.any(update.changed):
         draw(picture, update)
     effects = update.effects
     point_text = effects.text if effects.text != effects.raw else None
-    return write_revision(vehicle, history, update.table, _made(update, errors), point_text)
+    return write_revision(vehicle, history, update.table, _revision_content(update, errors), point_text)
 
 
-def _made(update: TableUpdate, errors: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """What a RevisionFile says beside the files themselves."""
-    evidence, estimate = update.informed.evidence, update.estimate
+def _revision_content(update: TableUpdate, errors: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """The fields of a RevisionFile that do not follow from the files."""
+    evidence, estimate = update.flight.evidence, update.estimate
     return {
         "control_point": update.point.name,
         "program": f"sim-heating {package_version()}",
