@@ -1,1 +1,1 @@
-"""What all folders use: errors, files, progress, batches of jobs, parameters, kernels, pages and figures."""
+"""Foundations of all folders: errors, files, progress, batches of jobs, parameters, kernels, pages and figures."""

@@ -35,9 +35,9 @@ class Conditions:
     """Time histories of a flight, one array per named column; the unit of a column is the end of its name.
 
     columns : name -> (time,) float64; `time_s` [s] strictly increasing; every value finite
-    raises  : InputError naming column and row where that is not so
+    raises  : InputError naming column and row where a column violates this
 
-    `conditions[name]` is a column, `name in conditions` whether it is there, `len(conditions)` the number of samples.
+    `conditions[name]` is a column, `name in conditions` tests for it, `len(conditions)` is the number of samples.
     """
 
     columns: Mapping[str, FloatArray]
@@ -45,11 +45,11 @@ class Conditions:
     def __post_init__(self) -> None:
         time = self.columns.get("time_s")
         if time is None or len(time) == 0:
-            raise InputError("conditions: there is no time_s; give at least one sample")
+            raise InputError("conditions: time_s is missing or empty; give at least one sample")
         for name, values in self.columns.items():
             # Lengths before values: the row number of a bad value means nothing in a column of another length.
             if len(values) != len(time):
-                raise InputError(f"conditions, column {name}: {len(values)} values against {len(time)} times")
+                raise InputError(f"conditions, column {name}: {len(values)} values for {len(time)} times")
             if not np.all(np.isfinite(values)):
                 row = int(np.flatnonzero(~np.isfinite(values))[0])
                 raise InputError(f"conditions, row {row + 1}, column {name}: {values[row]} is not a finite number")
@@ -75,7 +75,7 @@ class Conditions:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all columns, in their order."""
+        """Names of all columns in order."""
         return tuple(self.columns)
 
     def with_columns(self, **arrays: ArrayLike) -> Conditions:
@@ -97,7 +97,7 @@ class Conditions:
         t = np.atleast_1d(np.asarray(time_s, dtype=float))
         first, last = self.time_s[0], self.time_s[-1]
         if np.any(t < first) or np.any(t > last):
-            raise InputError(f"conditions: asked for {t.min()} to {t.max()} s, sampled from {first} to {last} s")
+            raise InputError(f"conditions: {t.min()} to {t.max()} s requested, sampled from {first} to {last} s only")
         return Conditions(
             {"time_s": t} | {n: np.interp(t, self.time_s, v) for n, v in self.columns.items() if n != "time_s"}
         )

@@ -1,4 +1,4 @@
-"""What can go wrong, as a caller may want to catch it."""
+"""Errors that a caller may want to catch."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class InputError(ValueError):
 
 @contextmanager
 def error_context(place: str) -> Iterator[None]:
-    """Puts a place - file, table, option - before every problem that the block raises."""
+    """Prefix every problem that the block raises with its place: a file, table or option."""
     try:
         yield
     except InputError as error:

@@ -1,5 +1,7 @@
-"""Which values flight conditions can have, in a file or from a host: limits that catch another unit, and what is said
-beyond them."""
+"""Physical limits of flight conditions, in a file or from a host, with the rule that a message states beyond them.
+
+The limits are wide: they catch values in another unit and damaged samples, not unusual flights.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,7 @@ import numpy as np
 from sim_heating.base.files import CsvTable
 
 HOTTEST_K = 1e5
-"""No temperature is above this [K]."""
+"""Upper limit of every temperature [K]."""
 FASTEST_M_S = 20_000.0
 
 LIMITS: dict[str, tuple[float, float, str]] = {
@@ -33,15 +35,16 @@ LIMITS: dict[str, tuple[float, float, str]] = {
     "H_r_J_kg": (0.0, 1e11, "is not a recovery enthalpy (0 or above; enthalpies are zero at 0 K)"),
     "jets": (0.0, 1.0, "is not a share of jets firing (0 to 1)"),
 }
-"""Column -> lowest and highest value, and what is said of another."""
+"""Column -> lowest value, highest value, and the rule that a message states about a value outside."""
 
 LOW_RULE = "is too low for its speed and looks like km; give m"
 HIGH_SPEED_M_S, LOW_M = 3000.0, 1000.0
-"""Nothing flies so fast so low."""
+"""Speed [m/s] above which, and altitude [m] below which, nothing flies at the same time."""
 
 
 def frame_problem(frame: Mapping[str, float]) -> tuple[str, str] | None:
-    """The first column of one frame that holds a value that cannot be, and what is said of it."""
+    """The first column of one frame whose value is impossible, with the rule that it violates; None for a valid
+    frame."""
     for name, value in frame.items():
         if name in LIMITS and out_of_range(name, value):
             return name, LIMITS[name][2]
@@ -51,18 +54,18 @@ def frame_problem(frame: Mapping[str, float]) -> tuple[str, str] | None:
 
 
 def out_of_range(name: str, value: float) -> bool:
-    """Whether a value cannot be one of its column."""
+    """Whether a value lies outside the limits of its column."""
     lowest, highest, _ = LIMITS[name]
     return not lowest <= value <= highest
 
 
 def limit_message(name: str, value: float) -> str:
-    """`value rule` of a value beyond the limits of its column."""
+    """`value rule` for a value outside the limits of its column."""
     return f"{value:g} {LIMITS[name][2] if math.isfinite(value) else 'is not a finite number'}"
 
 
 def implausible_values(table: CsvTable) -> list[str]:
-    """One line for each column of conditions that holds a value that cannot be, or is in another unit."""
+    """One line for each column of conditions with an impossible value, or in another unit."""
     problems = table.celsius_problems("T_inf_K") if "T_inf_K" in table.columns else []
     for name, (lowest, highest, rule) in LIMITS.items():
         if name in table.columns:
@@ -71,7 +74,7 @@ def implausible_values(table: CsvTable) -> list[str]:
 
 
 def _energy_problems(table: CsvTable) -> list[str]:
-    """A fast flight of little enthalpy or little height: kJ/kg and km."""
+    """Fast flight with little enthalpy (kJ/kg instead of J/kg) or at little height (km instead of m)."""
     speed = table["velocity_m_s"]
     rule = "is below a hundredth of V^2/2 and looks like kJ/kg; give J/kg"
     problems: list[str] = []

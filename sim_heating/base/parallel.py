@@ -1,11 +1,11 @@
-"""The engine for everything that is many independent jobs: Dask processes, and a ledger of what is finished.
+"""Many independent jobs, run in this process or on Dask, with a ledger of finished results.
 
-A job has an id, which is the name of its result's file in the ledger folder, and a task that is handed to a function;
-the function gives the result as bytes, written whole or not at all. Jobs whose file is there are not done again, so
-that a run that was killed goes on where it was: it loses the jobs that were in flight and nothing else. A worker that
-dies has its jobs done by another. A job that raises leaves `ID.error` with the reason, and the others go on; the next
-run tries it again. Results depend on the tasks alone, not on how many processes there are: one process without Dask,
-many, or somebody's cluster leave the same bytes. Linear algebra takes one thread in all of them.
+A job has an id, which is the name of its result's file in the ledger folder, and a task that is passed to a function;
+the function returns the result as bytes, written whole or not at all. Jobs with a result file are not run again, so
+that a killed run resumes where it stopped: it loses only the jobs in flight. Jobs of a worker that dies are run by
+another. A job that raises leaves `ID.error` with the reason, and the others continue; the next run repeats it. Results
+depend on the tasks alone: one process without Dask, many processes, or a cluster write the same bytes. Linear algebra
+uses one thread in all of them.
 """
 
 from __future__ import annotations
@@ -29,25 +29,25 @@ from sim_heating.base.threads import one_thread
 
 Work = Callable[[Any], bytes]
 
-ANSWER_S, WORKER_S = 4.0, 10.0
-"""How long a scheduler, and then its first worker, is waited for [s]."""
+SCHEDULER_TIMEOUT_S, WORKER_TIMEOUT_S = 4.0, 10.0
+"""Longest wait for a scheduler to answer, and then for its first worker [s]."""
 IN_FLIGHT = 3
-"""Jobs a worker has at a time, the next ones waiting beside the one at work; more would only fill its memory."""
-DEATHS = 3
-"""Workers that may die over one job before it is given up."""
-LETHAL = "every worker that took it up died over it: out of memory, or killed"
-ERROR = ".error"
-SETTINGS = {
-    "distributed.scheduler.allowed-failures": DEATHS,
+"""Jobs that a worker holds at a time, running or waiting; more would only fill its memory."""
+MAX_WORKER_DEATHS = 3
+"""Workers that may die while running one job before it is given up."""
+LETHAL_JOB = "every worker that ran it died: out of memory, or killed"
+ERROR_SUFFIX = ".error"
+DASK_SETTINGS = {
+    "distributed.scheduler.allowed-failures": MAX_WORKER_DEATHS,
     "distributed.worker.daemon": True,
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "10s",
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
 }
-"""Of Dask. Its profiler and its 50 looks a second at its own event loops take 3 % of a core from each worker, its looks
-at the state of the system 1 % from this process.
-Its trim threshold of 64 kB has glibc give every array back to the system and fetch it anew, page by page."""
+"""Dask's settings. Its profiler and its 50 checks a second of its own event loops take 3 % of a core from each worker,
+its system monitor 1 % from this process. Its trim threshold of 64 kB makes glibc return every array to the system and
+fetch it again, page by page."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Job:
     """One independent piece of work.
 
     id   : name of its file in the ledger, unique
-    task : what the function is given; it has to be picklable where there is more than one process
+    task : argument of the function; must be picklable where there is more than one process
     """
 
     id: str
@@ -64,10 +64,10 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of the jobs, in their order.
+    """Results and failures of the jobs, in their order.
 
     done   : id -> file with its result
-    failed : id -> why there is none, in one line
+    failed : id -> reason of the failure, in one line
     """
 
     done: dict[str, Path]
@@ -83,69 +83,69 @@ def run_batches(
     workers: int | None = None,
     progress: Progress = no_progress,
 ) -> Outcome:
-    """Do all jobs that have no result yet.
+    """Run all jobs that have no result yet.
 
     function : task -> bytes; a function of a module, or functools.partial of one, where there is more than one process
-    out      : ledger folder; it has to be named by what the results depend on beside the tasks
+    out      : ledger folder; its name must identify everything besides the tasks that the results depend on
     scheduler: address of a Dask scheduler; otherwise local processes are started
     workers  : number of local processes, all cores where None; 1 is this process, without Dask
-    progress : told the fraction done and a line of text
-    raises   : InputError where jobs share an id, Dask is not installed, or nobody answers at the scheduler's address;
-               RunError where the scheduler is lost on the way; what is finished stays
+    progress : called with the fraction done and a line of text
+    raises   : InputError where jobs share an id, Dask is not installed, or no scheduler answers at the address;
+               RunError where the scheduler is lost during the run; finished results remain
     """
     names = [job.id for job in jobs]
     if (name := repeated_name(names)) is not None:
         raise InputError(f"jobs: the id `{name}` is repeated; give each job its own")
-    left = [job for job in jobs if not (out / job.id).is_file()]
-    told = _Counted(len(jobs), len(jobs) - len(left), progress)
-    alone = scheduler is None and (workers == 1 or len(left) <= 1)
-    results = _here(left, function) if alone else _spread(left, function, scheduler, workers)
+    remaining = [job for job in jobs if not (out / job.id).is_file()]
+    counter = _JobProgress(len(jobs), len(jobs) - len(remaining), progress)
+    in_process = scheduler is None and (workers == 1 or len(remaining) <= 1)
+    results = _run_locally(remaining, function) if in_process else _run_on_dask(remaining, function, scheduler, workers)
     for job_id, result in results:
-        _keep(out, job_id, result)
-        told.one_more()
+        _store_result(out, job_id, result)
+        counter.count_one()
     done = {name: out / name for name in names if (out / name).is_file()}
-    failed = {n: (out / f"{n}{ERROR}").read_text(encoding="utf-8").strip() for n in names if n not in done}
+    failed = {n: (out / f"{n}{ERROR_SUFFIX}").read_text(encoding="utf-8").strip() for n in names if n not in done}
     return Outcome(done, failed)
 
 
 @dataclass
-class _Counted:
-    """Progress in jobs."""
+class _JobProgress:
+    """Progress in jobs, reported as each one finishes."""
 
     jobs: int
     done: int
     progress: Progress
 
     def __post_init__(self) -> None:
-        before = f", {self.done} of them done before" if self.done else ""
+        before = f", {self.done} of them finished before" if self.done else ""
         self.progress(self.done / max(self.jobs, 1), f"{self.jobs} batches{before}")
 
-    def one_more(self) -> None:
+    def count_one(self) -> None:
         self.done += 1
         self.progress(self.done / self.jobs, f"batches: {self.done} of {self.jobs}")
 
 
-def _keep(out: Path, job_id: str, result: bytes | BaseException) -> None:
-    error = out / f"{job_id}{ERROR}"
+def _store_result(out: Path, job_id: str, result: bytes | BaseException) -> None:
+    error = out / f"{job_id}{ERROR_SUFFIX}"
     if isinstance(result, BaseException):
-        write_text_atomic(error, one_line(result) + "\n")
+        write_text_atomic(error, error_line(result) + "\n")
     else:
         write_bytes_atomic(out / job_id, result)
         error.unlink(missing_ok=True)
 
 
-def one_line(error: BaseException) -> str:
-    """An exception as one line; errors of ours speak for themselves."""
+def error_line(error: BaseException) -> str:
+    """An exception as one line, with its type unless it is an error of this package."""
     text = " ".join(str(error).split())
     return text if isinstance(error, InputError | RunError) else f"{type(error).__name__}: {text}"
 
 
-def _here(jobs: Sequence[Job], function: Work) -> Iterator[tuple[str, bytes | BaseException]]:
+def _run_locally(jobs: Sequence[Job], function: Work) -> Iterator[tuple[str, bytes | BaseException]]:
     for job in jobs:
-        yield job.id, _attempt(function, job.task)
+        yield job.id, _run_job(function, job.task)
 
 
-def _attempt(function: Work, task: Any) -> bytes | BaseException:
+def _run_job(function: Work, task: Any) -> bytes | BaseException:
     try:
         with one_thread():
             return function(task)
@@ -156,54 +156,56 @@ def _attempt(function: Work, task: Any) -> bytes | BaseException:
 # On Dask ------------------------------------------------------------------------------------------------------------
 
 
-def _spread(
+def _run_on_dask(
     jobs: Sequence[Job], function: Work, scheduler: str | None, workers: int | None
 ) -> Iterator[tuple[str, bytes | BaseException]]:
-    """Results as they come, a few jobs in flight for each worker.
+    """Results as they arrive, a few jobs in flight for each worker.
 
-    A worker that dies takes the reputation of the jobs waiting beside the lethal one with it: those that have seen too
-    many deaths are tried again one by one, so that only the lethal one fails.
+    Dask blames the death of a worker on all jobs that it held. Jobs blamed too often are therefore repeated one by one,
+    so that only the lethal one fails.
     """
     require_dask()
     from distributed import CancelledError, KilledWorker, as_completed
     from distributed.comm import CommClosedError
 
-    packed = _packed(function)
-    digest = hashlib.sha256(packed).hexdigest()
-    left = len(jobs)
+    pickled = _pickled(function)
+    digest = hashlib.sha256(pickled).hexdigest()
+    remaining = len(jobs)
     with _client(scheduler, workers) as client:
 
-        def flown(some: Sequence[Job], width: int, attempt: int) -> Iterator[tuple[Job, Any]]:
-            waiting, by_key = iter(some), {f"{job.id}-{digest[:16]}-{attempt}": job for job in some}
+        def results_of(chosen: Sequence[Job], width: int, attempt: int) -> Iterator[tuple[Job, Any]]:
+            waiting, by_key = iter(chosen), {f"{job.id}-{digest[:16]}-{attempt}": job for job in chosen}
 
             def submit(count: int) -> list[Any]:
                 return [
-                    client.submit(_call, digest, packed, job.task, key=f"{job.id}-{digest[:16]}-{attempt}", pure=False)
+                    client.submit(
+                        _run_in_worker, digest, pickled, job.task, key=f"{job.id}-{digest[:16]}-{attempt}", pure=False
+                    )
                     for job in islice(waiting, count)
                 ]
 
-            flying = as_completed(submit(width), with_results=True, raise_errors=False)
-            for future, result in flying:
+            running = as_completed(submit(width), with_results=True, raise_errors=False)
+            for future, result in running:
                 if future.cancelled():
                     raise CancelledError(future.key)
-                yield by_key[future.key], (_raised(result) if future.status == "error" else result)
-                flying.update(submit(1))
+                yield by_key[future.key], (_job_error(result) if future.status == "error" else result)
+                running.update(submit(1))
 
         suspects = []
         try:
-            for job, result in flown(jobs, IN_FLIGHT * max(len(client.nthreads()), 1), 1):
+            for job, result in results_of(jobs, IN_FLIGHT * max(len(client.nthreads()), 1), 1):
                 if isinstance(result, KilledWorker):
                     suspects.append(job)
                     continue
-                left -= 1
+                remaining -= 1
                 yield job.id, result
-            for job, result in flown(suspects, 1, 2):
-                left -= 1
-                yield job.id, RunError(LETHAL) if isinstance(result, KilledWorker) else result
+            for job, result in results_of(suspects, 1, 2):
+                remaining -= 1
+                yield job.id, RunError(LETHAL_JOB) if isinstance(result, KilledWorker) else result
         except (OSError, CommClosedError, CancelledError, asyncio.CancelledError):
             pass
-    if left:
-        raise RunError(f"the scheduler was lost with {left} batches to go; run the command again and it goes on there")
+    if remaining:
+        raise RunError(f"the scheduler was lost with {remaining} batches to go; run the command again to resume")
 
 
 def require_dask() -> None:
@@ -212,7 +214,7 @@ def require_dask() -> None:
         import distributed  # noqa: F401
     except ImportError:
         raise InputError(
-            "Dask is not installed: pip install 'sim-heating[plan]', or take --workers 1 for this process alone"
+            "Dask is not installed: pip install 'sim-heating[plan]', or use --workers 1 to run in this process"
         ) from None
 
 
@@ -223,27 +225,27 @@ def require_scheduler(address: str) -> None:
         pass
 
 
-def _raised(result: Any) -> BaseException:
-    """The error of a job: Dask gives it as (type, error, traceback)."""
+def _job_error(result: Any) -> BaseException:
+    """The exception of a failed job: Dask returns (type, error, traceback)."""
     return result[1] if isinstance(result, tuple) else result
 
 
-def _packed(function: Work) -> bytes:
+def _pickled(function: Work) -> bytes:
     import cloudpickle
 
-    packed: bytes = cloudpickle.dumps(function)
-    return packed
+    pickled: bytes = cloudpickle.dumps(function)
+    return pickled
 
 
 @lru_cache(maxsize=2)
-def _unpacked(_digest: str, packed: bytes) -> Work:
-    function: Work = pickle.loads(packed)
+def _unpickled(_digest: str, pickled: bytes) -> Work:
+    function: Work = pickle.loads(pickled)
     return function
 
 
-def _call(digest: str, packed: bytes, task: Any) -> bytes:
-    """In a worker: the function, unpacked once a process, on a task."""
-    function = _unpacked(digest, packed)
+def _run_in_worker(digest: str, pickled: bytes, task: Any) -> bytes:
+    """Run one task in a worker; the function is unpickled once a process."""
+    function = _unpickled(digest, pickled)
     with one_thread():
         return function(task)
 
@@ -255,27 +257,29 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
     from distributed import Client
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    with dask.config.set(SETTINGS):
+    with dask.config.set(DASK_SETTINGS):
         if scheduler is None:
             with _local_processes(workers) as cluster, Client(cluster) as client:
                 yield client
             return
         try:
-            client = Client(scheduler, timeout=ANSWER_S)
+            client = Client(scheduler, timeout=SCHEDULER_TIMEOUT_S)
         except (OSError, ValueError):
             raise InputError(
-                f"--scheduler {scheduler}: no Dask scheduler answers there; start one, or leave the option out"
+                f"--scheduler {scheduler}: no Dask scheduler answers there; start one, or omit the option"
             ) from None
         with client:
             try:
-                client.wait_for_workers(1, timeout=WORKER_S)
+                client.wait_for_workers(1, timeout=WORKER_TIMEOUT_S)
             except TimeoutError:
-                raise InputError(f"--scheduler {scheduler}: has no worker; start some with `dask worker`") from None
+                raise InputError(
+                    f"--scheduler {scheduler}: the scheduler has no worker; start some with `dask worker`"
+                ) from None
             yield client
 
 
 def _local_processes(workers: int | None) -> Any:
-    """A cluster of processes on this machine; RunError where they do not come up."""
+    """A cluster of processes on this machine; RunError where they do not start."""
     from distributed import LocalCluster
 
     try:
@@ -286,5 +290,5 @@ def _local_processes(workers: int | None) -> Any:
     except (RuntimeError, OSError) as error:
         cause = error.__cause__ or error
         raise RunError(
-            f"the worker processes did not start ({one_line(cause)}); take --workers 1 for this process alone"
+            f"the worker processes did not start ({error_line(cause)}); use --workers 1 to run in this process"
         ) from None

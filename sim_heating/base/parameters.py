@@ -1,4 +1,4 @@
-"""What can be estimated, altered or exported: a dotted name, a unit, a prior, bounds, and one line of what it is."""
+"""Parameters that can be estimated, changed or exported: dotted name, unit, prior, bounds and a line of description."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 EFFECT_PREFIX = "effect."
 """Parameters of effects are named `effect.NAME.PARAMETER`."""
 SHORT_NAMES = ("alpha", "beta", "logre", "elevon", "bodyflap")
-"""The ratio variables as they stand in parameter names."""
+"""The ratio variables as spelt in parameter names."""
 UNITS = ("deg", "deg", "1", "deg", "deg")
 
 
@@ -23,7 +23,7 @@ class Parameter:
     value : nominal value, and mean of the prior
     sigma : standard deviation of the prior; infinite for a flat one
     lower, upper : bounds
-    text  : what it is, in a line
+    text  : description in one line
     """
 
     name: str
@@ -93,15 +93,16 @@ NONLINEAR = (
     "stack.moisture.condense_K", "stack.moisture.width_K", "stack.gap.depth_m",
     "stack.rsi.radiation_from_K",
 )  # fmt: skip
-"""Parameters in which the heat balance at given temperatures is not affine; no parameter of an effect need be."""
+"""Parameters in which the heat balance at given temperatures is not affine; those of effects are never taken as
+affine."""
 
 BOUNDARY = (
     *(p.name for p in RATIO), "stack.emissivity_factor", "back.h_W_m2K", "back.T_K", "back.emissivity",
 )  # fmt: skip
-"""Parameters that change what enters a wall from outside and nothing within it, like those of effects with a kernel."""
+"""Parameters that change the fluxes into a wall and nothing within it, as those of effects with a kernel do."""
 
 CLOCK_SKEW = Parameter("clock.skew", "s", 0.0, 0.5, -10.0, 10.0, "recorded T(t) = true T(t - skew): above 0, it lags")
-"""The one parameter of a record's clocks."""
+"""Skew of the thermocouple clock of a record."""
 
 SENSOR_PREFIX = "sensor."
 SENSOR = {
@@ -111,6 +112,6 @@ SENSOR = {
 """Parameters of a thermocouple, `sensor.NAME.bias` and `sensor.NAME.gain`."""
 
 MODEL = {p.name: p for p in (*RATIO, *STACK)}
-"""Every parameter of a control point's model by its name, effects left out."""
+"""All parameters of a control point's model by name, except those of effects."""
 AT = "@"
-"""Between a parameter and the record or control point that it belongs to, in a fit of several."""
+"""Separates a parameter from its record or control point, in a fit of several."""

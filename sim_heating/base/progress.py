@@ -1,12 +1,12 @@
-"""What long work tells of how far it is."""
+"""Progress reports of long work."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 Progress = Callable[[float, str], None]
-"""Told the fraction done and what is being done."""
+"""Called with the fraction done (0 to 1) and a line of text."""
 
 
 def no_progress(_: float, __: str) -> None:
-    """Progress that nobody is told of."""
+    """Progress that is not reported."""

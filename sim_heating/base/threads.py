@@ -1,8 +1,8 @@
-"""How many threads linear algebra takes: one, where its matrices are small, and where results are to be the same bytes.
+"""One thread for linear algebra, where matrices are small and where results must be reproducible byte by byte.
 
-A BLAS that splits products of a few hundred rows over all cores waits for the slowest of them: beside other work, and
-several records side by side are other work, that costs ten times what it saves. How it splits them changes last digits
-besides: with the number of cores, with OMP_NUM_THREADS, in a worker of Dask, which has one thread.
+A BLAS that splits products of a few hundred rows over all cores waits for the slowest of them; with other work on the
+machine (several records at once are such work) the wait costs ten times what the split saves. The split also changes
+last digits: with the number of cores, with OMP_NUM_THREADS, and in a Dask worker, which has one thread.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from contextlib import AbstractContextManager
 from functools import cache
 
-import scipy.linalg  # noqa: F401  its BLAS is another than that of numpy, and both are looked for below
+import scipy.linalg  # noqa: F401  its BLAS is not numpy's; both must be loaded before the search below
 from threadpoolctl import ThreadpoolController
 
 
@@ -20,5 +20,5 @@ def _libraries() -> ThreadpoolController:
 
 
 def one_thread() -> AbstractContextManager[object]:
-    """Within the block, BLAS takes one thread."""
+    """Context in which BLAS uses one thread."""
     return _libraries().limit(limits=1, user_api="blas")

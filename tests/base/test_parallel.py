@@ -106,7 +106,7 @@ def _start(out, notes, count, workers):
 
 
 def test_a_scheduler_that_is_away_is_one_clear_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(batches, "ANSWER_S", 1.0)
+    monkeypatch.setattr(batches, "SCHEDULER_TIMEOUT_S", 1.0)
     with pytest.raises(InputError, match="no Dask scheduler answers there") as told:
         run_batches(jobs(2), batch_jobs.square_but_three, tmp_path, scheduler="tcp://127.0.0.1:1")
     assert len(str(told.value).splitlines()) == 1

@@ -244,7 +244,7 @@ def test_a_directory_that_cannot_be_written_is_refused_before_any_work(
     assert main(command) == 2
     errors = capsys.readouterr().err.splitlines()
     assert len(errors) == 1
-    assert "results cannot be written there" in errors[0]
+    assert "results cannot be written" in errors[0]
 
 
 # Failures of a run, with status 1 ------------------------------------------------------------------------------------

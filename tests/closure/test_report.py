@@ -192,7 +192,7 @@ def test_a_figure_has_the_same_bytes_each_time():
     def picture() -> str:
         figure = Figure()
         figure.subplots().plot([0.0, 1.0])
-        return Picture(figure).address
+        return Picture(figure).data_url
 
     assert picture() == picture()
 

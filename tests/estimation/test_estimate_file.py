@@ -79,7 +79,7 @@ DAMAGED = {
     "cut off": (json.dumps(GOOD)[:200], "cut off"),
     "not JSON": ("records = 3", "line 1: Expecting value"),
     "a list": ("[1, 2]", "must be an object"),
-    "NaN": (json.dumps(GOOD).replace("-0.1", "NaN"), "holds NaN"),
+    "NaN": (json.dumps(GOOD).replace("-0.1", "NaN"), "contains NaN"),
     "another format": (json.dumps(good(format="estimate/9")), "not one of estimate/1"),
     "a closure report": (json.dumps(good(format="closure-report/1")), "is a closure report"),
     "no parameters": (json.dumps({k: v for k, v in GOOD.items() if k != "parameters"}), "`parameters` is missing"),

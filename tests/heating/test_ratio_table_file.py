@@ -76,7 +76,7 @@ def test_a_mistyped_axis_value_is_named_by_its_row(tmp_path: Path) -> None:
     [
         ("30,0,5,5,7.5,0.09150,", "30,0,5,5,7.5,nan,", "row 7, column ratio: nan is not a finite number"),
         ("30,0,5,5,7.5,0.09150,", "30,0,5,5,7.5,,", "row 7, column ratio: the cell is empty; give a number"),
-        ("30,0,5,5,7.5,0.09150,", "30,0,5,5,7.5,", "row 7: 6 cells against 7 columns"),
+        ("30,0,5,5,7.5,0.09150,", "30,0,5,5,7.5,", "row 7: 6 cells for 7 columns"),
         ("0.09150,0.005", "0.09150,-0.005", "row 7, column sigma: -0.005 is not a standard deviation"),
         ("alpha_deg", "alpha", "there is no column `alpha_deg`; nearest in the file: `alpha`"),
         ("ratio,sigma", "ratio,sigm", "unknown column `sigm`; did you mean `sigma`?"),

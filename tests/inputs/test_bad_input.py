@@ -168,8 +168,8 @@ CONDITIONS = {
     "empty cell": (cell(5, "alpha_deg", ""), "row 5, column alpha_deg: the cell is empty; give a number"),
     "NaN in a further column": (cell(6, "axial_accel_g", "NaN"), "row 6, column axial_accel_g: NaN is not a finite number"),
     "text": (cell(7, "beta_deg", "O.1"), 'row 7, column beta_deg: "O.1" is not a number'),
-    "decimal comma": (cell(7, "beta_deg", "0,1"), "row 7: 19 cells against 18 columns; the row is damaged or cut off"),
-    "short row": (rows(lambda r: [*r[:-1], r[-1][:40]]), "row 23: 7 cells against 18 columns; the row is damaged or cut off"),
+    "decimal comma": (cell(7, "beta_deg", "0,1"), "row 7: 19 cells for 18 columns; the row is damaged or cut off"),
+    "short row": (rows(lambda r: [*r[:-1], r[-1][:40]]), "row 23: 7 cells for 18 columns; the row is damaged or cut off"),
     "blank row": (rows(lambda r: [*r[:9], "", *r[9:]]), "row 10: the row is blank; remove it"),
     "time back": (cell(9, "time_s", "55"), "row 9, column time_s: 55 does not come after 60; sort the rows by time_s"),
     "time twice": (cell(9, "time_s", "60"), "row 9, column time_s: 60 does not come after 60"),
@@ -183,9 +183,9 @@ CONDITIONS = {
     "negative film": (cell(3, "h_ref_kg_m2_s", "-0.02"), "row 3, column h_ref_kg_m2_s: -0.02 is not a film coefficient"),
     "jets above one": (cell(3, "jets", "2"), "row 3, column jets: 2 is not a share of jets firing (0 to 1)"),
     "semicolons": (lambda t: t.replace(",", ";"), "cells are separated by ';'; separate them by commas"),
-    "names only": (rows(lambda r: r[:1]), "there are column names and no rows"),
+    "names only": (rows(lambda r: r[:1]), "there are no rows below the column names"),
     "no names": (rows(lambda r: r[1:]), "there is no column `time_s`"),
-    "comments only": (lambda _: "# source: none\n", "there is no row of column names"),
+    "comments only": (lambda _: "# source: none\n", "the row of column names is missing"),
 }  # fmt: skip
 
 

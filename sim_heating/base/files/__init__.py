@@ -1,7 +1,8 @@
-"""Files in and out: what is read is checked and answered with file, place, value and rule; what is written is whole.
+"""Reading and writing files: inputs are checked completely, outputs are written whole or not at all.
 
-A problem is one line, `record.toml, [thermocouples.sensor] 2: unknown key ...` or `conditions.csv, row 14,
-column mach: ...`, where a row is the line of the file as an editor counts it. All problems of a file come at once.
+A problem is one line with file, place, value and rule: `record.toml, [thermocouples.sensor] 2: unknown key ...` or
+`conditions.csv, row 14, column mach: ...`, where a row is a line of the file as an editor counts them. All problems of
+a file are reported at once.
 """
 
 from sim_heating.base.files.csv_table import COLDEST_K, CsvTable, celsius_rule, csv_text, read_csv_columns, write_csv

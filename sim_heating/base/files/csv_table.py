@@ -1,8 +1,9 @@
-"""CSV tables: a row of names, numbers below; every problem told by row (the line in an editor) and column."""
+"""CSV tables: a row of column names, numbers below; problems are located by row (line of the file) and column."""
 
 from __future__ import annotations
 
 import csv
+import io
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -25,18 +26,18 @@ from sim_heating.base.files.text import (
 )
 
 COLDEST_K = 100.0
-"""Below this a temperature of a flight is taken for one in Celsius [K]."""
+"""A lower temperature is taken for a value in Celsius [K]."""
 
 
 @dataclass(frozen=True)
 class CsvTable:
     """A CSV file by columns.
 
-    columns : name -> (row,) float64 in the order of the file; NaN only where an empty cell was allowed
+    columns : name -> (row,) float64 in the order of the file; NaN only where an empty cell is allowed
     header  : `# key: value` lines before the names
     path    : the file, for messages
-    lines   : (row,) line of the file that each row stands on
-    text    : name -> cells of the columns that were asked for as text
+    lines   : (row,) line number of each row in the file
+    text    : name -> cells of the columns requested as text
     """
 
     columns: dict[str, FloatArray]
@@ -75,12 +76,12 @@ class CsvTable:
         return [f"{display_path(self.path)}, row {self.lines[bad[0]]}, column {column}: {value} {before}"]
 
     def celsius_problems(self, column: str) -> list[str]:
-        """Problems of a temperature column [K]; values below 100 K are taken for Celsius. NaN passes."""
+        """Problems of a temperature column [K]: values below 100 K are taken for Celsius. NaN is accepted."""
         return self.problems_where_not(column, ~(self.columns[column] < COLDEST_K), celsius_rule())
 
 
 def celsius_rule() -> str:
-    """What is said of a temperature that is too cold to be in K."""
+    """The rule that a message states about a temperature too low to be in K."""
     return f"is below {COLDEST_K:g} K and looks like Celsius; give K (Celsius + 273.15)"
 
 
@@ -95,11 +96,11 @@ def read_csv_columns(
 ) -> CsvTable:
     """Read a CSV file with one row of names and numbers below it.
 
-    required    : columns that must be there
-    optional    : columns with a meaning that may be there; a near miss of an absent one is an error
+    required    : columns that must exist
+    optional    : known columns that may be absent; a similar name in place of an absent one is an error
     allow_empty : columns in which an empty cell is a lost sample (NaN)
-    keep_other  : keep further columns too (they must be numbers all the same)
-    text        : columns that are kept as text
+    keep_other  : keep further columns, which must be numeric too
+    text        : columns kept as text
     raises      : InputError naming row, column and value, all problems at once
     """
     names, rows, lines, header = _cells(Path(path))
@@ -107,8 +108,7 @@ def read_csv_columns(
     wanted = [n for n in names if n and (keep_other or n in {*required, *optional, *text})]
     raise_problems(problems)
     ragged = [
-        f"{display_path(path)}, row {line}: {len(row)} cells against {len(names)} columns; the row is damaged or cut "
-        f"off"
+        f"{display_path(path)}, row {line}: {len(row)} cells for {len(names)} columns; the row is damaged or cut off"
         for row, line in zip(rows, lines, strict=True)
         if len(row) != len(names)
     ]
@@ -129,7 +129,7 @@ def _cells(path: Path) -> tuple[list[str], list[list[str]], list[int], dict[str,
     content = read_text(path).replace("\r\n", "\n").replace("\r", "\n").rstrip().split("\n")
     first = next((i for i, line in enumerate(content) if line.strip() and not line.startswith("#")), None)
     if first is None:
-        raise InputError(f"{display_path(path)}: there is no row of column names; the file holds comments only")
+        raise InputError(f"{display_path(path)}: the row of column names is missing; the file holds comments only")
     header = dict(_header_entry(line) for line in content[:first] if ":" in line)
     reader = csv.reader(content[first:])
     try:
@@ -138,7 +138,9 @@ def _cells(path: Path) -> tuple[list[str], list[list[str]], list[int], dict[str,
         raise InputError(f"{display_path(path)}, row {first + reader.line_num}: is not CSV ({error})") from None
     names = [name.strip() for name in rows[0][0]]
     if len(rows) < 2:
-        raise InputError(f"{display_path(path)}: there are column names and no rows; the file may have been cut off")
+        raise InputError(
+            f"{display_path(path)}: there are no rows below the column names; the file may have been cut off"
+        )
     blank = [f"{display_path(path)}, row {line}: the row is blank; remove it" for row, line in rows if not row]
     raise_problems(_first_and_count(blank))
     return names, [row for row, _ in rows[1:]], [line for _, line in rows[1:]], header
@@ -177,7 +179,7 @@ def _nearest_column(name: str, other: list[str]) -> str:
 
 
 def _numbers(cells: Sequence[str], may_be_empty: bool) -> tuple[FloatArray, list[tuple[int, str]]]:
-    """Numbers of a column, and (row index, problem) of its first bad cell with the count of the others."""
+    """Numbers of a column, and (row index, problem) of its first invalid cell with the count of the others."""
     values = _all_numbers(cells)
     if values is not None:
         return values, []
@@ -199,7 +201,7 @@ def _all_numbers(cells: Sequence[str]) -> FloatArray | None:
 
 
 def _number(cell: str, may_be_empty: bool) -> float | str:
-    """The number in a cell, or what is wrong with it."""
+    """The number in a cell, or the problem with it."""
     stripped = cell.strip()
     if not stripped:
         return math.nan if may_be_empty else "the cell is empty; give a number"
@@ -220,31 +222,30 @@ def csv_text(
     formats: Mapping[str, str] | str | None = None,
     header: Mapping[str, object] | None = None,
 ) -> str:
-    """Columns as CSV text: `# key: value` lines, names, one row a sample; NaN is an empty cell.
+    """Columns as CSV text: `# key: value` lines, a row of names, one row a sample; NaN becomes an empty cell.
 
-    formats : format of a number by column, or one for all, as in `".2f"`; without one a number reads back equal
+    formats : number format by column, or one for all, as in `".2f"`; without one a number reads back equal
     raises  : RunError where a number is infinite or columns differ in length
     """
-    formatted = [_formatted(name, np.asarray(v), formats) for name, v in columns.items()]
-    if len({len(c) for c in formatted}) > 1:
+    texts = [_cell_texts(name, np.asarray(v), formats) for name, v in columns.items()]
+    if len({len(c) for c in texts}) > 1:
         raise RunError(f"columns {', '.join(columns)} differ in length")
     head = [f"# {key}: {' '.join(str(value).split())}" for key, value in (header or {}).items()]
-    names = ",".join(_quoted(name) for name in columns)
-    return "\n".join([*head, names, *(",".join(row) for row in zip(*formatted, strict=True))]) + "\n"
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(zip(*texts, strict=True))
+    return "".join(f"{line}\n" for line in head) + stream.getvalue()
 
 
-def _formatted(name: str, values: NDArray[Any], formats: Mapping[str, str] | str | None) -> list[str]:
+def _cell_texts(name: str, values: NDArray[Any], formats: Mapping[str, str] | str | None) -> list[str]:
     if values.dtype.kind not in "fiub":
-        return [_quoted(str(v)) for v in values]
+        return [str(v) for v in values]
     if np.any(np.isinf(values)):
-        raise RunError(f"column {name} holds an infinite number; nothing was written")
+        raise RunError(f"column {name} contains an infinite number; nothing was written")
     spec = formats if isinstance(formats, str) else (formats or {}).get(name)
     as_text: Callable[[Any], str] = repr if spec is None else lambda v: format(v, spec)
     return ["" if v != v else as_text(v) for v in values.tolist()]
-
-
-def _quoted(text: str) -> str:
-    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text
 
 
 def write_csv(
@@ -253,5 +254,5 @@ def write_csv(
     formats: Mapping[str, str] | str | None = None,
     header: Mapping[str, object] | None = None,
 ) -> None:
-    """Write columns as CSV, whole or not at all; see csv_text."""
+    """Write columns as a CSV file, whole or not at all; arguments and errors as `csv_text`."""
     write_text_atomic(path, csv_text(columns, formats, header))

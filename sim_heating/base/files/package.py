@@ -1,4 +1,4 @@
-"""Files that come with the package: data folders, numeric tables, the version."""
+"""Files installed with the package: data folders, numeric tables, the version."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def package_version() -> str:
 
 
 def data_folders(name: str) -> tuple[Path, Path]:
-    """Where a data folder of the project can be: within an installed package, or next to it in a checkout."""
+    """Possible places of a data folder: within an installed package, or next to the package in a checkout."""
     return PACKAGE / name, PACKAGE.parent / name
 
 

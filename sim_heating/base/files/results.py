@@ -1,4 +1,4 @@
-"""JSON in and out, and a directory that holds either all files of a run or none of them."""
+"""JSON files, and output directories that hold either all files of a run or none of them."""
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ from sim_heating.base.files.text import (
 )
 
 MARKER = ".sim_heating.json"
-"""Name of the list, in an output directory, of the files that this program wrote there."""
-NAME_KEPT = 50
-"""Characters of a directory's name that its temporary one has as well: with more, a long name would be too long."""
+"""File of an output directory that lists the files this program wrote there."""
+PARTIAL_NAME_LENGTH = 50
+"""Characters of a directory's name that its temporary one repeats: all of a long name would exceed the system's
+limit."""
 
 
 def json_text(data: Any) -> str:
@@ -38,12 +39,12 @@ def json_text(data: Any) -> str:
     """
     found = _not_finite(data, "")
     if found:
-        raise RunError(f"{found}, which JSON does not hold; nothing was written")
-    return json.dumps(data, indent=2, default=_plain_or_fail, allow_nan=False, ensure_ascii=False) + "\n"
+        raise RunError(f"{found}, which JSON cannot represent; nothing was written")
+    return json.dumps(data, indent=2, default=_to_builtin, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def write_json(path: str | os.PathLike[str], data: Any) -> None:
-    """Write data as JSON, whole or not at all; NaN is refused, None is null."""
+    """Write data as JSON, whole or not at all; NaN is an error, None becomes null."""
     write_text_atomic(path, json_text(data))
 
 
@@ -54,7 +55,7 @@ def read_json(path: str | os.PathLike[str]) -> dict[str, Any]:
     """
     text, name = read_text(path), display_path(path)
     try:
-        data = json.loads(text, parse_constant=_no_constant)
+        data = json.loads(text, parse_constant=_refuse_constant)
     except json.JSONDecodeError as error:
         at_end = error.pos >= len(text.rstrip()) or error.msg.startswith("Unterminated string")
         cut = "; the file may have been cut off" if at_end else ""
@@ -64,24 +65,24 @@ def read_json(path: str | os.PathLike[str]) -> dict[str, Any]:
     except ValueError as error:
         raise InputError(f"{name}: {error}") from None
     if not isinstance(data, dict):
-        raise InputError(f"{name}: holds {abbreviated(data)}; it must be an object {{...}}")
+        raise InputError(f"{name}: contains {abbreviated(data)}; it must be an object {{...}}")
     return data
 
 
-def _no_constant(name: str) -> float:
-    raise ValueError(f"holds {name}, which is not a number in JSON")
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"contains {name}, which is not a JSON number")
 
 
-def _plain_or_fail(value: Any) -> Any:
+def _to_builtin(value: Any) -> Any:
     if isinstance(value, (np.ndarray, np.generic)):
         return value.tolist()
     if isinstance(value, Path):
         return str(value)
-    raise TypeError(f"{type(value).__name__} has no form in JSON")
+    raise TypeError(f"{type(value).__name__} cannot be represented in JSON")
 
 
 def _not_finite(value: Any, place: str) -> str | None:
-    """`place is nan` of the first number that is not finite."""
+    """`place is nan` for the first number that is not finite, or None."""
     value = as_builtin(value)
     if isinstance(value, float) and not math.isfinite(value):
         return f"{place.lstrip('.') or 'the value'} is {value}"
@@ -99,12 +100,13 @@ def output_directory(path: str | os.PathLike[str], expected: Sequence[str] = ())
         with output_directory("out") as folder:
             write_csv(folder / "temperatures.csv", ...)
 
-    A new directory is made aside and renamed. In one that exists by then, the files of an earlier run of this program
-    (listed in its `.sim_heating.json`) are replaced and files of other origin stay untouched; where a result
-    would overwrite such a file, nothing is done.
-    expected : names of files that there may be: a foreign one of such a name is told before the work
-    raises   : InputError before the work where the place cannot be used, and after it where a foreign file is in the
-               way
+    A new directory is built under a temporary name and renamed. In an existing one, the files of an earlier run of this
+    program (listed in its `.sim_heating.json`) are replaced and other files stay untouched; where a result would
+    overwrite one of those, nothing is written.
+
+    expected : names of the results; other people's files of these names are reported before the work begins
+    raises   : InputError before the work where the place cannot be used, and after it where a result would overwrite a
+               file that this program did not write
     """
     target = Path(os.path.abspath(path))
     _refuse_foreign(target, expected)
@@ -126,7 +128,10 @@ def output_directory(path: str | os.PathLike[str], expected: Sequence[str] = ())
 
 
 def require_writable(path: str | os.PathLike[str], expected: Sequence[str] = ()) -> None:
-    """Make sure, before any work, that `output_directory` could put results of these names there; nothing is left."""
+    """Check before any work that `output_directory` could write results of these names; leaves nothing behind.
+
+    raises : InputError as `output_directory` does before the work
+    """
     target = Path(os.path.abspath(path))
     _refuse_foreign(target, expected)
     partial, new_parents = _make_partial(target, display_path(path))
@@ -135,15 +140,17 @@ def require_writable(path: str | os.PathLike[str], expected: Sequence[str] = ())
 
 
 def _remove_empty(directories: Sequence[Path]) -> None:
-    """Remove directories, the innermost first, as far as nothing is in them."""
+    """Remove directories, innermost first, as far as they are empty."""
     with suppress(OSError):
         for directory in directories:
             directory.rmdir()
 
 
 def _make_partial(target: Path, name: str) -> tuple[Path, list[Path]]:
-    """A temporary directory on the same file system: inside the target where it exists, else beside it; and which
-    directories above the target there were not."""
+    """A temporary directory on the same file system, and the parents of the target that had to be created.
+
+    It is inside the target where that exists, else next to it.
+    """
     try:
         new_parents = [p for p in target.parents if not p.exists()]
         inside = target.is_dir()
@@ -151,18 +158,18 @@ def _make_partial(target: Path, name: str) -> tuple[Path, list[Path]]:
             raise InputError(f"{name}: is a file; name a directory for the results")
         if not inside:
             target.parent.mkdir(parents=True, exist_ok=True)
-        prefix = f".{target.name[:NAME_KEPT]}.partial-"
+        prefix = f".{target.name[:PARTIAL_NAME_LENGTH]}.partial-"
         partial = Path(tempfile.mkdtemp(prefix=prefix, dir=target if inside else target.parent))
         partial.chmod(0o777 & ~umask())
     except OSError as error:
         raise InputError(
-            f"{name}: results cannot be written there ({os_error_reason(error)}); choose another place"
+            f"{name}: results cannot be written ({os_error_reason(error)}); choose another place"
         ) from None
     return partial, new_parents
 
 
 def files_written(directory: str | os.PathLike[str]) -> set[str]:
-    """Names of the files in a directory that this program wrote there, by its own list; empty where there is none."""
+    """Names of the files that this program wrote to a directory, from its own list; empty without a list."""
     try:
         listed = json.loads((Path(directory) / MARKER).read_text(encoding="utf-8"))["files"]
     except (OSError, ValueError, KeyError, TypeError):
@@ -171,7 +178,7 @@ def files_written(directory: str | os.PathLike[str]) -> set[str]:
 
 
 def _refuse_foreign(target: Path, names: Sequence[str]) -> None:
-    """raises : InputError where a file of such a name is there that this program did not write"""
+    """raises : InputError where a file of one of these names exists that this program did not write"""
     ours = files_written(target)
     foreign = [n for n in names if n not in ours and os.path.exists(target / n)]
     if foreign:
@@ -182,7 +189,7 @@ def _refuse_foreign(target: Path, names: Sequence[str]) -> None:
 
 
 def _merge(partial: Path, target: Path, names: Sequence[str]) -> None:
-    """Put finished files into an existing directory in place of an earlier run's; undone where it fails half-way."""
+    """Move finished files into an existing directory in place of an earlier run's; undone if it fails half-way."""
     _refuse_foreign(target, names)
     ours = files_written(target)
     backup = Path(tempfile.mkdtemp(prefix=".replaced-", dir=partial))

@@ -1,4 +1,4 @@
-"""Text files in and out, and how a message names things: files, nearest names, values."""
+"""Text files read and written whole, and the wording of messages: paths, similar names, values."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sim_heating.base.errors import InputError
 
 
 def display_path(path: str | os.PathLike[str]) -> str:
-    """A path as a message names it: relative where it lies below the working directory, else as given."""
+    """A path for a message: relative where it lies below the working directory, else as given."""
     try:
         return str(Path(path).resolve().relative_to(Path.cwd()))
     except (ValueError, OSError):
@@ -24,7 +24,10 @@ def display_path(path: str | os.PathLike[str]) -> str:
 
 
 def nearest_name(name: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
-    """The known name closest to a wrong one, whatever its case, or None where none is close."""
+    """The known name most similar to a wrong one, ignoring case, or None where none is similar.
+
+    cutoff : least similarity, 0 to 1 (difflib)
+    """
     by_lower = {k.lower(): k for k in known}
     found = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=cutoff)
     return by_lower[found[0]] if found else None
@@ -55,7 +58,7 @@ def raise_problems(problems: Sequence[str]) -> None:
 
 
 def one_line(text: str) -> str:
-    """A message with what does not print (a line break in a key, say) written as its escape."""
+    """A message with characters that do not print (such as a line break in a key) replaced by their escapes."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
@@ -68,7 +71,7 @@ def read_text(path: str | os.PathLike[str]) -> str:
     try:
         raw = Path(path).read_bytes()
     except FileNotFoundError:
-        raise InputError(f"{name}: there is no such file{_neighbour(Path(path))}") from None
+        raise InputError(f"{name}: there is no such file{_similar_file(Path(path))}") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{name}: cannot be read ({os_error_reason(error)}); give a text file") from None
     if not raw.strip():
@@ -84,12 +87,12 @@ def read_text(path: str | os.PathLike[str]) -> str:
 
 
 def raw_text(path: str | os.PathLike[str]) -> str:
-    """The text of a file with its line ends and byte-order mark as they are; raises as `read_text`."""
+    """The text of a file with its line ends and byte-order mark unchanged; raises as `read_text`."""
     read_text(path)
     return Path(path).read_bytes().decode("utf-8")
 
 
-def _neighbour(path: Path) -> str:
+def _similar_file(path: Path) -> str:
     try:
         near = nearest_name(path.name, sorted(p.name for p in path.parent.iterdir()), cutoff=0.7)
     except OSError:
@@ -98,23 +101,23 @@ def _neighbour(path: Path) -> str:
 
 
 def os_error_reason(error: Exception) -> str:
-    """Why a file could not be used, in the system's own words."""
+    """Reason of a failed file operation, as the operating system words it."""
     return getattr(error, "strerror", None) or str(error)
 
 
 def abbreviated(value: Any) -> str:
-    """A value as a message shows it: on one line, cut after 60 characters."""
+    """A value for a message: on one line, cut after 60 characters."""
     text = json.dumps(value, default=str, ensure_ascii=False)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 def as_builtin(value: Any) -> Any:
-    """numpy scalars and arrays as Python's own."""
+    """numpy scalars and arrays as Python numbers and lists; other values unchanged."""
     return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
 
 
 def write_text_atomic(path: str | os.PathLike[str], text: str) -> None:
-    """Write a text file so that it is either there whole or not at all; missing parent directories are made.
+    """Write a text file whole or not at all; missing parent directories are created.
 
     raises : InputError where the place cannot be written
     """
@@ -122,7 +125,7 @@ def write_text_atomic(path: str | os.PathLike[str], text: str) -> None:
 
 
 def write_bytes_atomic(path: str | os.PathLike[str], data: bytes) -> None:
-    """The same for a file of bytes."""
+    """Write a file of bytes whole or not at all; raises as `write_text_atomic`."""
     target = Path(path)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -145,7 +148,7 @@ def write_bytes_atomic(path: str | os.PathLike[str], data: bytes) -> None:
 
 
 def umask() -> int:
-    """The process's file mode mask, which can only be read by setting it."""
+    """File mode mask of the process, which can only be read by setting it."""
     mask = os.umask(0)
     os.umask(mask)
     return mask

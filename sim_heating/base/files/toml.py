@@ -1,17 +1,21 @@
-"""TOML read into pydantic models, with every problem told by file, table, key, value and rule; and written back."""
+"""TOML files read into pydantic models, with every problem located by file, table, key and value; and TOML output.
+
+Three bases of models share these messages: `Declared` refuses conversions and unknown keys, `Convertible` allows
+conversions without loss, `Extensible` keeps unknown keys.
+"""
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import re
 import tomllib
 import types
 import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
+import tomlkit
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from sim_heating.base.errors import InputError, RunError
@@ -47,7 +51,7 @@ class Extensible(Declared):
 
 
 class LocatedError(ValueError):
-    """What a validator of a `Declared` raises where a problem has a place of its own below the validated value.
+    """Raised by a validator of a `Declared` where a problem has a location below the validated value.
 
     problems : (location, text), the location relative to the validated value, e.g. (("layer", 2, "material"), "...")
     """
@@ -87,61 +91,65 @@ def _toml_syntax(name: str, text: str, message: str) -> str:
 
 
 def check(data: Any, model: type[M], where: str) -> M:
-    """A pydantic model of plain data, with every problem told as in a file named `where`.
+    """A pydantic model of plain data, with problems reported as in a file named `where`.
 
     raises : InputError, all problems at once
     """
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        # An unknown key is often the reason why another is missing, so it is told first. In a file of another format
-        # every key is wrong, and that alone is told.
+        # An unknown key is often the reason why another is missing, so it comes first. In a file of another format
+        # every key is wrong, so the format alone is reported.
         found = error.errors(include_url=False)
         other_format = [e for e in found if e["loc"] == ("format",) and e["type"] != "missing"]
-        errors = other_format or _branches_told_once(sorted(found, key=lambda e: e["type"] != "extra_forbidden"), data)
-        problems = [p for e in errors for p in _problems_of(e, data, model, where)]
+        errors = other_format or _one_error_per_union(sorted(found, key=lambda e: e["type"] != "extra_forbidden"), data)
+        problems = [p for e in errors for p in _error_lines(e, data, model, where)]
         raise InputError(*dict.fromkeys(one_line(p) for p in problems)) from None
     except RecursionError:
         raise InputError(f"{where}: tables or lists are nested too deeply") from None
 
 
-def _branches_told_once(errors: Sequence[Any], data: Any) -> list[Any]:
-    """Of a value that is of no branch of a union: what is wrong within the branch that it is meant for, else one error
-    that names all the kinds that it may be."""
-    places = [_in_data(tuple(e["loc"]), data, keep_last=e["type"] == "missing") for e in errors]
+def _one_error_per_union(errors: Sequence[Any], data: Any) -> list[Any]:
+    """Errors with those of a union reduced to one value: the errors within the intended branch, else a single error
+    that lists all types that the union accepts."""
+    places = [_data_location(tuple(e["loc"]), data, keep_last=e["type"] == "missing") for e in errors]
     meant = {place[:k] for place in places for k in range(len(place))}
-    meant |= {place for error, place in zip(errors, places, strict=True) if not _of_another_kind(error)}
+    meant |= {place for error, place in zip(errors, places, strict=True) if not _is_type_error(error)}
     kept: list[Any] = []
     kinds: dict[Location, list[str]] = {}
     for error, place in zip(errors, places, strict=True):
-        if not _of_another_kind(error):
+        if not _is_type_error(error):
             kept.append(error)
         elif place not in meant:
             if place not in kinds:
                 kept.append(error | {"kinds": kinds.setdefault(place, [])})
-            kinds[place].append(_EXPECTED.get(error["type"], "one of its words"))
+            kinds[place].append(_TYPE_NAMES.get(error["type"], "one of the allowed texts"))
     return kept
 
 
-def _of_another_kind(error: Any) -> bool:
-    """Whether a value is no text, number, table or whatever else it should be."""
+def _is_type_error(error: Any) -> bool:
+    """Whether a value has the wrong type: not a text, number or table where one is required."""
     if error["type"] == "literal_error":
         return isinstance(error["input"], (dict, list))
-    return error["type"] in _EXPECTED and error["type"] != "finite_number"
+    return error["type"] in _TYPE_NAMES and error["type"] != "finite_number"
 
 
-def _problems_of(error: Any, data: Any, model: type[BaseModel], where: str) -> list[str]:
+def _error_lines(error: Any, data: Any, model: type[BaseModel], where: str) -> list[str]:
     """The lines for one pydantic error; a LocatedError from a validator may hold several."""
     located = error.get("ctx", {}).get("error")
     if isinstance(located, LocatedError):
         places = [(tuple(error["loc"]) + loc, text) for loc, text in located.problems]
-        return [_line(_in_data(loc, data), data, where, text) for loc, text in places]
-    loc = _in_data(tuple(error["loc"]), data, keep_last=error["type"] == "missing")
-    return [_line(loc, data, where, _rule(error, loc, model), named=error["type"] in ("missing", "extra_forbidden"))]
+        return [_problem_line(_data_location(loc, data), data, where, text) for loc, text in places]
+    loc = _data_location(tuple(error["loc"]), data, keep_last=error["type"] == "missing")
+    return [
+        _problem_line(
+            loc, data, where, _error_rule(error, loc, model), named=error["type"] in ("missing", "extra_forbidden")
+        )
+    ]
 
 
-def _in_data(loc: Location, data: Any, keep_last: bool = False) -> Location:
-    """A pydantic location without the tags that it adds for the branches of a union."""
+def _data_location(loc: Location, data: Any, keep_last: bool = False) -> Location:
+    """A pydantic location without the tags that pydantic adds for the branches of a union."""
     kept: list[str | int] = []
     for i, part in enumerate(loc):
         is_last = keep_last and i == len(loc) - 1
@@ -154,21 +162,21 @@ def _in_data(loc: Location, data: Any, keep_last: bool = False) -> Location:
     return tuple(kept)
 
 
-def _line(loc: Location, data: Any, where: str, rule: str, named: bool = False) -> str:
+def _problem_line(loc: Location, data: Any, where: str, rule: str, named: bool = False) -> str:
     """`file, [table] 2, row 3: rule`; `named` where the rule itself names the last key."""
-    table, key, rows = _place(loc, data)
+    table, key, rows = _split_location(loc, data)
     if named:
-        return f"{_join(where, table)}: {rule}"
+        return f"{_join_place(where, table)}: {rule}"
     if key is None:
-        return f"{_join(where, table)}{rows}: {rule}"
-    return f"{_join(where, table)}: `{key}`{rows}: {rule}"
+        return f"{_join_place(where, table)}{rows}: {rule}"
+    return f"{_join_place(where, table)}: `{key}`{rows}: {rule}"
 
 
-def _join(where: str, table: str) -> str:
+def _join_place(where: str, table: str) -> str:
     return f"{where}, {table}" if table else where
 
 
-def _place(loc: Location, data: Any) -> tuple[str, str | None, str]:
+def _split_location(loc: Location, data: Any) -> tuple[str, str | None, str]:
     """Split a location into table `[a.b] 2`, key, and `, row i, item j` inside the key's value."""
     table: list[str] = []
     count, node = "", data
@@ -179,12 +187,12 @@ def _place(loc: Location, data: Any) -> tuple[str, str | None, str]:
         elif _leads_to_table(value, loc[i + 1 :]):
             table.append(part)
         else:
-            return _bracketed(table, count), part, _rows(loc[i + 1 :])
+            return _table_header(table, count), part, _row_text(loc[i + 1 :])
         node = value
-    return _bracketed(table, count), None, ""
+    return _table_header(table, count), None, ""
 
 
-def _bracketed(table: list[str], count: str) -> str:
+def _table_header(table: list[str], count: str) -> str:
     return f"[{'.'.join(table)}]{count}" if table else ""
 
 
@@ -201,12 +209,12 @@ def _child(node: Any, part: str | int) -> Any:
     return node[part] if isinstance(node, (list, tuple)) and isinstance(part, int) and part < len(node) else None
 
 
-def _rows(parts: Sequence[str | int]) -> str:
+def _row_text(parts: Sequence[str | int]) -> str:
     words = ("row", "item", "part")
     return "".join(f", {word} {int(p) + 1}" for word, p in zip(words, parts, strict=False) if isinstance(p, int))
 
 
-_EXPECTED = {
+_TYPE_NAMES = {
     "float_type": "a number",
     "float_parsing": "a number",
     "finite_number": "a finite number",
@@ -221,7 +229,7 @@ _EXPECTED = {
     "model_attributes_type": "a table",
 }
 
-_COMPARED = {
+_BOUNDS = {
     "greater_than": ("gt", "must be above"),
     "greater_than_equal": ("ge", "must not be below"),
     "less_than": ("lt", "must be below"),
@@ -229,37 +237,38 @@ _COMPARED = {
 }
 
 
-def _rule(error: Any, loc: Location, model: type[BaseModel]) -> str:
-    """What is wrong with a value and what to do, from pydantic's error type."""
+def _error_rule(error: Any, loc: Location, model: type[BaseModel]) -> str:
+    """The rule that a value violates, from pydantic's error type."""
     kind, value, ctx = error["type"], error["input"], error.get("ctx", {})
     key = str(loc[-1]) if loc else ""
     if kind == "extra_forbidden":
         return f"unknown key `{key}`{suggestion(key, known_keys(model, loc[:-1]))}"
-    told = _description(model, loc)
+    description = _description(model, loc)
     if kind == "missing":
-        return f"key `{key}` is missing{_told(told)}"
-    if "kinds" in error or kind in _EXPECTED:
-        *others, last = dict.fromkeys(error.get("kinds") or [_EXPECTED[kind]])
-        return f"{abbreviated(value)} is not {', '.join(others) + ' or ' if others else ''}{last}{_told(told)}"
-    if kind in _COMPARED:
-        name, words = _COMPARED[kind]
-        return f"{abbreviated(value)} {words} {ctx[name]:g}{_told(told)}"
+        return f"key `{key}` is missing{_in_parentheses(description)}"
+    if "kinds" in error or kind in _TYPE_NAMES:
+        *others, last = dict.fromkeys(error.get("kinds") or [_TYPE_NAMES[kind]])
+        kinds = f"{', '.join(others)} or {last}" if others else last
+        return f"{abbreviated(value)} is not {kinds}{_in_parentheses(description)}"
+    if kind in _BOUNDS:
+        name, words = _BOUNDS[kind]
+        return f"{abbreviated(value)} {words} {ctx[name]:g}{_in_parentheses(description)}"
     if kind in ("union_tag_invalid", "union_tag_not_found") and "discriminator" in ctx:
         return _tag_rule(ctx, value)
     if kind == "string_pattern_mismatch":
-        return f"{abbreviated(value)} is not {told or ctx['pattern']}"
+        return f"{abbreviated(value)} is not {description or ctx['pattern']}"
     if kind == "literal_error":
         return _choice_rule(value, re.findall(r"'([^']*)'", ctx["expected"]))
     if kind in ("too_short", "too_long"):
         limit = ctx.get("min_length", ctx.get("max_length"))
         words = "at least" if kind == "too_short" else "at most"
-        return f"has {ctx['actual_length']} values, takes {words} {limit}{_told(told)}"
+        return f"has {ctx['actual_length']} values, takes {words} {limit}{_in_parentheses(description)}"
     text = str(ctx["error"]) if "error" in ctx else error["msg"]
-    return f"{text}{_told(told)}" if kind != "value_error" else text
+    return f"{text}{_in_parentheses(description)}" if kind != "value_error" else text
 
 
 def _tag_rule(ctx: Any, table: Any) -> str:
-    """What is wrong with the key that says which of several tables one is."""
+    """The rule for the key that selects one of several kinds of table."""
     key = ctx["discriminator"].strip("'")
     if "tag" not in ctx:
         return f"key `{key}` is missing"
@@ -271,12 +280,12 @@ def _choice_rule(value: Any, choices: Sequence[str]) -> str:
     return f"{abbreviated(value)} is not one of {', '.join(choices)}{suggestion(str(value), choices, otherwise='')}"
 
 
-def _told(description: str) -> str:
+def _in_parentheses(description: str) -> str:
     return f" ({description})" if description else ""
 
 
 def known_keys(model: type[BaseModel], loc: Location) -> list[str]:
-    """The keys of the table at a location of a model; of the model itself where the location leads nowhere."""
+    """The keys of the table at a location of a model; none where the location does not exist."""
     found = _models_at(model, loc)
     return list(dict.fromkeys(name for m in found for name in m.model_fields))
 
@@ -296,87 +305,53 @@ def _models_at(model: type[BaseModel], loc: Location) -> list[type[BaseModel]]:
     """The pydantic models that a location may hold (several for a union)."""
     annotations: list[Any] = [model]
     for part in loc:
-        annotations = [new for a in annotations for new in _step(a, part)]
+        annotations = [new for a in annotations for new in _annotations_below(a, part)]
     return [a for a in annotations if isinstance(a, type) and issubclass(a, BaseModel)]
 
 
-def _step(annotation: Any, part: str | int) -> list[Any]:
+def _annotations_below(annotation: Any, part: str | int) -> list[Any]:
     """The annotations one key or index below an annotation, unions opened."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         info = annotation.model_fields.get(str(part))
-        return _open(info.annotation) if info else []
+        return _union_branches(info.annotation) if info else []
     origin, args = typing.get_origin(annotation), typing.get_args(annotation)
     if origin in (dict, Mapping) and isinstance(part, str):
-        return _open(args[1])
+        return _union_branches(args[1])
     if origin in (list, tuple, Sequence) and isinstance(part, int):
-        return _open(args[0])
+        return _union_branches(args[0])
     return []
 
 
-def _open(annotation: Any) -> list[Any]:
+def _union_branches(annotation: Any) -> list[Any]:
     """The branches of a union, Annotated stripped."""
     origin, args = typing.get_origin(annotation), typing.get_args(annotation)
     if origin is typing.Annotated:
-        return _open(args[0])
+        return _union_branches(args[0])
     if origin in (typing.Union, types.UnionType):
-        return [b for a in args for b in _open(a)]
+        return [b for a in args for b in _union_branches(a)]
     return [annotation]
 
 
 def toml_text(data: Mapping[str, Any], comment: str = "") -> str:
-    """Plain data as TOML; None is left out; numbers are written so that they read back equal.
+    """Plain data as TOML; None is omitted; numbers read back equal.
 
-    raises : RunError where a number is not finite or a value has no TOML form
+    comment : lines put before the data, each after `# `
+    raises  : RunError where a number is not finite or a value has no TOML form
     """
     head = "".join(f"# {line}\n" for line in comment.splitlines())
-    return head + "".join(_toml_table(data, ())).lstrip("\n")
+    return head + tomlkit.dumps(_toml_data(data, "")).lstrip("\n")
 
 
-def _toml_table(data: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[str]:
-    """Lines of one table: plain keys first, then sub-tables and arrays of tables."""
-    held = {k: v for k, v in data.items() if v is not None}
-    for key, value in held.items():
-        if not _is_table(value) and not _is_table_list(value):
-            yield f"{_toml_key(key)} = {_toml_value(value, (*path, key))}\n"
-    for key, value in held.items():
-        name = ".".join(_toml_key(p) for p in (*path, key))
-        if _is_table(value):
-            yield f"\n[{name}]\n"
-            yield from _toml_table(value, (*path, key))
-        elif _is_table_list(value):
-            for item in value:
-                yield f"\n[[{name}]]\n"
-                yield from _toml_table(item, (*path, key))
-
-
-def _is_table(value: Any) -> bool:
-    return isinstance(value, Mapping)
-
-
-def _is_table_list(value: Any) -> bool:
-    return isinstance(value, (list, tuple)) and len(value) > 0 and all(isinstance(v, Mapping) for v in value)
-
-
-def _toml_key(key: str) -> str:
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _toml_string(key)
-
-
-def _toml_string(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def _toml_value(value: Any, path: tuple[str, ...]) -> str:
+def _toml_data(value: Any, place: str) -> Any:
+    """A value as tomlkit writes it: Python numbers, texts, lists and dictionaries without None."""
     value = as_builtin(value)
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return _toml_string(value)
-    if isinstance(value, float) and not math.isfinite(value):
-        raise RunError(f"`{'.'.join(path)}` is {value}, which no file of ours holds; nothing was written")
-    if isinstance(value, (int, float)):
-        return repr(value)
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_toml_value(v, path) for v in value) + "]"
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_toml_key(k)} = {_toml_value(v, path)}" for k, v in value.items()) + " }"
-    raise RunError(f"`{'.'.join(path)}`: {type(value).__name__} has no form in TOML")
+        found = {k: v for k, v in value.items() if v is not None}
+        return {k: _toml_data(v, f"{place}.{k}" if place else k) for k, v in found.items()}
+    if isinstance(value, (list, tuple)):
+        return [_toml_data(v, place) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        raise RunError(f"`{place}` is {value}, which is not written to TOML files; nothing was written")
+    if not isinstance(value, (bool, str, int, float)):
+        raise RunError(f"`{place}`: {type(value).__name__} cannot be represented in TOML")
+    return value

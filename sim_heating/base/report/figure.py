@@ -1,4 +1,4 @@
-"""The look of all figures: size, resolution, grid, legends, colours of what is drawn most."""
+"""Common style of all figures: size, resolution, grid, legends, colours of frequent curves."""
 
 from __future__ import annotations
 
@@ -36,13 +36,15 @@ THERMOCOUPLE: dict[str, Any] = {
 
 def new_figure(width: float, height: float, rows: int, columns: int = 1, **keys: Any) -> tuple[Figure, np.ndarray]:
     """A figure of this size in inches and its axes, at least one."""
-    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")  # letters are as wide when it is laid out
+    figure = Figure(
+        figsize=(width, height), dpi=DPI, layout="constrained"
+    )  # the layout measures text at this resolution
     FigureCanvasAgg(figure)
     return figure, np.atleast_1d(figure.subplots(rows, columns, **keys))
 
 
 def save_figure(figure: Figure, path: Path | None, title: str, axes: np.ndarray) -> Figure:
-    """Grid, title and file of every picture; without a path the figure is laid out and returned, not saved."""
+    """Add grid and title, lay out, and write the file; without a path the figure is only returned."""
     add_grid_and_title(figure, title, axes)
     lay_out(figure)
     if path is not None:
@@ -51,7 +53,7 @@ def save_figure(figure: Figure, path: Path | None, title: str, axes: np.ndarray)
 
 
 def lay_out(figure: Figure) -> None:
-    """Place what a figure holds, once and for all: saving it would do so twice, the first time in a drawing for it."""
+    """Run the layout engine once and remove it: saving would run it twice, the first time in a trial drawing."""
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)
@@ -59,7 +61,7 @@ def lay_out(figure: Figure) -> None:
 
 
 def add_grid_and_title(figure: Figure, title: str, axes: np.ndarray) -> None:
-    """Grid and title of every picture."""
+    """Grid of all axes, and the title wrapped to the width of the figure."""
     for a in axes.ravel():
         a.grid(alpha=0.3)
         a.set_axisbelow(True)
@@ -69,5 +71,5 @@ def add_grid_and_title(figure: Figure, title: str, axes: np.ndarray) -> None:
 
 
 def legend_above(axes: Axes) -> None:
-    """A legend in rows above the axes, where it covers nothing that is drawn."""
+    """A legend in rows above the axes, where it covers no curve."""
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=8, frameon=False, borderaxespad=0.1)

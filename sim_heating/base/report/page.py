@@ -2,7 +2,7 @@
 
     write_page(path, Page("Title", "what it is", [Section("Errors", tables=[Table(...)], figures=[...])]))
 
-Nothing is loaded from elsewhere: style and figures are in the file.
+The file is complete: style and figures are embedded, nothing is loaded.
 """
 
 from __future__ import annotations
@@ -25,40 +25,40 @@ from sim_heating.base.report.table import Table
 
 TEMPLATE = "page.html.j2"
 RASTER_DPI = 130
-"""Of what a figure holds as `rasterized`."""
+"""Resolution of the rasterized parts of a figure."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure, what it shows, and that again for those who do not see it."""
+    """A figure with its caption, which is also its alternative text."""
 
     figure: Figure
     caption: str = ""
 
     @property
-    def address(self) -> str:
-        """The figure as a data address: vectors, but for what is drawn as `rasterized`."""
+    def data_url(self) -> str:
+        """The figure as a data URL: vector graphics, except for artists drawn as `rasterized`."""
         buffer = io.BytesIO()
         lay_out(self.figure)
-        with mpl.rc_context({"svg.hashsalt": TEMPLATE}):  # names within the file are the same each time
+        with mpl.rc_context({"svg.hashsalt": TEMPLATE}):  # identifiers in the file are the same in each run
             self.figure.savefig(buffer, format="svg", dpi=RASTER_DPI, metadata={"Date": None})
-        return _data_address("image/svg+xml", buffer.getvalue())
+        return _data_url("image/svg+xml", buffer.getvalue())
 
 
 @dataclass(frozen=True)
 class SavedPicture:
-    """A PNG file, and what it shows."""
+    """A PNG file with its caption."""
 
     path: Path
     caption: str = ""
 
     @property
-    def address(self) -> str:
-        """The file as a data address."""
-        return _data_address("image/png", self.path.read_bytes())
+    def data_url(self) -> str:
+        """The file as a data URL."""
+        return _data_url("image/png", self.path.read_bytes())
 
 
-def _data_address(media: str, content: bytes) -> str:
+def _data_url(media: str, content: bytes) -> str:
     return f"data:{media};base64,{base64.b64encode(content).decode()}"
 
 
@@ -77,9 +77,9 @@ class Section:
 class Page:
     """A report.
 
-    title, subtitle : at its head
-    verdict         : what it comes to, in a few words, and a line below
-    warnings        : what a reader has to know first
+    title, subtitle : its head
+    verdict         : conclusion in a few words, and a line of explanation
+    warnings        : lines shown before the first section
     """
 
     title: str

@@ -6,8 +6,8 @@
         [("V09T9527", 1234.5)],
     )
 
-Values stay values: each writer formats them, the console and pages as a person reads them (`texts`), CSV and JSON as
-programs read them (`columns_by_key`, `records`).
+Rows hold plain values; each writer formats them, for a reader in the console and pages (`texts`), for programs in CSV
+and JSON (`columns_by_key`, `records`).
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from numpy.typing import NDArray
 from sim_heating.base.files.csv_table import csv_text
 
 MISSING = "-"
-"""What a person sees in place of a value that does not exist (None)."""
+"""Text of a missing value (None or NaN)."""
 
 
 @dataclass(frozen=True)
 class Column:
     """One column of a table.
 
-    head    : what a person sees above it
+    head    : heading
     key     : its name in CSV and JSON; the head where not given
     format  : format specification of its numbers, as `.2f`; text and missing values are not formatted
-    unit    : written after each number that a person sees
+    unit    : written after each number in texts
     is_text : left-aligned; numbers are right-aligned
     """
 
@@ -44,7 +44,7 @@ class Column:
     is_text: bool = False
 
     def text(self, value: Any) -> str:
-        """A value as a person sees it."""
+        """A value formatted for a reader."""
         if value is None or (isinstance(value, float) and math.isnan(value)):
             return MISSING
         if isinstance(value, str):
@@ -58,7 +58,7 @@ class Table:
     """Rows of values under columns; a column may be given by its head alone. The first column is text.
 
     title  : what the table shows
-    strong : numbers of the rows that are marked
+    strong : indices of the highlighted rows
     """
 
     title: str
@@ -74,7 +74,7 @@ class Table:
 
     @property
     def texts(self) -> list[list[str]]:
-        """The cells of each row as a person sees them."""
+        """The cells of each row, formatted for a reader."""
         return [[c.text(v) for c, v in zip(self.layout, row, strict=True)] for row in self.rows]
 
     def records(self) -> list[dict[str, Any]]:
