@@ -42,7 +42,7 @@ DEPTHS = (0.0, 0.1, 0.25, 0.5, 1.0)
 NAMES = ("ratio.scale", "ratio.d_alpha", "stack.coating.thickness_factor", "stack.rsi.conductivity_factor")
 NODES, SIGMA_K, NOISE_K2_S, START_SIGMA_K = 14, 1.0, 0.05, 2.0
 PART = slice(300, 601)
-HOLD_AFTER_S = 30.0
+FREEZE_AFTER_S = 30.0
 REPETITIONS, ITERATIONS, ROUNDS, SEED = 32, 5, 5, 20
 DIFFERENCED_STEPS = 30
 
@@ -100,7 +100,7 @@ def tracks(time_s: FloatArray, start_K: FloatArray, truth: FloatArray, rng: np.r
 def altered(track: FilterTrack, how: str, begun_s: float) -> FilterTrack:
     """A repetition with an approximation."""
     if how == "held":
-        return replace(track, hold_after_s=begun_s + HOLD_AFTER_S)
+        return replace(track, freeze_after_s=begun_s + FREEZE_AFTER_S)
     return track if how == "whole" else replace(track, covariance_K2=None, noise_K2_s=0.0)
 
 

@@ -70,6 +70,8 @@ from sim_heating.march.frames import (
     BLOCK_START,
     INTS_END,
     INTS_START,
+    Flights,
+    LaneGroups,
     advance_groups,
     begin_groups,
     march_group,
@@ -77,17 +79,16 @@ from sim_heating.march.frames import (
 from sim_heating.march.point import (
     RUNS_AWAY,
     PointModel,
-    element_densities,
+    elements_of,
     heating_vector,
     initial_temperatures,
-    insulation_layer,
     kernel_effects,
     stack_values,
 )
 from sim_heating.thermal.elements import set_point, set_temperatures
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.stack import Material
-from sim_heating.thermal.step import compiled
+from sim_heating.thermal.step import LaneGroup, compiled
 from sim_heating.thermal.tables import PointTables, TableStore
 
 CONTACT = Material(density_kg_m3=1.0, specific_heat_J_kgK=[[300.0, 1.0]], conductivity_W_mK=[[300.0, 1.0]])
@@ -192,9 +193,7 @@ class Ensemble:
         # Lanes left over repeat the last point, so that they never fail by themselves.
         self.lanes = np.array([group + [group[-1]] * (LANES - len(group)) for group in members]).ravel()
         self.lane_offsets = [LaneOffsets(0, 0, 0, 0)] * len(self.models)
-        self._densities = [
-            element_densities(m.construction, mesh) for m, mesh in zip(self.models, self.meshes, strict=True)
-        ]
+        self._elements = [elements_of(m.construction, mesh) for m, mesh in zip(self.models, self.meshes, strict=True)]
         for g, group in enumerate(members):
             for lane, i in enumerate(group):
                 end = LANES if i == group[-1] else lane + 1
@@ -208,6 +207,15 @@ class Ensemble:
     def integers(self, group: int) -> IntArray:
         """The integers of a lane group: node count, table offsets, effect codes (a view)."""
         return self.ints[self.groups[group, INTS_START] : self.groups[group, INTS_END]]
+
+    def lane_group(self, group: int) -> LaneGroup:
+        """A lane group as compiled time loops take it: views of its block and integers, tables and addresses."""
+        return LaneGroup(self.block(group), self.integers(group), self.table, self.dispatcher, self.advance_address)
+
+    @property
+    def lane_groups(self) -> LaneGroups:
+        """All lane groups as compiled time loops take them."""
+        return LaneGroups(self.state, self.ints, self.table, self.dispatcher, self.advance_address, self.groups)
 
     def _pack_group(self, g: int) -> None:
         J = self.integers(g)
@@ -280,11 +288,9 @@ class Ensemble:
 
         A march then begins with `reset`, `restore` or `set_profile`. Source: docs/equations_thermal_step.md, eq. 8.
         """
-        place, mesh = self.lane_offsets[model], self.meshes[model]
-        set_point(
-            self.block(place.group), self.integers(place.group), place.lane, place.end, mesh.layer, mesh.length_m,
-            self._densities[model], insulation_layer(self.models[model].construction), mesh.bondline, stack, heating,
-        )  # fmt: skip
+        place, elements = self.lane_offsets[model], self._elements[model]
+        B, J = self.block(place.group), self.integers(place.group)
+        set_point(B, J, place.lane, place.end, elements, stack, heating)
 
     # State -----------------------------------------------------------------------------------------------------------
 
@@ -385,7 +391,7 @@ class Ensemble:
         docs/equations_march.md, section 1.
         """
         vectors = self.spread(now)
-        begin_groups(self.state, self.ints, self.table, self.dispatcher, self.advance_address, self.groups, vectors)
+        begin_groups(self.lane_groups, vectors)
 
     def advance(self, then: FloatArray, dt: float) -> None:
         """Advance all points by one frame in one TR-BDF2 step, its conditions linear between the present and the new
@@ -401,9 +407,7 @@ class Ensemble:
         if not 0.0 < dt < np.inf:
             raise InputError(f"advance: dt is {dt:g} s; it must be above 0")
         vectors = self.spread(then)
-        advance_groups(
-            self.state, self.ints, self.table, self.dispatcher, self.advance_address, self.groups, vectors, dt, 1
-        )
+        advance_groups(self.lane_groups, vectors, dt, 1)
 
     def march(
         self,
@@ -471,10 +475,8 @@ class Ensemble:
         Whether the steps converged is found with `check` or `failed`. Source: docs/equations_march.md, equations 1, 2.
         """
         out = np.empty((len(time_s) if len(kept) else 0, len(kept)))
-        march_group(
-            self.block(group), self.integers(group), self.table, self.dispatcher, self.advance_address,
-            time_s, histories, flights, longest_step_s, kept - self.groups[group, BLOCK_START], out,
-        )  # fmt: skip
+        along = Flights(time_s, histories, flights)
+        march_group(self.lane_group(group), along, longest_step_s, kept - self.groups[group, BLOCK_START], out)
         return out
 
     def _check_march(

@@ -5,17 +5,62 @@ Conditions are linear in time between samples: docs/equations_march.md, equation
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.kernels.block import C_STAGES, LANES, N_CONDITIONS
-from sim_heating.base.kernels.jit import call_step, njit, pointer
-from sim_heating.thermal.step import BEGIN, shift_conditions
+from sim_heating.base.kernels.jit import call_step, force_inline, njit, pointer
+from sim_heating.thermal.step import EVALUATE_START, LaneGroup, shift_conditions
 
 BLOCK_START, BLOCK_END, INTS_START, INTS_END = range(4)
 """Columns of the group array: where a group's numbers and integers stand."""
 END_STAGE = C_STAGES * LANES + 2 * LANES * N_CONDITIONS
 """First of a group's condition vectors at the end of a frame."""
+
+
+class LaneGroups(NamedTuple):
+    """All lane groups of an ensemble, as a compiled loop over groups takes them.
+
+    state, ints : blocks and integers of all groups, one after the other
+    table       : property and ratio tables
+    dispatcher, advance : addresses of the compiled effects and of the compiled step, as in LaneGroup
+    groups      : (group, 4) where each begins and ends, BLOCK_START to INTS_END
+    """
+
+    state: FloatArray
+    ints: IntArray
+    table: FloatArray
+    dispatcher: Any
+    advance: Any
+    groups: IntArray
+
+
+class Flights(NamedTuple):
+    """Flights along which the lanes of a group are marched.
+
+    time_s    : (time,) samples [s], common to all flights
+    histories : (flight, time, condition) conditions, in the units of their columns
+    of_lane   : (LANES,) flight of each lane
+    """
+
+    time_s: FloatArray
+    histories: FloatArray
+    of_lane: IntArray
+
+
+@force_inline
+def set_flight_conditions(B: FloatArray, flights: Flights, k: int) -> None:
+    """Write the conditions of sample k of each lane's flight as those at the end of a frame.
+
+    B : block of the lane group, changed;  k : number of the sample
+
+    Source: docs/equations_march.md, equation 1.
+    """
+    for lane in range(LANES):
+        for c in range(N_CONDITIONS):
+            B[END_STAGE + lane * N_CONDITIONS + c] = flights.histories[flights.of_lane[lane], k, c]
 
 
 @njit
@@ -41,80 +86,65 @@ def set_conditions(B: FloatArray, vectors: FloatArray, first: int, share: float)
 
 
 @njit
-def begin_groups(
-    state: FloatArray, ints: IntArray, table: FloatArray, dispatcher, advance, groups: IntArray, now: FloatArray
-) -> None:  # type: ignore[no-untyped-def]
+def begin_groups(all_lanes: LaneGroups, now: FloatArray) -> None:
     """Set the flight conditions at the present time and evaluate heat contents and heat flows [W/m2] with them.
 
-    state, ints : blocks and integers of all lane groups, changed;  groups : (group, 4) where each begins and ends
-    table       : property and ratio tables;  dispatcher, advance : addresses of the compiled effects and step
-    now         : (group * LANES, condition) conditions, in the units of their columns
+    all_lanes : the lane groups, whose blocks change
+    now       : (group * LANES, condition) conditions, in the units of their columns
 
     Time does not advance. Needed at the start and after any change of temperatures or parameters from outside, because
     a step reuses the net heat that the step before left. Derived in docs/equations_march.md, section 1.
     """
+    groups, state, ints = all_lanes.groups, all_lanes.state, all_lanes.ints
     for g in range(len(groups)):
         B = state[groups[g, BLOCK_START] : groups[g, BLOCK_END]]
+        J = ints[groups[g, INTS_START] : groups[g, INTS_END]]
         set_conditions(B, now, g * LANES, 1.0)
-        call_step(
-            advance,
-            pointer(B),
-            pointer(ints[groups[g, INTS_START] : groups[g, INTS_END]]),
-            pointer(table),
-            dispatcher,
-            BEGIN,
-        )
+        b, j, t = pointer(B), pointer(J), pointer(all_lanes.table)
+        call_step(all_lanes.advance, b, j, t, all_lanes.dispatcher, EVALUATE_START)
 
 
 @njit
-def advance_groups(
-    state: FloatArray, ints: IntArray, table: FloatArray, dispatcher, advance, groups: IntArray, then: FloatArray,  # type: ignore[no-untyped-def]
-    dt: float, steps: int,
-) -> None:  # fmt: skip
+def advance_groups(all_lanes: LaneGroups, then: FloatArray, dt: float, steps: int) -> None:
     """Advance all lane groups by one frame of a host, its conditions linear between the present and the new ones.
 
-    state, ints : blocks and integers of all lane groups, changed;  groups : (group, 4) where each begins and ends
-    table       : property and ratio tables;  dispatcher, advance : addresses of the compiled effects and step
-    then        : (group * LANES, condition) conditions at the end of the frame, in the units of their columns
-    dt          : length of the frame [s];  steps : number of equal TR-BDF2 steps in it
+    all_lanes : the lane groups, whose blocks change
+    then      : (group * LANES, condition) conditions at the end of the frame, in the units of their columns
+    dt        : length of the frame [s];  steps : number of equal TR-BDF2 steps in it
 
     A step that does not converge is counted in its lane and raises nothing. Derived in docs/equations_march.md,
     equation 3.
     """
+    groups, state, ints = all_lanes.groups, all_lanes.state, all_lanes.ints
     for g in range(len(groups)):
         B = state[groups[g, BLOCK_START] : groups[g, BLOCK_END]]
-        b, j, t = pointer(B), pointer(ints[groups[g, INTS_START] : groups[g, INTS_END]]), pointer(table)
+        J = ints[groups[g, INTS_START] : groups[g, INTS_END]]
+        b, j, t = pointer(B), pointer(J), pointer(all_lanes.table)
         for s in range(steps):
             shift_conditions(b)
             set_conditions(B, then, g * LANES, 1.0 / (steps - s))
-            call_step(advance, b, j, t, dispatcher, dt / steps)
+            call_step(all_lanes.advance, b, j, t, all_lanes.dispatcher, dt / steps)
 
 
 @njit
-def march_group(
-    B: FloatArray, J: IntArray, table: FloatArray, dispatcher, advance, time_s: FloatArray, histories: FloatArray,  # type: ignore[no-untyped-def]
-    which: IntArray, longest_step_s: float, kept: IntArray, out: FloatArray,
-) -> None:  # fmt: skip
+def march_group(group: LaneGroup, flights: Flights, longest_step_s: float, stored: IntArray, out: FloatArray) -> None:
     """March one lane group through its flights, the conditions linear between samples.
 
-    B, J           : block and integers of the group, changed
-    table          : property and ratio tables;  dispatcher, advance : addresses of the compiled effects and step
-    time_s         : (time,) samples [s];  histories : (flight, time, condition), in the units of their columns
-    which          : (LANES,) flight of each lane
+    group          : the lane group, whose block changes
     longest_step_s : an interval between samples that is longer is divided into equal steps no longer than this [s]
-    kept           : (m,) places in the block whose numbers are stored at every sample
+    stored         : (m,) offsets in the block of the numbers that are stored at every sample
     out            : (time, m) the numbers stored, temperatures [K] for instance; no rows where none are wanted
 
     Derived in docs/equations_march.md, equations 1 and 2.
     """
-    b, j, t = pointer(B), pointer(J), pointer(table)
-    m_kept = len(kept) if len(out) > 0 else 0
-    for lane in range(LANES):
-        for c in range(N_CONDITIONS):
-            B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], 0, c]
-    call_step(advance, b, j, t, dispatcher, BEGIN)
-    for m in range(m_kept):
-        out[0, m] = B[kept[m]]
+    B, advance, dispatcher = group.B, group.advance, group.dispatcher
+    b, j, t = pointer(B), pointer(group.J), pointer(group.table)
+    time_s, histories, of_lane = flights.time_s, flights.histories, flights.of_lane
+    m_stored = len(stored) if len(out) > 0 else 0
+    set_flight_conditions(B, flights, 0)
+    call_step(advance, b, j, t, dispatcher, EVALUATE_START)
+    for m in range(m_stored):
+        out[0, m] = B[stored[m]]
     for k in range(1, len(time_s)):
         span = time_s[k] - time_s[k - 1]
         # Without the 1e-9 an interval that is a multiple of the longest step but for rounding would take a step more.
@@ -125,8 +155,8 @@ def march_group(
             for lane in range(LANES):
                 for c in range(N_CONDITIONS):
                     # The last step takes the sample itself: f (then - now) would leave a rounding error in it.
-                    now, then = histories[which[lane], k - 1, c], histories[which[lane], k, c]
+                    now, then = histories[of_lane[lane], k - 1, c], histories[of_lane[lane], k, c]
                     B[END_STAGE + lane * N_CONDITIONS + c] = then if s == steps else now + f * (then - now)
             call_step(advance, b, j, t, dispatcher, span / steps)
-        for m in range(m_kept):
-            out[k, m] = B[kept[m]]
+        for m in range(m_stored):
+            out[k, m] = B[stored[m]]

@@ -16,33 +16,33 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.kernels.block import D0, GAPS, HEAD_ROWS, LANES, N_CONDITIONS, NODE_ROWS, T_STAGE, T_START, T
-from sim_heating.base.kernels.jit import address_of, call_step, njit, pointer
+from sim_heating.base.kernels.block import D0, GAPS, HEAD_ROWS, LANES, NODE_ROWS, T_STAGE, T_START, T
+from sim_heating.base.kernels.jit import call_step, njit, pointer
 from sim_heating.base.parameters import EFFECT_PREFIX, NONLINEAR, RATIO
 from sim_heating.march.ensemble import Ensemble
-from sim_heating.march.frames import END_STAGE
+from sim_heating.march.frames import Flights, set_flight_conditions
 from sim_heating.march.point import PointModel, initial_temperatures
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.sensitivity import (
-    DEPTH,
-    FACES,
-    ITSELF,
-    NO_PERTURBED_LANES,
-    WHOLE,
+    ACTS_ALONG_GAP,
+    ACTS_AT_FACES,
+    ACTS_IN_ROWS,
+    OWN_PERTURBATION,
     PerturbedGroups,
     PerturbedOffsets,
     assemble_perturbed,
+    assembly_addresses,
     begin_columns,
-    compiled_assembly,
     content_columns,
-    first_star,
+    first_right_hand_side,
     net_columns,
+    no_perturbed_groups,
     parabola,
     parabola_rate,
-    second_star,
+    second_right_hand_side,
     solve_columns,
 )
-from sim_heating.thermal.step import BEGIN, STAGE_WEIGHT, shift_conditions
+from sim_heating.thermal.step import EVALUATE_START, STAGE_WEIGHT, LaneGroup, shift_conditions
 
 PERTURBATION = 1e-5
 """Perturbation, over its scale, of a parameter in which the heat balance is not affine, to either side: curvature
@@ -209,14 +209,14 @@ class LinearMarch:
         self.nominal = Ensemble([t.model for t in self.tracks], [t.mesh for t in self.tracks])
         self._lanes = [lane for i, track in enumerate(self.tracks) for lane in _perturbed_lanes(i, track)]
         self.perturbed = self._ensemble() if self._lanes else None
-        self.rows, self.faces = (address_of(f) for f in compiled_assembly())
-        self._kept_places: dict[tuple[int, int], PerturbedOffsets] = {}
+        self._cached_offsets: dict[tuple[int, int], PerturbedOffsets] = {}
         self._lane_of = np.array([p.lane for p in self.nominal.lane_offsets])
-        self._nodes, self._flights = np.zeros((2, LANES), dtype=np.int64)
+        self._nodes, flights = np.zeros((2, LANES), dtype=np.int64)
         for i, track in enumerate(self.tracks):
             self._nodes[self._lane_of[i]] = track.mesh.nodes
         for lane, i in enumerate(self.nominal.lanes):
-            self._flights[lane] = self.tracks[i].flight
+            flights[lane] = self.tracks[i].flight
+        self._flights = Flights(self.time_s, self.histories, flights)
 
     def _ensemble(self) -> Ensemble:
         """Ensemble of the perturbed lanes, those that need whole rows first.
@@ -236,24 +236,25 @@ class LinearMarch:
         """The perturbed lanes as the kernel takes them."""
         e = self.perturbed
         if e is None:
-            return NO_PERTURBED_LANES
+            return no_perturbed_groups()
         owner = np.array([perturbed.track for perturbed in self._lanes])
         whole = {
             place.group for place, perturbed in zip(e.lane_offsets, self._lanes, strict=True) if not perturbed.at_faces
         }
-        return PerturbedGroups(e.ints, e.groups, len(whole), self._lane_of[owner][e.lanes].astype(np.int64))
+        source = self._lane_of[owner][e.lanes].astype(np.int64)
+        return PerturbedGroups(e.ints, e.groups, len(whole), source, *assembly_addresses())
 
-    def _places(self, m: int) -> PerturbedOffsets:
+    def _offsets(self, m: int) -> PerturbedOffsets:
         """Where the perturbed lanes of each track stand, m columns to a lane."""
-        faces = DEPTH if self.nominal.integers(0)[GAPS] == 1 else FACES
-        if (m, faces) not in self._kept_places:
-            self._kept_places[m, faces] = self._find_places(m, faces)
-        return self._kept_places[m, faces]
+        faces = ACTS_ALONG_GAP if self.nominal.integers(0)[GAPS] == 1 else ACTS_AT_FACES
+        if (m, faces) not in self._cached_offsets:
+            self._cached_offsets[m, faces] = self._find_offsets(m, faces)
+        return self._cached_offsets[m, faces]
 
-    def _find_places(self, m: int, faces: int) -> PerturbedOffsets:
+    def _find_offsets(self, m: int, faces: int) -> PerturbedOffsets:
         at, inverse = np.zeros(LANES, dtype=np.int64), np.zeros((LANES, m))
         plus, minus, reach = np.zeros((3, LANES, m), dtype=np.int64)
-        linear = np.full((LANES, m), ITSELF)
+        linear = np.full((LANES, m), OWN_PERTURBATION)
         stand = () if self.perturbed is None else self.perturbed.lane_offsets
         for perturbed, place in zip(self._lanes, stand, strict=True):
             lane, columns, first = self._lane_of[perturbed.track], list(perturbed.columns), place.node_0
@@ -264,7 +265,7 @@ class LinearMarch:
                 minus[lane, columns] = first
             else:
                 plus[lane, columns], inverse[lane, columns] = first, (0.5 if perturbed.both else 1.0) / perturbed.by
-                reach[lane, columns] = faces if perturbed.at_faces else WHOLE
+                reach[lane, columns] = faces if perturbed.at_faces else ACTS_IN_ROWS
                 if perturbed.name == RATIO_ITSELF:
                     linear[lane, columns] = [LINEAR_RATIO[self.tracks[perturbed.track].names[k]] for k in columns]
         return PerturbedOffsets(at, plus, minus, inverse, reach, linear, self._nodes)
@@ -328,13 +329,13 @@ class LinearMarch:
         wanted = self._wanted(times)
         reads, count = wanted.nodes.shape[1], wanted.time_s.shape[1]
         out = np.empty((len(self.tracks), reads, count, 2 + m))
-        march_linear(  # type: ignore[call-arg]
-            self.nominal.block(0), self.nominal.integers(0), (self.perturbed or self.nominal).table,
-            self.nominal.dispatcher,
-            self.nominal.advance_address, self.rows, self.faces,
-            self._perturbed_state(), self._groups, self._places(m),
-            self.time_s, self.histories, self._flights, self._start(m), wanted, out,
-        )  # fmt: skip
+        group = self.nominal.lane_group(0)
+        if self.perturbed is not None:
+            # Its tables are those of the nominal lanes and of the perturbed ratios behind them.
+            group = group._replace(table=self.perturbed.table)
+        march_linear(
+            group, self._perturbed_state(), self._groups, self._offsets(m), self._flights, self._start(m), wanted, out
+        )
         failed = self.nominal.failed()
         return [None if failed[i] else self._result(i, out) for i in range(len(self.tracks))]
 
@@ -390,11 +391,18 @@ def initial_profile(track: Track) -> FloatArray:
     return initial_temperatures(track.model.construction, track.mesh)
 
 
+class Columns(NamedTuple):
+    """Sensitivities of the node temperatures of a lane in one step, each (node, parameter) [K over its unit]."""
+
+    start: FloatArray
+    middle: FloatArray
+    end: FloatArray
+
+
 @njit
 def _read_samples(
-    B: FloatArray, lane: int, begun_s: float, dt: float, S_start: FloatArray, S_stage: FloatArray, S: FloatArray,
-    wanted: Wanted, first: int, out: FloatArray,
-) -> int:  # fmt: skip
+    B: FloatArray, lane: int, begun_s: float, dt: float, S: Columns, wanted: Wanted, first: int, out: FloatArray
+) -> int:
     """Temperatures, rates and sensitivities at the samples of a lane in one step; returns the next sample's number."""
     k, m = first, wanted.columns[lane]
     while k < wanted.samples[lane] and wanted.time_s[lane, k] <= begun_s + dt:
@@ -408,34 +416,33 @@ def _read_samples(
             out[j, k, 0] = w0 * T0 + w1 * T1 + w2 * T2
             out[j, k, 1] = d0 * T0 + d1 * T1 + d2 * T2
             for q in range(m):
-                out[j, k, 2 + q] = w0 * S_start[i, q] + w1 * S_stage[i, q] + w2 * S[i, q]
+                out[j, k, 2 + q] = w0 * S.start[i, q] + w1 * S.middle[i, q] + w2 * S.end[i, q]
         k += 1
     return k
 
 
 @njit
 def march_linear(
-    B: FloatArray, J: IntArray, table: FloatArray, dispatcher, advance, rows, faces,  # type: ignore[no-untyped-def]
-    X: FloatArray, perturbed: PerturbedGroups, p: PerturbedOffsets,
-    time_s: FloatArray, histories: FloatArray, which: IntArray, start: FloatArray, wanted: Wanted, out: FloatArray,
+    group: LaneGroup, X: FloatArray, perturbed: PerturbedGroups, offsets: PerturbedOffsets, flights: Flights,
+    start: FloatArray, wanted: Wanted, out: FloatArray,
 ) -> None:  # fmt: skip
     """March one lane group with the sensitivities of its lanes.
 
         A1 S1 = e + d dt f - G_p,    A2 S2 = e + (w/d) (e1 - e) - G_p
 
-    B, J, table     : block and integers of the nominal lanes, which change; property and ratio tables
-    dispatcher, advance     : addresses of the compiled effects and step;  rows, faces : of the assembly of whole
-                      rows, and of the heat at the faces alone
-    X, perturbed, p   : blocks of the perturbed lanes, their groups, and where those of each lane stand
-    time_s          : (time,) steps [s];  histories : (flight, time, condition);  which : (LANES,) flight of each lane
-    start           : (LANES, node, m) sensitivities of the temperatures at the start [K over the parameter's unit]
-    wanted          : samples and nodes
-    out             : (LANES, node read, sample, 2 + m) temperature [K], rate [K/s], sensitivities; filled
+    group              : the nominal lanes, whose block changes, with tables that serve the perturbed lanes as well
+    X                  : blocks of the perturbed lanes, changed
+    perturbed, offsets : groups of the perturbed lanes, and where those of each nominal lane are
+    flights            : steps of the march and conditions
+    start              : (LANES, node, m) sensitivities of the temperatures at the start [K over the parameter's unit]
+    wanted             : samples and nodes
+    out                : (LANES, node read, sample, 2 + m) temperature [K], rate [K/s], sensitivities; filled
 
     A lane that fails leaves numbers that are not finite in its own part of `out`. Derived in docs/equations_march.md,
     equations 4 to 8.
     """
-    b, j, t = pointer(B), pointer(J), pointer(table)
+    B, time_s = group.B, flights.time_s
+    b, j, t = pointer(B), pointer(group.J), pointer(group.table)
     n, m = start.shape[1], start.shape[2]
     S, S_stage, S_start = start.copy(), np.zeros((LANES, n, m)), start.copy()
     # e and f are carried from step to step: the end of one is the start of the next, as for the temperatures.
@@ -443,39 +450,34 @@ def march_linear(
     star, middle = np.zeros((LANES, n, m)), np.zeros((LANES, n, m))
     reduced = np.zeros(n)
     next_sample = np.zeros(LANES, dtype=np.int64)
-    for lane in range(LANES):
-        for c in range(N_CONDITIONS):
-            B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], 0, c]
-    call_step(advance, b, j, t, dispatcher, BEGIN)
+    set_flight_conditions(B, flights, 0)
+    call_step(group.advance, b, j, t, group.dispatcher, EVALUATE_START)
     # With 1 s for the time step the rows give f as the difference of content and residual.
-    assemble_perturbed(B, X, perturbed, table, dispatcher, rows, faces, T, 2, 1.0)
+    assemble_perturbed(group, X, perturbed, T, 2, 1.0)
     for lane in range(LANES):
         if wanted.columns[lane] > 0:
-            begin_columns(X, p, lane, m, S[lane], e[lane], f[lane])
+            begin_columns(X, offsets, lane, m, S[lane], e[lane], f[lane])
     for k in range(1, len(time_s)):
         dt = time_s[k] - time_s[k - 1]
         shift_conditions(b)
-        for lane in range(LANES):
-            for c in range(N_CONDITIONS):
-                B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], k, c]
-        call_step(advance, b, j, t, dispatcher, dt)
+        set_flight_conditions(B, flights, k)
+        call_step(group.advance, b, j, t, group.dispatcher, dt)
         ddt = STAGE_WEIGHT * dt
         # Nominal temperatures first: the perturbed lanes are assembled at the stages to which the step converged.
-        assemble_perturbed(B, X, perturbed, table, dispatcher, rows, faces, T_STAGE, 1, ddt)
+        assemble_perturbed(group, X, perturbed, T_STAGE, 1, ddt)
         for lane in range(LANES):
             if wanted.columns[lane] > 0:
                 S_start[lane] = S[lane]
-                first_star(e[lane], f[lane], dt, star[lane])
-                solve_columns(X, p, lane, m, ddt, star[lane], S_stage[lane], reduced)
-                content_columns(X, p, lane, m, S_stage[lane], middle[lane])
-        assemble_perturbed(B, X, perturbed, table, dispatcher, rows, faces, T, 2, ddt)
+                first_right_hand_side(e[lane], f[lane], dt, star[lane])
+                solve_columns(X, offsets, lane, m, ddt, star[lane], S_stage[lane], reduced)
+                content_columns(X, offsets, lane, m, S_stage[lane], middle[lane])
+        assemble_perturbed(group, X, perturbed, T, 2, ddt)
         for lane in range(LANES):
             if wanted.columns[lane] > 0:
-                second_star(e[lane], middle[lane], star[lane])
-                solve_columns(X, p, lane, m, ddt, star[lane], S[lane], reduced)
-                content_columns(X, p, lane, m, S[lane], e[lane])
+                second_right_hand_side(e[lane], middle[lane], star[lane])
+                solve_columns(X, offsets, lane, m, ddt, star[lane], S[lane], reduced)
+                content_columns(X, offsets, lane, m, S[lane], e[lane])
                 net_columns(e[lane], star[lane], dt, f[lane])
         for lane in range(LANES):
-            next_sample[lane] = _read_samples(
-                B, lane, time_s[k - 1], dt, S_start[lane], S_stage[lane], S[lane], wanted, next_sample[lane], out[lane]
-            )
+            columns = Columns(S_start[lane], S_stage[lane], S[lane])
+            next_sample[lane] = _read_samples(B, lane, time_s[k - 1], dt, columns, wanted, next_sample[lane], out[lane])

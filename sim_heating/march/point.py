@@ -19,7 +19,7 @@ from sim_heating.base.kernels.block import EFFECT_PARAMETERS, EFFECT_WIDTH, N_PA
 from sim_heating.base.parameters import BOUNDARY, EFFECT_PREFIX, MODEL, RATIO, Parameter
 from sim_heating.heating.effects import EffectUse, check_count
 from sim_heating.heating.ratio.table import RatioTable
-from sim_heating.thermal.elements import BOILS, CONDENSES, DEPOSITED, LATENT_HEAT, WIDTH
+from sim_heating.thermal.elements import BOILS, CONDENSES, DEPOSITED, LATENT_HEAT, WIDTH, Elements
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.stack import BackFace, Construction
 from sim_heating.thermal.tables import WallEnthalpy
@@ -222,12 +222,13 @@ class PointModel:
         return other
 
 
-def element_densities(construction: Construction, mesh: Mesh) -> FloatArray:
-    """(element,) density of the elements of a mesh [kg/m3]; 0 for a contact resistance, which has no mass.
+def elements_of(construction: Construction, mesh: Mesh) -> Elements:
+    """Elements of a mesh as the lanes of a point take them, lengths [m] and densities [kg/m3] among them.
 
-    Heat capacity of an element: docs/equations.md, section 3.
+    A contact resistance has no mass: its density is 0. Heat capacity of an element: docs/equations.md, section 3.
     """
-    return np.array([*(m.density_kg_m3 for m in construction.layer_materials()), 0.0])[mesh.layer]
+    densities = np.array([*(m.density_kg_m3 for m in construction.layer_materials()), 0.0])[mesh.layer]
+    return Elements(mesh.layer, mesh.length_m, densities, insulation_layer(construction), mesh.bondline)
 
 
 def kernel_effects(model: PointModel) -> list[EffectUse]:

@@ -113,8 +113,7 @@ class HeatingPlugin:
         self._published = np.zeros((4, len(outputs)))
         self.watch = partial(k.watch_frame, self._host, self._published)
         self._arguments = (
-            e.state, e.ints, e.table, e.dispatcher, e.advance_address, e.groups,
-            self.pressures, e.lanes, np.zeros((len(e.lanes), N_CONDITIONS)),
+            e.lane_groups, self.pressures, e.lanes, np.zeros((len(e.lanes), N_CONDITIONS)),
             np.array([place for _, _, place in outputs]), self._host, self._published,
         )  # fmt: skip
 

@@ -49,7 +49,7 @@ from sim_heating.heating.atmosphere import free_stream_kernel
 from sim_heating.heating.reference.models import reference_kernel
 from sim_heating.heating.reference.stagnation import COLD_WALL_K
 from sim_heating.heating.surface_pressure import pressure_below_rise, stagnation_pressure_coefficient
-from sim_heating.march.frames import BLOCK_START, advance_groups, begin_groups
+from sim_heating.march.frames import BLOCK_START, LaneGroups, advance_groups, begin_groups
 
 F_TIME, F_ALTITUDE, F_VELOCITY, F_ALPHA, F_BETA, F_ELEVON, F_BODYFLAP, F_RHO, F_JETS = range(len(FRAME))
 CODE, LENGTH, RADIUS, LONGEST_STEP, LONGEST_WAIT, STARTED, SPIKES, LAST_SPIKE, WAIT, LAST_FRAME = range(10)
@@ -207,15 +207,15 @@ def _update_parabolas(state: FloatArray, places: IntArray, published: FloatArray
 
 @njit
 def _heat_to(
-    state: FloatArray, ints: IntArray, table: FloatArray, dispatcher, advance, groups: IntArray, points: FloatArray,  # type: ignore[no-untyped-def]
-    lanes: IntArray, vectors: FloatArray, places: IntArray, host: FloatArray, published: FloatArray, frame: FloatArray,
+    all_lanes: LaneGroups, points: FloatArray, lanes: IntArray, vectors: FloatArray, places: IntArray, host: FloatArray,
+    published: FloatArray, frame: FloatArray,
 ) -> None:  # fmt: skip
     """Advance from the frame that the model is at to another, in thermal steps of at most LONGEST_STEP."""
     dt = frame[F_TIME] - host[THERMAL_FRAME + F_TIME]
     steps = max(math.ceil(dt / host[LONGEST_STEP] - 1e-9), 1)
     derive_conditions(frame, host, points, lanes, vectors)
-    advance_groups(state, ints, table, dispatcher, advance, groups, vectors, dt, steps)
-    error = _update_parabolas(state, places, published, dt)
+    advance_groups(all_lanes, vectors, dt, steps)
+    error = _update_parabolas(all_lanes.state, places, published, dt)
     longer = math.pow(TARGET_SHARE * TOLERANCE_K / max(error, 1e-9), 1.0 / 3.0)
     host[WAIT] = min(host[LONGEST_WAIT], dt / steps * min(longer, LARGEST_GROWTH))
     for i in range(len(frame)):
@@ -226,35 +226,33 @@ def _heat_to(
 
 @njit
 def heat_points(
-    state: FloatArray, ints: IntArray, table: FloatArray, dispatcher, advance, groups: IntArray,  # type: ignore[no-untyped-def]
-    points: FloatArray, lanes: IntArray, vectors: FloatArray, places: IntArray, host: FloatArray, published: FloatArray,
-    frame: FloatArray, outcome: int,
+    all_lanes: LaneGroups, points: FloatArray, lanes: IntArray, vectors: FloatArray, places: IntArray, host: FloatArray,
+    published: FloatArray, frame: FloatArray, outcome: int,
 ) -> int:  # fmt: skip
     """Advance all points to a frame, or start with it where it is the first.
 
+    all_lanes : lane groups of the ensemble
     outcome : of `watch_frame`; BEND steps to the frame before first, NOT_STARTED starts
     places  : (temperature,) places in the state of the published temperatures
     returns : GOOD, or NOT_CONVERGED where a step did not converge
     """
     if outcome == NOT_STARTED:
         derive_conditions(frame, host, points, lanes, vectors)
-        begin_groups(state, ints, table, dispatcher, advance, groups, vectors)
+        begin_groups(all_lanes, vectors)
         host[STARTED] = 1.0
         for i in range(len(frame)):
             host[THERMAL_FRAME + i] = frame[i]
             host[LAST_FRAME + i] = frame[i]
         for i in range(len(places)):
-            published[CURRENT, i] = published[VALUE, i] = state[places[i]]
+            published[CURRENT, i] = published[VALUE, i] = all_lanes.state[places[i]]
             published[LINEAR, i] = published[QUADRATIC, i] = 0.0
         return GOOD
     if outcome == BEND and host[LAST_FRAME + F_TIME] > host[THERMAL_FRAME + F_TIME]:
         before = host[LAST_FRAME : LAST_FRAME + len(frame)].copy()
-        _heat_to(
-            state, ints, table, dispatcher, advance, groups, points, lanes, vectors, places, host, published, before
-        )
-    _heat_to(state, ints, table, dispatcher, advance, groups, points, lanes, vectors, places, host, published, frame)
+        _heat_to(all_lanes, points, lanes, vectors, places, host, published, before)
+    _heat_to(all_lanes, points, lanes, vectors, places, host, published, frame)
     failed = 0.0
-    for g in range(len(groups)):
+    for g in range(len(all_lanes.groups)):
         for lane in range(LANES):
-            failed += state[groups[g, BLOCK_START] + FAILED * LANES + lane]
+            failed += all_lanes.state[all_lanes.groups[g, BLOCK_START] + FAILED * LANES + lane]
     return GOOD if failed == 0.0 else NOT_CONVERGED

@@ -119,7 +119,9 @@ def property_bin(temperature: float) -> int:
 
 
 @njit
-def _gather(B: FloatArray, J: IntArray, table: FloatArray, a: int, lane: int, offset: int, into: int) -> int:
+def _gather_polynomials(
+    B: FloatArray, J: IntArray, table: FloatArray, a: int, lane: int, offset: int, into: int
+) -> int:
     """Copy the property polynomials about a node's temperature from the table into its rows, for one adjacent element.
 
     returns : offset of the piece in the table
@@ -138,7 +140,7 @@ def _gather(B: FloatArray, J: IntArray, table: FloatArray, a: int, lane: int, of
 
 
 @inline_always
-def _refresh(B: FloatArray, J: IntArray, table: FloatArray, i: int) -> None:
+def _refresh_polynomials(B: FloatArray, J: IntArray, table: FloatArray, i: int) -> None:
     """Gather the polynomials of node i again in the lanes whose temperature has left the piece they are valid in."""
     a = (HEAD_ROWS + i * NODE_ROWS) * LANES
     if lanes_outside(B, a + T * LANES, a + LOW * LANES, a + HIGH * LANES) == 0:
@@ -147,10 +149,12 @@ def _refresh(B: FloatArray, J: IntArray, table: FloatArray, i: int) -> None:
     for lane in range(LANES):
         t = B[a + T * LANES + lane]
         if not (t >= B[a + LOW * LANES + lane] and t < B[a + HIGH * LANES + lane]):
-            row = _gather(B, J, table, a, lane, J[node + MATERIAL_TABLE + lane], FOOT)
+            row = _gather_polynomials(B, J, table, a, lane, J[node + MATERIAL_TABLE + lane], FOOT)
             low, high = table[row], table[row + 1]
             if J[node + IS_INTERFACE] == 1:
-                row = _gather(B, J, table, a, lane, J[node - INTS_PER_NODE + MATERIAL_TABLE + lane], FOOT_LEFT)
+                row = _gather_polynomials(
+                    B, J, table, a, lane, J[node - INTS_PER_NODE + MATERIAL_TABLE + lane], FOOT_LEFT
+                )
                 low, high = max(low, table[row]), min(high, table[row + 1])
             B[a + LOW * LANES + lane] = low
             B[a + HIGH * LANES + lane] = high
@@ -180,7 +184,7 @@ def _properties(B: FloatArray, a: int, lane: int, foot: int, f: float) -> tuple[
 
 
 @force_inline
-def _radiated(T_K: float, begin_K: float) -> tuple[float, float]:
+def _radiation_in_depth(T_K: float, begin_K: float) -> tuple[float, float]:
     """Kirchhoff's variable [K] and conductivity [-] of radiation in depth, over its conductivity at 1000 K.
 
     Radiation adds (T^3 - T_0^3) / (1000 K)^3 above T_0, up to which the declared tables contain it
@@ -236,7 +240,7 @@ def _add_in_depth(B: FloatArray, a: int, lane: int, ddt: float) -> None:
     rising, falling = up * (1.0 - up) * rate, down * (1.0 - down) * rate
     L, D = B[a + LATENT * LANES + lane], B[a + DEPOSIT * LANES + lane]
     h, c = L * up - D * down, L * rising - D * falling
-    theta_rad, k_rad = _radiated(t, B[a + RADIATES_FROM * LANES + lane])
+    theta_rad, k_rad = _radiation_in_depth(t, B[a + RADIATES_FROM * LANES + lane])
     k_1_left, k_1_right = B[left + K_RAD * LANES + lane], B[a + K_RAD * LANES + lane]
     vapour_left, vapour_right = B[left + VAPOUR * LANES + lane], B[a + VAPOUR * LANES + lane]
     wet_left, wet_right = B[a + WET_LEFT * LANES + lane], B[a + WET_RIGHT * LANES + lane]
@@ -258,11 +262,11 @@ def _add_in_depth(B: FloatArray, a: int, lane: int, ddt: float) -> None:
 
 
 @inline_always
-def _assemble(B: FloatArray, J: IntArray, table: FloatArray, i: int, ddt: float) -> None:
+def _assemble_row(B: FloatArray, J: IntArray, table: FloatArray, i: int, ddt: float) -> None:
     """Row of node i at its present temperature, heat from outside included."""
     a = (HEAD_ROWS + i * NODE_ROWS) * LANES
     left = a - NODE_ROWS * LANES
-    _refresh(B, J, table, i)
+    _refresh_polynomials(B, J, table, i)
     if J[NODE_INTS + i * INTS_PER_NODE + IS_INTERFACE] == 1:
         for lane in range(LANES):
             f = B[left + FRACTION * LANES + lane]
@@ -286,7 +290,7 @@ def _assemble(B: FloatArray, J: IntArray, table: FloatArray, i: int, ddt: float)
 
 
 @inline_always
-def _reduce(B: FloatArray, i: int) -> None:
+def _eliminate_row(B: FloatArray, i: int) -> None:
     """Eliminate row i, whose right neighbour is assembled (docs/equations_thermal_step.md, equation 29)."""
     a = (HEAD_ROWS + i * NODE_ROWS) * LANES
     left = a - NODE_ROWS * LANES
@@ -320,16 +324,16 @@ def assemble(B: FloatArray, J: IntArray, table: FloatArray, ddt: float, reduces:
         B[before + RESIDUAL * LANES + lane] = 0.0
         B[before + THETA_RIGHT * LANES + lane] = 0.0
     for i in range(n):
-        _assemble(B, J, table, i, ddt)
+        _assemble_row(B, J, table, i, ddt)
         if reduces and i > 0:
-            _reduce(B, i - 1)
+            _eliminate_row(B, i - 1)
     # What crosses to the ghost behind: content that padding shares with it, nothing where there is none.
     for lane in range(LANES):
         B[last + RESIDUAL * LANES + lane] -= SHARE * B[last + E_RIGHT * LANES + lane]
         # The row still holds theta: the last node has no right neighbour that would have replaced it.
         B[last + ENTRY * LANES + lane] = 0.0
     if reduces:
-        _reduce(B, n - 1)
+        _eliminate_row(B, n - 1)
 
 
 @njit

@@ -1,9 +1,8 @@
-"""Elements and faces of a control point from its thermal parameters, written into its lane of a block; compiled.
-
-Parameters and temperatures of a control point, written into all its lanes of a block; compiled.
-"""
+"""A control point written into its lanes of a block: elements and faces, parameters, temperatures; compiled."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.kernels.block import (
@@ -54,25 +53,36 @@ from sim_heating.heating.ratio.lookup import write_order
 """Indices of the parameters of parameters.STACK, in their order."""
 
 
+class Elements(NamedTuple):
+    """Elements of a control point as its lanes take them.
+
+    layer         : (element,) index of its layer, -1 for a contact
+    length_m      : (element,) declared length [m] or, of a contact, resistance [m2 K/W]
+    density_kg_m3 : (element,) [kg/m3], 0 for a contact
+    insulation    : index of the layer that `stack.rsi.*` is about
+    bondline      : node down to which a gap reaches
+    """
+
+    layer: IntArray
+    length_m: FloatArray
+    density_kg_m3: FloatArray
+    insulation: int
+    bondline: int
+
+
 @njit
-def set_elements(
-    B: FloatArray, J: IntArray, lane: int, layer: IntArray, length_m: FloatArray, density: FloatArray, insulation: int,
-    bondline: int, p: FloatArray,
-) -> None:  # fmt: skip
+def set_elements(B: FloatArray, J: IntArray, lane: int, elements: Elements, p: FloatArray) -> None:
     """Write the elements and faces of a lane into the block of its group, with its parameters applied.
 
         g = f_k / (f_x dx) [1/m],    M = rho f_c f_x dx / 2 [kg/m2];    a contact R [m2 K/W]: g = 1 / R, M = 0
 
-    lane       : of the group
-    layer      : (element,) index of its layer, -1 for a contact
-    length_m   : (element,) declared length [m] or, of a contact, resistance [m2 K/W]
-    density    : (element,) [kg/m3], 0 for a contact
-    insulation : index of the layer that `stack.rsi.*` is about
-    bondline   : node down to which a gap reaches
-    p          : values of parameters.STACK, each in its unit
+    B, J     : block of the lane group and its integers, changed;  lane : number of the lane in it
+    elements : elements of the point
+    p        : values of parameters.STACK, each in its unit
 
     Source: docs/equations_thermal_step.md, equations 7, 8, 11 to 13 and 16.
     """
+    layer, length_m, insulation = elements.layer, elements.length_m, elements.insulation
     for e in range(len(layer)):
         length, conductivity, capacity, radiative = length_m[e], 1.0, 1.0, 0.0
         # Asked first: a stack of one layer has no coating, and its layer is the insulation.
@@ -83,7 +93,7 @@ def set_elements(
             conductivity, capacity = p[COATING_CONDUCTIVITY], p[COATING_CAPACITY]
         elif layer[e] < 0:
             length = p[CONTACT] * length
-        half = 0.5 * density[e] * length * capacity
+        half = 0.5 * elements.density_kg_m3[e] * length * capacity
         # Moisture is declared per mass of insulation, and so takes the heat-capacity factor with it.
         wet = half if layer[e] == insulation else 0.0
         here = (HEAD_ROWS + e * NODE_ROWS) * LANES + lane
@@ -96,7 +106,7 @@ def set_elements(
         B[right + WET_LEFT * LANES] = wet
     _set_in_depth(B, J, lane, layer, insulation, p)
     _set_faces(B, lane, p)
-    _set_gap(B, J, lane, layer, length_m, bondline, p)
+    _set_gap(B, J, lane, layer, length_m, elements.bondline, p)
 
 
 @inline_always
@@ -152,21 +162,20 @@ def _set_gap(
 
 @njit
 def set_point(
-    B: FloatArray, J: IntArray, first: int, last: int, layer: IntArray, length_m: FloatArray, density: FloatArray,
-    insulation: int, bondline: int, stack: FloatArray, heating: FloatArray,
-) -> None:  # fmt: skip
+    B: FloatArray, J: IntArray, first: int, last: int, elements: Elements, stack: FloatArray, heating: FloatArray
+) -> None:
     """Write the parameters of a point into its lanes, `first` to before `last`.
 
-    B, J              : block of the lane group and its integers, changed
-    layer .. bondline : elements of the point, lengths [m] and densities [kg/m3], as elements.set_elements takes them
-    stack             : values of parameters.STACK, each in its unit
-    heating           : (N_PARAMETERS,) its vector of heating parameters (base/kernels/block.py)
+    B, J     : block of the lane group and its integers, changed
+    elements : elements of the point
+    stack    : values of parameters.STACK, each in its unit
+    heating  : (N_PARAMETERS,) its vector of heating parameters (base/kernels/block.py)
 
-    Heat contents are left as they were: the next frame has to be one of kernel.BEGIN.
+    Heat contents are left as they were: the next frame has to be one of step.EVALUATE_START.
     Source: docs/equations_thermal_step.md, equation 8; docs/equations.md, section 2.
     """
     for lane in range(first, last):
-        set_elements(B, J, lane, layer, length_m, density, insulation, bondline, stack)
+        set_elements(B, J, lane, elements, stack)
         p = PARAMETERS * LANES + lane * N_PARAMETERS
         for k in range(N_PARAMETERS):
             B[p + k] = heating[k]

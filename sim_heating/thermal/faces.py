@@ -64,7 +64,7 @@ has to be small against the width of any effect for a sensitivity good to 1e-9."
 
 
 @inline_always
-def _film(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, wall: float) -> tuple[float, float]:  # type: ignore[no-untyped-def]
+def _film_and_slope(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, wall: float) -> tuple[float, float]:  # type: ignore[no-untyped-def]
     """Film coefficient [kg/(m2 s)] of a lane whose effects depend on the wall temperature, and its slope against it."""
     h_ref = B[C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS + H_REF]
     r = B[(R_BASE + stage) * LANES + lane]
@@ -75,7 +75,9 @@ def _film(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, wall: f
 
 
 @inline_always
-def _factor(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, wall: float) -> tuple[float, float]:  # type: ignore[no-untyped-def]
+def _factor_and_slope(
+    B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, wall: float
+) -> tuple[float, float]:  # type: ignore[no-untyped-def]
     """Factor of the effects on the emittance of a lane [-], and its slope against the wall temperature [1/K]."""
     above = emittance_factor(B, J, dispatcher, lane, stage, wall + WALL_DIFFERENCE_K)
     below = emittance_factor(B, J, dispatcher, lane, stage, wall - WALL_DIFFERENCE_K)
@@ -83,7 +85,7 @@ def _factor(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, wall:
 
 
 @force_inline
-def _air(h_a: float, cp_a: float, h_b: float, cp_b: float, f: float, t: float) -> tuple[float, float]:
+def _air_enthalpy(h_a: float, cp_a: float, h_b: float, cp_b: float, f: float, t: float) -> tuple[float, float]:
     """Enthalpy of air [J/kg] and its specific heat [J/(kg K)] within a bin.
 
     f : fraction [-] between two pressure columns a and b;  t : temperature above the foot of the bin [K]
@@ -106,7 +108,7 @@ def _wall_enthalpy(
     j = property_bin(T_K)
     row = _air_row(B, J, lane, stage, j)
     f = B[(PFRAC + stage) * LANES + lane]
-    return _air(table[row], table[row + 1], table[row + 2], table[row + 3], f, T_K - BIN_K * j)
+    return _air_enthalpy(table[row], table[row + 1], table[row + 2], table[row + 3], f, T_K - BIN_K * j)
 
 
 @njit
@@ -123,7 +125,7 @@ def emittance_piece(table: FloatArray, first: int, wall: float) -> tuple[float, 
     n = int(table[first])
     T_K, eps = first + 1, first + 1 + n
     i = 0
-    # A linear search: an emittance has a few points, and the piece found is kept until the wall leaves it.
+    # A linear search: an emittance has a few points, and the piece found is cached until the wall leaves it.
     while i < n and wall >= table[T_K + i]:
         i += 1
     low, high = -FAR if i == 0 else table[T_K + i - 1], FAR if i == n else table[T_K + i]
@@ -145,8 +147,8 @@ def emittance(table: FloatArray, first: int, wall: float) -> float:
 
 
 @inline_always
-def forget_walls(B: FloatArray) -> None:
-    """Invalidate the pieces of emittance and air enthalpy kept for every lane, so that they are looked up again."""
+def invalidate_walls(B: FloatArray) -> None:
+    """Invalidate the pieces of emittance and air enthalpy cached for every lane, so that they are looked up again."""
     for lane in range(LANES):
         B[WALL_HIGH * LANES + lane] = -FAR
 
@@ -185,8 +187,8 @@ def _evaluate_gaps(B: FloatArray, J: IntArray, table: FloatArray, stage: int) ->
 
 
 @inline_always
-def _keep_wall(B: FloatArray, J: IntArray, table: FloatArray, lane: int, stage: int) -> None:
-    """Keep the pieces of emittance and air enthalpy that contain the surface temperature of a lane, and their ends."""
+def _cache_wall(B: FloatArray, J: IntArray, table: FloatArray, lane: int, stage: int) -> None:
+    """Cache the pieces of emittance and air enthalpy that contain the surface temperature of a lane, and their ends."""
     wall = B[(HEAD_ROWS + T) * LANES + lane]
     low, high, foot, eps, slope = emittance_piece(table, J[EMISSIVITY_TABLE + lane], wall)
     j = property_bin(wall)
@@ -201,7 +203,7 @@ def _keep_wall(B: FloatArray, J: IntArray, table: FloatArray, lane: int, stage: 
 
 
 @force_inline
-def _balance(
+def _write_surface_balance(
     B: FloatArray, lane: int, stage: int, eps: float, eps_slope: float, film: float, film_slope: float
 ) -> None:
     """Heat that enters at the surface of a lane and its slope, from an emittance, a film and their slopes.
@@ -214,7 +216,7 @@ def _balance(
     h_a, cp_a, h_b, cp_b = (
         B[AIR * LANES + lane], B[(AIR + 1) * LANES + lane], B[(AIR + 2) * LANES + lane], B[(AIR + 3) * LANES + lane],
     )  # fmt: skip
-    H_w, cp_w = _air(h_a, cp_a, h_b, cp_b, f, t)
+    H_w, cp_w = _air_enthalpy(h_a, cp_a, h_b, cp_b, f, t)
     film, film_slope = film * share, film_slope * share
     driving = B[(RECOVERY + stage) * LANES + lane] - H_w
     cube = wall * wall * wall
@@ -227,7 +229,7 @@ def _balance(
 
 @force_inline
 def _emittance(B: FloatArray, lane: int) -> float:
-    """Emittance [-] of a lane's surface from the piece kept, without effects."""
+    """Emittance [-] of a lane's surface from the cached piece, without effects."""
     wall = B[(HEAD_ROWS + T) * LANES + lane]
     return B[EPS_AT_FOOT * LANES + lane] + B[EPS_SLOPE * LANES + lane] * (wall - B[EPS_FOOT * LANES + lane])
 
@@ -238,23 +240,23 @@ def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, 
 
         s_0 = (1 - f) film (H_r - H_w(T)) + q_add - eps(T) sigma (T^4 - T_sur^4)
 
-    stage : 0, 1 or 2, whose conditions are used;  dispatcher : dispatcher of the effects
+    stage : 0, 1 or 2, whose conditions are used;  dispatcher : address of the effect dispatcher
 
     A negative film coefficient, from a negative ratio, is not clipped.
     Source: docs/equations_thermal_step.md, equations 14 and 17.
     """
-    left = lanes_outside(B, (HEAD_ROWS + T) * LANES, WALL_LOW * LANES, WALL_HIGH * LANES)
+    outside = lanes_outside(B, (HEAD_ROWS + T) * LANES, WALL_LOW * LANES, WALL_HIGH * LANES)
     affected = 0
     for lane in range(LANES):
-        left += 0 if B[(PCOL + stage) * LANES + lane] == B[WALL_COLUMN * LANES + lane] else 1
+        outside += 0 if B[(PCOL + stage) * LANES + lane] == B[WALL_COLUMN * LANES + lane] else 1
         affected += J[N_EMITTING + lane] + J[WALL_EFFECTS + lane]
     # The count is of pairs of lanes and does not identify one: all eight are looked up again.
-    if left > 0:
+    if outside > 0:
         for lane in range(LANES):
-            _keep_wall(B, J, table, lane, stage)
+            _cache_wall(B, J, table, lane, stage)
     for lane in range(LANES):
         eps, film = _emittance(B, lane), B[(FILM + stage) * LANES + lane]
-        _balance(B, lane, stage, eps, B[EPS_SLOPE * LANES + lane], film, 0.0)
+        _write_surface_balance(B, lane, stage, eps, B[EPS_SLOPE * LANES + lane], film, 0.0)
     # Evaluated without effects above, then again where there are any: the loop without calls stays vectorised.
     if affected > 0:
         for lane in range(LANES):
@@ -267,12 +269,12 @@ def _balance_with_effects(B: FloatArray, J: IntArray, dispatcher, lane: int, sta
     wall = B[(HEAD_ROWS + T) * LANES + lane]
     eps, eps_slope = _emittance(B, lane), B[EPS_SLOPE * LANES + lane]
     if J[N_EMITTING + lane] > 0:
-        more, more_slope = _factor(B, J, dispatcher, lane, stage, wall)
-        eps, eps_slope = eps * more, eps_slope * more + eps * more_slope
+        factor, factor_slope = _factor_and_slope(B, J, dispatcher, lane, stage, wall)
+        eps, eps_slope = eps * factor, eps_slope * factor + eps * factor_slope
     film, film_slope = B[(FILM + stage) * LANES + lane], 0.0
     if J[WALL_EFFECTS + lane] > 0:
-        film, film_slope = _film(B, J, dispatcher, lane, stage, wall)
-    _balance(B, lane, stage, eps, eps_slope, film, film_slope)
+        film, film_slope = _film_and_slope(B, J, dispatcher, lane, stage, wall)
+    _write_surface_balance(B, lane, stage, eps, eps_slope, film, film_slope)
 
 
 @inline_always

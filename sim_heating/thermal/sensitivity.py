@@ -1,6 +1,6 @@
 """The time step differentiated: sensitivity of every node temperature to any parameter, from the step's own matrix.
 
-With G(T; p) = E(T; p) - d dt F(T; p) the two stages of a step (kernel.py) are G(Y1) = E_n + d dt F_n and
+With G(T; p) = E(T; p) - d dt F(T; p) the two stages of a step (step.py) are G(Y1) = E_n + d dt F_n and
 G(Y2) = E_n + (w/d) (E(Y1) - E_n), so that for S = dT/dp, e = dE/dp and f = dF/dp, all total
 (docs/equations_thermal_step.md, equations 31 and 32),
 
@@ -9,11 +9,11 @@ G(Y2) = E_n + (w/d) (E(Y1) - E_n), so that for S = dT/dp, e = dE/dp and f = dF/d
     f_(n+1) = (e(Y2) - e_n - (w/d) (e(Y1) - e_n)) / (d dt)
 
 which is exact for the discrete model (implicit function theorem). A is assembled once at the temperatures of the stage;
-every parameter costs one more right-hand side. G_p and E_p come from the model itself, evaluated in perturbed lanes
-("perturbed" of the nominal lane, their base): one lane for each parameter with that parameter moved, or two, to either
-side, where G is not affine in it, all at the temperatures of the nominal lane (equation 34). No equation so has a
-second, differentiated form; for affine parameters the difference is exact to rounding. A parameter that acts at the
-faces only has G_p = -d dt dF/dp there and E_p = 0, and its perturbed lane needs no rows.
+every parameter costs one more right-hand side. G_p and E_p come from the model itself, evaluated in perturbed lanes:
+one lane for each parameter with that parameter perturbed, or two, to either side, where G is not affine in it, all at
+the temperatures of the nominal lane (equation 34). No equation so has a second, differentiated form; for affine
+parameters the difference is exact to rounding. A parameter that acts at the faces only has G_p = -d dt dF/dp there and
+E_p = 0, and its perturbed lane needs no rows.
 
 Arrays of a lane: (node, parameter), parameters contiguous.
 """
@@ -58,49 +58,53 @@ from sim_heating.base.kernels.block import (
     TIME,
     T,
 )
-from sim_heating.base.kernels.jit import STEP_SIGNATURE, c_function, call_step, njit, pointer
+from sim_heating.base.kernels.jit import STEP_SIGNATURE, address_of, c_function, call_step, njit, pointer
 from sim_heating.heating.film import heat_perturbed_lanes
 from sim_heating.heating.ratio.lookup import linear_ratio_derivative
 from sim_heating.thermal.assembly import SHARE, WHOLE_ROWS, assemble, select_pressure
 from sim_heating.thermal.faces import evaluate_faces
-from sim_heating.thermal.step import BDF_WEIGHT, GAMMA, STAGE_WEIGHT
+from sim_heating.thermal.step import BDF_WEIGHT, GAMMA, STAGE_WEIGHT, LaneGroup
 
 NODE = NODE_ROWS * LANES
 """Numbers in the block from a node to the next."""
-NOWHERE, FACES, DEPTH, WHOLE = range(4)
+ACTS_NOWHERE, ACTS_AT_FACES, ACTS_ALONG_GAP, ACTS_IN_ROWS = range(4)
 """Where a parameter acts: not in the march; at the two faces; at the nodes along a gap as well; in whole rows."""
-ITSELF = -1
-"""Marks a parameter that is itself moved in its perturbed lane."""
+OWN_PERTURBATION = -1
+"""Marks a parameter whose perturbed lane has that parameter itself perturbed."""
 
 
 class PerturbedGroups(NamedTuple):
-    """Groups of perturbed lanes.
+    """Groups of perturbed lanes, and the functions that assemble them.
 
-    ints   : their integers;  groups : offsets of their blocks and integers, as in march/frames.py
-    whole  : number of groups, the first ones, whose rows are assembled; of the others only the heat at the faces is
-    source : (group * LANES,) nominal lane of each perturbed lane
+    ints        : their integers;  groups : offsets of their blocks and integers, as in march/frames.py
+    whole       : number of groups, the first ones, whose rows are assembled; of the others only the heat at the faces
+    source      : (group * LANES,) nominal lane of each perturbed lane
+    rows, faces : addresses of the compiled `rows_at` and `faces_at`, or the functions where interpreted
     """
 
     ints: IntArray
     groups: IntArray
     whole: int
     source: IntArray
+    rows: Any
+    faces: Any
 
 
-NO_PERTURBED_LANES = PerturbedGroups(
-    np.zeros(0, dtype=np.int64), np.zeros((0, 4), dtype=np.int64), 0, np.zeros(0, dtype=np.int64)
-)
+def no_perturbed_groups() -> PerturbedGroups:
+    """Groups of a march without sensitivities."""
+    nothing = np.zeros(0, dtype=np.int64)
+    return PerturbedGroups(nothing, np.zeros((0, 4), dtype=np.int64), 0, nothing, *assembly_addresses())
 
 
 class PerturbedOffsets(NamedTuple):
     """Offsets of the perturbed lanes of each nominal lane in their blocks.
 
     at      : (lane,) first number of node 0 of the unperturbed copy;  nodes : (lane,) node count
-    plus, minus : (lane, parameter) the same of the lanes with the parameter moved up and down, or of the copy again
+    plus, minus : (lane, parameter) that of the lanes with the parameter perturbed up and down, or of the copy again
     inverse : (lane, parameter) reciprocal of the difference, in 1 over the parameter's unit
-    reach   : (lane, parameter) where the parameter acts: NOWHERE, FACES, DEPTH or WHOLE
+    reach   : (lane, parameter) where the parameter acts: ACTS_NOWHERE, ACTS_AT_FACES ...
     linear  : (lane, parameter) index of a parameter of the linear heating ratio, whose perturbed lane has the ratio
-              itself moved (heating.ratio.lookup.linear_ratio_derivative), or ITSELF
+              itself perturbed (heating/ratio/lookup.py, linear_ratio_derivative), or OWN_PERTURBATION
     """
 
     at: IntArray
@@ -115,7 +119,7 @@ class PerturbedOffsets(NamedTuple):
 def rows_at(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, ddt: float) -> None:  # type: ignore[no-untyped-def]
     """Rows of G = E - ddt F [J/m2] at the present temperatures of perturbed lanes, with the conditions of stage 2.
 
-    B     : block of the perturbed lanes;  J : its integers;  table, dispatcher : as in kernel.step
+    B     : block of the perturbed lanes;  J : its integers;  table, dispatcher : as in step.step
     ddt   : d dt [s]; it takes the place of dt in the signature of a step
 
     Source: docs/equations_thermal_step.md, equations 25 to 28 and 34.
@@ -136,13 +140,19 @@ def faces_at(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, ddt: flo
 
 
 @cache
-def compiled_assembly() -> tuple[Any, Any]:
-    """`rows_at` and `faces_at` as C functions, compiled when first asked for."""
+def _compiled_assembly() -> tuple[Any, Any]:
+    """`rows_at` and `faces_at` as C functions, compiled when first asked for and kept, so that they stay alive."""
     return c_function(STEP_SIGNATURE, rows_at), c_function(STEP_SIGNATURE, faces_at)
 
 
+def assembly_addresses() -> tuple[Any, Any]:
+    """`rows_at` and `faces_at` as kernels take them: addresses, or the functions where nothing is compiled."""
+    rows, faces = _compiled_assembly()
+    return address_of(rows), address_of(faces)
+
+
 @njit
-def _stand(B: FloatArray, X: FloatArray, start: int, source: IntArray, g: int, i: int, row: int) -> None:
+def _copy_temperatures(B: FloatArray, X: FloatArray, start: int, source: IntArray, g: int, i: int, row: int) -> None:
     """Set node i of a group of perturbed lanes to the temperatures of the nominal lanes."""
     for s in range(LANES):
         at = (HEAD_ROWS + i * NODE_ROWS) * LANES
@@ -151,33 +161,30 @@ def _stand(B: FloatArray, X: FloatArray, start: int, source: IntArray, g: int, i
 
 @njit
 def assemble_perturbed(
-    B: FloatArray, X: FloatArray, perturbed: PerturbedGroups, table: FloatArray, dispatcher, rows, faces,
-    row: int, stage: int,  # type: ignore[no-untyped-def]
-    ddt: float,
-) -> None:  # fmt: skip
+    group: LaneGroup, X: FloatArray, perturbed: PerturbedGroups, row: int, stage: int, ddt: float
+) -> None:
     """Set perturbed lanes to temperatures and conditions of their nominal lanes at a stage, and assemble their rows.
 
-    B       : block of the nominal lanes
-    X       : blocks of the perturbed lanes, changed
-    perturbed : the groups of X
-    rows, faces : compiled `rows_at` and `faces_at`
-    row     : row of B that holds the temperatures of the stage [K]
-    stage   : stage whose conditions they take
-    ddt     : d dt [s] of the rows
+    group     : the nominal lanes, with tables that serve the perturbed lanes as well
+    X         : blocks of the perturbed lanes, changed;  perturbed : their groups
+    row       : row of the nominal block that holds the temperatures of the stage [K]
+    stage     : stage whose conditions they take
+    ddt       : d dt [s] of the rows
 
     Source: docs/equations_thermal_step.md, equation 34.
     """
+    B = group.B
     J, groups, source = perturbed.ints, perturbed.groups, perturbed.source
     for g in range(len(groups)):
         start, ints = groups[g, 0], groups[g, 2]
         # Where only the faces are evaluated, two nodes are enough, unless gaps take heat in at others.
         if g < perturbed.whole or J[ints + GAPS] == 1:
             for i in range(J[ints + N_NODES]):
-                _stand(B, X, start, source, g, i, row)
+                _copy_temperatures(B, X, start, source, g, i, row)
         else:
-            _stand(B, X, start, source, g, 0, row)
+            _copy_temperatures(B, X, start, source, g, 0, row)
             for s in range(LANES):
-                _stand(B, X, start, source, g, J[ints + BACK_NODE + s], row)
+                _copy_temperatures(B, X, start, source, g, J[ints + BACK_NODE + s], row)
         for s in range(LANES):
             lane = source[g * LANES + s]
             # Once a step: the end of the last step is the past of the lag at both stages of this one.
@@ -185,8 +192,8 @@ def assemble_perturbed(
                 X[start + LAG_PAST * LANES + s] = 1.0
                 X[start + LAG_VALUE * LANES + s] = X[start + (LAG_VALUE + 2) * LANES + s]
                 X[start + LAG_INPUT * LANES + s] = X[start + (LAG_INPUT + 2) * LANES + s]
-            begun = C_STAGES * LANES + lane * N_CONDITIONS + TIME
-            X[start + C_STAGES * LANES + s * N_CONDITIONS + TIME] = B[begun]
+            time_at = C_STAGES * LANES + lane * N_CONDITIONS + TIME
+            X[start + C_STAGES * LANES + s * N_CONDITIONS + TIME] = B[time_at]
             to = start + C_STAGES * LANES + (2 * LANES + s) * N_CONDITIONS
             given = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
             for c in range(N_CONDITIONS):
@@ -194,7 +201,8 @@ def assemble_perturbed(
             for pressure in (PCOL, PFRAC):
                 X[start + (pressure + END) * LANES + s] = B[(pressure + stage) * LANES + lane]
         x, j = pointer(X[start : groups[g, 1]]), pointer(J[ints : groups[g, 3]])
-        call_step(rows if g < perturbed.whole else faces, x, j, pointer(table), dispatcher, ddt)
+        assembly = perturbed.rows if g < perturbed.whole else perturbed.faces
+        call_step(assembly, x, j, pointer(group.table), group.dispatcher, ddt)
 
 
 @njit
@@ -211,7 +219,7 @@ def start_from_copy(B: FloatArray, lane: int, X: FloatArray, at: int, n: int) ->
 
     n : number of nodes; the copy is assembled with ddt = 1 s at the lane's present temperatures
 
-    This is what `kernel.evaluate_start` does for all lanes, for one of them. Source: docs/equations_thermal_step.md,
+    This is what `step.evaluate_start` does for all lanes, for one of them. Source: docs/equations_thermal_step.md,
     equations 4 and 25 with kappa = 1 s.
     """
     for i in range(n):
@@ -226,15 +234,15 @@ def _subtract_forcing(X: FloatArray, p: PerturbedOffsets, lane: int, forced: int
     n = p.nodes[lane]
     for k in range(forced):
         plus, minus, inverse, reach = p.plus[lane, k], p.minus[lane, k], p.inverse[lane, k], p.reach[lane, k]
-        if reach == WHOLE:
+        if reach == ACTS_IN_ROWS:
             for i in range(n):
                 row = i * NODE + RESIDUAL * LANES
                 S[i, k] -= (X[plus + row] - X[minus + row]) * inverse
-        elif reach != NOWHERE:
-            if p.linear[lane, k] != ITSELF:
+        elif reach != ACTS_NOWHERE:
+            if p.linear[lane, k] != OWN_PERTURBATION:
                 inverse *= _against_ratio(X, p.at[lane], p.linear[lane, k])
-            # FACES: the first and the last node; DEPTH: every node.
-            for i in range(0, n, n - 1 if reach == FACES else 1):
+            # ACTS_AT_FACES: the first and the last node; ACTS_ALONG_GAP: every node.
+            for i in range(0, n, n - 1 if reach == ACTS_AT_FACES else 1):
                 row = i * NODE + SOURCE * LANES
                 S[i, k] += ddt * ((X[plus + row] - X[minus + row]) * inverse)
 
@@ -270,7 +278,7 @@ def content_columns(X: FloatArray, p: PerturbedOffsets, lane: int, forced: int, 
         for k in range(m):
             e[i, k] = own * S[i, k] + left * S[above, k] + right * S[below, k]
     for k in range(forced):
-        if p.reach[lane, k] == WHOLE:
+        if p.reach[lane, k] == ACTS_IN_ROWS:
             plus, minus, inverse = p.plus[lane, k], p.minus[lane, k], p.inverse[lane, k]
             for i in range(n):
                 e[i, k] += (_content(X, plus + i * NODE) - _content(X, minus + i * NODE)) * inverse
@@ -350,7 +358,7 @@ def _copy(given: FloatArray, to: FloatArray) -> None:
 
 
 @njit
-def first_star(e: FloatArray, f: FloatArray, dt: float, star: FloatArray) -> None:
+def first_right_hand_side(e: FloatArray, f: FloatArray, dt: float, star: FloatArray) -> None:
     """Right-hand side of the first stage, e_n + d dt f_n [J/m2] over the unit of each parameter.
 
     e, f, star : (node, parameter) [J/m2], [W/m2], [J/m2], each over that unit; star is overwritten
@@ -364,7 +372,7 @@ def first_star(e: FloatArray, f: FloatArray, dt: float, star: FloatArray) -> Non
 
 
 @njit
-def second_star(e: FloatArray, middle: FloatArray, star: FloatArray) -> None:
+def second_right_hand_side(e: FloatArray, middle: FloatArray, star: FloatArray) -> None:
     """Right-hand side of the second stage, e_n + (w/d) (e(Y1) - e_n) [J/m2] over the unit of each parameter.
 
     e, middle, star : (node, parameter) e at the start and at the first stage, and the result, overwritten

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.kernels.block import (
@@ -79,7 +79,7 @@ from sim_heating.base.kernels.jit import STEP_SIGNATURE, c_function, force_inlin
 from sim_heating.heating.film import heat_lanes
 from sim_heating.heating.ratio.lookup import invalidate_cells
 from sim_heating.thermal.assembly import REDUCED, SHARE, WHOLE_ROWS, assemble, select_pressure
-from sim_heating.thermal.faces import evaluate_faces, forget_walls
+from sim_heating.thermal.faces import evaluate_faces, invalidate_walls
 
 GAMMA = 2.0 - math.sqrt(2.0)
 """Fraction of a step at which the middle stage is [-]. This value gives both stages the same matrix."""
@@ -95,36 +95,54 @@ NEWTON_LIMIT = 25
 """Iterations after which a stage counts as failed; one is enough for most steps of an entry."""
 COLDEST_K = 1.0
 """Floor of every iterate [K]. A NaN is set to it as well, and is reported as a failure since its update is NaN too."""
-LONGEST_REACH = 2.0
+MAX_EXTRAPOLATION = 2.0
 """Multiple of the last step's length over which its curvature is extrapolated [-]: that of a very short step is mostly
 rounding."""
-BEGIN = 0.0
+EVALUATE_START = 0.0
 """Length [s] of a frame that only evaluates the start."""
-STAGED = (FILM, RECOVERY, ADDED, PCOL, PFRAC, R_BASE, LAG_VALUE, LAG_INPUT)
-"""Rows that have one value for each of the three stages."""
+STAGE_ROWS = (FILM, RECOVERY, ADDED, PCOL, PFRAC, R_BASE, LAG_VALUE, LAG_INPUT)
+"""First rows of the quantities that have one row for each of the three stages."""
+
+
+class LaneGroup(NamedTuple):
+    """One lane group with what its time step needs, as the compiled time loops take it.
+
+    B, J       : block of the group and its integers (base/kernels/block.py)
+    table      : property and ratio tables
+    dispatcher : address of the effect dispatcher (heating/effects/compiled.py), or the function where interpreted
+    advance    : address of `advance`, or the function where interpreted
+    """
+
+    B: FloatArray
+    J: IntArray
+    table: FloatArray
+    dispatcher: Any
+    advance: Any
 
 
 @force_inline
-def _moved(B: FloatArray, a: int, lane: int) -> float:
+def _entering_heat(B: FloatArray, a: int, lane: int) -> float:
     """Heat that enters a lane at the node at B[a] [W/m2], linearised over its last update as Newton's system has it."""
     return B[a + SOURCE * LANES + lane] + B[a + SLOPE * LANES + lane] * B[a + DELTA * LANES + lane]
 
 
 @inline_always
-def _keep_face_heat(B: FloatArray, J: IntArray) -> None:
-    """Keep the heat at the faces of the lanes just updated (docs/equations_thermal_step.md, equation 30)."""
+def _record_face_heat(B: FloatArray, J: IntArray) -> None:
+    """Record the heat at the faces of the lanes just updated (docs/equations_thermal_step.md, equation 30)."""
     front = HEAD_ROWS * LANES
     for lane in range(LANES):
         moves = B[ACTIVE * LANES + lane] > 0.0
         # Linearised, not evaluated again: the energy balance closes to rounding however large the last update was.
-        heat = _moved(B, front, lane)
+        heat = _entering_heat(B, front, lane)
         B[STAGE_IN * LANES + lane] = heat if moves else B[STAGE_IN * LANES + lane]
     for lane in range(LANES):
         if B[ACTIVE * LANES + lane] > 0.0:
-            B[STAGE_OUT * LANES + lane] = -_moved(B, (HEAD_ROWS + J[BACK_NODE + lane] * NODE_ROWS) * LANES, lane)
+            B[STAGE_OUT * LANES + lane] = -_entering_heat(
+                B, (HEAD_ROWS + J[BACK_NODE + lane] * NODE_ROWS) * LANES, lane
+            )
             if J[GAPS] == 1:
                 for i in range(1, J[BACK_NODE + lane]):
-                    B[STAGE_IN * LANES + lane] += _moved(B, front + i * NODE_ROWS * LANES, lane)
+                    B[STAGE_IN * LANES + lane] += _entering_heat(B, front + i * NODE_ROWS * LANES, lane)
 
 
 @njit
@@ -139,7 +157,7 @@ def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, dispatcher) ->
     """Heat content [J/m2] and net heat [W/m2] of all nodes at the present temperatures, with the conditions of stage 2.
 
     B     : block of the lane group; E_START, NET, STAGE_IN and STAGE_OUT change
-    J     : its integers;  table : property and ratio tables;  dispatcher : dispatcher of the effects
+    J     : its integers;  table : property and ratio tables;  dispatcher : address of the effect dispatcher
 
     A step leaves the same quantities at its end; this evaluates them where no step precedes.
     Source: docs/equations_thermal_step.md, equations 3, 4 and 22.
@@ -171,18 +189,18 @@ def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, dispatcher) ->
 
 
 @njit
-def _reach(B: FloatArray, dt: float) -> float:
+def _extrapolation_time(B: FloatArray, dt: float) -> float:
     """Time [s] over which the curvature of the last step is extrapolated into a step of dt; 0 where there was none."""
-    return min(dt, LONGEST_REACH * B[LAST_STEP * LANES])
+    return min(dt, MAX_EXTRAPOLATION * B[LAST_STEP * LANES])
 
 
 @inline_always
-def _start(B: FloatArray, n: int, dt: float) -> None:
+def _begin_first_stage(B: FloatArray, n: int, dt: float) -> None:
     """First stage: E* = E_n + d dt F_n with the F_n of the last step's end, and a guess along its parabola.
 
     docs/equations_thermal_step.md, equations 19 and 24.
     """
-    ahead, bend = GAMMA * dt, (GAMMA * _reach(B, dt)) ** 2
+    ahead, bend = GAMMA * dt, (GAMMA * _extrapolation_time(B, dt)) ** 2
     for i in range(n):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
         for lane in range(LANES):
@@ -190,12 +208,12 @@ def _start(B: FloatArray, n: int, dt: float) -> None:
             B[a + E_STAR * LANES + lane] = content + STAGE_WEIGHT * dt * net
             temperature = B[a + T * LANES + lane]
             B[a + T_START * LANES + lane] = temperature
-            moved = ahead * B[a + RATE * LANES + lane] + bend * B[a + CURVE * LANES + lane]
-            B[a + T * LANES + lane] = temperature + moved
+            change = ahead * B[a + RATE * LANES + lane] + bend * B[a + CURVE * LANES + lane]
+            B[a + T * LANES + lane] = temperature + change
 
 
 @inline_always
-def _finish(B: FloatArray, n: int, dt: float) -> None:
+def _close_step(B: FloatArray, n: int, dt: float) -> None:
     """E_(n+1), F_(n+1) = (E_(n+1) - E*) / (d dt), and the parabola through start, stage and end.
 
     docs/equations_thermal_step.md, equations 22 and 23.
@@ -222,7 +240,7 @@ def _finish(B: FloatArray, n: int, dt: float) -> None:
 
 
 @inline_always
-def _update(B: FloatArray, n: int) -> None:
+def _substitute_back(B: FloatArray, n: int) -> None:
     """Back substitution; lanes that are active (MOVES is 1, else 0) are updated, and their heat contents with them.
 
     The choice is arithmetic, exact for 1 and 0: a masked store would cost more than all the rest.
@@ -248,20 +266,20 @@ def _update(B: FloatArray, n: int) -> None:
 
 
 @inline_always
-def _retire(B: FloatArray) -> int:
-    """Take lanes whose update was small out of the iteration.
+def _stop_converged_lanes(B: FloatArray) -> int:
+    """Stop the iteration of lanes whose update was small.
 
     returns : number of lanes still iterating
     """
-    left = 0
+    iterating = 0
     for lane in range(LANES):
         if B[ACTIVE * LANES + lane] > 0.0:
             B[ITERATIONS * LANES + lane] += 1.0
             if B[(HEAD_ROWS + LARGEST) * LANES + lane] < NEWTON_TOLERANCE_K:
                 B[ACTIVE * LANES + lane] = 0.0
             else:
-                left += 1
-    return left
+                iterating += 1
+    return iterating
 
 
 @njit
@@ -279,21 +297,21 @@ def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stag
             # Passed from node to node through the rows, from the ghost behind: constant distances, no alias checks.
             B[behind + MOVES * LANES + lane] = B[ACTIVE * LANES + lane]
             B[behind + LARGEST * LANES + lane] = 0.0
-        _update(B, n)
-        _keep_face_heat(B, J)
-        if _retire(B) == 0:
+        _substitute_back(B, n)
+        _record_face_heat(B, J)
+        if _stop_converged_lanes(B) == 0:
             return
     for lane in range(LANES):
         B[FAILED * LANES + lane] += B[ACTIVE * LANES + lane]
 
 
 @inline_always
-def _start_second_stage(B: FloatArray, n: int, dt: float) -> None:
+def _begin_second_stage(B: FloatArray, n: int, dt: float) -> None:
     """Second stage: E* = E_n + (w/d) (E(Y1) - E_n), and a guess along the first stage with the last step's curvature.
 
     docs/equations_thermal_step.md, equations 20 and 24.
     """
-    bend = (1.0 - GAMMA) * _reach(B, dt) ** 2
+    bend = (1.0 - GAMMA) * _extrapolation_time(B, dt) ** 2
     for i in range(n):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
         left, right = a - NODE_ROWS * LANES, a + NODE_ROWS * LANES
@@ -313,34 +331,34 @@ def step(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -
 
         E(Y1) = E_n + d dt (F_n + F(Y1)),    E(Y2) = E_n + (w/d) (E(Y1) - E_n) + d dt F(Y2)
 
-    B     : block of the group; T [K], RATE [K/s], ENERGY_IN and ENERGY_OUT [J/m2], ITERATIONS and FAILED change
-    J     : its integers
-    table : property and ratio tables
-    dispatcher : dispatcher of the effects (heating/effects/compiled.py)
-    dt    : length of the step [s], above 0
+    B          : block of the group; T [K], RATE [K/s], ENERGY_IN and ENERGY_OUT [J/m2], ITERATIONS and FAILED change
+    J          : its integers
+    table      : property and ratio tables
+    dispatcher : address of the effect dispatcher (heating/effects/compiled.py)
+    dt         : length of the step [s], above 0
 
     Heat contents and net heat at the start are those that the last step left, since the method's last stage is its end;
-    after a change of temperatures, parameters or conditions from outside, `_begin` has to evaluate them again. A lane
-    that does not converge in NEWTON_LIMIT iterations is counted in FAILED; nothing is raised.
+    after a change of temperatures, parameters or conditions from outside, `advance` with EVALUATE_START has to evaluate
+    them again. A lane that does not converge in NEWTON_LIMIT iterations is counted in FAILED; nothing is raised.
     Source: Hosea and Shampine (1996); docs/equations_thermal_step.md, equations 19 to 24.
     """
     n = J[N_NODES]
     # The start's share in the energies (equation 21): STAGE_IN and STAGE_OUT still hold the end of the last step.
     _add_energy(B, EXPLICIT_WEIGHT * dt)
-    _start(B, n, dt)
+    _begin_first_stage(B, n, dt)
     for stage in range(1, 3):
         if stage == 2:
-            _start_second_stage(B, n, dt)
+            _begin_second_stage(B, n, dt)
         _solve_stage(B, J, table, dispatcher, stage, dt)
         _add_energy(B, (EXPLICIT_WEIGHT if stage == 1 else STAGE_WEIGHT) * dt)
-    _finish(B, n, dt)
+    _close_step(B, n, dt)
 
 
 @inline_always
-def _begin(B: FloatArray, J: IntArray, table: FloatArray, dispatcher) -> None:  # type: ignore[no-untyped-def]
-    """Take the condition vectors of stage 2 as those that hold now."""
+def _evaluate_now(B: FloatArray, J: IntArray, table: FloatArray, dispatcher) -> None:  # type: ignore[no-untyped-def]
+    """Take the condition vectors of stage 2 as those of the present time, and evaluate heat contents and flows."""
     invalidate_cells(B)
-    forget_walls(B)
+    invalidate_walls(B)
     for lane in range(LANES):
         B[LAG_PAST * LANES + lane] = 0.0
     heat_lanes(B, J, table, dispatcher, END)
@@ -351,7 +369,7 @@ def _begin(B: FloatArray, J: IntArray, table: FloatArray, dispatcher) -> None:  
 def _advance_frame(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -> None:  # type: ignore[no-untyped-def]
     """Advance by dt [s] from the conditions of stage 0 (now) to those of stage 2 (then), linear between.
 
-    The caller has moved the vectors of stage 2 to stage 0 (see `shift_conditions`) and written new ones.
+    Before it the caller shifts the vectors of stage 2 to stage 0 (`shift_conditions`) and writes new ones.
     """
     span = LANES * N_CONDITIONS
     first = C_STAGES * LANES
@@ -359,7 +377,7 @@ def _advance_frame(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt
         now, then = B[first + k], B[first + 2 * span + k]
         B[first + span + k] = now + GAMMA * (then - now)
     # The end of the last frame is the start of this one: nothing is evaluated twice.
-    for row in STAGED:
+    for row in STAGE_ROWS:
         for lane in range(LANES):
             B[row * LANES + lane] = B[(row + 2) * LANES + lane]
     for lane in range(LANES):
@@ -370,17 +388,17 @@ def _advance_frame(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt
 
 
 def advance(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -> None:  # type: ignore[no-untyped-def]
-    """Advance a lane group by a frame of dt [s], or, with dt = BEGIN, evaluate the start of a march.
+    """Advance a lane group by a frame of dt [s], or, with dt = EVALUATE_START, evaluate the start of a march.
 
     B     : block of the group, with the conditions of stages 0 and 2 written
-    J     : its integers;  table : property and ratio tables;  dispatcher : dispatcher of the effects
-    dt    : [s]; BEGIN at the start and after any change from outside, else above 0
+    J     : its integers;  table : property and ratio tables;  dispatcher : address of the effect dispatcher
+    dt    : [s]; EVALUATE_START at the start and after any change from outside, else above 0
 
     One function for both, as they share most of their code, which is compiled once this way.
     Source: docs/equations_thermal_step.md, equations 19 to 24.
     """
-    if dt == BEGIN:
-        _begin(B, J, table, dispatcher)
+    if dt == EVALUATE_START:
+        _evaluate_now(B, J, table, dispatcher)
     else:
         _advance_frame(B, J, table, dispatcher, dt)
 

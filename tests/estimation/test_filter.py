@@ -413,12 +413,12 @@ def test_held_gains_are_those_of_the_whole_filter_once_it_is_steady():
     read = np.random.default_rng(4).normal(310.0, 1.0, (2, 2 * (len(t) - 1)))
     samples = samples_on_grid(np.arange(0.5, 400.5), mesh.sensors, read, 1.0)  # two of each sensor in a step
     whole = FilterTrack(model, mesh, samples, noise_K2_s=0.1, disturbance=WALKED, covariance_K2=np.eye(9))
-    held = replace(whole, hold_after_s=300.0)
+    held = replace(whole, freeze_after_s=300.0)
     a, b = FilterMarch([whole, held], t, steady).filter()
     np.testing.assert_allclose(b.temperature_K, a.temperature_K, atol=1e-6)
     np.testing.assert_allclose(b.covariance, a.covariance, atol=1e-6)
     np.testing.assert_array_equal(b.innovation_K[:600], a.innovation_K[:600])
-    with pytest.raises(InputError, match="hold_after_s"):
+    with pytest.raises(InputError, match="freeze_after_s"):
         FilterMarch([held], t, steady).filter(keep=True)
 
 

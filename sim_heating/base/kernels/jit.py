@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import hashlib
 import math
 import os
@@ -14,10 +13,18 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-import llvmlite.ir
 import numba
-import numba.core.compiler
 import numba.extending
+
+from sim_heating.base.kernels.numba_private import (
+    CFunctionCompiler,
+    KernelCompiler,
+    array_data,
+    call_dispatcher_at,
+    call_step_at,
+    mantissa_and_exponent_bits,
+    power_of_two_bits,
+)
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -92,33 +99,6 @@ if "NUMBA_CACHE_DIR" not in os.environ:
 numba.config.SLP_VECTORIZE = 1  # type: ignore[attr-defined]
 
 
-class _Compiler(numba.core.compiler.Compiler):
-    """Compiles with Python's garbage collection off, which takes a tenth of the time and finds hardly anything."""
-
-    def compile_extra(self, function: Any) -> Any:
-        if not gc.isenabled():
-            return super().compile_extra(function)
-        gc.disable()
-        try:
-            return super().compile_extra(function)
-        finally:
-            gc.enable()
-
-
-class _KernelCompiler(_Compiler):
-    """Omits the entry points of a kernel that nobody calls, an eighth of the time.
-
-    They are the one for C (c_function makes its own), and the one for Python where a kernel takes pointers, which
-    Python cannot pass.
-    """
-
-    def __init__(self, *given: Any) -> None:
-        super().__init__(*given)
-        flags = self.state.flags
-        flags.no_cfunc_wrapper = True
-        flags.no_cpython_wrapper = any(isinstance(argument, numba.types.CPointer) for argument in self.state.args)
-
-
 _ARITHMETIC: Mapping[str, Any] = {"fastmath": False, "error_model": "numpy"}
 """Options of every kernel that decide its bits: no reassociation, no contraction, numpy's division by zero."""
 
@@ -128,7 +108,7 @@ def njit(function: F, inline: bool = False) -> F:
 
     inline : whether LLVM has to inline it into every caller (see `force_inline`)
     """
-    kernel = numba.njit(cache=True, nogil=True, forceinline=inline, pipeline_class=_KernelCompiler, **_ARITHMETIC)
+    kernel = numba.njit(cache=True, nogil=True, forceinline=inline, pipeline_class=KernelCompiler, **_ARITHMETIC)
     return cast(F, kernel(function))
 
 
@@ -149,22 +129,12 @@ def c_function(signature: Any, function: Any, cache: bool = True) -> Any:
     """
     if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         return function
-    return numba.cfunc(signature, cache=cache, pipeline_class=_Compiler, **_ARITHMETIC)(function)
+    return numba.cfunc(signature, cache=cache, pipeline_class=CFunctionCompiler, **_ARITHMETIC)(function)
 
 
 def force_inline(function: F) -> F:
     """Compile a kernel like njit and inline it wherever called: a loop over lanes with calls does not vectorise."""
     return njit(function, inline=True)
-
-
-@numba.extending.intrinsic
-def _array_data(_typing_context: object, array: numba.types.Array):  # type: ignore[no-untyped-def]
-    kind = numba.types.CPointer(array.dtype)
-
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        return context.make_array(signature.args[0])(context, builder, args[0]).data
-
-    return kind(array), codegen
 
 
 def pointer(array):  # type: ignore[no-untyped-def]
@@ -179,22 +149,8 @@ def pointer(array):  # type: ignore[no-untyped-def]
 @numba.extending.overload(pointer, inline="always")
 def _pointer_compiled(array):  # type: ignore[no-untyped-def]
     if isinstance(array, numba.types.Array):
-        return lambda array: _array_data(array)
+        return lambda array: array_data(array)
     return None
-
-
-WHOLE = 1.5 * 2.0**52
-"""Added to a number below 2^51 in size it leaves no digits behind the point; its last bits are then the integer."""
-
-
-@numba.extending.intrinsic
-def _power_of_two(_typing_context, k):  # type: ignore[no-untyped-def]
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        number, bits = llvmlite.ir.DoubleType(), llvmlite.ir.IntType(64)
-        whole = builder.bitcast(builder.fadd(args[0], number(WHOLE)), bits)
-        return builder.bitcast(builder.add(builder.shl(whole, bits(52)), bits(1023 << 52)), number)
-
-    return numba.types.float64(numba.types.float64), codegen
 
 
 def power_of_two(k: float) -> float:
@@ -204,22 +160,7 @@ def power_of_two(k: float) -> float:
 
 @numba.extending.overload(power_of_two, inline="always")
 def _power_of_two_compiled(k):  # type: ignore[no-untyped-def]
-    return lambda k: _power_of_two(k)
-
-
-@numba.extending.intrinsic
-def _split(_typing_context, x):  # type: ignore[no-untyped-def]
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        number, bits = llvmlite.ir.DoubleType(), llvmlite.ir.IntType(64)
-        whole = builder.bitcast(args[0], bits)
-        # The exponent's bits below those of 2^52 are 2^52 + exponent: no conversion of integers, which AVX2 lacks.
-        above = builder.or_(builder.lshr(whole, bits(52)), bits(1075 << 52))
-        exponent = builder.fsub(builder.bitcast(above, number), number(2.0**52 + 1022.0))
-        half = builder.or_(builder.and_(whole, bits((1 << 52) - 1)), bits(1022 << 52))
-        return context.make_tuple(builder, signature.return_type, [builder.bitcast(half, number), exponent])
-
-    float64 = numba.types.float64
-    return numba.types.UniTuple(float64, 2)(float64), codegen
+    return lambda k: power_of_two_bits(k)
 
 
 def split(x: float) -> tuple[float, float]:
@@ -230,22 +171,7 @@ def split(x: float) -> tuple[float, float]:
 
 @numba.extending.overload(split, inline="always")
 def _split_compiled(x):  # type: ignore[no-untyped-def]
-    return lambda x: _split(x)
-
-
-def _call_through_address(context, builder, signature, args):  # type: ignore[no-untyped-def]
-    """LLVM code of a call whose first argument is the address of the function; the others are the function's own."""
-    void = signature.return_type == numba.types.void
-    result = llvmlite.ir.VoidType() if void else context.get_value_type(signature.return_type)
-    kinds = [context.get_value_type(t) for t in signature.args[1:]]
-    function = llvmlite.ir.FunctionType(result, kinds).as_pointer()
-    returned = builder.call(builder.inttoptr(args[0], function), args[1:])
-    return context.get_dummy_value() if void else returned
-
-
-@numba.extending.intrinsic
-def _call_dispatcher(_typing_context, address, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
-    return numba.types.float64(address, code, B, c, p, wall_K), _call_through_address
+    return lambda x: mantissa_and_exponent_bits(x)
 
 
 def call_dispatcher(dispatcher, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
@@ -262,19 +188,8 @@ def call_dispatcher(dispatcher, code, B, c, p, wall_K):  # type: ignore[no-untyp
 @numba.extending.overload(call_dispatcher, inline="always")
 def _call_dispatcher_compiled(dispatcher, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
     if isinstance(dispatcher, numba.types.Integer):
-        return lambda dispatcher, code, B, c, p, wall_K: _call_dispatcher(dispatcher, code, B, c, p, wall_K)
+        return lambda dispatcher, code, B, c, p, wall_K: call_dispatcher_at(dispatcher, code, B, c, p, wall_K)
     return None
-
-
-@numba.extending.intrinsic
-def call_effect(_typing_context, address, B, c, p, wall_K):  # type: ignore[no-untyped-def]
-    """Value [-] of an effect's compiled kernel at an address: kernel(B, c, p, wall_K), wall_K [K]."""
-    return numba.types.float64(address, B, c, p, wall_K), _call_through_address
-
-
-@numba.extending.intrinsic
-def _call_step(_typing_context, address, B, J, table, dispatcher, dt):  # type: ignore[no-untyped-def]
-    return numba.types.void(address, B, J, table, dispatcher, dt), _call_through_address
 
 
 def call_step(step, B, J, table, dispatcher, dt):  # type: ignore[no-untyped-def]
@@ -288,7 +203,7 @@ def call_step(step, B, J, table, dispatcher, dt):  # type: ignore[no-untyped-def
 @numba.extending.overload(call_step, inline="always")
 def _call_step_compiled(step, B, J, table, dispatcher, dt):  # type: ignore[no-untyped-def]
     if isinstance(step, numba.types.Integer):
-        return lambda step, B, J, table, dispatcher, dt: _call_step(step, B, J, table, dispatcher, dt)
+        return lambda step, B, J, table, dispatcher, dt: call_step_at(step, B, J, table, dispatcher, dt)
     return None
 
 

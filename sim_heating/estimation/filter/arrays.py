@@ -63,7 +63,7 @@ class Noise(NamedTuple):
 
 
 class SmootherHistory(NamedTuple):
-    """History for the smoother, of size 0 where none is wanted.
+    """What a smoother reads of a filtered march, of size 0 where no smoother follows.
 
     mean       : (lane, time, node + 1) z after the readings of each step
     covariance : (lane, time, node + 1, node + 1) its covariance
@@ -80,7 +80,7 @@ class SmootherHistory(NamedTuple):
 class FrozenGains(NamedTuple):
     """Covariances of one step of each lane, before its readings were taken, for frozen gains.
 
-    after_s           : (lane,) time after which they serve for later steps [s]
+    after_s           : (lane,) time after which the covariances serve for later steps [s]
     number            : (lane,) readings of that step, -1 before the first
     node, x           : (lane, reading) their nodes and fractions of the step
     covariance, cross : covariances of the readings with each other and with z [K2];  P : that of z
@@ -100,9 +100,8 @@ class Workspace(NamedTuple):
     step.
 
     end, middle         : columns at the end (on entry: at the start) and at the middle stage
-    e, f, star, e_middle : heat content, net heat, right-hand side, heat content at the middle stage; reduced : (node,)
-                           of
-                          the tridiagonal elimination
+    e, f, star, e_middle : heat content, net heat, right-hand side, heat content at the middle stage
+    reduced              : (node,) of the tridiagonal elimination
     """
 
     end: FloatArray
@@ -133,6 +132,50 @@ class StepReadings(NamedTuple):
     start: FloatArray
 
 
+class FilterArrays(NamedTuple):
+    """All arrays of a filter: inputs, state, outputs for a smoother, and work space.
+
+    readings, state, noise : readings, filter state (updated) and noise of the process, of all lanes
+    gains, history         : frozen gains;  history for a smoother
+    gamma                  : work space of a first pass without F P, where gains are frozen
+    first, second          : work space of a whole first pass, and of the second pass
+    taken                  : readings of one step
+    z, transition          : (node + 1,) state of a lane;  (node + 1, node + 1) transition of its step
+    """
+
+    readings: Readings
+    state: State
+    noise: Noise
+    gains: FrozenGains
+    history: SmootherHistory
+    gamma: Workspace
+    first: Workspace
+    second: Workspace
+    taken: StepReadings
+    z: FloatArray
+    transition: FloatArray
+
+
+class LaneStep(NamedTuple):
+    """One step of one lane, as the parts of the filter take it.
+
+    lane, nodes  : number of the lane and of its nodes
+    dt, decay    : length of the step [s];  exp(-dt / correlation time) of the ratio disturbance [-]
+    first, number : number of the first reading in the step, and of readings in it
+    whole        : whether the covariance is propagated, which it is not where gains are frozen
+    keep         : whether rows and transition are kept for a smoother
+    """
+
+    lane: int
+    nodes: int
+    dt: float
+    decay: float
+    first: int
+    number: int
+    whole: bool
+    keep: bool
+
+
 class MarchOutput(NamedTuple):
     """Output of a march with a history added to the heating ratio.
 
@@ -157,7 +200,7 @@ class Blocks(NamedTuple):
     end: FloatArray
 
 
-def workspace_of(n: int, columns: int) -> Workspace:
+def workspace(n: int, columns: int) -> Workspace:
     """Work space for the propagation of columns, all zero.
 
     n : nodes;  columns : number of columns, each the derivative of the node temperatures [K] against one quantity
@@ -168,7 +211,7 @@ def workspace_of(n: int, columns: int) -> Workspace:
     return Workspace(end, middle, e, f, star, e_middle, np.zeros(n))
 
 
-def step_readings_of(readings: int, size: int, parameters: int) -> StepReadings:
+def step_readings(readings: int, size: int, parameters: int) -> StepReadings:
     """Room for the readings of one step, all zero.
 
     readings : most readings in a step;  size : of the state z;  parameters : number of sensitivities
@@ -182,7 +225,7 @@ def step_readings_of(readings: int, size: int, parameters: int) -> StepReadings:
     )
 
 
-def frozen_gains_of(after_s: FloatArray, readings: int, size: int) -> FrozenGains:
+def frozen_gains(after_s: FloatArray, readings: int, size: int) -> FrozenGains:
     """Store for frozen gains, still empty.
 
     after_s  : (lane,) time after which gains are frozen [s];  readings : most readings in a step;  size : of the state

@@ -36,7 +36,6 @@ from sim_heating.base.kernels.block import (
     LAG_PAST,
     LAG_VALUE,
     LANES,
-    N_CONDITIONS,
     N_PARAMETERS,
     NODE_ROWS,
     PARAMETERS,
@@ -48,29 +47,30 @@ from sim_heating.base.kernels.jit import call_step, njit, pointer
 from sim_heating.base.kernels.truncated_normal import LOG_ROOT_2PI, truncated_normal
 from sim_heating.estimation.filter.arrays import (
     Blocks,
+    FilterArrays,
     FrozenGains,
+    LaneStep,
     Noise,
     Readings,
-    SmootherHistory,
     State,
     StepReadings,
     Workspace,
 )
-from sim_heating.march.frames import END_STAGE
+from sim_heating.march.frames import Flights, set_flight_conditions
 from sim_heating.thermal.sensitivity import (
     PerturbedGroups,
     PerturbedOffsets,
     assemble_perturbed,
     begin_columns,
     content_columns,
-    first_star,
+    first_right_hand_side,
     parabola,
     parabola_rate,
-    second_star,
+    second_right_hand_side,
     solve_columns,
     start_from_copy,
 )
-from sim_heating.thermal.step import BEGIN, COLDEST_K, STAGE_WEIGHT, shift_conditions
+from sim_heating.thermal.step import COLDEST_K, EVALUATE_START, STAGE_WEIGHT, LaneGroup, shift_conditions
 
 (
     PRIOR, PRIOR_VARIANCE, POSTERIOR, POSTERIOR_VARIANCE, PREDICTED, PREDICTED_VARIANCE, INNOVATION, VARIANCE,
@@ -88,25 +88,26 @@ LEAST_GAIN = 1e-14
 
 
 @njit
-def propagate(X: Blocks, p: PerturbedOffsets, lane: int, forced: int, dt: float, w: Workspace) -> None:
+def propagate(X: Blocks, offsets: PerturbedOffsets, lane: int, forced: int, dt: float, w: Workspace) -> None:
     """Propagate columns of derivatives of the temperatures through one TR-BDF2 step, in place.
 
-    X      : blocks of the perturbed lanes at start, middle stage and end;  p : where those of this lane stand
-    forced : number of columns, the first ones, whose parameters also act in the step (dT/dp); the others are products
-             with Phi alone
-    dt     : time step [s]
-    w      : columns (node, column) in w.end, at the start on entry, at the end on return; w.middle: middle stage [K
-             over the unit of the column]
+    X       : blocks of the perturbed lanes at start, middle stage and end
+    offsets : where the perturbed lanes of this lane are
+    forced  : number of columns, the first ones, whose parameters also act in the step (dT/dp); the others are products
+              with Phi alone
+    dt      : time step [s]
+    w       : columns (node, column) in w.end, at the start on entry, at the end on return; w.middle: middle stage [K
+              over the unit of the column]
 
     Derived in docs/equations_march.md, equations 7 and 8.
     """
     ddt = STAGE_WEIGHT * dt
-    begin_columns(X.start, p, lane, forced, w.end, w.e, w.f)
-    first_star(w.e, w.f, dt, w.star)
-    solve_columns(X.middle, p, lane, forced, ddt, w.star, w.middle, w.reduced)
-    content_columns(X.middle, p, lane, forced, w.middle, w.e_middle)
-    second_star(w.e, w.e_middle, w.star)
-    solve_columns(X.end, p, lane, forced, ddt, w.star, w.end, w.reduced)
+    begin_columns(X.start, offsets, lane, forced, w.end, w.e, w.f)
+    first_right_hand_side(w.e, w.f, dt, w.star)
+    solve_columns(X.middle, offsets, lane, forced, ddt, w.star, w.middle, w.reduced)
+    content_columns(X.middle, offsets, lane, forced, w.middle, w.e_middle)
+    second_right_hand_side(w.e, w.e_middle, w.star)
+    solve_columns(X.end, offsets, lane, forced, ddt, w.star, w.end, w.reduced)
 
 
 @njit
@@ -118,34 +119,33 @@ def _add_forcing(gamma: Workspace, w: Workspace, column: int, amount: float, n: 
 
 
 @njit
-def first_pass(
-    X: Blocks, p: PerturbedOffsets, lane: int, dt: float, state: State, whole: bool, keep: bool, w: Workspace
-) -> None:
+def first_pass(X: Blocks, offsets: PerturbedOffsets, step: LaneStep, state: State, w: Workspace) -> None:
     """Propagate Gamma, the sensitivities, and where wanted F P and F itself, through one step of a lane.
 
-    dt    : time step [s];  state : covariance and sensitivities at the start, unchanged
-    whole : whether F P is wanted (not where gains are frozen);  keep : whether the columns of F are, for a smoother
-    w     : receives columns at end and middle stage: Gamma [K], sensitivities [K over the parameter's unit], F P [K2],
-            F
+    X, offsets : blocks of the perturbed lanes, and where those of each lane are
+    step       : the step; `whole` for F P, `keep` for the columns of F
+    state      : covariance and sensitivities at the start, unchanged
+    w          : receives columns at end and middle stage: Gamma [K], sensitivities [K over the parameter's unit], F P
+                 [K2], F
 
-    Workspace stand in this order, so that those with forcing come first. Derived in docs/filter.md, equations 4 and 11.
+    Columns come in this order, so that those with forcing are the first. Derived in docs/filter.md, equations 4 and 11.
     """
-    n, m = p.nodes[lane], state.S.shape[2]
-    first, identity, covariances = 1 + m, 1 + m + state.P.shape[1], n + 1 if whole else 0
+    lane, n, m = step.lane, step.nodes, state.S.shape[2]
+    first, identity, covariances = 1 + m, 1 + m + state.P.shape[1], n + 1 if step.whole else 0
     w.end[:, :] = 0.0
     for i in range(n):
         for k in range(m):
             w.end[i, 1 + k] = state.S[lane, i, k]
         for j in range(covariances):
             w.end[i, first + j] = state.P[lane, i, j]
-        if keep:
+        if step.keep:
             w.end[i, identity + i] = 1.0
-    propagate(X, p, lane, 1 + m, dt, w)
+    propagate(X, offsets, lane, 1 + m, step.dt, w)
     for k in range(m):
         _add_forcing(w, w, 1 + k, state.S[lane, n, k], n)
     for j in range(covariances):
         _add_forcing(w, w, first + j, state.P[lane, n, j], n)
-    if keep:
+    if step.keep:
         _add_forcing(w, w, identity + n, 1.0, n)
 
 
@@ -163,83 +163,80 @@ def read_column(w: Workspace, column: int, node: int, x: float, start: float) ->
 
 @njit
 def predict_readings(
-    B: FloatArray, p: PerturbedOffsets, lane: int, dt: float, r: Readings, first: int, count: int,
-    state: State, whole: bool,
-    keep: bool, w: Workspace, joint: StepReadings,
-) -> None:  # fmt: skip
+    B: FloatArray, step: LaneStep, readings: Readings, state: State, w: Workspace, taken: StepReadings
+) -> None:
     """Predict the readings of a step: temperatures, rates, sensitivities, rows, and cov(z at the start, T).
 
-    B            : block of the lane group, after the step;  dt : time step [s]
-    r            : readings, of which `count` from `first` on lie in the step
-    whole, keep  : whether covariances, and rows for a smoother, are wanted
-    w            : columns of the first pass
-    joint        : receives temperature [K], rate [K/s], sensitivities, P R' [K2] and R of each
+    B        : block of the lane group, after the step;  step : the step
+    readings : readings of all lanes;  state : at the start of the step
+    w        : columns of the first pass
+    taken    : receives temperature [K], rate [K/s], sensitivities, P R' [K2] and R of each reading of the step
 
     Derived in docs/filter.md, equations 5 and 6, and docs/equations_march.md, equation 5.
     """
-    n, m = p.nodes[lane], state.S.shape[2]
-    identity, covariances = 1 + m + state.P.shape[1], n + 1 if whole else 0
-    for q in range(count):
-        node, x = r.node[lane, first + q], joint.x[q]
+    lane, n, m = step.lane, step.nodes, state.S.shape[2]
+    identity, covariances = 1 + m + state.P.shape[1], n + 1 if step.whole else 0
+    for q in range(step.number):
+        node, x = readings.node[lane, step.first + q], taken.x[q]
         a = (HEAD_ROWS + node * NODE_ROWS) * LANES + lane
         T0, T1, T2 = B[a + T_START * LANES], B[a + T_STAGE * LANES], B[a + T * LANES]
         w0, w1, w2 = parabola(x)
-        joint.mean[q] = w0 * T0 + w1 * T1 + w2 * T2
-        w0, w1, w2 = parabola_rate(x, dt)
-        joint.rate[q] = w0 * T0 + w1 * T1 + w2 * T2
+        taken.mean[q] = w0 * T0 + w1 * T1 + w2 * T2
+        w0, w1, w2 = parabola_rate(x, step.dt)
+        taken.rate[q] = w0 * T0 + w1 * T1 + w2 * T2
         for k in range(m):
-            joint.S[q, k] = read_column(w, 1 + k, node, x, state.S[lane, node, k])
+            taken.S[q, k] = read_column(w, 1 + k, node, x, state.S[lane, node, k])
         for j in range(covariances):
-            joint.start[q, j] = read_column(w, 1 + m + j, node, x, state.P[lane, node, j])
-            if keep:
-                joint.rows[q, j] = read_column(w, identity + j, node, x, 1.0 if j == node else 0.0)
+            taken.start[q, j] = read_column(w, 1 + m + j, node, x, state.P[lane, node, j])
+            if step.keep:
+                taken.rows[q, j] = read_column(w, identity + j, node, x, 1.0 if j == node else 0.0)
 
 
 @njit
 def second_pass(
-    X: Blocks, p: PerturbedOffsets, lane: int, dt: float, r: Readings, first: int, count: int, state: State,
-    noise: Noise,
-    decay: float, gamma: Workspace, w: Workspace, joint: StepReadings,
+    X: Blocks, offsets: PerturbedOffsets, step: LaneStep, readings: Readings, state: State, noise: Noise,
+    gamma: Workspace, w: Workspace, taken: StepReadings,
 ) -> None:  # fmt: skip
     """Covariance of the state after a step, P' = F P F' + Q, and the joint covariance of its readings.
 
-    dt       : time step [s];  decay : exp(-dt / correlation time) of the ratio disturbance [-]
-    r        : readings, of which `count` from `first` on lie in the step;  noise : of the process [K2/s], [1/s]
-    gamma    : columns of the first pass, F P among them;  w : work space
-    state    : P becomes P', [K2] for the temperatures
-    joint    : receives cov(z', T) and cov(T_a, T_b) [K2]
+    X, offsets : blocks of the perturbed lanes, and where those of each lane are
+    step       : the step;  readings : of all lanes;  noise : of the process [K2/s], [1/s]
+    gamma      : columns of the first pass, F P among them;  w : work space
+    state      : P becomes P', [K2] for the temperatures
+    taken      : receives cov(z', T) and cov(T_a, T_b) [K2]
 
     F M' is propagated like M = F P: its columns are the rows of M, with those of the readings appended. Derived in
     docs/filter.md, equations 2, 4 and 6.
     """
-    n, m, size = p.nodes[lane], state.S.shape[2], state.P.shape[1]
+    lane, n, m, size = step.lane, step.nodes, state.S.shape[2], state.P.shape[1]
+    dt, decay, first, count = step.dt, step.decay, step.first, step.number
     w.end[:, :] = 0.0
     for i in range(n):
         for j in range(n):
             w.end[i, j] = gamma.end[j, 1 + m + i]
         w.end[i, n] = decay * state.P[lane, n, i]
         for q in range(count):
-            w.end[i, size + q] = joint.start[q, i]
+            w.end[i, size + q] = taken.start[q, i]
     # F P R' of the readings goes through with F M': one elimination serves all columns.
-    propagate(X, p, lane, 0, dt, w)
+    propagate(X, offsets, lane, 0, dt, w)
     for j in range(n):
         _add_forcing(gamma, w, j, gamma.end[j, 1 + m + n], n)
     _add_forcing(gamma, w, n, decay * state.P[lane, n, n], n)
     for q in range(count):
-        _add_forcing(gamma, w, size + q, joint.start[q, n], n)
+        _add_forcing(gamma, w, size + q, taken.start[q, n], n)
     for q in range(count):
-        node, x = r.node[lane, first + q], joint.x[q]
+        node, x = readings.node[lane, first + q], taken.x[q]
         for i in range(n):
-            joint.cross[q, i] = w.end[i, size + q]
-        joint.cross[q, n] = decay * joint.start[q, n]
+            taken.cross[q, i] = w.end[i, size + q]
+        taken.cross[q, n] = decay * taken.start[q, n]
         # White noise of the node up to the reading is still in the node's temperature at the end of the step.
-        joint.cross[q, node] += x * dt * noise.nodes[lane, node]
+        taken.cross[q, node] += x * dt * noise.nodes[lane, node]
         for s in range(count):
-            covariance = read_column(w, size + s, node, x, joint.start[s, node])
-            if r.node[lane, first + s] == node:
+            covariance = read_column(w, size + s, node, x, taken.start[s, node])
+            if readings.node[lane, first + s] == node:
                 # Two readings of a node share the noise up to the earlier of them.
-                covariance += min(x, joint.x[s]) * dt * noise.nodes[lane, node]
-            joint.covariance[q, s] = covariance
+                covariance += min(x, taken.x[s]) * dt * noise.nodes[lane, node]
+            taken.covariance[q, s] = covariance
     for i in range(n):
         for j in range(i + 1):
             # The two triangles differ by rounding; left alone the difference grows from step to step.
@@ -286,28 +283,27 @@ def innovation(lower: float, upper: float, mean: float, variance: float) -> tupl
 
 
 @njit
-def _take(
-    r: Readings, lane: int, k: int, q: int, count: int, n: int, state: State, z: FloatArray, joint: StepReadings,
-    transition: FloatArray, keep: bool, out: FloatArray,
-) -> None:  # fmt: skip
-    """Condition z, P, the sensitivities and the other readings of the step on reading k, number q of its step."""
-    gain, m = r.gain[lane, k], state.S.shape[2]
+def _take(step: LaneStep, q: int, f: FilterArrays, out: FloatArray) -> None:
+    """Condition z, P, the sensitivities and the other readings of the step on reading number q of the step."""
+    readings, state, taken, z = f.readings, f.state, f.taken, f.z
+    lane, n, count, k = step.lane, step.nodes, step.number, step.first + q
+    gain, m = readings.gain[lane, k], state.S.shape[2]
     predicted = out[N_OUT:]
     for j in range(m):
-        direct = r.direct[lane, k, j]
-        predicted[j] = gain * joint.S[q, j] + direct[CONSTANT]
-        predicted[j] += direct[PER_TEMPERATURE] * joint.mean[q] + direct[PER_RATE] * joint.rate[q]
-    out[PREDICTED] = gain * joint.mean[q] + r.bias[lane, k]
-    out[PREDICTED_VARIANCE] = gain * gain * joint.covariance[q, q] + r.variance[lane, k]
-    if not r.lower[lane, k] <= r.upper[lane, k]:
+        direct = readings.direct[lane, k, j]
+        predicted[j] = gain * taken.S[q, j] + direct[CONSTANT]
+        predicted[j] += direct[PER_TEMPERATURE] * taken.mean[q] + direct[PER_RATE] * taken.rate[q]
+    out[PREDICTED] = gain * taken.mean[q] + readings.bias[lane, k]
+    out[PREDICTED_VARIANCE] = gain * gain * taken.covariance[q, q] + readings.variance[lane, k]
+    if not readings.lower[lane, k] <= readings.upper[lane, k]:
         return
     nu, variance, out[LOG_LIKELIHOOD] = innovation(
-        r.lower[lane, k], r.upper[lane, k], out[PREDICTED], out[PREDICTED_VARIANCE]
+        readings.lower[lane, k], readings.upper[lane, k], out[PREDICTED], out[PREDICTED_VARIANCE]
     )  # fmt: skip
     out[INNOVATION], out[VARIANCE] = nu, variance
     # Copies: the loops below overwrite row q with its own update before they are done with the other readings.
-    cross, own = joint.cross[q].copy(), joint.covariance[q].copy()
-    own_row, inverse = joint.rows[q].copy(), 1.0 / variance
+    cross, own = taken.cross[q].copy(), taken.covariance[q].copy()
+    own_row, inverse = taken.rows[q].copy(), 1.0 / variance
     for i in range(n + 1):
         share = gain * cross[i] * inverse
         z[i] += share * nu
@@ -315,134 +311,132 @@ def _take(
             state.P[lane, i, j] -= (gain * cross[i]) * (gain * cross[j]) * inverse
         for j in range(m):
             state.S[lane, i, j] -= share * predicted[j]
-        if keep:
+        if step.keep:
             for j in range(n + 1):
-                transition[i, j] -= share * (gain * own_row[j])
+                f.transition[i, j] -= share * (gain * own_row[j])
     for s in range(count):
         share = gain * own[s] * inverse
-        joint.mean[s] += share * nu
+        taken.mean[s] += share * nu
         for t in range(count):
-            joint.covariance[s, t] -= (gain * own[s]) * (gain * own[t]) * inverse
+            taken.covariance[s, t] -= (gain * own[s]) * (gain * own[t]) * inverse
         for i in range(n + 1):
-            joint.cross[s, i] -= share * (gain * cross[i])
-            joint.rows[s, i] -= share * (gain * own_row[i])
+            taken.cross[s, i] -= share * (gain * cross[i])
+            taken.rows[s, i] -= share * (gain * own_row[i])
         for j in range(m):
-            joint.S[s, j] -= share * predicted[j]
+            taken.S[s, j] -= share * predicted[j]
 
 
 @njit
-def take_readings(
-    r: Readings, lane: int, first: int, count: int, n: int, state: State, z: FloatArray, joint: StepReadings,
-    transition: FloatArray, kept: SmootherHistory, keep: bool, out: FloatArray,
-) -> None:  # fmt: skip
+def take_readings(step: LaneStep, f: FilterArrays, out: FloatArray) -> None:
     """Update a lane by the readings of one step, in order of time.
 
         K = g cov(z', T) / S,    z+ = z' + K nu,    P+ = P' - S K K'
 
-    r                : readings, of which `count` from `first` on lie in the step
-    n                : nodes;  z : (node + 1,) temperatures [K] and disturbance [-], updated
-    state, joint     : covariances and sensitivities, updated
-    transition, kept : for a smoother, where `keep`
-    out              : (reading, column) receives for each reading temperature before and after all readings of its time
-                       [K] with variances [K2], prediction, innovation, log likelihood, sensitivities
+    step : the step
+    f    : arrays of the filter: state z [K], [-], covariances, sensitivities and the readings of the step are updated;
+           rows and transition for a smoother, where `step.keep`
+    out  : (reading, column) receives for each reading temperature before and after all readings of its time [K] with
+           variances [K2], prediction, innovation, log likelihood, sensitivities
 
     A reading without an interval (NaN) is predicted and changes nothing. Derived in docs/filter.md, equations 7 to 14.
     """
+    readings, taken = f.readings, f.taken
+    lane, first, count = step.lane, step.first, step.number
     begun = 0
     for q in range(count):
         k = first + q
         # Readings of one time share their a priori and a posteriori state, whatever the order in which they are taken.
-        if r.time_s[lane, k] != r.time_s[lane, first + begun]:
+        if readings.time_s[lane, k] != readings.time_s[lane, first + begun]:
             begun = q
         # A priori values of all sensors read at one time, before the first of them is taken.
         if begun == q:
             last = q
-            while last + 1 < count and r.time_s[lane, first + last + 1] == r.time_s[lane, k]:
+            while last + 1 < count and readings.time_s[lane, first + last + 1] == readings.time_s[lane, k]:
                 last += 1
             for s in range(q, last + 1):
-                out[first + s, PRIOR], out[first + s, PRIOR_VARIANCE] = joint.mean[s], joint.covariance[s, s]
-        if keep:
-            for j in range(n + 1):
-                kept.rows[lane, k, j] = r.gain[lane, k] * joint.rows[q, j]
-        _take(r, lane, k, q, count, n, state, z, joint, transition, keep, out[k])
+                out[first + s, PRIOR], out[first + s, PRIOR_VARIANCE] = taken.mean[s], taken.covariance[s, s]
+        if step.keep:
+            for j in range(step.nodes + 1):
+                f.history.rows[lane, k, j] = readings.gain[lane, k] * taken.rows[q, j]
+        _take(step, q, f, out[k])
         for s in range(begun, q + 1):
-            out[first + s, POSTERIOR], out[first + s, POSTERIOR_VARIANCE] = joint.mean[s], joint.covariance[s, s]
+            out[first + s, POSTERIOR], out[first + s, POSTERIOR_VARIANCE] = taken.mean[s], taken.covariance[s, s]
 
 
 @njit
-def _repeats(held: FrozenGains, r: Readings, lane: int, first: int, count: int, joint: StepReadings) -> bool:
+def _repeats(gains: FrozenGains, readings: Readings, lane: int, first: int, count: int, taken: StepReadings) -> bool:
     """Whether the readings of a step are at the nodes and fractions of those whose covariances are stored."""
-    if held.number[lane] != count:
+    if gains.number[lane] != count:
         return False
     for q in range(count):
-        if held.node[lane, q] != r.node[lane, first + q] or abs(held.x[lane, q] - joint.x[q]) > SAME_PLACE:
+        if gains.node[lane, q] != readings.node[lane, first + q] or abs(gains.x[lane, q] - taken.x[q]) > SAME_PLACE:
             return False
     return True
 
 
 @njit
-def _remember(
-    held: FrozenGains, r: Readings, lane: int, first: int, count: int, state: State, joint: StepReadings
+def _store_covariances(
+    step: LaneStep, gains: FrozenGains, readings: Readings, state: State, taken: StepReadings
 ) -> None:
     """Store the covariances of a step for frozen gains."""
-    held.number[lane], held.P[lane] = count, state.P[lane]
+    lane, count = step.lane, step.number
+    gains.number[lane], gains.P[lane] = count, state.P[lane]
     for q in range(count):
-        held.node[lane, q], held.x[lane, q] = r.node[lane, first + q], joint.x[q]
-        held.cross[lane, q] = joint.cross[q]
-        held.covariance[lane, q] = joint.covariance[q]
+        gains.node[lane, q], gains.x[lane, q] = readings.node[lane, step.first + q], taken.x[q]
+        gains.cross[lane, q] = taken.cross[q]
+        gains.covariance[lane, q] = taken.covariance[q]
 
 
 @njit
-def _recall(held: FrozenGains, lane: int, count: int, state: State, joint: StepReadings) -> None:
+def _reuse_covariances(step: LaneStep, gains: FrozenGains, state: State, taken: StepReadings) -> None:
     """Use the stored covariances for those of this step."""
-    state.P[lane] = held.P[lane]
-    for q in range(count):
-        joint.cross[q] = held.cross[lane, q]
-        joint.covariance[q] = held.covariance[lane, q]
+    state.P[step.lane] = gains.P[step.lane]
+    for q in range(step.number):
+        taken.cross[q] = gains.cross[step.lane, q]
+        taken.covariance[q] = gains.covariance[step.lane, q]
 
 
 @njit
 def filter_lane(
-    B: FloatArray, X: Blocks, p: PerturbedOffsets, lane: int, k: int, time_s: FloatArray, r: Readings, first: int,
-    state: State, noise: Noise, held: FrozenGains, kept: SmootherHistory, u: Workspace, w: Workspace,
-    v: Workspace, joint: StepReadings,
-    z: FloatArray, transition: FloatArray, out: FloatArray,
+    B: FloatArray, X: Blocks, offsets: PerturbedOffsets, time_s: FloatArray, lane: int, k: int, first: int,
+    f: FilterArrays, out: FloatArray,
 ) -> int:  # fmt: skip
     """Filter step k of one lane: covariance, sensitivities, readings, after its temperatures have been marched.
 
-    B, X, p          : block of the lane group, blocks of the perturbed lanes, where those of each lane stand
-    time_s           : (time,) steps [s];  r, first : readings and the number of the next one
-    state, noise     : filter state, updated; noise of the process [K2/s], [1/s]
-    held, kept       : frozen gains; history for a smoother
-    u, w, v, joint, z, transition : work space
-    out              : (reading, column) results of the readings
-    returns          : number of the next reading
+    B, X, offsets : block of the lane group, blocks of the perturbed lanes, where those of each lane are
+    time_s        : (time,) steps [s];  lane, k : numbers of lane and step;  first : number of its next reading
+    f             : arrays of the filter, updated
+    out           : (reading, column) results of the readings
+    returns       : number of the next reading
 
     A lane that diverges (a temperature at or below 1 K, or not finite) is marked and keeps the temperatures of its
     march. Derived in docs/filter.md, equations 1 to 14.
     """
-    n, m, size = p.nodes[lane], state.S.shape[2], state.P.shape[1]
-    keep = kept.mean.shape[1] > 0
+    readings, state, history, taken = f.readings, f.state, f.history, f.taken
+    n, m, size = offsets.nodes[lane], state.S.shape[2], state.P.shape[1]
+    keep = history.mean.shape[1] > 0
     dt = time_s[k] - time_s[k - 1]
-    decay = math.exp(-noise.decay_1_s[lane] * dt)
+    decay = math.exp(-f.noise.decay_1_s[lane] * dt)
     count = 0
-    while first + count < r.number[lane] and r.time_s[lane, first + count] <= time_s[k]:
-        joint.x[count] = (r.time_s[lane, first + count] - time_s[k - 1]) / dt
+    while first + count < readings.number[lane] and readings.time_s[lane, first + count] <= time_s[k]:
+        taken.x[count] = (readings.time_s[lane, first + count] - time_s[k - 1]) / dt
         count += 1
     # With frozen gains only Gamma and the sensitivities are propagated; F P and F M' are not needed.
-    whole = time_s[k] <= held.after_s[lane] or not _repeats(held, r, lane, first, count, joint)
-    c = w if whole else u
-    first_pass(X, p, lane, dt, state, whole, keep, c)
-    predict_readings(B, p, lane, dt, r, first, count, state, whole, keep, c, joint)
+    whole = time_s[k] <= f.gains.after_s[lane] or not _repeats(f.gains, readings, lane, first, count, taken)
+    step = LaneStep(lane, n, dt, decay, first, count, whole, keep)
+    w = f.first if whole else f.gamma
+    first_pass(X, offsets, step, state, w)
+    predict_readings(B, step, readings, state, w, taken)
     if whole:
-        second_pass(X, p, lane, dt, r, first, count, state, noise, decay, w, v, joint)
-        _remember(held, r, lane, first, count, state, joint)
+        second_pass(X, offsets, step, readings, state, f.noise, f.first, f.second, taken)
+        _store_covariances(step, f.gains, readings, state, taken)
     else:
-        _recall(held, lane, count, state, joint)
+        _reuse_covariances(step, f.gains, state, taken)
+    z, transition = f.z, f.transition
     for i in range(n):
         z[i] = B[(HEAD_ROWS + i * NODE_ROWS + T) * LANES + lane]
         for j in range(m):
-            state.S[lane, i, j] = c.end[i, 1 + j]
+            state.S[lane, i, j] = w.end[i, 1 + j]
     z[n] = decay * state.d[lane]
     for j in range(m):
         state.S[lane, n, j] *= decay
@@ -451,13 +445,13 @@ def filter_lane(
         transition[:, :] = 0.0
         for i in range(n):
             for j in range(n + 1):
-                transition[i, j] = w.end[i, 1 + m + size + j]
+                transition[i, j] = f.first.end[i, 1 + m + size + j]
         transition[n, n] = decay
-    take_readings(r, lane, first, count, n, state, z, joint, transition, kept, keep, out)
+    take_readings(step, f, out)
     if keep:
-        kept.mean[lane, k, : n + 1] = z[: n + 1]
-        kept.covariance[lane, k] = state.P[lane]
-        kept.transition[lane, k - 1] = transition
+        history.mean[lane, k, : n + 1] = z[: n + 1]
+        history.covariance[lane, k] = state.P[lane]
+        history.transition[lane, k - 1] = transition
     _put_back(B, lane, n, k, state, z)
     return first + count
 
@@ -518,97 +512,81 @@ def _lag_now(X: Blocks, groups: IntArray, first: bool) -> None:
 
 
 @njit
-def begin_march(
-    B: FloatArray, J: IntArray, table: FloatArray, dispatcher, advance,  # type: ignore[no-untyped-def]
-    histories: FloatArray, which: IntArray,
-) -> None:  # fmt: skip
+def begin_march(group: LaneGroup, flights: Flights) -> None:
     """Set the first conditions of all lanes of a group and evaluate heat contents [J/m2] and heat flows [W/m2] with
     them.
 
-    B, J, table : block and integers of the group, property and ratio tables;  dispatcher,
-    advance : handles of the compiled
-                  effects and the compiled step
-    histories   : (flight, time, condition);  which : (LANES,) flight of each lane
+    group : the lane group, whose block changes;  flights : conditions of its lanes
 
     Source: docs/equations_march.md, section 1.
     """
-    for lane in range(LANES):
-        for c in range(N_CONDITIONS):
-            B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], 0, c]
-    call_step(advance, pointer(B), pointer(J), pointer(table), dispatcher, BEGIN)
+    set_flight_conditions(group.B, flights, 0)
+    b, j, t = pointer(group.B), pointer(group.J), pointer(group.table)
+    call_step(group.advance, b, j, t, group.dispatcher, EVALUATE_START)
 
 
 @njit
 def step_with_perturbed(
-    B: FloatArray, J: IntArray, table: FloatArray, dispatcher, advance, rows, faces,  # type: ignore[no-untyped-def]
-    X: Blocks, perturbed: PerturbedGroups,
-    time_s: FloatArray, histories: FloatArray, which: IntArray, p: PerturbedOffsets, lanes: int, k: int,
+    group: LaneGroup, X: Blocks, perturbed: PerturbedGroups, offsets: PerturbedOffsets, flights: Flights, lanes: int,
+    k: int,
 ) -> None:  # fmt: skip
     """March step k of a lane group from temperatures and ratios that may have been changed, and assemble its perturbed
     lanes.
 
-    B, J, table    : block and integers of the group, changed; property and ratio tables
-    dispatcher, advance, rows, faces : addresses of the compiled effects, step and assembly
-    X, perturbed, p  : blocks of the perturbed lanes, assembled at start, middle stage and end; their groups and places
-    time_s         : (time,) steps [s];  histories : (flight, time, condition);  which : (LANES,) flight of each lane
-    lanes          : number of lanes that are filtered
+    group              : the nominal lanes, whose block changes
+    X                  : blocks of the perturbed lanes, assembled at start, middle stage and end
+    perturbed, offsets : groups of the perturbed lanes, and where those of each nominal lane are
+    flights            : steps and conditions
+    lanes              : number of lanes that are filtered
 
     An update changes the temperatures, so that the net heat that the last step left does not hold: it is evaluated
     again, from the perturbed lanes at the start. Derived in docs/equations_march.md, equations 6 and 7.
     """
-    dt = time_s[k] - time_s[k - 1]
+    B, dt = group.B, flights.time_s[k] - flights.time_s[k - 1]
+    b, j, t = pointer(B), pointer(group.J), pointer(group.table)
     _lag_before(X, perturbed.groups, k == 1)
     # With 1 s for the time step the residual is heat content minus net heat, which gives the net heat.
-    assemble_perturbed(B, X.start, perturbed, table, dispatcher, rows, faces, T, 2, 1.0)
+    assemble_perturbed(group, X.start, perturbed, T, 2, 1.0)
     _lag_now(X, perturbed.groups, k == 1)
     # Only lanes that are filtered: the padding has no perturbed lanes to start from.
     for lane in range(lanes):
-        start_from_copy(B, lane, X.start, p.at[lane], p.nodes[lane])
-    shift_conditions(pointer(B))
-    for lane in range(LANES):
-        for c in range(N_CONDITIONS):
-            B[END_STAGE + lane * N_CONDITIONS + c] = histories[which[lane], k, c]
-    call_step(advance, pointer(B), pointer(J), pointer(table), dispatcher, dt)
+        start_from_copy(B, lane, X.start, offsets.at[lane], offsets.nodes[lane])
+    shift_conditions(b)
+    set_flight_conditions(B, flights, k)
+    call_step(group.advance, b, j, t, group.dispatcher, dt)
     ddt = STAGE_WEIGHT * dt
-    assemble_perturbed(B, X.middle, perturbed, table, dispatcher, rows, faces, T_STAGE, 1, ddt)
-    assemble_perturbed(B, X.end, perturbed, table, dispatcher, rows, faces, T, 2, ddt)
+    assemble_perturbed(group, X.middle, perturbed, T_STAGE, 1, ddt)
+    assemble_perturbed(group, X.end, perturbed, T, 2, ddt)
 
 
 @njit
 def march_filter(
-    B: FloatArray, J: IntArray, table: FloatArray, dispatcher, advance, rows, faces,  # type: ignore[no-untyped-def]
-    X: Blocks, perturbed: PerturbedGroups, time_s: FloatArray, histories: FloatArray, which: IntArray,
-    p: PerturbedOffsets, r: Readings, state: State, noise: Noise, held: FrozenGains, kept: SmootherHistory,
-    u: Workspace, w: Workspace, v: Workspace, joint: StepReadings, out: FloatArray,
+    group: LaneGroup, X: Blocks, perturbed: PerturbedGroups, offsets: PerturbedOffsets, flights: Flights,
+    f: FilterArrays, out: FloatArray,
 ) -> None:  # fmt: skip
     """Filter the lanes of one group through a flight; blocks B and X are changed and their contents lost.
 
-    B, J, table    : block and integers of the group; property and ratio tables
-    dispatcher, advance, rows, faces : addresses of the compiled effects, step and assembly
-    X, perturbed, p  : blocks of the perturbed lanes, their groups and places
-    time_s         : (time,) steps [s];  histories : (flight, time, condition);  which : (LANES,) flight of each lane
-    r, state, noise, held, kept, u, w, v, joint : readings, filter state, process noise, frozen gains, history, work
-    space
-    out            : (lane, reading, N_OUT + parameter) temperatures [K], variances [K2], innovations, log likelihood,
-                     sensitivities; filled
+    group                 : the nominal lanes
+    X, perturbed, offsets : blocks of the perturbed lanes, their groups, and where those of each nominal lane are
+    flights               : steps of the march and conditions
+    f                     : readings, filter state, process noise, frozen gains, history, work space
+    out                   : (lane, reading, N_OUT + parameter) temperatures [K], variances [K2], innovations, log
+                            likelihood, sensitivities; filled
 
     A lane that diverges is no longer filtered; the others go on. Derived in docs/filter.md, equations 1 to 14.
     """
-    lanes, size = state.P.shape[0], state.P.shape[1]
-    z, transition = np.zeros(size), np.zeros((size, size))
+    state = f.state
+    lanes = state.P.shape[0]
     next_reading = np.zeros(lanes, dtype=np.int64)
-    begin_march(B, J, table, dispatcher, advance, histories, which)
-    for k in range(1, len(time_s)):
-        step_with_perturbed(
-            B, J, table, dispatcher, advance, rows, faces, X, perturbed, time_s, histories, which, p, lanes, k
-        )
+    begin_march(group, flights)
+    for k in range(1, len(flights.time_s)):
+        step_with_perturbed(group, X, perturbed, offsets, flights, lanes, k)
         for lane in range(lanes):
             if state.diverged[lane] == 0:
                 next_reading[lane] = filter_lane(
-                    B, X, p, lane, k, time_s, r, next_reading[lane], state, noise, held, kept, u, w, v,
-                    joint, z, transition, out[lane],
-                )  # fmt: skip
-                n = p.nodes[lane]
+                    group.B, X, offsets, flights.time_s, lane, k, next_reading[lane], f, out[lane]
+                )
+                n = offsets.nodes[lane]
                 # Only now: the disturbance is constant over a step, and the readings of step k act from k + 1 on.
-                disturb(B, X, perturbed, lane, z[n] - state.d[lane])
-                state.d[lane] = z[n]
+                disturb(group.B, X, perturbed, lane, f.z[n] - state.d[lane])
+                state.d[lane] = f.z[n]

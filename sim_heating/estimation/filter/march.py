@@ -20,13 +20,14 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.kernels.block import D0, LANES, T, node_rows, parameters_at
 from sim_heating.estimation.filter.arrays import (
     Blocks,
+    FilterArrays,
     Noise,
     Readings,
     SmootherHistory,
     State,
-    frozen_gains_of,
-    step_readings_of,
-    workspace_of,
+    frozen_gains,
+    step_readings,
+    workspace,
 )
 from sim_heating.estimation.filter.kernel import (
     INNOVATION,
@@ -44,6 +45,7 @@ from sim_heating.estimation.filter.kernel import (
 from sim_heating.march.linearised import LinearMarch, Track, initial_profile
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.mesh import Mesh
+from sim_heating.thermal.step import LaneGroup
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,12 +123,12 @@ class Disturbance:
 class FilterTrack:
     """One control point with its readings, start and noise.
 
-    model, mesh, names, initial_K, initial_columns, flight : as of linear_march.Track
+    model, mesh, names, initial_K, initial_columns, flight : as of march/linearised.py, Track
     samples       : readings, taken or only predicted
     covariance_K2 : (node, node) of the temperatures at the start [K2]; None for a known start
     noise_K2_s    : white process noise of every node, or (node,) [K2/s]
     disturbance   : of the heating ratio
-    hold_after_s  : time after which gains are frozen [s]: those of one step serve for all that have readings at the
+    freeze_after_s  : time after which gains are frozen [s]: those of one step serve for all that have readings at the
                     same places in it; an approximation, see `python -m benchmarks covariance`
     """
 
@@ -140,7 +142,7 @@ class FilterTrack:
     noise_K2_s: float | FloatArray = 0.0
     disturbance: Disturbance = field(default_factory=Disturbance)
     flight: int = 0
-    hold_after_s: float = math.inf
+    freeze_after_s: float = math.inf
 
     @property
     def parameters(self) -> int:
@@ -160,7 +162,7 @@ class FilterTrack:
 
 
 @dataclass(frozen=True, eq=False)
-class History:
+class FilterHistory:
     """History of a filter for the smoother; the state is the node temperatures [K] and the ratio disturbance [-].
 
     time_s           : (time,) ends of the steps, the start first [s]
@@ -212,7 +214,7 @@ class Filtered:
     temperature_K: FloatArray
     ratio: float
     covariance: FloatArray
-    history: History | None
+    history: FilterHistory | None
 
     @property
     def read(self) -> NDArray[np.bool_]:
@@ -252,7 +254,7 @@ class FilterMarch(LinearMarch):
         """Filter all points through their flights and readings.
 
         points  : the same ones with other readings, noise or start; models are those of `set_models`
-        keep    : whether to keep the history that a smoother needs (History.bytes)
+        keep    : whether to keep the history that a smoother needs (FilterHistory.bytes)
         returns : for each point innovations [K], variances [K2], log likelihood, sensitivities, and the state at the
                   end
         raises  : InputError for readings outside the march, negative noise, or a history with frozen gains; RunError
@@ -268,29 +270,24 @@ class FilterMarch(LinearMarch):
         # A reading at the end of a step belongs to it and not to the next, so that it is taken before time goes on.
         steps = [np.searchsorted(self.time_s[1:], p.samples.time_s) for p in points]
         most = max([int(np.max(np.bincount(s), initial=0)) for s in steps])
-        state, noise, kept = self._state(points, n, m), self._noise(points, n), self._kept(points, n, keep)
+        state, history = self._state(points, n, m), self._history(points, n, keep)
         readings, after_s = self._readings(points, m), np.zeros(len(points))
         for i, point in enumerate(points):
-            after_s[self._lane_of[i]] = point.hold_after_s
+            after_s[self._lane_of[i]] = point.freeze_after_s
         # Frozen gains skip F P and F M', from which the smoother's transition is read.
         if keep and np.any(np.isfinite(after_s)):
-            raise InputError("filter: a smoother wants the covariance of every step; leave hold_after_s out")
+            raise InputError("filter: a smoother needs the covariance of every step; leave freeze_after_s out")
+        arrays = FilterArrays(
+            readings, state, self._noise(points, n), frozen_gains(after_s, most, n + 1), history,
+            workspace(n, 1 + m), workspace(n, 1 + m + (2 if keep else 1) * (n + 1)), workspace(n, n + 1 + most),
+            step_readings(most, n + 1, m), np.zeros(n + 1), np.zeros((n + 1, n + 1)),
+        )  # fmt: skip
         out = np.full((len(points), readings.time_s.shape[1], N_OUT + m), np.nan)
         out[..., LOG_LIKELIHOOD] = 0.0
         self._begin([point.initial_K for point in points])
-        # Copies: the filter disturbs ratios and temperatures, and the points must serve for another march.
-        B = self.nominal.block(0).copy()
-        march_filter(
-            B, self.nominal.integers(0), self.nominal.table, self.nominal.dispatcher,
-            self.nominal.advance_address, self.rows, self.faces,
-            Blocks(*(self._perturbed_state().copy() for _ in range(3))), self._groups,
-            self.time_s, self.histories, self._flights, self._places(1 + m), readings, state, noise,
-            frozen_gains_of(after_s, most, n + 1), kept,
-            workspace_of(n, 1 + m), workspace_of(n, 1 + m + (2 if keep else 1) * (n + 1)), workspace_of(n,
-            n + 1 + most),
-            step_readings_of(most, n + 1, m), out,
-        )  # fmt: skip
-        self._leave(B)
+        group, X = self._copies()
+        march_filter(group, X, self._groups, self._offsets(1 + m), self._flights, arrays, out)
+        self._take_over(group.B)
         for i, point in enumerate(points):
             step = state.diverged[self._lane_of[i]]
             if step:
@@ -299,9 +296,17 @@ class FilterMarch(LinearMarch):
                     "0 K or is not a number; the noise declared does not fit the readings"
                 )
         self.nominal.check()
-        return [self._filtered(i, points[i], steps[i], out, state, kept) for i in range(len(points))]
+        return [self._filtered(i, points[i], steps[i], out, state, history) for i in range(len(points))]
 
-    def _leave(self, B: FloatArray) -> None:
+    def _copies(self) -> tuple[LaneGroup, Blocks]:
+        """The nominal lanes and three copies of the blocks of the perturbed lanes, for start, middle stage and end.
+
+        Copies: the filter disturbs ratios and temperatures, and the points must serve for another march.
+        """
+        group = self.nominal.lane_group(0)
+        return group._replace(B=group.B.copy()), Blocks(*(self._perturbed_state().copy() for _ in range(3)))
+
+    def _take_over(self, B: FloatArray) -> None:
         """Take over the block of a finished march, its ratios undisturbed again."""
         own = self.nominal.block(0)
         d0 = [parameters_at(lane) + D0 for lane in range(LANES)]
@@ -330,20 +335,20 @@ class FilterMarch(LinearMarch):
             decay[lane], density[lane] = 1.0 / point.disturbance.correlation_s, point.disturbance.density_1_s
         return Noise(nodes, decay, density)
 
-    def _kept(self, points: Sequence[FilterTrack], n: int, keep: bool) -> SmootherHistory:
+    def _history(self, points: Sequence[FilterTrack], n: int, keep: bool) -> SmootherHistory:
         lanes, steps = len(points), len(self.time_s) - 1 if keep else -1
         count = max(len(p.samples.time_s) for p in points) if keep else 0
         size = (steps + 1, n + 1, n + 1)
-        kept = SmootherHistory(
+        history = SmootherHistory(
             np.zeros((lanes, *size[:2])), np.zeros((lanes, *size)), np.zeros((lanes, max(steps, 0), *size[1:])),
             np.zeros((lanes, count, n + 1)),
         )  # fmt: skip
         for i, point in enumerate(points if keep else ()):
             lane, own = self._lane_of[i], point.mesh.nodes
-            kept.mean[lane, 0, :own] = initial_profile(self.tracks[i])
-            kept.covariance[lane, 0, :own, :own] = 0.0 if point.covariance_K2 is None else point.covariance_K2
-            kept.covariance[lane, 0, own, own] = point.disturbance.start_sigma**2
-        return kept
+            history.mean[lane, 0, :own] = initial_profile(self.tracks[i])
+            history.covariance[lane, 0, :own, :own] = 0.0 if point.covariance_K2 is None else point.covariance_K2
+            history.covariance[lane, 0, own, own] = point.disturbance.start_sigma**2
+        return history
 
     def _readings(self, points: Sequence[FilterTrack], m: int) -> Readings:
         lanes, most = len(points), max(1, *(len(p.samples.time_s) for p in points))
@@ -361,23 +366,23 @@ class FilterMarch(LinearMarch):
         return Readings(count, time_s, node, gain, bias, variance, lower, upper, direct)
 
     def _filtered(
-        self, i: int, point: FilterTrack, step: IntArray, out: FloatArray, state: State, kept: SmootherHistory
+        self, i: int, point: FilterTrack, step: IntArray, out: FloatArray, state: State, history: SmootherHistory
     ) -> Filtered:
         lane, own = self._lane_of[i], point.mesh.nodes + 1
-        told = out[lane, : len(point.samples.time_s)]
-        history = None
-        if kept.mean.shape[1]:
-            history = History(
-                self.time_s, kept.mean[lane, :, :own], kept.covariance[lane, :, :own, :own],
-                kept.transition[lane, :, :own, :own], kept.rows[lane, : len(told), :own], step,
+        read = out[lane, : len(point.samples.time_s)]
+        kept = None
+        if history.mean.shape[1]:
+            kept = FilterHistory(
+                self.time_s, history.mean[lane, :, :own], history.covariance[lane, :, :own, :own],
+                history.transition[lane, :, :own, :own], history.rows[lane, : len(read), :own], step,
             )  # fmt: skip
         return Filtered(
-            told[:, PRIOR], told[:, PRIOR_VARIANCE], told[:, POSTERIOR], told[:, POSTERIOR_VARIANCE],
-            told[:, PREDICTED], told[:, PREDICTED_VARIANCE],
-            told[:, INNOVATION], told[:, VARIANCE], told[:, LOG_LIKELIHOOD],
-            told[:, N_OUT : N_OUT + point.parameters],
+            read[:, PRIOR], read[:, PRIOR_VARIANCE], read[:, POSTERIOR], read[:, POSTERIOR_VARIANCE],
+            read[:, PREDICTED], read[:, PREDICTED_VARIANCE],
+            read[:, INNOVATION], read[:, VARIANCE], read[:, LOG_LIKELIHOOD],
+            read[:, N_OUT : N_OUT + point.parameters],
             node_rows(self.nominal.block(0))[: own - 1, T, lane].copy(), float(state.d[lane]),
-            state.P[lane, :own, :own], history,
+            state.P[lane, :own, :own], kept,
         )  # fmt: skip
 
 

@@ -20,10 +20,12 @@ from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.errors import RunError
 from sim_heating.base.kernels.block import HEAD_ROWS, LANES, NODE_ROWS, T_STAGE, T_START, T
 from sim_heating.base.kernels.jit import njit
-from sim_heating.estimation.filter.arrays import Blocks, MarchOutput, Readings, State, Workspace, workspace_of
+from sim_heating.estimation.filter.arrays import Blocks, LaneStep, MarchOutput, Readings, State, Workspace, workspace
 from sim_heating.estimation.filter.kernel import begin_march, disturb, first_pass, read_column, step_with_perturbed
 from sim_heating.estimation.filter.march import FilterMarch, FilterTrack
+from sim_heating.march.frames import Flights
 from sim_heating.thermal.sensitivity import PerturbedGroups, PerturbedOffsets, parabola
+from sim_heating.thermal.step import LaneGroup
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,32 +110,25 @@ class ResponseMarch(FilterMarch):
             add[self._lane_of[i]] = added[i]
         self._begin([p.initial_K for p in self.points] if initial_K is None else list(initial_K))
         columns = n + 1 if derivative else 0
-        told = MarchOutput(
+        output = MarchOutput(
             np.zeros((lanes, steps + 1, n)), np.full((lanes, count), np.nan), np.zeros((lanes, steps, n, columns)),
             np.zeros((lanes, count, columns)),
         )  # fmt: skip
-        nothing = State(
-            np.zeros((lanes, 0, 0)), np.zeros((lanes, n, 0)), np.zeros(lanes), np.zeros(lanes, dtype=np.int64)
-        )
-        B = self.nominal.block(0).copy()
+        group, X = self._copies()
         march_response(
-            B, self.nominal.integers(0), self.nominal.table, self.nominal.dispatcher,
-            self.nominal.advance_address, self.rows, self.faces,
-            Blocks(*(self._perturbed_state().copy() for _ in range(3))), self._groups,
-            self.time_s, self.histories, self._flights, self._places(1), readings,
-            nothing, add, workspace_of(n, n + 2), told,
-        )  # fmt: skip
-        self._leave(B)
+            group, X, self._groups, self._offsets(1), self._flights, readings, add, workspace(n, n + 2), output
+        )
+        self._take_over(group.B)
         self.nominal.check()
-        return [self._response(i, told, self._steps[i]) for i in range(lanes)]
+        return [self._response(i, output, self._steps[i]) for i in range(lanes)]
 
-    def _response(self, i: int, told: MarchOutput, step: IntArray) -> Response:
+    def _response(self, i: int, output: MarchOutput, step: IntArray) -> Response:
         point, lane = self.points[i], self._lane_of[i]
         own, s = point.mesh.nodes, point.samples
         z = slice(own + 1)
         found = Response(
-            told.temperature_K[lane, :, :own], s.gain * told.read_K[lane, : len(step)] + s.bias_K,
-            told.transition[lane, :, :own, z], s.gain[:, np.newaxis] * told.rows[lane, : len(step), z],
+            output.temperature_K[lane, :, :own], s.gain * output.read_K[lane, : len(step)] + s.bias_K,
+            output.transition[lane, :, :own, z], s.gain[:, np.newaxis] * output.rows[lane, : len(step), z],
             step,
         )  # fmt: skip
         if not np.all(np.isfinite(found.read_K)):
@@ -143,73 +138,65 @@ class ResponseMarch(FilterMarch):
 
 @njit
 def march_response(
-    B: FloatArray, J: IntArray, table: FloatArray, dispatcher, advance, rows, faces,  # type: ignore[no-untyped-def]
-    X: Blocks, perturbed: PerturbedGroups, time_s: FloatArray, histories: FloatArray, which: IntArray,
-    p: PerturbedOffsets, r: Readings,
-    state: State, added: FloatArray, w: Workspace, told: MarchOutput,
+    group: LaneGroup, X: Blocks, perturbed: PerturbedGroups, offsets: PerturbedOffsets, flights: Flights,
+    readings: Readings, added: FloatArray, w: Workspace, output: MarchOutput,
 ) -> None:  # fmt: skip
     """March one lane group with histories added to the heating ratios; blocks B and X are changed and their contents
     lost.
 
-    B, J, table    : block and integers of the group; property and ratio tables
-    dispatcher, advance, rows, faces : addresses of the compiled effects, step and assembly
-    X, perturbed, p  : blocks of the perturbed lanes, their groups and places
-    time_s         : (time,) steps [s];  histories : (flight, time, condition);  which : (LANES,) flight of each lane
-    r, state       : readings; a filter state without covariance and sensitivities
-    added          : (lane, step) addition to the ratio [-]
-    w              : work space
-    told           : receives temperatures [K], readings [K] and derivatives
+    group                 : the nominal lanes
+    X, perturbed, offsets : blocks of the perturbed lanes, their groups, and where those of each nominal lane are
+    flights               : steps of the march and conditions
+    readings              : of all lanes;  added : (lane, step) addition to the ratio [-];  w : work space
+    output                : receives temperatures [K], readings [K] and derivatives
 
     Derived in docs/residual_heating.md, equations 1 and 2.
     """
-    lanes = added.shape[0]
+    B, time_s, lanes = group.B, flights.time_s, added.shape[0]
+    # A filter state without covariance and sensitivities: only Phi and Gamma are propagated.
+    state = State(
+        np.zeros((lanes, 0, 0)), np.zeros((lanes, w.end.shape[0], 0)), np.zeros(lanes), np.zeros(lanes, dtype=np.int64)
+    )
     next_reading = np.zeros(lanes, dtype=np.int64)
     for lane in range(lanes):
-        _keep_temperatures(B, lane, p.nodes[lane], told.temperature_K[lane, 0])
+        _copy_temperatures(B, lane, offsets.nodes[lane], output.temperature_K[lane, 0])
         disturb(B, X, perturbed, lane, added[lane, 0])
-    begin_march(B, J, table, dispatcher, advance, histories, which)
+    begin_march(group, flights)
     for k in range(1, len(time_s)):
-        step_with_perturbed(
-            B, J, table, dispatcher, advance, rows, faces, X, perturbed, time_s, histories, which, p, lanes, k
-        )
+        step_with_perturbed(group, X, perturbed, offsets, flights, lanes, k)
+        dt = time_s[k] - time_s[k - 1]
         for lane in range(lanes):
-            n = p.nodes[lane]
-            if told.transition.shape[3] > 0:
-                first_pass(X, p, lane, time_s[k] - time_s[k - 1], state, False, True, w)
-                told.transition[lane, k - 1, :n, : n + 1] = w.end[:n, 1 : n + 2]
-            next_reading[lane] = _tell_readings(B, w, lane, n, k, time_s, r, next_reading[lane], told)
-            _keep_temperatures(B, lane, n, told.temperature_K[lane, k])
+            n = offsets.nodes[lane]
+            step = LaneStep(lane, n, dt, 1.0, next_reading[lane], 0, False, True)
+            if output.transition.shape[3] > 0:
+                first_pass(X, offsets, step, state, w)
+                output.transition[lane, k - 1, :n, : n + 1] = w.end[:n, 1 : n + 2]
+            next_reading[lane] = _read_step(B, w, step, time_s, k, readings, output)
+            _copy_temperatures(B, lane, n, output.temperature_K[lane, k])
             # The difference to the step before: `disturb` adds, and no addition acts behind the last step.
             if k < len(time_s) - 1:
                 disturb(B, X, perturbed, lane, added[lane, k] - added[lane, k - 1])
 
 
 @njit
-def _keep_temperatures(B: FloatArray, lane: int, n: int, out: FloatArray) -> None:
+def _copy_temperatures(B: FloatArray, lane: int, n: int, out: FloatArray) -> None:
+    """Copy the node temperatures of a lane [K] from its block."""
     for i in range(n):
         out[i] = B[(HEAD_ROWS + i * NODE_ROWS + T) * LANES + lane]
 
 
 @njit
-def _tell_readings(
-    B: FloatArray,
-    w: Workspace,
-    lane: int,
-    n: int,
-    k: int,
-    time_s: FloatArray,
-    r: Readings,
-    first: int,
-    told: MarchOutput,
+def _read_step(
+    B: FloatArray, w: Workspace, step: LaneStep, time_s: FloatArray, k: int, readings: Readings, output: MarchOutput
 ) -> int:
     """Temperatures and rows of the readings of step k; returns the number of the next reading."""
-    q = first
-    while q < r.number[lane] and r.time_s[lane, q] <= time_s[k]:
-        x, node = (r.time_s[lane, q] - time_s[k - 1]) / (time_s[k] - time_s[k - 1]), r.node[lane, q]
+    lane, q = step.lane, step.first
+    while q < readings.number[lane] and readings.time_s[lane, q] <= time_s[k]:
+        x, node = (readings.time_s[lane, q] - time_s[k - 1]) / step.dt, readings.node[lane, q]
         a = (HEAD_ROWS + node * NODE_ROWS) * LANES + lane
         w0, w1, w2 = parabola(x)
-        told.read_K[lane, q] = w0 * B[a + T_START * LANES] + w1 * B[a + T_STAGE * LANES] + w2 * B[a + T * LANES]
-        for j in range(min(n + 1, told.rows.shape[2])):
-            told.rows[lane, q, j] = read_column(w, 1 + j, node, x, 1.0 if j == node else 0.0)
+        output.read_K[lane, q] = w0 * B[a + T_START * LANES] + w1 * B[a + T_STAGE * LANES] + w2 * B[a + T * LANES]
+        for j in range(min(step.nodes + 1, output.rows.shape[2])):
+            output.rows[lane, q, j] = read_column(w, 1 + j, node, x, 1.0 if j == node else 0.0)
         q += 1
     return q

@@ -20,7 +20,8 @@ from numba import types
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path
-from sim_heating.base.kernels.jit import address_of, c_function, call_effect
+from sim_heating.base.kernels.jit import address_of, c_function
+from sim_heating.base.kernels.numba_private import call_effect_at, can_raise
 from sim_heating.heating.effects import Effect
 
 SIGNATURE = types.float64(types.int64, types.CPointer(types.float64), types.int64, types.int64, types.float64)
@@ -86,7 +87,7 @@ def effect_dispatcher(effects: tuple[Effect, ...]) -> EffectDispatcher:
 
 def _call(code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
     """Dispatcher to kernels by their addresses."""
-    return call_effect(code, B, c, p, wall_K)
+    return call_effect_at(code, B, c, p, wall_K)
 
 
 @cache
@@ -129,7 +130,6 @@ def compiled_kernel(effect: Effect) -> Any:
 
 @cache
 def _compiled(kernel: Any) -> tuple[Any, bool]:
-    """A kernel as a C function, and whether it can raise: numba stores each exception as a constant."""
+    """A kernel as a C function, and whether it can raise."""
     made = c_function(KERNEL, kernel.py_func)
-    constants = made._library._get_module_for_linking().global_variables
-    return made, any(constant.name.startswith(".const.picklebuf") for constant in constants)
+    return made, can_raise(made)

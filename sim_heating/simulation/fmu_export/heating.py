@@ -45,7 +45,7 @@ from sim_heating.heating.reference.models import COLUMNS
 from sim_heating.inputs.sensor_model import calibration_coefficients
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.march.ensemble import Ensemble
-from sim_heating.march.point import PointModel, element_densities, insulation_layer, kernel_effects, stack_values
+from sim_heating.march.point import PointModel, elements_of, kernel_effects, stack_values
 from sim_heating.simulation.fmu_export import heating_kernel as k
 from sim_heating.simulation.fmu_export.image import TEXT_BYTES, Image, Kind, Problem, Role, Variable, identifier
 from sim_heating.simulation.fmu_export.library import (
@@ -320,11 +320,11 @@ class _HeatingPacker(ImagePacker):
             own[k.P_OUT + k.SURFACE] = e.state[place.temperature(0)]
             own[k.P_OUT + k.BONDLINE] = e.state[place.temperature(mesh.bondline)]
             mine = e.lanes[place.group * LANES : (place.group + 1) * LANES] == i
-            densities = element_densities(model.construction, mesh)
+            elements = elements_of(model.construction, mesh)
             rows.append([
-                place.group, int(np.argmax(mine)), int(np.sum(mine)), len(mesh.layer),
-                image.add_integers(mesh.layer), image.add_numbers(mesh.length_m), image.add_numbers(densities),
-                place.temperature(mesh.bondline), insulation_layer(model.construction), mesh.bondline,
+                place.group, int(np.argmax(mine)), int(np.sum(mine)), len(mesh.layer), image.add_integers(elements.layer),
+                image.add_numbers(elements.length_m), image.add_numbers(elements.density_kg_m3),
+                place.temperature(mesh.bondline), elements.insulation, elements.bondline,
             ])  # fmt: skip
             self._name_point(point, model, numbers + k.POINT_WIDTH * i)
             sensors += self._pack_sensors(point, mesh, place)

@@ -42,7 +42,15 @@ from sim_heating.base.kernels.jit import inline_always, njit
 from sim_heating.heating.film import emittance_factor
 from sim_heating.heating.reference.models import COLUMNS
 from sim_heating.inputs.sensor_model import indicated_kernel
-from sim_heating.march.frames import BLOCK_END, BLOCK_START, INTS_END, INTS_START, advance_groups, begin_groups
+from sim_heating.march.frames import (
+    BLOCK_END,
+    BLOCK_START,
+    INTS_END,
+    INTS_START,
+    LaneGroups,
+    advance_groups,
+    begin_groups,
+)
 from sim_heating.simulation.fmu_export.library import (
     BEGINS,
     CHANGED,
@@ -56,7 +64,7 @@ from sim_heating.simulation.fmu_export.library import (
     at,
 )
 from sim_heating.simulation.plugin_kernel import CODE, F_TIME, PRESSURE_WIDTH, derive_conditions
-from sim_heating.thermal.elements import EPS_BEHIND, set_point
+from sim_heating.thermal.elements import EPS_BEHIND, Elements, set_point
 from sim_heating.thermal.faces import SIGMA, emittance
 
 # Integers of the model, after those of library.py: numbers of entries, and places of arrays in R or N.
@@ -115,7 +123,8 @@ def _write_group_parameters(R, N, B: FloatArray, J: IntArray, g: int) -> None:  
         stack = carray(at(numbers, P_STACK), STACK_WIDTH)
         first, last = own[P_LANE], own[P_LANE] + own[P_LANES]
         heating = carray(numbers, N_PARAMETERS)
-        set_point(B, J, first, last, layers, lengths, densities, own[P_INSULATION], own[P_BOTTOM], stack, heating)
+        elements = Elements(layers, lengths, densities, own[P_INSULATION], own[P_BOTTOM])
+        set_point(B, J, first, last, elements, stack, heating)
 
 
 @njit
@@ -142,7 +151,8 @@ def _begin(R, N, A, inputs, time: float) -> None:  # type: ignore[no-untyped-def
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
     state, ints = carray(at(R, N[STATE]), N[N_STATE]), carray(at(N, N[INTS]), N[N_INTS])
     vectors = carray(at(R, N[VECTORS]), (N[N_ROWS], N_CONDITIONS))
-    begin_groups(state, ints, carray(at(R, N[TABLE]), N[N_TABLE]), A[0], A[1], groups, vectors)
+    table = carray(at(R, N[TABLE]), N[N_TABLE])
+    begin_groups(LaneGroups(state, ints, table, A[0], A[1], groups), vectors)
 
 
 @inline_always
@@ -153,7 +163,7 @@ def _advance(R, N, A, inputs, time: float, dt: float) -> None:  # type: ignore[n
     vectors = carray(at(R, N[VECTORS]), (N[N_ROWS], N_CONDITIONS))
     steps = max(math.ceil(dt / R[N[OPTIONS] + LONGEST_STEP] - 1e-9), 1)
     table = carray(at(R, N[TABLE]), N[N_TABLE])
-    advance_groups(state, ints, table, A[0], A[1], groups, vectors, dt, steps)
+    advance_groups(LaneGroups(state, ints, table, A[0], A[1], groups), vectors, dt, steps)
 
 
 @njit

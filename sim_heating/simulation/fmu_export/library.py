@@ -23,7 +23,6 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import inspect
-import re
 import shutil
 import subprocess
 import sys
@@ -37,13 +36,13 @@ from typing import Any
 import llvmlite
 import llvmlite.binding as llvm
 import numba
-import numba.extending
 from numba import types
 
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files.package import data_folders
 from sim_heating.base.files.text import write_bytes_atomic
 from sim_heating.base.kernels.jit import source_digest
+from sim_heating.base.kernels.numba_private import plain_entry_ir, pointer_offset, portable_ir
 
 # What a model shares with the C wrapper ------------------------------------------------------------------------------
 
@@ -68,16 +67,7 @@ MODEL_SIGNATURE = types.int64(types.CPointer(types.float64), types.CPointer(type
 """Signature of a model in C: addresses of R, N and A; its outcome."""
 
 
-@numba.extending.intrinsic
-def _at(_typing_context, pointer, first):  # type: ignore[no-untyped-def]
-
-    def codegen(_context, builder, _signature, args):  # type: ignore[no-untyped-def]
-        return builder.gep(args[0], [args[1]])
-
-    return pointer(pointer, types.int64), codegen
-
-
-at: Any = _at
+at: Any = pointer_offset
 """at(pointer, first): the pointer to a later number of an array."""
 
 
@@ -169,38 +159,11 @@ _C_TYPES = {"float64": "double", "int64": "int64_t", "none": "void", "float64*":
 _IR_TYPES = {"float64": "double", "int64": "i64", "none": "void", "float64*": "ptr", "int64*": "ptr"}
 
 
-def _c_entry_point(unit: CompilationUnit, symbol: str) -> str:
-    """IR of a plain C function around numba's, which is: status f(result *, exception **, arguments)."""
-    signature = unit.signature
-    native = unit.compiled.native_name.removeprefix("cfunc.")
-    kinds = [_IR_TYPES[str(t)] for t in signature.args]
-    result = _IR_TYPES[str(signature.return_type)]
-    given = ", ".join(f"{kind} %a{i}" for i, kind in enumerate(kinds))
-    handed = f"ptr %result, ptr %exception, {given}"
-    back = "ret void" if result == "void" else f"%value = load {result}, ptr %result\n  ret {result} %value"
-    return f"""
-define hidden {result} @{symbol}({given}) {{
-  %result = alloca i64
-  %exception = alloca ptr
-  store i64 0, ptr %result
-  %status = call i32 @"{native}"({handed})
-  {back}
-}}
-"""
-
-
-_REFERENCE_COUNTING = re.compile(r"^(define [^\n]*@NRT_(?:incref|decref)\([^\n]*\{)\n.*?^\}", re.MULTILINE | re.DOTALL)
-_TARGET_LINE = re.compile(r"^target (?:triple|datalayout) = .*$", re.MULTILINE)
-
-
 def _module_text(unit: CompilationUnit, symbol: str) -> str:
-    """IR of a unit's function and all that it calls, also where it is from the cache, which `inspect_llvm` is not.
-
-    Reference counts are removed: all memory is the host's, and a kernel that allocates some is refused.
-    """
-    text = str(unit.compiled._library._get_module_for_linking())
-    text = _REFERENCE_COUNTING.sub(r"\1\n  ret void\n}", _TARGET_LINE.sub("", text))
-    return text + _c_entry_point(unit, symbol)
+    """IR of a unit's function under a plain C name, and of all that it calls."""
+    kinds = [_IR_TYPES[str(t)] for t in unit.signature.args]
+    result = _IR_TYPES[str(unit.signature.return_type)]
+    return portable_ir(unit.compiled) + plain_entry_ir(unit.compiled, symbol, result, kinds)
 
 
 def forbidden_calls(module: llvm.ModuleRef) -> list[str]:
