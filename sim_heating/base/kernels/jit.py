@@ -36,9 +36,9 @@ CACHE_AGE_S = 14 * 86400.0
 _IMPORT = re.compile(r"^\s*(?:from|import) sim_heating\.([\w.]+)(?: import (?:\(([^)]*)\)|(.*)))?", re.MULTILINE)
 
 
-def _modules() -> dict[str, Path]:
-    """File of each module and package in this one, by its dotted name within it."""
-    files = {path.relative_to(PACKAGE).with_suffix("").parts: path for path in PACKAGE.rglob("*.py")}
+def _modules(package: Path) -> dict[str, Path]:
+    """File of each module and folder of a package, by its dotted name within it."""
+    files = {path.relative_to(package).with_suffix("").parts: path for path in package.rglob("*.py")}
     return {".".join(parts[:-1] if parts[-1] == "__init__" else parts): path for parts, path in files.items()}
 
 
@@ -50,26 +50,38 @@ def _imported(path: Path, modules: Mapping[str, Path]) -> set[Path]:
     return {modules[name] for name in found if name in modules}
 
 
-def source_digest() -> str:
-    """Digest of all sources of the compiled kernels: modules that import this one, what those import, and data files.
+def kernel_sources(package: Path = PACKAGE) -> list[Path]:
+    """All sources of the compiled kernels: modules that import this one, what those import, and data files.
 
-    returns : 16 hexadecimal digits, of which the name of the cache folder is made
+    package : folder of the package
+    returns : paths in their order
 
-    numba keys its cache by the file of a function alone: a kernel that calls another one, or holds a table as a
-    constant, would keep its old code after a change in the other file. Imports are found by their absolute names; a
-    kernel module that is imported relatively would not be part of the digest.
+    Imports are found by their absolute names in the text, since parsing all modules would cost a start a second
+    (tests/base/test_kernel_cache.py compares with a parser). A relative import would not be found.
     """
-    modules = _modules()
+    modules = _modules(package)
     imports = {path: _imported(path, modules) for path in modules.values()}
-    waiting = [path for path, found in imports.items() if Path(__file__).resolve() in found]
+    waiting = [path for path, found in imports.items() if modules["base.kernels.jit"] in found]
     sources: set[Path] = set()
     while waiting:
         path = waiting.pop()
         if path not in sources:
             sources.add(path)
             waiting += imports[path]
+    return sorted([*sources, *package.rglob("*.csv")])
+
+
+def source_digest(package: Path = PACKAGE) -> str:
+    """Digest of all sources of the compiled kernels and of the version of numba.
+
+    package : folder of the package
+    returns : 16 hexadecimal digits, of which the name of the cache folder is made
+
+    numba keys its cache by the file of a function alone: a kernel that calls another one, or has a table as a constant,
+    would keep its old code after a change in the other file.
+    """
     digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted([*sources, *PACKAGE.rglob("*.csv")]):
+    for path in kernel_sources(package):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 

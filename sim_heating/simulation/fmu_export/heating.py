@@ -322,8 +322,9 @@ class _HeatingPacker(ImagePacker):
             mine = e.lanes[place.group * LANES : (place.group + 1) * LANES] == i
             elements = elements_of(model.construction, mesh)
             rows.append([
-                place.group, int(np.argmax(mine)), int(np.sum(mine)), len(mesh.layer), image.add_integers(elements.layer),
-                image.add_numbers(elements.length_m), image.add_numbers(elements.density_kg_m3),
+                place.group, int(np.argmax(mine)), int(np.sum(mine)), len(mesh.layer),
+                image.add_integers(elements.layer), image.add_numbers(elements.length_m),
+                image.add_numbers(elements.density_kg_m3),
                 place.temperature(mesh.bondline), elements.insulation, elements.bondline,
             ])  # fmt: skip
             self._name_point(point, model, numbers + k.POINT_WIDTH * i)

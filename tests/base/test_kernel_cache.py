@@ -1,0 +1,70 @@
+"""The cache of compiled kernels is renewed by every source that a kernel is made of, and by nothing else."""
+
+from __future__ import annotations
+
+import ast
+import shutil
+from pathlib import Path
+
+import pytest
+
+from sim_heating.base.kernels.jit import PACKAGE, kernel_sources, source_digest
+
+
+def parsed_imports(path: Path, modules: dict[str, Path]) -> set[Path]:
+    """Modules of the package that a module imports, from its syntax tree."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom):
+            names |= {str(node.module), *(f"{node.module}.{alias.name}" for alias in node.names)}
+        elif isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+    return {modules[name] for name in names if name in modules}
+
+
+def parsed_sources() -> set[Path]:
+    """Modules that import the compiler of kernels, and all that they import, directly or through others."""
+    files = {p: (PACKAGE.name, *p.relative_to(PACKAGE).with_suffix("").parts) for p in PACKAGE.rglob("*.py")}
+    modules = {".".join(n[:-1] if n[-1] == "__init__" else n): p for p, n in files.items()}
+    imports = {path: parsed_imports(path, modules) for path in modules.values()}
+    found = {path for path, names in imports.items() if modules["sim_heating.base.kernels.jit"] in names}
+    while True:
+        more = found.union(*(imports[path] for path in found))
+        if more == found:
+            return found
+        found = more
+
+
+@pytest.fixture
+def package(tmp_path):
+    """A copy of the package."""
+    copy = tmp_path / "sim_heating"
+    shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    return copy
+
+
+def test_sources_of_kernels_are_those_that_a_parser_finds():
+    assert {path for path in kernel_sources() if path.suffix == ".py"} == parsed_sources()
+
+
+def test_a_change_of_a_kernel_of_what_it_imports_or_of_its_data_renews_the_cache(package):
+    names = ["thermal/step.py", "base/kernels/block.py", "base/kernels/numba_private.py", "heating/atmosphere.py"]
+    data = next(package.rglob("*.csv")).relative_to(package).as_posix()
+    digests = [source_digest(package)]
+    for name in [*names, data]:
+        with open(package / name, "a") as file:
+            file.write("\n")
+        digests.append(source_digest(package))
+    assert len(set(digests)) == len(digests)
+
+
+def test_a_change_of_text_or_of_the_command_line_keeps_the_cache(package):
+    before = source_digest(package)
+    (package / "README.md").write_text("changed")
+    with open(package / "cli" / "__init__.py", "a") as file:
+        file.write("\n")
+    assert source_digest(package) == before
+
+
+def test_a_copy_of_the_package_has_the_digest_of_the_package(package):
+    assert source_digest(package) == source_digest()
