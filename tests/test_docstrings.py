@@ -15,7 +15,7 @@ SOURCE = re.compile(
     r"|[A-Z][a-z]+,? (?:and [A-Z][a-z]+,? )?\(?(?:19|20)\d\d\b|\((?:19|20)\d\d\)|\bNASA\b|\bUS76\b"
 )
 NO_UNIT = {
-    "write_order", "invalidate_cells", "cache_axis_cell", "lanes_outside_cell", "forget_walls", "pairs",
+    "write_order", "invalidate_cells", "cache_axis_cell", "lanes_outside_cell", "invalidate_walls", "pairs",
     "shift_conditions", "values", "aligned_zeros", "histories", "snapshot",
 }  # fmt: skip
 """Functions that keep, move or invalidate numbers of any unit."""

@@ -54,7 +54,8 @@ class Flights(NamedTuple):
 def set_flight_conditions(B: FloatArray, flights: Flights, k: int) -> None:
     """Write the conditions of sample k of each lane's flight as those at the end of a frame.
 
-    B : block of the lane group, changed;  k : number of the sample
+    B       : block of the lane group, changed
+    flights : conditions in the units of their columns ([deg], [Pa], [J/kg] ...);  k : number of the sample
 
     Source: docs/equations_march.md, equation 1.
     """

@@ -167,7 +167,7 @@ def set_point(
     """Write the parameters of a point into its lanes, `first` to before `last`.
 
     B, J     : block of the lane group and its integers, changed
-    elements : elements of the point
+    elements : elements of the point, lengths [m] and densities [kg/m3] among them
     stack    : values of parameters.STACK, each in its unit
     heating  : (N_PARAMETERS,) its vector of heating parameters (base/kernels/block.py)
 

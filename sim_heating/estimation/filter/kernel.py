@@ -536,7 +536,7 @@ def step_with_perturbed(
     group              : the nominal lanes, whose block changes
     X                  : blocks of the perturbed lanes, assembled at start, middle stage and end
     perturbed, offsets : groups of the perturbed lanes, and where those of each nominal lane are
-    flights            : steps and conditions
+    flights            : steps [s] and conditions
     lanes              : number of lanes that are filtered
 
     An update changes the temperatures, so that the net heat that the last step left does not hold: it is evaluated
