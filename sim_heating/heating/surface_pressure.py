@@ -1,13 +1,13 @@
 """Local surface pressure of a control point, which sets the conductivity of a porous heat shield.
 
-Two models, both tending to the freestream pressure as the speed falls (docs/equations.md, equations 30 to 32):
+Two models, both tending to the free-stream pressure as the speed falls (docs/equations.md, equations 30 to 32):
 
     modified Newtonian, windward     p = p_inf + q_inf cp_max (cos beta sin theta)^2,  theta > 0, else p_inf
         theta = alpha + inclination + elevon_factor * elevon + bodyflap_factor * bodyflap
     fraction of stagnation, leeward  p = p_inf + fraction q_inf cp_max
 
 with cp_max the stagnation pressure coefficient behind a normal shock (Rayleigh pitot, gamma 1.4), below Mach 1 the
-isentropic one. `p_inf` is therefore the lowest value: the expansion of a leeward surface below freestream
+isentropic one. `p_inf` is therefore the lowest value: the expansion of a leeward surface below free-stream
 pressure (at most 70 % of p_inf in the limit of high Mach numbers) is not modelled.
 
 Sign of the inclination: the slope of the local surface against the vehicle's x axis, positive where it meets the flow
@@ -132,7 +132,7 @@ def pressure_below_rise(
 
         p = p_inf + rise max(0, cos beta sin theta)^2,   or   p = p_inf + fraction rise
 
-    p_inf, rise : freestream static pressure and stagnation pressure rise q_inf cp_max [Pa]
+    p_inf, rise : free-stream static pressure and stagnation pressure rise q_inf cp_max [Pa]
     cos_beta    : cosine of sideslip [-]; it and `rise` are common to all points of a vehicle, so computed once
     alpha_deg, elevon_deg, bodyflap_deg : angle of attack and deflections [deg]
     model       : `parameters()` of a pressure model, at least (PRESSURE_PARAMETERS,)
@@ -143,7 +143,7 @@ def pressure_below_rise(
         return p_inf + model[1] * rise
     angle = alpha_deg + model[1] + model[2] * elevon_deg + model[3] * bodyflap_deg
     normal = cos_beta * math.sin(math.radians(angle))
-    # A surface in the shadow of the flow has freestream pressure.
+    # A surface in the shadow of the flow has free-stream pressure.
     return p_inf + rise * max(0.0, normal) ** 2
 
 

@@ -1,4 +1,4 @@
-"""Effects on the heating ratio: each one's formula, their order, and a wall temperature inside the time step."""
+"""Effects on the heating ratio: the formula of each, their order, and dependence on the wall temperature."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ alphas, any_re = st.floats(0.0, 60.0), st.floats(3.0, 8.0)
 
 
 def value(used: EffectUse, wall_K: float = 300.0, **conditions: float) -> float:
-    """What an effect adds to the ratio or multiplies it by; conditions as alpha, log10_re, jets."""
+    """Value [-] of an effect's kernel; conditions as alpha, log10_re, jets."""
     B = np.zeros(N_CONDITIONS + len(used.values))
     places = {"alpha": ALPHA, "log10_re": LOG10_RE, "jets": JETS}
     for name, v in conditions.items():
@@ -69,7 +69,7 @@ def test_transition_by_spots_begins_at_its_onset_with_narasimhas_intermittency(l
     assert value(used, alpha=40.0, log10_re=log10_re) == pytest.approx(expected, rel=1e-12)
 
 
-def test_transition_has_come_half_way_at_its_onset():
+def test_transition_is_half_complete_at_its_onset():
     used = use("transition", {"log10_re_onset": 6.5, "factor": 4.0})
     assert value(used, alpha=40.0, log10_re=6.5) == pytest.approx(2.5)
 
@@ -94,7 +94,7 @@ def test_jets_raise_the_ratio_in_proportion_to_their_firing(jets):
     assert value(use("jet-interaction", {"jet_gain": 0.4}), jets=jets) == pytest.approx(1.0 + 0.4 * jets)
 
 
-def test_what_adds_comes_before_what_multiplies_in_whatever_order_they_are_declared():
+def test_effects_that_add_act_before_those_that_multiply_in_any_order_of_declaration():
     ramp = use("impingement-onset", {"alpha_onset_deg": 30.0, "slope": 0.02})
     jets = use("jet-interaction", {"jet_gain": 0.5})
     expected = 0.1 * (0.5 + 0.02 * 10.0) * (1.0 + 0.5)
@@ -121,7 +121,7 @@ STEEP = use("catalysis", {"catalysis_step": 1.0, "catalysis_K": 1000.0, "catalys
 SMOOTH = use("catalysis", {"catalysis_step": 0.5, "catalysis_K": 900.0, "catalysis_width_K": 100.0})
 
 
-def test_catalytic_wall_settles_where_its_own_film_balances_radiation():
+def test_catalytic_wall_settles_where_its_film_balances_radiation():
     film, H_r, eps = 0.005, 1.2e7, 0.85
     history = flight(np.linspace(0.0, 2000.0, 201), h_ref_kg_m2_s=film, H_r_J_kg=H_r)
     w = wall((material(emissivity=eps), 0.001))
@@ -156,14 +156,14 @@ def test_flight_variables_are_named_as_the_columns_of_the_conditions():
     assert offsets == {name: i for i, name in enumerate(CONDITION_COLUMNS)}
 
 
-def test_every_effect_says_what_it_is_and_where_that_is_from():
+def test_every_effect_states_its_physics_and_source():
     for found in effects().values():
         assert found.physics
         assert found.source
         assert all(p.text for p in found.parameters)
 
 
-def test_every_effect_has_a_picture_of_what_it_does():
+def test_every_effect_has_a_picture():
     docs = ROOT / "docs"
     text = (docs / "effects.md").read_text()
     for name in effects():
@@ -180,23 +180,23 @@ def test_page_of_effects_has_the_parameters_of_the_code_and_keeps_its_equations(
     assert text.count(r"\tag{") == 24
 
 
-def test_neutral_effect_does_nothing_whatever_else_it_has():
-    """Where its magnitudes are neutral, temperatures do not answer to any other of its parameters."""
+def test_neutral_effect_does_nothing_for_any_value_of_its_other_parameters():
+    """Where its magnitudes are neutral, temperatures do not depend on any other of its parameters."""
     record, _ = practice_record("p06")
     looked_for = candidates(record, conditions_of_record(record))
-    tried = {c.form: c for c in reversed(looked_for) if len(c.felt) < len(c.names)}.values()
+    tried = {c.form: c for c in reversed(looked_for) if len(c.active) < len(c.names)}.values()
     assert {c.name for c in tried} == {e.name for e in effects().values() if 0 < len(e.neutral) < len(e.parameters)}
     problems = [FitProblem([record], c.names, joint_reference([record]), FitOptions(effects=c.uses)) for c in tried]
     starts = [np.array([c.start[p.name] for p in q.parameters]) for c, q in zip(tried, problems, strict=True)]
     assert all(JointMarch(problems).march(starts))
     for c, problem, start in zip(tried, problems, starts, strict=True):
         own = np.concatenate([s.sensitivity for s in problem.samples(start)])
-        moved = {p.name for p, column in zip(problem.parameters, own.T, strict=True) if np.any(column != 0.0)}
-        assert moved, c
-        assert moved <= set(c.felt), c
+        sensitive = {p.name for p, column in zip(problem.parameters, own.T, strict=True) if np.any(column != 0.0)}
+        assert sensitive, c
+        assert sensitive <= set(c.active), c
 
 
-def test_neutral_value_of_no_parameter_is_refused():
+def test_neutral_value_of_an_unknown_parameter_is_rejected():
     with pytest.raises(InputError, match="effect mine, `neutral`: no parameter `rize`"):
         Effect("mine", "multiply", effect("transition").parameters, lambda B, c, p, wall_K: 1.0, neutral={"rize": 0.0})
 
@@ -213,40 +213,40 @@ def test_misspelt_parameter_and_value_out_of_bounds_are_named():
         use("jet-interaction", {"jet_gain": 9.0})
 
 
-def test_more_effects_than_the_kernel_holds_are_refused():
+def test_more_effects_than_a_lane_has_slots_are_rejected():
     with pytest.raises(InputError, match="5 effects with a kernel; 4 at most"):
         PointModel("p", wall((material(), 0.01)), effects=(use("jet-interaction"),) * 5)
 
 
-def own_effect(folder):
+def write_user_effect(folder):
     lines = [
         "from sim_heating import Effect, Parameter, njit",
         "@njit",
         "def double(B, c, p, wall_K):",
         "    return B[p]",
-        "EFFECT = Effect('own-factor', 'multiply', (Parameter('factor', '1', 2.0),), double)",
+        "EFFECT = Effect('constant-factor', 'multiply', (Parameter('factor', '1', 2.0),), double)",
     ]
-    (folder / "own.py").write_text("\n".join(lines))
+    (folder / "constant.py").write_text("\n".join(lines))
 
 
-def test_file_in_a_folder_of_ones_own_is_an_effect(tmp_path, monkeypatch):
-    own_effect(tmp_path)
+def test_file_in_a_users_folder_is_an_effect(tmp_path, monkeypatch):
+    write_user_effect(tmp_path)
     monkeypatch.setenv("SIM_HEATING_EFFECTS", str(tmp_path))
-    assert film_of(use("own-factor")) == pytest.approx(0.1)
+    assert film_of(use("constant-factor")) == pytest.approx(0.1)
 
 
-def test_own_effect_is_found_again_in_the_cache_by_the_next_process(tmp_path):
-    own_effect(tmp_path)
+def test_user_defined_effect_is_loaded_from_the_cache_by_the_next_process(tmp_path):
+    write_user_effect(tmp_path)
     lines = (
         "from sim_heating.heating.effects import use",
         "from sim_heating.heating.effects.compiled import effect_dispatcher",
-        "effect_dispatcher((use('own-factor').effect,))",
+        "effect_dispatcher((use('constant-factor').effect,))",
     )
     places = {"SIM_HEATING_EFFECTS": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     compiled = []
     for _ in range(2):
         command = [sys.executable, "-c", "; ".join(lines)]
         subprocess.run(command, env=os.environ | places | {"PYTHONPATH": str(ROOT)}, check=True)
-        compiled.append({p.name: p.stat().st_mtime_ns for p in (tmp_path / "cache").rglob("own.double*")})
+        compiled.append({p.name: p.stat().st_mtime_ns for p in (tmp_path / "cache").rglob("constant.double*")})
     assert compiled[0]
     assert compiled[1] == compiled[0]

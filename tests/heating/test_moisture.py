@@ -1,4 +1,4 @@
-"""Vapour in depth: what it conducts, that it makes no heat, and where its heat comes out."""
+"""Vapour in depth: its conductivity, its conservation of heat, and where it condenses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MOIST = {"stack.moisture.vapour_W_m": VAPOUR_W_M, "stack.moisture.boil_K": BOIL_
 
 
 def dried(temperature_K: float) -> float:
-    """Part of the moisture that has left."""
+    """Fraction of the moisture that has dried [-]."""
     return 1.0 / (1.0 + np.exp(-(temperature_K - BOIL_K) / WIDTH_K))
 
 
@@ -29,7 +29,7 @@ def test_steady_moist_layer_conducts_through_its_solid_and_its_vapour():
     assert carried == pytest.approx(flux_W_m2 * length, rel=1e-7)
 
 
-def test_vapour_moves_heat_and_makes_none():
+def test_vapour_transports_heat_and_conserves_it():
     profile = [[0.0, 420.0], [0.01, 380.0], [0.02, 300.0]]
     insulated = wall((material(), 0.02), initial="profile", initial_profile=profile, initial_K=None)
     ensemble, _ = heat(insulated, flight(np.arange(0.0, 61.0)), nodes=40, parameters=MOIST)
@@ -37,16 +37,16 @@ def test_vapour_moves_heat_and_makes_none():
     assert heat_content(ensemble) == pytest.approx(heat_content(before), rel=1e-9)
 
 
-def test_vapour_gives_its_heat_off_ahead_of_the_heat_that_is_conducted():
+def test_vapour_condenses_ahead_of_the_conducted_heat():
     insulation = wall((material(0.05, 1000.0, 250.0), 0.03))
     lit = flight(np.arange(0.0, 121.0), q_add_W_m2=5e3)
     (_, dry), (_, moist) = (heat(insulation, lit, (0.01,), parameters=p) for p in ({}, MOIST))
     early = np.arange(20, 60)
     assert np.all(moist[early, 2] > dry[early, 2] + 1.0)
-    assert moist[-1, 0] < dry[-1, 0]  # it is the surface that it takes it from
+    assert moist[-1, 0] < dry[-1, 0]  # the heat that vapour carries inward is taken from the surface
 
 
-def test_moisture_that_would_make_its_place_jump_to_a_higher_temperature_is_refused():
+def test_moisture_without_a_unique_temperature_is_rejected():
     # at 340 K deposit / (4 width) = 1250 J/(kg K) is given off where 1000 J/(kg K) warm it
     wet = {"stack.moisture.condense_K": 340.0, "stack.moisture.width_K": 10.0}
     insulation = wall((material(0.05, 1000.0, 250.0), 0.03))

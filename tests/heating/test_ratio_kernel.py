@@ -1,4 +1,4 @@
-"""The heating ratio as the kernel computes it: the table in and beyond its grid, the linear model about a point."""
+"""Heating ratio of the kernel: the table within and beyond its grid, the linear model about a reference condition."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def lookup(table: RatioTable, x: np.ndarray) -> float:
 
 @compiling
 @given(tables(fewest=2), points)
-def test_table_is_multilinear_as_scipy_has_it(table, fractions):
+def test_table_equals_scipys_multilinear_interpolation(table, fractions):
     x = within(table, np.clip(fractions, 0.0, 1.0))
     x = np.clip(x, [a[0] for a in table.axes], [a[-1] for a in table.axes])
     assert lookup(table, x) == pytest.approx(RegularGridInterpolator(table.axes, table.ratio)(x)[0], abs=1e-11)
@@ -75,7 +75,7 @@ def test_table_is_multilinear_as_scipy_has_it(table, fractions):
 
 @compiling
 @given(tables(), points)
-def test_outside_the_table_the_edge_value_holds(table, fractions):
+def test_outside_the_table_the_ratio_is_the_edge_value(table, fractions):
     x = within(table, fractions)
     at_edge = np.clip(x, [a[0] for a in table.axes], [a[-1] for a in table.axes])
     assert lookup(table, x) == lookup(table, at_edge)
@@ -83,7 +83,7 @@ def test_outside_the_table_the_edge_value_holds(table, fractions):
 
 @compiling
 @given(tables(), st.data())
-def test_every_node_gives_back_its_own_ratio(table, data):
+def test_ratio_at_a_node_is_that_of_the_table(table, data):
     node = tuple(data.draw(st.integers(0, n - 1)) for n in table.ratio.shape)
     x = [axis[i] for axis, i in zip(table.axes, node, strict=True)]
     assert lookup(table, x) == table.ratio[node]
@@ -91,7 +91,7 @@ def test_every_node_gives_back_its_own_ratio(table, data):
 
 @compiling
 @given(tables(), points)
-def test_ratio_stays_between_the_least_and_the_greatest_of_the_table(table, fractions):
+def test_ratio_lies_between_the_lowest_and_the_highest_of_the_table(table, fractions):
     slack = 1e-12 * max(1.0, float(np.max(np.abs(table.ratio))))
     assert np.min(table.ratio) - slack <= lookup(table, within(table, fractions)) <= np.max(table.ratio) + slack
 
@@ -107,7 +107,7 @@ def test_declared_table_of_a_record_equals_scipy_along_its_flight():
 
 @compiling
 @given(tables(), st.lists(points, min_size=1, max_size=6))
-def test_lanes_look_up_what_one_point_looks_up_also_outside_the_table(table, places):
+def test_lookup_of_lanes_equals_that_of_one_point_also_outside_the_table(table, places):
     packed, J = pack_table(table), np.zeros(integers_size(2), dtype=np.int64)
     B = np.zeros(block_size(2))
     invalidate_cells(B)
@@ -124,7 +124,7 @@ def test_lanes_look_up_what_one_point_looks_up_also_outside_the_table(table, pla
 
 @compiling
 @given(tables(), points)
-def test_variables_outside_are_counted_save_those_of_a_single_value(table, fractions):
+def test_variables_outside_the_table_are_counted_except_on_axes_of_one_value(table, fractions):
     packed, J, B = pack_table(table), np.zeros(integers_size(2), dtype=np.int64), np.zeros(block_size(2))
     x = within(
         table, np.where(np.abs(fractions - 1.0) < 1e-9, 1.0, fractions)
@@ -148,11 +148,11 @@ def test_lane_without_a_table_has_tabulated_ratio_zero():
 # The linear model ----------------------------------------------------------------------------------------------------
 
 CONDITIONS_FIRST = N_PARAMETERS
-"""Where the test's block holds the conditions, behind the parameters."""
+"""Offset of the conditions in the test's block, behind the parameters."""
 
 
 def model_ratio(x: np.ndarray, about: np.ndarray, table: RatioTable | None = None, **parameters: float) -> float:
-    """linear_ratio at x with parameters by their place in the layout: at_3=0.1 sets the fourth."""
+    """linear_ratio at x with parameters by their offset: at_3=0.1 sets the fourth."""
     B = np.zeros(N_PARAMETERS + N_CONDITIONS)
     for key, value in parameters.items():
         B[int(key.removeprefix("at_"))] = value
@@ -182,7 +182,7 @@ def test_scale_multiplies_the_table_alone(table, fractions, scale):
 
 @compiling
 @given(five, five, st.integers(0, 4), values)
-def test_first_derivative_adds_itself_times_the_distance(x, about, i, d):
+def test_first_derivative_adds_its_product_with_the_distance_from_the_reference(x, about, i, d):
     assert model_ratio(x, about, **{f"at_{FIRST + i}": d}) == pytest.approx(d * (x[i] - about[i]), rel=1e-12)
 
 
@@ -196,7 +196,7 @@ def test_second_order_term_has_no_factor_one_half(x, about, k, d):
 
 @compiling
 @given(tables(), points, five, hnp.arrays(np.float64, REFERENCE, elements=values))
-def test_all_terms_together_are_the_formula_of_the_contract(table, fractions, about, p):
+def test_all_terms_together_equal_the_formula_of_the_linear_model(table, fractions, about, p):
     x = within(table, fractions)
     d = x - about
     expected = lookup(table, x) * (1.0 + p[SCALE]) + p[D0] + p[FIRST : FIRST + 5] @ d

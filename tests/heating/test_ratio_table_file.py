@@ -1,4 +1,4 @@
-"""Ratio tables in long form: every node once, in any order; what is missing, doubled or odd is named."""
+"""Ratio tables in long form: each node once, in any order; a missing, repeated or mistyped node is named."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def problem(folder: Path, changed: list[str]) -> str:
     return caught.value.problems[0]
 
 
-def test_nodes_stand_where_their_row_says() -> None:
+def test_nodes_have_the_ratio_of_their_row() -> None:
     table = read_ratio_table(TILE)
     assert [a.tolist() for a in table.axes] == [[30, 40, 50], [0], [5, 6], [-5, 5], [7.5]]
     assert table.ratio[2, 0, 1, 0, 0] == 0.1105
@@ -41,31 +41,31 @@ def test_nodes_stand_where_their_row_says() -> None:
     assert table.reference == "sutton-graves"
 
 
-def test_rows_may_stand_in_any_order(tmp_path: Path) -> None:
+def test_rows_may_be_in_any_order(tmp_path: Path) -> None:
     shuffled = lines()[5:]
     random.Random(1).shuffle(shuffled)
     (tmp_path / "a.csv").write_text("\n".join([*lines()[:5], *shuffled]))
     np.testing.assert_array_equal(read_ratio_table(tmp_path / "a.csv").ratio, read_ratio_table(TILE).ratio)
 
 
-def test_a_table_may_do_without_sigma_and_header(tmp_path: Path) -> None:
+def test_sigma_and_header_of_a_table_are_optional(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("\n".join(line.rsplit(",", 1)[0] for line in lines()[4:]))
     table = read_ratio_table(tmp_path / "a.csv")
     assert table.sigma is None
     assert table.reference is None
 
 
-def test_a_hole_is_named_by_its_node(tmp_path: Path) -> None:
+def test_a_missing_node_is_named(tmp_path: Path) -> None:
     expected = "1 of 12 nodes of the grid missing; add a row for alpha_deg 30, beta_deg 0, log10_re 5, elevon_deg 5"
     assert expected in problem(tmp_path, [*lines()[:6], *lines()[7:]])
 
 
-def test_a_node_twice_names_both_rows(tmp_path: Path) -> None:
+def test_a_repeated_node_is_reported_with_both_rows(tmp_path: Path) -> None:
     expected = "row 18: repeats the node of row 7; remove one (alpha_deg 30, beta_deg 0, log10_re 5, elevon_deg 5"
     assert expected in problem(tmp_path, [*lines(), lines()[6]])
 
 
-def test_a_mistyped_axis_value_is_named_by_its_row(tmp_path: Path) -> None:
+def test_a_mistyped_axis_value_is_reported_with_its_row(tmp_path: Path) -> None:
     changed = [line.replace("50,0,5,-5", "50,0,5.5,-5") for line in lines()]
     expected = "row 14, column log10_re: 5.5 occurs at 1 nodes, other values at 5; correct it or complete the grid"
     assert expected in problem(tmp_path, changed)
@@ -85,13 +85,13 @@ def test_a_mistyped_axis_value_is_named_by_its_row(tmp_path: Path) -> None:
         ("30,0,5,5", "300,0,5,5", "row 7, column alpha_deg: 300 must lie within -180 to 180"),
     ],
 )
-def test_a_damaged_cell_or_name_is_told(tmp_path: Path, old: str, new: str, expected: str) -> None:
+def test_a_damaged_cell_or_column_name_is_reported(tmp_path: Path, old: str, new: str, expected: str) -> None:
     text = "\n".join(lines())
     assert old in text
     assert expected in problem(tmp_path, text.replace(old, new, 1).splitlines())
 
 
-def test_parts_that_do_not_fit_together_are_refused() -> None:
+def test_inconsistent_axes_and_ratios_are_rejected() -> None:
     table = read_ratio_table(TILE)
     with pytest.raises(InputError, match="they must agree"):
         RatioTable(table.axes, table.ratio[:2])
@@ -108,7 +108,7 @@ axis = st.lists(st.floats(-19.0, 19.0), min_size=1, max_size=3, unique=True).map
 
 @settings(max_examples=40, deadline=None)
 @given(axes=st.tuples(*[axis] * len(RATIO_VARIABLES)), seed=st.integers(0, 99), with_sigma=st.booleans())
-def test_any_table_writes_back_equal(
+def test_any_table_is_read_back_as_it_was_written(
     tmp_path_factory: pytest.TempPathFactory, axes: tuple[list[float], ...], seed: int, with_sigma: bool
 ) -> None:
     shape = tuple(len(a) for a in axes)

@@ -1,4 +1,4 @@
-"""A ratio table given measurements of its nodes: exact linear-Gaussian answers, and nothing beyond the reach."""
+"""A ratio table updated by measurements of its nodes: exact linear-Gaussian posterior within the correlation length."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_a_node_measured_without_error_takes_the_measured_value() -> None:
     assert after.sigma.ravel()[at] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_nodes_beyond_the_reach_in_any_variable_keep_their_values_to_the_last_bit() -> None:
+def test_nodes_beyond_the_correlation_length_in_any_variable_keep_their_bits() -> None:
     prior = table()
     after = posterior(prior, [reading(node(3, 0, 1, 1, 0), 0.2, 0.001)])
     far = np.zeros(SHAPE, dtype=bool)
@@ -116,7 +116,7 @@ def test_update_equals_the_information_form_of_bayes_theorem() -> None:
     np.testing.assert_allclose(after.sigma.ravel(), np.sqrt(np.diag(covariance)), rtol=1e-7)
 
 
-def test_evidence_taken_together_is_evidence_in_either_order() -> None:
+def test_order_of_evidence_does_not_matter() -> None:
     prior, first, second = table(), readings(3, 3), readings(4, 2)
     one, other = posterior(prior, [first, second]), posterior(prior, [second, first])
     np.testing.assert_allclose(one.ratio, other.ratio, rtol=1e-10)
@@ -153,7 +153,7 @@ def test_no_evidence_makes_any_node_less_certain(seed: int, rows: int, sigma: fl
     assert np.all(np.isfinite(after.ratio))
 
 
-def test_a_node_that_is_certain_already_does_not_move() -> None:
+def test_a_node_without_uncertainty_keeps_its_value() -> None:
     prior = table()
     assert prior.sigma is not None
     prior.sigma[2, 0, 1, 1, 0] = 0.0
@@ -163,7 +163,7 @@ def test_a_node_that_is_certain_already_does_not_move() -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.floats(-60.0, 60.0), min_size=2, max_size=12, unique=True))
-def test_correlation_of_any_nodes_is_that_of_some_errors(places: list[float]) -> None:
+def test_correlation_matrix_of_any_nodes_is_positive_semidefinite(places: list[float]) -> None:
     x = np.array(places)
     for name in RATIO_VARIABLES:
         assert np.linalg.eigvalsh(correlation(name, x[:, None] - x[None, :])).min() > -1e-12
@@ -171,7 +171,7 @@ def test_correlation_of_any_nodes_is_that_of_some_errors(places: list[float]) ->
 
 @settings(max_examples=50, deadline=None)
 @given(st.tuples(st.floats(-10, 60), st.floats(-5, 5), st.floats(1, 8), st.floats(-20, 20), st.floats(-20, 20)))
-def test_weights_of_the_nodes_give_the_ratio_that_the_kernel_looks_up(x: tuple[float, ...]) -> None:
+def test_weights_of_the_nodes_give_the_ratio_of_the_kernel(x: tuple[float, ...]) -> None:
     prior = table()
     W = node_weights(AXES, np.array([x]))
     assert W.sum() == pytest.approx(1.0, rel=1e-14)
@@ -182,11 +182,11 @@ def test_weights_of_the_nodes_give_the_ratio_that_the_kernel_looks_up(x: tuple[f
 # What is refused -----------------------------------------------------------------------------------------------------
 
 
-def test_a_table_without_sigma_cannot_be_weighed() -> None:
+def test_a_table_without_sigma_cannot_be_updated() -> None:
     with pytest.raises(InputError, match="no sigma column"):
         posterior(RatioTable(AXES, table().ratio), [reading(0, 0.1, 0.01)])
 
 
-def test_two_exact_measurements_of_one_node_cannot_be_weighed() -> None:
+def test_two_exact_measurements_of_one_node_are_rejected() -> None:
     with pytest.raises(InputError, match="repeat one another"):
         posterior(table(), [reading(3, 0.1, 0.0), reading(3, 0.1, 0.0)])

@@ -74,7 +74,7 @@ def flight(**columns: float) -> Conditions:
 
 
 @pytest.mark.parametrize(("p_Pa", "h_MJ_kg"), [(1e4, 4.84), (1e3, 6.17), (100.0, 7.06)])
-def test_air_at_3000_K_holds_more_heat_the_thinner_it_is(p_Pa, h_MJ_kg):
+def test_enthalpy_of_air_at_3000_K_rises_as_pressure_falls(p_Pa, h_MJ_kg):
     assert enthalpy([3000.0], [p_Pa])[0, 0] / 1e6 == pytest.approx(h_MJ_kg, abs=0.005)
 
 
@@ -106,11 +106,11 @@ def test_temperature_from_enthalpy_undoes_enthalpy_from_temperature(T_K, log_p):
 
 @compiling
 @given(st.floats(50.0, 11000.0), st.floats(-1.0, 6.5))
-def test_hotter_air_always_holds_more_heat(T_K, log_p):
+def test_enthalpy_increases_with_temperature(T_K, log_p):
     assert air_kernel(T_K + 1.0, 10.0**log_p)[0] > air_kernel(T_K, 10.0**log_p)[0]
 
 
-def test_outside_the_table_composition_is_held_and_density_follows_pressure():
+def test_outside_the_table_composition_is_constant_and_density_follows_pressure():
     assert air_kernel(3000.0, 0.01) == air_kernel(3000.0, 1.0)
     assert air_density_kernel(3000.0, 0.01) == pytest.approx(0.01 * air_density_kernel(3000.0, 1.0))
     assert air_kernel(100.0, 1e3)[0] == pytest.approx(0.5 * air_kernel(200.0, 1e3)[0])
@@ -133,20 +133,20 @@ def test_constant_cp_gives_exactly_cp_times_T():
         assert np.array_equal(wall_enthalpy_grid(kind, T, p), np.outer(1004.5 * T, [1.0, 1.0]))
 
 
-def test_equilibrium_air_at_a_tile_costs_more_than_cold_air_s_cp_says():
+def test_enthalpy_of_equilibrium_air_at_a_tile_exceeds_that_of_constant_cp():
     grid = wall_enthalpy_grid("equilibrium-air", [300.0, 1400.0], [10.0, 1e4])
     assert grid[0] == pytest.approx([302.5e3, 302.5e3], rel=1e-3)
     assert grid[1] / (1004.5 * 1400.0) == pytest.approx([1.09, 1.09], abs=0.01)
 
 
 @pytest.mark.parametrize("kind", ["equilibrium", -1004.5, 0.0, math.nan, True, {"cp": 1004.5}])
-def test_a_wall_enthalpy_that_is_none_is_refused(kind):
+def test_an_invalid_wall_enthalpy_is_rejected(kind):
     with pytest.raises(InputError, match=r"heating\.wall_enthalpy"):
         wall_enthalpy_grid(kind, [300.0], [1e3])
 
 
 @pytest.mark.parametrize(("T_K", "p_Pa"), [([0.0], [1.0]), ([300.0], [-1.0]), ([math.nan], [1.0]), ([], [1.0])])
-def test_temperatures_and_pressures_that_are_none_are_refused(T_K, p_Pa):
+def test_invalid_temperatures_and_pressures_are_rejected(T_K, p_Pa):
     with pytest.raises(InputError, match=r"_K|_Pa"):
         wall_enthalpy_grid("equilibrium-air", T_K, p_Pa)
 
@@ -166,7 +166,7 @@ def test_a_weak_shock_is_that_of_a_perfect_gas(mach):
 
 @compiling
 @given(densities, st.floats(1000.0, 9000.0), temperatures)
-def test_mass_momentum_and_energy_are_kept_across_the_shock(rho, V, T_inf):
+def test_mass_momentum_and_energy_are_conserved_across_the_shock(rho, V, T_inf):
     p = rho * R_TABLE * T_inf
     h = air_kernel(T_inf, p)[0]
     eps = shock_density_ratio(rho, V, p, h)
@@ -182,7 +182,7 @@ def test_stagnation_pressure_is_pitots_in_cold_flow_and_97_percent_of_rho_V2_at_
     assert stagnation_kernel(7e-5, 7081.0, 217.0)[0] / (7e-5 * 7081.0**2) == pytest.approx(0.973, abs=0.003)
 
 
-def test_pressure_at_rest_is_continuous_through_mach_1():
+def test_stagnation_pressure_is_continuous_through_mach_1():
     a = math.sqrt(1.4 * R_TABLE * 220.0)
     below, above = (stagnation_kernel(1e-2, f * a, 220.0)[0] for f in (0.9999, 1.0001))
     assert above / below == pytest.approx(1.0, abs=5e-4)
@@ -229,7 +229,7 @@ def test_a_lewis_number_of_1_4_adds_a_tenth_at_7_km_s():
 
 @compiling
 @given(densities, st.floats(50.0, 9000.0), temperatures)
-def test_every_sphere_is_heated_as_the_inverse_root_of_its_radius(rho, V, T_inf):
+def test_heating_of_a_sphere_scales_with_the_inverse_root_of_its_radius(rho, V, T_inf):
     for name in ("sutton-graves", "detra-kemp-riddell", "fay-riddell"):
         code = REFERENCE_MODELS[name].code
         small, large = (reference_kernel(code, rho, V, T_inf, 0.0, R, 1.0, 300.0)[0] for R in (0.25, 1.0))
@@ -238,7 +238,7 @@ def test_every_sphere_is_heated_as_the_inverse_root_of_its_radius(rho, V, T_inf)
 
 @compiling
 @given(speeds, temperatures, st.floats(-9.0, -0.2))
-def test_the_correlations_go_as_the_root_of_density(V, T_inf, log_rho):
+def test_the_correlations_scale_with_the_root_of_density(V, T_inf, log_rho):
     for film in (sutton_graves_kernel, detra_kemp_riddell_kernel):
         thin, thick = film(10.0**log_rho, V, T_inf, 1.0), film(4.0 * 10.0**log_rho, V, T_inf, 1.0)
         assert thick / thin == pytest.approx(2.0, rel=1e-12)
@@ -246,7 +246,7 @@ def test_the_correlations_go_as_the_root_of_density(V, T_inf, log_rho):
 
 @pytest.mark.parametrize("speed_m_s", [850.0, 550.0])
 @pytest.mark.parametrize("T_inf", [150.0, 220.0, 400.0])
-def test_film_coefficients_have_no_kink_where_the_low_speed_rule_begins(speed_m_s, T_inf):
+def test_film_coefficients_are_smooth_where_the_low_speed_rule_begins(speed_m_s, T_inf):
     for film in (sutton_graves_kernel, detra_kemp_riddell_kernel):
         h = [film(1e-2, speed_m_s + dv, T_inf, 1.0) for dv in (-2.0, -1.0, 0.0, 1.0, 2.0)]
         slopes = np.diff(h)
@@ -266,7 +266,7 @@ ESTIMATE = rows("lower_surface_ratio_estimate.csv")[::5]
 
 
 @pytest.mark.parametrize("row", ESTIMATE, ids=lambda r: f"{r['case']} {r['alpha_deg']} deg x/L {r['x_over_L']}")
-def test_the_windward_surface_ratios_come_out_as_estimated_under_the_same_assumptions(row):
+def test_windward_surface_ratios_equal_the_estimate_under_its_assumptions(row):
     V, alpha, x = float(row["v_mps"]), float(row["alpha_deg"]), float(row["x_over_L"]) * L_ORBITER_M
     T_inf, _, rho = us76_kernel(float(row["altitude_m"]))
     _, h_e, u_e = windward_edge_kernel(rho, V, T_inf, alpha)
@@ -314,7 +314,7 @@ def test_far_down_a_plate_turbulent_friction_is_schultz_grunows():
     assert film / (rho * u) * PRANDTL ** (2 / 3) == pytest.approx(0.185 * math.log10(re) ** -2.584, rel=1e-3)
 
 
-def test_turbulent_heating_does_not_jump_between_the_two_laws():
+def test_turbulent_heating_is_continuous_between_the_two_laws():
     h = np.array([eckert_film(1e5, 3.025e5, 100.0, x, 300.0, True) for x in np.geomspace(0.5, 50.0, 400)])
     assert np.all(np.diff(np.log(h)) < 0.0)
     assert np.all(np.abs(np.diff(np.log(h))) < 0.005)
@@ -326,7 +326,7 @@ def test_reference_enthalpy_of_an_insulated_wall_is_eckerts_combination():
     assert reference_enthalpy(h_e, h_aw, u_e, False) == pytest.approx(0.28 * h_e + 0.72 * h_aw)
 
 
-def test_wall_temperature_moves_the_film_coefficient_by_percents_only():
+def test_wall_temperature_changes_the_film_coefficient_by_a_few_percent():
     # 300 to 1500 K: +-1 % laminar, +-3 % turbulent, at Mach 18
     T_inf, _, rho = us76_kernel(66e3)
     for turbulent, span in ((False, 0.02), (True, 0.06)):
@@ -334,7 +334,7 @@ def test_wall_temperature_moves_the_film_coefficient_by_percents_only():
         assert abs(h[1] / h[0] - 1.0) < 1.2 * span
 
 
-def test_laminar_and_turbulent_slopes_with_alpha_are_the_estimates():
+def test_laminar_and_turbulent_slopes_with_alpha_are_those_of_the_estimate():
     T_inf, _, rho = us76_kernel(66e3)
     for turbulent, slope in ((False, 0.011), (True, 0.015)):
         h = [eckert_kernel(rho, 5500.0, T_inf, a, 13.0, 1100.0, turbulent, True) for a in (39.0, 40.0, 41.0)]
@@ -352,7 +352,7 @@ def test_a_diverging_flow_heats_by_its_factor():
 
 @compiling
 @given(densities, speeds, temperatures, st.floats(-90.0, 90.0), st.floats(0.01, 5.0), st.floats(0.01, 60.0))
-def test_no_flight_condition_gives_anything_but_a_finite_positive_film_coefficient(rho, V, T_inf, alpha, R, x):
+def test_every_flight_condition_has_a_finite_positive_film_coefficient(rho, V, T_inf, alpha, R, x):
     for name in formulas:
         h_ref, H_r = reference_kernel(REFERENCE_MODELS[name].code, rho, V, T_inf, alpha, R, x, 300.0)
         assert 0.0 < h_ref < 100.0 * max(1.0, 1.0 / math.sqrt(min(R, x)))
@@ -360,7 +360,7 @@ def test_no_flight_condition_gives_anything_but_a_finite_positive_film_coefficie
 
 
 @pytest.mark.parametrize("name", formulas)
-def test_a_flight_is_its_frames(name):
+def test_a_whole_flight_equals_its_frames(name):
     c = flight(velocity_m_s=np.array([300.0, 3000.0, 7500.0]), rho_kg_m3=np.array([1.0, 1e-3, 1e-5]))
     h_ref, H_r = reference_heating(name, c, nose_radius_m=0.5, running_length_m=7.0)
     columns = zip(c["rho_kg_m3"], c["velocity_m_s"], c["T_inf_K"], c["alpha_deg"], strict=True)
@@ -368,7 +368,7 @@ def test_a_flight_is_its_frames(name):
     assert np.array_equal(np.transpose(frames), [h_ref, H_r])
 
 
-def test_columns_are_taken_as_given_and_none_heats_nothing():
+def test_columns_are_used_as_given_and_the_model_none_heats_nothing():
     c = flight(h_ref_kg_m2_s=0.03, H_r_J_kg=2.5e7)
     assert [a[0] for a in reference_heating("columns", c)] == [0.03, 2.5e7]
     assert np.array_equal(reference_heating("none", c)[0], [0.0, 0.0, 0.0])
@@ -390,7 +390,7 @@ def test_a_whole_entry_peaks_where_shuttles_were_hottest():
 
 
 @pytest.mark.parametrize("record", ["p06", "p07"])
-def test_an_independent_program_s_records_have_the_sutton_graves_film_coefficient_to_their_digits(record):
+def test_records_of_an_independent_program_have_the_sutton_graves_film_coefficient_to_their_digits(record):
     columns = np.genfromtxt(PRACTICE / record / "conditions.csv", delimiter=",", names=True)
     c = Conditions({name: columns[name].copy() for name in columns.dtype.names})
     h_ref, H_r = reference_heating("sutton-graves", c)
@@ -409,11 +409,11 @@ def test_an_independent_program_s_records_have_the_sutton_graves_film_coefficien
         ("columns", {}, "column h_ref_kg_m2_s is missing"),
     ],
 )
-def test_a_reference_that_cannot_be_had_is_refused_with_what_is_missing(name, changes, message):
+def test_reference_heating_with_missing_inputs_is_rejected_naming_them(name, changes, message):
     with pytest.raises(InputError, match=message):
         reference_heating(name, flight(), **changes)
 
 
-def test_a_density_of_zero_is_refused_with_its_row():
+def test_a_density_of_zero_is_rejected_with_its_row():
     with pytest.raises(InputError, match=r"row 2, column rho_kg_m3: 0\.0"):
         reference_heating("sutton-graves", flight(rho_kg_m3=np.array([1e-5, 0.0, 1e-5])))

@@ -1,4 +1,4 @@
-"""The surface: what convection brings, what is radiated, and where they balance."""
+"""Surface heat balance: convection, radiation, and the temperature at which they are equal."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ def test_insulated_wall_settles_where_it_radiates_what_it_absorbs(flux_W_m2):
     assert settled(q_add_W_m2=flux_W_m2) == pytest.approx(radiation_equilibrium(flux_W_m2, EPS), abs=1e-6)
 
 
-def test_surroundings_warm_a_wall_that_nothing_else_heats():
+def test_an_unheated_wall_takes_the_temperature_of_its_surroundings():
     assert settled(stack={"surroundings_K": 500.0}) == pytest.approx(500.0, abs=1e-6)
 
 
-def test_flux_adds_to_what_the_surroundings_radiate():
+def test_absorbed_flux_adds_to_the_radiation_of_the_surroundings():
     settled_K = settled(q_add_W_m2=1e4, stack={"surroundings_K": 500.0})
     assert settled_K == pytest.approx(radiation_equilibrium(1e4, EPS, 500.0), abs=1e-6)
 
@@ -59,7 +59,7 @@ def test_without_radiation_the_wall_takes_the_recovery_temperature():
     assert settled_K == pytest.approx(1500.0, abs=1e-5)
 
 
-def test_emissivity_in_temperature_is_taken_at_the_wall_temperature():
+def test_emissivity_is_evaluated_at_the_wall_temperature():
     m = material().model_copy(update={"emissivity": [[300.0, 0.9], [1300.0, 0.6]]})
     _, out = heat(wall((m, THIN_M)), flight(LONG_S, q_add_W_m2=5e4), nodes=14)
     T = out[-1, 0]
@@ -72,7 +72,7 @@ def test_emissivity_factor_multiplies_the_declared_table():
     assert out[-1, 0] == pytest.approx(radiation_equilibrium(5e4, 0.72), abs=1e-6)
 
 
-def test_heating_ratio_multiplies_the_film_and_nothing_else():
+def test_heating_ratio_multiplies_the_film_alone():
     once = settled(h_ref_kg_m2_s=0.01, H_r_J_kg=1.5e7, q_add_W_m2=1e4)
     w = wall((material(emissivity=EPS), THIN_M))
     half = flight(LONG_S, h_ref_kg_m2_s=0.02, H_r_J_kg=1.5e7, q_add_W_m2=1e4)
@@ -80,7 +80,7 @@ def test_heating_ratio_multiplies_the_film_and_nothing_else():
     assert out[-1, 0] == pytest.approx(once, abs=1e-9)
 
 
-def test_negative_ratio_cools_and_is_counted_not_clipped():
+def test_negative_ratio_cools_and_is_counted_without_clipping():
     w = wall((material(emissivity=EPS), THIN_M))
     t = np.linspace(0.0, 10.0, 11)
     ensemble, out = heat(w, flight(t, h_ref_kg_m2_s=0.01, H_r_J_kg=1.5e7), nodes=14, parameters={"ratio.d0": -0.01})

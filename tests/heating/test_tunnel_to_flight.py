@@ -1,4 +1,4 @@
-"""From wind tunnel to flight: the limits that any scaling of heating ratios must have."""
+"""Scaling of heating ratios from wind tunnel to flight: limits, trends and uncertainty."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def states() -> list[tuple[FlowState, float, int]]:
 @pytest.mark.parametrize(
     ("turbulent", "column", "tolerance"), [(False, "ratio_laminar", 0.03), (True, "ratio_turbulent", 0.06)]
 )
-def test_theory_is_the_lower_surface_estimate_within_its_viscosity_and_pressure(turbulent, column, tolerance):
+def test_theoretical_ratio_agrees_with_the_lower_surface_estimate(turbulent, column, tolerance):
     # the estimate has cp_max 1.84 and mu = 3.35e-7 T^0.70, the program equilibrium air and 4.12e-7 T^0.671
     for state, log10_re, i in states():
         mine = theoretical_ratio(state, log10_re, ESTIMATE["alpha_deg"][i], 0.05, turbulent)
@@ -141,13 +141,13 @@ def test_laminar_correction_for_real_gas_is_some_tens_of_per_cent_at_most():
 
 
 @pytest.mark.parametrize(("onset", "regime"), [(9.0, "laminar"), (2.0, "turbulent")])
-def test_transitional_scaling_ends_in_laminar_and_turbulent_scaling(onset, regime):
+def test_transitional_scaling_tends_to_laminar_and_turbulent_scaling(onset, regime):
     blend, _ = correction(transitional(onset, onset), 40.0, 6.5, 6.2)
     pure, _ = correction(scaling(regime), 40.0, 6.5, 6.2)
     assert blend == pytest.approx(pure, rel=1e-6)
 
 
-def test_a_tunnel_that_was_turbulent_where_flight_is_laminar_read_three_to_five_times_high():
+def test_a_turbulent_tunnel_ratio_is_three_to_five_times_that_of_laminar_flight():
     factor, _ = correction(transitional(5.5, 8.0, flight=TUNNEL), 40.0, 6.5, 6.5)
     assert 1 / 5.0 < factor < 1 / 3.0
 
@@ -160,7 +160,7 @@ def test_a_tunnel_flow_in_transition_adds_sigma_for_its_uncertain_onset():
     assert amid > 1.2 * sure
 
 
-def test_a_point_that_does_not_follow_alpha_has_one_correction_for_all():
+def test_a_surface_at_a_fixed_angle_has_one_correction_for_all_alphas():
     scaled = scale_table(table(), scaling("laminar", fixed_angle_deg=10.0))
     assert scaled.ratio[0] == pytest.approx(scaled.ratio[1])
 
@@ -168,7 +168,7 @@ def test_a_point_that_does_not_follow_alpha_has_one_correction_for_all():
 # Files and faces -----------------------------------------------------------------------------------------------------
 
 
-def test_a_scaled_table_says_what_was_assumed_and_reads_back(tmp_path):
+def test_a_scaled_table_states_its_assumptions_and_is_read_back(tmp_path):
     scaled = scale_table(table(source="tunnel", confidence="B"), transitional(6.5, 7.0))
     write_ratio_table(tmp_path / "t.csv", scaled)
     back = read_ratio_table(tmp_path / "t.csv")
@@ -180,7 +180,7 @@ def test_a_scaled_table_says_what_was_assumed_and_reads_back(tmp_path):
     assert "in quadrature" in back.header["scaled_sigma_added"]
 
 
-def test_a_table_without_sigma_or_over_another_reference_is_refused():
+def test_a_table_without_sigma_or_over_another_reference_is_rejected():
     with pytest.raises(InputError, match="has no column `sigma`, to which scaling adds"):
         scale_table(table(sigma=None), scaling("laminar"))
     with pytest.raises(InputError, match="is over `sutton-graves`; scaling takes ratios over `fay-riddell`"):

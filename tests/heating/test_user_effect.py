@@ -1,4 +1,4 @@
-"""An effect in a file of one's own, outside the package: every command takes it up."""
+"""A user-defined effect in a file outside the package: every command accepts it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tests.support.paths import ROOT
 POINT = "LOWER_FWD"
 GROWTH = 0.15
 SOURCE = '''
-"""Heating grows with the angle of attack beyond what a table says, as its square."""
+"""Heating that grows with the square of the angle of attack, in addition to its table."""
 
 from sim_heating import Effect, Parameter, flight, njit
 
@@ -38,13 +38,13 @@ def steep(B, c, p, wall_K):
 
 
 EFFECT = Effect(
-    "own-steepness", "multiply", (Parameter("growth", "1", 0.0, 0.2, -1.0, 2.0, "at 10 deg from 40"),), steep,
+    "alpha-growth", "multiply", (Parameter("growth", "1", 0.0, 0.2, -1.0, 2.0, "at 10 deg from 40"),), steep,
     physics="test", source="test",
 )
 '''
 SCENARIO = """
 format = "scenario/1"
-title = "Own effect"
+title = "User-defined effect"
 vehicle = "orbiter"
 control_points = ["{point}"]
 {more}
@@ -69,12 +69,12 @@ hold_s = 4.0
 [measurements]
 seed = 1
 """
-EFFECT = '[[{table}effect]]\nname = "own-steepness"\nparameters = {{ growth = {growth} }}\n'
+EFFECT = '[[{table}effect]]\nname = "alpha-growth"\nparameters = {{ growth = {growth} }}\n'
 
 
 @pytest.fixture(autouse=True)
-def own_folder(tmp_path, monkeypatch):
-    """A user's folder of effects, and the place where the user works."""
+def effects_folder(tmp_path, monkeypatch):
+    """A user's folder of effects, named in the environment; the working directory is the one above it."""
     folder = tmp_path / "effects"
     folder.mkdir()
     (folder / "steepness.py").write_text(SOURCE)
@@ -92,30 +92,30 @@ def surface_K(folder: str) -> np.ndarray:
     return read_csv_columns(Path(folder) / "temperatures.csv", ("time_s", "surface_K"))["surface_K"]
 
 
-def test_run_and_validate_take_it_from_a_scenario():
-    plain, own = scenario("plain"), scenario("own", EFFECT.format(table="", growth=GROWTH))
-    assert main(["validate", own]) == 0
+def test_run_and_validate_accept_it_in_a_scenario():
+    plain, with_effect = scenario("plain"), scenario("with_effect", EFFECT.format(table="", growth=GROWTH))
+    assert main(["validate", with_effect]) == 0
     assert main(["run", plain, "--out", "plain"]) == 0
-    assert main(["run", own, "--out", "own"]) == 0
-    assert 5.0 < np.max(surface_K("own") - surface_K("plain")) < 200.0
+    assert main(["run", with_effect, "--out", "with_effect"]) == 0
+    assert 5.0 < np.max(surface_K("with_effect") - surface_K("plain")) < 200.0
 
 
-def test_synthesize_hides_it_and_estimate_finds_it_again():
+def test_synthesize_puts_it_into_the_truth_and_estimate_recovers_it():
     assert main(["synthesize", scenario("truth", EFFECT.format(table="truth.", growth=GROWTH)), "--out", "record"]) == 0
-    assert "own-steepness" not in Path("record/record.toml").read_text()
-    names = "ratio.scale,ratio.d_alpha,effect.own-steepness.growth"
+    assert "alpha-growth" not in Path("record/record.toml").read_text()
+    names = "ratio.scale,ratio.d_alpha,effect.alpha-growth.growth"
     assert main(["estimate", "record", "--parameters", names, "--out", "fit"]) == 0
-    found = json.loads(Path("fit/estimate.json").read_text())["parameters"]["effect.own-steepness.growth"]
+    found = json.loads(Path("fit/estimate.json").read_text())["parameters"]["effect.alpha-growth.growth"]
     assert abs(found["value"] - GROWTH) < 4.0 * found["sigma"] < 0.4 * GROWTH
     record = load_record("record")
-    assert "own-steepness" in {c.name for c in candidates(record, conditions_of_record(record))}
+    assert "alpha-growth" in {c.name for c in candidates(record, conditions_of_record(record))}
 
 
-def test_predict_takes_it_from_a_vehicle():
+def test_predict_applies_it_from_a_vehicle():
     assert main(["synthesize", scenario("truth", EFFECT.format(table="truth.", growth=GROWTH)), "--out", "record"]) == 0
     shutil.copytree(ROOT / "aircraft_data" / "orbiter", "orbiter")
     with Path(f"orbiter/control_points/{POINT}.toml").open("a") as file:
-        file.write(f'\n[[effect]]\nname = "own-steepness"\nparameters = {{ growth = {GROWTH} }}\nsource = "test"\n')
+        file.write(f'\n[[effect]]\nname = "alpha-growth"\nparameters = {{ growth = {GROWTH} }}\nsource = "test"\n')
     errors = []
     for options in ([], ["--vehicle", "orbiter"]):
         assert main(["predict", "record", "--out", f"p{len(options)}", *options]) == 0
@@ -126,7 +126,7 @@ def test_predict_takes_it_from_a_vehicle():
 CLOCK_EFFECT = """
 from sim_heating import Effect, model_parameter
 
-EFFECT = Effect("own-clock", "model", (model_parameter("recorder_lag_s", "clock.skew", sigma=2.0),))
+EFFECT = Effect("recorder-lag", "model", (model_parameter("recorder_lag_s", "clock.skew", sigma=2.0),))
 """
 
 
@@ -140,34 +140,34 @@ EFFECT = Effect("own-clock", "model", (model_parameter("recorder_lag_s", "clock.
         (("axial_accel_g",), {}, False),
     ],
 )
-def test_an_effect_is_looked_for_only_where_the_variables_that_it_needs_vary(own_folder, needs, flown, looked_for):
-    (own_folder / "steepness.py").write_text(SOURCE.replace("physics=", f"needs={needs}, physics="))
+def test_an_effect_is_looked_for_only_where_the_variables_that_it_needs_vary(effects_folder, needs, flown, looked_for):
+    (effects_folder / "steepness.py").write_text(SOURCE.replace("physics=", f"needs={needs}, physics="))
     record = load_record(ROOT / "scenarios" / "records" / "practice" / "p06")
     conditions = conditions_of_record(record).with_columns(**flown)
-    assert ("own-steepness" in {c.name for c in candidates(record, conditions)}) is looked_for
+    assert ("alpha-growth" in {c.name for c in candidates(record, conditions)}) is looked_for
 
 
-def test_a_user_defined_clock_effect_is_looked_for_and_its_parameter_has_its_own_name(own_folder):
-    (own_folder / "steepness.py").write_text(CLOCK_EFFECT)
+def test_a_user_defined_clock_effect_is_looked_for_and_its_parameter_has_its_own_name(effects_folder):
+    (effects_folder / "steepness.py").write_text(CLOCK_EFFECT)
     record = load_record(ROOT / "scenarios" / "records" / "practice" / "p06")
-    (found,) = (c for c in candidates(record, conditions_of_record(record)) if c.name == "own-clock")
+    (found,) = (c for c in candidates(record, conditions_of_record(record)) if c.name == "recorder-lag")
     assert found.names == ("clock.skew",)
-    effect = effects()["own-clock"]
+    effect = effects()["recorder-lag"]
     assert effect.acts_on_clock
     assert effect.own_name("clock.skew") == "recorder_lag_s"
 
 
-def test_a_file_that_is_wrong_is_told_with_its_line(own_folder, capsys):
-    (own_folder / "broken.py").write_text("from sim_heating import Effect\n\nEFFECT = Effect(nme='x')\n")
-    assert main(["run", scenario("plain"), "--out", "plain"]) == 0  # nobody asked for an effect
-    assert main(["validate", scenario("own", EFFECT.format(table="", growth=GROWTH))]) == 2
-    told = capsys.readouterr().err
-    assert "broken.py, line 3: TypeError" in told
-    assert "Traceback" not in told
+def test_a_file_that_cannot_be_run_is_reported_with_its_line(effects_folder, capsys):
+    (effects_folder / "broken.py").write_text("from sim_heating import Effect\n\nEFFECT = Effect(nme='x')\n")
+    assert main(["run", scenario("plain"), "--out", "plain"]) == 0  # the command uses no effect
+    assert main(["validate", scenario("with_effect", EFFECT.format(table="", growth=GROWTH))]) == 2
+    message = capsys.readouterr().err
+    assert "broken.py, line 3: TypeError" in message
+    assert "Traceback" not in message
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("EFFECT = 3\n", "EFFECT is a int; it must be an Effect"),
         ("def f(:\n", "line 1: SyntaxError"),
@@ -181,51 +181,51 @@ def test_a_file_that_is_wrong_is_told_with_its_line(own_folder, capsys):
         ("from sim_heating import Effect\nEFFECT = Effect('a', 'model', (), places=())\n", "with model_parameter"),
     ],
 )
-def test_what_is_no_effect_is_refused(own_folder, text, told):
-    (own_folder / "wrong.py").write_text(text)
-    with pytest.raises(InputError, match=told):
+def test_a_file_without_a_valid_effect_is_rejected(effects_folder, text, message):
+    (effects_folder / "wrong.py").write_text(text)
+    with pytest.raises(InputError, match=message):
         effects()
 
 
-def test_a_folder_that_is_not_there_is_told(monkeypatch, tmp_path, capsys):
+def test_a_missing_folder_is_reported(monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("SIM_HEATING_EFFECTS", str(tmp_path / "nowhere"))
-    assert main(["validate", scenario("own", EFFECT.format(table="", growth=GROWTH))]) == 2
+    assert main(["validate", scenario("with_effect", EFFECT.format(table="", growth=GROWTH))]) == 2
     assert "nowhere is not a directory" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     "command", [["validate"], ["predict", "--out", "out"], ["estimate", "--out", "out"]], ids="".join
 )
-def test_every_command_is_told_of_it_whether_it_uses_effects_or_not(monkeypatch, tmp_path, capsys, command):
+def test_every_command_reports_a_missing_folder_whether_it_uses_effects_or_not(monkeypatch, tmp_path, capsys, command):
     monkeypatch.setenv("SIM_HEATING_EFFECTS", str(tmp_path / "nowhere"))
     assert main([*command, str(ROOT / "tests" / "data" / "records" / "tile")]) == 2
-    told = capsys.readouterr().err.splitlines()
-    assert told == [
+    message = capsys.readouterr().err.splitlines()
+    assert message == [
         f"error: SIM_HEATING_EFFECTS: {tmp_path / 'nowhere'} is not a directory; name one that holds effects"
     ]
 
 
-def test_study_is_told_of_a_folder_of_effects_that_is_not_there(monkeypatch, tmp_path, capsys):
+def test_validating_a_study_reports_a_missing_folder(monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("SIM_HEATING_EFFECTS", str(tmp_path / "nowhere"))
     assert main(["validate", str(ROOT / "scenarios" / "studies" / "small_envelope.toml")]) == 2
-    assert "SIM_HEATING_EFFECTS: " in (told := capsys.readouterr().err)
-    assert "nowhere is not a directory" in told
+    assert "SIM_HEATING_EFFECTS: " in (message := capsys.readouterr().err)
+    assert "nowhere is not a directory" in message
 
 
-def test_an_effect_that_has_the_name_of_another_is_refused_by_its_file(own_folder, capsys):
-    own = scenario("own", EFFECT.format(table="", growth=GROWTH))
-    (own_folder / "again.py").write_text(SOURCE)
-    assert main(["validate", own]) == 2
-    told = capsys.readouterr().err
-    assert "steepness.py: " in told
-    assert "again.py already has an effect `own-steepness`; give yours another name" in told
-    (own_folder / "again.py").write_text(SOURCE.replace("own-steepness", "catalysis"))
-    assert main(["validate", own]) == 2
-    told = capsys.readouterr().err
-    assert "again.py: the package already has an effect `catalysis`; give yours another name" in told
+def test_an_effect_with_the_name_of_another_is_rejected_with_its_file(effects_folder, capsys):
+    with_effect = scenario("with_effect", EFFECT.format(table="", growth=GROWTH))
+    (effects_folder / "again.py").write_text(SOURCE)
+    assert main(["validate", with_effect]) == 2
+    message = capsys.readouterr().err
+    assert "steepness.py: " in message
+    assert "again.py already has an effect `alpha-growth`; give yours another name" in message
+    (effects_folder / "again.py").write_text(SOURCE.replace("alpha-growth", "catalysis"))
+    assert main(["validate", with_effect]) == 2
+    message = capsys.readouterr().err
+    assert "again.py: the package already has an effect `catalysis`; give yours another name" in message
 
 
-def test_the_example_peaks_at_its_mach_number_and_has_a_flight_to_try_it_on(monkeypatch):
+def test_the_example_peaks_at_its_mach_number_and_is_flown_by_its_scenario(monkeypatch):
     monkeypatch.setenv("SIM_HEATING_EFFECTS", str(ROOT / "examples" / "effects"))
     (hidden,) = load_scenario(ROOT / "examples" / "shock_passage.toml").effects("WING_LE", truth=True)
     effect, parameters = hidden.effect, np.array(hidden.values)
@@ -248,7 +248,7 @@ print(effect_dispatcher((effect("shock-passage"),)).function(0, [*flown, 0.25, 1
 """
 
 
-def test_an_effect_is_heard_where_nothing_is_compiled():
+def test_an_effect_acts_where_compilation_is_disabled():
     environment = os.environ | {
         "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT), "SIM_HEATING_EFFECTS": str(ROOT / "examples" / "effects"),
     }  # fmt: skip
@@ -257,9 +257,9 @@ def test_an_effect_is_heard_where_nothing_is_compiled():
     assert float(done.stdout) == 1.25
 
 
-def test_a_record_is_closed_anew_where_an_effect_of_ones_own_has_changed(own_folder):
+def test_a_record_is_closed_again_when_a_user_defined_effect_has_changed(effects_folder):
     record = ROOT / "scenarios" / "records" / "practice" / "p06"
     before = record_job(record, Path("out"))
     assert record_job(record, Path("out")) == before
-    (own_folder / "steepness.py").write_text(SOURCE.replace("40.0", "38.0"))
+    (effects_folder / "steepness.py").write_text(SOURCE.replace("40.0", "38.0"))
     assert record_job(record, Path("out")).id != before.id

@@ -285,7 +285,7 @@ def _interpolate(B: FloatArray, J: IntArray, table: FloatArray) -> None:
 
 @njit
 def table_ratios(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> None:
-    """Tabulated ratio [-] of all lanes at one stage, into the first row of CELL_WORK: `table_ratio` for all at once.
+    """Tabulated ratio [-] of all lanes at one stage, written into the first row of CELL_WORK.
 
     B, J  : block of the lane group and its integers;  table : flat array of tables
     stage : 0 start, 1 middle, 2 end of the time step, whose conditions are read

@@ -14,7 +14,8 @@ Transitional flow is a blend by intermittency,
 
     r = r_laminar (1 + gamma (f - 1)),   gamma = 1 / (1 + exp(-(log10_re - onset) / width)),
 
-with f turbulent over laminar theory; it is divided out in the tunnel and put back in flight with an onset of its own.
+with f turbulent over laminar theory. The blend is divided out of the tunnel's ratio and applied in flight with the
+flight's onset.
 A node of the flight table at log10_re takes the tunnel's ratio at the same Reynolds number, or at the nearest one that
 the tunnel reached.
 
