@@ -296,7 +296,7 @@ def predict_fit(record_fit: RecordFit, values: FloatArray) -> Prediction:
     own, record = record_fit.values(values), record_fit.record
     errors = {s.name: sensor_errors(s, own) for s in record.sensors}
     wanted_s = record.time_s[record.fit_mask() | record.holdout_mask()]
-    begin = record_fit.conditions.time_s[0] if record_fit.start is None else record_fit.start.time_s
+    begin = record_fit.begin_s
     # a shifted sample is read later than it was recorded
     end = min(float(wanted_s.max()) + max(record_fit.shift_s(values), 0.0), record_fit.conditions.time_s[-1])
     marched = replace(record, conditions=record.conditions.at(march_times(record.conditions, begin, end)))

@@ -45,7 +45,6 @@ from sim_heating.estimation.record_fit import (
 from sim_heating.heating.effects import EffectUse
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record
-from sim_heating.march.ensemble import condition_history
 from sim_heating.march.linearised import Linearised, LinearMarch
 from sim_heating.march.mesh_choice import choose_meshes
 from sim_heating.march.point import PointModel
@@ -185,7 +184,7 @@ class FitProblem:
 
     def _choose_samples(self, record_fit: RecordFit, sample_mask: NDArray[np.bool_] | None) -> None:
         record, flown = record_fit.record, record_fit.conditions.time_s
-        begin = flown[0] if record_fit.start is None else record_fit.start.time_s
+        begin = record_fit.begin_s
         # the set of samples must not change with the skew, or likelihoods could not be compared
         slack = SKEW_SPAN_S if CLOCK_SKEW.name in record_fit.names else 0.0
         t = record.time_s
@@ -267,7 +266,7 @@ class FitProblem:
         """
 
         found = in_threads(lambda k: self._samples_of_group(k, vector), len(self.groups))
-        return [s for of_group in found for s in of_group]
+        return [s for group in found for s in group]
 
     def _samples_of_group(self, k: int, vector: FloatArray) -> list[PredictedSamples]:
         """All channels of a group of records."""
@@ -353,7 +352,7 @@ class FitProblem:
         march = self._plain_marches[k]
         if march is None:
             record_fit = self.record_fits[k]
-            history = condition_history(record_fit.conditions.at(record_fit.time_s))[np.newaxis]
+            history = record_fit.history(record_fit.time_s)
             march = self._plain_marches[k] = LinearMarch(
                 [record_fit.track(sensitive=False)] * LANES, record_fit.time_s, history
             )

@@ -108,6 +108,15 @@ class RecordFit:
         """Model of the point with the parameters of heating and stack at a parameter vector (parameter,)."""
         return self.model.with_parameters(dict(zip(self.march_names, vector[self.index], strict=False)))
 
+    @property
+    def begin_s(self) -> float:
+        """Time at which the march begins [s]."""
+        return float(self.conditions.time_s[0]) if self.start is None else self.start.time_s
+
+    def history(self, time_s: FloatArray) -> FloatArray:
+        """(1, time, condition) flight conditions at the times of a march [s], as a march takes them."""
+        return condition_history(self.conditions.at(time_s))[np.newaxis]
+
     def shift_s(self, vector: FloatArray) -> float:
         """Time [s] that is added to the recorded times: recorded T(t) = true T(t - skew), so it is minus the skew.
 
@@ -180,6 +189,14 @@ class Start:
     unknowns: tuple[Parameter, ...] = ()
     refined: FloatArray | None = None
     covariance_K2: FloatArray | None = None
+
+
+def start_unknowns(count: int) -> tuple[Parameter, ...]:
+    """Unknowns `initial.1` ... of a start along as many directions of its temperatures, with mean 0 and sigma 1 [-]."""
+    return tuple(
+        Parameter(f"initial.{k + 1}", "1", 0.0, 1.0, text="along a direction of the temperatures at the start")
+        for k in range(count)
+    )
 
 
 StartMaker = Callable[[Record, PointModel, Mesh], Start]
@@ -470,6 +487,6 @@ def _temperatures_K(
     tracks = [
         Track(record_fit.model_at(vector), mesh, (), record_fit.sample_s, initial_K=initial) for mesh, initial in meshes
     ]
-    history = condition_history(record_fit.conditions.at(record_fit.time_s))[np.newaxis]
+    history = record_fit.history(record_fit.time_s)
     found = LinearMarch(tracks, record_fit.time_s, history).march([record_fit.shift_s(vector)] * len(tracks))
     return [f.temperature_K for f in found]

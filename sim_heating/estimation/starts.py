@@ -21,9 +21,8 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
-from sim_heating.base.parameters import Parameter
 from sim_heating.estimation.filter.records import filtered_start
-from sim_heating.estimation.record_fit import Start, march_times
+from sim_heating.estimation.record_fit import Start, march_times, start_unknowns
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.march.ensemble import Ensemble, condition_history
@@ -217,11 +216,7 @@ def free_start(
     Source: docs/clocks_and_starts.md, equation 4.
     """
     columns = sigma_K * smooth_directions(diffusion_depths(model.construction, mesh))
-    unknowns = tuple(
-        Parameter(f"initial.{k + 1}", "1", 0.0, 1.0, text="along a direction of the temperatures at the start")
-        for k in range(columns.shape[1])
-    )
-    return Start(time_s, profile, columns, unknowns)
+    return Start(time_s, profile, columns, start_unknowns(columns.shape[1]))
 
 
 STARTS = {"circuit": circuit_start, "profile": profile_start, "filter": filter_start}

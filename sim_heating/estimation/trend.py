@@ -16,16 +16,14 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.parameters import Parameter
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.estimation.fit import FEWEST_SAMPLES
 from sim_heating.estimation.inference.newton import Fit, maximise
 from sim_heating.estimation.inference.observability import default_names
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
-from sim_heating.estimation.record_fit import RecordFit, Start, march_times
+from sim_heating.estimation.record_fit import RecordFit, Start, march_times, start_unknowns
 from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.inputs.record import Record
-from sim_heating.march.ensemble import condition_history
 from sim_heating.march.linearised import LinearMarch, Track
 from sim_heating.march.point import initial_temperatures
 from sim_heating.thermal.mesh import refined
@@ -169,11 +167,7 @@ def _next_start(problem: FitProblem, fit: Fit, time_s: float) -> Start:
     # the svd of S C^(1/2) keeps the small directions that an eigendecomposition of S C S' would lose to rounding
     U, s, _ = np.linalg.svd(S @ (vectors * np.sqrt(np.maximum(values, 0.0))), full_matrices=False)
     count = min(DIRECTIONS, len(s))
-    unknowns = tuple(
-        Parameter(f"initial.{k + 1}", "1", 0.0, 1.0, text="along a direction of the temperatures at the start")
-        for k in range(count)
-    )
-    return Start(time_s, T, U[:, :count] * s[:count], unknowns, refined_at(record_fit, fit.values, time_s))
+    return Start(time_s, T, U[:, :count] * s[:count], start_unknowns(count), refined_at(record_fit, fit.values, time_s))
 
 
 def state_at(record_fit: RecordFit, values: FloatArray, time_s: float) -> tuple[FloatArray, FloatArray]:
@@ -184,7 +178,7 @@ def state_at(record_fit: RecordFit, values: FloatArray, time_s: float) -> tuple[
 
     S_T of docs/clocks_and_starts.md, equation 5.
     """
-    begin = record_fit.conditions.time_s[0] if record_fit.start is None else record_fit.start.time_s
+    begin = record_fit.begin_s
     if time_s <= begin:
         profile = record_fit.initial_K(values)
         columns = (
@@ -202,7 +196,7 @@ def state_at(record_fit: RecordFit, values: FloatArray, time_s: float) -> tuple[
         record_fit.model_at(values), record_fit.mesh, record_fit.march_names, np.array([time_s]), nodes,
         declared.initial_K, declared.initial_columns,
     )  # fmt: skip
-    found = LinearMarch([track], time, condition_history(record_fit.conditions.at(time))[np.newaxis]).march()[0]
+    found = LinearMarch([track], time, record_fit.history(time)).march()[0]
     return found.temperature_K[:, 0], found.sensitivity[:, 0]
 
 
@@ -215,12 +209,12 @@ def refined_at(record_fit: RecordFit, values: FloatArray, time_s: float) -> Floa
     The next segment needs them for its mesh correction, docs/estimation_statistics.md, equation 31.
     """
     mesh, initial = refined(record_fit.mesh), record_fit.refined_K(values)
-    begin = record_fit.conditions.time_s[0] if record_fit.start is None else record_fit.start.time_s
+    begin = record_fit.begin_s
     if time_s <= begin:
         return initial_temperatures(record_fit.model.construction, mesh) if initial is None else initial
     time = march_times(record_fit.conditions, begin, time_s)
     track = Track(record_fit.model_at(values), mesh, (), np.array([time_s]), tuple(range(mesh.nodes)), initial)
-    found = LinearMarch([track], time, condition_history(record_fit.conditions.at(time))[np.newaxis]).march()[0]
+    found = LinearMarch([track], time, record_fit.history(time)).march()[0]
     return found.temperature_K[:, 0]
 
 

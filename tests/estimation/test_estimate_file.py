@@ -60,6 +60,19 @@ def test_an_estimate_reads_back_equal_from_its_file_or_its_directory(tmp_path: P
     assert json.loads((tmp_path / "estimate.json").read_text())["studied_by"] == "hand"
 
 
+def test_a_former_key_is_read_under_its_present_name() -> None:
+    bounds = {"ratio.d_alpha": {"larger_sigma": 5e-5, "longer_sigma": 7e-5}}
+    former, present = (check(good(**{key: bounds}), Estimate, "here") for key in ("would_buy", "sensitivity_to_effort"))
+    assert former == present
+    assert former.model_extra == {"sensitivity_to_effort": bounds}
+
+
+def test_an_estimate_is_shown_in_one_line_with_its_values() -> None:
+    shown = repr(check(good(), Estimate, "here"))
+    assert shown.startswith("Estimate(tile: ratio.scale=-0.1 +- 0.02 1, ratio.d_alpha=0.001 +- 0.0001 1/deg, ")
+    assert shown.endswith("; converged)")
+
+
 def test_sigma_and_correlation_give_back_the_covariance_of_any_choice_of_parameters() -> None:
     estimate = check(good(), Estimate, "here")
     np.testing.assert_allclose(estimate.covariance(NAMES), COVARIANCE, rtol=1e-12)

@@ -49,12 +49,12 @@ def deviations(records: Sequence[Record]) -> FloatArray:
 
     Used in docs/estimation_statistics.md, equation 20.
     """
-    rows = [np.column_stack([r.conditions[v] for v in RATIO_VARIABLES])[_fitted_rows(r)] for r in records]
+    rows = [np.column_stack([r.conditions[v] for v in RATIO_VARIABLES])[fitted_rows(r)] for r in records]
     every = np.concatenate(rows)
     return np.std(every, axis=0) if len(every) else np.zeros(len(RATIO_VARIABLES))
 
 
-def _fitted_rows(record: Record) -> NDArray[np.bool_]:
+def fitted_rows(record: Record) -> NDArray[np.bool_]:
     """(row of the conditions,) within the span of the fit segments that has samples."""
     t, mask = record.conditions.time_s, record.fit_mask(record.conditions.time_s)
     # conditions without samples contain no information, whatever changes there
@@ -116,7 +116,7 @@ def mean_ratio(record: Record) -> float:
     """
     if record.ratio_table is None:
         return float("nan")
-    x = np.column_stack([record.conditions[v] for v in RATIO_VARIABLES])[_fitted_rows(record)]
+    x = np.column_stack([record.conditions[v] for v in RATIO_VARIABLES])[fitted_rows(record)]
     return float(np.mean(table_ratios_at(record.ratio_table, x))) if len(x) else float("nan")
 
 

@@ -15,6 +15,7 @@ from sim_heating.base.files.package import package_version
 from sim_heating.base.report.table import Column, Table
 from sim_heating.estimation.design.information import sensitivity_to_effort
 from sim_heating.estimation.fit import FitResult
+from sim_heating.estimation.inference.observability import fitted_rows
 from sim_heating.estimation.inference.residual_tests import (
     HypothesisTest,
     SensorResiduals,
@@ -76,7 +77,7 @@ def estimate_contents(fitted: FitResult) -> Estimate:
             "control_point": points.pop() if len(points) == 1 else None,
             "vehicle": records[0].declared.vehicle,
             "segments": [_segments(r) for r in records],
-            "excursions": excursions([condition_history(r.conditions)[_fitted_rows(r), :5] for r in records]),
+            "excursions": excursions([condition_history(r.conditions)[fitted_rows(r), :5] for r in records]),
             "inputs": {str(r.directory): inputs_hash(r) for r in records if r.directory.is_dir()},
             "effects": _effects(fitted),
             "program": f"sim-heating {package_version()}",
@@ -117,13 +118,6 @@ def _process_noise(fitted: FitResult) -> dict[str, Any] | None:
 def _segments(record: Record) -> list[list[float]]:
     """Fitted [start, end] times [s]."""
     return record.declared.segments.fit or [[float(record.time_s[0]), float(record.time_s[-1])]]
-
-
-def _fitted_rows(record: Record) -> np.ndarray:
-    """Rows of the conditions within the fitted samples."""
-    t = record.conditions.time_s
-    samples = record.time_s[record.fit_mask()]
-    return record.fit_mask(t) & (t >= samples.min()) & (t <= samples.max())
 
 
 def _errors(predictions: tuple[Prediction, ...], segments: str) -> FitErrors | None:
