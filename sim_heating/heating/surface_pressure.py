@@ -34,7 +34,7 @@ from sim_heating.heating.atmosphere import GAMMA
 
 NEWTONIAN = 0.0
 FRACTION = 1.0
-PRESSURE_PARAMETERS = 4
+PRESSURE_WIDTH = 4
 """Length of the parameter block of a pressure model: kind, inclination_deg or fraction, elevon and body-flap factor."""
 
 
@@ -111,7 +111,7 @@ def surface_pressure_kernel(
     mach                     : true Mach number [-]
     alpha_deg, beta_deg      : angle of attack and sideslip [deg]
     elevon_deg, bodyflap_deg : deflections [deg]
-    model                    : `parameters()` of a pressure model, at least (PRESSURE_PARAMETERS,)
+    model                    : `parameters()` of a pressure model, at least (PRESSURE_WIDTH,)
     Source: docs/equations.md, equations 30 to 32 (Lees 1955; NACA Report 1135, eq. 100).
     """
     rise, cos_beta = q_inf * stagnation_pressure_coefficient(mach), math.cos(math.radians(beta_deg))
@@ -135,7 +135,7 @@ def pressure_below_rise(
     p_inf, rise : free-stream static pressure and stagnation pressure rise q_inf cp_max [Pa]
     cos_beta    : cosine of sideslip [-]; it and `rise` are common to all points of a vehicle, so computed once
     alpha_deg, elevon_deg, bodyflap_deg : angle of attack and deflections [deg]
-    model       : `parameters()` of a pressure model, at least (PRESSURE_PARAMETERS,)
+    model       : `parameters()` of a pressure model, at least (PRESSURE_WIDTH,)
     Source: docs/equations.md, equations 30 and 31.
     """
     # Kind as a float in the parameter block: one kernel for both models, whose blocks lie in one array.

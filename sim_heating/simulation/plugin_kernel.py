@@ -48,7 +48,7 @@ from sim_heating.base.limits import LIMITS
 from sim_heating.heating.atmosphere import free_stream_kernel
 from sim_heating.heating.reference.models import reference_kernel
 from sim_heating.heating.reference.stagnation import COLD_WALL_K
-from sim_heating.heating.surface_pressure import pressure_below_rise, stagnation_pressure_coefficient
+from sim_heating.heating.surface_pressure import PRESSURE_WIDTH, pressure_below_rise, stagnation_pressure_coefficient
 from sim_heating.march.frames import BLOCK_START, LaneGroups, advance_groups, begin_groups
 
 F_TIME, F_ALTITUDE, F_VELOCITY, F_ALPHA, F_BETA, F_ELEVON, F_BODYFLAP, F_RHO, F_JETS = range(len(FRAME))
@@ -58,8 +58,6 @@ THERMAL_FRAME, SLOPE, HOST_SIZE = (LAST_FRAME + k * len(FRAME) for k in (1, 2, 3
 longest wait for one [s]. Changing: 1 after the first frame, number of density spikes, time of the last one [s], wait
 for the next thermal step [s], the last frame, the frame that the thermal model is at, and the rates of change of the
 frame's values over the last thermal step [1/s]."""
-PRESSURE_WIDTH = 4
-"""Numbers of a pressure model; a point's array holds them and its running length [m]."""
 CURRENT, VALUE, LINEAR, QUADRATIC = range(4)
 """Rows of the published array: the temperatures now [K], and their parabola: T_h [K], s [K/s], c [K/s2]."""
 

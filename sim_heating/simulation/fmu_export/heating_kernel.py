@@ -41,6 +41,7 @@ from sim_heating.base.kernels.block import (
 from sim_heating.base.kernels.jit import inline_always, njit
 from sim_heating.heating.film import emittance_factor
 from sim_heating.heating.reference.models import COLUMNS
+from sim_heating.heating.surface_pressure import PRESSURE_WIDTH
 from sim_heating.inputs.sensor_model import indicated_kernel
 from sim_heating.march.frames import (
     BLOCK_END,
@@ -63,7 +64,7 @@ from sim_heating.simulation.fmu_export.library import (
     NOW,
     at,
 )
-from sim_heating.simulation.plugin_kernel import CODE, F_TIME, PRESSURE_WIDTH, derive_conditions
+from sim_heating.simulation.plugin_kernel import CODE, F_TIME, derive_conditions
 from sim_heating.thermal.elements import EPS_BEHIND, Elements, set_point
 from sim_heating.thermal.faces import SIGMA, emittance
 
