@@ -466,9 +466,9 @@ Status deserialize(Instance *m, const void *bytes, size_t size, void **state) {
     StateHead *head = malloc(size);
     if (!head) return refuse(m, "deserialize state", "out of memory");
     memcpy(head, bytes, size);
-    uint64_t told = head->sum;
+    uint64_t stored = head->sum;
     head->sum = 0;
-    if (head->kind != STATE || head->bytes != (int64_t)size || checksum(head, size) != told || !ours(m, head)) {
+    if (head->kind != STATE || head->bytes != (int64_t)size || checksum(head, size) != stored || !ours(m, head)) {
         free(head);
         return refuse(m, "deserialize state", "is damaged, or of another model");
     }

@@ -167,7 +167,7 @@ static void life(Slot *s, bool two) {
     if (!two) fmi3GetFloat64(s->instance, &ref, 1, &s->time, 1); else fmi2GetReal(s->instance, &ref, 1, &s->time);
 }
 
-static void start_anew(Slot *s, bool two) {
+static void restart(Slot *s, bool two) {
     took(two ? (int)fmi2Reset(s->instance) : (int)fmi3Reset(s->instance));
     fly(s, two);
     if (two) took(fmi2SetupExperiment(s->instance, 0, 0.0, 0.0, 0, 0.0));
@@ -193,7 +193,7 @@ int main(int n, char *arguments[]) {
         case 3: case 4: step(s, two); break;
         case 5: states(s, two); break;
         case 6: life(s, two); break;
-        default: if (one_of(3) == 0) start_anew(s, two); break;
+        default: if (one_of(3) == 0) restart(s, two); break;
         }
     }
     for (int k = 0; k < INSTANCES; k++)

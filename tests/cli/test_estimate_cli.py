@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import shutil
 from pathlib import Path
@@ -16,6 +15,7 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.files import read_json
 from sim_heating.cli import main
 from sim_heating.estimation.report.estimate_file import read_estimate
+from tests.support.gliding import gliding
 from tests.support.paths import ROOT
 
 PRACTICE = ROOT / "scenarios" / "records" / "practice" / "p06"
@@ -27,21 +27,7 @@ CONTRACT = {
     "correlation", "noise_floor_K", "fit", "holdout",
 }  # fmt: skip
 
-GLIDE = """
-format = "scenario/1"
-title = "A POPU in a glide"
-vehicle = "orbiter"
-control_points = {points}
-[trajectory]
-source = "entry-3dof"
-[trajectory.initial]
-altitude_m = {altitude_m}
-velocity_m_s = {velocity_m_s}
-gamma_deg = -0.1
-heading_deg = 60.0
-latitude_deg = 10.0
-[trajectory.stop]
-time_s = 160.0
+POPU = """
 [[trajectory.manoeuvre]]
 kind = "popu"
 at_time_s = 90.0
@@ -51,10 +37,11 @@ clock_skew_s = {skew_s}
 [truth]
 parameters = {{ "ratio.scale" = 0.15, "ratio.d_alpha" = 0.0006 }}
 """
-FLIGHTS: dict[str, dict[str, Any]] = {
-    "first": {"altitude_m": 74000.0, "velocity_m_s": 6800.0, "seed": 1, "skew_s": 0.0, "points": [PLUG]},
-    "second": {"altitude_m": 70000.0, "velocity_m_s": 6000.0, "seed": 2, "skew_s": SKEW_S, "points": [PLUG]},
-    "both": {"altitude_m": 74000.0, "velocity_m_s": 6800.0, "seed": 3, "skew_s": 0.0, "points": [PLUG, POD]},
+FLIGHTS = {
+    "first": gliding(160.0, PLUG, altitude_m=74000.0, vehicle="orbiter") + POPU.format(seed=1, skew_s=0.0),
+    "second": gliding(160.0, PLUG, altitude_m=70000.0, velocity_m_s=6000.0, vehicle="orbiter")
+    + POPU.format(seed=2, skew_s=SKEW_S),
+    "both": gliding(160.0, PLUG, POD, altitude_m=74000.0, vehicle="orbiter") + POPU.format(seed=3, skew_s=0.0),
 }
 
 
@@ -62,8 +49,8 @@ FLIGHTS: dict[str, dict[str, Any]] = {
 def flown_records(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three synthesized flights whose truth differs from the Orbiter's tables."""
     home = tmp_path_factory.mktemp("flown_records")
-    for name, flight in FLIGHTS.items():
-        (home / f"{name}.toml").write_text(GLIDE.format(**flight | {"points": json.dumps(flight["points"])}))
+    for name, text in FLIGHTS.items():
+        (home / f"{name}.toml").write_text(text)
         assert main(["synthesize", str(home / f"{name}.toml"), "--out", str(home / name)]) == 0
     return home
 

@@ -7,7 +7,13 @@ from pathlib import Path
 from tests.support.paths import ORBITER
 
 
-def gliding(seconds: float, *control_points: str, altitude_m: float = 75000.0, vehicle: str | Path = ORBITER) -> str:
+def gliding(
+    seconds: float,
+    *control_points: str,
+    altitude_m: float = 75000.0,
+    velocity_m_s: float = 6800.0,
+    vehicle: str | Path = ORBITER,
+) -> str:
     """Text of a scenario; more tables may be added to it, manoeuvres first."""
     names = ", ".join(f'"{name}"' for name in control_points)
     return f"""
@@ -19,7 +25,7 @@ control_points = [{names}]
 source = "entry-3dof"
 [trajectory.initial]
 altitude_m = {altitude_m}
-velocity_m_s = 6800.0
+velocity_m_s = {velocity_m_s}
 gamma_deg = -0.1
 heading_deg = 60.0
 latitude_deg = 10.0
