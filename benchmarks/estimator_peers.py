@@ -49,9 +49,8 @@ class Plain:
         begun = self.part.initial_K(None)
         self.start_K = declared_profile(self.part) if begun is None else begun
         self.ensemble = Ensemble([self.part.model], [self.part.mesh])
-        places, mesh = self.ensemble.lane_offsets, self.part.mesh
-        self.nodes = np.array([places[0].temperature(i) for i in range(mesh.nodes)])
-        self.sensors = np.array(mesh.sensors)
+        self.nodes = self.ensemble.node_offsets(0)
+        self.sensors = np.array(self.part.mesh.sensors)
 
     def model(self, values: FloatArray) -> PointModel:
         """The point at parameter values."""
@@ -136,7 +135,7 @@ def by_side_by_side(point: Plain, values: FloatArray, iterations: int) -> FloatA
     scale = np.array([_scale(point, n) for n in point.names])
     m, at = len(values), values.copy()
     group = Ensemble([point.part.model] * (m + 1), [point.part.mesh] * (m + 1))
-    kept = np.array([p.temperature(i) for p in group.lane_offsets for i in point.sensors])
+    kept = np.concatenate([group.node_offsets(i, point.sensors) for i in range(len(group.models))])
     for _ in range(iterations):
         r = _several(point, group, kept, np.vstack([at, at + MOVED * np.diag(scale)]))
         J = ((r[1:] - r[0]) / (MOVED * scale)[:, np.newaxis]).T

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.base.kernels.block import CONDITION_COLUMNS, FILM, H_REF, LANES, TIME
+from sim_heating.base.kernels.block import CONDITION_COLUMNS, H_REF, LANES, TIME
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import load_record
 from sim_heating.march.ensemble import Ensemble, condition_history
@@ -78,6 +78,6 @@ def prescribed(history: FloatArray, model: PointModel) -> tuple[PointModel, Floa
     time_s = history[0, :, TIME]
     out = history.copy()
     ensemble = Ensemble([model], [mesh_of(model, 24)], 1.0)
-    film = ensemble.march(time_s, history, keep=np.array([ensemble.lane_offsets[0].scalar(FILM + 2)]))
+    film = ensemble.march(time_s, history, keep=ensemble.film_offsets()[:1])
     out[0, :, H_REF] = film[:, 0]
     return replace(model, ratio=None, parameters={"ratio.d0": 1.0}), out

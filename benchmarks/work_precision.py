@@ -62,7 +62,7 @@ def _march(
     time_s = history[0, :, TIME]
     thin = max(round(step_s / (time_s[1] - time_s[0])), 1)
     ensemble = Ensemble([model], [mesh], step_s)
-    keep = np.array([ensemble.lane_offsets[0].temperature(i) for i in (nodes or range(mesh.nodes))])
+    keep = ensemble.node_offsets(0, nodes or None)
     samples, driving = time_s[::thin].copy(), history[:, ::thin].copy()
 
     def run() -> FloatArray:

@@ -18,48 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.kernels.block import (
-    BACK_NODE,
-    COLUMN,
-    CONDITION_COLUMNS,
-    EFFECT_CODES,
-    EFFECT_SLOTS,
-    EMISSIVITY_TABLE,
-    ENERGY_IN,
-    ENERGY_OUT,
-    ENTHALPY_TABLE,
-    FAILED,
-    HEAD_ROWS,
-    IS_FACE,
-    IS_INTERFACE,
-    ITERATIONS,
-    LAG_PAST,
-    LAG_SLOT,
-    LANES,
-    M_RIGHT,
-    MATERIAL_TABLE,
-    N_ADDING,
-    N_CONDITIONS,
-    N_EFFECTS,
-    N_EMITTING,
-    N_NODES,
-    N_PRESSURES,
-    NEGATIVE,
-    NO_TABLE,
-    NODE_ROWS,
-    NONE,
-    OUTSIDE,
-    PRESSURE_TABLE,
-    RATIO_TABLE,
-    SURROUNDINGS4,
-    WALL_EFFECTS,
-    T,
-    block_size,
-    integers_size,
-    node_integers,
-    node_rows,
-    scalar_row,
-)
+from sim_heating.base.kernels import block
+from sim_heating.base.kernels.block import CONDITION_COLUMNS, LANES, N_CONDITIONS
 from sim_heating.base.kernels.jit import address_of
 from sim_heating.heating.effects import Effect
 from sim_heating.heating.effects.compiled import effect_dispatcher
@@ -94,7 +54,11 @@ from sim_heating.thermal.tables import PointTables, TableStore
 CONTACT = Material(density_kg_m3=1.0, specific_heat_J_kgK=[[300.0, 1.0]], conductivity_W_mK=[[300.0, 1.0]])
 """Material of a contact resistance: an element without mass, of conductivity 1, whose "length" is the resistance."""
 CACHE_LINE = 64
-"""Bytes."""
+"""Length of a line of the processor's cache [bytes]."""
+COUNTERS = (
+    block.FAILED, block.ITERATIONS, block.OUTSIDE, block.NEGATIVE, block.ENERGY_IN, block.ENERGY_OUT, block.LAG_PAST,
+)  # fmt: skip
+"""Rows that a march begins with 0."""
 THREADED_POINT_STEPS = 20_000
 """Below this number of point-steps a march is faster on one thread."""
 
@@ -111,7 +75,10 @@ def condition_history(conditions: Conditions) -> FloatArray:
 
 @dataclass(frozen=True)
 class LaneOffsets:
-    """Location of a model: group, its lanes from `lane` to before `end`, and the first number of the group's block."""
+    """Where the lanes of a point are: its group, lanes from `lane` to before `end`, first number of the group's block.
+
+    Offsets are places in the `state` of its ensemble, those of the point's first lane.
+    """
 
     group: int
     lane: int
@@ -119,16 +86,16 @@ class LaneOffsets:
     start: int
 
     def temperature(self, node: int) -> int:
-        """Place of the temperature of a node in the block."""
-        return self.start + (HEAD_ROWS + node * NODE_ROWS + T) * LANES + self.lane
+        """Offset of a node temperature [K]; node 0 is at the surface."""
+        return self.start + (block.HEAD_ROWS + node * block.NODE_ROWS + block.T) * LANES + self.lane
 
     @property
     def node_0(self) -> int:
-        """The first number of node 0."""
-        return self.start + HEAD_ROWS * LANES + self.lane
+        """Offset of the first number of node 0."""
+        return self.start + block.HEAD_ROWS * LANES + self.lane
 
     def scalar(self, row: int) -> int:
-        """Place of a scalar of the lane in the block."""
+        """Offset of one scalar row of the block."""
         return self.start + row * LANES + self.lane
 
 
@@ -136,7 +103,7 @@ class Ensemble:
     """Control points in lanes, with their temperatures.
 
     models : the control points; results keep their order
-    meshes : the mesh of each (resolution.pack chooses them)
+    meshes : the mesh of each (mesh_choice.pack chooses them)
     step_s : the longest time step that a march takes [s]
     share_tables_with : an ensemble of points with the same tables and effects, whose tables this one shares
     kinds  : (point,) numbers; points of different kinds share no group, those of the lowest come first
@@ -176,7 +143,7 @@ class Ensemble:
         return self._tables.add_point(model.construction.layer_materials(), CONTACT, model.wall_enthalpy)
 
     def _add_ratio_table(self, table: RatioTable | None) -> int:
-        return NO_TABLE if table is None else self._tables.place(("ratio", id(table)), lambda: pack_table(table))
+        return block.NO_TABLE if table is None else self._tables.place(("ratio", id(table)), lambda: pack_table(table))
 
     def _arrange(self, kinds: Sequence[int]) -> None:
         """Put models of one kind and like node counts into groups of LANES; the last one of a group fills it up."""
@@ -185,8 +152,8 @@ class Ensemble:
         # Padding behind the back costs as much as nodes do: neighbours in node count share a group.
         members = [group[k : k + LANES] for group in alike for k in range(0, len(group), LANES)]
         nodes = [self.meshes[group[0]].nodes for group in members]
-        blocks = np.concatenate(([0], np.cumsum([block_size(n) for n in nodes])))
-        integers = np.concatenate(([0], np.cumsum([integers_size(n) for n in nodes])))
+        blocks = np.concatenate(([0], np.cumsum([block.block_size(n) for n in nodes])))
+        integers = np.concatenate(([0], np.cumsum([block.integers_size(n) for n in nodes])))
         self.groups = np.column_stack([blocks[:-1], blocks[1:], integers[:-1], integers[1:]]).astype(np.int64)
         self.state = aligned_zeros(int(blocks[-1]))
         self.ints = np.zeros(integers[-1], dtype=np.int64)
@@ -220,13 +187,13 @@ class Ensemble:
     def _pack_group(self, g: int) -> None:
         J = self.integers(g)
         members = list(dict.fromkeys(self.lanes[g * LANES : (g + 1) * LANES]))
-        J[N_NODES] = self.meshes[members[0]].nodes
+        J[block.N_NODES] = self.meshes[members[0]].nodes
         for i in members:
             self._pack_stack(i)
             self._pack_heating(i)
-        nodes = node_integers(J)
-        materials = nodes[:, MATERIAL_TABLE:]
-        nodes[1:-1, IS_INTERFACE] = np.any(materials[1:-1] != materials[:-2], axis=1)
+        nodes = block.node_integers(J)
+        materials = nodes[:, block.MATERIAL_TABLE :]
+        nodes[1:-1, block.IS_INTERFACE] = np.any(materials[1:-1] != materials[:-2], axis=1)
         # Interfaces are flags of the group, known once all its stacks are packed; parameters are written after them.
         for i in members:
             self.set_model(i, self.models[i])
@@ -236,16 +203,17 @@ class Ensemble:
         model, mesh, place = self.models[i], self.meshes[i], self.lane_offsets[i]
         B, J, lanes = self.block(place.group), self.integers(place.group), slice(place.lane, place.end)
         tables = self.point_tables(model)
-        nodes = node_integers(J)
+        nodes = block.node_integers(J)
         materials = np.array(tables.materials)[mesh.layer]
-        nodes[:, MATERIAL_TABLE:][: len(materials), lanes] = materials[:, np.newaxis]
-        nodes[:, MATERIAL_TABLE:][len(materials) :, lanes] = materials[-1]
-        nodes[[0, mesh.nodes - 1], IS_FACE] = 1
-        node_rows(B)[mesh.nodes :, M_RIGHT, lanes] = 1.0
-        B[scalar_row(SURROUNDINGS4)][lanes] = model.construction.stack.surroundings_K**4
+        nodes[:, block.MATERIAL_TABLE :][: len(materials), lanes] = materials[:, np.newaxis]
+        nodes[:, block.MATERIAL_TABLE :][len(materials) :, lanes] = materials[-1]
+        nodes[[0, mesh.nodes - 1], block.IS_FACE] = 1
+        block.node_rows(B)[mesh.nodes :, block.M_RIGHT, lanes] = 1.0
+        B[block.scalar_row(block.SURROUNDINGS4)][lanes] = model.construction.stack.surroundings_K**4
         for row, value in (
-            (BACK_NODE, mesh.nodes - 1), (N_PRESSURES, tables.columns), (PRESSURE_TABLE, tables.pressures),
-            (EMISSIVITY_TABLE, tables.emissivity), (ENTHALPY_TABLE, tables.enthalpy),
+            (block.BACK_NODE, mesh.nodes - 1), (block.N_PRESSURES, tables.columns),
+            (block.PRESSURE_TABLE, tables.pressures), (block.EMISSIVITY_TABLE, tables.emissivity),
+            (block.ENTHALPY_TABLE, tables.enthalpy),
         ):  # fmt: skip
             J[row + place.lane : row + place.end] = value
 
@@ -256,15 +224,15 @@ class Ensemble:
         modes = [u.effect.mode for u in uses]
         lagging = [k for k, u in enumerate(uses) if u.effect.lags]
         for row, value in (
-            (RATIO_TABLE, self._add_ratio_table(self.models[i].ratio)), (N_ADDING, modes.count("add")),
-            (N_EMITTING, modes.count("emittance")), (N_EFFECTS, len(uses) - modes.count("emittance")),
-            (WALL_EFFECTS, any(u.effect.needs_wall and u.effect.mode != "emittance" for u in uses)),
-            (LAG_SLOT, lagging[0] if lagging else NONE),
+            (block.RATIO_TABLE, self._add_ratio_table(self.models[i].ratio)), (block.N_ADDING, modes.count("add")),
+            (block.N_EMITTING, modes.count("emittance")), (block.N_EFFECTS, len(uses) - modes.count("emittance")),
+            (block.WALL_EFFECTS, any(u.effect.needs_wall and u.effect.mode != "emittance" for u in uses)),
+            (block.LAG_SLOT, lagging[0] if lagging else block.NONE),
         ):  # fmt: skip
             J[row + place.lane : row + place.end] = value
         for lane in range(place.lane, place.end):
             for k, used in enumerate(uses):
-                J[EFFECT_CODES + lane * EFFECT_SLOTS + k] = self._codes[used.effect]
+                J[block.EFFECT_CODES + lane * block.EFFECT_SLOTS + k] = self._codes[used.effect]
 
     def set_model(self, model: int, changed: PointModel) -> None:
         """Give a point new parameter values.
@@ -309,14 +277,14 @@ class Ensemble:
         """
         for g in range(len(self.groups)):
             B = self.block(g)
-            for row in (FAILED, ITERATIONS, OUTSIDE, NEGATIVE, ENERGY_IN, ENERGY_OUT, LAG_PAST):
-                B[scalar_row(row)] = 0.0
-            B[scalar_row(COLUMN)] = -1.0
+            for row in COUNTERS:
+                B[block.scalar_row(row)] = 0.0
+            B[block.scalar_row(block.COLUMN)] = -1.0
 
     def _set_profile(self, i: int, temperature_K: FloatArray) -> None:
         place = self.lane_offsets[i]
         B, J = self.block(place.group), self.integers(place.group)
-        set_temperatures(B, place.lane, place.end, J[N_NODES], temperature_K)
+        set_temperatures(B, place.lane, place.end, J[block.N_NODES], temperature_K)
 
     def set_profile(self, model: int, temperature_K: ArrayLike) -> None:
         """Set all node temperatures of one point; a march begins with them, a single step needs `begin` first.
@@ -352,24 +320,81 @@ class Ensemble:
     def node_temperatures(self, model: int) -> FloatArray:
         """(node,) present temperatures of a point [K], outermost first, without the padding of its group."""
         place = self.lane_offsets[model]
-        nodes = node_rows(self.block(place.group))
-        return nodes[: self.meshes[model].nodes, T, place.lane].copy()
+        nodes = block.node_rows(self.block(place.group))
+        return nodes[: self.meshes[model].nodes, block.T, place.lane].copy()
+
+    def stage_temperatures(self, model: int) -> FloatArray:
+        """(node,) temperatures of a point at the middle stage of its last step [K]: docs/equations_march.md, eq. 4."""
+        place = self.lane_offsets[model]
+        nodes = block.node_rows(self.block(place.group))
+        return nodes[: self.meshes[model].nodes, block.T_STAGE, place.lane].copy()
+
+    def node_offsets(self, model: int, nodes: Iterable[int] | None = None) -> IntArray:
+        """(node,) offsets in `state` of node temperatures [K] of a point, of all its nodes where none are given."""
+        wanted = range(self.meshes[model].nodes) if nodes is None else nodes
+        return np.array([self.lane_offsets[model].temperature(node) for node in wanted], dtype=np.int64)
 
     def outputs(self) -> IntArray:
         """Offsets in `state` of the temperatures [K] of surface, bondline and each sensor of each point, in this order.
 
         The outputs that docs/equations_march.md, equation 16, compares.
         """
-        at = []
-        for mesh, place in zip(self.meshes, self.lane_offsets, strict=True):
-            at += [place.temperature(node) for node in (0, mesh.bondline, *mesh.sensors)]
-        return np.array(at, dtype=np.int64)
+        faces = [(0, mesh.bondline, *mesh.sensors) for mesh in self.meshes]
+        return np.concatenate([self.node_offsets(i, nodes) for i, nodes in enumerate(faces)])
 
-    def scalars(self, row: int) -> FloatArray:
-        """(point,) one scalar of each point, such as the absorbed energy [J/m2]; row : its row in the block.
+    def film_offsets(self) -> IntArray:
+        """(point,) offsets in `state` of the film coefficient at the end of the last step [kg/(m2 s)].
 
-        Energies: docs/equations_march.md, equation 24.
+        Source: docs/equations_march.md, equation 18.
         """
+        # FILM has one row a stage; the third is that of the end of a step, where the samples are.
+        return np.array([place.scalar(block.FILM + 2) for place in self.lane_offsets], dtype=np.int64)
+
+    @property
+    def film_kg_m2_s(self) -> FloatArray:
+        """(point,) film coefficient r h_ref [kg/(m2 s)] at the end of the last step: docs/equations_march.md, eq 18."""
+        return self.state[self.film_offsets()]
+
+    @property
+    def failures(self) -> FloatArray:
+        """(point,) stages that did not converge since the last reset [-]: docs/equations_thermal_step.md, section 6."""
+        return self._scalars(block.FAILED)
+
+    @property
+    def iterations(self) -> FloatArray:
+        """(point,) Newton iterations since the last reset [-]: docs/equations_thermal_step.md, equation 25."""
+        return self._scalars(block.ITERATIONS)
+
+    @property
+    def steps_outside_table(self) -> FloatArray:
+        """(point,) number of steps that ended outside the ratio table since the last reset [-].
+
+        Source: docs/equations_march.md, equation 19.
+        """
+        return self._scalars(block.OUTSIDE)
+
+    @property
+    def steps_of_negative_ratio(self) -> FloatArray:
+        """(point,) number of steps that ended with a negative ratio since the last reset [-].
+
+        Source: docs/equations_march.md, equation 19.
+        """
+        return self._scalars(block.NEGATIVE)
+
+    @property
+    def absorbed_J_m2(self) -> FloatArray:
+        """(point,) energy that entered at the surface and in gaps since the last reset [J/m2].
+
+        Source: docs/equations_march.md, equation 24.
+        """
+        return self._scalars(block.ENERGY_IN)
+
+    @property
+    def emitted_J_m2(self) -> FloatArray:
+        """(point,) energy that left at the back since the last reset [J/m2]; docs/equations_march.md, equation 24."""
+        return self._scalars(block.ENERGY_OUT)
+
+    def _scalars(self, row: int) -> FloatArray:
         return np.array([self.state[place.scalar(row)] for place in self.lane_offsets])
 
     # Moving ----------------------------------------------------------------------------------------------------------
@@ -503,7 +528,7 @@ class Ensemble:
         """
         surface = np.array([self.state[place.temperature(0)] for place in self.lane_offsets])
         away = np.array([model.runs_away for model in self.models])
-        return np.asarray((self.scalars(FAILED) > 0.0) | ~np.isfinite(surface) | away)
+        return np.asarray((self.failures > 0.0) | ~np.isfinite(surface) | away)
 
     def check(self) -> None:
         """Raise an error where a point failed.

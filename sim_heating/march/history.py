@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
-from sim_heating.base.kernels.block import FILM
 from sim_heating.march.ensemble import Ensemble, histories
 from sim_heating.march.mesh_choice import pack
 from sim_heating.march.point import PointModel
@@ -78,9 +77,7 @@ def march_points(
     time = np.union1d(flights[0].time_s, np.asarray(extra_times_s, dtype=float))
     # Interpolated only where a time was added: the samples themselves are taken as they are.
     flown = [f.at(time) for f in flights] if len(time) > len(flights[0]) else list(flights)
-    # FILM has one row a stage; the third is that of the end of a step, where the samples are.
-    film = np.array([place.scalar(FILM + 2) for place in ensemble.lane_offsets])
-    out = ensemble.march(time, histories(flown), keep=np.concatenate([ensemble.outputs(), film]))
+    out = ensemble.march(time, histories(flown), keep=np.concatenate([ensemble.outputs(), ensemble.film_offsets()]))
     return _split(ensemble, time, out, flown)
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import FRAME
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.kernels.block import FAILED, N_CONDITIONS, NEGATIVE, OUTSIDE
+from sim_heating.base.kernels.block import N_CONDITIONS
 from sim_heating.base.limits import limit_message
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.reference.models import reference_model
@@ -227,17 +227,17 @@ class HeatingPlugin:
     def steps_outside(self) -> dict[str, int]:
         """Number of thermal steps since the reset that ended outside a point's ratio table; points without one are
         omitted."""
-        return _counted(self.names, self.ensemble.scalars(OUTSIDE))
+        return _counted(self.names, self.ensemble.steps_outside_table)
 
     @property
     def steps_negative(self) -> dict[str, int]:
         """Number of thermal steps since the reset that ended with a negative heating ratio; points without one are
         omitted."""
-        return _counted(self.names, self.ensemble.scalars(NEGATIVE))
+        return _counted(self.names, self.ensemble.steps_of_negative_ratio)
 
     def check(self) -> None:
         """raises : RunError naming the points whose step did not converge since the reset."""
-        failed = _counted(self.names, self.ensemble.scalars(FAILED))
+        failed = _counted(self.names, self.ensemble.failures)
         if failed:
             raise RunError(f"plug-in, time_s {self.time_s:g}: the thermal step of {', '.join(failed)} did not converge")
 

@@ -15,7 +15,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.kernels.block import ALPHA, CONDITION_COLUMNS, FAILED, FILM, JETS, LOG10_RE, N_CONDITIONS
 from sim_heating.closure.search.candidates import candidates
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.estimation.side_by_side import JointMarch
@@ -35,12 +34,9 @@ alphas, any_re = st.floats(0.0, 60.0), st.floats(3.0, 8.0)
 
 def value(used: EffectUse, wall_K: float = 300.0, **conditions: float) -> float:
     """Value [-] of an effect's kernel; conditions as alpha, log10_re, jets."""
-    B = np.zeros(N_CONDITIONS + len(used.values))
-    places = {"alpha": ALPHA, "log10_re": LOG10_RE, "jets": JETS}
-    for name, v in conditions.items():
-        B[places[name]] = v
-    B[N_CONDITIONS:] = used.values
-    return used.effect.kernel(B, 0, N_CONDITIONS, wall_K)
+    given = {"alpha_deg" if name == "alpha" else name: v for name, v in conditions.items()}
+    lane = flight([0.0], **given)[0, 0]
+    return used.effect.kernel(np.concatenate([lane, used.values]), 0, len(lane), wall_K)
 
 
 def film_of(*used: EffectUse, **conditions: float) -> float:
@@ -48,7 +44,7 @@ def film_of(*used: EffectUse, **conditions: float) -> float:
     model = PointModel("p", wall((material(), 0.01)), nodes=14, parameters={"ratio.d0": 0.5}, effects=used)
     ensemble = pack([model])
     ensemble.begin(flight([0.0], h_ref_kg_m2_s=0.1, **conditions)[:, 0])
-    return float(ensemble.scalars(FILM + 2)[0])
+    return float(ensemble.film_kg_m2_s[0])
 
 
 @compiling
@@ -112,7 +108,7 @@ def test_effects_of_one_point_do_not_reach_its_neighbour():
     with_jets = replace(model, name="q", effects=(use("jet-interaction"),))
     ensemble = pack([model, with_jets])
     ensemble.begin(np.repeat(flight([0.0], h_ref_kg_m2_s=0.1, jets=1.0)[:, 0], 2, axis=0))
-    assert ensemble.scalars(FILM + 2).tolist() == pytest.approx([0.05, 0.055])
+    assert ensemble.film_kg_m2_s.tolist() == pytest.approx([0.05, 0.055])
 
 
 # A wall temperature inside Newton's iteration ------------------------------------------------------------------------
@@ -135,7 +131,7 @@ def test_step_converges_through_a_steep_catalytic_rise():
     record, _ = practice_record("p06")
     ensemble = pack([practice_model("p06", effects=(STEEP,))])
     ensemble.march(record.conditions.time_s, condition_history(record.conditions)[np.newaxis])
-    assert ensemble.scalars(FAILED)[0] == 0.0
+    assert ensemble.failures[0] == 0.0
 
 
 def test_order_in_time_stays_two_where_heating_depends_on_the_wall_temperature():
@@ -153,7 +149,10 @@ def test_order_in_time_stays_two_where_heating_depends_on_the_wall_temperature()
 
 def test_flight_variables_are_named_as_the_columns_of_the_conditions():
     offsets = {name: value for name, value in vars(flight_variables).items() if isinstance(value, int)}
-    assert offsets == {name: i for i, name in enumerate(CONDITION_COLUMNS)}
+    values = {name: float(i) for i, name in enumerate(sorted(offsets))}
+    (lane,) = flight([values["time_s"]], **{name: v for name, v in values.items() if name != "time_s"})[0]
+    assert {name: lane[offset] for name, offset in offsets.items()} == values
+    assert len(offsets) == len(lane)
 
 
 def test_every_effect_states_its_physics_and_source():

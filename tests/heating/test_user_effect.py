@@ -14,7 +14,6 @@ import pytest
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import read_csv_columns
-from sim_heating.base.kernels.block import N_CONDITIONS
 from sim_heating.cli import main
 from sim_heating.closure.batch import record_job
 from sim_heating.closure.search.candidates import candidates
@@ -230,21 +229,20 @@ def test_the_example_peaks_at_its_mach_number_and_is_flown_by_its_scenario(monke
     (hidden,) = load_scenario(ROOT / "examples" / "shock_passage.toml").effects("WING_LE", truth=True)
     effect, parameters = hidden.effect, np.array(hidden.values)
     rise, mach_there, _ = parameters
-    flown = np.zeros(N_CONDITIONS)
+    flown = np.zeros(1 + max(v for v in vars(flight).values() if isinstance(v, int)))
     for mach, factor in ((mach_there, 1.0 + rise), (mach_there + 10.0, 1.0), (mach_there - 10.0, 1.0)):
         flown[flight.mach] = mach
-        value = effect.kernel(np.concatenate([flown, parameters]), 0, N_CONDITIONS, 300.0)
+        value = effect.kernel(np.concatenate([flown, parameters]), 0, len(flown), 300.0)
         assert value == pytest.approx(factor, abs=1e-12)
 
 
 INTERPRETED = """
 from sim_heating import flight
-from sim_heating.base.kernels.block import N_CONDITIONS
 from sim_heating.heating.effects import effect
 from sim_heating.heating.effects.compiled import effect_dispatcher
-flown = [0.0] * N_CONDITIONS
+flown = [0.0] * 12
 flown[flight.mach] = 13.0
-print(effect_dispatcher((effect("shock-passage"),)).function(0, [*flown, 0.25, 13.0, 1.5], 0, N_CONDITIONS, 300.0))
+print(effect_dispatcher((effect("shock-passage"),)).function(0, [*flown, 0.25, 13.0, 1.5], 0, len(flown), 300.0))
 """
 
 

@@ -9,7 +9,6 @@ import sys
 import numpy as np
 import pytest
 
-from sim_heating.base.kernels.block import ITERATIONS
 from sim_heating.heating.effects import use
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.mesh_choice import pack
@@ -51,7 +50,7 @@ def state_in_hex() -> list[str]:
         # two samples are one step, whatever its length; the march begins anew from the temperatures present
         ensemble.march(FEW_STEPS_S[k - 1 : k + 1], history[:, k - 1 : k + 1], [0, 0, 0], longest_step_s=10.0)
         lines += [float(T).hex() for i in range(3) for T in ensemble.node_temperatures(i)]
-    return [*lines, *(float(n).hex() for n in ensemble.scalars(ITERATIONS))]
+    return [*lines, *(float(n).hex() for n in ensemble.iterations)]
 
 
 def run_interpreted(code: str) -> str:

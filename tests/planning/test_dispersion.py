@@ -10,7 +10,6 @@ from scipy.special import ndtr
 from scipy.stats import kstest, sobol_indices
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.kernels.block import LANES
 from sim_heating.heating.ratio.uncertainty import node_weights, prior_covariance
 from sim_heating.inputs.points import conditions_at_point
 from sim_heating.march.history import march_points
@@ -35,6 +34,9 @@ from sim_heating.trajectory import entry3dof
 from sim_heating.trajectory.flight import ROW, conditions_from_rows
 from tests.support.paths import SCENARIOS
 from tests.support.studies import entry_3dof
+
+TOGETHER = 8
+"""Flights that are marched together, one in each lane of a group."""
 
 STUDY = """
 format = "study/1"
@@ -252,7 +254,7 @@ def test_a_dispersed_flight_is_the_built_in_entry_bit_for_bit(tmp_path):
 def test_peaks_are_those_of_the_programs_march_along_the_same_flight(tmp_path):
     """One step a sample on the same meshes; the soak in longer steps: 0.05 K."""
     entry = entry_of(tmp_path, FLIGHT + THERMAL)
-    z = sobol_rows(entry.dimensions, 1, 0, 0, LANES)
+    z = sobol_rows(entry.dimensions, 1, 0, 0, TOGETHER)
     deviation = deviations(entry.inputs, z)
     flown = entry.sampler.fly(entry.inputs, [entry.flight_deviations(row) for row in deviation])
     peaks = entry.march(flown, deviation, z)
@@ -279,13 +281,13 @@ ONSET = '[[dispersion.input]]\nname = "effect.transition.log10_re_onset"\nsigma 
 
 def test_a_dispersed_onset_of_transition_is_that_of_the_effect(tmp_path):
     entry = entry_of(tmp_path, ONSET, limits=TRANSITION)
-    z = np.linspace(-2.0, 2.0, LANES)[:, np.newaxis]
+    z = np.linspace(-2.0, 2.0, TOGETHER)[:, np.newaxis]
     deviation = deviations(entry.inputs, z)
     peaks = entry.march(entry.planned, deviation, z)
     conditions = conditions_from_rows(entry.planned.rows[0, : entry.planned.frame_counts[0]], 32.77362)
     point = entry.points[1].point
     along = with_soak(conditions_at_point(entry.study.vehicle, point, conditions), point, 600.0)
-    for i in (0, LANES - 1):
+    for i in (0, TOGETHER - 1):
         onset = {"effect.transition.log10_re_onset": 6.0 + deviation[i, 0]}
         model = replace(entry.lanes.models[1].with_parameters(onset), nodes=entry.meshes[1].nodes)
         history = march_points([model], [along], longest_step_s=4.0)[0]
@@ -324,11 +326,11 @@ def test_first_order_holds_where_small_thermal_inputs_alone_are_dispersed(tmp_pa
 def test_exact_slopes_are_those_of_differences(tmp_path):
     """Linear march against central differences of 0.1 sigma, 0.1 % of the largest of a peak."""
     entry = entry_of(tmp_path, THERMAL)
-    z = np.zeros((LANES, entry.dimensions))
+    z = np.zeros((TOGETHER, entry.dimensions))
     for k in range(2):
         z[2 * k, k], z[2 * k + 1, k] = DIFFERENCE, -DIFFERENCE
     deviation = deviations(entry.inputs, z)
-    flown = entry.sampler.fly(entry.inputs, [{}] * LANES)
+    flown = entry.sampler.fly(entry.inputs, [{}] * TOGETHER)
     peaks = entry.march(flown, deviation, z)
     T = np.array([peaks.surface_K, peaks.bondline_K])
     for quantity, point, k, slope in exact_slopes(entry):

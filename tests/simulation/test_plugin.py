@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from sim_heating.base.conditions import FRAME, Conditions
 from sim_heating.base.errors import InputError
-from sim_heating.base.kernels.block import ITERATIONS
 from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.march.history import march_points
@@ -152,7 +151,7 @@ def test_steady_flight_takes_one_newton_iteration_a_stage(
     """A step has two stages, and begins along the parabola of the one before."""
     _, frames = twenty_hertz
     run(every_frame, frames)
-    a_step = every_frame.ensemble.scalars(ITERATIONS) / (len(frames) - 1)
+    a_step = every_frame.ensemble.iterations / (len(frames) - 1)
     assert np.all(a_step >= 2.0)
     assert np.all(a_step < 2.2), a_step
 

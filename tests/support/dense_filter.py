@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.base.kernels.block import T_STAGE, T, node_rows
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.mesh import Mesh
@@ -43,20 +42,20 @@ def linear_step(model: PointModel, mesh: Mesh, vectors: FloatArray, dt: float, d
     """Matrices of one step between two condition vectors (2, condition)."""
     n = mesh.nodes
 
-    def moved(z: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def stepped(z: FloatArray) -> tuple[FloatArray, FloatArray]:
         ensemble = Ensemble([model.with_parameters({"ratio.d0": model.value("ratio.d0") + z[n]})], [mesh])
         ensemble.set_profile(0, z[:n])
         ensemble.begin(vectors[:1])
         ensemble.advance(vectors[1:], dt)
-        rows = node_rows(ensemble.block(0))
-        return np.append(rows[:n, T, 0], decay * z[n]), np.append(rows[:n, T_STAGE, 0], z[n])
+        end, middle = ensemble.node_temperatures(0), ensemble.stage_temperatures(0)
+        return np.append(end, decay * z[n]), np.append(middle, z[n])
 
     zero = np.append(np.full(n, 600.0), 0.0)
     steps = np.append(np.full(n, MOVED_K), 1e-2)
-    pairs = [[np.subtract(*p) / (2 * d) for p in zip(moved(zero + d * e), moved(zero - d * e), strict=True)]
+    pairs = [[np.subtract(*p) / (2 * d) for p in zip(stepped(zero + d * e), stepped(zero - d * e), strict=True)]
              for d, e in zip(steps, np.eye(n + 1), strict=True)]  # fmt: skip
     F, F_m = (np.column_stack([p[s] for p in pairs]) for s in (0, 1))
-    end, middle = moved(zero)
+    end, middle = stepped(zero)
     return LinearStep(F, end - F @ zero, F_m, middle - F_m @ zero)
 
 

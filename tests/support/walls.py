@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.kernels.block import TIME
+from sim_heating.heating import flight_variables
 from sim_heating.inputs.record import Record, load_record
 from sim_heating.march.ensemble import Ensemble, condition_history
 from sim_heating.march.mesh_choice import pack
@@ -104,7 +104,7 @@ def heat(
 ) -> tuple[Ensemble, FloatArray]:
     """A single wall marched through a flight: the ensemble, and (time, surface | bondline | sensors) [K]."""
     ensemble = pack([PointModel("wall", construction, depths_m, nodes=nodes, **model)], step_s)
-    return ensemble, ensemble.march(history[0, :, TIME], history)
+    return ensemble, ensemble.march(history[0, :, flight_variables.time_s], history)
 
 
 def even_mesh(length_m: float, elements: int) -> Mesh:

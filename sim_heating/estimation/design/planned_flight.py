@@ -161,10 +161,8 @@ class Planner:
         points = [vehicle.control_point(name) for name in self.scenario.names]
         flown = histories([conditions_at_point(vehicle, p, flight.conditions) for p in points])
         ensemble.reset()
-        faces = [[place.temperature(0) for place in ensemble.lane_offsets]]
-        faces += [
-            [p.temperature(mesh.bondline) for p, mesh in zip(ensemble.lane_offsets, ensemble.meshes, strict=True)]
-        ]
+        nodes = [(0, mesh.bondline) for mesh in ensemble.meshes]
+        faces = np.transpose([ensemble.node_offsets(i, n) for i, n in enumerate(nodes)])
         highest = np.max(ensemble.march(flight.conditions.time_s, flown, keep=np.ravel(faces)), axis=0)
         peaks = {f"{p.name} surface_K": float(peak) for p, peak in zip(points, highest, strict=False)}
         for p, peak in zip(points, highest[len(points) :], strict=True):

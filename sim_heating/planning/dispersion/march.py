@@ -18,10 +18,8 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.block import (
     EFFECT_PARAMETERS,
     EFFECT_WIDTH,
-    FAILED,
     LANES,
     N_CONDITIONS,
-    NEGATIVE,
     RATIO_TABLE,
 )
 from sim_heating.base.parameters import EFFECT_PREFIX, RATIO, STACK
@@ -175,7 +173,8 @@ class LaneMarch:
         hottest = np.array([[np.max(out[:n], axis=0) for out in marched] for n in counts[own]])
         lanes = np.arange(last - first)
         surface, bondline = (hottest[lanes, :, 2 * lanes + k] for k in range(len(QUANTITIES)))
-        failed, negative = (self.ensemble.scalars(row).reshape(-1, LANES).T[own] > 0.0 for row in (FAILED, NEGATIVE))
+        by_point = self.ensemble.failures, self.ensemble.steps_of_negative_ratio
+        failed, negative = (steps.reshape(-1, LANES).T[own] > 0.0 for steps in by_point)
         unknown = failed | (flown.outcome[lane[own]] != COMPLETED)[:, np.newaxis]
         surface[unknown], bondline[unknown] = np.nan, np.nan
         ratio = histories[0, own, :, : len(RATIO_VARIABLES)]
