@@ -24,7 +24,7 @@ PORTION = 64
 """Points timed together: short enough that both sides meet the same state of the machine."""
 AGREEMENT_K = 1e-9
 HEATED = (FILM, RECOVERY, ADDED, PCOL, PFRAC)
-"""Rows that the surface takes, in the order in which the C library reads them."""
+"""Rows of the surface, in the order in which the C library reads them."""
 
 
 @njit
@@ -42,7 +42,7 @@ def march_heated(B, J, table, dispatcher, time_s, heating) -> None:  # type: ign
 
 
 def _heating(ensemble: Ensemble, time_s: FloatArray, history: FloatArray) -> FloatArray:
-    """(time, 2, 5, LANES) heating of the first group; that of all others is the same."""
+    """(time, 2, 5, LANES) heating of the first group; it is the same for all others."""
     rows = [row + stage for stage in (1, 2) for row in HEATED]
     kept = np.array([ensemble.lane_offsets[lane].scalar(row) for row in rows for lane in range(LANES)])
     ensemble.reset()

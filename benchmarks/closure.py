@@ -1,10 +1,10 @@
-"""close-loop on records of another program: how often the right effect is named, and one where there is none.
+"""close-loop on records of another program: rates of correct findings and of false alarms.
 
-Records of `benchmarks/generator`, undeclared effects in forms that are mostly not the library's own, and others without
-any. Named right: the first effect that is named is the one put in. Separable: no rival comes near, by the generator's
-own estimate; a rival that does counts as right where they are not. Errors after are held against those of the truth
-itself, which are noise, and, where they are more, against those of a fit that knows the effect put in. Finished records
-are kept in out/closure_benchmark: a run that was ended goes on there.
+Records of `benchmarks/generator`, with undeclared effects in forms that mostly differ from the library's, and without
+any. Named correctly: the first effect that is named is the one put in. Separable: no rival explains the record as well,
+by the generator's own estimate; otherwise a rival counts as correct too. Errors after are compared with those of the
+truth itself, which are noise, and, where they are larger, with those of a fit that is given the effect put in. Finished
+records are kept in out/closure_benchmark: an interrupted run is resumed from there.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 SEED = 2026
 EFFECTS, NULLS = 315, 210
 """Records with an effect, each effect in turn, and without."""
-LEFT = 1.1
-"""RMSE after over that of the truth itself, which is noise, up to which nothing is left."""
+MAX_RATIO = 1.1
+"""Ratio of RMSE after to that of the truth itself, which is noise, up to which the record counts as explained."""
 LEDGER = Path("out") / "closure_benchmark"
 CALIBRATION = RESULTS.parents[1] / "sim_heating" / "closure" / "closure_calibration.json"
 NAMES = tuple(name for name in FAMILIES if name != "none")
@@ -46,15 +46,15 @@ UNKNOWN = "unknown"
 
 
 def jobs() -> list[Job]:
-    """Every record, those without an effect evenly among the others: what is finished at any time is a fair part."""
+    """Every record, those without an effect spread evenly: the finished part is representative at any time."""
     turn = np.random.default_rng([SEED, 0]).permutation(len(NAMES))
     wanted = [(k / EFFECTS, SEED, k, NAMES[turn[k % len(NAMES)]]) for k in range(EFFECTS)]
     wanted += [(k / NULLS, SEED + 1, k, "none") for k in range(NULLS)]
     return [Job(f"{effect}-{number:04d}.json", (seed, number, effect)) for _, seed, number, effect in sorted(wanted)]
 
 
-def made_and_closed(task: tuple[int, int, str]) -> bytes:
-    """Make a record, close its loop, and say what was named and what is left."""
+def make_and_close(task: tuple[int, int, str]) -> bytes:
+    """Make a record and close its loop; findings and remaining errors as JSON."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from sim_heating.closure.search.search import search_effects
 
@@ -66,8 +66,8 @@ def made_and_closed(task: tuple[int, int, str]) -> bytes:
         found = search_effects(record)
         after = rmse_K(found)
         seconds = time.process_time() - begun
-        more = answer["effect"] in NAMES and answer["effect"] != UNKNOWN and beyond(after, answer["true_rmse_K"])
-        known = rmse_K(knowing(found, answer["effect"])) if more else None
+        more = answer["effect"] in NAMES and answer["effect"] != UNKNOWN and exceeds(after, answer["true_rmse_K"])
+        known = rmse_K(search_of_effect(found, answer["effect"])) if more else None
     row = {
         "effect": answer["effect"], "form": answer["form"], "named": found.names, "cpu_s": seconds,
         "accepted": answer.get("accepted", [answer["effect"]]), "separable": answer.get("separable", True),
@@ -86,20 +86,20 @@ def made_and_closed(task: tuple[int, int, str]) -> bytes:
 
 
 def rmse_K(found: SearchResult) -> dict[str, float]:
-    """RMSE [K] of each part of a record that is measured, refitted with what was found."""
+    """RMSE [K] over fit and holdout segments, refitted with the effects found."""
     from sim_heating.closure.close import refit
 
     fitted = refit(found) if found.added else found.before
     return {part: e["rmse_K"] for part, e in fitted.after[0].segment_errors().items() if e}
 
 
-def beyond(after: Mapping[str, float], other: Mapping[str, float]) -> bool:
-    """Whether an RMSE is more than LEFT times the other of its part."""
-    return any(after[part] > LEFT * other[part] for part in after.keys() & other.keys())
+def exceeds(after: Mapping[str, float], other: Mapping[str, float]) -> bool:
+    """Whether an RMSE is more than MAX_RATIO times the other over the same segments."""
+    return any(after[part] > MAX_RATIO * other[part] for part in after.keys() & other.keys())
 
 
-def knowing(found: SearchResult, effect: str) -> SearchResult:
-    """The search as it would have been with no other candidates than those of one effect."""
+def search_of_effect(found: SearchResult, effect: str) -> SearchResult:
+    """The search with the candidates of one effect alone."""
     from sim_heating.closure.search.candidates import SENSOR_EFFECT
     from sim_heating.closure.search.search import search_round
     from sim_heating.closure.search.trial_fit import base_trial
@@ -110,8 +110,8 @@ def knowing(found: SearchResult, effect: str) -> SearchResult:
     return replace(found, rounds=(one,), added=one.trials[:1], unknown=False)
 
 
-def right(row: dict[str, Any]) -> bool:
-    """Whether the first effect named is the one that was put in, or one that cannot be told from it."""
+def is_correct(row: dict[str, Any]) -> bool:
+    """Whether the first effect named is the one that was put in, or a rival that is not separable from it."""
     return row["named"][0] in row["accepted"]
 
 
@@ -128,16 +128,18 @@ def proportion(what: str, hits: int, n: int, target: float, at_least: bool) -> F
 
 
 def figures_of(rows: Sequence[dict[str, Any]]) -> list[Figure]:
-    """Names, false alarms, errors against the truth's own, time."""
+    """Figures of findings, false alarms, errors relative to those of the truth, and time."""
     effects = [r for r in rows if r["effect"] != "none"]
     nulls = [r for r in rows if r["effect"] == "none"]
     separable = [r for r in effects if r["separable"]]
     figures = []
     if separable:
-        figures.append(proportion("named right, separable", sum(map(right, separable)), len(separable), 0.95, True))
+        figures.append(
+            proportion("named right, separable", sum(map(is_correct, separable)), len(separable), 0.95, True)
+        )
     if effects:
         what = "named right, all; or a rival that cannot be told from it"
-        figures.append(proportion(what, sum(map(right, effects)), len(effects), 0.95, True))
+        figures.append(proportion(what, sum(map(is_correct, effects)), len(effects), 0.95, True))
     if nulls:
         alarms = sum(r["named"] != ["none"] for r in nulls)
         figures.append(proportion("false alarms, records without an effect", alarms, len(nulls), 0.05, False))
@@ -147,10 +149,12 @@ def figures_of(rows: Sequence[dict[str, Any]]) -> list[Figure]:
         over = np.array([r["after"][part] / r["truth"][part] for r in both])
         if len(over):
             note = f"median {np.median(over):.3f}, 95th percentile {np.quantile(over, 0.95):.3f}, {len(over)} records"
-            share = float(np.mean(over <= LEFT))
-            figures.append(Figure(f"share with RMSE after within {LEFT} of the truth's, {part}", share, "", note=note))
-            near = sum(not beyond({part: r["after"][part]}, r["known"] or r["truth"]) for r in both)
-            what = f"RMSE after within {LEFT} of the truth's or of a fit that knows the effect, {part}"
+            share = float(np.mean(over <= MAX_RATIO))
+            figures.append(
+                Figure(f"share with RMSE after within {MAX_RATIO} of the truth's, {part}", share, "", note=note)
+            )
+            near = sum(not exceeds({part: r["after"][part]}, r["known"] or r["truth"]) for r in both)
+            what = f"RMSE after within {MAX_RATIO} of the truth's or of a fit that knows the effect, {part}"
             figures.append(proportion(what, near, len(both), 0.95, True))
     seconds = np.array([r["cpu_s"] for r in rows])
     note = f"largest {seconds.max():.0f} s"
@@ -168,15 +172,15 @@ def confusion(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, int]]:
 
 
 def run() -> list[Figure]:
-    """Make and close what is not finished, in two processes."""
+    """Make and close the records that are not finished, in two processes."""
     wanted = jobs()
-    outcome = run_batches(wanted, made_and_closed, LEDGER, workers=2, progress=lambda f, text: click.echo(text))
+    outcome = run_batches(wanted, make_and_close, LEDGER, workers=2, progress=lambda f, text: click.echo(text))
     failed = Figure("records that could not be closed", len(outcome.failed), "", 0, note=", ".join(outcome.failed))
     return [failed, *figures_and_results([json.loads(path.read_text()) for path in outcome.done.values()])]
 
 
 def figures_and_results(rows: Sequence[dict[str, Any]]) -> list[Figure]:
-    """Figures of finished records, saved with the table of confusion and every row; false alarms for the reports."""
+    """Figures of finished records, saved with confusion matrix and rows; also the false alarms for the reports."""
     figures, nulls = figures_of(rows), [r for r in rows if r["effect"] == "none"]
     save("closure", figures, {"seed": SEED, "confusion": confusion(rows), "records": list(rows)})
     if nulls:
@@ -185,5 +189,5 @@ def figures_and_results(rows: Sequence[dict[str, Any]]) -> list[Figure]:
     return figures
 
 
-if __name__ == "__main__":  # figures of what a run that was ended has finished
+if __name__ == "__main__":  # figures of the finished part of an interrupted run
     click.echo(table(figures_and_results([json.loads(p.read_text()) for p in sorted(LEDGER.glob("*.json"))])))

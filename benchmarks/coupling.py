@@ -1,4 +1,4 @@
-"""Beside JSBSim: what the heating of ten control points adds to a frame; a coupled entry against real time."""
+"""Alongside JSBSim: what the heating of ten control points adds to a frame; a coupled entry against real time."""
 
 from __future__ import annotations
 

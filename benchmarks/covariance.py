@@ -5,11 +5,11 @@ entry with manoeuvres. Truth has white noise of the process on every node; each 
 Gauss-Newton on the innovations with
 
     whole         the covariance of every step
-    held          gains of one step for all after 30 s
-    none          no covariance: output error, noise of the process and of the start taken for none
+    held          gains of one step used for all steps after 30 s
+    none          no covariance: output error, noise of the process and of the start neglected
 
 and with those of `covariance_approximations.py`, and compared: cost, estimates and bounds against the whole covariance,
-error of the estimates over the bound stated. No approximation can cost less than `none`. `differenced` is the
+error of the estimates over the stated bound. No approximation can cost less than `none`. `differenced` is the
 covariance as the equations read: the derivative of the step by differences of one march for each node and the ratio,
 dense products.
 """
@@ -125,7 +125,7 @@ def fitted(points: list[FilterTrack], time_s: FloatArray, history: FloatArray) -
 
 
 def differenced(time_s: FloatArray, history: FloatArray, start_K: FloatArray) -> None:
-    """The covariance of some steps by differences and dense products, readings left out."""
+    """The covariance of some steps by differences and dense products, readings omitted."""
     model, mesh = point(), mesh_of(point())
     n, by = mesh.nodes, 0.1
     ensemble = Ensemble([model] * (n + 1), [mesh] * (n + 1))

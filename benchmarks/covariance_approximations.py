@@ -1,4 +1,4 @@
-"""Covariances of a Kalman filter that practice takes for the whole one, in dense products about a plain march.
+"""Approximations of the covariance of a Kalman filter used in practice, in dense products about a plain march.
 
 With T, Phi and dT/dp of a march at the parameters (derivatives of its own steps), delta what the readings have added
 and D its sensitivity, a step and the gain K of any covariance give
@@ -6,10 +6,10 @@ and D its sensitivity, a step and the gain K of any covariance give
     delta <- Phi delta,   D <- Phi D,   nu = y - H (T + delta),   delta <- delta + K nu,   D <- D - K H (dT/dp + D).
 
     whole          P <- Phi P Phi' + Q dt at every step
-    every tenth    P propagated over ten steps at once, its gain held between, ten readings taken as one of R / 10
-    rank 6, rank 3 the largest directions of P alone are kept after each step (a reduced-rank square root)
-    upper nodes    P of the nodes down to the third thermocouple, the wall adiabatic behind them, deeper readings left
-                   out: the founding paper's own first approximation
+    every tenth    P propagated over ten steps at once, its gain kept in between, ten readings taken as one of R / 10
+    rank 6, rank 3 only the largest directions of P are kept after each step (a reduced-rank square root)
+    upper nodes    P of the nodes down to the third thermocouple, the wall adiabatic behind them, deeper readings
+                   omitted: the founding paper's own first approximation
 
 All repetitions go through every line at once. No second-order effect of delta on the march is in it.
 """
@@ -53,7 +53,7 @@ class Linear:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """What is filtered: readings (step, run, sensor), nodes of the sensors, covariance at the start (node, node),
+    """Input of the filter: readings (step, run, sensor), nodes of the sensors, covariance at the start (node, node),
     noise of the process [K2] a step and of the readings [K2]."""
 
     read_K: FloatArray
@@ -89,14 +89,14 @@ Step = Callable[[int, FloatArray], Gain]
 
 
 def gain_of(P: FloatArray, case: Case) -> Gain:
-    """Of a covariance (run, node, node) before the readings of a step."""
+    """Gain of a covariance (run, node, node) before the readings of a step."""
     cross = P[:, :, case.sensors]
     S = cross[:, case.sensors, :] + case.noise_K2 * np.eye(len(case.sensors))
     return np.asarray(np.linalg.solve(S, cross.transpose(0, 2, 1)).transpose(0, 2, 1), dtype=np.float64), S
 
 
 def updated(P: FloatArray, case: Case, readings: int = 1) -> FloatArray:
-    """After so many readings of every sensor."""
+    """Covariance after several readings of every sensor."""
     K, _ = gain_of(P, replace(case, noise_K2=case.noise_K2 / readings))
     after = P - K @ P[:, case.sensors, :]
     return 0.5 * (after + after.transpose(0, 2, 1))
@@ -108,7 +108,7 @@ def whole(case: Case, runs: int) -> Step:
 
 
 def rank(case: Case, runs: int, kept: int) -> Step:
-    """The largest directions of it."""
+    """The largest directions of the covariance."""
     P = np.tile(case.start_K2, (runs, 1, 1))
 
     def step(k: int, phi: FloatArray) -> Gain:
@@ -118,33 +118,33 @@ def rank(case: Case, runs: int, kept: int) -> Step:
             values, vectors = np.linalg.eigh(P)
             L = vectors[:, :, -kept:] * np.sqrt(np.maximum(values[:, np.newaxis, -kept:], 0.0))
             P = L @ L.transpose(0, 2, 1)
-        told = gain_of(P, case)
+        latest = gain_of(P, case)
         P = updated(P, case)
-        return told
+        return latest
 
     return step
 
 
 def every_tenth(case: Case, runs: int) -> Step:
-    """Propagated over ten steps at once."""
+    """Covariance propagated over ten steps at once."""
     n = len(case.start_K2)
-    P, phi_of_all, told = np.tile(case.start_K2, (runs, 1, 1)), np.eye(n), None
+    P, phi_of_all, latest = np.tile(case.start_K2, (runs, 1, 1)), np.eye(n), None
 
     def step(k: int, phi: FloatArray) -> Gain:
-        nonlocal P, phi_of_all, told
+        nonlocal P, phi_of_all, latest
         phi_of_all = phi @ phi_of_all
-        if told is None or (k + 1) % EVERY == 0:
-            steps = 1 if told is None else EVERY
+        if latest is None or (k + 1) % EVERY == 0:
+            steps = 1 if latest is None else EVERY
             P = phi_of_all @ P @ phi_of_all.transpose(0, 2, 1) + steps * case.process_K2 * np.eye(n)
-            told = gain_of(P, case)
+            latest = gain_of(P, case)
             P, phi_of_all = updated(P, case, steps), np.eye(n)
-        return told
+        return latest
 
     return step
 
 
 def upper(case: Case, runs: int) -> Step:
-    """Of the nodes down to a thermocouple alone."""
+    """Covariance of the nodes down to a thermocouple only."""
     nodes = int(case.sensors[UPPER_SENSORS - 1]) + 1
     within = replace(case, sensors=case.sensors[:UPPER_SENSORS], start_K2=case.start_K2[:nodes, :nodes])
     inner = whole(within, runs)

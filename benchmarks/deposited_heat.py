@@ -6,7 +6,7 @@ Gaussian process of covariance P = a^2 exp(-(dx / l)^2 / 2 - (dt / tau)^2 / 2),
 
     s = P R' (R P R' + N)^-1 r,    cov = P - P R' (R P R' + N)^-1 R P,
 
-a, l, tau by the largest likelihood of r: what smooths is what the data ask for.
+a, l, tau by the largest likelihood of r, so that the data choose the smoothing.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ class Slab:
 
 @dataclass(frozen=True, eq=False)
 class Deposit:
-    """Source and its sigma (depth bin, time bin) [W/m3], middles of the bins, what is left of the residual [K], and
-    what the likelihood chose: amplitude [W/m3], length [m], time [s]."""
+    """Source and its sigma (depth bin, time bin) [W/m3], middles of the bins, the remaining residual [K], and
+    the likeliest values of amplitude [W/m3], length [m], time [s]."""
 
     source_W_m3: FloatArray
     sigma_W_m3: FloatArray

@@ -1,8 +1,8 @@
 """Dispersed entries: 10,000 flights by 12 control points on two processes, against the kernels' own speed.
 
-What two processes lose against twice one is told apart: the same batches in two plain processes at once, without the
-engine, lose what the machine makes them lose (memory, shared cores); the rest is the engine's. As a machine's speed may
-drift by more than what is asked for, all four are measured in turn, some rounds, and the median of their ratios counts.
+The loss of two processes against twice one is split: the same batches in two plain processes at once, without the
+engine, show the loss due to the machine (memory, shared cores); the rest is due to the engine. As a machine's speed may
+drift by more than the target, all four are measured in turn, some rounds, and the median of their ratios counts.
 """
 
 from __future__ import annotations
@@ -65,19 +65,19 @@ def _timed(entry: DispersedEntry, flights: int, workers: int) -> float:
 
 
 def _rate_1_s(entry: DispersedEntry, workers: int) -> float:
-    """Flights a second of so many processes, SHORT for each, from when all of them are at work."""
-    told: list[float] = []
+    """Flights a second of a number of processes, SHORT for each, from when all of them are at work."""
+    times_s: list[float] = []
     with tempfile.TemporaryDirectory() as folder:
         run_batches(
             _jobs(workers * SHORT), entry, Path(folder), workers=workers,
-            progress=lambda fraction, text: told.append(time.perf_counter()),
+            progress=lambda fraction, text: times_s.append(time.perf_counter()),
         )  # fmt: skip
-    steady = told[1 + 2 * workers : -1 : workers]
+    steady = times_s[1 + 2 * workers : -1 : workers]
     return workers * BATCH * (len(steady) - 1) / (steady[-1] - steady[0])
 
 
 def _plain_s(entry: DispersedEntry, processes: int) -> float:
-    """Time [s] that so many plain processes at once take for SHORT flights each, without the engine: the slowest."""
+    """Time [s] of the slowest of several plain processes at once for SHORT flights each, without the engine."""
     context = get_context("spawn")
     together, took = context.Barrier(processes), context.Queue()
     running = [context.Process(target=_flown_plainly, args=(entry, together, took)) for _ in range(processes)]

@@ -1,4 +1,4 @@
-"""Scenarios to estimates: flown with an altered truth, measured, estimated, put back into the tables, predicted again.
+"""Scenarios to estimates: flown with an altered truth, measured, estimated, written into the tables, predicted again.
 
 Every POPU and flap scenario is flown in JSBSim once. The truth that its thermocouples see is altered in two ways:
 
@@ -8,7 +8,7 @@ Every POPU and flap scenario is flown in JSBSim once. The truth that its thermoc
 and it is fitted in two ways: over the whole entry, and over the manoeuvre with SPAN_S to either side, from temperatures
 that are estimated too (`--fit`, `--start profile`). An error is the estimate less the truth over its stated sigma; the
 truth of a fit is the least-squares projection of the true less the declared ratio on what was estimated, along the
-fitted samples. What is left out of a fit, because it did not move, is in the magnitude, there as in flight.
+fitted samples. A variable that is not in a fit, because it did not vary, is part of the magnitude, there as in flight.
 """
 
 from __future__ import annotations
@@ -73,12 +73,12 @@ ALTERED = {
 SHARE = 0.3
 """Part of the table's sigma that the table truth is drawn with; with all of it some ratios would be negative."""
 SPAN_S = 50.0
-TOLD = 2.0
+WITHIN_SIGMAS = 2.0
 """An error up to here [sigma] is within the bounds."""
 UNDECLARED = {("sts4", "V09T9527")}
 """Control points whose scenario adds an effect that a linear fit lacks; shown, and not counted."""
 FITTED_TOO = {"sts2": ("stack.coating.thickness_factor",)}
-"""What a scenario's own truth alters beside the ratio, and is estimated with it."""
+"""Parameters that a scenario's own truth alters in addition to the ratio, and that are estimated with it."""
 WAYS = ("whole", "manoeuvre")
 
 
@@ -87,9 +87,9 @@ class Result:
     """One fit.
 
     errors         : estimate less truth over sigma, by ratio parameter
-    errors are none where the fit did not converge, and left_out then says why
+    errors are empty where the fit did not converge, and left_out then gives the reason
     before, after  : RMSE [K] over the noise floor with the table before and after, of the fitted samples
-    checked        : RMSE [K] of another manoeuvre after over before; None where there is none to check with
+    checked        : RMSE [K] of another manoeuvre after over before; None without another manoeuvre
     """
 
     scenario: str
@@ -110,7 +110,7 @@ class Result:
 
 
 def run() -> list[Figure]:
-    """Fly, fit, and say how far the estimates are off."""
+    """Fly, fit, and compare the estimates with the truth."""
     flights = {name: _flown(name) for name in POINTS}
     with tempfile.TemporaryDirectory() as folder:
         results = [r for truth in ("linear", "table") for r in _of_truth(truth, flights, Path(folder))]
@@ -126,7 +126,10 @@ def _summaries(results: Sequence[Result]) -> Iterator[Figure]:
             z = np.abs([z for r in mine for z in r.errors.values()])
             what = f"{truth} truth, {way}:"
             yield Figure(
-                f"{what} errors within 2 sigma of {len(z)}", float(np.mean(z <= TOLD)), "", note="0.95 is right"
+                f"{what} errors within 2 sigma of {len(z)}",
+                float(np.mean(z <= WITHIN_SIGMAS)),
+                "",
+                note="0.95 is right",
             )
             yield Figure(f"{what} median error", float(np.median(z)), "sigma", note="0.67 is right")
             after = float(np.median([r.after for r in mine]))

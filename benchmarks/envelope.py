@@ -1,10 +1,9 @@
-"""The envelope before and after a flight: manoeuvres flown in JSBSim, estimated, put into the tables, the study done
-again.
+"""The envelope before and after a flight: manoeuvres flown in JSBSim, estimated, put into tables, the study repeated.
 
 The truth that the thermocouples see is a fifth cooler than every table says (COOLER): of the size of the tables'
-sigma, and the sort of thing that flights found. The pushover-pullup at Mach 20 is fitted at the points of the
+sigma, as flights have found. The pushover-pullup at Mach 20 is fitted at the points of the
 windward side and at the OMS pod, the flap manoeuvre at Mach 16 at elevon and body flap; each estimate goes through
-`update-tables`. Then every study of STUDIES is done with the vehicle as it was and as it is.
+`update-tables`. Then every study of STUDIES is made with the vehicle before and after.
 """
 
 from __future__ import annotations

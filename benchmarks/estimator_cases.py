@@ -1,6 +1,6 @@
 """Flights with a known truth for the estimator's benchmarks: manoeuvres of JSBSim entries over plugs of 14 nodes.
 
-The truth is the march that is fitted: what is tested is estimation and not physics. Records of another program's
+The truth is the march that is fitted, so that estimation is tested and not physics. Records of another program's
 physics are in estimator_null.py. As in the founding paper a fit starts 50 s before the manoeuvre, here with the
 true temperatures, where it does not start at entry interface.
 """
@@ -36,12 +36,12 @@ FloatArray = NDArray[np.float64]
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
 NODES = 14
 BEFORE_S, AFTER_S = 50.0, 60.0
-"""What is fitted around a manoeuvre."""
+"""Times fitted around a manoeuvre."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """What is estimated from which flight.
+    """A flight, and the parameters estimated from it.
 
     scenario, until_m_s : the flight, and the speed at which it ends
     point               : control point
@@ -83,7 +83,7 @@ CASES = {
 
 @cache
 def flown(scenario: str, until_m_s: float) -> tuple[Scenario, Flight]:
-    """A scenario of the project, flown until it is as slow as that."""
+    """A scenario of the project, flown until its velocity falls to a limit."""
     whole = load_scenario(SCENARIOS / f"{scenario}.toml")
     trajectory = whole.declared.trajectory
     stop = trajectory.stop.model_copy(update={"velocity_m_s": until_m_s, "mach": None})
@@ -145,7 +145,7 @@ class Repeatable:
 
 
 def repeatable(case: Case) -> Repeatable:
-    """The fit of a case with flat priors, so that a prior cannot pass for a bias."""
+    """The fit of a case with flat priors, so that no prior looks like a bias."""
     record = record_of(case.name)
     flat = {n: replace(_definition(record, n), sigma=np.inf) for n in case.truth}
     starts = [None if case.whole else start_at(case)]

@@ -1,8 +1,8 @@
-"""Records of another program without undeclared effects, fitted by default: how often the bounds hold the truth.
+"""Records of another program without undeclared effects, fitted by default: coverage of the bounds.
 
 The records are those of `benchmarks/generator` (finite volumes, backward differences, its own flights, walls and
 recorders), derivatives about the generator's reference condition. Each is fitted as `estimate` does it, and once more
-without the correction of the mesh. Coverage is held against the lower end of the binomial 99% interval.
+without the correction of the mesh. Coverage is compared with the lower end of the binomial 99% interval.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def made_and_fitted(number: int, out: Path) -> dict[str, Any]:
 
 
 def coverage(rows: Sequence[dict[str, Any]], how: str, name: str) -> tuple[int, int, float]:
-    """Intervals that hold the truth, how many there are, and the RMS of the error over sigma."""
+    """Number of intervals that contain the truth, number of all, and the RMS of the error over sigma."""
     found = [row[how][name] for row in rows if name in row[how]]
     rms = float(np.sqrt(np.mean([f["error_over_sigma"] ** 2 for f in found]))) if found else float("nan")
     return sum(f["inside"] for f in found), len(found), rms

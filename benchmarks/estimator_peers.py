@@ -1,6 +1,6 @@
-"""What the estimator is timed against: the same fit by filterpy's extended Kalman filter, and by scipy's least squares.
+"""Peers of the estimator for its timing: filterpy's extended Kalman filter and scipy's least squares on the same fit.
 
-Both get this program's own compiled march of the same 14 nodes, changed in place and not packed anew. The filter's
+Both get this program's own compiled march of the same 14 nodes, changed in place and not packed again. The filter's
 transition is differenced node by node as its equations read, its innovations parameter by parameter.
 """
 
@@ -24,11 +24,11 @@ except ImportError:
 FloatArray = NDArray[np.float64]
 
 MOVED_K = 0.1
-"""By how much a node is moved for its column of the transition."""
+"""Step of a node's temperature for its column of the transition."""
 MOVED = 1e-4
-"""By how much a parameter is moved for its derivative, as a part of its prior sigma or of 1."""
+"""Step of a parameter for its derivative, as a part of its prior sigma or of 1."""
 START_K2, PROCESS_K2_S = 1e-4, 1e-6
-"""Variance of the start and of the process: as good as none, so that both sides fit the same thing."""
+"""Variance of the start and of the process: negligible, so that both sides fit the same model."""
 
 
 @dataclass

@@ -46,13 +46,13 @@ START_K2, PROCESS_K2_S = 1e-4, 1e-6
 ITERATIONS, ROUNDS, FILTERPY_ROUNDS = 10, 7, 2
 NODES = (14, 28, 56, 100)
 REST_S = 2.0
-"""For another process to end what it is at, or to be well within it."""
+"""Time [s] for another process to finish its work, or to be well within it."""
 POINTS = 50
 """Control points of the joint fit."""
 
 
 def gauss_newton(problem: FitProblem, start: FloatArray) -> FloatArray:
-    """Ten iterations, whatever they gain."""
+    """Ten iterations, without a test of convergence."""
     at = start.copy()
     prior = np.array([p.sigma**-2.0 for p in problem.parameters])
     for _ in range(ITERATIONS):
@@ -159,8 +159,8 @@ def _growth(times: Times, key: str, what: str, order: float) -> list[Figure]:
     """Exponent of the cost between 28 and 100 nodes, and the cost at each count."""
     seconds = {n: times.best(f"{key} {n}") for n in NODES}
     exponent = np.polyfit(np.log(NODES[1:]), np.log([seconds[n] for n in NODES[1:]]), 1)[0]
-    told = ", ".join(f"{n}: {s * 1e3:.1f} ms" for n, s in seconds.items())
-    return [Figure(f"{what}: exponent of the cost in nodes", float(exponent), "", order + 0.1, note=told)]
+    note = ", ".join(f"{n}: {s * 1e3:.1f} ms" for n, s in seconds.items())
+    return [Figure(f"{what}: exponent of the cost in nodes", float(exponent), "", order + 0.1, note=note)]
 
 
 class JointFit:
@@ -172,7 +172,7 @@ class JointFit:
         self.iteration(1)
 
     def iteration(self, threads: int) -> None:
-        """The march of the last vector is kept: another one each time."""
+        """A different vector each time, because the march of the last one is kept."""
         before, fitting.THREADS = fitting.THREADS, threads
         self.at = self.at + 1e-9
         self.problem.evaluate(self.at)
@@ -189,7 +189,7 @@ def _beside(turn: Barrier, asked: EventType, done: EventType) -> None:
 
 
 def the_joint_fit() -> list[Figure]:
-    """In one thread, in two, and in one thread while another process does the same: what the machine has to give."""
+    """In one thread, in two, and in one while another process does the same, which shows the machine's limit."""
     fit, spawn = JointFit(), get_context("spawn")
     turn, asked, done = spawn.Barrier(2), spawn.Event(), spawn.Event()
     other = spawn.Process(target=_beside, args=(turn, asked, done))
@@ -248,7 +248,7 @@ def the_practice_record() -> list[Figure]:
 
 
 def side_by_side() -> list[Figure]:
-    """One evaluation of eight problems over one record, each with something else that the declared model may lack."""
+    """One evaluation of eight problems over one record, each with another effect that the declared model may lack."""
     record = load_record(RECORD)
     names, about, flown = default_names([record]), joint_reference([record]), conditions_of_record(record)
     kernels = [e.name for e in effects().values() if e.kernel][: LANES - 1]

@@ -1,7 +1,7 @@
 """Monte Carlo of the estimator: bias, coverage of 95% bounds and residual tests over thousands of noisy repetitions.
 
-One draw of noise and one of recorder words a repetition, 8-bit data at 1 Hz; everything else stays. Bias is counted in
-standard errors of the mean over the repetitions.
+One draw of noise and one of recorder words for each repetition, 8-bit data at 1 Hz; everything else is the same. Bias
+is counted in standard errors of the mean over the repetitions.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ REPETITIONS, BATCH = 2000, 50
 PROCESSES = 2
 MOST_STANDARD_ERRORS = 3.0
 TESTED_AT, MOST_ODD = 0.05, 0.06
-"""Residual tests are odd so often where all is right; Ljung and Box's own size is 0.055 for a hundred white samples."""
+"""Rate of failed residual tests for a correct model; Ljung and Box's own size is 0.055 for a hundred white samples."""
 
 
 @dataclass(frozen=True)
 class Repetitions:
-    """What fits of one case gave.
+    """Results of the fits of one case.
 
     error, sigma, half_width : (repetition, parameter) estimate less truth, its bound, half width of its 95% interval
     white, normal            : (repetition, sensor) p-values of the residual tests
@@ -46,7 +46,7 @@ class Repetitions:
 
     @property
     def covered(self) -> FloatArray:
-        """(parameter,) share of intervals that hold the truth."""
+        """(parameter,) share of intervals that contain the truth."""
         return np.mean(np.abs(self.error) < self.half_width, axis=0)
 
     @property
@@ -55,7 +55,7 @@ class Repetitions:
         return self.error.mean(axis=0) / self.error.std(axis=0, ddof=1) * np.sqrt(len(self.error))
 
     @property
-    def told_over_found(self) -> FloatArray:
+    def sigma_over_scatter(self) -> FloatArray:
         """(parameter,) root mean square of the stated sigma over the scatter of the estimates."""
         return np.sqrt(np.mean(self.sigma**2, axis=0)) / self.error.std(axis=0, ddof=1)
 
@@ -113,12 +113,12 @@ def run() -> list[Figure]:
 
 
 def figures_of(case: str, parameters: Sequence[str], found: Repetitions) -> list[Figure]:
-    """Bias and coverage of each parameter, and how often residual tests are odd."""
+    """Bias and coverage of each parameter, and rate of failed residual tests."""
     n, figures = len(found.error), []
     for k, parameter in enumerate(parameters):
         at = f"{case}: {parameter}"
         mean, scatter = found.error[:, k].mean(), found.error[:, k].std(ddof=1)
-        note = f"mean error {mean:.2g}, scatter {scatter:.3g}, stated sigma {found.told_over_found[k]:.3f} of it"
+        note = f"mean error {mean:.2g}, scatter {scatter:.3g}, stated sigma {found.sigma_over_scatter[k]:.3f} of it"
         figures += [
             Figure(f"{at}: bias, standard errors", abs(found.bias[k]), "", MOST_STANDARD_ERRORS, note=note),
             Figure(f"{at}: |coverage of 95% bounds - 0.95|", abs(found.covered[k] - 0.95), "", 0.02,

@@ -65,8 +65,8 @@ def _in_host(
 ) -> tuple[np.ndarray, dict[str, float]]:
     """What the C host wrote, and its times."""
     done = subprocess.run([host, fmu, timing, table, *outputs], check=True, capture_output=True, text=True)
-    told = {k: float(v) for k, v in (line.split() for line in done.stderr.splitlines())}
-    return np.array([[float(x) for x in line.split(",")[1:]] for line in done.stdout.splitlines()[1:]]), told
+    times = {k: float(v) for k, v in (line.split() for line in done.stderr.splitlines())}
+    return np.array([[float(x) for x in line.split(",")[1:]] for line in done.stdout.splitlines()[1:]]), times
 
 
 def _write(table: Path, frames: np.ndarray) -> Path:
@@ -78,7 +78,7 @@ def _write(table: Path, frames: np.ndarray) -> Path:
 
 
 def _direct(model: Any, frames: np.ndarray) -> float:
-    """Fastest step [s] of the compiled functions called from a compiled loop, no FMU about them."""
+    """Fastest step [s] of the compiled functions called from a compiled loop, without an FMU."""
     function, *called = [unit.compiled for unit in heating_units(model.effects)]
     move = function.ctypes
     R, N = model.image.R.copy(), model.image.N.copy()
@@ -117,16 +117,16 @@ def _stepping(vehicle: Vehicle, host: Path, work: Path) -> list[Figure]:
     zipfile.ZipFile(work / "timed.fmu").extractall(work / "timed")
     frames = _frames(STEP_S, STEPS)
     table = _write(work / "timed.csv", frames)
-    told, direct = [], []
+    times, direct = [], []
     for _ in range(ROUNDS):
-        told.append(_in_host(host, work / "timed", table, "reached", outputs)[1])
+        times.append(_in_host(host, work / "timed", table, "reached", outputs)[1])
         direct.append(_direct(model, frames))
-    step_us, direct_us = min(t["fastest_step_us"] for t in told), 1e6 * min(direct)
+    step_us, direct_us = min(t["fastest_step_us"] for t in times), 1e6 * min(direct)
     about = f"{POINTS} points, {NODES} nodes asked for"
     figures = [
         Figure("inputs set and doStep, C host", step_us, "us", 20.0, note=about),
         Figure("the same over the kernel called directly", step_us / direct_us, "x", 1.2, note=f"{direct_us:.1f} us"),
-        Figure("instantiate, C host", min(t["instantiate_ms"] for t in told), "ms", 50.0),
+        Figure("instantiate, C host", min(t["instantiate_ms"] for t in times), "ms", 50.0),
     ]
     beside = [
         f for n in (POINTS, 1) for f in python_fmu.beside("orbiter", names[:n], NODES, frames, table, work, ROUNDS)

@@ -48,7 +48,7 @@ def _resident_kB() -> float:
 
 
 def _memory(steps: int) -> tuple[float, float]:
-    """Peak of Python's allocations and growth of the process [kB] over so many frames, no history kept."""
+    """Peak of Python's allocations and growth of the process [kB] over a number of frames, without a history."""
     ensemble = ensemble_of(points(64), NODES)
     _, history = entry(1.0)
     frames = np.repeat(history[0][:, np.newaxis], 64, axis=1)

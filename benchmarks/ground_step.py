@@ -1,4 +1,4 @@
-"""Ground step test: what a lamp tells of a thermocouple's stack and clock. A measured board: kaowool.py.
+"""Ground step test: identification of a thermocouple's stack and clock under a lamp. A measured board: kaowool.py.
 
 The plug V09T9527 is lit for a minute with 10, 50 and 100 kW/m2; its truth is a coating 1.3 times as thick as declared,
 insulation of 0.9 the conductivity, and a thermocouple clock that lags by 0.4 s.

@@ -47,10 +47,10 @@ DEPTH_STEP_M = 1e-4
 
 @dataclass(frozen=True)
 class Mechanism:
-    """What is tried on top of convection.
+    """A mechanism that is fitted on top of convection.
 
     effect, start : its name and values to start from;  names : its parameters that are estimated
-    bounds        : [lowest, highest] of some of them, where the effect's own allow what cannot be
+    bounds        : [lowest, highest] of some of them, where the effect's own allow impossible values
     """
 
     label: str
@@ -126,7 +126,7 @@ def run() -> list[Figure]:
 
 
 def tried(record: Record, mechanism: Mechanism, *more: str) -> Model:
-    """A mechanism and convection, and what else is named, estimated together."""
+    """A mechanism, convection and further named parameters, estimated together."""
     names = [f"effect.{mechanism.effect}.{name}" for name in mechanism.names]
     start = GAS_STARTS[0] | {f"effect.{mechanism.effect}.{n}": v for n, v in mechanism.start.items()}
     bounds = {f"effect.{mechanism.effect}.{n}": b for n, b in mechanism.bounds.items()}
@@ -150,7 +150,7 @@ def bare(record: Record) -> Record:
 
 
 def brighter(record: Record, part: float) -> Record:
-    """The record with so many times the flux."""
+    """The record with a multiple of the flux."""
     return replace(record, conditions=record.conditions.with_columns(q_add_W_m2=part * record.conditions["q_add_W_m2"]))
 
 
@@ -269,7 +269,7 @@ def _deposit_figures(record: Record, found: Deposit) -> Iterator[Figure]:
 
 
 def draw_residuals(record: Record, residuals: Mapping[str, FloatArray]) -> None:
-    """What each model leaves at each joint, early and whole."""
+    """Residual of each model at each joint, early and whole."""
     figure, axes = plt.subplots(3, 2, figsize=(11.0, 8.0), sharex="col", width_ratios=[1, 1])
     for i, sensor in enumerate(record.sensors):
         for j, end in enumerate((EARLY_S, record.time_s[-1])):

@@ -1,4 +1,4 @@
-"""Timing on a noisy machine: what is compared runs in turn, round by round; best times and median ratios count."""
+"""Timing on a noisy machine: tasks to be compared run in turn, round by round; best times and median ratios count."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Figure:
 
     @property
     def verdict(self) -> str:
-        """Whether the bound is kept."""
+        """Whether the target is met."""
         if self.target is None:
             return ""
         kept = self.value >= self.target if self.at_least else self.value <= self.target
@@ -56,7 +56,7 @@ Task = Callable[[], object]
 
 
 def in_turn(tasks: Mapping[str, Task], rounds: int, prepare: Mapping[str, Task] | None = None) -> Times:
-    """Run all tasks one after the other, `rounds` times; what prepares a task is not timed."""
+    """Run all tasks one after the other, `rounds` times; preparation is not timed."""
     seconds: dict[str, list[float]] = {name: [] for name in tasks}
     for _ in range(rounds):
         for name, task in tasks.items():
@@ -89,7 +89,7 @@ def table(figures: list[Figure]) -> str:
 
 
 def save(name: str, figures: list[Figure], more: Mapping[str, object] | None = None) -> Path:
-    """Write the figures of a benchmark, and what else it found, to results/<name>.json."""
+    """Write the figures of a benchmark, and its further results, to results/<name>.json."""
     RESULTS.mkdir(exist_ok=True)
     path = RESULTS / f"{name}.json"
     content = {

@@ -1,8 +1,8 @@
 """The semi-discrete heat equation of a control point, M(T) dT/dt = F(T, t), as other integrators take it.
 
-It is the very system that the march steps through: same mesh, same property tables, same sharing of mass between nodes,
+It is the system that the march integrates: same mesh, same property tables, same sharing of mass between nodes,
 and conditions linear between the samples of the entry. It is written down here a second time, from the equations at the
-head of thermal/step.py; what the integrators have in common is therefore checked too.
+head of thermal/step.py; so that what the integrators have in common is checked too.
 """
 
 from __future__ import annotations
@@ -187,7 +187,7 @@ def rate(t, T, given):  # type: ignore[no-untyped-def]
 
 
 def arguments(s: System, mixing: float = SHARE) -> tuple[np.ndarray | float, ...]:
-    """What `rate` takes beside t and T; mixing is the part of the mass matrix that is shared, 0 makes it diagonal."""
+    """Arguments of `rate` after t and T; mixing is the part of the mass matrix that is shared, 0 makes it diagonal."""
     c, k = s.heat_capacity, s.conductivity
     most = max(len(p.kink_K) for p in (*c, *k))
     columns = len(s.log10_p)
@@ -229,7 +229,7 @@ def jacobian(t, T, given):  # type: ignore[no-untyped-def]
 
 
 def rate_in_numpy(s: System) -> Callable[[float, FloatArray], FloatArray]:
-    """The same dT/dt as `rate`, vectorised over the nodes."""
+    """dT/dt as by `rate`, vectorised over the nodes."""
     elements = [np.flatnonzero(s.material == m) for m in range(len(s.heat_capacity))]
 
     def function(t: float, T: FloatArray) -> FloatArray:

@@ -69,7 +69,7 @@ def _entry_figures(name: str, entry: OptimalEntry, took: float) -> list[Figure]:
 
 
 def run() -> list[Figure]:
-    """Both cases of Betts, then the shipped studies; draws the first of them beside the flight without limits."""
+    """Both cases of Betts, then the shipped studies; draws the first of them with the flight without limits."""
     figures = [*_betts_figures("free"), *_betts_figures("limited")]
     limited = load_optimal_study(STUDIES / "optimal_entry.toml")
     studies = {

@@ -1,7 +1,7 @@
 """close-loop on the ten practice records: how long it takes on one core, all candidates included.
 
 Each is closed in this process ROUNDS times, and so is the whole command, a new process with imports, pictures and
-report, on one core where the system can hold them there; shortest times count. What is named is told, not judged.
+report, on one core where the system can bind them to it; shortest times count. Findings are listed, not assessed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ ROUNDS = 3
 
 @dataclass(frozen=True)
 class Row:
-    """A record, what is named there, and processor time of closing its loop and of the whole command [s]."""
+    """A record, effects named, and processor time of closing its loop and of the whole command [s]."""
 
     record: str
     named: str

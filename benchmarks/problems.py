@@ -1,6 +1,6 @@
-"""What is timed: the Orbiter's lower-surface plug (coating, tile, strain isolator, structure) through an entry.
+"""The timed problem: the Orbiter's lower-surface plug (coating, tile, strain isolator, structure) through an entry.
 
-Conditions, manoeuvres among them, are those of the practice record p06 under tests/data, stretched to 1500 s.
+Conditions, manoeuvres included, are those of the practice record p06 under tests/data, stretched to 1500 s.
 """
 
 from __future__ import annotations
@@ -61,17 +61,17 @@ def points(count: int) -> list[PointModel]:
 
 
 def ensemble_of(models: list[PointModel], nodes: int) -> Ensemble:
-    """The points on one mesh of so many nodes."""
+    """The points on one mesh of a number of nodes."""
     return Ensemble(models, [mesh_of(models[0], nodes)] * len(models), 1.0)
 
 
 def mesh_of(model: PointModel, nodes: int) -> Mesh:
-    """The mesh of a point of so many nodes, graded for steps of 1 s."""
+    """The mesh of a point with a number of nodes, graded for steps of 1 s."""
     return build_mesh(model.construction, np.array(model.depths_m), nodes, 1.0)
 
 
 def prescribed(history: FloatArray, model: PointModel) -> tuple[PointModel, FloatArray]:
-    """The same entry with the film coefficient itself in the history, linear between samples: ratio 1 without a table.
+    """The entry with the film coefficient itself in the history, linear between samples: ratio 1 without a table.
 
     Every integrator then reads the same few functions of time, and none is charged for the ratio table.
     """

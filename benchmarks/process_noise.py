@@ -5,8 +5,8 @@ from 50 s before the manoeuvre on), with a heating ratio that wanders by 1 % ove
 each repetition three fits:
 
     output error   no noise of the process
-    filter         on the innovations, levels as the truth has them
-    found          the same, levels estimated beside the parameters
+    filter         on the innovations, levels those of the truth
+    found          on the innovations, levels estimated with the parameters
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ LIMIT = 0.03
 
 @dataclass(frozen=True)
 class Fits:
-    """What one way of fitting gave.
+    """Results of one way of fitting.
 
     error, white, sigma, half_width : (repetition, parameter) estimate less truth; its bound for white residuals, the
                    corrected one, half width of the 95 % interval
     whiteness    : (repetition, sensor) p-values
-    levels       : (repetition, level) of the noise that were looked for
+    levels       : (repetition, level) of the noise that were estimated
     """
 
     error: FloatArray
@@ -69,13 +69,13 @@ class Fits:
         """(parameter,) standard deviation of the estimates."""
         return np.asarray(self.error.std(axis=0, ddof=1))
 
-    def told_over_found(self, sigma: FloatArray) -> FloatArray:
+    def sigma_over_scatter(self, sigma: FloatArray) -> FloatArray:
         """(parameter,) root mean square of stated sigmas over the scatter."""
         return np.sqrt(np.mean(sigma**2, axis=0)) / self.scatter
 
     @property
     def covered(self) -> FloatArray:
-        """(parameter,) share of the 95 % intervals that hold the truth."""
+        """(parameter,) share of the 95 % intervals that contain the truth."""
         return np.asarray(np.mean(np.abs(self.error) < self.half_width, axis=0))
 
     @property
@@ -93,7 +93,7 @@ def disturbed(
     bench: Repeatable, noise: ProcessNoise, runs: int, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """(run, step, node) true temperatures [K] after each step of a fit's march with noise of the process, and (run,
-    step) what was added to the heating ratio in it."""
+    step) addition to the heating ratio in it."""
     part = bench.problem.record_fits[0]
     t, history = part.time_s, condition_history(part.conditions.at(part.time_s))[np.newaxis]
     model, begun = part.model_at(bench.truth), part.initial_K(None)
@@ -189,11 +189,11 @@ def run() -> list[Figure]:
 
 
 def figures_of(case: str, parameters: Sequence[str], found: Fits, plain: Fits) -> list[Figure]:
-    """Bounds and scatter of each parameter; only the filter's have limits to keep."""
+    """Bounds and scatter of each parameter; only those of the filter have targets."""
     figures, own = [], found is not plain
     for k, name in enumerate(parameters):
         at = f"{case}: {name}"
-        ratios = [found.told_over_found(s)[k] for s in (found.white, found.sigma)]
+        ratios = [found.sigma_over_scatter(s)[k] for s in (found.white, found.sigma)]
         figures += [
             Figure(f"{at}, |coverage of 95% bounds - 0.95|", abs(found.covered[k] - 0.95), "", LIMIT if own else None,
                    note=f"{found.covered[k]:.3f}, bias of {found.bias[k]:.1f} standard errors"),
@@ -207,7 +207,7 @@ def figures_of(case: str, parameters: Sequence[str], found: Fits, plain: Fits) -
 
 
 def levels_of(case: str, found: Fits) -> list[Figure]:
-    """Levels that were found, against the true ones."""
+    """Levels found, compared with the true ones."""
     noise, names = NOISES[case]
     return [
         Figure(f"{case}: {name} found over the true one, median", float(np.median(found.levels[:, k])) / true, "",

@@ -1,7 +1,7 @@
 """A frame of the exported FMU against one of the same plug-in through PythonFMU, each in a plain C host and in FMPy.
 
 Both FMUs take the same inputs, step as often and give out the same temperatures, which must agree to the last bit:
-their kernel is one. What is compared is what stands between a host and the kernel, and that shows in a host that costs
+their kernel is one. The comparison concerns the layers between a host and the kernel, which show in a host that costs
 nothing itself: the bound is on the C host. FMPy's own calls are most of a frame there.
 """
 
@@ -77,7 +77,7 @@ class Timed:
     """An FMI 2 FMU, unpacked, and the outputs to read.
 
     outputs : names of its variables
-    reached : inputs are those at the end of a step, which has to be told to this package's FMU
+    reached : inputs are those at the end of a step, which this package's FMU has to be given
     """
 
     folder: Path
@@ -90,7 +90,7 @@ class Timed:
         return fmpy.read_model_description(self.folder, validate=False)
 
     def references(self) -> tuple[list[int], list[int], int | None]:
-        """Value references of inputs and outputs, and of the variable that says what inputs are."""
+        """Value references of inputs and outputs, and of the variable that states when inputs apply."""
         refs = {v.name: v.valueReference for v in self.described.modelVariables}
         timing = refs["input_timing"] if self.reached else None
         return [refs[name] for name in FRAME[1:]], [refs[name] for name in self.outputs], timing
@@ -112,7 +112,7 @@ class Frame:
 
 
 def _unpacked(path: Path) -> Path:
-    """The folder of an FMU's contents, beside it."""
+    """The folder of an FMU's contents, next to it."""
     folder = path.with_suffix("")
     zipfile.ZipFile(path).extractall(folder)
     return folder
@@ -168,9 +168,9 @@ def _in_c(host: Path, fmu: Timed, table: Path) -> Frame:
         env["PYTHONPATH"] = os.pathsep.join([str(Path.cwd()), *sys.path])
     command = [host, library, described.guid, resources, table, *listed, *more]
     done = subprocess.run(command, check=True, capture_output=True, text=True, env=env)
-    told = {k: float(v) for k, v in (line.split() for line in done.stderr.splitlines()[-3:])}
+    times = {k: float(v) for k, v in (line.split() for line in done.stderr.splitlines()[-3:])}
     read = np.array([[float(x) for x in line.split(",")[1:]] for line in done.stdout.splitlines()])
-    return Frame(told["set_us"], told["step_us"], told["get_us"], read)
+    return Frame(times["set_us"], times["step_us"], times["get_us"], read)
 
 
 def _in_fmpy(fmu: Timed, frames: FloatArray) -> float:
@@ -200,7 +200,7 @@ def _in_fmpy(fmu: Timed, frames: FloatArray) -> float:
 
 
 def _called(plugin: HeatingPlugin, frames: FloatArray) -> float:
-    """Fastest frame [us] of the plug-in called from Python, no FMU about it."""
+    """Fastest frame [us] of the plug-in called from Python, without an FMU."""
     plugin.reset(frames[0])
     best = np.inf
     for frame in frames[1:]:
@@ -231,10 +231,10 @@ def beside(
             np.testing.assert_array_equal(a.read, b.read)
         ratio = float(np.median([b.whole_us / a.whole_us for a, b in pairs]))
         best, other = (min(frame, key=lambda f: f.whole_us) for frame in zip(*pairs, strict=True))
-        told = [f"{f.set_us:.1f} + {f.step_us:.1f} + {f.get_us:.1f}" for f in (other, best)]
+        times = [f"{f.set_us:.1f} + {f.step_us:.1f} + {f.get_us:.1f}" for f in (other, best)]
         read = f"set, step and get of {len(ours.outputs)} outputs"
         note = (
-            f"{told[0]} against {told[1]} us, {read}; the plug-in called from Python {_called(plugin, frames):.0f} us"
+            f"{times[0]} against {times[1]} us, {read}; the plug-in called from Python {_called(plugin, frames):.0f} us"
         )
         bound = 10.0 if len(points) > 1 else None
         figures = [Figure(f"PythonFMU over this FMU, {about}, C host", ratio, "x", bound, True, note)]

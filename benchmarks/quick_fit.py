@@ -1,4 +1,4 @@
-"""A fit to one record from given starts, settled loosely: enough to compare many models."""
+"""A fit to one record from given starts, converged loosely: enough to compare many models."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Model:
 
     @property
     def whole_residual_K(self) -> FloatArray:
-        """(sensor, sample) the same over the whole record, of which the fit may know little."""
+        """(sensor, sample) measured less predicted over the whole record, of which the fit may cover little."""
         part = self.problem.record_fits[0]
         return predict(part.record, part.model_at(self.fit.values)).residual_K
 
@@ -62,7 +62,7 @@ def quick_fit(
 ) -> Model:
     """The likeliest fit of all starts (values by name, nominal where not given).
 
-    raises : RunError where no start leads anywhere
+    raises : RunError where no start can be marched
     """
     best: Model | None = None
     about = joint_reference([record]) if reference is None else reference

@@ -1,8 +1,9 @@
 """Residual as heating: time for a record, and the fastest change in the ratio that a thermocouple resolves.
 
 The flight of the practice record p06 under tests/data, its ratio raised by a tenth for 80 s; two thermocouples, 8-bit
-words. The noise model is found beside. What a thermocouple resolves is the frequency at which a sine in the ratio comes
-back half as large, for a noise model of a tenth of the ratio correlated over 30 s; one thermocouple, samples of 1 s.
+words. The noise model is estimated as well. The resolution of a thermocouple is the frequency at which a sine in the
+ratio is recovered with half its amplitude, for a noise model of a tenth of the ratio correlated over 30 s; one
+thermocouple, samples of 1 s.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ def raised() -> Record:
 
 
 def speed() -> list[Figure]:
-    """The whole residual of a record, and one filter and smoother at a noise model that is known."""
+    """The whole residual of a record, and one filter and smoother with a known noise model."""
     record = raised()
     problem, values = FitProblem([record], ["ratio.scale"], joint_reference([record])), np.zeros(1)
     found = residual_heating(problem, values)

@@ -1,7 +1,8 @@
-"""What a clock does to a coating: the thickness that a fit finds where the thermocouple leads or lags unstated.
+"""Influence of a clock on a coating: the fitted thickness where the thermocouple has an undeclared lead or lag.
 
 The founding paper found that a lead of a second makes the coating of a tile negative. A factor of the thickness cannot
-be: the leads at which it nears zero are fitted, and the last two are drawn on in a straight line to the lead at zero.
+be negative: the leads at which it nears zero are fitted, and the last two are extrapolated linearly to the lead at
+zero.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ class Curve:
 
     @property
     def mil_per_s(self) -> float:
-        """What a second of skew is worth about none."""
+        """Thickness per second of skew, about zero skew."""
         near = np.isin(self.skew_s, LAGS_S[:2])
         return float(self.tile.coating_mil * np.ptp(self.factor[near]) / np.ptp(self.skew_s[near]))
 
@@ -55,7 +56,7 @@ class Curve:
 
 
 def fitted_factor(tile: Tile) -> tuple[float, float]:
-    """Thickness factor of a fit that knows no skew, and the RMS [K] of its residual."""
+    """Thickness factor of a fit without skew, and the RMS [K] of its residual."""
     fit = estimate([record(tile)], NAMES, priors=FLAT)
     residual = fit.after[0].residual_K[0][fit.after[0].record.fit_mask()]
     return float(fit.fit.values[fit.labels.index(COATING)]), float(np.sqrt(np.mean(residual**2)))
@@ -83,7 +84,7 @@ def both_estimated() -> FitResult:
 
 
 def draw(path: Path, curves: list[Curve]) -> None:
-    """A panel a temperature: coating found against skew, drawn on to where it is none."""
+    """A panel a temperature: fitted coating against skew, extrapolated to zero thickness."""
     figure, axes = new_figure(11.0, 4.2, 1, len(SURFACES_K), sharey=True)
     for a, surface in zip(axes, SURFACES_K, strict=True):
         for c, color in zip((c for c in curves if c.tile.surface_K == surface), COLORS, strict=True):

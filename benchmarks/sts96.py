@@ -1,8 +1,8 @@
 """Tiles of STS-96: transition found in temperatures of a flight whose trajectory is not known.
 
-The records scenarios/records/sts96_* before and after (tile_fits.py); one clock common to all of them; and what the
-unknown trajectory does to the answer: other plausible entries, each stretched to last as long as the nominal one, for
-the figure says how long the flight was.
+The records scenarios/records/sts96_* before and after (tile_fits.py); one clock common to all of them; and the
+influence of the unknown trajectory: other plausible entries, each stretched to last as long as the nominal one, because
+the figure states the duration of the flight.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def _clock_figures(clock: Clock) -> Iterator[Figure]:
 
 
 def _spread(name: str, found: list[Tile]) -> Iterator[Figure]:
-    """What all entries, each with its own clock, make of a tile."""
+    """Spread of a tile's results over all entries, each with its own clock."""
     for parameter in (ONSET, FACTOR):
         x = np.array([t.after.values[parameter] for t in found])
         what = f"{name}: {parameter.rsplit('.', 1)[-1]}, mean of {len(x)} entries"
@@ -118,7 +118,7 @@ def _spread(name: str, found: list[Tile]) -> Iterator[Figure]:
 
 
 def entries(scenario: Scenario) -> Iterator[tuple[str, Conditions]]:
-    """Plausible entries beside the nominal one."""
+    """Plausible entries in addition to the nominal one."""
     spec = scenario.declared.trajectory
     alpha = read_toml_dict(scenario.vehicle.directory / "guidance.toml")["alpha_deg"]
     drag = spec.guidance.drag_m_s2 or ()
@@ -151,7 +151,7 @@ def entries(scenario: Scenario) -> Iterator[tuple[str, Conditions]]:
 
 
 def draw(tiles: Mapping[str, Tile]) -> None:
-    """Measured, before and after, for every tile; below each what is left."""
+    """Measured, before and after, for every tile; residuals below."""
     figure, axes = plt.subplots(4, 2, figsize=(11.0, 10.0), sharex=True, height_ratios=[3, 1, 3, 1])
     for k, (name, tile) in enumerate(tiles.items()):
         above, below = axes[2 * (k // 2), k % 2], axes[2 * (k // 2) + 1, k % 2]

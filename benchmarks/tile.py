@@ -1,8 +1,8 @@
 """A tile through one pushover-pullup, as a record: the case of the benchmarks on clocks and starts.
 
 A lower-surface tile of practice record materials is heated at a constant rate until its surface is near radiation
-equilibrium, then flies a doublet of the angle of attack. Its temperatures are the program's own, so that what a fit
-makes of them is due to clocks, starts and noise alone.
+equilibrium, then flies a doublet of the angle of attack. Its temperatures are the program's own, so that errors of
+a fit are due to clocks, starts and noise alone.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ RATIO, D_ALPHA = 0.05, 0.001
 """True ratio at an angle of attack of 40 deg, and its derivative [1/deg]."""
 PRESSURE_PA = 500.0
 FINE_NODES = 150
-"""Of the truth; a fit is corrected for the error of its own mesh."""
+"""Nodes of the truth; a fit is corrected for the error of its own mesh."""
 
 
 @dataclass(frozen=True)
 class Tile:
-    """What is varied.
+    """The varied quantities.
 
     coating_mil : coating, and depth of the thermocouple beneath
     surface_K   : radiation equilibrium before the manoeuvre

@@ -1,4 +1,4 @@
-"""Transition in the measured history of a tile, and a clock common to several tiles of a flight that is not known.
+"""Transition in the measured history of a tile, and a clock common to several tiles of a flight of unknown trajectory.
 
 A record is fitted with the declared laminar model and its linear derivatives (before), then with the effect
 `transition` on top (after), started at the Reynolds number of the steepest rise. The clock,
@@ -34,7 +34,7 @@ WIDTHS = (0.01, 0.03)
 """Widths of the rise in log10 Re that a fit is started with."""
 FACTOR = 2.5
 SHARPEST = Parameter(TRANSITION[1], "1", WIDTHS[0], lower=0.005, upper=1.0)
-"""A rise within a second; the records tell times to 2.75 s."""
+"""A rise within a second; the records resolve times to 2.75 s."""
 RISE_S = 10.0
 """A rise is the change of temperature over twice this time."""
 WINDOW_S = (-60.0, 200.0)
@@ -46,7 +46,7 @@ STEP_S, STEP_STRETCH = 1.0, 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Tile:
-    """What was found in one record."""
+    """Results of one record."""
 
     record: Record
     rise_s: float
@@ -70,7 +70,7 @@ class Tile:
 
 
 def rms(values: FloatArray) -> float:
-    """Root mean square of what is known."""
+    """Root mean square of the finite values."""
     return float(np.sqrt(np.nanmean(values**2)))
 
 
@@ -108,7 +108,7 @@ def fitted(record: Record, reference: tuple[float, ...], starts: Sequence[Mappin
 
 
 def starts_at(record: Record, rise_s: float, warm: Mapping[str, float] | None = None) -> list[dict[str, float]]:
-    """Transition at the Reynolds number of the rise, of several widths; `warm` are values to begin with besides."""
+    """Transition at the Reynolds number of the rise, of several widths; `warm` are values of a further start."""
     log10_re = float(np.interp(rise_s, record.conditions.time_s, record.conditions["log10_re"]))
     cold = [dict(zip(TRANSITION, (log10_re, width, FACTOR), strict=True)) for width in WIDTHS]
     return cold if warm is None else [{**warm, TRANSITION[0]: log10_re}]
@@ -125,7 +125,7 @@ def tiles_of(records: Mapping[str, Record]) -> dict[str, Tile]:
 
 
 def as_nominal(records: Mapping[str, Record], nominal: Mapping[str, Tile]) -> dict[str, Tile]:
-    """Records of the same tiles along another flight, fitted before and after, from the nominal values too."""
+    """Records of the same tiles along another flight, fitted before and after, also from the nominal values."""
     found = {}
     for name, record in records.items():
         reference, rise_s = joint_reference([record]), nominal[name].rise_s
@@ -150,7 +150,7 @@ class Clock:
 
 
 def fitted_clock(scenario: Scenario, flown: Conditions, tiles: dict[str, Tile], rounds: int = CLOCK_ROUNDS) -> Clock:
-    """Gauss-Newton on shift and stretch; the tiles' own parameters follow at every round."""
+    """Gauss-Newton on shift and stretch; the tiles' own parameters are fitted again at every iteration."""
     clock, best = np.array([0.0, 1.0]), (np.inf, np.array([0.0, 1.0]), tiles, np.zeros((len(tiles), 2)))
     step = np.zeros(2)
     for _ in range(rounds):

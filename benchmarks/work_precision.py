@@ -84,7 +84,7 @@ def _scipy(system: System, method: str, tolerance: float, outputs_s: FloatArray,
 
 
 def _equal_error(runs: list[Run], error_K: float) -> float:
-    """Time that a method takes for an error [s], linear in logarithms between its runs, held beyond them."""
+    """Time that a method takes for an error [s], linear in logarithms between its runs, constant beyond them."""
     found = sorted(runs, key=lambda r: r.error_K)
     log_error, log_time = np.log([r.error_K for r in found]), np.log([r.time_s for r in found])
     return float(np.exp(np.interp(np.log(error_K), log_error, np.minimum.accumulate(log_time))))

@@ -1,4 +1,4 @@
-"""Compile the C peer with the machine's gcc, strictly and with everything let go, and call it on numpy arrays."""
+"""Compile the C peer with the machine's gcc, strictly and with every relaxation, and call it on numpy arrays."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ FloatArray = NDArray[np.float64]
 
 SOURCE = Path(__file__).with_name("march.c")
 STRICT = ("-O3", "-march=native", "-fopenmp-simd", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math")
-"""IEEE values to the bit; errno and traps, which the other side has not either, are let go."""
+"""IEEE values to the bit; without errno and traps, which the other side does not have either."""
 FAST = ("-Ofast", "-march=native", "-fopenmp-simd")
 BIN_K, BINS = 5.0, 600
 """Bins by which march.c finds a segment."""
@@ -179,7 +179,7 @@ class Peer:
         self._run(self._library.march, time_s, history)
 
     def march_heated(self, time_s: FloatArray, heating: FloatArray) -> None:
-        """The same with the heating of stages 1 and 2 of each step given, (time, 2, 5, LANES), equal for all groups."""
+        """March with the heating of stages 1 and 2 of each step given, (time, 2, 5, LANES), equal for all groups."""
         self._run(self._library.march_heated, time_s, heating)
 
     def _run(self, function: Callable[..., object], time_s: FloatArray, driving: FloatArray) -> None:
@@ -203,6 +203,6 @@ class Peer:
 
 
 def _aligned(size: int, boundary: int = 64) -> tuple[ctypes.Array, int]:
-    """Memory of so many bytes and the first address in it on a boundary."""
+    """Memory of a number of bytes, and the first aligned address in it."""
     memory = ctypes.create_string_buffer(size + boundary)
     return memory, (ctypes.addressof(memory) + boundary - 1) // boundary * boundary

@@ -1,4 +1,4 @@
-"""`python -m benchmarks.generator`: write flight records, and beside them what was put into each."""
+"""`python -m benchmarks.generator`: write flight records, and next to them the effect put into each."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def effect_names(asked: str) -> list[str]:
     return names
 
 
-@click.command(help="Write flight records with known undeclared effects, and answers.toml beside them.")
+@click.command(help="Write flight records with known undeclared effects, and answers.toml next to them.")
 @click.option("--count", type=click.IntRange(1), required=True, help="how many records")
 @click.option("--seed", type=click.IntRange(0), required=True, help="the same seed makes the same records")
 @click.option("--effects", default="all", show_default=True, help="none, all, or names with commas, taken in turn")

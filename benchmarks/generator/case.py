@@ -1,4 +1,4 @@
-"""A flight over a control point, and what it makes of the thermocouples once nature has its way."""
+"""A flight over a control point, and the readings of its thermocouples with the effects of nature."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Nature:
     eps_factor    : (time,) on the emissivity
     hot           : wall temperatures [K], relative rise of the ratio there, (time,) share of it that acts
     stack, materials, back : in place of the declared ones; `back` as in build_wall
-    deposit       : weights of a depth [m], share of the convective flux, share of that which the surface goes without
+    deposit       : weights of a depth [m], share of the convective flux, share of it taken from the surface
     water         : content [kg/m3] of a depth [m]; then latent heat, boiling and width [K], time [s], condensing share
     indicated     : sensor -> (bias [K], gain)
     skew_s        : (time,) by which the thermocouple clock lags
@@ -63,7 +63,7 @@ NOTHING = Nature()
 class Case:
     """What a record declares, and its conditions on the steps of the march.
 
-    recorded : columns of conditions.csv as the file holds them
+    recorded : columns of conditions.csv as in the file
     fine     : the same and h_ref, H_r every STEP_S, linear between the samples
     x        : (variable, time) of the heating ratio
     """
@@ -178,5 +178,5 @@ def draw_case(rng: Generator, kind: str, sensors: int, manoeuvres: Sequence[str]
 
 
 def _as_written(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Columns with the digits that the file will hold."""
+    """Columns with the digits that the file will have."""
     return {name: np.array([float(format(v, FORMATS[name])) for v in values]) for name, values in columns.items()}

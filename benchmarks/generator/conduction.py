@@ -1,6 +1,6 @@
 """Temperatures of a layered wall: finite volumes in temperature, second-order backward differences in time.
 
-    rho c dT/dt = d/dx (k(T, p) dT/dx) + s,     cells of their own on either side of every interface and sensor
+    rho c dT/dt = d/dx (k(T, p) dT/dx) + s,     separate cells on either side of every interface and sensor
     (3 T_n+1 - 4 T_n + T_n-1) / (2 dt),         properties at 2 T_n - T_n-1, so that a step is one elimination
     r h_ref (H_r - H_w) + q_add = eps sigma (T_w^4 - T_sur^4) + 2 k_0 / dx_0 (T_w - T_0),   Newton on T_w alone
 
@@ -89,13 +89,13 @@ class Wall:
 
 @dataclass
 class Forcing:
-    """What acts on a wall, on the steps of the march, and what an effect adds in depth.
+    """Boundary conditions of a wall, on the steps of the march, and the sources of an effect in depth.
 
     film, H_r, p, q_add     : (time,) r h_ref, recovery enthalpy, surface pressure, added flux
     eps_factor              : (time,) on the declared emissivity
     hot_T, hot, hot_share   : the ratio times 1 + hot_share(t) hot(T_w), tabulated
     deposit, deposited      : (cell,) share of the deposited flux [1]; share of the convective flux that is deposited
-    diverted                : share of the deposit that the surface goes without
+    diverted                : share of the deposit that the surface does not receive
     water, moisture         : (cell,) [kg/m3]; latent heat [J/kg], boiling and width [K], time [s], condensing share
     """
 
@@ -174,7 +174,7 @@ def _faces(thickness_m: Sequence[float], depths_m: Sequence[float], refine: floa
 
 
 def _warped(faces: FloatArray, depths_m: Sequence[float]) -> FloatArray:
-    """Faces shifted smoothly, the two ends kept, so that a face of its own lies at each of the increasing depths."""
+    """Faces shifted smoothly, the two ends kept, so that a separate face lies at each of the increasing depths."""
     last = len(faces) - 1
     numbers = [0]
     for i, depth in enumerate(depths_m):
@@ -188,7 +188,7 @@ def _warped(faces: FloatArray, depths_m: Sequence[float]) -> FloatArray:
 
 
 def _padded(tables: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Tables [[T, value], ...] as two arrays of one length; what pads them is beyond every temperature."""
+    """Tables [[T, value], ...] as two arrays of one length; padding lies beyond every temperature."""
     length = max(len(t) for t in tables) + 1
     T, value = np.empty((len(tables), length)), np.empty((len(tables), length))
     for i, table in enumerate(tables):
@@ -240,7 +240,7 @@ def march(
 
 @njit(cache=True, error_model="numpy")
 def _line(x, y, at, hint):
-    """Value of a table, held beyond its ends, and the interval it was found in; the search begins at the hint."""
+    """Value of a table, constant beyond its ends, and the interval it was found in; the search begins at the hint."""
     last = len(x) - 2
     i = min(hint, last)
     while i < last and at > x[i + 1]:

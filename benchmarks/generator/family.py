@@ -1,4 +1,4 @@
-"""What an effect is here: functional forms, parameters drawn within physical bounds, and how the truth differs."""
+"""An effect: functional forms, parameters drawn within physical bounds, and how the truth differs."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class Family:
     draw          : (rng, case, form) -> parameters; raises Unsuitable
     nature        : (case, form, parameters) -> how the truth differs
     magnitude     : parameter -> its value without effect, least and greatest; what is changed to make it visible
-    manoeuvres    : that a flight must hold
+    manoeuvres    : that a flight must contain
     kinds         : of control points that show it; empty for all
-    least_sensors : fewer than that cannot show it
+    least_sensors : least number of sensors that show it
     residual      : range that its residual over the noise floor, where it acts, is drawn from
     """
 
@@ -60,7 +60,7 @@ class Drawn:
         return self.family.nature(case, self.form, self.parameters)
 
     def scaled(self, factor: float) -> Drawn:
-        """The same of another magnitude, within its bounds."""
+        """The effect with another magnitude, within its bounds."""
         changed = dict(self.parameters)
         for name, (neutral, low, high) in self.family.magnitude.items():
             if name in changed:

@@ -2,8 +2,8 @@
 
     dV/dt = -rho V^2 / (2 B) - g dh/dt / V,     h = H(V) below the pull-out, a cubic in time above it
 
-Not a vehicle's flight mechanics: an entry of the right speeds, densities and times; corridor, ballistic coefficient,
-angle of attack and manoeuvres differ from record to record.
+No flight mechanics of a vehicle, but an entry of realistic speeds, densities and times; corridor, ballistic
+coefficient, angle of attack and manoeuvres differ from record to record.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ MANOEUVRES = ("popu", "flap", "elevon", "sideslip", "jets", "combined")
 
 @dataclass
 class Flight:
-    """A flight every FINE_S: time, state, controls; and what was flown in it.
+    """A flight every FINE_S: time, state, controls; and its manoeuvres.
 
     columns    : name -> (time,), the columns of conditions.csv but for heating and surface pressure
     manoeuvres : (kind, start, end) [s]
@@ -99,7 +99,7 @@ def _corridor_m(V: float) -> float:
 
 
 def _slots(rng: Generator, time: FloatArray, velocity: FloatArray, count: int) -> list[tuple[float, float]]:
-    """Starts and ends of manoeuvres where the vehicle is hot, none over another, in drawn order."""
+    """Starts and ends of manoeuvres where the vehicle is hot, without overlap, in drawn order."""
     hot = time[(velocity < 7250.0) & (velocity > max(1500.0, velocity[-1] + 100.0)) & (time > 330.0)]
     share = (hot[-1] - hot[0]) / count
     starts = hot[0] + share * (np.arange(count) + rng.uniform(0.05, 0.4, count))
@@ -109,7 +109,7 @@ def _slots(rng: Generator, time: FloatArray, velocity: FloatArray, count: int) -
 
 
 def _smooth(rng: Generator, count: int, correlation_s: float) -> FloatArray:
-    """A random history of unit variance, as slow as that."""
+    """A random history of unit variance with a given time scale."""
     coarse = gaussian_filter1d(rng.normal(size=count // 10 + 2), correlation_s, mode="wrap")
     return np.interp(np.arange(count), 10.0 * np.arange(len(coarse)), coarse / max(float(np.std(coarse)), 1e-9))
 

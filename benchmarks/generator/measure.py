@@ -20,7 +20,7 @@ FRINGE_S = 0.2
 
 @dataclass(frozen=True)
 class Recorder:
-    """What turns temperatures into a file.
+    """Sampling, noise and recorder words of a record.
 
     time_s   : (sample,) multiples of the march's step
     offset_s : of the first sample
@@ -106,7 +106,7 @@ def _noise(rng: Generator, recorder: Recorder) -> FloatArray:
 def draw_segments(
     rng: Generator, end_s: float, manoeuvres: Sequence[tuple[str, float, float]]
 ) -> dict[str, list[list[float]]] | None:
-    """Fit segments from some time on, and windows held out; a repeated manoeuvre may be one. None: all is fitted."""
+    """Fit segments from some time on, and windows held out, a repeated manoeuvre perhaps; None: all is fitted."""
     if rng.random() < 0.05:
         return None
     first = round(float(rng.uniform(0.0, 300.0)), 1)
@@ -132,7 +132,7 @@ def _merged(windows: Sequence[Sequence[float]]) -> list[list[float]]:
 
 
 def _rest(first: float, last: float, holdouts: Sequence[Sequence[float]]) -> list[list[float]]:
-    """What is left of a span around windows, short remnants dropped."""
+    """Remainder of a span around windows, without short remnants."""
     fit, at = [], first
     for start, end in [*_merged(holdouts), [last + FRINGE_S, last + FRINGE_S]]:
         if start - FRINGE_S - at > 20.0:

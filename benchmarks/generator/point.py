@@ -1,6 +1,6 @@
 """A control point drawn at random: wall, declared heating ratio, its true errors, thermocouples.
 
-    r = r_table(x) (1 + scale) + sum d_v (v - v_0)      multilinear table, held beyond its ends
+    r = r_table(x) (1 + scale) + sum d_v (v - v_0)      multilinear table, constant beyond its ends
 
 The derivative errors are those of a tunnel table: some per cent in size, some tenths of a per cent per degree in slope.
 """
@@ -33,7 +33,7 @@ KINDS = ("lower", "elevon", "flap", "felt", "standoff", "metals")
 
 @dataclass(frozen=True)
 class Ratio:
-    """A declared heating-ratio table and what is wrong with it.
+    """A declared heating-ratio table and its true errors.
 
     axes, table : as in ratio_table.csv
     scale, d    : true errors: of the table's size, of the slopes [1/deg, 1/deg, 1, 1/deg, 1/deg]
@@ -49,8 +49,10 @@ class Ratio:
     def declared(self, x: FloatArray) -> FloatArray:
         """(time,) tabulated ratio at (variable, time)."""
         many = [i for i, axis in enumerate(self.axes) if len(axis) > 1]
-        held = [np.clip(x[i], self.axes[i][0], self.axes[i][-1]) for i in many]
-        return np.asarray(RegularGridInterpolator([self.axes[i] for i in many], self.table.squeeze())(np.array(held).T))
+        clipped = [np.clip(x[i], self.axes[i][0], self.axes[i][-1]) for i in many]
+        return np.asarray(
+            RegularGridInterpolator([self.axes[i] for i in many], self.table.squeeze())(np.array(clipped).T)
+        )
 
     def true(self, x: FloatArray, scale: float, d: FloatArray) -> FloatArray:
         """(time,) the linear heating model at (variable, time)."""
@@ -132,11 +134,11 @@ def _layers(rng: Generator, kind: str) -> list[tuple[str, str, str, float]]:
 
 SIZES = {"lower": (0.05, 0.14), "elevon": (0.07, 0.15), "flap": (0.05, 0.12), "felt": (0.004, 0.012),
          "standoff": (0.012, 0.045), "metals": (0.004, 0.015)}  # fmt: skip
-"""Heating ratio over a sphere of 1 ft, by kind: what its wall survives."""
+"""Heating ratio over a sphere of 1 ft, by kind: limited by what its wall survives."""
 
 
 def draw_point(rng: Generator, kind: str, sensors: int, means: FloatArray) -> Point:
-    """A control point of a kind with so many sensors, about the mean conditions (variable,) of the flight."""
+    """A control point of a kind with a number of sensors, about the mean conditions (variable,) of the flight."""
     layers = _layers(rng, kind)
     materials = {name: _jittered(rng, vehicle, file) for vehicle, file, name, _ in layers}
     thickness = [float(f"{t:.3g}") for *_, t in layers]

@@ -1,4 +1,4 @@
-"""One record from a seed: the case, what nature adds to it, the measurement, the files and the answer."""
+"""One record from a seed: the case, the effect, the measurement, the files and the answer."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ LIMITS = (2.0, 80.0)
 class Made:
     """A record in memory.
 
-    indicated_K, measured_K : (sample, sensor) true readings before noise, and what the file holds
+    indicated_K, measured_K : (sample, sensor) true readings before noise, and those of the file
     fit, holdout            : (sample,) masks
     """
 
@@ -97,7 +97,7 @@ def _attempt(rng: Generator, name: str, effect: str) -> Made | None:
 
 
 def _hold_back(rng: Generator, sensors: Sequence[dict[str, Any]]) -> None:
-    """One in-depth sensor of four or five may be held back."""
+    """One in-depth sensor of four or five may be excluded from the fit."""
     if len(sensors) > 3 and rng.random() < 0.25:
         sensors[int(rng.integers(1, len(sensors) - 1))]["used"] = False
 
@@ -128,7 +128,7 @@ def _judged(effect: str, left: dict[str, float]) -> dict[str, Any]:
 
 
 def _answer(made: Made, fit: NDArray[np.bool_], holdout: NDArray[np.bool_]) -> dict[str, Any]:
-    """What answers.toml says of a record."""
+    """The entry of a record in answers.toml."""
     case, ratio = made.case, made.case.point.ratio
     used = [i for i, s in enumerate(case.point.sensors) if s["used"]]
     declared = case.indicated(made.recorder.time_s, scale=0.0, d=np.zeros(5))

@@ -1,9 +1,9 @@
 """Which other effects would explain a record as well as its own.
 
-A rival's signals are those of DRAWS draws of its parameters, its forms in turn; what least squares with scale, slopes
-and those signals leaves of the effect's change is its chi-square above the truth. That is linear in the rival's
-magnitudes and coarse in the rest: a rival that only a fit of all its parameters would bring close can be missed, one
-that so many free magnitudes flatter can be listed.
+A rival's signals are those of DRAWS draws of its parameters, its forms in turn; the remainder of the effect's change
+after least squares with scale, slopes and those signals is its chi-square above the truth. That is linear in the
+rival's magnitudes and coarse in the rest: a rival that only a fit of all its parameters would bring close can be
+missed, and one that profits from three free magnitudes can be listed.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from benchmarks.generator.visibility import Bench, Seen, remainder
 
 DRAWS = 3
 INSEPARABLE = 10.0
-"""Chi-square below which two effects cannot be told apart; a difference of BIC of 10 is very strong evidence."""
+"""Chi-square below which two effects are not separable; a difference of BIC of 10 is very strong evidence."""
 
 CONFUSABLE = {
     "transition": ("catalysis", "impingement-onset", "emissivity", "alpha-curvature"),
@@ -41,11 +41,11 @@ CONFUSABLE = {
     "moisture": ("heat-capacity", "conductivity", "gap-flow", "sensor-bias"),
     "radiative-conduction": ("conductivity", "gap-flow", "heat-capacity"),
 }
-"""The effects that can look like one."""
+"""The effects that can resemble each one."""
 
 
 def rivals(rng: np.random.Generator, on: Bench, name: str, seen: Seen) -> dict[str, float]:
-    """Chi-square that `none` and each rival leave of an effect, which itself leaves none."""
+    """Chi-square that `none` and each rival leave of an effect, which itself leaves 0."""
     left = {"none": _square(remainder(seen.slopes, seen.change))}
     for rival in CONFUSABLE[name]:
         forms = FAMILIES[rival].forms
@@ -57,7 +57,7 @@ def rivals(rng: np.random.Generator, on: Bench, name: str, seen: Seen) -> dict[s
 
 
 def accepted(name: str, left: dict[str, float]) -> list[str]:
-    """The effect, and the names that cannot be told from it."""
+    """The effect, and the names that are not separable from it."""
     return [name, *(rival for rival, chi_square in left.items() if chi_square < INSEPARABLE)]
 
 

@@ -1,8 +1,8 @@
-"""How much of an effect is left when scale and slopes are refitted, and which other effects look the same.
+"""The residual of an effect after a refit of scale and slopes, and its resemblance to other effects.
 
-Small errors: readings are taken as linear in the parameters, y = J p, and what least squares leaves of the effect's
-change of the readings is its residual. All is weighted with each sensor's noise floor and marched on SPARSE of the
-cells: differences need no more.
+Small errors: readings are taken as linear in the parameters, y = J p, and the remainder of the effect's change of the
+readings after least squares is its residual. All is weighted with each sensor's noise floor and marched on SPARSE of
+the cells: enough for differences.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SPARSE = 0.3
 
 @dataclass(frozen=True)
 class Seen:
-    """What an effect does to the fitted samples of the used sensors.
+    """Influence of an effect on the fitted samples of the used sensors.
 
     slopes    : (reading, 6) change with scale and slopes, over the floor
     change    : (reading,) change by the effect, over the floor
@@ -50,7 +50,7 @@ class Bench:
     slopes: FloatArray
 
     def change(self, nature: Nature) -> FloatArray:
-        """(reading,) what an effect changes, over the floor."""
+        """(reading,) change by an effect, over the floor."""
         return stacked(self.case, self.case.indicated(self.t, nature, refine=SPARSE) - self.plain_K, self.fit)
 
 
@@ -61,7 +61,7 @@ def bench(case: Case, t: FloatArray, fit: NDArray[np.bool_]) -> Bench:
 
 
 def see(on: Bench, nature: Nature) -> Seen:
-    """What an effect does to a case."""
+    """Influence of an effect on a case."""
     case, J, change = on.case, on.slopes, on.change(nature)
     floors = weights(case)
     left = remainder(J, change)
@@ -84,7 +84,7 @@ def stacked(case: Case, readings_K: FloatArray, fit: NDArray[np.bool_]) -> Float
 
 
 def remainder(J: FloatArray, change: FloatArray) -> FloatArray:
-    """What least squares leaves of a change."""
+    """Remainder of a change after least squares."""
     size = np.linalg.norm(J, axis=0)
     moved = J[:, size > 1e-9] / size[size > 1e-9]
     return change - moved @ np.linalg.lstsq(moved, change, rcond=1e-9)[0]
