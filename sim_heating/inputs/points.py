@@ -1,4 +1,4 @@
-"""From a vehicle or a record to the models that the kernels take, and from a flight to their conditions."""
+"""Point models from a vehicle or a record, and the conditions of a flight at a control point."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from sim_heating.march.point import PointModel
 from sim_heating.thermal.tables import WallEnthalpy
 
 HEATING_TOLERANCE = 0.01
-"""Mean relative difference at which two reference heatings are not the same one."""
+"""Mean relative difference from which two reference heatings count as different."""
 
 
 def wall_enthalpy_of(declared: ConstantHeat | str) -> WallEnthalpy:
-    """A declared wall enthalpy as the property tables take it: cp [J/(kg K)] or the name of a gas model."""
+    """A declared wall enthalpy for the property tables: cp [J/(kg K)] or the name of a gas model."""
     return declared if isinstance(declared, str) else declared.cp_J_kgK
 
 
@@ -37,7 +37,7 @@ def point_of_vehicle(
     effects: Sequence[EffectUse] = (),
     reference: tuple[float, ...] = (0.0,) * len(RATIO_VARIABLES),
 ) -> PointModel:
-    """The model of a vehicle's control point, with parameters and effects beside its own."""
+    """The model of a vehicle's control point, with parameters and effects in addition to its own."""
     return PointModel(
         name=point.name,
         construction=point.construction,
@@ -52,7 +52,7 @@ def point_of_vehicle(
 
 
 def conditions_at_point(vehicle: Vehicle, point: ControlPoint, flown: Conditions) -> Conditions:
-    """A flight's conditions with surface pressure and reference heating of one control point."""
+    """Conditions of a flight with the surface pressure and reference heating of one control point."""
     h_ref, H_r = reference_heating(
         vehicle.heating.reference,
         flown,
@@ -63,7 +63,7 @@ def conditions_at_point(vehicle: Vehicle, point: ControlPoint, flown: Conditions
 
 
 def reference_of_record(record: Record) -> tuple[float, ...]:
-    """The condition that a record's derivatives are about: as declared, else means over the fit segments."""
+    """Reference condition of a record's derivatives: as declared, else means over the fit segments."""
     fitted = record.fit_mask(record.conditions.time_s)
     declared = record.declared.reference_condition
     chosen = fitted if np.any(fitted) else np.ones(len(record.conditions), dtype=bool)
@@ -93,7 +93,7 @@ def point_of_record(
 
 
 def conditions_of_record(record: Record) -> Conditions:
-    """A record's conditions with its reference heating as columns."""
+    """Conditions of a record with its reference heating as columns."""
     heating = record.declared.heating
     h_ref, H_r = reference_heating(
         heating.reference,
@@ -107,7 +107,7 @@ def conditions_of_record(record: Record) -> Conditions:
 def check_reference(record: Record, vehicle: Vehicle, point: ControlPoint) -> None:
     """Refuse a record whose ratio is over another reference heating than the vehicle's tables.
 
-    raises : InputError naming both, by name where the record has one, else by value
+    raises : InputError with both, by name where the record names a model, else by value
     """
     heating, wanted = record.declared.heating, vehicle.heating
     named: str = heating.reference
@@ -121,7 +121,7 @@ def check_reference(record: Record, vehicle: Vehicle, point: ControlPoint) -> No
     if wall_enthalpy_of(heating.wall_enthalpy) != wall_enthalpy_of(wanted.wall_enthalpy):
         raise InputError(
             f"{record.name}: its wall enthalpy is {_enthalpy(heating.wall_enthalpy)}, that of {vehicle.name} "
-            f"{_enthalpy(wanted.wall_enthalpy)}; the ratios are not of one kind"
+            f"{_enthalpy(wanted.wall_enthalpy)}; the ratios cannot be compared"
         )
     flown, ours = conditions_of_record(record), conditions_at_point(vehicle, point, record.conditions)
     weight = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
@@ -130,7 +130,7 @@ def check_reference(record: Record, vehicle: Vehicle, point: ControlPoint) -> No
         if not apart < HEATING_TOLERANCE:
             raise InputError(
                 f"{record.name}: its {column} is {apart:.1%} from that of `{wanted.reference}` on {vehicle.name}; "
-                "a ratio over one is not a ratio over the other"
+                "ratios over the two cannot be compared"
             )
 
 
@@ -140,8 +140,7 @@ def _enthalpy(declared: ConstantHeat | str) -> str:
 
 
 def point_with_vehicle_table(record: Record, vehicle: Vehicle) -> PointModel:
-    """The declared model of a record with the vehicle's ratio table and effects of that control point in place of the
-    record's table.
+    """The declared model of a record with the ratio table and effects of the vehicle's control point.
 
     raises : InputError where the vehicle has no such point or its table is over another reference heating
     """

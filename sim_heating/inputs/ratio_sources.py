@@ -2,15 +2,14 @@
 
     sim-heating ratio-tables aircraft_data/orbiter
 
-reads every `ratio_sources/*.toml` of a vehicle and writes `ratio_tables/<control point>.csv`. A source says, for one or
-more control points,
+reads every `ratio_sources/*.toml` of a vehicle and writes `ratio_tables/<control point>.csv`. A source defines, for one
+or more control points,
 
     ratio(alpha, beta, log10_re, elevon, bodyflap) = base(alpha, log10_re) * factor_1 * factor_2 * ...
     (sigma / ratio)^2 = relative_sigma^2 + sum of the sigma curves^2
 
-and, where it has [scaling], how the product is taken from the wind tunnel to flight
-(heating/ratio/tunnel_to_flight.py). The format is told in docs/vehicle_format.md. The same description always gives the
-same bytes.
+and, with [scaling], how the product is scaled from the wind tunnel to flight (heating/ratio/tunnel_to_flight.py). The
+format is described in docs/vehicle_format.md. A description always gives the same bytes.
 """
 
 from __future__ import annotations
@@ -40,10 +39,10 @@ from sim_heating.inputs.vehicle_files import ControlPointFile, VehicleFile
 
 Variable = Literal["alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg"]
 Points = list[list[float]]
-"""[[x, value], ...], x increasing; linear between the points, held beyond the ends."""
+"""[[x, value], ...], x increasing; linear between the points, constant beyond the ends."""
 
 FORMATS = dict.fromkeys(RATIO_VARIABLES, "g") | {"ratio": ".5g", "sigma": ".2g"}
-"""Digits of a table: far below any sigma, and the same bytes on every machine."""
+"""Number formats of a table: rounded far below any sigma, so that every machine writes the same bytes."""
 
 
 class Curve(Declared):
@@ -62,19 +61,19 @@ class Curve(Declared):
         return self
 
     def at(self, x: FloatArray) -> FloatArray:
-        """Values at x, held beyond the ends."""
+        """Values at x, constant beyond the ends."""
         xs, values = np.array(self.points).T
         return np.interp(x, xs, values)
 
 
 class CurveFactor(Curve):
-    """A factor that follows a curve."""
+    """A factor given by a curve."""
 
     kind: Literal["curve"]
 
 
 class DeflectionFactor(Declared):
-    """A factor for the Newtonian pressure on a deflected surface, `scaling.deflection_factor`."""
+    """A factor for the Newtonian pressure on a deflected surface, `tunnel_to_flight.deflection_factor`."""
 
     kind: Literal["newtonian-deflection"]
     variable: Literal["elevon_deg", "bodyflap_deg"]
@@ -84,13 +83,13 @@ class DeflectionFactor(Declared):
 class FileBase(Declared):
     """Ratios in alpha and log10_re from a CSV file, scaled to the control point's length.
 
-    Between the nodes of the file linear, beyond them held, except in alpha below the lowest, where the windward trend
-    sin(alpha) sqrt(cos(alpha)) continues.
+    Linear between the nodes of the file and constant beyond them, except below the lowest alpha, where the windward
+    trend sin(alpha) sqrt(cos(alpha)) continues.
     """
 
-    file: str = Field(description="CSV beside the source, with columns alpha_deg, log10_re and `column`")
+    file: str = Field(description="CSV next to the source, with columns alpha_deg, log10_re and `column`")
     column: str
-    file_length_over_L: float = Field(gt=0.0, description="length that the file holds for, over the reference length")
+    file_length_over_L: float = Field(gt=0.0, description="length that the file applies to, over the reference length")
     length: Literal["x_over_L", "running_length_m"] = Field(description="key of the control point file")
     length_exponent: float = Field(description="-0.5 laminar, -0.2 turbulent")
 
@@ -149,7 +148,8 @@ def build_tables(vehicle: str | os.PathLike[str]) -> dict[str, RatioTable]:
         for name in source.control_points:
             if name in tables:
                 raise InputError(
-                    f"{display_path(path)}: `control_points`: {name} has a table from another source; remove one"
+                    f"{display_path(path)}: `control_points`: {name} already has a table from another source; remove "
+                    f"one"
                 )
             point = read_toml(directory / "control_points" / f"{name}.toml", ControlPointFile)
             tables[name] = _build(source, path, point, file)
@@ -157,27 +157,26 @@ def build_tables(vehicle: str | os.PathLike[str]) -> dict[str, RatioTable]:
 
 
 def write_tables(vehicle: str | os.PathLike[str]) -> list[Path]:
-    """Build all tables of a vehicle and write them where its control points look for them; the files written.
+    """Build all tables of a vehicle and write them to the files that its control points name; returns those files.
 
     raises : InputError where one of them has been revised from flight data; nothing is written
     """
     directory = vehicle_directory(vehicle)
     tables, written = build_tables(directory), []
     for name in tables:
-        _refuse_flown(directory / "ratio_tables" / f"{name}.csv")
+        _refuse_revised(directory / "ratio_tables" / f"{name}.csv")
     for name, table in tables.items():
         written.append(directory / "ratio_tables" / f"{name}.csv")
         write_ratio_table(written[-1], table, FORMATS)
     return written
 
 
-def _refuse_flown(path: Path) -> None:
+def _refuse_revised(path: Path) -> None:
     """Refuse to replace a table that flight data have revised."""
     if path.is_file() and "parent_revision" in (header := read_ratio_table(path).header):
         raise InputError(
-            f"{display_path(path)}: is revision {header.get('revision')}, from flight data; revert it, or take its "
-            f"control "
-            "point out of the ratio source"
+            f"{display_path(path)}: is revision {header.get('revision')}, from flight data; revert it, or remove its "
+            "control point from the ratio source"
         )
 
 
@@ -198,7 +197,7 @@ def _build(source: RatioSource, path: Path, point: ControlPointFile, vehicle: Ve
     }
     if np.any(ratio <= 0.0):
         raise InputError(
-            f"{display_path(path)}: the ratio of {point.name} is {ratio.min():g} somewhere; it must be above 0"
+            f"{display_path(path)}: the ratio of {point.name} falls to {ratio.min():g}; it must be above 0"
         )
     table = RatioTable(axes, ratio, relative * ratio, header)
     return table if source.scaling is None else scale_table(table, source.scaling)
@@ -217,7 +216,8 @@ def _base(
 
 
 def _from_file(base: FileBase, path: Path, alpha_deg: FloatArray, log10_re: FloatArray) -> FloatArray:
-    """The file's ratio, bilinear in alpha and log10_re, held beyond its ends; windward trend below its lowest alpha."""
+    """The file's ratio, bilinear in alpha and log10_re, constant beyond its ends; windward trend below its lowest
+    alpha."""
     table = read_csv_columns(path, ("alpha_deg", "log10_re", base.column))
     a, re = np.unique(table["alpha_deg"]), np.unique(table["log10_re"])
     values = np.full((len(a), len(re)), np.nan)

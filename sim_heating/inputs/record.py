@@ -1,11 +1,11 @@
-"""A flight record: what was flown, what it was flown on, what was measured; one directory, format flight-record/1.
+"""A flight record: vehicle, flight conditions and measurements in one directory, format flight-record/1.
 
     record.toml         the declaration
     conditions.csv      flight conditions, one row a sample
     thermocouples.csv   measurements, one column a sensor; an empty cell is a lost sample
     ratio_table.csv     optional: the declared heating-ratio table
 
-Everything is checked before anything is returned.
+The whole record is checked before anything is returned.
 """
 
 from __future__ import annotations
@@ -60,10 +60,10 @@ class FileReference(Declared):
     @field_validator("file")
     @classmethod
     def _check_file(cls, file: str) -> str:
-        return _inside(file)
+        return _path_in_record(file)
 
 
-def _inside(file: str) -> str:
+def _path_in_record(file: str) -> str:
     path = PurePosixPath(file)
     if path.is_absolute() or ".." in path.parts or path.name in ("", DECLARATION) or not file.isprintable():
         raise ValueError(f"`{file}` is not a file of this record; name one inside its directory")
@@ -71,7 +71,7 @@ def _inside(file: str) -> str:
 
 
 class Thermocouples(FileReference):
-    """The measurements and the sensors that made them."""
+    """The measurements and their sensors."""
 
     file: str = Field(default="thermocouples.csv", min_length=1)
     sensor: list[Sensor] = Field(min_length=1, description="[[thermocouples.sensor]], at least one")
@@ -89,7 +89,7 @@ class ConstantHeat(Declared):
     cp_J_kgK: float = Field(gt=0.0, description="specific heat of air in J/(kg K), above 0")
 
 
-def _is_enthalpy(value: Any) -> str:
+def _enthalpy_tag(value: Any) -> str:
     return "constant" if isinstance(value, (dict, ConstantHeat)) else "named"
 
 
@@ -107,14 +107,14 @@ class Heating(Declared):
     running_length_m: float | None = Field(default=None, gt=0.0, description="length from the leading edge in m")
     wall_enthalpy: Annotated[
         Annotated[Literal["equilibrium-air"], Tag("named")] | Annotated[ConstantHeat, Tag("constant")],
-        Discriminator(_is_enthalpy),
+        Discriminator(_enthalpy_tag),
     ] = Field(description='{ cp_J_kgK = ... } or "equilibrium-air"')
     ratio_table: str | None = Field(default=None, description="file of the declared heating ratio")
 
     @field_validator("ratio_table")
     @classmethod
     def _check_file(cls, file: str | None) -> str | None:
-        return None if file is None else _inside(file)
+        return None if file is None else _path_in_record(file)
 
     @model_validator(mode="after")
     def _check_lengths(self) -> Heating:
@@ -125,7 +125,7 @@ class Heating(Declared):
 
 
 class ReferenceCondition(Declared):
-    """The condition that derivatives are taken about; what is absent follows from the fit segments."""
+    """The condition that derivatives refer to; absent values are means over the fit segments."""
 
     alpha_deg: float | None = None
     beta_deg: float | None = None
@@ -175,7 +175,7 @@ class RecordFile(Construction):
         ]
         files = (self.conditions.file, self.thermocouples.file, self.heating.ratio_table)
         if len({f for f in files if f}) < sum(f is not None for f in files):
-            problems.append((("conditions", "file"), "two parts of the record name one file; give each its own"))
+            problems.append((("conditions", "file"), "two parts of the record name the same file; give each its own"))
         if problems:
             raise LocatedError(*problems)
         return self
@@ -192,7 +192,7 @@ class Record:
     conditions    : flight conditions on their own times
     thermocouples : column -> (sample,) of the measurement file; `time_s`, a column a sensor [K], NaN a lost sample
     ratio_table   : the declared heating ratio, or None
-    directory     : where it was read from, for messages and names of results
+    directory     : folder that it was read from, for messages and names of results
     """
 
     declared: RecordFile
@@ -232,17 +232,17 @@ class Record:
 
     @property
     def read_mask(self) -> BoolArray:
-        """(sample,) where any used sensor has a reading."""
+        """(sample,) True where any used sensor has a reading."""
         return np.any(np.isfinite(self.temperatures_K(self.used_sensors)), axis=0)
 
     def fit_mask(self, time_s: ArrayLike | None = None) -> BoolArray:
-        """Which times [s], by default those of the samples, are fitted: in a fit segment and in no holdout."""
+        """(n,) True for times [s] in a fit segment and in no holdout segment; by default those of the samples."""
         t = self.time_s if time_s is None else np.asarray(time_s, dtype=float)
         fit = self.declared.segments.fit
         return (np.ones(t.shape, dtype=bool) if fit is None else in_segments(t, fit)) & ~self.holdout_mask(t)
 
     def holdout_mask(self, time_s: ArrayLike | None = None) -> BoolArray:
-        """Which times [s], by default those of the samples, are held out."""
+        """(n,) True for times [s] in a holdout segment; by default those of the samples."""
         t = self.time_s if time_s is None else np.asarray(time_s, dtype=float)
         return in_segments(t, self.declared.segments.holdout)
 
@@ -270,34 +270,36 @@ class Record:
     def _sigma_K(self, sensor: Sensor, estimated: Mapping[str, float]) -> float:
         sigma = sensor.noise_sigma_K if sensor.noise_sigma_K is not None else estimated.get(sensor.name)
         if sigma is None:
-            raise InputError(f"{self.name}, sensor {sensor.name}: declares no noise_sigma_K; declare or estimate it")
+            raise InputError(
+                f"{self.name}, sensor {sensor.name}: noise_sigma_K is neither declared nor estimated; give it"
+            )
         return sigma
 
 
 def in_segments(time_s: ArrayLike, segments: Sequence[Sequence[float]]) -> BoolArray:
-    """Which times [s] lie in any of the segments [start, end], both ends included."""
+    """True for times [s] in any of the segments [start, end], both ends included."""
     t = np.asarray(time_s, dtype=float)
-    held = np.zeros(t.shape, dtype=bool)
+    inside = np.zeros(t.shape, dtype=bool)
     for start, end in segments:
-        held |= (t >= start) & (t <= end)
-    return held
+        inside |= (t >= start) & (t <= end)
+    return inside
 
 
 def pooled_rmse_K(residual_K: ArrayLike, mask: ArrayLike | None = None) -> dict[str, float | int] | None:
-    """RMSE, largest magnitude and count of the residuals of all sensors together; lost samples (NaN) do not count.
+    """RMSE, largest magnitude and count of the residuals of all sensors together; lost samples (NaN) are ignored.
 
     residual_K : (sensor, sample) measured minus predicted [K]
     mask       : (sample,) which samples
-    returns    : rmse_K, max_abs_K, n, as results files hold them; None where no sample is left
+    returns    : rmse_K, max_abs_K, n, as in result files; None without samples
     """
     residual = np.atleast_2d(np.asarray(residual_K, dtype=float))
     if mask is not None:
         residual = residual[:, np.asarray(mask, dtype=bool)]
-    left = residual[np.isfinite(residual)]
-    if left.size == 0:
+    finite = residual[np.isfinite(residual)]
+    if finite.size == 0:
         return None
-    largest = float(np.max(np.abs(left)))
-    return {"rmse_K": float(np.sqrt(np.mean(left**2))), "max_abs_K": largest, "n": int(left.size)}
+    largest = float(np.max(np.abs(finite)))
+    return {"rmse_K": float(np.sqrt(np.mean(finite**2))), "max_abs_K": largest, "n": int(finite.size)}
 
 
 def require_distinct_records(names: Sequence[str]) -> None:
@@ -336,7 +338,7 @@ def load_record(directory: str | os.PathLike[str] | Record) -> Record:
         home / declared.thermocouples.file, ("time_s", *columns), allow_empty=columns, keep_other=False
     )
     table = None if declared.heating.ratio_table is None else read_ratio_table(home / declared.heating.ratio_table)
-    return _checked(declared, conditions, thermocouples, table, home)
+    return _check_record(declared, conditions, thermocouples, table, home)
 
 
 def make_record(
@@ -346,23 +348,24 @@ def make_record(
     ratio_table: RatioTable | None = None,
     directory: str | os.PathLike[str] = "record",
 ) -> Record:
-    """A record of parts in memory, checked like one that is read.
+    """A record from parts in memory, checked as one that is read from files.
 
-    raises : InputError as for the files that write_record would make of the parts
+    raises : InputError as for the files that `write_record` would write
     """
     home = Path(directory)
     measured = {name: np.asarray(values, dtype=float) for name, values in thermocouples.items()}
     raise_problems(_array_problems(measured, declared, display_path(home / declared.thermocouples.file)))
     if (declared.heating.ratio_table is None) != (ratio_table is None):
         raise InputError(
-            f"{display_path(home / DECLARATION)}, [heating]: `ratio_table` and the table given do not agree"
+            f"{display_path(home / DECLARATION)}, [heating]: `ratio_table` and the given table must both be present "
+            f"or both absent"
         )
     flown = _as_table(conditions.columns, home / declared.conditions.file)
-    return _checked(declared, flown, _as_table(measured, home / declared.thermocouples.file), ratio_table, home)
+    return _check_record(declared, flown, _as_table(measured, home / declared.thermocouples.file), ratio_table, home)
 
 
 def _array_problems(measured: Mapping[str, FloatArray], declared: RecordFile, where: str) -> list[str]:
-    """Measurements in memory that could not have come from a file: absent, of unequal length, not finite."""
+    """Problems of measurements in memory that a file cannot have: absent, of unequal length, not finite."""
     missing = [n for n in ("time_s", *(s.column for s in declared.thermocouples.sensor)) if n not in measured]
     if missing:
         return [f"{where}: there is no column `{name}`; add it" for name in missing]
@@ -371,18 +374,18 @@ def _array_problems(measured: Mapping[str, FloatArray], declared: RecordFile, wh
     bad = [name for name, values in measured.items() if np.any(np.isinf(values))]
     bad += ["time_s"] if np.any(np.isnan(measured["time_s"])) else []
     return [
-        *(f"{where}, column {name}: needs one value a sample, and a sample at least" for name in odd),
-        *(f"{where}, column {name}: holds a value that is not a finite number" for name in bad),
+        *(f"{where}, column {name}: needs one value a sample, and at least one sample" for name in odd),
+        *(f"{where}, column {name}: contains a value that is not a finite number" for name in bad),
     ]
 
 
 def _as_table(columns: Mapping[str, FloatArray], path: Path) -> CsvTable:
-    """Columns as the file that they would make: names on row 1, samples from row 2 on."""
+    """Columns as the CSV file that they would be written to: names on row 1, samples from row 2 on."""
     samples = len(columns["time_s"])
     return CsvTable(dict(columns), {}, path, np.arange(2, samples + 2))
 
 
-def _checked(
+def _check_record(
     declared: RecordFile, conditions: CsvTable, thermocouples: CsvTable, table: RatioTable | None, home: Path
 ) -> Record:
     raise_problems(
@@ -398,7 +401,7 @@ def _checked(
 
 
 def _condition_problems(table: CsvTable, heating: Heating) -> list[str]:
-    """Time that does not increase, values that cannot be, values in another unit, columns that a reference lacks."""
+    """Time that does not increase, impossible values, values in another unit, missing columns."""
     absent = _missing_columns(table, heating)
     if absent:
         return absent
@@ -406,14 +409,15 @@ def _condition_problems(table: CsvTable, heating: Heating) -> list[str]:
 
 
 def _missing_columns(table: CsvTable, heating: Heating) -> list[str]:
-    """Columns that a record in memory lacks; a file without them is refused when it is read."""
+    """Missing columns of a record in memory; a file without them is rejected on reading."""
     needed = ["p_surface_Pa", *(REFERENCE_COLUMNS if heating.reference == "columns" else ())]
     absent = [name for name in (*STATE, *needed) if name not in table.columns]
     return [f"{display_path(table.path)}: there is no column `{name}`; add it" for name in absent]
 
 
 def _measurement_problems(table: CsvTable, sensors: Sequence[Sensor]) -> list[str]:
-    """Time that does not increase, temperatures in Celsius or beyond the recorder, used sensors without a sample."""
+    """Time that does not increase, temperatures in Celsius or outside the recorder's range, used sensors without
+    samples."""
     problems = table.order_problems()
     for sensor in sensors:
         T = table[sensor.column]
@@ -432,12 +436,12 @@ def _measurement_problems(table: CsvTable, sensors: Sequence[Sensor]) -> list[st
 
 
 def _clock_problems(conditions: CsvTable, thermocouples: CsvTable) -> list[str]:
-    """Measurements of which none lies in the time of the conditions."""
+    """Measurements that lie entirely outside the time of the conditions."""
     first, last = conditions["time_s"][0], conditions["time_s"][-1]
     t = thermocouples["time_s"]
     if np.any((t >= first) & (t <= last)):
         return []
-    rule = f"no sample lies in the {first:g} to {last:g} s of the conditions; put both files on one clock"
+    rule = f"no sample lies in the {first:g} to {last:g} s of the conditions; both files must use the same clock"
     return [f"{display_path(thermocouples.path)}, column time_s: {rule}"]
 
 
@@ -454,13 +458,13 @@ def _segment_problems(declared: RecordFile, thermocouples: CsvTable, home: Path)
 
 
 def _table_problems(heating: Heating, table: RatioTable | None, home: Path) -> list[str]:
-    """A ratio table over a reference heating that is none, or over another than the record's."""
+    """A ratio table over an unknown reference heating, or over another one than the record's."""
     if table is None or table.reference is None:
         return []
     file = display_path(home / str(heating.ratio_table))
     known = (*STAGNATION, *FLAT_PLATE)
     if table.reference not in known:
-        rule = f"there is no reference heating `{table.reference}`{suggestion(table.reference, known)}"
+        rule = f"unknown reference heating `{table.reference}`{suggestion(table.reference, known)}"
         return [f"{file}, header `reference`: {rule}"]
     if heating.reference in ("columns", "none", table.reference):
         return []
@@ -477,11 +481,11 @@ def write_record(
     formats: Mapping[str, str] | None = None,
     comment: str = "",
 ) -> None:
-    """Write a record as a directory, whole or not at all; without formats it reads back equal.
+    """Write a record as a directory, whole or not at all; without formats every number reads back equal.
 
     formats : number format by column of the CSV files, as in {"time_s": ".2f"}
-    comment : lines put before record.toml
-    raises  : InputError where the directory holds other people's files of these names
+    comment : lines at the head of record.toml
+    raises  : InputError where the directory contains files of these names that this program did not write
     """
     declared = record.declared
     with output_directory(directory) as folder:

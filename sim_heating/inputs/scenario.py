@@ -1,5 +1,4 @@
-"""A scenario: which vehicle flies what, what is looked at, how it is measured, and where the truth differs from the
-tables.
+"""A scenario: vehicle, trajectory, control points, simulated measurements, and differences between truth and tables.
 
 format = "scenario/1"
 title = "..."
@@ -7,11 +6,11 @@ vehicle = "orbiter"                 # a vehicle's name, or its directory relativ
 control_points = ["V09T9527"]       # all where absent
 [trajectory]                        # trajectory/spec.py, with [[trajectory.manoeuvre]]
 [heating]                           # longest_step_s, alongside
-[[effect]]                          # declared beside those of the vehicle: name, control_points, parameters
+[[effect]]                          # declared in addition to the vehicle's: name, control_points, parameters
 [measurements]                      # seed, clock_skew_s, lost samples, gaps, errors of sensors
-[truth]                             # what `synthesize` alters and does not tell: parameters, [[truth.effect]]
-[[compare]]                         # measured histories to hold the prediction against
-[design]                            # what the manoeuvres are to tell, and how they may be changed
+[truth]                             # altered by `synthesize`, not declared: parameters, [[truth.effect]]
+[[compare]]                         # measured histories to compare the prediction with
+[design]                            # parameters that the manoeuvres are to determine, and how they may be changed
 """
 
 from __future__ import annotations
@@ -47,11 +46,11 @@ class HeatingOptions(Declared):
     """How heating is computed along the flight."""
 
     longest_step_s: float = Field(default=1.0, gt=0.0, le=60.0, description="longest thermal step in s")
-    alongside: bool = Field(default=False, description="step the plug-in beside the host and compare")
+    alongside: bool = Field(default=False, description="step the plug-in alongside the host and compare")
 
 
 class ScenarioEffect(Declared):
-    """An effect at some control points, at all where none is named."""
+    """An effect at the named control points, at all where none is named."""
 
     name: str
     control_points: list[str] | None = None
@@ -67,7 +66,7 @@ class SensorFault(Declared):
 
 
 class Measurements(Declared):
-    """How `synthesize` measures."""
+    """Sampling, clock and faults of the measurements that `synthesize` makes."""
 
     seed: int = Field(default=1, ge=0, description="a whole number, 0 or above")
     rate_hz: float | None = Field(
@@ -89,7 +88,7 @@ class Measurements(Declared):
 
 
 class Truth(Declared):
-    """Where the truth differs from the declared tables; goes to truth.toml, not into the record."""
+    """Differences of the truth from the declared tables, written to truth.toml and not into the record."""
 
     parameters: dict[str, float] = Field(default={}, description="dotted model parameters by name")
     effect: list[ScenarioEffect] = Field(default=[])
@@ -115,7 +114,7 @@ class Compare(Declared):
 
 
 class DesignVariable(Declared):
-    """A number of a manoeuvre that a design may change, from `low` to `high`."""
+    """A number of a manoeuvre that a design may change, between `low` and `high`."""
 
     manoeuvre: int = Field(default=1, ge=1, description="number of the manoeuvre in the scenario, from 1")
     key: str = Field(description="key of the manoeuvre")
@@ -124,7 +123,7 @@ class DesignVariable(Declared):
 
 
 class DesignLimits(Declared):
-    """What a designed flight must keep; the temperature limits are those of the scenario's control points.
+    """Limits of a designed flight; temperature limits are those of the scenario's control points.
 
     surface_margin_K, bondline_margin_K : least distance of the peaks of the whole flight from the limits
     alpha_deg, elevon_deg, qbar_Pa      : [low, high] during the manoeuvres and `after_s` after them
@@ -144,22 +143,23 @@ class DesignLimits(Declared):
     @classmethod
     def _check_range(cls, pair: list[float]) -> list[float]:
         if len(pair) != 2 or not pair[0] < pair[1]:
-            raise ValueError(f"{pair} is no range; give [low, high]")
+            raise ValueError(f"{pair} is not a range; give [low, high]")
         return pair
 
 
 class Design(Declared):
-    """What the manoeuvres of a scenario are to tell.
+    """Aim of the design of a scenario's manoeuvres.
 
-    control_point  : whose thermocouples; the first of the scenario's that has some, where absent
-    parameters     : whose bounds are to be small; by the kind of manoeuvre where absent
-    nuisance       : also unknown; magnitude, derivatives, coating, conductivity, skew and pressure where absent
+    control_point  : the one whose thermocouples are read; by default the scenario's first with thermocouples
+    parameters     : parameters whose bounds are minimised; by default those of the kind of manoeuvre
+    nuisance       : further unknown parameters; by default magnitude, derivatives, coating, conductivity, skew,
+    pressure
     prior          : standard deviation of parameters before the flight, by dotted name
     criterion      : "D": volume of the bounds' ellipsoid; "A": mean square of the bounds over the planned ones
     start          : "profile": temperatures before the manoeuvre are unknown; "declared": known from entry interface on
-    before_s, after_s : samples that are read around a manoeuvre
-    evaluations    : designs that are tried
-    flights        : numbers of like flights to tell bounds for
+    before_s, after_s : time of the samples that are used before and after a manoeuvre
+    evaluations    : number of designs that the search evaluates
+    flights        : numbers of equal flights for which bounds are reported
     """
 
     control_point: str | None = None
@@ -180,14 +180,14 @@ class Design(Declared):
     def _check_prior(cls, prior: dict[str, float]) -> dict[str, float]:
         for name, sigma in prior.items():
             if not sigma > 0.0:
-                raise ValueError(f"{name}: {sigma:g} is no standard deviation; give one above 0")
+                raise ValueError(f"{name}: {sigma:g} is not a standard deviation; give one above 0")
         return prior
 
     @field_validator("flights")
     @classmethod
     def _check_flights(cls, flights: list[int]) -> list[int]:
         if min(flights) < 1:
-            raise ValueError(f"{min(flights)} is no number of flights; give 1 or more")
+            raise ValueError(f"{min(flights)} is not a number of flights; give 1 or more")
         return flights
 
 
@@ -212,7 +212,7 @@ class ScenarioFile(Declared):
 class MeasuredHistory:
     """A measured history to compare with: (sample,) times [s] and temperatures [K] with their sigma [K].
 
-    segments : those of a record that is made of it
+    segments : fit and holdout segments of the record made from it
     """
 
     control_point: str
@@ -227,7 +227,7 @@ class MeasuredHistory:
 class Scenario:
     """A checked scenario with its vehicle.
 
-    names    : control points looked at, in order
+    names    : selected control points, in order
     compare  : measured histories
     """
 
@@ -243,13 +243,14 @@ class Scenario:
         return self.declared.title
 
     def effects(self, point: str, *, truth: bool = False) -> tuple[EffectUse, ...]:
-        """Effects of a control point beside its vehicle's: the scenario's, and with `truth` the undeclared ones too."""
+        """Effects of a control point in addition to its vehicle's: the scenario's, and with `truth` the undeclared
+        ones."""
         chosen = [*self.declared.effect, *(self.declared.truth.effect if truth else [])]
         return tuple(use(e.name, e.parameters) for e in chosen if e.control_points is None or point in e.control_points)
 
 
 def load_scenario(path: str | os.PathLike[str] | Scenario) -> Scenario:
-    """Read and check a scenario and everything that it names.
+    """Read and check a scenario with its vehicle and files.
 
     path    : of the scenario's TOML file; a scenario that has been loaded is returned as it is
     returns : the scenario with its vehicle
@@ -263,15 +264,17 @@ def load_scenario(path: str | os.PathLike[str] | Scenario) -> Scenario:
         return path
     place = Path(path)
     declared = read_toml(place, ScenarioFile)
-    beside = place.parent / declared.vehicle
-    vehicle = load_vehicle(beside if (beside / "vehicle.toml").is_file() else declared.vehicle)
+    local = place.parent / declared.vehicle
+    vehicle = load_vehicle(local if (local / "vehicle.toml").is_file() else declared.vehicle)
     return make_scenario(place, declared, vehicle)
 
 
-def make_scenario(place: Path, declared: ScenarioFile, vehicle: Vehicle, said_by: Path | None = None) -> Scenario:
-    """A scenario that was read from a place, with a vehicle that is loaded; raises InputError as `load_scenario`.
+def make_scenario(place: Path, declared: ScenarioFile, vehicle: Vehicle, error_file: Path | None = None) -> Scenario:
+    """A checked scenario from its declaration and a loaded vehicle.
 
-    said_by : the file that problems are told of, where it is not the scenario's own
+    place      : the scenario's file, which other files are relative to
+    error_file : file that messages name, where it is not the scenario's own
+    raises     : InputError as `load_scenario`
     """
     file = declared.trajectory.file
     if file is not None:
@@ -282,64 +285,64 @@ def make_scenario(place: Path, declared: ScenarioFile, vehicle: Vehicle, said_by
         declared = declared.model_copy(
             update={"trajectory": declared.trajectory.model_copy(update={"file": str(place.parent / file)})}
         )
-    raise_problems([f"{display_path(said_by or place)}: {line}" for line in _problems(declared, vehicle)])
+    raise_problems([f"{display_path(error_file or place)}: {line}" for line in _problems(declared, vehicle)])
     names = tuple(declared.control_points or vehicle.control_points)
     compare = tuple(_measured_history(vehicle, c) for c in declared.compare if c.control_point in names)
     return Scenario(place, declared, vehicle, names, compare)
 
 
-def with_design(scenario: Scenario, given: Mapping[str, Any]) -> Scenario:
+def with_design(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
     """A scenario with single keys of its [design] replaced.
 
-    raises : InputError as for a scenario that says so
+    raises : InputError as for a scenario with these keys
     """
     old = scenario.declared.design or Design()
-    design = check({**old.model_dump(), **given}, Design, f"{display_path(scenario.path)}, [design]")
+    design = check({**old.model_dump(), **changes}, Design, f"{display_path(scenario.path)}, [design]")
     return replace(scenario, declared=scenario.declared.model_copy(update={"design": design}))
 
 
 def _problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
-    """Control points, effects and sensors that are named and do not exist."""
-    named = [*(declared.control_points or []), *(c.control_point for c in declared.compare)]
-    named += [declared.design.control_point] if declared.design and declared.design.control_point else []
+    """Unknown control points, effects and sensors, and other contradictions between a scenario and its vehicle."""
+    points = [*(declared.control_points or []), *(c.control_point for c in declared.compare)]
+    points += [declared.design.control_point] if declared.design and declared.design.control_point else []
     uses = [*declared.effect, *declared.truth.effect]
-    named += [p for e in uses for p in e.control_points or []]
+    points += [p for e in uses for p in e.control_points or []]
     sensors = {s.name for p in vehicle.control_points.values() for s in p.sensors}
     return [
-        *_attempts(lambda name: vehicle.control_point(name), named),
-        *_attempts(lambda e: use(e.name, e.parameters), uses),
+        *_collect_problems(lambda name: vehicle.control_point(name), points),
+        *_collect_problems(lambda e: use(e.name, e.parameters), uses),
         *(
-            f"[measurements], fault: no sensor `{f.sensor}`{suggestion(f.sensor, sensors, cutoff=0.0)}"
+            f"[measurements], fault: unknown sensor `{f.sensor}`{suggestion(f.sensor, sensors, cutoff=0.0)}"
             for f in declared.measurements.fault
             if f.sensor not in sensors
         ),
-        *(["control_points: the list is empty; leave it out for all"] if declared.control_points == [] else []),
-        *_not_looked_at(declared, vehicle),
+        *(["control_points: the list is empty; omit it for all"] if declared.control_points == [] else []),
+        *_selection_problems(declared, vehicle),
         *_fmu_problems(declared.trajectory, vehicle),
         *_design_problems(declared),
     ]
 
 
 def _fmu_problems(spec: TrajectorySpec, vehicle: Vehicle) -> Sequence[str]:
-    """What is wrong between the scenario and its FMU, where it flies one."""
+    """Contradictions between the scenario and its FMU, where it flies one."""
     if spec.source != "fmu":
         return ()
-    from sim_heating.trajectory.fmu.flight import fmu_problems  # FMPy and pint are slow to import, and wanted only here
+    from sim_heating.trajectory.fmu.flight import fmu_problems  # FMPy and pint are slow to import
 
     return fmu_problems(spec, vehicle)
 
 
 def _design_problems(declared: ScenarioFile) -> list[str]:
-    """Numbers of manoeuvres that a design is to vary and that there are not."""
-    lines, flown = [], declared.trajectory.manoeuvre
+    """Manoeuvres and keys that a design varies and that do not exist, and ranges without the planned value."""
+    lines, manoeuvres = [], declared.trajectory.manoeuvre
     for i, vary in enumerate(declared.design.vary if declared.design else []):
         where = f"[design], vary {i + 1}"
-        if vary.manoeuvre > len(flown):
-            lines.append(f"{where}: there is no manoeuvre {vary.manoeuvre}; the scenario has {len(flown)}")
+        if vary.manoeuvre > len(manoeuvres):
+            lines.append(f"{where}: there is no manoeuvre {vary.manoeuvre}; the scenario has {len(manoeuvres)}")
             continue
-        value = getattr(flown[vary.manoeuvre - 1], vary.key, None)
+        value = getattr(manoeuvres[vary.manoeuvre - 1], vary.key, None)
         if not isinstance(value, float):
-            known = [k for k, v in flown[vary.manoeuvre - 1] if isinstance(v, float)]
+            known = [k for k, v in manoeuvres[vary.manoeuvre - 1] if isinstance(v, float)]
             lines.append(
                 f"{where}: `{vary.key}` is not a number that this manoeuvre gives{suggestion(vary.key, known)}"
             )
@@ -348,23 +351,23 @@ def _design_problems(declared: ScenarioFile) -> list[str]:
     return lines
 
 
-def _not_looked_at(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
-    """Control points named twice, and what is asked of one that is not looked at."""
+def _selection_problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
+    """Repeated control points, and requests for points that are not selected."""
     chosen = declared.control_points
     if not chosen:
         return []
     name = repeated_name(chosen)
     repeated = [] if name is None else [f"control_points: `{name}` is repeated; name it once"]
-    asked = [c.control_point for c in declared.compare]
-    asked += [p for p in [declared.design.control_point if declared.design else None] if p is not None]
-    asked += [p for e in (*declared.effect, *declared.truth.effect) for p in e.control_points or []]
+    requested = [c.control_point for c in declared.compare]
+    requested += [p for p in [declared.design.control_point if declared.design else None] if p is not None]
+    requested += [p for e in (*declared.effect, *declared.truth.effect) for p in e.control_points or []]
     owner = {s.name: p.name for p in vehicle.control_points.values() for s in p.sensors}
-    asked += [owner[f.sensor] for f in declared.measurements.fault if f.sensor in owner]
-    absent = [name for name in dict.fromkeys(asked) if name in vehicle.control_points and name not in chosen]
-    return repeated + [f"`{name}` is asked for and not among control_points; add it" for name in absent]
+    requested += [owner[f.sensor] for f in declared.measurements.fault if f.sensor in owner]
+    absent = [name for name in dict.fromkeys(requested) if name in vehicle.control_points and name not in chosen]
+    return repeated + [f"`{name}` is used but not selected in control_points; add it" for name in absent]
 
 
-def _attempts(call: Callable[[Any], object], items: Iterable[Any]) -> list[str]:
+def _collect_problems(call: Callable[[Any], object], items: Iterable[Any]) -> list[str]:
     lines: list[str] = []
     for item in items:
         try:
@@ -379,7 +382,7 @@ def _measured_history(vehicle: Vehicle, compare: Compare) -> MeasuredHistory:
     raise_problems([*table.order_problems(), *table.celsius_problems("temperature_K")])
     time = table["time_s"]
     until = np.inf if compare.until_s is None else compare.until_s
-    held = time <= until
-    columns = {name: table[name][held] for name in ("time_s", "temperature_K", "sigma_K")}
+    inside = time <= until
+    columns = {name: table[name][inside] for name in ("time_s", "temperature_K", "sigma_K")}
     segments = check({"fit": compare.fit_s, "holdout": compare.holdout_s}, Segments, f"[[compare]] {compare.label}")
     return MeasuredHistory(compare.control_point, compare.label, **columns, segments=segments)

@@ -5,7 +5,7 @@
     control_points/<NAME>.toml   position, stack, sensors, limits, pressure model, ratio table of one point
     ratio_tables/<NAME>.csv      heating ratio in alpha, beta, log10_re, elevon and body flap
 
-The format is told in docs/vehicle_format.md. Loading reads all of it, checks it, and tells all problems at once.
+The format is described in docs/vehicle_format.md. Loading reads and checks all of it and reports all problems at once.
 Positions are in m from the nose: x aft, y to starboard, z up.
 """
 
@@ -38,15 +38,15 @@ ENVIRONMENT = "SIM_HEATING_AIRCRAFT_DATA"
 
 @dataclass(frozen=True)
 class ControlPoint:
-    """One place of the vehicle's surface, ready to be computed.
+    """One place of the vehicle's surface, ready for computation.
 
     construction     : layer stack with its materials
     sensors          : thermocouples, in the order of the file
     ratio            : heating ratio over the vehicle's reference heating
     running_length_m : length of the boundary layer up to the point [m], None where it has no meaning (leeside)
     turbulent_factor : turbulent over laminar film coefficient [-], None where not declared
-    effects          : effects that are part of the declared model, none as a rule
-    declared         : the file itself, with sources and notes
+    effects          : effects of the declared model, usually none
+    declared         : contents of the file, with sources and notes
     """
 
     name: str
@@ -72,11 +72,11 @@ class ControlPoint:
 class Vehicle:
     """A vehicle, read and checked.
 
-    directory          : where it came from
+    directory          : folder that it was read from
     reference_length_m : length of the Reynolds number [m]
-    heating            : what all its ratio tables are over
+    heating            : reference heating of all its ratio tables
     control_points     : name -> control point, sorted by name
-    materials          : name -> material, all of the vehicle's
+    materials          : name -> material
     """
 
     name: str
@@ -93,7 +93,7 @@ class Vehicle:
     def control_point(self, name: str) -> ControlPoint:
         """The control point of a name.
 
-        raises : InputError that says which name is nearest
+        raises : InputError with the most similar name
         """
         if name not in self.control_points:
             hint = suggestion(name, self.control_points)
@@ -102,13 +102,13 @@ class Vehicle:
 
 
 class _Problems:
-    """Collects what is wrong in many files, so that all of it can be told at once."""
+    """Collects the problems of many files, so that they can be reported at once."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
 
     def attempt(self, read: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T | None:
-        """The result of a reader, or None where it found problems, which are kept."""
+        """The result of a reader, or None where it found problems, which are collected."""
         try:
             return read(*args, **kwargs)
         except InputError as error:
@@ -124,7 +124,7 @@ def load_vehicle(vehicle: str | os.PathLike[str] | Vehicle) -> Vehicle:
 
     vehicle : a directory with a vehicle.toml, or a name that `vehicle_directory` looks up; a vehicle that has been
               loaded is returned as it is
-    raises  : InputError with one line a problem, those of all files together
+    raises  : InputError with the problems of all files, one line each
 
     >>> import sim_heating as sh
     >>> len(sh.load_vehicle("orbiter").control_points)
@@ -160,9 +160,10 @@ def load_vehicle(vehicle: str | os.PathLike[str] | Vehicle) -> Vehicle:
 def vehicle_directory(vehicle: str | os.PathLike[str]) -> Path:
     """The directory of a vehicle.
 
-    A path to a directory with a vehicle.toml (or to that file) is taken as it is. A name is looked for in
-    ./aircraft_data, in the folder that SIM_HEATING_AIRCRAFT_DATA names, and in the data that came with the package.
-    raises : InputError that names the nearest vehicle
+    A path to a directory with a vehicle.toml (or to that file) is used directly. A name is searched for in
+    ./aircraft_data, in the folder that SIM_HEATING_AIRCRAFT_DATA names, and in the data installed with the package.
+
+    raises : InputError with the most similar vehicle
     """
     path = Path(vehicle)
     if path.name == "vehicle.toml" and path.is_file():
@@ -171,7 +172,7 @@ def vehicle_directory(vehicle: str | os.PathLike[str]) -> Path:
         return path
     text = os.fspath(vehicle)
     if os.sep in text or "/" in text:
-        raise InputError(f"{text}: there is no vehicle here; a vehicle is a directory with a vehicle.toml")
+        raise InputError(f"{text}: not a vehicle; give a directory with a vehicle.toml")
     for folder in vehicle_folders():
         if text and (folder / text / "vehicle.toml").is_file():
             return folder / text
@@ -181,7 +182,7 @@ def vehicle_directory(vehicle: str | os.PathLike[str]) -> Path:
 
 
 def vehicle_folders() -> list[Path]:
-    """Folders in which vehicles are looked for by name, in that order; those that exist."""
+    """Existing folders that are searched for vehicles by name, in this order."""
     named = os.environ.get(ENVIRONMENT)
     places = [Path(FOLDER), *([Path(named)] if named else []), *data_folders(FOLDER)]
     return [place for place in places if place.is_dir()]
@@ -200,7 +201,7 @@ def _files(directory: Path, pattern: str, problems: _Problems) -> Iterator[Path]
 
 
 def _read_materials(directory: Path, problems: _Problems) -> dict[str, Material]:
-    """All materials of a vehicle, derived ones worked out; faulty ones are told and left out."""
+    """All materials of a vehicle, derived ones evaluated; invalid ones are reported and omitted."""
     whole: dict[str, Material] = {}
     derived: dict[str, tuple[Path, DerivedMaterial]] = {}
     for path in _files(directory, "materials/*.toml", problems):
@@ -209,12 +210,12 @@ def _read_materials(directory: Path, problems: _Problems) -> dict[str, Material]
             whole[path.stem] = read
         elif read is not None:
             derived[path.stem] = (path, read)
-    worked_out = {}
+    evaluated = {}
     for name, (path, material) in derived.items():
         made = problems.attempt(_derive, path, material, whole)
         if made is not None:
-            worked_out[name] = made
-    return dict(sorted((whole | worked_out).items()))
+            evaluated[name] = made
+    return dict(sorted((whole | evaluated).items()))
 
 
 def _read_material(path: Path) -> Material | DerivedMaterial:
@@ -228,7 +229,7 @@ def _derive(path: Path, material: DerivedMaterial, whole: Mapping[str, Material]
     if material.based_on not in whole:
         hint = suggestion(material.based_on, whole, otherwise="")
         raise InputError(
-            f"{display_path(path)}: `based_on`: there is no material `{material.based_on}` that is given whole{hint}"
+            f"{display_path(path)}: `based_on`: there is no material `{material.based_on}` given whole{hint}"
         )
     return check(material.apply(whole[material.based_on]), Material, display_path(path))
 
@@ -263,16 +264,16 @@ def _read_ratio(owner: Path, ratio_table: str, vehicle: VehicleFile | None) -> R
     table = read_ratio_table(path)
     declared = table.reference
     if vehicle is not None and declared != vehicle.heating.reference:
-        told = f"is `{declared}`" if declared else "is not stated"
+        stated = f"is `{declared}`" if declared else "is not stated"
         raise InputError(
-            f"{display_path(path)}, header `reference`: {told}; the vehicle's tables are over "
+            f"{display_path(path)}, header `reference`: {stated}; the vehicle's tables are over "
             f"`{vehicle.heating.reference}`"
         )
     return table
 
 
 def _effects(path: Path, file: ControlPointFile) -> tuple[EffectUse, ...]:
-    """The declared effects of a point with their parameters."""
+    """The declared effects of a control point with their parameters."""
     with error_context(f"{display_path(path)}, [effect]"):
         uses = tuple(use(effect.name, effect.parameters) for effect in file.effect)
     check_count(uses, display_path(path))
@@ -301,7 +302,7 @@ def _control_point(
 
 
 def _repeated_sensors(directory: Path, points: Mapping[str, ControlPoint]) -> list[str]:
-    """A sensor's name names it on the whole vehicle."""
+    """Problems of sensors whose name also belongs to another control point: names are unique on a vehicle."""
     owners: dict[str, str] = {}
     lines = []
     for point in points.values():
@@ -309,5 +310,6 @@ def _repeated_sensors(directory: Path, points: Mapping[str, ControlPoint]) -> li
         for i, sensor in enumerate(point.sensors):
             first = owners.setdefault(sensor.name, point.name)
             if first != point.name:
-                lines.append(f"{where}, [sensor] {i + 1}: `name`: `{sensor.name}` is also one of {first}; rename one")
+                rule = f"`name`: `{sensor.name}` also belongs to a sensor of {first}; rename one"
+                lines.append(f"{where}, [sensor] {i + 1}: {rule}")
     return lines

@@ -1,7 +1,7 @@
-"""What the files of a vehicle directory may say: vehicle.toml, derived materials, control points.
+"""Models of the files of a vehicle directory: vehicle.toml, derived materials, control points.
 
-The format is told in docs/vehicle_format.md; `vehicle.load_vehicle` reads and joins the files. Positions are in m from
-the nose: x aft, y to starboard, z up.
+The format is described in docs/vehicle_format.md; `vehicle.load_vehicle` reads and joins the files. Positions are in m
+from the nose: x aft, y to starboard, z up.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from sim_heating.inputs.record import STAGNATION, ConstantHeat
 from sim_heating.thermal.stack import Material, Sensor, Stack, Table, sensor_problems
 
 NAME = r"[A-Za-z_][A-Za-z0-9_]*"
-"""Names of control points: elsewhere they become properties, parameters and folders."""
+"""Pattern of control point names: they become names of properties, parameters and folders."""
 
 
 class ReferenceHeating(Declared):
-    """What a heating ratio is over: a model, its nose radius, and the enthalpy of air at the wall."""
+    """Reference heating of a ratio: a model, its nose radius, and the enthalpy of air at the wall."""
 
     reference: Literal["sutton-graves", "detra-kemp-riddell", "fay-riddell", "eckert-laminar", "eckert-turbulent"]
     nose_radius_m: float | None = Field(default=None, gt=0.0, description="radius of the reference sphere in m")
@@ -53,7 +53,7 @@ class VehicleFile(Declared):
 
 
 class DerivedMaterial(Declared):
-    """A material that is another one with some properties replaced or multiplied by a factor."""
+    """A material derived from another one, with properties replaced or multiplied by a factor."""
 
     based_on: str = Field(description="name of a material that is given whole")
     density_kg_m3: float | None = Field(default=None, gt=0.0, description="density in kg/m3, above 0")
@@ -66,7 +66,7 @@ class DerivedMaterial(Declared):
     note: str | None = None
 
     def apply(self, base: Material) -> dict[str, Any]:
-        """The keys of the derived material; its limit is its own, never inherited."""
+        """The keys of the derived material; `max_use_K` is never inherited."""
         data = base.model_dump()
         data["specific_heat_J_kgK"] = [[T, c * self.specific_heat_factor] for T, c in data["specific_heat_J_kgK"]]
         k = data["conductivity_W_mK"]
@@ -76,12 +76,12 @@ class DerivedMaterial(Declared):
             data["conductivity_W_mK"] = [[T, value * self.conductivity_factor] for T, value in k]
         replaced = {"density_kg_m3": self.density_kg_m3, "emissivity": self.emissivity}
         data.update({key: value for key, value in replaced.items() if value is not None})
-        told = {"max_use_K": self.max_use_K, "source": self.source, "confidence": self.confidence, "note": self.note}
-        return data | told
+        own = {"max_use_K": self.max_use_K, "source": self.source, "confidence": self.confidence, "note": self.note}
+        return data | own
 
 
 class Limits(Declared):
-    """Temperatures that a mission may not pass; a point without a bond has no bondline limit."""
+    """Temperature limits of a mission; a point without a bond has no bondline limit."""
 
     surface_K: float = Field(gt=0.0, description="highest surface temperature in K")
     bondline_K: float | None = Field(default=None, gt=0.0, description="highest bondline temperature in K")
@@ -96,11 +96,11 @@ class Turbulent(Declared):
 
 
 class DeclaredEffect(Declared):
-    """An effect that the declared model of the point has, with the parameters that are not nominal."""
+    """An effect of the declared model of a control point, with the parameters that are not nominal."""
 
     name: str = Field(description="name of an effect")
-    parameters: dict[str, float] = Field(default={}, description="values by name; what is left out is nominal")
-    source: str = Field(description="the evidence for it")
+    parameters: dict[str, float] = Field(default={}, description="values by name; absent ones are nominal")
+    source: str = Field(description="the evidence for the effect")
 
 
 class ControlPointFile(Declared):
@@ -127,7 +127,7 @@ class ControlPointFile(Declared):
     @classmethod
     def _check_ratio_table(cls, path: str) -> str:
         if Path(path).is_absolute() or ".." in Path(path).parts:
-            raise ValueError(f"`{path}` leads out of the vehicle directory; give a path below it")
+            raise ValueError(f"`{path}` is outside the vehicle directory; give a path below it")
         return path
 
     @model_validator(mode="after")

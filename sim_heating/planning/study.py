@@ -155,7 +155,7 @@ def _base(place: Path, declared: StudyFile, vehicle: Vehicle) -> Scenario:
     else:
         given["trajectory"] = declared.trajectory
     file = check({k: v for k, v in given.items() if v is not None}, ScenarioFile, display_path(place))
-    return make_scenario(source, file, vehicle, said_by=place)
+    return make_scenario(source, file, vehicle, error_file=place)
 
 
 def _limited_points(place: Path, declared: StudyFile, base: Scenario) -> tuple[LimitedPoint, ...]:

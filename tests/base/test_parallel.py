@@ -39,7 +39,7 @@ def test_one_process_and_two_leave_the_same_bytes(tmp_path):
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_a_job_that_raises_is_told_and_the_others_go_on(tmp_path, workers):
+def test_a_job_that_raises_is_reported_and_the_others_continue(tmp_path, workers):
     outcome = run_batches(jobs(6), batch_jobs.square_but_three, tmp_path, workers=workers)
     assert outcome.failed == {"job-003": "ValueError: three is not for me"}
     assert sorted(outcome.done) == [f"job-{k:03d}" for k in (0, 1, 2, 4, 5)]
@@ -53,7 +53,7 @@ def _square(task):
     return f"{task * task}\n".encode()
 
 
-def test_a_worker_that_dies_has_its_jobs_done_by_another(tmp_path):
+def test_jobs_of_a_worker_that_dies_are_run_by_another(tmp_path):
     (tmp_path / "notes").mkdir()
     function = partial(batch_jobs.square_that_dies_once, tmp_path / "notes")
     outcome = run_batches(jobs(8), function, tmp_path / "out", workers=2)
@@ -69,7 +69,7 @@ def test_a_job_that_kills_every_worker_fails_alone(tmp_path):
     assert len(outcome.done) == 5
 
 
-def test_a_run_killed_at_any_moment_goes_on_where_it_was(tmp_path):
+def test_a_run_killed_at_any_moment_resumes_where_it_stopped(tmp_path):
     count, random_moments = 40, random.Random(5)
     whole = tmp_path / "whole"
     _start(whole, tmp_path / "a", count, 1).wait()
@@ -105,11 +105,11 @@ def _start(out, notes, count, workers):
     return subprocess.Popen(arguments, env=os.environ | {"PYTHONPATH": path}, start_new_session=True)
 
 
-def test_a_scheduler_that_is_away_is_one_clear_line(tmp_path, monkeypatch):
+def test_an_absent_scheduler_is_one_clear_line(tmp_path, monkeypatch):
     monkeypatch.setattr(batches, "SCHEDULER_TIMEOUT_S", 1.0)
-    with pytest.raises(InputError, match="no Dask scheduler answers there") as told:
+    with pytest.raises(InputError, match="no Dask scheduler answers there") as caught:
         run_batches(jobs(2), batch_jobs.square_but_three, tmp_path, scheduler="tcp://127.0.0.1:1")
-    assert len(str(told.value).splitlines()) == 1
+    assert len(str(caught.value).splitlines()) == 1
 
 
 def test_an_existing_scheduler_does_the_work(tmp_path):
@@ -120,7 +120,7 @@ def test_an_existing_scheduler_does_the_work(tmp_path):
     assert [outcome.done[j.id].read_bytes() for j in jobs(5)] == [b"0\n", b"1\n", b"4\n", b"9\n", b"16\n"]
 
 
-def test_a_scheduler_that_is_lost_on_the_way_is_one_line_and_what_is_finished_stays(tmp_path):
+def test_a_lost_scheduler_is_one_line_and_finished_results_remain(tmp_path):
     from distributed import LocalCluster
 
     (tmp_path / "notes").mkdir()
@@ -131,9 +131,9 @@ def test_a_scheduler_that_is_lost_on_the_way_is_one_line_and_what_is_finished_st
             if done > 0.0:
                 cluster.close()
 
-        with pytest.raises(RunError, match=r"lost with \d+ batches to go; run the command again") as told:
+        with pytest.raises(RunError, match=r"lost with \d+ batches to go; run the command again") as caught:
             run_batches(jobs(12), function, out, scheduler=cluster.scheduler_address, progress=lose)
-    assert len(str(told.value).splitlines()) == 1
+    assert len(str(caught.value).splitlines()) == 1
     kept = contents(out)
     assert 0 < len(kept) < 12
     assert run_batches(jobs(12), function, out, workers=1).failed == {}

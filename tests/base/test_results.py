@@ -66,7 +66,7 @@ def test_a_file_of_other_origin_is_never_overwritten(tmp_path: Path) -> None:
     assert (tmp_path / "a").read_text() == "mine"
 
 
-def test_results_that_cannot_all_be_put_in_place_are_taken_back(tmp_path: Path) -> None:
+def test_results_that_cannot_all_be_moved_into_place_are_withdrawn(tmp_path: Path) -> None:
     out = tmp_path / "out"
     run(out, a="1", b="1")
     (out / "b").unlink()
@@ -76,13 +76,13 @@ def test_results_that_cannot_all_be_put_in_place_are_taken_back(tmp_path: Path) 
     assert (out / "a").read_text() == "1"
 
 
-def test_a_file_in_place_of_the_directory_is_told(tmp_path: Path) -> None:
+def test_a_file_in_place_of_the_directory_is_reported(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("")
     with pytest.raises(InputError, match="out: is a file; name a directory for the results"):
         run(tmp_path / "out", a="1")
 
 
-def test_a_directory_that_came_to_be_meanwhile_keeps_what_is_in_it(tmp_path: Path) -> None:
+def test_a_directory_created_during_the_run_keeps_its_contents(tmp_path: Path) -> None:
     with output_directory(tmp_path / "out") as folder:
         (tmp_path / "out").mkdir()
         (tmp_path / "out" / "notes.txt").write_text("mine")
@@ -111,13 +111,13 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     assert names(tmp_path) == {"a"}
 
 
-def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_an_unwritable_place_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
         write_text_atomic(tmp_path / "file" / "a.csv", "x")
 
 
-def test_a_number_that_is_not_one_is_never_written(tmp_path: Path) -> None:
+def test_nan_and_infinity_are_never_written(tmp_path: Path) -> None:
     with pytest.raises(RunError, match=r"fit\.rmse_K is nan"):
         write_json(tmp_path / "a.json", {"fit": {"rmse_K": float("nan")}})
     with pytest.raises(RunError, match="column T_K contains an infinite number"):

@@ -224,9 +224,9 @@ def test_a_whole_design_reports_its_result():
         ('key = "hold_s"', 'key = "hold"', "`hold` is not a number that this manoeuvre gives; did you mean `hold_s`"),
         ('criterion = "D"', 'criterion = "E"', "criterion"),
         ("low = 4600.0", "low = 6500.0", "as planned is not within 6500 to 6700"),
-        ("alpha_deg = [32.0, 46.0]", "alpha_deg = [46.0, 32.0]", "is no range"),
+        ("alpha_deg = [32.0, 46.0]", "alpha_deg = [46.0, 32.0]", "is not a range"),
         ('control_point = "V09T9527"', 'control_point = "V09T9528"', "no control point `V09T9528`"),
-        ("flights = [1, 2, 4]", "flights = [0]", "0 is no number of flights"),
+        ("flights = [1, 2, 4]", "flights = [0]", "0 is not a number of flights"),
     ],
 )
 def test_a_wrong_design_table_is_reported(tmp_path, old, new, message):

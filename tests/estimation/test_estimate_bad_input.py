@@ -81,7 +81,7 @@ def test_two_records_of_one_name_are_refused(capsys, tmp_path):
 def test_clocks_that_do_not_overlap_are_an_error(capsys, tmp_path):
     record = damaged(tmp_path, "thermocouples.csv", lambda c: c | {"time_s": c["time_s"] + 5000.0})
     status, text = run_estimate(capsys, record, "--out", tmp_path / "out")
-    assert (status, "put both files on one clock" in text) == (2, True)
+    assert (status, "both files must use the same clock" in text) == (2, True)
 
 
 def test_channel_without_any_reading_is_an_error(capsys, tmp_path):

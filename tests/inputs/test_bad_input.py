@@ -143,7 +143,7 @@ RECORD_TOML = {
     "segment reversed": (swap("[[0.0, 200.0]]", "[[200.0, 0.0]]"), "[segments]: `fit`, row 1: [200.0, 0.0] is not a segment; give [start_s, end_s]"),
     "segment in ms": (swap("[[100.0, 140.0]]", "[[100000.0, 140000.0]]"), "[segments]: `holdout`, row 1: [100000.0, 140000.0] lies outside the measured 0.5 to 200.5 s"),
     "file outside the record": (swap('"conditions.csv"', '"../conditions.csv"'), "[conditions]: `file`: `../conditions.csv` is not a file of this record"),
-    "one file for two": (swap('"thermocouples.csv"', '"conditions.csv"'), "[conditions]: `file`: two parts of the record name one file"),
+    "one file for two": (swap('"thermocouples.csv"', '"conditions.csv"'), "[conditions]: `file`: two parts of the record name the same file"),
     "truncated": (lambda t: t[: t.index("[[0.013") + 4], "line 56: Unclosed array"),
     "syntax": (swap("measured = false", "measured = no"), "line 6: Invalid value (column 12); this is not TOML"),
     "key twice": (swap("measured = false", "measured = false\nmeasured = true"), "line 7: Cannot overwrite a value"),
@@ -236,13 +236,13 @@ def test_a_file_without_text_is_named(tile: Path, file: str, content: bytes | No
     assert expected in caught.value.problems[0]
 
 
-def test_a_missing_file_is_answered_with_the_nearest(tile: Path) -> None:
+def test_a_missing_file_is_answered_with_the_most_similar_one(tile: Path) -> None:
     (tile / "conditions.csv").rename(tile / "condition.csv")
     with pytest.raises(InputError, match=r"conditions\.csv: there is no such file; did you mean `condition\.csv`\?"):
         load_record(tile)
 
 
-def test_all_problems_of_a_file_are_told_at_once(tile: Path) -> None:
+def test_all_problems_of_a_file_are_reported_at_once(tile: Path) -> None:
     text = (tile / "record.toml").read_text()
     text = text.replace("thickness_m = 0.041", "thickness_m = -1.0").replace("bits = 8", "bit = 8")
     (tile / "record.toml").write_text(text.replace("[segments]", "[segmets]"))
@@ -262,7 +262,7 @@ def test_all_problems_of_a_file_are_told_at_once(tile: Path) -> None:
         ({"mach": {"unit": "1"}}, "[columns.mach]: key `variable` is missing"),
     ],
 )
-def test_a_value_that_may_be_several_kinds_is_answered_once(columns: dict[str, object], expected: str) -> None:
+def test_a_value_of_none_of_several_types_is_reported_once(columns: dict[str, object], expected: str) -> None:
     with pytest.raises(InputError) as caught:
         check({"columns": columns}, FmuSource, "fmu.toml")
     assert caught.value.problems == (f"fmu.toml, {expected}",)
@@ -271,8 +271,8 @@ def test_a_value_that_may_be_several_kinds_is_answered_once(columns: dict[str, o
 def test_a_dotted_name_without_quotes_is_answered_with_quotes() -> None:
     with pytest.raises(InputError) as caught:
         check({"start": {"body": {"mass": 3.0}}}, FmuSource, "fmu.toml")
-    told = 'a name with dots stands in quotes, "body.mass" = ...'
-    assert caught.value.problems == (f"fmu.toml, [start]: {told}",)
+    expected = 'a name with dots stands in quotes, "body.mass" = ...'
+    assert caught.value.problems == (f"fmu.toml, [start]: {expected}",)
 
 
 def test_a_line_break_in_a_name_stays_inside_the_line(tile: Path) -> None:
@@ -314,7 +314,7 @@ def problem(tile: Path, file: str, damage: Damage, named: str | None = None) -> 
 
 @pytest.mark.parametrize(("path", "kind"), [("", "record"), ("record.toml", "record"), ("conditions.csv", "record"),
                                             ("ratio_table.csv", "ratio table")])  # fmt: skip
-def test_a_path_is_recognised_by_what_is_there(path: str, kind: str) -> None:
+def test_the_kind_of_a_path_is_recognised_from_its_contents(path: str, kind: str) -> None:
     found = check_path(TILE / path)
     assert found.kind == kind
     assert "\n" not in found.summary
@@ -337,7 +337,7 @@ def test_a_material_file_is_recognised(tmp_path: Path) -> None:
         ("a.csv", "alpha_deg,ratio\n1,2\n", "there is no column `beta_deg`"),
     ],
 )
-def test_a_path_of_no_known_kind_is_answered_with_what_is_known(
+def test_a_path_of_unknown_kind_is_answered_with_the_known_kinds(
     tmp_path: Path, name: str, content: str, expected: str
 ) -> None:
     (tmp_path / name).write_text(content)
@@ -346,7 +346,7 @@ def test_a_path_of_no_known_kind_is_answered_with_what_is_known(
     assert expected in caught.value.problems[0]
 
 
-def test_a_directory_of_neither_kind_says_what_it_holds(tmp_path: Path) -> None:
+def test_a_directory_of_unknown_kind_is_reported_with_its_contents(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"neither a record \(record\.toml\) nor a vehicle .*; it is empty"):
         check_path(tmp_path)
     (tmp_path / "notes.txt").write_text("x")
@@ -354,12 +354,12 @@ def test_a_directory_of_neither_kind_says_what_it_holds(tmp_path: Path) -> None:
         check_path(tmp_path)
 
 
-def test_a_path_that_is_not_there_is_answered_with_the_nearest(tile: Path) -> None:
+def test_a_missing_path_is_answered_with_the_most_similar_one(tile: Path) -> None:
     with pytest.raises(InputError, match=r"tyle: there is no such file; did you mean `tile`\?"):
         check_path(tile.parent / "tyle")
 
 
-def test_a_construction_of_parts_is_answered_under_the_name_it_is_given(tile: Path) -> None:
+def test_problems_of_a_construction_carry_the_name_of_its_source(tile: Path) -> None:
     declared = load_record(tile).declared
     materials = {name: m for name, m in declared.materials.items() if name != "al2024"}
     with pytest.raises(InputError, match=r"NOSE\.toml, \[stack\.layer\] 3: `material`: there is no material `al2024`"):

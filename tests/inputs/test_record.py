@@ -56,14 +56,14 @@ def test_a_record_writes_back_equal(tmp_path: Path, folder: Path) -> None:
     assert_equal(record, load_record(tmp_path / "copy"))
 
 
-def test_a_record_may_be_written_over_an_earlier_one_of_ours(tmp_path: Path, tile: Record) -> None:
+def test_a_record_replaces_an_earlier_one_of_this_program(tmp_path: Path, tile: Record) -> None:
     write_record(tile, tmp_path / "copy")
     later = replace(tile, conditions=tile.conditions.with_columns(mach=20.0))
     write_record(later, tmp_path / "copy")
     assert_equal(later, load_record(tmp_path / "copy"))
 
 
-def test_a_record_that_somebody_else_made_is_not_written_over(tile: Record, tmp_path: Path) -> None:
+def test_a_record_of_other_origin_is_not_overwritten(tile: Record, tmp_path: Path) -> None:
     (tmp_path / "record.toml").write_text("# mine\n")
     with pytest.raises(InputError, match=r"record\.toml already exists and was not written by sim-heating"):
         write_record(tile, tmp_path)
@@ -130,7 +130,7 @@ def test_the_noise_floor_is_sigma_and_step_of_the_used_sensors(tile: Record) -> 
 
 def test_a_sensor_without_declared_noise_takes_the_estimated_one() -> None:
     board = load_record(DATA / "records" / "board")
-    with pytest.raises(InputError, match=r"sensor joint 1: declares no noise_sigma_K; declare or estimate it"):
+    with pytest.raises(InputError, match=r"sensor joint 1: noise_sigma_K is neither declared nor estimated"):
         board.noise_floor_K()
     sigma = {"joint 1": 1.0, "joint 2": 2.0, "joint 3": 3.0}
     assert board.noise_floor_K(estimated_sigma_K=sigma) == pytest.approx(math.sqrt(14.0 / 3.0))
@@ -158,8 +158,8 @@ def test_a_record_of_parts_is_checked_like_one_that_is_read(tile: Record) -> Non
     ("change", "expected"),
     [
         ({"TEST_bond_K": [300.0]}, "column TEST_bond_K: needs one value a sample"),
-        ({"TEST_bond_K": [np.inf] * 21}, "column TEST_bond_K: holds a value that is not a finite number"),
-        ({"time_s": [np.nan] * 21}, "column time_s: holds a value that is not a finite number"),
+        ({"TEST_bond_K": [np.inf] * 21}, "column TEST_bond_K: contains a value that is not a finite number"),
+        ({"time_s": [np.nan] * 21}, "column time_s: contains a value that is not a finite number"),
     ],
 )
 def test_measurements_that_no_file_could_hold_are_refused(
@@ -173,7 +173,7 @@ def test_measurements_that_no_file_could_hold_are_refused(
 def test_parts_that_are_missing_are_named(tile: Record) -> None:
     with pytest.raises(InputError, match="there is no column `TEST_surface_K`"):
         make_record(tile.declared, tile.conditions, {"time_s": [0.0]}, tile.ratio_table)
-    with pytest.raises(InputError, match="`ratio_table` and the table given do not agree"):
+    with pytest.raises(InputError, match="`ratio_table` and the given table must both be present"):
         make_record(tile.declared, tile.conditions, tile.thermocouples, None)
     flown = {n: tile.conditions[n] for n in tile.conditions.names if n != "mach"}
     with pytest.raises(InputError, match="there is no column `mach`"):
@@ -265,7 +265,7 @@ def test_any_valid_record_writes_back_equal(
     assert_equal(record, load_record(copy))
 
 
-def test_a_declared_sensor_is_what_the_contract_says_it_may_be() -> None:
+def test_the_keys_of_a_sensor_are_those_of_the_contract() -> None:
     sensor = check({"name": "a", "column": "a_K", "depth_m": 0, "bits": 8, "range_K": [0, 255]}, Sensor, "x")
     assert sensor.used
     assert sensor.lsb_K == 1.0

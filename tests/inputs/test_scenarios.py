@@ -47,7 +47,7 @@ def sts2() -> RunResult:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_scenario_reads_without_fault_and_says_what_it_is_for(name: str) -> None:
+def test_a_stored_scenario_is_valid_and_states_its_purpose(name: str) -> None:
     read = scenario(name)
     assert read.title
     assert len(read.declared.note.split()) > 10
@@ -121,7 +121,7 @@ def test_on_the_plateau_laminar_tables_give_the_radiated_heat_of_the_tiles_withi
         assert np.mean(predicted**4) / np.mean(measured**4) == approx(1.0, abs=0.5)
 
 
-def test_after_transition_the_tiles_are_hotter_than_laminar_tables_say(sts96: RunResult) -> None:
+def test_after_transition_the_tiles_are_hotter_than_laminar_tables_predict(sts96: RunResult) -> None:
     for compared in compare(sts96):
         after = (compared.measured.time_s >= 1360.0) & (compared.measured.time_s <= 1480.0)
         assert np.mean(compared.residual_K[after]) > 100.0

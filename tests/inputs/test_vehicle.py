@@ -77,7 +77,7 @@ def laminar(table: RatioTable, alpha_deg: float, log10_re: float) -> float:
 # What is declared ----------------------------------------------------------------------------------------------------
 
 
-def test_orbiter_has_the_points_that_the_founding_paper_and_sts_96_speak_of(orbiter):
+def test_orbiter_has_the_control_points_of_the_founding_paper_and_of_sts_96(orbiter):
     paper = {"V09T9527", "V07T9730", "V07T9975", "V07T9976", "BODYFLAP", "NOSE_HRSI"}
     assert paper <= set(orbiter.control_points)
     assert {f"STS96_{n}" for n in (468, 480, 597, 730)} <= set(orbiter.control_points)
@@ -195,7 +195,7 @@ def test_elevon_heating_follows_newtonian_pressure_with_deflection(orbiter):
         assert by_elevon[elevon] / by_elevon[0.0] == pytest.approx(published, abs=6e-3)
 
 
-def test_declared_impingement_on_the_oms_pod_starts_where_the_wind_tunnel_said(orbiter):
+def test_declared_impingement_on_the_oms_pod_starts_at_the_wind_tunnel_angle(orbiter):
     table = orbiter.control_point("V07T9976").ratio
     quiet, onset, above = (laminar(table, a, 6.1) for a in (20.0, 30.0, 35.0))
     assert onset == pytest.approx(quiet, rel=1e-6)
@@ -210,9 +210,9 @@ def test_tables_are_exactly_what_their_sources_describe(vehicle, tmp_path):
     assert written == stored
 
 
-def test_building_reports_a_source_that_makes_a_table_twice(damaged):
+def test_two_sources_of_one_table_are_reported(damaged):
     shutil.copy(damaged / "ratio_sources/face.toml", damaged / "ratio_sources/zz.toml")
-    with pytest.raises(InputError, match=r"zz\.toml: `control_points`: FACE has a table from another source"):
+    with pytest.raises(InputError, match=r"zz\.toml: `control_points`: FACE already has a table from another source"):
         build_tables(damaged)
 
 
@@ -272,14 +272,14 @@ def test_a_vehicle_of_the_user_comes_before_one_of_the_package(damaged, tmp_path
     assert vehicle_directory(damaged / "vehicle.toml") == damaged
 
 
-def test_a_misspelt_vehicle_is_answered_with_the_nearest():
+def test_a_misspelt_vehicle_is_answered_with_the_most_similar_one():
     with pytest.raises(InputError, match=r"vehicle `orbitr`: unknown vehicle; did you mean `orbiter`"):
         load_vehicle("orbitr")
-    with pytest.raises(InputError, match=r"nowhere/orbiter: there is no vehicle here"):
+    with pytest.raises(InputError, match=r"nowhere/orbiter: not a vehicle"):
         load_vehicle("nowhere/orbiter")
 
 
-def test_a_misspelt_control_point_is_answered_with_the_nearest(orbiter):
+def test_a_misspelt_control_point_is_answered_with_the_most_similar_one(orbiter):
     with pytest.raises(InputError, match=r"no control point `V09T9572`; did you mean `V09T9527`"):
         orbiter.control_point("V09T9572")
 
@@ -303,13 +303,13 @@ DAMAGES = {
         ('name = "FACE"', 'name = "FACES"', '"FACES" is not the name of the file'),
         ("inclination_deg", "inclination", "[pressure]: key `inclination_deg` is missing"),
         ('"modified-newtonian"', '"newtonian"', "newtonian"),
-        ("ratio_tables/FACE.csv", "../FACE.csv", "leads out of the vehicle directory"),
+        ("ratio_tables/FACE.csv", "../FACE.csv", "is outside the vehicle directory"),
         ("_tables/FACE.csv", "_tables/FAC.csv", "there is no file `ratio_tables/FAC.csv`; did you mean `FACE.csv`"),
         ("initial_K = 293.0", "initial_K = 20.0", "Celsius"),
         ("[pressure]", "[pressure", "this is not TOML"),
     ],
     "control_points/SHOULDER.toml": [
-        ("SHOULDER_wall", "FACE_mid", "[sensor] 2: `name`: `FACE_mid` is also one of FACE"),
+        ("SHOULDER_wall", "FACE_mid", "[sensor] 2: `name`: `FACE_mid` also belongs to a sensor of FACE"),
     ],
     "control_points/HOT_SKIN.toml": [
         ("surface_K = 1255.0", "surface_K = 1255.0\nbondline_K = 450.0", "a stack of one layer has no bondline"),
@@ -329,16 +329,16 @@ DAMAGES = {
 
 
 @pytest.mark.parametrize(
-    ("file", "old", "new", "told"), [(file, *damage) for file, damages in DAMAGES.items() for damage in damages]
+    ("file", "old", "new", "expected"), [(file, *damage) for file, damages in DAMAGES.items() for damage in damages]
 )
-def test_a_damaged_file_is_told_with_its_name_and_what_is_wrong(damaged, file, old, new, told):
+def test_a_damaged_file_is_reported_with_its_name_and_problem(damaged, file, old, new, expected):
     edit(damaged / file, old, new)
     message = str(refusal(damaged))
     assert Path(file).name in message
-    assert told in message
+    assert expected in message
 
 
-def test_problems_of_all_files_are_told_at_once(damaged):
+def test_problems_of_all_files_are_reported_at_once(damaged):
     edit(damaged / "vehicle.toml", "reference_area_m2 = 12.02", "reference_area_m2 = 0.0")
     edit(damaged / "materials/al2219.toml", "2840.0", '"2840"')
     (damaged / "ratio_tables/SHOULDER.csv").unlink()
@@ -353,10 +353,10 @@ def test_a_vehicle_without_control_points_is_refused(damaged):
     assert "there is no control_points/*.toml" in str(refusal(damaged))
 
 
-def test_a_derived_material_names_the_base_that_it_lacks(damaged):
+def test_a_missing_base_of_a_derived_material_is_named(damaged):
     text = 'based_on = "carbon-skim"\nsource = "s"\nconfidence = "C"\n'
     (damaged / "materials/thin.toml").write_text(text)
-    assert "`based_on`: there is no material `carbon-skim` that is given whole; did you mean `carbon-skin`?" in str(
+    assert "`based_on`: there is no material `carbon-skim` given whole; did you mean `carbon-skin`?" in str(
         refusal(damaged)
     )
 

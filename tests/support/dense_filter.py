@@ -77,7 +77,7 @@ def dense_filter(
 
     q : (node,) white noise [K2/s];  q_d : variance that the disturbance gains in a step
     """
-    told = Dense([z], [P], [])
+    result = Dense([z], [P], [])
     for step, own in zip(steps, readings, strict=True):
         Q = np.diag(np.append(q * dt, q_d))
         predicted, P_minus = step.F @ z + step.u, step.F @ P @ step.F.T + Q
@@ -92,26 +92,26 @@ def dense_filter(
             S = R @ P @ R.T + shared + np.diag([o[3] for o in own])
             nu = np.array([o[2] for o in own]) - R @ z - np.array(constants)
             K = np.linalg.solve(S, cross.T).T
-            told.log_likelihood -= 0.5 * (nu @ np.linalg.solve(S, nu) + np.linalg.slogdet(2 * np.pi * S)[1])
+            result.log_likelihood -= 0.5 * (nu @ np.linalg.solve(S, nu) + np.linalg.slogdet(2 * np.pi * S)[1])
             z_plus, P_plus = z_minus + K @ nu, P_minus - K @ S @ K.T
         else:
             z_plus, P_plus = z_minus, P_minus
-        told.predicted.append((z_minus, P_minus))
+        result.predicted.append((z_minus, P_minus))
         z, P = z_plus, P_plus
-        told.mean.append(z)
-        told.covariance.append(P)
-    return told
+        result.mean.append(z)
+        result.covariance.append(P)
+    return result
 
 
-def dense_smoother(steps: list[LinearStep], told: Dense) -> tuple[list[FloatArray], list[FloatArray]]:
+def dense_smoother(steps: list[LinearStep], result: Dense) -> tuple[list[FloatArray], list[FloatArray]]:
     """Rauch-Tung-Striebel, for readings at the ends of steps."""
-    z, P = told.mean[-1], told.covariance[-1]
+    z, P = result.mean[-1], result.covariance[-1]
     means, covariances = [z], [P]
     for k in range(len(steps) - 1, -1, -1):
-        z_minus, P_minus = told.predicted[k]
-        J = np.linalg.solve(P_minus, steps[k].F @ told.covariance[k]).T
-        z = told.mean[k] + J @ (z - z_minus)
-        P = told.covariance[k] + J @ (P - P_minus) @ J.T
+        z_minus, P_minus = result.predicted[k]
+        J = np.linalg.solve(P_minus, steps[k].F @ result.covariance[k]).T
+        z = result.mean[k] + J @ (z - z_minus)
+        P = result.covariance[k] + J @ (P - P_minus) @ J.T
         means.insert(0, z)
         covariances.insert(0, P)
     return means, covariances
