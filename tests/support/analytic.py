@@ -1,7 +1,7 @@
-"""Exact solutions of heat conduction and of surface balances, for constant properties unless a name says otherwise.
+"""Exact solutions of heat conduction and of surface balances, for constant properties unless a name states otherwise.
 
 Symbols: k conductivity [W/(m K)], a = k / (rho c) diffusivity [m2/s], e = sqrt(k rho c) effusivity [J/(m2 K s^(1/2))],
-q flux [W/m2], x depth [m], t time [s] above 0. Temperatures are rises over the initial one where not said otherwise.
+q flux [W/m2], x depth [m], t time [s] above 0. Temperatures are rises over the initial one unless stated otherwise.
 Sources: Carslaw & Jaeger, Conduction of Heat in Solids, 2nd ed. (1959), sections 2.4 to 2.9, 3.8 and 12.8.
 """
 

@@ -1,4 +1,4 @@
-"""Small FMUs compiled on the spot from tests/fmu/glide.c, and the closed form that they fly."""
+"""Small FMUs compiled from tests/support/fmu/glide.c, and the closed form of their flight."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 SOURCES = sorted((Path(__file__).parent / "fmu").glob("*.c"))
 COMPILER = shutil.which("gcc") or shutil.which("cc") or shutil.which("clang")
-needs_compiler = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler to build the FMU with")
+needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler found")
 
 FAULTS = (
     "none", "fails", "discards", "returns early", "gives NaN", "crashes", "hangs", "ends", "exits",

@@ -1,4 +1,4 @@
-"""The scenario that tests change: a short glide of the Orbiter at 6800 m/s in the fast source."""
+"""A scenario for tests to modify: a short glide of the Orbiter at 6800 m/s in three degrees of freedom."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """An independent solution of a flight record's physics: finite volumes in space, scipy's Radau in time.
 
-Nothing of the package's numerics is in it: its own mesh, its own fluxes (conductivity at the mean temperature of two
+It uses none of the package's numerics: its own mesh, its own fluxes (conductivity at the mean temperature of two
 neighbours, no Kirchhoff variable), lumped volumes, properties by np.interp from the declared tables.
 """
 

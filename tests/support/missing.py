@@ -1,4 +1,4 @@
-"""Records of a flight with something that their declared model lacks, made of a practice flight by the march itself."""
+"""Records whose truth has effects that their declared model lacks, made from a practice flight by the march itself."""
 
 from __future__ import annotations
 
@@ -22,8 +22,11 @@ def record_with(
     effects: Sequence[EffectUse], seed: int, *, jets: Callable[[FloatArray], FloatArray] | None = None,
     lost: float = 0.0, skew_s: float = 0.0, practice: str = "p06", **parameters: float,
 ) -> tuple[Record, PointHistory]:  # fmt: skip
-    """A practice flight whose truth has effects, parameters (`stack__rsi__...`) or a clock that the record does not
-    tell of, on a mesh of half the elements; and the truth. `jets` is flown and not recorded."""
+    """A practice flight whose truth has undeclared effects, parameters (`stack__rsi__...`) or clock skew, and the
+    truth.
+
+    The truth is marched on a mesh of half the elements; `jets` is flown and not recorded.
+    """
     record, _ = practice_record(practice)
     conditions = conditions_of_record(record)
     t = conditions.time_s
