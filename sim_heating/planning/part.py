@@ -17,7 +17,7 @@ from sim_heating.planning.study import HASH_LENGTH, Study
 
 @dataclass(frozen=True)
 class Engine:
-    """Where flights are computed and their results stored.
+    """Place of computation: the ledger of finished batches and the processes.
 
     ledger             : folder for finished batches, with a folder below it for each kind
     scheduler, workers : as base/parallel.py, `run_batches`, takes them
@@ -30,7 +30,7 @@ class Engine:
 
 @cache
 def program_digest() -> str:
-    """Digest of the program's own files, so that batches of another version are not taken for those of this one."""
+    """Digest of the program's own files, so that batches of another version are not mistaken for those of this one."""
     digest = hashlib.sha256()
     for path in sorted([*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.csv")]):
         digest.update(path.read_bytes())

@@ -141,15 +141,15 @@ def page_of(plan: Plan, folder: Path) -> Page:
         )
         for name, result in plan.results.items()
     ]
-    about = Section("Study", text=[line for line in (study.declared.note.strip(), limits_in_words(study)) if line])
+    about = Section("Study", text=[line for line in (study.declared.note.strip(), limit_sentence(study)) if line])
     warnings = [f"{name}: {why}" for name, why in plan.failed.items()]
     return Page(study.title, study.stamp, [about, *sections], warnings=warnings)
 
 
-def limits_in_words(study: Study) -> str:
-    """The limits of a study's control points in a sentence."""
-    words = [
+def limit_sentence(study: Study) -> str:
+    """The temperature limits of a study's control points in a sentence."""
+    limits = [
         f"{p.point.name} {p.surface_K:.0f} K" + ("" if p.bondline_K is None else f", bondline {p.bondline_K:.0f} K")
         for p in study.points
     ]
-    return f"Limits: {'; '.join(words)}."
+    return f"Limits: {'; '.join(limits)}."

@@ -146,10 +146,10 @@ def _base(place: Path, declared: StudyFile, vehicle: Vehicle) -> Scenario:
         if not source.is_file():
             raise InputError(f"{display_path(place)}: `scenario`: the file {display_path(source)} does not exist")
         flown = read_toml(source, ScenarioFile)
-        taken = {"trajectory": flown.trajectory, "effect": [e.model_dump() for e in flown.effect]}
+        copied = {"trajectory": flown.trajectory, "effect": [e.model_dump() for e in flown.effect]}
         own = {k: v for k, v in given.items() if k in ("format", "vehicle", "title")}
         # Checked by itself first, so that its own problems are reported with its path and all others with the study's.
-        make_scenario(source, check(own | taken, ScenarioFile, display_path(source)), vehicle)
+        make_scenario(source, check(own | copied, ScenarioFile, display_path(source)), vehicle)
         given["trajectory"] = flown.trajectory
         given["effect"] = [e.model_dump() for e in (*flown.effect, *declared.effect)]
     else:

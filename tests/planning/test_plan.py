@@ -242,8 +242,10 @@ def test_a_misspelt_key_of_an_optimal_entry_is_reported_with_its_table(study, tm
 def with_optimal(study, **given):
     """The study and an optimal entry without limits on a coarse mesh."""
     keys = {"intervals": 5, "mesh_tolerance": 0.09} | given
-    asked = OPTIMAL.replace('limit = [{ control_point = "NOSECAP" }]', "\n".join(f"{k} = {v}" for k, v in keys.items()))
-    study.write_text(STUDY.format(more="") + asked)
+    optimal = OPTIMAL.replace(
+        'limit = [{ control_point = "NOSECAP" }]', "\n".join(f"{k} = {v}" for k, v in keys.items())
+    )
+    study.write_text(STUDY.format(more="") + optimal)
 
 
 def test_an_optimiser_that_fails_is_one_line_and_the_dispersion_is_kept(study, tmp_path, capsys):

@@ -165,8 +165,8 @@ class DispersedEntry:
             fine = [refined(mesh) for mesh in coarse]
             change = np.abs(self._planned_peaks(coarse) - self._planned_peaks(fine)).max(axis=0)
             chosen = [
-                mesh if old is None and moved < 0.75 * MESH_TOLERANCE_K else old
-                for old, mesh, moved in zip(chosen, coarse, change, strict=True)
+                mesh if old is None and difference < 0.75 * MESH_TOLERANCE_K else old
+                for old, mesh, difference in zip(chosen, coarse, change, strict=True)
             ]
             if None not in chosen:
                 break

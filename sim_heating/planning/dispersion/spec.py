@@ -102,8 +102,8 @@ class Input(Declared):
 
         unit : of a parameter of control points, which is described by its own name; FLIGHT_INPUTS have their own unit
         """
-        words, unit = FLIGHT_INPUTS.get(self.name, (self.name, unit))
-        name = f"{words} ({self.title})" if self.title else words
+        quantity, unit = FLIGHT_INPUTS.get(self.name, (self.name, unit))
+        name = f"{quantity} ({self.title})" if self.title else quantity
         most = max((abs(factor) for _, factor in self.over or []), default=1.0)
         low, high = (0.0 if end is None else end * most for end in (self.low, self.high))
         size = f"{low:.3g} to {high:.3g}" if self.sigma is None else f"sigma {self.sigma * most:.3g}"

@@ -22,7 +22,7 @@ FINE = 801
 NOT_FLOWN = "no flight"
 END_OF_STUDY = "not reached in this study"
 AERODYNAMICS = "aerodynamics"
-"""What stands in place of a limit: a flight that failed, the last value of the study, a maximum within the envelope."""
+"""Names in place of a limit: a flight that failed, the last value of the study, a maximum within the envelope."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ def scan_axis(
     """Interpolate the margins of flights along an axis.
 
     places    : of the flights on the axis
-    sigmas    : number of sigma taken off each margin
+    sigmas    : number of sigma subtracted from each margin
     manoeuvre : with the sigma that would remain after this one
     """
     order = np.argsort(places)
@@ -98,7 +98,7 @@ class Edge:
 
 @dataclass(frozen=True)
 class AllowedInterval:
-    """What is allowed along an axis at one z.
+    """The allowed interval of an axis at one z.
 
     low, high      : its ends; None where nothing is allowed
     least_violated : where nothing is allowed, the place that comes closest and the limit that is violated there

@@ -54,11 +54,11 @@ ForecastEvidence = Mapping[str, Mapping[str, Evidence]]
 
 def base_entry(study: Study) -> BaseEntry:
     """The entry that the cases of a study change."""
-    asked = study.declared.envelope
-    assert asked is not None  # only an envelope has cases
+    envelope = study.declared.envelope
+    assert envelope is not None  # only an envelope has cases
     return BaseEntry(
-        study.base.declared.trajectory, study.vehicle, station_width=asked.station_width,
-        elevon_arm_m=asked.elevon_arm_m, bodyflap_above_mach=asked.bodyflap_above_mach,
+        study.base.declared.trajectory, study.vehicle, station_width=envelope.station_width,
+        elevon_arm_m=envelope.elevon_arm_m, bodyflap_above_mach=envelope.bodyflap_above_mach,
     )  # fmt: skip
 
 

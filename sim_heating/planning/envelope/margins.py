@@ -199,11 +199,11 @@ def _table_margins(limited: LimitedPoint, conditions: Conditions) -> dict[str, M
     for variable, axis in zip(RATIO_VARIABLES, limited.point.ratio.axes, strict=True):
         if len(axis) == 1:
             continue
-        x, (words, unit) = conditions[variable][heated], TABLE_AXES[variable]
+        x, (quantity, unit) = conditions[variable][heated], TABLE_AXES[variable]
         low, high = float(np.min(x)), float(np.max(x))
         ends = (
             (f"below {axis[0]:g}", Margin(TABLE, name, low, float(axis[0]), low - float(axis[0]), unit)),
             (f"above {axis[-1]:g}", Margin(TABLE, name, high, float(axis[-1]), float(axis[-1]) - high, unit)),
         )
-        margins |= {f"{name} ratio table, {words} {end} {unit}".rstrip(): margin for end, margin in ends}
+        margins |= {f"{name} ratio table, {quantity} {end} {unit}".rstrip(): margin for end, margin in ends}
     return margins

@@ -136,11 +136,11 @@ def draw_boundaries(path: Path, title: str, boundaries: Mapping[str, FlownBounda
     handles = a.plot([], [], "-", color="0.3", linewidth=1.0, label="edge with the tables as declared; its limit:")
     for n in names:
         handles += a.plot([], [], "x" if n.startswith(NOTHING) else "o", color=colours[n], label=n)
-    for words, strength in (
+    for label, strength in (
         (f"allowed with the tables {sigmas:g} sigma hotter", 0.35),
         (f"allowed with the tables {sigmas:g} sigma cooler", 0.12),
     ):
-        handles.append(a.fill_between([], [], [], color="tab:green", alpha=strength, label=words))
+        handles.append(a.fill_between([], [], [], color="tab:green", alpha=strength, label=label))
     figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=8)
     save_figure(figure, path, title, grid)
 

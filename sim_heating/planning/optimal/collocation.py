@@ -29,7 +29,7 @@ except ImportError:
     ca = None  # type: ignore[assignment]
 
 DEGREE = 3
-"""Of the polynomial of a state on an interval."""
+"""Degree of the polynomial of a state on an interval."""
 SUBSTEPS = 16
 """Runge-Kutta steps across an interval, for its error estimate."""
 ITERATIONS = 300
