@@ -25,7 +25,7 @@ from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record, load_record
 from sim_heating.inputs.sensor_model import measure
 from sim_heating.march.ensemble import condition_history
-from sim_heating.march.history import at_times, march_points
+from sim_heating.march.history import march_points, values_at
 from sim_heating.march.mesh_choice import pack
 from sim_heating.thermal.stack import Sensor
 
@@ -48,7 +48,7 @@ def raised() -> Record:
     history = march_points([true], [conditions.with_columns(jets=jets)], extra_times_s=record.time_s, halvings=1)[0]
     rng, nothing = np.random.default_rng(SEED), np.zeros(len(record.time_s), dtype=bool)
     columns = {"time_s": record.time_s}
-    for sensor, T in zip(record.sensors, at_times(history.time_s, history.sensors_K, record.time_s), strict=True):
+    for sensor, T in zip(record.sensors, values_at(history.time_s, history.sensors_K, record.time_s), strict=True):
         columns[sensor.column] = measure(sensor, T, rng, None, nothing)
     return replace(record, thermocouples=columns, conditions=conditions.with_columns(jets=0.0 * t))
 

@@ -39,7 +39,7 @@ from sim_heating.estimation.problem import FitOptions, FitProblem, joint_referen
 from sim_heating.estimation.record_fit import PredictedSamples, RecordFit, Start, StartMaker, march_times, sensor_errors
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.inputs.record import Record, require_distinct_records
-from sim_heating.march.history import outside_table
+from sim_heating.march.history import table_excursions
 from sim_heating.simulation.predict import Prediction
 from sim_heating.simulation.predict import predict as predict_record
 
@@ -345,7 +345,7 @@ def table_warnings(record_fits: Sequence[RecordFit]) -> list[str]:
         lines += [
             f"{name}: {o.variable} is up to {o.farthest:.3g} outside its ratio table over the fit segments, from "
             f"{o.first_s:g} s on; the edge value is used there, and estimates include the difference"
-            for o in outside_table(record_fit.model, fitted)
+            for o in table_excursions(record_fit.model, fitted)
         ]
     return lines
 

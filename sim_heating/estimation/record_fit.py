@@ -41,7 +41,7 @@ from sim_heating.inputs.sensor_model import SensorErrors, indicated_temperature
 from sim_heating.march.ensemble import condition_history
 from sim_heating.march.linearised import Linearised, LinearMarch, Track
 from sim_heating.march.point import PointModel, initial_temperatures
-from sim_heating.thermal.mesh import Mesh, on_mesh, refined
+from sim_heating.thermal.mesh import Mesh, halve_elements, interpolate_profile
 from sim_heating.thermal.stack import Sensor
 
 LONGEST_STEP_S = 1.0
@@ -153,13 +153,13 @@ class RecordFit:
 
         The unknowns of the start change both meshes alike. Needed for docs/estimation_statistics.md, equation 31.
         """
-        initial, fine = self.initial_K(vector), refined(self.mesh)
+        initial, fine = self.initial_K(vector), halve_elements(self.mesh)
         if initial is None or self.start is None:
             return None
         if self.start.refined is None:
-            return on_mesh(initial, self.mesh, fine)
+            return interpolate_profile(initial, self.mesh, fine)
         # only the change by the unknowns is interpolated; the profile itself is known on the fine mesh
-        return self.start.refined + on_mesh(initial - self.start.profile, self.mesh, fine)
+        return self.start.refined + interpolate_profile(initial - self.start.profile, self.mesh, fine)
 
     def with_mesh_correction(self, march: Linearised) -> Linearised:
         """March with the correction for its mesh [K] added to its temperatures; sensitivities remain those of the mesh.
@@ -462,7 +462,7 @@ def mesh_error_K(record_fit: RecordFit, vector: FloatArray) -> FloatArray:
 
     Second order holds for smooth solutions. Source: docs/estimation_statistics.md, equation 31.
     """
-    fine, initial = refined(record_fit.mesh), record_fit.refined_K(vector)
+    fine, initial = halve_elements(record_fit.mesh), record_fit.refined_K(vector)
     coarse, found = _temperatures_K(
         record_fit, vector, [(record_fit.mesh, record_fit.initial_K(vector)), (fine, initial)]
     )
@@ -471,8 +471,8 @@ def mesh_error_K(record_fit: RecordFit, vector: FloatArray) -> FloatArray:
     for _ in range(1, MOST_HALVINGS):
         if np.max(np.abs(error)) < SMALL_CORRECTION_K:
             return error
-        finer = refined(fine)
-        initial, fine, last = None if initial is None else on_mesh(initial, fine, finer), finer, found
+        finer = halve_elements(fine)
+        initial, fine, last = None if initial is None else interpolate_profile(initial, fine, finer), finer, found
         (found,) = _temperatures_K(record_fit, vector, [(fine, initial)])
         before, error = error, found - coarse + (found - last) / 3.0
         if np.max(np.abs(error - before)) < SETTLED_K:

@@ -26,7 +26,7 @@ from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.inputs.record import Record
 from sim_heating.march.linearised import LinearMarch, Track
 from sim_heating.march.point import initial_temperatures
-from sim_heating.thermal.mesh import refined
+from sim_heating.thermal.mesh import halve_elements
 
 DIRECTIONS = 4
 """Number of directions of the temperatures' covariance that are passed from a segment to the next."""
@@ -208,7 +208,7 @@ def refined_at(record_fit: RecordFit, values: FloatArray, time_s: float) -> Floa
 
     The next segment needs them for its mesh correction, docs/estimation_statistics.md, equation 31.
     """
-    mesh, initial = refined(record_fit.mesh), record_fit.refined_K(values)
+    mesh, initial = halve_elements(record_fit.mesh), record_fit.refined_K(values)
     begin = record_fit.begin_s
     if time_s <= begin:
         return initial_temperatures(record_fit.model.construction, mesh) if initial is None else initial

@@ -37,7 +37,7 @@ from sim_heating.march.frames import (
     march_group,
 )
 from sim_heating.march.point import (
-    RUNS_AWAY,
+    MOISTURE_RUNAWAY,
     PointModel,
     elements_of,
     heating_vector,
@@ -538,7 +538,7 @@ class Ensemble:
         """
         away = [model.name for model in self.models if model.runs_away]
         if away:
-            raise RunError(f"{', '.join(away)}: {RUNS_AWAY}")
+            raise RunError(f"{', '.join(away)}: {MOISTURE_RUNAWAY}")
         bad = [model.name for model, failed in zip(self.models, self.failed(), strict=True) if failed]
         if bad:
             raise RunError(f"{', '.join(bad)}: the thermal step did not converge; try a smaller longest_step_s")

@@ -14,7 +14,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.march.ensemble import Ensemble, histories
 from sim_heating.march.mesh_choice import pack
 from sim_heating.march.point import PointModel
-from sim_heating.thermal.mesh import Mesh, refined
+from sim_heating.thermal.mesh import Mesh, halve_elements
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class PointHistory:
 
 
 @dataclass(frozen=True)
-class Outside:
+class TableExcursion:
     """Excursion of a flight beyond one axis of a ratio table, where the edge value is held.
 
     variable   : name of the axis
@@ -73,25 +73,27 @@ def march_points(
     """
     ensemble = pack(models, longest_step_s)
     if halvings > 0:
-        ensemble = Ensemble(models, [finer(mesh, halvings) for mesh in ensemble.meshes], longest_step_s)
+        ensemble = Ensemble(models, [halve_repeatedly(mesh, halvings) for mesh in ensemble.meshes], longest_step_s)
     time = np.union1d(flights[0].time_s, np.asarray(extra_times_s, dtype=float))
     # Interpolated only where a time was added: the samples themselves are taken as they are.
     flown = [f.at(time) for f in flights] if len(time) > len(flights[0]) else list(flights)
     out = ensemble.march(time, histories(flown), keep=np.concatenate([ensemble.outputs(), ensemble.film_offsets()]))
-    return _split(ensemble, time, out, flown)
+    return _point_histories(ensemble, time, out, flown)
 
 
-def finer(mesh: Mesh, halvings: int) -> Mesh:
+def halve_repeatedly(mesh: Mesh, halvings: int) -> Mesh:
     """Mesh with every element halved `halvings` times; the error of second order [K] falls to a quarter each time.
 
     Derived in docs/equations_march.md, equation 16.
     """
     for _ in range(halvings):
-        mesh = refined(mesh)
+        mesh = halve_elements(mesh)
     return mesh
 
 
-def _split(ensemble: Ensemble, time: FloatArray, out: FloatArray, flown: Sequence[Conditions]) -> list[PointHistory]:
+def _point_histories(
+    ensemble: Ensemble, time: FloatArray, out: FloatArray, flown: Sequence[Conditions]
+) -> list[PointHistory]:
     points, column = [], 0
     first_film = out.shape[1] - len(ensemble.models)
     for i, model in enumerate(ensemble.models):
@@ -104,7 +106,7 @@ def _split(ensemble: Ensemble, time: FloatArray, out: FloatArray, flown: Sequenc
     return points
 
 
-def at_times(history_s: FloatArray, values: FloatArray, time_s: FloatArray) -> FloatArray:
+def values_at(history_s: FloatArray, values: FloatArray, time_s: FloatArray) -> FloatArray:
     """Values of a history at given times that it contains; nothing is interpolated.
 
     history_s : (step,) times of the history [s];  values : (..., step), temperatures [K] for instance
@@ -121,7 +123,7 @@ def at_times(history_s: FloatArray, values: FloatArray, time_s: FloatArray) -> F
     return np.where(inside, values[..., place], np.nan)
 
 
-def outside_table(model: PointModel, flown: Conditions) -> list[Outside]:
+def table_excursions(model: PointModel, flown: Conditions) -> list[TableExcursion]:
     """Excursions of a flight beyond the axes of a point's ratio table, one for each axis that it left.
 
     flown   : conditions of the flight
@@ -141,7 +143,7 @@ def outside_table(model: PointModel, flown: Conditions) -> list[Outside]:
         out = beyond > 0.0
         if len(axis) > 1 and np.any(out):
             first = float(flown.time_s[out][0])
-            found.append(Outside(variable, float(np.sum(span[out])), float(np.max(beyond)), first))
+            found.append(TableExcursion(variable, float(np.sum(span[out])), float(np.max(beyond)), first))
     return found
 
 
@@ -164,8 +166,8 @@ def peak(time_s: FloatArray, temperature_K: FloatArray) -> tuple[float, float]:
     return float(temperature_K[i]), float(time_s[i])
 
 
-def summary_of(
-    history: PointHistory, limits: Mapping[str, float | None], outside: Sequence[Outside]
+def point_summary(
+    history: PointHistory, limits: Mapping[str, float | None], outside: Sequence[TableExcursion]
 ) -> dict[str, object]:
     """Peaks, margins to the temperature limits and excursions of one control point, as a results file contains them.
 

@@ -19,13 +19,13 @@ from sim_heating.base.kernels.block import CONDITION_COLUMNS, P_SURFACE, Q_ADD
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.faces import SIGMA
-from sim_heating.thermal.mesh import Mesh, build_mesh, fewest_nodes, refined
+from sim_heating.thermal.mesh import Mesh, build_mesh, fewest_nodes, halve_elements
 from sim_heating.thermal.stack import pairs
 
 TOLERANCE_K = 0.3
 """Error estimate that the automatic mesh keeps at surface, bondline and sensors [K], on a pulse to the highest
 temperature of use; a flight that heats less has a smaller error."""
-LADDER = (14, 16, 20, 24, 28, 32, 40, 48, 64, 80, 100)
+NODE_COUNTS = (14, 16, 20, 24, 28, 32, 40, 48, 64, 80, 100)
 """Node counts tried; few different ones, so that points share lane groups."""
 PULSE_TIME_S = np.array([0.0, 300.0, 440.0, 450.0, 460.0, 470.0, 600.0, 900.0, 1200.0])
 PULSE_SHAPE = np.array([0.0, 1.0, 1.0, 0.85, 1.15, 1.0, 0.9, 0.1, 0.0])
@@ -56,21 +56,21 @@ def choose_meshes(models: Sequence[PointModel], step_s: float = 1.0) -> list[tup
     that heats more may have a larger error. Results are cached for each stack, sensors, node count and step.
     Derived in docs/equations_march.md, equations 16 and 17.
     """
-    new = {key: m for key, m in ((_key(m, step_s), m) for m in models) if key not in _KNOWN}
-    _KNOWN.update({key: (_asked_for(m, step_s), None) for key, m in new.items() if m.nodes is not None})
-    _KNOWN.update(_climb({key: m for key, m in new.items() if m.nodes is None}, step_s))
-    return [_KNOWN[_key(m, step_s)] for m in models]
+    new = {key: m for key, m in ((_key(m, step_s), m) for m in models) if key not in _CHOSEN}
+    _CHOSEN.update({key: (_prescribed_mesh(m, step_s), None) for key, m in new.items() if m.nodes is not None})
+    _CHOSEN.update(_refine_until_accurate({key: m for key, m in new.items() if m.nodes is None}, step_s))
+    return [_CHOSEN[_key(m, step_s)] for m in models]
 
 
 _Key = tuple[str, tuple[float, ...], int | None, float]
-_KNOWN: dict[_Key, tuple[Mesh, float | None]] = {}
+_CHOSEN: dict[_Key, tuple[Mesh, float | None]] = {}
 
 
 def _key(model: PointModel, step_s: float) -> _Key:
     return model.construction.model_dump_json(), model.depths_m, model.nodes, step_s
 
 
-def _asked_for(model: PointModel, step_s: float) -> Mesh:
+def _prescribed_mesh(model: PointModel, step_s: float) -> Mesh:
     return mesh_of_nodes(model, model.nodes or 0, step_s)
 
 
@@ -89,29 +89,29 @@ def mesh_of_nodes(model: PointModel, nodes: int, step_s: float) -> Mesh:
 Key = TypeVar("Key")
 
 
-def _climb(models: Mapping[Key, PointModel], step_s: float) -> dict[Key, tuple[Mesh, float | None]]:
+def _refine_until_accurate(models: Mapping[Key, PointModel], step_s: float) -> dict[Key, tuple[Mesh, float | None]]:
     """Refine all models together, eight in a lane group, until the error of each is below the tolerance."""
     # Without ratio, parameters and effects: the pulse is a prescribed flux, and the mesh depends on the stack alone.
     bare = {key: PointModel(m.name, m.construction, m.depths_m) for key, m in models.items()}
     fewest = {key: fewest_nodes(m.construction, np.array(m.depths_m)) for key, m in bare.items()}
     done: dict[Key, tuple[Mesh, float | None]] = {}
-    for nodes in LADDER:
-        trying = [key for key in bare if key not in done and (fewest[key] <= nodes or nodes == LADDER[-1])]
+    for nodes in NODE_COUNTS:
+        trying = [key for key in bare if key not in done and (fewest[key] <= nodes or nodes == NODE_COUNTS[-1])]
         if not trying:
             continue
         points = [bare[key] for key in trying]
-        meshes = [_asked_for(replace(point, nodes=nodes), step_s) for point in points]
-        errors = _estimate(points, meshes, step_s)
+        meshes = [_prescribed_mesh(replace(point, nodes=nodes), step_s) for point in points]
+        errors = _mesh_errors(points, meshes, step_s)
         for key, mesh, error in zip(trying, meshes, errors, strict=True):
-            if error < TOLERANCE_K or nodes == LADDER[-1]:
+            if error < TOLERANCE_K or nodes == NODE_COUNTS[-1]:
                 done[key] = (mesh, error)
     return done
 
 
-def _estimate(points: Sequence[PointModel], meshes: Sequence[Mesh], step_s: float) -> list[float]:
+def _mesh_errors(points: Sequence[PointModel], meshes: Sequence[Mesh], step_s: float) -> list[float]:
     """Largest change of surface, bondline and sensor temperatures when every element is halved, times 4/3 [K]."""
-    coarse = _pulse(points, meshes, step_s)
-    fine = _pulse(points, [refined(mesh) for mesh in meshes], step_s)
+    coarse = _march_pulse(points, meshes, step_s)
+    fine = _march_pulse(points, [halve_elements(mesh) for mesh in meshes], step_s)
     change = np.max(np.abs(coarse - fine), axis=0)
     ends = np.cumsum([2 + len(point.depths_m) for point in points])
     return [float(4.0 / 3.0 * np.max(part)) for part in np.split(change, ends[:-1])]
@@ -124,7 +124,7 @@ def _pulse_flux(point: PointModel) -> float:
     return float(np.interp(hottest, *pairs(outer.emissivity or [[hottest, 1.0]])) * SIGMA * hottest**4)
 
 
-def _pulse(points: Sequence[PointModel], meshes: Sequence[Mesh], step_s: float) -> FloatArray:
+def _march_pulse(points: Sequence[PointModel], meshes: Sequence[Mesh], step_s: float) -> FloatArray:
     # A short step would cost much and add nothing: it is the mesh that is judged, and both meshes share the step.
     step = max(step_s, 1.0)
     time = np.linspace(0.0, PULSE_TIME_S[-1], int(np.ceil(PULSE_TIME_S[-1] / step)) + 1)

@@ -29,10 +29,10 @@ MODES = ("add", "multiply", "emittance")
 COATING_PREFIX = "stack.coating."
 BACK = ("back.h_W_m2K", "back.T_K", "back.emissivity")
 MOISTURE = (LATENT_HEAT, BOILS, DEPOSITED, CONDENSES, WIDTH)
-RUNS_AWAY = "moisture gives off more heat as it condenses than takes to warm what it condenses in"
-CONDENSES_WITHIN = 8.0
+MOISTURE_RUNAWAY = "moisture gives off more heat as it condenses than takes to warm what it condenses in"
+CONDENSATION_WIDTHS = 8.0
 """Widths about its condensation temperature outside of which moisture condenses to less than 1e-3."""
-PLACES = {name: k for k, name in enumerate(MODEL)}
+VALUE_INDEX = {name: k for k, name in enumerate(MODEL)}
 """Place of each parameter in PointModel.values."""
 
 
@@ -91,7 +91,7 @@ class PointModel:
             raise InputError(f"{self.name}: ratio.d0 is 0 where there is a ratio table; use ratio.scale")
         # Last: it reads `values`, which the checks above have made sure of.
         if self.runs_away:
-            raise InputError(f"{self.name}: {RUNS_AWAY}; lower its deposit_J_kg or raise its width_K")
+            raise InputError(f"{self.name}: {MOISTURE_RUNAWAY}; lower its deposit_J_kg or raise its width_K")
 
     @property
     def runs_away(self) -> bool:
@@ -109,7 +109,7 @@ class PointModel:
         if deposit <= 0.0:
             return False
         # Only about condensation: elsewhere the deposited heat is negligible and boiling only adds to the heat content.
-        T = condense + width * np.linspace(-CONDENSES_WITHIN, CONDENSES_WITHIN, 81)
+        T = condense + width * np.linspace(-CONDENSATION_WIDTHS, CONDENSATION_WIDTHS, 81)
         # Clipped where exp would overflow; u (1 - u) is 0 there to rounding.
         up, down = (1.0 / (1.0 + np.exp(-np.clip((T - at) / width, -500.0, 500.0))) for at in (boil, condense))
         material = self.construction.layer_materials()[insulation_layer(self.construction)]
@@ -128,12 +128,12 @@ class PointModel:
         values = np.array([self.parameters.get(name, p.value) for name, p in MODEL.items()], dtype=float)
         for name in BACK:
             if name not in self.parameters:
-                values[PLACES[name]] = self._declared_back(name)
+                values[VALUE_INDEX[name]] = self._declared_back(name)
         # Reversed, so that of two effects which set one parameter the first prevails.
         for used in reversed(self.effects):
             for place, value in zip(used.effect.model_parameters, used.values, strict=False):
-                if place in PLACES:
-                    values[PLACES[place]] = value
+                if place in VALUE_INDEX:
+                    values[VALUE_INDEX[place]] = value
         return values
 
     def value(self, name: str) -> float:
@@ -147,7 +147,7 @@ class PointModel:
         if name.startswith(EFFECT_PREFIX):
             use, k = self._effect_place(name)
             return float(self.effects[use].values[k])
-        return float(self.values[PLACES[name]])
+        return float(self.values[VALUE_INDEX[name]])
 
     def _declared_back(self, name: str) -> float:
         back = self.construction.stack.back

@@ -17,7 +17,14 @@ from sim_heating.base.files.package import package_version
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record, load_record, pooled_rmse_K
 from sim_heating.inputs.sensor_model import SensorErrors, indicated_temperature
-from sim_heating.march.history import Outside, PointHistory, at_times, march_points, negative_ratio_s, outside_table
+from sim_heating.march.history import (
+    PointHistory,
+    TableExcursion,
+    march_points,
+    negative_ratio_s,
+    table_excursions,
+    values_at,
+)
 from sim_heating.march.point import PointModel
 from sim_heating.simulation.results import write_temperatures_csv
 
@@ -43,7 +50,7 @@ class Prediction:
     history: PointHistory
     indicated_K: FloatArray
     residual_K: FloatArray
-    outside: tuple[Outside, ...]
+    outside: tuple[TableExcursion, ...]
 
     def segment_errors(self) -> dict[str, Any]:
         """rmse_K, max_abs_K and n over the fit and the holdout segments, pooled over the used sensors; None where a
@@ -114,12 +121,12 @@ def predict(
     faults = errors or {}
     indicated = np.array([indicated_temperature(sensor, values, faults.get(sensor.name)) for sensor, values in pairs])
     residual = record.temperatures_K() - indicated
-    return Prediction(record, history, indicated, residual, tuple(outside_table(model, conditions)))
+    return Prediction(record, history, indicated, residual, tuple(table_excursions(model, conditions)))
 
 
 def _resampled(marched: PointHistory, time_s: FloatArray) -> PointHistory:
     def at_samples(values: FloatArray) -> FloatArray:
-        return at_times(marched.time_s, values, time_s)
+        return values_at(marched.time_s, values, time_s)
 
     return replace(
         marched,

@@ -17,7 +17,7 @@ from sim_heating.base.progress import Progress, no_progress
 from sim_heating.inputs.points import conditions_at_point, mean_condition, point_of_vehicle
 from sim_heating.inputs.record import pooled_rmse_K
 from sim_heating.inputs.scenario import MeasuredHistory, Scenario, load_scenario
-from sim_heating.march.history import PointHistory, march_points, outside_table, summary_of
+from sim_heating.march.history import PointHistory, march_points, point_summary, table_excursions
 from sim_heating.march.point import PointModel
 from sim_heating.simulation.plugin import HeatingPlugin
 from sim_heating.simulation.results import histories_dataset, write_temperatures_csv
@@ -227,7 +227,7 @@ def summary(result: RunResult) -> dict[str, object]:
     for name, point in result.points.items():
         limits = scenario.vehicle.control_point(name).limits
         bounds = {"surface_K": limits.surface_K, "bondline_K": limits.bondline_K}
-        points[name] = summary_of(point.history, bounds, outside_table(point.model, point.conditions))
+        points[name] = point_summary(point.history, bounds, table_excursions(point.model, point.conditions))
     return {
         "format": "run-summary/1",
         "program": f"sim-heating {package_version()}",

@@ -19,7 +19,7 @@ from sim_heating.inputs.record import DECLARATION, Record, RecordFile, make_reco
 from sim_heating.inputs.scenario import Scenario, load_scenario
 from sim_heating.inputs.sensor_model import SensorErrors, lost_samples, measure, sample_times
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
-from sim_heating.march.history import PointHistory, at_times, march_points
+from sim_heating.march.history import PointHistory, march_points, values_at
 from sim_heating.simulation.run import fly_scenario, models_of
 from sim_heating.thermal.stack import Sensor
 from sim_heating.trajectory.flight import Flight
@@ -89,7 +89,7 @@ def _record(
     measurements = scenario.declared.measurements
     rng = np.random.default_rng([measurements.seed, *point.name.encode()])
     faults = {f.sensor: SensorErrors(f.bias_K, f.gain) for f in measurements.fault}
-    true = at_times(history.time_s, history.sensors_K, clock - measurements.clock_skew_s)
+    true = values_at(history.time_s, history.sensors_K, clock - measurements.clock_skew_s)
     columns: dict[str, FloatArray] = {"time_s": clock}
     for sensor, temperature in zip(point.sensors, true, strict=True):
         lost = lost_samples(clock, rng, measurements.lost_fraction, measurements.gaps_s) | np.isnan(temperature)

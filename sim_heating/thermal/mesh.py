@@ -110,7 +110,7 @@ def _node_measure(s: FloatArray, whole: float, step_s: float) -> FloatArray:
     return graded + UNIFORM * all_graded * s / whole
 
 
-def _allocate(share: FloatArray, elements: int) -> NDArray[np.int64]:
+def _element_counts(share: FloatArray, elements: int) -> NDArray[np.int64]:
     """Elements of each segment: one or more, in proportion to the shares, exactly `elements` in all."""
     counts = np.ones(len(share), dtype=np.int64)
     for _ in range(elements - len(share)):
@@ -148,7 +148,7 @@ def build_mesh(construction: Construction, depths_m: FloatArray, nodes: int, ste
     s = np.concatenate(([0.0], np.cumsum([seg.length_m / seg.root_a for seg in segments])))
     measure = _node_measure(s, s[-1], step_s)
     share = np.diff(measure)
-    counts = _allocate(share, nodes - 1 - sum(r > 0.0 for r in contacts))
+    counts = _element_counts(share, nodes - 1 - sum(r > 0.0 for r in contacts))
     # A coating of one element would have no node between its faces.
     if counts[0] < 2:
         counts[np.argmax(counts)] -= 1
@@ -165,10 +165,12 @@ def build_mesh(construction: Construction, depths_m: FloatArray, nodes: int, ste
         if last_of_layer and contacts[segment.layer] > 0.0:
             lengths.append(np.array([contacts[segment.layer]]))
             layers.append(np.array([-1]))
-    return _finish(construction, np.concatenate(lengths), np.concatenate(layers), depths_m)
+    return _place_nodes(construction, np.concatenate(lengths), np.concatenate(layers), depths_m)
 
 
-def _finish(construction: Construction, length_m: FloatArray, layer: NDArray[np.int64], depths_m: FloatArray) -> Mesh:
+def _place_nodes(
+    construction: Construction, length_m: FloatArray, layer: NDArray[np.int64], depths_m: FloatArray
+) -> Mesh:
     depth = np.concatenate(([0.0], np.cumsum(np.where(layer < 0, 0.0, length_m))))
     sensors = tuple(int(np.argmin(np.abs(depth - d))) for d in depths_m)
     last = len(construction.stack.layer) - 1
@@ -176,7 +178,7 @@ def _finish(construction: Construction, length_m: FloatArray, layer: NDArray[np.
     return Mesh(length_m, layer.astype(np.int64), depth, sensors, bondline)
 
 
-def refined(mesh: Mesh) -> Mesh:
+def halve_elements(mesh: Mesh) -> Mesh:
     """The mesh with every element halved, contacts left as they are, sensors and bondline at the same depths.
 
     Two such meshes give the error estimate [K] of docs/equations_thermal_step.md, equation 40.
@@ -189,7 +191,7 @@ def refined(mesh: Mesh) -> Mesh:
     return Mesh(length, layer, depth, tuple(int(first[i]) for i in mesh.sensors), int(first[mesh.bondline]))
 
 
-def on_mesh(profile: FloatArray, mesh: Mesh, other: Mesh) -> FloatArray:
+def interpolate_profile(profile: FloatArray, mesh: Mesh, other: Mesh) -> FloatArray:
     """Temperatures of one mesh on another, linear between nodes.
 
     profile : (node,) temperatures [K] on `mesh`

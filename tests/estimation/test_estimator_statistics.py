@@ -18,7 +18,7 @@ from sim_heating.estimation.problem import FitProblem, joint_reference
 from sim_heating.estimation.record_fit import LONGEST_STEP_S, march_times
 from sim_heating.estimation.trend import state_at
 from sim_heating.inputs.record import Record
-from sim_heating.thermal.mesh import on_mesh, refined
+from sim_heating.thermal.mesh import halve_elements, interpolate_profile
 from tests.support.walls import practice_record
 
 TRIALS = 50
@@ -113,7 +113,7 @@ def test_fit_on_a_mesh_that_cannot_be_corrected_has_a_warning() -> None:
 def test_a_profile_on_halved_elements_is_the_same_between_the_nodes() -> None:
     part = FitProblem([record_of("popu")], ["ratio.scale"], (0.0,) * 5).record_fits[0]
     profile = np.linspace(900.0, 300.0, part.mesh.nodes)
-    halved = on_mesh(profile, part.mesh, refined(part.mesh))
+    halved = interpolate_profile(profile, part.mesh, halve_elements(part.mesh))
     np.testing.assert_allclose(halved[::2], profile)
     np.testing.assert_allclose(halved[1::2], 0.5 * (profile[1:] + profile[:-1]))
 

@@ -17,7 +17,7 @@ from sim_heating.estimation.filter.march import Disturbance, FilterMarch, Filter
 from sim_heating.estimation.filter.smoother import smooth
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.point import PointModel
-from sim_heating.thermal.mesh import Mesh, build_mesh, refined
+from sim_heating.thermal.mesh import Mesh, build_mesh, halve_elements
 from tests.estimation.test_filter import HEATED, START_K, linear_wall, some_covariance, wall_samples
 from tests.estimation.test_filter import TIME_S as LINEAR_S
 from tests.support.walls import flight, practice_model
@@ -50,7 +50,7 @@ def flown(truth: History, seed: int, deep: bool = False) -> FilterTrack:
     """The tile with noisy readings every second of a flight with something added, after 200 s without."""
     model = tile(1.0, deep)
     mesh = mesh_of(model)
-    ensemble = Ensemble([model], [refined(mesh)])
+    ensemble = Ensemble([model], [halve_elements(mesh)])
     warm = np.arange(-200.0, 0.5)
     ensemble.march(warm, heated(warm, 0.0 * warm))
     start = ensemble.node_temperatures(0)

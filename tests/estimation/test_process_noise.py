@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import binom, chi2
 
 from benchmarks.estimator_cases import CASES, Repeatable, record_of, start_at
-from benchmarks.process_noise import CASE, WANDERING, WHITE, bench_of, disturbed, measure
+from benchmarks.process_noise import CASE, WANDERING, WHITE, bench_of, disturbed, measure_all
 from sim_heating.base.errors import RunError
 from sim_heating.base.files import read_csv_columns, read_json
 from sim_heating.cli import main
@@ -107,7 +107,7 @@ def repetitions(request: pytest.FixtureRequest) -> dict[str, np.ndarray]:
     z: dict[str, list[np.ndarray]] = {"output error": [], "filter": []}
     inside, errors = [], {"output error": [], "filter": []}
     for true_K in disturbed(bench, noise, RUNS, rng)[0]:
-        measure(bench.problem, true_K, rng)
+        measure_all(bench.problem, true_K, rng)
         plain = maximise(bench.problem.evaluate, bench.problem.parameters, bench.truth, bench.problem.log_likelihoods)
         fit, innovations = fit_innovations(bench.problem, noise, plain.values)
         assert fit.converged
@@ -146,7 +146,7 @@ def test_levels_of_noise_are_found_from_far_away(noise: ProcessNoise, levels: tu
     bench, rng, ratios = bench_of(CASE), np.random.default_rng(5), []
     unknown = replace(noise, **{name: 0.2 * getattr(noise, name) for name in levels[:1]}, estimated=levels)
     for true_K in disturbed(bench, noise, 3, rng)[0]:
-        measure(bench.problem, true_K, rng)
+        measure_all(bench.problem, true_K, rng)
         _, innovations = fit_innovations(bench.problem, unknown, bench.truth)
         ratios.append(getattr(innovations.levels.noise, levels[0]) / getattr(noise, levels[0]))
     assert 0.6 < np.exp(np.mean(np.log(ratios))) < 1.6
@@ -156,7 +156,7 @@ def test_no_noise_is_found_where_there_is_none() -> None:
     bench, rng, found = bench_of(CASE), np.random.default_rng(6), []
     quiet = ProcessNoise()
     for true_K in disturbed(bench, quiet, 4, rng)[0]:
-        measure(bench.problem, true_K, rng)
+        measure_all(bench.problem, true_K, rng)
         innovations = Innovations(bench.problem, ProcessNoise(node_K_sqrt_s=0.05, estimated=(NODE,)))
         innovations.settle(bench.truth)
         found.append(innovations.levels.noise.node_K_sqrt_s)
@@ -165,7 +165,7 @@ def test_no_noise_is_found_where_there_is_none() -> None:
 
 def test_noise_of_sensors_that_declare_none_is_found_beside_that_of_the_process() -> None:
     bench, rng = bench_of(CASE), np.random.default_rng(8)
-    measure(bench.problem, disturbed(bench, WHITE, 1, rng)[0][0], rng)
+    measure_all(bench.problem, disturbed(bench, WHITE, 1, rng)[0][0], rng)
     part, record = bench.problem.record_fits[0], record_of(CASE)
     silent = [s.model_copy(update={"noise_sigma_K": None}) for s in record.sensors]
     thermocouples = record.declared.thermocouples.model_copy(update={"sensor": silent})
@@ -193,7 +193,7 @@ def wandered(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray
     problem = FitProblem([record], list(case.truth), about, FitOptions(starts=[start_at(case)]))
     part, bench = problem.record_fits[0], Repeatable(problem, np.array(list(case.truth.values())), {})
     true_K, added = (x[0] for x in disturbed(bench, WANDERING, 1, rng))
-    measure(problem, true_K, rng)
+    measure_all(problem, true_K, rng)
     start = part.start.profile
     initial = {"initial": "profile", "initial_profile": np.column_stack([part.mesh.depth_m, start]).tolist()}
     columns = {"time_s": part.sample_s} | {

@@ -12,7 +12,7 @@ from sim_heating.heating.effects import EffectUse
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.inputs.sensor_model import measure
-from sim_heating.march.history import PointHistory, at_times, march_points
+from sim_heating.march.history import PointHistory, march_points, values_at
 from tests.support.walls import practice_record
 
 FloatArray = NDArray[np.float64]
@@ -37,7 +37,7 @@ def record_with(
     history = march_points([true], [shown], extra_times_s=clock - skew_s, halvings=1)[0]
     rng = np.random.default_rng(seed)
     columns = {"time_s": clock}
-    for sensor, T in zip(record.sensors, at_times(history.time_s, history.sensors_K, clock - skew_s), strict=True):
+    for sensor, T in zip(record.sensors, values_at(history.time_s, history.sensors_K, clock - skew_s), strict=True):
         columns[sensor.column] = measure(sensor, T, rng, None, rng.random(len(clock)) < lost)
     known = conditions if jets is None else conditions.with_columns(jets=0.0 * t)
     return replace(record, thermocouples=columns, conditions=known), history

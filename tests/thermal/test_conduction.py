@@ -18,7 +18,7 @@ from sim_heating.march.ensemble import Ensemble, condition_history
 from sim_heating.march.mesh_choice import pack
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.assembly import BIN_K, BINS, PIECE_HEAD
-from sim_heating.thermal.mesh import build_mesh, refined
+from sim_heating.thermal.mesh import build_mesh, halve_elements
 from sim_heating.thermal.stack import Material
 from sim_heating.thermal.tables import TableStore
 from tests.support.analytic import (
@@ -197,7 +197,7 @@ def test_order_in_space_is_two_on_the_graded_mesh():
     # Where neighbours differ in length the errors do not cancel, however often each is halved.
     meshes = [build_mesh(wall((material(), 0.01)), NO_DEPTHS, 14)]
     for _ in range(3):
-        meshes.append(refined(meshes[-1]))
+        meshes.append(halve_elements(meshes[-1]))
     np.testing.assert_allclose(orders([cosine_error(mesh, 0.005) for mesh in meshes]), 2.0, atol=0.05)
 
 
@@ -205,7 +205,7 @@ def test_order_in_space_is_two_under_a_heated_surface():
     t = from_the_first_instant(100.0, steps=1500)
     model, mesh, errors = PointModel("wall", wall((material(), DEEP_M))), None, []
     for _ in range(3):
-        mesh = build_mesh(model.construction, NO_DEPTHS, 16) if mesh is None else refined(mesh)
+        mesh = build_mesh(model.construction, NO_DEPTHS, 16) if mesh is None else halve_elements(mesh)
         out = Ensemble([model], [mesh]).march(t, flight(t, q_add_W_m2=Q_W_M2))
         errors.append(abs(out[-1, 0] - 300.0 - semi_infinite_flux(Q_W_M2, K, A, 0.0, t[-1:])[0]))
     assert np.all(orders(errors) > 1.8)
@@ -240,7 +240,7 @@ def test_entry_with_its_property_tables_is_second_order_in_space(entry):
     model, t, history = entry
     meshes = [pack([model]).meshes[0]]
     for _ in range(3):
-        meshes.append(refined(meshes[-1]))
+        meshes.append(halve_elements(meshes[-1]))
     runs = [Ensemble([model], [mesh]).march(t, history) for mesh in meshes]
     errors = [np.max(np.abs(run - runs[-1])) for run in runs[:-1]]
     np.testing.assert_allclose(orders(errors)[0], 2.0, atol=0.15)

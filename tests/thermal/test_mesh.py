@@ -12,7 +12,7 @@ from sim_heating.base.kernels.block import CONDITION_COLUMNS, P_SURFACE, Q_ADD
 from sim_heating.march.ensemble import Ensemble, condition_history
 from sim_heating.march.mesh_choice import PULSE_PRESSURE_PA, PULSE_SHAPE, PULSE_TIME_S, TOLERANCE_K, choose_meshes
 from sim_heating.march.point import PointModel
-from sim_heating.thermal.mesh import build_mesh, fewest_nodes, refined
+from sim_heating.thermal.mesh import build_mesh, fewest_nodes, halve_elements
 from sim_heating.thermal.stack import Construction
 from tests.support.walls import material, practice_model, practice_record, wall
 
@@ -82,7 +82,7 @@ def test_bondline_is_the_outer_face_of_the_last_layer_inside_a_contact(stack, ex
 def test_refined_mesh_halves_every_element_and_moves_no_sensor(stack, extra):
     construction, depths = stack
     mesh = covered(construction, depths, extra)
-    fine = refined(mesh)
+    fine = halve_elements(mesh)
     solid = mesh.layer >= 0
     np.testing.assert_array_equal(fine.length_m[fine.layer >= 0], np.repeat(0.5 * mesh.length_m[solid], 2))
     np.testing.assert_array_equal(fine.length_m[fine.layer < 0], mesh.length_m[~solid])
@@ -128,7 +128,7 @@ def on_pulse(model: PointModel, mesh) -> np.ndarray:
 def test_estimate_of_the_mesh_error_is_honest_on_its_pulse(name):
     model = practice_model(name, ratio=None, parameters={})
     mesh, estimate = choose_meshes([model])[0]
-    true = np.max(np.abs(on_pulse(model, mesh) - on_pulse(model, refined(refined(mesh)))))
+    true = np.max(np.abs(on_pulse(model, mesh) - on_pulse(model, halve_elements(halve_elements(mesh)))))
     assert estimate / 1.5 < true < 1.5 * estimate
 
 
@@ -137,5 +137,7 @@ def test_mesh_error_on_a_whole_entry_is_below_one_and_a_half_estimates(name):
     model, conditions = practice_model(name), practice_record(name)[0].conditions
     mesh, estimate = choose_meshes([model])[0]
     history = condition_history(conditions)[np.newaxis]
-    coarse, fine = (Ensemble([model], [m]).march(conditions.time_s, history) for m in (mesh, refined(refined(mesh))))
+    coarse, fine = (
+        Ensemble([model], [m]).march(conditions.time_s, history) for m in (mesh, halve_elements(halve_elements(mesh)))
+    )
     assert np.max(np.abs(coarse - fine)) < 1.5 * estimate

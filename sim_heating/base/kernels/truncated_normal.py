@@ -43,7 +43,7 @@ N_TERMS = 7
 
 
 @njit
-def weight_of(x: float) -> float:
+def weighted_density(x: float) -> float:
     """x phi(x) [-], phi the standard normal density; 0 at both infinities.
 
     Term of the closed form of E x^2, docs/estimation_statistics.md, equation 9.
@@ -69,7 +69,7 @@ def truncated_normal(alpha: float, beta: float, width: float):  # type: ignore[n
         # mirrored to the upper half, where the point nearest to the mean is alpha or 0
         sign, alpha, beta = -1.0, -beta, -alpha
     if width >= WIDE and alpha <= NEAR:
-        log_z, mean, variance, gain, square, skew, spread = wide_interval(alpha, beta)
+        log_z, mean, variance, gain, square, skew, spread = wide_interval_terms(alpha, beta)
         return log_z, sign * mean, variance, gain, square, sign * skew, spread
     straddles = alpha < 0.0
     x0 = max(alpha, 0.0)
@@ -85,7 +85,7 @@ def truncated_normal(alpha: float, beta: float, width: float):  # type: ignore[n
     log_z = math.log(m0) - 0.5 * x0 * x0 - LOG_ROOT_2PI
     if straddles:
         # E x^2 - 1 from the ends: 1 - var x would cancel where the interval holds nearly all of the variable
-        square = -(weight_of(beta) + weight_of(-alpha)) / math.exp(log_z)
+        square = -(weighted_density(beta) + weighted_density(-alpha)) / math.exp(log_z)
         gain = mean * mean - square
     else:
         square = (x0 - 1.0) * (x0 + 1.0) + 2.0 * x0 * m1 + m2
@@ -102,7 +102,7 @@ def truncated_normal(alpha: float, beta: float, width: float):  # type: ignore[n
 
 
 @njit
-def wide_interval(alpha: float, beta: float):  # type: ignore[no-untyped-def]
+def wide_interval_terms(alpha: float, beta: float):  # type: ignore[no-untyped-def]
     """The seven terms [-] in closed form, for an interval with alpha + beta >= 0.
 
     alpha, beta : ends of the interval [-], beta - alpha >= WIDE and alpha <= NEAR; differences cancel digits outside
@@ -205,7 +205,7 @@ def fill_scores(
 
 
 @njit
-def expected_gain(first: float, step: float, steps: int) -> float:
+def information_fraction(first: float, step: float, steps: int) -> float:
     """Information of a rounded sample on its mean over that of the unrounded sample [-]: E (E x)^2 over the words.
 
     first, step, steps : lowest inner edge [-], distance of the edges [-] (both over sigma, from the mean), number of
@@ -216,7 +216,7 @@ def expected_gain(first: float, step: float, steps: int) -> float:
     Source: docs/estimation_statistics.md, equation 11.
     """
     last = first + (steps - 1) * step
-    total = outside(-math.inf, first) + outside(last, math.inf)
+    total = word_information(-math.inf, first) + word_information(last, math.inf)
     if first > FAR or last < -FAR or steps < 2:
         return total
     if step < NARROW:
@@ -233,7 +233,7 @@ def expected_gain(first: float, step: float, steps: int) -> float:
 
 
 @njit
-def outside(alpha: float, beta: float) -> float:
+def word_information(alpha: float, beta: float) -> float:
     """Contribution Z (E x)^2 [-] of one word, an interval [alpha, beta] over sigma, to `expected_gain`.
 
     Source: docs/estimation_statistics.md, equation 11.

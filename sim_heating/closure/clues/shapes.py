@@ -20,7 +20,7 @@ from scipy.stats import chi2
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.closure.clues.residual_heating import ResidualHeating
-from sim_heating.estimation.filter.heating_input import precision
+from sim_heating.estimation.filter.heating_input import process_precision
 from sim_heating.estimation.inference.residual_tests import sidak_p_value
 
 LAGS_S = (-20.0, -10.0, -5.0, -2.0, 0.0, 2.0, 5.0, 10.0, 20.0, 40.0)
@@ -123,7 +123,7 @@ def profiled_information(residual: ResidualHeating) -> ProfiledInformation:
         inverse = np.linalg.pinv(N * np.outer(s, s), rcond=1e-10, hermitian=True) * np.outer(s, s)
         A = history.information - C @ inverse @ C.T
         b = history.score - C @ inverse @ (J.T @ history.slope + C.T @ history.delta_ratio)
-    Q, _ = precision(history.time_s, history.disturbance)
+    Q, _ = process_precision(history.time_s, history.disturbance)
     return ProfiledInformation(A, b, 0.5 * float(b @ np.linalg.solve(A + Q, b)))
 
 

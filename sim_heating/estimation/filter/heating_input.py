@@ -48,22 +48,22 @@ from sim_heating.march.point import initial_temperatures
 
 DENSITIES_1_S = (1e-10, 1e-1)
 """Range in which the density is sought [1/s]; at its lower end a ratio walks 3e-4 in a quarter of an hour."""
-DENSITIES_TRIED = 10
+DENSITIES_SCANNED = 10
 CORRELATION_S = 30.0
 """Correlation time that the search starts from [s]; it ends between a spacing of knots and the length of the march."""
-SEARCHED = 0.05
+LIKELIHOOD_TOLERANCE = 0.05
 """Accuracy of the log likelihood in the search for the noise model."""
-MOST_KNOTS = 320
+MAX_KNOTS = 320
 """A march of more steps has one knot for several of them; faster changes are not resolved, nor are they in sigma."""
-MOST_COARSE = 100
+MAX_COARSE_KNOTS = 100
 """Most knots on which density and correlation time are sought."""
-ROUNDS = 12
-CHOSEN, SETTLED = 2.0, 0.2
+MAX_ROUNDS = 12
+MODEL_FIXED, CONVERGED = 2.0, 0.2
 """Change of a reading over its noise below which noise model and derivatives stay as they are, and below which the
 march is linear enough."""
-EXCESS = 1.5
+MIN_VARIANCE_FACTOR = 1.5
 """Ratio of the variances above which noise counts as larger than declared; smaller ones occur by chance."""
-GAINED, LEAST_SHARE = 0.1, 0.02
+MIN_IMPROVEMENT, MIN_STEP_FRACTION = 0.1, 0.02
 """Least gain in log posterior for which a step is accepted, and least fraction of a step that is tried."""
 FREQUENCIES = 40
 
@@ -125,12 +125,12 @@ def unknown_input(
     """
     if disturbance is not None and not (0.0 < disturbance.correlation_s < math.inf and disturbance.start_sigma > 0.0):
         raise InputError("unknown input: the disturbance must be stationary, its sigma and correlation time above 0")
-    inverse = _Inverse(track, np.asarray(time_s, dtype=float), histories)
+    inverse = _InverseProblem(track, np.asarray(time_s, dtype=float), histories)
     with one_thread():
         return inverse.solved(disturbance)
 
 
-def likeliest(track: FilterTrack, time_s: FloatArray, histories: FloatArray) -> Disturbance:
+def most_likely_disturbance(track: FilterTrack, time_s: FloatArray, histories: FloatArray) -> Disturbance:
     """Stationary disturbance of the heating ratio of the largest marginal likelihood: sigma [-], correlation time [s].
 
     track  : the point with readings and start;  time_s : (time,) steps [s];  histories : (flight, time, condition)
@@ -184,7 +184,7 @@ def half_amplitude_Hz(time_s: FloatArray, information: FloatArray, covariance: F
     return float(f[k - 1] * (f[k] / f[k - 1]) ** part)
 
 
-def knots(time_s: FloatArray, most: int) -> FloatArray:
+def knot_times(time_s: FloatArray, most: int) -> FloatArray:
     """Knots of a correction history: the middles of the steps, or of groups of as many steps as keep them at most
     `most`.
 
@@ -198,7 +198,7 @@ def knots(time_s: FloatArray, most: int) -> FloatArray:
     return 0.5 * (ends[1:] + ends[:-1])
 
 
-def weights(time_s: FloatArray, at_s: FloatArray) -> FloatArray:
+def interpolation_weights(time_s: FloatArray, at_s: FloatArray) -> FloatArray:
     """Interpolation matrix of a correction that is linear between knots and constant beyond the outer ones.
 
     time_s, at_s : (time,) times wanted [s], (knot,) knots [s]
@@ -216,7 +216,7 @@ def weights(time_s: FloatArray, at_s: FloatArray) -> FloatArray:
     return found
 
 
-def stationary(density_1_s: float, correlation_s: float) -> Disturbance:
+def stationary_disturbance(density_1_s: float, correlation_s: float) -> Disturbance:
     """Stationary Gauss-Markov disturbance by its density: sigma^2 = q tau / 2.
 
     density_1_s : q, variance that the driving noise adds in a second [1/s];  correlation_s : tau [s]
@@ -226,7 +226,7 @@ def stationary(density_1_s: float, correlation_s: float) -> Disturbance:
     return Disturbance.gauss_markov(math.sqrt(0.5 * density_1_s * correlation_s), correlation_s)
 
 
-def precision(time_s: FloatArray, disturbance: Disturbance) -> tuple[FloatArray, float]:
+def process_precision(time_s: FloatArray, disturbance: Disturbance) -> tuple[FloatArray, float]:
     """Inverse covariance Q of a first-order Gauss-Markov process at the knots, and the logarithm of its determinant.
 
         sigma^2 Q_jj = 1 / f_(j-1) + a_j^2 / f_j,    sigma^2 Q_j,j+1 = -a_j / f_j,    a = exp(-dt / tau),  f = 1 - a^2
@@ -247,7 +247,7 @@ def precision(time_s: FloatArray, disturbance: Disturbance) -> tuple[FloatArray,
 
 
 @dataclass(frozen=True, eq=False)
-class _Point:
+class _MarchedInput:
     """March at one value u of the unknowns: start, then knots.
 
     answer : (reading, unknown) derivative of the readings at a nearby value, where that is accurate enough
@@ -263,50 +263,50 @@ class _Point:
         return float(np.sum(self.scored.log_likelihood))
 
 
-class _Inverse:
+class _InverseProblem:
     """The readings of one point as a function of its start and of what is added to its ratio."""
 
     def __init__(self, track: FilterTrack, time_s: FloatArray, histories: FloatArray) -> None:
-        self.track, self.knots = track, knots(time_s, MOST_KNOTS)
-        self.weights = weights(0.5 * (time_s[1:] + time_s[:-1]), self.knots)
-        self.coarse = knots(time_s, MOST_COARSE)
-        self.to_coarse = weights(self.knots, self.coarse)
+        self.track, self.knots = track, knot_times(time_s, MAX_KNOTS)
+        self.weights = interpolation_weights(0.5 * (time_s[1:] + time_s[:-1]), self.knots)
+        self.coarse = knot_times(time_s, MAX_COARSE_KNOTS)
+        self.to_coarse = interpolation_weights(self.knots, self.coarse)
         self.march = ResponseMarch([track], time_s, histories)
         known = track.initial_K
         self.initial_K = initial_temperatures(track.model.construction, track.mesh) if known is None else known
-        self.start = _factor(track.covariance_K2, track.mesh.nodes)
+        self.start = _covariance_factor(track.covariance_K2, track.mesh.nodes)
         self.extra = self.start.shape[1]
         s = track.samples
         self.observed, self.sigma_K = ReadingIntervals(s.lower_K, s.upper_K), np.sqrt(s.variance_K2)
 
-    def at(self, u: FloatArray, answer: FloatArray | None = None) -> _Point:
+    def at(self, u: FloatArray, answer: FloatArray | None = None) -> _MarchedInput:
         """March at u; with a derivative that is accurate enough there, without its own."""
         added, start = self.weights @ u[self.extra :], self.initial_K + self.start @ u[: self.extra]
         response = self.march.respond([added], [start], derivative=answer is None)[0]
-        return _Point(u, response, likelihood(self.observed, response.read_K, self.sigma_K), answer)
+        return _MarchedInput(u, response, likelihood(self.observed, response.read_K, self.sigma_K), answer)
 
     def solved(self, given: Disturbance | None) -> UnknownInput:
         here = first = self.at(np.zeros(self.extra + len(self.knots)))
         chosen, excess, change = given or Disturbance(), 1.0, math.inf
-        for _ in range(ROUNDS):
+        for _ in range(MAX_ROUNDS):
             G = here.response.matrix(self.weights, self.start) if here.answer is None else here.answer
             A = G.T @ (here.scored.information[:, np.newaxis] * G)
             b = G.T @ here.scored.score + A @ here.u
             if here is first:
                 begun = A, b
             # The noise model moves with the linearisation: it is sought again only while the readings still move.
-            if given is None and (change > CHOSEN or excess > 1.0):
+            if given is None and (change > MODEL_FIXED or excess > 1.0):
                 chosen, excess = self._likeliest(here, A, b, None if here is first else chosen, excess)
             step = self._mean(A / excess, b / excess, chosen) - here.u
             change = float(np.max(np.abs(G @ step) / self._noise_K)) / math.sqrt(excess)
             # Near the end the derivative hardly changes, and a march without it costs a fraction of one with it.
-            same = G if change < CHOSEN else None
-            there = None if change < SETTLED else self._advanced(here, step, chosen, excess, same)
+            same = G if change < MODEL_FIXED else None
+            there = None if change < CONVERGED else self._advanced(here, step, chosen, excess, same)
             if there is None:
                 break
             here = there
         without = self._log_marginal(first, begun[0] / excess, begun[1] / excess, None, excess)
-        mean = here.u + (step if change < SETTLED else 0.0)
+        mean = here.u + (step if change < CONVERGED else 0.0)
         return self._result(here, mean, G, A / excess, b / excess, chosen, excess, without)
 
     @property
@@ -315,18 +315,18 @@ class _Inverse:
         return np.sqrt(self.sigma_K**2 + np.where(np.isfinite(width), width, 0.0) ** 2 / 12.0)
 
     def _advanced(
-        self, here: _Point, step: FloatArray, chosen: Disturbance, excess: float, answer: FloatArray | None
-    ) -> _Point | None:
+        self, here: _MarchedInput, step: FloatArray, chosen: Disturbance, excess: float, answer: FloatArray | None
+    ) -> _MarchedInput | None:
         """March after the largest fraction of a step that raises likelihood times prior; None where no fraction
         does.
         """
         Q, _ = self._prior(self.knots, chosen)
 
-        def value(p: _Point) -> float:
+        def value(p: _MarchedInput) -> float:
             return p.log_likelihood / excess - 0.5 * float(p.u @ Q @ p.u)
 
         share, now = 1.0, value(here)
-        while share > LEAST_SHARE:
+        while share > MIN_STEP_FRACTION:
             try:
                 there = self.at(here.u + share * step, answer)
             except RunError:
@@ -334,13 +334,13 @@ class _Inverse:
                 share *= 0.25
                 continue
             if value(there) > now:
-                return there if value(there) > now + GAINED else None
+                return there if value(there) > now + MIN_IMPROVEMENT else None
             share *= 0.4
         return None
 
     def _prior(self, at_s: FloatArray, chosen: Disturbance) -> tuple[FloatArray, float]:
         """Precision of start and knots and the logarithm of its determinant."""
-        own, log_det = precision(at_s, chosen)
+        own, log_det = process_precision(at_s, chosen)
         Q = np.eye(self.extra + len(at_s))
         Q[self.extra :, self.extra :] = own
         return Q, log_det
@@ -349,7 +349,7 @@ class _Inverse:
         return np.asarray(cho_solve(cho_factor(A + self._prior(self.knots, chosen)[0]), b))
 
     def _likeliest(
-        self, here: _Point, A: FloatArray, b: FloatArray, last: Disturbance | None, excess: float
+        self, here: _MarchedInput, A: FloatArray, b: FloatArray, last: Disturbance | None, excess: float
     ) -> tuple[Disturbance, float]:
         """Noise model of the correction, and the variance of the readings' noise over the declared one."""
         low = np.log([DENSITIES_1_S[0], float(np.min(np.diff(self.coarse), initial=np.inf))])
@@ -365,18 +365,18 @@ class _Inverse:
 
         def excess_of(explained: float) -> float:
             share = (left - 2.0 * explained) / n
-            return share if share > EXCESS else 1.0
+            return share if share > MIN_VARIANCE_FACTOR else 1.0
 
         def cost(logs: Sequence[float]) -> float:
             """Minus log evidence; the density is that over the excess."""
             q, tau = np.exp(np.clip(logs, low, high))
-            explained, volume = _log_evidence(A, b, *self._prior(self.coarse, stationary(q, tau)))
+            explained, volume = _log_evidence(A, b, *self._prior(self.coarse, stationary_disturbance(q, tau)))
             s2 = excess_of(explained)
             return 0.5 * n * math.log(s2) + 0.5 * (left - 2.0 * explained) / s2 - volume
 
         if last is None:
             tau = float(np.clip(math.log(CORRELATION_S), low[1], high[1]))
-            tried = [[q, tau] for q in np.linspace(low[0], high[0], DENSITIES_TRIED)]
+            tried = [[q, tau] for q in np.linspace(low[0], high[0], DENSITIES_SCANNED)]
             start, stride = np.array(min(tried, key=cost)), 1.0
         else:
             start, stride = np.log([last.density_1_s / excess, last.correlation_s]), 0.4
@@ -385,12 +385,14 @@ class _Inverse:
         simplex = start + np.array([[0.0, 0.0], [inward[0], 0.0], [0.0, inward[1]]])
         found = minimize(
             cost, start, method="Nelder-Mead",
-            options={"initial_simplex": simplex, "fatol": SEARCHED, "xatol": 0.1, "maxfev": 60},
+            options={"initial_simplex": simplex, "fatol": LIKELIHOOD_TOLERANCE, "xatol": 0.1, "maxfev": 60},
         )  # fmt: skip
         q, tau = np.exp(np.clip(found.x, low, high))
         # Once more on all knots: what a coarse history cannot follow would count as noise.
-        excess = excess_of(_log_evidence(*fine, *self._prior(self.knots, stationary(float(q), float(tau))))[0])
-        return stationary(float(q) * excess, float(tau)), excess
+        excess = excess_of(
+            _log_evidence(*fine, *self._prior(self.knots, stationary_disturbance(float(q), float(tau))))[0]
+        )
+        return stationary_disturbance(float(q) * excess, float(tau)), excess
 
     @property
     def _log_perfect(self) -> float:
@@ -401,7 +403,7 @@ class _Inverse:
         return float(np.sum(likelihood(within, middle[inner], self.sigma_K[inner]).log_likelihood))
 
     def _log_marginal(
-        self, here: _Point, A: FloatArray, b: FloatArray, chosen: Disturbance | None, excess: float
+        self, here: _MarchedInput, A: FloatArray, b: FloatArray, chosen: Disturbance | None, excess: float
     ) -> float:
         """Laplace's log marginal likelihood about a march; with None, of the start alone."""
         u = here.u
@@ -414,7 +416,7 @@ class _Inverse:
         return constant + sum(_log_evidence(A[own, own], b[own], np.eye(self.extra), 0.0))
 
     def _result(
-        self, here: _Point, u: FloatArray, G: FloatArray, A: FloatArray, b: FloatArray, chosen: Disturbance,
+        self, here: _MarchedInput, u: FloatArray, G: FloatArray, A: FloatArray, b: FloatArray, chosen: Disturbance,
         excess: float, without: float,
     ) -> UnknownInput:  # fmt: skip
         whole = np.asarray(np.linalg.inv(A + self._prior(self.knots, chosen)[0]), dtype=np.float64)
@@ -447,7 +449,7 @@ def _without_start(A: FloatArray, b: FloatArray, extra: int) -> tuple[FloatArray
     return own - gain @ cross.T, b[extra:] - gain @ b[:extra]
 
 
-def _factor(covariance_K2: FloatArray | None, nodes: int) -> FloatArray:
+def _covariance_factor(covariance_K2: FloatArray | None, nodes: int) -> FloatArray:
     """(node, k) of which the square is a covariance, as few columns as it has directions."""
     if covariance_K2 is None:
         return np.zeros((nodes, 0))

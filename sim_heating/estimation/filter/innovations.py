@@ -45,11 +45,11 @@ SETTINGS = NewtonSettings(min_improvement=1e-4, min_step=1e-2)
 """A hundredth of a sigma: differences of a log likelihood give a gradient no more accurately than that."""
 STEP = 0.1
 """Parameters are moved by this part of their sigma, the others being known, for the gradient."""
-WIDE, NARROW = (60.0, 6.0, 2.0), (2.0,)
+FIRST_RANGES, LATER_RANGES = (60.0, 6.0, 2.0), (2.0,)
 """Largest factors on a level in successive searches, the first time and again; candidates fill the lanes of a group."""
-SETTLED = 0.05
+LEVELS_CONVERGED = 0.05
 """Relative change below which levels have converged."""
-ROUNDS = 6
+MAX_ROUNDS = 6
 
 
 class Innovations:
@@ -149,11 +149,11 @@ class Innovations:
         for level in before.unknown():
             if level not in self.levels.unknown():
                 continue
-            for width in NARROW if again else WIDE:
+            for width in LATER_RANGES if again else FIRST_RANGES:
                 self._search(level, vector, width)
         for (k, number), sigma in self.levels.sigma_K.items():
             self.problem.record_fits[k].sigma_K[number] = sigma
-        return _change(before, self.levels)
+        return _largest_change(before, self.levels)
 
     def _search(self, level: Level, vector: FloatArray, width: float) -> None:
         """Set one level to the likeliest of some factors on it; 0 too, for noise that may be absent."""
@@ -221,7 +221,7 @@ class Innovations:
             return list(march.filter(tracks)[: len(tried)])
         except RunError:
             # one diverged lane fails the group: find out which, at the price of one march each
-            return [_alone(march, t) for t in tracks[: len(tried)]]
+            return [_filter_alone(march, t) for t in tracks[: len(tried)]]
 
     # Filters ---------------------------------------------------------------------------------------------------------
 
@@ -311,7 +311,7 @@ class Innovations:
             march.set_models([model] * LANES)
         except RunError:
             return float("nan")
-        found = _alone(march, track)
+        found = _filter_alone(march, track)
         return float("nan") if found is None else float(np.sum(found.log_likelihood))
 
     def _of_part(self, k: int, filtered: Filtered, vector: FloatArray) -> list[PredictedSamples]:
@@ -333,7 +333,7 @@ class Innovations:
         return found
 
 
-def _alone(march: FilterMarch, track: FilterTrack) -> Filtered | None:
+def _filter_alone(march: FilterMarch, track: FilterTrack) -> Filtered | None:
     """One track in all lanes; None where its filter diverged."""
     try:
         return march.filter([track] * LANES)[0]
@@ -341,7 +341,7 @@ def _alone(march: FilterMarch, track: FilterTrack) -> Filtered | None:
         return None
 
 
-def _change(before: Levels, after: Levels) -> float:
+def _largest_change(before: Levels, after: Levels) -> float:
     """Largest relative change of a level; 1 for one that has become 0."""
     pairs = [(before.sigma_K[key], after.sigma_K[key]) for key in before.sigma_K]
     pairs += [(getattr(before.noise, n), getattr(after.noise, n)) for n in before.noise.estimated]
@@ -366,8 +366,8 @@ def fit_innovations(
     if looked_for:
         found.settle(start)
     fit = maximise(found.evaluate, problem.parameters, start, found.log_likelihoods, SETTINGS, told)
-    for _ in range(ROUNDS if looked_for else 0):
-        if fit.status is not Status.CONVERGED or found.settle(fit.values, again=True) < SETTLED:
+    for _ in range(MAX_ROUNDS if looked_for else 0):
+        if fit.status is not Status.CONVERGED or found.settle(fit.values, again=True) < LEVELS_CONVERGED:
             break
         fit = maximise(found.evaluate, problem.parameters, fit.values, found.log_likelihoods, SETTINGS, told)
     return fit, found

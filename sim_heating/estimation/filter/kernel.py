@@ -81,9 +81,9 @@ prediction and variance, noise included, once those before it are taken; innovat
 likelihood. The sensitivities of its prediction follow."""
 CONSTANT, PER_TEMPERATURE, PER_RATE = range(3)
 """Direct terms of a parameter in a reading: constant, times the temperature, times its rate."""
-SAME_PLACE = 1e-6
+SAME_FRACTION = 1e-6
 """Fraction of a step within which two readings count as simultaneous, for frozen gains."""
-LEAST_GAIN = 1e-14
+MIN_GAIN = 1e-14
 """A reading that removes less than this fraction of its own variance is not used: its effect would be rounding."""
 
 
@@ -244,13 +244,13 @@ def second_pass(
             state.P[lane, j, i] = state.P[lane, i, j]
         state.P[lane, i, i] += noise.nodes[lane, i] * dt
         state.P[lane, i, n] = state.P[lane, n, i] = w.end[i, n]
-    state.P[lane, n, n] = decay * decay * state.P[lane, n, n] + noise.density_1_s[lane] * _span(
+    state.P[lane, n, n] = decay * decay * state.P[lane, n, n] + noise.density_1_s[lane] * _noise_duration(
         noise.decay_1_s[lane], dt
     )
 
 
 @njit
-def _span(decay_1_s: float, dt: float) -> float:
+def _noise_duration(decay_1_s: float, dt: float) -> float:
     """Integral of exp(-2 decay t) over a step [s]; dt for a random walk (docs/filter.md, equation 2)."""
     return dt if decay_1_s == 0.0 else -math.expm1(-2.0 * decay_1_s * dt) / (2.0 * decay_1_s)
 
@@ -277,13 +277,13 @@ def innovation(lower: float, upper: float, mean: float, variance: float) -> tupl
         (lower - mean) / spread, (upper - mean) / spread, (upper - lower) / spread
     )
     # The word is open at one end and the prediction lies deep inside: the reading confirms it and adds nothing.
-    if gain < LEAST_GAIN:
+    if gain < MIN_GAIN:
         return 0.0, math.inf, log_z
     return x * spread / gain, variance / gain, log_z
 
 
 @njit
-def _take(step: LaneStep, q: int, f: FilterArrays, out: FloatArray) -> None:
+def _condition_on(step: LaneStep, q: int, f: FilterArrays, out: FloatArray) -> None:
     """Condition z, P, the sensitivities and the other readings of the step on reading number q of the step."""
     readings, state, taken, z = f.readings, f.state, f.taken, f.z
     lane, n, count, k = step.lane, step.nodes, step.number, step.first + q
@@ -358,7 +358,7 @@ def take_readings(step: LaneStep, f: FilterArrays, out: FloatArray) -> None:
         if step.keep:
             for j in range(step.nodes + 1):
                 f.history.rows[lane, k, j] = readings.gain[lane, k] * taken.rows[q, j]
-        _take(step, q, f, out[k])
+        _condition_on(step, q, f, out[k])
         for s in range(begun, q + 1):
             out[first + s, POSTERIOR], out[first + s, POSTERIOR_VARIANCE] = taken.mean[s], taken.covariance[s, s]
 
@@ -369,7 +369,7 @@ def _repeats(gains: FrozenGains, readings: Readings, lane: int, first: int, coun
     if gains.number[lane] != count:
         return False
     for q in range(count):
-        if gains.node[lane, q] != readings.node[lane, first + q] or abs(gains.x[lane, q] - taken.x[q]) > SAME_PLACE:
+        if gains.node[lane, q] != readings.node[lane, first + q] or abs(gains.x[lane, q] - taken.x[q]) > SAME_FRACTION:
             return False
     return True
 

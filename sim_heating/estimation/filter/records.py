@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import CLOCK_SKEW
-from sim_heating.estimation.filter.heating_input import likeliest
+from sim_heating.estimation.filter.heating_input import most_likely_disturbance
 from sim_heating.estimation.filter.kernel import CONSTANT, PER_RATE, PER_TEMPERATURE
 from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, Samples
 from sim_heating.estimation.record_fit import (
@@ -34,7 +34,7 @@ START_SIGMA_K = 5.0
 """Standard deviation [K] of the declared temperatures at the first row of the conditions, all nodes alike."""
 UNDECLARED_SIGMA_K = 1.0
 """Noise [K] of a sensor that declares none."""
-TURNS = 8
+NEWTON_STEPS = 8
 """Newton steps that invert a calibration curve."""
 
 
@@ -52,7 +52,7 @@ def calibration_line(sensor: Sensor, read_K: FloatArray) -> tuple[FloatArray, Fl
     """
     curve = np.polynomial.Polynomial(sensor.calibration or [0.0, 1.0])
     slope, T = curve.deriv(), np.array(read_K, dtype=float)
-    for _ in range(TURNS):
+    for _ in range(NEWTON_STEPS):
         T = T - (curve(T) - read_K) / slope(T)
     return slope(T), curve(T) - slope(T) * T
 
@@ -154,7 +154,7 @@ def filtered_start(record: Record, model: PointModel, mesh: Mesh, time_s: float)
     before the start does not bias the temperatures. Source: disturbance, docs/estimation_statistics.md, equation 34.
     """
     track, steps, history = track_of_record(record, model, mesh, time_s)
-    point = replace(track, disturbance=likeliest(track, steps, history))
+    point = replace(track, disturbance=most_likely_disturbance(track, steps, history))
     filtered = FilterMarch([point], steps, history).filter()[0]
     nothing, known = np.zeros((mesh.nodes, 0)), filtered.covariance[:-1, :-1]
     return Start(time_s, filtered.temperature_K, nothing, covariance_K2=known)

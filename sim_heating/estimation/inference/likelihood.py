@@ -32,9 +32,9 @@ from sim_heating.base.kernels.truncated_normal import (
     SPREAD,
     SQUARE,
     VARIANCE,
-    expected_gain,
     fill_scores,
     fill_terms,
+    information_fraction,
 )
 from sim_heating.thermal.stack import Sensor
 
@@ -210,7 +210,7 @@ def expected_information(sensor: Sensor, mean_K: ArrayLike, sigma_K: ArrayLike) 
     # the lowest inner edge: below it and above the last edge lie the two codes of open intervals
     edge, step = sensor.range_K[0] + 0.5 * sensor.lsb_K, sensor.lsb_K
     gain = [
-        expected_gain((edge - m) / s, step / s, 2**sensor.bits - 1)
+        information_fraction((edge - m) / s, step / s, 2**sensor.bits - 1)
         for m, s in zip(mean.ravel(), sigma.ravel(), strict=True)
     ]
     return np.reshape(gain, mean.shape) / sigma**2

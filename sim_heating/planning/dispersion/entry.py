@@ -20,7 +20,7 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import repeated_name
 from sim_heating.base.kernels.block import LANES
-from sim_heating.march.mesh_choice import LADDER, mesh_of_nodes
+from sim_heating.march.mesh_choice import NODE_COUNTS, mesh_of_nodes
 from sim_heating.planning.dispersion.flight import (
     EntrySampler,
     SampledFlights,
@@ -33,7 +33,7 @@ from sim_heating.planning.dispersion.spec import FLIGHT_INPUTS, LARGEST_SIGMAS, 
 from sim_heating.planning.dispersion.statistics import axis_rows, deviations, random_rows, saltelli_rows, sobol_rows
 from sim_heating.planning.ratio_table_modes import table_factors, table_modes
 from sim_heating.planning.study import Study
-from sim_heating.thermal.mesh import Mesh, refined
+from sim_heating.thermal.mesh import Mesh, halve_elements
 from sim_heating.trajectory.flight import conditions_from_rows
 
 BATCH = 64
@@ -160,9 +160,9 @@ class DispersedEntry:
             model_without_sensors(self.study.vehicle, p, e) for p, e in zip(self.points, self.effects, strict=True)
         ]
         chosen: list[Mesh | None] = [None] * len(models)
-        for nodes in LADDER:
+        for nodes in NODE_COUNTS:
             coarse = [mesh_of_nodes(m, nodes, self.spec.thermal_step_s) for m in models]
-            fine = [refined(mesh) for mesh in coarse]
+            fine = [halve_elements(mesh) for mesh in coarse]
             change = np.abs(self._planned_peaks(coarse) - self._planned_peaks(fine)).max(axis=0)
             chosen = [
                 mesh if old is None and difference < 0.75 * MESH_TOLERANCE_K else old

@@ -21,7 +21,7 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.kernels.block import LANES
 from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
 from sim_heating.inputs.scenario import Scenario
-from sim_heating.march.history import outside_table
+from sim_heating.march.history import table_excursions
 from sim_heating.march.mesh_choice import choose_meshes
 from sim_heating.planning.envelope.case import BaseEntry, Case, FlownCase
 from sim_heating.planning.limited_point import LimitedPoint
@@ -154,7 +154,7 @@ class MarginEvaluator:
             outside += [
                 f"{name}: {o.variable} up to {o.farthest:.3g} outside its ratio table, {o.duration_s:.0f} s in all, "
                 f"first at {o.first_s:.0f} s"
-                for o in outside_table(model, conditions)
+                for o in table_excursions(model, conditions)
             ]
         t = flown.conditions.time_s
         return EvaluatedCase(

@@ -24,7 +24,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import RunError
 from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
-from sim_heating.march.history import PointHistory, march_points, outside_table
+from sim_heating.march.history import PointHistory, march_points, table_excursions
 from sim_heating.march.point import PointModel
 from sim_heating.planning.limited_point import LimitedPoint
 from sim_heating.planning.optimal import dynamics as od
@@ -176,7 +176,7 @@ class EntrySearch:
             f"{m.name}: {o.variable} up to {o.farthest:.3g} outside the ratio table, {o.duration_s:.0f} s in all, "
             f"first at {o.first_s:.0f} s"
             for m in self.models
-            for o in outside_table(m, flown)
+            for o in table_excursions(m, flown)
         ]
         low, high = self.aero.entry.flight[[ELEVON_LOW, ELEVON_HIGH]]
         untrimmed = (flown["elevon_deg"] <= low) | (flown["elevon_deg"] >= high)
