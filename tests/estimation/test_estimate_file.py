@@ -104,7 +104,7 @@ DAMAGED = {
     "correlation of one": (json.dumps(good(correlation={"ratio.scale": 0.5})), "is not a pair"),
     "impossible correlation": (
         json.dumps(good(correlation=dict(zip(GOOD["correlation"], (0.9, 0.9, -0.9), strict=True)))),
-        "not that of any parameters",
+        "is not a correlation matrix",
     ),
     "segments of another record": (json.dumps(good(segments=[[], []])), "2 entries for 1 records"),
     "segment backwards": (json.dumps(good(segments=[[[5.0, 1.0]]])), "start before end"),
