@@ -62,7 +62,7 @@ def test_estimates_from_an_estimated_profile_are_within_their_bounds(name, time_
 
 def test_start_before_the_first_reading_or_outside_the_conditions_is_refused():
     record = practice_record("p06")[0]
-    with pytest.raises(InputError, match="no readings before -5 s to start from"):
+    with pytest.raises(InputError, match="fewer than two readings before -5 s to start from"):
         estimate([record], ["ratio.scale"], starts=[partial(profile_start, time_s=-5.0)])
     with pytest.raises(InputError, match="a start at 2000 s lies outside the conditions"):
         estimate([record], ["ratio.scale"], starts=[partial(profile_start, time_s=2000.0)])
