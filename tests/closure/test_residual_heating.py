@@ -137,7 +137,7 @@ def test_an_error_in_depth_is_not_explained_by_heating():
     problem = FitProblem([other], ["ratio.scale"], joint_reference([other]))
     found = residual_heating(problem, np.zeros(1))
     sensor = found.sensors[-1]
-    assert found.input.excess > 10.0  # the noise is found larger, and no history follows the sensor
+    assert found.input.variance_factor > 10.0  # the noise is found larger, and no history follows the sensor
     assert np.max(np.abs(found.delta_ratio)) < 2.0 * flown(3)[2]
     assert sensor.after_rmse_K > 5.0 * sensor.floor_K
     assert "does not explain" in sensor.describe()

@@ -158,7 +158,7 @@ def test_no_noise_is_found_where_there_is_none() -> None:
     for true_K in disturbed(bench, quiet, 4, rng)[0]:
         measure_all(bench.problem, true_K, rng)
         innovations = Innovations(bench.problem, ProcessNoise(node_K_sqrt_s=0.05, estimated=(NODE,)))
-        innovations.settle(bench.truth)
+        innovations.estimate_levels(bench.truth)
         found.append(innovations.levels.noise.node_K_sqrt_s)
     assert np.median(found) < 0.05 * WHITE.node_K_sqrt_s
 
@@ -175,7 +175,7 @@ def test_noise_of_sensors_that_declare_none_is_found_beside_that_of_the_process(
     own.channels = [replace(c, intervals=read.intervals) for c, read in zip(own.channels, part.channels, strict=True)]
     own.sigma_K = dict.fromkeys(own.sigma_K, 3.0)
     innovations = Innovations(problem, WHITE)
-    innovations.settle(bench.truth)
+    innovations.estimate_levels(bench.truth)
     ratio = np.array([own.sigma_K[c.number] / c.sensor.noise_sigma_K for c in part.channels])
     assert 0.6 < np.exp(np.mean(np.log(ratio))) < 1.6
 

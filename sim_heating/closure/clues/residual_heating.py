@@ -119,7 +119,7 @@ class ResidualHeating:
             "gain_log_likelihood": self.input.gain_log_likelihood,
             "half_amplitude_Hz": self.input.half_amplitude_Hz,
             "median_bandwidth_Hz": float(np.median(self.input.bandwidth_Hz[here])),
-            "noise_over_declared": float(np.sqrt(self.input.excess)),
+            "noise_over_declared": float(np.sqrt(self.input.variance_factor)),
             "noise_model": {
                 "sigma": self.input.disturbance.start_sigma, "correlation_s": self.input.disturbance.correlation_s,
             },

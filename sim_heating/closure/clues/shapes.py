@@ -117,7 +117,7 @@ def profiled_information(residual: ResidualHeating) -> ProfiledInformation:
         A, b = history.information, history.score
     else:
         weighted = history.weight[:, np.newaxis] * J
-        C = history.answer.T @ weighted
+        C = history.response_matrix.T @ weighted
         N = J.T @ weighted + np.diag(residual.prior_information)
         s = 1.0 / np.sqrt(np.maximum(np.diag(N), 1e-300))
         inverse = np.linalg.pinv(N * np.outer(s, s), rcond=1e-10, hermitian=True) * np.outer(s, s)

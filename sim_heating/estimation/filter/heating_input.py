@@ -2,11 +2,11 @@
 
 The inverse heat-conduction problem as Gaussian-process regression. The ratio carries a disturbance d, a first-order
 Gauss-Markov process of covariance sigma^2 exp(-|t| / tau), linear between knots; all readings together are y = H(d) +
-noise, H the march itself. With A and b the information and score of the readings about the d found,
+noise, H the march itself. With A and b the information and score of the readings about the estimate of d,
 
     log L(d) = const + b' d - d' A d / 2,    mean (A + Q)^-1 b,    covariance (A + Q)^-1,
 
-Q the tridiagonal precision of the process; the march is linearised again until the readings no longer move. The
+Q the tridiagonal precision of the process; the march is linearised again until the readings no longer change. The
 noise model regularises: of the density q = 2 sigma^2 / tau and the correlation time tau, those of the largest marginal
 likelihood are taken,
 
@@ -15,14 +15,14 @@ likelihood are taken,
 Recorder words count as intervals (Laplace's approximation).
 
 Where no history explains the readings, because sensors contradict each other, the noise is larger than declared by a
-factor: with X the normalised sum of squares that the most probable history leaves in N readings, log p contains
-- N log(e) / 2 - X / (2 e), and the variance factor e = X / N is the likeliest; below 1.5 it is taken for 1.
+factor: with X the normalised sum of squared residuals of the most probable history in N readings, log p contains
+- N log(e) / 2 - X / (2 e), and the most likely variance factor is e = X / N; below 1.5 it is taken as 1.
 
 Bandwidth: with v the variance that remains at a time, the frequency f above which the process has just this variance,
 
     v / sigma^2 = 1 - (2 / pi) atan(2 pi f tau),
 
-not above half the rate of the knots: as if slower changes were all known and faster ones not at all. 0 where
+not above half the rate of the knots: as if slower changes were all known and faster ones not at all; 0 where
 the readings have no information. Half amplitude: the frequency at which a sine in the ratio comes back half as large.
 Derived in docs/residual_heating.md, equations 1 to 11.
 """
@@ -47,24 +47,24 @@ from sim_heating.estimation.inference.likelihood import Likelihood, ReadingInter
 from sim_heating.march.point import initial_temperatures
 
 DENSITIES_1_S = (1e-10, 1e-1)
-"""Range in which the density is sought [1/s]; at its lower end a ratio walks 3e-4 in a quarter of an hour."""
+"""Range in which the density is searched [1/s]; at its lower end a ratio wanders by 3e-4 in a quarter of an hour."""
 DENSITIES_SCANNED = 10
 CORRELATION_S = 30.0
-"""Correlation time that the search starts from [s]; it ends between a spacing of knots and the length of the march."""
+"""Correlation time at which the search starts [s]; bounds are the spacing of the knots and the length of the march."""
 LIKELIHOOD_TOLERANCE = 0.05
 """Accuracy of the log likelihood in the search for the noise model."""
 MAX_KNOTS = 320
-"""A march of more steps has one knot for several of them; faster changes are not resolved, nor are they in sigma."""
+"""A march of more steps has one knot for several of them; faster changes are neither resolved nor part of sigma."""
 MAX_COARSE_KNOTS = 100
-"""Most knots on which density and correlation time are sought."""
+"""Largest number of knots on which density and correlation time are searched."""
 MAX_ROUNDS = 12
 MODEL_FIXED, CONVERGED = 2.0, 0.2
-"""Change of a reading over its noise below which noise model and derivatives stay as they are, and below which the
-march is linear enough."""
+"""Change of a reading over its noise below which noise model and derivatives are kept, and below which the iteration
+has converged."""
 MIN_VARIANCE_FACTOR = 1.5
-"""Ratio of the variances above which noise counts as larger than declared; smaller ones occur by chance."""
+"""Variance factor above which noise counts as larger than declared; smaller ones occur by chance."""
 MIN_IMPROVEMENT, MIN_STEP_FRACTION = 0.1, 0.02
-"""Least gain in log posterior for which a step is accepted, and least fraction of a step that is tried."""
+"""Smallest gain in log posterior for which a step is accepted, and smallest fraction of a step that is tried."""
 FREQUENCIES = 40
 
 
@@ -78,11 +78,11 @@ class UnknownInput:
     bandwidth_Hz : (knot,) frequency up to which it is resolved [Hz]
     half_amplitude_Hz : frequency at which a sine throughout the march comes back half as large [Hz]
     disturbance  : noise model of the correction, given or of the largest likelihood
-    excess       : variance of the noise over the declared one [-], 1 where a history explains the readings
+    variance_factor : variance of the noise over the declared one [-], 1 where a history explains the readings
     gain_log_likelihood : log marginal likelihood above that without a disturbance
     temperature_K : (time, node) temperatures with the correction at the ends of the steps, the start first [K]
     read_K       : (reading,) expected readings with it [K]
-    answer       : (reading, knot) derivative of the readings against it [K]
+    response_matrix : (reading, knot) derivative of the readings against it [K]
     slope, weight : (reading,) first and negative second derivative of the log likelihood against read_K [1/K, 1/K2]
     information, score : (knot, knot), (knot,) A and b of the readings, start integrated out
     covariance   : (knot, knot) of the correction given all readings
@@ -94,11 +94,11 @@ class UnknownInput:
     bandwidth_Hz: FloatArray
     half_amplitude_Hz: float
     disturbance: Disturbance
-    excess: float
+    variance_factor: float
     gain_log_likelihood: float
     temperature_K: FloatArray
     read_K: FloatArray
-    answer: FloatArray
+    response_matrix: FloatArray
     slope: FloatArray
     weight: FloatArray
     information: FloatArray
@@ -127,7 +127,7 @@ def unknown_input(
         raise InputError("unknown input: the disturbance must be stationary, its sigma and correlation time above 0")
     inverse = _InverseProblem(track, np.asarray(time_s, dtype=float), histories)
     with one_thread():
-        return inverse.solved(disturbance)
+        return inverse.solve(disturbance)
 
 
 def most_likely_disturbance(track: FilterTrack, time_s: FloatArray, histories: FloatArray) -> Disturbance:
@@ -156,8 +156,8 @@ def bandwidth_Hz(disturbance: Disturbance, sigma: FloatArray) -> FloatArray:
         return disturbance.density_1_s / (2.0 * np.pi**2 * left)
     stationary = 0.5 * disturbance.density_1_s * disturbance.correlation_s
     # Below 1: at full information the tangent would be infinite.
-    told = np.clip(1.0 - left / stationary, 0.0, 1.0 - 1e-12)
-    return np.tan(0.5 * np.pi * told) / (2.0 * np.pi * disturbance.correlation_s)
+    known = np.clip(1.0 - left / stationary, 0.0, 1.0 - 1e-12)
+    return np.tan(0.5 * np.pi * known) / (2.0 * np.pi * disturbance.correlation_s)
 
 
 def half_amplitude_Hz(time_s: FloatArray, information: FloatArray, covariance: FloatArray) -> float:
@@ -185,8 +185,7 @@ def half_amplitude_Hz(time_s: FloatArray, information: FloatArray, covariance: F
 
 
 def knot_times(time_s: FloatArray, most: int) -> FloatArray:
-    """Knots of a correction history: the middles of the steps, or of groups of as many steps as keep them at most
-    `most`.
+    """Knots of a correction history: middles of the steps, or of groups of steps so that there are at most `most`.
 
     time_s  : (time,) steps [s];  most : largest number of knots
     returns : (knot,) times [s]
@@ -207,13 +206,13 @@ def interpolation_weights(time_s: FloatArray, at_s: FloatArray) -> FloatArray:
     Derived in docs/residual_heating.md, equation 3.
     """
     middle = np.clip(time_s, at_s[0], at_s[-1])
-    found = np.zeros((len(middle), len(at_s)))
+    matrix = np.zeros((len(middle), len(at_s)))
     if len(at_s) == 1:
-        return found + 1.0
+        return matrix + 1.0
     left = cells_of(at_s, middle)
     part, rows = (middle - at_s[left]) / np.diff(at_s)[left], np.arange(len(middle))
-    found[rows, left], found[rows, left + 1] = 1.0 - part, part
-    return found
+    matrix[rows, left], matrix[rows, left + 1] = 1.0 - part, part
+    return matrix
 
 
 def stationary_disturbance(density_1_s: float, correlation_s: float) -> Disturbance:
@@ -250,13 +249,13 @@ def process_precision(time_s: FloatArray, disturbance: Disturbance) -> tuple[Flo
 class _MarchedInput:
     """March at one value u of the unknowns: start, then knots.
 
-    answer : (reading, unknown) derivative of the readings at a nearby value, where that is accurate enough
+    response_matrix : (reading, unknown) derivative of the readings at a nearby value, where that is accurate enough
     """
 
     u: FloatArray
     response: Response
     scored: Likelihood
-    answer: FloatArray | None
+    response_matrix: FloatArray | None
 
     @property
     def log_likelihood(self) -> float:
@@ -279,43 +278,48 @@ class _InverseProblem:
         s = track.samples
         self.observed, self.sigma_K = ReadingIntervals(s.lower_K, s.upper_K), np.sqrt(s.variance_K2)
 
-    def at(self, u: FloatArray, answer: FloatArray | None = None) -> _MarchedInput:
-        """March at u; with a derivative that is accurate enough there, without its own."""
+    def at(self, u: FloatArray, response_matrix: FloatArray | None = None) -> _MarchedInput:
+        """March at u; without its own derivative where one that is accurate enough there is given."""
         added, start = self.weights @ u[self.extra :], self.initial_K + self.start @ u[: self.extra]
-        response = self.march.respond([added], [start], derivative=answer is None)[0]
-        return _MarchedInput(u, response, likelihood(self.observed, response.read_K, self.sigma_K), answer)
+        response = self.march.respond([added], [start], derivative=response_matrix is None)[0]
+        return _MarchedInput(u, response, likelihood(self.observed, response.read_K, self.sigma_K), response_matrix)
 
-    def solved(self, given: Disturbance | None) -> UnknownInput:
+    def solve(self, given: Disturbance | None) -> UnknownInput:
         here = first = self.at(np.zeros(self.extra + len(self.knots)))
-        chosen, excess, change = given or Disturbance(), 1.0, math.inf
+        chosen, factor, change = given or Disturbance(), 1.0, math.inf
         for _ in range(MAX_ROUNDS):
-            G = here.response.matrix(self.weights, self.start) if here.answer is None else here.answer
+            G = here.response.matrix(self.weights, self.start) if here.response_matrix is None else here.response_matrix
             A = G.T @ (here.scored.information[:, np.newaxis] * G)
             b = G.T @ here.scored.score + A @ here.u
             if here is first:
                 begun = A, b
-            # The noise model moves with the linearisation: it is sought again only while the readings still move.
-            if given is None and (change > MODEL_FIXED or excess > 1.0):
-                chosen, excess = self._likeliest(here, A, b, None if here is first else chosen, excess)
-            step = self._mean(A / excess, b / excess, chosen) - here.u
-            change = float(np.max(np.abs(G @ step) / self._noise_K)) / math.sqrt(excess)
+            # The noise model depends on the linearisation: it is estimated again only while the readings still change.
+            if given is None and (change > MODEL_FIXED or factor > 1.0):
+                chosen, factor = self._most_likely(here, A, b, None if here is first else chosen, factor)
+            step = self._mean(A / factor, b / factor, chosen) - here.u
+            change = float(np.max(np.abs(G @ step) / self._noise_K)) / math.sqrt(factor)
             # Near the end the derivative hardly changes, and a march without it costs a fraction of one with it.
             same = G if change < MODEL_FIXED else None
-            there = None if change < CONVERGED else self._advanced(here, step, chosen, excess, same)
+            there = None if change < CONVERGED else self._line_search(here, step, chosen, factor, same)
             if there is None:
                 break
             here = there
-        without = self._log_marginal(first, begun[0] / excess, begun[1] / excess, None, excess)
+        without = self._log_marginal(first, begun[0] / factor, begun[1] / factor, None, factor)
         mean = here.u + (step if change < CONVERGED else 0.0)
-        return self._result(here, mean, G, A / excess, b / excess, chosen, excess, without)
+        return self._result(here, mean, G, A / factor, b / factor, chosen, factor, without)
 
     @property
     def _noise_K(self) -> FloatArray:
         width = self.observed.upper_K - self.observed.lower_K
         return np.sqrt(self.sigma_K**2 + np.where(np.isfinite(width), width, 0.0) ** 2 / 12.0)
 
-    def _advanced(
-        self, here: _MarchedInput, step: FloatArray, chosen: Disturbance, excess: float, answer: FloatArray | None
+    def _line_search(
+        self,
+        here: _MarchedInput,
+        step: FloatArray,
+        chosen: Disturbance,
+        factor: float,
+        response_matrix: FloatArray | None,
     ) -> _MarchedInput | None:
         """March after the largest fraction of a step that raises likelihood times prior; None where no fraction
         does.
@@ -323,14 +327,14 @@ class _InverseProblem:
         Q, _ = self._prior(self.knots, chosen)
 
         def value(p: _MarchedInput) -> float:
-            return p.log_likelihood / excess - 0.5 * float(p.u @ Q @ p.u)
+            return p.log_likelihood / factor - 0.5 * float(p.u @ Q @ p.u)
 
         share, now = 1.0, value(here)
         while share > MIN_STEP_FRACTION:
             try:
-                there = self.at(here.u + share * step, answer)
+                there = self.at(here.u + share * step, response_matrix)
             except RunError:
-                # A history that takes a temperature out of range: go back further than for a mere decrease.
+                # A history that takes a temperature out of range: a shorter step than after a mere decrease.
                 share *= 0.25
                 continue
             if value(there) > now:
@@ -348,30 +352,30 @@ class _InverseProblem:
     def _mean(self, A: FloatArray, b: FloatArray, chosen: Disturbance) -> FloatArray:
         return np.asarray(cho_solve(cho_factor(A + self._prior(self.knots, chosen)[0]), b))
 
-    def _likeliest(
-        self, here: _MarchedInput, A: FloatArray, b: FloatArray, last: Disturbance | None, excess: float
+    def _most_likely(
+        self, here: _MarchedInput, A: FloatArray, b: FloatArray, last: Disturbance | None, factor: float
     ) -> tuple[Disturbance, float]:
         """Noise model of the correction, and the variance of the readings' noise over the declared one."""
         low = np.log([DENSITIES_1_S[0], float(np.min(np.diff(self.coarse), initial=np.inf))])
         high = np.log([DENSITIES_1_S[1], float(np.ptp(self.coarse))])
         if np.any(low >= high):
             raise InputError(f"{self.track.model.name}: a march of {len(self.knots)} knots is too short for an input")
-        # Readings without information, lost or of an open word deep inside, carry none about the noise.
+        # Readings without information (lost, or deep inside an open word) have none on the noise.
         n = float(np.count_nonzero(here.scored.information > 0.0))
-        left = 2.0 * (self._log_perfect - here.log_likelihood + float(b @ here.u)) - float(here.u @ A @ here.u)
+        left = 2.0 * (self._log_exact_fit - here.log_likelihood + float(b @ here.u)) - float(here.u @ A @ here.u)
         # The evidence is computed some sixty times; its cost grows as the cube of the knots.
         P = block_diag(np.eye(self.extra), self.to_coarse)
         fine, (A, b) = (A, b), (P.T @ A @ P, P.T @ b)
 
-        def excess_of(explained: float) -> float:
+        def variance_factor_of(explained: float) -> float:
             share = (left - 2.0 * explained) / n
             return share if share > MIN_VARIANCE_FACTOR else 1.0
 
         def cost(logs: Sequence[float]) -> float:
-            """Minus log evidence; the density is that over the excess."""
+            """Minus log evidence; the density is that over the factor."""
             q, tau = np.exp(np.clip(logs, low, high))
             explained, volume = _log_evidence(A, b, *self._prior(self.coarse, stationary_disturbance(q, tau)))
-            s2 = excess_of(explained)
+            s2 = variance_factor_of(explained)
             return 0.5 * n * math.log(s2) + 0.5 * (left - 2.0 * explained) / s2 - volume
 
         if last is None:
@@ -379,7 +383,7 @@ class _InverseProblem:
             tried = [[q, tau] for q in np.linspace(low[0], high[0], DENSITIES_SCANNED)]
             start, stride = np.array(min(tried, key=cost)), 1.0
         else:
-            start, stride = np.log([last.density_1_s / excess, last.correlation_s]), 0.4
+            start, stride = np.log([last.density_1_s / factor, last.correlation_s]), 0.4
         inward = np.where(start + stride > high, -stride, stride)
         # Away from the upper bounds: the objective is clipped there, and a flat simplex would stop at once.
         simplex = start + np.array([[0.0, 0.0], [inward[0], 0.0], [0.0, inward[1]]])
@@ -388,14 +392,14 @@ class _InverseProblem:
             options={"initial_simplex": simplex, "fatol": LIKELIHOOD_TOLERANCE, "xatol": 0.1, "maxfev": 60},
         )  # fmt: skip
         q, tau = np.exp(np.clip(found.x, low, high))
-        # Once more on all knots: what a coarse history cannot follow would count as noise.
-        excess = excess_of(
+        # Again on all knots: changes that a coarse history cannot follow would count as noise.
+        factor = variance_factor_of(
             _log_evidence(*fine, *self._prior(self.knots, stationary_disturbance(float(q), float(tau))))[0]
         )
-        return stationary_disturbance(float(q) * excess, float(tau)), excess
+        return stationary_disturbance(float(q) * factor, float(tau)), factor
 
     @property
-    def _log_perfect(self) -> float:
+    def _log_exact_fit(self) -> float:
         """Log likelihood of readings equal to their predictions."""
         middle = 0.5 * (self.observed.lower_K + self.observed.upper_K)
         inner = np.isfinite(middle)
@@ -403,21 +407,21 @@ class _InverseProblem:
         return float(np.sum(likelihood(within, middle[inner], self.sigma_K[inner]).log_likelihood))
 
     def _log_marginal(
-        self, here: _MarchedInput, A: FloatArray, b: FloatArray, chosen: Disturbance | None, excess: float
+        self, here: _MarchedInput, A: FloatArray, b: FloatArray, chosen: Disturbance | None, factor: float
     ) -> float:
         """Laplace's log marginal likelihood about a march; with None, of the start alone."""
         u = here.u
-        constant = here.log_likelihood / excess - float(b @ u) + 0.5 * float(u @ A @ u)
+        constant = here.log_likelihood / factor - float(b @ u) + 0.5 * float(u @ A @ u)
         if chosen is not None:
             return constant + sum(_log_evidence(A, b, *self._prior(self.knots, chosen)))
         if self.extra == 0:
-            return here.log_likelihood / excess
+            return here.log_likelihood / factor
         own = slice(self.extra)
         return constant + sum(_log_evidence(A[own, own], b[own], np.eye(self.extra), 0.0))
 
     def _result(
         self, here: _MarchedInput, u: FloatArray, G: FloatArray, A: FloatArray, b: FloatArray, chosen: Disturbance,
-        excess: float, without: float,
+        factor: float, without: float,
     ) -> UnknownInput:  # fmt: skip
         whole = np.asarray(np.linalg.inv(A + self._prior(self.knots, chosen)[0]), dtype=np.float64)
         covariance = whole[self.extra :, self.extra :]
@@ -426,9 +430,9 @@ class _InverseProblem:
         spacing = np.min(np.diff(self.knots), initial=np.inf)
         return UnknownInput(
             self.knots, u[self.extra :], sigma, np.minimum(bandwidth_Hz(chosen, sigma), 0.5 / spacing),
-            half_amplitude_Hz(self.knots, information, covariance), chosen, excess,
-            self._log_marginal(here, A, b, chosen, excess) - without, here.response.temperature_K, here.response.read_K,
-            G[:, self.extra :], here.scored.score / excess, here.scored.information / excess, information, score,
+            half_amplitude_Hz(self.knots, information, covariance), chosen, factor,
+            self._log_marginal(here, A, b, chosen, factor) - without, here.response.temperature_K, here.response.read_K,
+            G[:, self.extra :], here.scored.score / factor, here.scored.information / factor, information, score,
             covariance,
         )  # fmt: skip
 

@@ -13,9 +13,9 @@ given are those of the largest likelihood with the parameters integrated out (La
 
     log L + g' M^-1 g / 2 - log det M / 2,    g and M gradient and information, priors included,
 
-in turn with the parameters: a likelihood at the values found would attribute to no noise what the parameters have
-absorbed of the wandering. R. E. Maine and K. W. Iliff, "Formulation and Implementation of a Practical Algorithm for
-Parameter Estimation with Process and Measurement Noise", SIAM J. Appl. Math. 41 (1981). Derived in
+in turn with the parameters: at fixed values, the part of the wandering that the parameters have absorbed would not
+count as noise. R. E. Maine and K. W. Iliff, "Formulation and Implementation of a Practical Algorithm for Parameter
+Estimation with Process and Measurement Noise", SIAM J. Appl. Math. 41 (1981). Derived in
 docs/estimation_statistics.md, equations 32 to 35.
 """
 
@@ -44,7 +44,7 @@ from sim_heating.march.point import PointModel
 SETTINGS = NewtonSettings(min_improvement=1e-4, min_step=1e-2)
 """A hundredth of a sigma: differences of a log likelihood give a gradient no more accurately than that."""
 STEP = 0.1
-"""Parameters are moved by this part of their sigma, the others being known, for the gradient."""
+"""Parameters are perturbed by this part of their sigma, the others being known, for the gradient."""
 FIRST_RANGES, LATER_RANGES = (60.0, 6.0, 2.0), (2.0,)
 """Largest factors on a level in successive searches, the first time and again; candidates fill the lanes of a group."""
 LEVELS_CONVERGED = 0.05
@@ -71,9 +71,9 @@ class Innovations:
         }
         self.levels = Levels(noise, undeclared)
         self._histories = [condition_history(p.conditions.at(p.time_s))[np.newaxis] for p in problem.record_fits]
-        self._bare: dict[tuple[int, int], FilterMarch] = {}
-        self._whole: list[FilterMarch | None] = [None] * len(problem.record_fits)
-        self._levelled: list[FilterMarch | None] = [None] * len(problem.record_fits)
+        self._without_sensitivities: dict[tuple[int, int], FilterMarch] = {}
+        self._with_sensitivities: list[FilterMarch | None] = [None] * len(problem.record_fits)
+        self._at_levels: list[FilterMarch | None] = [None] * len(problem.record_fits)
         self._last: tuple[bytes, Levels, list[Filtered]] | None = None
 
     # Likelihood ------------------------------------------------------------------------------------------------------
@@ -109,7 +109,7 @@ class Innovations:
         """
         chunks = [slice(i, i + LANES) for i in range(0, len(vectors), LANES)]
         jobs = [(k, c) for k in range(len(self.problem.record_fits)) for c in range(len(chunks))]
-        found = in_threads(lambda j: self._several(*jobs[j], vectors[chunks[jobs[j][1]]]), len(jobs))
+        found = in_threads(lambda j: self._log_likelihoods_of(*jobs[j], vectors[chunks[jobs[j][1]]]), len(jobs))
         total = np.zeros(len(vectors))
         for (_, c), of_part in zip(jobs, found, strict=True):
             total[chunks[c]] += of_part
@@ -120,22 +120,22 @@ class Innovations:
         parameters, gradient = self.problem.parameters, np.zeros(len(vector))
         known = np.diag(information) + np.array([p.sigma**-2.0 for p in parameters])
         moves = []
-        for i, (p, told) in enumerate(zip(parameters, known, strict=True)):
-            if told > 0.0:
+        for i, (p, precision) in enumerate(zip(parameters, known, strict=True)):
+            if precision > 0.0:
                 # large against the rounding of log L, small against its curvature
-                by = STEP / np.sqrt(told)
+                by = STEP / np.sqrt(precision)
                 moves.append((i, max(vector[i] - by, p.lower), min(vector[i] + by, p.upper)))
-        moved = np.tile(vector, (2 * len(moves), 1))
+        perturbed = np.tile(vector, (2 * len(moves), 1))
         for row, (i, low, high) in enumerate(moves):
-            moved[2 * row, i], moved[2 * row + 1, i] = low, high
-        found = self.log_likelihoods(moved)
+            perturbed[2 * row, i], perturbed[2 * row + 1, i] = low, high
+        found = self.log_likelihoods(perturbed)
         for row, (i, low, high) in enumerate(moves):
             gradient[i] = (found[2 * row + 1] - found[2 * row]) / (high - low)
         return gradient
 
     # Levels of noise -------------------------------------------------------------------------------------------------
 
-    def settle(self, vector: FloatArray, *, again: bool = False) -> float:
+    def estimate_levels(self, vector: FloatArray, *, again: bool = False) -> float:
         """Set the levels that are to be estimated to their most likely values, one after another.
 
         vector  : (parameter,) values about which the parameters are integrated out
@@ -162,7 +162,7 @@ class Innovations:
             # a correlation time or a sensor's noise cannot be 0
             factors = np.append(0.0, factors)
         tried = [self.levels.scaled(level, float(f)) for f in factors]
-        found = self._of_levels(vector, [self._at_least(t) for t in tried])
+        found = self._marginals(vector, [self._above_floor(t) for t in tried])
         if not np.any(np.isfinite(found)):
             return
         best = int(np.argmax(found))
@@ -174,18 +174,18 @@ class Innovations:
             spacing = np.log(factors[best + 1] / factors[best])
             # vertex of the parabola through the best candidate and its neighbours, in the log of the level
             factor *= float(np.exp(0.5 * spacing * (a - c) / (a - 2.0 * b + c)))
-        self.levels = self._at_least(self.levels.scaled(level, factor))
+        self.levels = self._above_floor(self.levels.scaled(level, factor))
 
-    def _at_least(self, levels: Levels) -> Levels:
+    def _above_floor(self, levels: Levels) -> Levels:
         """Levels with no sensor below the least noise of one (observation.least_sigma_K)."""
         floor = {
             (k, c.number): least_sigma_K(c.sensor) for k, p in enumerate(self.problem.record_fits) for c in p.channels
         }
         return replace(levels, sigma_K={key: max(s, floor[key]) for key, s in levels.sigma_K.items()})
 
-    def _of_levels(self, vector: FloatArray, tried: Sequence[Levels]) -> FloatArray:
+    def _marginals(self, vector: FloatArray, tried: Sequence[Levels]) -> FloatArray:
         """(level,) log likelihoods, parameters about a vector integrated out; LANES of them at most."""
-        found = in_threads(lambda k: self._one_at_levels(k, vector, tried), len(self.problem.record_fits))
+        found = in_threads(lambda k: self._filter_at_levels(k, vector, tried), len(self.problem.record_fits))
         return np.array([self._marginal(vector, of_level) for of_level in zip(*found, strict=True)])
 
     def _marginal(self, vector: FloatArray, found: Sequence[Filtered | None]) -> float:
@@ -208,14 +208,14 @@ class Innovations:
             return -np.inf
         return total + 0.5 * float(g @ np.linalg.solve(M, g)) - 0.5 * float(log_det) + float(np.sum(np.log(s)))
 
-    def _one_at_levels(self, k: int, vector: FloatArray, tried: Sequence[Levels]) -> list[Filtered | None]:
+    def _filter_at_levels(self, k: int, vector: FloatArray, tried: Sequence[Levels]) -> list[Filtered | None]:
         """A record filtered with sensitivities at several levels; None where its filter diverged."""
-        part, march = self.problem.record_fits[k], self._levelled[k]
+        part, march = self.problem.record_fits[k], self._at_levels[k]
         tracks = [self._track(k, vector, levels)[0] for levels in tried]
         # a group of lanes is always full
         tracks += [tracks[-1]] * (LANES - len(tracks))
         if march is None:
-            march = self._levelled[k] = FilterMarch(tracks, part.time_s, self._histories[k])
+            march = self._at_levels[k] = FilterMarch(tracks, part.time_s, self._histories[k])
         march.set_models([part.model_at(vector)] * LANES)
         try:
             return list(march.filter(tracks)[: len(tried)])
@@ -235,7 +235,7 @@ class Innovations:
         Source: docs/estimation_statistics.md, equation 32.
         """
         found = self._filtered(vector)
-        return [s for k, filtered in enumerate(found) for s in self._of_part(k, filtered, vector)]
+        return [s for k, filtered in enumerate(found) for s in self._samples_of(k, filtered, vector)]
 
     def filtered(self, vector: FloatArray, k: int) -> tuple[FilterTrack, Filtered, NDArray[np.int64]]:
         """One record filtered with its whole history kept, as a smoother needs it.
@@ -255,15 +255,15 @@ class Innovations:
     def _filtered(self, vector: FloatArray) -> list[Filtered]:
         """Every record filtered with sensitivities; the last ones are kept."""
         if self._last is None or self._last[:2] != (vector.tobytes(), self.levels):
-            found = in_threads(lambda k: self._one(k, vector), len(self.problem.record_fits))
+            found = in_threads(lambda k: self._filter_record(k, vector), len(self.problem.record_fits))
             self._last = (vector.tobytes(), self.levels, found)
         return self._last[2]
 
-    def _one(self, k: int, vector: FloatArray) -> Filtered:
+    def _filter_record(self, k: int, vector: FloatArray) -> Filtered:
         part, track = self.problem.record_fits[k], self._track(k, vector, self.levels)[0]
-        march = self._whole[k]
+        march = self._with_sensitivities[k]
         if march is None:
-            march = self._whole[k] = FilterMarch([track], part.time_s, self._histories[k])
+            march = self._with_sensitivities[k] = FilterMarch([track], part.time_s, self._histories[k])
         march.set_models([part.model_at(vector)])
         return march.filter([track])[0]
 
@@ -288,15 +288,19 @@ class Innovations:
         )  # fmt: skip
         return track, order
 
-    def _several(self, k: int, chunk: int, vectors: FloatArray, levels: Sequence[Levels] | None = None) -> FloatArray:
+    def _log_likelihoods_of(
+        self, k: int, chunk: int, vectors: FloatArray, levels: Sequence[Levels] | None = None
+    ) -> FloatArray:
         """(candidate,) log likelihoods of a record; NaN where its filter diverged."""
         part, padding = self.problem.record_fits[k], LANES - len(vectors)
         noise = [self.levels] * len(vectors) if levels is None else list(levels)
         tracks = [self._track(k, v, n, sensitive=False)[0] for v, n in zip(vectors, noise, strict=True)]
         models = [part.model_at(v) for v in vectors]
-        march = self._bare.get((k, chunk))
+        march = self._without_sensitivities.get((k, chunk))
         if march is None:
-            march = self._bare[k, chunk] = FilterMarch([tracks[0]] * LANES, part.time_s, self._histories[k])
+            march = self._without_sensitivities[k, chunk] = FilterMarch(
+                [tracks[0]] * LANES, part.time_s, self._histories[k]
+            )
         try:
             march.set_models([*models, *[models[-1]] * padding])
             found = march.filter([*tracks, *[tracks[-1]] * padding])
@@ -314,7 +318,7 @@ class Innovations:
         found = _filter_alone(march, track)
         return float("nan") if found is None else float(np.sum(found.log_likelihood))
 
-    def _of_part(self, k: int, filtered: Filtered, vector: FloatArray) -> list[PredictedSamples]:
+    def _samples_of(self, k: int, filtered: Filtered, vector: FloatArray) -> list[PredictedSamples]:
         """The channels of a record as its filter predicts them."""
         part, order = self.problem.record_fits[k], self._track(k, vector, self.levels, sensitive=False)[1]
         mean, variance = np.empty((2, len(order)))
@@ -362,12 +366,12 @@ def fit_innovations(
     Source: docs/estimation_statistics.md, equations 13, 32 and 35, after Maine and Iliff (1981).
     """
     found = Innovations(problem, noise)
-    looked_for = bool(found.levels.unknown())
-    if looked_for:
-        found.settle(start)
+    searched = bool(found.levels.unknown())
+    if searched:
+        found.estimate_levels(start)
     fit = maximise(found.evaluate, problem.parameters, start, found.log_likelihoods, SETTINGS, told)
-    for _ in range(MAX_ROUNDS if looked_for else 0):
-        if fit.status is not Status.CONVERGED or found.settle(fit.values, again=True) < LEVELS_CONVERGED:
+    for _ in range(MAX_ROUNDS if searched else 0):
+        if fit.status is not Status.CONVERGED or found.estimate_levels(fit.values, again=True) < LEVELS_CONVERGED:
             break
         fit = maximise(found.evaluate, problem.parameters, fit.values, found.log_likelihoods, SETTINGS, told)
     return fit, found
