@@ -70,8 +70,8 @@ def _units(root: ET.Element, image: Image, fmi: int) -> None:
 def _limits(v: Variable) -> dict[str, str]:
     """Attributes min, max, nominal and unit, as far as the variable has them."""
     limits = {"min": v.lower, "max": v.upper, "nominal": v.nominal}
-    found = {name: _number(x) for name, x in limits.items() if x is not None and np.isfinite(x)}
-    return found | ({} if v.unit == "1" or v.kind is not Kind.NUMBER else {"unit": v.unit})
+    attributes = {name: _number(x) for name, x in limits.items() if x is not None and np.isfinite(x)}
+    return attributes | ({} if v.unit == "1" or v.kind is not Kind.NUMBER else {"unit": v.unit})
 
 
 def _has_start(v: Variable) -> bool:
@@ -136,20 +136,20 @@ def _items(parent: ET.Element, v: Variable) -> None:
 
 def _variable3(parent: ET.Element, image: Image, i: int, v: Variable) -> None:
     causality, variability = CAUSALITY[v.role]
-    given = {"name": v.name, "valueReference": str(i), "description": v.text, "causality": causality}
-    given["variability"] = variability
+    attributes = {"name": v.name, "valueReference": str(i), "description": v.text, "causality": causality}
+    attributes["variability"] = variability
     if v.role is Role.INPUT:
-        given["intermediateUpdate"] = "true"
+        attributes["intermediateUpdate"] = "true"
     if v.role in (Role.OUTPUT, Role.CONSTANT):
-        given["initial"] = "calculated"
+        attributes["initial"] = "calculated"
     if v.kind is Kind.TABLE:
-        ET.SubElement(ET.SubElement(parent, "String", given), "Start", value=_start(image, v))
+        ET.SubElement(ET.SubElement(parent, "String", attributes), "Start", value=_start(image, v))
         return
     if v.kind is Kind.INTEGER:
-        ET.SubElement(parent, "Enumeration", given, declaredType=f"{v.name}_type", start=_start(image, v))
+        ET.SubElement(parent, "Enumeration", attributes, declaredType=f"{v.name}_type", start=_start(image, v))
         return
     start = {"start": _start(image, v)} if _has_start(v) else {}
-    element = ET.SubElement(parent, "Float64", given | _limits(v) | start)
+    element = ET.SubElement(parent, "Float64", attributes | _limits(v) | start)
     for n in v.shape:
         ET.SubElement(element, "Dimension", start=str(n))
 
@@ -189,11 +189,11 @@ def _fmi2(image: Image, token: str) -> bytes:
 
 def _variable2(parent: ET.Element, image: Image, i: int, v: Variable) -> None:
     causality, variability = CAUSALITY[v.role]
-    given = {"name": v.name, "valueReference": str(i), "description": v.text, "causality": causality}
-    given["variability"] = variability
+    attributes = {"name": v.name, "valueReference": str(i), "description": v.text, "causality": causality}
+    attributes["variability"] = variability
     if v.role is Role.OUTPUT:
-        given["initial"] = "calculated"
-    element = ET.SubElement(parent, "ScalarVariable", given)
+        attributes["initial"] = "calculated"
+    element = ET.SubElement(parent, "ScalarVariable", attributes)
     start = {"start": _start(image, v)} if _has_start(v) else {}
     if v.kind is Kind.TABLE:
         ET.SubElement(element, "String", start)

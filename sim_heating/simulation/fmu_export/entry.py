@@ -203,11 +203,11 @@ class _EntryPacker(ImagePacker):
         points = max([POINTS, *(len(s) for s in shapes)])
         plan, choices, numbers = [float(n)], [], []
         for m in range(n):
-            own = script[mv.PLAN + mv.ENTRY * m :][: mv.ENTRY] if m < flown else np.array([0.0, NEVER_S, 0, 0, 0, 0])
+            entry = script[mv.PLAN + mv.ENTRY * m :][: mv.ENTRY] if m < flown else np.array([0.0, NEVER_S, 0, 0, 0, 0])
             shape = [*shapes[m], *[shapes[m][-1]] * (points - len(shapes[m]))] if m < flown else [(0.0, 0.0)] * points
             first = mv.PLAN + mv.ENTRY * n + 2 * points * m
-            plan += [*own[: mv.PITCH_MODE + 1], first, first + 2 * (points - 1)]
-            choices += [own[mv.TRIGGER] + 1, own[mv.CHANNEL] + 1, own[mv.PITCH_MODE] + 1]
+            plan += [*entry[: mv.PITCH_MODE + 1], first, first + 2 * (points - 1)]
+            choices += [entry[mv.TRIGGER] + 1, entry[mv.CHANNEL] + 1, entry[mv.PITCH_MODE] + 1]
             numbers += [x for point in shape for x in point]
         place, chosen = self.image.add_numbers([*plan, *numbers]), self.image.add_integers(choices)
         self.head |= {k.SCRIPT: place, k.CHOICES: chosen, k.MANOEUVRES: n}
@@ -215,15 +215,15 @@ class _EntryPacker(ImagePacker):
             self._name_manoeuvre(m, place, chosen + k.CHOICES_EACH * m, mv.PLAN + mv.ENTRY * n + 2 * points * m, points)
 
     def _name_manoeuvre(self, m: int, script: int, chosen: int, first: int, points: int) -> None:
-        own = f"manoeuvre[{m + 1}]"
+        manoeuvre = f"manoeuvre[{m + 1}]"
         kinds = (("trigger", TRIGGERS, "what triggers it"), ("moves", CHANNELS, "what it varies"),
                  ("pitch", PITCHES, "pitch axis meanwhile"))  # fmt: skip
         for i, (name, known, text) in enumerate(kinds):
-            self.add_choice(f"{own}.{name}", Role.FIXED, chosen + i, text, known)
+            self.add_choice(f"{manoeuvre}.{name}", Role.FIXED, chosen + i, text, known)
         text = "time [s], speed [m/s] or Mach number at which it begins"
-        self.add_number(f"{own}.at", Role.FIXED, script + mv.PLAN + mv.ENTRY * m + mv.VALUE, text, lower=0.0)
+        self.add_number(f"{manoeuvre}.at", Role.FIXED, script + mv.PLAN + mv.ENTRY * m + mv.VALUE, text, lower=0.0)
         for i in range(points):
-            place, at = script + first + 2 * i, f"{own}.point[{i + 1}]"
+            place, at = script + first + 2 * i, f"{manoeuvre}.point[{i + 1}]"
             self.add_number(f"{at}.after_s", Role.FIXED, place, "time since its beginning", "s", lower=0.0)
             self.add_number(f"{at}.offset", Role.FIXED, place + 1, "offset then, in the unit of what it varies")
 

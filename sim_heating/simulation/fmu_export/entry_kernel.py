@@ -59,10 +59,10 @@ ALTITUDE_IN_ROW, SPEED_IN_ROW = 1, 2
 def _choose(R, N) -> None:  # type: ignore[no-untyped-def]
     """Write trigger, channel and pitch mode of each manoeuvre into its script."""
     for m in range(N[MANOEUVRES]):
-        own, entry = at(N, N[CHOICES] + CHOICES_EACH * m), N[SCRIPT] + PLAN + ENTRY * m
-        R[entry + TRIGGER] = own[TRIGGER_CHOICE] - 1.0
-        R[entry + CHANNEL] = own[CHANNEL_CHOICE] - 1.0
-        R[entry + PITCH_MODE] = own[PITCH_CHOICE] - 1.0
+        choices, entry = at(N, N[CHOICES] + CHOICES_EACH * m), N[SCRIPT] + PLAN + ENTRY * m
+        R[entry + TRIGGER] = choices[TRIGGER_CHOICE] - 1.0
+        R[entry + CHANNEL] = choices[CHANNEL_CHOICE] - 1.0
+        R[entry + PITCH_MODE] = choices[PITCH_CHOICE] - 1.0
 
 
 @njit

@@ -309,20 +309,20 @@ class _HeatingPacker(ImagePacker):
         for i, (point, model, mesh, place) in enumerate(
             zip(self.plugin.points, e.models, e.meshes, e.lane_offsets, strict=True)
         ):
-            own = R[k.POINT_WIDTH * i : k.POINT_WIDTH * (i + 1)]
+            row = R[k.POINT_WIDTH * i : k.POINT_WIDTH * (i + 1)]
             block = e.block(place.group)
             p = parameters_at(place.lane)
-            own[:N_PARAMETERS] = block[p : p + N_PARAMETERS]
-            own[k.P_STACK : k.P_STACK + len(STACK)] = stack_values(model)
+            row[:N_PARAMETERS] = block[p : p + N_PARAMETERS]
+            row[k.P_STACK : k.P_STACK + len(STACK)] = stack_values(model)
             limits = point.limits
-            own[k.P_SURFACE_LIMIT] = NO_LIMIT_K if limits.surface_K is None else limits.surface_K
-            own[k.P_BONDLINE_LIMIT] = NO_LIMIT_K if limits.bondline_K is None else limits.bondline_K
-            own[k.P_OUT + k.SURFACE] = e.state[place.temperature(0)]
-            own[k.P_OUT + k.BONDLINE] = e.state[place.temperature(mesh.bondline)]
-            mine = e.lanes[place.group * LANES : (place.group + 1) * LANES] == i
+            row[k.P_SURFACE_LIMIT] = NO_LIMIT_K if limits.surface_K is None else limits.surface_K
+            row[k.P_BONDLINE_LIMIT] = NO_LIMIT_K if limits.bondline_K is None else limits.bondline_K
+            row[k.P_OUT + k.SURFACE] = e.state[place.temperature(0)]
+            row[k.P_OUT + k.BONDLINE] = e.state[place.temperature(mesh.bondline)]
+            of_point = e.lanes[place.group * LANES : (place.group + 1) * LANES] == i
             elements = elements_of(model.construction, mesh)
             rows.append([
-                place.group, int(np.argmax(mine)), int(np.sum(mine)), len(mesh.layer),
+                place.group, int(np.argmax(of_point)), int(np.sum(of_point)), len(mesh.layer),
                 image.add_integers(elements.layer), image.add_numbers(elements.length_m),
                 image.add_numbers(elements.density_kg_m3),
                 place.temperature(mesh.bondline), elements.insulation, elements.bondline,

@@ -114,17 +114,17 @@ def _first_out_of_range(values, ranges, n: int) -> int:  # type: ignore[no-untyp
 def _write_group_parameters(R, N, B: FloatArray, J: IntArray, g: int) -> None:  # type: ignore[no-untyped-def]
     """Write the parameters of all points of a group into its block."""
     for i in range(N[N_POINTS]):
-        own = at(N, N[POINT_INTS] + POINT_INTS_WIDTH * i)
-        if own[P_GROUP] != g:
+        point = at(N, N[POINT_INTS] + POINT_INTS_WIDTH * i)
+        if point[P_GROUP] != g:
             continue
         numbers = at(R, N[POINT_NUMBERS] + POINT_WIDTH * i)
-        n = own[P_ELEMENTS]
-        layers = carray(at(N, own[P_LAYERS]), n)
-        lengths, densities = carray(at(R, own[P_LENGTHS]), n), carray(at(R, own[P_DENSITIES]), n)
+        n = point[P_ELEMENTS]
+        layers = carray(at(N, point[P_LAYERS]), n)
+        lengths, densities = carray(at(R, point[P_LENGTHS]), n), carray(at(R, point[P_DENSITIES]), n)
         stack = carray(at(numbers, P_STACK), STACK_WIDTH)
-        first, last = own[P_LANE], own[P_LANE] + own[P_LANES]
+        first, last = point[P_LANE], point[P_LANE] + point[P_LANES]
         heating = carray(numbers, N_PARAMETERS)
-        elements = Elements(layers, lengths, densities, own[P_INSULATION], own[P_BOTTOM])
+        elements = Elements(layers, lengths, densities, point[P_INSULATION], point[P_BOTTOM])
         set_point(B, J, first, last, elements, stack, heating)
 
 
@@ -193,19 +193,19 @@ def _write_outputs(R, N, A) -> int:  # type: ignore[no-untyped-def]
     """Write the outputs; number of the first point whose step did not converge, GOOD where all did."""
     outcome = GOOD
     for i in range(N[N_POINTS] - 1, -1, -1):
-        own = at(N, N[POINT_INTS] + POINT_INTS_WIDTH * i)
+        point = at(N, N[POINT_INTS] + POINT_INTS_WIDTH * i)
         numbers = at(R, N[POINT_NUMBERS] + POINT_WIDTH * i)
         out = at(numbers, P_OUT)
-        first = N[GROUPS] + 4 * own[P_GROUP]
+        first = N[GROUPS] + 4 * point[P_GROUP]
         block, ints = at(R, N[STATE] + N[first]), at(N, N[INTS] + N[first + INTS_START])
-        B, J = at(block, own[P_LANE]), at(ints, own[P_LANE])
+        B, J = at(block, point[P_LANE]), at(ints, point[P_LANE])
         wall = B[(HEAD_ROWS + T) * LANES]
-        h_ref = R[N[VECTORS] + (own[P_GROUP] * LANES + own[P_LANE]) * N_CONDITIONS + H_REF]
+        h_ref = R[N[VECTORS] + (point[P_GROUP] * LANES + point[P_LANE]) * N_CONDITIONS + H_REF]
         excess = wall * wall * wall * wall - B[SURROUNDINGS4 * LANES]
         eps = B[FACTOR_EPS * LANES] * emittance(at(R, N[TABLE]), J[EMISSIVITY_TABLE], wall)
         if J[N_EMITTING] > 0:
-            eps *= emittance_factor(block, ints, A[0], own[P_LANE], END, wall)
-        out[SURFACE], out[BONDLINE] = wall, R[N[STATE] + own[P_BONDLINE]]
+            eps *= emittance_factor(block, ints, A[0], point[P_LANE], END, wall)
+        out[SURFACE], out[BONDLINE] = wall, R[N[STATE] + point[P_BONDLINE]]
         out[RATIO] = B[(FILM + 2) * LANES] / h_ref if h_ref > 0.0 else 0.0
         out[RADIATED] = eps * SIGMA * excess
         out[ABSORBED] = B[STAGE_IN * LANES]
@@ -215,11 +215,11 @@ def _write_outputs(R, N, A) -> int:  # type: ignore[no-untyped-def]
         if B[FAILED * LANES] != 0.0 or not math.isfinite(wall):
             outcome = i
     for s in range(N[N_SENSORS]):
-        own = at(N, N[SENSOR_INTS] + 4 * s)
-        numbers = at(R, own[S_NUMBERS])
-        coefficients = carray(at(R, own[S_CALIBRATION]), own[S_COEFFICIENTS])
+        sensor = at(N, N[SENSOR_INTS] + 4 * s)
+        numbers = at(R, sensor[S_NUMBERS])
+        coefficients = carray(at(R, sensor[S_CALIBRATION]), sensor[S_COEFFICIENTS])
         numbers[S_INDICATED] = indicated_kernel(
-            R[N[STATE] + own[S_PLACE]], numbers[S_GAIN], numbers[S_BIAS], coefficients
+            R[N[STATE] + sensor[S_PLACE]], numbers[S_GAIN], numbers[S_BIAS], coefficients
         )
     return outcome
 
@@ -235,9 +235,9 @@ def _start(R, N, A) -> int:  # type: ignore[no-untyped-def]
     for k in range(n):
         R[N[INPUTS_NEXT] + k] = R[N[INPUTS] + k]
     given = at(R, N[INPUTS_NEXT])
-    bad = _first_out_of_range(given, at(R, N[RANGES]), n)
-    if bad != GOOD:
-        return bad
+    outside = _first_out_of_range(given, at(R, N[RANGES]), n)
+    if outside != GOOD:
+        return outside
     _write_parameters(R, N)
     _clear_counts(R, N)
     _begin(R, N, A, given, R[NOW])
@@ -252,12 +252,12 @@ def _step(R, N, A) -> int:  # type: ignore[no-untyped-def]
     """Advance all points to the end of a step."""
     n, dt = N[N_INPUTS], R[NEXT] - R[NOW]
     now, then, ranges = at(R, N[INPUTS_NOW]), at(R, N[INPUTS_NEXT]), at(R, N[RANGES])
-    bad = _first_out_of_range(now, ranges, n)
-    if bad != GOOD:
-        return n + bad
-    bad = _first_out_of_range(then, ranges, n)
-    if bad != GOOD:
-        return bad
+    outside = _first_out_of_range(now, ranges, n)
+    if outside != GOOD:
+        return n + outside
+    outside = _first_out_of_range(then, ranges, n)
+    if outside != GOOD:
+        return outside
     if not dt <= LONGEST_COMMUNICATION_S:
         return 2 * n
     jumped = N[CHANGED] != 0

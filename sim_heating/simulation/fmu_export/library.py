@@ -232,9 +232,9 @@ def compiler_command(target: Target) -> list[str]:
 
     raises : InputError naming what to install
     """
-    found = shutil.which("gcc") or shutil.which("cc") or shutil.which("clang")
-    if target.native and found:
-        return [found]
+    native = shutil.which("gcc") or shutil.which("cc") or shutil.which("clang")
+    if target.native and native:
+        return [native]
     if importlib.util.find_spec("ziglang") is not None:
         return [sys.executable, "-m", "ziglang", "cc", "-target", target.zig]
     what = "a C compiler" if target.native else f"a linker for {target.fmi3}"
@@ -291,12 +291,12 @@ def object_files(unit: CompilationUnit, target: Target) -> list[Path]:
 
     raises : RunError where a function cannot be compiled
     """
-    found = unit.object_paths(target)
-    for k, (path, level) in enumerate(zip(found, target.levels, strict=True)):
+    paths = unit.object_paths(target)
+    for k, (path, level) in enumerate(zip(paths, target.levels, strict=True)):
         if not path.is_file():
             path.parent.mkdir(parents=True, exist_ok=True)
             write_bytes_atomic(path, object_code(unit, target, level, f"_{k}"))
-    return found
+    return paths
 
 
 def link_inputs(units: Sequence[CompilationUnit], target: Target, folder: Path) -> list[Path]:
@@ -304,10 +304,10 @@ def link_inputs(units: Sequence[CompilationUnit], target: Target, folder: Path) 
 
     folder : the table is written there
     """
-    found = [path for unit in units for path in object_files(unit, target)]
+    paths = [path for unit in units for path in object_files(unit, target)]
     table = folder / "functions.c"
     table.write_text(_function_table_source(units, target))
-    return [table, *found]
+    return [table, *paths]
 
 
 def wrapper_sources() -> list[Path]:
