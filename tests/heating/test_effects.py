@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import os
 import subprocess
@@ -14,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.draw_effects import page
 from sim_heating.base.errors import InputError
 from sim_heating.closure.search.candidates import candidates
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
@@ -171,11 +171,8 @@ def test_every_effect_has_a_picture():
 
 
 def test_page_of_effects_has_the_parameters_of_the_code_and_keeps_its_equations():
-    spec = importlib.util.spec_from_file_location("draw_effects", ROOT / "examples" / "draw_effects.py")
-    draw_effects = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(draw_effects)
     text = (ROOT / "docs" / "effects.md").read_text()
-    assert draw_effects.page(text) == text
+    assert page(text) == text
     assert text.count(r"\tag{") == 24
 
 

@@ -74,6 +74,12 @@ class Effect:
     source        : publication or flight in which it was seen
     raises        : InputError where parameters are too many, mode and kernel or parameters contradict each other, or
                     `neutral` names a parameter that does not exist
+
+    >>> import sim_heating as sh
+    >>> depth = sh.model_parameter("depth_m", "stack.gap.depth_m")
+    >>> effect = sh.Effect("deep-gap", "model", (sh.model_parameter("fraction", "stack.gap.fraction"), depth))
+    >>> effect.model_parameters
+    ('stack.gap.fraction', 'stack.gap.depth_m')
     """
 
     name: str

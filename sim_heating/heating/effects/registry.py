@@ -99,6 +99,10 @@ def effects() -> Mapping[str, Effect]:
     """All effects by name: the package's and those of the folders in SIM_HEATING_EFFECTS.
 
     raises : InputError where a folder does not exist, a user's file defines no valid effect, or a name is taken already
+
+    >>> import sim_heating as sh
+    >>> [p.name for p in sh.effects()["gap-flow"].parameters]
+    ['gap_fraction', 'gap_depth_m']
     """
     return _all(user_effect_files())
 

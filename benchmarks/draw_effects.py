@@ -1,6 +1,6 @@
 """Pictures of what each effect does to a flight, and the tables of its parameters in docs/effects.md.
 
-    python examples/draw_effects.py scenarios/all_manoeuvres.toml --docs docs
+    python -m benchmarks.draw_effects scenarios/all_manoeuvres.toml --docs docs
 
 draws docs/images/effect_NAME.png and writes docs/effects.md, from the repository's root. The magnitudes are large
 enough to be visible; every other value is an effect's nominal one. In docs/effects.md the text before the first heading
@@ -16,7 +16,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.files import write_text_atomic
@@ -28,8 +27,6 @@ from sim_heating.march.ensemble import PointModel
 from sim_heating.march.history import PointHistory, march_points
 from sim_heating.simulation.run import fly_scenario
 from sim_heating.thermal.stack import Sensor
-
-FloatArray = NDArray[np.float64]
 
 DRAWN: Mapping[str, Mapping[str, float]] = {
     "alpha-curvature": {"d_alpha2": 2e-4},
