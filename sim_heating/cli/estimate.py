@@ -198,7 +198,7 @@ def estimate(
     for line in fitted.warnings:
         CONSOLE.print(line, style="red")
     if fitted.innovations is not None:
-        CONSOLE.print(fitted.innovations.levels.noise.words())
+        CONSOLE.print(fitted.innovations.levels.noise.summary())
     _print_errors(found)
     print_outputs(out, names)
     if not found.converged:

@@ -98,7 +98,7 @@ class Truth(Declared):
     def _check_parameters(cls, parameters: dict[str, float]) -> dict[str, float]:
         for name in parameters:
             if name not in MODEL:
-                raise ValueError(f"there is no parameter `{name}`{suggestion(name, MODEL, otherwise='')}")
+                raise ValueError(f"unknown parameter `{name}`{suggestion(name, MODEL, otherwise='')}")
         return parameters
 
 

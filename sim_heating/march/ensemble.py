@@ -121,7 +121,7 @@ class Ensemble:
         kinds: Sequence[int] | None = None,
     ) -> None:
         if not models:
-            raise InputError("there is no control point; give at least one")
+            raise InputError("no control point was given; give at least one")
         self.models = list(models)
         self.step_s = step_s
         self.meshes = tuple(meshes)
@@ -157,7 +157,7 @@ class Ensemble:
         self.groups = np.column_stack([blocks[:-1], blocks[1:], integers[:-1], integers[1:]]).astype(np.int64)
         self.state = aligned_zeros(int(blocks[-1]))
         self.ints = np.zeros(integers[-1], dtype=np.int64)
-        # Lanes left over repeat the last point, so that they never fail by themselves.
+        # Lanes without a point repeat the last one, so that they never fail by themselves.
         self.lanes = np.array([group + [group[-1]] * (LANES - len(group)) for group in members]).ravel()
         self.lane_offsets = [LaneOffsets(0, 0, 0, 0)] * len(self.models)
         self._elements = [elements_of(m.construction, mesh) for m, mesh in zip(self.models, self.meshes, strict=True)]
@@ -248,7 +248,7 @@ class Ensemble:
         self.set_values(model, stack_values(changed), heating_vector(changed))
 
     def set_values(self, model: int, stack: FloatArray, heating: FloatArray) -> None:
-        """Give a point new parameter values as its lane takes them; `models` keeps the values that it had.
+        """Set new parameter values of a point as its lane takes them; `models` is left as it is.
 
         model   : index of the point
         stack   : (parameter,) as march.point.stack_values, each in its unit ([-], [J/kg], [K] ...)
@@ -449,7 +449,7 @@ class Ensemble:
         histories      : (flight, time, condition) as condition_history gives them
         which          : flight of each point; by default the flights are one for each point, or one for all
         longest_step_s : intervals that are longer are divided into equal steps [s]; by default that of the ensemble
-        keep           : places in `state` to store at each sample, `outputs()` by default; an empty array stores
+        keep           : offsets in `state` to store at each sample, `outputs()` by default; an empty array stores
                          nothing
         returns        : (time, place) numbers stored, by default temperatures [K]
         raises         : InputError for times or histories of another form or with values that are not finite;
@@ -467,7 +467,7 @@ class Ensemble:
         step = self.step_s if longest_step_s is None else longest_step_s
         time_s, histories = np.ascontiguousarray(time_s, dtype=float), np.ascontiguousarray(histories, dtype=float)
 
-        # Groups share nothing that changes and the kernel releases the interpreter: threads cannot alter a bit.
+        # Groups share nothing that changes: results do not depend on threads. The kernel releases the interpreter.
         def one(g: int) -> None:
             start, end = self.groups[g, BLOCK_START], self.groups[g, BLOCK_END]
             mine = np.flatnonzero((kept >= start) & (kept < end))
@@ -494,7 +494,7 @@ class Ensemble:
         time_s         : (time,) samples [s];  histories : (flight, time, condition), in the units of their columns
         flights        : (LANES,) flight of each lane
         longest_step_s : intervals that are longer are divided into equal steps [s]
-        kept           : places in `state`, all of this group, to store at each sample
+        kept           : offsets in `state`, all in this group, to store at each sample
         returns        : (time, place) numbers stored; no rows where no place is given
 
         Whether the steps converged is found with `check` or `failed`. Source: docs/equations_march.md, equations 1, 2.

@@ -15,7 +15,7 @@ from sim_heating.base.kernels.jit import call_step, force_inline, njit, pointer
 from sim_heating.thermal.step import EVALUATE_START, LaneGroup, shift_conditions
 
 BLOCK_START, BLOCK_END, INTS_START, INTS_END = range(4)
-"""Columns of the group array: where a group's numbers and integers stand."""
+"""Columns of the group array: offsets of a group's block and integers."""
 END_STAGE = C_STAGES * LANES + 2 * LANES * N_CONDITIONS
 """First of a group's condition vectors at the end of a frame."""
 
@@ -134,7 +134,7 @@ def march_group(group: LaneGroup, flights: Flights, longest_step_s: float, store
     group          : the lane group, whose block changes
     longest_step_s : an interval between samples that is longer is divided into equal steps no longer than this [s]
     stored         : (m,) offsets in the block of the numbers that are stored at every sample
-    out            : (time, m) the numbers stored, temperatures [K] for instance; no rows where none are wanted
+    out            : (time, m) the numbers stored, temperatures [K] for instance; no rows where none are stored
 
     Derived in docs/equations_march.md, equations 1 and 2.
     """

@@ -110,16 +110,16 @@ def values_at(history_s: FloatArray, values: FloatArray, time_s: FloatArray) -> 
     """Values of a history at given times that it contains; nothing is interpolated.
 
     history_s : (step,) times of the history [s];  values : (..., step), temperatures [K] for instance
-    time_s    : (time,) times wanted [s]
+    time_s    : (time,) times to read [s]
     returns   : (..., time), NaN at times outside the history
-    raises    : InputError where a time inside the history is none of its times, nor up to 1e-9 s before one
+    raises    : InputError for a time inside the history that is more than 1e-9 s before the next of its times
 
     Every sample time is an end of a step: docs/equations_march.md, equation 2.
     """
     place = np.clip(np.searchsorted(history_s, time_s), 0, len(history_s) - 1)
     inside = (time_s >= history_s[0]) & (time_s <= history_s[-1])
     if not np.allclose(history_s[place][inside], time_s[inside], rtol=0.0, atol=1e-9):
-        raise InputError("temperatures: a time was asked for at which no step ended")
+        raise InputError("temperatures: no step ended at one of the times; use sample times of the march")
     return np.where(inside, values[..., place], np.nan)
 
 

@@ -59,7 +59,7 @@ this one times its derivative of the ratio, unless a lag remembers earlier ratio
 
 @dataclass(frozen=True)
 class Track:
-    """One control point, its mesh, and the samples and parameters at which temperatures and sensitivities are wanted.
+    """One control point, its mesh, and the samples and parameters at which temperatures and sensitivities are computed.
 
     model    : the point, `mesh` its mesh
     names    : (m,) dotted names of the parameters
@@ -84,7 +84,7 @@ class Track:
 
     @property
     def read_nodes(self) -> tuple[int, ...]:
-        """Nodes whose temperatures are read: those asked for, by default those of the sensors."""
+        """Nodes whose temperatures are read: those of the track, by default those of the sensors."""
         return self.mesh.sensors if self.nodes is None else self.nodes
 
     @property
@@ -158,7 +158,7 @@ class _PerturbedLane:
 
 
 def _perturbed_lanes(i: int, track: Track) -> list[_PerturbedLane]:
-    """The perturbed lanes of a track, the nominal one first; none where no sensitivity is wanted."""
+    """The perturbed lanes of a track, the nominal one first; none for a track without sensitivities."""
     found = [_PerturbedLane(i)] if track.columns else []
     # A lag mixes earlier values of dr/dp into the present ratio, so that one lane cannot serve all parameters.
     remembered = any(used.effect.lags for used in track.model.effects)
@@ -174,8 +174,8 @@ def _perturbed_lanes(i: int, track: Track) -> list[_PerturbedLane]:
     return found + [_PerturbedLane(i, (column,), by=1.0, at_faces=True) for column in tables]
 
 
-class Wanted(NamedTuple):
-    """Samples and sensitivities wanted of each lane.
+class Requested(NamedTuple):
+    """Samples and sensitivities that are read of each lane.
 
     columns        : (lane,) number of sensitivities
     time_s         : (lane, sample) times [s];  samples : (lane,) their number
@@ -227,8 +227,8 @@ class LinearMarch:
         models = [perturbed.model(track, track.model) for perturbed, track in zip(self._lanes, tracks, strict=True)]
         at_faces = np.array([perturbed.at_faces for perturbed in self._lanes])
         # A group costs the same with one lane as with eight: lanes at the faces alone fill the groups of whole rows.
-        beside = -np.count_nonzero(~at_faces) % LANES
-        kinds = [int(kind) for kind in at_faces & (np.cumsum(at_faces) > beside)]
+        fillers = -np.count_nonzero(~at_faces) % LANES
+        kinds = [int(kind) for kind in at_faces & (np.cumsum(at_faces) > fillers)]
         return Ensemble(models, [track.mesh for track in tracks], share_tables_with=self.nominal, kinds=kinds)
 
     @cached_property
@@ -245,7 +245,7 @@ class LinearMarch:
         return PerturbedGroups(e.ints, e.groups, len(whole), source, *assembly_addresses())
 
     def _offsets(self, m: int) -> PerturbedOffsets:
-        """Where the perturbed lanes of each track stand, m columns to a lane."""
+        """Offsets of the perturbed lanes of each track, with m columns for each lane."""
         faces = ACTS_ALONG_GAP if self.nominal.integers(0)[GAPS] == 1 else ACTS_AT_FACES
         if (m, faces) not in self._cached_offsets:
             self._cached_offsets[m, faces] = self._find_offsets(m, faces)
@@ -255,8 +255,8 @@ class LinearMarch:
         at, inverse = np.zeros(LANES, dtype=np.int64), np.zeros((LANES, m))
         plus, minus, reach = np.zeros((3, LANES, m), dtype=np.int64)
         linear = np.full((LANES, m), OWN_PERTURBATION)
-        stand = () if self.perturbed is None else self.perturbed.lane_offsets
-        for perturbed, place in zip(self._lanes, stand, strict=True):
+        offsets = () if self.perturbed is None else self.perturbed.lane_offsets
+        for perturbed, place in zip(self._lanes, offsets, strict=True):
             lane, columns, first = self._lane_of[perturbed.track], list(perturbed.columns), place.node_0
             if not columns:
                 # Equal on both sides by default: a column without a perturbed lane has no forcing.
@@ -275,7 +275,7 @@ class LinearMarch:
 
         models : one for each track, differing from the present one in values only ([-], [K], ... by parameter)
 
-        Perturbations keep their size: docs/equations_march.md, equations 9 and 10.
+        Perturbations have the size of the first models: docs/equations_march.md, equations 9 and 10.
         """
         for i, model in enumerate(models):
             self.nominal.set_model(i, model)
@@ -326,15 +326,22 @@ class LinearMarch:
                 raise InputError(f"{track.model.name}: {outside} samples lie outside the march; leave them out")
         self._begin([t.initial_K for t in self.tracks] if initial_K is None else initial_K)
         m = max(track.columns for track in self.tracks)
-        wanted = self._wanted(times)
-        reads, count = wanted.nodes.shape[1], wanted.time_s.shape[1]
+        requested = self._requested(times)
+        reads, count = requested.nodes.shape[1], requested.time_s.shape[1]
         out = np.empty((len(self.tracks), reads, count, 2 + m))
         group = self.nominal.lane_group(0)
         if self.perturbed is not None:
             # Its tables are those of the nominal lanes and of the perturbed ratios behind them.
             group = group._replace(table=self.perturbed.table)
         march_linear(
-            group, self._perturbed_state(), self._groups, self._offsets(m), self._flights, self._start(m), wanted, out
+            group,
+            self._perturbed_state(),
+            self._groups,
+            self._offsets(m),
+            self._flights,
+            self._start(m),
+            requested,
+            out,
         )
         failed = self.nominal.failed()
         return [None if failed[i] else self._result(i, out) for i in range(len(self.tracks))]
@@ -362,8 +369,8 @@ class LinearMarch:
                 start[self._lane_of[i], : track.mesh.nodes, first : track.columns] = track.initial_columns
         return start
 
-    def _wanted(self, times: Sequence[FloatArray]) -> Wanted:
-        """Samples wanted of each lane; a lane without a track has no samples and no columns."""
+    def _requested(self, times: Sequence[FloatArray]) -> Requested:
+        """Samples that are read of each lane; a lane without a track has no samples and no columns."""
         columns, samples, reads = np.zeros((3, LANES), dtype=np.int64)
         sample_s = np.full((LANES, max(1, *(len(t) for t in times))), np.inf)
         nodes = np.zeros((LANES, max(1, *(len(t.read_nodes) for t in self.tracks))), dtype=np.int64)
@@ -371,7 +378,7 @@ class LinearMarch:
             lane = self._lane_of[i]
             columns[lane], samples[lane], reads[lane] = track.columns, len(t), len(track.read_nodes)
             sample_s[lane, : len(t)], nodes[lane, : len(track.read_nodes)] = t, track.read_nodes
-        return Wanted(columns, sample_s, samples, nodes, reads)
+        return Requested(columns, sample_s, samples, nodes, reads)
 
     def _result(self, i: int, out: FloatArray) -> Linearised | None:
         track = self.tracks[i]
@@ -401,16 +408,16 @@ class Columns(NamedTuple):
 
 @njit
 def _read_samples(
-    B: FloatArray, lane: int, begun_s: float, dt: float, S: Columns, wanted: Wanted, first: int, out: FloatArray
+    B: FloatArray, lane: int, begun_s: float, dt: float, S: Columns, requested: Requested, first: int, out: FloatArray
 ) -> int:
     """Temperatures, rates and sensitivities at the samples of a lane in one step; returns the next sample's number."""
-    k, m = first, wanted.columns[lane]
-    while k < wanted.samples[lane] and wanted.time_s[lane, k] <= begun_s + dt:
-        x = (wanted.time_s[lane, k] - begun_s) / dt
+    k, m = first, requested.columns[lane]
+    while k < requested.samples[lane] and requested.time_s[lane, k] <= begun_s + dt:
+        x = (requested.time_s[lane, k] - begun_s) / dt
         w0, w1, w2 = parabola(x)
         d0, d1, d2 = parabola_rate(x, dt)
-        for j in range(wanted.reads[lane]):
-            i = wanted.nodes[lane, j]
+        for j in range(requested.reads[lane]):
+            i = requested.nodes[lane, j]
             a = (HEAD_ROWS + i * NODE_ROWS) * LANES + lane
             T0, T1, T2 = B[a + T_START * LANES], B[a + T_STAGE * LANES], B[a + T * LANES]
             out[j, k, 0] = w0 * T0 + w1 * T1 + w2 * T2
@@ -424,7 +431,7 @@ def _read_samples(
 @njit
 def march_linear(
     group: LaneGroup, X: FloatArray, perturbed: PerturbedGroups, offsets: PerturbedOffsets, flights: Flights,
-    start: FloatArray, wanted: Wanted, out: FloatArray,
+    start: FloatArray, requested: Requested, out: FloatArray,
 ) -> None:  # fmt: skip
     """March one lane group with the sensitivities of its lanes.
 
@@ -435,7 +442,7 @@ def march_linear(
     perturbed, offsets : groups of the perturbed lanes, and where those of each nominal lane are
     flights            : steps of the march and conditions
     start              : (LANES, node, m) sensitivities of the temperatures at the start [K over the parameter's unit]
-    wanted             : samples and nodes
+    requested             : samples and nodes
     out                : (LANES, node read, sample, 2 + m) temperature [K], rate [K/s], sensitivities; filled
 
     A lane that fails leaves numbers that are not finite in its own part of `out`. Derived in docs/equations_march.md,
@@ -455,7 +462,7 @@ def march_linear(
     # With 1 s for the time step the rows give f as the difference of content and residual.
     assemble_perturbed(group, X, perturbed, T, 2, 1.0)
     for lane in range(LANES):
-        if wanted.columns[lane] > 0:
+        if requested.columns[lane] > 0:
             begin_columns(X, offsets, lane, m, S[lane], e[lane], f[lane])
     for k in range(1, len(time_s)):
         dt = time_s[k] - time_s[k - 1]
@@ -466,18 +473,20 @@ def march_linear(
         # Nominal temperatures first: the perturbed lanes are assembled at the stages to which the step converged.
         assemble_perturbed(group, X, perturbed, T_STAGE, 1, ddt)
         for lane in range(LANES):
-            if wanted.columns[lane] > 0:
+            if requested.columns[lane] > 0:
                 S_start[lane] = S[lane]
                 first_right_hand_side(e[lane], f[lane], dt, star[lane])
                 solve_columns(X, offsets, lane, m, ddt, star[lane], S_stage[lane], reduced)
                 content_columns(X, offsets, lane, m, S_stage[lane], middle[lane])
         assemble_perturbed(group, X, perturbed, T, 2, ddt)
         for lane in range(LANES):
-            if wanted.columns[lane] > 0:
+            if requested.columns[lane] > 0:
                 second_right_hand_side(e[lane], middle[lane], star[lane])
                 solve_columns(X, offsets, lane, m, ddt, star[lane], S[lane], reduced)
                 content_columns(X, offsets, lane, m, S[lane], e[lane])
                 net_columns(e[lane], star[lane], dt, f[lane])
         for lane in range(LANES):
             columns = Columns(S_start[lane], S_stage[lane], S[lane])
-            next_sample[lane] = _read_samples(B, lane, time_s[k - 1], dt, columns, wanted, next_sample[lane], out[lane])
+            next_sample[lane] = _read_samples(
+                B, lane, time_s[k - 1], dt, columns, requested, next_sample[lane], out[lane]
+            )

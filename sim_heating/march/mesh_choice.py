@@ -23,7 +23,7 @@ from sim_heating.thermal.mesh import Mesh, build_mesh, fewest_nodes, halve_eleme
 from sim_heating.thermal.stack import pairs
 
 TOLERANCE_K = 0.3
-"""Error estimate that the automatic mesh keeps at surface, bondline and sensors [K], on a pulse to the highest
+"""Error estimate of the automatic mesh at surface, bondline and sensors [K], on a pulse to the highest
 temperature of use; a flight that heats less has a smaller error."""
 NODE_COUNTS = (14, 16, 20, 24, 28, 32, 40, 48, 64, 80, 100)
 """Node counts tried; few different ones, so that points share lane groups."""
@@ -40,7 +40,7 @@ def pack(models: Sequence[PointModel], step_s: float = 1.0) -> Ensemble:
     models : control points;  step_s : longest time step [s] of the marches to come
     raises : RunError where a trial march on a mesh did not converge
 
-    Meshes keep the error estimate of docs/equations_march.md, equation 16, below 0.3 K.
+    Error estimates of docs/equations_march.md, equation 16, are below 0.3 K.
     """
     return Ensemble(models, [mesh for mesh, _ in choose_meshes(models, step_s)], step_s)
 
@@ -77,7 +77,7 @@ def _prescribed_mesh(model: PointModel, step_s: float) -> Mesh:
 def mesh_of_nodes(model: PointModel, nodes: int, step_s: float) -> Mesh:
     """Mesh of a control point with a prescribed node count, at least what its interfaces and sensors need.
 
-    model  : the point, its sensor depths in [m];  nodes : node count wanted
+    model  : the point, its sensor depths in [m];  nodes : prescribed node count
     step_s : longest time step, which sets how fine the mesh is at the surface [s]
 
     Derived in docs/equations_march.md, section 4.
@@ -125,7 +125,7 @@ def _pulse_flux(point: PointModel) -> float:
 
 
 def _march_pulse(points: Sequence[PointModel], meshes: Sequence[Mesh], step_s: float) -> FloatArray:
-    # A short step would cost much and add nothing: it is the mesh that is judged, and both meshes share the step.
+    # A short step would cost time and change nothing: both meshes are marched in the same steps.
     step = max(step_s, 1.0)
     time = np.linspace(0.0, PULSE_TIME_S[-1], int(np.ceil(PULSE_TIME_S[-1] / step)) + 1)
     history = np.zeros((len(points), len(time), len(CONDITION_COLUMNS)))

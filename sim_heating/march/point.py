@@ -33,11 +33,11 @@ MOISTURE_RUNAWAY = "moisture gives off more heat as it condenses than takes to w
 CONDENSATION_WIDTHS = 8.0
 """Widths about its condensation temperature outside of which moisture condenses to less than 1e-3."""
 VALUE_INDEX = {name: k for k, name in enumerate(MODEL)}
-"""Place of each parameter in PointModel.values."""
+"""Index of each parameter in PointModel.values."""
 
 
 def _unknown(point: str, name: str, known: Iterable[str]) -> str:
-    return f"{point}: there is no parameter `{name}`{suggestion(name, known, otherwise='')}"
+    return f"{point}: unknown parameter `{name}`{suggestion(name, known, otherwise='')}"
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class PointModel:
     wall_enthalpy : constant cp [J/(kg K)] or the name of a gas model
     nodes         : number of nodes, or None to have it chosen
     parameters    : dotted name -> value, in the unit of the parameter, where not nominal
-    reference     : values of the five ratio variables about which derivatives are taken [deg, deg, -, deg, deg]
+    reference     : values of the five ratio variables about which derivatives are defined [deg, deg, -, deg, deg]
     effects       : effects with their parameters
     raises        : InputError for unknown parameters and values out of bounds, sensors outside the stack, cp not above
                     0, two effects with a lag, ratio.d0 with a table, moisture without a unique temperature
@@ -89,7 +89,7 @@ class PointModel:
             raise InputError(f"{self.name}: two effects with a lag; one at most at one control point")
         if self.ratio is not None and self.parameters.get("ratio.d0", 0.0) != 0.0:
             raise InputError(f"{self.name}: ratio.d0 is 0 where there is a ratio table; use ratio.scale")
-        # Last: it reads `values`, which the checks above have made sure of.
+        # Last: it reads `values`, which are valid only after the checks above.
         if self.runs_away:
             raise InputError(f"{self.name}: {MOISTURE_RUNAWAY}; lower its deposit_J_kg or raise its width_K")
 
@@ -145,7 +145,7 @@ class PointModel:
         Ratio parameters: docs/equations.md, section 2.
         """
         if name.startswith(EFFECT_PREFIX):
-            use, k = self._effect_place(name)
+            use, k = self._effect_parameter(name)
             return float(self.effects[use].values[k])
         return float(self.values[VALUE_INDEX[name]])
 
@@ -164,7 +164,7 @@ class PointModel:
                  one layer
         """
         if name.startswith(EFFECT_PREFIX):
-            use, k = self._effect_place(name)
+            use, k = self._effect_parameter(name)
             return self.effects[use].effect.parameters[k]
         if name not in MODEL:
             raise InputError(_unknown(self.name, name, MODEL))
@@ -180,12 +180,12 @@ class PointModel:
         Its sensitivity then needs no rows of the interior: docs/equations_march.md, equation 13.
         """
         if name.startswith(EFFECT_PREFIX):
-            use, k = self._effect_place(name)
+            use, k = self._effect_parameter(name)
             effect = self.effects[use].effect
             return effect.kernel is not None or effect.model_parameters[k] in BOUNDARY
         return name in BOUNDARY
 
-    def _effect_place(self, name: str) -> tuple[int, int]:
+    def _effect_parameter(self, name: str) -> tuple[int, int]:
         known = {
             f"{EFFECT_PREFIX}{use.effect.name}.{p.name}": (i, k)
             for i, use in enumerate(self.effects)
@@ -202,18 +202,18 @@ class PointModel:
                  values are not checked
         raises : InputError with the nearest name where the model has no such parameter
 
-        Bounds are left to the caller because derivatives perturb parameters that stand at a bound
+        The caller checks bounds, because derivatives perturb parameters that are at a bound
         (docs/equations_march.md, equation 9).
         """
         parameters, effects = dict(self.parameters), [list(use.values) for use in self.effects]
         for name, value in values.items():
             if name.startswith(EFFECT_PREFIX):
-                use, k = self._effect_place(name)
+                use, k = self._effect_parameter(name)
                 effects[use][k] = value
             else:
                 self.definition(name)
                 parameters[name] = value
-        # Not dataclasses.replace: that would check bounds, and a difference may have to step over one.
+        # Not dataclasses.replace: that would check bounds, which a difference may have to exceed.
         other = copy.copy(self)
         used = tuple(EffectUse(u.effect, tuple(v)) for u, v in zip(self.effects, effects, strict=True))
         other.__dict__.pop("values", None)
@@ -236,7 +236,7 @@ def kernel_effects(model: PointModel) -> list[EffectUse]:
 
     First those that add to the ratio [-], then factors on it [-], then factors on the emittance [-].
 
-    Effects without a kernel stand for parameters of the model. Order: docs/equations.md, section 2.
+    Effects without a kernel act through parameters of the model. Order: docs/equations.md, section 2.
     """
     return sorted((u for u in model.effects if u.effect.kernel), key=lambda u: MODES.index(u.effect.mode))
 

@@ -40,7 +40,7 @@ class Mesh:
     length_m : (n - 1,) length of an element [m], or its resistance [m2 K/W] where layer is -1 (a contact)
     layer    : (n - 1,) index of the layer of an element, -1 for a contact
     depth_m  : (n,) depth of a node [m]; equal on both sides of a contact
-    sensors  : node of each depth asked for
+    sensors  : node at each depth of a sensor
     bondline : node at the outer face of the last layer
     """
 
@@ -142,7 +142,7 @@ def build_mesh(construction: Construction, depths_m: FloatArray, nodes: int, ste
     """
     fewest = fewest_nodes(construction, depths_m)
     if nodes < fewest:
-        raise InputError(f"mesh: {nodes} nodes cannot hold every interface and sensor; use {fewest} or more")
+        raise InputError(f"mesh: {nodes} nodes are too few for all interfaces and sensors; use {fewest} or more")
     segments = _segments(construction, depths_m)
     contacts = [layer.contact_m2K_W for layer in construction.stack.layer]
     s = np.concatenate(([0.0], np.cumsum([seg.length_m / seg.root_a for seg in segments])))
@@ -179,7 +179,7 @@ def _place_nodes(
 
 
 def halve_elements(mesh: Mesh) -> Mesh:
-    """The mesh with every element halved, contacts left as they are, sensors and bondline at the same depths.
+    """Mesh with every element halved; contacts, and the depths of sensors and bondline, are unchanged.
 
     Two such meshes give the error estimate [K] of docs/equations_thermal_step.md, equation 40.
     """

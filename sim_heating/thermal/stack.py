@@ -23,7 +23,9 @@ Table = list[list[float]]
 """[[T_K, value], ...]"""
 
 THICKEST_M = 5.0
-"""Thickness above which a layer is taken for one in millimetres [m]."""
+"""Thickness above which a value is taken to be in millimetres [m]."""
+
+TOO_HOT = f"too hot for a wall; give K, at most {HOTTEST_K:g}"
 
 LEAST, MOST = 1e-9, 1e9
 """Limits of any property or thickness in its SI unit. A value outside them is in another unit."""
@@ -69,7 +71,7 @@ def _property_problems(table: Table, name: str, largest: float = MOST) -> list[t
 def _hot_problems(table: Table) -> list[tuple[Location, str]]:
     """A problem where the last, and so the highest, temperature of a table is above HOTTEST_K."""
     last = len(table) - 1
-    return [((last, 0), f"{table[last][0]:g} K is no temperature of a wall")] if table[last][0] > HOTTEST_K else []
+    return [((last, 0), f"{table[last][0]:g} K is {TOO_HOT}")] if table[last][0] > HOTTEST_K else []
 
 
 def _raise_located(problems: Sequence[tuple[Location, str]]) -> None:
@@ -183,14 +185,14 @@ class Layer(Declared):
     """One layer of a stack: material, thickness [m], and contact resistance [m2 K/W] at its inner face (0: perfect)."""
 
     material: str = Field(description="name of a material")
-    thickness_m: float = Field(gt=0.0, description="thickness in m, above 0; leave out a layer that is not there")
+    thickness_m: float = Field(gt=0.0, description="thickness in m, above 0; omit a layer that is absent")
     contact_m2K_W: float = Field(default=0.0, ge=0.0, le=MOST, description="contact resistance in m2 K/W")
 
     @field_validator("thickness_m")
     @classmethod
     def _check_metres(cls, thickness_m: float) -> float:
         if thickness_m < LEAST:
-            raise ValueError(f"{thickness_m:g} is thinner than an atom; give m, or leave out a layer that is not there")
+            raise ValueError(f"{thickness_m:g} is thinner than an atom; give m, or omit a layer that is absent")
         if thickness_m > THICKEST_M:
             raise ValueError(f"{thickness_m:g} is thicker than {THICKEST_M:g} m and looks like millimetres; give m")
         return thickness_m
@@ -238,7 +240,7 @@ class Stack(Declared):
             problems = _pair_problems(table, "x_m, T_K")
             if not problems:
                 problems = [
-                    ((i, 1), f"{T_K:g} {celsius_rule() if T_K < COLDEST_K else 'K is no temperature of a wall'}")
+                    ((i, 1), f"{T_K:g} {celsius_rule() if T_K < COLDEST_K else f'K is {TOO_HOT}'}")
                     for i, (_, T_K) in enumerate(table)
                     if not COLDEST_K <= T_K <= HOTTEST_K
                 ]
@@ -256,7 +258,7 @@ class Stack(Declared):
         if getattr(self, needed) is None:
             problems.append((("initial",), f'"{self.initial}" needs `{needed}`; add it'))
         if self.initial == "uniform" and self.initial_profile is not None:
-            problems.append((("initial_profile",), 'is given with initial = "uniform"; say initial = "profile"'))
+            problems.append((("initial_profile",), 'is given with initial = "uniform"; set initial = "profile"'))
         return problems
 
     def _profile_depth_problems(self) -> list[tuple[Location, str]]:
@@ -317,7 +319,7 @@ class Sensor(Declared):
         if len(range_K) != 2 or not range_K[0] < range_K[1]:
             raise ValueError(f"{range_K} is not [lowest, highest]; give two increasing temperatures in K")
         if range_K[1] > HOTTEST_K:
-            raise LocatedError(((1,), f"{range_K[1]:g} K is no temperature of a wall"))
+            raise LocatedError(((1,), f"{range_K[1]:g} K is {TOO_HOT}"))
         if range_K[0] < 0.0:
             raise LocatedError(((0,), f"{range_K[0]:g} K is below absolute zero; give K, not Celsius"))
         return range_K
@@ -390,7 +392,7 @@ def material_problems(stack: Stack, materials: Mapping[str, Material]) -> list[t
     for i, layer in enumerate(stack.layer):
         if layer.material not in materials:
             hint = suggestion(layer.material, materials, otherwise=f"; add [materials.{layer.material}]")
-            problems.append((("stack", "layer", i, "material"), f"there is no material `{layer.material}`{hint}"))
+            problems.append((("stack", "layer", i, "material"), f"unknown material `{layer.material}`{hint}"))
     outer = materials.get(stack.layer[0].material)
     if outer is not None and outer.emissivity is None:
         rule = "the outermost layer radiates; add `emissivity` = [[T_K, value], ...]"
@@ -411,7 +413,7 @@ def sensor_problems(stack: Stack, sensors: Sequence[Sensor]) -> list[tuple[Locat
         for key in ("name", "column"):
             value = getattr(sensor, key)
             if value in [getattr(other, key) for other in sensors[:i]]:
-                problems.append(((i, key), f"`{value}` belongs to an earlier sensor; give each its own"))
+                problems.append(((i, key), f"`{value}` is that of an earlier sensor; give each sensor its own"))
     return problems
 
 

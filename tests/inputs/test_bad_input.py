@@ -99,7 +99,7 @@ RECORD_TOML = {
     "negative thickness": (swap("thickness_m = 0.041", "thickness_m = -0.041"), "[stack.layer] 2: `thickness_m`: -0.041 must be above 0"),
     "zero-size layer": (swap("thickness_m = 0.041", "thickness_m = 0.0"), "[stack.layer] 2: `thickness_m`: 0.0 must be above 0"),
     "thickness in mm": (swap("thickness_m = 0.041", "thickness_m = 41.0"), "[stack.layer] 2: `thickness_m`: 41 is thicker than 5 m and looks like millimetres"),
-    "layer with no material": (swap('material = "li900"', 'material = "li9000"'), "[stack.layer] 2: `material`: there is no material `li9000`; did you mean `li900`?"),
+    "layer with no material": (swap('material = "li900"', 'material = "li9000"'), "[stack.layer] 2: `material`: unknown material `li9000`; did you mean `li900`?"),
     "layer without the key": (swap('material = "li900"\n', ""), "[stack.layer] 2: key `material` is missing"),
     "no layers": (lambda t: re.sub(r"\[\[stack\.layer\]\]\n(\w+ = .*\n)+", "", t), "[stack]: key `layer` is missing ([[stack.layer]], outermost first)"),
     "absurdly dense": (swap("density_kg_m3 = 144.2", "density_kg_m3 = 1e300"), "[materials.li900]: `density_kg_m3`: 1e+300 must not be above 1e+09"),
@@ -362,7 +362,7 @@ def test_a_missing_path_is_answered_with_the_most_similar_one(tile: Path) -> Non
 def test_problems_of_a_construction_carry_the_name_of_its_source(tile: Path) -> None:
     declared = load_record(tile).declared
     materials = {name: m for name, m in declared.materials.items() if name != "al2024"}
-    with pytest.raises(InputError, match=r"NOSE\.toml, \[stack\.layer\] 3: `material`: there is no material `al2024`"):
+    with pytest.raises(InputError, match=r"NOSE\.toml, \[stack\.layer\] 3: `material`: unknown material `al2024`"):
         construct(declared.stack, materials, "NOSE.toml")
 
 

@@ -378,7 +378,7 @@ def test_a_trim_beyond_the_elevons_travel_is_reported_and_does_not_count_as_with
         ('name = "air.density"\nsigma = 1.0\nover = [[0.0, 0.5]]', "makes a factor of"),
         ('name = "stack.emissivity_factor"\nsigma = 0.4', "leaves 0 to 1.5"),
         ('name = "ratio.d_alpha"\nsigma = 0.4', "the sigma of the ratio tables states their error"),
-        ('name = "effect.transition.log10_re_onset"\nsigma = 0.1', "there is no parameter"),
+        ('name = "effect.transition.log10_re_onset"\nsigma = 0.1', "unknown parameter"),
         ('name = "stack.emissivity_factor"\nsigma = 0.01\ncontrol_points = ["WING_LE"]', "not among the study's"),
     ],
 )

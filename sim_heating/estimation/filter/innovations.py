@@ -146,8 +146,8 @@ class Innovations:
         Source: docs/estimation_statistics.md, equation 35.
         """
         before = self.levels
-        for level in before.unknown():
-            if level not in self.levels.unknown():
+        for level in before.estimated_levels():
+            if level not in self.levels.estimated_levels():
                 continue
             for width in LATER_RANGES if again else FIRST_RANGES:
                 self._search(level, vector, width)
@@ -156,7 +156,7 @@ class Innovations:
         return _largest_change(before, self.levels)
 
     def _search(self, level: Level, vector: FloatArray, width: float) -> None:
-        """Set one level to the likeliest of some factors on it; 0 too, for noise that may be absent."""
+        """Set one level to the most likely of some multiples of it, 0 among them for noise that may be absent."""
         factors = np.geomspace(1.0 / width, width, LANES - 1)
         if not isinstance(level, tuple) and level != CORRELATION:
             # a correlation time or a sensor's noise cannot be 0
@@ -220,7 +220,7 @@ class Innovations:
         try:
             return list(march.filter(tracks)[: len(tried)])
         except RunError:
-            # one diverged lane fails the group: find out which, at the price of one march each
+            # one diverged lane fails the group: one march for each finds which
             return [_filter_alone(march, t) for t in tracks[: len(tried)]]
 
     # Filters ---------------------------------------------------------------------------------------------------------
@@ -238,7 +238,7 @@ class Innovations:
         return [s for k, filtered in enumerate(found) for s in self._samples_of(k, filtered, vector)]
 
     def filtered(self, vector: FloatArray, k: int) -> tuple[FilterTrack, Filtered, NDArray[np.int64]]:
-        """One record filtered with its whole history kept, as a smoother needs it.
+        """Filter one record and keep its whole history, as a smoother needs it.
 
         vector  : (parameter,);  k : number of the record
         returns : the track, the filtered states [K], and the places of its readings among those of its channels
@@ -253,7 +253,7 @@ class Innovations:
         return track, march.filter(keep=True)[0], order
 
     def _filtered(self, vector: FloatArray) -> list[Filtered]:
-        """Every record filtered with sensitivities; the last ones are kept."""
+        """Every record filtered with sensitivities; results at the last vector are cached."""
         if self._last is None or self._last[:2] != (vector.tobytes(), self.levels):
             found = in_threads(lambda k: self._filter_record(k, vector), len(self.problem.record_fits))
             self._last = (vector.tobytes(), self.levels, found)
@@ -353,25 +353,25 @@ def _largest_change(before: Levels, after: Levels) -> float:
 
 
 def fit_innovations(
-    problem: FitProblem, noise: ProcessNoise, start: FloatArray, told: StepCallback = lambda at, log_posterior: None
+    problem: FitProblem, noise: ProcessNoise, start: FloatArray, on_step: StepCallback = lambda at, log_posterior: None
 ) -> tuple[Fit, Innovations]:
     """The most probable parameters with noise of the process, in turn with its levels where these are estimated.
 
     problem : parameters, records and samples
     noise   : levels [K s^-1/2], [-], [s], given or first guesses
     start   : (parameter,) values of a fit without process noise
-    told    : called with values and log posterior after every step
+    on_step : called with values and log posterior after every step
     returns : the fit, and the innovations with the levels found; six rounds of levels and parameters at most
 
     Source: docs/estimation_statistics.md, equations 13, 32 and 35, after Maine and Iliff (1981).
     """
     found = Innovations(problem, noise)
-    searched = bool(found.levels.unknown())
+    searched = bool(found.levels.estimated_levels())
     if searched:
         found.estimate_levels(start)
-    fit = maximise(found.evaluate, problem.parameters, start, found.log_likelihoods, SETTINGS, told)
+    fit = maximise(found.evaluate, problem.parameters, start, found.log_likelihoods, SETTINGS, on_step)
     for _ in range(MAX_ROUNDS if searched else 0):
         if fit.status is not Status.CONVERGED or found.estimate_levels(fit.values, again=True) < LEVELS_CONVERGED:
             break
-        fit = maximise(found.evaluate, problem.parameters, fit.values, found.log_likelihoods, SETTINGS, told)
+        fit = maximise(found.evaluate, problem.parameters, fit.values, found.log_likelihoods, SETTINGS, on_step)
     return fit, found

@@ -1,4 +1,4 @@
-"""Levels of process noise: what the model of the process lacks, as noise on its state, given or to be estimated.
+"""Levels of process noise, which stands for the errors of the process model: given, or to be estimated.
 
     dT_i = ... dt + q dW_i        white noise on every node, q in K s^(-1/2); as dense as the mesh
     r    = ... + d,  cov(d(t), d(t')) = sigma^2 exp(-|t - t'| / tau)        a disturbance of the heating ratio
@@ -47,8 +47,8 @@ class ProcessNoise:
             return Disturbance()
         return Disturbance.gauss_markov(self.ratio_sigma, self.ratio_correlation_s)
 
-    def words(self) -> str:
-        """One line for a report: the levels, and which of them were estimated; node noise in K/sqrt(s), tau [s]."""
+    def summary(self) -> str:
+        """One line for a report: the levels, and which of them are estimated; node noise in K/sqrt(s), tau [s]."""
         parts = []
         if self.node_K_sqrt_s or NODE in self.estimated:
             parts.append(f"{self.node_K_sqrt_s:.3g} K/sqrt(s) at every node{self._how(NODE)}")
@@ -58,7 +58,7 @@ class ProcessNoise:
         return f"Process noise: {' and '.join(parts) or 'none'}"
 
     def _how(self, level: str) -> str:
-        return ", as the readings have it" if level in self.estimated else ""
+        return ", estimated" if level in self.estimated else ""
 
 
 FIRST_GUESS = {NODE: 0.05, RATIO: 0.01}
@@ -72,7 +72,7 @@ class Levels:
     noise: ProcessNoise
     sigma_K: Mapping[tuple[int, int], float] = field(default_factory=lambda: MappingProxyType({}))
 
-    def unknown(self) -> list[Level]:
+    def estimated_levels(self) -> list[Level]:
         """Levels that are to be estimated; one that was found to be 0 is no longer searched.
 
         The search is that of docs/estimation_statistics.md, equation 35.
