@@ -65,7 +65,7 @@ def filter_wall(samples: Samples, **track):
     return FilterMarch([FilterTrack(model, mesh, samples, **whole)], TIME_S, HEATED).filter(keep=True)[0]
 
 
-def test_a_point_filtered_again_gives_the_same():
+def test_a_point_filtered_twice_gives_the_same_result():
     model, mesh = linear_wall()
     track = FilterTrack(model, mesh, wall_samples(TIME_S[1:], mesh), (), START_K, disturbance=WALKED)
     march = FilterMarch([track], TIME_S, HEATED)
@@ -137,7 +137,7 @@ def test_smoothing_is_that_of_rauch_tung_and_striebel(steps):
 
 
 def test_smoothing_readings_between_steps_is_conditioning_on_all_at_once(steps):
-    # by the filter itself: the mean at the start moves with a reading as covariance over variance says
+    # by the filter itself: the mean at the start moves with a reading by covariance over variance
     _, mesh = linear_wall()
     samples = wall_samples(np.array([0.6, 5.3, 5.9, 17.1]), mesh)
     start = np.zeros((10, 10))
@@ -174,7 +174,7 @@ def test_a_gain_and_a_bias_of_a_sensor_are_a_change_of_scale():
     np.testing.assert_allclose(b.innovation_K, 1.1 * a.innovation_K, rtol=1e-8, atol=1e-8)
 
 
-def test_what_is_only_watched_changes_nothing():
+def test_a_reading_that_is_only_predicted_changes_nothing():
     _, mesh = linear_wall()
     plain = wall_samples(TIME_S[1:], mesh)
     watched = samples_on_grid(
@@ -189,7 +189,7 @@ def test_what_is_only_watched_changes_nothing():
     np.testing.assert_allclose(surface, b.history.mean[1:, 0], rtol=1e-12)
 
 
-def test_a_wide_open_interval_tells_nothing_and_a_narrow_one_is_a_reading():
+def test_a_wide_interval_changes_nothing_and_a_narrow_one_is_a_reading():
     _, mesh = linear_wall()
     plain = wall_samples(TIME_S[1:], mesh)
     narrow = replace(plain, lower_K=plain.lower_K - 1e-4, upper_K=plain.upper_K + 1e-4)
@@ -201,7 +201,7 @@ def test_a_wide_open_interval_tells_nothing_and_a_narrow_one_is_a_reading():
     np.testing.assert_array_equal(nothing.covariance, unread.covariance)
 
 
-def test_points_in_one_march_do_not_touch_each_other():
+def test_points_filtered_in_one_march_are_independent():
     model, mesh = linear_wall()
     fine = build_mesh(model.construction, np.array(SENSORS), 14)
     a = FilterTrack(model, mesh, wall_samples(TIME_S[1:], mesh), noise_K2_s=0.5, covariance_K2=np.eye(9))
@@ -268,7 +268,7 @@ def test_without_noise_of_the_process_the_filter_is_the_plain_march(plug, hot):
     np.testing.assert_allclose(found / scale, marched.sensitivity / scale, atol=1e-6)
 
 
-def test_a_ratio_that_lags_is_remembered_as_in_the_plain_march(plug, hot):
+def test_a_ratio_that_lags_is_filtered_as_in_the_plain_march(plug, hot):
     model, mesh, t, history = plug
     lagging = replace(model, effects=(use("nonisothermal-wall", {"lag_s": 8.0}),))
     names = ("effect.nonisothermal-wall.lag_s", "effect.nonisothermal-wall.lag_fraction", "ratio.scale")
@@ -338,7 +338,7 @@ def test_filter_from_a_wrong_profile_converges_to_the_truth(plug, hot):
 
 
 def flown(plug, hot, rng: np.random.Generator, noise_K2_s: float, ratio: Disturbance, runs: int):
-    """True temperatures (run, node, step) of the plug when its noise is what the filter is told."""
+    """True temperatures (run, node, step) of the plug when its noise is that given to the filter."""
     model, mesh, t, history = plug
     profile = hot + rng.multivariate_normal(np.zeros(mesh.nodes), some_covariance(mesh.nodes), runs)
     d, truth = rng.normal(0.0, ratio.start_sigma, runs), np.empty((runs, mesh.nodes, len(t) - 1))
@@ -406,7 +406,7 @@ def test_covariance_stays_symmetric_and_positive_definite_over_a_flight(sigma_K,
     assert np.min(np.linalg.eigvalsh(correlation)) > 0.0
 
 
-def test_held_gains_are_those_of_the_whole_filter_once_it_is_steady():
+def test_frozen_gains_are_those_of_the_whole_filter_once_it_is_steady():
     model, mesh = linear_wall()
     t = np.arange(0.0, 401.0, DT)
     steady = flight(t, h_ref_kg_m2_s=0.5, H_r_J_kg=1e5)
@@ -423,7 +423,7 @@ def test_held_gains_are_those_of_the_whole_filter_once_it_is_steady():
 
 
 def filtered_in_hex() -> list[str]:
-    """All that the filter says of a few rounded readings, exactly."""
+    """Results of the filter for a few rounded readings, exactly."""
     model, mesh = linear_wall()
     plain = wall_samples(np.array([0.6, 2.0, 3.1, 3.9]), mesh)
     rounded = replace(plain, lower_K=plain.lower_K - 2.0, upper_K=plain.upper_K + 2.0)
@@ -446,7 +446,7 @@ def test_interpreted_and_compiled_filters_agree_bit_for_bit():
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [
         ({"time_s": TIME_S[::-1]}, "in order of time"),
         ({"time_s": TIME_S + 1.0}, "1 .* lie outside the march"),
@@ -454,20 +454,20 @@ def test_interpreted_and_compiled_filters_agree_bit_for_bit():
         ({"variance_K2": np.zeros(STEPS + 1)}, "noise_sigma_K"),
     ],
 )
-def test_readings_that_cannot_be_taken_are_refused(change, says):
+def test_invalid_readings_are_refused(change, message):
     samples = samples_on_grid(TIME_S, (4,), np.full((1, STEPS + 1), 500.0), 1.0)
-    with pytest.raises(InputError, match=says):
+    with pytest.raises(InputError, match=message):
         filter_wall(replace(samples, **change))
 
 
-def test_a_filter_that_diverges_says_when():
+def test_a_filter_that_diverges_is_reported_with_its_time():
     _, mesh = linear_wall()
     samples = samples_on_grid(TIME_S[1:], mesh.sensors, np.full((2, STEPS), -1e5), 1.0)
     with pytest.raises(RunError, match="diverged at 2 s"):
         filter_wall(samples)
 
 
-def test_smoothing_wants_a_history():
+def test_smoothing_without_a_history_is_refused():
     model, mesh = linear_wall()
     track = FilterTrack(model, mesh, wall_samples(TIME_S[1:], mesh))
     with pytest.raises(InputError, match="keep=True"):

@@ -48,7 +48,7 @@ def test_filtered_temperatures_are_nearer_the_truth_than_a_march_with_the_declar
     assert filtered < 0.2 * error(circuit_start(record, declared, mesh, BEGIN_S).profile)
 
 
-def test_readings_held_out_or_of_sensors_not_used_are_not_taken():
+def test_readings_held_out_or_of_unused_sensors_update_nothing():
     record, _ = practice_record("p06")
     mesh = pack([practice_model("p06")]).meshes[0]
     track, steps, history = track_of_record(record, practice_model("p06"), mesh)
@@ -61,7 +61,7 @@ def test_readings_held_out_or_of_sensors_not_used_are_not_taken():
     assert np.all(taken.read)
 
 
-def test_nothing_read_before_the_start_is_said_so():
+def test_a_start_without_readings_before_it_is_refused():
     record, _ = practice_record("p06")
     model = practice_model("p06")
     with pytest.raises(InputError, match="nothing to filter"):

@@ -31,7 +31,7 @@ WALKED = Disturbance.gauss_markov(0.003, 30.0)
 
 
 def heated(time_s: np.ndarray, added: np.ndarray) -> np.ndarray:
-    """A steady flight; what is added to the ratio stands in the column of alpha, per degree."""
+    """A steady flight; the addition to the ratio is in the column of alpha, per degree."""
     return flight(time_s, h_ref_kg_m2_s=0.1, H_r_J_kg=2e7, p_surface_Pa=500.0, alpha_deg=added)
 
 
@@ -64,7 +64,7 @@ def found(truth: History, seed: int, disturbance: Disturbance | None = None, dee
     return unknown_input(flown(truth, seed, deep), TIME_S, heated(TIME_S, 0.0 * TIME_S), disturbance)
 
 
-def test_on_a_linear_wall_it_is_the_smoother_that_goes_forward_and_back():
+def test_on_a_linear_wall_the_input_is_that_of_the_smoother():
     # two ways to one posterior: Rauch-Tung-Striebel on the filter, and all readings at once
     model, mesh = linear_wall()
     samples = wall_samples(np.append(LINEAR_S[1:], [3.3, 17.9]), mesh)
@@ -85,7 +85,7 @@ def test_on_a_linear_wall_it_is_the_smoother_that_goes_forward_and_back():
     assert found.gain_log_likelihood == pytest.approx(gain, rel=1e-6)
 
 
-def test_of_a_long_march_there_are_fewer_knots_and_the_same_answer():
+def test_a_long_march_has_fewer_knots_and_the_same_result():
     short = found(sinusoid, 6, WALKED)
     track = flown(sinusoid, 6)
     time = np.linspace(0.0, 300.0, 601)
@@ -130,7 +130,7 @@ def test_a_tenth_of_the_ratio_is_recovered_within_its_sigma(truth):
     assert correction.gain_log_likelihood > 1000.0
 
 
-def test_draws_of_the_process_itself_lie_in_their_bounds_as_often_as_stated():
+def test_draws_of_the_process_lie_within_their_bounds_as_often_as_stated():
     z = []
     for seed in range(24):
         truth = walk(100 + seed)
@@ -148,7 +148,7 @@ def test_the_likelihood_finds_the_noise_model_that_made_the_ratio():
     assert WALKED.correlation_s / 5.0 < chosen.correlation_s < 5.0 * WALKED.correlation_s
 
 
-def test_where_nothing_is_missing_nothing_is_found():
+def test_no_input_is_found_where_no_heating_is_missing():
     correction = found(lambda t: 0.0 * t, seed=3)
     assert correction.gain_log_likelihood < 5.0
     assert np.max(np.abs(correction.delta_ratio)) < 0.01 * RATIO

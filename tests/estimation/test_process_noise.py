@@ -152,7 +152,7 @@ def test_levels_of_noise_are_found_from_far_away(noise: ProcessNoise, levels: tu
     assert 0.6 < np.exp(np.mean(np.log(ratios))) < 1.6
 
 
-def test_no_noise_is_found_where_there_is_none() -> None:
+def test_no_noise_is_found_in_records_without_any() -> None:
     bench, rng, found = bench_of(CASE), np.random.default_rng(6), []
     quiet = ProcessNoise()
     for true_K in disturbed(bench, quiet, 4, rng)[0]:
@@ -163,7 +163,7 @@ def test_no_noise_is_found_where_there_is_none() -> None:
     assert np.median(found) < 0.05 * WHITE.node_K_sqrt_s
 
 
-def test_noise_of_sensors_that_declare_none_is_found_beside_that_of_the_process() -> None:
+def test_undeclared_sensor_noise_is_found_alongside_that_of_the_process() -> None:
     bench, rng = bench_of(CASE), np.random.default_rng(8)
     measure_all(bench.problem, disturbed(bench, WHITE, 1, rng)[0][0], rng)
     part, record = bench.problem.record_fits[0], record_of(CASE)
@@ -233,7 +233,7 @@ def test_a_user_finds_how_the_ratio_wandered_but_for_its_mean_which_is_a_scale(w
     history = read_csv_columns(fitted / "ratio_disturbance.csv", ["time_s", "delta_ratio", "sigma"])
     np.testing.assert_array_equal(history["time_s"], time_s)
     apart = (history["delta_ratio"][:-1] - added)[:-5]  # the last steps are hardly read
-    assert np.std(apart) < 0.8 * np.std(added)  # words of 5 K tell no more of it
+    assert np.std(apart) < 0.8 * np.std(added)  # words of 5 K contain no more of it
 
 
 def test_a_priori_temperatures_are_farther_from_the_readings_than_a_posteriori_ones(wandered, fitted: Path) -> None:
@@ -260,7 +260,7 @@ def test_a_priori_temperatures_are_farther_from_the_readings_than_a_posteriori_o
         (["--process-noise", "0.1", "--segments", "5"], "segments are fitted without process noise"),
     ],
 )
-def test_levels_that_cannot_be_are_refused_in_a_line(options, hint, wandered, tmp_path: Path, capsys) -> None:
+def test_invalid_levels_are_refused_in_one_line(options, hint, wandered, tmp_path: Path, capsys) -> None:
     assert main(["estimate", str(wandered[0]), *options, "--out", str(tmp_path / "out")]) == 2
     assert hint in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

@@ -1,4 +1,4 @@
-"""Many control points at once: each as if it were alone, state that can be taken back, and no silent number."""
+"""Many control points together: each as if it were alone, snapshots of the state, and no silent invalid number."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_point_gives_the_same_bits_among_points_of_other_node_counts(entry):
         np.testing.assert_array_equal(together[:, 4 * i : 4 * i + 4], alone(model, entry))
 
 
-def test_neighbour_that_fails_does_not_touch_the_others(entry):
+def test_a_lane_that_fails_does_not_change_the_others(entry):
     time, history = entry
     good, broken = practice_model("p06", nodes=24), practice_model("p07", nodes=24)
     both = np.concatenate([history, history])
@@ -121,13 +121,13 @@ def test_frames_give_the_bits_of_a_march(entry):
         np.testing.assert_array_equal(framed.state[framed.outputs()], out[k])
 
 
-def test_restored_snapshot_goes_on_with_the_same_bits(entry):
+def test_a_restored_snapshot_continues_with_the_same_bits(entry):
     time, history = entry
     ensemble = pack(variants(5))
     first = ensemble.march(time[:250], history[:, :250])
-    kept = ensemble.snapshot()
+    saved = ensemble.snapshot()
     onward = ensemble.march(time[249:], history[:, 249:])
-    ensemble.restore(kept)
+    ensemble.restore(saved)
     np.testing.assert_array_equal(ensemble.march(time[249:], history[:, 249:]), onward)
     ensemble.reset()
     np.testing.assert_array_equal(ensemble.march(time[:250], history[:, :250]), first)
@@ -153,14 +153,14 @@ def test_each_point_flies_its_own_flight(entry):
 
 @pytest.mark.parametrize("column", [c for c in CONDITION_COLUMNS if c not in ("jets", "mach", "time_s")])
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_condition_that_is_no_number_is_never_a_silent_temperature(entry, column, bad):
+def test_a_condition_that_is_not_a_number_is_refused_or_fails_the_step(entry, column, bad):
     time, history = entry[0][:20], entry[1][:, :20].copy()
     history[0, 10, CONDITION_COLUMNS.index(column)] = bad
     with pytest.raises((InputError, RunError)):
         pack([practice_model("p06", nodes=14)]).march(time, history)
 
 
-def test_jets_that_are_no_number_are_noticed_where_an_effect_reads_them(entry):
+def test_jets_that_are_not_a_number_are_refused_where_an_effect_reads_them(entry):
     time, history = entry[0][:20], entry[1][:, :20].copy()
     history[0, 10, CONDITION_COLUMNS.index("jets")] = np.nan
     with pytest.raises((InputError, RunError)):
@@ -183,7 +183,7 @@ def test_histories_that_do_not_fit_the_times_are_refused(entry):
             ensemble.march(time, wrong)
 
 
-def test_flight_that_is_not_there_is_refused(entry):
+def test_a_flight_number_that_does_not_exist_is_refused(entry):
     time, history = entry[0][:20], entry[1][:, :20]
     with pytest.raises(InputError):
         pack([practice_model("p06", nodes=14)]).march(time, history, which=[3])
@@ -205,7 +205,7 @@ def test_sensor_outside_the_stack_is_refused():
 
 
 @pytest.mark.parametrize("cp", [np.nan, 0.0, -1000.0])
-def test_specific_heat_of_air_that_is_none_is_refused(cp):
+def test_a_specific_heat_of_air_that_is_not_above_zero_is_refused(cp):
     with pytest.raises(InputError):
         pack([practice_model("p06", nodes=14, wall_enthalpy=cp)])
 
@@ -283,7 +283,7 @@ def march_any(construction: Construction, history: np.ndarray, step_s: float, no
 
 @compiling
 @given(st.data(), tile_walls(100.0, 2500.0), steps, st.integers(14, 60))
-def test_any_physical_input_gives_temperatures_or_says_that_the_step_failed(data, construction, step_s, nodes):
+def test_any_physical_input_gives_temperatures_or_a_reported_failure(data, construction, step_s, nodes):
     try:
         ensemble = march_any(construction, data.draw(heatings(step_s)), step_s, nodes)
     except RunError:
@@ -300,7 +300,9 @@ def tile() -> Ensemble:
 
 @compiling
 @given(steps, fluxes, st.floats(100.0, 1000.0), pressures)
-def test_tile_on_its_own_mesh_takes_any_jump_of_heating_from_any_flight_temperature(tile, step_s, flux, initial, p_Pa):
+def test_a_tile_on_its_own_mesh_survives_any_jump_of_heating_from_any_flight_temperature(
+    tile, step_s, flux, initial, p_Pa
+):
     tile.reset()
     tile.set_profile(0, np.full(tile.meshes[0].nodes, initial))
     history = flight(step_s * np.arange(6), q_add_W_m2=flux * np.array([1, 0, 1, 1, 0, 0]), p_surface_Pa=p_Pa)

@@ -47,7 +47,7 @@ def state_in_hex() -> list[str]:
     """Every node temperature after each step, exactly."""
     ensemble, history, lines = everything(), some_flight(), []
     for k in range(1, len(FEW_STEPS_S)):
-        # two samples are one step, whatever its length; the march begins anew from the temperatures present
+        # two samples are one step, whatever its length; the march begins again from the temperatures present
         ensemble.march(FEW_STEPS_S[k - 1 : k + 1], history[:, k - 1 : k + 1], [0, 0, 0], longest_step_s=10.0)
         lines += [float(T).hex() for i in range(3) for T in ensemble.node_temperatures(i)]
     return [*lines, *(float(n).hex() for n in ensemble.iterations)]
@@ -69,7 +69,7 @@ def test_interpreted_and_compiled_steps_agree_bit_for_bit():
     assert interpreted == state_in_hex()
 
 
-def test_every_point_of_the_comparison_has_moved():
+def test_every_point_of_the_comparison_is_heated():
     ensemble = everything()
     start = [ensemble.node_temperatures(i)[0] for i in range(3)]
     ensemble.march(FEW_STEPS_S, some_flight(), [0, 0, 0])

@@ -124,12 +124,12 @@ def marched(models: Sequence[PointModel], names: tuple[str, ...] = ()) -> list:
 def errors(sensitivity: np.ndarray, differences: np.ndarray) -> float:
     """Largest error over the samples of (sensor, sample), over the largest value of the parameter at that sensor."""
     largest = np.max(np.abs(differences), axis=1)
-    told = largest > 1e-2 * np.max(largest)  # a sensor that hardly feels the parameter has no digits left
-    return float(np.max((np.max(np.abs(sensitivity - differences), axis=1) / largest)[told]))
+    significant = largest > 1e-2 * np.max(largest)  # a sensor that hardly depends on the parameter has no digits left
+    return float(np.max((np.max(np.abs(sensitivity - differences), axis=1) / largest)[significant]))
 
 
 def differences(model: PointModel, steps: dict[str, float]) -> dict[str, np.ndarray]:
-    """(sensor, sample) difference of fourth order against each parameter, moved by these steps."""
+    """(sensor, sample) difference of fourth order against each parameter, perturbed by these steps."""
     shifted = [(n, at) for n in steps for at in WEIGHTS]
     found = []
     for k in range(0, len(shifted), LANES):
@@ -159,31 +159,31 @@ def assert_exact(found: dict[str, float]) -> None:
     assert {name: error for name, error in found.items() if not error < RELATIVE} == {}
 
 
-def test_every_parameter_of_the_heating_ratio_of_first_and_second_order():
+def test_derivatives_of_first_and_second_order_of_the_heating_ratio_are_exact():
     assert_exact(worst(point(), [p.name for p in RATIO]))
 
 
-def test_every_parameter_of_stack_contact_and_back_face():
+def test_sensitivities_to_stack_contact_and_back_face_are_exact():
     assert_exact(worst(point(), [p.name for p in STACK]))
 
 
 @pytest.mark.parametrize("name", [e.name for e in effects().values() if e.kernel is not None])
-def test_every_parameter_of_every_effect_and_the_ratio_that_it_acts_on(name):
+def test_sensitivities_to_every_effect_and_the_ratio_that_it_acts_on_are_exact(name):
     wanted = [f"{EFFECT_PREFIX}{name}.{p.name}" for p in effects()[name].parameters if p.sigma > 0.0]
     assert_exact(worst(point(name), [*wanted, "ratio.scale", "ratio.d_alpha", "ratio.d_alpha_logre"]))
 
 
-def test_gap_that_opens_between_two_marches_takes_heat_from_the_next():
+def test_a_gap_that_opens_between_two_marches_takes_heat_in_the_second():
     closed = point().with_parameters({"stack.gap.fraction": 0.0})
     names = ("ratio.scale", "stack.emissivity_factor", "stack.gap.fraction", "stack.contact_factor")
     mesh = choose_meshes([closed])[0][0]
     march = LinearMarch([Track(closed, mesh, names, SAMPLE_S)], TIME_S, flight(TIME_S, **{c: popu(c) for c in COLUMNS}))
     march.march()
     march.set_models([point()])
-    found, anew = march.march()[0], marched([point()], names)[0]
-    assert np.array_equal(found.temperature_K, anew.temperature_K)
-    assert errors(found.sensitivity[..., 0], anew.sensitivity[..., 0]) < 1e-12
-    assert np.allclose(found.sensitivity, anew.sensitivity, rtol=1e-9, atol=1e-9 * np.max(np.abs(anew.sensitivity)))
+    found, again = march.march()[0], marched([point()], names)[0]
+    assert np.array_equal(found.temperature_K, again.temperature_K)
+    assert errors(found.sensitivity[..., 0], again.sensitivity[..., 0]) < 1e-12
+    assert np.allclose(found.sensitivity, again.sensitivity, rtol=1e-9, atol=1e-9 * np.max(np.abs(again.sensitivity)))
 
 
 # Clocks, sensors and starts: through the fit's own problem ----------------------------------------------------------
@@ -213,7 +213,7 @@ def problem(names: Sequence[str]) -> FitProblem:
     return FitProblem([record], names, joint_reference([record]), FitOptions(starts=[start], sample_masks=[chosen]))
 
 
-def test_clock_skew_bias_gain_and_initial_profile():
+def test_sensitivities_to_clock_skew_bias_gain_and_initial_profile_are_exact():
     names = ["clock.skew"] + [f"sensor.{s.name}.{what}" for s in recorded().sensors for what in ("bias", "gain")]
     fit = problem(names)
     at = np.array([p.value for p in fit.parameters])
@@ -229,7 +229,7 @@ def test_clock_skew_bias_gain_and_initial_profile():
             assert np.max(np.abs(s.jacobian[:, k] - difference)) < RELATIVE * size, unknown.label
 
 
-def test_sample_at_the_first_instant_is_the_initial_profile_and_knows_no_parameter():
+def test_a_sample_at_the_first_instant_is_the_initial_profile_without_sensitivities():
     found = marched([point()], ("ratio.scale", "stack.coating.thickness_factor"))[0]
     assert found.temperature_K[0, 0] == pytest.approx(1140.0)  # the profile has a point at that sensor's depth
     assert np.all(found.sensitivity[:, 0] == 0.0)

@@ -48,7 +48,7 @@ def test_with_the_true_scale_and_derivatives_the_error_is_the_noise_floor(name, 
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_with_the_true_parameters_the_error_is_what_the_generator_has_fitted(name):
+def test_with_the_true_parameters_the_error_is_that_of_the_generator(name):
     _, truth = practice_record(name)
     fitted = truth["rmse_K"]["fitted"]["fit"]  # the generator's own fit can be lower by its few parameters
     assert rmse_K(name, practice_model(name))["fit"]["rmse_K"] == pytest.approx(fitted, abs=0.01)

@@ -151,7 +151,7 @@ def test_steady_layer_with_radiation_in_depth_above_a_temperature_obeys_kirchhof
     assert surface - back + radiated == pytest.approx(3e4 * length, rel=1e-7)
 
 
-def test_declared_profile_is_what_the_nodes_start_from():
+def test_nodes_start_from_the_declared_profile():
     profile = [[0.0, 900.0], [0.004, 500.0], [0.01, 400.0]]
     w = wall((material(), 0.01), initial="profile", initial_profile=profile, initial_K=None)
     ensemble = pack([PointModel("wall", w, nodes=40)])
@@ -212,7 +212,7 @@ def test_order_in_space_is_two_under_a_heated_surface():
 
 
 def test_order_in_time_is_two_with_boundary_conditions_that_change():
-    # radiating wall, flux and film from samples 8 s apart; the finest step stands for the exact solution in time
+    # radiating wall, flux and film from samples 8 s apart; the finest step is taken as the exact solution in time
     t = np.linspace(0.0, 400.0, 51)
     history = flight(t, q_add_W_m2=1e5 * np.sin(np.pi * t / 400.0) ** 2, h_ref_kg_m2_s=2e-5 * t, H_r_J_kg=4e6)
     model = PointModel("wall", wall((material(emissivity=0.85), 0.02)), nodes=30, parameters={"ratio.d0": 1.0})
@@ -269,13 +269,13 @@ def declared(m: Material, T: np.ndarray, column: int = 0) -> tuple[np.ndarray, n
 def with_points_at(m: Material, place: Callable[[float], float], emitted: float = 1.0) -> Material:
     """A material whose tables have their points at other temperatures; emissivity times a factor."""
 
-    def moved(table: list[list[float]], factor: float = 1.0) -> list[list[float]]:
+    def shifted(table: list[list[float]], factor: float = 1.0) -> list[list[float]]:
         return [[place(T), factor * value] for T, value in table]
 
     k = m.conductivity_W_mK
-    moved_k = moved(k) if isinstance(k, list) else k.model_copy(update={"T_K": [place(T) for T in k.T_K]})
-    eps = None if m.emissivity is None else moved(m.emissivity, emitted)
-    changed = {"specific_heat_J_kgK": moved(m.specific_heat_J_kgK), "conductivity_W_mK": moved_k, "emissivity": eps}
+    shifted_k = shifted(k) if isinstance(k, list) else k.model_copy(update={"T_K": [place(T) for T in k.T_K]})
+    eps = None if m.emissivity is None else shifted(m.emissivity, emitted)
+    changed = {"specific_heat_J_kgK": shifted(m.specific_heat_J_kgK), "conductivity_W_mK": shifted_k, "emissivity": eps}
     return m.model_copy(update=changed)
 
 
@@ -288,19 +288,21 @@ TEMPERATURES_K = np.linspace(1.0, 3500.0, 10_001)
 
 
 @pytest.mark.parametrize("name", ["rcg", "li900", "rtv", "sip", "al2024"])
-def test_tables_with_points_on_bin_edges_are_kept_exactly(name):
+def test_tables_with_points_on_bin_edges_are_exact(name):
     m = practice_model("p06").construction.materials[name]
     for column in range(len(m.conductivity_grid()[0])):
-        for kept, stated in zip(tabulated(m, TEMPERATURES_K, column), declared(m, TEMPERATURES_K, column), strict=True):
-            np.testing.assert_allclose(kept, stated, rtol=1e-12)
+        for stored, stated in zip(
+            tabulated(m, TEMPERATURES_K, column), declared(m, TEMPERATURES_K, column), strict=True
+        ):
+            np.testing.assert_allclose(stored, stated, rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["rcg", "li900", "rtv", "sip", "al2024"])
 def test_corner_within_a_bin_is_cut_by_less_than_one_percent(name):
     # by 6/5 K times the change of slope: 0.9 % of c of LI-900 at 112 K, 0.6 % of k of SIP at 252 K, else below 0.3 %
     m = with_points_at(practice_model("p06").construction.materials[name], off_the_edges)
-    for kept, stated in zip(tabulated(m, TEMPERATURES_K), declared(m, TEMPERATURES_K), strict=True):
-        assert np.max(np.abs(kept / stated - 1.0)) < 0.01
+    for stored, stated in zip(tabulated(m, TEMPERATURES_K), declared(m, TEMPERATURES_K), strict=True):
+        assert np.max(np.abs(stored / stated - 1.0)) < 0.01
 
 
 def cut_K(entry, of_layers: Callable[[float], float], of_emissivity: Callable[[float], float]) -> float:
@@ -331,7 +333,7 @@ def on_the_edges(T_K: float) -> float:
     return 20.0 * round(T_K / 20.0)
 
 
-def test_tables_with_points_on_edges_bring_no_error_into_an_entry(entry):
+def test_tables_with_points_on_bin_edges_cause_no_error_in_an_entry(entry):
     assert cut_K(entry, on_the_edges, on_the_edges) < 1e-9
 
 

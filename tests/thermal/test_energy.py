@@ -69,13 +69,13 @@ def test_energy_entered_is_the_flux_times_time_where_nothing_is_radiated():
     assert ensemble.absorbed_J_m2[0] == pytest.approx(1e6, rel=1e-9)
 
 
-def test_insulated_wall_in_surroundings_of_its_own_temperature_stays_put():
+def test_insulated_wall_in_surroundings_of_its_own_temperature_keeps_its_temperature():
     ensemble = pack([PointModel("wall", wall((TILE, 0.03), (PLATE, 0.003), surroundings_K=300.0), nodes=30)])
     out = ensemble.march(np.linspace(0.0, 1000.0, 101), flight(np.linspace(0.0, 1000.0, 101), p_surface_Pa=100.0))
     np.testing.assert_allclose(out, 300.0, rtol=0.0, atol=1e-9)
 
 
-def test_reset_forgets_the_energy_of_the_flight_before():
+def test_reset_clears_the_energy_of_the_flight_before():
     ensemble, t = pack([PointModel("wall", wall((TILE, 0.03)), nodes=20)]), np.linspace(0.0, 10.0, 11)
     ensemble.march(t, flight(t, q_add_W_m2=1e4))
     once = ensemble.absorbed_J_m2[0]

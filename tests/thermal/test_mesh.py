@@ -37,7 +37,7 @@ def covered(construction: Construction, depths: np.ndarray, extra: int, step_s: 
 
 
 @given(stacks(), st.integers(0, 60), st.sampled_from([1 / 60, 1.0, 10.0]))
-def test_mesh_has_as_many_nodes_as_asked_for(stack, extra, step_s):
+def test_mesh_has_the_prescribed_node_count(stack, extra, step_s):
     construction, depths = stack
     asked = fewest_nodes(construction, depths) + extra
     mesh = build_mesh(construction, depths, asked, step_s)
@@ -79,7 +79,7 @@ def test_bondline_is_the_outer_face_of_the_last_layer_inside_a_contact(stack, ex
 
 
 @given(stacks(), st.integers(0, 30))
-def test_refined_mesh_halves_every_element_and_moves_no_sensor(stack, extra):
+def test_halved_mesh_halves_every_element_and_keeps_its_sensors(stack, extra):
     construction, depths = stack
     mesh = covered(construction, depths, extra)
     fine = halve_elements(mesh)
@@ -91,7 +91,7 @@ def test_refined_mesh_halves_every_element_and_moves_no_sensor(stack, extra):
 
 
 @given(stacks())
-def test_mesh_too_small_for_its_interfaces_says_how_many_it_needs(stack):
+def test_mesh_too_small_for_its_interfaces_is_refused_with_the_least_node_count(stack):
     construction, depths = stack
     fewest = fewest_nodes(construction, depths)
     with pytest.raises(InputError, match=f"use {fewest} or more"):
@@ -111,7 +111,7 @@ def test_automatic_mesh_of_a_tile_stays_between_14_and_100_nodes():
     assert error < TOLERANCE_K
 
 
-def test_node_count_that_is_asked_for_is_taken():
+def test_a_prescribed_node_count_is_used():
     assert choose_meshes([practice_model("p06", nodes=23)])[0][0].nodes == 23
 
 
@@ -125,7 +125,7 @@ def on_pulse(model: PointModel, mesh) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ["p06", "p07"])
-def test_estimate_of_the_mesh_error_is_honest_on_its_pulse(name):
+def test_estimate_of_the_mesh_error_bounds_the_error_on_its_pulse(name):
     model = practice_model(name, ratio=None, parameters={})
     mesh, estimate = choose_meshes([model])[0]
     true = np.max(np.abs(on_pulse(model, mesh) - on_pulse(model, halve_elements(halve_elements(mesh)))))
