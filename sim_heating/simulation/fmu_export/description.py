@@ -83,8 +83,19 @@ def _start(image: Image, v: Variable) -> str:
     return value if isinstance(value, str) else str(value) if isinstance(value, int) else " ".join(map(_number, value))
 
 
-def _experiment(root: ET.Element, image: Image) -> None:
+def _categories_and_experiment(root: ET.Element, image: Image) -> None:
+    categories = ET.SubElement(root, "LogCategories")
+    for name, text in CATEGORIES:
+        ET.SubElement(categories, "Category", name=name, description=text)
     ET.SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="100.0", stepSize=_number(image.step_s))
+
+
+def _attributes(i: int, v: Variable) -> dict[str, str]:
+    causality, variability = CAUSALITY[v.role]
+    return {
+        "name": v.name, "valueReference": str(i), "description": v.text, "causality": causality,
+        "variability": variability,
+    }  # fmt: skip
 
 
 NOT_XML = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
@@ -114,10 +125,7 @@ def _fmi3(image: Image, token: str) -> bytes:
         if v.choices:
             items = ET.SubElement(types, "EnumerationType", name=f"{v.name}_type")
             _items(items, v)
-    categories = ET.SubElement(root, "LogCategories")
-    for name, text in CATEGORIES:
-        ET.SubElement(categories, "Category", name=name, description=text)
-    _experiment(root, image)
+    _categories_and_experiment(root, image)
     parent = ET.SubElement(root, "ModelVariables")
     for i, v in variables_of(image, 3):
         _variable3(parent, image, i, v)
@@ -135,9 +143,7 @@ def _items(parent: ET.Element, v: Variable) -> None:
 
 
 def _variable3(parent: ET.Element, image: Image, i: int, v: Variable) -> None:
-    causality, variability = CAUSALITY[v.role]
-    attributes = {"name": v.name, "valueReference": str(i), "description": v.text, "causality": causality}
-    attributes["variability"] = variability
+    attributes = _attributes(i, v)
     if v.role is Role.INPUT:
         attributes["intermediateUpdate"] = "true"
     if v.role in (Role.OUTPUT, Role.CONSTANT):
@@ -170,10 +176,7 @@ def _fmi2(image: Image, token: str) -> bytes:
         if v.choices:
             simple = ET.SubElement(types, "SimpleType", name=f"{v.name}_type")
             _items(ET.SubElement(simple, "Enumeration"), v)
-    categories = ET.SubElement(root, "LogCategories")
-    for name, text in CATEGORIES:
-        ET.SubElement(categories, "Category", name=name, description=text)
-    _experiment(root, image)
+    _categories_and_experiment(root, image)
     parent = ET.SubElement(root, "ModelVariables")
     listed = list(variables_of(image, 2))
     for i, v in listed:
@@ -188,9 +191,7 @@ def _fmi2(image: Image, token: str) -> bytes:
 
 
 def _variable2(parent: ET.Element, image: Image, i: int, v: Variable) -> None:
-    causality, variability = CAUSALITY[v.role]
-    attributes = {"name": v.name, "valueReference": str(i), "description": v.text, "causality": causality}
-    attributes["variability"] = variability
+    attributes = _attributes(i, v)
     if v.role is Role.OUTPUT:
         attributes["initial"] = "calculated"
     element = ET.SubElement(parent, "ScalarVariable", attributes)
