@@ -205,7 +205,7 @@ def test_worker_processes_that_do_not_start_are_reported_in_a_line(study, tmp_pa
     errors = [line for line in capsys.readouterr().err.splitlines() if line.startswith("dispersion:")]
     assert len(errors) == 1
     assert "the worker processes did not start" in errors[0]
-    assert "take --workers 1" in errors[0]
+    assert "use --workers 1" in errors[0]
 
 
 def test_a_study_without_a_part_is_refused(study, tmp_path, capsys):
