@@ -43,8 +43,7 @@ HIGH_SPEED_M_S, LOW_M = 3000.0, 1000.0
 
 
 def frame_problem(frame: Mapping[str, float]) -> tuple[str, str] | None:
-    """The first column of one frame whose value is impossible, with the rule that it violates; None for a valid
-    frame."""
+    """The first column of a frame whose value is impossible, with the rule that it violates, or None."""
     for name, value in frame.items():
         if name in LIMITS and out_of_range(name, value):
             return name, LIMITS[name][2]

@@ -93,8 +93,7 @@ NONLINEAR = (
     "stack.moisture.condense_K", "stack.moisture.width_K", "stack.gap.depth_m",
     "stack.rsi.radiation_from_K",
 )  # fmt: skip
-"""Parameters in which the heat balance at given temperatures is not affine; those of effects are never taken as
-affine."""
+"""Parameters in which the heat balance at given temperatures is not affine; those of effects count as such."""
 
 BOUNDARY = (
     *(p.name for p in RATIO), "stack.emissivity_factor", "back.h_W_m2K", "back.T_K", "back.emissivity",

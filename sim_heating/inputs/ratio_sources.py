@@ -216,8 +216,7 @@ def _base(
 
 
 def _from_file(base: FileBase, path: Path, alpha_deg: FloatArray, log10_re: FloatArray) -> FloatArray:
-    """The file's ratio, bilinear in alpha and log10_re, constant beyond its ends; windward trend below its lowest
-    alpha."""
+    """The file's ratio, bilinear in alpha and log10_re; constant beyond its ends, windward trend at low alpha."""
     table = read_csv_columns(path, ("alpha_deg", "log10_re", base.column))
     a, re = np.unique(table["alpha_deg"]), np.unique(table["log10_re"])
     values = np.full((len(a), len(re)), np.nan)

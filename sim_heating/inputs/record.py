@@ -416,8 +416,7 @@ def _missing_columns(table: CsvTable, heating: Heating) -> list[str]:
 
 
 def _measurement_problems(table: CsvTable, sensors: Sequence[Sensor]) -> list[str]:
-    """Time that does not increase, temperatures in Celsius or outside the recorder's range, used sensors without
-    samples."""
+    """Time that does not increase, temperatures in Celsius or outside the recorder's range, used but empty columns."""
     problems = table.order_problems()
     for sensor in sensors:
         T = table[sensor.column]

@@ -243,8 +243,7 @@ class Scenario:
         return self.declared.title
 
     def effects(self, point: str, *, truth: bool = False) -> tuple[EffectUse, ...]:
-        """Effects of a control point in addition to its vehicle's: the scenario's, and with `truth` the undeclared
-        ones."""
+        """Effects that the scenario adds to a control point of its vehicle, with `truth` the undeclared ones too."""
         chosen = [*self.declared.effect, *(self.declared.truth.effect if truth else [])]
         return tuple(use(e.name, e.parameters) for e in chosen if e.control_points is None or point in e.control_points)
 

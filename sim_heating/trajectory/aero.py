@@ -36,7 +36,7 @@ Span = tuple[float, float]
 COEFFICIENTS = ("CN", "CA", "Cm")
 
 SCHEDULE_SOUND_M_S = 300.0
-"""Speed of sound with which an alpha schedule over velocity is read as one over Mach, for the body flap alone."""
+"""Speed of sound that converts an alpha schedule over velocity to one over Mach, for the body flap alone."""
 
 
 class Reference(Convertible):
@@ -63,7 +63,7 @@ class Mass(Convertible):
 
 
 class TableFiles(Convertible):
-    """File names of the tables; a vehicle without elevon or body flap leaves them out."""
+    """File names of the tables; absent for a vehicle without elevon or body flap."""
 
     longitudinal: str
     elevon: str | None = None
@@ -82,7 +82,7 @@ class Surface(Convertible):
 
 
 class CmShift(Convertible):
-    """Pitching-moment increment that flights showed: nothing below mach[0], linear, whole above mach[1]."""
+    """Pitching-moment increment found in flight: 0 below mach[0], linear between, Cm above mach[1]."""
 
     Cm: float = 0.0
     mach: tuple[Positive, Positive] = (5.0, 12.0)
@@ -186,11 +186,11 @@ def body_kernel(
 
 @dataclass(frozen=True)
 class Aero:
-    """Aerodynamics and mass of one vehicle as flown: the file, its tables, and what a scenario changed.
+    """Aerodynamics and mass of one vehicle as flown: the file, its tables, and the changes of a scenario.
 
     mass_kg     : mass [kg]
     cg_fraction : centre of gravity from the nose over the reference length [-]
-    cm_shift    : pitching moment added above the shift's upper Mach number [-], 0 where the data book is flown
+    cm_shift    : pitching moment added above the shift's upper Mach number [-], 0 for the data book
     """
 
     file: AeroFile
@@ -233,14 +233,14 @@ class Aero:
         return cn * c - ca * s, cn * s + ca * c, cm + cn * self.arm
 
     def trim_elevon_deg(self, mach: float, alpha_deg: float, bodyflap_deg: float = 0.0) -> float:
-        """Elevon for no moment about the centre of gravity; the end of its travel where that cannot be had."""
-        nodes = _within(self.elevon.deflection_deg, self.file.elevon.range_deg)
-        return _zero(nodes, [self.coefficients(mach, alpha_deg, float(d), bodyflap_deg)[2] for d in nodes])
+        """Elevon deflection of zero moment about the centre of gravity; the end of its travel without one."""
+        nodes = _travel_nodes(self.elevon.deflection_deg, self.file.elevon.range_deg)
+        return _zero_crossing(nodes, [self.coefficients(mach, alpha_deg, float(d), bodyflap_deg)[2] for d in nodes])
 
     def trim_bodyflap_deg(self, mach: float, alpha_deg: float, elevon_deg: float = 0.0) -> float:
-        """Body flap for no moment about the centre of gravity; the end of its travel where that cannot be had."""
-        nodes = _within(self.bodyflap.deflection_deg, self.file.bodyflap.range_deg)
-        return _zero(nodes, [self.coefficients(mach, alpha_deg, elevon_deg, float(d))[2] for d in nodes])
+        """Body-flap deflection of zero moment about the centre of gravity; the end of its travel without one."""
+        nodes = _travel_nodes(self.bodyflap.deflection_deg, self.file.bodyflap.range_deg)
+        return _zero_crossing(nodes, [self.coefficients(mach, alpha_deg, elevon_deg, float(d))[2] for d in nodes])
 
     def bodyflap_schedule(
         self, alpha_deg: Sequence[tuple[float, float]], against: str = "mach"
@@ -248,8 +248,8 @@ class Aero:
         """Body flap [(mach, deg), ...] that keeps the elevon at its scheduled deflection in trim.
 
         alpha_deg : angle-of-attack schedule [(x, deg), ...]
-        against   : what x is, "mach" or "velocity_m_s"; a velocity counts as Mach with 300 m/s, and the elevon
-                    takes up the small rest
+        against   : meaning of x, "mach" or "velocity_m_s"; a velocity is converted to Mach with 300 m/s, and the
+                    elevon trims the small remaining moment
         """
         scale = 1.0 if against == "mach" else 1.0 / SCHEDULE_SOUND_M_S
         x, y = np.array(sorted(alpha_deg), dtype=float).T
@@ -318,24 +318,24 @@ def _read_grid(path: Path, *, deflected: bool) -> Grid:
     mach, alpha, deflection = (np.unique(p) for p in points)
     values = np.full((mach.size, alpha.size, deflection.size, 3), np.nan)
     where = tuple(np.searchsorted(axis, p) for axis, p in zip((mach, alpha, deflection), points, strict=True))
-    _refuse_repeats(table, where, values.shape[:3])
+    _check_repeated_points(table, where, values.shape[:3])
     values[where] = np.stack([table[c] for c in COEFFICIENTS], axis=-1)
-    return Grid(mach, alpha, deflection, _continued_in_alpha(path, mach, alpha, values))
+    return Grid(mach, alpha, deflection, _extend_in_alpha(path, mach, alpha, values))
 
 
-def _refuse_repeats(table: CsvTable, where: Sequence[NDArray[np.intp]], shape: tuple[int, ...]) -> None:
+def _check_repeated_points(table: CsvTable, where: Sequence[NDArray[np.intp]], shape: tuple[int, ...]) -> None:
     flat = np.ravel_multi_index(tuple(where), shape)
     seen, first = np.unique(flat, return_index=True)
     if seen.size != flat.size:
         row = int(table.lines[np.setdiff1d(np.arange(flat.size), first)[0]])
-        raise InputError(f"{display_path(table.path)}, row {row}: this point of the grid was given before; keep one")
+        raise InputError(f"{display_path(table.path)}, row {row}: this point of the grid is repeated; keep one")
 
 
-def _continued_in_alpha(path: Path, mach: FloatArray, alpha: FloatArray, values: FloatArray) -> FloatArray:
-    """Fill the alphas that a Mach number was not tested at.
+def _extend_in_alpha(path: Path, mach: FloatArray, alpha: FloatArray, values: FloatArray) -> FloatArray:
+    """Fill the alphas at which a Mach number was not tested.
 
-    The data book stops at lower alpha for lower Mach. Beyond, the change with alpha of the next higher Mach number is
-    taken, so that the tables stay continuous; the schedule does not fly there. Between points alpha is linear.
+    The data book ends at lower alpha for lower Mach. Beyond, coefficients change with alpha as those of the next higher
+    Mach number, which keeps the tables continuous; schedules do not fly there. Between points alpha is linear.
     """
     full = values.copy()
     for m in range(mach.size - 1, -1, -1):
@@ -353,12 +353,12 @@ def _continued_in_alpha(path: Path, mach: FloatArray, alpha: FloatArray, values:
     return full
 
 
-def _within(nodes: FloatArray, travel: Span) -> FloatArray:
+def _travel_nodes(nodes: FloatArray, travel: Span) -> FloatArray:
     inside = nodes[(nodes > travel[0]) & (nodes < travel[1])]
     return np.unique(np.concatenate(([travel[0]], inside, [travel[1]])))
 
 
-def _zero(x: FloatArray, moment: Sequence[float]) -> float:
+def _zero_crossing(x: FloatArray, moment: Sequence[float]) -> float:
     """Where a falling, piecewise linear moment crosses zero; exact, since tables are linear between these points."""
     cm = np.asarray(moment)
     if cm[0] <= 0.0:

@@ -1,6 +1,6 @@
 """Built-in 3-DOF entry: a scenario flown with the point mass of `point_mass` and the tables of `trimmed_aero`.
 
-Attitude has no dynamics here: angle of attack, bank and sideslip are as commanded; a manoeuvre with `alpha = "free"`
+Attitude has no dynamics: angle of attack, bank and sideslip are as commanded; a manoeuvre with `alpha = "free"`
 keeps its scripted deflection while the angle holds. Continuum lift and drag throughout; above 95 km (Knudsen number on
 the length above 0.003) drag is low. Against the 6-DOF flight of the same guidance altitude agrees within 100 m.
 """
@@ -20,15 +20,13 @@ from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import manoeuvres as mv
 from sim_heating.trajectory import point_mass as pm
 from sim_heating.trajectory.aero import Aero, flown_aero
-from sim_heating.trajectory.flight import ROW, Flight, OnFrame, Sampler, VehicleData
+from sim_heating.trajectory.flight import REPORT_S, ROW, Flight, OnFrame, Sampler, VehicleData
 from sim_heating.trajectory.schedules import pack
 from sim_heating.trajectory.spec import Guidance, Initial, TrajectorySpec
 from sim_heating.trajectory.trimmed_aero import aero_block, low_speed_rows
 
 DEEPEST_M = -20.0
-"""A vehicle below this has flown into the ground; one that stops at 0 m has passed it by less within a frame."""
-REPORT_S = 20.0
-"""Seconds of flight between two words on progress; events are known to the second."""
+"""Altitude below which a vehicle has hit the ground [m]; a stop at 0 m is overshot by less within a frame."""
 FRAME_LENGTH = len(FRAME)
 
 
@@ -44,8 +42,7 @@ def flight_block(spec: TrajectorySpec, aero: Aero, guidance: Guidance) -> FloatA
         -np.inf if stop.altitude_m is None else stop.altitude_m,
     )  # fmt: skip
     flap = state.bodyflap_deg or aero.bodyflap_schedule(guidance.alpha_deg, guidance.alpha_against)
-    d = spec.dispersions
-    return pack(scalars, [d.density_factor or ((0.0, 1.0),), d.wind_north_m_s or (), d.wind_east_m_s or (), flap])
+    return pack(scalars, [*spec.dispersions.schedules, flap])
 
 
 def initial_numbers(initial: Initial) -> FloatArray:
@@ -64,7 +61,7 @@ def first_state(initial: Initial, flight: FloatArray, block: FloatArray, manoeuv
 
 
 class Entry:
-    """One 3-DOF flight: its state, its blocks, and its frames in chunks."""
+    """One 3-DOF flight: its state and blocks, advanced by a number of frames at a time."""
 
     def __init__(self, spec: TrajectorySpec, vehicle_dir: Path) -> None:
         if spec.initial is None:
@@ -94,9 +91,9 @@ def fly(
     """Fly a scenario's trajectory with the built-in 3-DOF entry.
 
     on_frame : called after each frame with its values in the order of conditions.FRAME; the array is reused
-    progress : called now and then with the fraction of the flight done, and a line of text
+    progress : called every 20 s of flight with the fraction of the flight done and a line of text
     raises   : InputError for a scenario or vehicle that cannot be flown, RunError where the flight leaves the
-               atmosphere model or is no number
+               atmosphere model or is not finite
     """
     entry = Entry(spec, vehicle.directory)
     sampler = Sampler(spec.sample_s, vehicle.reference_length_m)
@@ -105,7 +102,7 @@ def fly(
     while not ended:
         memory = entry.state[pm.MEMORY : pm.STARTED].copy()
         rows, ended = entry.run(frames)
-        _refuse_nonsense(rows)
+        _check_rows(rows)
         for row in rows:
             sampler.add(row)
             if on_frame is not None:
@@ -113,15 +110,16 @@ def fly(
         now = entry.state[pm.MEMORY : pm.STARTED]
         events += gd.guidance_events(float(rows[-1, 0]), memory[gd.SIGN], memory[gd.PHASE], now)
         if progress is not None and rows[-1, 0] % REPORT_S < 1.0:
-            progress(_done(rows[-1], first_speed, spec), f"{rows[-1, 1] / 1e3:.1f} km, {rows[-1, 2]:.0f} m/s")
+            done = spec.stop.fraction_done(first_speed, rows[-1, 2], rows[-1, 0])
+            progress(done, f"{rows[-1, 1] / 1e3:.1f} km, {rows[-1, 2]:.0f} m/s")
     end_s = float(rows[-1, 0])
     windows = mv.manoeuvre_windows(spec.manoeuvre, entry.state[pm.STARTED :], end_s)
     events += mv.manoeuvre_events(spec.manoeuvre, entry.state[pm.STARTED :], end_s)
     return Flight(sampler.conditions(), sorted(events, key=lambda e: e[0]), windows)
 
 
-def _refuse_nonsense(rows: FloatArray) -> None:
-    """A flight that left the model, or is no number, ends with an error and never with a silent value."""
+def _check_rows(rows: FloatArray) -> None:
+    """raises : RunError where a frame is not finite or lies outside the atmosphere model"""
     bad = ~np.all(np.isfinite(rows), axis=1) | (rows[:, 1] > HIGHEST_M) | (rows[:, 1] < DEEPEST_M)
     if np.any(bad):
         row = rows[int(np.flatnonzero(bad)[0])]
@@ -129,9 +127,3 @@ def _refuse_nonsense(rows: FloatArray) -> None:
             f"3-DOF entry: at {row[0]:.1f} s the vehicle is at {row[1]:.0f} m with {row[2]:.0f} m/s, outside the "
             f"atmosphere (0 to {HIGHEST_M:.0f} m); check the initial speed and path angle, and give a stop"
         )
-
-
-def _done(row: FloatArray, first_speed: float, spec: TrajectorySpec) -> float:
-    last = spec.stop.velocity_m_s or 300.0 * (spec.stop.mach or 0.0)
-    by_speed = (first_speed - row[2]) / max(first_speed - last, 1.0)
-    return float(min(max(by_speed, row[0] / spec.stop.time_s, 0.0), 1.0))

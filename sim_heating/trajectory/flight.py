@@ -1,4 +1,4 @@
-"""A flown trajectory, and the one way in which a source's frames become flight conditions."""
+"""A flown trajectory, and how the frames of every source become flight conditions."""
 
 from __future__ import annotations
 
@@ -17,14 +17,17 @@ from sim_heating.heating.atmosphere import free_stream
 OnFrame = Callable[[FloatArray], None]
 
 EXTRAS = ("bank_deg", "gamma_deg", "heading_deg", "latitude_deg", "longitude_deg", "axial_accel_g")
-"""What a source adds to FRAME in each row. `axial_accel_g`: sensed acceleration along the body axis, positive aft,
-CA qbar S / (m g0). Bank, path angle and heading are those of the velocity relative to the air."""
+"""Columns that a source adds to FRAME in each row. `axial_accel_g`: sensed acceleration along the body axis, positive
+aft, CA qbar S / (m g0). Bank, path angle and heading are those of the velocity relative to the air."""
 
 ROW = FRAME + EXTRAS
 """Columns of one row as given to Sampler.add."""
 
-TURNING = tuple(ROW.index(name) for name in ("bank_deg", "heading_deg", "longitude_deg"))
-_TOLERANCE_S = 1e-7  # a host that adds up its frame time is 1e-9 s off after 1000 s
+ANGLE_COLUMNS = tuple(ROW.index(name) for name in ("bank_deg", "heading_deg", "longitude_deg"))
+"""Columns of angles that wrap at 360 deg."""
+REPORT_S = 20.0
+"""Flight time between two progress reports [s]; events are known to the second."""
+_TOLERANCE_S = 1e-7  # a host that sums its frame time is 1e-9 s off after 1000 s
 
 
 class VehicleData(Protocol):
@@ -43,7 +46,7 @@ class VehicleData(Protocol):
 
 @dataclass(frozen=True)
 class Window:
-    """When a manoeuvre was flown [s]."""
+    """Time window of a flown manoeuvre [s]."""
 
     kind: str
     start_s: float
@@ -52,7 +55,7 @@ class Window:
 
 @dataclass(frozen=True)
 class Flight:
-    """Sampled flight conditions, what happened when, and the manoeuvres' windows."""
+    """Sampled flight conditions, events as (time [s], text), and windows of the manoeuvres."""
 
     conditions: Conditions
     events: list[tuple[float, str]] = field(default_factory=list)
@@ -66,7 +69,7 @@ def conditions_from_rows(rows: FloatArray, length_m: float) -> Conditions:
     longitude are made continuous, so that a value between two samples can be taken linearly (they may pass 180 deg).
     """
     given = {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(ROW)}
-    for i in TURNING:
+    for i in ANGLE_COLUMNS:
         given[ROW[i]] = np.unwrap(given[ROW[i]], period=360.0)
     given |= free_stream(given["altitude_m"], given["velocity_m_s"], given["rho_kg_m3"], length_m)
     given["qbar_Pa"] = 0.5 * given["rho_kg_m3"] * given["velocity_m_s"] ** 2
@@ -75,9 +78,9 @@ def conditions_from_rows(rows: FloatArray, length_m: float) -> Conditions:
 
 
 class Sampler:
-    """Keeps a source's rows at 0, sample_s, 2 sample_s, ... after its first row, linear between frames.
+    """Samples a source's frames at 0, sample_s, 2 sample_s, ... after the first one, linear between frames.
 
-    Give every frame to `add` as a float64 array in the order of ROW (it is copied where it is needed).
+    Pass every frame to `add` as a float64 array in the order of ROW; it is copied where it is stored.
     """
 
     def __init__(self, sample_s: float, length_m: float) -> None:
@@ -88,33 +91,33 @@ class Sampler:
         self._next_s = -np.inf
 
     def add(self, row: FloatArray) -> None:
-        """One frame. Frames must come in the order of time."""
+        """Add one frame; frames must be in order of time."""
         if row[0] >= self._next_s - _TOLERANCE_S:
-            self._keep(row)
+            self._store(row)
         self._before[:] = row
 
-    def _keep(self, row: FloatArray) -> None:
+    def _store(self, row: FloatArray) -> None:
         if not self._rows:
             self._start_s = float(row[0])
             self._rows.append(row.copy())
         else:
             while self._next_s <= row[0] + _TOLERANCE_S:
-                self._rows.append(_between(self._before, row, self._next_s))
+                self._rows.append(_interpolate_row(self._before, row, self._next_s))
                 self._next_s = self._start_s + len(self._rows) * self.sample_s
         self._next_s = self._start_s + len(self._rows) * self.sample_s
 
     def conditions(self) -> Conditions:
         """All samples so far."""
         if not self._rows:
-            raise InputError("trajectory: no frame was flown; the flight stops where it starts")
+            raise InputError("trajectory: no frame was flown; the flight ends where it starts, change the stop")
         return conditions_from_rows(np.array(self._rows), self.length_m)
 
 
-def _between(before: FloatArray, after: FloatArray, time_s: float) -> FloatArray:
-    """Row at a time between two frames; angles that turn go the short way round."""
+def _interpolate_row(before: FloatArray, after: FloatArray, time_s: float) -> FloatArray:
+    """Row at a time between two frames, linear; angles take the short way round."""
     share = min((time_s - before[0]) / (after[0] - before[0]), 1.0)
     step = after - before
-    for i in TURNING:
+    for i in ANGLE_COLUMNS:
         step[i] = (step[i] + 180.0) % 360.0 - 180.0
     row = before + share * step
     row[0] = time_s

@@ -1,4 +1,4 @@
-"""Entry guidance, one for every source: angle of attack from a schedule, bank from drag and altitude rate.
+"""Entry guidance, common to all trajectory sources: angle of attack from a schedule, bank from drag and altitude rate.
 
 Drag tracking, after the constant-drag and equilibrium-glide phases of the Shuttle's entry guidance (Harpold and Graves,
 "Shuttle Entry Guidance", J. Astronautical Sciences 27 (1979) 239-268), with the altitude-rate law
@@ -8,14 +8,14 @@ Drag tracking, after the constant-drag and equilibrium-glide phases of the Shutt
     command          hddot_c = -2 zeta w (hdot - hdot_r) - w^2 e
     bank             cos(bank) = (hddot_c + g - V_i^2 / r + D sin(gamma)) / (L cos(gamma))
 
-where hdot_r is lowered by an integral of e that takes out what the constant scale height Hs leaves, and
-with CDdot / CD of the falling angle-of-attack schedule, see `drag_coefficient_rate`.
+where hdot_r is lowered by an integral of e that removes the error of the constant scale height Hs, and
+CDdot / CD is that of the falling angle-of-attack schedule, see `drag_coefficient_rate`.
 Above the highest velocity of the drag reference there is no e, and hdot_r is that of an equilibrium glide,
 D proportional to g - V^2/r. Its sign changes at given velocities, or where the heading error to a target leaves the
 deadband. Below `approach.below_mach` the same law with e = Hs ln(q_ref / q) is solved for the angle of attack (lift
 taken proportional to it), and below `flare_altitude_m` the altitude rate falls exponentially to touch-down.
 
-Inputs are what a navigation system measures; outputs are limited in magnitude and rate, so they are continuous.
+Inputs are the measurements of a navigation system; outputs are limited in magnitude and rate, so they are continuous.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from sim_heating.trajectory.schedules import pack, schedule_positions, schedule_
 from sim_heating.trajectory.spec import Approach, Guidance, GuidanceChanges
 
 TOUCHDOWN_RATE_M_S = 1.0
-"""Sink rate that the flare ends with."""
+"""Sink rate at the end of the flare [m/s]."""
 FLARE_GAIN = 4.0
 """Frequency of the flare over that of the approach: the altitude rate follows within 2 s."""
 
@@ -63,7 +63,7 @@ PHASE_NAMES = ("coast", "equilibrium glide", "drag tracking", "approach", "flare
 
 
 class Observation(NamedTuple):
-    """What guidance measures in one frame.
+    """Measurements of one frame that guidance uses.
 
     altitude_rate_m_s : of the geodetic altitude, up positive
     drag_m_s2, lift_m_s2 : aerodynamic acceleration along and across the velocity relative to the air
@@ -99,7 +99,7 @@ def resolve_guidance(changes: GuidanceChanges, vehicle_dir: Path) -> Guidance:
     merged = own | given
     missing = [k for k in ("alpha_deg", "drag_m_s2") if merged.get(k) is None]
     if missing:
-        raise InputError(f"{path}: there is no such file; give {' and '.join(missing)} in [trajectory.guidance]")
+        raise InputError(f"{path}: file not found; give {' and '.join(missing)} in [trajectory.guidance]")
     return Guidance.model_validate(merged)
 
 
@@ -134,7 +134,7 @@ def first_memory_kernel(block: FloatArray, state: FloatArray, memory: int, mach:
 
 
 def first_memory(block: FloatArray, mach: float, velocity_m_s: float) -> FloatArray:
-    """`first_memory_kernel` into an array of its own, (MEMORY,)."""
+    """Memory of guidance at the start of a flight as a new array, (MEMORY,); see `first_memory_kernel`."""
     memory = np.zeros(MEMORY)
     first_memory_kernel(block, memory, 0, mach, velocity_m_s)
     return memory
@@ -147,146 +147,148 @@ def clip(x: float, low: float, high: float) -> float:
 
 
 @njit
-def heading_error_deg(block: FloatArray, seen: FloatArray) -> float:
-    """Heading minus the great-circle azimuth to the target, -180 to 180 deg; positive where it lies to the left."""
-    lat, there = math.radians(seen[LATITUDE]), math.radians(block[TARGET_LATITUDE])
-    east = math.radians(block[TARGET_LONGITUDE] - seen[LONGITUDE])
+def heading_error_deg(block: FloatArray, observed: FloatArray) -> float:
+    """Heading minus the great-circle azimuth to the target, -180 to 180 deg; positive for a target to the left."""
+    lat, there = math.radians(observed[LATITUDE]), math.radians(block[TARGET_LATITUDE])
+    east = math.radians(block[TARGET_LONGITUDE] - observed[LONGITUDE])
     x = math.cos(lat) * math.sin(there) - math.sin(lat) * math.cos(there) * math.cos(east)
     azimuth = math.degrees(math.atan2(math.sin(east) * math.cos(there), x))
-    return (seen[HEADING] - azimuth + 180.0) % 360.0 - 180.0
+    return (observed[HEADING] - azimuth + 180.0) % 360.0 - 180.0
 
 
 @njit
-def bank_sign(block: FloatArray, seen: FloatArray, sign: float) -> float:
+def bank_sign(block: FloatArray, observed: FloatArray, sign: float) -> float:
     """Side to bank to: the first one, changed at each reversal velocity or when the heading leaves the deadband."""
     if block[HAS_TARGET] != 0.0:
-        error = heading_error_deg(block, seen)
+        error = heading_error_deg(block, observed)
         return -math.copysign(1.0, error) if abs(error) > block[DEADBAND] else sign
     start, points = int(block[REVERSALS]), int(block[REVERSALS + 1])
     passed = 0
     for i in range(points):
-        if seen[SPEED] < block[start + i]:
+        if observed[SPEED] < block[start + i]:
             passed += 1
     return -block[FIRST_SIGN] if passed % 2 else block[FIRST_SIGN]
 
 
 @njit
-def vertical_lift(block: FloatArray, seen: FloatArray, climb_ref: float, error: float, w: float, zeta: float) -> float:
+def vertical_lift(
+    block: FloatArray, observed: FloatArray, climb_ref: float, error: float, w: float, zeta: float
+) -> float:
     """Vertical component of lift over mass [m/s2] that brings altitude rate and altitude error to zero."""
-    demand = -2.0 * zeta * w * (seen[CLIMB] - climb_ref) - w * w * error
-    sine = clip(seen[CLIMB] / max(seen[SPEED], 1.0), -0.9, 0.9)
-    return (demand + seen[NET_GRAVITY] + seen[DRAG] * sine) / math.sqrt(1.0 - sine * sine)
+    demand = -2.0 * zeta * w * (observed[CLIMB] - climb_ref) - w * w * error
+    sine = clip(observed[CLIMB] / max(observed[SPEED], 1.0), -0.9, 0.9)
+    return (demand + observed[NET_GRAVITY] + observed[DRAG] * sine) / math.sqrt(1.0 - sine * sine)
 
 
 @njit
-def glide_lift(block: FloatArray, seen: FloatArray) -> float:
+def glide_lift(block: FloatArray, observed: FloatArray) -> float:
     """Vertical lift above the drag reference: the altitude rate of an equilibrium glide, no altitude error."""
-    V, D = max(seen[SPEED], 1.0), seen[DRAG]
-    support = max(seen[NET_GRAVITY], 0.5)
-    curvature = (9.8 - seen[NET_GRAVITY]) / support
+    V, D = max(observed[SPEED], 1.0), observed[DRAG]
+    support = max(observed[NET_GRAVITY], 0.5)
+    curvature = (9.8 - observed[NET_GRAVITY]) / support
     climb_ref = -block[SCALE_HEIGHT] * 2.0 * D / V * (1.0 + curvature)
-    return vertical_lift(block, seen, max(climb_ref, -150.0), 0.0, block[FREQUENCY], block[DAMPING])
+    return vertical_lift(block, observed, max(climb_ref, -150.0), 0.0, block[FREQUENCY], block[DAMPING])
 
 
 @njit
-def drag_coefficient_rate(block: FloatArray, seen: FloatArray) -> float:
+def drag_coefficient_rate(block: FloatArray, observed: FloatArray) -> float:
     """CDdot / CD [1/s] from the angle-of-attack schedule at the present deceleration.
 
     CD = CN sin(alpha) + CA cos(alpha) with CN going with sin(alpha) and CA constant, CA / CN = tan(atan(D / L) - alpha)
     """
     on_mach = block[ALPHA_AXIS] == 0.0
-    x = seen[MACH] if on_mach else seen[SPEED]
+    x = observed[MACH] if on_mach else observed[SPEED]
     alpha = math.radians(max(scheduled(block, ALPHA_SCHEDULE, x), 5.0))
-    axial = max(math.tan(math.atan2(seen[DRAG], max(seen[LIFT], 1e-6)) - alpha), 0.0)
+    axial = max(math.tan(math.atan2(observed[DRAG], max(observed[LIFT], 1e-6)) - alpha), 0.0)
     normal_share = math.tan(alpha) / (math.tan(alpha) + axial)
-    rate = -seen[DRAG] * (seen[MACH] / max(seen[SPEED], 1.0) if on_mach else 1.0)
+    rate = -observed[DRAG] * (observed[MACH] / max(observed[SPEED], 1.0) if on_mach else 1.0)
     return 2.0 * normal_share / math.tan(alpha) * math.radians(schedule_slope(block, ALPHA_SCHEDULE, x)) * rate
 
 
 @njit
-def track_lift(block: FloatArray, state: FloatArray, memory: int, seen: FloatArray, dt_s: float) -> float:
-    """Vertical lift that follows the reference drag; moves the integral on while the lift is enough to follow."""
-    V, D = max(seen[SPEED], 1.0), seen[DRAG]
+def track_lift(block: FloatArray, state: FloatArray, memory: int, observed: FloatArray, dt_s: float) -> float:
+    """Vertical lift that follows the reference drag; advances the integral while the lift suffices to follow."""
+    V, D = max(observed[SPEED], 1.0), observed[DRAG]
     D_ref = scheduled(block, DRAG_SCHEDULE, V)
     slope = schedule_slope(block, DRAG_SCHEDULE, V)
     Hs, w, zeta = block[SCALE_HEIGHT], block[FREQUENCY], block[DAMPING]
-    climb_ref = -Hs * (2.0 * D / V - D * slope / D_ref - drag_coefficient_rate(block, seen))
+    climb_ref = -Hs * (2.0 * D / V - D * slope / D_ref - drag_coefficient_rate(block, observed))
     climb_ref += state[memory + CLIMB_BIAS]
     error = Hs * math.log(D_ref / D)
-    lift = vertical_lift(block, seen, climb_ref, error, w, zeta)
-    if abs(lift) < seen[LIFT]:
+    lift = vertical_lift(block, observed, climb_ref, error, w, zeta)
+    if abs(lift) < observed[LIFT]:
         bias = state[memory + CLIMB_BIAS] - INTEGRAL * w * w / (2.0 * zeta) * error * dt_s
         state[memory + CLIMB_BIAS] = clip(bias, -LARGEST_BIAS_M_S, LARGEST_BIAS_M_S)
     return lift
 
 
 @njit
-def approach_lift(block: FloatArray, seen: FloatArray) -> float:
+def approach_lift(block: FloatArray, observed: FloatArray) -> float:
     """Vertical lift that follows the reference dynamic pressure, and flares near the ground.
 
     At constant qbar the density rises as V falls, -hdot / Hs = -2 Vdot / V with Vdot = -D - g hdot / V, hence
     hdot = -2 Hs D V / (V^2 + 2 Hs g).
     """
-    V, Hs = max(seen[SPEED], 1.0), block[SCALE_HEIGHT]
+    V, Hs = max(observed[SPEED], 1.0), block[SCALE_HEIGHT]
     w, zeta = block[APPROACH_FREQUENCY], block[APPROACH_DAMPING]
-    if seen[ALTITUDE] < block[FLARE_ALTITUDE]:
-        climb_ref = -TOUCHDOWN_RATE_M_S - max(seen[ALTITUDE], 0.0) / block[FLARE_TIME]
+    if observed[ALTITUDE] < block[FLARE_ALTITUDE]:
+        climb_ref = -TOUCHDOWN_RATE_M_S - max(observed[ALTITUDE], 0.0) / block[FLARE_TIME]
         return vertical_lift(
-            block, seen, max(climb_ref, min(seen[CLIMB], -TOUCHDOWN_RATE_M_S)), 0.0, FLARE_GAIN * w, zeta
+            block, observed, max(climb_ref, min(observed[CLIMB], -TOUCHDOWN_RATE_M_S)), 0.0, FLARE_GAIN * w, zeta
         )
-    climb_ref = -2.0 * Hs * seen[DRAG] * V / (V * V + 2.0 * Hs * max(seen[NET_GRAVITY], 0.0))
-    error = Hs * math.log(scheduled(block, APPROACH_QBAR, seen[MACH]) / max(seen[QBAR], 1e-3))
-    return vertical_lift(block, seen, climb_ref, error, w, zeta)
+    climb_ref = -2.0 * Hs * observed[DRAG] * V / (V * V + 2.0 * Hs * max(observed[NET_GRAVITY], 0.0))
+    error = Hs * math.log(scheduled(block, APPROACH_QBAR, observed[MACH]) / max(observed[QBAR], 1e-3))
+    return vertical_lift(block, observed, climb_ref, error, w, zeta)
 
 
 @njit
-def phase_of(block: FloatArray, seen: FloatArray, phase: int) -> int:
-    """Phase of guidance; it only goes forward, so that a gust cannot undo it."""
+def phase_of(block: FloatArray, observed: FloatArray, phase: int) -> int:
+    """Phase of guidance; it only advances, so that a gust cannot undo it."""
     now = COAST
-    if seen[MACH] < block[APPROACH_MACH]:
-        now = FLARE if seen[ALTITUDE] < block[FLARE_ALTITUDE] else APPROACHING
-    elif seen[DRAG] > block[START_DRAG]:
+    if observed[MACH] < block[APPROACH_MACH]:
+        now = FLARE if observed[ALTITUDE] < block[FLARE_ALTITUDE] else APPROACHING
+    elif observed[DRAG] > block[START_DRAG]:
         start, points = int(block[DRAG_SCHEDULE]), int(block[DRAG_SCHEDULE + 1])
-        now = GLIDE if seen[SPEED] > block[start + points - 1] else TRACK
+        now = GLIDE if observed[SPEED] > block[start + points - 1] else TRACK
     return max(now, phase)
 
 
 @njit
 def entry_target(
-    block: FloatArray, state: FloatArray, memory: int, seen: FloatArray, phase: int, sign: float, dt_s: float
+    block: FloatArray, state: FloatArray, memory: int, observed: FloatArray, phase: int, sign: float, dt_s: float
 ) -> tuple[float, float]:
     """Angle of attack [deg] from the schedule and bank [deg] from the vertical lift, before rate limits."""
-    alpha = scheduled(block, ALPHA_SCHEDULE, seen[MACH] if block[ALPHA_AXIS] == 0.0 else seen[SPEED])
+    alpha = scheduled(block, ALPHA_SCHEDULE, observed[MACH] if block[ALPHA_AXIS] == 0.0 else observed[SPEED])
     if phase == COAST:
         return alpha, block[FIRST_BANK]
-    lift = glide_lift(block, seen) if phase == GLIDE else track_lift(block, state, memory, seen, dt_s)
-    cosine = clip(lift / max(seen[LIFT], 1e-6), -1.0, 1.0)
+    lift = glide_lift(block, observed) if phase == GLIDE else track_lift(block, state, memory, observed, dt_s)
+    cosine = clip(lift / max(observed[LIFT], 1e-6), -1.0, 1.0)
     return alpha, sign * clip(math.degrees(math.acos(cosine)), block[BANK_LOW], block[BANK_HIGH])
 
 
 @njit
-def approach_target(block: FloatArray, seen: FloatArray, sign: float) -> tuple[float, float]:
+def approach_target(block: FloatArray, observed: FloatArray, sign: float) -> tuple[float, float]:
     """Angle of attack [deg] for the vertical lift, and bank [deg], before rate limits."""
     bank = sign * block[APPROACH_BANK]
     if block[HAS_TARGET] != 0.0:
-        bank = clip(-2.0 * heading_error_deg(block, seen), -block[APPROACH_BANK], block[APPROACH_BANK])
-    wanted = approach_lift(block, seen) / math.cos(math.radians(bank))
-    alpha = max(seen[ALPHA_NOW], 1.0) * wanted / max(seen[LIFT], 0.1)
+        bank = clip(-2.0 * heading_error_deg(block, observed), -block[APPROACH_BANK], block[APPROACH_BANK])
+    required = approach_lift(block, observed) / math.cos(math.radians(bank))
+    alpha = max(observed[ALPHA_NOW], 1.0) * required / max(observed[LIFT], 0.1)
     return clip(alpha, block[APPROACH_LOW], block[APPROACH_HIGH]), bank
 
 
 @njit
-def guidance_kernel(block: FloatArray, state: FloatArray, memory: int, seen: FloatArray, dt_s: float) -> None:
+def guidance_kernel(block: FloatArray, state: FloatArray, memory: int, observed: FloatArray, dt_s: float) -> None:
     """One step of guidance: the commands, MEMORY numbers of state from place `memory`, move by at most rate * dt_s.
 
-    seen : (OBSERVED,) in the order of Observed
+    observed : (OBSERVED,) in the order of Observed
     """
-    phase = phase_of(block, seen, int(state[memory + PHASE]))
-    sign = bank_sign(block, seen, state[memory + SIGN])
+    phase = phase_of(block, observed, int(state[memory + PHASE]))
+    sign = bank_sign(block, observed, state[memory + SIGN])
     if phase >= APPROACHING:
-        alpha, bank = approach_target(block, seen, sign)
+        alpha, bank = approach_target(block, observed, sign)
     else:
-        alpha, bank = entry_target(block, state, memory, seen, phase, sign, dt_s)
+        alpha, bank = entry_target(block, state, memory, observed, phase, sign, dt_s)
     alpha = clip(alpha, block[ALPHA_LOW], block[ALPHA_HIGH])
     a, b = memory + ALPHA_COMMAND, memory + BANK_COMMAND
     state[a] += clip(alpha - state[a], -block[ALPHA_RATE] * dt_s, block[ALPHA_RATE] * dt_s)
@@ -296,13 +298,13 @@ def guidance_kernel(block: FloatArray, state: FloatArray, memory: int, seen: Flo
 
 
 @njit
-def guidance_step(block: FloatArray, memory: FloatArray, seen: FloatArray, dt_s: float) -> None:
-    """`guidance_kernel` for a host's arrays; memory (MEMORY,)."""
-    guidance_kernel(pointer(block), pointer(memory), 0, pointer(seen), dt_s)
+def guidance_step(block: FloatArray, memory: FloatArray, observed: FloatArray, dt_s: float) -> None:
+    """One step of guidance on a host's arrays, memory (MEMORY,); see `guidance_kernel`."""
+    guidance_kernel(pointer(block), pointer(memory), 0, pointer(observed), dt_s)
 
 
 class EntryGuidance:
-    """Guidance of one flight, for a host that asks frame by frame.
+    """Guidance of one flight, called by a host frame by frame.
 
     events : (time, text) of phases entered and reversals commanded
     """
@@ -311,27 +313,27 @@ class EntryGuidance:
         self.block = guidance_block(guidance, first_bank_deg)
         self.events: list[tuple[float, str]] = []
         self._memory: FloatArray | None = None
-        self._seen = np.zeros(OBSERVED)
+        self._observed = np.zeros(OBSERVED)
 
-    def command(self, seen: Observation) -> tuple[float, float]:
+    def command(self, observed: Observation) -> tuple[float, float]:
         """Angle of attack [deg] and bank about the velocity [deg], right positive, to be flown from this frame on.
 
         The rate limits act over the time since the last call; the first call returns the schedule and the first bank.
         """
         if self._memory is None:
-            self._memory = first_memory(self.block, seen.mach, seen.velocity_m_s)
-            self._seen[TIME] = seen.time_s
-        dt_s = seen.time_s - self._seen[TIME]
+            self._memory = first_memory(self.block, observed.mach, observed.velocity_m_s)
+            self._observed[TIME] = observed.time_s
+        dt_s = observed.time_s - self._observed[TIME]
         sign, phase = self._memory[SIGN], self._memory[PHASE]
-        self._seen[:] = seen
-        guidance_step(self.block, self._memory, self._seen, dt_s)
+        self._observed[:] = observed
+        guidance_step(self.block, self._memory, self._observed, dt_s)
         if sign != self._memory[SIGN] or phase != self._memory[PHASE]:
-            self.events += guidance_events(seen.time_s, sign, phase, self._memory)
+            self.events += guidance_events(observed.time_s, sign, phase, self._memory)
         return float(self._memory[ALPHA_COMMAND]), float(self._memory[BANK_COMMAND])
 
 
 def guidance_events(time_s: float, sign: float, phase: float, memory: FloatArray) -> list[tuple[float, str]]:
-    """What changed in guidance between two steps, in words."""
+    """Events of guidance between two steps, (time [s], text): a new phase, a bank reversal."""
     found = []
     if phase != memory[PHASE]:
         found.append((time_s, PHASE_NAMES[int(memory[PHASE])]))

@@ -1,7 +1,7 @@
 """Scripted manoeuvres: each is a polygon of offsets over the time since its trigger, on one channel.
 
-A pushover-pullup, a pulse train and a sweep differ only in their polygons. The offset is added to what guidance or
-trim commands at that moment, so it is continuous and never faster than the manoeuvre's own rate; the sum is clipped to
+A pushover-pullup, a pulse train and a sweep differ only in their polygons. The offset is added to the command of
+guidance or trim, so it is continuous and never faster than the manoeuvre's own rate; the sum is clipped to
 the limits of its channel. On one channel manoeuvres do not overlap: a later one waits for the end of the earlier.
 """
 
@@ -29,19 +29,19 @@ from sim_heating.trajectory.spec import (
 Polygon = list[tuple[float, float]]
 
 ALPHA, BETA, ELEVON, BODYFLAP, JETS, PITCH = range(6)
-"""Places in an array of offsets: degrees for the first four, 0 to 1 for jets, one of the next three for pitch."""
+"""Indices of an array of offsets: degrees for the first four, 0 to 1 for jets, one of the next three for pitch."""
 
 CLOSED, JETS_HOLD, OPEN = 0.0, 1.0, 2.0
 """Pitch axis: trimmed with the elevon; elevon frozen at its value and the jets hold alpha; nothing holds alpha."""
 
 SMALLEST = 1e-9
-"""Degrees and seconds that do not count."""
+"""Degrees and seconds below which a difference is ignored."""
 
 _TRIGGERS = ("at_time_s", "at_velocity_m_s", "at_mach")
 
 
 class Offsets(NamedTuple):
-    """What manoeuvres add to the commands now.
+    """Offsets that manoeuvres add to the commands of one frame.
 
     pitch : CLOSED where the elevon trims as usual; JETS_HOLD where the elevon is the trimmed value at the start of the
             manoeuvre plus `elevon_deg` and reaction jets hold the angle of attack; OPEN where nothing holds it
@@ -56,7 +56,7 @@ class Offsets(NamedTuple):
 
 
 def polygon_through(values: Iterable[tuple[float, float]], rate: float) -> Polygon:
-    """Polygon from 0 through (value, hold_s) at a rate and back to 0; a move below SMALLEST is none."""
+    """Polygon from 0 through (value, hold_s) at a rate and back to 0; moves below SMALLEST are ignored."""
     time, last, points = 0.0, 0.0, [(0.0, 0.0)]
     for value, hold_s in (*values, (0.0, 0.0)):
         value = 0.0 if abs(value) < SMALLEST else value
@@ -113,7 +113,7 @@ def polygon(manoeuvre: Manoeuvre) -> Polygon:
 
 
 def commanded_variable(manoeuvre: Manoeuvre) -> str:
-    """The command that a manoeuvre is added to."""
+    """The command that a manoeuvre adds its offset to."""
     return Offsets._fields[_SHAPES[manoeuvre.kind][0]]
 
 
@@ -127,7 +127,7 @@ COUNT, PLAN, ENTRY = 0, 1, 6
 """A script's block: the number of manoeuvres, ENTRY numbers for each from PLAN on, then points of (time, offset)."""
 
 TRIGGER, VALUE, CHANNEL, PITCH_MODE, FIRST, LAST = range(6)
-"""Numbers of one manoeuvre: what triggers it and at what value, what it moves, where its first and last point stand."""
+"""Numbers of one manoeuvre: trigger variable and value, channel, pitch mode, positions of its first and last point."""
 
 
 def compile_script(manoeuvres: Sequence[Manoeuvre]) -> FloatArray:
@@ -146,11 +146,11 @@ def compile_script(manoeuvres: Sequence[Manoeuvre]) -> FloatArray:
 
 @njit
 def trigger_kernel(script: FloatArray, state: FloatArray, started: int, before: int, now: FloatArray, at: int) -> None:
-    """Set the start times of manoeuvres whose trigger lies between two frames; -1 stands for 'not started'.
+    """Set the start times of manoeuvres whose trigger lies between two frames; -1 means 'not started'.
 
-    state  : start times [s] from place `started`; time [s], velocity [m/s], Mach [-] of the frame before from `before`,
-             which are then replaced by those of now
-    now    : the same three of this frame, from place `at`; the crossing is linear between the two frames. Speed and
+    state  : start times [s] from position `started`; time [s], velocity [m/s], Mach [-] of the previous frame from
+             `before`, which are then replaced by those of now
+    now    : those of this frame, from position `at`; the crossing is linear between the two frames. Speed and
              Mach trigger when they fall through the value, time when it passes it.
     """
     for m in range(int(script[COUNT])):
@@ -180,7 +180,7 @@ def earliest_start(script: FloatArray, state: FloatArray, started: int, channel:
 def offsets_kernel(
     script: FloatArray, state: FloatArray, started: int, time_s: float, out: FloatArray, at: int
 ) -> None:
-    """Write the offsets of all running manoeuvres at a time into out, six numbers from place `at`."""
+    """Write the offsets of all running manoeuvres at a time into out, six numbers from position `at`."""
     for i in range(6):
         out[at + i] = 0.0
     for m in range(int(script[COUNT])):
@@ -198,7 +198,7 @@ def offsets_kernel(
 
 
 class ManoeuvreScript:
-    """The manoeuvres of one flight; ask it once a frame, in the order of time."""
+    """The manoeuvres of one flight; `offsets` is called once a frame, in order of time."""
 
     def __init__(self, manoeuvres: Sequence[Manoeuvre]) -> None:
         self.manoeuvres = tuple(manoeuvres)
@@ -223,7 +223,7 @@ class ManoeuvreScript:
         return self._state[: len(self.manoeuvres)]
 
     def windows(self, until_s: float = np.inf) -> list[Window]:
-        """When manoeuvres were flown, in the order of time; one that the end of the flight cut short ends there."""
+        """Windows of the flown manoeuvres in order of time; the end of the flight truncates them."""
         return manoeuvre_windows(self.manoeuvres, self.started_s, until_s)
 
     def events(self, until_s: float = np.inf) -> list[tuple[float, str]]:

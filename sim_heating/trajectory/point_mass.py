@@ -53,7 +53,7 @@ K1 = gd.OBSERVED
 OFFSETS = K1 + 3
 NEXT = OFFSETS + 6
 WORK = NEXT + 3
-"""The scratch array of a step: what guidance sees, acceleration, offsets of manoeuvres, triggers at the step's end."""
+"""Scratch array of a step: observation of guidance, acceleration, offsets of manoeuvres, triggers at the step's end."""
 
 
 class Air(NamedTuple):
@@ -158,7 +158,7 @@ def forces_kernel(
     alpha_deg: float, bank_deg: float, beta_deg: float, d_elevon_deg: float, d_flap_deg: float,
     flight: FloatArray, aero: FloatArray,
 ) -> Forces:  # fmt: skip
-    """Everything that acts on the vehicle at a position and velocity."""
+    """Forces on the vehicle at a position and velocity."""
     air = air_at(x, y, z, vx, vy, vz, flight)
     gx, gy, gz = gravity(x, y, z, flight)
     w = flight[ROTATION]
@@ -183,12 +183,12 @@ def forces_kernel(
 
 @njit
 def observe_kernel(state: FloatArray, flight: FloatArray, aero: FloatArray, work: FloatArray, row: FloatArray) -> None:
-    """Fill what guidance sees and the acceleration, work[:K1 + 3], and the frame's row (flight.ROW) at a state."""
+    """Write the observation of guidance and the acceleration, work[:K1 + 3], and the frame's row (flight.ROW)."""
     x, y, z, vx, vy, vz = state[X], state[Y], state[Z], state[VX], state[VY], state[VZ]
     f = forces_kernel(
         x, y, z, vx, vy, vz, state[ALPHA], state[BANK], state[BETA], state[D_ELEVON], state[D_FLAP], flight, aero
     )
-    air, V, seen = f.air, f.air.speed_m_s, work
+    air, V, observed = f.air, f.air.speed_m_s, work
     work[K1], work[K1 + 1], work[K1 + 2] = f.acceleration_m_s2
     qbar = 0.5 * air.rho_kg_m3 * V * V
     per_mass = qbar * flight[AREA] / flight[MASS]
@@ -196,16 +196,17 @@ def observe_kernel(state: FloatArray, flight: FloatArray, aero: FloatArray, work
     east = (air.u[1] * x - air.u[0] * y) / p
     north = (air.u[2] - dot(air.u, air.up) * air.up[2]) / max(math.sqrt(1.0 - air.up[2] ** 2), 1e-9)
     climb = air.up[0] * vx + air.up[1] * vy + air.up[2] * vz
-    seen[gd.TIME], seen[gd.ALTITUDE], seen[gd.SPEED], seen[gd.MACH] = state[T], air.altitude_m, V, air.mach
-    seen[gd.CLIMB], seen[gd.DRAG], seen[gd.LIFT] = climb, per_mass * f.cd, per_mass * f.cl
-    seen[gd.NET_GRAVITY] = net_gravity(x, y, z, vx, vy, vz, climb, flight)
-    seen[gd.QBAR], seen[gd.ALPHA_NOW] = qbar, state[ALPHA]
-    seen[gd.HEADING] = math.degrees(math.atan2(east, north))
-    seen[gd.LATITUDE], seen[gd.LONGITUDE] = math.degrees(math.asin(air.up[2])), math.degrees(math.atan2(y, x))
+    observed[gd.TIME], observed[gd.ALTITUDE] = state[T], air.altitude_m
+    observed[gd.SPEED], observed[gd.MACH] = V, air.mach
+    observed[gd.CLIMB], observed[gd.DRAG], observed[gd.LIFT] = climb, per_mass * f.cd, per_mass * f.cl
+    observed[gd.NET_GRAVITY] = net_gravity(x, y, z, vx, vy, vz, climb, flight)
+    observed[gd.QBAR], observed[gd.ALPHA_NOW] = qbar, state[ALPHA]
+    observed[gd.HEADING] = math.degrees(math.atan2(east, north))
+    observed[gd.LATITUDE], observed[gd.LONGITUDE] = math.degrees(math.asin(air.up[2])), math.degrees(math.atan2(y, x))
     row[0], row[1], row[2], row[3], row[4] = state[T], air.altitude_m, V, state[ALPHA], state[BETA]
     row[5], row[6], row[7], row[8], row[9] = f.elevon_deg, f.bodyflap_deg, air.rho_kg_m3, state[JETS], state[BANK]
     row[10] = math.degrees(math.asin(clip(dot(air.u, air.up) / V, -1.0, 1.0)))
-    row[11], row[12], row[13] = seen[gd.HEADING], seen[gd.LATITUDE], seen[gd.LONGITUDE]
+    row[11], row[12], row[13] = observed[gd.HEADING], observed[gd.LATITUDE], observed[gd.LONGITUDE]
     row[14] = per_mass * f.ca / G0_M_S2
 
 
@@ -241,7 +242,7 @@ def velocity_kernel(initial: FloatArray, flight: FloatArray) -> tuple[float, flo
 def first_state_kernel(
     initial: FloatArray, flight: FloatArray, block: FloatArray, manoeuvres: int, state: FloatArray
 ) -> None:
-    """State at time 0 of a flight: initial (INITIAL,), commands on schedule, no manoeuvre begun."""
+    """State at time 0 of a flight: initial (INITIAL,), commands on schedule, no manoeuvre started."""
     for i in range(STARTED):
         state[i] = 0.0
     for i in range(manoeuvres):
@@ -337,7 +338,7 @@ def step_kernel(
 ) -> bool:  # fmt: skip
     """One step of one flight; row is the frame at its beginning. False, and no step, where the flight ends there.
 
-    state : (STARTED + manoeuvres,) as made by `first_state_kernel`, moved on by dt_s
+    state : (STARTED + manoeuvres,) as made by `first_state_kernel`, advanced by dt_s
     flight: block of `entry3dof.flight_block`;  block: of `guidance.guidance_block`;  work: (WORK,);  row: (len(ROW),)
     """
     observe_kernel(state, flight, aero, work, row)
@@ -357,7 +358,7 @@ def run_kernel(
     state: FloatArray, flight: FloatArray, block: FloatArray, script: FloatArray, aero: FloatArray, dt_s: float,
     work: FloatArray, rows: FloatArray,
 ) -> tuple[int, bool]:  # fmt: skip
-    """Steps until the flight ends or rows (frames, len(ROW)) are full; how many were filled, and whether it ended."""
+    """Steps until the flight ends or rows (frames, len(ROW)) are full; the number of rows, and whether it ended."""
     for k in range(rows.shape[0]):
         if not step_kernel(
             pointer(state),

@@ -1,7 +1,7 @@
 """A flight as it was recorded: conditions from a CSV file in the contract's columns.
 
-What a host would give must be there; temperature, pressure, Mach and Reynolds number are taken as recorded, and derived
-by sim_heating.heating.atmosphere where a column is absent. Further columns of numbers are kept.
+The columns that a host provides are required; temperature, pressure, Mach and Reynolds number are taken as recorded,
+and derived by sim_heating.heating.atmosphere where a column is absent. Further columns of numbers are kept.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def fly(
 ) -> Flight:
     """The recorded flight of spec.file, one frame a row; nothing is resampled and there are no events.
 
-    spec.file : path, as the caller has made it (a scenario's is relative to the scenario)
+    spec.file : path, which the reader of a scenario has made relative to the scenario
     on_frame  : called for each row with its values in the order of conditions.FRAME; the array is reused
     raises    : InputError naming file, row and column
     """
@@ -37,7 +37,7 @@ def fly(
         raise InputError('trajectory: source = "recorded" needs `file`, a CSV of flight conditions')
     conditions = read_conditions(Path(spec.file), vehicle.reference_length_m)
     if on_frame is not None:
-        _give_frames(conditions, on_frame)
+        _send_frames(conditions, on_frame)
     if progress is not None:
         progress(1.0, f"{len(conditions)} recorded samples")
     return Flight(conditions)
@@ -64,7 +64,7 @@ def _problems(table: CsvTable) -> list[str]:
     return [*table.order_problems(), *outside, *implausible_values(table)]
 
 
-def _give_frames(conditions: Conditions, on_frame: OnFrame) -> None:
+def _send_frames(conditions: Conditions, on_frame: OnFrame) -> None:
     with_jets = conditions if "jets" in conditions else conditions.with_columns(jets=0.0)
     for row in np.column_stack([with_jets[name] for name in FRAME]):
         on_frame(row)

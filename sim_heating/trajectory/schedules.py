@@ -1,4 +1,4 @@
-"""Numbers and schedules of one flight in one flat float64 block, as compiled steps and exported models want them.
+"""Numbers and schedules of one flight in one flat float64 block, for compiled steps and exported models.
 
 A block holds `scalars`, then for each schedule where its points start and how many they are, then the points:
 
@@ -29,16 +29,16 @@ def pack(scalars: Sequence[float], schedules: Sequence[Sequence[tuple[float, flo
 
 
 def schedule_positions(first: int, schedules: int) -> Sequence[int]:
-    """Where (start, points) of a block's schedules stand, the first at place `first`.
+    """Positions of (start, points) of a block's schedules, the first at `first`.
 
-    They are numpy's integers, because numba would compile `scheduled` anew for each value of a Python integer.
+    They are numpy integers because numba would compile `scheduled` again for each value of a Python integer.
     """
     return list(np.arange(first, first + 2 * schedules, 2))
 
 
 @njit
 def scheduled(block: FloatArray, place: int, x: float) -> float:
-    """Value at x of the schedule whose (start, points) stand at `place`; constant beyond its ends."""
+    """Value at x of the schedule whose (start, points) are at `place`; constant beyond its ends."""
     start, points = int(block[place]), int(block[place + 1])
     if points == 0:
         return 0.0

@@ -1,12 +1,13 @@
-"""What a scenario's [trajectory] table may say: source, start, stop, vehicle state, guidance, dispersions, manoeuvres.
+"""Model of a scenario's [trajectory] table: source, start, stop, vehicle state, guidance, dispersions, manoeuvres.
 
-Every angle is in degrees, every velocity is relative to the air unless said otherwise, and 'mach' is the
+Every angle is in degrees, every velocity is relative to the air unless stated otherwise, and 'mach' is the
 true Mach number, V over the local speed of sound ('Mach 20' of the Shuttle's papers is 20,000 ft/s: use
 `at_velocity_m_s = 6096`). A schedule is a list of [x, value] pairs, linear between them and constant outside.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -28,7 +29,7 @@ def _sorted_schedule(pairs: tuple[tuple[float, float], ...]) -> tuple[tuple[floa
 
 
 Schedule = Annotated[tuple[tuple[float, float], ...], AfterValidator(_sorted_schedule)]
-"""[[x, value], ...] with x rising or falling throughout; held sorted by rising x."""
+"""[[x, value], ...] with x rising or falling throughout; stored sorted by rising x."""
 
 
 def _limits(pair: tuple[float, float]) -> tuple[float, float]:
@@ -65,7 +66,7 @@ class Stop(Convertible):
     time_s: Positive = 3000.0
 
     def passed(self, time_s: float, altitude_m: float, velocity_m_s: float, mach: float) -> bool:
-        """Whether a flight that is there is at its end."""
+        """Whether a flight in this state has ended."""
         return (
             time_s >= self.time_s - 1e-9
             or (self.altitude_m is not None and altitude_m <= self.altitude_m)
@@ -73,9 +74,15 @@ class Stop(Convertible):
             or (self.mach is not None and mach <= self.mach and altitude_m < MACH_COUNTS_BELOW_M)
         )
 
+    def fraction_done(self, first_velocity_m_s: float, velocity_m_s: float, time_s: float) -> float:
+        """Fraction of a flight that is done, by velocity lost or by time, 0 to 1."""
+        last = self.velocity_m_s or 300.0 * (self.mach or 0.0)
+        by_speed = (first_velocity_m_s - velocity_m_s) / max(first_velocity_m_s - last, 1.0)
+        return float(min(max(by_speed, time_s / self.time_s, 0.0), 1.0))
+
 
 class VehicleState(Convertible):
-    """The vehicle as flown; what is left out is the vehicle's own default.
+    """The vehicle as flown; absent keys are the vehicle's own values.
 
     cg_fraction : centre of gravity from the nose over the reference length
     bodyflap_deg: body flap [[mach or velocity_m_s, deg]]; by default the one that trims the vehicle along the
@@ -94,7 +101,7 @@ class Approach(Convertible):
     """Below `below_mach`: angle of attack flies a reference dynamic pressure, bank is small, then a flare.
 
     qbar_Pa : reference dynamic pressure [[mach, Pa]]
-    bank_deg: bank magnitude (a turn that ends where the heading error is zero, or steady where there is no target)
+    bank_deg: bank magnitude (a turn that ends where the heading error is zero, or steady without a target)
     """
 
     below_mach: Positive = 2.5
@@ -143,7 +150,7 @@ class Guidance(Convertible):
     approach: Approach | None = None
 
     @model_validator(mode="after")
-    def _reverses_in_one_way(self) -> Guidance:
+    def _check_reversals(self) -> Guidance:
         if self.reversals_m_s and self.target is not None:
             raise ValueError("bank reverses at reversals_m_s or towards a target, not both: remove one")
         return self
@@ -166,17 +173,22 @@ class GuidanceChanges(_OptionalGuidance):
 
 
 class Dispersions(Convertible):
-    """What the real atmosphere does beside US76: density times a factor, steady wind over altitude."""
+    """Differences of the atmosphere from US76: a density factor and a steady wind, over altitude."""
 
     density_factor: tuple[tuple[float, Positive], ...] | None = None
     wind_north_m_s: Schedule | None = None
     wind_east_m_s: Schedule | None = None
 
     @model_validator(mode="after")
-    def _sorts_the_density(self) -> Dispersions:
+    def _sort_density(self) -> Dispersions:
         if self.density_factor is not None:
             object.__setattr__(self, "density_factor", _sorted_schedule(self.density_factor))
         return self
+
+    @property
+    def schedules(self) -> list[Sequence[tuple[float, float]]]:
+        """Density factor, wind to north and wind to east over altitude, as `schedules.pack` takes them."""
+        return [self.density_factor or ((0.0, 1.0),), self.wind_north_m_s or (), self.wind_east_m_s or ()]
 
 
 class _Triggered(Convertible):
@@ -187,7 +199,7 @@ class _Triggered(Convertible):
     at_time_s: Annotated[float, Field(ge=0.0)] | None = None
 
     @model_validator(mode="after")
-    def _has_one_trigger(self) -> _Triggered:
+    def _check_trigger(self) -> _Triggered:
         given = [k for k in ("at_velocity_m_s", "at_mach", "at_time_s") if getattr(self, k) is not None]
         if len(given) != 1:
             raise ValueError(
@@ -294,7 +306,7 @@ Manoeuvre = Annotated[
 
 
 class FmuVariable(Convertible):
-    """A variable of an FMU and its unit, which is that of the FMU where it is not given."""
+    """A variable of an FMU and its unit, by default the one that the FMU declares."""
 
     variable: str
     unit: str | None = None
@@ -311,9 +323,9 @@ Command = Literal["alpha_deg", "bank_deg", "beta_deg", "elevon_deg", "bodyflap_d
 
 
 class FmuInput(Convertible):
-    """What an input of an FMU is given: a command of guidance and manoeuvres, or a schedule [[time_s, value], ...].
+    """Source of an input of an FMU: a command of guidance and manoeuvres, or a schedule [[time_s, value], ...].
 
-    unit : of the schedule, or of the input where the FMU does not tell; a command is converted from its own
+    unit : unit of the schedule, or of the input where the FMU declares none; a command is converted from its own
     """
 
     command: Command | None = None
@@ -321,21 +333,21 @@ class FmuInput(Convertible):
     unit: str | None = None
 
     @model_validator(mode="after")
-    def _has_one_of_both(self) -> FmuInput:
+    def _check_source(self) -> FmuInput:
         if (self.command is None) == (self.schedule is None):
             raise ValueError("give either `command` or `schedule`")
         return self
 
 
 class FmuSource(Convertible):
-    """An FMU as a trajectory: what its variables mean.
+    """An FMU as a trajectory: the meaning of its variables.
 
-    interface: the one to use where the FMU has both; co-simulation where it is not given
-    columns  : column -> variable, or variable with unit, or a number that stands for it; by usual names where absent
-    start    : parameter or input -> its value, in the FMU's unit or with one
-    inputs   : input -> what it is given; one that is not named keeps its start value
+    interface: interface to use where the FMU has both; co-simulation by default
+    columns  : column -> variable, variable with unit, or a constant; columns that are absent are found by usual names
+    start    : parameter or input -> start value, in the FMU's unit or with one
+    inputs   : input -> its source; an input that is absent keeps its start value
     tolerance: relative tolerance of the solver
-    timeout_s: longest time that one call into the FMU may take
+    timeout_s: longest time of one call into the FMU [s]
     """
 
     interface: Literal["co-simulation", "model-exchange"] | None = None
@@ -347,17 +359,17 @@ class FmuSource(Convertible):
 
     @field_validator("start", "inputs", mode="before")
     @classmethod
-    def _names_stand_in_quotes(cls, given: Any, info: ValidationInfo) -> Any:
-        """A name with dots and without quotes is a table of TOML."""
+    def _check_dotted_names(cls, given: Any, info: ValidationInfo) -> Any:
+        """Rejects a name with dots and without quotes, which TOML reads as a table."""
         known = (FmuValue if info.field_name == "start" else FmuInput).model_fields
         for name, table in given.items() if isinstance(given, dict) else ():
             if isinstance(table, dict) and table and not known.keys() & table.keys():
-                raise ValueError(f'a name with dots stands in quotes, "{name}.{next(iter(table))}" = ...')
+                raise ValueError(f'write a name with dots in quotes, "{name}.{next(iter(table))}" = ...')
         return given
 
     @property
     def commands(self) -> set[str]:
-        """What guidance and manoeuvres command of the FMU."""
+        """Commands of guidance and manoeuvres that the FMU takes."""
         given = {i if isinstance(i, str) else i.command for i in self.inputs.values()}
         return {command for command in given if command is not None}
 
@@ -365,8 +377,8 @@ class FmuSource(Convertible):
 class TrajectorySpec(Convertible):
     """The [trajectory] table of a scenario.
 
-    rate_hz : integration frames a second (communication steps of an FMU); 60, or 4 for the 3-DOF entry, where not given
-    sample_s: interval of the conditions kept
+    rate_hz : integration frames a second (communication steps of an FMU); default 60, 4 for the 3-DOF entry
+    sample_s: interval of the stored conditions
     file    : recorded CSV or FMU; the reader of a scenario makes it relative to the scenario
     """
 
@@ -384,24 +396,24 @@ class TrajectorySpec(Convertible):
 
     @model_validator(mode="before")
     @classmethod
-    def _takes_the_frame_rate_of_its_source(cls, data: object) -> object:
+    def _default_frame_rate(cls, data: object) -> object:
         if isinstance(data, dict) and data.get("source") == "entry-3dof":
             return {"rate_hz": 4.0} | data
         return data
 
     @model_validator(mode="after")
-    def _has_what_its_source_needs(self) -> TrajectorySpec:
+    def _check_source(self) -> TrajectorySpec:
         if self.source == "recorded":
             if self.file is None:
                 raise ValueError('source = "recorded" needs `file`, a CSV of flight conditions')
             if self.manoeuvre or self.initial is not None:
-                raise ValueError("a recorded flight is what it is: remove `initial` and the manoeuvres")
+                raise ValueError("a recorded flight cannot be changed: remove `initial` and the manoeuvres")
         elif self.source == "fmu":
             self._check_fmu()
         elif self.initial is None:
             raise ValueError(f'source = "{self.source}" needs [trajectory.initial]')
         elif self.file is not None:
-            raise ValueError(f'source = "{self.source}" flies by itself: remove `file`')
+            raise ValueError(f'source = "{self.source}" does not read a file: remove `file`')
         if self.source != "recorded" and self.sample_s < 1.0 / self.rate_hz - 1e-9:
             raise ValueError(f"sample_s = {self.sample_s} is shorter than one frame, {1.0 / self.rate_hz:.4g} s")
         return self
@@ -410,4 +422,4 @@ class TrajectorySpec(Convertible):
         if self.file is None:
             raise ValueError('source = "fmu" needs `file`, an FMU')
         if self.initial is not None:
-            raise ValueError("an FMU starts as its own start values say: remove `initial`, give [trajectory.fmu.start]")
+            raise ValueError("an FMU starts from its own start values: remove `initial`, give [trajectory.fmu.start]")

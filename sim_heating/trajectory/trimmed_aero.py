@@ -1,6 +1,6 @@
 """Trimmed lift and drag of a vehicle from Mach 0 up, as compiled kernels on one flat block.
 
-At every call the elevon takes out the pitching moment about the centre of gravity, exactly: the tables are linear
+At every call the elevon trims the pitching moment about the centre of gravity to zero, exactly: the tables are linear
 between nodes, and so is their sum. CN, CA, Cm are those of `aero.Aero`, bilinear in Mach and alpha. Below the tables'
 lowest Mach number the parabolic polar of aero/low_speed.csv takes over, CL = CL_0 + CL_alpha alpha,
 CD = CD_0 + K CL^2, blended linearly from its highest Mach number.
@@ -29,13 +29,13 @@ ARM, CM_SHIFT, SHIFT_LOW, SHIFT_HIGH, ELEVON_LOW, ELEVON_HIGH = range(6)
     MACHS, ALPHAS, FLAPS, ELEVONS, LOWS, AT_ALPHA, AT_FLAP, AT_ELEVON, AT_LOW, AT_CELLS, AT_MACH,
 ) = range(11)  # fmt: skip
 """Head of a vehicle's aerodynamic block: numbers of Mach, alpha, body-flap, elevon and low-speed points, and where
-alpha, body-flap and elevon axes, low-speed rows and cells begin; the Mach axis follows the head. All tables stand on
-the Mach and alpha points of any of them. One cell for each (mach, alpha), alpha fastest, holds CN, CA, Cm of the basic
+alpha, body-flap and elevon axes, low-speed rows and cells begin; the Mach axis follows the head. All tables use
+the Mach and alpha points of each of them. One cell for each (mach, alpha), alpha fastest, holds CN, CA, Cm of the basic
 table, of each body-flap node and of each elevon node; a low-speed row is mach, CL_0, CL_alpha 1/deg, CD_0, K."""
 
 
 class TableCell(NamedTuple):
-    """Where a Mach number and an angle of attack lie in the tables: the four cells about them and their weights."""
+    """The four grid points around a Mach number and an angle of attack: positions of their values, and weights."""
 
     c00: int
     c01: int
@@ -59,7 +59,7 @@ def bracket_scan(block: FloatArray, start: int, points: int, x: float) -> tuple[
 
 @njit
 def table_cell(aero: FloatArray, mach: float, alpha_deg: float) -> TableCell:
-    """Cells and bilinear weights; held at the ends."""
+    """Positions and bilinear weights of the surrounding grid points; constant at the ends."""
     machs, alphas = int(aero[MACHS]), int(aero[ALPHAS])
     width = 3 * (1 + int(aero[FLAPS]) + int(aero[ELEVONS]))
     i, u = bracket_scan(aero, AT_MACH, machs, mach)
@@ -74,13 +74,13 @@ def table_cell(aero: FloatArray, mach: float, alpha_deg: float) -> TableCell:
 
 @njit
 def cell_value(aero: FloatArray, p: TableCell, k: int) -> float:
-    """Number k of the cells at a place, bilinear."""
+    """Number k of the cells, bilinear between the grid points."""
     return p.w00 * aero[p.c00 + k] + p.w01 * aero[p.c01 + k] + p.w10 * aero[p.c10 + k] + p.w11 * aero[p.c11 + k]
 
 
 @njit
 def trim_elevon(aero: FloatArray, p: TableCell, moment: float, arm: float) -> float:
-    """Elevon at which moment + dCm + arm dCN is 0; the table's end where there is none.
+    """Elevon [deg] at which moment + dCm + arm dCN is 0; the table's end where there is none.
 
     The sum falls with deflection and is linear between nodes, so halving the nodes finds it exactly.
     """
@@ -162,7 +162,7 @@ LOW_SPEED = ("mach", "CL_0", "CL_alpha_deg", "CD_0", "K")
 
 
 def low_speed_rows(vehicle_dir: Path, below_mach: float) -> FloatArray:
-    """Rows of aero/low_speed.csv, none where a vehicle has no such file.
+    """Rows of aero/low_speed.csv, (0, 5) where a vehicle has no such file.
 
     raises : InputError where mach does not rise, or reaches the Mach number where the tables begin
     """
@@ -177,7 +177,7 @@ def low_speed_rows(vehicle_dir: Path, below_mach: float) -> FloatArray:
 
 
 def aero_block(aero: Aero, low_speed: FloatArray) -> FloatArray:
-    """A vehicle's tables in one block for the kernels; its head is described with MACHS."""
+    """A vehicle's tables in one block for the kernels, with the layout described at MACHS."""
     grids = (aero.basic, aero.bodyflap, aero.elevon)
     mach = np.unique(np.concatenate([g.mach for g in grids]))
     alpha = np.unique(np.concatenate([g.alpha_deg for g in grids]))
@@ -190,6 +190,6 @@ def aero_block(aero: Aero, low_speed: FloatArray) -> FloatArray:
 
 
 def resample_grid(grid: Grid, mach: FloatArray, alpha: FloatArray) -> FloatArray:
-    """Values of a table on finer Mach and alpha axes that contain its own: the same function, held at its ends."""
+    """Values of a table on finer Mach and alpha axes that contain its own; constant beyond its ends."""
     by_mach = np.apply_along_axis(lambda v: np.interp(mach, grid.mach, v), 0, grid.values)
     return np.apply_along_axis(lambda v: np.interp(alpha, grid.alpha_deg, v), 1, by_mach)

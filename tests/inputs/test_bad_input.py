@@ -271,7 +271,7 @@ def test_a_value_of_none_of_several_types_is_reported_once(columns: dict[str, ob
 def test_a_dotted_name_without_quotes_is_answered_with_quotes() -> None:
     with pytest.raises(InputError) as caught:
         check({"start": {"body": {"mass": 3.0}}}, FmuSource, "fmu.toml")
-    expected = 'a name with dots stands in quotes, "body.mass" = ...'
+    expected = 'write a name with dots in quotes, "body.mass" = ...'
     assert caught.value.problems == (f"fmu.toml, [start]: {expected}",)
 
 

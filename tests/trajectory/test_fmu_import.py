@@ -114,7 +114,7 @@ def test_units_as_fmus_write_them(unit: str, wanted: str, factor: float) -> None
     found = conversion(given, target)
     assert found is not None
     assert found(1.0) == approx(factor, rel=1e-9)
-    assert found.back(found(3.7)) == approx(3.7)
+    assert found.inverse(found(3.7)) == approx(3.7)
 
 
 @pytest.mark.parametrize(
@@ -145,13 +145,13 @@ def test_an_fmus_own_degrees_with_fifteen_digits_leave_every_bit() -> None:
 
 
 def test_a_definition_that_contradicts_its_name_is_refused() -> None:
-    with pytest.raises(InputError, match=r"defines `ft` as 1 m, which by its name is 0\.3048 m; give `unit`"):
+    with pytest.raises(InputError, match=r"defines `ft` as 1 m, but the name means 0\.3048 m; give `unit`"):
         unit_of_fmu("ft", BaseUnit(m=1))
 
 
 @pytest.mark.parametrize("factor", [0.0, math.nan, math.inf])
 def test_a_definition_that_measures_nothing_is_refused(factor: float) -> None:
-    with pytest.raises(InputError, match=rf"defines `blah` by factor {factor:g} and offset 0, which measures nothing"):
+    with pytest.raises(InputError, match=rf"defines `blah` by factor {factor:g} and offset 0, which is not a unit"):
         unit_of_fmu("blah", BaseUnit(m=1, factor=factor))
 
 
@@ -194,7 +194,7 @@ def test_altitude_velocity_and_attitude_are_enough(glide: Path) -> None:
     assert c["rho_kg_m3"] == approx(us76(c["altitude_m"])[2])
     assert c["bodyflap_deg"][0] != 0.0  # on its schedule, the elevon in trim
     assert "latitude_deg" not in c
-    assert "density is US76's" in [text for _, text in flight.events]
+    assert "density is that of US76" in [text for _, text in flight.events]
 
 
 @needs_compiler
@@ -213,7 +213,7 @@ def test_wind_and_density_of_the_scenario_are_the_air_that_the_fmu_flies_in(glid
 def test_a_column_is_found_by_its_usual_name_and_that_is_told(glide: Path) -> None:
     flight = fly(glide, {k: v for k, v in COLUMNS.items() if k not in ("altitude_m", "alpha_deg")})
     assert flight.conditions["altitude_m"][0] == approx(70e3)
-    assert "altitude_m is `h`, by its usual name" in [text for _, text in flight.events]
+    assert "altitude_m is read from `h`, a usual name" in [text for _, text in flight.events]
 
 
 @needs_compiler
@@ -224,7 +224,7 @@ def test_an_output_of_a_usual_name_without_a_unit_is_not_used_and_that_is_told(b
     text = description("2").replace("</ModelVariables>", density)
     flight = fly(pack(tmp_path / "glide.fmu", text, binary, platform_folder("2")))
     written = 'rho_kg_m3 = { variable = "rho", unit = "kg/m3" }'
-    told = f"`rho` is not used, as its unit is not known; if it is rho_kg_m3, write {written}"
+    told = f"`rho` is not used because its unit is unknown; if it is rho_kg_m3, write {written}"
     assert told in [text for _, text in flight.events]
 
 

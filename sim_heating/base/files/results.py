@@ -28,8 +28,7 @@ from sim_heating.base.files.text import (
 MARKER = ".sim_heating.json"
 """File of an output directory that lists the files this program wrote there."""
 PARTIAL_NAME_LENGTH = 50
-"""Characters of a directory's name that its temporary one repeats: all of a long name would exceed the system's
-limit."""
+"""Characters of a directory's name repeated in its temporary one: a whole long name would exceed the system's limit."""
 
 
 def json_text(data: Any) -> str:

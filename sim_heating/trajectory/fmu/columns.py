@@ -1,6 +1,6 @@
-"""From an FMU's variables to the columns of a flight: the mapping, units, usual names, and what can be derived.
+"""From an FMU's variables to the columns of a flight: mapping, units, usual names and derived columns.
 
-What an FMU does not give is derived where physics allows it, in this order:
+Columns that an FMU does not provide are derived where physics allows it, in this order:
 
     wind           u = v_NED - wind(altitude)                      [trajectory.dispersions]
     speed          V = |u|, or Mach times the speed of sound of US76
@@ -44,16 +44,16 @@ Step = Callable[[Frame], None]
 MOTION = ("velocity_north_m_s", "velocity_east_m_s", "velocity_down_m_s", "altitude_rate_m_s", "mach")
 ATTITUDE = ("roll_deg", "pitch_deg", "yaw_deg")
 FORCES = ("drag_m_s2", "lift_m_s2", "net_gravity_m_s2")
-"""What guidance sees beside the frame."""
+"""Columns that guidance needs in addition to the frame."""
 COLUMNS = (*FRAME[1:], *EXTRAS, *MOTION, *ATTITUDE, *FORCES)
 """Columns that a mapping may name; speed, path angle and heading are relative to the air, MOTION to the Earth."""
 
 AIR_PATH = ("velocity_m_s", "gamma_deg", "heading_deg")
 ANGLES = ("alpha_deg", "beta_deg", "bank_deg")
-FOLLOWS = ((set(MOTION[:3]), AIR_PATH), ({"mach"}, AIR_PATH[:1]), (set(ATTITUDE), ANGLES))
-"""What follows from velocity, from Mach, and from attitude."""
+DERIVED_FROM = ((set(MOTION[:3]), AIR_PATH), ({"mach"}, AIR_PATH[:1]), (set(ATTITUDE), ANGLES))
+"""Columns that are required, and those derived from them."""
 SPEEDS = (set(AIR_PATH[:1]), set(MOTION[:3]))
-"""What tells the speed before Mach does."""
+"""Columns that determine the speed and therefore exclude Mach."""
 
 UNITS = (
     ("_kg_m3", "kg/m3"), ("_m_s2", "m/s2"), ("_m_s", "m/s"), ("_deg", "deg"), ("_m", "m"), ("_g", "standard_gravity"),
@@ -78,7 +78,7 @@ USUAL_NAMES = {
     "yaw_deg": ("yaw", "psi"),
     "mach": ("mach", "machnumber"),
 }
-"""Names that a variable may have, letters alone and small, where the scenario does not name it."""
+"""Names under which a variable is found that the scenario does not map; lower case, letters only."""
 
 
 def unit_of(column: str) -> str:
@@ -96,55 +96,58 @@ class Reading:
 
 
 class ColumnsOfFmu:
-    """How each frame of a flight is made of an FMU's outputs.
+    """Converts the outputs of an FMU to the frames of a flight.
 
-    outputs  : names of the variables to ask for
-    missing  : columns of flight.EXTRAS that nothing gives
-    notes    : what was taken by its usual name or derived, for people
-    raises   : InputError, all problems at once
+    outputs   : names of the variables to read
+    available : columns of every frame
+    missing   : columns of flight.EXTRAS that cannot be determined
+    notes     : columns found by usual names or derived, for the events of the flight
+    raises    : InputError, all problems at once
     """
 
     def __init__(self, model: FmuModel, spec: TrajectorySpec, vehicle_dir: Path) -> None:
         self.notes: list[str] = []
         self._constants: Frame = {}
-        self._readings = self._mapped(model, spec)
+        self._readings = self._map_columns(model, spec)
         self.outputs = [r.variable for r in self._readings]
         self._derive = Derivation({*self._constants, *(r.column for r in self._readings)}, spec, vehicle_dir)
         self.notes += self._derive.notes
-        self.missing = [name for name in EXTRAS if name not in self._derive.have]
-        self.have = self._derive.have
+        self.missing = [name for name in EXTRAS if name not in self._derive.available]
+        self.available = self._derive.available
 
-    def _mapped(self, model: FmuModel, spec: TrajectorySpec) -> list[Reading]:
+    def _map_columns(self, model: FmuModel, spec: TrajectorySpec) -> list[Reading]:
         found: list[Reading] = []
         problems: list[str] = []
         for column, given in spec.fmu.columns.items():
             where = f"[trajectory.fmu.columns], `{column}`"
             if column not in COLUMNS:
-                problems.append(f"{where}: there is no such column{suggestion(column, COLUMNS)}")
+                problems.append(f"{where}: unknown column{suggestion(column, COLUMNS)}")
             elif isinstance(given, float):
                 self._constants[column] = given
             else:
                 named = given if isinstance(given, FmuVariable) else FmuVariable(variable=given)
                 try:
                     variable = model.number(named.variable, where)
-                    way = model.conversion(variable, named.unit, unit_of(column), where)
-                    found.append(Reading(column, variable.name, way))
+                    convert = model.conversion(variable, named.unit, unit_of(column), where)
+                    found.append(Reading(column, variable.name, convert))
                 except InputError as error:
                     problems += error.problems
         if "mach" in spec.fmu.columns:
             other = [", ".join(sorted(names)) for names in SPEEDS if names <= set(spec.fmu.columns)]
-            problems += [f"[trajectory.fmu.columns]: `mach` and {o} both tell the speed; remove one" for o in other]
+            problems += [
+                f"[trajectory.fmu.columns]: `mach` and {o} both determine the speed; remove one" for o in other
+            ]
         if problems:
             raise InputError(*problems)
         mapped = {r.column for r in found} | set(self._constants)
         return found + self._by_usual_name(model, mapped, {r.variable for r in found})
 
     def _by_usual_name(self, model: FmuModel, mapped: set[str], taken: set[str]) -> list[Reading]:
-        """Outputs whose names leave no doubt: the column's own, or a usual one that only one output has.
+        """Outputs with unambiguous names: that of the column, or a usual one that only one output has.
 
-        Not what the mapping holds already, and not a column that follows from what it holds.
+        Columns that the mapping contains, or that follow from it, are not searched for.
         """
-        mapped = mapped.union(*(made for needed, made in FOLLOWS if needed <= mapped))
+        mapped = mapped.union(*(made for needed, made in DERIVED_FROM if needed <= mapped))
         outputs = [v for v in model.description.modelVariables if v.causality == "output" and v.name not in taken]
         names = {v.name: re.sub("[^a-z]", "", v.name.lower()) for v in outputs}
         found = []
@@ -157,22 +160,22 @@ class ColumnsOfFmu:
                 continue
             name = chosen[0].name
             try:
-                way = model.conversion(model.number(name, column), None, unit_of(column), column)
+                convert = model.conversion(model.number(name, column), None, unit_of(column), column)
             except InputError:
-                self._tell_unused(model, name, column)
+                self._note_unused(model, name, column)
                 continue
-            found.append(Reading(column, name, way))
+            found.append(Reading(column, name, convert))
             if name != column:
-                self.notes.append(f"{column} is `{name}`, by its usual name")
+                self.notes.append(f"{column} is read from `{name}`, a usual name")
         return found
 
-    def _tell_unused(self, model: FmuModel, name: str, column: str) -> None:
-        """A note on an output of a usual name that is not used as nobody knows its unit."""
+    def _note_unused(self, model: FmuModel, name: str, column: str) -> None:
+        """Note that an output with a usual name is not used because its unit is unknown."""
         unit = unit_of(column)
-        with suppress(InputError):  # one that measures something else is no such column
+        with suppress(InputError):  # an output of another dimension is not this column
             model.conversion(model.number(name, column), unit, unit, column)
             written = f'{column} = {{ variable = "{name}", unit = "{unit}" }}'
-            self.notes.append(f"`{name}` is not used, as its unit is not known; if it is {column}, write {written}")
+            self.notes.append(f"`{name}` is not used because its unit is unknown; if it is {column}, write {written}")
 
     def frame(self, time_s: float, values: list[float]) -> Frame:
         """All columns at a time from the FMU's outputs."""
@@ -182,29 +185,29 @@ class ColumnsOfFmu:
         self._derive(frame)
         return frame
 
-    def told(self, column: str) -> str:
-        """Where a column comes from, for an error."""
+    def source_text(self, column: str) -> str:
+        """The source of a column, for an error message."""
         return next((f"`{r.variable}` gives {column}" for r in self._readings if r.column == column), column)
 
 
 class Derivation:
-    """The steps that complete a frame, chosen once from what an FMU gives.
+    """The steps that complete a frame, selected once from the columns that an FMU provides.
 
-    have   : columns after all steps
-    raises : InputError naming every column of conditions.FRAME that stays unknown
+    available : columns after all steps
+    raises    : InputError naming every column of conditions.FRAME that remains unknown
     """
 
     def __init__(self, given: set[str], spec: TrajectorySpec, vehicle_dir: Path) -> None:
-        self.have = {"time_s", *given}
+        self.available = {"time_s", *given}
         self.notes: list[str] = []
         self._steps: list[Step] = []
         self._air = dispersion_block(spec.dispersions)
         self._choose_motion()
-        self._choose({"altitude_m"}, ("rho_kg_m3",), self._standard_density, "density is US76's")
+        self._choose({"altitude_m"}, ("rho_kg_m3",), self._standard_density, "density is that of US76")
         self._choose(set(), ("jets",), _no_jets, "")
-        if not {"elevon_deg", "bodyflap_deg"} <= self.have:
+        if not {"elevon_deg", "bodyflap_deg"} <= self.available:
             self._choose_trim(spec, vehicle_dir)
-        problems = [_unknown(column) for column in FRAME if column not in self.have]
+        problems = [_unknown_column(column) for column in FRAME if column not in self.available]
         if problems:
             raise InputError(*problems)
 
@@ -214,11 +217,11 @@ class Derivation:
             step(frame)
 
     def _choose(self, needed: set[str], made: tuple[str, ...], step: Step, note: str) -> None:
-        """Take a step where it makes something new of what there is; a column that is given stays as given."""
-        if needed <= self.have and not set(made) <= self.have:
-            keep = [name for name in made if name in self.have]
-            self._steps.append(_keeping(step, keep) if keep else step)
-            self.have |= set(made)
+        """Add a step if its inputs are available and an output is not; columns that are available stay unchanged."""
+        if needed <= self.available and not set(made) <= self.available:
+            keep = [name for name in made if name in self.available]
+            self._steps.append(_preserving(step, keep) if keep else step)
+            self.available |= set(made)
             if note:
                 self.notes.append(note)
 
@@ -235,7 +238,7 @@ class Derivation:
             trim = _Trim(spec, vehicle_dir)
         except InputError as error:
             ways = "map elevon_deg and bodyflap_deg or give numbers"
-            raise InputError(f"[trajectory.fmu.columns]: {ways}; trim needs the vehicle's tables: {error}") from None
+            raise InputError(f"[trajectory.fmu.columns]: {ways}; trim requires the vehicle's tables: {error}") from None
         note = "elevon and body flap are in trim and on schedule, where not given"
         self._choose({"altitude_m", "velocity_m_s", "alpha_deg"}, ("elevon_deg", "bodyflap_deg"), trim, note)
 
@@ -252,26 +255,26 @@ class Derivation:
         f["heading_deg"] = math.degrees(math.atan2(east, north))
 
 
-def _keeping(step: Step, names: list[str]) -> Step:
-    """A step that leaves some columns as they are."""
+def _preserving(step: Step, names: list[str]) -> Step:
+    """A step that leaves some columns unchanged."""
 
-    def kept(frame: Frame) -> None:
+    def preserving_step(frame: Frame) -> None:
         before = {name: frame[name] for name in names}
         step(frame)
         frame |= before
 
-    return kept
+    return preserving_step
 
 
-def _unknown(column: str) -> str:
-    """What is said of a column that neither the FMU nor physics gives."""
+def _unknown_column(column: str) -> str:
+    """The message about a column that is neither mapped nor derived."""
     ways = {
         "velocity_m_s": "map it, `mach`, or velocity_north_m_s, velocity_east_m_s, velocity_down_m_s",
         "alpha_deg": "map it, or roll_deg, pitch_deg, yaw_deg and the velocity's components",
         "beta_deg": "map it or its attitude as for alpha_deg, or give a number: beta_deg = 0.0",
     }
     way = ways.get(column, "map it to a variable or give a number")
-    return f"[trajectory.fmu.columns]: `{column}` is not known; {way}"
+    return f"[trajectory.fmu.columns]: `{column}` is unknown; {way}"
 
 
 def _no_jets(f: Frame) -> None:
@@ -320,7 +323,7 @@ def aerodynamic_angles(
 
 
 class _Trim:
-    """Body flap on its schedule and the elevon that trims the vehicle, as the 3-DOF entry has them."""
+    """Body flap on its schedule and the elevon that trims the vehicle, as in the 3-DOF entry."""
 
     def __init__(self, spec: TrajectorySpec, vehicle_dir: Path) -> None:
         aero = flown_aero(spec, vehicle_dir)

@@ -1,13 +1,11 @@
-"""A flight from an FMU, stepped alongside: one communication step a frame, commands of guidance where it takes them.
+"""A flight from an FMU, stepped alongside: one communication step a frame, with schedules or guidance for its inputs.
 
-The FMU runs in a process of its own (`fmu_session`). What its variables mean is in [trajectory.fmu] (`fmu_columns`);
-temperature, pressure, Mach and Reynolds number are derived here as for every source. An input holds over a step: a
-schedule is taken at the step's beginning, a command is the one that is to be reached at its end.
+The FMU runs in a separate process (`session`). [trajectory.fmu] defines the meaning of its variables (`columns`);
+temperature, pressure, Mach and Reynolds number are derived here as for every source. An input is constant over a step:
+a schedule is evaluated at the beginning of the step, a command is the value to be reached at its end.
 
-What an FMU's inputs are given: schedules over time, or the commands of guidance and manoeuvres.
-
-Commands are those of the 3-DOF entry: guidance acts on the frame at the beginning of a step, manoeuvres start where
-speed, extrapolated to its end, passes their trigger, and both are to be reached at its end.
+Commands are those of the 3-DOF entry: guidance acts on the frame at the beginning of a step; manoeuvres start where
+speed, extrapolated to the end of the step, passes their trigger.
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ from sim_heating.base.limits import frame_problem
 from sim_heating.base.progress import Progress
 from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, speed_of_sound_kernel, us76_kernel
 from sim_heating.trajectory import guidance as gd
-from sim_heating.trajectory.flight import ROW, Flight, OnFrame, Sampler, VehicleData, Window
+from sim_heating.trajectory.flight import REPORT_S, ROW, Flight, OnFrame, Sampler, VehicleData, Window
 from sim_heating.trajectory.fmu.columns import ColumnsOfFmu, Frame, unit_of
 from sim_heating.trajectory.fmu.model import FmuModel, accepted_value, item_named, read_fmu
 from sim_heating.trajectory.fmu.session import Answer, FmuSession
@@ -33,11 +31,9 @@ from sim_heating.trajectory.manoeuvres import ManoeuvreScript, commanded_variabl
 from sim_heating.trajectory.schedules import pack, scheduled
 from sim_heating.trajectory.spec import FmuInput, TrajectorySpec
 
-REPORT_S = 20.0
-
 
 class FmuFlight:
-    """What a scenario's [trajectory] makes of an FMU, checked against it before any of its code runs.
+    """A scenario's [trajectory] with its FMU, checked against the FMU's description before any of its code runs.
 
     raises : InputError, all problems of one kind at once
     """
@@ -49,7 +45,7 @@ class FmuFlight:
         self.model: FmuModel = read_fmu(Path(spec.file), spec.fmu.interface)
         self.columns = ColumnsOfFmu(self.model, spec, vehicle.directory)
         self.start = self.model.start_values(spec.fmu)
-        self.inputs = InputsOfFmu(self.model, spec, vehicle.directory, self.columns.have)
+        self.inputs = InputsOfFmu(self.model, spec, vehicle.directory, self.columns.available)
         self.sampler = Sampler(spec.sample_s, vehicle.reference_length_m)
 
     def fly(self, on_frame: OnFrame | None, progress: Progress | None) -> Flight:
@@ -63,7 +59,7 @@ class FmuFlight:
             )  # fmt: skip
             frame = self._frame(0.0, answer)
             first_speed, frames = frame["velocity_m_s"], 0
-            self._keep(frame, on_frame)
+            self._store(frame, on_frame)
             while not self._ended(frame):
                 time_s = frames / spec.rate_hz
                 answer = session.step(time_s, step_s, self.inputs.values(frame, step_s))
@@ -71,12 +67,12 @@ class FmuFlight:
                 reached_s = answer.time_s if answer.ended else frames / spec.rate_hz
                 if reached_s > time_s:
                     frame = self._frame(reached_s, answer)
-                    self._keep(frame, on_frame)
+                    self._store(frame, on_frame)
                 if answer.ended:
                     events.append((reached_s, "the FMU ended the flight"))
                     break
                 if progress is not None and reached_s % REPORT_S < step_s:
-                    done = _done(frame, first_speed, spec)
+                    done = spec.stop.fraction_done(first_speed, frame["velocity_m_s"], frame["time_s"])
                     progress(done, f"{frame['altitude_m'] / 1e3:.1f} km, {frame['velocity_m_s']:.0f} m/s")
         end_s = frame["time_s"]
         events += self.inputs.events(end_s)
@@ -85,7 +81,7 @@ class FmuFlight:
     def _frame(self, time_s: float, answer: Answer) -> Frame:
         """The columns of one answer.
 
-        raises : RunError where a value is no number or cannot be; InputError where that is so from the start
+        raises : RunError where a value is not finite or impossible; InputError where it is impossible at the start
         """
         kind = InputError if time_s == 0.0 else RunError
         for name, value in zip(self.columns.outputs, answer.values, strict=True):
@@ -96,8 +92,8 @@ class FmuFlight:
         if problem is not None:
             column, rule = problem
             raise kind(
-                f"{self.model}: at {time_s:.9g} s {self.columns.told(column)} = {frame[column]:.6g}, which {rule}; "
-                "check the mapping and its units"
+                f"{self.model}: at {time_s:.9g} s {self.columns.source_text(column)} = {frame[column]:.6g}, "
+                f"which {rule}; check the mapping and its units"
             )
         if not LOWEST_M <= frame["altitude_m"] <= HIGHEST_M:
             raise kind(
@@ -106,7 +102,7 @@ class FmuFlight:
             )
         return frame
 
-    def _keep(self, frame: Frame, on_frame: OnFrame | None) -> None:
+    def _store(self, frame: Frame, on_frame: OnFrame | None) -> None:
         row = np.array([frame.get(name, 0.0) for name in ROW])
         self.sampler.add(row)
         if on_frame is not None:
@@ -117,7 +113,7 @@ class FmuFlight:
         return self.spec.stop.passed(f["time_s"], f["altitude_m"], f["velocity_m_s"], mach)
 
     def _conditions(self) -> Conditions:
-        """The samples without the columns that nobody knows."""
+        """The samples without the columns that cannot be determined."""
         whole = self.sampler.conditions()
         return Conditions({n: v for n, v in whole.columns.items() if n not in self.columns.missing})
 
@@ -130,13 +126,13 @@ def fly(
     on_frame : called at the start and after each communication step with the values of conditions.FRAME
     progress : called every 20 s of flight with the fraction of the flight done and a line of text
     raises   : InputError for an FMU or mapping that cannot be flown; RunError where the FMU fails, crashes, hangs, or
-               gives what is no flight
+               returns impossible values
     """
     return FmuFlight(spec, vehicle).fly(on_frame, progress)
 
 
 def fmu_problems(spec: TrajectorySpec, vehicle: VehicleData) -> Sequence[str]:
-    """What is wrong between a scenario and its FMU, found without running the FMU."""
+    """Contradictions between a scenario and its FMU, found without running the FMU."""
     try:
         FmuFlight(spec, vehicle)
     except InputError as error:
@@ -144,24 +140,18 @@ def fmu_problems(spec: TrajectorySpec, vehicle: VehicleData) -> Sequence[str]:
     return ()
 
 
-def _done(frame: Frame, first_speed: float, spec: TrajectorySpec) -> float:
-    last = spec.stop.velocity_m_s or 300.0 * (spec.stop.mach or 0.0)
-    by_speed = (first_speed - frame["velocity_m_s"]) / max(first_speed - last, 1.0)
-    return float(min(max(by_speed, frame["time_s"] / spec.stop.time_s, 0.0), 1.0))
-
-
-SEEN = (
+OBSERVED_COLUMNS = (
     "altitude_m", "velocity_m_s", "gamma_deg", "heading_deg", "latitude_deg", "longitude_deg", "alpha_deg",
     "rho_kg_m3", "drag_m_s2", "lift_m_s2", "net_gravity_m_s2",
 )  # fmt: skip
-"""Columns that guidance needs; the altitude rate is V sin(gamma) where it is not given."""
+"""Columns that guidance needs; the altitude rate is V sin(gamma) where it is not available."""
 
 
 class Pilot:
-    """Guidance and manoeuvres beside an FMU, one call a frame."""
+    """Guidance and manoeuvres for an FMU, one call a frame."""
 
-    def __init__(self, spec: TrajectorySpec, vehicle_dir: Path, have: set[str]) -> None:
-        missing = [name for name in SEEN if name not in have]
+    def __init__(self, spec: TrajectorySpec, vehicle_dir: Path, available: set[str]) -> None:
+        missing = [name for name in OBSERVED_COLUMNS if name not in available]
         if missing:
             raise InputError(f"[trajectory.fmu.columns]: guidance needs {', '.join(missing)}; map them")
         self.script = ManoeuvreScript(spec.manoeuvre)
@@ -178,7 +168,7 @@ class Pilot:
             self._memory = gd.first_memory(self._block, mach, speed)
             self._before = (speed, mach)
         sign, phase = self._memory[gd.SIGN], self._memory[gd.PHASE]
-        gd.guidance_step(self._block, self._memory, _seen(f, speed, mach), step_s)
+        gd.guidance_step(self._block, self._memory, _observation(f, speed, mach), step_s)
         self.events += gd.guidance_events(f["time_s"], sign, phase, self._memory)
         ahead = 2.0 * speed - self._before[0], 2.0 * mach - self._before[1]
         offsets = self.script.offsets(f["time_s"] + step_s, *ahead)
@@ -196,7 +186,7 @@ class Pilot:
         }
 
 
-def _seen(f: Frame, speed: float, mach: float) -> np.ndarray:
+def _observation(f: Frame, speed: float, mach: float) -> np.ndarray:
     climb = f.get("altitude_rate_m_s", speed * math.sin(math.radians(f["gamma_deg"])))
     qbar = 0.5 * f["rho_kg_m3"] * speed * speed
     return np.array([
@@ -206,26 +196,26 @@ def _seen(f: Frame, speed: float, mach: float) -> np.ndarray:
 
 
 class InputsOfFmu:
-    """The inputs of a flight's FMU, by name, and their values frame by frame.
+    """The inputs of an FMU by name, and their values frame by frame.
 
     raises : InputError, all problems at once
     """
 
-    def __init__(self, model: FmuModel, spec: TrajectorySpec, vehicle_dir: Path, have: set[str]) -> None:
+    def __init__(self, model: FmuModel, spec: TrajectorySpec, vehicle_dir: Path, available: set[str]) -> None:
         self.names: list[str] = []
         self._values: list[Callable[[Frame, Frame], float]] = []
         problems: list[str] = []
         for name, given in spec.fmu.inputs.items():
-            whole = given if isinstance(given, FmuInput) else FmuInput(command=given)
+            source = given if isinstance(given, FmuInput) else FmuInput(command=given)
             try:
-                self._values.append(_value(model, name, whole))
+                self._values.append(_input_value(model, name, source))
                 self.names.append(name)
             except InputError as error:
                 problems += error.problems
-        problems += _unheard(model, spec) + _unmoved(model, spec)
+        problems += _pilot_problems(model, spec) + _uncommanded_manoeuvres(model, spec)
         if problems:
             raise InputError(*problems)
-        self.pilot = Pilot(spec, vehicle_dir, have) if spec.fmu.commands else None
+        self.pilot = Pilot(spec, vehicle_dir, available) if spec.fmu.commands else None
 
     def values(self, frame: Frame, step_s: float) -> list[float]:
         """Values over the step that begins with a frame."""
@@ -237,23 +227,23 @@ class InputsOfFmu:
         return [] if self.pilot is None else self.pilot.script.windows(end_s)
 
     def events(self, end_s: float) -> list[tuple[float, str]]:
-        """What guidance and manoeuvres did."""
+        """Events of guidance and manoeuvres."""
         return [] if self.pilot is None else [*self.pilot.events, *self.pilot.script.events(end_s)]
 
 
-def _unheard(model: FmuModel, spec: TrajectorySpec) -> list[str]:
-    """What is wrong with inputs of an FMU whose own `pilot` commands, as the exported 3-DOF entry has one."""
+def _pilot_problems(model: FmuModel, spec: TrajectorySpec) -> list[str]:
+    """Inputs of an FMU that its own `pilot` overrides, as in the exported 3-DOF entry."""
     pilot = model.variables.get("pilot")
     host = None if pilot is None else item_named(pilot, "host")
     if pilot is None or host is None or not spec.fmu.inputs:
         return []
     if float(spec.fmu.start.get("pilot", pilot.start) or 0) == host:
         return []
-    return [f"[trajectory.fmu.inputs]: {model} looks at its inputs only with pilot = {host} in [trajectory.fmu.start]"]
+    return [f"[trajectory.fmu.inputs]: {model} ignores its inputs; set pilot = {host} in [trajectory.fmu.start]"]
 
 
-def _unmoved(model: FmuModel, spec: TrajectorySpec) -> list[str]:
-    """Manoeuvres that no input of an FMU takes."""
+def _uncommanded_manoeuvres(model: FmuModel, spec: TrajectorySpec) -> list[str]:
+    """Manoeuvres whose command is not an input of the FMU."""
     inputs = [v.name for v in model.description.modelVariables if v.causality == "input"]
     unused = [
         (number, m.kind, commanded_variable(m))
@@ -267,8 +257,8 @@ def _unmoved(model: FmuModel, spec: TrajectorySpec) -> list[str]:
     ]
 
 
-def _value(model: FmuModel, name: str, given: FmuInput) -> Callable[[Frame, Frame], float]:
-    """How one input is made of a frame and the commands, in the FMU's unit."""
+def _input_value(model: FmuModel, name: str, given: FmuInput) -> Callable[[Frame, Frame], float]:
+    """A function that gives one input from a frame and the commands, in the FMU's unit."""
     where = f"[trajectory.fmu.inputs], `{name}`"
     variable = model.number(name, where)
     if variable.causality != "input":
@@ -283,4 +273,4 @@ def _value(model: FmuModel, name: str, given: FmuInput) -> Callable[[Frame, Fram
         return lambda frame, _: scheduled(block, 0, frame["time_s"])
     command = given.command
     to_command = model.conversion(variable, given.unit, unit_of(command), where)
-    return lambda _, commands: to_command.back(commands[command])
+    return lambda _, commands: to_command.inverse(commands[command])

@@ -1,6 +1,6 @@
-"""What an FMU says of itself: its interfaces, its variables and their units, read without running any of its code.
+"""The description of an FMU: interfaces, variables, units and allowed values, read without running any of its code.
 
-Which values a variable of an FMU takes: any number, whole ones of its type's range, an item, or true and false.
+A variable takes, by its type, any number, whole numbers within a range, items of an enumeration, or true and false.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from sim_heating.trajectory.spec import FmuSource, FmuValue
 DESCRIPTION = "modelDescription.xml"
 VERSIONS = ("2.0", "3.")
 NUMBERS = ("Real", "Float", "Integer", "Int", "UInt", "Boolean", "Enumeration")
-NEAREST_OF = 12
-"""Variables that an error lists where no name is near."""
+LISTED_NAMES = 12
+"""Most variables that an error lists where no name is similar."""
 SCHEMA_PROBLEMS = 3
-"""Problems that an error lists of a description that is not valid."""
+"""Most problems of an invalid description that an error lists."""
 
 
 @dataclass(frozen=True)
 class FmuModel:
-    """A readable FMU for this platform, and the interface to use."""
+    """A readable FMU for this platform, with the interface to use."""
 
     path: Path
     description: ModelDescription
@@ -39,7 +39,7 @@ class FmuModel:
 
     @property
     def variables(self) -> dict[str, ModelVariable]:
-        """Variables by name, those that share another's value by their own names too."""
+        """Variables by name, including aliases."""
         found = {v.name: v for v in self.description.modelVariables}
         aliases = {a.name: v for v in self.description.modelVariables for a in v.aliases}
         return aliases | found
@@ -47,21 +47,21 @@ class FmuModel:
     def number(self, name: str, where: str) -> ModelVariable:
         """A scalar variable that is a number.
 
-        raises : InputError naming the nearest one
+        raises : InputError with the most similar name
         """
         variable = self.variables.get(name)
         if variable is None:
-            known = [v for v, held in self.variables.items() if held.causality in ("output", "input", "parameter")]
-            raise InputError(f"{where}: {self} has no variable `{name}`{suggestion(name, known[:NEAREST_OF])}")
+            known = [n for n, v in self.variables.items() if v.causality in ("output", "input", "parameter")]
+            raise InputError(f"{where}: {self} has no variable `{name}`{suggestion(name, known[:LISTED_NAMES])}")
         if not str(variable.type).startswith(NUMBERS) or variable.shape:
             kind = "an array" if variable.shape else f"a {variable.type}"
             raise InputError(f"{where}: `{name}` of {self} is {kind}; name a variable that is one number")
         return variable
 
     def scale(self, variable: ModelVariable, unit: str | None, where: str) -> Scale:
-        """The unit of a variable: as the scenario says, which must not be another than the FMU's, or the FMU's own.
+        """The unit of a variable: that of the scenario, which must agree with the FMU's, or else the FMU's own.
 
-        raises : InputError where it is unknown, told by nobody, or told in two ways
+        raises : InputError where the unit is unknown, declared nowhere, or declared differently
         """
         name = self.unit_name(variable)
         given = None if unit is None else known_unit(unit)
@@ -84,22 +84,24 @@ class FmuModel:
 
     @staticmethod
     def unit_name(variable: ModelVariable) -> str | None:
-        """The unit that the FMU names for a variable or its type."""
+        """The unit that the FMU declares for a variable or its type."""
         return variable.unit or (variable.declaredType.unit if variable.declaredType is not None else None)
 
-    def conversion(self, variable: ModelVariable, unit: str | None, wanted: str, where: str) -> Conversion:
-        """From a variable's unit to a wanted one; what is to be a plain number needs none.
+    def conversion(self, variable: ModelVariable, unit: str | None, required: str, where: str) -> Conversion:
+        """Conversion from a variable's unit to a required one; none is needed for a plain number.
 
-        raises : InputError where they do not measure the same
+        raises : InputError where their dimensions differ
         """
-        if unit is None and wanted in NO_DIMENSION and self.unit_name(variable) is None:
+        if unit is None and required in NO_DIMENSION and self.unit_name(variable) is None:
             return Conversion(1.0, 0.0)
-        scale, target = self.scale(variable, unit, where), known_unit(wanted)
+        scale, target = self.scale(variable, unit, where), known_unit(required)
         assert target is not None
         found = conversion(scale, target)
         if found is None:
             name = self.unit_name(variable) if unit is None else unit or "1"
-            raise InputError(f"{where}: `{variable.name}` of {self} is in `{name}`, which is no `{wanted}`")
+            raise InputError(
+                f"{where}: `{variable.name}` of {self} is in `{name}`, which does not convert to `{required}`"
+            )
         return found
 
     def start_values(self, source: FmuSource) -> dict[str, Value]:
@@ -125,7 +127,8 @@ class FmuModel:
             variable = self.number(name, where)
         if not (settable_in_instantiated(variable) or settable_in_initialization_mode(variable)):
             raise InputError(
-                f"{where}: {self} takes no start value for this {variable.causality}; give parameters and inputs alone"
+                f"{where}: {self} takes no start value for this {variable.causality}; give start values of "
+                f"parameters and inputs only"
             )
         if isinstance(value, FmuValue):
             value = self._converted(variable, value, where)
@@ -135,15 +138,15 @@ class FmuModel:
             return variable, accepted_value(variable, value)
 
     def _converted(self, variable: ModelVariable, given: FmuValue, where: str) -> float:
-        """A start value with a unit, in the FMU's."""
+        """A start value with a unit, converted to the FMU's unit."""
         unit = self.unit_name(variable)
         if unit is None:
             raise InputError(f"{where}: `{variable.name}` of {self} has no unit; give a plain number")
         scale, known = self.scale(variable, None, where), known_unit(given.unit)
-        way = None if known is None else conversion(known, scale)
-        if way is None:
-            raise InputError(f"{where}: `{given.unit}` is no unit of it; it is in `{unit}`")
-        return way(given.value)
+        convert = None if known is None else conversion(known, scale)
+        if convert is None:
+            raise InputError(f"{where}: `{given.unit}` does not convert to its unit `{unit}`")
+        return convert(given.value)
 
     def __str__(self) -> str:
         return display_path(self.path)
@@ -152,8 +155,8 @@ class FmuModel:
 def read_fmu(path: Path, interface: str | None = None) -> FmuModel:
     """Read an FMU's description and choose the interface.
 
-    raises : InputError where the file is no FMU of a known version, lacks the interface, or has nothing for this
-             platform
+    raises : InputError where the file is not an FMU of a supported version, lacks the interface, or has no library for
+             this platform
     """
     name = display_path(path)
     try:
@@ -162,16 +165,16 @@ def read_fmu(path: Path, interface: str | None = None) -> FmuModel:
     except (OSError, zipfile.BadZipFile) as error:
         raise InputError(f"{name}: is not an FMU ({error})") from None
     if DESCRIPTION not in entries:
-        raise InputError(f"{name}: is not an FMU (there is no {DESCRIPTION} in it)")
-    if strays := [entry for entry in entries if _leads_out(entry)]:
-        raise InputError(f"{name}: holds `{one_line(strays[0])}`, which leads out of it; nothing of it is unpacked")
+        raise InputError(f"{name}: is not an FMU (it contains no {DESCRIPTION})")
+    if strays := [entry for entry in entries if _escapes_folder(entry)]:
+        raise InputError(f"{name}: contains `{one_line(strays[0])}`, a path outside the archive; nothing was unpacked")
     description = _description(path)
     for interface_of in (description.coSimulation, description.modelExchange):
         if interface_of is not None and not interface_of.modelIdentifier:
             raise InputError(f"{name}: {DESCRIPTION} is not valid: an interface has no modelIdentifier")
     platforms = fmpy.supported_platforms(path)
     if not str(description.fmiVersion).startswith(VERSIONS):
-        raise InputError(f"{name}: is of FMI {description.fmiVersion}; FMI 2.0 and 3.0 can be flown")
+        raise InputError(f"{name}: uses FMI {description.fmiVersion}; FMI 2.0 and 3.0 are supported")
     has = {
         "co-simulation": description.coSimulation is not None,
         "model-exchange": description.modelExchange is not None,
@@ -186,20 +189,20 @@ def read_fmu(path: Path, interface: str | None = None) -> FmuModel:
     return FmuModel(path, description, chosen)
 
 
-def _leads_out(entry: str) -> bool:
-    """Whether an archive's entry would be unpacked elsewhere than in its folder, here or on another platform."""
+def _escapes_folder(entry: str) -> bool:
+    """Whether an archive's entry would be unpacked outside its folder, on this or another platform."""
     return ".." in PurePosixPath(entry).parts or entry.startswith("/") or "\\" in entry or ":" in entry
 
 
 def _description(path: Path) -> ModelDescription:
     try:
         return fmpy.read_model_description(path, validate=False)
-    except Exception as error:  # FMPy raises plain Exceptions in words, lxml its own, and both Python's
-        raise InputError(f"{display_path(path)}: {DESCRIPTION} {_invalid(path, error)}") from None
+    except Exception as error:  # FMPy raises plain Exceptions, lxml its own, and both Python's
+        raise InputError(f"{display_path(path)}: {DESCRIPTION} {_description_fault(path, error)}") from None
 
 
-def _invalid(path: Path, error: Exception) -> str:
-    """What is wrong with a description that FMPy cannot read, by its schema where FMPy has no words for it."""
+def _description_fault(path: Path, error: Exception) -> str:
+    """The fault of a description that FMPy cannot read; from the schema where FMPy gives no message."""
     if not isinstance(error, AttributeError | TypeError | ValueError | LookupError):
         return f"cannot be read ({one_line(' '.join(str(error).split()))})"
     try:
@@ -207,7 +210,7 @@ def _invalid(path: Path, error: Exception) -> str:
     except ValidationError as invalid:
         problems = "; ".join(str(p) for p in invalid.problems[:SCHEMA_PROBLEMS])
         return f"is not valid: {one_line(' '.join(problems.split()))}"
-    except Exception:  # without a version there is no schema; or FMPy stumbles over what its schema allows
+    except Exception:  # without a version there is no schema, and FMPy fails on some valid descriptions
         pass
     return "is not valid; its root must be an fmiModelDescription with an fmiVersion"
 
@@ -216,31 +219,31 @@ Value = bool | int | float | str
 
 
 def accepted_value(variable: ModelVariable, value: Value) -> bool | int | float:
-    """A scenario's value as a variable takes it.
+    """A scenario's value converted to the type of a variable.
 
-    raises : InputError where it takes no such value, with those that it takes
+    raises : InputError with the allowed values where the variable does not take it
     """
-    told = str(value).lower() if isinstance(value, bool) else str(value)
+    text = str(value).lower() if isinstance(value, bool) else str(value)
     if variable.type == "Boolean":
         if value in (0, 1):
             return bool(value)
-        raise InputError(f"`{told}` is neither true nor false")
+        raise InputError(f"`{text}` is neither true nor false")
     if items := _items(variable):
         if value in items and not isinstance(value, bool):
             return int(value)
-        raise InputError(f"`{told}` is none of its items: {', '.join(f'{k} ({n})' for k, n in items.items())}")
+        raise InputError(f"`{text}` is not one of its items: {', '.join(f'{k} ({n})' for k, n in items.items())}")
     if isinstance(value, bool | str):
-        raise InputError(f"`{told}` is not a number, and `{variable.name}` is a {variable.type}")
+        raise InputError(f"`{text}` is not a number, and `{variable.name}` is a {variable.type}")
     if str(variable.type).startswith(("Real", "Float")):
         return value
     lowest, highest = _range(str(variable.type))
     if not lowest <= value <= highest or value != int(value):
-        raise InputError(f"`{told}` is no whole number from {lowest} to {highest}, as `{variable.name}` takes")
+        raise InputError(f"`{text}` is not a whole number from {lowest} to {highest}, which `{variable.name}` requires")
     return int(value)
 
 
 def item_named(variable: ModelVariable, name: str) -> int | None:
-    """The number of an enumeration's item."""
+    """The number of an enumeration's item, None without one of this name."""
     return next((number for number, own in _items(variable).items() if own == name), None)
 
 

@@ -1,15 +1,15 @@
-"""The process that an FMU runs in: FMPy behind one JSON request a line on stdin and one JSON answer a line on stdout.
+"""The process of an FMU: FMPy behind one JSON request a line on stdin and one JSON answer a line on stdout.
 
-An FMU is foreign machine code: what it breaks, it breaks here. `fmu_session.FmuSession` starts this file as a script of
-its own and speaks with it; nothing else of the package is imported. Whatever the FMU prints goes to stderr.
+An FMU is foreign machine code; whatever it breaks is confined to this process. `session.FmuSession` starts this file as
+a script; it imports nothing else of the package. Output of the FMU goes to stderr.
 
-    at first       {"ready": true} by itself, when FMPy has been imported
+    on start       {"ready": true}, when FMPy has been imported
     first request  {"folder", "interface", "start", "inputs", "outputs", "start_s", "stop_s", "tolerance"}
     each further   {"time_s", "step_s", "inputs": [...]}
     answer         {"time_s", "values": [...], "ended"}  or  {"error": "what went wrong"}
 
 `ended` is true where the FMU itself asks to end; time_s is then the time that it reached. The process is the first of
-its group and has its parent's id as its argument: when that is gone it kills the group, whatever the FMU is doing.
+its group and has its parent's id as its argument: when the parent ends it kills the group, whatever the FMU is doing.
 """
 
 from __future__ import annotations
@@ -36,20 +36,20 @@ DISCARD = 2
 """fmi2Discard and fmi3Discard."""
 STATUS = dict(enumerate(("OK", "WARNING", "DISCARD", "ERROR", "FATAL", "PENDING")))
 LAST_SUCCESSFUL_TIME, TERMINATED = 2, 3
-"""What fmi2GetRealStatus and fmi2GetBooleanStatus may be asked after a discarded step."""
+"""Arguments of fmi2GetRealStatus and fmi2GetBooleanStatus after a discarded step."""
 SOLVER_TOLERANCE = 1e-6
-"""Relative tolerance of CVode where neither scenario nor FMU names one."""
+"""Relative tolerance of CVode where neither scenario nor FMU gives one."""
 SAME_TIME_S = 1e-9
 WATCH_S = 0.5
-"""How often the process looks whether its parent is there."""
+"""Interval at which the process checks that its parent exists [s]."""
 
 
 class Refusal(Exception):
-    """What the FMU did not do, in words."""
+    """A request that the FMU did not fulfil, with the reason."""
 
 
 class Instance:
-    """An FMU that has been initialised; subclasses move it on.
+    """An initialised FMU; subclasses advance it.
 
     raises : Refusal, or FMPy's exceptions
     """
@@ -60,7 +60,7 @@ class Instance:
         self.by_name = {v.name: v for v in self.model.modelVariables}
         self.read = self._accessors("get", request["outputs"])
         self.inputs = self._accessors("set", request["inputs"])
-        self.fmu = instantiate_fmu(request["folder"], self.model, INTERFACES[request["interface"]], logger=_say)
+        self.fmu = instantiate_fmu(request["folder"], self.model, INTERFACES[request["interface"]], logger=_log)
         self._initialise(request)
 
     def _accessors(self, verb: str, names: list[str]) -> list[tuple[str, list[int], list[int]]]:
@@ -100,7 +100,7 @@ class Instance:
             getattr(self.fmu, method)(references, chosen)
 
     def step(self, time_s: float, step_s: float) -> tuple[float, bool]:
-        """Move on; the time reached and whether the FMU wants to end."""
+        """Advance by a step; the time reached, and whether the FMU requests the end."""
         raise NotImplementedError
 
 
@@ -126,7 +126,7 @@ class CoSimulation(Instance):
         return time_s + step_s, False
 
     def _discarded(self, time_s: float, step_s: float) -> tuple[float, bool]:
-        """A discarded step is FMI 2's way to say that the simulation ends, or that the step is too long."""
+        """A discarded step: in FMI 2 the end of the simulation, or a step that is too long."""
         if not self.three:
             reached_s = self.fmu.getRealStatus(LAST_SUCCESSFUL_TIME)
             if self.fmu.getBooleanStatus(TERMINATED):
@@ -138,23 +138,23 @@ _SHORTER = "give shorter steps (rate_hz)"
 
 
 def _within(reached_s: float, begin_s: float, end_s: float) -> float:
-    """A time that an FMU says it has reached, which must be one of its step."""
+    """A time that an FMU reports to have reached, which must lie in its step."""
     for bound_s in (begin_s, end_s):
         if abs(reached_s - bound_s) <= SAME_TIME_S:
             return bound_s
     if not begin_s < reached_s < end_s:
-        raise Refusal(f"says that it reached {reached_s:.9g} s, which is not in its step to {end_s:.9g} s")
+        raise Refusal(f"reports that it reached {reached_s:.9g} s, which is not in its step to {end_s:.9g} s")
     return reached_s
 
 
-def _say(*heard: Any) -> None:
-    """Print what an FMU logs: status, category and message are the last that FMI 2 and 3 hand over."""
-    status, _, message = heard[-3:]
+def _log(*arguments: Any) -> None:
+    """Print a log message: status, category and message are the last arguments in FMI 2 and 3."""
+    status, _, message = arguments[-3:]
     print(f"[{STATUS.get(status, status)}] {(message or b'').decode('utf-8', 'replace')}", flush=True)
 
 
-class _Held:
-    """Inputs as FMPy's solver asks for them: they hold over a communication step."""
+class _ConstantInputs:
+    """Inputs for FMPy's solver: constant over a communication step."""
 
     def apply(self, time_s: float) -> None:
         """Nothing to do."""
@@ -180,13 +180,13 @@ class ModelExchange(Instance):
             get_z=self.fmu.getEventIndicators,
             get_nominals=self.fmu.getNominalsOfContinuousStates,
             set_time=self.fmu.setTime,
-            input=_Held(),
+            input=_ConstantInputs(),
             startTime=request["start_s"],
             relativeTolerance=request["tolerance"] or SOLVER_TOLERANCE,
         )
 
     def _update(self) -> bool:
-        """Event iteration into continuous time; whether the FMU wants to end."""
+        """Event iteration into continuous time; whether the FMU requests the end."""
         update = self.fmu.updateDiscreteStates if self.three else self.fmu.newDiscreteStates
         again, ended = True, False
         while again and not ended:
@@ -222,7 +222,7 @@ class ModelExchange(Instance):
         return end_s, False
 
     def _solve(self, time_s: float, target_s: float) -> tuple[bool, float]:
-        """The solver's way to a time, or to an event before it; whether there is one, and the time reached."""
+        """Integrate to a time, or to an event before it; whether there is an event, and the time reached."""
         try:
             event, _, reached_s = self.solver.step(time_s, target_s)
         except RuntimeError as error:
@@ -231,10 +231,10 @@ class ModelExchange(Instance):
 
 
 def serve(requests: Any, answers: Any) -> None:
-    """Answer requests until there are no more of them or one fails."""
+    """Answer requests until they end or one fails."""
 
-    def answer(**what: Any) -> None:
-        answers.write(json.dumps(what) + "\n")
+    def answer(**content: Any) -> None:
+        answers.write(json.dumps(content) + "\n")
         answers.flush()
 
     answer(ready=True)
@@ -250,12 +250,12 @@ def serve(requests: Any, answers: Any) -> None:
             answer(time_s=time_s, values=instance.values(), ended=ended)
         instance.fmu.terminate()
         instance.fmu.freeInstance()
-    except Exception as error:  # whatever it is, the parent tells it
+    except Exception as error:  # the parent reports it, whatever it is
         answer(error=str(error) or type(error).__name__)
 
 
-def outlive_nobody(parent: int) -> None:
-    """Kill this process and all that it started as soon as its parent is another; where the platform has groups."""
+def end_with_parent(parent: int) -> None:
+    """Kill this process and all that it started as soon as its parent has ended; where the platform has groups."""
     while os.getppid() == parent:
         time.sleep(WATCH_S)
     os.killpg(os.getpid(), signal.SIGKILL)
@@ -263,7 +263,7 @@ def outlive_nobody(parent: int) -> None:
 
 if __name__ == "__main__":
     if hasattr(os, "killpg"):
-        threading.Thread(target=outlive_nobody, args=[int(sys.argv[1])], daemon=True).start()
+        threading.Thread(target=end_with_parent, args=[int(sys.argv[1])], daemon=True).start()
     private = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     serve(sys.stdin, private)

@@ -1,8 +1,9 @@
-"""An FMU in a process of its own (`fmu_process`), stepped from here: a crash or a hang there is one clear line here.
+"""An FMU in a separate process (process.py), stepped from here: a crash or hang there is one clear line here.
 
-The FMU is unpacked into a temporary folder, which is also the process's working directory; both are gone when the
-session ends, however it ends. So is what the FMU started: where the platform has them, the process has a session and
-group of its own, and the group is killed. An interrupt from the terminal therefore reaches it from here alone.
+The FMU is unpacked into a temporary folder, which is also the working directory of the process; both are removed when
+the session ends, for whatever reason. So are processes that the FMU started: where the platform supports it, the
+process has its own session and group, and the group is killed. An interrupt from the terminal therefore does not reach
+it.
 """
 
 from __future__ import annotations
@@ -30,17 +31,17 @@ from sim_heating.base.files.text import os_error_reason
 
 PROCESS = Path(__file__).with_name("process.py")
 READY_S = 120.0
-"""Longest time for the process itself to start."""
+"""Longest time for the process itself to start [s]."""
 WATCH_S = 0.05
-"""How often the watch looks at the clock."""
-GOODBYE_S = 5.0
-"""Longest time that an FMU may take to terminate."""
-LAST_WORDS = 300
-"""Characters of what the FMU printed last that an error tells."""
-OVER = b"\0\n"
-"""What the watch says in place of an answer that will not come."""
-UNPRINTED = re.compile(r"\x1b\[[0-9;?]*[@-~]|[\x00-\x1f\x7f-\x9f]")
-"""What a terminal would obey."""
+"""Interval of the watch [s]."""
+TERMINATE_S = 5.0
+"""Longest time that an FMU may take to terminate [s]."""
+OUTPUT_LENGTH = 300
+"""Characters of the FMU's last output that an error quotes."""
+NO_ANSWER = b"\0\n"
+"""Written by the watch in place of an answer that will not come."""
+CONTROL_CODES = re.compile(r"\x1b\[[0-9;?]*[@-~]|[\x00-\x1f\x7f-\x9f]")
+"""Control codes that a terminal would execute."""
 
 
 class Answer(NamedTuple):
@@ -52,11 +53,12 @@ class Answer(NamedTuple):
 
 
 class FmuSession:
-    """One FMU, instantiated and initialised at `start`, then moved on by `step`; a context manager.
+    """One FMU, instantiated and initialised by `start`, then advanced by `step`; a context manager.
 
     path      : the FMU
     timeout_s : longest time that one call into the FMU may take [s]
-    raises    : RunError with what happened, when and what the FMU said; InputError where it cannot be unpacked
+    raises    : RunError with the failure, its time and the last output of the FMU; InputError where it cannot be
+    unpacked
     """
 
     def __init__(self, path: Path, timeout_s: float) -> None:
@@ -86,11 +88,11 @@ class FmuSession:
         self._log = undo.enter_context((self._folder / "printed.txt").open("w+b"))
         ours, theirs = os.pipe()
         self._answers = undo.enter_context(os.fdopen(ours, "rb"))
-        self._tell = undo.enter_context(os.fdopen(theirs, "wb", 0))
+        self._answer_end = undo.enter_context(os.fdopen(theirs, "wb", 0))
         self._over, self._hung = threading.Event(), False
         self._process = subprocess.Popen(
             [sys.executable, "-P", str(PROCESS), str(os.getpid())], cwd=self._folder / "run", stdin=subprocess.PIPE,
-            stdout=self._tell, stderr=self._log, start_new_session=True,
+            stdout=self._answer_end, stderr=self._log, start_new_session=True,
         )  # fmt: skip
         undo.push(self._end)
         threading.Thread(target=self._watch, daemon=True).start()
@@ -107,7 +109,7 @@ class FmuSession:
         self._undo.__exit__(kind, error, at)
 
     def _end(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Take leave of the process where all went well; then nothing that it started goes on."""
+        """Let the process terminate the FMU after success, then kill it and everything that it started."""
         self._over.set()
         try:
             with suppress(subprocess.TimeoutExpired, OSError):
@@ -115,7 +117,7 @@ class FmuSession:
                     self._kill()
                 if self._process.stdin is not None:
                     self._process.stdin.close()
-                self._process.wait(GOODBYE_S)
+                self._process.wait(TERMINATE_S)
         finally:
             self._kill()
             self._process.wait()
@@ -136,35 +138,35 @@ class FmuSession:
             "folder": str(self._folder / "fmu"), "interface": interface, "start": dict(start),
             "inputs": list(inputs), "outputs": list(outputs), "start_s": 0.0, "stop_s": stop_s, "tolerance": tolerance,
         }  # fmt: skip
-        return self._ask(request, "while it was instantiated and initialised")
+        return self._request(request, "while it was instantiated and initialised")
 
     def step(self, time_s: float, step_s: float, inputs: Sequence[float]) -> Answer:
         """One communication step from time_s with inputs held at the given values."""
         request = {"time_s": time_s, "step_s": step_s, "inputs": list(inputs)}
-        return self._ask(request, f"in its step at {time_s:.9g} s")
+        return self._request(request, f"in its step at {time_s:.9g} s")
 
-    def _ask(self, request: Mapping[str, Any], when: str) -> Answer:
+    def _request(self, request: Mapping[str, Any], when: str) -> Answer:
         stdin = self._process.stdin
         assert stdin is not None
-        with suppress(BrokenPipeError):  # a process that is gone has no answer either
+        with suppress(BrokenPipeError):  # a process that has ended gives no answer either
             stdin.write(json.dumps(request).encode() + b"\n")
             stdin.flush()
         answer = self._answer(when, self.timeout_s)
         if "error" in answer:
-            raise RunError(f"{display_path(self.path)}: the FMU failed {when}: {answer['error']}{self._last_words()}")
+            raise RunError(f"{display_path(self.path)}: the FMU failed {when}: {answer['error']}{self._last_output()}")
         return Answer(**answer)
 
     def _answer(self, when: str, patience_s: float) -> dict[str, Any]:
-        """What the process says next."""
+        """The next answer of the process."""
         self._deadline = time.monotonic() + patience_s
         line = self._answers.readline()
         self._deadline = None
-        if line.endswith(OVER):
-            raise RunError(f"{display_path(self.path)}: {self._death(when)}{self._last_words()}")
+        if line.endswith(NO_ANSWER):
+            raise RunError(f"{display_path(self.path)}: {self._end_reason(when)}{self._last_output()}")
         found: dict[str, Any] = json.loads(line)
         return found
 
-    def _death(self, when: str) -> str:
+    def _end_reason(self, when: str) -> str:
         status = self._process.wait()
         if self._hung:
             return f"the FMU hung {when}: no answer within {self.timeout_s:g} s (timeout_s); it was stopped"
@@ -173,16 +175,16 @@ class FmuSession:
             return f"the FMU crashed {when} ({name})"
         return f"the FMU ended its process {when} (exit status {status})"
 
-    def _last_words(self) -> str:
+    def _last_output(self) -> str:
         """What the FMU printed last, on one line."""
         self._log.seek(0)
-        said = " ".join(UNPRINTED.sub(" ", self._log.read().decode("utf-8", "replace")).split())
-        return f"; it said: {said[-LAST_WORDS:]}" if said else ""
+        printed = " ".join(CONTROL_CODES.sub(" ", self._log.read().decode("utf-8", "replace")).split())
+        return f"; it printed: {printed[-OUTPUT_LENGTH:]}" if printed else ""
 
     def _watch(self) -> None:
-        """Tells the reader when there will be no answer: the process has ended, or is killed as the answer is overdue.
+        """Wake the reader when no answer will come: the process has ended, or is killed because it is overdue.
 
-        The end of the answers would not do: what the FMU started may keep them open.
+        End of file on the pipe is not sufficient: processes that the FMU started may keep it open.
         """
         while not self._over.wait(WATCH_S):
             deadline, ended = self._deadline, self._process.poll() is not None
@@ -190,5 +192,5 @@ class FmuSession:
             if ended or self._hung:
                 self._kill()
                 with suppress(OSError, ValueError):  # the session ended meanwhile
-                    self._tell.write(OVER)
+                    self._answer_end.write(NO_ANSWER)
                 return

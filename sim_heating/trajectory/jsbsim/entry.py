@@ -1,8 +1,8 @@
-"""Entry in JSBSim with six degrees of freedom: guidance and manoeuvres command, JSBSim flies, samples are kept.
+"""Entry in JSBSim with six degrees of freedom: guidance and manoeuvres command, JSBSim flies, samples are stored.
 
 Each frame is one JSBSim frame. Commands are renewed COMMAND_HZ times a second: guidance, the same as the 3-DOF
-entry's, gives angle of attack and bank, the manoeuvres add their offsets, and the vehicle's attitude control does the
-rest.
+entry's, gives angle of attack and bank, the manoeuvres add their offsets, and the vehicle's attitude control follows
+them.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.progress import Progress
 from sim_heating.heating.atmosphere import speed_of_sound_kernel, us76_kernel
 from sim_heating.trajectory.aero import Aero, flown_aero
-from sim_heating.trajectory.flight import Flight, OnFrame, Sampler, VehicleData
+from sim_heating.trajectory.flight import REPORT_S, Flight, OnFrame, Sampler, VehicleData
 from sim_heating.trajectory.guidance import ALPHA_COMMAND, EntryGuidance, Observation, first_memory, resolve_guidance
 from sim_heating.trajectory.jsbsim.host import InitialState, open_vehicle
 from sim_heating.trajectory.jsbsim.pilot import Commands, Observer
@@ -19,16 +19,14 @@ from sim_heating.trajectory.manoeuvres import ManoeuvreScript
 from sim_heating.trajectory.spec import TrajectorySpec
 
 COMMAND_HZ = 10.0
-"""Commands a second at most; they pass lags of 0.3 s and more in the attitude control, so that steps do not show."""
+"""Greatest rate of commands [1/s]; lags of 0.3 s and more in the attitude control smooth their steps."""
 
 LOST_DEG = 20.0
-"""Sideslip, or error of the angle of attack, at which the vehicle counts as out of control."""
+"""Sideslip, or error of the angle of attack, from which the vehicle is out of control [deg]."""
 
 ENTRY_INTERFACE_M = 122.0e3
-SKIPPED_M = 5.0e3
-"""A vehicle that climbs so far above the entry interface, and above where it began, has skipped out."""
-
-REPORT_S = 20.0
+SKIP_OUT_M = 5.0e3
+"""Climb above the entry interface, and above the start, that counts as skipping out [m]."""
 
 
 def fly(
@@ -39,7 +37,7 @@ def fly(
     on_frame : called at the start and after each frame with the values of conditions.FRAME; the array is reused
     progress : called every 20 s of flight with the fraction of the flight done and a line of text
     raises   : InputError for a scenario or vehicle that cannot be flown; RunError with time and state where the
-               vehicle goes out of control, skips out, hits the ground, or is no number
+               vehicle goes out of control, skips out, hits the ground, or its state is not finite
     """
     entry = JSBSimEntry(spec, vehicle)
     if on_frame is not None:
@@ -50,16 +48,16 @@ def fly(
         for _ in range(entry.frames_a_command):
             entry.step(on_frame)
         if progress is not None and entry.host.time_s >= next_report_s:
-            progress(entry.done(), f"{entry.seen.altitude_m / 1e3:.1f} km, {entry.seen.velocity_m_s:.0f} m/s")
+            progress(entry.done(), f"{entry.observed.altitude_m / 1e3:.1f} km, {entry.observed.velocity_m_s:.0f} m/s")
             next_report_s += REPORT_S
     return entry.flight()
 
 
 class JSBSimEntry:
-    """One flight: host, guidance, manoeuvres and samples; `fly` asks it in turn whether it ended, to command, to step.
+    """One flight: host, guidance, manoeuvres and samples; `fly` calls `ended`, `command` and `step` in turn.
 
     host     : the JSBSimHost, for properties to read or publish
-    seen     : what guidance saw last
+    observed : latest observation of guidance
     """
 
     def __init__(self, spec: TrajectorySpec, vehicle: VehicleData) -> None:
@@ -85,40 +83,40 @@ class JSBSimEntry:
         mach = V / speed_of_sound_kernel(us76_kernel(initial.altitude_m)[0])
         alpha = float(first_memory(self._guidance.block, mach, V)[ALPHA_COMMAND])
         elevon = aero.trim_elevon_deg(mach, alpha, self._commands.bodyflap_deg(mach, V))
-        self._commands.first(alpha, initial.bank_deg, elevon, mach, V)
+        self._commands.initialise(alpha, initial.bank_deg, elevon, mach, V)
         self.host.start(InitialState(**initial.model_dump(), alpha_deg=alpha))
         self._sampler.add(self._observer.row())
-        self.seen: Observation = self._observer.observe()
+        self.observed: Observation = self._observer.observe()
 
     def ended(self) -> bool:
-        """Whether the flight is at its end.
+        """Whether the flight has ended.
 
-        raises : RunError where its state is none to go on from
+        raises : RunError where the vehicle is lost
         """
-        self.seen = seen = self._observer.observe()
-        if self.spec.stop.passed(seen.time_s, seen.altitude_m, seen.velocity_m_s, seen.mach):
+        self.observed = observed = self._observer.observe()
+        if self.spec.stop.passed(observed.time_s, observed.altitude_m, observed.velocity_m_s, observed.mach):
             return True
-        self._refuse_lost()
+        self._check_under_control()
         return False
 
-    def _refuse_lost(self) -> None:
-        highest = max(self._initial.altitude_m, ENTRY_INTERFACE_M) + SKIPPED_M
+    def _check_under_control(self) -> None:
+        highest = max(self._initial.altitude_m, ENTRY_INTERFACE_M) + SKIP_OUT_M
         if not self._observer.attitude_error_deg() < LOST_DEG:
             raise RunError(f"JSBSim: the vehicle went out of control {self.host.describe()}")
-        if self.seen.altitude_m > highest:
+        if self.observed.altitude_m > highest:
             raise RunError(f"JSBSim: the vehicle skipped out {self.host.describe()}; start slower or steeper")
-        if self.seen.altitude_m < 0.0:
+        if self.observed.altitude_m < 0.0:
             raise RunError(f"JSBSim: the vehicle hit the ground {self.host.describe()}; give a stop before that")
 
     def command(self) -> None:
-        """Renew the commands from the state last seen."""
-        seen = self.seen
-        alpha_deg, bank_deg = self._guidance.command(seen)
-        offsets = self._script.offsets(seen.time_s, seen.velocity_m_s, seen.mach)
-        self._commands.write(alpha_deg, bank_deg, offsets, seen.mach, seen.velocity_m_s)
+        """Renew the commands from the latest observation."""
+        observed = self.observed
+        alpha_deg, bank_deg = self._guidance.command(observed)
+        offsets = self._script.offsets(observed.time_s, observed.velocity_m_s, observed.mach)
+        self._commands.write(alpha_deg, bank_deg, offsets, observed.mach, observed.velocity_m_s)
 
     def step(self, on_frame: OnFrame | None = None) -> None:
-        """One frame; a sample is kept where its time has come."""
+        """Advance one frame and store a sample when it is due."""
         host = self.host
         host.step()
         if on_frame is not None:
@@ -127,11 +125,9 @@ class JSBSimEntry:
             self._sampler.add(self._observer.row())
 
     def done(self) -> float:
-        """Fraction of the flight done, by speed lost or by time."""
-        stop = self.spec.stop
-        last = stop.velocity_m_s or 300.0 * (stop.mach or 0.0)
-        by_speed = (self._initial.velocity_m_s - self.seen.velocity_m_s) / max(self._initial.velocity_m_s - last, 1.0)
-        return min(max(by_speed, self.seen.time_s / stop.time_s, 0.0), 1.0)
+        """Fraction of the flight done, 0 to 1."""
+        first, now = self._initial.velocity_m_s, self.observed
+        return self.spec.stop.fraction_done(first, now.velocity_m_s, now.time_s)
 
     def flight(self) -> Flight:
         """Samples, events and manoeuvres so far."""
@@ -141,6 +137,6 @@ class JSBSimEntry:
 
 
 def whole_frames(frames: float) -> int:
-    """Frames between samples where that is a whole number, else 1: the sampler takes what lies between two frames."""
+    """Frames between samples where that is a whole number, else 1: the sampler interpolates between frames."""
     nearest = round(frames)
     return nearest if abs(frames - nearest) < 1e-6 else 1

@@ -2,7 +2,7 @@
 
 JSBSim's own atmosphere is frozen at 187 K above 86 km and up to a quarter too thin, so density, temperature and
 pressure of US76 (times a dispersion) and the wind are written before each frame, for the altitude that the frame leads
-to. All that is read after a frame belongs to that frame.
+to. Values read after a frame belong to that frame.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ SLUG_FT3_KG_M3 = 515.3788184
 RANKINE_K = 1.0 / 1.8
 
 LOWEST_M = -1000.0
-"""A vehicle below this has flown into the ground."""
+"""Altitude below which a vehicle has hit the ground [m]."""
 
 DENSITY_FACTOR, WIND_NORTH, WIND_EAST = 0, 2, 4
 
 
 class PropertyRead(NamedTuple):
-    """A property and what its value is multiplied with to be in SI."""
+    """A JSBSim property and its factor to SI units."""
 
     name: str
     factor: float = 1.0
@@ -58,7 +58,7 @@ VEHICLE_READS: Mapping[str, PropertyRead] = MappingProxyType({
     "rho_kg_m3": PropertyRead("atmosphere/rho-slugs_ft3", SLUG_FT3_KG_M3),
     "jets": PropertyRead("control/jet-firing"),
 })  # fmt: skip
-"""Where the columns of conditions.FRAME stand in this package's models; another aircraft has other names."""
+"""Properties of the columns of conditions.FRAME in the models of this package; other aircraft name them differently."""
 
 
 class InitialState(NamedTuple):
@@ -85,7 +85,7 @@ def air_kernel(altitude_m: float, dispersions: FloatArray) -> tuple[float, float
 
 def dispersion_block(d: Dispersions) -> FloatArray:
     """Density factor and winds over altitude as `air_kernel` reads them."""
-    return pack((), [d.density_factor or ((0.0, 1.0),), d.wind_north_m_s or (), d.wind_east_m_s or ()])
+    return pack((), d.schedules)
 
 
 class JSBSimHost:
@@ -93,9 +93,9 @@ class JSBSimHost:
 
     aircraft_path : folder that holds <model>/<model>.xml
     rate_hz       : frames a second
-    reads         : where the columns of conditions.FRAME (but time_s) are read
+    reads         : properties of the columns of conditions.FRAME, except time_s
     dispersions   : of the injected US76 atmosphere; None leaves JSBSim its own atmosphere and wind
-    raises        : InputError where the aircraft does not load or lacks a property that is to be read
+    raises        : InputError where the aircraft does not load or lacks a property of `reads`
 
     Use: `start(state)`, then `step()` and `read_frame(buffer)` in turn. Hosts in one process do not disturb each other.
     """
@@ -157,20 +157,21 @@ class JSBSimHost:
         air = None if self._air is None else self._air.write(state.altitude_m)
         for name, value in _initial_conditions(state, (0.0, 0.0) if air is None else air).items():
             self.node(f"ic/{name}").set_double_value(value)
-        self._guarded(self.fdm.run_ic)
+        self._call_jsbsim(self.fdm.run_ic)
         self.frames = 0
 
     def step(self) -> None:
         """One frame.
 
-        raises : RunError with time and state where the vehicle left the atmosphere, hit the ground or is not a number
+        raises : RunError with time and state where the vehicle left the atmosphere, hit the ground or its state is not
+        finite
         """
         altitude_m = (self._altitude_ft() + self._climb_fps() / self.rate_hz) * FT_M
         if not LOWEST_M < altitude_m < HIGHEST_M:
-            raise RunError(f"JSBSim: the state {_what_is_wrong(altitude_m)} {self.describe()}")
+            raise RunError(f"JSBSim: the state {_altitude_fault(altitude_m)} {self.describe()}")
         if self._air is not None:
             self._air.write(altitude_m)
-        if not self._guarded(self._run):
+        if not self._call_jsbsim(self._run):
             raise RunError(f"JSBSim ended the run by itself; {self.describe()}")
         self.frames += 1
 
@@ -183,14 +184,14 @@ class JSBSimHost:
         return self.frame_values if buffer is None else buffer
 
     def describe(self) -> str:
-        """Time and state in words, for a report."""
+        """Time and state as text, for messages."""
         f = dict(zip(FRAME, self.read_frame(np.zeros(len(FRAME))).tolist(), strict=True))
         return (
             f"at {f['time_s']:.2f} s: altitude {f['altitude_m'] / 1e3:.2f} km, velocity {f['velocity_m_s']:.0f} m/s, "
             f"alpha {f['alpha_deg']:.1f} deg, beta {f['beta_deg']:.1f} deg"
         )
 
-    def _guarded(self, call: Callable[[], bool]) -> bool:
+    def _call_jsbsim(self, call: Callable[[], bool]) -> bool:
         try:
             return call()
         except jsbsim.BaseError as error:
@@ -227,8 +228,8 @@ def open_vehicle(
 ) -> JSBSimHost:
     """A host with a vehicle of this package in it.
 
-    aero   : its aerodynamics with mass, centre of gravity and moment shift as flown; None for the vehicle's own
-    raises : InputError where the vehicle lacks what JSBSim needs
+    aero   : aerodynamics with mass, centre of gravity and moment shift as flown; None for the vehicle's own
+    raises : InputError where the vehicle lacks data that JSBSim needs
     """
     with tempfile.TemporaryDirectory(prefix="sim_heating_jsbsim_") as folder:
         model = write_aircraft(aero or load_aero(vehicle_dir), vehicle_dir, Path(folder))
@@ -258,8 +259,10 @@ def _load(aircraft_path: Path, model: str, rate_hz: float) -> jsbsim.FGFDMExec:
 
 
 def _discard_outputs(fdm: jsbsim.FGFDMExec) -> None:
-    """An aircraft's own <output> would write files wherever the program was started, switched off or not; what a user
-    of the host adds later is written."""
+    """Redirect the aircraft's own <output>, which writes files to the working directory even when switched off.
+
+    Outputs that a user of the host adds later are written.
+    """
     for number in itertools.count():
         if not fdm.get_output_filename(number):
             return
@@ -270,7 +273,7 @@ def _properties(fdm: jsbsim.FGFDMExec) -> list[str]:
     return [line.split(" (")[0] for line in fdm.query_property_catalog("").splitlines() if line]
 
 
-def _what_is_wrong(altitude_m: float) -> str:
+def _altitude_fault(altitude_m: float) -> str:
     if math.isnan(altitude_m):
         return "is not a number"
     return "is below ground" if altitude_m <= LOWEST_M else "is above the atmosphere's table"
@@ -290,7 +293,7 @@ def _initial_conditions(state: InitialState, wind: tuple[float, float]) -> dict[
         "long-gc-deg": state.longitude_deg,
         "h-sl-ft": state.altitude_m / FT_M,
         "vw-mag-fps": math.hypot(*wind) / FT_M,
-        "vw-dir-deg": math.degrees(math.atan2(wind[1], wind[0])),  # where it blows to
+        "vw-dir-deg": math.degrees(math.atan2(wind[1], wind[0])),  # direction that the wind blows to
         "vn-fps": north / FT_M,
         "ve-fps": east / FT_M,
         "vd-fps": down / FT_M,

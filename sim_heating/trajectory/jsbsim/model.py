@@ -1,8 +1,8 @@
 """The 6-DOF model that JSBSim loads, made from a vehicle's aerodynamic data.
 
-JSBSim reads files. They are made anew for every flight and not kept in the vehicle's directory: the numbers have one
-home (aero.toml and its tables, which the 3-DOF entry reads too), and mass and centre of gravity change with
-the scenario. What is logic and not data, the attitude control, is a JSBSim system file of the vehicle and is copied.
+JSBSim reads files. They are written for every flight and not stored in the vehicle's directory: the numbers are defined
+once (aero.toml and its tables, which the 3-DOF entry reads too), and mass and centre of gravity change with the
+scenario. The attitude control, logic and not data, is a JSBSim system file of the vehicle and is copied.
 
 Below the lowest Mach number of the tables lift and drag become those of aero/low_speed.csv, as in the 3-DOF entry: a
 polar in trim, so that deflections have moments there and no forces; moments stay those of the lowest Mach number.
@@ -14,6 +14,8 @@ import math
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
@@ -25,13 +27,12 @@ from sim_heating.trajectory.trimmed_aero import low_speed_rows
 
 MODEL = "vehicle"
 POLAR_ALPHA_DEG = 20.0
-"""The polar is held above this angle of attack."""
+"""Angle of attack above which the polar is constant [deg]."""
 POLAR_STEP_DEG = 2.0
 CONTROL = "attitude_control.xml"
 INDENT = " " * 4
 SLUG_FT2_KG_M2 = 1.3558179483
 """JSBSim's own conversion from kg m2 is 9e-5 low."""
-MACH_ROW = '<independentVar lookup="row">velocities/mach</independentVar>'
 
 BASIC_VARIABLES = ("aero/alpha-deg", "velocities/mach")
 ELEVON_VARIABLES = ("aero/alpha-deg", "fcs/elevon-pos-deg", "velocities/mach")
@@ -39,7 +40,7 @@ BODYFLAP_VARIABLES = ("aero/alpha-deg", "fcs/bodyflap-pos-deg", "velocities/mach
 
 
 def write_aircraft(aero: Aero, vehicle_dir: Path, folder: Path) -> str:
-    """Write the vehicle for JSBSim into a folder; give the folder to `set_aircraft_path`, the result to `load_model`.
+    """Write the vehicle for JSBSim into a folder, for `set_aircraft_path`; returns the name for `load_model`.
 
     aero        : aerodynamics with the mass and centre of gravity to be flown
     vehicle_dir : its `jsbsim/attitude_control.xml` is copied
@@ -57,7 +58,7 @@ def write_aircraft(aero: Aero, vehicle_dir: Path, folder: Path) -> str:
 
 
 def with_low_speed(aero: Aero, low_speed: FloatArray) -> Aero:
-    """Tables extended below their lowest Mach number by a polar in trim; as they are where there is none.
+    """Tables extended below their lowest Mach number by a polar in trim; unchanged without a polar.
 
     low_speed : (rows, 5) mach, CL_0, CL_alpha [1/deg], CD_0, K
     """
@@ -69,7 +70,7 @@ def with_low_speed(aero: Aero, low_speed: FloatArray) -> Aero:
 
 
 def _finer_in_alpha(grid: Grid) -> Grid:
-    """The same table with more points at the low alphas, where the drag of a polar is curved."""
+    """A table refined at the low alphas, where the drag of a polar is curved."""
     alpha = np.union1d(grid.alpha_deg, np.arange(0.0, POLAR_ALPHA_DEG + 1.0, POLAR_STEP_DEG))
     i = cells_of(grid.alpha_deg, alpha)
     share = ((alpha - grid.alpha_deg[i]) / np.diff(grid.alpha_deg)[i])[None, :, None, None]
@@ -80,7 +81,7 @@ def _finer_in_alpha(grid: Grid) -> Grid:
 def _polar_below(grid: Grid, low_speed: FloatArray) -> Grid:
     """A basic table with rows of CN and CA from CL = CL_0 + CL_alpha alpha, CD = CD_0 + K CL^2.
 
-    The polar is held above POLAR_ALPHA_DEG; the moment is that of the lowest Mach number.
+    The polar is constant above POLAR_ALPHA_DEG; the moment is that of the lowest Mach number.
     """
     mach, CL_0, CL_alpha, CD_0, K = low_speed.T[:, :, None]
     CL = CL_0 + CL_alpha * np.minimum(grid.alpha_deg, POLAR_ALPHA_DEG)
@@ -101,80 +102,92 @@ def _forceless_below(grid: Grid, mach: float) -> Grid:
 
 
 def aircraft_xml(aero: Aero) -> str:
-    """The JSBSim configuration of a vehicle as text."""
-    parts = (
-        f'<?xml version="1.0"?>\n<fdm_config name="{MODEL}" version="2.0" release="BETA">',
+    """The JSBSim configuration of a vehicle as text.
+
+    raises : InputError where a table holds a value that is not finite
+    """
+    root = _element(
+        "fdm_config",
         _metrics(aero),
         _mass_balance(aero),
-        "<ground_reactions/>",
+        _element("ground_reactions"),
         _external_reactions(aero),
         _surface_limits(aero),
-        f'<system file="{Path(CONTROL).stem}"/>',
+        _element("system", file=Path(CONTROL).stem),
         _aerodynamics(aero),
-        "</fdm_config>\n",
-    )
-    return "\n".join(parts)
+        name=MODEL, version="2.0", release="BETA",
+    )  # fmt: skip
+    ElementTree.indent(root)
+    return f'<?xml version="1.0"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
 
 
-def _location(name: str, x_m: float) -> str:
-    label = f' name="{name}"' if name else ""
-    return f'<location{label} unit="M"><x>{x_m!r}</x><y>0.0</y><z>0.0</z></location>'
+def _element(tag: str, *content: Element | str | float, **attributes: str) -> Element:
+    """An element with child elements, or with a text; a number is written so that it reads back equal."""
+    element = Element(tag, attributes)
+    for item in content:
+        if isinstance(item, Element):
+            element.append(item)
+        else:
+            element.text = item if isinstance(item, str) else repr(item)
+    return element
 
 
-def _metrics(aero: Aero) -> str:
+def _location(x_m: float, **name: str) -> Element:
+    return _element("location", _element("x", x_m), _element("y", 0.0), _element("z", 0.0), **name, unit="M")
+
+
+def _metrics(aero: Aero) -> Element:
     ref = aero.file.reference
-    return "\n".join((
-        "<metrics>",
-        f'<wingarea unit="M2">{ref.area_m2!r}</wingarea>',
-        f'<wingspan unit="M">{ref.span_m!r}</wingspan>',
-        f'<chord unit="M">{ref.chord_m!r}</chord>',
-        _location("AERORP", ref.moment_reference_fraction * ref.length_m),
-        "</metrics>",
-    ))  # fmt: skip
+    return _element(
+        "metrics",
+        _element("wingarea", ref.area_m2, unit="M2"),
+        _element("wingspan", ref.span_m, unit="M"),
+        _element("chord", ref.chord_m, unit="M"),
+        _location(ref.moment_reference_fraction * ref.length_m, name="AERORP"),
+    )
 
 
-def _mass_balance(aero: Aero) -> str:
+def _mass_balance(aero: Aero) -> Element:
     mass = aero.file.mass
     scale = aero.mass_kg / mass.inertia_at_kg / SLUG_FT2_KG_M2
     inertia = {"ixx": mass.Ixx_kg_m2, "iyy": mass.Iyy_kg_m2, "izz": mass.Izz_kg_m2, "ixz": mass.Ixz_kg_m2}
-    return "\n".join((
-        "<mass_balance>",
-        *(f'<{axis} unit="SLUG*FT2">{value * scale!r}</{axis}>' for axis, value in inertia.items()),
-        f'<emptywt unit="KG">{aero.mass_kg!r}</emptywt>',
-        _location("CG", aero.cg_fraction * aero.file.reference.length_m),
-        "</mass_balance>",
-    ))  # fmt: skip
+    return _element(
+        "mass_balance",
+        *(_element(axis, value * scale, unit="SLUG*FT2") for axis, value in inertia.items()),
+        _element("emptywt", aero.mass_kg, unit="KG"),
+        _location(aero.cg_fraction * aero.file.reference.length_m, name="CG"),
+    )
 
 
-def _external_reactions(aero: Aero) -> str:
+def _external_reactions(aero: Aero) -> Element:
     """Jet moments about the body axes, and the force of commanded firings through the centre of gravity."""
     cg = aero.cg_fraction * aero.file.reference.length_m
     axes = {"jets-roll": (1, 0, 0), "jets-pitch": (0, 1, 0), "jets-yaw": (0, 0, 1)}
-    moments = [f'<moment name="{name}" frame="BODY">{_direction(axis)}</moment>' for name, axis in axes.items()]
-    force = f'<force name="jets-firing" frame="BODY">{_location("", cg)}{_direction((0, 0, 1))}</force>'
-    return "\n".join(("<external_reactions>", *moments, force, "</external_reactions>"))
+    moments = [_element("moment", _direction(*axis), name=name, frame="BODY") for name, axis in axes.items()]
+    force = _element("force", _location(cg), _direction(0, 0, 1), name="jets-firing", frame="BODY")
+    return _element("external_reactions", *moments, force)
 
 
-def _direction(axis: tuple[int, int, int]) -> str:
-    return "<direction><x>{}</x><y>{}</y><z>{}</z></direction>".format(*axis)
+def _direction(x: int, y: int, z: int) -> Element:
+    return _element("direction", _element("x", x), _element("y", y), _element("z", z))
 
 
-def _surface_limits(aero: Aero) -> str:
+def _surface_limits(aero: Aero) -> Element:
     """Travel and rate of the surfaces as properties, for the actuators of the attitude control."""
     limits = {"elevon": aero.file.elevon, "bodyflap": aero.file.bodyflap}
     properties = [
-        f'<property value="{value!r}">control/{surface}-{what}</property>'
+        _element("property", f"control/{surface}-{limit}", value=repr(value))
         for surface, data in limits.items()
-        for what, value in _limit_values(data).items()
+        for limit, value in _limit_values(data).items()
     ]
-    return "\n".join(('<system name="surface_limits">', *properties, "</system>"))
+    return _element("system", *properties, name="surface_limits")
 
 
 def _limit_values(surface: Surface) -> dict[str, float]:
     return {"min-deg": surface.range_deg[0], "max-deg": surface.range_deg[1], "rate-deg_s": surface.rate_deg_s}
 
 
-def _aerodynamics(aero: Aero) -> str:
+def _aerodynamics(aero: Aero) -> Element:
     tables = {
         "basic": (aero.basic, BASIC_VARIABLES),
         "elevon": (aero.elevon, ELEVON_VARIABLES),
@@ -186,43 +199,44 @@ def _aerodynamics(aero: Aero) -> str:
         for i, coefficient in enumerate(COEFFICIENTS)
     ]
     names = {c: [f"aero/{n}-{c}" for n in tables] for c in COEFFICIENTS}
-    return "\n".join((
-        "<aerodynamics>",
+    cm_about_cg = _element("sum", _property("aero/elevon-Cm"), _product("aero/elevon-CN", aero.arm))
+    return _element(
+        "aerodynamics",
         *functions,
-        _function("aero/elevon-Cm-cg", f"<sum><p>aero/elevon-Cm</p>{_product('aero/elevon-CN', aero.arm)}</sum>"),
-        _function("aero/shift-Cm", _shift_table(aero)),
+        _element("function", cm_about_cg, name="aero/elevon-Cm-cg"),
+        _element("function", _shift_table(aero), name="aero/shift-Cm"),
         _axis("AXIAL", "aero/force-axial", _sum(names["CA"])),
         _axis("NORMAL", "aero/force-normal", _sum(names["CN"])),
         _axis("PITCH", "aero/moment-pitch", _pitch(names["Cm"], aero.file.damping), "metrics/cbarw-ft"),
         *_lateral_axes(aero.file.lateral, aero.file.damping),
-        "</aerodynamics>",
-    ))  # fmt: skip
+    )
 
 
-def _function(name: str, body: str) -> str:
-    return f'<function name="{name}">{body}</function>'
+def _property(name: str) -> Element:
+    return _element("p", name)
 
 
-def _axis(axis: str, name: str, coefficient: str, *length: str) -> str:
+def _axis(axis: str, name: str, coefficient: Element, *length: str) -> Element:
     """Force qbar S C, or moment qbar S length C, along an axis."""
-    scale = "".join(f"<p>{r}</p>" for r in ("aero/qbar-psf", "metrics/Sw-sqft", *length))
-    return f'<axis name="{axis}">{_function(name, f"<product>{scale}{coefficient}</product>")}</axis>'
+    scale = [_property(p) for p in ("aero/qbar-psf", "metrics/Sw-sqft", *length)]
+    function = _element("function", _element("product", *scale, coefficient), name=name)
+    return _element("axis", function, name=axis)
 
 
-def _product(name: str, *factors: float | str) -> str:
-    rest = "".join(f"<p>{f}</p>" if isinstance(f, str) else f"<v>{f!r}</v>" for f in factors)
-    return f"<product><p>{name}</p>{rest}</product>"
+def _product(name: str, *factors: float | str) -> Element:
+    rest = [_property(f) if isinstance(f, str) else _element("v", f) for f in factors]
+    return _element("product", _property(name), *rest)
 
 
-def _sum(names: list[str], *more: str) -> str:
-    return "<sum>" + "".join(f"<p>{n}</p>" for n in names) + "".join(more) + "</sum>"
+def _sum(names: list[str], *more: Element) -> Element:
+    return _element("sum", *(_property(n) for n in names), *more)
 
 
-def _pitch(names: list[str], damping: Damping) -> str:
+def _pitch(names: list[str], damping: Damping) -> Element:
     return _sum([*names, "aero/shift-Cm"], _product("velocities/q-aero-rad_sec", "aero/ci2vel", damping.Cmq))
 
 
-def _lateral_axes(lateral: Lateral, damping: Damping) -> tuple[str, ...]:
+def _lateral_axes(lateral: Lateral, damping: Damping) -> tuple[Element, ...]:
     roll = _sum(
         [],
         _product("aero/beta-deg", lateral.Cl_beta_deg),
@@ -240,26 +254,30 @@ def _lateral_axes(lateral: Lateral, damping: Damping) -> tuple[str, ...]:
     )
 
 
-def _shift_table(aero: Aero) -> str:
+def _shift_table(aero: Aero) -> Element:
     low, high = aero.file.cm_shift.mach
-    rows = f"{low!r} 0.0\n{high!r} {aero.cm_shift!r}"
-    return f"<table>{MACH_ROW}<tableData>\n{rows}\n</tableData></table>"
+    rows = f"\n{low!r} 0.0\n{high!r} {aero.cm_shift!r}\n"
+    return _element("table", _lookup("row", "velocities/mach"), _element("tableData", rows))
 
 
-def _table_function(name: str, grid: Grid, index: int, variables: tuple[str, ...]) -> str:
+def _lookup(kind: str, variable: str) -> Element:
+    """The variable along the rows, columns or tables of a table."""
+    return _element("independentVar", variable, lookup=kind)
+
+
+def _table_function(name: str, grid: Grid, index: int, variables: tuple[str, ...]) -> Element:
     values = grid.values[..., index]
     if grid.mach.size == 1:  # the vehicle has no such surface
-        return _function(name, f"<v>{float(values.ravel()[0])!r}</v>")
-    lookups = zip(("row", "column", "table"), variables, strict=False)
-    head = "".join(f'<independentVar lookup="{kind}">{variable}</independentVar>' for kind, variable in lookups)
+        return _element("function", _element("v", float(values.ravel()[0])), name=name)
+    lookups = [_lookup(kind, variable) for kind, variable in zip(("row", "column", "table"), variables, strict=False)]
     if len(variables) == 2:
-        block = _block(grid.alpha_deg, grid.mach, values[:, :, 0].T)
-        return _function(name, f"<table>{head}<tableData>\n{block}\n</tableData></table>")
-    blocks = [
-        f'<tableData breakPoint="{mach!r}">\n{_block(grid.alpha_deg, grid.deflection_deg, values[i])}\n</tableData>'
-        for i, mach in enumerate(grid.mach.tolist())
-    ]
-    return _function(name, f"<table>{head}{''.join(blocks)}</table>")
+        data = [_element("tableData", _block(grid.alpha_deg, grid.mach, values[:, :, 0].T))]
+    else:
+        data = [
+            _element("tableData", _block(grid.alpha_deg, grid.deflection_deg, values[i]), breakPoint=repr(mach))
+            for i, mach in enumerate(grid.mach.tolist())
+        ]
+    return _element("function", _element("table", *lookups, *data), name=name)
 
 
 def _block(rows: FloatArray, columns: FloatArray, values: FloatArray) -> str:
@@ -268,4 +286,4 @@ def _block(rows: FloatArray, columns: FloatArray, values: FloatArray) -> str:
         raise InputError("aerodynamic table: a value is not finite")
     head = INDENT + " ".join(map(repr, columns.tolist()))
     body = (INDENT + " ".join(map(repr, [r, *line])) for r, line in zip(rows.tolist(), values.tolist(), strict=True))
-    return "\n".join((head, *body))
+    return "\n" + "\n".join((head, *body)) + "\n"

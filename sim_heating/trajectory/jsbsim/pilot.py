@@ -1,4 +1,4 @@
-"""What stands between guidance and JSBSim: what guidance sees of the vehicle, and what it commands of it."""
+"""Interface of guidance and JSBSim: observations of the vehicle, and commands to its attitude control."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ G0_FT_S2 = G0_M_S2 / FT_M
 
 
 class Observer:
-    """Reads the state that guidance and the samples need, after a frame."""
+    """Reads the state for guidance and samples after a frame."""
 
     def __init__(self, host: JSBSimHost) -> None:
         self._host = host
@@ -35,14 +35,14 @@ class Observer:
         self._inertial = host.getter("velocities/eci-velocity-mag-fps")
         self._speed, self._altitude = host.getter("velocities/vt-fps"), host.getter("position/h-sl-ft")
         self._mach, self._qbar = host.getter("velocities/mach"), host.getter("aero/qbar-psf")
-        self._alpha, self._alpha_wanted = host.getter("aero/alpha-deg"), host.getter("control/alpha-cmd-deg")
+        self._alpha, self._alpha_command = host.getter("aero/alpha-deg"), host.getter("control/alpha-cmd-deg")
         self._beta = host.getter("aero/beta-deg")
         self._bank = host.getter("control/bank-rad")
         self._latitude, self._longitude = host.getter("position/lat-geod-deg"), host.getter("position/long-gc-deg")
         self._row = np.empty(len(ROW))
 
     def observe(self) -> Observation:
-        """What guidance measures."""
+        """The observation of guidance."""
         climb, mass = -self._down(), self._mass()
         horizontal2 = self._inertial() ** 2 - climb * climb
         return Observation(
@@ -76,8 +76,8 @@ class Observer:
         return row
 
     def attitude_error_deg(self) -> float:
-        """The larger of sideslip and the distance of the angle of attack from the one commanded; NaN where one is."""
-        alpha, beta = abs(self._alpha() - self._alpha_wanted()), abs(self._beta())
+        """The larger of sideslip and the error of the angle of attack; NaN where either is NaN."""
+        alpha, beta = abs(self._alpha() - self._alpha_command()), abs(self._beta())
         return alpha if alpha > beta or math.isnan(alpha) else beta
 
     def _heading_deg(self) -> float:
@@ -85,10 +85,10 @@ class Observer:
 
 
 class Commands:
-    """Writes what guidance and manoeuvres want into the vehicle's attitude control.
+    """Writes the commands of guidance and manoeuvres to the vehicle's attitude control.
 
-    While a manoeuvre pulses the elevon, or opens the pitch loop, the elevon is where it was when that began plus the
-    offset; the jets hold the angle of attack, or nothing does.
+    While a manoeuvre pulses the elevon or opens the pitch loop, the elevon is at its deflection from the start of the
+    manoeuvre plus the offset; jets hold the angle of attack, or nothing does.
     """
 
     def __init__(self, host: JSBSimHost, aero: Aero, guidance: Guidance, state: VehicleState) -> None:
@@ -106,21 +106,23 @@ class Commands:
         self._bodyflap = pack((), [state.bodyflap_deg or trimmed])
 
     def write(self, alpha_deg: float, bank_deg: float, offsets: Offsets, mach: float, velocity_m_s: float) -> None:
-        """Commands from now on; the angle of attack is kept within guidance's limits."""
-        put = self._set
-        put["alpha-cmd-deg"](clip(alpha_deg + offsets.alpha_deg, *self._alpha_limits))
-        put["bank-cmd-deg"](bank_deg)
-        put["beta-cmd-deg"](offsets.beta_deg)
-        put["bodyflap-cmd-deg"](self.bodyflap_deg(mach, velocity_m_s) + offsets.bodyflap_deg)
-        put["jet-firing"](clip(offsets.jets, 0.0, 1.0))
+        """Set the commands; the angle of attack stays within the limits of guidance."""
+        setters = self._set
+        setters["alpha-cmd-deg"](clip(alpha_deg + offsets.alpha_deg, *self._alpha_limits))
+        setters["bank-cmd-deg"](bank_deg)
+        setters["beta-cmd-deg"](offsets.beta_deg)
+        setters["bodyflap-cmd-deg"](self.bodyflap_deg(mach, velocity_m_s) + offsets.bodyflap_deg)
+        setters["jet-firing"](clip(offsets.jets, 0.0, 1.0))
         self._write_pitch(offsets)
 
     def bodyflap_deg(self, mach: float, velocity_m_s: float) -> float:
         """Scheduled body flap [deg]."""
         return scheduled(self._bodyflap, 0, mach if self._against_mach else velocity_m_s)
 
-    def first(self, alpha_deg: float, bank_deg: float, elevon_deg: float, mach: float, velocity_m_s: float) -> None:
-        """Commands before the start: the lags of the control stand where they point, the elevon rests in trim."""
+    def initialise(
+        self, alpha_deg: float, bank_deg: float, elevon_deg: float, mach: float, velocity_m_s: float
+    ) -> None:
+        """Set the commands before the start, with the lags of the control in steady state and the elevon in trim."""
         self.write(alpha_deg, bank_deg, Offsets(), mach, velocity_m_s)
         for state in ("lag1", "lag2", "ref"):
             self._host.node(f"control/alpha-{state}-deg").set_double_value(alpha_deg)
