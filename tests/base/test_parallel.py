@@ -1,4 +1,4 @@
-"""The engine for many jobs: the same bytes whoever computes them, and what survives kills, deaths and errors."""
+"""Batches of jobs: equal bytes wherever they are computed, and results that survive kills, deaths and errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Results are written whole or not at all, replace those of before and nothing else, and read as they were meant."""
+"""Results are written whole or not at all, replace earlier ones and nothing else, and read back correctly."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every file kind, damaged in every way: one line that names file, place and value and says what to do."""
+"""Every file kind, damaged in every way: one line that names file, place and value and what to do."""
 
 # ruff: noqa: E501 - the tables of damage hold one case a line
 

@@ -1,4 +1,4 @@
-"""Flight records: what is read, what its segments and noise mean, and that it writes back equal."""
+"""Flight records: reading, segments, noise floor, and records that write back equal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A thermocouple and its recorder: what they make of a temperature."""
+"""A thermocouple and its recorder: calibration, noise, recorder word, lost samples."""
 
 from __future__ import annotations
 

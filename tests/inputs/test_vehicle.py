@@ -1,4 +1,4 @@
-"""The declared vehicles: what their files say, and what is answered to a damaged one."""
+"""The declared vehicles: published dimensions and properties, and messages about damaged files."""
 
 from __future__ import annotations
 

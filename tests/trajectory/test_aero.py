@@ -1,4 +1,4 @@
-"""Aerodynamic tables say what the data book does, trim the vehicle, and are refused by name where damaged."""
+"""Aerodynamic tables agree with the data book, trim the vehicle, and are refused by name where damaged."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def damaged(tmp_path: Path, name: str, old: str, new: str) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("name", "old", "new", "says"),
+    ("name", "old", "new", "expected"),
     [
         ("longitudinal.csv", "\n5,25,", "\n5,20,", "longitudinal.csv, row 40: this point"),
         ("longitudinal.csv", "10,50,", "10,49,", "longitudinal.csv: Mach"),
@@ -97,10 +97,10 @@ def damaged(tmp_path: Path, name: str, old: str, new: str) -> Path:
         ("aero.toml", '"bodyflap.csv"', '"missing.csv"', "missing.csv"),
     ],
 )
-def test_damaged_aerodynamics_are_refused_by_name(tmp_path: Path, name: str, old: str, new: str, says: str) -> None:
+def test_damaged_aerodynamics_are_refused_by_name(tmp_path: Path, name: str, old: str, new: str, expected: str) -> None:
     with pytest.raises(InputError) as refused:
         load_aero(damaged(tmp_path, name, old, new))
-    assert says in str(refused.value)
+    assert expected in str(refused.value)
 
 
 def test_a_centre_of_gravity_outside_the_allowed_range_is_refused(orbiter: Aero) -> None:

@@ -137,7 +137,7 @@ def allen_eggers_speed(altitude_m):
     return 7000.0 * np.exp(-RHO0 * np.exp(-altitude_m / SCALE_M) * SCALE_M / (2.0 * BETA_KG_M2))
 
 
-def test_a_ballistic_entry_slows_down_as_allen_and_eggers_say():
+def test_a_ballistic_entry_slows_down_as_allen_and_eggers_derived():
     rows = ballistic_entry(20.0)
     high = rows[:, 1] > 2000.0
     assert rows[high, 2] == pytest.approx(allen_eggers_speed(rows[high, 1]), rel=1e-5)
@@ -388,7 +388,7 @@ def test_commands_stay_within_limits_and_rates_whatever_a_host_reports(seen, dt_
     assert np.all(np.abs(np.diff(commands, axis=0)) <= np.array([2.0, 5.0]) * dt_s + 1e-9)
 
 
-def test_a_vehicle_without_guidance_asks_for_what_it_needs(tmp_path):
+def test_a_vehicle_without_guidance_names_the_keys_that_it_needs(tmp_path):
     with pytest.raises(InputError, match="alpha_deg and drag_m_s2"):
         resolve_guidance(GuidanceChanges(), tmp_path)
 
@@ -442,7 +442,7 @@ def test_a_recorded_flight_comes_back_as_it_was_flown(nominal, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("damage", "said"),
+    ("damage", "expected"),
     [
         (lambda c: c.pop("rho_kg_m3"), "rho_kg_m3"),
         (lambda c: c.update(time_s=c["time_s"][::-1]), "row 3, column time_s"),
@@ -451,13 +451,13 @@ def test_a_recorded_flight_comes_back_as_it_was_flown(nominal, tmp_path):
         (lambda c: c.update(T_inf_K=c["rho_kg_m3"] * 0.0 - 50.0), "Celsius"),
     ],
 )
-def test_a_damaged_recording_is_refused_with_file_row_and_column(nominal, tmp_path, damage, said):
+def test_a_damaged_recording_is_refused_with_file_row_and_column(nominal, tmp_path, damage, expected):
     columns = {n: nominal.conditions[n][:50] for n in recorded.REQUIRED}
     damage(columns)
     write_columns(tmp_path / "c.csv", columns)
     with pytest.raises(InputError, match=r"c\.csv") as refused:
         recorded_flight(tmp_path / "c.csv")
-    assert said in refused.value.problems[0]
+    assert expected in refused.value.problems[0]
 
 
 def test_a_flight_into_the_ground_is_an_error() -> None:

@@ -1,4 +1,4 @@
-"""A flight from an FMU: versions and interfaces, units, derived columns, inputs, ends; FMUs of another's making."""
+"""A flight from an FMU: versions and interfaces, units, derived columns, inputs, ends; an FMU of another tool."""
 
 from __future__ import annotations
 
@@ -124,11 +124,11 @@ def test_units_as_fmus_write_them(unit: str, wanted: str, factor: float) -> None
         "10^3 m", "m^1000", "lambda()", "a" * 60 + "#",
     ],
 )  # fmt: skip
-def test_what_is_no_unit_is_none(unit: str) -> None:
+def test_a_text_that_is_not_a_unit_is_unknown(unit: str) -> None:
     assert known_unit(unit) is None
 
 
-def test_celsius_has_an_offset_and_an_angle_is_no_number() -> None:
+def test_celsius_has_an_offset_and_an_angle_is_not_a_plain_number() -> None:
     celsius, kelvin, rad, one = (known_unit(u) for u in ("degC", "K", "rad", "1"))
     assert celsius is not None
     assert kelvin is not None
@@ -150,19 +150,19 @@ def test_a_definition_that_contradicts_its_name_is_refused() -> None:
 
 
 @pytest.mark.parametrize("factor", [0.0, math.nan, math.inf])
-def test_a_definition_that_measures_nothing_is_refused(factor: float) -> None:
+def test_a_definition_that_is_not_a_unit_is_refused(factor: float) -> None:
     with pytest.raises(InputError, match=rf"defines `blah` by factor {factor:g} and offset 0, which is not a unit"):
         unit_of_fmu("blah", BaseUnit(m=1, factor=factor))
 
 
 @needs_compiler
-def test_a_unit_that_only_the_fmu_knows_is_taken_as_it_defines_it(binary: Path, tmp_path: Path) -> None:
+def test_a_unit_unknown_to_pint_is_taken_from_the_definition_of_the_fmu(binary: Path, tmp_path: Path) -> None:
     text = description("2").replace('unit="km"', 'unit="Fl"').replace('<Unit name="km">', '<Unit name="Fl">')
     path = pack(tmp_path / "glide.fmu", text, binary, platform_folder("2"))
     assert fly(path).conditions["altitude_m"][0] == approx(70e3)
 
 
-# ---- what is derived ----------------------------------------------------------------------------------------------
+# ---- derived columns ----------------------------------------------------------------------------------------------
 
 angle = st.floats(-80.0, 80.0)
 
@@ -210,26 +210,26 @@ def test_wind_and_density_of_the_scenario_are_the_air_that_the_fmu_flies_in(glid
 
 
 @needs_compiler
-def test_a_column_is_found_by_its_usual_name_and_that_is_told(glide: Path) -> None:
+def test_a_column_is_found_by_its_usual_name_and_reported(glide: Path) -> None:
     flight = fly(glide, {k: v for k, v in COLUMNS.items() if k not in ("altitude_m", "alpha_deg")})
     assert flight.conditions["altitude_m"][0] == approx(70e3)
     assert "altitude_m is read from `h`, a usual name" in [text for _, text in flight.events]
 
 
 @needs_compiler
-def test_an_output_of_a_usual_name_without_a_unit_is_not_used_and_that_is_told(binary: Path, tmp_path: Path) -> None:
+def test_an_output_of_a_usual_name_without_a_unit_is_not_used_and_reported(binary: Path, tmp_path: Path) -> None:
     density = (
         '<ScalarVariable name="rho" valueReference="2" causality="output"><Real/></ScalarVariable></ModelVariables>'
     )
     text = description("2").replace("</ModelVariables>", density)
     flight = fly(pack(tmp_path / "glide.fmu", text, binary, platform_folder("2")))
     written = 'rho_kg_m3 = { variable = "rho", unit = "kg/m3" }'
-    told = f"`rho` is not used because its unit is unknown; if it is rho_kg_m3, write {written}"
-    assert told in [text for _, text in flight.events]
+    expected = f"`rho` is not used because its unit is unknown; if it is rho_kg_m3, write {written}"
+    assert expected in [text for _, text in flight.events]
 
 
 @needs_compiler
-def test_mach_that_is_mapped_tells_the_speed_beside_an_output_of_that_name(binary: Path, tmp_path: Path) -> None:
+def test_a_mapped_mach_determines_the_speed_although_an_output_has_that_name(binary: Path, tmp_path: Path) -> None:
     text = description("2").replace('name="speed"', 'name="velocity"')
     path = pack(tmp_path / "glide.fmu", text, binary, platform_folder("2"))
     c = fly(path, {k: v for k, v in COLUMNS.items() if k != "velocity_m_s"} | {"mach": 20.0}).conditions
@@ -267,7 +267,7 @@ def test_a_flight_ends_at_the_first_stop(glide: Path) -> None:
 
 
 @needs_compiler
-def test_each_step_is_given_to_the_host_before_the_next_is_taken(glide: Path) -> None:
+def test_each_step_reaches_the_host_before_the_next_is_taken(glide: Path) -> None:
     frames: list[float] = []
     fmu.fly(spec(glide), VEHICLE, on_frame=lambda row: frames.append(float(row[0])))
     assert frames == approx(np.arange(81) / 4.0)
@@ -307,7 +307,7 @@ def test_a_scenario_flies_an_fmu_with_the_plug_in_alongside(binary: Path, tmp_pa
 
 
 @needs_compiler
-def test_what_is_wrong_between_scenario_and_fmu_is_told_without_flying(binary: Path, tmp_path: Path) -> None:
+def test_contradictions_of_scenario_and_fmu_are_reported_without_flying(binary: Path, tmp_path: Path) -> None:
     glide_fmu(tmp_path / "glide.fmu", binary)
     (tmp_path / "glide.toml").write_text(SCENARIO.replace('"speed", unit = "ft/s"', '"sped"').replace('"h"', '"k"'))
     with pytest.raises(InputError) as found:
@@ -316,7 +316,7 @@ def test_what_is_wrong_between_scenario_and_fmu_is_told_without_flying(binary: P
     assert "has no variable `sped`; did you mean `speed`" in found.value.problems[1]
 
 
-# ---- an FMU of another's making -----------------------------------------------------------------------------------
+# ---- an FMU of another tool ---------------------------------------------------------------------------------------
 
 ALLEN_EGGERS = '''
 import math

@@ -57,7 +57,7 @@ def gone(before: set[str], pattern: str = r"fmu/process\.py|sleep 30\.25") -> bo
 
 
 @pytest.fixture(autouse=True)
-def nothing_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def nothing_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Each test has a temporary folder of its own, which must be empty at its end."""
     own = tmp_path / "temporary"
     own.mkdir()
@@ -96,11 +96,13 @@ IN_A_STEP = [
 
 
 @pytest.mark.parametrize("fmi", ["2", "3"])
-@pytest.mark.parametrize(("fault", "told"), IN_A_STEP)
-def test_a_fault_in_a_step_is_told_with_its_time(fault: str, told: str, fmi: str, binary: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("fault", "expected"), IN_A_STEP)
+def test_a_fault_in_a_step_is_reported_with_its_time(
+    fault: str, expected: str, fmi: str, binary: Path, tmp_path: Path
+) -> None:
     path = glide_fmu(tmp_path / "glide.fmu", binary, fmi)
     before, begin_s = running(), time.monotonic()
-    with pytest.raises(RunError, match=told) as found:
+    with pytest.raises(RunError, match=expected) as found:
         faulty(path, fault, timeout_s=0.5 if fault.endswith("hangs") else 30.0)
     assert str(path) in str(found.value)
     assert str(found.value).isprintable()
@@ -108,18 +110,18 @@ def test_a_fault_in_a_step_is_told_with_its_time(fault: str, told: str, fmi: str
     assert gone(before)
 
 
-def test_a_return_at_the_very_end_of_a_step_is_none_before_it(binary: Path, tmp_path: Path) -> None:
+def test_a_return_at_the_very_end_of_a_step_is_not_an_early_one(binary: Path, tmp_path: Path) -> None:
     flight = faulty(glide_fmu(tmp_path / "glide.fmu", binary, "3"), "returns at the end")
     assert flight.conditions.time_s[-1] == 10.0
 
 
-def test_an_early_return_that_nobody_allowed_is_refused(binary: Path, tmp_path: Path) -> None:
+def test_an_early_return_that_was_not_allowed_is_refused(binary: Path, tmp_path: Path) -> None:
     path = glide_fmu(tmp_path / "glide.fmu", binary, "3")
     with pytest.raises(RunError, match=r"returned early, at 5\.125 s, from a step to 5\.25 s"):
         faulty(path, "returns early")
 
 
-def test_equations_that_cannot_be_evaluated_are_told(binary: Path, tmp_path: Path) -> None:
+def test_equations_that_cannot_be_evaluated_are_reported(binary: Path, tmp_path: Path) -> None:
     path = glide_fmu(tmp_path / "glide.fmu", binary, "2", "ModelExchange")
     with pytest.raises(RunError, match=r"failed in its step at \S+ s: cannot be integrated: At t = .* right-hand side"):
         faulty(path, "fails")
@@ -171,13 +173,13 @@ def test_a_hanging_fmu_ends_with_the_process_that_flies_it(
 
 
 @pytest.mark.parametrize("fmi", ["2", "3"])
-def test_a_crash_at_instantiate_is_told(fmi: str, tmp_path: Path) -> None:
+def test_a_crash_at_instantiation_is_reported(fmi: str, tmp_path: Path) -> None:
     path = glide_fmu(tmp_path / "glide.fmu", library(tmp_path, "-DCRASH_AT_INSTANTIATE"), fmi)
     with pytest.raises(RunError, match=r"crashed while it was instantiated and initialised \(SIG(SEGV|ILL|TRAP)\)"):
         fly(path)
 
 
-def test_an_fmu_that_gives_no_instance_is_told(tmp_path: Path) -> None:
+def test_an_fmu_without_an_instance_is_reported(tmp_path: Path) -> None:
     path = glide_fmu(tmp_path / "glide.fmu", library(tmp_path, "-DNO_INSTANCE"))
     with pytest.raises(RunError, match=r"failed while it was instantiated and initialised: .*instantiate"):
         fly(path)
@@ -190,7 +192,7 @@ def test_an_fmu_for_another_platform_is_refused_with_those_that_it_has(binary: P
         fly(path)
 
 
-def test_a_library_of_another_machine_is_told(tmp_path: Path) -> None:
+def test_a_library_of_another_machine_is_reported(tmp_path: Path) -> None:
     foreign = tmp_path / f"glide{fmpy.sharedLibraryExtension}"
     foreign.write_bytes(b"MZ" + bytes(2000))
     path = pack(tmp_path / "glide.fmu", description("2"), foreign, platform_folder("2"))
@@ -198,7 +200,7 @@ def test_a_library_of_another_machine_is_told(tmp_path: Path) -> None:
         fly(path)
 
 
-def test_a_library_that_lacks_fmi_functions_is_told(tmp_path: Path) -> None:
+def test_a_library_that_lacks_fmi_functions_is_reported(tmp_path: Path) -> None:
     (tmp_path / "empty.c").write_text("int nothing;\n")
     binary = tmp_path / "glide.so"
     subprocess.run(["gcc", "-shared", "-fPIC", str(tmp_path / "empty.c"), "-o", str(binary)], check=True)
@@ -207,13 +209,13 @@ def test_a_library_that_lacks_fmi_functions_is_told(tmp_path: Path) -> None:
 
 
 def test_a_start_value_for_an_output_is_refused(binary: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"takes no start value for this output; give start values of parameters and inputs only"):
+    with pytest.raises(InputError, match=r"takes no start value for this output; give start values of parameters"):
         fly(glide_fmu(tmp_path / "glide.fmu", binary), start={"alpha": 0.5})
 
 
-# ---- what the file says -------------------------------------------------------------------------------------------
+# ---- mappings, start values and inputs ------------------------------------------------------------------------------
 
-SAYS = [
+WRONG_MAPPINGS = [
     ({"altitude_m": "height"}, r"`altitude_m`: .* has no variable `height`; did you mean `height_0`"),
     ({"altitude_m": "label"}, r"`label` of .* is a String; name a variable that is one number"),
     ({"altitude_m": "speed"}, r"`altitude_m`: `speed` of .* is in `ft/s`, which does not convert to `m`"),
@@ -230,28 +232,28 @@ SAYS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("columns", "told"), SAYS)
-def test_a_wrong_mapping_is_told_by_column_variable_and_unit(
-    columns: dict[str, Any], told: str, binary: Path, tmp_path: Path
+@pytest.mark.parametrize(("columns", "expected"), WRONG_MAPPINGS)
+def test_a_wrong_mapping_is_reported_by_column_variable_and_unit(
+    columns: dict[str, Any], expected: str, binary: Path, tmp_path: Path
 ) -> None:
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=expected):
         fly(glide_fmu(tmp_path / "glide.fmu", binary), columns)
 
 
-def test_an_altitude_in_kilometres_that_calls_itself_metres_is_seen_at_once(binary: Path, tmp_path: Path) -> None:
+def test_an_altitude_in_kilometres_declared_in_metres_is_found_at_the_start(binary: Path, tmp_path: Path) -> None:
     text = description("2", units=UNITS).replace('<Real unit="km"/>', '<Real unit="m"/>')
     with pytest.raises(InputError, match="altitude_m = 70, which is too low for its speed and looks like km"):
         fly(pack(tmp_path / "glide.fmu", text, binary, platform_folder("2")))
 
 
-def test_a_column_that_nothing_gives_is_told_with_what_to_do(binary: Path, tmp_path: Path) -> None:
+def test_an_unknown_column_is_reported_with_a_remedy(binary: Path, tmp_path: Path) -> None:
     table = {"source": "fmu", "file": str(glide_fmu(tmp_path / "g.fmu", binary)), "fmu": {"columns": {"alpha_deg": 40}}}
     with pytest.raises(InputError, match=r"`beta_deg` is unknown; .* give a number: beta_deg = 0\.0"):
         fmu.fly(TrajectorySpec.model_validate(table), VEHICLE)
 
 
 @pytest.mark.parametrize(
-    ("start", "told"),
+    ("start", "expected"),
     [
         ({"sinc": 1.0}, r"`sinc`: .* has no variable `sinc`; did you mean `sink`"),
         ({"sink": {"value": 1.0, "unit": "kg"}}, r"`sink`: `kg` does not convert to its unit `m/s`"),
@@ -259,8 +261,8 @@ def test_a_column_that_nothing_gives_is_told_with_what_to_do(binary: Path, tmp_p
         ({"sink": "fast"}, r"`fast` is not a number, and `sink` is a Real"),
     ],
 )
-def test_a_wrong_start_value_is_told(start: dict[str, Any], told: str, binary: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=told):
+def test_a_wrong_start_value_is_reported(start: dict[str, Any], expected: str, binary: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=expected):
         fly(glide_fmu(tmp_path / "glide.fmu", binary), start=start)
 
 
@@ -281,7 +283,7 @@ MORE_3 = "".join(f'<{kind} name="{kind}" valueReference="9" {PARAMETER} start="0
 
 
 def typed_fmu(path: Path, binary: Path, fmi: str = "2") -> Path:
-    """A glide with variables of many types beside its own."""
+    """A glide with variables of many types in addition to its own."""
     types, more = (TYPES, MORE_2) if fmi == "2" else ("", MORE_3)
     text = description(fmi, units=UNITS | {"blah": 'm="1" factor="0"'})
     text = text.replace("<ModelVariables>", types + "<ModelVariables>")
@@ -302,11 +304,11 @@ NO_VALUE = [
 ]
 
 
-@pytest.mark.parametrize(("start", "told"), NO_VALUE)
+@pytest.mark.parametrize(("start", "expected"), NO_VALUE)
 def test_a_start_value_that_its_variable_cannot_take_is_refused(
-    start: dict[str, Any], told: str, binary: Path, tmp_path: Path
+    start: dict[str, Any], expected: str, binary: Path, tmp_path: Path
 ) -> None:
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=expected):
         fly(typed_fmu(tmp_path / "glide.fmu", binary), start=start)
 
 
@@ -319,22 +321,22 @@ def test_a_start_value_outside_a_type_of_fmi_3_is_refused(
 
 
 @pytest.mark.parametrize(
-    ("inputs", "told"),
+    ("inputs", "expected"),
     [
         ({"steps": {"schedule": [[0, 0], [5, 1e12]]}}, r"`steps`: `1000000000000\.0` is not a whole number"),
         ({"lamp": {"schedule": [[0, 0.4]]}}, r"`lamp`: `0\.4` is neither true nor false"),
         ({"command": {"schedule": [[0, 1]]}}, r"ignores its inputs; set pilot = 4 in \[trajectory\.fmu\.start\]"),
     ],
 )
-def test_an_input_that_would_not_be_heeded_as_it_is_written_is_refused(
-    inputs: dict[str, Any], told: str, binary: Path, tmp_path: Path
+def test_an_input_that_would_be_ignored_is_refused(
+    inputs: dict[str, Any], expected: str, binary: Path, tmp_path: Path
 ) -> None:
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=expected):
         fly(typed_fmu(tmp_path / "glide.fmu", binary), inputs=inputs)
 
 
 @pytest.mark.parametrize(
-    ("manoeuvre", "told"),
+    ("manoeuvre", "expected"),
     [
         ({"kind": "popu", "at_time_s": 3.0}, r"manoeuvre 2 \(popu\): no input takes its alpha_deg"),
         ({"kind": "elevon-pulse", "at_time_s": 3.0, "amplitude_deg": 5.0}, r"\(elevon-pulse\): .* its elevon_deg"),
@@ -342,23 +344,23 @@ def test_an_input_that_would_not_be_heeded_as_it_is_written_is_refused(
     ],
 )
 def test_a_manoeuvre_that_no_input_takes_is_refused_before_the_flight(
-    manoeuvre: dict[str, Any], told: str, binary: Path, tmp_path: Path
+    manoeuvre: dict[str, Any], expected: str, binary: Path, tmp_path: Path
 ) -> None:
     path = glide_fmu(tmp_path / "glide.fmu", binary)
     doublet = {"kind": "sideslip-doublet", "at_time_s": 2.0}
     own = {"columns": COLUMNS, "inputs": {"command": "beta_deg"}}
     table = {"source": "fmu", "file": str(path), "fmu": own, "manoeuvre": [doublet, manoeuvre]}
     (problem,) = fmu.fmu_problems(TrajectorySpec.model_validate(table), VEHICLE)
-    assert re.search(told, problem)
+    assert re.search(expected, problem)
 
 
-def test_a_truth_value_is_no_column() -> None:
+def test_a_truth_value_is_not_a_column() -> None:
     with pytest.raises(ValueError, match="altitude_m"):
         TrajectorySpec.model_validate({"source": "fmu", "file": "x.fmu", "fmu": {"columns": {"altitude_m": True}}})
 
 
 @pytest.mark.parametrize(
-    ("inputs", "told"),
+    ("inputs", "expected"),
     [
         ({"comand": "alpha_deg"}, r"`comand`: .*did you mean `command`"),
         ({"sink": {"schedule": [[0, 1]]}}, r"`sink`: it is a parameter of .*, not an input"),
@@ -366,12 +368,12 @@ def test_a_truth_value_is_no_column() -> None:
         ({"command": "alpha_deg"}, r"guidance needs gamma_deg, heading_deg, .*; map them"),
     ],
 )
-def test_a_wrong_input_is_told(inputs: dict[str, Any], told: str, binary: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=told):
+def test_a_wrong_input_is_reported(inputs: dict[str, Any], expected: str, binary: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=expected):
         fly(glide_fmu(tmp_path / "glide.fmu", binary), inputs=inputs)
 
 
-def test_an_interface_that_an_fmu_lacks_is_told(binary: Path, tmp_path: Path) -> None:
+def test_a_missing_interface_of_an_fmu_is_reported(binary: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"has no model-exchange interface; it has co-simulation"):
         fly(glide_fmu(tmp_path / "glide.fmu", binary), interface="model-exchange")
 
@@ -418,14 +420,16 @@ def pack_text(path: Path, text: str, *others: str) -> None:
             archive.writestr(name, text)
 
 
-@pytest.mark.parametrize(("damage", "told"), DAMAGED)
-def test_a_damaged_fmu_is_refused(damage: Any, told: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("damage", "expected"), DAMAGED)
+def test_a_damaged_fmu_is_refused(damage: Any, expected: str, tmp_path: Path) -> None:
     damage(tmp_path / "glide.fmu")
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=expected):
         fly(tmp_path / "glide.fmu")
 
 
-def test_a_full_disk_is_no_fault_of_the_fmu(binary: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_not_reported_as_a_fault_of_the_fmu(
+    binary: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -455,7 +459,7 @@ fault = 5
 """
 
 
-def test_the_command_says_it_in_one_line_and_writes_nothing(
+def test_the_command_reports_it_in_one_line_and_writes_nothing(
     binary: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     glide_fmu(tmp_path / "glide.fmu", binary)

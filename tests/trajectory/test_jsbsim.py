@@ -1,4 +1,4 @@
-"""JSBSim flies what the tables say, in the air that US76 says, where guidance and manoeuvres want it."""
+"""JSBSim flies the forces of the tables in the atmosphere of US76, as guidance and manoeuvres command."""
 
 from __future__ import annotations
 
@@ -286,7 +286,7 @@ def test_the_trimmed_elevon_moves_against_alpha_in_a_popu(flight: Flight, orbite
     assert c["elevon_deg"][0] == approx(trim, abs=0.5)
 
 
-def test_the_elevon_goes_where_a_pulse_wants_it_while_jets_hold_alpha(flight: Flight) -> None:
+def test_the_elevon_follows_a_pulse_while_jets_hold_alpha(flight: Flight) -> None:
     w = window(flight, "elevon-pulse")
     middle = flight.conditions.at(np.arange(w.start_s + 1.0, w.end_s - 1.0, 0.5))
     before = flight.conditions.at(w.start_s - 2.0)["elevon_deg"][0]
@@ -331,7 +331,7 @@ def test_every_manoeuvre_is_an_event_and_a_window(flight: Flight) -> None:
 # The host
 
 
-def test_each_frame_is_given_once_and_in_order() -> None:
+def test_each_frame_is_passed_on_once_and_in_order() -> None:
     rows: list[np.ndarray] = []
     jsbsim.fly(entry(stop={"time_s": 3.0}), VEHICLE, on_frame=lambda row: rows.append(row.copy()))
     table = np.array(rows)
@@ -340,19 +340,19 @@ def test_each_frame_is_given_once_and_in_order() -> None:
     assert table[-1, 7] == approx(us76(table[-1, 1])[2], rel=1e-6)
 
 
-def test_a_published_property_is_seen_by_jsbsim() -> None:
+def test_a_published_property_is_visible_to_jsbsim() -> None:
     host = open_vehicle(ORBITER)
     host.publish("heating/NOSE_1/surface-K").set_double_value(1500.0)
     assert host.fdm["heating/NOSE_1/surface-K"] == 1500.0
 
 
 @pytest.mark.parametrize("name", ["heating/1st/surface-K", "heating//x", "", "heating/a b"])
-def test_a_name_that_jsbsim_cannot_have_is_refused(name: str) -> None:
+def test_an_invalid_property_name_is_refused(name: str) -> None:
     with pytest.raises(InputError, match="not a JSBSim property name"):
         open_vehicle(ORBITER).publish(name)
 
 
-def test_a_misspelt_property_is_refused_with_the_nearest_one() -> None:
+def test_a_misspelt_property_is_refused_with_the_most_similar_one() -> None:
     with pytest.raises(InputError, match=r"aero/alfa-deg: .*did you mean `aero/alpha-deg`"):
         open_vehicle(ORBITER).node("aero/alfa-deg")
 

@@ -31,7 +31,7 @@ def test_a_popu_pushes_over_and_pulls_up_by_its_amplitudes_at_its_rate():
     assert (window.kind, window.start_s, window.end_s) == ("popu", 10.0, 10.0 + 5.0 + 2.0 + 10.0 + 2.0 + 5.0)
 
 
-def test_a_popu_holds_both_angles_as_long_as_it_says():
+def test_a_popu_holds_both_angles_for_the_declared_time():
     popu = {"kind": "popu", "at_time_s": 5.0, "hold_s": 3.0, "hold_up_s": 25.0, "first": "up"}
     _, out, _ = flown(popu)
     held = {angle: np.count_nonzero(np.abs(out[:, 0] - angle) < 1e-9) / 50.0 for angle in (-5.0, 5.0)}
@@ -60,7 +60,7 @@ def test_a_mach_trigger_waits_for_mach_to_fall():
     assert script.windows()[0].start_s == pytest.approx(90.0)
 
 
-def test_a_trigger_that_is_never_reached_is_reported_at_the_end():
+def test_a_trigger_that_is_never_met_is_reported_at_the_end():
     _, _, script = flown({"kind": "popu", "at_mach": 2.0})
     assert script.windows(120.0) == []
     assert script.events(120.0) == [(120.0, "popu at Mach 2: trigger never met; manoeuvre not flown")]
@@ -177,7 +177,7 @@ def test_every_manoeuvre_begins_and_ends_at_no_offset_and_time_goes_on(manoeuvre
 
 
 @pytest.mark.parametrize(
-    ("manoeuvre", "said"),
+    ("manoeuvre", "expected"),
     [
         ({"kind": "popu"}, "exactly one of at_velocity_m_s, at_mach, at_time_s, not none"),
         ({"kind": "popu", "at_mach": 20.0, "at_time_s": 3.0}, "not at_mach and at_time_s"),
@@ -187,7 +187,7 @@ def test_every_manoeuvre_begins_and_ends_at_no_offset_and_time_goes_on(manoeuvre
         ({"kind": "elevon-pulse", "at_mach": 20.0, "amplitude_deg": float("nan")}, "amplitude_deg"),
     ],
 )
-def test_a_manoeuvre_that_cannot_be_flown_is_refused(manoeuvre, said):
+def test_a_manoeuvre_that_cannot_be_flown_is_refused(manoeuvre, expected):
     initial = {"altitude_m": 1.2e5, "velocity_m_s": 7400.0, "gamma_deg": -1.2, "heading_deg": 60.0, "latitude_deg": 0.0}
-    with pytest.raises(ValidationError, match=said):
+    with pytest.raises(ValidationError, match=expected):
         TrajectorySpec(source="entry-3dof", initial=initial, manoeuvre=[manoeuvre])
