@@ -1,4 +1,4 @@
-"""The same system in CasADi, symbolically, for CVODES; an optional dependency."""
+"""The system of ode.py in CasADi, symbolically, for CVODES; an optional dependency."""
 
 from __future__ import annotations
 

@@ -180,7 +180,7 @@ class JointFit:
 
 
 def _beside(turn: Barrier, asked: EventType, done: EventType) -> None:
-    """The same fit in another process, one iteration after the other while it is asked for."""
+    """The joint fit in another process, one iteration after the other while it is asked for."""
     fit = JointFit()
     turn.wait()
     while not done.is_set():

@@ -63,7 +63,7 @@ def _host(work: Path) -> Path:
 def _in_host(
     host: Path, fmu: Path, table: Path, timing: str, outputs: list[str]
 ) -> tuple[np.ndarray, dict[str, float]]:
-    """What the C host wrote, and its times."""
+    """Output of the C host, and its times."""
     done = subprocess.run([host, fmu, timing, table, *outputs], check=True, capture_output=True, text=True)
     times = {k: float(v) for k, v in (line.split() for line in done.stderr.splitlines())}
     return np.array([[float(x) for x in line.split(",")[1:]] for line in done.stdout.splitlines()[1:]]), times

@@ -61,7 +61,7 @@ NOTHING = Nature()
 
 @dataclass(frozen=True)
 class Case:
-    """What a record declares, and its conditions on the steps of the march.
+    """A record's declaration, and its conditions on the steps of the march.
 
     recorded : columns of conditions.csv as in the file
     fine     : the same and h_ref, H_r every STEP_S, linear between the samples

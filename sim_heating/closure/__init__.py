@@ -1,1 +1,1 @@
-"""From what a declared model does not explain to the effect that it lacks (search.py), with the evidence for it."""
+"""Closing the loop: the effect that a declared model lacks, the evidence for it, and revised tables of the vehicle."""

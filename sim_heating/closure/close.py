@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,7 +35,7 @@ from sim_heating.estimation.inference.newton import NewtonSettings
 from sim_heating.estimation.report.estimate_file import NAME
 from sim_heating.estimation.report.report import FIT_FILES, noise_floor_K, write_fit
 from sim_heating.heating.effects import effects
-from sim_heating.inputs.record import Record
+from sim_heating.inputs.record import Record, load_record
 
 FILES = (*REPORT_FILES, NAME, *FIT_FILES)
 """Names of all files that a closed loop may write."""
@@ -67,12 +68,16 @@ class ClosedLoop:
         return repr(self.report).replace("Closure", "ClosedLoop", 1)
 
 
-def close_loop(record: Record, *, progress: Progress = no_progress) -> ClosedLoop:
-    """Find what a record's declared model lacks, add it, refit.
+def close_loop(record: Record | str | os.PathLike[str], *, progress: Progress = no_progress) -> ClosedLoop:
+    """Identify the effect that the declared model of a record lacks, add it, refit.
 
-    raises : InputError where its clocks are in two units, InputError, RunError where not even the declared model can
-             be fitted
+    record   : a flight record, or its directory
+    progress : called with the fraction done and a line of text
+    returns  : the search, the last fit, the report; nothing is written
+    raises   : InputError where its clocks are in different units or readings are too few, InputError, RunError where not
+               even the declared model can be fitted
     """
+    record = load_record(record)
     times = int(np.count_nonzero(record.read_mask))
     if times < MIN_SAMPLES:
         raise InputError(f"{record.name}: readings at {times} time(s); close-loop needs {MIN_SAMPLES} at least")

@@ -1,4 +1,4 @@
-"""What close-loop writes into a folder: closure.json, residual_heating.csv, and report.html for a review.
+"""Files of a closed loop: closure.json, residual_heating.csv, and report.html for a review.
 
 closure.json is the format "closure-report/1"; further keys are `estimated` (all parameters of the last fit), `residual`
 and `residual_after` (size and bandwidth of the residual heating, residuals that no heating explains), `evidence`,
@@ -90,7 +90,7 @@ class CandidateScore:
     delta_bic      : its BIC minus that of "none"
     fit_rmse_K     : RMSE of the plain march over the fit segments [K]
     holdout_rmse_K : over the segments held out [K]; None where there are none
-    posterior      : its probability, with all evidence that was weighed
+    posterior      : its probability, by its score
     """
 
     name: str
@@ -238,7 +238,7 @@ def closures_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def _found_text(row: Mapping[str, Any]) -> str:
-    """What a row names; faults of the record's data come first, as an effect is no finding then."""
+    """Effects of a row; faults of the record's data come first, as an effect is no finding then."""
     effects, faults = " + ".join(row["effects"]), ", ".join(dict.fromkeys(row["data_faults"]))
     return f"{faults} ({effects})" if faults else effects
 

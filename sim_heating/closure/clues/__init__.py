@@ -1,1 +1,1 @@
-"""What a residual indicates: heating histories, correlations, shapes, hysteresis, axial force."""
+"""Evidence from a residual: heating histories, correlations, shapes, hysteresis, axial force."""
