@@ -74,8 +74,8 @@ def close_loop(record: Record | str | os.PathLike[str], *, progress: Progress = 
     record   : a flight record, or its directory
     progress : called with the fraction done and a line of text
     returns  : the search, the last fit, the report; nothing is written
-    raises   : InputError where its clocks are in different units or readings are too few, InputError, RunError where not
-               even the declared model can be fitted
+    raises   : InputError where its clocks are in different units or readings are too few, InputError or RunError
+               where not even the declared model can be fitted
     """
     record = load_record(record)
     times = int(np.count_nonzero(record.read_mask))

@@ -104,7 +104,7 @@ class CandidateScore:
         return {n: value for n, value in asdict(self).items() if n != "posterior"}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Closure:
     """The result of closing the loop on one record.
 

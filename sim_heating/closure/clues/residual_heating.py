@@ -67,7 +67,7 @@ class SensorResidual:
         return f"{residuals}, {times:.1f} times its noise: heating at the surface does not explain that part"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ResidualHeating:
     """The residual of one record as a heating ratio.
 
@@ -131,6 +131,11 @@ class ResidualHeating:
                 for s in self.sensors
             ],
         }  # fmt: skip
+
+    def __repr__(self) -> str:
+        fitted = self.fitted
+        rms = float(np.sqrt(np.mean(self.delta_ratio[fitted] ** 2)))
+        return f"<ResidualHeating of {self.record.name}: {len(self.time_s)} knots, RMS {rms:.3g} of heating ratio>"
 
 
 def residual_heating(
