@@ -27,7 +27,7 @@ lane share is passed on from node to node (FRACTION, MOVES, LARGEST).
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -167,9 +167,18 @@ def _integral(value: float, first: float, half: float, t: float) -> tuple[float,
     return value + t * (first + bent), first + (bent + bent)
 
 
+class Properties(NamedTuple):
+    """Properties of a material at a node: enthalpy [J/kg], specific heat [J/(kg K)], theta [W/m], k [W/(m K)]."""
+
+    h: float
+    c: float
+    theta: float
+    k: float
+
+
 @njit
-def _properties(B: FloatArray, a: int, lane: int, foot: int, f: float) -> tuple[float, float, float, float]:
-    """Enthalpy [J/kg], specific heat [J/(kg K)], theta [W/m] and k [W/(m K)] at a node's temperature.
+def _properties(B: FloatArray, a: int, lane: int, foot: int, f: float) -> Properties:
+    """Properties at a node's temperature.
 
     f : fraction [-] between two pressure columns (docs/equations_thermal_step.md, equations 9 and 10)
     """
@@ -180,7 +189,7 @@ def _properties(B: FloatArray, a: int, lane: int, foot: int, f: float) -> tuple[
     k0 = B[x + 4 * LANES] + f * B[x + 7 * LANES]
     half = B[x + 5 * LANES] + f * B[x + 8 * LANES]
     theta, k = _integral(theta0, k0, half, t)
-    return h, c, theta, k
+    return Properties(h, c, theta, k)
 
 
 @force_inline
@@ -197,16 +206,15 @@ def _radiation_in_depth(T_K: float, begin_K: float) -> tuple[float, float]:
 
 
 @njit
-def _write_row(
-    B: FloatArray, a: int, lane: int, ddt: float,
-    h_left: float, c_left: float, theta_left: float, k_left: float, h: float, c: float, theta: float, k: float,
-) -> None:  # fmt: skip
+def _write_row(B: FloatArray, a: int, lane: int, ddt: float, before: Properties, behind: Properties) -> None:
     """Row of a node from its properties on either side, and its contribution to the row of its left neighbour.
 
     What crosses an element, heat conducted in d dt and heat content shared, is one term
     (docs/equations_thermal_step.md, equations 26 to 28).
     """
     left = a - NODE_ROWS * LANES
+    h_left, c_left, theta_left, k_left = before
+    h, c, theta, k = behind
     m_left, m_right = B[a + M_LEFT * LANES + lane], B[a + M_RIGHT * LANES + lane]
     e_left, cap_left, e_right, cap_right = m_left * h_left, m_left * c_left, m_right * h, m_right * c
     g_left = ddt * B[left + G * LANES + lane]
@@ -271,15 +279,13 @@ def _assemble_row(B: FloatArray, J: IntArray, table: FloatArray, i: int, ddt: fl
         for lane in range(LANES):
             f = B[left + FRACTION * LANES + lane]
             B[a + FRACTION * LANES + lane] = f
-            h_left, c_left, theta_left, k_left = _properties(B, a, lane, FOOT_LEFT, f)
-            h, c, theta, k = _properties(B, a, lane, FOOT, f)
-            _write_row(B, a, lane, ddt, h_left, c_left, theta_left, k_left, h, c, theta, k)
+            _write_row(B, a, lane, ddt, _properties(B, a, lane, FOOT_LEFT, f), _properties(B, a, lane, FOOT, f))
     else:
         for lane in range(LANES):
             f = B[left + FRACTION * LANES + lane]
             B[a + FRACTION * LANES + lane] = f
-            h, c, theta, k = _properties(B, a, lane, FOOT, f)
-            _write_row(B, a, lane, ddt, h, c, theta, k, h, c, theta, k)
+            own = _properties(B, a, lane, FOOT, f)
+            _write_row(B, a, lane, ddt, own, own)
     if J[IN_DEPTH] == 1:
         for lane in range(LANES):
             _add_in_depth(B, a, lane, ddt)
