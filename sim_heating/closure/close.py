@@ -7,6 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -36,6 +37,10 @@ from sim_heating.estimation.report.estimate_file import NAME
 from sim_heating.estimation.report.report import FIT_FILES, noise_floor_K, write_fit
 from sim_heating.heating.effects import effects
 from sim_heating.inputs.record import Record, load_record
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
 
 FILES = (*REPORT_FILES, NAME, *FIT_FILES)
 """Names of all files that a closed loop may write."""
@@ -67,15 +72,32 @@ class ClosedLoop:
     def __repr__(self) -> str:
         return repr(self.report).replace("Closure", "ClosedLoop", 1)
 
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects found, in the order in which they were added; else `none` or `unknown`."""
+        return tuple(effect.name for effect in self.report.effects)
+
+    def to_xarray(self) -> xr.Dataset:
+        """Parameters of the last fit: values, standard deviations, correlations."""
+        return self.fitted.to_xarray()
+
+    def plot(self) -> Figure:
+        """Measured temperatures, those of the model with the effects found, and the residual below."""
+        return self.fitted.plot()
+
 
 def close_loop(record: Record | str | os.PathLike[str], *, progress: Progress = no_progress) -> ClosedLoop:
     """Identify the effect that the declared model of a record lacks, add it, refit.
 
     record   : a flight record, or its directory
-    progress : called with the fraction done and a line of text
-    returns  : the search, the last fit, the report; nothing is written
-    raises   : InputError where its clocks are in different units or readings are too few, InputError or RunError
-               where not even the declared model can be fitted
+    progress : called with the fraction done, from 0 to 1, and a line of text
+    returns  : the effects found, the last fit with its bounds, errors before and after
+    raises   : InputError where its clocks are in two units, InputError, RunError where not even the declared model can
+             be fitted
+
+    >>> import sim_heating as sh
+    >>> sh.close_loop("scenarios/records/practice/p08")
+    <ClosedLoop of p08: impingement-onset, RMSE 1.67 K before, 1.29 K after>
     """
     record = load_record(record)
     times = int(np.count_nonzero(record.read_mask))

@@ -11,8 +11,10 @@ docs/estimation_statistics.md.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -38,10 +40,14 @@ from sim_heating.estimation.inference.observability import (
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.estimation.record_fit import PredictedSamples, RecordFit, Start, StartMaker, march_times, sensor_errors
 from sim_heating.heating.effects import EffectUse, use
-from sim_heating.inputs.record import Record, require_distinct_records
+from sim_heating.inputs.record import Record, load_record, require_distinct_records
 from sim_heating.march.history import table_excursions
 from sim_heating.simulation.predict import Prediction
 from sim_heating.simulation.predict import predict as predict_record
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
 
 FEWEST_SAMPLES = 3
 """Least number of sample times in a fit."""
@@ -81,7 +87,29 @@ class FitResult:
         values = zip(self.labels, self.fit.values, self.bounds.sigma, strict=True)
         found = ", ".join(f"{label}={value:.5g} +- {sigma:.2g}" for label, value, sigma in values)
         names = ", ".join(record_fit.record.name for record_fit in self.problem.record_fits)
-        return f"FitResult({names}: {found}; {self.fit.status.name.lower()})"
+        return f"<FitResult of {names}: {found}; {self.fit.status.name.lower()}>"
+
+    @property
+    def parameters(self) -> dict[str, tuple[float, float]]:
+        """Value and standard deviation of each estimated parameter, in the unit of the parameter."""
+        pairs = zip(self.fit.values.tolist(), self.bounds.sigma.tolist(), strict=True)
+        return dict(zip(self.labels, pairs, strict=True))
+
+    def to_xarray(self) -> xr.Dataset:
+        """Values, standard deviations and correlations of the parameters, each in its unit."""
+        import xarray as xr  # slow to import
+
+        data = {
+            "value": ("parameter", self.fit.values),
+            "sigma": ("parameter", self.bounds.sigma),
+            "correlation": (("parameter", "other_parameter"), self.correlation),
+        }
+        names = list(self.labels)
+        return xr.Dataset(data, {"parameter": names, "other_parameter": names})
+
+    def plot(self, record: int = 0) -> Figure:
+        """Measured temperatures of a record, those of the fitted model, and the residual below."""
+        return self.after[record].plot()
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -105,7 +133,7 @@ class FitResult:
 
 
 def estimate(
-    records: Sequence[Record],
+    records: Record | str | os.PathLike[str] | Sequence[Record | str | os.PathLike[str]],
     names: Sequence[str] | None = None,
     *,
     reference: Mapping[str, float] | None = None,
@@ -118,6 +146,7 @@ def estimate(
 ) -> FitResult:
     """Fit parameters to records, jointly: maximum a posteriori, by Newton's method.
 
+    records   : flight records or their directories, one or several
     names     : dotted names; by default magnitude [-] and five derivatives, as far as the records identify them
     reference : values of ratio variables that derivatives are about ([deg], [-]), where not the records' own
     effects   : effects in addition to the declared model, their parameters estimated where `names` includes them
@@ -132,29 +161,37 @@ def estimate(
 
     A fit that does not converge is returned, with its status. Source: docs/estimation_statistics.md, equations 13 to
     26 and 31; 32 to 35 with process noise.
+
+    >>> import sim_heating as sh
+    >>> fit = sh.estimate("scenarios/records/practice/p06", ["ratio.scale", "ratio.d_alpha"])
+    >>> fit
+    <FitResult of p06: ratio.scale=0.056346 +- 0.003, ratio.d_alpha=9.35e-05 +- 7e-05; converged>
+    >>> value, sigma = fit.parameters["ratio.scale"]
     """
-    _check_records(records)
-    checked = [without_stuck_sensors(record) for record in records]
-    records, stuck = [record for record, _ in checked], [line for _, lines in checked for line in lines]
-    wanted = tuple(names) if names is not None else default_names(records)
+    given = [records] if isinstance(records, (Record, str, os.PathLike)) else records
+    loaded = [load_record(record) for record in given]
+    _check_records(loaded)
+    checked = [without_stuck_sensors(record) for record in loaded]
+    loaded, stuck = [record for record, _ in checked], [line for _, lines in checked for line in lines]
+    wanted = tuple(names) if names is not None else default_names(loaded)
     options = FitOptions((*effects, *implied_effects(wanted, effects)), priors=priors, starts=starts)
-    condition = joint_reference(records, reference)
-    omitted = constant_variables(wanted, records) | parameters_without_heating(wanted, records)
-    remaining = _remaining_names(wanted, omitted, records)
+    condition = joint_reference(loaded, reference)
+    omitted = constant_variables(wanted, loaded) | parameters_without_heating(wanted, loaded)
+    remaining = _remaining_names(wanted, omitted, loaded)
     first = {} if settings is None else settings.first_values
-    problem = FitProblem(records, remaining, condition, options)
+    problem = FitProblem(loaded, remaining, condition, options)
     _check_samples(problem)
     begin = _first_values(problem, first)
     while True:
         labels, information = [u.label for u in problem.unknowns], _information(problem, begin)
-        worst = least_determined(labels, information, _ratio(problem, begin), records)
+        worst = least_determined(labels, information, _ratio(problem, begin), loaded)
         if not worst:
             break
         # one at a time: each omission lowers the bounds of the others
         omitted |= worst
         names_out = {label.partition(AT)[0] for label in worst}
-        remaining = _remaining_names([n for n in remaining if n not in names_out], omitted, records)
-        problem = FitProblem(records, remaining, condition, options)
+        remaining = _remaining_names([n for n in remaining if n not in names_out], omitted, loaded)
+        problem = FitProblem(loaded, remaining, condition, options)
         begin = _first_values(problem, first)
     fit, innovations = _fit(problem, begin, settings, progress), None
     if process_noise is not None and fit.status is not Status.NO_START:

@@ -5,6 +5,7 @@ The pictures show the planned and the optimal manoeuvre, the bounds along each n
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +25,7 @@ from sim_heating.estimation.design.information import PRESSURE, Experiment, desi
 from sim_heating.estimation.design.instruments import InstrumentVariant, instrumentation
 from sim_heating.estimation.design.planned_flight import SEARCH_TRAJECTORY, PlannedFlight, Planner
 from sim_heating.estimation.design.search import BoundsSweep, DesignSearch, DesignSearchResult
-from sim_heating.inputs.scenario import Scenario
+from sim_heating.inputs.scenario import Scenario, load_scenario
 from sim_heating.simulation.run import MANOEUVRE_VARIABLE
 from sim_heating.trajectory.flight import Window
 
@@ -65,7 +66,7 @@ class DesignResult:
     def __repr__(self) -> str:
         bounds = zip(self.wanted, self.found.best_experiment.sigma(self.wanted), strict=True)
         sigmas = ", ".join(f"sigma({name})={sigma:.2g}" for name, sigma in bounds)
-        return f"DesignResult({self.planner.point.name}: {sigmas}; {len(self.found.designs)} designs)"
+        return f"<DesignResult of {self.planner.point.name}: {sigmas}; {len(self.found.designs)} designs>"
 
     @property
     def wanted(self) -> tuple[str, ...]:
@@ -74,16 +75,22 @@ class DesignResult:
 
 
 def design(
-    scenario: Scenario,
+    scenario: Scenario | str | os.PathLike[str],
     *,
     repetitions: int = 0,
     progress: Progress = no_progress,
 ) -> DesignResult:
     """Search the most informative manoeuvres of a scenario, and the bounds with other instruments.
 
+    scenario    : a scenario with [design], or the path of its file
     repetitions : number of simulated fits of the best design that check its bounds
     raises      : InputError where there is nothing to design, RunError where no design keeps the limits
+
+    >>> import sim_heating as sh
+    >>> sh.design("scenarios/design_flap.toml")
+    <DesignResult of BODYFLAP: sigma(ratio.d_elevon)=5.8e-05, sigma(ratio.d_bodyflap)=4.3e-05; 64 designs>
     """
+    scenario = load_scenario(scenario)
     planner = Planner(scenario)
     progress(0.0, "flying as planned")
     search = DesignSearch(planner)
