@@ -203,7 +203,7 @@ def test_a_manoeuvre_that_does_not_identify_a_parameter_is_refused():
     [("parameters", ["ratio.d_alfa"]), ("nuisance", ["ratio.d_alfa"]), ("prior", {"ratio.d_alfa": 1e-4})],
 )
 def test_a_misspelt_parameter_is_reported_with_its_place_and_the_nearest(key, names):
-    message = rf"toml, \[design\], {key}: .*no parameter `ratio\.d_alfa`; did you mean `ratio\.d_alpha`"
+    message = rf"toml, \[design\], {key}: .*unknown parameter `ratio\.d_alfa`; did you mean `ratio\.d_alpha`"
     with pytest.raises(InputError, match=message):
         planner_of(**{key: names})
 

@@ -41,7 +41,7 @@ def run_estimate(capsys, *arguments: object) -> tuple[int, str]:
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["--parameters", "ratio.scal"], "no parameter `ratio.scal`; did you mean `ratio.scale`"),
+        (["--parameters", "ratio.scal"], "unknown parameter `ratio.scal`; did you mean `ratio.scale`"),
         (["--parameters", "sensor.LS_surfac.bias"], "unknown or unused sensor `LS_surfac`; did you mean `LS_surface`"),
         (["--parameters", "sensor.LS_surface.bais"], "unknown sensor parameter `bais`; did you mean `bias`"),
         (["--parameters", "effect.transitoin.factor"], "unknown effect `transitoin`; did you mean `transition`"),
