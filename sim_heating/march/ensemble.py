@@ -10,6 +10,7 @@ import os
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import groupby
 
 import numpy as np
@@ -179,7 +180,7 @@ class Ensemble:
         """A lane group as compiled time loops take it: views of its block and integers, tables and addresses."""
         return LaneGroup(self.block(group), self.integers(group), self.table, self.dispatcher, self.advance_address)
 
-    @property
+    @cached_property
     def lane_groups(self) -> LaneGroups:
         """All lane groups as compiled time loops take them."""
         return LaneGroups(self.state, self.ints, self.table, self.dispatcher, self.advance_address, self.groups)
@@ -416,7 +417,7 @@ class Ensemble:
         docs/equations_march.md, section 1.
         """
         vectors = self.spread(now)
-        begin_groups(self.lane_groups, vectors)
+        begin_groups(*self.lane_groups, vectors)
 
     def advance(self, then: FloatArray, dt: float) -> None:
         """Advance all points by one frame in one TR-BDF2 step, its conditions linear between the present and the new
@@ -432,7 +433,7 @@ class Ensemble:
         if not 0.0 < dt < np.inf:
             raise InputError(f"advance: dt is {dt:g} s; it must be above 0")
         vectors = self.spread(then)
-        advance_groups(self.lane_groups, vectors, dt, 1)
+        advance_groups(*self.lane_groups, vectors, dt, 1)
 
     def march(
         self,

@@ -87,44 +87,45 @@ def set_conditions(B: FloatArray, vectors: FloatArray, first: int, share: float)
 
 
 @njit
-def begin_groups(all_lanes: LaneGroups, now: FloatArray) -> None:
+def begin_groups(
+    state: FloatArray, ints: IntArray, table: FloatArray, dispatcher, advance, groups: IntArray, now: FloatArray
+) -> None:  # type: ignore[no-untyped-def]
     """Set the flight conditions at the present time and evaluate heat contents and heat flows [W/m2] with them.
 
-    all_lanes : the lane groups, whose blocks change
-    now       : (group * LANES, condition) conditions, in the units of their columns
+    state ... groups : all lane groups, as in LaneGroups; the state changes
+    now              : (group * LANES, condition) conditions, in the units of their columns
 
     Time does not advance. Needed at the start and after any change of temperatures or parameters from outside, because
     a step reuses the net heat that the step before left. Derived in docs/equations_march.md, section 1.
     """
-    groups, state, ints = all_lanes.groups, all_lanes.state, all_lanes.ints
     for g in range(len(groups)):
         B = state[groups[g, BLOCK_START] : groups[g, BLOCK_END]]
-        J = ints[groups[g, INTS_START] : groups[g, INTS_END]]
+        b, j, t = pointer(B), pointer(ints[groups[g, INTS_START] : groups[g, INTS_END]]), pointer(table)
         set_conditions(B, now, g * LANES, 1.0)
-        b, j, t = pointer(B), pointer(J), pointer(all_lanes.table)
-        call_step(all_lanes.advance, b, j, t, all_lanes.dispatcher, EVALUATE_START)
+        call_step(advance, b, j, t, dispatcher, EVALUATE_START)
 
 
 @njit
-def advance_groups(all_lanes: LaneGroups, then: FloatArray, dt: float, steps: int) -> None:
+def advance_groups(
+    state: FloatArray, ints: IntArray, table: FloatArray, dispatcher, advance, groups: IntArray, then: FloatArray,  # type: ignore[no-untyped-def]
+    dt: float, steps: int,
+) -> None:  # fmt: skip
     """Advance all lane groups by one frame of a host, its conditions linear between the present and the new ones.
 
-    all_lanes : the lane groups, whose blocks change
-    then      : (group * LANES, condition) conditions at the end of the frame, in the units of their columns
-    dt        : length of the frame [s];  steps : number of equal TR-BDF2 steps in it
+    state ... groups : all lane groups, as in LaneGroups; the state changes
+    then             : (group * LANES, condition) conditions at the end of the frame, in the units of their columns
+    dt               : length of the frame [s];  steps : number of equal TR-BDF2 steps in it
 
-    A step that does not converge is counted in its lane and raises nothing. Derived in docs/equations_march.md,
-    equation 3.
+    A step that does not converge is counted in its lane and raises nothing. Arguments one by one: a named tuple costs a
+    call from Python 1 us, a tenth of a frame. Derived in docs/equations_march.md, equation 3.
     """
-    groups, state, ints = all_lanes.groups, all_lanes.state, all_lanes.ints
     for g in range(len(groups)):
         B = state[groups[g, BLOCK_START] : groups[g, BLOCK_END]]
-        J = ints[groups[g, INTS_START] : groups[g, INTS_END]]
-        b, j, t = pointer(B), pointer(J), pointer(all_lanes.table)
+        b, j, t = pointer(B), pointer(ints[groups[g, INTS_START] : groups[g, INTS_END]]), pointer(table)
         for s in range(steps):
             shift_conditions(b)
             set_conditions(B, then, g * LANES, 1.0 / (steps - s))
-            call_step(all_lanes.advance, b, j, t, all_lanes.dispatcher, dt / steps)
+            call_step(advance, b, j, t, dispatcher, dt / steps)
 
 
 @njit

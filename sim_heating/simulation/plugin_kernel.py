@@ -212,7 +212,8 @@ def _heat_to(
     dt = frame[F_TIME] - host[THERMAL_FRAME + F_TIME]
     steps = max(math.ceil(dt / host[LONGEST_STEP] - 1e-9), 1)
     derive_conditions(frame, host, points, lanes, vectors)
-    advance_groups(all_lanes, vectors, dt, steps)
+    e = all_lanes
+    advance_groups(e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, vectors, dt, steps)
     error = _update_parabolas(all_lanes.state, places, published, dt)
     longer = math.pow(TARGET_SHARE * TOLERANCE_K / max(error, 1e-9), 1.0 / 3.0)
     host[WAIT] = min(host[LONGEST_WAIT], dt / steps * min(longer, LARGEST_GROWTH))
@@ -236,7 +237,8 @@ def heat_points(
     """
     if outcome == NOT_STARTED:
         derive_conditions(frame, host, points, lanes, vectors)
-        begin_groups(all_lanes, vectors)
+        e = all_lanes
+        begin_groups(e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, vectors)
         host[STARTED] = 1.0
         for i in range(len(frame)):
             host[THERMAL_FRAME + i] = frame[i]

@@ -52,6 +52,7 @@ from sim_heating.estimation.filter.arrays import (
     LaneStep,
     Noise,
     Readings,
+    SmootherHistory,
     State,
     StepReadings,
     Workspace,
@@ -283,9 +284,11 @@ def innovation(lower: float, upper: float, mean: float, variance: float) -> tupl
 
 
 @njit
-def _condition_on(step: LaneStep, q: int, f: FilterArrays, out: FloatArray) -> None:
+def _condition_on(
+    step: LaneStep, q: int, readings: Readings, state: State, taken: StepReadings, z: FloatArray,
+    transition: FloatArray, out: FloatArray,
+) -> None:  # fmt: skip
     """Condition z, P, the sensitivities and the other readings of the step on reading number q of the step."""
-    readings, state, taken, z = f.readings, f.state, f.taken, f.z
     lane, n, count, k = step.lane, step.nodes, step.number, step.first + q
     gain, m = readings.gain[lane, k], state.S.shape[2]
     predicted = out[N_OUT:]
@@ -313,7 +316,7 @@ def _condition_on(step: LaneStep, q: int, f: FilterArrays, out: FloatArray) -> N
             state.S[lane, i, j] -= share * predicted[j]
         if step.keep:
             for j in range(n + 1):
-                f.transition[i, j] -= share * (gain * own_row[j])
+                transition[i, j] -= share * (gain * own_row[j])
     for s in range(count):
         share = gain * own[s] * inverse
         taken.mean[s] += share * nu
@@ -327,20 +330,23 @@ def _condition_on(step: LaneStep, q: int, f: FilterArrays, out: FloatArray) -> N
 
 
 @njit
-def take_readings(step: LaneStep, f: FilterArrays, out: FloatArray) -> None:
+def take_readings(
+    step: LaneStep, readings: Readings, state: State, taken: StepReadings, z: FloatArray, transition: FloatArray,
+    history: SmootherHistory, out: FloatArray,
+) -> None:  # fmt: skip
     """Update a lane by the readings of one step, in order of time.
 
         K = g cov(z', T) / S,    z+ = z' + K nu,    P+ = P' - S K K'
 
-    step : the step
-    f    : arrays of the filter: state z [K], [-], covariances, sensitivities and the readings of the step are updated;
-           rows and transition for a smoother, where `step.keep`
-    out  : (reading, column) receives for each reading temperature before and after all readings of its time [K] with
-           variances [K2], prediction, innovation, log likelihood, sensitivities
+    step, readings      : the step; readings of all lanes
+    state, taken        : covariances and sensitivities; readings of the step; updated
+    z                   : (node + 1,) temperatures [K] and disturbance [-], updated
+    transition, history : for a smoother, where `step.keep`
+    out                 : (reading, column) receives for each reading temperature before and after all readings of its
+                          time [K] with variances [K2], prediction, innovation, log likelihood, sensitivities
 
     A reading without an interval (NaN) is predicted and changes nothing. Derived in docs/filter.md, equations 7 to 14.
     """
-    readings, taken = f.readings, f.taken
     lane, first, count = step.lane, step.first, step.number
     begun = 0
     for q in range(count):
@@ -357,8 +363,8 @@ def take_readings(step: LaneStep, f: FilterArrays, out: FloatArray) -> None:
                 out[first + s, PRIOR], out[first + s, PRIOR_VARIANCE] = taken.mean[s], taken.covariance[s, s]
         if step.keep:
             for j in range(step.nodes + 1):
-                f.history.rows[lane, k, j] = readings.gain[lane, k] * taken.rows[q, j]
-        _condition_on(step, q, f, out[k])
+                history.rows[lane, k, j] = readings.gain[lane, k] * taken.rows[q, j]
+        _condition_on(step, q, readings, state, taken, z, transition, out[k])
         for s in range(begun, q + 1):
             out[first + s, POSTERIOR], out[first + s, POSTERIOR_VARIANCE] = taken.mean[s], taken.covariance[s, s]
 
@@ -447,7 +453,7 @@ def filter_lane(
             for j in range(n + 1):
                 transition[i, j] = f.first.end[i, 1 + m + size + j]
         transition[n, n] = decay
-    take_readings(step, f, out)
+    take_readings(step, readings, state, taken, z, transition, history, out)
     if keep:
         history.mean[lane, k, : n + 1] = z[: n + 1]
         history.covariance[lane, k] = state.P[lane]

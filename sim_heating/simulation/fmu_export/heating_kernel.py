@@ -48,7 +48,6 @@ from sim_heating.march.frames import (
     BLOCK_START,
     INTS_END,
     INTS_START,
-    LaneGroups,
     advance_groups,
     begin_groups,
 )
@@ -153,7 +152,7 @@ def _begin(R, N, A, inputs, time: float) -> None:  # type: ignore[no-untyped-def
     state, ints = carray(at(R, N[STATE]), N[N_STATE]), carray(at(N, N[INTS]), N[N_INTS])
     vectors = carray(at(R, N[VECTORS]), (N[N_ROWS], N_CONDITIONS))
     table = carray(at(R, N[TABLE]), N[N_TABLE])
-    begin_groups(LaneGroups(state, ints, table, A[0], A[1], groups), vectors)
+    begin_groups(state, ints, table, A[0], A[1], groups, vectors)
 
 
 @inline_always
@@ -164,7 +163,7 @@ def _advance(R, N, A, inputs, time: float, dt: float) -> None:  # type: ignore[n
     vectors = carray(at(R, N[VECTORS]), (N[N_ROWS], N_CONDITIONS))
     steps = max(math.ceil(dt / R[N[OPTIONS] + LONGEST_STEP] - 1e-9), 1)
     table = carray(at(R, N[TABLE]), N[N_TABLE])
-    advance_groups(LaneGroups(state, ints, table, A[0], A[1], groups), vectors, dt, steps)
+    advance_groups(state, ints, table, A[0], A[1], groups, vectors, dt, steps)
 
 
 @njit
