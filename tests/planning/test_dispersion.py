@@ -16,7 +16,7 @@ from sim_heating.march.history import march_points
 from sim_heating.planning.dispersion.entry import BATCH, DIFFERENCE, SOBOL, Batch, DispersedEntry
 from sim_heating.planning.dispersion.flight import COMPLETED, LEFT_ATMOSPHERE, entry_with_deviations
 from sim_heating.planning.dispersion.results import batches_of, evaluate, exact_slopes, notes_of
-from sim_heating.planning.dispersion.spec import Input
+from sim_heating.planning.dispersion.spec import DispersedInput
 from sim_heating.planning.dispersion.statistics import (
     deviations,
     indices,
@@ -127,7 +127,10 @@ def test_rows_are_standard_normal():
 
 
 def test_a_uniform_input_stays_between_its_ends_and_a_normal_one_has_its_sigma():
-    inputs = [Input(name="entry.gamma_deg", low=-0.1, high=0.3), Input(name="vehicle.mass_kg", sigma=50.0)]
+    inputs = [
+        DispersedInput(name="entry.gamma_deg", low=-0.1, high=0.3),
+        DispersedInput(name="vehicle.mass_kg", sigma=50.0),
+    ]
     deviation = deviations(inputs, sobol_rows(2, 1, 0, 0, 1024))
     assert deviation[:, 0].min() >= -0.1
     assert deviation[:, 0].max() <= 0.3

@@ -29,7 +29,7 @@ from sim_heating.planning.dispersion.flight import (
     input_labels,
 )
 from sim_heating.planning.dispersion.march import FlightPeaks, LaneMarch, ParameterPlace, model_without_sensors
-from sim_heating.planning.dispersion.spec import FLIGHT_INPUTS, LARGEST_SIGMAS, Dispersion, Input
+from sim_heating.planning.dispersion.spec import FLIGHT_INPUTS, LARGEST_SIGMAS, DispersedInput, Dispersion
 from sim_heating.planning.dispersion.statistics import axis_rows, deviations, random_rows, saltelli_rows, sobol_rows
 from sim_heating.planning.ratio_table_modes import table_factors, table_modes
 from sim_heating.planning.study import Study
@@ -72,7 +72,7 @@ class DispersedEntry:
             raise InputError(f"{study.path}: has no [dispersion]")
         self.study = study
         self.spec: Dispersion = study.declared.dispersion
-        self.inputs: list[Input] = self.spec.input
+        self.inputs: list[DispersedInput] = self.spec.input
         self.labels = input_labels(self.inputs)
         self.points = study.points
         self.effects = [study.base.effects(p.point.name) for p in self.points]
@@ -268,9 +268,9 @@ class DispersedEntry:
         if problems:
             raise InputError(*problems)
 
-    def _check_input(self, i: Input, k: int) -> None:
+    def _check_input(self, i: DispersedInput, k: int) -> None:
         low, high = (i.low, i.high) if i.sigma is None else (-LARGEST_SIGMAS * i.sigma, LARGEST_SIGMAS * i.sigma)
-        assert low is not None  # Input has either sigma or both ends
+        assert low is not None  # DispersedInput has either sigma or both ends
         assert high is not None
         for name in i.control_points or []:
             self.study.vehicle.control_point(name)
@@ -292,14 +292,14 @@ class DispersedEntry:
                     f"{definition.upper:g} at {model.name}, by {LARGEST_SIGMAS:g} sigma; make it narrower, or uniform"
                 )
 
-    def _places_of(self, i: Input) -> list[ParameterPlace]:
+    def _places_of(self, i: DispersedInput) -> list[ParameterPlace]:
         return [
             self.lanes.place_of(p, i.name)
             for p, point in enumerate(self.points)
             if i.control_points is None or point.point.name in i.control_points
         ]
 
-    def _check_flight_input(self, i: Input, label: str, low: float, high: float) -> None:
+    def _check_flight_input(self, i: DispersedInput, label: str, low: float, high: float) -> None:
         aero = self.sampler.aero
         for value in (low, high):
             spec = entry_with_deviations(self.sampler.base, self.inputs, {label: value})

@@ -23,7 +23,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.block import H_REF, N_CONDITIONS, P_SURFACE, Q_ADD, TIME
 from sim_heating.base.kernels.jit import njit, pointer
 from sim_heating.heating.atmosphere import HIGHEST_M
-from sim_heating.planning.dispersion.spec import Input
+from sim_heating.planning.dispersion.spec import DispersedInput
 from sim_heating.simulation.plugin_kernel import derive_conditions
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import manoeuvres as mv
@@ -65,7 +65,7 @@ def planned_entry(spec: TrajectorySpec, vehicle_dir: Path) -> TrajectorySpec:
 
 
 def entry_with_deviations(
-    base: TrajectorySpec, inputs: Sequence[Input], deviations: Mapping[str, float]
+    base: TrajectorySpec, inputs: Sequence[DispersedInput], deviations: Mapping[str, float]
 ) -> TrajectorySpec:
     """A planned entry with deviations by the label of their input, in its unit; AERO_FACTORS are left out."""
     given = {name: value for name, value in deviations.items() if name not in AERO_FACTORS}
@@ -92,7 +92,9 @@ def _below(deviations: Mapping[str, float], prefix: str) -> dict[str, float]:
     return {n.removeprefix(prefix): v for n, v in deviations.items() if n.startswith(prefix)}
 
 
-def _atmosphere(base: TrajectorySpec, inputs: Sequence[Input], deviations: Mapping[str, float]) -> dict[str, Any]:
+def _atmosphere(
+    base: TrajectorySpec, inputs: Sequence[DispersedInput], deviations: Mapping[str, float]
+) -> dict[str, Any]:
     """Density factors and winds over altitude, at all altitudes that any of their profiles names."""
     changed: dict[str, Any] = {}
     for name, key, neutral in (
@@ -112,7 +114,7 @@ def _atmosphere(base: TrajectorySpec, inputs: Sequence[Input], deviations: Mappi
     return changed
 
 
-def input_labels(inputs: Sequence[Input]) -> list[str]:
+def input_labels(inputs: Sequence[DispersedInput]) -> list[str]:
     """A unique label for each input: several profiles of one name become `air.density#0`, `air.density#1`."""
     count: dict[str, int] = {}
     labels = []
@@ -182,7 +184,7 @@ class EntrySampler:
         """Interval between kept frames [s]."""
         return self.dt_s * self.every
 
-    def fly(self, inputs: Sequence[Input], deviations: Sequence[Mapping[str, float]]) -> SampledFlights:
+    def fly(self, inputs: Sequence[DispersedInput], deviations: Sequence[Mapping[str, float]]) -> SampledFlights:
         """Fly once for each set of deviations, given by the labels of the inputs."""
         specs = [entry_with_deviations(self.base, inputs, d) for d in deviations]
         count = len(specs)

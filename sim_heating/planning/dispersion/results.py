@@ -275,7 +275,7 @@ class PeakStatistics:
 
 
 @dataclass(frozen=True)
-class TableExcursion:
+class RatioTableExcursion:
     """Flights that left the ratio table of a point in one variable, and the largest distance from it."""
 
     point: str
@@ -300,7 +300,7 @@ class DispersionResult:
     entry: DispersedEntry
     columns: Columns
     peaks: list[PeakStatistics]
-    excursions: list[TableExcursion]
+    excursions: list[RatioTableExcursion]
     within_limits: Probability
     within_limits_and_data: Probability
     completed: Probability
@@ -389,7 +389,7 @@ def _compare_first_order(
     }  # fmt: skip
 
 
-def _table_excursions(entry: DispersedEntry, columns: Columns) -> tuple[list[TableExcursion], BoolArray]:
+def _table_excursions(entry: DispersedEntry, columns: Columns) -> tuple[list[RatioTableExcursion], BoolArray]:
     """Flights beyond the axes of the ratio tables, and (flight,) whether it is one; an axis of one value has no end."""
     excursions, outside = [], np.zeros(len(columns["outcome"]), dtype=bool)
     for limited in entry.points:
@@ -397,7 +397,7 @@ def _table_excursions(entry: DispersedEntry, columns: Columns) -> tuple[list[Tab
             distance = np.maximum(axis[0] - columns[f"least.{variable}"], columns[f"most.{variable}"] - axis[-1])
             if len(axis) > 1 and np.any(distance > 0.0):
                 count = int(np.count_nonzero(distance > 0.0))
-                excursions.append(TableExcursion(limited.point.name, variable, count, float(np.max(distance))))
+                excursions.append(RatioTableExcursion(limited.point.name, variable, count, float(np.max(distance))))
                 outside |= distance > 0.0
     return excursions, outside
 
@@ -494,7 +494,7 @@ def notes_of(result: DispersionResult) -> list[str]:
 
 
 def _excursion_notes(result: DispersionResult) -> list[str]:
-    by_variable: dict[str, list[TableExcursion]] = {}
+    by_variable: dict[str, list[RatioTableExcursion]] = {}
     for o in result.excursions:
         by_variable.setdefault(o.variable, []).append(o)
     lines = []

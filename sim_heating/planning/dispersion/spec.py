@@ -49,7 +49,7 @@ LARGEST_SIGMAS = 5.0
 """Standard deviations that a normal deviation stays within: one in two million lies beyond."""
 
 
-class Input(Declared):
+class DispersedInput(Declared):
     """One uncertain input: normal with `sigma`, or uniform from `low` to `high`; both as deviations."""
 
     name: str
@@ -76,7 +76,7 @@ class Input(Declared):
         return over
 
     @model_validator(mode="after")
-    def _has_one_distribution(self) -> Input:
+    def _has_one_distribution(self) -> DispersedInput:
         uniform = self.low is not None and self.high is not None and self.low < self.high
         if (self.sigma is None) != uniform or (self.sigma is not None and (self.low, self.high) != (None, None)):
             raise ValueError(f"`{self.name}`: give sigma, or low and high with low below high")
@@ -133,7 +133,7 @@ class Dispersion(Declared):
     step_s: float = Field(default=0.5, gt=0.0, le=5.0)
     thermal_step_s: float = Field(default=4.0, gt=0.0, le=60.0)
     spot_checks: int = Field(default=0, ge=0, le=100)
-    input: list[Input] = Field(default=[])
+    input: list[DispersedInput] = Field(default=[])
 
     @field_validator("quantiles")
     @classmethod

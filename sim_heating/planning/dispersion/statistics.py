@@ -24,7 +24,7 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import binom, binomtest, qmc
 
 from sim_heating.base.arrays import BoolArray, FloatArray, IntArray
-from sim_heating.planning.dispersion.spec import LARGEST_SIGMAS, Input
+from sim_heating.planning.dispersion.spec import LARGEST_SIGMAS, DispersedInput
 
 # Designs -------------------------------------------------------------------------------------------------------------
 
@@ -87,14 +87,14 @@ def normal_numbers(u: FloatArray) -> FloatArray:
     return np.clip(ndtri(u), -LARGEST_SIGMAS, LARGEST_SIGMAS)
 
 
-def deviations(inputs: Sequence[Input], z: FloatArray) -> FloatArray:
+def deviations(inputs: Sequence[DispersedInput], z: FloatArray) -> FloatArray:
     """(flight, input) deviations, each in the unit of its input, from standard normal rows (flight, input)."""
     columns = [i.sigma * z[:, k] if i.sigma is not None else _uniform(i, ndtr(z[:, k])) for k, i in enumerate(inputs)]
     return np.column_stack(columns) if columns else np.zeros((len(z), 0))
 
 
-def _uniform(i: Input, u: FloatArray) -> FloatArray:
-    assert i.low is not None  # Input has either sigma or both ends
+def _uniform(i: DispersedInput, u: FloatArray) -> FloatArray:
+    assert i.low is not None  # DispersedInput has either sigma or both ends
     assert i.high is not None
     return i.low + (i.high - i.low) * u
 

@@ -89,7 +89,7 @@ class EntrySearch:
     def _problem(self) -> OptimalControlProblem:
         file, points = self.study.declared, len(self.with_bondline_limit)
         x, u = ca.MX.sym("x", od.STATES + points), ca.MX.sym("u", 2)
-        air = tables.air()
+        air = tables.atmosphere_splines()
         h, V, alpha = x[od.ALTITUDE], x[od.SPEED], u[od.ALPHA]
         coefficients = tables.lift_drag(self.study, self.aero)(ca.vertcat(V / air.sound(h), alpha))
         force = 0.5 * ca.exp(air.ln_density(h)) * V**2 * self.aero.area_m2 / self.aero.mass_kg
@@ -232,7 +232,7 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class SearchRound:
+class OptimisationRound:
     """One optimisation and the march along its solution: the flight found, its mesh, and the marched peaks."""
 
     cross_range_deg: float
@@ -261,7 +261,7 @@ class OptimalEntry:
     histories: tuple[PointHistory, ...]
     peaks: tuple[PeakTemperatures, ...]
     nominal: tuple[PeakTemperatures, ...]
-    rounds: tuple[SearchRound, ...]
+    rounds: tuple[OptimisationRound, ...]
     status: str
     notes: tuple[str, ...] = ()
 
@@ -322,7 +322,7 @@ def fly_optimal(study: OptimalStudy, *, progress: Progress = lambda _: None) -> 
         search.wall is not None,
         [],
     )
-    motion, rounds = search.guess(), list[SearchRound]()
+    motion, rounds = search.guess(), list[OptimisationRound]()
     mesh = np.linspace(0.0, 1.0, study.declared.intervals + 1)
     transcription = Transcription(search.problem, mesh)
     for _ in range(ROUNDS):
@@ -332,7 +332,7 @@ def fly_optimal(study: OptimalStudy, *, progress: Progress = lambda _: None) -> 
             raise RunError(_failure(study, rounds, str(error))) from None
         peaks = search.peaks(search.march(search.conditions(motion), search.models))
         worst = float(np.max(motion.errors))
-        rounds.append(SearchRound(
+        rounds.append(OptimisationRound(
             float(np.degrees(motion.goal)), motion.duration_s, len(motion.mesh) - 1, worst, motion.iterations, peaks
         ))  # fmt: skip
         progress(_round_line(rounds[-1]))
@@ -384,7 +384,7 @@ def _load_per_K(s: _Steering, i: int, bondline_K: float) -> float:
     return proportional
 
 
-def _entry(search: EntrySearch, motion: Motion, rounds: Sequence[SearchRound]) -> OptimalEntry:
+def _entry(search: EntrySearch, motion: Motion, rounds: Sequence[OptimisationRound]) -> OptimalEntry:
     flown = search.conditions(motion)
     histories = search.march(flown, search.models)
     peaks = search.peaks(histories)
@@ -408,7 +408,7 @@ def _status(entry: OptimalEntry) -> str:
     return f"optimal after {len(entry.rounds)} rounds: {limits}{probability}"
 
 
-def _round_line(r: SearchRound) -> str:
+def _round_line(r: OptimisationRound) -> str:
     margins = [m for p in r.peaks for m in p.margins() if np.isfinite(m)]
     least = f", least margin {min(margins):.1f} K" if margins else ""
     return (
@@ -416,7 +416,7 @@ def _round_line(r: SearchRound) -> str:
     )
 
 
-def _failure(study: OptimalStudy, rounds: Sequence[SearchRound], why: str) -> str:
+def _failure(study: OptimalStudy, rounds: Sequence[OptimisationRound], why: str) -> str:
     """Message that states why no flight was found, and which limit the last solution violated most."""
     if not rounds or not rounds[-1].peaks:
         return f"optimal entry `{study.title}`: {why}"

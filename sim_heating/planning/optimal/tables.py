@@ -90,18 +90,18 @@ def conditions_along(
 
 
 @dataclass(frozen=True)
-class Air:
+class AtmosphereSplines:
     """Splines over altitude [m]: natural logarithm of density [kg/m3], speed of sound [m/s]."""
 
     ln_density: Any
     sound: Any
 
 
-def air() -> Air:
+def atmosphere_splines() -> AtmosphereSplines:
     """US76 as splines."""
     z = np.arange(0.0, HIGHEST_M + 1.0, ALTITUDE_STEP_M)
     T, _, rho = us76(z)
-    return Air(_spline("ln_density", [z], np.log(rho)), _spline("sound", [z], speed_of_sound(T)))
+    return AtmosphereSplines(_spline("ln_density", [z], np.log(rho)), _spline("sound", [z], speed_of_sound(T)))
 
 
 def lift_drag(study: OptimalStudy, aero: Aerodynamics) -> Any:
