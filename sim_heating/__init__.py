@@ -22,9 +22,12 @@ if TYPE_CHECKING:
     from sim_heating.base.kernels.jit import njit as njit
     from sim_heating.base.parameters import Parameter as Parameter
     from sim_heating.closure.close import close_loop as close_loop
+    from sim_heating.closure.close import write_closed_loop as write_closed_loop
     from sim_heating.closure.revise.report import update_tables as update_tables
     from sim_heating.estimation.design.report import design as design
+    from sim_heating.estimation.design.report import write_design as write_design
     from sim_heating.estimation.fit import estimate as estimate
+    from sim_heating.estimation.report.report import write_fit as write_fit
     from sim_heating.heating.effects import Effect as Effect
     from sim_heating.heating.effects import SearchStart as SearchStart
     from sim_heating.heating.effects import effects as effects
@@ -37,8 +40,11 @@ if TYPE_CHECKING:
     from sim_heating.simulation.fmu_export.export import export_fmu as export_fmu
     from sim_heating.simulation.plugin import HeatingPlugin as HeatingPlugin
     from sim_heating.simulation.predict import predict as predict
+    from sim_heating.simulation.predict import write_prediction as write_prediction
     from sim_heating.simulation.run import run as run
+    from sim_heating.simulation.run import write_run as write_run
     from sim_heating.simulation.synthesize import synthesize as synthesize
+    from sim_heating.simulation.synthesize import write_records as write_records
 
     __version__: str
 
@@ -60,6 +66,13 @@ _HOME = {
     "update_tables": "closure.revise.report",
     # plan
     "plan": "planning.plan",
+    # write results into a directory, all files or none
+    "write_run": "simulation.run",
+    "write_records": "simulation.synthesize",
+    "write_prediction": "simulation.predict",
+    "write_fit": "estimation.report.report",
+    "write_design": "estimation.design.report",
+    "write_closed_loop": "closure.close",
     # effects, those of users among them
     "Effect": "heating.effects",
     "SearchStart": "heating.effects",

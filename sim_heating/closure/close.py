@@ -6,7 +6,6 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -231,7 +230,7 @@ def _candidate_scores(result: SearchResult) -> list[CandidateScore]:
     ]
 
 
-def write_closed_loop(closed: ClosedLoop, out: Path) -> list[str]:
+def write_closed_loop(closed: ClosedLoop, out: str | os.PathLike[str]) -> list[str]:
     """Write all files of a closed loop into a folder, or none.
 
     returns : names of closure.json, report.html, residual_heating.csv, and the last fit's estimate.json with its files

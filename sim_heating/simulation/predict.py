@@ -160,7 +160,7 @@ def summary(prediction: Prediction) -> dict[str, object]:
     }
 
 
-def write_prediction(prediction: Prediction, out: Path) -> list[str]:
+def write_prediction(prediction: Prediction, out: str | os.PathLike[str]) -> list[str]:
     """Write temperatures.csv, summary.json and a picture; returns the names of the files."""
     record, history = prediction.record, prediction.history
     with output_directory(out) as folder:

@@ -257,7 +257,7 @@ def _picture_of(number: int, kind: str) -> str:
     return f"manoeuvre_{number}_{kind}.png"
 
 
-def write_run(result: RunResult, out: Path, *, progress: Progress = no_progress) -> list[str]:
+def write_run(result: RunResult, out: str | os.PathLike[str], *, progress: Progress = no_progress) -> list[str]:
     """Write all files of a run, all together or not at all; returns their names within the directory."""
     with output_directory(out) as folder:
         write_json(folder / SUMMARY, summary(result))

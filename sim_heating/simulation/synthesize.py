@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -145,11 +144,14 @@ def files_of(scenario: Scenario) -> list[str]:
     return [TRUTH, *(f"{folder}{n}" for folder in folders for n in (DECLARATION, CONDITIONS, THERMOCOUPLES, TABLE))]
 
 
-def write_records(scenario: Scenario, records: dict[str, Record], out: Path) -> list[str]:
+def write_records(
+    scenario: Scenario | str | os.PathLike[str], records: dict[str, Record], out: str | os.PathLike[str]
+) -> list[str]:
     """Write the records and truth.toml; a single record goes into `out` itself.
 
     returns : names of the files and folders in `out`
     """
+    scenario = load_scenario(scenario)
     comment = f"Synthetic: {scenario.title}. Made by sim-heating synthesize."
     with output_directory(out) as folder:
         for name, record in records.items():

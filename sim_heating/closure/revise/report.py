@@ -98,9 +98,16 @@ def update_tables(
     returns : the update, its errors before and after, what was written
     raises  : InputError where estimate and vehicle do not belong together, or the place cannot be written
 
+    >>> from tempfile import TemporaryDirectory
     >>> import sim_heating as sh
-    >>> sh.update_tables(estimate_directory, "orbiter", folder / "vehicles")
-    0
+    >>> scenario = sh.load_scenario("scenarios/recorded_sts107.toml")
+    >>> with TemporaryDirectory() as folder:
+    ...     files = sh.write_records(scenario, sh.synthesize(scenario), f"{folder}/records")
+    ...     fit = sh.estimate(f"{folder}/records/V09T9527", ["ratio.scale"])
+    ...     files = sh.write_fit(fit, f"{folder}/fit")
+    ...     updated = sh.update_tables(f"{folder}/fit", "orbiter", f"{folder}/vehicles")
+    >>> updated
+    <UpdatedTables of V09T9527: 105 nodes changed, revision 2>
     """
     target = None if out is None else Path(out)
     if not dry_run:

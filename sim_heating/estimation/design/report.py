@@ -239,7 +239,7 @@ def bounds_csv(designed: DesignResult) -> str:
     return bounds_table(designed, designed.planner.design.flights).csv(".6g")
 
 
-def write_design(designed: DesignResult, out: Path) -> list[str]:
+def write_design(designed: DesignResult, out: str | os.PathLike[str]) -> list[str]:
     """Write design.json, bounds.csv and pictures; returns the names of the files."""
 
     with output_directory(out) as folder:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -222,7 +223,7 @@ def write_trend(trend: Trend, out: Path) -> list[str]:
         return sorted(p.name for p in folder.iterdir() if p.is_file())
 
 
-def write_fit(fitted: FitResult, out: Path) -> list[str]:
+def write_fit(fitted: FitResult, out: str | os.PathLike[str]) -> list[str]:
     """Write estimate.json, temperatures and pictures; returns the names of the files."""
     from sim_heating.estimation.report.filtered import filtered_history, write_filtered
     from sim_heating.estimation.report.plots import draw_fit  # matplotlib is slow to import, and needed only here
