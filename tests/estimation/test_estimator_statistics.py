@@ -43,7 +43,7 @@ def test_95_percent_bounds_cover_the_truth_in_95_percent_of_fits(found: Repetiti
 
 
 def test_stated_sigmas_are_the_scatter_of_the_estimates(found: Repetitions) -> None:
-    assert np.all(np.abs(np.log(found.covered)) < 3.3 / np.sqrt(2.0 * TRIALS))
+    assert np.all(np.abs(np.log(found.sigma_over_scatter)) < 3.3 / np.sqrt(2.0 * TRIALS))
 
 
 def test_residual_tests_reject_as_often_as_their_level(found: Repetitions) -> None:
