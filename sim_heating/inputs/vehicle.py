@@ -229,7 +229,7 @@ def _derive(path: Path, material: DerivedMaterial, whole: Mapping[str, Material]
     if material.based_on not in whole:
         hint = suggestion(material.based_on, whole, otherwise="")
         raise InputError(
-            f"{display_path(path)}: `based_on`: there is no material `{material.based_on}` given whole{hint}"
+            f"{display_path(path)}: `based_on`: `{material.based_on}` is not a material that is given whole{hint}"
         )
     return check(material.apply(whole[material.based_on]), Material, display_path(path))
 

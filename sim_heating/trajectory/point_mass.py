@@ -140,6 +140,16 @@ def flap_kernel(flight: FloatArray, mach: float, speed: float, d_flap_deg: float
     return clip(base + d_flap_deg, flight[FLAP_LOW], flight[FLAP_HIGH])
 
 
+class Controls(NamedTuple):
+    """Angle of attack, bank about the velocity, sideslip, and offsets of elevon and body flap [deg]."""
+
+    alpha_deg: float
+    bank_deg: float
+    beta_deg: float
+    d_elevon_deg: float
+    d_flap_deg: float
+
+
 class Forces(NamedTuple):
     """Air, aerodynamics in trim, and dv/dt in rotating Earth-fixed axes [m/s2]."""
 
@@ -155,8 +165,7 @@ class Forces(NamedTuple):
 @njit
 def forces_kernel(
     x: float, y: float, z: float, vx: float, vy: float, vz: float,
-    alpha_deg: float, bank_deg: float, beta_deg: float, d_elevon_deg: float, d_flap_deg: float,
-    flight: FloatArray, aero: FloatArray,
+    controls: Controls, flight: FloatArray, aero: FloatArray,
 ) -> Forces:  # fmt: skip
     """Forces on the vehicle at a position and velocity."""
     air = air_at(x, y, z, vx, vy, vz, flight)
@@ -165,15 +174,15 @@ def forces_kernel(
     gx += w * (2.0 * vy + w * x)
     gy += w * (w * y - 2.0 * vx)
     V = air.speed_m_s
-    flap = flap_kernel(flight, air.mach, V, d_flap_deg)
-    cl, cd, ca, elevon = lift_drag_kernel(air.mach, alpha_deg, flap, d_elevon_deg, flight, aero)
+    flap = flap_kernel(flight, air.mach, V, controls.d_flap_deg)
+    cl, cd, ca, elevon = lift_drag_kernel(air.mach, controls.alpha_deg, flap, controls.d_elevon_deg, flight, aero)
     pressure = 0.5 * air.rho_kg_m3 * V * V * flight[AREA] / flight[MASS]
     e = (air.u[0] / V, air.u[1] / V, air.u[2] / V)
     side = cross(e, air.up)
     n = max(math.sqrt(dot(side, side)), 1e-9)
     lift = cross(side, e)
-    s, c = math.sin(math.radians(bank_deg)), math.cos(math.radians(bank_deg))
-    cy = flight[CY_BETA] * math.radians(beta_deg)
+    s, c = math.sin(math.radians(controls.bank_deg)), math.cos(math.radians(controls.bank_deg))
+    cy = flight[CY_BETA] * math.radians(controls.beta_deg)
     up_force, side_force, drag = pressure * (cl * c - cy * s) / n, pressure * (cl * s + cy * c) / n, pressure * cd
     ax = gx - drag * e[0] + up_force * lift[0] + side_force * side[0]
     ay = gy - drag * e[1] + up_force * lift[1] + side_force * side[1]
@@ -185,9 +194,8 @@ def forces_kernel(
 def observe_kernel(state: FloatArray, flight: FloatArray, aero: FloatArray, work: FloatArray, row: FloatArray) -> None:
     """Write the observation of guidance and the acceleration, work[:K1 + 3], and the frame's row (flight.ROW)."""
     x, y, z, vx, vy, vz = state[X], state[Y], state[Z], state[VX], state[VY], state[VZ]
-    f = forces_kernel(
-        x, y, z, vx, vy, vz, state[ALPHA], state[BANK], state[BETA], state[D_ELEVON], state[D_FLAP], flight, aero
-    )
+    controls = Controls(state[ALPHA], state[BANK], state[BETA], state[D_ELEVON], state[D_FLAP])
+    f = forces_kernel(x, y, z, vx, vy, vz, controls, flight, aero)
     air, V, observed = f.air, f.air.speed_m_s, work
     work[K1], work[K1 + 1], work[K1 + 2] = f.acceleration_m_s2
     qbar = 0.5 * air.rho_kg_m3 * V * V
@@ -271,8 +279,8 @@ def net_gravity(
 @njit
 def command_kernel(
     state: FloatArray, flight: FloatArray, block: FloatArray, script: FloatArray, work: FloatArray, dt_s: float
-) -> tuple[float, float, float, float, float]:
-    """Alpha, bank, beta, elevon and body-flap offsets to be reached at the end of a step; starts manoeuvres.
+) -> Controls:
+    """Controls to be reached at the end of a step; starts manoeuvres.
 
     Speed and Mach at the end of the step are extrapolated, so that a manoeuvre starts inside the step in which its
     trigger is passed and not after it.
@@ -287,18 +295,18 @@ def command_kernel(
     state[JETS] = clip(work[OFFSETS + mv.JETS], 0.0, 1.0)
     alpha, bank = state[MEMORY + gd.ALPHA_COMMAND] + work[OFFSETS + mv.ALPHA], state[MEMORY + gd.BANK_COMMAND]
     beta, elevon, flap = work[OFFSETS + mv.BETA], work[OFFSETS + mv.ELEVON], work[OFFSETS + mv.BODYFLAP]
-    return clip(alpha, block[gd.ALPHA_LOW], block[gd.ALPHA_HIGH]), bank, beta, elevon, flap
+    return Controls(clip(alpha, block[gd.ALPHA_LOW], block[gd.ALPHA_HIGH]), bank, beta, elevon, flap)
 
 
 @njit
 def runge_kutta_step(
-    state: FloatArray, flight: FloatArray, aero: FloatArray, work: FloatArray, dt_s: float,
-    alpha: float, bank: float, beta: float, d_elevon: float, d_flap: float,
-) -> None:  # fmt: skip
+    state: FloatArray, flight: FloatArray, aero: FloatArray, work: FloatArray, dt_s: float, controls: Controls
+) -> None:
     """Classical fourth-order step of position and velocity, controls linear from the state's to the given ones.
 
-    work : holds the acceleration at the beginning of the step, as observe_kernel left it
+    work : contains the acceleration at the beginning of the step, as observe_kernel left it
     """
+    alpha, bank, beta, d_elevon, d_flap = controls
     x, y, z, vx, vy, vz = state[X], state[Y], state[Z], state[VX], state[VY], state[VZ]
     kx, ky, kz, lx, ly, lz = vx, vy, vz, work[K1], work[K1 + 1], work[K1 + 2]
     sx, sy, sz, ax, ay, az = kx / 6.0, ky / 6.0, kz / 6.0, lx / 6.0, ly / 6.0, lz / 6.0
@@ -307,12 +315,12 @@ def runge_kutta_step(
         h = share * dt_s
         px, py, pz = x + h * kx, y + h * ky, z + h * kz
         kx, ky, kz = vx + h * lx, vy + h * ly, vz + h * lz
-        lx, ly, lz = forces_kernel(
-            px, py, pz, kx, ky, kz,
+        at_stage = Controls(
             state[ALPHA] + share * (alpha - state[ALPHA]), state[BANK] + share * (bank - state[BANK]),
             state[BETA] + share * (beta - state[BETA]), state[D_ELEVON] + share * (d_elevon - state[D_ELEVON]),
-            state[D_FLAP] + share * (d_flap - state[D_FLAP]), flight, aero,
-        ).acceleration_m_s2  # fmt: skip
+            state[D_FLAP] + share * (d_flap - state[D_FLAP]),
+        )  # fmt: skip
+        lx, ly, lz = forces_kernel(px, py, pz, kx, ky, kz, at_stage, flight, aero).acceleration_m_s2
         sx, sy, sz = sx + weight * kx, sy + weight * ky, sz + weight * kz
         ax, ay, az = ax + weight * lx, ay + weight * ly, az + weight * lz
     state[X], state[Y], state[Z] = x + dt_s * sx, y + dt_s * sy, z + dt_s * sz
@@ -327,8 +335,7 @@ def advance_kernel(
     work: FloatArray,
 ) -> None:  # fmt: skip
     """One step with the commands of guidance and manoeuvres; work as observe_kernel left it."""
-    alpha, bank, beta, d_elevon, d_flap = command_kernel(state, flight, block, script, work, dt_s)
-    runge_kutta_step(state, flight, aero, work, dt_s, alpha, bank, beta, d_elevon, d_flap)
+    runge_kutta_step(state, flight, aero, work, dt_s, command_kernel(state, flight, block, script, work, dt_s))
 
 
 @njit

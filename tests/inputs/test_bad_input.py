@@ -107,7 +107,7 @@ RECORD_TOML = {
     "contact at the last layer": (swap("thickness_m = 0.003", "thickness_m = 0.003\ncontact_m2K_W = 0.1"), "[stack.layer] 3: `contact_m2K_W`: the last layer touches no other"),
     "sensor outside the stack": (swap("depth_m = 0.04138", "depth_m = 0.0444"), "[thermocouples.sensor] 2: `depth_m`: 0.0444 m is outside the stack (0 to 0.04438 m)"),
     "sensor above the surface": (swap("depth_m = 0.00038", "depth_m = -0.001"), "[thermocouples.sensor] 1: `depth_m`: -0.001 must not be below 0"),
-    "sensor twice": (swap('name = "bond"', 'name = "surface"'), "[thermocouples.sensor] 2: `name`: `surface` belongs to an earlier sensor"),
+    "sensor twice": (swap('name = "bond"', 'name = "surface"'), "[thermocouples.sensor] 2: `name`: `surface` is that of an earlier sensor"),
     "word without range": (swap("range_K = [255.0, 1644.0]\n", ""), "[thermocouples.sensor] 1: `bits`: 8 bits need `range_K`"),
     "range reversed": (swap("[255.0, 1644.0]", "[1644.0, 255.0]"), "`range_K`: [1644.0, 255.0] is not [lowest, highest]"),
     "range in Celsius": (swap("[255.0, 1644.0]", "[-18.0, 1371.0]"), "`range_K`, row 1: -18 K is below absolute zero; give K, not Celsius"),

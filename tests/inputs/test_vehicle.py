@@ -296,7 +296,7 @@ DAMAGES = {
     ],
     "control_points/FACE.toml": [
         ("thickness_m = 0.005", "thickness_m = 0.0", "[stack.layer] 1: `thickness_m`: 0.0 must be above 0"),
-        ('"alumina-fibre"', '"alumina-fiber"', "no material `alumina-fiber`; did you mean `alumina-fibre`"),
+        ('"alumina-fibre"', '"alumina-fiber"', "unknown material `alumina-fiber`; did you mean `alumina-fibre`"),
         ('"carbon-skin"', '"alumina-fibre"', "the outermost layer radiates; add `emissivity`"),
         ("depth_m = 0.065", "depth_m = 0.65", "[sensor] 3: `depth_m`: 0.65 m is outside the stack"),
         ('name = "FACE"', 'name = "FACE-1"', "`name`"),
@@ -356,7 +356,7 @@ def test_a_vehicle_without_control_points_is_refused(damaged):
 def test_a_missing_base_of_a_derived_material_is_named(damaged):
     text = 'based_on = "carbon-skim"\nsource = "s"\nconfidence = "C"\n'
     (damaged / "materials/thin.toml").write_text(text)
-    assert "`based_on`: there is no material `carbon-skim` given whole; did you mean `carbon-skin`?" in str(
+    assert "`based_on`: `carbon-skim` is not a material that is given whole; did you mean `carbon-skin`?" in str(
         refusal(damaged)
     )
 

@@ -26,6 +26,7 @@ from sim_heating.trajectory.entry3dof import DEEPEST_M
 from sim_heating.trajectory.manoeuvres import CHANNEL, ENTRY, PITCH_MODE, PLAN, TRIGGER
 from sim_heating.trajectory.point_mass import (
     JETS,
+    Controls,
     T,
     advance_kernel,
     first_state_kernel,
@@ -92,7 +93,8 @@ def _follow_inputs(R, N, share: float, dt: float) -> None:  # type: ignore[no-un
         alpha, bank, beta = after[IN_ALPHA], after[IN_BANK], after[IN_BETA]
         elevon, flap = after[IN_ELEVON], after[IN_BODYFLAP]
     state[JETS] = min(max(after[IN_JETS], 0.0), 1.0)
-    runge_kutta_step(state, at(R, N[FLIGHT]), at(R, N[AERO]), at(R, N[WORK]), dt, alpha, bank, beta, elevon, flap)
+    controls = Controls(alpha, bank, beta, elevon, flap)
+    runge_kutta_step(state, at(R, N[FLIGHT]), at(R, N[AERO]), at(R, N[WORK]), dt, controls)
 
 
 @inline_always
