@@ -1,1 +1,1 @@
-"""What a user declares: vehicles, control points, scenarios, flight records, sensors."""
+"""Declared inputs: vehicles, control points, scenarios, flight records, sensors."""

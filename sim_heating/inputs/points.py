@@ -109,19 +109,19 @@ def check_reference(record: Record, vehicle: Vehicle, point: ControlPoint) -> No
 
     raises : InputError with both, by name where the record names a model, else by value
     """
-    heating, wanted = record.declared.heating, vehicle.heating
+    heating, required = record.declared.heating, vehicle.heating
     named: str = heating.reference
     if named == "columns":
-        named = (record.ratio_table.reference if record.ratio_table is not None else None) or wanted.reference
-    if named != wanted.reference:
+        named = (record.ratio_table.reference if record.ratio_table is not None else None) or required.reference
+    if named != required.reference:
         raise InputError(
-            f"{record.name}: its ratio is over `{named}`, the tables of {vehicle.name} over `{wanted.reference}`; "
+            f"{record.name}: its ratio is over `{named}`, the tables of {vehicle.name} over `{required.reference}`; "
             "fit the record over the vehicle's reference heating"
         )
-    if wall_enthalpy_of(heating.wall_enthalpy) != wall_enthalpy_of(wanted.wall_enthalpy):
+    if wall_enthalpy_of(heating.wall_enthalpy) != wall_enthalpy_of(required.wall_enthalpy):
         raise InputError(
             f"{record.name}: its wall enthalpy is {_enthalpy(heating.wall_enthalpy)}, that of {vehicle.name} "
-            f"{_enthalpy(wanted.wall_enthalpy)}; the ratios cannot be compared"
+            f"{_enthalpy(required.wall_enthalpy)}; the ratios cannot be compared"
         )
     flown, ours = conditions_of_record(record), conditions_at_point(vehicle, point, record.conditions)
     weight = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
@@ -129,7 +129,7 @@ def check_reference(record: Record, vehicle: Vehicle, point: ControlPoint) -> No
         apart = float(np.sum(weight * np.abs(flown[column] / ours[column] - 1.0)) / np.sum(weight))
         if not apart < HEATING_TOLERANCE:
             raise InputError(
-                f"{record.name}: its {column} is {apart:.1%} from that of `{wanted.reference}` on {vehicle.name}; "
+                f"{record.name}: its {column} is {apart:.1%} from that of `{required.reference}` on {vehicle.name}; "
                 "ratios over the two cannot be compared"
             )
 

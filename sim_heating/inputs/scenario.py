@@ -43,7 +43,7 @@ from sim_heating.trajectory.spec import TrajectorySpec
 
 
 class HeatingOptions(Declared):
-    """How heating is computed along the flight."""
+    """Options of the heating computed along the flight."""
 
     longest_step_s: float = Field(default=1.0, gt=0.0, le=60.0, description="longest thermal step in s")
     alongside: bool = Field(default=False, description="step the plug-in alongside the host and compare")

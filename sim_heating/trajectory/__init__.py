@@ -1,1 +1,1 @@
-"""Where flight conditions come from: JSBSim, a built-in entry in three degrees of freedom, FMUs, recordings."""
+"""Sources of flight conditions: JSBSim, a built-in entry in three degrees of freedom, FMUs, recordings."""

@@ -359,7 +359,7 @@ def _travel_nodes(nodes: FloatArray, travel: Span) -> FloatArray:
 
 
 def _zero_crossing(x: FloatArray, moment: Sequence[float]) -> float:
-    """Where a falling, piecewise linear moment crosses zero; exact, since tables are linear between these points."""
+    """Deflection at which a falling, piecewise linear moment crosses zero; exact for tables linear between them."""
     cm = np.asarray(moment)
     if cm[0] <= 0.0:
         return float(x[0])

@@ -31,7 +31,7 @@ _TOLERANCE_S = 1e-7  # a host that sums its frame time is 1e-9 s off after 1000 
 
 
 class VehicleData(Protocol):
-    """What the trajectory sources need of a vehicle; `inputs.vehicle.Vehicle` provides it.
+    """Data of a vehicle that the trajectory sources need; `inputs.vehicle.Vehicle` provides them.
 
     directory          : folder with its aero/, guidance.toml and jsbsim/
     reference_length_m : length of the Reynolds number [m]

@@ -115,7 +115,7 @@ class Approach(Convertible):
 
 
 class Target(Convertible):
-    """Where a heading error is measured to; bank reverses when the error leaves the deadband."""
+    """Target of the heading error; bank reverses when the error leaves the deadband."""
 
     latitude_deg: float = Field(ge=-90.0, le=90.0)
     longitude_deg: float

@@ -31,7 +31,7 @@ def scenario(name: str) -> Scenario:
 
 
 def in_3dof(chosen: Scenario) -> Scenario:
-    """The same scenario flown by the fast source."""
+    """A scenario flown by the 3-DOF entry instead of its own source."""
     spec = chosen.declared.trajectory.model_copy(update={"source": "entry-3dof", "rate_hz": 4.0})
     return replace(chosen, declared=chosen.declared.model_copy(update={"trajectory": spec}))
 

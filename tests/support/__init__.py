@@ -1,1 +1,1 @@
-"""What tests share: analytic solutions, walls and flights to heat, FMUs and hosts to build."""
+"""Support of the tests: analytic solutions, walls and flights to heat, FMUs and hosts to build."""

@@ -121,7 +121,7 @@ def _description_3(kind: str, units: dict[str, str]) -> str:
 
 
 def platform_folder(fmi: str) -> str:
-    """Where an FMU of a version keeps the library for this machine."""
+    """Folder of an FMU of a version with the library for this machine."""
     return fmpy.platform if fmi == "2" else fmpy.platform_tuple
 
 

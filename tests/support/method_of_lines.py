@@ -39,7 +39,7 @@ class Grid:
 
 
 def grid(model: PointModel, elements: Sequence[int], growth: float = 3.0) -> Grid:
-    """So many elements a layer, growing inward (3 to 1 from first to last) and ending on every interface."""
+    """A number of elements for each layer, growing inward (3 to 1 from first to last) and ending on every interface."""
     lengths = [
         layer.thickness_m * np.diff(np.expm1(np.log(growth) * np.linspace(0.0, 1.0, n + 1)) / (growth - 1.0))
         for layer, n in zip(model.construction.stack.layer, elements, strict=True)

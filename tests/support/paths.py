@@ -1,4 +1,4 @@
-"""Where the tests find the project's files: vehicles, scenarios, records, and data of their own."""
+"""Paths of the project's files for the tests: vehicles, scenarios, records, and test data."""
 
 from pathlib import Path
 

@@ -105,7 +105,7 @@ def read_csv_columns(
     """
     names, rows, lines, header = _cells(Path(path))
     problems = _name_problems(display_path(path), names, required, optional)
-    wanted = [n for n in names if n and (keep_other or n in {*required, *optional, *text})]
+    selected = [n for n in names if n and (keep_other or n in {*required, *optional, *text})]
     raise_problems(problems)
     ragged = [
         f"{display_path(path)}, row {line}: {len(row)} cells for {len(names)} columns; the row is damaged or cut off"
@@ -116,11 +116,11 @@ def read_csv_columns(
     cells = dict(zip(names, zip(*rows, strict=True), strict=True))
     lost = set(allow_empty)
     columns: dict[str, FloatArray] = {}
-    for name in (n for n in wanted if n not in text):
+    for name in (n for n in selected if n not in text):
         columns[name], bad = _numbers(cells[name], name in lost)
         problems += [f"{display_path(path)}, row {lines[i]}, column {name}: {what}" for i, what in bad]
     raise_problems(problems)
-    texts = {n: [c.strip() for c in cells[n]] for n in wanted if n in text}
+    texts = {n: [c.strip() for c in cells[n]] for n in selected if n in text}
     return CsvTable(columns, header, Path(path), np.array(lines, dtype=np.int64), texts)
 
 

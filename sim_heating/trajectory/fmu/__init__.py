@@ -1,1 +1,1 @@
-"""Trajectories from an imported FMU, stepped in a process of its own."""
+"""Trajectories from an imported FMU, stepped in a separate process."""

@@ -45,7 +45,7 @@ CONTROL_CODES = re.compile(r"\x1b\[[0-9;?]*[@-~]|[\x00-\x1f\x7f-\x9f]")
 
 
 class Answer(NamedTuple):
-    """Time that the FMU reached [s], its outputs in the order asked for, and whether it wants to end."""
+    """Time that the FMU reached [s], its outputs in the requested order, and whether it requests the end."""
 
     time_s: float
     values: list[float]
@@ -176,7 +176,7 @@ class FmuSession:
         return f"the FMU ended its process {when} (exit status {status})"
 
     def _last_output(self) -> str:
-        """What the FMU printed last, on one line."""
+        """The last output of the FMU, on one line."""
         self._log.seek(0)
         printed = " ".join(CONTROL_CODES.sub(" ", self._log.read().decode("utf-8", "replace")).split())
         return f"; it printed: {printed[-OUTPUT_LENGTH:]}" if printed else ""
