@@ -167,6 +167,20 @@ def _integral(value: float, first: float, half: float, t: float) -> tuple[float,
     return value + t * (first + bent), first + (bent + bent)
 
 
+@force_inline
+def heat_content(B: FloatArray, at: int, left_row: int, right_row: int) -> float:
+    """Heat content of a node [J/m2], with what it shares with its neighbours.
+
+    B                   : block of a lane group;  at : offset of the first number of the node in its lane
+    left_row, right_row : rows with the heat contents of the half elements on either side [J/m2]
+
+    Source: docs/equations_thermal_step.md, equation 4.
+    """
+    left, right = B[at + left_row * LANES], B[at + right_row * LANES]
+    next_left, last_right = at + (NODE_ROWS + left_row) * LANES, at + (right_row - NODE_ROWS) * LANES
+    return left + right + SHARE * (B[next_left] - right - left + B[last_right])
+
+
 class Properties(NamedTuple):
     """Properties of a material at a node: enthalpy [J/kg], specific heat [J/(kg K)], theta [W/m], k [W/(m K)]."""
 

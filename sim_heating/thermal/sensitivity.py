@@ -61,7 +61,7 @@ from sim_heating.base.kernels.block import (
 from sim_heating.base.kernels.jit import STEP_SIGNATURE, address_of, c_function, call_step, njit, pointer
 from sim_heating.heating.film import heat_perturbed_lanes
 from sim_heating.heating.ratio.lookup import linear_ratio_derivative
-from sim_heating.thermal.assembly import SHARE, WHOLE_ROWS, assemble, select_pressure
+from sim_heating.thermal.assembly import SHARE, WHOLE_ROWS, assemble, heat_content, select_pressure
 from sim_heating.thermal.faces import evaluate_faces
 from sim_heating.thermal.step import BDF_WEIGHT, GAMMA, STAGE_WEIGHT, LaneGroup
 
@@ -206,14 +206,6 @@ def assemble_perturbed(
 
 
 @njit
-def _content(X: FloatArray, a: int) -> float:
-    """Heat content of a node [J/m2] whose first number is X[a] (docs/equations_thermal_step.md, equation 4)."""
-    left, right = X[a + E_LEFT * LANES], X[a + E_RIGHT * LANES]
-    shared = X[a + NODE + E_LEFT * LANES] - right - left + X[a - NODE + E_RIGHT * LANES]
-    return left + right + SHARE * shared
-
-
-@njit
 def start_from_copy(B: FloatArray, lane: int, X: FloatArray, at: int, n: int) -> None:
     """Heat content [J/m2] and net heat [W/m2] of a lane from its unperturbed copy at X[at].
 
@@ -223,7 +215,7 @@ def start_from_copy(B: FloatArray, lane: int, X: FloatArray, at: int, n: int) ->
     equations 4 and 25 with kappa = 1 s.
     """
     for i in range(n):
-        content, a = _content(X, at + i * NODE), (HEAD_ROWS + i * NODE_ROWS) * LANES + lane
+        content, a = heat_content(X, at + i * NODE, E_LEFT, E_RIGHT), (HEAD_ROWS + i * NODE_ROWS) * LANES + lane
         B[a + E_START * LANES] = content
         B[a + NET * LANES] = content - X[at + i * NODE + RESIDUAL * LANES]
 
@@ -281,7 +273,9 @@ def content_columns(X: FloatArray, p: PerturbedOffsets, lane: int, forced: int, 
         if p.reach[lane, k] == ACTS_IN_ROWS:
             plus, minus, inverse = p.plus[lane, k], p.minus[lane, k], p.inverse[lane, k]
             for i in range(n):
-                e[i, k] += (_content(X, plus + i * NODE) - _content(X, minus + i * NODE)) * inverse
+                raised = heat_content(X, plus + i * NODE, E_LEFT, E_RIGHT)
+                lowered = heat_content(X, minus + i * NODE, E_LEFT, E_RIGHT)
+                e[i, k] += (raised - lowered) * inverse
 
 
 @njit

@@ -78,7 +78,7 @@ from sim_heating.base.kernels.block import (
 from sim_heating.base.kernels.jit import STEP_SIGNATURE, c_function, force_inline, inline_always, njit
 from sim_heating.heating.film import heat_lanes
 from sim_heating.heating.ratio.lookup import invalidate_cells
-from sim_heating.thermal.assembly import REDUCED, SHARE, WHOLE_ROWS, assemble, select_pressure
+from sim_heating.thermal.assembly import REDUCED, WHOLE_ROWS, assemble, heat_content, select_pressure
 from sim_heating.thermal.faces import evaluate_faces, invalidate_walls
 
 GAMMA = 2.0 - math.sqrt(2.0)
@@ -223,11 +223,8 @@ def _close_step(B: FloatArray, n: int, dt: float) -> None:
         B[LAST_STEP * LANES + lane] = dt
     for i in range(n):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-        left, right = a - NODE_ROWS * LANES, a + NODE_ROWS * LANES
         for lane in range(LANES):
-            own_left, own_right = B[a + STAGE_LEFT * LANES + lane], B[a + STAGE_RIGHT * LANES + lane]
-            shared = B[right + STAGE_LEFT * LANES + lane] - own_right - own_left + B[left + STAGE_RIGHT * LANES + lane]
-            content = own_left + own_right + SHARE * shared
+            content = heat_content(B, a + lane, STAGE_LEFT, STAGE_RIGHT)
             B[a + NET * LANES + lane] = (content - B[a + E_STAR * LANES + lane]) * (1.0 / (STAGE_WEIGHT * dt))
             B[a + E_START * LANES + lane] = content
             middle = B[a + T_STAGE * LANES + lane]
@@ -314,12 +311,10 @@ def _begin_second_stage(B: FloatArray, n: int, dt: float) -> None:
     bend = (1.0 - GAMMA) * _extrapolation_time(B, dt) ** 2
     for i in range(n):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-        left, right = a - NODE_ROWS * LANES, a + NODE_ROWS * LANES
         for lane in range(LANES):
-            own_left, own_right = B[a + STAGE_LEFT * LANES + lane], B[a + STAGE_RIGHT * LANES + lane]
-            shared = B[right + STAGE_LEFT * LANES + lane] - own_right - own_left + B[left + STAGE_RIGHT * LANES + lane]
             start = B[a + E_START * LANES + lane]
-            B[a + E_STAR * LANES + lane] = start + BDF_WEIGHT * (own_left + own_right + SHARE * shared - start)
+            content = heat_content(B, a + lane, STAGE_LEFT, STAGE_RIGHT)
+            B[a + E_STAR * LANES + lane] = start + BDF_WEIGHT * (content - start)
             cold, warm = B[a + T_START * LANES + lane], B[a + T * LANES + lane]
             B[a + T_STAGE * LANES + lane] = warm
             B[a + T * LANES + lane] = cold + (warm - cold) * (1.0 / GAMMA) + bend * B[a + CURVE * LANES + lane]
