@@ -52,6 +52,7 @@ from sim_heating.base.kernels.block import (
     HIGH,
     IN_DEPTH,
     INTS_PER_NODE,
+    INVALID_HIGH_K,
     IS_FACE,
     IS_INTERFACE,
     K_RAD,
@@ -66,7 +67,6 @@ from sim_heating.base.kernels.block import (
     N_PRESSURES,
     NODE_INTS,
     NODE_ROWS,
-    NOWHERE,
     PCOL,
     PFRAC,
     PHASE_RATE,
@@ -373,4 +373,4 @@ def select_pressure(B: FloatArray, J: IntArray, stage: int) -> None:
     if changed > 0:
         for i in range(J[N_NODES]):
             for lane in range(LANES):
-                B[(HEAD_ROWS + i * NODE_ROWS + HIGH) * LANES + lane] = NOWHERE
+                B[(HEAD_ROWS + i * NODE_ROWS + HIGH) * LANES + lane] = INVALID_HIGH_K

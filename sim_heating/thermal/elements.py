@@ -20,6 +20,7 @@ from sim_heating.base.kernels.block import (
     HIGH,
     IN_DEPTH,
     INTS_PER_NODE,
+    INVALID_HIGH_K,
     IS_FACE,
     K_RAD,
     LANES,
@@ -29,7 +30,6 @@ from sim_heating.base.kernels.block import (
     N_PARAMETERS,
     NODE_INTS,
     NODE_ROWS,
-    NOWHERE,
     PARAMETERS,
     PHASE_RATE,
     RADIATES_FROM,
@@ -199,4 +199,4 @@ def set_temperatures(B: FloatArray, first: int, last: int, nodes: int, temperatu
             B[at + RATE * LANES + lane] = 0.0
             B[at + CURVE * LANES + lane] = 0.0
             # The polynomials about the old temperature may not hold for the new one.
-            B[at + HIGH * LANES + lane] = NOWHERE
+            B[at + HIGH * LANES + lane] = INVALID_HIGH_K

@@ -103,7 +103,7 @@ CURVE = 55
 NODE_ROWS = 56
 HEAD_ROWS = SCALAR_ROWS + NODE_ROWS
 """A ghost node of zeros before the first and one behind the last end the recurrences along the nodes."""
-NOWHERE = -1e30
+INVALID_HIGH_K = -1e30
 """A HIGH [K] below every temperature: the polynomials have to be gathered."""
 
 # Integers of a group: node count; then one a lane: number of pressure columns of its property tables, offsets of their
