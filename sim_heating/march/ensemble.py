@@ -65,8 +65,9 @@ THREADED_POINT_STEPS = 20_000
 
 
 def condition_history(conditions: Conditions) -> FloatArray:
-    """(time, condition) flight conditions as the kernels take them, in the units of their columns ([deg], [Pa], [J/kg]
-    ...).
+    """(time, condition) flight conditions as the kernels take them, in the order of `CONDITION_COLUMNS`.
+
+    conditions : of one flight; each column keeps its unit ([deg], [Pa], [J/kg] ...)
 
     Columns that a flight may lack (additional flux, jets) are 0. Source: docs/equations_march.md, equation 1.
     """
@@ -92,11 +93,14 @@ class LaneOffsets:
 
     @property
     def node_0(self) -> int:
-        """Offset of the first number of node 0."""
+        """Offset in `state` of the first number of node 0, the node at the surface."""
         return self.start + block.HEAD_ROWS * LANES + self.lane
 
     def scalar(self, row: int) -> int:
-        """Offset of one scalar row of the block."""
+        """Offset in `state` of one number of the lane.
+
+        row : row of the block ahead of its nodes (base/kernels/block.py)
+        """
         return self.start + row * LANES + self.lane
 
 
@@ -140,7 +144,10 @@ class Ensemble:
     # Packing ---------------------------------------------------------------------------------------------------------
 
     def point_tables(self, model: PointModel) -> PointTables:
-        """Offsets in `table` of the property tables of a point, packing those that are not there yet."""
+        """Offsets in `table` of the property tables of a point; those that are not there yet are added.
+
+        model : the point, for the materials of its layers and the enthalpy of air at its wall
+        """
         return self._tables.add_point(model.construction.layer_materials(), CONTACT, model.wall_enthalpy)
 
     def _add_ratio_table(self, table: RatioTable | None) -> int:
@@ -169,11 +176,17 @@ class Ensemble:
             self._pack_group(g)
 
     def block(self, group: int) -> FloatArray:
-        """The numbers of a lane group: temperatures [K], conditions and all else that changes (a view)."""
+        """(number,) numbers of a lane group: temperatures [K], conditions and all else that changes (a view).
+
+        group : number of the group
+        """
         return self.state[self.groups[group, BLOCK_START] : self.groups[group, BLOCK_END]]
 
     def integers(self, group: int) -> IntArray:
-        """The integers of a lane group: node count, table offsets, effect codes (a view)."""
+        """(integer,) integers of a lane group: node count, table offsets, effect codes (a view).
+
+        group : number of the group
+        """
         return self.ints[self.groups[group, INTS_START] : self.groups[group, INTS_END]]
 
     def lane_group(self, group: int) -> LaneGroup:
@@ -308,7 +321,8 @@ class Ensemble:
     def restore(self, snapshot: FloatArray) -> None:
         """Return to a snapshot of this ensemble, bit for bit.
 
-        raises : InputError where its size is that of another model
+        snapshot : (number,) as `snapshot` gave it
+        raises   : InputError where its size is that of another model
         """
         if snapshot.shape != self.state.shape:
             raise InputError(
@@ -319,19 +333,31 @@ class Ensemble:
     # Reading ---------------------------------------------------------------------------------------------------------
 
     def node_temperatures(self, model: int) -> FloatArray:
-        """(node,) present temperatures of a point [K], outermost first, without the padding of its group."""
+        """(node,) present temperatures of a point [K], outermost first, without the padding of its group.
+
+        model : number of the point
+        """
         place = self.lane_offsets[model]
         nodes = block.node_rows(self.block(place.group))
         return nodes[: self.meshes[model].nodes, block.T, place.lane].copy()
 
     def stage_temperatures(self, model: int) -> FloatArray:
-        """(node,) temperatures of a point at the middle stage of its last step [K]: docs/equations_march.md, eq. 4."""
+        """(node,) temperatures of a point [K] at the middle stage of its last step, t_n + gamma dt, outermost first.
+
+        model : number of the point
+
+        With those at both ends of the step they define the parabola of docs/equations_march.md, equation 4.
+        """
         place = self.lane_offsets[model]
         nodes = block.node_rows(self.block(place.group))
         return nodes[: self.meshes[model].nodes, block.T_STAGE, place.lane].copy()
 
     def node_offsets(self, model: int, nodes: Iterable[int] | None = None) -> IntArray:
-        """(node,) offsets in `state` of node temperatures [K] of a point, of all its nodes where none are given."""
+        """(node,) offsets in `state` of node temperatures [K] of a point.
+
+        model : number of the point
+        nodes : nodes wanted, 0 at the surface; by default all of the point
+        """
         wanted = range(self.meshes[model].nodes) if nodes is None else nodes
         return np.array([self.lane_offsets[model].temperature(node) for node in wanted], dtype=np.int64)
 
@@ -370,7 +396,7 @@ class Ensemble:
     def steps_outside_table(self) -> FloatArray:
         """(point,) number of steps that ended outside the ratio table since the last reset [-].
 
-        Source: docs/equations_march.md, equation 19.
+        For a host, which steps frame by frame; durations of a whole march are docs/equations_march.md, equation 19.
         """
         return self._scalars(block.OUTSIDE)
 
@@ -401,8 +427,9 @@ class Ensemble:
     # Moving ----------------------------------------------------------------------------------------------------------
 
     def spread(self, vectors: FloatArray) -> FloatArray:
-        """(group * LANES, condition) condition vectors of all lanes, from (point, condition); units [deg], [Pa], [J/kg]
-        ... stay.
+        """(group * LANES, condition) condition vectors of all lanes from those of the points.
+
+        vectors : (point, condition), each column in its unit ([deg], [Pa], [J/kg] ...)
 
         Lanes that fill a group repeat its last point. Conditions: docs/equations_march.md, equation 1.
         """
@@ -420,15 +447,14 @@ class Ensemble:
         begin_groups(*self.lane_groups, vectors)
 
     def advance(self, then: FloatArray, dt: float) -> None:
-        """Advance all points by one frame in one TR-BDF2 step, its conditions linear between the present and the new
-        ones.
+        """Advance all points by one frame in one TR-BDF2 step, with conditions linear in time over the frame.
 
         then   : (point, condition) at the end of the frame, in the units of the condition columns
         dt     : length of the frame [s]
         raises : InputError where dt is not above 0
 
-        Whether the step converged is found with `check` or `failed`. Source: docs/equations_march.md, equation 3; Hosea
-        and Shampine (1996) for the step.
+        Whether the step converged is found with `check` or `failed`. Source: docs/equations_march.md, equation 3;
+        docs/equations_thermal_step.md, equations 19 and 20, for the step.
         """
         if not 0.0 < dt < np.inf:
             raise InputError(f"advance: dt is {dt:g} s; it must be above 0")
@@ -560,5 +586,8 @@ def _distinct_effects(models: Iterable[PointModel]) -> tuple[Effect, ...]:
 
 
 def histories(flights: Sequence[Conditions]) -> FloatArray:
-    """(flight, time, condition) of flights on common times, as a march takes them."""
+    """(flight, time, condition) conditions of several flights, as `Ensemble.march` takes them.
+
+    flights : conditions [deg], [Pa], [J/kg] ..., all at the same times
+    """
     return np.stack([condition_history(flight) for flight in flights])

@@ -150,6 +150,8 @@ def table_excursions(model: PointModel, flown: Conditions) -> list[TableExcursio
 def negative_ratio_s(history: PointHistory) -> float:
     """Time during which the heating ratio was negative [s]; it is reported and never clipped.
 
+    history : times [s] and heating ratio [-] of a point
+
     Samples where h_ref is 0 have no ratio and do not count. Derived in docs/equations_march.md, equation 19.
     """
     if len(history.time_s) < 2:
@@ -158,9 +160,11 @@ def negative_ratio_s(history: PointHistory) -> float:
 
 
 def peak(time_s: FloatArray, temperature_K: FloatArray) -> tuple[float, float]:
-    """Highest temperature of a history [K] and the time when it first occurs [s]; docs/equations_march.md, equation 21.
+    """Highest temperature of a history [K] and the time when it first occurs [s].
 
     time_s, temperature_K : (time,) [s], [K]
+
+    The maximum is that of docs/equations_march.md, equation 21.
     """
     i = int(np.argmax(temperature_K))
     return float(temperature_K[i]), float(time_s[i])
@@ -172,7 +176,7 @@ def point_summary(
     """Peaks, margins to the temperature limits and excursions of one control point, as a results file contains them.
 
     history : temperatures of the point [K]
-    limits  : `surface_K` and `bondline_K`, limits [K]; None or absent where there is none, and then no margin
+    limits  : `surface_K` and `bondline_K`, limits [K]; a limit that is None or absent has no margin
     outside : excursions beyond the ratio table
     returns : peaks [K] and their times [s], margins limit minus peak [K], positive below the limit, excursions, time of
               negative ratio [s]

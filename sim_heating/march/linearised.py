@@ -89,8 +89,9 @@ class Track:
 
     @property
     def columns(self) -> int:
-        """Number of sensitivities: named parameters, table errors, initial temperatures (docs/equations_march.md,
-        equations 9 to 14).
+        """Number of sensitivities: named parameters, table errors, initial temperatures.
+
+        Their right-hand sides are docs/equations_march.md, equations 9 to 14.
         """
         extra = 0 if self.initial_columns is None else self.initial_columns.shape[1]
         return len(self.names) + len(self.table_errors) + extra
@@ -130,8 +131,7 @@ def perturbation(model: PointModel, name: str) -> tuple[float, bool]:
 
 @dataclass(frozen=True)
 class _PerturbedLane:
-    """One perturbed lane of a track: the nominal point, or that point with one parameter perturbed, or with another
-    table.
+    """One perturbed lane of a track: the nominal point, or that point with a parameter or its ratio table perturbed.
 
     columns : those of the parameter, or of all parameters of the linear ratio, which act as the ratio itself does
     name    : of the parameter, empty for the nominal point and for tables

@@ -118,8 +118,7 @@ class PointModel:
 
     @cached_property
     def values(self) -> FloatArray:
-        """(parameter,) values of all parameters of the heating ratio and the stack, each in its own unit ([-], [1/deg],
-        [K] ...).
+        """(parameter,) all parameters of heating ratio and stack, each in its own unit ([-], [1/deg], [K] ...).
 
         Nominal, then `back.*` as the stack declares, then those that an effect sets, the first such effect prevailing.
         Heating ratio: docs/equations.md, section 2; factors and moisture: docs/equations_march.md, equations 9, 10 and
@@ -244,6 +243,8 @@ def kernel_effects(model: PointModel) -> list[EffectUse]:
 def heating_vector(model: PointModel) -> FloatArray:
     """(N_PARAMETERS,) heating parameters of a point in the layout of its lane.
 
+    model : the point, for its parameters, reference condition and effects
+
     Linear ratio (scale and d0 [-], derivatives [1/deg] or [-]), reference condition [deg] or [-], then the parameters
     of each effect, in slots of fixed width. Equation of the ratio: docs/equations.md, section 2.
     """
@@ -257,8 +258,9 @@ def heating_vector(model: PointModel) -> FloatArray:
 
 
 def stack_values(model: PointModel) -> FloatArray:
-    """(parameter,) values of the parameters of the stack, in the order of their declaration and each in its own unit
-    ([-], [J/kg], [K], [m] ...).
+    """(parameter,) values of the parameters of the stack, in the order of `parameters.STACK`.
+
+    model : the point; each parameter in its own unit ([-], [J/kg], [K], [m] ...)
 
     Moisture parameters: docs/equations_march.md, equation 22.
     """
@@ -266,14 +268,18 @@ def stack_values(model: PointModel) -> FloatArray:
 
 
 def insulation_layer(construction: Construction) -> int:
-    """Index of the layer that the parameters `stack.rsi.*` refer to: the second, behind a coating; in a wall of one
-    layer, that one.
+    """Index of the layer that the parameters `stack.rsi.*` refer to.
+
+    construction : layers, outermost first
+    returns      : 1, the insulation behind a coating; 0 in a wall of one layer
     """
     return min(1, len(construction.stack.layer) - 1)
 
 
 def initial_temperatures(construction: Construction, mesh: Mesh) -> FloatArray:
     """(node,) initial temperatures [K] as the stack declares them: uniform, or a profile linear between its points.
+
+    construction : stack and materials, with the declared start;  mesh : depths of the nodes [m]
 
     Beyond the ends of a profile its end values are taken. Source: docs/equations_march.md, equation 23.
     """

@@ -68,6 +68,8 @@ class _Segment:
 def layer_diffusivities(construction: Construction) -> list[float]:
     """Thermal diffusivity a = k / (rho c) [m2/s] of each layer, outermost first, at 700 K and 1000 Pa.
 
+    construction : the layers and their materials
+
     Beyond its table a property is constant. Source: docs/equations_thermal_step.md, equation 37.
     """
     values = []
@@ -82,7 +84,8 @@ def layer_diffusivities(construction: Construction) -> list[float]:
 def diffusion_depths(construction: Construction, mesh: Mesh) -> FloatArray:
     """Depth of each node measured by diffusion, s = int dx / sqrt(a).
 
-    returns : (node,) [s^(1/2)] from the surface: the square root of the time [s] that heat takes; contacts add nothing
+    construction : layers, for the diffusivity a [m2/s] of each;  mesh : nodes and element lengths [m]
+    returns      : (node,) [s^(1/2)] from the surface: the square root of the time [s] that heat takes; contacts add nothing
 
     Source: docs/equations_thermal_step.md, equation 37.
     """

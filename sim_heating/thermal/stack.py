@@ -386,7 +386,9 @@ class Construction(Declared):
 def material_problems(stack: Stack, materials: Mapping[str, Material]) -> list[tuple[Location, str]]:
     """Layers whose material is not declared, and an outermost layer without emissivity.
 
-    returns : (location in the file, text) of each problem; the text names the nearest declared material
+    stack     : layers, outermost first
+    materials : declared materials by name
+    returns   : (location in the file, text) of each problem; the text names the nearest declared material
     """
     problems: list[tuple[Location, str]] = []
     for i, layer in enumerate(stack.layer):

@@ -96,8 +96,7 @@ class FrozenGains(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Work space of a propagation, each (node, column): temperatures' derivatives at the end and the middle stage of a
-    step.
+    """Work space of a propagation, each (node, column): derivatives of temperatures at middle stage and end of a step.
 
     end, middle         : columns at the end (on entry: at the start) and at the middle stage
     e, f, star, e_middle : heat content, net heat, right-hand side, heat content at the middle stage
@@ -191,8 +190,7 @@ class MarchOutput(NamedTuple):
 
 
 class Blocks(NamedTuple):
-    """Blocks of the perturbed lanes, assembled at the start (with 1 s for the time step), the middle stage and the
-    end.
+    """Blocks of the perturbed lanes at start (assembled with 1 s for the time step), middle stage and end of a step.
     """
 
     start: FloatArray

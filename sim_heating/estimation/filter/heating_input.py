@@ -142,8 +142,9 @@ def most_likely_disturbance(track: FilterTrack, time_s: FloatArray, histories: F
 
 
 def bandwidth_Hz(disturbance: Disturbance, sigma: FloatArray) -> FloatArray:
-    """Frequency above which the prior process has the variance that remains: f = tan(pi/2 (1 - v / sigma^2)) / (2 pi
-    tau).
+    """Frequency above which the prior process has the variance that remains.
+
+        f = tan(pi/2 (1 - v / sigma^2)) / (2 pi tau)
 
     disturbance : noise model of the correction;  sigma : (knot,) standard deviation given the readings, sqrt(v) [-]
     returns     : (knot,) [Hz]; 0 where the readings reduce nothing; q / (2 pi^2 v) for a random walk of density q

@@ -310,7 +310,7 @@ class Innovations:
 
     @staticmethod
     def _log_likelihood(march: FilterMarch, model: PointModel, track: FilterTrack) -> float:
-        """Of one candidate; NaN where its filter diverged."""
+        """Log likelihood [-] of the readings for one candidate; NaN where its filter diverged."""
         try:
             march.set_models([model] * LANES)
         except RunError:

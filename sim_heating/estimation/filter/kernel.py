@@ -519,8 +519,7 @@ def _lag_now(X: Blocks, groups: IntArray, first: bool) -> None:
 
 @njit
 def begin_march(group: LaneGroup, flights: Flights) -> None:
-    """Set the first conditions of all lanes of a group and evaluate heat contents [J/m2] and heat flows [W/m2] with
-    them.
+    """Set the first conditions of all lanes and evaluate heat contents [J/m2] and net heat [W/m2] of the nodes.
 
     group : the lane group, whose block changes;  flights : conditions of its lanes
 
@@ -536,8 +535,7 @@ def step_with_perturbed(
     group: LaneGroup, X: Blocks, perturbed: PerturbedGroups, offsets: PerturbedOffsets, flights: Flights, lanes: int,
     k: int,
 ) -> None:  # fmt: skip
-    """March step k of a lane group from temperatures and ratios that may have been changed, and assemble its perturbed
-    lanes.
+    """March step k of a lane group from updated temperatures and ratios, and assemble its perturbed lanes.
 
     group              : the nominal lanes, whose block changes
     X                  : blocks of the perturbed lanes, assembled at start, middle stage and end

@@ -47,8 +47,7 @@ class Response:
     step: IntArray
 
     def matrix(self, weights: FloatArray, start: FloatArray | None = None) -> FloatArray:
-        """Derivative of the readings against the start and the knots of the added history, column by column through the
-        march.
+        """Derivative of the readings against the start and the knots of the added history, all in one pass.
 
             dT_(k+1) = Phi_k dT_k + Gamma_k d_k,    dy = gain R (dT_k, d_k)
 
@@ -56,7 +55,7 @@ class Response:
         start   : (node, k) temperatures at the start for one unit of k more unknowns [K], or None
         returns : (reading, start | knot) dy/du [K]
 
-        Workspace of knots that lie ahead of a step are skipped. Derived in docs/residual_heating.md, equations 1 to 3.
+        Columns of knots that lie ahead of a step are skipped. Derived in docs/residual_heating.md, equations 1 to 3.
         """
         nodes, extra = self.transition.shape[1], 0 if start is None else start.shape[1]
         columns = np.concatenate([np.zeros((len(weights), extra)), weights], axis=1)
@@ -141,8 +140,7 @@ def march_response(
     group: LaneGroup, X: Blocks, perturbed: PerturbedGroups, offsets: PerturbedOffsets, flights: Flights,
     readings: Readings, added: FloatArray, w: Workspace, output: MarchOutput,
 ) -> None:  # fmt: skip
-    """March one lane group with histories added to the heating ratios; blocks B and X are changed and their contents
-    lost.
+    """March one lane group with histories added to the heating ratios; the contents of blocks B and X are lost.
 
     group                 : the nominal lanes
     X, perturbed, offsets : blocks of the perturbed lanes, their groups, and where those of each nominal lane are

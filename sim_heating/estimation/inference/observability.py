@@ -35,6 +35,8 @@ DERIVATIVES = tuple(f"ratio.d_{short}" for short in SHORT_NAMES)
 def default_names(records: Sequence[Record]) -> tuple[str, ...]:
     """Parameters that are estimated by default: the magnitude and the five first derivatives.
 
+    records : the records to be fitted jointly
+
     `ratio.scale` where every record has a ratio table, else `ratio.d0` [-]; the derivatives are those of the founding
     paper, "Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers", equation 2.
     """
@@ -55,7 +57,10 @@ def deviations(records: Sequence[Record]) -> FloatArray:
 
 
 def fitted_rows(record: Record) -> NDArray[np.bool_]:
-    """(row of the conditions,) within the span of the fit segments that has samples."""
+    """(row,) whether each row of a record's conditions lies in a fit segment, between its first and last sample.
+
+    record : conditions, samples and fit segments, times [s]
+    """
     t, mask = record.conditions.time_s, record.fit_mask(record.conditions.time_s)
     # conditions without samples contain no information, whatever changes there
     samples = record.time_s[record.fit_mask()]
@@ -99,6 +104,9 @@ def constant_variables(names: Sequence[str], records: Sequence[Record]) -> dict[
 
 def parameters_without_heating(names: Sequence[str], records: Sequence[Record]) -> dict[str, str]:
     """Parameters of the heating ratio where a record has no aerodynamic heating at all, with the reason.
+
+    names   : dotted names of the parameters;  records : the records to be fitted
+    returns : reason by name; empty where any record has h_ref other than 0
 
     The ratio enters the surface balance only as r h_ref (docs/equations.md, section 1): with h_ref = 0 [kg/(m2 s)]
     throughout, as in a ground step test, no temperature [K] depends on it.

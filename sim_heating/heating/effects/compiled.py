@@ -78,7 +78,9 @@ def indexed_dispatcher(effects: tuple[Effect, ...]) -> EffectDispatcher:
 def effect_dispatcher(effects: tuple[Effect, ...]) -> EffectDispatcher:
     """Dispatcher of these effects for this process; the code of an effect is the address of its kernel.
 
-    raises : InputError naming the effect that cannot be compiled
+    effects : those with a kernel, in the order of their codes
+    returns : compiled function that calls an effect by its code, and the codes
+    raises  : InputError naming the effect that cannot be compiled
     """
     if numba.config.DISABLE_JIT or not effects:  # type: ignore[attr-defined]
         return indexed_dispatcher(effects)

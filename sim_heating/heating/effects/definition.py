@@ -124,7 +124,11 @@ class Effect:
         return CLOCK_SKEW.name in self.model_parameters
 
     def own_name(self, model_name: str) -> str | None:
-        """Name within this effect of a parameter of the model, such as `skew_s` of `clock.skew`; None for another."""
+        """Name within this effect of a parameter of the model, such as `skew_s` of `clock.skew`.
+
+        model_name : dotted name of the parameter in the model
+        returns    : name in the effect; None where the effect does not set this parameter
+        """
         return dict(zip(self.model_parameters, (p.name for p in self.parameters), strict=False)).get(model_name)
 
     def starts_for(self, flown: Conditions) -> Sequence[SearchStart]:
