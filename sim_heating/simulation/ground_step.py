@@ -61,6 +61,8 @@ def step_record(
     clock = sample_times(point.sensors, 0.0, end_s)
     declared = check(_declaration(vehicle, point, flux_W_m2), RecordFile, f"ground step test of {point.name}")
     empty = {"time_s": clock} | {s.column: np.full(len(clock), 300.0) for s in point.sensors}
+    # The readings come from a finer mesh and step than any fit uses: with the same ones the errors of both would
+    # cancel, and the test would be of noise alone.
     fine = make_record(declared, _conditions(flux_W_m2, lit_s, end_s, TRUE_STEP_S), empty, None, point.name)
     model = replace(point_of_record(fine, parameters), nodes=TRUE_NODES)
     faults, rng = errors or {}, np.random.default_rng([seed, *point.name.encode()])
@@ -74,6 +76,7 @@ def step_record(
 def _conditions(flux_W_m2: float, lit_s: float, end_s: float, spacing_s: float) -> Conditions:
     on, off = BEFORE_S, BEFORE_S + lit_s
     edges = [on, on + RISE_S, off, off + RISE_S]
+    # Rounded, so that an edge of the lamp that falls on a sample is one time and not two.
     time = np.union1d(np.round(np.arange(0.0, end_s + 0.5 * spacing_s, spacing_s), 6), np.round(edges, 6))
     constant = {name: np.zeros(len(time)) for name in STATE} | {n: np.full(len(time), v) for n, v in AT_REST.items()}
     flux = np.interp(time, edges, [0.0, flux_W_m2, flux_W_m2, 0.0])

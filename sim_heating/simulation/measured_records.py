@@ -54,6 +54,7 @@ def _record(scenario: Scenario, measured: MeasuredHistory, flown: Conditions) ->
             f"{display_path(scenario.path)}, [[compare]]: {point.name} has {len(point.sensors)} sensors; a measured "
             "history is that of one"
         )
+    # A published curve has no recorder: no words, no rate. Its noise is the error of reading the figure.
     sensor = point.sensors[0].model_copy(
         update={"bits": None, "range_K": None, "rate_hz": None, "noise_sigma_K": float(np.median(measured.sigma_K))}
     )

@@ -55,6 +55,7 @@ class Snapshot:
     state: FloatArray
 
 
+# The corner of a table is met within the wait unseen, at a cost that grows with the square of the wait (decision 0007).
 LONGEST_WAIT_S = 0.25
 """Default of the longest time between thermal steps [s]; short, as a ratio table may have a corner ahead."""
 
@@ -122,10 +123,12 @@ class HeatingPlugin:
     def reset(self, frame: FloatArray | Mapping[str, float]) -> None:
         """Start: initial temperatures of the stacks at the time and conditions of this frame."""
         values = _values(frame)
+        # Checked before anything changes: after a refused frame the plug-in is as it was.
         invalid = k.implausible(values)
         if invalid != k.GOOD:
             raise InputError(_value_problem(values, invalid))
         self.ensemble.reset()
+        # Constants of the vehicle precede STARTED and remain; all that changes follows it.
         self._host[k.STARTED :] = 0.0
         k.heat_points(*self._arguments, values, k.NOT_STARTED)
 
@@ -246,6 +249,7 @@ def point_numbers(vehicle: Vehicle, points: Sequence[ControlPoint]) -> FloatArra
     """(point, PRESSURE_WIDTH + 1) pressure model and running length [m] of control points, as
     plugin_kernel.derive_conditions takes them; a length that the reference heating does not use is 1."""
     on_plate = reference_model(vehicle.heating.reference).on_plate
+    # Without a flat plate all points get one length, so that the kernel computes the reference heating once a frame.
     lengths = [p.running_length_m or 1.0 if on_plate else 1.0 for p in points]
     numbers = [[*p.pressure.parameters(), length] for p, length in zip(points, lengths, strict=True)]
     return np.array(numbers, dtype=float)

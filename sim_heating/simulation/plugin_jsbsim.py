@@ -41,6 +41,7 @@ class JSBSimHeating:
         else:
             self.plugin.reset(frame)
             self._started = True
+        # An iterator consumed without a loop in Python: this line runs at every frame of the host.
         deque(map(operator.call, self._writers, self._values.tolist()), maxlen=0)
 
     def frame(self) -> None:

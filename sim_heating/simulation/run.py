@@ -160,6 +160,8 @@ def run(scenario: Scenario | str | os.PathLike[str], *, progress: Progress = no_
     """
     scenario = load_scenario(scenario)
     heating = scenario.declared.heating
+    # The plug-in flies along as a host would use it; the march from the conditions is the result, their difference a
+    # check.
     alongside = _PluginAlongside(scenario) if heating.alongside else None
     flight = fly_scenario(scenario, progress=lambda f, text: progress(0.7 * f, f"flying: {text}"), on_frame=alongside)
     progress(0.7, "marching the control points")
@@ -187,6 +189,7 @@ class _PluginAlongside:
             self.plugin.step(frame)
         time = float(frame[0])
         due = self._times[0] + len(self._times) * self._sample_s if self._times else time
+        # Multiples of the interval after the first frame, as the sampler of the flight takes them.
         if abs(time - due) < 1e-6:
             self._times.append(time)
             self._surface.append(self.plugin.surface_temperatures())
@@ -278,6 +281,8 @@ def with_reference_heating(result: RunResult) -> tuple[Conditions, dict[str, str
               running length of the control point)
     """
     columns = {name: [p.conditions[name] for p in result.points.values()] for name in ("h_ref_kg_m2_s", "H_r_J_kg")}
+    # One column can stand for all points only if it is the same for all; a flat plate has one film coefficient for each
+    # running length.
     common = {name: c[0] for name, c in columns.items() if all(np.array_equal(other, c[0]) for other in c)}
     reference = result.scenario.vehicle.heating.reference
     why = f"left out, as `{reference}` differs between control points with their running length"
@@ -331,6 +336,7 @@ def _largest_responses(histories: list[PointHistory], window: Window) -> list[Po
     def response_K(history: PointHistory) -> float:
         inside = (history.time_s >= window.start_s) & (history.time_s <= window.end_s + RESPONSE_S)
         t, surface = history.time_s[inside], history.surface_K[inside]
+        # Less the trend of the entry, which would rank a point by how fast it heats and not by the manoeuvre.
         return float(np.ptp(surface - np.interp(t, t[[0, -1]], surface[[0, -1]]))) if len(t) > 2 else 0.0
 
     ordered = sorted(histories, key=response_K, reverse=True)

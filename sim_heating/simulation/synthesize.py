@@ -57,6 +57,7 @@ def synthesize(
     points = [scenario.vehicle.control_point(name) for name in scenario.names]
     measurable = [(p, m, c) for p, m, c in zip(points, models, flights, strict=True) if p.sensors]
     clocks = [_clock(scenario, p, flown) for p, _, _ in measurable]
+    # A clock skew moves the instants that are measured, not the times that are recorded.
     true_times = [_within(clock - measurements.clock_skew_s, flown) for clock in clocks]
     histories = march_points(
         [m for _, m, _ in measurable],
@@ -86,12 +87,14 @@ def _record(
     scenario: Scenario, point: ControlPoint, conditions: Conditions, history: PointHistory, clock: FloatArray
 ) -> Record:
     measurements = scenario.declared.measurements
+    # Seeded by the name of the point: its record stays the same when others are added to the scenario.
     rng = np.random.default_rng([measurements.seed, *point.name.encode()])
     faults = {f.sensor: SensorErrors(f.bias_K, f.gain) for f in measurements.fault}
     true = values_at(history.time_s, history.sensors_K, clock - measurements.clock_skew_s)
     columns: dict[str, FloatArray] = {"time_s": clock}
     for sensor, temperature in zip(point.sensors, true, strict=True):
         lost = lost_samples(clock, rng, measurements.lost_fraction, measurements.gaps_s) | np.isnan(temperature)
+        # Placeholders where nothing was marched: quantising NaN has no meaning, and the samples are lost anyway.
         known = np.where(np.isnan(temperature), 0.0, temperature)
         columns[sensor.column] = measure(sensor, known, rng, faults.get(sensor.name), lost)
         if np.all(np.isnan(columns[sensor.column])):

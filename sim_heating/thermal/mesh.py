@@ -85,9 +85,9 @@ def diffusion_depths(construction: Construction, mesh: Mesh) -> FloatArray:
     """Depth of each node measured by diffusion, s = int dx / sqrt(a).
 
     construction : layers, for the diffusivity a [m2/s] of each;  mesh : nodes and element lengths [m]
-    returns      : (node,) [s^(1/2)] from the surface: the square root of the time [s] that heat takes; contacts add nothing
+    returns      : (node,) [s^(1/2)] from the surface: the square root of the time [s] that heat takes
 
-    Source: docs/equations_thermal_step.md, equation 37.
+    Contacts add nothing. Source: docs/equations_thermal_step.md, equation 37.
     """
     root_a = np.sqrt(np.array([*layer_diffusivities(construction), np.inf]))[mesh.layer]
     return np.concatenate(([0.0], np.cumsum(mesh.length_m / root_a)))

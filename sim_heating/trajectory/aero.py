@@ -159,6 +159,7 @@ def grid_kernel(mach: float, alpha_deg: float, deflection_deg: float, table: Flo
     for corner in range(8):
         a, b, c = corner & 1, (corner >> 1) & 1, corner >> 2
         weight = (u if a else 1.0 - u) * (v if b else 1.0 - v) * (w if c else 1.0 - w)
+        # On an axis of one point the upper corner has weight 0 and lies behind the table.
         if weight != 0.0:
             at = values + 3 * (((i + a) * m + j + b) * p + k + c)
             cn += weight * table[at]
@@ -234,6 +235,7 @@ class Aero:
 
     def trim_elevon_deg(self, mach: float, alpha_deg: float, bodyflap_deg: float = 0.0) -> float:
         """Elevon deflection of zero moment about the centre of gravity; the end of its travel without one."""
+        # The moment is linear between the nodes of the table, so that its signs at the nodes bracket the zero exactly.
         nodes = _travel_nodes(self.elevon.deflection_deg, self.file.elevon.range_deg)
         return _zero_crossing(nodes, [self.coefficients(mach, alpha_deg, float(d), bodyflap_deg)[2] for d in nodes])
 
@@ -253,6 +255,8 @@ class Aero:
         """
         scale = 1.0 if against == "mach" else 1.0 / SCHEDULE_SOUND_M_S
         x, y = np.array(sorted(alpha_deg), dtype=float).T
+        # Corners of the tables, of the schedule and of the shift all become nodes: between them the trim deflection is
+        # smooth.
         mach = np.unique(np.concatenate((self.basic.mach, x * scale, self.file.cm_shift.mach)))
         alpha = np.interp(mach, x * scale, y)
         elevon = self.file.elevon.schedule_deg
@@ -275,6 +279,7 @@ class Aero:
             raise InputError(f"mass_kg: {mass} is not a mass (must be above 0)")
         if not low <= cg <= high:
             raise InputError(f"cg_fraction: {cg} is outside {low} to {high} of the reference length")
+        # True is a number in Python: the switch has to be told from a value of 1 by its type.
         shift = float(cm_shift) * self.file.cm_shift.Cm if isinstance(cm_shift, bool) else float(cm_shift)
         return replace(self, mass_kg=mass, cg_fraction=cg, cm_shift=shift)
 
@@ -307,6 +312,7 @@ def flown_aero(spec: TrajectorySpec, vehicle_dir: Path) -> Aero:
 def _read_control(folder: Path, name: str | None) -> Grid:
     if name is not None:
         return _read_grid(folder / name, deflected=True)
+    # A table of one point with values of 0: the kernels need no case for a vehicle without the surface.
     point = np.zeros(1)
     return Grid(point, point, point, np.zeros((1, 1, 1, 3)))
 
@@ -318,6 +324,7 @@ def _read_grid(path: Path, *, deflected: bool) -> Grid:
     mach, alpha, deflection = (np.unique(p) for p in points)
     values = np.full((mach.size, alpha.size, deflection.size, 3), np.nan)
     where = tuple(np.searchsorted(axis, p) for axis, p in zip((mach, alpha, deflection), points, strict=True))
+    # Of a repeated point the last row would silently be taken.
     _check_repeated_points(table, where, values.shape[:3])
     values[where] = np.stack([table[c] for c in COEFFICIENTS], axis=-1)
     return Grid(mach, alpha, deflection, _extend_in_alpha(path, mach, alpha, values))
@@ -338,6 +345,7 @@ def _extend_in_alpha(path: Path, mach: FloatArray, alpha: FloatArray, values: Fl
     Mach number, which keeps the tables continuous; schedules do not fly there. Between points alpha is linear.
     """
     full = values.copy()
+    # From the highest Mach number down, as the gap above the tested alphas takes the increments of the next higher one.
     for m in range(mach.size - 1, -1, -1):
         known = np.flatnonzero(np.all(np.isfinite(values[m]), axis=(1, 2)))
         if known.size == 0 or (m == mach.size - 1 and known[-1] != alpha.size - 1) or known[0] != 0:

@@ -34,6 +34,7 @@ def flight_block(spec: TrajectorySpec, aero: Aero, guidance: Guidance) -> FloatA
     """Planet, vehicle state, stop and dispersions of a flight in one block, see `schedules`."""
     file, stop, state = aero.file, spec.stop, spec.vehicle
     on_speed = state.bodyflap_deg is not None and state.bodyflap_against == "velocity_m_s"
+    # A stop condition that is not given takes a value that is never passed: speed and Mach 0, altitude minus infinity.
     scalars = (
         aero.arm, aero.cm_shift, *file.cm_shift.mach, *file.elevon.range_deg,
         pm.WGS84_MU_M3_S2, pm.WGS84_J2, pm.WGS84_ROTATION_RAD_S, pm.WGS84_RADIUS_M, pm.WGS84_FLATTENING,
@@ -98,10 +99,12 @@ def fly(
     entry = Entry(spec, vehicle.directory)
     sampler = Sampler(spec.sample_s, vehicle.reference_length_m)
     events: list[tuple[float, str]] = []
+    # A call of the kernel flies one second, so that events are known to the second without a check at every frame.
     first_speed, frames, ended = float(entry.state[pm.LAST_SPEED]), max(round(spec.rate_hz), 1), False
     while not ended:
         memory = entry.state[pm.MEMORY : pm.STARTED].copy()
         rows, ended = entry.run(frames)
+        # Before the rows are sampled: a value that is not finite would spread through the interpolation.
         _check_rows(rows)
         for row in rows:
             sampler.add(row)

@@ -69,6 +69,7 @@ def conditions_from_rows(rows: FloatArray, length_m: float) -> Conditions:
     longitude are made continuous, so that a value between two samples can be taken linearly (they may pass 180 deg).
     """
     given = {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(ROW)}
+    # Conditions are interpolated linearly: a heading that passes north would sweep through all others in between.
     for i in ANGLE_COLUMNS:
         given[ROW[i]] = np.unwrap(given[ROW[i]], period=360.0)
     given |= free_stream(given["altitude_m"], given["velocity_m_s"], given["rho_kg_m3"], length_m)
@@ -103,6 +104,7 @@ class Sampler:
         else:
             while self._next_s <= row[0] + _TOLERANCE_S:
                 self._rows.append(_interpolate_row(self._before, row, self._next_s))
+                # Multiples of the interval and not a running sum, whose rounding would drift over a long flight.
                 self._next_s = self._start_s + len(self._rows) * self.sample_s
         self._next_s = self._start_s + len(self._rows) * self.sample_s
 
@@ -115,6 +117,7 @@ class Sampler:
 
 def _interpolate_row(before: FloatArray, after: FloatArray, time_s: float) -> FloatArray:
     """Row at a time between two frames, linear; angles take the short way round."""
+    # A sample may be due up to _TOLERANCE_S after the frame; it takes the frame and is not extrapolated.
     share = min((time_s - before[0]) / (after[0] - before[0]), 1.0)
     step = after - before
     for i in ANGLE_COLUMNS:

@@ -94,6 +94,7 @@ def resolve_guidance(changes: GuidanceChanges, vehicle_dir: Path) -> Guidance:
     path = Path(vehicle_dir) / "guidance.toml"
     own = read_toml(path, GuidanceFile).model_dump(exclude={"format", "source", "confidence"}) if path.exists() else {}
     given = changes.model_dump(exclude_none=True)
+    # The two ways of reversing the bank exclude each other: that of a scenario replaces the vehicle's.
     if "target" in given or "reversals_m_s" in given:
         own = {k: v for k, v in own.items() if k not in ("target", "reversals_m_s")}
     merged = own | given
@@ -113,6 +114,7 @@ class GuidanceFile(Guidance):
 
 def guidance_block(g: Guidance, first_bank_deg: float = 0.0) -> FloatArray:
     """The flat block that `guidance_kernel` reads, see `schedules`."""
+    # Without an approach, one below a Mach number that no flight reaches: the kernel needs no case for it.
     a = g.approach or Approach(below_mach=1e-9, qbar_Pa=((0.0, 1.0),))
     target = (1.0, g.target.latitude_deg, g.target.longitude_deg, g.target.deadband_deg) if g.target else (0.0,) * 4
     scalars = (
@@ -161,6 +163,7 @@ def bank_sign(block: FloatArray, observed: FloatArray, sign: float) -> float:
     """Side to bank to: the first one, changed at each reversal velocity or when the heading leaves the deadband."""
     if block[HAS_TARGET] != 0.0:
         error = heading_error_deg(block, observed)
+        # Within the deadband the side is kept, so that the bank does not alternate about a target straight ahead.
         return -math.copysign(1.0, error) if abs(error) > block[DEADBAND] else sign
     start, points = int(block[REVERSALS]), int(block[REVERSALS + 1])
     passed = 0
@@ -176,6 +179,7 @@ def vertical_lift(
 ) -> float:
     """Vertical component of lift over mass [m/s2] that brings altitude rate and altitude error to zero."""
     demand = -2.0 * zeta * w * (observed[CLIMB] - climb_ref) - w * w * error
+    # A steep dive would divide by a cosine near 0.
     sine = clip(observed[CLIMB] / max(observed[SPEED], 1.0), -0.9, 0.9)
     return (demand + observed[NET_GRAVITY] + observed[DRAG] * sine) / math.sqrt(1.0 - sine * sine)
 
@@ -184,6 +188,7 @@ def vertical_lift(
 def glide_lift(block: FloatArray, observed: FloatArray) -> float:
     """Vertical lift above the drag reference: the altitude rate of an equilibrium glide, no altitude error."""
     V, D = max(observed[SPEED], 1.0), observed[DRAG]
+    # At orbital speed the centrifugal force carries the vehicle and nothing remains to divide by.
     support = max(observed[NET_GRAVITY], 0.5)
     curvature = (9.8 - observed[NET_GRAVITY]) / support
     climb_ref = -block[SCALE_HEIGHT] * 2.0 * D / V * (1.0 + curvature)
@@ -216,6 +221,7 @@ def track_lift(block: FloatArray, state: FloatArray, memory: int, observed: Floa
     climb_ref += state[memory + CLIMB_BIAS]
     error = Hs * math.log(D_ref / D)
     lift = vertical_lift(block, observed, climb_ref, error, w, zeta)
+    # While the bank is saturated the error cannot be corrected, and an integral would wind up.
     if abs(lift) < observed[LIFT]:
         bias = state[memory + CLIMB_BIAS] - INTEGRAL * w * w / (2.0 * zeta) * error * dt_s
         state[memory + CLIMB_BIAS] = clip(bias, -LARGEST_BIAS_M_S, LARGEST_BIAS_M_S)
@@ -231,6 +237,7 @@ def approach_lift(block: FloatArray, observed: FloatArray) -> float:
     """
     V, Hs = max(observed[SPEED], 1.0), block[SCALE_HEIGHT]
     w, zeta = block[APPROACH_FREQUENCY], block[APPROACH_DAMPING]
+    # The flare follows a sink rate in proportion to altitude and never asks for a steeper descent than the present one.
     if observed[ALTITUDE] < block[FLARE_ALTITUDE]:
         climb_ref = -TOUCHDOWN_RATE_M_S - max(observed[ALTITUDE], 0.0) / block[FLARE_TIME]
         return vertical_lift(
@@ -289,6 +296,7 @@ def guidance_kernel(block: FloatArray, state: FloatArray, memory: int, observed:
         alpha, bank = approach_target(block, observed, sign)
     else:
         alpha, bank = entry_target(block, state, memory, observed, phase, sign, dt_s)
+    # Limits first, rates last: commands stay continuous where a phase changes.
     alpha = clip(alpha, block[ALPHA_LOW], block[ALPHA_HIGH])
     a, b = memory + ALPHA_COMMAND, memory + BANK_COMMAND
     state[a] += clip(alpha - state[a], -block[ALPHA_RATE] * dt_s, block[ALPHA_RATE] * dt_s)

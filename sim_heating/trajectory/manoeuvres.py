@@ -59,6 +59,7 @@ def polygon_through(values: Iterable[tuple[float, float]], rate: float) -> Polyg
     """Polygon from 0 through (value, hold_s) at a rate and back to 0; moves below SMALLEST are ignored."""
     time, last, points = 0.0, 0.0, [(0.0, 0.0)]
     for value, hold_s in (*values, (0.0, 0.0)):
+        # A move of no length would be an edge of no duration, and `offsets_kernel` divides by the duration.
         value = 0.0 if abs(value) < SMALLEST else value
         if abs(value - last) >= SMALLEST:
             time, last = time + abs(value - last) / rate, value
@@ -76,6 +77,7 @@ def _popu(m: Popu) -> Polygon:
 
 
 def _pulses(m: ElevonPulse | BodyflapPulse) -> Polygon:
+    # The pause after the last pulse is dropped below: it would only delay the next manoeuvre on the channel.
     signs = [(-1.0) ** i if m.alternate else 1.0 for i in range(m.count)]
     return polygon_through(
         [v for s in signs for v in ((s * m.amplitude_deg, m.hold_s), (0.0, m.pause_s))][:-1], m.rate_deg_s
@@ -157,9 +159,11 @@ def trigger_kernel(script: FloatArray, state: FloatArray, started: int, before: 
         entry = PLAN + ENTRY * m
         which, value = int(script[entry + TRIGGER]), script[entry + VALUE]
         a, b = state[before + which], now[at + which]
+        # Speed and Mach are passed from above. They are NaN before the first frame of a host, and NaN passes nothing.
         passed = b >= value if which == 0 else a > value >= b
         if passed and state[started + m] < 0.0:
             share = 0.0 if which == 0 else (a - value) / (a - b)
+            # The instant of the crossing, not that of the frame: the manoeuvre does not depend on the frame rate.
             start = value if which == 0 else state[before] + (now[at] - state[before]) * share
             state[started + m] = earliest_start(script, state, started, script[entry + CHANNEL], start)
     for i in range(3):
@@ -194,6 +198,7 @@ def offsets_kernel(
         share = (since - script[point]) / (script[point + 2] - script[point])
         value = script[point + 1] + share * (script[point + 3] - script[point + 1])
         out[at + int(script[entry + CHANNEL])] += value
+        # Of several manoeuvres at once the most open pitch mode prevails.
         out[at + PITCH] = max(out[at + PITCH], script[entry + PITCH_MODE])
 
 

@@ -97,12 +97,14 @@ def geodetic(
     b = radius * (1.0 - flattening)
     p = math.sqrt(x * x + y * y)
     r = math.sqrt(p * p + z * z)
+    # Bowring's formula with his later start value (Survey Review 28, 1985): one pass, no iteration, for any altitude.
     s, c = z * (1.0 - flattening) * (1.0 + e2 / (1.0 - e2) * b / r), p
     n = math.sqrt(s * s + c * c)
     s, c = s / n, c / n
     sine, cosine = z + e2 / (1.0 - e2) * b * s * s * s, p - e2 * radius * c * c * c
     n = math.sqrt(sine * sine + cosine * cosine)
     sine, cosine = sine / n, cosine / n
+    # This form of the height has no division by the cosine or sine of the latitude, and holds at poles and equator.
     altitude = p * cosine + z * sine - radius * math.sqrt(1.0 - e2 * sine * sine)
     east = max(p, 1e-9)
     return altitude, (cosine * x / east, cosine * y / east, sine)
@@ -171,6 +173,7 @@ def forces_kernel(
     air = air_at(x, y, z, vx, vy, vz, flight)
     gx, gy, gz = gravity(x, y, z, flight)
     w = flight[ROTATION]
+    # Coriolis and centrifugal acceleration of the rotating axes.
     gx += w * (2.0 * vy + w * x)
     gy += w * (w * y - 2.0 * vx)
     V = air.speed_m_s
@@ -287,6 +290,7 @@ def command_kernel(
     """
     guidance_kernel(block, state, MEMORY, work, dt_s)
     work[NEXT] = state[T] + dt_s
+    # Speed and Mach at the end of the step, extrapolated: triggers are judged where the commands take effect.
     work[NEXT + 1] = 2.0 * work[gd.SPEED] - state[LAST_SPEED]
     work[NEXT + 2] = 2.0 * work[gd.MACH] - state[LAST_MACH]
     state[LAST_SPEED], state[LAST_MACH] = work[gd.SPEED], work[gd.MACH]
@@ -308,6 +312,7 @@ def runge_kutta_step(
     """
     alpha, bank, beta, d_elevon, d_flap = controls
     x, y, z, vx, vy, vz = state[X], state[Y], state[Z], state[VX], state[VY], state[VZ]
+    # The first slope is the acceleration of the frame: its output and the step share one evaluation of the forces.
     kx, ky, kz, lx, ly, lz = vx, vy, vz, work[K1], work[K1 + 1], work[K1 + 2]
     sx, sy, sz, ax, ay, az = kx / 6.0, ky / 6.0, kz / 6.0, lx / 6.0, ly / 6.0, lz / 6.0
     for stage in range(1, 4):

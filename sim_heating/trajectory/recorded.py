@@ -52,6 +52,7 @@ def read_conditions(path: Path, length_m: float) -> Conditions:
     raise_problems(_problems(table))
     given = dict(table.columns)
     derived = free_stream(given["altitude_m"], given["velocity_m_s"], given["rho_kg_m3"], length_m)
+    # A column of the file takes precedence over the derived one.
     columns = derived | {"qbar_Pa": 0.5 * given["rho_kg_m3"] * given["velocity_m_s"] ** 2} | given
     order = STATE + tuple(name for name in columns if name not in STATE)
     return Conditions({name: columns[name] for name in order})

@@ -76,6 +76,7 @@ class Stop(Convertible):
 
     def fraction_done(self, first_velocity_m_s: float, velocity_m_s: float, time_s: float) -> float:
         """Fraction of a flight that is done, by velocity lost or by time, 0 to 1."""
+        # For the display of progress alone: some 300 m/s for Mach 1.
         last = self.velocity_m_s or 300.0 * (self.mach or 0.0)
         by_speed = (first_velocity_m_s - velocity_m_s) / max(first_velocity_m_s - last, 1.0)
         return float(min(max(by_speed, time_s / self.time_s, 0.0), 1.0))
@@ -397,6 +398,8 @@ class TrajectorySpec(Convertible):
     @model_validator(mode="before")
     @classmethod
     def _default_frame_rate(cls, data: object) -> object:
+        # A point mass has no attitude motion to resolve: its fourth-order steps of 0.25 s suffice where JSBSim needs 60
+        # Hz.
         if isinstance(data, dict) and data.get("source") == "entry-3dof":
             return {"rate_hz": 4.0} | data
         return data

@@ -118,6 +118,8 @@ def trimmed_kernel(
     cm = cell_value(aero, p, 2) + (1.0 - w) * cell_value(aero, p, a + 2) + w * cell_value(aero, p, b + 2)
     cm += flight[CM_SHIFT] * clip((mach - flight[SHIFT_LOW]) / (flight[SHIFT_HIGH] - flight[SHIFT_LOW]), 0.0, 1.0)
     low, high = flight[ELEVON_LOW], flight[ELEVON_HIGH]
+    # Limited before the offset is added: a manoeuvre moves the surface from where it is, not from a trim beyond its
+    # travel.
     trim = clip(trim_elevon(aero, p, cm + flight[ARM] * cn, flight[ARM]), low, high)
     elevon = clip(trim + d_elevon_deg, low, high)
     k, w = bracket_scan(aero, int(aero[AT_ELEVON]), elevons, elevon)
@@ -151,6 +153,7 @@ def lift_drag_kernel(
     cl, cd = cn * c - ca * s, cn * s + ca * c
     rows, bottom = int(aero[LOWS]), aero[AT_MACH]
     if rows > 0 and mach < bottom:
+        # The polar is trimmed; between its last row and the lowest tabulated Mach number lift and drag are blended.
         cl_low, cd_low = polar_kernel(mach, alpha_deg, aero)
         top = aero[int(aero[AT_LOW]) + 5 * (rows - 1)]
         share = clip((mach - top) / (bottom - top), 0.0, 1.0)
@@ -178,6 +181,8 @@ def low_speed_rows(vehicle_dir: Path, below_mach: float) -> FloatArray:
 
 def aero_block(aero: Aero, low_speed: FloatArray) -> FloatArray:
     """A vehicle's tables in one block for the kernels, with the layout described at MACHS."""
+    # All three tables on the union of their axes, which keeps linear interpolation exact: one search for Mach and alpha
+    # serves all.
     grids = (aero.basic, aero.bodyflap, aero.elevon)
     mach = np.unique(np.concatenate([g.mach for g in grids]))
     alpha = np.unique(np.concatenate([g.alpha_deg for g in grids]))

@@ -190,8 +190,7 @@ class MarchOutput(NamedTuple):
 
 
 class Blocks(NamedTuple):
-    """Blocks of the perturbed lanes at start (assembled with 1 s for the time step), middle stage and end of a step.
-    """
+    """Blocks of the perturbed lanes at start (assembled with 1 s for the time step), middle stage and end of a step."""
 
     start: FloatArray
     middle: FloatArray

@@ -105,6 +105,7 @@ NOT_XML = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
 def _text(root: ET.Element) -> bytes:
     for element in root.iter():
         for name, value in element.items():
+            # Titles and names come from files of the user and may hold characters that no XML parser accepts.
             element.set(name, NOT_XML.sub(" ", value))
     ET.indent(root)
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
@@ -184,6 +185,7 @@ def _fmi2(image: Image, token: str) -> bytes:
     structure = ET.SubElement(root, "ModelStructure")
     for kind in ("Outputs", "InitialUnknowns"):
         unknowns = ET.SubElement(structure, kind)
+        # FMI 2 refers to variables by their position in the list, counted from 1; FMI 3 by value reference.
         for index, (_, v) in enumerate(listed, start=1):
             if v.role is Role.OUTPUT:
                 ET.SubElement(unknowns, "Unknown", index=str(index))

@@ -191,6 +191,7 @@ class _EntryPacker(ImagePacker):
     def _without_stop(flight: np.ndarray) -> np.ndarray:
         """The block of a flight without a stop condition."""
         copy = flight.copy()
+        # The host decides when the flight ends.
         copy[[pm.STOP_TIME, pm.STOP_MACH, pm.STOP_SPEED, pm.STOP_ALTITUDE]] = np.inf, 0.0, 0.0, -np.inf
         return copy
 
@@ -198,12 +199,15 @@ class _EntryPacker(ImagePacker):
         """Pack the script: MANOEUVRES or more polygons of POINTS or more points; the last point is repeated."""
         script = self.entry.script
         flown = int(script[mv.COUNT])
+        # Unused manoeuvres are exported as well, so that a host can plan others without a new export.
         n = max(flown, MANOEUVRES)
         shapes = [mv.polygon(m) for m in self.spec.manoeuvre]
         points = max([POINTS, *(len(s) for s in shapes)])
         plan, choices, numbers = [float(n)], [], []
         for m in range(n):
             entry = script[mv.PLAN + mv.ENTRY * m :][: mv.ENTRY] if m < flown else np.array([0.0, NEVER_S, 0, 0, 0, 0])
+            # Repeating the last point leaves the polygon as it is and gives every manoeuvre the same number of
+            # parameters.
             shape = [*shapes[m], *[shapes[m][-1]] * (points - len(shapes[m]))] if m < flown else [(0.0, 0.0)] * points
             first = mv.PLAN + mv.ENTRY * n + 2 * points * m
             plan += [*entry[: mv.PITCH_MODE + 1], first, first + 2 * (points - 1)]

@@ -89,6 +89,7 @@ def _follow_inputs(R, N, share: float, dt: float) -> None:  # type: ignore[no-un
     beta = before[IN_BETA] + share * (after[IN_BETA] - before[IN_BETA])
     elevon = before[IN_ELEVON] + share * (after[IN_ELEVON] - before[IN_ELEVON])
     flap = before[IN_BODYFLAP] + share * (after[IN_BODYFLAP] - before[IN_BODYFLAP])
+    # The inputs themselves: before + (after - before) may differ from them in the last bit.
     if share == 1.0:
         alpha, bank, beta = after[IN_ALPHA], after[IN_BANK], after[IN_BETA]
         elevon, flap = after[IN_ELEVON], after[IN_BODYFLAP]
@@ -105,6 +106,7 @@ def _start(R, N, A) -> int:  # type: ignore[no-untyped-def]
     _choose(R, N)
     state = at(R, N[STATE])
     first_state_kernel(at(R, N[INITIAL]), at(R, N[FLIGHT]), at(R, N[GUIDANCE]), N[MANOEUVRES], state)
+    # A host may start at a time other than 0.
     state[T] = R[NOW]
     return _observe(R, N)
 
@@ -124,6 +126,7 @@ def _step(R, N, A) -> int:  # type: ignore[no-untyped-def]
         else:
             flight, guidance, script = at(R, N[FLIGHT]), at(R, N[GUIDANCE]), at(R, N[SCRIPT])
             advance_kernel(state, flight, guidance, script, at(R, N[AERO]), dt, at(R, N[WORK]))
+        # The host's own time, so that the rounding of the frames does not accumulate.
         if frame == frames - 1:
             state[T] = R[NEXT]
         outcome = _observe(R, N)

@@ -51,6 +51,7 @@ def export_fmu(
     vehicle = load_vehicle(vehicle)
     for name in control_points or ():
         vehicle.control_point(name)
+    # Packing the vehicle overlaps with the compilation in a second process.
     with compiling_objects(targets_of(platforms, fmi)):
         model = heating_image(vehicle, control_points, columns=columns)
     write_fmu(Path(out), model.image, heating_units(model.effects), fmi, platforms, progress)
@@ -85,6 +86,7 @@ def write_fmu(
     progress : called with the fraction done and a line of text
     """
     targets = targets_of(platforms, fmi)
+    # The token follows from the content, so that equal models are recognised as equal by a host.
     token = "{" + hashlib.sha256(image.binary("")).hexdigest()[:32] + "}"
     files = {"modelDescription.xml": description(image, token, fmi), "resources/model.bin": image.binary(token)}
     for k, (platform, target) in enumerate(zip(platforms, targets, strict=True)):

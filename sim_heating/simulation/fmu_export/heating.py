@@ -196,6 +196,7 @@ def compiling_objects(targets: Sequence[Target]) -> Iterator[None]:
     if all(path.is_file() for unit in units for target in targets for path in unit.object_paths(target)):
         yield
         return
+    # A missing compiler is reported before minutes of compilation, not after.
     for target in targets:
         compiler_command(target)
     names = [name for name, target in TARGETS.items() if target in targets]
@@ -205,6 +206,7 @@ def compiling_objects(targets: Sequence[Target]) -> Iterator[None]:
         f"from {__name__} import compile_in_second_process; compile_in_second_process({names})",
     ]
     folder = str(numba.config.CACHE_DIR)  # type: ignore[attr-defined]
+    # Two processes of about equal duration; NUMBA_CACHE_DIR gives both one cache of kernels.
     process = subprocess.Popen(
         command, env=os.environ | {"NUMBA_CACHE_DIR": folder}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
@@ -213,6 +215,7 @@ def compiling_objects(targets: Sequence[Target]) -> Iterator[None]:
         yield
         process.wait()
     finally:
+        # Also after an error or an interrupt: the second compiler must not be left behind.
         process.kill()
         process.wait()
 
@@ -277,10 +280,12 @@ class _HeatingPacker(ImagePacker):
             for lane in range(LANES):
                 model = self.ensemble.models[self.ensemble.lanes[g * LANES + lane]]
                 codes = J[EFFECT_CODES + lane * EFFECT_SLOTS :][: len(kernel_effects(model))]
+                # In a process a code is the address of a kernel; a library has its own numbering.
                 codes[:] = [self.known.index(used.effect) for used in kernel_effects(model)]
         return ints
 
     def _pack_inputs(self) -> None:
+        # A density of 0, the default of an input, would be out of range at the start of every host.
         density = float(us76(START_ALTITUDE_M)[2])
         starts = [({**INPUT_STARTS, "rho_kg_m3": density}).get(name, 0.0) for name in self.inputs]
         self.add_inputs([Input(name, *INPUT_TEXTS[name], *LIMITS[name][:2]) for name in self.inputs], starts)
@@ -319,6 +324,7 @@ class _HeatingPacker(ImagePacker):
             row[k.P_BONDLINE_LIMIT] = NO_LIMIT_K if limits.bondline_K is None else limits.bondline_K
             row[k.P_OUT + k.SURFACE] = e.state[place.temperature(0)]
             row[k.P_OUT + k.BONDLINE] = e.state[place.temperature(mesh.bondline)]
+            # A point that fills up its group has several lanes; parameters that a host sets go to all of them.
             of_point = e.lanes[place.group * LANES : (place.group + 1) * LANES] == i
             elements = elements_of(model.construction, mesh)
             rows.append([

@@ -191,6 +191,7 @@ def _clear_counts(R, N) -> None:  # type: ignore[no-untyped-def]
 def _write_outputs(R, N, A) -> int:  # type: ignore[no-untyped-def]
     """Write the outputs; number of the first point whose step did not converge, GOOD where all did."""
     outcome = GOOD
+    # From the last point to the first: the outcome that remains is the first point that failed.
     for i in range(N[N_POINTS] - 1, -1, -1):
         point = at(N, N[POINT_INTS] + POINT_INTS_WIDTH * i)
         numbers = at(R, N[POINT_NUMBERS] + POINT_WIDTH * i)
@@ -257,11 +258,14 @@ def _step(R, N, A) -> int:  # type: ignore[no-untyped-def]
     outside = _first_out_of_range(then, ranges, n)
     if outside != GOOD:
         return outside
+    # `not <=`: a step that is NaN is refused as well.
     if not dt <= LONGEST_COMMUNICATION_S:
         return 2 * n
     jumped = N[CHANGED] != 0
     if jumped:
         _write_parameters(R, N)
+    # Inputs that differ from those at the end of the last step are a jump: heat contents and net heat are evaluated
+    # again.
     for k in range(n):
         jumped = jumped or R[N[INPUTS_AT_STATE] + k] != now[k]
     if jumped:

@@ -110,6 +110,7 @@ class Image:
 
     def add_numbers(self, values: ArrayLike, *, aligned: bool = False) -> int:
         """Add numbers to R, with `aligned` at the beginning of a cache line; the place of the first."""
+        # As `aligned_zeros` of the ensemble: vectors of a block then do not cross cache lines.
         if aligned and self.n_R % LINE:
             self.add_numbers(np.zeros(LINE - self.n_R % LINE))
         added = np.array(values, dtype=np.float64).ravel()
@@ -197,6 +198,7 @@ def checksum(body: bytes) -> int:
     A single changed or moved word changes the sum; several leave it unchanged with a probability of 2^-64 (Steele, Lea
     and Flood, 2014).
     """
+    # Mixed and not only summed: two flipped high bits cancelled in a linear sum, and a damaged state was accepted.
     words = np.frombuffer(body, dtype="<u8")
     z = words + np.arange(1, len(words) + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)

@@ -207,11 +207,13 @@ def _module_and_machine(
     module = llvm.parse_assembly(_module_text(unit, symbol))
     module.triple, module.data_layout = target.triple, str(machine.target_data)
     for value in [*module.functions, *module.global_variables]:
+        # Both levels of a processor contain functions of the same names, which must not meet when they are linked.
         if not value.is_declaration and value.name != symbol:
             value.linkage = "internal"
     # numba has optimised the functions already; for the most capable processor the module is optimised once more.
     builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=1))
     passes = builder.getModulePassManager()
+    # The basic level only has to be correct: it drops what is unused and is compiled as numba has left it.
     if level != target.levels[-1]:
         passes = llvm.create_new_module_pass_manager()
         passes.add_global_dead_code_eliminate_pass()
@@ -258,6 +260,7 @@ def _function_table_source(units: Sequence[CompilationUnit], target: Target) -> 
 def _cache_folder(units: Sequence[CompilationUnit], target: Target) -> Path:
     """Folder of the cache for a library or object files, named by a digest of all that they are made of."""
     digest = hashlib.sha256()
+    # Everything that the machine code depends on: an object of another version would be linked without complaint.
     for part in (_package_digest(), numba.__version__, llvmlite.__version__, repr(target)):
         digest.update(part.encode())
     for unit in units:
@@ -279,6 +282,7 @@ def shared_library(units: Sequence[CompilationUnit], target: Target) -> Path:
         return path
     command = compiler_command(target)
     folder.mkdir(parents=True, exist_ok=True)
+    # Linked aside and renamed: of two exports at once neither finds half a library.
     with tempfile.TemporaryDirectory(dir=folder) as work:
         partial = Path(work) / path.name
         _link(units, target, command, Path(work), partial)
@@ -335,12 +339,14 @@ def wrapper_objects(target: Target) -> list[Path]:
 
 
 def _flags(target: Target) -> list[str]:
+    # No contraction of a * b + c: its rounding would differ from that of the compiled kernels.
     flags = ["-O2", "-std=c11", "-ffp-contract=off", "-fvisibility=hidden", f"-I{wrapper_folder()}"]
     return flags if "windows" in target.triple else [*flags, "-fPIC"]
 
 
 def _link(units: Sequence[CompilationUnit], target: Target, command: Sequence[str], work: Path, out: Path) -> None:
     needed = [] if "windows" in target.triple else ["-lm"]
+    # A name that no library has is an error of the link here, not of a host that loads the FMU later.
     needed += ["-Wl,-z,defs", "-Wl,-s"] if "linux" in target.triple else []
     files = [*link_inputs(units, target, work), *wrapper_objects(target)]
     _run_compiler([*command, "-shared", *_flags(target), "-o", out, *files, *needed], target, "linking")

@@ -147,6 +147,7 @@ class ColumnsOfFmu:
 
         Columns that the mapping contains, or that follow from it, are not searched for.
         """
+        # A column that follows from mapped ones is not looked for by name: two sources of one quantity may disagree.
         mapped = mapped.union(*(made for needed, made in DERIVED_FROM if needed <= mapped))
         outputs = [v for v in model.description.modelVariables if v.causality == "output" and v.name not in taken]
         names = {v.name: re.sub("[^a-z]", "", v.name.lower()) for v in outputs}
@@ -156,6 +157,7 @@ class ColumnsOfFmu:
                 continue
             exact = [v for v in outputs if v.name == column]
             chosen = exact or [v for v in outputs if names[v.name] in USUAL_NAMES.get(column, ())]
+            # A name that fits several outputs is left alone; a wrong guess would fly without a message.
             if len(chosen) != 1:
                 continue
             name = chosen[0].name
@@ -202,6 +204,7 @@ class Derivation:
         self.notes: list[str] = []
         self._steps: list[Step] = []
         self._air = dispersion_block(spec.dispersions)
+        # Motion first: density and trim need the altitude and speed that it may have to derive.
         self._choose_motion()
         self._choose({"altitude_m"}, ("rho_kg_m3",), self._standard_density, "density is that of US76")
         self._choose(set(), ("jets",), _no_jets, "")
@@ -227,6 +230,7 @@ class Derivation:
 
     def _choose_motion(self) -> None:
         north, east, down, rate, mach = MOTION
+        # In order of preference: velocity components, then Mach, which needs a temperature that the FMU may not share.
         self._choose({north, east, down, "altitude_m"}, AIR_PATH, self._from_components, "speed is that of velocity")
         self._choose({mach, "altitude_m"}, ("velocity_m_s",), _from_mach, "speed is Mach times US76's speed of sound")
         self._choose({rate, "velocity_m_s"}, ("gamma_deg",), _from_rate, "")
@@ -327,6 +331,8 @@ class _Trim:
 
     def __init__(self, spec: TrajectorySpec, vehicle_dir: Path) -> None:
         aero = flown_aero(spec, vehicle_dir)
+        # The kernels of the 3-DOF entry: an FMU without surfaces has the deflections that the built-in flight would
+        # have.
         self._flight = flight_block(spec, aero, resolve_guidance(spec.guidance, vehicle_dir))
         self._tables = aero_block(aero, low_speed_rows(vehicle_dir, aero.basic.mach[0]))
 

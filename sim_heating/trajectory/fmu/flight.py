@@ -42,6 +42,7 @@ class FmuFlight:
         if spec.file is None:
             raise InputError('trajectory: source = "fmu" needs `file`, an FMU')
         self.spec = spec
+        # All checks against the description come before any code of the FMU runs.
         self.model: FmuModel = read_fmu(Path(spec.file), spec.fmu.interface)
         self.columns = ColumnsOfFmu(self.model, spec, vehicle.directory)
         self.start = self.model.start_values(spec.fmu)
@@ -53,6 +54,7 @@ class FmuFlight:
         spec, step_s = self.spec, 1.0 / self.spec.rate_hz
         events = [(0.0, note) for note in self.columns.notes]
         with FmuSession(self.model.path, spec.fmu.timeout_s) as session:
+            # The stop time is rounded up to whole steps, since an FMU may refuse a step that crosses it.
             answer = session.start(
                 self.model.interface, self.start, self.inputs.names, self.columns.outputs,
                 stop_s=math.ceil(spec.stop.time_s * spec.rate_hz - 1e-6) / spec.rate_hz, tolerance=spec.fmu.tolerance,
@@ -61,10 +63,12 @@ class FmuFlight:
             first_speed, frames = frame["velocity_m_s"], 0
             self._store(frame, on_frame)
             while not self._ended(frame):
+                # Frames are counted: a sum of steps would drift from the times that the FMU computes itself.
                 time_s = frames / spec.rate_hz
                 answer = session.step(time_s, step_s, self.inputs.values(frame, step_s))
                 frames += 1
                 reached_s = answer.time_s if answer.ended else frames / spec.rate_hz
+                # An FMU that ends the flight at the beginning of a step has no new frame to give.
                 if reached_s > time_s:
                     frame = self._frame(reached_s, answer)
                     self._store(frame, on_frame)
@@ -83,6 +87,7 @@ class FmuFlight:
 
         raises : RunError where a value is not finite or impossible; InputError where it is impossible at the start
         """
+        # An impossible value at the start is a wrong mapping or unit; a later one is a fault of the flight.
         kind = InputError if time_s == 0.0 else RunError
         for name, value in zip(self.columns.outputs, answer.values, strict=True):
             if not math.isfinite(value):
@@ -103,6 +108,7 @@ class FmuFlight:
         return frame
 
     def _store(self, frame: Frame, on_frame: OnFrame | None) -> None:
+        # The sampler takes whole rows; columns that cannot be determined are removed again in `_conditions`.
         row = np.array([frame.get(name, 0.0) for name in ROW])
         self.sampler.add(row)
         if on_frame is not None:
@@ -170,6 +176,8 @@ class Pilot:
         sign, phase = self._memory[gd.SIGN], self._memory[gd.PHASE]
         gd.guidance_step(self._block, self._memory, _observation(f, speed, mach), step_s)
         self.events += gd.guidance_events(f["time_s"], sign, phase, self._memory)
+        # Triggers are judged at the end of the step, where the commands take effect. Extrapolated as `point_mass` does,
+        # so that an exported entry under this pilot flies the same bits.
         ahead = 2.0 * speed - self._before[0], 2.0 * mach - self._before[1]
         offsets = self.script.offsets(f["time_s"] + step_s, *ahead)
         self._before = (speed, mach)
@@ -233,6 +241,7 @@ class InputsOfFmu:
 
 def _pilot_problems(model: FmuModel, spec: TrajectorySpec) -> list[str]:
     """Inputs of an FMU that its own `pilot` overrides, as in the exported 3-DOF entry."""
+    # Such inputs are accepted by the FMU and change nothing: the manoeuvres would be reported as flown.
     pilot = model.variables.get("pilot")
     host = None if pilot is None else item_named(pilot, "host")
     if pilot is None or host is None or not spec.fmu.inputs:
@@ -244,6 +253,7 @@ def _pilot_problems(model: FmuModel, spec: TrajectorySpec) -> list[str]:
 
 def _uncommanded_manoeuvres(model: FmuModel, spec: TrajectorySpec) -> list[str]:
     """Manoeuvres whose command is not an input of the FMU."""
+    # Without this check a manoeuvre had its window in the results while the FMU never received its command.
     inputs = [v.name for v in model.description.modelVariables if v.causality == "input"]
     unused = [
         (number, m.kind, commanded_variable(m))

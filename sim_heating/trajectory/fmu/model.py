@@ -92,6 +92,7 @@ class FmuModel:
 
         raises : InputError where their dimensions differ
         """
+        # A number without unit, such as the jets, is taken as it is; any quantity with a dimension needs a known unit.
         if unit is None and required in NO_DIMENSION and self.unit_name(variable) is None:
             return Conversion(1.0, 0.0)
         scale, target = self.scale(variable, unit, where), known_unit(required)
@@ -166,6 +167,7 @@ def read_fmu(path: Path, interface: str | None = None) -> FmuModel:
         raise InputError(f"{name}: is not an FMU ({error})") from None
     if DESCRIPTION not in entries:
         raise InputError(f"{name}: is not an FMU (it contains no {DESCRIPTION})")
+    # Names of both kinds of platform are checked: an archive made elsewhere is unpacked here.
     if strays := [entry for entry in entries if _escapes_folder(entry)]:
         raise InputError(f"{name}: contains `{one_line(strays[0])}`, a path outside the archive; nothing was unpacked")
     description = _description(path)
@@ -196,6 +198,8 @@ def _escapes_folder(entry: str) -> bool:
 
 def _description(path: Path) -> ModelDescription:
     try:
+        # Not validated at first, because FMPy rejects some valid descriptions; the schema is asked only why reading
+        # failed.
         return fmpy.read_model_description(path, validate=False)
     except Exception as error:  # FMPy raises plain Exceptions, lxml its own, and both Python's
         raise InputError(f"{display_path(path)}: {DESCRIPTION} {_description_fault(path, error)}") from None
@@ -229,6 +233,7 @@ def accepted_value(variable: ModelVariable, value: Value) -> bool | int | float:
             return bool(value)
         raise InputError(f"`{text}` is neither true nor false")
     if items := _items(variable):
+        # True equals 1 in Python and would select the first item.
         if value in items and not isinstance(value, bool):
             return int(value)
         raise InputError(f"`{text}` is not one of its items: {', '.join(f'{k} ({n})' for k, n in items.items())}")
@@ -237,6 +242,7 @@ def accepted_value(variable: ModelVariable, value: Value) -> bool | int | float:
     if str(variable.type).startswith(("Real", "Float")):
         return value
     lowest, highest = _range(str(variable.type))
+    # 1.5 would become the integer 1 without a message.
     if not lowest <= value <= highest or value != int(value):
         raise InputError(f"`{text}` is not a whole number from {lowest} to {highest}, which `{variable.name}` requires")
     return int(value)

@@ -77,8 +77,10 @@ class Instance:
     def _initialise(self, request: dict[str, Any]) -> None:
         times = {"tolerance": request["tolerance"], "startTime": request["start_s"], "stopTime": request["stop_s"]}
         start = request["start"]
+        # FMI 2 takes tolerance and times before the start values, FMI 3 on entering the initialization mode.
         if not self.three:
             self.fmu.setupExperiment(**times)
+        # Some variables may be set in one mode only: those that remain after the first call go into the second.
         start = apply_start_values(self.fmu, self.model, start, settable_in_instantiated)
         self.fmu.enterInitializationMode(**(times if self.three else {}))
         apply_start_values(self.fmu, self.model, start, settable_in_initialization_mode)
@@ -139,6 +141,7 @@ _SHORTER = "give shorter steps (rate_hz)"
 
 def _within(reached_s: float, begin_s: float, end_s: float) -> float:
     """A time that an FMU reports to have reached, which must lie in its step."""
+    # An end time far outside the step would otherwise be believed and end the flight there.
     for bound_s in (begin_s, end_s):
         if abs(reached_s - bound_s) <= SAME_TIME_S:
             return bound_s
@@ -263,7 +266,9 @@ def end_with_parent(parent: int) -> None:
 
 if __name__ == "__main__":
     if hasattr(os, "killpg"):
+        # Otherwise an FMU that has started processes would outlive a killed program.
         threading.Thread(target=end_with_parent, args=[int(sys.argv[1])], daemon=True).start()
+    # An FMU may print at any time. Answers get a descriptor of their own, and what it prints goes to the log.
     private = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     serve(sys.stdin, private)

@@ -85,15 +85,20 @@ class FmuSession:
         self._folder = Path(undo.enter_context(folder))
         (self._folder / "run").mkdir()
         self._unpack(self._folder / "fmu")
+        # A file and not a pipe: an FMU that prints much would fill a pipe and block.
         self._log = undo.enter_context((self._folder / "printed.txt").open("w+b"))
+        # The write end stays open here as well, so that the watch can wake a reader whose process hangs.
         ours, theirs = os.pipe()
         self._answers = undo.enter_context(os.fdopen(ours, "rb"))
         self._answer_end = undo.enter_context(os.fdopen(theirs, "wb", 0))
         self._over, self._hung = threading.Event(), False
+        # A session of its own, so that everything the FMU starts ends with it. -P: modules next to process.py must not
+        # hide those of the same name elsewhere.
         self._process = subprocess.Popen(
             [sys.executable, "-P", str(PROCESS), str(os.getpid())], cwd=self._folder / "run", stdin=subprocess.PIPE,
             stdout=self._answer_end, stderr=self._log, start_new_session=True,
         )  # fmt: skip
+        # Registered after the folder, so that the process has ended before its files are removed.
         undo.push(self._end)
         threading.Thread(target=self._watch, daemon=True).start()
 

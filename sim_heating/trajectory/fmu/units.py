@@ -78,6 +78,7 @@ def known_unit(name: str) -> Scale | None:
     if name in NO_DIMENSION:
         return Scale((), 1.0)
     plain = name.translate(SUPERSCRIPTS)
+    # A plain grammar before pint, which takes `m,s` for a millisecond and fails on `m.` in its tokenizer.
     if UNIT_SYNTAX.fullmatch(plain) is None or AMBIGUOUS.search(plain.replace("**", "^")) is not None:
         return None
     registry = _registry()
@@ -143,4 +144,5 @@ def conversion(given: Scale, required: Scale) -> Conversion | None:
     if given.dimension != required.dimension:
         return None
     factor, offset = given.factor / required.factor, (given.offset - required.offset) / required.factor
+    # A factor of 1 but for rounding must leave every bit as it is.
     return Conversion(1.0 if abs(factor - 1.0) < SAME_FACTOR else factor, offset)

@@ -83,6 +83,8 @@ class JSBSimEntry:
         mach = V / speed_of_sound_kernel(us76_kernel(initial.altitude_m)[0])
         alpha = float(first_memory(self._guidance.block, mach, V)[ALPHA_COMMAND])
         elevon = aero.trim_elevon_deg(mach, alpha, self._commands.bodyflap_deg(mach, V))
+        # Commands before the start: JSBSim evaluates the attitude control, lags included, when it initialises the
+        # state.
         self._commands.initialise(alpha, initial.bank_deg, elevon, mach, V)
         self.host.start(InitialState(**initial.model_dump(), alpha_deg=alpha))
         self._sampler.add(self._observer.row())
@@ -94,6 +96,7 @@ class JSBSimEntry:
         raises : RunError where the vehicle is lost
         """
         self.observed = observed = self._observer.observe()
+        # The stop is judged first: what a vehicle does beyond it is not a failure of the flight.
         if self.spec.stop.passed(observed.time_s, observed.altitude_m, observed.velocity_m_s, observed.mach):
             return True
         self._check_under_control()
@@ -101,6 +104,7 @@ class JSBSimEntry:
 
     def _check_under_control(self) -> None:
         highest = max(self._initial.altitude_m, ENTRY_INTERFACE_M) + SKIP_OUT_M
+        # `not <` and not `>=`: an attitude that is NaN counts as lost.
         if not self._observer.attitude_error_deg() < LOST_DEG:
             raise RunError(f"JSBSim: the vehicle went out of control {self.host.describe()}")
         if self.observed.altitude_m > highest:

@@ -166,6 +166,7 @@ class JSBSimHost:
         raises : RunError with time and state where the vehicle left the atmosphere, hit the ground or its state is not
         finite
         """
+        # The air of the frame to come: at its end the vehicle is at this altitude, not at the last one.
         altitude_m = (self._altitude_ft() + self._climb_fps() / self.rate_hz) * FT_M
         if not LOWEST_M < altitude_m < HIGHEST_M:
             raise RunError(f"JSBSim: the state {_altitude_fault(altitude_m)} {self.describe()}")
@@ -202,6 +203,8 @@ class _AirInjection:
     """Writes US76 with its dispersions into JSBSim's override properties."""
 
     def __init__(self, host: JSBSimHost, dispersions: Dispersions) -> None:
+        # JSBSim's own temperature is stuck at 187 K above 86 km; the air is that of the 3-DOF entry, dispersions
+        # included.
         self._block = dispersion_block(dispersions)
         self._setters = [
             host.publish(f"atmosphere/override/{name}").set_double_value
@@ -231,6 +234,7 @@ def open_vehicle(
     aero   : aerodynamics with mass, centre of gravity and moment shift as flown; None for the vehicle's own
     raises : InputError where the vehicle lacks data that JSBSim needs
     """
+    # JSBSim reads its files when it loads the model: they may be removed afterwards.
     with tempfile.TemporaryDirectory(prefix="sim_heating_jsbsim_") as folder:
         model = write_aircraft(aero or load_aero(vehicle_dir), vehicle_dir, Path(folder))
         return JSBSimHost(Path(folder), model, rate_hz=rate_hz, dispersions=dispersions or Dispersions())

@@ -71,6 +71,7 @@ def with_low_speed(aero: Aero, low_speed: FloatArray) -> Aero:
 
 def _finer_in_alpha(grid: Grid) -> Grid:
     """A table refined at the low alphas, where the drag of a polar is curved."""
+    # JSBSim interpolates linearly, which would overestimate the drag between widely spaced alphas.
     alpha = np.union1d(grid.alpha_deg, np.arange(0.0, POLAR_ALPHA_DEG + 1.0, POLAR_STEP_DEG))
     i = cells_of(grid.alpha_deg, alpha)
     share = ((alpha - grid.alpha_deg[i]) / np.diff(grid.alpha_deg)[i])[None, :, None, None]
@@ -97,6 +98,8 @@ def _forceless_below(grid: Grid, mach: float) -> Grid:
     """A control's table whose forces vanish towards a lower Mach number and whose moments do not."""
     if grid.mach.size == 1:
         return grid
+    # The polar is that of the trimmed vehicle and already contains lift and drag of the controls; their moments still
+    # have to trim it.
     row = grid.values[:1] * np.array([0.0, 0.0, 1.0])
     return grid._replace(mach=np.concatenate(([mach], grid.mach)), values=np.concatenate((row, grid.values)))
 

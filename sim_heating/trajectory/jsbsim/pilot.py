@@ -78,6 +78,7 @@ class Observer:
     def attitude_error_deg(self) -> float:
         """The larger of sideslip and the error of the angle of attack; NaN where either is NaN."""
         alpha, beta = abs(self._alpha() - self._alpha_command()), abs(self._beta())
+        # max() would drop a NaN in one of its two places.
         return alpha if alpha > beta or math.isnan(alpha) else beta
 
     def _heading_deg(self) -> float:
@@ -136,6 +137,7 @@ class Commands:
                 self._set["pitch-open"](0.0)
                 self._frozen_deg = None
             return
+        # Offsets of a manoeuvre are about the deflection at which it began.
         if self._frozen_deg is None:
             self._frozen_deg = self._elevon_deg()
             self._set["elevon-direct"](1.0)
