@@ -74,6 +74,7 @@ def close_all(
     from sim_heating.closure.close import FILES
 
     jobs = [record_job(path, out / path.resolve().name) for path in records]
+    # Before the work: a place that cannot hold results must not be found out after it.
     for folder, names in ((out, SUMMARIES), *((job.task.out, FILES) for job in jobs)):
         require_writable(folder, names)
     outcome = run_batches(jobs, _close_record, out / LEDGER, scheduler=scheduler, workers=workers, progress=progress)
@@ -95,6 +96,8 @@ def record_job(record: Path, out: Path) -> Job:
         inputs = inputs_hash(load_record(record))
     except InputError:  # the job itself reports it
         inputs = "unreadable"
+    # Everything that the result depends on: a finished record is closed again after an update of the program or of a
+    # user-defined effect, and not otherwise.
     digest = hashlib.sha256("|".join([inputs, package_version(), *sorted(effects())]).encode())
     for path in user_effect_files():
         digest.update(path.read_bytes())

@@ -103,6 +103,8 @@ def close_loop(record: Record | str | os.PathLike[str], *, progress: Progress = 
     if times < MIN_SAMPLES:
         raise InputError(f"{record.name}: readings at {times} time(s); close-loop needs {MIN_SAMPLES} at least")
     faults = check_record(record)
+    # On a clock in another unit every candidate would be fitted to the wrong flight; other faults may still be
+    # explained by the closed loop and are judged after it.
     of_clock = [f.message for f in faults if f.kind == CLOCK]
     if of_clock:
         raise InputError(*of_clock)
@@ -120,6 +122,8 @@ def refit(result: SearchResult) -> FitResult:
     """
     last = result.added[-1]
     part = last.problem.record_fits[0]
+    # The priors of the search: with the declared ones the last fit could end at other values than those that were
+    # ranked.
     priors = {p.name: p for p in last.problem.parameters if p.name == CLOCK_SKEW.name}
     for name in part.march_names:
         if name.startswith(EFFECT_PREFIX):

@@ -58,8 +58,10 @@ def check_fit(problem: FitProblem, values: FloatArray, residual: ResidualHeating
     if rms < EXPLAINED:
         factor = magnitude_fault(problem, values)
         return [] if factor is None else [factor]
+    # A residual that some heating explains is a finding for the search of effects, not a fault of the data.
     if all(s.after_rmse_K < CONTRADICTION_FLOORS * s.floor_K for s in residual.sensors):
         return []
+    # Another material before a broken sensor: it contradicts every heating history just as a sensor does.
     insulation = _insulation_fit(problem, values)
     if insulation is not None and insulation.residual < EXPLAINED:
         return [v for v in (material_fault(problem, insulation, rms),) if v is not None]
@@ -98,6 +100,7 @@ def contradicting_sensor(problem: FitProblem, values: FloatArray, residual: Resi
     t, deviation_K = _deviation_K(residual.record, others, suspect)
     line = np.polyfit(suspect.read_K - np.mean(suspect.read_K), deviation_K, 1)
     about_line_K = deviation_K - np.polyval(line, suspect.read_K - np.mean(suspect.read_K))
+    # A deviation on a straight line over temperature is a bias or gain, which the search has as a candidate.
     if np.std(about_line_K) < AT_NOISE * suspect.floor_K:
         return None
     rivals = [o.sensor.name for g, o, _ in consistent if o is not suspect and g < RIVAL_GAIN_RATIO * gain]
@@ -152,6 +155,7 @@ def _insulation_fit(problem: FitProblem, values: FloatArray) -> InsulationFit | 
         FitOptions(effects=part.model.effects, prior_scale=np.inf),
     )
     other.record_fits[0].sigma_K.update(part.sigma_K)
+    # From several conductivities: a wrong unit may be off by more than a search from the declared value bridges.
     starts = np.array([[*start, k, 1.0] for k in CONDUCTIVITY_STARTS])
     log_likelihoods = other.log_likelihoods(starts)
     if not np.any(np.isfinite(log_likelihoods)):

@@ -74,6 +74,7 @@ def check_record(record: Record) -> list[DataFault]:
     returns : a fault of its clocks alone where there is one, since nothing else can be examined then
     raises  : RunError where the declared model cannot be marched
     """
+    # With the clock in another unit the comparisons below would all fail for the same reason.
     of_clock = clock_fault(record)
     if of_clock is not None:
         return [of_clock]
@@ -190,6 +191,7 @@ def _shape_error_K(
         x, y = np.interp(at[known], flown_s, predicted), measured[known]
         if len(y) < 10 or np.ptp(x) == 0.0:
             continue
+        # The shape alone, free in level and scale: a wrong table must not be mistaken for another flight.
         x, y = x - np.mean(x), y - np.mean(y)
         squares, count = squares + max(float(y @ y - (x @ y) ** 2 / (x @ x)), 0.0), count + len(y)
     return float(np.sqrt(squares / count)) if count else float("nan")
@@ -211,6 +213,8 @@ def stuck_sensors(record: Record, flown_s: FloatArray, indicated_K: FloatArray) 
         k = int(np.argmax(ends - begins))
         longest = slice(begins[k], ends[k] + 1)
         change = float(np.ptp(np.interp(t[longest], flown_s, predicted)))
+        # A coarse word repeats itself over a slow change: not the constant reading is suspect, but one that should have
+        # moved by many steps.
         step = max(sensor.lsb_K, sensor.noise_sigma_K or 1.0)
         if ends[k] - begins[k] + 1 >= MIN_STUCK_SAMPLES and change > STUCK * step:
             found.append(
@@ -241,8 +245,11 @@ def jumping_sensors(record: Record) -> list[DataFault]:
             continue
         floor, interval = _floor_K(sensor), np.diff(t)[JUMP_WINDOW - 1 : len(t) - JUMP_WINDOW]
         middle = t[JUMP_WINDOW - 1 : len(t) - JUMP_WINDOW] + 0.5 * interval
+        # Lines and not means: the difference of two means took the steep steady rise of practice record p04 for a jump.
         before = _line_at(t[:-JUMP_WINDOW], T[:-JUMP_WINDOW], middle)
         step = _line_at(t[JUMP_WINDOW:], T[JUMP_WINDOW:], middle) - before
+        # The first reading after a step has to leave the earlier line as well: a bend of the temperature alone opens a
+        # gap between the two lines.
         distinct = np.abs(T[JUMP_WINDOW : len(T) - JUMP_WINDOW + 1] - before) > 0.5 * JUMP_FLOORS * floor
         sudden = np.where(distinct & (interval < MAX_GAP * np.median(np.diff(t))), np.abs(step), 0.0)
         k = int(np.argmax(sudden))
@@ -303,4 +310,5 @@ def _read_K(record: Record) -> FloatArray:
     """(sensor, sample) measurements [K]; NaN where lost, or at an end of the recorder's range."""
     read = record.temperatures_K()
     classified = [reading_intervals(sensor, own) for sensor, own in zip(record.sensors, read, strict=True)]
+    # A word at the end of the range states only a bound: taken as a reading it looked like a stuck sensor.
     return np.array([np.where(o.is_finite, T, np.nan) for o, T in zip(classified, read, strict=True)])

@@ -176,6 +176,8 @@ def estimate(
     wanted = tuple(names) if names is not None else default_names(loaded)
     options = FitOptions((*effects, *implied_effects(wanted, effects)), priors=priors, starts=starts)
     condition = joint_reference(loaded, reference)
+    # derivatives against variables that do not change are known before any march; the rest is judged by its bounds
+    # below
     omitted = constant_variables(wanted, loaded) | parameters_without_heating(wanted, loaded)
     remaining = _remaining_names(wanted, omitted, loaded)
     first = {} if settings is None else settings.first_values
@@ -314,6 +316,8 @@ def _fit_result(
     if fit.status is Status.NO_START:
         raise RunError(f"estimate: {fit.describe()[0]}")
     samples = (innovations or problem).samples(fit.values)
+    # errors before and after are those of the plain march, also with process noise: a filter follows the readings it is
+    # compared with
     after = tuple(predict_fit(record_fit, fit.values) for record_fit in problem.record_fits)
     before = tuple(predict_record(record_fit.record) for record_fit in problem.record_fits)
     notes = (*notes, *table_warnings(problem.record_fits), *fit_warnings(problem, fit, samples))
@@ -363,6 +367,7 @@ def fit_bounds(samples: Sequence[PredictedSamples], fit: Fit) -> CramerRaoBounds
         found = likelihood(s.channel.intervals, s.mean_K, s.spread_K)
         name = f"{s.record_fit.record.name}/{s.channel.sensor.name}"
         channels.append(Residuals(name, s.time_s, found.score, found.information, s.jacobian[:, ~fit.on_bound]))
+    # a parameter on its bound does not move with the data; left in, it would widen the bounds of the others
     free = cramer_rao_bounds(channels, fit.prior_information[~fit.on_bound])
     place = np.ix_(~fit.on_bound, ~fit.on_bound)
     whole, white = np.zeros_like(fit.covariance), np.zeros_like(fit.covariance)
@@ -400,6 +405,7 @@ def fit_warnings(problem: FitProblem, fit: Fit, samples: Sequence[PredictedSampl
     for u, value, bounded in zip(problem.unknowns, fit.values, fit.on_bound, strict=True):
         if bounded:
             lines.append(f"{u.label} is on its bound, {value:g}")
+        # a lead of some seconds removes the whole lag of a coating: docs/clocks_and_starts.md, first table
         if bounded and u.parameter.name == "stack.coating.thickness_factor" and value < 1.0:
             lines.append(
                 "a coating thickness on its lower bound mostly indicates a clock error, thermocouples that lead the "

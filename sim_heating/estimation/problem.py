@@ -116,6 +116,8 @@ class FitProblem:
         self.reference, self.options = reference, options
         self.priors = dict(options.priors or {})
         models = [replace(point_of_record(r, options.fixed, options.effects), reference=reference) for r in records]
+        # the mesh is chosen once, at the declared parameters: a likelihood with another mesh at each step would not be
+        # smooth
         meshes = [mesh for mesh, _ in choose_meshes(models, options.longest_step_s)]
         begin = list(options.starts) if options.starts is not None else [None] * len(records)
         self.record_fits = [
@@ -165,6 +167,7 @@ class FitProblem:
                 return own
         parameter = sensor_definition(record_fit.record, name)
         if parameter is None:
+            # the fit starts at what the record declares, which is also the mean of the prior
             parameter = replace(record_fit.model.definition(name), value=record_fit.model.value(name))
         if name == CLOCK_SKEW.name:
             parameter = replace(parameter, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)
@@ -239,6 +242,7 @@ class FitProblem:
 
         try:
             found = in_threads(one, len(self.groups))
+        # a search goes on from a vector that cannot be marched: it takes a shorter step
         except RunError:
             return self.failed_evaluation()
         return Evaluation(
@@ -278,6 +282,7 @@ class FitProblem:
 
     def _march_group(self, k: int, vector: FloatArray) -> Sequence[Linearised]:
         """A group marched at a parameter vector; the latest result of each group is cached."""
+        # likelihood, bounds, pictures and residual tests ask for the same vector in turn
         cached, found = self._last[k]
         if cached != vector.tobytes():
             group, march = self.groups[k], self._marches[k]

@@ -50,6 +50,7 @@ class JointMarch:
 
         Nothing is marched where all problems already have results for these vectors.
         """
+        # at the first evaluation after a screening all starts are marched already
         if all(problem.has_cached(vector) for problem, vector in zip(self.problems, vectors, strict=True)):
             return [True] * len(self.problems)
 
@@ -62,6 +63,7 @@ class JointMarch:
         marched: list[dict[int, Linearised]] = [{} for _ in self.problems]
         for group, results in zip(self._groups, in_threads(one, len(self._groups)), strict=True):
             for (i, k), result in zip(group.members, results, strict=True):
+                # one record that fails makes its own problem fail and no other in its lanes
                 if result is not None:
                     marched[i][k] = result
         whole = [len(found) == len(problem.record_fits) for problem, found in zip(self.problems, marched, strict=True)]

@@ -91,6 +91,7 @@ def circuit_profile(record: Record, model: PointModel, mesh: Mesh, time_s: float
         decay = np.exp(-(t[k] - t[k - 1]) * rates)
         profile = 0.5 * (read[k] + read[k - 1]) * (1.0 - decay) + profile * decay
     nodes, now = (np.array(column) for column in zip(*_readings_now(record, mesh, time_s), strict=True))
+    # the readings at the start are better known than the analogy: the profile is shifted to pass through them
     return profile + np.interp(s, s[nodes], now - profile[nodes])
 
 
@@ -198,6 +199,7 @@ def profile_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) 
     Source: docs/clocks_and_starts.md, equation 4.
     """
     profile = conducted_profile(record, model, mesh, time_s)
+    # a deeper thermocouple that contradicts the conducted profile measures its error, and widens the prior
     largest = max(abs(now - profile[node]) for node, now in _readings_now(record, mesh, time_s))
     return free_start(time_s, profile, model, mesh, max(START_SIGMA_K, largest))
 

@@ -109,6 +109,7 @@ def trend(
         progress(k / len(windows), f"segments: {k + 1} of {len(windows)}, {begin:.0f} to {end:.0f} s")
         mask = record.fit_mask() & (record.time_s >= begin) & (record.time_s < end)
         count = int(np.count_nonzero(np.isfinite(record.temperatures_K(record.used_sensors)[:, mask])))
+        # the next segment then starts from the last one that could be fitted, marched over the gap
         if count < max(FEWEST_SAMPLES, len(fitted)):
             left_out.append(f"{begin:g} to {end:g} s: {count} samples for {len(fitted)} parameters")
             continue
@@ -117,6 +118,7 @@ def trend(
         problem = FitProblem(
             [record], fitted, joint_reference([record]), FitOptions(starts=[start], sample_masks=[mask])
         )
+        # the parameters change little from one segment to the next, so that the search begins near its end
         first = np.array([p.value for p in problem.parameters]) if last is None else _carried_values(problem, *last)
         fit = maximise(problem.evaluate, problem.parameters, first, problem.log_likelihoods)
         if fit.converged:

@@ -91,6 +91,8 @@ def plan(
         raise InputError(f"{study.path}: has no table that asks for a result; add one, such as [dispersion]")
     done = Plan(study)
     expected = [SUMMARY, PAGE, *(name for part in parts.values() for name in part.files(study))]
+    # One thread for linear algebra: its split among threads changes last digits, and results are to be the same bytes
+    # on any number of cores.
     with output_directory(out, expected) as folder, one_thread():
         if engine.scheduler is not None:
             require_scheduler(engine.scheduler)
@@ -98,6 +100,7 @@ def plan(
             try:
                 done.results[name] = part.run(study, folder, engine, _within(progress, name, i, len(parts)))
             except (InputError, RunError) as error:
+                # A part that fails does not take the results of the others with it.
                 if isinstance(error, InputError) and len(parts) == 1:
                     raise
                 done.failed[name] = str(error)

@@ -74,6 +74,8 @@ def table_modes(vehicle: Vehicle, point: str, path: FloatArray, factor: float = 
     nodes = np.unique(W.indices)
     own = W[:, nodes].toarray()
     K = known.covariance(np.arange(mean.size), nodes)
+    # Lognormal with the mean and covariance of the table: with a sigma of most of the ratio a normal error would make
+    # negative ratios.
     G = np.log1p(np.maximum(factor**2 * K / np.outer(mean, mean[nodes]), LEAST_COVARIANCE))
     along = own @ G[nodes] @ own.T
     variance, vectors = np.linalg.eigh(0.5 * (along + along.T))
@@ -84,6 +86,7 @@ def table_modes(vehicle: Vehicle, point: str, path: FloatArray, factor: float = 
         return np.zeros((mean.size, 0))
     count = int(np.searchsorted(np.cumsum(variance), (1.0 - LOST) * total)) + 1
     modes = G @ own.T @ (vectors[:, :count] / np.sqrt(variance[:count]))
+    # An eigenvector has either sign; a fixed one makes a positive number mean a hotter table.
     signs = np.where(np.sum(modes, axis=0) < 0.0, -1.0, 1.0)
     return np.asarray(modes * signs)
 

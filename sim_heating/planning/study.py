@@ -125,6 +125,7 @@ def load_study(path: str | os.PathLike[str] | Study, vehicle: str | os.PathLike[
     place = Path(path)
     declared = read_toml(place, StudyFile)
     loaded = load_vehicle(vehicle_place(place, declared.vehicle) if vehicle is None else vehicle)
+    # A study of another revision would answer another question; --vehicle asks for that on purpose.
     if vehicle is None and declared.revision not in (None, loaded.revision):
         raise InputError(
             f'{display_path(place)}: `revision`: the study needs "{declared.revision}" and {loaded.name} is at '

@@ -66,10 +66,12 @@ def axial_steps(record: Record) -> tuple[AxialStep, ...] | None:
     if np.count_nonzero(known) < MIN_SAMPLES:
         return ()
     t = t[known]
+    # Over twice the dynamic pressure: the acceleration itself varies with density and speed throughout.
     C = a[known] / (flown["rho_kg_m3"] * flown["velocity_m_s"] ** 2)[known]
     angles = np.column_stack([flown[n][known] for n in ANGLES])
     scan = [(_step(t, C, angles, at), at) for at in 0.5 * (t[1:] + t[:-1])]
     scanned = [(F, dof, size, at) for (F, dof, size), at in scan if dof > 0]
+    # The number of places, BLIND_S apart, at which noise could have shown a step.
     windows = max(np.ptp(t) / HALF_WINDOW_S, 1.0) * HALF_WINDOW_S / BLIND_S
     found: list[AxialStep] = []
     for F, dof, size, at in sorted(scanned, key=lambda s: -s[0]):
@@ -91,6 +93,7 @@ def _step(t: FloatArray, C: FloatArray, angles: FloatArray, at: float) -> tuple[
         return 0.0, 0, 0.0
     x = t[window] - at
     centred = angles[window] - np.mean(angles[window], axis=0)
+    # Angles and a trend are fitted alongside, since a manoeuvre changes the axial force as a step would.
     columns = [np.ones_like(x), x, *(v for v in centred.T if np.ptp(v) > 1e-3)]
     without_step = np.column_stack(columns)
     y = C[window]

@@ -179,6 +179,7 @@ def residual_evidence(residual: ResidualHeating, ratio: FloatArray | None = None
 
     ratio : (knot,) the model's heating ratio, where it is known
     """
+    # The split of a product among threads changes its last digits, and with them the report.
     with one_thread():
         return _evidence(residual, ratio)
 
@@ -189,6 +190,8 @@ def _evidence(residual: ResidualHeating, ratio: FloatArray | None) -> ResidualEv
     profiled = profiled_information(residual)
     shapes, columns = candidate_shapes(t, variables)
     largest = MAX_AMPLITUDE * float(np.max(np.abs(residual.delta_ratio)))
+    # A shape that nearly equals a derivative has a huge amplitude, which the derivative cancels: it explains nothing by
+    # itself.
     fits = [f for f in profiled.fit_shapes(shapes, columns) if abs(f.amplitude) <= largest]
     names = dict.fromkeys(f.shape.variable for f in fits)
     best = [next(f for f in fits if f.shape.variable == name) for name in names]
@@ -233,6 +236,7 @@ def flight_variables(residual: ResidualHeating) -> dict[str, FloatArray]:
     pressure = np.maximum(flown["p_surface_Pa"], 1e-3)
     H_w = np.diagonal(wall_enthalpy_grid(kind, wall, pressure))
     found = {n: flown[n] for n in names} | {WALL: wall}
+    # In a ground test nothing flows, and the ratio of enthalpies has no meaning.
     if np.all(flown["H_r_J_kg"] > 0.0):
         found[ENTHALPY] = H_w / flown["H_r_J_kg"]
     return found | {TIME: t}
@@ -248,8 +252,10 @@ def correlations(residual: ResidualHeating, variables: Mapping[str, FloatArray])
         lags = (0.0,) if name == TIME else LAGS_S
         at_lags = [(_correlation(d, np.interp(t - lag, t, v)[fitted], w), lag) for lag in lags]
         value, lag = max(at_lags, key=lambda c: abs(c[0]))
+        # A smoothed history has fewer independent points than knots: the trace counts those that the readings resolve.
         n = min(_effective_points(d, np.interp(t - lag, t, v)[fitted]), max(resolved, 3.0))
         found.append((name, lag, value, n, _correlation_p_value(value, n)))
+    # The largest over all lags and variables is reported: chance has had as many trials.
     trials = sum(1 if name == TIME else len(LAGS_S) for name in variables)
     corrected = [Correlation(*f, sidak_p_value(f[4], trials)) for f in found]
     return sorted(corrected, key=lambda c: -abs(c.value))

@@ -108,6 +108,7 @@ def _rate_term(
     root = np.linalg.cholesky(covariance + 1e-9 * np.trace(covariance) / len(d) * np.eye(len(d)))
     A, y = np.linalg.solve(root, X), np.linalg.solve(root, d)
     fit = np.linalg.lstsq(A, y, rcond=None)[0]
+    # Never below 1: a residual that happens to be smooth is not better known than its covariance states.
     scatter = max(float(np.sum((y - A @ fit) ** 2)) / dof, 1.0)
     return float(fit[-1] / np.sqrt(np.linalg.pinv(A.T @ A)[-1, -1] * scatter)), dof
 

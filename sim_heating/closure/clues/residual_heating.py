@@ -151,6 +151,7 @@ def residual_heating(
     """
     own = problem.record_fits[part]
     shift, channels = own.shift_s(values), [c for c in own.channels if c.sensor.name != without]
+    # At the times shifted by the clock and with the correction for the mesh: what these explain is not missing heating.
     samples, order = filter_samples(
         channels, own.sample_s + shift, own.mesh, own.sigma_K, own.values(values), own.correction_K
     )

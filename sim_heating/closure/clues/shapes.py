@@ -119,8 +119,10 @@ def profiled_information(residual: ResidualHeating) -> ProfiledInformation:
         weighted = history.weight[:, np.newaxis] * J
         C = history.response_matrix.T @ weighted
         N = J.T @ weighted + np.diag(residual.prior_information)
+        # Scaled to ones on the diagonal: parameters have units from 1/deg to s.
         s = 1.0 / np.sqrt(np.maximum(np.diag(N), 1e-300))
         inverse = np.linalg.pinv(N * np.outer(s, s), rcond=1e-10, hermitian=True) * np.outer(s, s)
+        # The fitted parameters follow any heating that is added: only what they cannot take up counts as evidence.
         A = history.information - C @ inverse @ C.T
         b = history.score - C @ inverse @ (J.T @ history.slope + C.T @ history.delta_ratio)
     Q, _ = process_precision(history.time_s, history.disturbance)
@@ -133,6 +135,7 @@ def trials_factor(profiled: ProfiledInformation, columns: FloatArray, seed: int 
     columns : (knot, shape) histories;  seed : of the simulated scores
     """
     values, vectors = np.linalg.eigh(profiled.information)
+    # Shapes overlap, so that their number says little about chance: the largest score of simulated noise replaces it.
     draws = (vectors * np.sqrt(np.maximum(values, 0.0))) @ np.random.default_rng(seed).normal(size=(len(values), DRAWS))
     power = np.einsum("ij,ij->j", columns, profiled.information @ columns)
     resolved = power > 1e-12 * float(np.max(power, initial=0.0))

@@ -98,6 +98,7 @@ def effects_from_fit(
         elif name not in estimated:
             not_written[f"{EFFECT_PREFIX}{name}"] = "was in the fit, but nothing of it was estimated"
         else:
+            # Rounded before it is used, so that the errors reported for the revision are those of the file as written.
             fitted.append(use(name, {n: float(f"{v:.{DIGITS}g}") for n, v in parameter_values(used).items()}))
     after = _merged(point.effects, fitted)
     check_count(after, point.name)
@@ -143,6 +144,7 @@ def _within_bounds(label: str, fitted: float, value: float) -> float:
     limits = next((p for p in effect(name).parameters if p.name == parameter), None)
     if limits is None:
         return value
+    # The shift towards the updated ratio is linear and may leave the bounds.
     return min(max(value, min(limits.lower, fitted)), max(limits.upper, fitted))
 
 
@@ -194,6 +196,7 @@ def edit_effects(raw: str, declared: Sequence[Mapping[str, Any]], path: Path) ->
         found = tomlkit.parse(text).unwrap()
     except TOMLKitError as error:
         raise InputError(f"{display_path(path)}: cannot be edited ({error}); write its [[effect]] by hand") from None
+    # The edit is made on the text, to keep comments. Read back, it must differ in this effect and in nothing else.
     if found != wanted:
         raise InputError(
             f"{display_path(path)}: cannot take the effect without other changes; write its [[effect]] by hand"

@@ -105,6 +105,7 @@ def flight_evidence(
     effects = any(is_effect(n) for n in others)
     if not names and not effects:
         raise InputError("the estimate holds no ratio parameter and no effect, so nothing of it concerns the vehicle")
+    # The table enters the update by its own sigma; as the prior of the fit it would count twice.
     with_prior = next((n for n in names if estimate.parameters[n].prior_sigma is not None), None)
     if with_prior is not None:
         raise InputError(
@@ -150,6 +151,7 @@ def _record_path(record: Record, segments: Sequence[Sequence[float]] | None) -> 
     x = np.stack([flown[v] for v in RATIO_VARIABLES], axis=1)
     table = record.ratio_table
     declared = np.zeros(len(t)) if table is None else node_weights(table.axes, x) @ table.ratio.ravel()
+    # Weighted by the square of the heat flux, on which the temperatures depend.
     return FlownPath(x, (flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]) ** 2, declared)
 
 
@@ -174,6 +176,8 @@ def _projection(
     B = basis(names, path.x, reference, path.declared)
     root = np.sqrt(path.weight / np.sum(path.weight))
     scale = np.sqrt(np.sum((B * root[:, None]) ** 2, axis=0))
+    # Projected, not sampled: the rank is the number of parameters at any sampling rate. Pseudo-measurements along the
+    # path were rejected, since their spacing and noise would be invented (decision 0006).
     U, s, V = np.linalg.svd(B * root[:, None] / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
     if len(B) < len(names) or s[-1] < MIN_SINGULAR_VALUE:
         least = V[-1] if len(s) else np.ones(len(names))

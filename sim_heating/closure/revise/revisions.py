@@ -153,6 +153,7 @@ def read_history(vehicle: Vehicle, point: str) -> TableHistory:
     base, text, at = path, raw, int(number)
     while (made := revision_path(vehicle.directory, point, at, "json")).is_file():
         revision = check(read_json(made), RevisionFile, display_path(made))
+        # A table that was edited no longer is what its evidence made it, and further updates would build on both.
         if revision.table_hash != content_hash(text):
             raise InputError(
                 f"{display_path(base)}: was changed after {display_path(made)} was written; revert the change, or "
@@ -223,6 +224,7 @@ def write_revision(
     }
     revision = check(data, RevisionFile, f"revision {history.revision + 1}")
     point = revision.control_point
+    # The table in force is replaced last: whatever ends the program before leaves the old revision valid.
     write_text_atomic(revision_path(vehicle.directory, point, history.revision, "csv"), history.raw)
     if point_text is not None:
         write_text_atomic(revision_path(vehicle.directory, point, history.revision, "toml"), old_point)
@@ -278,6 +280,7 @@ def _revert_point(file: Path, kept: Path, undone: RevisionFile) -> None:
         raise InputError(
             f"{display_path(kept)}: is not the file that revision {undone.revision} was made from; restore it"
         )
+    # A change made by hand since then would be lost.
     if content_hash(raw_text(file)) not in (undone.point_hash, undone.point_parent_hash):
         raise InputError(
             f"{display_path(file)}: was changed after revision {undone.revision}, which wrote effects into it; "

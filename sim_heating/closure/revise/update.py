@@ -147,6 +147,8 @@ def prepare_update(
     _check_not_used(history, used)
     flight = flight_evidence(estimate, loaded, loaded_vehicle, point)
     earlier = [r.evidence.arrays() for r in history.revisions]
+    # From the first table and all evidence, so that the order of updates does not matter: the sigma column alone
+    # forgets how the errors of nodes are correlated (decision 0006).
     before, after = posterior(history.base, earlier), posterior(history.base, [*earlier, flight.evidence])
     effects = effects_from_fit(
         estimate, flight, after, point_path(loaded_vehicle.directory, point.name), point,
@@ -294,7 +296,9 @@ def _round_table(old: RatioTable, after: Posterior, header: dict[str, str]) -> R
     """The new table: changed nodes to a few digits, the others as they were, sigma nowhere larger."""
     assert old.sigma is not None
     ratio = _significant(after.ratio, RATIO_DIGITS)
+    # Data never make a node less certain; rounding up must not either.
     sigma = np.minimum(_significant(after.sigma, SIGMA_DIGITS), old.sigma)
+    # Compared as rounded: nodes beyond the reach of the correlation keep every digit of their file.
     same = (ratio == _significant(old.ratio, RATIO_DIGITS)) & (sigma == _significant(old.sigma, SIGMA_DIGITS))
     return RatioTable(old.axes, np.where(same, old.ratio, ratio), np.where(same, old.sigma, sigma), header)
 
@@ -408,6 +412,7 @@ def _write_copy(
     target.parent.mkdir(parents=True, exist_ok=True)
     partial = Path(tempfile.mkdtemp(prefix=f".{target.name}.partial-", dir=target.parent))
     try:
+        # Renamed as a whole at the end, so that no half-made vehicle is left.
         copy = load_vehicle(shutil.copytree(update.vehicle.directory, partial / target.name))
         made = _write(update, copy, read_history(copy, update.point.name), errors, draw)
         os.replace(partial / target.name, target)

@@ -71,6 +71,7 @@ def candidates(record: Record, flown: Conditions, taken: Sequence[str] = ()) -> 
     flown : its conditions over the samples that are fitted
     taken : names of the effects in the model
     """
+    # The ratio of a point has one lag: a second effect that lags cannot be added.
     lag_taken = any(effects()[name].lags for name in taken if name in effects())
     found = []
     for name, effect in effects().items():

@@ -60,8 +60,12 @@ def score_round(
     if not trials:
         return SearchRound(base, excess, (), {"none": 1.0}, screened_out)
     best = min(trials, key=lambda t: t.delta_bic)
+    # Chi-square counts the error of every model as noise: differences in likelihood are on the scale of the best one.
     c = max(1.0, 1.0 + min(excess, best.excess_chi2))
     held_out, c_held_out = base.held_out_log_likelihood, max(1.0, best.held_out_chi2)
+    # BIC; samples held out; the number of forms, so that an effect with ten is not found ten times as easily;
+    # magnitudes against their priors: an emittance that falls to a third can imitate transition, but coatings do not do
+    # that.
     scores = {
         t.name: delta_bic(base, t.fit, t.candidate, c)
         - 2.0 * (t.held_out_log_likelihood - held_out) / c_held_out

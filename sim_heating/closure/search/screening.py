@@ -30,6 +30,8 @@ MIN_GAIN_SHARE = 0.25
 """Part of the best predicted gain below which a candidate is not fitted."""
 GAIN_MARGIN = 5.0
 """By how much a predicted gain in log likelihood may fall short of the cost of its parameters."""
+# A hundred starts screened by their sensitivities cost about as much as one fit; most of the time goes into the fits
+# that follow, hence their stages.
 STAGES = (
     (0.0, replace(QUICK, iterations=4)), (0.9, replace(QUICK, iterations=8)), (0.5, replace(QUICK, iterations=8)),
     (0.8, QUICK),
@@ -86,6 +88,7 @@ def _predicted_likelihood(problem: FitProblem, first: FloatArray, known: FloatAr
     gradient, information = score @ own, weight @ own**2
     lower = np.array([p.lower for p in problem.parameters])
     upper = np.array([p.upper for p in problem.parameters])
+    # A parameter that starts on its bound and is pushed beyond it cannot contribute to the gain.
     on_bound = ((first <= lower) & (gradient <= 0.0)) | ((first >= upper) & (gradient >= 0.0))
     J = np.column_stack([known, own[:, ~on_bound & (information > 0.0)]])
     M = J.T @ (J * weight[:, np.newaxis])
@@ -103,6 +106,7 @@ def select_candidates(candidates: Sequence[Candidate], gains: Sequence[float], n
     selected = []
     for i in sorted(range(len(candidates)), key=lambda i: -gains[i]):
         form = candidates[i].form
+        # A weak candidate is not worth a second start.
         allowed = MAX_STARTS if gains[i] > SECOND_START_SHARE * best else 1
         promising = gains[i] > max(MIN_GAIN_SHARE * best, 0.5 * np.log(n) * len(candidates[i].names) - GAIN_MARGIN)
         if promising and count.get(form, 0) < allowed:
@@ -127,6 +131,8 @@ def fit_in_stages(
         best = float(np.max(gains, initial=0.0))
         goes_on = gains >= share * best
         if stage == 1:
+            # Patience at first: on a curved ridge between the size of an effect and the magnitude of the table the
+            # first steps gain little.
             goes_on |= (np.array(predicted) >= PREDICTED_SHARE * best) | (gains + STEPS_AHEAD * next_step >= best)
         elif stage == 2:
             goes_on &= gains + STEPS_AHEAD * next_step >= best - LIKELIHOOD_MARGIN

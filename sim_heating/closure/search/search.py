@@ -92,6 +92,7 @@ def search_effects(record: Record, *, progress: Progress = no_progress) -> Searc
         best = _worth_adding(rounds, added)
         if best is None:
             break
+        # With two effects in a record the best single one may be a third that resembles both.
         added = _reconsider(base, [*added, best], report)
         if added[-1].excess_chi2 < MIN_OVER_FIRST * _explained_by_first(rounds, added):
             break  # a further effect would have to explain more than remains
@@ -105,6 +106,8 @@ def _worth_adding(rounds: Sequence[SearchRound], added: Sequence[TrialFit]) -> T
     if best is None or best.score > -MIN_BIC_GAIN:
         return None
     if added:
+        # More than for the first: an effect whose form in nature differs from that of the library leaves some per cent,
+        # which is not a second effect.
         least = max(MIN_SHARE * last.excess_chi2, MIN_OVER_FIRST * _explained_by_first(rounds, added))
     else:
         least = MIN_FIRST_SHARE * last.excess_chi2
@@ -148,6 +151,8 @@ def _conclusion(rounds: Sequence[SearchRound], added: Sequence[TrialFit]) -> tup
     """The trials whose effects are named, and whether the residual is unknown: significant, and not explained."""
     first = rounds[0]
     explicable = bool(first.trials) and first.trials[0].score <= -MIN_BIC_GAIN
+    # A residual correlated from sample to sample is not noise even where no candidate explains it. Of 210 records
+    # without an effect none exceeds 0.22.
     significant = explicable or first.base.lag1_autocorrelation > MAX_LAG1
     remaining = added[-1].excess_chi2 if added else first.excess_chi2
     if added and first.excess_chi2 - remaining >= MIN_EXPLAINED * first.excess_chi2:

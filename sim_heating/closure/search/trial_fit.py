@@ -103,6 +103,7 @@ def base_trial(before: FitResult) -> TrialFit:
     whole = before.problem.record_fits[0]
     start = {**dict(zip(whole.names, before.fit.values, strict=True)), CLOCK_SKEW.name: 0.0}
     fitted, held_out = whole.record.fit_mask(), whole.record.holdout_mask()
+    # A third of the nodes, and as few conditions as are linear to tolerance: only the last fit is on the whole record.
     thin = thin_record(whole.record, max(int(NODE_FRACTION * whole.mesh.nodes), MIN_NODES))
     full = _declared_problem(before, whole.record, fitted | held_out)
     thinned = _declared_problem(before, thin, fitted | held_out, longest_step_s=MAX_STEP_S)
@@ -127,6 +128,8 @@ def _declared_problem(before: FitResult, record: Record, chosen: NDArray[np.bool
     """The declared model over chosen samples of a record, whole or thinned."""
     whole = before.problem.record_fits[0]
     interval = float(np.median(np.diff(whole.record.time_s)))
+    # Clocks of two recorders never agree exactly, and an unstated skew is estimated as an effect: some room for it
+    # belongs to the model without effects.
     agreement_s = min(AGREEMENT * interval, SKEW_SPAN_S)
     clock = {CLOCK_SKEW.name: replace(CLOCK_SKEW, lower=-agreement_s, upper=agreement_s)}
     names = (*whole.names, CLOCK_SKEW.name)
@@ -188,6 +191,8 @@ def candidate_problem(
         priors[CLOCK_SKEW.name] = replace(CLOCK_SKEW, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)
     more |= {"effects": uses, "priors": priors, "longest_step_s": MAX_STEP_S}
     problem = FitProblem([part.record], names, base.problem.reference, FitOptions(**more))
+    # The noise of the base: likelihoods of candidates are compared, and noise fitted to each would absorb what one of
+    # them explains.
     problem.record_fits[0].sigma_K.update(part.sigma_K)
     problem.record_fits[0].correction_K = part.correction_K
     return problem
@@ -246,6 +251,7 @@ def thinned_indices(flown: Conditions) -> NDArray[np.int64]:
     while kept[-1] < len(t) - 1:
         i = kept[-1]
         j = max(int(np.searchsorted(t, t[i] + MAX_STEP_S * (1.0 + 1e-9), side="right")) - 1, i + 1)
+        # The longest interval whose omitted samples are as good as linear; between samples a march is linear anyway.
         while j > i + 1 and not _is_linear(t[i : j + 1], x[i : j + 1]):
             j -= 1
         kept.append(j)

@@ -79,6 +79,7 @@ def repeated_fits(
             )
             for s in problem.samples(truth)
         ]
+        # from the prior means and not from the truth, as a fit to a flight would
         fit = maximise(problem.evaluate, parameters, log_likelihoods=problem.log_likelihoods)
         if fit.converged:
             errors.append(fit.values - truth)

@@ -72,6 +72,7 @@ class PredictedChannel:
 
         Source: docs/manoeuvre_design.md, equations 1 and 2.
         """
+        # where a temperature lies between two codes is not known before a flight: an average over the step
         mean_K = self.mean_K + self.sensor.lsb_K * np.arange(levels)[:, np.newaxis] / levels
         weight = np.mean(expected_information(self.sensor, mean_K, self.sigma_K), axis=0)
         return (self.jacobian * weight[:, np.newaxis]).T @ self.jacobian
@@ -287,6 +288,8 @@ def sensitivity_to_effort(
         variables = variables_of(name)
         if not variables or not np.isfinite(now[k]):
             continue
+        # a derivative times its excursion is what the march sees: larger excursions scale the columns of the
+        # information
         factor = np.array([larger ** _shared_variables(variables, variables_of(n)) for n in names])
         large = np.sqrt(np.diag(covariance(information * np.outer(factor, factor) + np.diag(prior))))
         found[name] = {"larger": float(large[k] / now[k]), "longer": float(long[k] / now[k])}

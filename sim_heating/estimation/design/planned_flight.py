@@ -47,6 +47,8 @@ NUISANCE = (
     "ratio.scale", "stack.coating.thickness_factor", "stack.rsi.conductivity_factor", CLOCK_SKEW.name, PRESSURE.name,
 )  # fmt: skip
 """Unknowns in addition to these and to the derivatives of the point's ratio table."""
+# the point mass is enough to rank designs: flown in JSBSim, the best one has a bound within half a per cent
+# (docs/manoeuvre_design.md)
 SEARCH_TRAJECTORY = {"source": "entry-3dof", "rate_hz": 4.0}
 """Source and rate of the trajectory during a search."""
 ALLOWED_RISE_K = 5.0
@@ -184,6 +186,7 @@ class Planner:
         for name in ("alpha_deg", "elevon_deg", "qbar_Pa"):
             low, high = getattr(limits, name)
             margins[name] = float(min(np.min(flown[name][during]) - low, high - np.max(flown[name][during])))
+        # the change against the same flight without manoeuvres: altitude itself changes during any entry
         without = np.interp(
             flown.time_s, self.without_manoeuvres.conditions.time_s, self.without_manoeuvres.conditions["altitude_m"]
         )
@@ -202,6 +205,7 @@ class Planner:
         own = getattr(self.scenario.vehicle.control_point(point).limits, what)
         margin = getattr(self.design.limits, what.replace("_K", "_margin_K"))
         allowed = float(own) - margin
+        # a point that exceeds its limit anyway would exclude every manoeuvre
         return allowed if self._peaks_without[name] <= allowed else self._peaks_without[name] + ALLOWED_RISE_K
 
     def over_limit(self) -> list[str]:
@@ -249,6 +253,7 @@ class Planner:
         flown, design = planned.conditions, self.design
         spans = [_span(w, flown, design) for w in planned.flight.windows]
         first, last = spans[0][0], max(end for _, end in spans)
+        # earlier than the first reading by the largest skew: shifted readings stay within the march
         begin = max(flown.time_s[0], first - SKEW_SPAN_S) if design.start == "profile" else float(flown.time_s[0])
         clock = sample_times(instruments.sensors, flown.time_s[0], flown.time_s[-1], rate_hz=instruments.rate_hz)
         clock = clock[(clock >= first) & (clock <= last)]

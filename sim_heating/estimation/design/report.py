@@ -120,6 +120,7 @@ def _repeat_fits(
 ) -> tuple[RepeatedFits, Experiment]:
     """Simulated fits of the best design, with the surface pressure known in them and in the bounds."""
     record, start = planner.record(found.best, planner.instruments)
+    # the factor on the surface pressure is not a parameter of a fit: known in both, it cannot spoil the comparison
     names = tuple(n for n in found.names if n != PRESSURE.name)
     experiment = planner.experiment(found.best, names, found.priors)
     fits = repeated_fits(

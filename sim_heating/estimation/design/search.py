@@ -97,6 +97,7 @@ class DesignSearch:
             raise InputError(
                 f"{planner.scenario.path}: a manoeuvre is never triggered in the 3-DOF flight; change its trigger"
             )
+        # checked on the planned flight: the search would otherwise compare bounds that are all infinite
         constant = constant_variables(planner.wanted, [planner.record(self.planned, planner.instruments)[0]])
         if constant:
             raise InputError(*(f"{planner.scenario.path}: {name}: {reason}" for name, reason in constant.items()))
@@ -141,6 +142,7 @@ class DesignSearch:
         flown = self.planner.fly(self.manoeuvres_at(x))
         unknown = np.full(len(self.planner.wanted), np.nan)
         if not flown.feasible:
+            # graded by the excess, so that the simplex finds its way back to designs within the limits
             found = TriedDesign(x, INFEASIBLE + _limit_excess(flown), False, unknown)
         else:
             experiment = self.planner.experiment(flown, self.names, self.priors)
@@ -165,15 +167,19 @@ class DesignSearch:
             progress(min(len(self.designs) / total, 1.0), f"searching: {len(self.designs)} designs, {status}")
             return found.criterion
 
+        # the plan is the first design, so that the result is no worse than the plan where that keeps the limits
         value((self.planned_values() - self.low) / span)
         half = total // 2
+        # a simplex needs more designs than it has corners; with fewer, all go to the Sobol set
         several = half if half > len(self.vary) + 1 else total - 1
+        # a fixed seed: the same scenario gives the same design
         sobol = qmc.Sobol(len(self.vary), rng=np.random.default_rng(1))
         for u in sobol.random_base2(int(np.ceil(np.log2(max(several, 1)))))[:several]:
             value(u)
         remaining = total - len(self.designs)
         if remaining > len(self.vary):
             first = min(self.designs, key=lambda t: t.criterion)
+            # from a corner of the box the first simplex would be clipped flat
             start = np.clip((first.x - self.low) / span, 0.05, 0.95)
             box = [(0.0, 1.0)] * len(self.vary)
             minimize(value, start, method="Nelder-Mead", bounds=box, options={"maxfev": remaining, "xatol": 1e-3})

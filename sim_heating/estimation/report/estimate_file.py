@@ -174,6 +174,7 @@ class Estimate(Extensible):
             ]
         if problems:
             raise LocatedError(*problems)
+        # a table update weighs the estimate by its covariance, which must not have a negative variance in any direction
         if np.linalg.eigvalsh(self.correlation_matrix(tuple(self.parameters))).min(initial=1.0) < -SLACK:
             raise LocatedError((("correlation",), "is not a correlation matrix (it has a negative eigenvalue)"))
         return self

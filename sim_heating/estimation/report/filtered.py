@@ -77,6 +77,7 @@ def filtered_history(innovations: Innovations, values: FloatArray, record_fit: R
     reading = np.arange(len(s.node))
     indicated = np.empty((6, len(order)))
     temperatures = [filtered.prior_K, filtered.posterior_K, np.array(along)[s.node, reading]]
+    # readings are in order of time for the filter, channels one after the other for a picture: `order` maps them
     indicated[0::2, order] = s.gain * temperatures + s.bias_K
     variances = [filtered.prior_variance_K2, filtered.posterior_variance_K2, np.array(spread)[s.node, reading] ** 2]
     indicated[1::2, order] = np.abs(s.gain) * np.sqrt(np.maximum(variances, 0.0))

@@ -57,6 +57,7 @@ def fit_figure(record: Record, curves: Sequence[tuple[Prediction, str, str]]) ->
             lower.plot(t, residual[shown], ".", color=color, markersize=2.5, rasterized=True)
         lower.axhline(0.0, color="0.3", linewidth=0.8)
         scale = curves[1 if len(curves) > 2 else 0][0].residual_K[i][fitted]
+        # scaled by the fitted samples: a held-out span that the model misses would flatten all others
         spread = np.nanpercentile(np.abs(scale), 99.0) if np.any(np.isfinite(scale)) else 1.0
         lower.set_ylim(-1.3 * spread - 1.0, 1.3 * spread + 1.0)
         upper.set_ylabel(f"{record.sensors[i].name}\nindicated, K")

@@ -79,6 +79,7 @@ class DispersedEntry:
 
     def __getstate__(self) -> dict[str, Any]:
         """The study, and the results that take long to compute if they are there: another process then has them."""
+        # Meshes and modes take long to compute; all else a process makes again from the study.
         return {key: self.__dict__[key] for key in ("study", "meshes", "modes", "mode_columns") if key in self.__dict__}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -117,6 +118,7 @@ class DispersedEntry:
     @cached_property
     def modes(self) -> list[FloatArray]:
         """(node, mode) error of the logarithm of each point's ratio table for a unit of each mode [-]."""
+        # The errors of a table matter only where the entry flies: along the path they are a handful of numbers.
         rows = self.planned.rows[0, : self.planned.frame_counts[0]]
         path = conditions_from_rows(rows, self.study.vehicle.reference_length_m)
         x = np.stack([path[v] for v in RATIO_VARIABLES], axis=1)
@@ -160,6 +162,8 @@ class DispersedEntry:
             model_without_sensors(self.study.vehicle, p, e) for p, e in zip(self.points, self.effects, strict=True)
         ]
         chosen: list[Mesh | None] = [None] * len(models)
+        # Judged by the peaks of the planned flight and not by the pulse of `march.mesh_choice`: only peaks have to be
+        # accurate here.
         for nodes in NODE_COUNTS:
             coarse = [mesh_of_nodes(m, nodes, self.spec.thermal_step_s) for m in models]
             fine = [halve_elements(mesh) for mesh in coarse]
@@ -248,6 +252,8 @@ class DispersedEntry:
             table_factors(m, z[:, c]) if m.shape[1] else None
             for m, c in zip(self.modes, self.mode_columns, strict=True)
         ]
+        # One flight a lane and one point a group: flights of a batch share their times, and tables and stacks differ by
+        # lane.
         parts = [self.lanes.march(flown, first, changes, tables, keep) for first in range(0, len(z), LANES)]
         return FlightPeaks(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(FlightPeaks)))
 

@@ -48,6 +48,7 @@ def planned_entry(spec: TrajectorySpec, vehicle_dir: Path) -> TrajectorySpec:
     aero = load_aero(vehicle_dir).with_changes(
         mass_kg=state.mass_kg, cg_fraction=state.cg_fraction, cm_shift=state.cm_shift
     )
+    # The schedule of the planned vehicle: in flight the deviations are unknown, and the elevon trims them.
     flap = state.bodyflap_deg or aero.bodyflap_schedule(guidance.alpha_deg, guidance.alpha_against)
     planned = {
         "mass_kg": aero.mass_kg,
@@ -109,6 +110,7 @@ def _atmosphere(
         z = np.unique(np.concatenate([planned[:, 0], *(p[:, 0] for p in profiles)]))
         added = sum(deviations.get(f"{name}#{k}", 0.0) * np.interp(z, *profile.T) for k, profile in enumerate(profiles))
         value = np.interp(z, *planned.T)
+        # Density deviates relatively, a wind by an amount.
         value = value * (1.0 + added) if neutral == 1.0 else value + added
         changed[key] = tuple(zip(z.tolist(), value.tolist(), strict=True))
     return changed
@@ -244,6 +246,7 @@ def scale_aero(aero: FloatArray, cn: float, ca: float, out: FloatArray) -> None:
     """Write a vehicle's aerodynamic block with all CN and CA times a factor [-] into `out`."""
     cells = int(aero[AT_CELLS])
     for i in range(len(aero)):
+        # Cells hold CN, CA, Cm in turn, behind the axes.
         place = (i - cells) % 3
         out[i] = aero[i] * (1.0 if i < cells or place == 2 else cn if place == 0 else ca)
 
@@ -277,6 +280,7 @@ def fly_kernel(
                 pointer(work),
                 pointer(row),
             )
+            # `not <=` catches an altitude that is NaN as well.
             if not DEEPEST_M <= row[1] <= HIGHEST_M or not row[2] < np.inf:
                 flights.outcome[f] = LEFT_ATMOSPHERE
                 break

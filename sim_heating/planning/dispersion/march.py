@@ -104,6 +104,7 @@ class LaneMarch:
         lanes = [
             m if m.ratio is None else replace(m, ratio=replace(m.ratio)) for m in self.models for _ in range(LANES)
         ]
+        # Packed once for the whole study; every march restores the initial state and writes what is dispersed.
         self.ensemble = Ensemble(lanes, [mesh for mesh in meshes for _ in range(LANES)], max(step_s, SOAK_STEP_S))
         self._initial_state = self.ensemble.snapshot()
         self._groups = [self.ensemble.lane_offsets[p * LANES].group for p in range(len(points))]
@@ -170,11 +171,13 @@ class LaneMarch:
 
         own = slice(0, last - first)
         counts = self._sample_counts(time_s, frame_counts)
+        # Lanes march as long as the longest flight of the eight: each counts to the end of its own soak.
         hottest = np.array([[np.max(out[:n], axis=0) for out in marched] for n in counts[own]])
         lanes = np.arange(last - first)
         surface, bondline = (hottest[lanes, :, 2 * lanes + k] for k in range(len(QUANTITIES)))
         by_point = self.ensemble.failures, self.ensemble.steps_of_negative_ratio
         failed, negative = (steps.reshape(-1, LANES).T[own] > 0.0 for steps in by_point)
+        # A peak of a flight that did not reach its stop would be too low; NaN counts as above every limit.
         unknown = failed | (flown.outcome[lane[own]] != COMPLETED)[:, np.newaxis]
         surface[unknown], bondline[unknown] = np.nan, np.nan
         ratio = histories[0, own, :, : len(RATIO_VARIABLES)]
@@ -212,6 +215,8 @@ class LaneMarch:
         """
         shape = (len(self.points), LANES, samples, N_CONDITIONS)
         size = math.prod(shape)
+        # Allocated once: returned after each batch, the memory would be cleared by the system again, at a cost in
+        # processor time.
         if size > len(self._memory):
             self._memory = np.empty(size)
         return self._memory[:size].reshape(shape)

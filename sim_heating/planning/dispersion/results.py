@@ -92,6 +92,8 @@ def disperse(
 def batches_of(entry: DispersedEntry) -> dict[str, list[Batch]]:
     """All batches of a dispersion by purpose: main (the statistics), axes (first order), index, spot checks."""
     spec = entry.spec
+    # Several scrambles, because bounds from order statistics are exact for independent flights alone: the scatter
+    # between scrambles is reported in addition.
     each = spec.flights // spec.scrambles
     main = [
         Batch(spec.sampling, first, min(first + BATCH, each), scramble)
@@ -188,9 +190,11 @@ def first_order(entry: DispersedEntry, columns: Columns) -> FirstOrder:
     z = axis_rows(d, DIFFERENCE, 0, 2 * d + 1)
     steps = np.column_stack([deviations(entry.inputs, z[:, :inputs]), z[:, inputs:]])
     k = np.arange(d)
+    # The distance actually taken: a uniform input is not linear in its normal number.
     width = steps[2 * k + 1, k] - steps[2 * k + 2, k]
     scale = np.array([*(i.standard_deviation for i in entry.inputs), *np.ones(d - inputs)])
     slope = (T[..., 1::2] - T[..., 2::2]) / width * scale
+    # Sensitivities of the march replace the differences wherever an input changes parameters of a point alone.
     for quantity, point, column, exact in exact_slopes(entry):
         slope[quantity, point, column] = exact * scale[column]
     return FirstOrder(T[..., 0], slope)
@@ -328,6 +332,7 @@ def evaluate(entry: DispersedEntry, flown: Mapping[str, Columns]) -> DispersionR
     order = first_order(entry, flown["axes"])
     checks = spot_checks(entry, flown["spot checks"]) if flown["spot checks"] else None
     completed = columns["outcome"] == COMPLETED
+    # A flight that skipped out or did not stop has no peak; it counts as above every limit.
     above = ~completed
     peaks = []
     for p, limited in enumerate(entry.points):
@@ -336,9 +341,12 @@ def evaluate(entry: DispersedEntry, flown: Mapping[str, Columns]) -> DispersionR
                 continue  # the bondline of a wall of one layer is its surface
             peaks.append(_peak_statistics(entry, columns, index, order, k, p, limit))
             if limit is not None and np.isfinite(limit):
+                # `~(<=)`: a peak that is NaN counts as above.
                 above |= ~(columns[f"{quantity}.{limited.point.name}"] <= limit)
     confidence = entry.spec.confidence
     excursions, outside = _table_excursions(entry, columns)
+    # Outside a table the ratio is not known, and out of trim the angle of attack would not be flown: neither counts as
+    # safe.
     unknown = above | outside | (columns["untrimmed_s"] > 0.0)
     return DispersionResult(
         entry, columns, peaks, excursions, probability(~above, confidence), probability(~unknown, confidence),

@@ -48,6 +48,8 @@ def fly_with_both_sources(entry: DispersedEntry, rows: FloatArray) -> dict[str, 
     names = [p.point.name for p in entry.points]
     columns: dict[str, list[float]] = {}
     for row in deviations(entry.inputs, rows):
+        # JSBSim flies the aerodynamics as they are: deviations of CN and CA are left out of both flights that are
+        # compared.
         changes = {name: value for name, value in entry.flight_deviations(row).items() if name not in AERO_FACTORS}
         for source, peaks in ((SIX_DOF, _six_dof(entry, changes)), (POINT_MASS, _point_mass(entry, changes))):
             for quantity, values in zip(QUANTITIES, peaks, strict=True):

@@ -49,6 +49,7 @@ def random_rows(dimensions: int, seed: int, scramble: int, start: int, stop: int
 
     The rows depend on where the batch starts, so that two batches never share a stream.
     """
+    # Seeded by the place of the batch, so that any process draws the same rows for it.
     rng = np.random.default_rng(np.random.SeedSequence([seed, scramble, start]))
     return normal_numbers(rng.random((stop - start, dimensions)))
 
@@ -64,6 +65,7 @@ def saltelli_rows(groups: Sequence[Sequence[int]], seed: int, base: int, start: 
     rows = np.empty((stop - start, dimensions))
     for block in range(start // base, (stop - 1) // base + 1):
         first, last = max(start, block * base), min(stop, (block + 1) * base)
+        # A and B are the halves of one sequence of twice the dimension, which keeps them independent.
         both = sobol_rows(2 * dimensions, seed, INDEX_STREAM, first - block * base, last - block * base)
         chosen = both[:, dimensions:] if block == 1 else both[:, :dimensions].copy()
         if block > 1:
@@ -136,6 +138,7 @@ def quantile(x: FloatArray, q: float, confidence: float) -> tuple[float | None, 
 
     x : (flight,) values; NaN counts as the highest of all
     """
+    # An unknown peak sorts above all others: a quantile among them has no value instead of one that is too low.
     ordered = np.sort(np.where(np.isnan(x), np.inf, x))
     n, tail = len(ordered), 0.5 * (1.0 - confidence)
     lower, upper = int(binom.ppf(tail, n, q)), int(binom.ppf(1.0 - tail, n, q)) + 1
@@ -212,6 +215,7 @@ def _estimate_indices(blocks: FloatArray) -> tuple[FloatArray, FloatArray]:
     Source: Saltelli et al. (2010), table 2, (b) and (f). scipy.stats.sobol_indices uses the same, but accepts only
     powers of two.
     """
+    # Centred on the common mean: the product for the first order has less scatter about 0.
     A, B, AB = blocks[0] - np.mean(blocks), blocks[1] - np.mean(blocks), blocks[2:] - np.mean(blocks)
     variance = np.var(np.concatenate((A, B)))
     return np.mean(B * (AB - A), axis=1) / variance, 0.5 * np.mean((A - AB) ** 2, axis=1) / variance

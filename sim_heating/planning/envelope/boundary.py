@@ -68,6 +68,8 @@ def scan_axis(
         known = _between_flown(x, flown, fine)
         for k, name in enumerate(names):
             y = np.array([f.margins[name].reduced(sigmas, manoeuvre) for f in ordered if f.error is None])
+            # PCHIP does not overshoot: a spline would invent a violation between two flights within the limit. Margins
+            # are scaled, so that kelvins and degrees can be compared.
             margins[k, known] = PchipInterpolator(x[flown], y / _scale(ordered, name))(fine[known])
     return AxisScan(fine, names or (NOT_FLOWN,), margins)
 
@@ -121,6 +123,8 @@ def allowed_interval(scan: AxisScan, inside: float) -> AllowedInterval:
     if not runs:
         best = int(np.argmax(least))
         return AllowedInterval(None, None, Edge(float(scan.x[best]), scan.limit_at(best)))
+    # Of several allowed intervals the one around the base entry counts: the others cannot be reached from it without a
+    # violation.
     about = [r for r in runs if scan.x[r[0]] <= inside <= scan.x[r[1]]]
     first, last = about[0] if about else max(runs, key=lambda r: float(scan.x[r[1]] - scan.x[r[0]]))
     return AllowedInterval(_edge(scan, first, first - 1), _edge(scan, last, last + 1))
@@ -136,6 +140,7 @@ def _edge(scan: AxisScan, last: int, beyond: int) -> Edge:
     """The edge between a place that is allowed and its neighbour that is not, linear between them."""
     if not 0 <= beyond < len(scan.x):
         return Edge(float(scan.x[last]), END_OF_STUDY)
+    # Next to a flight that could not be flown nothing is interpolated, and the edge stays at the last one flown.
     if not np.isfinite(scan.least[beyond]):
         return Edge(float(scan.x[last]), NOT_FLOWN)
     a, b = scan.least[last], scan.least[beyond]

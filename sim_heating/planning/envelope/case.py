@@ -188,6 +188,7 @@ class BaseEntry:
                 f"a cross-range of {required_km:g} km is out of reach, {most:.0f} km is the most that is flown; "
                 "ask for less"
             )
+        # At the end of the reach a reversal so late changes nothing, and the root would not be bracketed.
         if abs(required_km - most) < CROSS_RANGE_WITHIN_KM:
             return slowest
         low, high = _bracket_reversal(excess_km, slowest, fastest)
@@ -200,6 +201,7 @@ class BaseEntry:
             "drag_m_s2": tuple((v, case.drag_factor * d) for v, d in g.drag_m_s2),
         }
         if reversals is not None:
+            # A target would reverse the bank by itself.
             guidance |= {"reversals_m_s": tuple(reversals), "target": None}
         state = {k: v for k in ("cg_fraction", "cm_shift", "mass_kg") if (v := getattr(case, k)) is not None}
         given = self.spec.dispersions.density_factor or ((0.0, 1.0),)
@@ -287,6 +289,7 @@ def required_elevon(aero: Aero, flown: Conditions) -> FloatArray:
     for i in np.flatnonzero((required <= low + 1e-9) | (required >= high - 1e-9)):
         at = [float(flown[name][i]) for name in ("mach", "alpha_deg")]
         flap, end = float(flown["bodyflap_deg"][i]), float(required[i])
+        # Extrapolated with the slope inside the travel, so that a margin states by how much the elevon is short.
         inner = end + 1.0 if end <= low + 1e-9 else end - 1.0
         remaining, before = (aero.coefficients(at[0], at[1], d, flap)[2] for d in (end, inner))
         slope = (remaining - before) / (end - inner)

@@ -88,6 +88,7 @@ _EVALUATORS: dict[str, MarginEvaluator] = {}
 
 def _evaluator(worker: _WorkerInput) -> MarginEvaluator:
     if worker.key not in _EVALUATORS:
+        # A worker serves one run at a time; the models of an earlier one would only take memory.
         _EVALUATORS.clear()
         _EVALUATORS[worker.key] = margin_evaluator(load_study(worker.path, worker.vehicle), worker.forecast)
     return _EVALUATORS[worker.key]
@@ -117,6 +118,7 @@ class StudyFlights:
     ) -> None:
         self.study, self.engine, self.progress = study, engine, progress
         self.base = base_entry(study)
+        # The forecast enters the key: flights evaluated with other candidates have other sigmas after the manoeuvre.
         digests = {p: {n: _digest(e) for n, e in m.items()} for p, m in (forecast or {}).items()}
         key = hashlib.sha256(f"{study.hash} {program_digest()} {sorted(digests.items())}".encode()).hexdigest()[:12]
         self._ledger = engine.ledger / f"{FOLDER}-{key}"
@@ -256,6 +258,7 @@ def fly_boundary(declared: EnvelopeBoundary, envelope: Envelope, flights: StudyF
     """Find a boundary: fly, find the edges, add flights there, find the edges again."""
     rows = list(product(declared.members(), declared.at))
     places = {row: list(declared.values) for row in rows}
+    # All rows together in each round, so that the workers have flights of every row at once.
     for _ in range(envelope.refinements + 1):
         flights.fly(declared.case(m, a, x) for (m, a), xs in places.items() for x in xs)
         segments = {row: _fly_segment(declared, *row, xs, flights, envelope.sigmas) for row, xs in places.items()}

@@ -194,6 +194,7 @@ class MarginEvaluator:
 def _table_margins(limited: LimitedPoint, conditions: Conditions) -> dict[str, Margin]:
     """Distances from the ends of the axes of a point's ratio table, where the point is heated."""
     name, margins = limited.point.name, dict[str, Margin]()
+    # Before and after the heating a flight leaves every table without consequence for any temperature.
     flux = conditions["h_ref_kg_m2_s"] * conditions["H_r_J_kg"]
     heated = flux > HEATED * np.max(flux)
     for variable, axis in zip(RATIO_VARIABLES, limited.point.ratio.axes, strict=True):

@@ -115,6 +115,7 @@ def _bounds(planner: Planner, planned: PlannedFlight) -> tuple[tuple[str, ...], 
         for n, s in zip(ratio, information.sigma(ratio), strict=True)
         if n in MAGNITUDES or s < INFORMATIVE * table.get(n, np.inf)
     ]
+    # The table is the prior of the update that follows: in the estimate it would count twice.
     flat = dict.fromkeys(estimated, np.inf)
     return tuple(estimated), information.with_priors({**table, **flat}).covariance(estimated)
 

@@ -236,6 +236,7 @@ class Transcription:
         raises : RunError where IPOPT finds no motion, with its status
         """
         limits, status = self._limits(bounds), ""
+        # From the last solution first, since bounds change little between rounds; if that fails, from the guess.
         warm = [(self._warm, self._last)] if self._last else []
         for solver, start in [*warm, (self._cold, {"x0": self._flat(guess)})]:
             solution = solver(**start, **limits)
@@ -288,6 +289,7 @@ def refined_mesh(motion: Motion, tolerance: float, bend: FloatArray, shortest_s:
     slopes = np.diff(motion.controls, axis=1) / h
     kinks = np.abs(np.diff(slopes, axis=1)) * np.minimum(h[1:], h[:-1]) / 8.0 > bend[:, np.newaxis]
     bent = np.any(kinks, axis=0)
+    # A control bends at a node: both intervals that meet there are halved.
     halve[:-1] |= bent
     halve[1:] |= bent
     halve &= h * motion.duration_s > 2.0 * shortest_s

@@ -82,6 +82,8 @@ class EntrySearch:
         self.z = _table_sigmas(study)
         self.models = [_model_with_table(study, p, self.z) for p in study.points]
         self.nominal_models = [_model_with_table(study, p, 0.0) for p in study.points]
+        # Stacks have tens of nodes and a memory, so that the thermal model is not part of the program: smooth
+        # substitutes are bounded in it, and corrected by marches.
         limited = any(np.isfinite(p.surface_K) for p in study.points)
         self.wall = tables.wall_temperatures(study, self.aero, self.models) if limited else None
         self.problem = self._problem()
@@ -209,6 +211,7 @@ def _initial_state(study: OptimalStudy) -> FloatArray:
 def _table_sigmas(study: OptimalStudy) -> float:
     """Number of sigma by which the tables are raised; 0 where no probability is asked for."""
     P = study.declared.probability
+    # Bonferroni: the probability is divided among the points, whatever the correlation of their tables.
     return 0.0 if P is None or not study.points else NormalDist().inv_cdf(1.0 - (1.0 - P) / len(study.points))
 
 
@@ -341,6 +344,8 @@ def fly_optimal(study: OptimalStudy, *, progress: Progress = lambda _: None) -> 
         fine = worst <= study.declared.mesh_tolerance
         if not changed and fine:
             return _entry(search, motion, rounds)
+        # A new mesh makes a new program without a previous solution; while the mesh is fine enough the old one starts
+        # warm.
         if not fine:
             transcription = Transcription(search.problem, finer)
     why = f"no convergence in {ROUNDS} rounds, mesh error {worst:.1e}; raise mesh_tolerance or tolerance_K"
@@ -354,6 +359,7 @@ def _steer(
 
     Active limits are met from below within the tolerance; the target is its middle.
     """
+    # Aimed at the middle of the tolerance, below the limit: a peak that scatters a little still keeps it.
     within = 0.5 * tolerance_K
     hottest, loads = search.hottest(motion), search.loads(motion)
     s.rounds.append((loads, np.array([p.bondline_K for p in peaks])))
@@ -379,6 +385,7 @@ def _load_per_K(s: _Steering, i: int, bondline_K: float) -> float:
     proportional = float(s.rounds[-1][0][i] / max(bondline_K - SURROUNDINGS_K, 1.0))
     if len(s.rounds) > 1:
         (y0, T0), (y1, T1) = ((y[i], T[i]) for y, T in s.rounds[-2:])
+        # A secant over nearly equal peaks, or from rounds on other meshes, may have any slope.
         if abs(T1 - T0) > 0.2 and 0.2 * proportional < (y1 - y0) / (T1 - T0) < 5.0 * proportional:
             return float((y1 - y0) / (T1 - T0))
     return proportional

@@ -100,6 +100,7 @@ class AtmosphereSplines:
 def atmosphere_splines() -> AtmosphereSplines:
     """US76 as splines."""
     z = np.arange(0.0, HIGHEST_M + 1.0, ALTITUDE_STEP_M)
+    # Logarithm of the density, which is nearly linear in altitude and stays positive between the nodes.
     T, _, rho = us76(z)
     return AtmosphereSplines(_spline("ln_density", [z], np.log(rho)), _spline("sound", [z], speed_of_sound(T)))
 
@@ -124,6 +125,8 @@ def wall_temperatures(study: OptimalStudy, aero: Aerodynamics, models: Sequence[
     h = _nodes(0.7 * file.end.altitude_m, file.initial.altitude_m * 1.05, WALL_ALTITUDE_STEP_M)
     V = _nodes(0.6 * file.end.velocity_m_s, file.initial.velocity_m_s * 1.08, WALL_SPEED_STEP_M_S)
     alpha = _alphas(study)
+    # One march through all nodes of the grid: from neighbour to neighbour the wall has little to change and is in
+    # equilibrium at each node.
     order = _neighbours(len(h), len(V), len(alpha))
     nodes = np.array([g.ravel()[order] for g in np.meshgrid(h, V, alpha, indexing="ij")])
     count = nodes.shape[1]
