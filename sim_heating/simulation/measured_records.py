@@ -74,7 +74,7 @@ def write_compared_records(scenario: Scenario, directory: Path) -> list[Path]:
     note = "\n".join(
         (
             "Temperatures measured in flight, along a simulated flight that is not the one that was flown.",
-            f"Made by sim-heating measured-records of scenarios/{scenario.path.name}, which states how.",
+            f"Made by sim-heating measured-records of scenarios/{scenario.path.name}, which describes how.",
         )
     )
     records = {directory / name.lower(): record for name, record in compared_records(scenario).items()}
