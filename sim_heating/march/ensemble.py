@@ -404,7 +404,7 @@ class Ensemble:
     def steps_of_negative_ratio(self) -> FloatArray:
         """(point,) number of steps that ended with a negative ratio since the last reset [-].
 
-        Source: docs/equations_march.md, equation 19.
+        The ratio is that of docs/equations_march.md, equation 18; it is not clipped.
         """
         return self._scalars(block.NEGATIVE)
 

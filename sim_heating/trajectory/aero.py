@@ -279,7 +279,7 @@ class Aero:
             raise InputError(f"mass_kg: {mass} is not a mass (must be above 0)")
         if not low <= cg <= high:
             raise InputError(f"cg_fraction: {cg} is outside {low} to {high} of the reference length")
-        # True is a number in Python: the switch has to be told from a value of 1 by its type.
+        # True is a number in Python: only its type distinguishes the switch from a value of 1.
         shift = float(cm_shift) * self.file.cm_shift.Cm if isinstance(cm_shift, bool) else float(cm_shift)
         return replace(self, mass_kg=mass, cg_fraction=cg, cm_shift=shift)
 
