@@ -38,7 +38,7 @@ from sim_heating.base.files import (
 from sim_heating.base.parameters import MODEL
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.inputs.record import Segments
-from sim_heating.inputs.vehicle import Vehicle, load_vehicle
+from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_place
 from sim_heating.trajectory.spec import TrajectorySpec
 
 
@@ -263,8 +263,7 @@ def load_scenario(path: str | os.PathLike[str] | Scenario) -> Scenario:
         return path
     place = Path(path)
     declared = read_toml(place, ScenarioFile)
-    local = place.parent / declared.vehicle
-    vehicle = load_vehicle(local if (local / "vehicle.toml").is_file() else declared.vehicle)
+    vehicle = load_vehicle(vehicle_place(place, declared.vehicle))
     return make_scenario(place, declared, vehicle)
 
 

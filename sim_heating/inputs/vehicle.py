@@ -181,6 +181,12 @@ def vehicle_directory(vehicle: str | os.PathLike[str]) -> Path:
     raise InputError(f"vehicle `{text}`: unknown vehicle{suggestion(text, known, otherwise=directory)}")
 
 
+def vehicle_place(file: Path, vehicle: str) -> str | Path:
+    """Directory of a vehicle relative to the file that names it where it exists, else the vehicle's name."""
+    directory = file.parent / vehicle
+    return directory if (directory / "vehicle.toml").is_file() else vehicle
+
+
 def vehicle_folders() -> list[Path]:
     """Existing folders that are searched for vehicles by name, in this order."""
     named = os.environ.get(ENVIRONMENT)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 from sim_heating.inputs.vehicle import ControlPoint
 
@@ -19,9 +18,3 @@ class LimitedPoint:
     point: ControlPoint
     surface_K: float
     bondline_K: float | None
-
-
-def vehicle_place(study: Path, vehicle: str) -> str | Path:
-    """Directory of a vehicle relative to a study's file where it exists, else the vehicle's name."""
-    directory = study.parent / vehicle
-    return directory if (directory / "vehicle.toml").is_file() else vehicle

@@ -33,10 +33,10 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import Declared, check, display_path, raise_problems, read_toml
 from sim_heating.heating.effects import user_effect_files
 from sim_heating.inputs.scenario import Scenario, ScenarioEffect, ScenarioFile, make_scenario
-from sim_heating.inputs.vehicle import Vehicle, load_vehicle
+from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_place
 from sim_heating.planning.dispersion.spec import Dispersion
 from sim_heating.planning.envelope.spec import Envelope, NextFlight
-from sim_heating.planning.limited_point import LimitedPoint, vehicle_place
+from sim_heating.planning.limited_point import LimitedPoint
 from sim_heating.planning.optimal.spec import Limit, OptimalStudy, OptimalStudyFile, optimal_study
 from sim_heating.trajectory.spec import TrajectorySpec
 
@@ -121,7 +121,7 @@ def load_study(path: str | os.PathLike[str] | Study, vehicle: str | os.PathLike[
     raises  : InputError with one line a problem
     """
     if isinstance(path, Study):
-        return path
+        return path if vehicle is None else load_study(path.path, vehicle)
     place = Path(path)
     declared = read_toml(place, StudyFile)
     loaded = load_vehicle(vehicle_place(place, declared.vehicle) if vehicle is None else vehicle)

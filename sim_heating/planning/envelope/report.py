@@ -15,6 +15,7 @@ from sim_heating.base.errors import RunError
 from sim_heating.base.progress import Progress
 from sim_heating.base.report.table import Table
 from sim_heating.heating.ratio.uncertainty import Evidence
+from sim_heating.inputs.vehicle import vehicle_place
 from sim_heating.planning.envelope import plots
 from sim_heating.planning.envelope import tables as files
 from sim_heating.planning.envelope.boundary import END_OF_STUDY
@@ -35,7 +36,6 @@ from sim_heating.planning.envelope.next_flight import (
     rank_manoeuvres,
 )
 from sim_heating.planning.envelope.spec import Envelope, EnvelopeBoundary, EnvelopeMap
-from sim_heating.planning.limited_point import vehicle_place
 from sim_heating.planning.part import Engine, PartPicture, PartResult, StudyPart
 from sim_heating.planning.study import Study, load_study
 

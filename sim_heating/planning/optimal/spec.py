@@ -21,8 +21,8 @@ from pydantic import Field, field_validator
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import Declared, display_path, raise_problems, read_toml
-from sim_heating.inputs.vehicle import Vehicle, load_vehicle
-from sim_heating.planning.limited_point import LimitedPoint, vehicle_place
+from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_place
+from sim_heating.planning.limited_point import LimitedPoint
 from sim_heating.trajectory.spec import Initial, VehicleState
 
 
