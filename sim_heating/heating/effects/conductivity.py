@@ -13,5 +13,5 @@ EFFECT = Effect(
         ),
     ),
     physics="The conductivity of fibrous insulation scatters from lot to lot and rises with use.",
-    source="Williams & Curry, NASA RP-1193 (1992)",
+    source="Williams & Curry, NASA RP-1289 (1992)",
 )

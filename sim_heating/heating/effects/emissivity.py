@@ -66,5 +66,5 @@ EFFECT = Effect(
     neutral={"emissivity_factor": 1.0, "emissivity_slope": 0.0},
     search_starts=search_starts,
     physics="Coatings age, are contaminated or blister; their emittance when hot differs from their tables.",
-    source="Emittance drift of reused tiles, Williams & Curry, NASA RP-1193 (1992)",
+    source="Emittance drift of reused tiles, Williams & Curry, NASA RP-1289 (1992)",
 )

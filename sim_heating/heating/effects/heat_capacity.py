@@ -28,5 +28,5 @@ EFFECT = Effect(
     ),
     search_starts=search_starts,
     physics="Density and specific heat scatter from lot to lot, and waterproofing adds mass.",
-    source="Williams & Curry, NASA RP-1193 (1992)",
+    source="Williams & Curry, NASA RP-1289 (1992)",
 )
