@@ -275,6 +275,9 @@ def read_leaves(name: str, data: bytes, masks: Mapping[str, str]) -> Leaves | No
 # What was renamed --------------------------------------------------------------------------------------------------
 
 
+NewNames = Mapping[str, str | list[str]]
+
+
 @dataclass(frozen=True)
 class Renames:
     """Names before -> names after, in a TOML file of these three tables.
@@ -283,33 +286,40 @@ class Renames:
     columns : of a CSV, NetCDF, npz or Parquet
     keys    : of a JSON or TOML: one key, or several with dots between
 
-    A name is replaced where it is missing after and its new name is there.
+    A name is replaced where it is missing after and its new name is there; several new names are tried in turn.
     """
 
-    files: Mapping[str, str] = field(default_factory=dict)
-    columns: Mapping[str, str] = field(default_factory=dict)
-    keys: Mapping[str, str] = field(default_factory=dict)
+    files: NewNames = field(default_factory=dict)
+    columns: NewNames = field(default_factory=dict)
+    keys: NewNames = field(default_factory=dict)
 
     def of_files(self, before: Mapping[str, T], after: Iterable[str]) -> dict[str, T]:
         """Files before by their paths after."""
-        return _renamed(before, set(after), lambda name: _replaced(name, self.files, "/!"))
+        return _renamed(before, set(after), self.files, "/!")
 
     def of_leaves(self, file: str, before: Mapping[str, T], after: Iterable[str]) -> dict[str, T]:
         """Leaves of a file before by their keys after."""
         if _kind(file) in (".json", ".toml"):
-            return _renamed(before, set(after), lambda key: _replaced(key, self.keys, "."))
-        return _renamed(before, set(after), lambda key: _replaced(key, self.columns, "/@"))
+            return _renamed(before, set(after), self.keys, ".")
+        return _renamed(before, set(after), self.columns, "/@")
 
 
-def _renamed(before: Mapping[str, T], after: set[str], rename: Callable[[str], str]) -> dict[str, T]:
-    names = {name: rename(name) for name in before}
-    return {names[n] if n not in after and names[n] in after else n: value for n, value in before.items()}
+def _renamed(before: Mapping[str, T], after: set[str], renames: NewNames, ends: str) -> dict[str, T]:
+    choices = [[new] if isinstance(new, str) else new for new in renames.values()]
+    tries = [
+        {old: new[min(k, len(new) - 1)] for old, new in zip(renames, choices, strict=True)}
+        for k in range(max(map(len, choices), default=0))
+    ]
+
+    def name_after(name: str) -> str:
+        new = (_replaced(name, t, ends) for t in tries)
+        return name if name in after else next((n for n in new if n in after), name)
+
+    return {name_after(name): value for name, value in before.items()}
 
 
 def _replaced(name: str, renames: Mapping[str, str], ends: str) -> str:
     """Whole parts of a name, between any of `ends`, replaced: longest first, each once."""
-    if not renames:
-        return name
     known = "|".join(re.escape(old) for old in sorted(renames, key=len, reverse=True))
     return re.sub(rf"(?:(?<=[{ends}])|^)({known})(?=[{ends}]|$)", lambda found: renames[found[1]], name)
 
