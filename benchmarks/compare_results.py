@@ -41,6 +41,8 @@ IGNORED = {
     r"instantiationToken|guid": "digest that identifies an FMU",
 }
 """Keys that are left out, as patterns of the last part of a key, with the reason."""
+IGNORED_OF_RUNS = {r"arguments\b.*": "how a command is called; some module commands became commands of sim-heating"}
+"""Keys of a command's run.json that are left out, as patterns of the whole key, with the reason."""
 IGNORED_FILES = {
     r"run\.json": "about the run: commit, libraries, machine",
     r".*\.fmu!binaries/.*": "compiled code holds names of functions; what it computes is compared by the *_frames",
@@ -427,7 +429,8 @@ def _why_ignored(name: str, ignored: Mapping[str, str]) -> str | None:
 
 def _compare_leaves(name: str, old: Leaves, new: Leaves, found: Comparison) -> None:
     for key in dict.fromkeys([*old, *new]):
-        if why := _why_ignored(re.split("[.@#]", key)[-1], IGNORED):
+        of_run = _why_ignored(key, IGNORED_OF_RUNS) if name.endswith(RUN) else None
+        if why := of_run or _why_ignored(re.split("[.@#]", key)[-1], IGNORED):
             found.ignored[why] += 1
             continue
         a, b = old.get(key), new.get(key)
