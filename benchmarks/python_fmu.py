@@ -38,9 +38,8 @@ REACHED = 2
 SLAVE = """
 import numpy as np
 from pythonfmu import Fmi2Causality, Fmi2Slave, Real
-from sim_heating.conditions import FRAME
-from sim_heating.plugin import HeatingPlugin
-from sim_heating.vehicle import load_vehicle
+from sim_heating import HeatingPlugin, load_vehicle
+from sim_heating.base.conditions import FRAME
 
 class Heating(Fmi2Slave):
     def __init__(self, **kwargs):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from graphlib import CycleError, TopologicalSorter
 from itertools import pairwise
 
 import pytest
 
+from tests.support.paths import ROOT
 from tests.support.structure import FOLDERS, PACKAGE, PAGE, folder, imports, modules, page
 
 ENTRIES = 12
@@ -64,3 +66,15 @@ def test_the_picture_of_the_architecture_is_that_of_the_imports():
     text = PAGE.read_text()
     lines = [line for line in page(text).splitlines() if "-->" in line]
     assert [line for line in text.splitlines() if "-->" in line] == lines
+
+
+def test_modules_that_texts_name_exist():
+    """In code that a test or a benchmark hands to another process, in docstrings and on pages."""
+    wrong = []
+    pages = list((ROOT / "docs").glob("*.md"))
+    code = [p for folder in ("sim_heating", "tests", "benchmarks", "examples") for p in (ROOT / folder).rglob("*.py")]
+    for path in (ROOT / "README.md", *pages, *code):
+        for name in re.findall(r"\b(?:from|import) (sim_heating(?:\.\w+)+)", path.read_text()):
+            if name not in modules() and path.name != "test_user_effect.py":  # which imports what is gone, to be told
+                wrong.append(f"{path.relative_to(ROOT)}: {name}")
+    assert not wrong, "\n".join(wrong)
