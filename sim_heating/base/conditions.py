@@ -29,6 +29,10 @@ FRAME = (
 )  # fmt: skip
 """Inputs that a host gives at each frame; temperature, Mach and Reynolds number are derived from them."""
 
+EXTRAS = ("bank_deg", "gamma_deg", "heading_deg", "latitude_deg", "longitude_deg", "axial_accel_g")
+"""Columns that a source adds to FRAME in each row. `axial_accel_g`: sensed acceleration along the body axis, positive
+aft, CA qbar S / (m g0). Bank, path angle and heading are those of the velocity relative to the air."""
+
 
 @dataclass(frozen=True)
 class Conditions:

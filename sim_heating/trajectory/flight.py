@@ -10,15 +10,11 @@ from typing import Protocol
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.conditions import FRAME, STATE, Conditions
+from sim_heating.base.conditions import EXTRAS, FRAME, STATE, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.heating.atmosphere import free_stream
 
 OnFrame = Callable[[FloatArray], None]
-
-EXTRAS = ("bank_deg", "gamma_deg", "heading_deg", "latitude_deg", "longitude_deg", "axial_accel_g")
-"""Columns that a source adds to FRAME in each row. `axial_accel_g`: sensed acceleration along the body axis, positive
-aft, CA qbar S / (m g0). Bank, path angle and heading are those of the velocity relative to the air."""
 
 ROW = FRAME + EXTRAS
 """Columns of one row as given to Sampler.add."""

@@ -178,6 +178,10 @@ def test_a_file_that_cannot_be_run_is_reported_with_its_line(effects_folder, cap
             "`tries` is now `search_starts`",
         ),
         ("from sim_heating import Effect\nEFFECT = Effect('a', 'model', (), places=())\n", "with model_parameter"),
+        (
+            "from sim_heating import Effect\nEFFECT = Effect('a', 'model', (), needs=('machh',))\n",
+            "`needs`: flight conditions have no column `machh`; did you mean `mach`",
+        ),
     ],
 )
 def test_a_file_without_a_valid_effect_is_rejected(effects_folder, text, message):

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim_heating.base.conditions import FRAME
+from sim_heating.base.conditions import EXTRAS, FRAME
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.heating.atmosphere import G0_M_S2
 from sim_heating.inputs.vehicle import load_vehicle
@@ -22,7 +22,7 @@ from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import point_mass as pm
 from sim_heating.trajectory.aero import Grid, flown_aero, load_aero
 from sim_heating.trajectory.entry3dof import Entry
-from sim_heating.trajectory.flight import EXTRAS, ROW, Sampler
+from sim_heating.trajectory.flight import ROW, Sampler
 from sim_heating.trajectory.guidance import EntryGuidance, Observation, resolve_guidance
 from sim_heating.trajectory.jsbsim import entry as jsbsim
 from sim_heating.trajectory.spec import GuidanceChanges, Initial, TrajectorySpec

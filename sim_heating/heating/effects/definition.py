@@ -6,11 +6,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Literal
 
-from sim_heating.base.conditions import Conditions
+from sim_heating.base.conditions import EXTRAS, HEATING, STATE, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.block import EFFECT_SLOTS, EFFECT_WIDTH
 from sim_heating.base.parameters import CLOCK_SKEW, MODEL, Parameter
+
+NEEDED_COLUMNS = (*STATE, *HEATING, "q_add_W_m2", "jets", "qbar_Pa", *EXTRAS)
+"""Columns of the flight conditions that an effect may need: those of every flight, and the optional ones."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +67,8 @@ class Effect:
     kernel        : compiled f(B, c, p, wall_K); None for an effect of mode "model"
     needs_wall    : whether the kernel's value depends on the wall temperature
     lags          : whether the ratio lags; the first two parameters are then time constant [s] and fraction [-]
-    needs         : columns of the flight conditions that must exist and vary for the effect to be identifiable;
-                    `close-loop` does not look for it in other flights
+    needs         : columns of the flight conditions (NEEDED_COLUMNS) that must exist and vary for the effect to be
+                    identifiable; `close-loop` does not look for it in other flights
     neutral       : its magnitudes and the values at which, all of them together, it does nothing for any other
                     parameters
     search_starts : starts of the search for it in data, for a flight's conditions; by default one, with all parameters
@@ -73,7 +76,7 @@ class Effect:
     physics       : the physical process, in a line
     source        : publication or flight in which it was seen
     raises        : InputError where parameters are too many, mode and kernel or parameters contradict each other, or
-                    `neutral` names a parameter that does not exist
+                    `neutral` names a parameter, or `needs` a column, that does not exist
 
     >>> import sim_heating as sh
     >>> depth = sh.model_parameter("depth_m", "stack.gap.depth_m")
@@ -107,6 +110,12 @@ class Effect:
                 f'effect {self.name}: mode "model" takes parameters of the model; make each with model_parameter(...)'
             )
         self._check_names(self.neutral, "neutral")
+        for column in self.needs:
+            if column not in NEEDED_COLUMNS:
+                raise InputError(
+                    f"effect {self.name}, `needs`: flight conditions have no column `{column}`"
+                    f"{suggestion(column, NEEDED_COLUMNS)}"
+                )
 
     @property
     def built_in(self) -> bool:

@@ -23,14 +23,13 @@ from pathlib import Path
 
 import numpy as np
 
-from sim_heating.base.conditions import FRAME
+from sim_heating.base.conditions import EXTRAS, FRAME
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import suggestion
 from sim_heating.heating.atmosphere import speed_of_sound_kernel, us76_kernel
 from sim_heating.trajectory import point_mass as pm
 from sim_heating.trajectory.aero import flown_aero
 from sim_heating.trajectory.entry3dof import flight_block
-from sim_heating.trajectory.flight import EXTRAS
 from sim_heating.trajectory.fmu.model import FmuModel
 from sim_heating.trajectory.fmu.units import Conversion
 from sim_heating.trajectory.guidance import clip, resolve_guidance
@@ -100,7 +99,7 @@ class ColumnsOfFmu:
 
     outputs   : names of the variables to read
     available : columns of every frame
-    missing   : columns of flight.EXTRAS that cannot be determined
+    missing   : columns of EXTRAS that cannot be determined
     notes     : columns found by usual names or derived, for the events of the flight
     raises    : InputError, all problems at once
     """
