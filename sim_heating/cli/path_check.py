@@ -120,7 +120,8 @@ def _study(place: Path) -> CheckedPath:
 def describe_record(record: Record) -> str:
     """One line on a record: control point, sensors, samples, times, layers."""
     t, layers = record.conditions.time_s, record.declared.stack.layer
-    sensors = f"{len(record.sensors)} sensors ({len(record.used_sensors)} used), {len(record.time_s)} samples"
+    count = len(record.sensors)
+    sensors = f"{count} sensor{'s' * (count != 1)} ({len(record.used_sensors)} used), {len(record.time_s)} samples"
     stack = " / ".join(layer.material for layer in layers)
     return f"record of {record.declared.control_point}: {sensors}, {t[0]:g} to {t[-1]:g} s, {stack}"
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from sim_heating.base.errors import InputError
 from sim_heating.cli.console import CONSOLE, PATH
 
 
@@ -15,5 +16,11 @@ def validate(paths: tuple[Path, ...]) -> None:
     """Check records, scenarios, tables or vehicles, and report what is wrong."""
     from sim_heating.cli.path_check import check_path
 
+    problems: list[str] = []
     for path in paths:
-        CONSOLE.print(f"{path}: good. {check_path(path).summary}", soft_wrap=True)
+        try:
+            CONSOLE.print(f"{path}: good. {check_path(path).summary}", soft_wrap=True)
+        except InputError as error:
+            problems.extend(error.problems)
+    if problems:
+        raise InputError(*problems)

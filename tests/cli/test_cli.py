@@ -91,6 +91,14 @@ def test_validate_recognises_a_vehicle_a_table_and_a_record(workdir: Path, capsy
     assert capsys.readouterr().out.count("good") == 3
 
 
+def test_validate_checks_the_paths_after_a_wrong_one(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["validate", "nowhere", "short.toml", "neither"]) == 2
+    printed = capsys.readouterr()
+    assert "short.toml: good" in printed.out
+    assert "nowhere" in printed.err
+    assert "neither" in printed.err
+
+
 # Refused with one line and status 2 ----------------------------------------------------------------------------------
 
 DAMAGED = {
