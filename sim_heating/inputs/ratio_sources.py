@@ -134,12 +134,16 @@ class RatioSource(Declared):
 def build_tables(vehicle: str | os.PathLike[str]) -> dict[str, RatioTable]:
     """The ratio tables that a vehicle's ratio_sources describe, by control point.
 
-    raises : InputError where a source, or a file that it names, cannot be used, or two sources make one table
+    raises : InputError where there is no source, a source or a file that it names cannot be used, or two sources make
+             one table
     """
     directory = vehicle_directory(vehicle)
     file = read_toml(directory / "vehicle.toml", VehicleFile)
+    sources = sorted((directory / "ratio_sources").glob("*.toml"))
+    if not sources:
+        raise InputError(f"{display_path(directory / 'ratio_sources')}: holds no description; add a .toml file")
     tables: dict[str, RatioTable] = {}
-    for path in sorted((directory / "ratio_sources").glob("*.toml")):
+    for path in sources:
         source = read_toml(path, RatioSource)
         if source.scaling is not None and file.heating.reference != REFERENCE:
             raise InputError(

@@ -216,6 +216,12 @@ def test_two_sources_of_one_table_are_reported(damaged):
         build_tables(damaged)
 
 
+def test_a_vehicle_without_ratio_sources_has_no_tables_to_write(damaged):
+    shutil.rmtree(damaged / "ratio_sources")
+    with pytest.raises(InputError, match="ratio_sources: holds no description"):
+        write_tables(damaged)
+
+
 # Surface pressure ----------------------------------------------------------------------------------------------------
 
 
