@@ -285,7 +285,10 @@ def design(
     CONSOLE.print(f"{found['tried']} designs tried, {found['kept_limits']} keep the limits")
     for varied in found["varied"]:
         planned, best = (found[k]["manoeuvres"][varied["manoeuvre"] - 1][varied["key"]] for k in ("planned", "optimal"))
-        CONSOLE.print(f"{varied['key']}: {planned:.4g} planned, {best:.4g} optimal")
+        kind = found["planned"]["manoeuvres"][varied["manoeuvre"] - 1]["kind"]
+        CONSOLE.print(
+            f"manoeuvre {varied['manoeuvre']}, {kind}: {varied['key']} {planned:.4g} planned, {best:.4g} optimal"
+        )
     _print_checks(found)
     for line in notes(designed):
         CONSOLE.print(line)

@@ -257,6 +257,8 @@ MARKS = ("o", "s", "^", "D", "v")
 LABELS = {
     "at_velocity_m_s": "speed at the start, m/s",
     "at_mach": "Mach number at the start",
+    "from_deg": "from, deg",
+    "to_deg": "to, deg",
     "rate_deg_s": "rate, deg/s",
     "hold_s": "hold, s",
     "down_deg": "down, deg",
@@ -315,9 +317,10 @@ def draw_sweeps(path: Path, designed: DesignResult) -> None:
             for kept, face in ((True, color), (False, "white")):
                 at = sweep.feasible == kept
                 a.plot(sweep.value[at], y[at], MARKS[k % len(MARKS)], color=color, markerfacecolor=face, markersize=5)
-        chosen = getattr(designed.found.best.manoeuvres[sweep.vary.manoeuvre - 1], sweep.vary.key)
+        manoeuvre = designed.found.best.manoeuvres[sweep.vary.manoeuvre - 1]
+        chosen = getattr(manoeuvre, sweep.vary.key)
         a.axvline(chosen, color="0.4", linestyle=":", linewidth=1.0)
-        a.set_xlabel(LABELS.get(sweep.vary.key, sweep.vary.key))
+        a.set_xlabel(f"{manoeuvre.kind}: {LABELS.get(sweep.vary.key, sweep.vary.key)}")
         a.set_yscale("log")
         a.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
         a.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
@@ -346,7 +349,7 @@ def draw_instruments(path: Path, designed: DesignResult) -> None:
             text = f"{value:.2f}" if value < 1000.0 else "not identified"
             axes[0].text(at, row - k * height, f" {text}", va="center", fontsize=7.5)
     axes[0].axvline(1.0, color="0.3", linewidth=0.9)
-    axes[0].set_xlim(0.0, 1.12 * highest)
+    axes[0].set_xlim(0.0, 1.2 * highest)
     axes[0].set_yticks(rows - 0.5 * height * (len(base) - 1), [f"{v.kind}: {v.what}" for v in others], fontsize=8)
     axes[0].set_xlabel("bound over that with the declared instruments")
     axes[0].legend(fontsize=8, loc="best")

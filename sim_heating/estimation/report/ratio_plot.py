@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
-from sim_heating.base.parameters import RATIO, SHORT_NAMES
+from sim_heating.base.parameters import RATIO, SHORT_NAMES, UNITS
 from sim_heating.base.report.figure import new_figure, save_figure
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.record_fit import RecordFit
@@ -37,8 +37,9 @@ def panel_variables(names: tuple[str, ...]) -> list[int]:
 
 
 def describe_condition(reference: FloatArray) -> str:
-    """A condition as text."""
-    return ", ".join(f"{short} {value:.3g}" for short, value in zip(SHORT_NAMES, reference, strict=True))
+    """A condition as text, with units."""
+    units = ("" if unit == "1" else f" {unit}" for unit in UNITS)
+    return ", ".join(f"{n} {x:.3g}{unit}" for n, x, unit in zip(SHORT_NAMES, reference, units, strict=True))
 
 
 def along_variable(reference: FloatArray, i: int, values: FloatArray) -> FloatArray:

@@ -199,7 +199,7 @@ def draw_ranking(path: Path, title: str, ranked: Sequence[RankedManoeuvre]) -> N
         now, after = np.array([r.sigma_K.get(name, (np.nan, np.nan)) for r in ranked]).T
         a.barh(y, now, 0.7, color="0.85", label="now")
         a.barh(y, after, 0.45, color="tab:blue", label="after the manoeuvre")
-        a.set_xlabel(f"boundary `{name}`:\nmean sigma of the limiting temperatures, K")
+        a.set_xlabel(f"boundary {name}:\nmean sigma of the limiting temperatures, K")
     axes[0].set_yticks(np.arange(len(ranked)), [textwrap.fill(r.forecast.candidate.name, 26) for r in ranked])
     axes[0].invert_yaxis()
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8)
