@@ -116,3 +116,17 @@ def test_paths_that_pages_name_exist():
             if path.split("/")[0] in tops and not any(p.is_file() for p in places):
                 wrong.append(f"{page.name}: {path}")
     assert not wrong, "\n".join(wrong)
+
+
+def test_what_a_user_loads_has_a_representation_of_one_line():
+    scenarios = ROOT / "scenarios"
+    loaded = [
+        sh.load_vehicle("capsule"),
+        sh.load_scenario(scenarios / "recorded_sts107.toml"),
+        sh.load_record(scenarios / "records" / "practice" / "p06"),
+    ]
+    assert [repr(x) for x in loaded] == [
+        "<Vehicle 'capsule', revision 1: 4 control points>",
+        "<Scenario 'Recorded trajectory: STS-107 early entry': orbiter, 4 control points>",
+        "<Record 'p06' of LS: 2 sensors, 0 to 1453 s>",
+    ]

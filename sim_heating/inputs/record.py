@@ -201,6 +201,11 @@ class Record:
     ratio_table: RatioTable | None = None
     directory: Path = field(default=Path("record"))
 
+    def __repr__(self) -> str:
+        sensors, t = len(self.sensors), self.conditions.time_s
+        point = self.declared.control_point
+        return f"<Record {self.name!r} of {point}: {sensors} sensors, {t[0]:g} to {t[-1]:g} s>"
+
     @property
     def name(self) -> str:
         """Name of the record's directory."""

@@ -237,6 +237,9 @@ class Scenario:
     names: tuple[str, ...]
     compare: tuple[MeasuredHistory, ...]
 
+    def __repr__(self) -> str:
+        return f"<Scenario {(self.title or self.path.stem)!r}: {self.vehicle.name}, {len(self.names)} control points>"
+
     @property
     def title(self) -> str:
         """Title of the scenario."""

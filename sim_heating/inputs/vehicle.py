@@ -90,6 +90,9 @@ class Vehicle:
     materials: dict[str, Material]
     declared: VehicleFile
 
+    def __repr__(self) -> str:
+        return f"<Vehicle {self.name!r}, revision {self.revision}: {len(self.control_points)} control points>"
+
     def control_point(self, name: str) -> ControlPoint:
         """The control point of a name.
 
