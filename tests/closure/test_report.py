@@ -178,7 +178,7 @@ def test_the_page_is_self_contained_and_has_every_section():
 
 def test_a_fault_of_the_record_comes_before_any_finding():
     page = closure_page(replace(closed(), faults=[DataFault(SENSOR, "TC1 is stuck")]))
-    assert page.verdict == ("No aerothermal finding: broken sensor", "TC1 is stuck")
+    assert page.conclusion == ("No aerothermal finding: broken sensor", "TC1 is stuck")
     assert 'role="alert">TC1 is stuck' in page_html(page)
 
 

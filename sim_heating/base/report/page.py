@@ -78,14 +78,14 @@ class Page:
     """A report.
 
     title, subtitle : its head
-    verdict         : conclusion in a few words, and a line of explanation
+    conclusion      : conclusion in a few words, and a line of explanation
     warnings        : lines shown before the first section
     """
 
     title: str
     subtitle: str
     sections: Sequence[Section]
-    verdict: tuple[str, str] | None = None
+    conclusion: tuple[str, str] | None = None
     warnings: Sequence[str] = field(default=())
 
 
