@@ -149,11 +149,12 @@ def test_an_interrupted_flight_leaves_nothing(binary: Path, tmp_path: Path) -> N
 
 
 HANGING = """
-import sys
+import signal, sys
 from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.trajectory.fmu import flight
 from sim_heating.trajectory.spec import TrajectorySpec
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell takes away from what it runs in the background
 start = {"fault": int(sys.argv[2]), "fault_time": 0.0}
 table = {"source": "fmu", "file": sys.argv[1], "fmu": {"columns": %r, "start": start, "timeout_s": 300.0}}
 flight.fly(TrajectorySpec.model_validate(table), load_vehicle(%r), on_frame=lambda row: print("flying", flush=True))
