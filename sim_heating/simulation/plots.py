@@ -72,9 +72,17 @@ def draw_trajectory(path: Path | None, title: str, flown: Conditions, windows: S
     _plot_angles(axes[1], flown, ("alpha_deg", "beta_deg"))
     if "bank_deg" in flown:
         axes[2].plot(t, flown["bank_deg"], color="tab:blue")
-    axes[2].set_ylabel("bank, deg", color="tab:blue")
+        axes[2].set_ylabel("bank, deg", color="tab:blue")
+    else:
+        axes[2].set_yticks([])
     axes[2].tick_params(axis="y", colors="tab:blue")
-    _twin(axes[2], t, flown["qbar_Pa"] / 1e3 if "qbar_Pa" in flown else np.full(len(t), np.nan), "q, kPa", "tab:red")
+    _twin(
+        axes[2],
+        t,
+        flown["qbar_Pa"] / 1e3 if "qbar_Pa" in flown else np.full(len(t), np.nan),
+        "dynamic pressure, kPa",
+        "tab:red",
+    )
     _plot_angles(axes[3], flown, ("elevon_deg", "bodyflap_deg"))
     axes[3].set_ylabel("deg, trailing edge down +")
     for a in axes:
