@@ -91,8 +91,8 @@ def close_loop(record: Record | str | os.PathLike[str], *, progress: Progress = 
     record   : a flight record, or its directory
     progress : called with the fraction done, from 0 to 1, and a line of text
     returns  : the effects found, the last fit with its bounds, errors before and after
-    raises   : InputError where its clocks are in two units, InputError, RunError where not even the declared model can
-             be fitted
+    raises   : InputError where its clocks are in two units or readings are too few; InputError or RunError where not
+               even the declared model can be fitted
 
     >>> import sim_heating as sh
     >>> sh.close_loop("scenarios/records/practice/p08")
