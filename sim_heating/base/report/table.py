@@ -1,4 +1,4 @@
-"""A table of results: values under named columns, rendered by the console, HTML pages, CSV and JSON alike.
+"""A table of results: values under named columns, rendered by the console, HTML pages and CSV alike.
 
     Table(
         "Peak temperatures",
@@ -7,7 +7,7 @@
     )
 
 Rows hold plain values; each writer formats them, for a reader in the console and pages (`texts`), for programs in CSV
-and JSON (`columns_by_key`, `records`).
+(`columns_by_key`).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Column:
     """One column of a table.
 
     head    : heading
-    key     : its name in CSV and JSON; the head where not given
+    key     : its name in CSV; the head where not given
     format  : format specification of its numbers, as `.2f`; text and missing values are not formatted
     unit    : written after each number in texts
     is_text : left-aligned; numbers are right-aligned
@@ -76,10 +76,6 @@ class Table:
     def texts(self) -> list[list[str]]:
         """The cells of each row, formatted for a reader."""
         return [[c.text(v) for c, v in zip(self.layout, row, strict=True)] for row in self.rows]
-
-    def records(self) -> list[dict[str, Any]]:
-        """One dictionary a row, for JSON."""
-        return [{c.key: v for c, v in zip(self.layout, row, strict=True)} for row in self.rows]
 
     def columns_by_key(self) -> dict[str, NDArray[Any]]:
         """One array a column, by its key; a missing number is NaN."""
