@@ -31,6 +31,8 @@ Work = Callable[[Any], bytes]
 
 SCHEDULER_TIMEOUT_S, WORKER_TIMEOUT_S = 4.0, 10.0
 """Longest wait for a scheduler to answer, and then for its first worker [s]."""
+LOOPBACK = "127.0.0.1"
+"""Address on which local processes listen: whoever reaches a Dask scheduler can run code in its workers."""
 IN_FLIGHT = 3
 """Jobs that a worker holds at a time, running or waiting; more would only fill its memory."""
 MAX_WORKER_DEATHS = 3
@@ -44,10 +46,12 @@ DASK_SETTINGS = {
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "10s",
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
 }
 """Dask's settings. Its profiler and its 50 checks a second of its own event loops take 3 % of a core from each worker,
 its system monitor 1 % from this process. Its trim threshold of 64 kB makes glibc return every array to the system and
-fetch it again, page by page."""
+fetch it again, page by page. Nothing is served over HTTP: a study needs no dashboard, which would show its data."""
 
 
 @dataclass(frozen=True)
@@ -279,13 +283,17 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
 
 
 def _local_processes(workers: int | None) -> Any:
-    """A cluster of processes on this machine; RunError where they do not start."""
+    """A cluster of processes on this machine, without a dashboard and reachable from this machine alone.
+
+    raises : RunError where the processes do not start
+    """
     from distributed import LocalCluster
 
+    # An address without a host would listen on all interfaces, and none at all would take the fixed port 8787.
     try:
         return LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0",
-            silence_logs=logging.CRITICAL, memory_limit=0,
+            n_workers=workers, threads_per_worker=1, processes=True, host=LOOPBACK, dashboard_address=f"{LOOPBACK}:0",
+            scheduler_kwargs={"dashboard": False}, silence_logs=logging.CRITICAL, memory_limit=0,
         )  # fmt: skip
     except (RuntimeError, OSError) as error:
         cause = error.__cause__ or error

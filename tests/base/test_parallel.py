@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
@@ -103,6 +104,36 @@ def _start(out, notes, count, workers):
     arguments = [sys.executable, str(SCRIPT), str(out), str(notes), str(count), str(workers)]
     path = os.pathsep.join([str(SCRIPT.parent.parent), os.environ.get("PYTHONPATH", "")])
     return subprocess.Popen(arguments, env=os.environ | {"PYTHONPATH": path}, start_new_session=True)
+
+
+def test_the_processes_of_a_study_listen_on_this_machine_alone(tmp_path):
+    """The kernel is asked for the open sockets of the study's whole process tree while its jobs run."""
+    psutil = pytest.importorskip("psutil", reason="Dask brings psutil, which lists the sockets of a process")
+    release, found = tmp_path / "release", []
+
+    def look():
+        try:
+            _wait_until(lambda: (tmp_path / "running-0").exists() and (tmp_path / "running-1").exists())
+            here = psutil.Process()
+            sockets = [(p.pid, c) for p in (here, *here.children(recursive=True)) for c in p.net_connections("inet")]
+            found.extend((pid, c.laddr.ip) for pid, c in sockets if c.laddr and not c.raddr)
+        finally:
+            release.touch()
+
+    with ThreadPoolExecutor(1) as other:
+        looked = other.submit(look)
+        outcome = run_batches(jobs(2), partial(batch_jobs.wait_for, release), tmp_path / "out", workers=2)
+        looked.result()
+    assert not outcome.failed
+    assert len({pid for pid, _ in found}) >= 3  # this process with the scheduler, and two workers
+    assert {address for _, address in found} == {"127.0.0.1"}
+
+
+def _wait_until(condition, limit_s=120.0):
+    end = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
 
 
 def test_an_absent_scheduler_is_one_clear_line(tmp_path, monkeypatch):

@@ -40,6 +40,14 @@ def square_that_kills(task: int) -> bytes:
     return f"{task * task}\n".encode()
 
 
+def wait_for(release: Path, task: int) -> bytes:
+    """Leaves a note that it runs, and ends when the file `release` exists."""
+    release.with_name(f"running-{task}").touch()
+    while not release.exists():
+        time.sleep(0.02)
+    return b"done"
+
+
 def jobs(count: int) -> list[Job]:
     """Numbered jobs."""
     return [Job(f"job-{k:03d}", k) for k in range(count)]
