@@ -171,7 +171,7 @@ def _answer(made: Made, fit: NDArray[np.bool_], holdout: NDArray[np.bool_]) -> d
 def write(made: Made, out: Path) -> None:
     """Write the record as a directory of its name in `out`."""
     case, t = made.case, made.recorder.time_s
-    with output_directory(out / made.name) as folder:
+    with output_directory(out / made.name, "generator") as folder:
         write_text_atomic(folder / "record.toml", toml_text(declaration(made)))
         write_csv(folder / "conditions.csv", case.recorded, FORMATS)
         columns = {s["column"]: made.measured_K[:, i] for i, s in enumerate(case.point.sensors)}

@@ -1,8 +1,9 @@
 """Many independent jobs, run in this process or on Dask, with a ledger of finished results.
 
 A job has an id, which is the name of its result's file in the ledger folder, and a task that is passed to a function;
-the function returns the result as bytes, written whole or not at all. Jobs with a result file are not run again, so
-that a killed run resumes where it stopped: it loses only the jobs in flight. Jobs of a worker that dies are run by
+the function returns the result as bytes, written whole or not at all, with their digest in a file `.ID.sha256`. Jobs
+whose result agrees with its digest are not run again, so that a killed run resumes where it stopped: it loses only the
+jobs in flight. A damaged result is computed again. Jobs of a worker that dies are run by
 another. A job that raises leaves `ID.error` with the reason, and the others continue; the next run repeats it. Results
 depend on the tasks alone: one process without Dask, many processes, or a cluster write the same bytes. Linear algebra
 uses one thread in all of them.
@@ -23,7 +24,8 @@ from pathlib import Path
 from typing import Any
 
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.files.text import repeated_name, write_bytes_atomic, write_text_atomic
+from sim_heating.base.files.text import clear_partial_files, repeated_name, write_bytes_atomic, write_text_atomic
+from sim_heating.base.files.transaction import exclusive
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.threads import one_thread
 
@@ -85,6 +87,7 @@ def run_batches(
     *,
     scheduler: str | None = None,
     workers: int | None = None,
+    is_current: Callable[[Job, bytes], bool] = lambda _job, _result: True,
     progress: Progress = no_progress,
 ) -> Outcome:
     """Run all jobs that have no result yet.
@@ -93,23 +96,33 @@ def run_batches(
     out      : ledger folder; its name must identify everything besides the tasks that the results depend on
     scheduler: address of a Dask scheduler; otherwise local processes are started
     workers  : number of local processes, all cores where None; 1 is this process, without Dask
+    is_current : whether a result of an earlier run still holds, as what it refers to may have been removed since
     progress : called with the fraction done and a line of text
-    raises   : InputError where jobs share an id, Dask is not installed, or no scheduler answers at the address;
+    raises   : InputError where jobs share an id, another process works on the same ledger, Dask is not installed, or no
+               scheduler answers at the address;
                RunError where the scheduler is lost during the run; finished results remain
     """
     names = [job.id for job in jobs]
     if (name := repeated_name(names)) is not None:
         raise InputError(f"jobs: the id `{name}` is repeated; give each job its own")
-    remaining = [job for job in jobs if not (out / job.id).is_file()]
-    counter = _JobProgress(len(jobs), len(jobs) - len(remaining), progress)
-    in_process = scheduler is None and (workers == 1 or len(remaining) <= 1)
-    results = _run_locally(remaining, function) if in_process else _run_on_dask(remaining, function, scheduler, workers)
-    for job_id, result in results:
-        _store_result(out, job_id, result)
-        counter.count_one()
-    done = {name: out / name for name in names if (out / name).is_file()}
-    failed = {n: (out / f"{n}{ERROR_SUFFIX}").read_text(encoding="utf-8").strip() for n in names if n not in done}
-    return Outcome(done, failed)
+    with exclusive(out):
+        clear_partial_files(out)
+        done = {job.id for job in jobs if (found := _stored_result(out, job.id)) is not None and is_current(job, found)}
+        remaining = [job for job in jobs if job.id not in done]
+        counter = _JobProgress(len(jobs), len(done), progress)
+        failed = {}
+        in_process = scheduler is None and (workers == 1 or len(remaining) <= 1)
+        running = (
+            _run_locally(remaining, function) if in_process else _run_on_dask(remaining, function, scheduler, workers)
+        )
+        for job_id, result in running:
+            _store_result(out, job_id, result)
+            if isinstance(result, BaseException):
+                failed[job_id] = error_line(result)
+            counter.count_one()
+    return Outcome(
+        {name: out / name for name in names if name not in failed}, {n: failed[n] for n in names if n in failed}
+    )
 
 
 @dataclass
@@ -135,7 +148,27 @@ def _store_result(out: Path, job_id: str, result: bytes | BaseException) -> None
         write_text_atomic(error, error_line(result) + "\n")
     else:
         write_bytes_atomic(out / job_id, result)
+        # Written after the result: one that a kill leaves without its digest is computed again.
+        write_text_atomic(_digest_path(out, job_id), _digest(result))
         error.unlink(missing_ok=True)
+
+
+def _stored_result(out: Path, job_id: str) -> bytes | None:
+    """A job's result of an earlier run; None where there is none, or it is not what was written."""
+    try:
+        result = (out / job_id).read_bytes()
+        whole = _digest_path(out, job_id).read_bytes() == _digest(result).encode()
+    except OSError:
+        return None
+    return result if whole else None
+
+
+def _digest(result: bytes) -> str:
+    return f"sha256:{hashlib.sha256(result).hexdigest()}\n"
+
+
+def _digest_path(out: Path, job_id: str) -> Path:
+    return out / f".{job_id}.sha256"
 
 
 def error_line(error: BaseException) -> str:

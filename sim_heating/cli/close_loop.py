@@ -33,7 +33,7 @@ def close_loop(records: tuple[Path, ...], out: Path, scheduler: str | None, work
     found = find_records(records)
     if len(found) == 1:
         record = load_record(found[0])
-        require_writable(out, FILES)
+        require_writable(out, "close-loop", expected=FILES, inputs=[record.directory])
         with progress_line(record.name) as progress:
             closed = close_one(record, progress=progress)
             names = write_closed_loop(closed, out)

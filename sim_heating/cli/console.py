@@ -27,7 +27,7 @@ ERRORS = Console(stderr=True, soft_wrap=True, markup=False, highlight=False)
 
 def results_directory(_: click.Context, __: click.Parameter, value: str) -> Path:
     """Value of an option --out; a directory that cannot be made or written is refused before any work."""
-    from sim_heating.base.files import display_path, require_writable
+    from sim_heating.base.files import display_path, exclusive
     from sim_heating.base.files.text import abbreviated, os_error_reason
 
     if not value.strip():
@@ -41,7 +41,8 @@ def results_directory(_: click.Context, __: click.Parameter, value: str) -> Path
         ) from None
     if not existing.is_dir():
         raise InputError(f"--out {value}: {display_path(existing)} is a file; name a directory for the results")
-    require_writable(path)
+    with exclusive(path):  # refuses a place that cannot be written
+        pass
     return path
 
 

@@ -183,7 +183,8 @@ def estimate(
     from sim_heating.inputs.record import load_record
 
     loaded = [_with_fit(load_record(path), fit) for path in records]
-    require_writable(out, output_files(loaded, filtered=noise is not None))
+    files = output_files(loaded, filtered=noise is not None)
+    require_writable(out, "estimate", expected=files, inputs=[record.directory for record in loaded])
     with progress_line("estimate") as progress:
         starts = [start] * len(loaded)
         fitted = fit_records(
@@ -221,7 +222,7 @@ def _estimate_trend(
     if len(records) > 1:
         raise InputError(f"--segments: {len(records)} records are given; segments are fitted to one record at a time")
     record = _with_fit(load_record(records[0]), fit)
-    require_writable(out, TREND)
+    require_writable(out, "estimate", expected=TREND, inputs=[record.directory])
     with progress_line("estimate") as progress:
         found = trend(record, length_s, parameters, progress=progress)
         names = write_trend(found, out)
@@ -275,7 +276,7 @@ def design(
 
     given = {"parameters": parameters and list(parameters), "criterion": criterion, "evaluations": evaluations}
     loaded = with_design(load_scenario(scenario), {k: v for k, v in given.items() if v is not None})
-    require_writable(out, FILES)
+    require_writable(out, "design", expected=FILES, inputs=loaded.files)
     with progress_line("design") as progress:
         designed = design_manoeuvres(loaded, repetitions=repetitions, progress=progress)
         progress(0.99, "writing")

@@ -16,13 +16,14 @@ if TYPE_CHECKING:
 
 def _fmu_file(_: click.Context, __: click.Parameter, value: Path) -> Path:
     """Value of --out; a file that cannot be written is refused before any work."""
-    from sim_heating.base.files import require_writable
+    from sim_heating.base.files import exclusive
 
     if value.suffix != ".fmu":
         raise InputError(f"--out {value}: name a file that ends in .fmu")
     if value.is_dir():
         raise InputError(f"--out {value}: is a directory; name a file that ends in .fmu")
-    require_writable(value.parent)
+    with exclusive(value.parent):
+        pass
     return value
 
 

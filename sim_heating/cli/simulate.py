@@ -28,7 +28,7 @@ def run(scenario: Path, out: Path) -> None:
     from sim_heating.simulation.run import files_of, rmse_by_point, run, summary, write_run
 
     loaded = load_scenario(scenario)
-    require_writable(out, files_of(loaded))
+    require_writable(out, "run", expected=files_of(loaded), inputs=loaded.files)
     with progress_line(loaded.title) as progress:
         result = run(loaded, progress=progress)
         names = write_run(result, out, progress=progress)
@@ -95,7 +95,7 @@ def synthesize(scenario: Path, out: Path) -> None:
     loaded = load_scenario(scenario)
     if not any(loaded.vehicle.control_point(name).sensors for name in loaded.names):
         raise InputError(f"{scenario}: none of its control points has a sensor; choose one that has")
-    require_writable(out, files_of(loaded))
+    require_writable(out, "synthesize", expected=files_of(loaded), inputs=loaded.files)
     with progress_line(loaded.title) as progress:
         records = fly_and_measure(loaded, progress=progress)
         names = write_records(loaded, records, out)
@@ -119,7 +119,8 @@ def demo(out: Path) -> None:
 
     popu, sts96 = (load_scenario(_scenario_folder() / f"{name}.toml") for name in ("popu_mach20", "sts96"))
     for folder, scenario, made in (("popu", popu, run), ("records", popu, synthesize), ("sts96", sts96, run)):
-        require_writable(out / folder, made.files_of(scenario))
+        command = made.__name__.rpartition(".")[2]
+        require_writable(out / folder, command, expected=made.files_of(scenario), inputs=scenario.files)
     spawned = get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=spawned) as pool, progress_line("demo") as progress:
         compared = pool.submit(_run_and_write, sts96.path, out / "sts96")
@@ -175,8 +176,10 @@ def predict(records: tuple[Path, ...], out: Path, vehicle: str | None) -> None:
     names = [record.name for record in loaded]
     require_distinct_records(names)
     folders = [out if len(loaded) == 1 else out / name for name in names]
+    inputs = [record.directory for record in loaded] + ([] if revised is None else [revised.directory])
+    require_writable(out, "predict", inputs=inputs)
     for folder in folders:
-        require_writable(folder, FILES)
+        require_writable(folder, "predict", expected=FILES, inputs=inputs)
     models = [None if revised is None else point_with_vehicle_table(record, revised) for record in loaded]
     predictions = []
     with progress_line("predict") as progress:

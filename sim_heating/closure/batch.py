@@ -12,7 +12,14 @@ from typing import Any
 import numpy as np
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import output_directory, require_writable, write_csv, write_json
+from sim_heating.base.files import (
+    exclusive,
+    output_directory,
+    require_writable,
+    results_digest,
+    write_csv,
+    write_json,
+)
 from sim_heating.base.files.package import package_version
 from sim_heating.base.parallel import Job, run_batches
 from sim_heating.base.progress import Progress, no_progress
@@ -23,8 +30,6 @@ from sim_heating.inputs.record import DECLARATION, load_record, require_distinct
 SUMMARIES = JSON, CSV = "summary.json", "summary.csv"
 LEDGER = "finished"
 """Folder of finished records, below the results."""
-EARLIER_KEYS = {"doubts": "data_faults", "verdicts": "fault_messages"}
-"""Keys of rows that earlier versions wrote -> their names now."""
 
 
 @dataclass(frozen=True)
@@ -71,22 +76,26 @@ def close_all(
     returns   : one row of the summary for each record, in their order
     raises    : InputError where the scheduler or a folder of results cannot be used
     """
-    from sim_heating.closure.close import FILES
+    from sim_heating.closure.close import COMMAND, FILES
 
     jobs = [record_job(path, out / path.resolve().name) for path in records]
-    # Before the work: a place that cannot hold results must not be found out after it.
-    for folder, names in ((out, SUMMARIES), *((job.task.out, FILES) for job in jobs)):
-        require_writable(folder, names)
-    outcome = run_batches(jobs, _close_record, out / LEDGER, scheduler=scheduler, workers=workers, progress=progress)
-    rows = []
-    for path, job in zip(records, jobs, strict=True):
-        if job.id in outcome.done:
-            rows.append(_read_row(outcome.done[job.id]))
-        else:
-            rows.append({"record": path.resolve().name, "failed": outcome.failed[job.id]})
-    with output_directory(out) as folder:
-        write_json(folder / JSON, {"format": "closure-summary/1", "records": rows})
-        _write_summary_csv(folder / CSV, rows)
+    with exclusive(out):
+        # Before the work: a place that cannot hold results must not be found out after it.
+        for folder, names in ((out, SUMMARIES), *((job.task.out, FILES) for job in jobs)):
+            require_writable(folder, COMMAND, expected=names, inputs=records)
+        outcome = run_batches(
+            jobs, _close_record, out / LEDGER, scheduler=scheduler, workers=workers,
+            is_current=_results_are_there, progress=progress,
+        )  # fmt: skip
+        rows = []
+        for path, job in zip(records, jobs, strict=True):
+            if job.id in outcome.done:
+                rows.append(json.loads(outcome.done[job.id].read_text(encoding="utf-8"))["row"])
+            else:
+                rows.append({"record": path.resolve().name, "failed": outcome.failed[job.id]})
+        with output_directory(out, COMMAND, inputs=records) as folder:
+            write_json(folder / JSON, {"format": "closure-summary/1", "records": rows})
+            _write_summary_csv(folder / CSV, rows)
     return rows
 
 
@@ -105,12 +114,20 @@ def record_job(record: Path, out: Path) -> Job:
 
 
 def _close_record(task: Task) -> bytes:
-    """Close the loop on one record and write its folder; its row of the summary as JSON."""
+    """Close the loop on one record and write its folder; its summary row and the digest of the folder as JSON."""
     from sim_heating.closure.close import close_loop, write_closed_loop
 
     closed = close_loop(load_record(task.record))
     write_closed_loop(closed, Path(task.out))
-    return json.dumps(summary_row(closed.report)).encode()
+    return json.dumps({"row": summary_row(closed.report), "results": results_digest(task.out)}).encode()
+
+
+def _results_are_there(job: Job, finished: bytes) -> bool:
+    """Whether the folder of a finished record still holds what was written into it."""
+    try:
+        return bool(json.loads(finished)["results"] == results_digest(job.task.out))
+    except (ValueError, KeyError, TypeError):  # written by an earlier version
+        return False
 
 
 def summary_row(report: Any) -> dict[str, Any]:
@@ -128,12 +145,6 @@ def summary_row(report: Any) -> dict[str, Any]:
         for what, errors in prediction.segment_errors().items():
             row[f"{name}_{what}_rmse_K"] = None if errors is None else errors["rmse_K"]
     return row
-
-
-def _read_row(path: Path) -> dict[str, Any]:
-    """The row of a finished record, also of one that an earlier version wrote."""
-    row = json.loads(path.read_text(encoding="utf-8"))
-    return {EARLIER_KEYS.get(key, key): value for key, value in row.items()}
 
 
 ERROR_COLUMNS = tuple(

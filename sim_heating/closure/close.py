@@ -41,6 +41,8 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
+COMMAND = "close-loop"
+"""Name under which its results are listed."""
 FILES = (*REPORT_FILES, NAME, *FIT_FILES)
 """Names of all files that a closed loop may write."""
 MIN_SAMPLES = 10
@@ -239,7 +241,7 @@ def write_closed_loop(closed: ClosedLoop, out: str | os.PathLike[str]) -> list[s
 
     returns : names of closure.json, report.html, residual_heating.csv, and the last fit's estimate.json with its files
     """
-    with output_directory(out) as folder:
+    with output_directory(out, COMMAND, inputs=[closed.report.record.directory]) as folder:
         write_closure(closed.report, folder)
         write_fit(closed.fitted, folder)
-    return sorted(files_written(out))
+    return files_written(out)

@@ -492,7 +492,7 @@ def write_record(
     raises  : InputError where the directory contains files of these names that this program did not write
     """
     declared = record.declared
-    with output_directory(directory) as folder:
+    with output_directory(directory, "write_record") as folder:
         write_text_atomic(folder / DECLARATION, toml_text(declared.model_dump(exclude_unset=True), comment))
         write_csv(folder / declared.conditions.file, record.conditions.columns, formats)
         write_csv(folder / declared.thermocouples.file, record.thermocouples, formats)

@@ -245,6 +245,13 @@ class Scenario:
         """Title of the scenario."""
         return self.declared.title
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Files and directories that it is made from; no results may replace them."""
+        flown = self.declared.trajectory.file
+        compared = (self.vehicle.directory / c.file for c in self.declared.compare)
+        return (self.path, self.vehicle.directory, *compared, *([] if flown is None else [Path(flown)]))
+
     def effects(self, point: str, *, truth: bool = False) -> tuple[EffectUse, ...]:
         """Effects that the scenario adds to a control point of its vehicle, with `truth` the undeclared ones too."""
         chosen = [*self.declared.effect, *(self.declared.truth.effect if truth else [])]

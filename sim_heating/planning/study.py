@@ -42,6 +42,8 @@ from sim_heating.trajectory.spec import TrajectorySpec
 
 HASH_LENGTH = 12
 """Characters of the hash that every figure shows."""
+SUFFIXES = (".toml", ".csv", ".json", ".xml")
+"""Kinds of files of a vehicle that a computation may read."""
 
 
 class StudyFile(Declared):
@@ -102,6 +104,11 @@ class Study:
     def stamp(self) -> str:
         """Vehicle, revision and hash of the study, as every figure shows them."""
         return f"{self.vehicle.name}, revision {self.vehicle.revision}, study {self.hash}"
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Files and directories that it is made from; no results may replace them."""
+        return (self.path, *self.base.files)
 
     def optimal(self) -> OptimalStudy | None:
         """The optimal entry that the study asks for; None where it has no [optimal]."""
@@ -192,4 +199,4 @@ def _hash(place: Path, declared: StudyFile, base: Scenario) -> str:
 
 def _input_files(directory: Path) -> Iterable[Path]:
     """Files of a vehicle that a computation may read, in the order of their names."""
-    return sorted(p for p in directory.rglob("*") if p.suffix in (".toml", ".csv", ".json", ".xml") and p.is_file())
+    return sorted(p for p in directory.rglob("*") if p.suffix in SUFFIXES and p.is_file() and p.name[0] != ".")

@@ -19,7 +19,7 @@ import numpy as np
 
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import display_path
+from sim_heating.base.files import display_path, output_directory
 from sim_heating.inputs.points import conditions_at_point
 from sim_heating.inputs.record import Record, make_record, write_record
 from sim_heating.inputs.scenario import MeasuredHistory, Scenario
@@ -77,8 +77,9 @@ def write_compared_records(scenario: Scenario, directory: Path) -> list[Path]:
             f"Made by sim-heating measured-records of scenarios/{scenario.path.name}, which describes how.",
         )
     )
-    records = {directory / name.lower(): record for name, record in compared_records(scenario).items()}
-    for path, record in records.items():
-        formats = dict.fromkeys((*record.conditions.columns, *record.thermocouples), NUMBER_FORMAT)
-        write_record(record, path, formats, note)
-    return list(records)
+    with output_directory(directory, "measured-records", inputs=scenario.files) as folder:
+        records = {name.lower(): record for name, record in compared_records(scenario).items()}
+        for name, record in records.items():
+            formats = dict.fromkeys((*record.conditions.columns, *record.thermocouples), NUMBER_FORMAT)
+            write_record(record, folder / name, formats, note)
+    return [directory / name for name in records]

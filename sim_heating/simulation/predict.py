@@ -163,7 +163,7 @@ def summary(prediction: Prediction) -> dict[str, object]:
 def write_prediction(prediction: Prediction, out: str | os.PathLike[str]) -> list[str]:
     """Write temperatures.csv, summary.json and a picture; returns the names of the files."""
     record, history = prediction.record, prediction.history
-    with output_directory(out) as folder:
+    with output_directory(out, "predict", inputs=[record.directory]) as folder:
         write_temperatures_csv(folder / TABLE, history.time_s, history, record.sensors)
         write_json(folder / SUMMARY, summary(prediction))
         prediction.draw(folder / PICTURE)

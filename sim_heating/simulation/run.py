@@ -262,7 +262,7 @@ def _picture_of(number: int, kind: str) -> str:
 
 def write_run(result: RunResult, out: str | os.PathLike[str], *, progress: Progress = no_progress) -> list[str]:
     """Write all files of a run, all together or not at all; returns their names within the directory."""
-    with output_directory(out) as folder:
+    with output_directory(out, "run", inputs=result.scenario.files) as folder:
         write_json(folder / SUMMARY, summary(result))
         flown, notes = with_reference_heating(result)
         write_csv(folder / CONDITIONS, flown.columns, ".12g", notes)

@@ -156,7 +156,7 @@ def write_records(
     """
     scenario = load_scenario(scenario)
     comment = f"Synthetic: {scenario.title}. Made by sim-heating synthesize."
-    with output_directory(out) as folder:
+    with output_directory(out, "synthesize", inputs=scenario.files) as folder:
         for name, record in records.items():
             write_record(record, folder if len(records) == 1 else folder / name, comment=comment)
         flown = next(iter(records.values())).conditions

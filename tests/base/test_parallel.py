@@ -89,7 +89,7 @@ def test_a_run_killed_at_any_moment_resumes_where_it_stopped(tmp_path):
         run.wait()
     assert _start(out, notes, count, 2).wait() == 0
     assert kills == 3
-    done = {p.name: p.read_bytes() for p in out.iterdir() if not p.name.startswith(".")}
+    done = contents(out)
     assert done == contents(whole)
     lost = len(list(notes.iterdir())) - count
     assert lost <= kills * 2 * 3  # what two workers had in hand at each kill

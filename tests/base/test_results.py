@@ -18,13 +18,13 @@ from sim_heating.base.files import (
 
 
 def interrupted(folder: Path) -> None:
-    with output_directory(folder) as partial:
+    with output_directory(folder, "run") as partial:
         (partial / "a.csv").write_text("half")
         raise KeyboardInterrupt
 
 
 def run(folder: Path, **files: str) -> None:
-    with output_directory(folder) as partial:
+    with output_directory(folder, "run") as partial:
         for name, text in files.items():
             (partial / name).write_text(text)
 
@@ -82,9 +82,8 @@ def test_a_file_in_place_of_the_directory_is_reported(tmp_path: Path) -> None:
         run(tmp_path / "out", a="1")
 
 
-def test_a_directory_created_during_the_run_keeps_its_contents(tmp_path: Path) -> None:
-    with output_directory(tmp_path / "out") as folder:
-        (tmp_path / "out").mkdir()
+def test_a_file_that_comes_into_the_directory_during_the_run_is_kept(tmp_path: Path) -> None:
+    with output_directory(tmp_path / "out", "run") as folder:
         (tmp_path / "out" / "notes.txt").write_text("mine")
         write_text_atomic(folder / "results.txt", "found")
     assert (tmp_path / "out" / "notes.txt").read_text() == "mine"
@@ -93,13 +92,13 @@ def test_a_directory_created_during_the_run_keeps_its_contents(tmp_path: Path) -
 
 def test_a_directory_of_the_longest_name_is_made(tmp_path: Path) -> None:
     out = tmp_path / ("x" * 255)
-    with output_directory(out) as folder:
+    with output_directory(out, "run") as folder:
         write_text_atomic(folder / "results.txt", "found")
     assert (out / "results.txt").read_text() == "found"
 
 
 def test_a_directory_of_a_longer_name_is_refused_before_the_work(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="results cannot be written"), output_directory(tmp_path / ("x" * 300)):
+    with pytest.raises(InputError, match="results cannot be written"), output_directory(tmp_path / ("x" * 300), "run"):
         pytest.fail("there is no work to be done")
 
 

@@ -140,7 +140,7 @@ def test_report_and_files_of_one_record(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert re.search("│ p08 +│ impingement-onset +│", result.output)
     assert ".sim_heating.json" not in result.output
-    assert files_written(out) <= set(FILES)
+    assert set(files_written(out)) <= set(FILES)
     found = json.loads((out / "closure.json").read_text())
     assert found["format"] == "closure-report/1"
     assert found["effect"]["name"] == "impingement-onset"

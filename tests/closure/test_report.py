@@ -129,7 +129,7 @@ def test_posteriors_have_equal_priors():
 
 
 def test_the_folder_contains_json_history_and_page(tmp_path):
-    with output_directory(tmp_path / "out") as folder:
+    with output_directory(tmp_path / "out", "close-loop") as folder:
         write_closure(closed(), folder)
     assert files_written(tmp_path / "out") == {"closure.json", "report.html", "residual_heating.csv"}
     data = json.loads((tmp_path / "out" / "closure.json").read_text())

@@ -6,6 +6,7 @@ a file are reported at once.
 """
 
 from sim_heating.base.files.csv_table import COLDEST_K, CsvTable, celsius_rule, csv_text, read_csv_columns, write_csv
+from sim_heating.base.files.paths import display_path, file_digest
 from sim_heating.base.files.results import (
     MARKER,
     files_written,
@@ -13,10 +14,10 @@ from sim_heating.base.files.results import (
     output_directory,
     read_json,
     require_writable,
+    results_digest,
     write_json,
 )
 from sim_heating.base.files.text import (
-    display_path,
     nearest_name,
     raise_problems,
     raw_text,
@@ -37,11 +38,12 @@ from sim_heating.base.files.toml import (
     read_toml_dict,
     toml_text,
 )
+from sim_heating.base.files.transaction import exclusive, replace_files, settle
 
 __all__ = [
     "COLDEST_K", "MARKER", "Convertible", "CsvTable", "Declared", "Extensible", "LocatedError", "Location",
-    "celsius_rule", "check", "csv_text", "display_path", "files_written", "json_text", "known_keys", "nearest_name",
-    "output_directory", "raise_problems", "raw_text", "read_csv_columns", "read_json", "read_text", "read_toml",
-    "read_toml_dict", "repeated_name", "require_writable", "suggestion", "toml_text", "write_csv", "write_json",
-    "write_text_atomic",
+    "celsius_rule", "check", "csv_text", "display_path", "exclusive", "file_digest", "files_written", "json_text",
+    "known_keys", "nearest_name", "output_directory", "raise_problems", "raw_text", "read_csv_columns", "read_json",
+    "read_text", "read_toml", "read_toml_dict", "repeated_name", "replace_files", "require_writable",
+    "results_digest", "settle", "suggestion", "toml_text", "write_csv", "write_json", "write_text_atomic",
 ]  # fmt: skip

@@ -5,30 +5,21 @@ from __future__ import annotations
 import json
 import math
 import os
-import shutil
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.files.text import (
-    abbreviated,
-    as_builtin,
-    display_path,
-    os_error_reason,
-    read_text,
-    umask,
-    write_text_atomic,
-)
+from sim_heating.base.files.paths import display_path, file_digest
+from sim_heating.base.files.text import abbreviated, as_builtin, read_text, write_text_atomic
+from sim_heating.base.files.transaction import NEW, STAGING, commit, exclusive, files_below, require_plain, staged
 
 MARKER = ".sim_heating.json"
-"""File of an output directory that lists the files this program wrote there."""
-PARTIAL_NAME_LENGTH = 50
-"""Characters of a directory's name repeated in its temporary one: a whole long name would exceed the system's limit."""
+"""File of an output directory that lists the files this program wrote there, with their digests."""
+MARKER_FORMAT = "sim_heating-output/2"
 
 
 def json_text(data: Any) -> str:
@@ -93,118 +84,161 @@ def _not_finite(value: Any, place: str) -> str | None:
 
 
 @contextmanager
-def output_directory(path: str | os.PathLike[str], expected: Sequence[str] = ()) -> Iterator[Path]:
+def output_directory(
+    path: str | os.PathLike[str],
+    command: str,
+    *,
+    expected: Iterable[str] = (),
+    inputs: Iterable[str | os.PathLike[str] | None] = (),
+) -> Iterator[Path]:
     """A directory for results that appear all together when the block succeeds, and not at all when it fails.
 
-        with output_directory("out") as folder:
+        with output_directory("out", "run", inputs=[scenario]) as folder:
             write_csv(folder / "temperatures.csv", ...)
 
-    A new directory is built under a temporary name and renamed. In an existing one, the files of an earlier run of this
-    program (listed in its `.sim_heating.json`) are replaced and other files stay untouched; where a result would
-    overwrite one of those, nothing is written.
+    The block writes into a temporary directory. Its files then replace those that an earlier run of the same command
+    wrote (`.sim_heating.json` lists them with their digests); other files stay untouched. A result that was changed
+    since it was written is no longer this program's, and is not replaced. Where the process is killed, the next one
+    that reads or writes the directory finishes or undoes the replacement.
 
+    Within such a block, directories below `folder` are part of the same results.
+
+    command  : what writes; only its own results are replaced
     expected : names of the results; other people's files of these names are reported before the work begins
-    raises   : InputError before the work where the place cannot be used, and after it where a result would overwrite a
-               file that this program did not write
+    inputs   : files and directories that the results are made from; None, and what does not exist, is passed over
+    raises   : InputError before the work where the place cannot be used, holds other results, or is, contains or lies
+               in an input; and after it where a result would overwrite a file that this program did not write
     """
-    target = Path(os.path.abspath(path))
-    _refuse_foreign(target, expected)
-    partial, new_parents = _make_partial(target, display_path(path))
-    try:
-        yield partial
-        marker = partial / MARKER
-        files = [p for p in partial.rglob("*") if not p.is_dir() and p != marker]
-        names = sorted(p.relative_to(partial).as_posix() for p in files)
-        write_json(marker, {"format": "sim_heating-output/1", "files": names})
-        if target.exists():
-            _merge(partial, target, names)
-        else:
-            os.replace(partial, target)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-        if not target.exists():
-            _remove_empty(new_parents)
+    if STAGING in Path(path).parts:
+        with _part_of_results(Path(path), command) as folder:
+            yield folder
+        return
+    _refuse_inputs(Path(os.path.realpath(path)), inputs)
+    with exclusive(path) as target:
+        _results_to_replace(target, command, expected)
+        with staged(target) as folder:
+            yield folder
+            _write_marker(folder, command)
+            old = _results_to_replace(target, command, files_below(folder))
+            commit(target, old)
 
 
-def require_writable(path: str | os.PathLike[str], expected: Sequence[str] = ()) -> None:
-    """Check before any work that `output_directory` could write results of these names; leaves nothing behind.
+def require_writable(
+    path: str | os.PathLike[str],
+    command: str,
+    *,
+    expected: Iterable[str] = (),
+    inputs: Iterable[str | os.PathLike[str] | None] = (),
+) -> None:
+    """Check before any work that `output_directory` could write these results; leaves nothing behind.
 
     raises : InputError as `output_directory` does before the work
     """
-    target = Path(os.path.abspath(path))
-    _refuse_foreign(target, expected)
-    partial, new_parents = _make_partial(target, display_path(path))
-    partial.rmdir()
-    _remove_empty(new_parents)
+    _refuse_inputs(Path(os.path.realpath(path)), inputs)
+    with exclusive(path) as target:
+        _results_to_replace(target, command, expected)
 
 
-def _remove_empty(directories: Sequence[Path]) -> None:
-    """Remove directories, innermost first, as far as they are empty."""
-    with suppress(OSError):
-        for directory in directories:
-            directory.rmdir()
+@contextmanager
+def _part_of_results(folder: Path, command: str) -> Iterator[Path]:
+    """A directory within one that is being written; it has a list of its own, so that it may be moved elsewhere."""
+    folder.mkdir(parents=True, exist_ok=True)
+    yield folder
+    if (folder.parent.name, folder.name) != (STAGING, NEW):
+        _write_marker(folder, command)
 
 
-def _make_partial(target: Path, name: str) -> tuple[Path, list[Path]]:
-    """A temporary directory on the same file system, and the parents of the target that had to be created.
+def _write_marker(folder: Path, command: str) -> None:
+    """List the files of a directory with their digests."""
+    marker = folder / MARKER
+    digests = {name: file_digest(folder / name) for name in files_below(folder) if name != MARKER}
+    write_json(marker, {"format": MARKER_FORMAT, "command": command, "files": digests})
 
-    It is inside the target where that exists, else next to it.
+
+def _read_marker(directory: Path) -> tuple[str, dict[str, str]] | None:
+    """Command and digests of the files that this program wrote to a directory; None without a list.
+
+    raises : InputError where the list is damaged, or of a version that kept no digests
     """
+    path = directory / MARKER
+    if not os.path.lexists(path):
+        return None
+    rule = f"{display_path(path)}: lists no results of this program that can be verified; choose another directory"
     try:
-        new_parents = [p for p in target.parents if not p.exists()]
-        inside = target.is_dir()
-        if target.exists() and not inside:
-            raise InputError(f"{name}: is a file; name a directory for the results")
-        if not inside:
-            target.parent.mkdir(parents=True, exist_ok=True)
-        prefix = f".{target.name[:PARTIAL_NAME_LENGTH]}.partial-"
-        partial = Path(tempfile.mkdtemp(prefix=prefix, dir=target if inside else target.parent))
-        partial.chmod(0o777 & ~umask())
-    except OSError as error:
-        raise InputError(
-            f"{name}: results cannot be written ({os_error_reason(error)}); choose another place"
-        ) from None
-    return partial, new_parents
-
-
-def files_written(directory: str | os.PathLike[str]) -> set[str]:
-    """Names of the files that this program wrote to a directory, from its own list; empty without a list."""
-    try:
-        listed = json.loads((Path(directory) / MARKER).read_text(encoding="utf-8"))["files"]
+        data = json.loads(path.read_text(encoding="utf-8"))
+        command, files = data["command"], dict(data["files"])
+        if data["format"] != MARKER_FORMAT or not all(isinstance(t, str) for t in (command, *files, *files.values())):
+            raise TypeError
     except (OSError, ValueError, KeyError, TypeError):
-        return set()
-    return {str(n) for n in listed if ".." not in Path(str(n)).parts and not Path(str(n)).is_absolute()}
+        raise InputError(rule) from None
+    return command, files
 
 
-def _refuse_foreign(target: Path, names: Sequence[str]) -> None:
-    """raises : InputError where a file of one of these names exists that this program did not write"""
-    ours = files_written(target)
-    foreign = [n for n in names if n not in ours and os.path.exists(target / n)]
+def files_written(directory: str | os.PathLike[str]) -> list[str]:
+    """Names of the files that this program wrote to a directory, from its own list; empty without a list.
+
+    raises : InputError where the list is damaged
+    """
+    found = _read_marker(Path(directory))
+    return [] if found is None else sorted(found[1])
+
+
+def results_digest(directory: str | os.PathLike[str]) -> str | None:
+    """Digest of all results in a directory; None where one is missing, was changed, or there are none."""
+    try:
+        found = _read_marker(Path(directory))
+        whole = found is not None and all(file_digest(Path(directory) / n) == d for n, d in found[1].items())
+        return file_digest(Path(directory) / MARKER) if whole else None
+    except (OSError, InputError):
+        return None
+
+
+def _results_to_replace(target: Path, command: str, names: Iterable[str]) -> dict[str, str]:
+    """Names and digests of the earlier results in a directory.
+
+    names  : files to be written
+    raises : InputError where these are another command's, were changed, or where another file has one of the names
+    """
+    found = _read_marker(target)
+    earlier, files = found if found is not None else (command, {})
+    if earlier != command:
+        raise InputError(
+            f"{display_path(target)}: holds results of `{earlier}`, which `{command}` does not replace; choose another "
+            "directory"
+        )
+    there = [name for name in {*files, *names} if name != MARKER and os.path.lexists(target / name)]
+    for name in {*files, *names}:
+        require_plain(target, name)
+    foreign = sorted(name for name in there if name not in files)
     if foreign:
         raise InputError(
             f"{display_path(target)}: {', '.join(foreign)} already exists and was not written by sim-heating; choose "
             "another directory"
         )
+    changed = sorted(n for n in there if not (target / n).is_file() or file_digest(target / n) != files[n])
+    if changed:
+        raise InputError(
+            f"{display_path(target)}: {', '.join(changed)} was changed after sim-heating wrote it and is not replaced; "
+            "move it away or choose another directory"
+        )
+    own = {} if found is None else {MARKER: file_digest(target / MARKER)}
+    return {name: files[name] for name in there} | own
 
 
-def _merge(partial: Path, target: Path, names: Sequence[str]) -> None:
-    """Move finished files into an existing directory in place of an earlier run's; undone if it fails half-way."""
-    _refuse_foreign(target, names)
-    ours = files_written(target)
-    backup = Path(tempfile.mkdtemp(prefix=".replaced-", dir=partial))
-    undo: list[tuple[Path, Path]] = []
-    try:
-        for name in sorted(n for n in {*ours, MARKER} if (target / n).is_file()):
-            _move(target / name, backup / name, undo)
-        for name in (*names, MARKER):
-            _move(partial / name, target / name, undo)
-    except BaseException:
-        for old, new in reversed(undo):
-            os.replace(new, old)
-        raise
-
-
-def _move(old: Path, new: Path, undo: list[tuple[Path, Path]]) -> None:
-    new.parent.mkdir(parents=True, exist_ok=True)
-    os.replace(old, new)
-    undo.append((old, new))
+def _refuse_inputs(target: Path, inputs: Iterable[str | os.PathLike[str] | None]) -> None:
+    """raises : InputError where a directory for results is, contains or lies in something that they are made from"""
+    for given in inputs:
+        if given is None or not os.path.exists(given):
+            continue
+        path = Path(os.path.realpath(given))
+        relation = (
+            "is" if path == target
+            else "contains" if target in path.parents
+            else "lies in" if path in target.parents
+            else None
+        )  # fmt: skip
+        if relation is not None:
+            raise InputError(
+                f"{display_path(target)}: {relation} the input {display_path(path)}, which results might replace; "
+                "choose another directory for them"
+            )

@@ -7,20 +7,21 @@ import json
 import os
 import tempfile
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sim_heating.base.errors import InputError
+from sim_heating.base.files.paths import display_path, make_durable, os_error_reason, umask
+from sim_heating.base.files.transaction import STAGING, settle_above
 
-
-def display_path(path: str | os.PathLike[str]) -> str:
-    """A path for a message: relative where it lies below the working directory, else as given."""
-    try:
-        return str(Path(path).resolve().relative_to(Path.cwd()))
-    except (ValueError, OSError):
-        return str(path)
+PARTIAL = ".partial-"
+"""Part of the name of a file that is being written; eight random characters follow."""
+PARTIAL_NAME_LENGTH, RANDOM_LENGTH = 50, 8
+"""Characters of a file's name repeated in its temporary one, which would else exceed the system's limit; and those
+after it."""
 
 
 def nearest_name(name: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
@@ -63,10 +64,11 @@ def one_line(text: str) -> str:
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """The text of a file.
+    """The text of a file; where a killed process was replacing it, that is finished or undone first.
 
     raises : InputError, one line, where it is missing, a directory, unreadable, empty, binary or not UTF-8
     """
+    settle_above(path)
     name = display_path(path)
     try:
         raw = Path(path).read_bytes()
@@ -100,11 +102,6 @@ def _similar_file(path: Path) -> str:
     return f"; did you mean `{near}`?" if near else ""
 
 
-def os_error_reason(error: Exception) -> str:
-    """Reason of a failed file operation, as the operating system words it."""
-    return getattr(error, "strerror", None) or str(error)
-
-
 def abbreviated(value: Any) -> str:
     """A value for a message: on one line, cut after 60 characters."""
     text = json.dumps(value, default=str, ensure_ascii=False)
@@ -125,11 +122,11 @@ def write_text_atomic(path: str | os.PathLike[str], text: str) -> None:
 
 
 def write_bytes_atomic(path: str | os.PathLike[str], data: bytes) -> None:
-    """Write a file of bytes whole or not at all; raises as `write_text_atomic`."""
+    """Write a file of bytes whole or not at all, also where the machine stops; raises as `write_text_atomic`."""
     target = Path(path)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        handle, partial = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
+        handle, partial = tempfile.mkstemp(prefix=f".{target.name[:PARTIAL_NAME_LENGTH]}{PARTIAL}", dir=target.parent)
     except OSError as error:
         raise InputError(
             f"{display_path(path)}: cannot be written ({os_error_reason(error)}); choose another place"
@@ -138,7 +135,12 @@ def write_bytes_atomic(path: str | os.PathLike[str], data: bytes) -> None:
         with os.fdopen(handle, "wb") as stream:
             stream.write(data)
         os.chmod(partial, 0o666 & ~umask())
+        durable = STAGING not in target.parts  # those are made durable together
+        if durable:
+            make_durable(partial)
         os.replace(partial, target)
+        if durable:
+            make_durable(target.parent)
     except OSError as error:
         Path(partial).unlink(missing_ok=True)
         raise InputError(f"{display_path(path)}: cannot be written ({os_error_reason(error)})") from None
@@ -147,8 +149,15 @@ def write_bytes_atomic(path: str | os.PathLike[str], data: bytes) -> None:
         raise
 
 
-def umask() -> int:
-    """File mode mask of the process, which can only be read by setting it."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+def clear_partial_files(directory: str | os.PathLike[str], name: str = "") -> None:
+    """Remove what killed processes left of files that they were writing; nobody else may be writing there.
+
+    name : of the one file concerned; all files of the directory where empty
+    """
+    prefix = f".{name[:PARTIAL_NAME_LENGTH]}"
+    with suppress(OSError):
+        for path in list(Path(directory).iterdir()):
+            start, found, end = path.name.rpartition(PARTIAL)
+            ours = found and len(end) == RANDOM_LENGTH and (start == prefix if name else start.startswith("."))
+            if ours and path.is_file() and not path.is_symlink():
+                path.unlink()

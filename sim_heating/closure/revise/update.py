@@ -20,7 +20,7 @@ from scipy.sparse import csr_array
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import display_path, read_text, require_writable
+from sim_heating.base.files import display_path, exclusive, read_text
 from sim_heating.base.files.package import data_folders, package_version
 from sim_heating.base.parameters import AT, EFFECT_PREFIX
 from sim_heating.closure.revise.effects import FittedEffects, effects_from_fit
@@ -382,7 +382,8 @@ def check_target(vehicle: str | os.PathLike[str], out: Path | None) -> None:
     by_name = directory.is_absolute() and Path(vehicle).name == os.fspath(vehicle)
     if home == installed or (home == checkout and by_name):
         raise InputError(f"vehicle {directory.name}: came with the package; name a folder for your copy with --out")
-    require_writable(directory)
+    with exclusive(directory):  # refused before the work where it cannot be written
+        pass
 
 
 def write_update(

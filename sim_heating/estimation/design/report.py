@@ -243,7 +243,7 @@ def bounds_csv(designed: DesignResult) -> str:
 def write_design(designed: DesignResult, out: str | os.PathLike[str]) -> list[str]:
     """Write design.json, bounds.csv and pictures; returns the names of the files."""
 
-    with output_directory(out) as folder:
+    with output_directory(out, "design", inputs=designed.scenario.files) as folder:
         write_json(folder / NAME, summary(designed))
         write_text_atomic(folder / BOUNDS, bounds_csv(designed))
         draw_design(folder / DESIGN, designed)

@@ -217,7 +217,7 @@ def write_trend(trend: Trend, out: Path) -> list[str]:
     for k, name in enumerate(trend.names):
         columns[name] = np.array([s.values[k] for s in segments])
         columns[f"{name}.sigma"] = np.array([s.sigmas[k] for s in segments])
-    with output_directory(out) as folder:
+    with output_directory(out, "estimate", inputs=[trend.record.directory]) as folder:
         write_csv(folder / TREND_CSV, columns)
         draw_trend(folder / TREND_PICTURE, trend)
         return sorted(p.name for p in folder.iterdir() if p.is_file())
@@ -229,7 +229,7 @@ def write_fit(fitted: FitResult, out: str | os.PathLike[str]) -> list[str]:
     from sim_heating.estimation.report.plots import draw_fit  # matplotlib is slow to import, and needed only here
     from sim_heating.estimation.report.ratio_plot import draw_ratio
 
-    with output_directory(out) as folder:
+    with output_directory(out, "estimate", inputs=[p.record.directory for p in fitted.after]) as folder:
         write_estimate(folder / NAME, estimate_contents(fitted))
         for record_fit, before, after in zip(fitted.problem.record_fits, fitted.before, fitted.after, strict=True):
             record_folder = folder if len(fitted.after) == 1 else folder / after.record.name

@@ -1,0 +1,52 @@
+"""Paths in messages, reasons of failed file operations, and digests of files."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+
+def display_path(path: str | os.PathLike[str]) -> str:
+    """A path for a message: relative where it lies below the working directory, else as given."""
+    try:
+        return str(Path(path).resolve().relative_to(Path.cwd()))
+    except (ValueError, OSError):
+        return str(path)
+
+
+def os_error_reason(error: Exception) -> str:
+    """Reason of a failed file operation, as the operating system words it."""
+    return getattr(error, "strerror", None) or str(error)
+
+
+def umask() -> int:
+    """File mode mask of the process, which can only be read by setting it."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def file_digest(path: str | os.PathLike[str]) -> str:
+    """`sha256:...` of a file's bytes."""
+    with open(path, "rb") as stream:
+        return f"sha256:{hashlib.file_digest(stream, 'sha256').hexdigest()}"
+
+
+def make_durable(path: str | os.PathLike[str]) -> None:
+    """Have the system write a file, or the names in a directory, to its storage before this returns.
+
+    raises : OSError that names the file, where the storage is full or fails
+    """
+    try:
+        handle = os.open(path, os.O_RDONLY)
+    except PermissionError:
+        if os.path.isdir(path):  # Windows opens no directories
+            return
+        raise
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, os.fspath(path)) from None
+    finally:
+        os.close(handle)
