@@ -6,11 +6,23 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 
+LONGEST = 600
+"""Characters of one problem; of a longer one, such as a library's own text, the middle is left out."""
+TAIL = 150
+
+
+def one_line(text: str) -> str:
+    """A problem as one printable line: other characters (a line break in a key) as escapes, the middle of a long one cut."""
+    line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text.strip())
+    return line if len(line) <= LONGEST else f"{line[: LONGEST - TAIL]} ... {line[-TAIL:]}"
+
+
 class InputError(ValueError):
     """A file, an argument or a flight condition that cannot be used.
 
-    problems : one line each: what, where, and what to do. All problems of a file are given at once;
-               the first stands alone as the message of a one-line report.
+    problems : one line each: what, where, and what to do. All problems of a file are given at once, each once;
+               the first stands alone as the message of a one-line report. Whatever the texts contain, a line is
+               printable and of a length that can be read.
 
     >>> import sim_heating as sh
     >>> try:
@@ -21,8 +33,11 @@ class InputError(ValueError):
     """
 
     def __init__(self, *problems: str) -> None:
-        self.problems = problems
-        super().__init__("\n".join(problems))
+        self.problems = tuple(dict.fromkeys(map(one_line, problems)))
+        super().__init__("\n".join(self.problems))
+
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, ...]]:
+        return type(self), self.problems  # an error of another process keeps its problems apart
 
 
 @contextmanager
@@ -35,9 +50,12 @@ def error_context(place: str) -> Iterator[None]:
 
 
 class RunError(RuntimeError):
-    """A run that failed although its input was good: no convergence, or a host that stopped.
+    """A run that failed although its input was good: no convergence, or a host that stopped; one printable line.
 
     >>> import sim_heating as sh
     >>> issubclass(sh.RunError, RuntimeError)
     True
     """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(one_line(message))

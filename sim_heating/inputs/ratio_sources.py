@@ -23,7 +23,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files import Declared, LocatedError, display_path, read_csv_columns, read_toml
 from sim_heating.base.kernels.axis import cells_of
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table, write_ratio_table
@@ -103,6 +103,14 @@ class Axes(Declared):
     elevon_deg: list[float] = Field(min_length=1)
     bodyflap_deg: list[float] = Field(min_length=1)
 
+    @model_validator(mode="after")
+    def _check(self) -> Axes:
+        unsorted = [n for n in RATIO_VARIABLES if (x := getattr(self, n)) != sorted(set(x))]
+        if unsorted:
+            rule = "does not increase from node to node; sort the nodes and remove repeated ones"
+            raise LocatedError(*(((n,), f"{getattr(self, n)} {rule}") for n in unsorted))
+        return self
+
     def arrays(self) -> tuple[FloatArray, ...]:
         """The five axes in the order of a ratio table."""
         return tuple(np.array(getattr(self, name), dtype=float) for name in RATIO_VARIABLES)
@@ -156,7 +164,8 @@ def build_tables(vehicle: str | os.PathLike[str]) -> dict[str, RatioTable]:
                     f"one"
                 )
             point = read_toml(directory / "control_points" / f"{name}.toml", ControlPointFile)
-            tables[name] = _build(source, path, point, file)
+            with error_context(display_path(path)):
+                tables[name] = _build(source, path, point, file)
     return tables
 
 
@@ -200,9 +209,7 @@ def _build(source: RatioSource, path: Path, point: ControlPointFile, vehicle: Ve
         "made_from": f"ratio_sources/{path.name}",
     }
     if np.any(ratio <= 0.0):
-        raise InputError(
-            f"{display_path(path)}: the ratio of {point.name} falls to {ratio.min():g}; it must be above 0"
-        )
+        raise InputError(f"the ratio of {point.name} falls to {ratio.min():g}; it must be above 0")
     table = RatioTable(axes, ratio, relative * ratio, header)
     return table if source.scaling is None else scale_table(table, source.scaling)
 
@@ -214,7 +221,7 @@ def _base(
         return base.at(grid[base.variable])
     length = point.x_over_L if base.length == "x_over_L" else (point.running_length_m or 0.0) / reference_length_m
     if length <= 0.0:
-        raise InputError(f"{display_path(path)}, [base]: `length`: {point.name} has no {base.length} above 0; give one")
+        raise InputError(f"[base]: `length`: {point.name} has no {base.length} above 0; give one")
     at_length = (length / base.file_length_over_L) ** base.length_exponent
     return at_length * _from_file(base, path.parent / base.file, grid["alpha_deg"], grid["log10_re"])
 

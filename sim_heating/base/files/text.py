@@ -22,6 +22,8 @@ PARTIAL = ".partial-"
 PARTIAL_NAME_LENGTH, RANDOM_LENGTH = 50, 8
 """Characters of a file's name repeated in its temporary one, which would else exceed the system's limit; and those
 after it."""
+NAMES_LISTED = 24
+"""Known names that a message lists."""
 
 
 def nearest_name(name: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
@@ -44,7 +46,10 @@ def suggestion(name: str, known: Iterable[str], otherwise: str | None = None, cu
     near = nearest_name(name, names, cutoff)
     if near:
         return f"; did you mean `{near}`?"
-    return f"; known: {', '.join(f'`{n}`' for n in names) or 'none'}" if otherwise is None else otherwise
+    if otherwise is not None:
+        return otherwise
+    more = f" and {len(names) - NAMES_LISTED} more" if len(names) > NAMES_LISTED else ""
+    return f"; known: {', '.join(f'`{n}`' for n in names[:NAMES_LISTED]) or 'none'}{more}"
 
 
 def repeated_name(names: Sequence[str]) -> str | None:
@@ -55,12 +60,7 @@ def repeated_name(names: Sequence[str]) -> str | None:
 def raise_problems(problems: Sequence[str]) -> None:
     """Raise all problems of a file at once, if there are any."""
     if problems:
-        raise InputError(*(one_line(p) for p in problems))
-
-
-def one_line(text: str) -> str:
-    """A message with characters that do not print (such as a line break in a key) replaced by their escapes."""
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+        raise InputError(*problems)
 
 
 def read_text(path: str | os.PathLike[str]) -> str:

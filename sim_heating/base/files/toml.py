@@ -23,7 +23,6 @@ from sim_heating.base.files.text import (
     abbreviated,
     as_builtin,
     display_path,
-    one_line,
     read_text,
     suggestion,
 )
@@ -104,7 +103,7 @@ def check(data: Any, model: type[M], where: str) -> M:
         other_format = [e for e in found if e["loc"] == ("format",) and e["type"] != "missing"]
         errors = other_format or _one_error_per_union(sorted(found, key=lambda e: e["type"] != "extra_forbidden"), data)
         problems = [p for e in errors for p in _error_lines(e, data, model, where)]
-        raise InputError(*dict.fromkeys(one_line(p) for p in problems)) from None
+        raise InputError(*problems) from None
     except RecursionError:
         raise InputError(f"{where}: tables or lists are nested too deeply") from None
 

@@ -16,7 +16,6 @@ from fmpy.simulation import settable_in_initialization_mode, settable_in_instant
 
 from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files import display_path, suggestion
-from sim_heating.base.files.text import one_line
 from sim_heating.trajectory.fmu.units import NO_DIMENSION, Conversion, Scale, conversion, known_unit, unit_of_fmu
 from sim_heating.trajectory.spec import FmuSource, FmuValue
 
@@ -169,7 +168,7 @@ def read_fmu(path: Path, interface: str | None = None) -> FmuModel:
         raise InputError(f"{name}: is not an FMU (it contains no {DESCRIPTION})")
     # Names of both kinds of platform are checked: an archive made elsewhere is unpacked here.
     if strays := [entry for entry in entries if _escapes_folder(entry)]:
-        raise InputError(f"{name}: contains `{one_line(strays[0])}`, a path outside the archive; nothing was unpacked")
+        raise InputError(f"{name}: contains `{strays[0]}`, a path outside the archive; nothing was unpacked")
     description = _description(path)
     for interface_of in (description.coSimulation, description.modelExchange):
         if interface_of is not None and not interface_of.modelIdentifier:
@@ -208,12 +207,12 @@ def _description(path: Path) -> ModelDescription:
 def _description_fault(path: Path, error: Exception) -> str:
     """The fault of a description that FMPy cannot read; from the schema where FMPy gives no message."""
     if not isinstance(error, AttributeError | TypeError | ValueError | LookupError):
-        return f"cannot be read ({one_line(' '.join(str(error).split()))})"
+        return f"cannot be read ({' '.join(str(error).split())})"
     try:
         fmpy.read_model_description(path, validate=True)
     except ValidationError as invalid:
         problems = "; ".join(str(p) for p in invalid.problems[:SCHEMA_PROBLEMS])
-        return f"is not valid: {one_line(' '.join(problems.split()))}"
+        return f"is not valid: {' '.join(problems.split())}"
     except Exception:  # without a version there is no schema, and FMPy fails on some valid descriptions
         pass
     return "is not valid; its root must be an fmiModelDescription with an fmiVersion"

@@ -1,0 +1,44 @@
+"""A sample of damaged files of every format that the program reads; ten thousand are `python -m benchmarks.mutants`."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from benchmarks.mutants.judge import GOOD, Result, mutant, run_numbers
+from benchmarks.mutants.subjects import command_text, make_inputs
+
+SEED, COUNT = 20, 240
+
+
+@pytest.fixture(scope="module")
+def whole_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    home = tmp_path_factory.mktemp("whole")
+    make_inputs(home)
+    return home
+
+
+@pytest.fixture(scope="module")
+def results(whole_files: Path) -> list[Result]:
+    return list(run_numbers(whole_files, SEED, range(COUNT)))
+
+
+def test_a_damaged_file_is_accepted_with_finite_results_or_answered_in_a_line(results: list[Result]) -> None:
+    faults = [r for r in results if r.outcome not in GOOD]
+    lines = (f"{r.number}: {r.command}; {r.file}: {r.what} -> {r.outcome}: {r.message}" for r in faults)
+    assert not faults, "\n\n".join(lines)
+
+
+def test_the_sample_damages_every_format_and_sees_every_outcome(results: list[Result]) -> None:
+    assert len({r.format for r in results}) > 15
+    assert set(Counter(r.outcome for r in results)) == set(GOOD)
+
+
+def test_a_mutant_is_known_by_its_seed_and_number(whole_files: Path) -> None:
+    for number in range(40):
+        one, other = (mutant(whole_files, SEED, number) for _ in range(2))
+        assert (one[2], one[3]) == (other[2], other[3])
+        assert command_text(one[1]) == command_text(other[1])
+        assert one[3].content != (whole_files / one[2]).read_bytes()
