@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 
 from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.errors import InputError
 
 EFFECT_PREFIX = "effect."
 """Parameters of effects are named `effect.NAME.PARAMETER`."""
@@ -24,6 +26,7 @@ class Parameter:
     sigma : standard deviation of the prior; infinite for a flat one
     lower, upper : bounds
     text  : description in one line
+    raises : InputError where one is of another kind, or the value outside its bounds
     """
 
     name: str
@@ -33,6 +36,19 @@ class Parameter:
     lower: float = -math.inf
     upper: float = math.inf
     text: str = ""
+
+    def __post_init__(self) -> None:
+        texts = all(isinstance(t, str) for t in (self.name, self.unit, self.text))
+        numbers = all(map(is_number, (self.value, self.sigma, self.lower, self.upper)))
+        if not (texts and numbers and self.lower <= self.value <= self.upper and self.sigma >= 0.0):
+            raise InputError(
+                f"{self!r}: name, unit and text are texts, the others numbers, sigma 0 or above, the value within its bounds"
+            )
+
+
+def is_number(value: object) -> bool:
+    """Whether a value is a real number, infinite or not; NaN and bool are not."""
+    return isinstance(value, Real) and not isinstance(value, bool) and value == value
 
 
 def derivative_unit(*units: str) -> str:

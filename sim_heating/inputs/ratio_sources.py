@@ -24,7 +24,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, error_context
-from sim_heating.base.files import Declared, LocatedError, display_path, read_csv_columns, read_toml
+from sim_heating.base.files import Declared, LocatedError, display_path, read_csv_columns, read_toml, suggestion
 from sim_heating.base.kernels.axis import cells_of
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table, write_ratio_table
 from sim_heating.heating.ratio.tunnel_to_flight import (
@@ -151,6 +151,7 @@ def build_tables(vehicle: str | os.PathLike[str]) -> dict[str, RatioTable]:
     if not sources:
         raise InputError(f"{display_path(directory / 'ratio_sources')}: holds no description; add a .toml file")
     tables: dict[str, RatioTable] = {}
+    points = sorted(p.stem for p in (directory / "control_points").glob("*.toml"))
     for path in sources:
         source = read_toml(path, RatioSource)
         if source.scaling is not None and file.heating.reference != REFERENCE:
@@ -163,6 +164,9 @@ def build_tables(vehicle: str | os.PathLike[str]) -> dict[str, RatioTable]:
                     f"{display_path(path)}: `control_points`: {name} already has a table from another source; remove "
                     f"one"
                 )
+            if name not in points:
+                rule = f"the vehicle has no control point `{name}`{suggestion(name, points)}"
+                raise InputError(f"{display_path(path)}: `control_points`: {rule}")
             point = read_toml(directory / "control_points" / f"{name}.toml", ControlPointFile)
             with error_context(display_path(path)):
                 tables[name] = _build(source, path, point, file)

@@ -190,6 +190,27 @@ def test_a_file_without_a_valid_effect_is_rejected(effects_folder, text, message
         effects()
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "hint"),
+    [
+        ("0.0, 0.2, -1.0, 2.0", "None, 0.2, -1.0, 2.0", "value=None.*the others numbers"),
+        ("0.0, 0.2, -1.0, 2.0", "0.0, 0.2, float('nan'), 2.0", "lower=nan"),
+        ("0.0, 0.2, -1.0, 2.0", "5.0, 0.2, -1.0, 2.0", "the value within its bounds"),
+        ('physics="test"', "physics=3", "`physics`: 3 is not a text"),
+        ('physics="test"', "neutral=1.5", "`neutral`: 1.5 is not numbers by parameter"),
+        ('physics="test"', "needs=[7]", r"`needs`: \[7\] is not names"),
+        ('physics="test"', "search_starts=7", "`search_starts`: 7 is not a function"),
+        ('"multiply"', '"times"', "'times' is not one of add, multiply, emittance, model"),
+        ("EFFECT =", "raise SystemExit(3)\nEFFECT =", "SystemExit: 3"),
+    ],
+)
+def test_a_field_of_the_wrong_kind_is_refused_with_the_file(effects_folder, old, new, hint):
+    assert old in SOURCE
+    (effects_folder / "steep.py").write_text(SOURCE.replace(old, new))
+    with pytest.raises(InputError, match=rf"steep\.py.*{hint}"):
+        effects()
+
+
 def test_a_missing_folder_is_reported(monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("SIM_HEATING_EFFECTS", str(tmp_path / "nowhere"))
     assert main(["validate", scenario("with_effect", EFFECT.format(table="", growth=GROWTH))]) == 2

@@ -216,6 +216,23 @@ def test_two_sources_of_one_table_are_reported(damaged):
         build_tables(damaged)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "hint"),
+    [
+        ("alpha_deg = [0.0, 10.0, 20.0, 30.0]", "alpha_deg = [0.0, 20.0, 10.0]", r"\[axes\]: `alpha_deg`: .* sort the"),
+        ('["FACE"]', '["../../elsewhere"]', r"`control_points`: the vehicle has no control point `\.\./\.\./elsewhere`"),
+        ("0.98", "-0.98", "the ratio of FACE falls to"),
+    ],
+)
+def test_a_ratio_source_that_cannot_be_used_is_named(damaged, old, new, hint):
+    path = damaged / "ratio_sources/face.toml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    with pytest.raises(InputError, match=rf"face\.toml.*{hint}"):
+        build_tables(damaged)
+
+
 def test_a_vehicle_without_ratio_sources_has_no_tables_to_write(damaged):
     shutil.rmtree(damaged / "ratio_sources")
     with pytest.raises(InputError, match="ratio_sources: holds no description"):

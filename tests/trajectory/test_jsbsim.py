@@ -362,6 +362,16 @@ def test_a_missing_aircraft_is_refused(tmp_path: Path) -> None:
         JSBSimHost(tmp_path, "nothing")
 
 
+def test_an_aircraft_that_jsbsim_refuses_by_an_exception_of_its_library_is_refused(tmp_path: Path) -> None:
+    source = Path(get_default_root_dir()) / "aircraft" / "ball" / "ball.xml"
+    (tmp_path / "ball").mkdir()
+    text = source.read_text().replace('<function name="', '<function name="javascript:')
+    assert text != source.read_text()
+    (tmp_path / "ball" / "ball.xml").write_text(text)
+    with pytest.raises(InputError, match=r"ball: JSBSim cannot load it: name may contain only"):
+        JSBSimHost(tmp_path, "ball")
+
+
 def test_another_aircraft_is_read_by_its_own_property_names_and_leaves_no_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

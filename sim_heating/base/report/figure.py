@@ -32,6 +32,7 @@ SURFACE: dict[str, Any] = {"color": "tab:red", "label": "surface, predicted"}
 THERMOCOUPLE: dict[str, Any] = {
     "color": "0.15", "marker": "o", "markersize": 3.0, "linewidth": 0.8, "label": "outermost thermocouple, predicted",
 }  # fmt: skip
+TITLE_LINES = 4
 
 
 def new_figure(width: float, height: float, rows: int, columns: int = 1, **keys: Any) -> tuple[Figure, np.ndarray]:
@@ -61,13 +62,15 @@ def lay_out(figure: Figure) -> None:
 
 
 def add_grid_and_title(figure: Figure, title: str, axes: np.ndarray) -> None:
-    """Grid of all axes, and the title wrapped to the width of the figure."""
+    """Grid of all axes, and the title wrapped to the width of the figure, as far as it leaves room for the axes."""
     for a in axes.ravel():
         a.grid(alpha=0.3)
         a.set_axisbelow(True)
     width = int(figure.get_figwidth() * 9.0)
     if title:
-        figure.suptitle("\n".join(textwrap.fill(line, width) for line in title.splitlines()), fontsize=12)
+        lines = [short for line in title.splitlines() for short in textwrap.wrap(line, width)]
+        more = ["..."] if len(lines) > TITLE_LINES else []
+        figure.suptitle("\n".join(lines[:TITLE_LINES] + more), fontsize=12)
 
 
 def legend_above(axes: Axes) -> None:

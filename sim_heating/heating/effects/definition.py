@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Literal
+from typing import Literal, get_args, get_type_hints
 
 from sim_heating.base.conditions import EXTRAS, HEATING, STATE, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.block import EFFECT_SLOTS, EFFECT_WIDTH
-from sim_heating.base.parameters import CLOCK_SKEW, MODEL, Parameter
+from sim_heating.base.parameters import CLOCK_SKEW, MODEL, Parameter, is_number
 
 NEEDED_COLUMNS = (*STATE, *HEATING, "q_add_W_m2", "jets", "qbar_Pa", *EXTRAS)
 """Columns of the flight conditions that an effect may need: those of every flight, and the optional ones."""
@@ -98,6 +98,7 @@ class Effect:
     source: str = ""
 
     def __post_init__(self) -> None:
+        self._check_kinds()
         if len(self.parameters) > EFFECT_WIDTH:
             raise InputError(f"effect {self.name}: {len(self.parameters)} parameters; {EFFECT_WIDTH} at most")
         if (self.mode == "model") != (self.kernel is None):
@@ -163,6 +164,26 @@ class Effect:
         neutral = bool(self.neutral) and all(values[n] == value for n, value in self.neutral.items())
         return tuple(n for n in names if n in self.neutral or not neutral)
 
+    def _check_kinds(self) -> None:
+        """raises : InputError where a field is not of its kind, which a file of Python does not exclude"""
+        modes = get_args(get_type_hints(Effect)["mode"])
+        wrong = {
+            "name": "a text" if not (isinstance(self.name, str) and self.name.strip()) else "",
+            "mode": f"one of {', '.join(modes)}" if self.mode not in modes else "",
+            "parameters": "Parameters in a tuple" if not _all_are(self.parameters, Parameter) else "",
+            "kernel": "a function of @njit, or None" if not (self.kernel is None or callable(self.kernel)) else "",
+            "needs": "names of columns in a tuple" if not _all_are(self.needs, str) else "",
+            "neutral": "numbers by parameter"
+            if not (isinstance(self.neutral, Mapping) and all(map(is_number, self.neutral.values())))
+            else "",
+            "search_starts": "a function" if not (self.search_starts is None or callable(self.search_starts)) else "",
+            "physics": "a text" if not isinstance(self.physics, str) else "",
+            "source": "a text" if not isinstance(self.source, str) else "",
+        }
+        problems = [f"effect {self.name}, `{f}`: {getattr(self, f)!r} is not {what}" for f, what in wrong.items() if what]
+        if problems:
+            raise InputError(*problems)
+
     def _check_names(self, names: Iterable[str], where: str) -> None:
         """raises : InputError where one of the names is not a parameter of this effect"""
         known = [p.name for p in self.parameters]
@@ -171,6 +192,10 @@ class Effect:
                 raise InputError(
                     f"effect {self.name}, `{where}`: no parameter `{name}`. The effect has: {', '.join(known)}."
                 )
+
+
+def _all_are(values: object, kind: type) -> bool:
+    return isinstance(values, (tuple, list)) and all(isinstance(v, kind) for v in values)
 
 
 @dataclass(frozen=True)

@@ -39,8 +39,8 @@ def _from_file(path: Path) -> Effect | None:
     try:
         spec.loader.exec_module(module)
     except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except Exception as error:  # whatever a user's file does
+        raise InputError(*(f"{path}: {p}" for p in error.problems)) from None
+    except (Exception, SystemExit) as error:  # whatever a user's file does
         line = next(
             (f.lineno for f in reversed(traceback.extract_tb(error.__traceback__)) if f.filename == str(path)), 0
         )

@@ -39,6 +39,8 @@ LOWEST_M = -1000.0
 """Altitude below which a vehicle has hit the ground [m]."""
 
 DENSITY_FACTOR, WIND_NORTH, WIND_EAST = 0, 2, 4
+JSBSIM_ERRORS = (jsbsim.BaseError, RuntimeError, ValueError, IndexError, ArithmeticError, MemoryError)
+"""What JSBSim raises: its own errors, and those that its binding makes of exceptions of the C++ library."""
 
 
 class PropertyRead(NamedTuple):
@@ -195,7 +197,7 @@ class JSBSimHost:
     def _call_jsbsim(self, call: Callable[[], bool]) -> bool:
         try:
             return call()
-        except jsbsim.BaseError as error:
+        except JSBSIM_ERRORS as error:
             raise RunError(f"JSBSim stopped ({' '.join(str(error).split())}); {self.describe()}") from error
 
 
@@ -249,7 +251,7 @@ def _load(aircraft_path: Path, model: str, rate_hz: float) -> jsbsim.FGFDMExec:
         fdm.set_aircraft_path(str(aircraft_path))
         fdm.set_dt(1.0 / rate_hz)  # before loading: control components keep the step that they were loaded with
         loaded = fdm.load_model(model)
-    except jsbsim.BaseError as error:
+    except JSBSIM_ERRORS as error:
         raise InputError(f"{aircraft_path / model}: JSBSim cannot load it: {' '.join(str(error).split())}") from error
     finally:
         if before is None:
