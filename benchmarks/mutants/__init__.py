@@ -1,4 +1,4 @@
-"""Damaged inputs of every format: each is accepted with finite results, or refused or failed in a line, and nothing else.
+"""Damaged inputs of every format: each is accepted with finite results, or refused, or failed, in a line.
 
     python -m benchmarks.mutants --count 10000 --seed 0      # resumes where it was interrupted
     python -m benchmarks.mutants --only 137                  # one of them, with all that it prints
@@ -40,7 +40,13 @@ def run(count: int = COUNT, seed: int = SEED) -> list[Figure]:
                 click.echo(f"  {k + 1} of {len(missing)}")
     results = [done[n] for n in range(count)]
     figures = list(_figures(results))
-    save("mutants", figures, {"seed": seed, "count": count, "formats": by_format(results), "kinds": by_kind(results), "accepted_scaled": accepted_scaled(results)})
+    tables = {
+        "formats": by_format(results),
+        "kinds": by_kind(results),
+        "accepted_scaled": accepted_scaled(results),
+        "faults": [asdict(r) for r in results if r.outcome not in GOOD],
+    }
+    save("mutants", figures, {"seed": seed, "count": count, **tables})
     return figures
 
 
@@ -87,7 +93,9 @@ def _figures(results: Sequence[Result]) -> Iterator[Figure]:
     yield Figure("mutants", len(results), "")
     for outcome in GOOD:
         yield Figure(outcome, sum(r.outcome == outcome for r in results), "")
-    yield Figure("faults", len(faults), "", 0.0, note=", ".join(f"{n} {o}" for o, n in Counter(r.outcome for r in faults).items()))
+    kinds = Counter(r.outcome for r in faults)
+    yield Figure("faults", len(faults), "", 0.0, note=", ".join(f"{n} {o}" for o, n in kinds.items()))
     slips = [r for r in results if r.quantity]
-    yield Figure("unit slips accepted", 100.0 * sum(r.outcome == "accepted" for r in slips) / max(len(slips), 1), "%", note=f"of {len(slips)}")
+    share = sum(r.outcome == "accepted" for r in slips) / max(len(slips), 1)
+    yield Figure("unit slips accepted", 100.0 * share, "%", note=f"of {len(slips)}")
     yield Figure("longest processor time of one", max(r.seconds for r in results), "s", 10.0)

@@ -1,7 +1,7 @@
 """Damage to the bytes, keys, numbers, columns and members of a file, drawn at random from a seed.
 
-`damage(name, content, rng)` returns what was done and the damaged content. The kinds follow what happens to files: cut or
-corrupted in transfer, edited by hand, exported by another program, written in other units, or written by someone hostile.
+The kinds follow what happens to files: cut or corrupted in transfer, edited by hand, exported by another program,
+written in other units, or written by someone hostile.
 """
 
 from __future__ import annotations
@@ -27,13 +27,63 @@ UNIT_SLIPS = (1e3, 1e-3, 1e6, 1e-6)
 """Factors between units that are mistaken for one another."""
 NUMBERS = (float("nan"), float("inf"), float("-inf"), 0.0, -1.0, 1e-308, 1e30, 1e308, -1e308, 5e-324, 2**63, 10**400)
 TEXTS = (
-    "", " ", "x" * 5000, "\u00e9\u4e2d\U0001f680", "\u202eabc", "$\\frac{$", "$$", "$x^$", "a_b^c$", "<script>alert(1)</script>", "[red]x[/red",
-    "javascript:alert(1)", "\"'&;", "../../../etc/passwd", "/etc/passwd", "C:\\x", "~", "\x1b[31m", "a\nb", "a\tb", "\x00", "nan", "1e999", "1,5",
-    "\uff11\uff12", "%s%n", "{0}", "__proto__", ".", "/", "CON", "=1+1", "None", "true",
-)  # fmt: skip
+    "",
+    " ",
+    "x" * 5000,
+    "\u00e9\u4e2d\U0001f680",
+    "\u202eabc",
+    "$\\frac{$",
+    "$$",
+    "$x^$",
+    "a_b^c$",
+    "<script>alert(1)</script>",
+    "[red]x[/red",
+    "javascript:alert(1)",
+    "\"'&;",
+    "../../../etc/passwd",
+    "/etc/passwd",
+    "C:\\x",
+    "~",
+    "\x1b[31m",
+    "a\nb",
+    "a\tb",
+    "\x00",
+    "nan",
+    "1e999",
+    "1,5",
+    "\uff11\uff12",
+    "%s%n",
+    "{0}",
+    "__proto__",
+    ".",
+    "/",
+    "CON",
+    "=1+1",
+    "None",
+    "true",
+)
 HOSTILE_CELLS = (
-    "", "nan", "inf", "-inf", "1e999", "-1", "0", "1e30", "1e-30", "x", "1,5", "1_0", "\uff11\uff12", "0x10", "--1", "<b>", "$x^$", "=1+1", "'", '"',
-)  # fmt: skip
+    "",
+    "nan",
+    "inf",
+    "-inf",
+    "1e999",
+    "-1",
+    "0",
+    "1e30",
+    "1e-30",
+    "x",
+    "1,5",
+    "1_0",
+    "\uff11\uff12",
+    "0x10",
+    "--1",
+    "<b>",
+    "$x^$",
+    "=1+1",
+    "'",
+    '"',
+)
 
 
 @dataclass(frozen=True)
@@ -61,8 +111,13 @@ def damage(name: str, content: bytes, rng: random.Random) -> Damage:
     """A damaged version of a file, by the format that its name states; plain text where it is of no known one."""
     suffix = PurePosixPath(name).suffix
     structured = {
-        ".toml": _toml, ".json": _json, ".csv": _csv, ".xml": _xml, ".fmu": _archive, ".py": _source,
-    }.get(suffix)  # fmt: skip
+        ".toml": _toml,
+        ".json": _json,
+        ".csv": _csv,
+        ".xml": _xml,
+        ".fmu": _archive,
+        ".py": _source,
+    }.get(suffix)
     operations = [rng.choice(TEXT_OPERATIONS)]
     if structured is not None and rng.random() < 0.75:
         operations = [structured]
@@ -101,7 +156,21 @@ def _drop(content: bytes, rng: random.Random) -> Damage:
 
 def _insert(content: bytes, rng: random.Random) -> Damage:
     place = rng.randrange(len(content) + 1)
-    pieces = (b"\0", b"\xff", b"\xef\xbb\xbf", b"\x1b[2J", b"\xc3\xa9", b"\x85", b"\xe2\x80\xa8", b"\r", b'"', b"#", b"\xc2\xa0", b"<", b"[[")
+    pieces = (
+        b"\0",
+        b"\xff",
+        b"\xef\xbb\xbf",
+        b"\x1b[2J",
+        b"\xc3\xa9",
+        b"\x85",
+        b"\xe2\x80\xa8",
+        b"\r",
+        b'"',
+        b"#",
+        b"\xc2\xa0",
+        b"<",
+        b"[[",
+    )
     piece = rng.choice(pieces)
     return Damage("insert bytes", f"{piece!r} put in at byte {place}", content[:place] + piece + content[place:])
 
@@ -132,21 +201,38 @@ def _encode(content: bytes, rng: random.Random) -> Damage:
 
 
 def _replace(content: bytes, rng: random.Random) -> Damage:
-    what = rng.choice((b"", b" \n", b"\n" * 100, content * 2, b"\0" * 64, bytes(rng.randbytes(200)), b"[" * 20_000, b"{" * 20_000))
+    what = rng.choice(
+        (b"", b" \n", b"\n" * 100, content * 2, b"\0" * 64, bytes(rng.randbytes(200)), b"[" * 20_000, b"{" * 20_000)
+    )
     return Damage("replace", f"replaced by {len(what)} bytes, {what[:10]!r} ...", what)
 
 
 def _digits(content: bytes, rng: random.Random) -> Damage:
-    found = [m for m in re.finditer(rb"-?\d+(\.\d+)?([eE][-+]?\d+)?", content)]
+    found = list(re.finditer(rb"-?\d+(\.\d+)?([eE][-+]?\d+)?", content))
     m = rng.choice(found)
     old = m[0]
     new = rng.choice(
         (
-            b"-" + old, old.replace(b".", b","), old.replace(b".", b"", 1), old[:-1], old + b"0", old + b".5", b"1e999", b"nan",
-            "\uff11\uff12".encode(), b"0" + old, old + b"e5", b"0x1F", b"1_000", old[::-1], b"", b"- " + old,
+            b"-" + old,
+            old.replace(b".", b","),
+            old.replace(b".", b"", 1),
+            old[:-1],
+            old + b"0",
+            old + b".5",
+            b"1e999",
+            b"nan",
+            "\uff11\uff12".encode(),
+            b"0" + old,
+            old + b"e5",
+            b"0x1F",
+            b"1_000",
+            old[::-1],
+            b"",
+            b"- " + old,
         )
-    )  # fmt: skip
-    return Damage("number as text", f"{old.decode()} became {new.decode()!r}", content[: m.start()] + new + content[m.end() :])
+    )
+    what = f"{old.decode()} became {new.decode()!r}"
+    return Damage("number as text", what, content[: m.start()] + new + content[m.end() :])
 
 
 def _characters(content: bytes, rng: random.Random) -> Damage:
@@ -165,8 +251,19 @@ def _name(content: bytes, rng: random.Random) -> Damage:
 
 
 TEXT_OPERATIONS: tuple[Operation, ...] = (
-    cut, _flip, _drop, _insert, _lines, _lines, _encode, _replace, _digits, _digits, _characters, _name,
-)  # fmt: skip
+    cut,
+    _flip,
+    _drop,
+    _insert,
+    _lines,
+    _lines,
+    _encode,
+    _replace,
+    _digits,
+    _digits,
+    _characters,
+    _name,
+)
 
 
 # tables of keys: TOML and JSON
@@ -198,7 +295,23 @@ def _places(node: Any, place: Place = ()) -> Iterator[tuple[Any, str | int, Plac
 def _change(data: dict[str, Any], rng: random.Random) -> tuple[str, str, str, float]:
     """Change one value or key in place; what was done."""
     found = list(_places(data))
-    kind = rng.choice(("remove", "rename", "type", "number", "number", "scale", "scale", "text", "text", "list", "copy", "move", "add"))
+    kind = rng.choice(
+        (
+            "remove",
+            "rename",
+            "type",
+            "number",
+            "number",
+            "scale",
+            "scale",
+            "text",
+            "text",
+            "list",
+            "copy",
+            "move",
+            "add",
+        )
+    )
     if kind in ("number", "scale"):
         found = [f for f in found if _is_number(f[0][f[1]])]
     if kind == "text":
@@ -222,9 +335,13 @@ def _change(data: dict[str, Any], rng: random.Random) -> tuple[str, str, str, fl
         del node[key]
     elif kind == "rename":
         name = str(key)
-        node[rng.choice((name[:-1], name.upper(), name + "s", name.replace("_", "-"), rng.choice(TEXTS)))] = node.pop(key)
+        node[rng.choice((name[:-1], name.upper(), name + "s", name.replace("_", "-"), rng.choice(TEXTS)))] = node.pop(
+            key
+        )
     elif kind == "type":
-        node[key] = rng.choice((True, 7, "text", [], {}, [1.0], ["a", 1], {"a": 1}, [[1.0, 2.0]], [old], {"value": old}, str(old)))
+        node[key] = rng.choice(
+            (True, 7, "text", [], {}, [1.0], ["a", 1], {"a": 1}, [[1.0, 2.0]], [old], {"value": old}, str(old))
+        )
     elif kind == "number":
         node[key] = rng.choice((*NUMBERS, -old, not old, str(old), int(old) if abs(old) < 1e300 else 0))
     elif kind == "scale":
@@ -244,7 +361,8 @@ def _change(data: dict[str, Any], rng: random.Random) -> tuple[str, str, str, fl
     else:
         target = old if isinstance(old, dict) else data
         target[rng.choice(("new", "title", "note", *TEXTS))] = rng.choice((1, 1.5, "x", [], {}))
-    if kind == "move" or not isinstance(node, (dict, list)) or key not in (node if isinstance(node, dict) else range(len(node))):
+    remains = key in node if isinstance(node, dict) else isinstance(key, int) and key < len(node)
+    if kind == "move" or not remains:
         return f"{kind} of a key", f"{kind} {at}", quantity, factor
     return f"{kind} of a key", f"{kind} {at}: {str(old)[:40]} became {str(node[key])[:40]}", quantity, factor
 
@@ -268,9 +386,31 @@ def _csv(content: bytes, rng: random.Random) -> Damage:
     rows = list(csv.reader(lines[first:]))
     names, body = rows[0], rows[1:]
     kind = rng.choice(
-        ("missing column", "double column", "swap columns", "rename column", "swap names", "cell", "cell", "scale cell", "scale column", "scale column",
-         "swap rows", "double row", "drop rows", "short row", "long row", "one row", "no rows", "sign", "shift", "constant", "separator", "comments")
-    )  # fmt: skip
+        (
+            "missing column",
+            "double column",
+            "swap columns",
+            "rename column",
+            "swap names",
+            "cell",
+            "cell",
+            "scale cell",
+            "scale column",
+            "scale column",
+            "swap rows",
+            "double row",
+            "drop rows",
+            "short row",
+            "long row",
+            "one row",
+            "no rows",
+            "sign",
+            "shift",
+            "constant",
+            "separator",
+            "comments",
+        )
+    )
     i, k = rng.randrange(len(names)), rng.randrange(len(names))
     r, s = rng.randrange(len(body)), rng.randrange(len(body))
     quantity, factor, separator = "", 1.0, ","
@@ -340,7 +480,23 @@ def _xml(content: bytes, rng: random.Random) -> Damage:
     root = ElementTree.fromstring(content)
     parents = [(parent, child) for parent in root.iter() for child in parent]
     parent, one = rng.choice(parents)
-    kind = rng.choice(("remove", "double", "rename", "attribute", "attribute", "no attribute", "text", "text", "number", "scale", "swap", "move", "many"))
+    kind = rng.choice(
+        (
+            "remove",
+            "double",
+            "rename",
+            "attribute",
+            "attribute",
+            "no attribute",
+            "text",
+            "text",
+            "number",
+            "scale",
+            "swap",
+            "move",
+            "many",
+        )
+    )
     what, quantity, factor = one.tag, "", 1.0
     if kind == "remove":
         parent.remove(one)
@@ -362,7 +518,9 @@ def _xml(content: bytes, rng: random.Random) -> Damage:
         old, factor = (element.text or "").split(), rng.choice(UNIT_SLIPS)
         at = rng.randrange(len(old))
         if kind == "text":
-            old[at] = rng.choice(("", "x", "aero/alpha-deg", "-", "1,5", "a/b/c", *(t for t in TEXTS if t.isprintable())))
+            old[at] = rng.choice(
+                ("", "x", "aero/alpha-deg", "-", "1,5", "a/b/c", *(t for t in TEXTS if t.isprintable()))
+            )
         elif kind == "number":
             old[at] = rng.choice(("nan", "inf", "1e308", "-1e308", "0", "-1", "1e-308", "1e999"))
         else:
@@ -385,9 +543,24 @@ def _xml(content: bytes, rng: random.Random) -> Damage:
 
 
 def _archive(content: bytes, rng: random.Random) -> Damage:
-    members = {i.filename: zipfile.ZipFile(io.BytesIO(content)).read(i) for i in zipfile.ZipFile(io.BytesIO(content)).infolist()}
+    with zipfile.ZipFile(io.BytesIO(content)) as whole:
+        members = {info.filename: whole.read(info) for info in whole.infolist()}
     name = rng.choice(sorted(members))
-    kind = rng.choice(("description", "description", "description", "description", "drop", "empty", "rename", "escape", "double", "member", "nested"))
+    kind = rng.choice(
+        (
+            "description",
+            "description",
+            "description",
+            "description",
+            "drop",
+            "empty",
+            "rename",
+            "escape",
+            "double",
+            "member",
+            "nested",
+        )
+    )
     what = name
     if kind == "description":
         inner = damage("modelDescription.xml", members["modelDescription.xml"], rng)
@@ -404,9 +577,11 @@ def _archive(content: bytes, rng: random.Random) -> Damage:
     elif kind == "member":
         if name.endswith(".xml"):
             raise ValueError("another kind")
-        members[name] = damage("plain", members[name], rng).content if rng.random() < 0.5 else members[name][: len(members[name]) // 2]
+        half = members[name][: len(members[name]) // 2]
+        members[name] = damage("plain", members[name], rng).content if rng.random() < 0.5 else half
     elif kind == "nested":
-        members = {"modelDescription.xml/x": b"x", **members} if rng.random() < 0.5 else {f"in/{n}": c for n, c in members.items()}
+        below = {f"in/{n}": c for n, c in members.items()}
+        members = {"modelDescription.xml/x": b"x", **members} if rng.random() < 0.5 else below
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
         for member, data in members.items():
@@ -424,15 +599,42 @@ def _source(content: bytes, rng: random.Random) -> Damage:
     quantity, factor = "", 1.0
     if kind == "argument":
         m = rng.choice(list(re.finditer(r"^    (\w+)=(.*),$", text, re.MULTILINE)))
-        new = rng.choice(("", f"    {m[1]}x={m[2]},", f"    {m[1]}=None,", f"    {m[1]}=1.5,", f"    {m[1]}='<b>$x^$',", f"    {m[1]}=(),", f"    {m[1]}=[],"))
+        new = rng.choice(
+            (
+                "",
+                f"    {m[1]}x={m[2]},",
+                f"    {m[1]}=None,",
+                f"    {m[1]}=1.5,",
+                f"    {m[1]}='<b>$x^$',",
+                f"    {m[1]}=(),",
+                f"    {m[1]}=[],",
+            )
+        )
     elif kind in ("value", "scale"):
         m = rng.choice(list(re.finditer(r"(?<=[ (])-?\d+\.\d+", text)))
-        new, factor = rng.choice(("float('nan')", "float('inf')", "-1.0", "0.0", "1e308", "'1'", "None", "1/0")), rng.choice(UNIT_SLIPS)
+        new, factor = (
+            rng.choice(("float('nan')", "float('inf')", "-1.0", "0.0", "1e308", "'1'", "None", "1/0")),
+            rng.choice(UNIT_SLIPS),
+        )
         if kind == "scale":
             new, quantity = repr(float(m[0]) * factor), "a number of an effect"
     elif kind == "statement":
-        m = rng.choice(list(re.finditer(r"^( *)(import .*|from .*|def .*|return .*|u = .*|@.*|EFFECT.*)$", text, re.MULTILINE)))
-        bad = ("raise ValueError('x\\ny')", "raise SystemExit(3)", "raise KeyboardInterrupt", "import nowhere", "x = (", "print('x')", "1/0", "pass", "return", "raise BaseException('x')", "import sys; sys.exit('bye')", "assert False")
+        statements = r"^( *)(import .*|from .*|def .*|return .*|u = .*|@.*|EFFECT.*)$"
+        m = rng.choice(list(re.finditer(statements, text, re.MULTILINE)))
+        bad = (
+            "raise ValueError('x\\ny')",
+            "raise SystemExit(3)",
+            "raise KeyboardInterrupt",
+            "import nowhere",
+            "x = (",
+            "print('x')",
+            "1/0",
+            "pass",
+            "return",
+            "raise BaseException('x')",
+            "import sys; sys.exit('bye')",
+            "assert False",
+        )
         new = m[1] + rng.choice(bad)
     else:
         m = rng.choice(list(re.finditer(r"[A-Za-z_]{3,}", text)))

@@ -1,8 +1,8 @@
 """Mutants run one after the other in a process that may die, and what became of each.
 
 Good outcomes: `accepted`, with results that are finite everywhere; `refused`, by an InputError whose first line names a
-file of the case; `failed`, by a RunError of one line. Everything else is a fault: another exception, a warning, a number
-that is not finite, a process that dies, more than 10 s of processor time, a changed input, files left behind.
+file of the case; `failed`, by a RunError of one line. Everything else is a fault: another exception, a warning, a
+number that is not finite, a process that dies, more than 10 s of processor time, a changed input, files left behind.
 """
 
 from __future__ import annotations
@@ -144,11 +144,21 @@ def _answer(here: Connection, process: Any, home: Path, seed: int, number: int, 
         process.join()
         too_long = process.exitcode == -24  # SIGXCPU
         outcome = "too long" if too_long else "died"
-        message = f"more than {LONGEST_S:g} s of processor time" if too_long else f"exit code {process.exitcode}: {_tail(work)}"
+        message = f"{LONGEST_S:g} s of processor time" if too_long else f"exit code {process.exitcode}: {_tail(work)}"
     subject, command, file, done = mutant(home, seed, number)
     return Result(
-        number, subject.format, file, done.kind, done.what, done.quantity, done.factor, command_text(command), outcome, message, LONGEST_S
-    )  # fmt: skip
+        number,
+        subject.format,
+        file,
+        done.kind,
+        done.what,
+        done.quantity,
+        done.factor,
+        command_text(command),
+        outcome,
+        message,
+        LONGEST_S,
+    )
 
 
 def _serve(connection: Connection, home: str, seed: int, work: str) -> None:
@@ -213,15 +223,25 @@ def _judge(home: Path, seed: int, number: int, work: Path, output: Path) -> Resu
     if outcome == "refused" and not names_a_file(message.splitlines()[0], folder):
         outcome = "names no file"
     if outcome in GOOD:
-        fault = _left_fault(status == 0, folder, subject, before, work) or (_result_fault(folder / OUT) if status == 0 else "")
+        fault = _left_fault(status == 0, folder, subject, before, work)
+        fault = fault or (_result_fault(folder / OUT) if status == 0 else "")
         outcome, message = (fault.split(":")[0], fault) if fault else (outcome, message)
     shutil.rmtree(work / "case", ignore_errors=True)
     for left in (work / "tmp").iterdir():
         shutil.rmtree(left) if left.is_dir() else left.unlink()
     return Result(
-        number, subject.format, file, done.kind, done.what, done.quantity, done.factor, command_text(command), outcome,
-        message[-1500:], round(seconds, 3),
-    )  # fmt: skip
+        number,
+        subject.format,
+        file,
+        done.kind,
+        done.what,
+        done.quantity,
+        done.factor,
+        command_text(command),
+        outcome,
+        message[-1500:],
+        round(seconds, 3),
+    )
 
 
 def _outcome(status: int | None, text: str, trace: str, seconds: float) -> tuple[str, str]:

@@ -180,66 +180,173 @@ def _validate(name: str) -> Command:
     return ("validate", name)
 
 
-UPDATE: Command = ("update-tables", "fit", "--vehicle", "orbiter", "--out", "{out}")
+RECORD_COMMANDS: tuple[Command, ...] = (
+    ("predict", "record", "--out", "{out}"),
+    ("estimate", "record", "--out", "{out}", "--parameters", "ratio.scale,ratio.d_alpha"),
+)
+UPDATE: tuple[str, ...] = ("update-tables", "fit", "--vehicle", "orbiter", "--out", "{out}")
 SUBJECTS = (
     Subject(
-        "scenario", ("glide.toml", "orbiter"), ("glide.toml",), (_validate("glide.toml"),),
+        "scenario",
+        ("glide.toml", "orbiter"),
+        ("glide.toml",),
+        (_validate("glide.toml"),),
         (_run("glide.toml"), ("synthesize", "glide.toml", "--out", "{out}")),
         share=3.0,
     ),
-    Subject("scenario of an FMU", ("fmu.toml", "glide.fmu", "orbiter"), ("fmu.toml",), (_validate("fmu.toml"),), (_run("fmu.toml"),), share=0.5),
-    Subject("scenario of JSBSim", ("jsbsim.toml", "orbiter"), ("jsbsim.toml",), (_validate("jsbsim.toml"),), (_run("jsbsim.toml"),), share=0.5),
     Subject(
-        "study", ("study.toml", "glide.toml", "orbiter", *ENVELOPE), ("study.toml",), (_validate("study.toml"),),
-        (("plan", "study.toml", "--workers", "1", "--out", "{out}"),), share=1.5,
-    ),
-    Subject(
-        "study, other kinds", ("study.toml", "glide.toml", "orbiter", *ENVELOPE), tuple(ENVELOPE), tuple(_validate(n) for n in ENVELOPE), share=1.0
-    ),
-    Subject(
-        "vehicle", ("capsule", "capsule.toml"),
-        ("capsule/vehicle.toml", "capsule/control_points/*", "capsule/materials/*", "capsule/control_points/*"),
-        (_validate("capsule"),), (_run("capsule.toml"),), share=3.0,
-    ),
-    Subject("ratio table", ("capsule", "capsule.toml"), ("capsule/ratio_tables/*",),
-            (_validate("capsule"), _validate("capsule/ratio_tables/HOT_SKIN.csv")), (_run("capsule.toml"),)),
-    Subject("ratio source", ("capsule",), ("capsule/ratio_sources/*",), (), (("ratio-tables", "capsule"),), ("capsule/ratio_tables/*",)),
-    Subject("aerodynamics and guidance", ("orbiter", "glide.toml"), MODEL_FILES, (_validate("glide.toml"),), (_run("glide.toml"),), share=1.5),
-    Subject(
-        "record.toml", ("record",), ("record/record.toml",), (_validate("record"),),
-        (("predict", "record", "--out", "{out}"), ("estimate", "record", "--out", "{out}", "--parameters", "ratio.scale,ratio.d_alpha")), share=3.0,
-    ),
-    Subject(
-        "conditions.csv, thermocouples.csv", ("record",), ("record/conditions.csv", "record/thermocouples.csv"), (_validate("record"),),
-        (("predict", "record", "--out", "{out}"), ("estimate", "record", "--out", "{out}", "--parameters", "ratio.scale")), share=2.0,
-    ),
-    Subject("ratio_table.csv", ("record",), ("record/ratio_table.csv",), (_validate("record"),),
-            (("predict", "record", "--out", "{out}"), ("estimate", "record", "--out", "{out}", "--parameters", "ratio.scale"))),
-    Subject("trajectory CSV", ("recorded.toml", "trajectory.csv", "orbiter"), ("trajectory.csv",), (_validate("recorded.toml"),), (_run("recorded.toml"),),
-            share=1.5),
-    Subject("measured history CSV", ("measured.toml", "orbiter"), ("orbiter/measured.csv",), (_validate("measured.toml"),),
-            (_run("measured.toml"), ("measured-records", "measured.toml", "--out", "{out}")), share=0.5),
-    Subject("estimate.json", ("fit", "record", "orbiter"), ("fit/estimate.json",), (), (UPDATE, (*UPDATE[:-2], "--dry-run")), share=2.0),
-    Subject(
-        "closure.json", ("closed", "record", "orbiter"), ("closed/closure.json", "closed/estimate.json", "closed/residual_heating.csv"),
-        (_validate("closed/closure.json"),), (("update-tables", "closed", "--vehicle", "orbiter", "--out", "{out}"), ("update-tables", "closed/closure.json", "--vehicle", "orbiter", "--dry-run")),
+        "scenario of an FMU",
+        ("fmu.toml", "glide.fmu", "orbiter"),
+        ("fmu.toml",),
+        (_validate("fmu.toml"),),
+        (_run("fmu.toml"),),
         share=0.5,
     ),
     Subject(
-        "revision_N.json", ("revised", "fit", "record", "envelope.toml"),
-        ("revised/orbiter/ratio_revisions/*/*.json", "revised/orbiter/ratio_revisions/*/*"), (_validate("revised/orbiter"),),
+        "scenario of JSBSim",
+        ("jsbsim.toml", "orbiter"),
+        ("jsbsim.toml",),
+        (_validate("jsbsim.toml"),),
+        (_run("jsbsim.toml"),),
+        share=0.5,
+    ),
+    Subject(
+        "study",
+        ("study.toml", "glide.toml", "orbiter", *ENVELOPE),
+        ("study.toml",),
+        (_validate("study.toml"),),
+        (("plan", "study.toml", "--workers", "1", "--out", "{out}"),),
+        share=1.5,
+    ),
+    Subject(
+        "study, other kinds",
+        ("study.toml", "glide.toml", "orbiter", *ENVELOPE),
+        tuple(ENVELOPE),
+        tuple(_validate(n) for n in ENVELOPE),
+        share=1.0,
+    ),
+    Subject(
+        "vehicle",
+        ("capsule", "capsule.toml"),
+        ("capsule/vehicle.toml", "capsule/control_points/*", "capsule/materials/*", "capsule/control_points/*"),
+        (_validate("capsule"),),
+        (_run("capsule.toml"),),
+        share=3.0,
+    ),
+    Subject(
+        "ratio table",
+        ("capsule", "capsule.toml"),
+        ("capsule/ratio_tables/*",),
+        (_validate("capsule"), _validate("capsule/ratio_tables/HOT_SKIN.csv")),
+        (_run("capsule.toml"),),
+    ),
+    Subject(
+        "ratio source",
+        ("capsule",),
+        ("capsule/ratio_sources/*",),
+        (),
+        (("ratio-tables", "capsule"),),
+        ("capsule/ratio_tables/*",),
+    ),
+    Subject(
+        "aerodynamics and guidance",
+        ("orbiter", "glide.toml"),
+        MODEL_FILES,
+        (_validate("glide.toml"),),
+        (_run("glide.toml"),),
+        share=1.5,
+    ),
+    Subject(
+        "record.toml",
+        ("record",),
+        ("record/record.toml",),
+        (_validate("record"),),
+        RECORD_COMMANDS,
+        share=3.0,
+    ),
+    Subject(
+        "conditions.csv, thermocouples.csv",
+        ("record",),
+        ("record/conditions.csv", "record/thermocouples.csv"),
+        (_validate("record"),),
+        RECORD_COMMANDS,
+        share=2.0,
+    ),
+    Subject("ratio_table.csv", ("record",), ("record/ratio_table.csv",), (_validate("record"),), RECORD_COMMANDS),
+    Subject(
+        "trajectory CSV",
+        ("recorded.toml", "trajectory.csv", "orbiter"),
+        ("trajectory.csv",),
+        (_validate("recorded.toml"),),
+        (_run("recorded.toml"),),
+        share=1.5,
+    ),
+    Subject(
+        "measured history CSV",
+        ("measured.toml", "orbiter"),
+        ("orbiter/measured.csv",),
+        (_validate("measured.toml"),),
+        (_run("measured.toml"), ("measured-records", "measured.toml", "--out", "{out}")),
+        share=0.5,
+    ),
+    Subject(
+        "estimate.json",
+        ("fit", "record", "orbiter"),
+        ("fit/estimate.json",),
+        (),
+        (UPDATE, (*UPDATE[:-2], "--dry-run")),
+        share=2.0,
+    ),
+    Subject(
+        "closure.json",
+        ("closed", "record", "orbiter"),
+        ("closed/closure.json", "closed/estimate.json", "closed/residual_heating.csv"),
+        (_validate("closed/closure.json"),),
+        (
+            ("update-tables", "closed", "--vehicle", "orbiter", "--out", "{out}"),
+            ("update-tables", "closed/closure.json", "--vehicle", "orbiter", "--dry-run"),
+        ),
+        share=0.5,
+    ),
+    Subject(
+        "revision_N.json",
+        ("revised", "fit", "record"),
+        ("revised/orbiter/ratio_revisions/*/*.json", "revised/orbiter/ratio_revisions/*/*"),
+        (_validate("revised/orbiter"),),
         (
             ("update-tables", "--revert", POINT, "--vehicle", "revised/orbiter"),
             ("update-tables", "fit", "--vehicle", "revised/orbiter", "--out", "{out}"),
             ("update-tables", "fit", "--vehicle", "revised/orbiter", "--dry-run"),
-        ), ("revised/orbiter/*/*", "revised/orbiter/*/*/*"), share=1.5,
+        ),
+        ("revised/orbiter/*/*", "revised/orbiter/*/*/*"),
+        share=1.5,
     ),
-    Subject("effect file", ("effects", "effect.toml", "orbiter"), ("effects/*.py",), (_validate("effect.toml"),), (), share=1.0),
-    Subject("attitude control of JSBSim", ("jsbsim.toml", "orbiter"), ("orbiter/jsbsim/attitude_control.xml",), (_validate("jsbsim.toml"),),
-            (_run("jsbsim.toml"),), share=0.7),
-    Subject("aircraft of JSBSim", ("ball",), ("ball/ball.xml",), (), ((lambda folder: fly_ball(folder)),), share=1.0),
-    Subject("FMU", ("fmu.toml", "glide.fmu", "orbiter"), ("glide.fmu",), (_validate("fmu.toml"),), (_run("fmu.toml"), _run("fmu.toml")), share=2.0),
-)  # fmt: skip
+    Subject(
+        "effect file",
+        ("effects", "effect.toml", "orbiter"),
+        ("effects/*.py",),
+        (_validate("effect.toml"),),
+        (),
+        share=1.0,
+    ),
+    Subject(
+        "attitude control of JSBSim",
+        ("jsbsim.toml", "orbiter"),
+        ("orbiter/jsbsim/attitude_control.xml",),
+        (_validate("jsbsim.toml"),),
+        (_run("jsbsim.toml"),),
+        share=0.7,
+    ),
+    Subject("aircraft of JSBSim", ("ball",), ("ball/ball.xml",), (), (lambda folder: fly_ball(folder),), share=1.0),
+    Subject(
+        "FMU",
+        ("fmu.toml", "glide.fmu", "orbiter"),
+        ("glide.fmu",),
+        (_validate("fmu.toml"),),
+        (_run("fmu.toml"), _run("fmu.toml")),
+        share=2.0,
+    ),
+)
 
 
 def fly_ball(folder: Path) -> int:
@@ -268,7 +375,7 @@ def fly_ball(folder: Path) -> int:
 
 
 def make_inputs(home: Path) -> None:
-    """Write the whole files into an empty folder; records, estimates and revisions come from the commands themselves."""
+    """Write the whole files into an empty folder; records, estimates, revisions come from the commands themselves."""
     _vehicle(home, "orbiter", (POINT, TILE), ("aero", "jsbsim", "guidance.toml"))
     _vehicle(home, "capsule", CAPSULE_POINTS, ("ratio_sources", "aero", "guidance.toml"))
     measured = "".join(f"{t}.0,{290 + 8 * t}.5,4.6\n" for t in range(0, 60, 5))
@@ -301,7 +408,8 @@ def make_inputs(home: Path) -> None:
     rows = (ROOT / "scenarios" / "data" / "sts107_early_entry.csv").read_text().splitlines(keepends=True)
     (home / "trajectory.csv").write_text("".join(rows[:35]))
     glide = home / "record.toml"
-    glide.write_text(texts["glide.toml"].replace("time_s = 60.0", "time_s = 160.0").replace("[[truth.effect]]", "[[no]]").split("[[no]]")[0])
+    whole, _, _ = texts["glide.toml"].replace("time_s = 60.0", "time_s = 160.0").partition("[[truth.effect]]")
+    glide.write_text(whole)
     steps = (
         ("synthesize", "record.toml", "--out", "record"),
         ("estimate", "record", "--out", "fit", "--parameters", "ratio.scale,ratio.d_alpha"),
@@ -366,4 +474,6 @@ def execute(command: Command, folder: Path) -> int:
 
 def command_text(command: Command) -> str:
     """A command as a person types it."""
-    return "flown through sim_heating.trajectory.jsbsim" if callable(command) else f"sim-heating {' '.join(command).format(out=OUT)}"
+    if callable(command):
+        return "an aircraft flown through sim_heating.trajectory.jsbsim"
+    return f"sim-heating {' '.join(command).format(out=OUT)}"

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-
 LONGEST = 600
 """Characters of one problem; of a longer one, such as a library's own text, the middle is left out."""
 TAIL = 150
 
 
 def one_line(text: str) -> str:
-    """A problem as one printable line: other characters (a line break in a key) as escapes, the middle of a long one cut."""
+    """A problem as one printable line: other characters (a line break in a key) as escapes, a long one cut."""
     line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text.strip())
     return line if len(line) <= LONGEST else f"{line[: LONGEST - TAIL]} ... {line[-TAIL:]}"
 

@@ -41,9 +41,8 @@ class Parameter:
         texts = all(isinstance(t, str) for t in (self.name, self.unit, self.text))
         numbers = all(map(is_number, (self.value, self.sigma, self.lower, self.upper)))
         if not (texts and numbers and self.lower <= self.value <= self.upper and self.sigma >= 0.0):
-            raise InputError(
-                f"{self!r}: name, unit and text are texts, the others numbers, sigma 0 or above, the value within its bounds"
-            )
+            rule = "name, unit and text are texts, the others numbers, sigma 0 or above, the value within its bounds"
+            raise InputError(f"{self!r}: {rule}")
 
 
 def is_number(value: object) -> bool:

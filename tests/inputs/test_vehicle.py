@@ -220,7 +220,7 @@ def test_two_sources_of_one_table_are_reported(damaged):
     ("old", "new", "hint"),
     [
         ("alpha_deg = [0.0, 10.0, 20.0, 30.0]", "alpha_deg = [0.0, 20.0, 10.0]", r"\[axes\]: `alpha_deg`: .* sort the"),
-        ('["FACE"]', '["../../elsewhere"]', r"`control_points`: the vehicle has no control point `\.\./\.\./elsewhere`"),
+        ('["FACE"]', '["../../elsewhere"]', r"the vehicle has no control point `\.\./\.\./elsewhere`"),
         ("0.98", "-0.98", "the ratio of FACE falls to"),
     ],
 )

@@ -8,7 +8,7 @@ from typing import Literal, get_args, get_type_hints
 
 from sim_heating.base.conditions import EXTRAS, HEATING, STATE, Conditions
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import suggestion
+from sim_heating.base.files import raise_problems, suggestion
 from sim_heating.base.kernels.block import EFFECT_SLOTS, EFFECT_WIDTH
 from sim_heating.base.parameters import CLOCK_SKEW, MODEL, Parameter, is_number
 
@@ -180,9 +180,9 @@ class Effect:
             "physics": "a text" if not isinstance(self.physics, str) else "",
             "source": "a text" if not isinstance(self.source, str) else "",
         }
-        problems = [f"effect {self.name}, `{f}`: {getattr(self, f)!r} is not {what}" for f, what in wrong.items() if what]
-        if problems:
-            raise InputError(*problems)
+        raise_problems(
+            [f"effect {self.name}, `{f}`: {getattr(self, f)!r} is not {what}" for f, what in wrong.items() if what]
+        )
 
     def _check_names(self, names: Iterable[str], where: str) -> None:
         """raises : InputError where one of the names is not a parameter of this effect"""
