@@ -52,7 +52,7 @@ def _from_file(path: Path) -> Effect | None:
     return found
 
 
-def _remedy(error: Exception) -> str:
+def _remedy(error: BaseException) -> str:
     """What to write instead, where a user's file was made for an earlier version of the package; else nothing."""
     if isinstance(error, ImportError) and (error.name or "").partition(".")[0] == "sim_heating":
         return f"; {PUBLIC}"
