@@ -1,16 +1,74 @@
 """Entry point of the command `sim-heating` and of `python -m sim_heating`."""
 
+import errno
+import io
+import os
 import sys
+from typing import Any
+
+from sim_heating.base.progress import EndingSignals
+
+
+class _OutputFile(io.FileIO):
+    """Standard output or error: what a reader or terminal that has gone does not take is dropped, and ends no command.
+
+    title : its name in messages
+    """
+
+    def __init__(self, number: int, title: str) -> None:
+        super().__init__(number, "w", closefd=False)
+        self._title, self._dropped = title, False
+
+    def write(self, data: Any) -> int:
+        if not self._dropped:
+            try:
+                return super().write(data)
+            except OSError as error:
+                self._dropped = True  # also where it is reported: Python's last flush would fail again
+                if error.errno != errno.EPIPE and not (error.errno == errno.EIO and self.isatty()):
+                    raise OSError(error.errno, error.strerror, self._title) from None
+        return len(data)
+
+
+def _open_standard_streams() -> None:
+    """Make the standard streams usable in every environment.
+
+    A closed one becomes the null device: the next file to be opened would otherwise have its number, and receive what
+    C libraries print. A character that the encoding of an output lacks is written as its escape.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest free number, which is this one
+    if sys.stdin is None:
+        sys.stdin = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115
+    sys.stdout = _text_output(1, sys.stdout, "standard output")
+    sys.stderr = _text_output(2, sys.stderr, "standard error")
+
+
+def _text_output(number: int, before: Any, title: str) -> Any:
+    if before is not None and os.name == "nt":  # whose console takes text by other ways than a file
+        before.reconfigure(errors="backslashreplace")
+        return before
+    raw, encoding = _OutputFile(number, title), "utf-8" if before is None else before.encoding
+    is_line_buffered = number == 2 or raw.isatty() or getattr(before, "write_through", False)
+    return io.TextIOWrapper(
+        io.BufferedWriter(raw), encoding, errors="backslashreplace", line_buffering=is_line_buffered
+    )
 
 
 def main() -> int:
-    """Run the command; an interrupt while its modules load is reported in one line, as any later one."""
+    """Run the command; its exit status: 0 done, 1 failed, 2 bad usage or input, 128 and its number after a signal."""
+    signals = EndingSignals()
+    signals.install()
+    _open_standard_streams()
     try:
         from sim_heating import cli
     except KeyboardInterrupt:
         print("interrupted: nothing was begun", file=sys.stderr)
-        return 1
-    return cli.main()
+        return signals.exit_status
+    return cli.main(signals=signals)
 
 
 if __name__ == "__main__":  # processes that a command starts import this module again

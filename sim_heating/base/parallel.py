@@ -16,7 +16,7 @@ import hashlib
 import logging
 import pickle
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
@@ -26,7 +26,7 @@ from typing import Any
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files.text import clear_partial_files, repeated_name, write_bytes_atomic, write_text_atomic
 from sim_heating.base.files.transaction import exclusive
-from sim_heating.base.progress import Progress, no_progress
+from sim_heating.base.progress import Progress, no_progress, signals_deferred
 from sim_heating.base.threads import one_thread
 
 Work = Callable[[Any], bytes]
@@ -296,7 +296,9 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     with dask.config.set(DASK_SETTINGS):
         if scheduler is None:
-            with _local_processes(workers) as cluster, Client(cluster) as client:
+            with ExitStack() as ending:
+                with signals_deferred():  # processes half started would not be ended
+                    client = ending.enter_context(Client(ending.enter_context(_local_processes(workers))))
                 yield client
             return
         try:

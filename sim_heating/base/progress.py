@@ -1,8 +1,17 @@
-"""Progress reports of long work."""
+"""Long work: reports of its progress, and the signals that end it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import _thread
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any
 
 Progress = Callable[[float, str], None]
 """Called with the fraction done (0 to 1) and a line of text."""
@@ -10,3 +19,104 @@ Progress = Callable[[float, str], None]
 
 def no_progress(_: float, __: str) -> None:
     """Progress that is not reported."""
+
+
+ENDING_SIGNALS = tuple(getattr(signal, n) for n in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, n))
+"""Signals that end a command: Ctrl-C, a request to end, a lost terminal; Windows has no hangup."""
+SAME_REQUEST_S = 1.0
+"""Time [s] within which a further signal is the same request: a terminal and a launcher may both pass on one Ctrl-C."""
+AFTER_CALLBACK_S = 0.02
+"""Time [s] after which an interrupt is repeated that a callback has ignored."""
+
+
+class EndingSignals:
+    """Handlers that raise KeyboardInterrupt once, so that all that is open is closed, and remember the signal.
+
+    A further signal, after a second, ends the process at once.
+    """
+
+    def __init__(self) -> None:
+        self._first: signal.Signals | None = None
+        self._time_s = 0.0
+        self._is_lost = False
+        self._report_unraisable = sys.unraisablehook
+
+    def install(self) -> None:
+        """Handle every ending signal, except one that the process was started to ignore (as by nohup)."""
+        for number in ENDING_SIGNALS:
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self._end)
+        sys.unraisablehook = self._raise_again
+
+    @property
+    def received(self) -> bool:
+        """Whether a signal came."""
+        return self._first is not None
+
+    @property
+    def exit_status(self) -> int:
+        """Exit status of an interrupted command: 128 and the number of the signal, Ctrl-C where none is known."""
+        return 128 + (signal.SIGINT if self._first is None else self._first)
+
+    def _end(self, number: int, _: FrameType | None) -> None:
+        if self._first is None or self._is_lost:
+            if self._first is None:
+                self._first, self._time_s = signal.Signals(number), time.monotonic()
+            self._is_lost = False
+            raise KeyboardInterrupt
+        if time.monotonic() - self._time_s > SAME_REQUEST_S:
+            os._exit(self.exit_status)
+
+    def _raise_again(self, unraisable: Any) -> None:
+        """Repeat, a little later, an interrupt that came in a callback of a C library, which ignores exceptions."""
+        if not (self.received and issubclass(unraisable.exc_type, KeyboardInterrupt)):
+            self._report_unraisable(unraisable)
+            return
+        self._is_lost = True
+        threading.Timer(AFTER_CALLBACK_S, self._repeat).start()
+
+    def _repeat(self) -> None:
+        if hasattr(signal, "pthread_kill"):  # which also ends a wait
+            signal.pthread_kill(
+                threading.main_thread().ident or 0, signal.SIGINT if self._first is None else self._first
+            )
+        else:
+            _thread.interrupt_main()
+
+
+@contextmanager
+def signals_deferred() -> Iterator[None]:
+    """Ending signals are handled after the block; for the start of processes, which a signal would leave half-made.
+
+    Processes and threads that the block starts are not reached by a Ctrl-C of the terminal: the command ends them.
+    Without effect outside the main thread, which alone handles signals.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    received: list[int] = []
+    before: dict[int, Any] = {n: signal.getsignal(n) for n in ENDING_SIGNALS}
+    for number, handler in before.items():
+        if callable(handler) or handler is signal.SIG_DFL:
+            signal.signal(number, lambda n, _: received.append(n))
+    mask = _block_interrupts()
+    try:
+        yield
+    finally:
+        if mask is not None:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        for number, handler in before.items():
+            if callable(handler) or handler is signal.SIG_DFL:
+                signal.signal(number, handler)
+        if received:
+            signal.raise_signal(received[0])
+
+
+def _block_interrupts() -> Any:
+    """Block Ctrl-C in this thread and in what it starts from now on; the earlier mask, None where there is no such."""
+    if not hasattr(signal, "pthread_sigmask"):
+        return None
+    from multiprocessing.resource_tracker import ensure_running
+
+    ensure_running()  # with the first process it is started, and removes the block
+    return signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})

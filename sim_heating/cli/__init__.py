@@ -7,13 +7,14 @@ and the modules of the program within its functions only (tests/cli/test_startup
 from __future__ import annotations
 
 import os
-import signal
+import sys
 from importlib import import_module
 from typing import Any
 
 import click
 
 from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.progress import EndingSignals
 from sim_heating.cli.console import ERRORS
 
 COMMANDS = {
@@ -63,16 +64,36 @@ def cli() -> None:
         user_effect_files()  # a folder that does not exist is refused by all commands, whether they use effects or not
 
 
-def _interrupt(*_: object) -> None:
-    raise KeyboardInterrupt
+def main(arguments: list[str] | None = None, signals: EndingSignals | None = None) -> int:
+    """Run the command; its exit status: 0 done, 1 failed, 2 bad usage or input, 130 after Ctrl-C, 143 after SIGTERM.
+
+    signals : handlers of the process, where it is the command's own
+    """
+    signals = signals or EndingSignals()
+    try:
+        status = _exit_status(arguments)
+        sys.stdout.flush()
+    except (KeyboardInterrupt, click.Abort):
+        return _interrupted(signals)
+    except Exception as error:
+        if signals.received:  # a library has made another error of the interrupt
+            return _interrupted(signals)
+        if not isinstance(error, OSError):
+            raise
+        ERRORS.print(f"failed: {error.filename or 'system'}: {error.strerror or error}")
+        return 1
+    return signals.exit_status if signals.received else status
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; its exit status: 0 done, 1 failed or interrupted, 2 bad usage or input."""
-    for name in ("SIGTERM", "SIGHUP"):  # Windows has only the first; nohup ignores the second
-        number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, _interrupt)
+def _interrupted(signals: EndingSignals) -> int:
+    """Report an interrupt; exit status."""
+    exec("")  # Python would end by SIGINT whatever the status, if the interrupt came within an exec() of some library
+    ERRORS.print("interrupted: nothing was left half-written")
+    return signals.exit_status
+
+
+def _exit_status(arguments: list[str] | None) -> int:
+    """Run the command, report its errors; exit status. Interrupts and errors of the system are raised."""
     try:
         cli.main(arguments, prog_name="sim-heating", standalone_mode=False)
     except click.exceptions.Exit as stop:
@@ -85,11 +106,5 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     except RunError as error:
         ERRORS.print(f"failed: {error}")
-        return 1
-    except OSError as error:
-        ERRORS.print(f"failed: {error.filename or 'system'}: {error.strerror or error}")
-        return 1
-    except (KeyboardInterrupt, click.Abort):
-        ERRORS.print("interrupted: nothing was left half-written")
         return 1
     return 0

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, RunError
 from sim_heating.cli.console import CONSOLE, OUT, PATH, print_outputs, print_table, progress_line
 
 if TYPE_CHECKING:
@@ -109,9 +111,6 @@ def synthesize(scenario: Path, out: Path) -> None:
 @OUT
 def demo(out: Path) -> None:
     """The main job: a JSBSim entry through a Mach-20 POPU, its thermocouple data, and a comparison with STS-96."""
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
-
     from sim_heating.base.files import require_writable
     from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation import run, synthesize
@@ -121,21 +120,68 @@ def demo(out: Path) -> None:
     for folder, scenario, made in (("popu", popu, run), ("records", popu, synthesize), ("sts96", sts96, run)):
         command = made.__name__.rpartition(".")[2]
         require_writable(out / folder, command, expected=made.files_of(scenario), inputs=scenario.files)
-    spawned = get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=spawned) as pool, progress_line("demo") as progress:
-        compared = pool.submit(_run_and_write, sts96.path, out / "sts96")
+    with _process(_run_and_write, sts96.path, out / "sts96") as compared, progress_line("demo") as progress:
         flown = run.run(popu, progress=lambda f, text: progress(0.6 * f, f"POPU {text}"))
         names = [f"popu/{n}" for n in run.write_run(flown, out / "popu")]
         progress(0.6, "measuring the same flight")
         records = synthesize.synthesize(popu, flight=flown.flight)
         names += [f"records/{n}" for n in synthesize.write_records(popu, records, out / "records")]
         progress(0.8, "STS-96 entry to landing, in another process")
-        rmse_K, more = compared.result()
+        rmse_K, more = compared()
     names += [f"sts96/{n}" for n in more]
     found = run.summary(flown)
     _print_with_margins(run_table(f"{popu.title}; RMSE of '{sts96.title}'", found, rmse_K))
     _print_run_warnings(found)
     print_outputs(out, names)
+
+
+@contextmanager
+def _process(function: Callable[..., Any], *arguments: Any) -> Iterator[Callable[[], Any]]:
+    """Call a function in a process that ends with the block; yields a function that waits for the result.
+
+    raises : what the function raised, where its result is asked for; RunError where the process was killed
+    """
+    from multiprocessing import get_context
+
+    from sim_heating.base.progress import signals_deferred
+
+    def result() -> Any:
+        try:
+            value = receiver.recv()
+        except EOFError:
+            raise RunError("another process of the command was killed; run it again") from None
+        if isinstance(value, Exception):
+            raise value
+        return value
+
+    spawned = get_context("spawn")
+    receiver, sender = spawned.Pipe(duplex=False)
+    process = spawned.Process(target=_send_result, args=(sender, function, *arguments))
+    try:
+        with signals_deferred():
+            process.start()
+            sender.close()
+        yield result
+    except BaseException:
+        if process.pid is not None:
+            process.terminate()
+        raise
+    finally:
+        if process.pid is not None:
+            process.join()
+        receiver.close()
+
+
+def _send_result(sender: Any, function: Callable[..., Any], *arguments: Any) -> None:
+    """What a process does for `_process`; a signal ends it silently, after what is half-written is removed."""
+    from sim_heating.base.progress import EndingSignals
+
+    EndingSignals().install()
+    with suppress(KeyboardInterrupt):
+        try:
+            sender.send(function(*arguments))
+        except Exception as error:
+            sender.send(error)
 
 
 def _run_and_write(scenario: Path, out: Path) -> tuple[dict[str, float], list[str]]:

@@ -13,6 +13,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.files import output_directory, write_csv, write_json
 from sim_heating.base.files.package import package_version
+from sim_heating.base.files.text import write_bytes_atomic
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.inputs.points import conditions_at_point, mean_condition, point_of_vehicle
 from sim_heating.inputs.record import pooled_rmse_K
@@ -296,7 +297,18 @@ def _write_histories(result: RunResult, folder: Path) -> None:
         point_folder = folder if len(result.points) == 1 else folder / name
         point_folder.mkdir(exist_ok=True)
         write_temperatures_csv(point_folder / TABLE, point.history.time_s, point.history, sensors[name])
-    result.to_xarray().to_netcdf(folder / HISTORIES)
+    write_bytes_atomic(folder / HISTORIES, _netcdf(result.to_xarray()))
+
+
+def _netcdf(dataset: xr.Dataset) -> bytes:
+    """A dataset as a netCDF file, made in memory: the library takes no names beyond the locale's encoding, and does
+    not say when a disk is full."""
+    import netCDF4
+    from xarray.backends import NetCDF4DataStore
+
+    file = netCDF4.Dataset(HISTORIES, "w", memory=65536)
+    dataset.dump_to_store(NetCDF4DataStore(file))
+    return bytes(file.close())
 
 
 def draw_run(result: RunResult, folder: Path) -> None:

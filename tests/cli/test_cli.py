@@ -280,7 +280,7 @@ def test_an_interrupted_run_leaves_nothing_behind(workdir: Path, number: signal.
             time.sleep(0.01)
         process.send_signal(number)
         errors = process.stderr.read()
-        assert process.wait(timeout=60) == 1
+        assert process.wait(timeout=60) == 128 + number
     assert "interrupted" in errors
     assert "Traceback" not in errors
     assert sorted(p.name for p in workdir.iterdir()) == ["long.toml", "short.toml"]
@@ -300,7 +300,7 @@ sys.exit(main())
 
 def test_an_interrupt_while_modules_load_is_reported_in_one_line() -> None:
     done = subprocess.run([sys.executable, "-c", INTERRUPTED], cwd=ROOT, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (1, "interrupted: nothing was begun\n")
+    assert (done.returncode, done.stderr) == (130, "interrupted: nothing was begun\n")
 
 
 def test_a_cache_that_cannot_be_written_is_reported_in_one_line(workdir: Path) -> None:

@@ -7,9 +7,11 @@ import math
 import os
 import re
 import shutil
+import stat
 import tempfile
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -45,7 +47,7 @@ def _modules(package: Path) -> dict[str, Path]:
 def _imported(path: Path, modules: Mapping[str, Path]) -> set[Path]:
     """Modules of the package that a module imports, by their absolute names."""
     found = set()
-    for module, several, one in _IMPORT.findall(path.read_text()):
+    for module, several, one in _IMPORT.findall(path.read_text(encoding="utf-8")):
         found |= {module, *(f"{module}.{name}" for name in re.findall(r"\w+", several + one))}
     return {modules[name] for name in found if name in modules}
 
@@ -88,19 +90,43 @@ def source_digest(package: Path = PACKAGE) -> str:
 
 def _cache_folder() -> str:
     """A writable folder for the compiled kernels of this version only: in the user's cache, else temporary."""
-    home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "sim_heating"
-    folder = home / f"kernels-{source_digest()}"
+    name = f"kernels-{source_digest()}"
+    for home in (_user_cache(), _temporary_cache()):
+        try:
+            if home is None:
+                continue
+            folder = home / name
+            folder.mkdir(parents=True, exist_ok=True)
+            # Writing is tried: permissions alone do not show a full or read-only file system.
+            with tempfile.TemporaryFile(dir=folder):
+                folder.touch()
+            for other in home.glob("kernels-*"):
+                if time.time() - other.stat().st_mtime > CACHE_AGE_S:
+                    shutil.rmtree(other, ignore_errors=True)
+            return str(folder)
+        except OSError:
+            continue
+    return tempfile.mkdtemp(prefix="sim_heating_kernels_")
+
+
+def _user_cache() -> Path | None:
+    """The user's cache; None for a user without a home, as in a container."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        # Writing is tried: permissions alone do not show a full or read-only file system.
-        with tempfile.TemporaryFile(dir=folder):
-            folder.touch()
-        for other in home.glob("kernels-*"):
-            if time.time() - other.stat().st_mtime > CACHE_AGE_S:
-                shutil.rmtree(other, ignore_errors=True)
-        return str(folder)
-    except OSError:
-        return tempfile.mkdtemp(prefix="sim_heating_kernels_")
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "sim_heating"
+    except RuntimeError:
+        return None
+
+
+def _temporary_cache() -> Path | None:
+    """A temporary folder that later processes of this user find again; None where others could write to it."""
+    if not hasattr(os, "getuid"):
+        return None
+    folder = Path(tempfile.gettempdir()) / f"sim_heating-{os.getuid()}"
+    with suppress(FileExistsError):
+        folder.mkdir(mode=0o700)
+    found = folder.lstat()
+    is_private = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077
+    return folder if is_private else None
 
 
 if "NUMBA_CACHE_DIR" not in os.environ:

@@ -175,7 +175,7 @@ def _refuse_unportable(effect: Effect) -> None:
 
 def _effect_sources(used: Sequence[Effect]) -> str:
     """Contents of the files of user-defined effects."""
-    return "".join(kernel_file(e).read_text() for e in used if not e.built_in)
+    return "".join(kernel_file(e).read_text(encoding="utf-8") for e in used if not e.built_in)
 
 
 def _units_of_second_process() -> tuple[CompilationUnit, ...]:

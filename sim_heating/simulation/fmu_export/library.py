@@ -310,7 +310,7 @@ def link_inputs(units: Sequence[CompilationUnit], target: Target, folder: Path) 
     """
     paths = [path for unit in units for path in object_files(unit, target)]
     table = folder / "functions.c"
-    table.write_text(_function_table_source(units, target))
+    table.write_text(_function_table_source(units, target), encoding="utf-8")
     return [table, *paths]
 
 

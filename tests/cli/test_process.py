@@ -1,0 +1,190 @@
+"""The command as a process of its shell: signals and exit status, closed streams, users without a home, locales."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.support.gliding import gliding
+from tests.support.paths import ROOT
+
+MODULE = (sys.executable, "-m", "sim_heating")
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "SIM_HEATING_AIRCRAFT_DATA": str(ROOT / "aircraft_data")}
+
+
+@pytest.fixture
+def workdir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    text = gliding(20.0, "V09T9527", vehicle="orbiter").replace("A glide", "Höhe → Länge")
+    (tmp_path / "short.toml").write_text(text, encoding="utf-8")
+    return tmp_path
+
+
+# Signals -------------------------------------------------------------------------------------------------------------
+
+SIGNALLED = """
+import ctypes, os, signal, sys, time
+import sim_heating.cli
+from sim_heating.base.progress import EndingSignals
+def work(*_):
+    {work}
+class Stop:
+    @staticmethod
+    def main(*_, **__):
+        work()
+        time.sleep(30.0)
+        print("still here")
+sim_heating.cli.cli = Stop
+from sim_heating.__main__ import main
+sys.exit(main())
+"""
+SEND = "os.kill(os.getpid(), signal.SIGTERM)"
+WORK = {
+    "in Python": SEND,
+    "in a callback of a C library": f"ctypes.CFUNCTYPE(None)(lambda: {SEND})()",
+    "in an exec": f'exec("{SEND}")',
+    "made another error": f"""
+    try:
+        {SEND}; time.sleep(30.0)
+    except KeyboardInterrupt:
+        raise RuntimeError("no compiled object yet") from None""",
+}
+
+
+@pytest.mark.parametrize("place", WORK)
+def test_a_request_to_end_gives_status_143_wherever_it_arrives(place: str) -> None:
+    code = SIGNALLED.format(work=WORK[place])
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (143, "")
+    assert done.stderr == "interrupted: nothing was left half-written\n"
+
+
+DASK = """
+import sys
+from pathlib import Path
+from sim_heating.base.parallel import Job, run_batches
+from sim_heating.base.progress import EndingSignals
+if __name__ == "__main__":
+    signals = EndingSignals()
+    signals.install()
+    try:
+        run_batches([Job(str(i), i) for i in range(4)], str, Path("out"), workers=2)
+    except KeyboardInterrupt:
+        sys.exit(signals.exit_status)
+"""
+
+
+def _take_signals() -> None:
+    """Default handling in a child, also where this process was started to ignore signals."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_DFL)
+
+
+def _group(leader: int) -> list[int]:
+    """Processes of a session that live, by their leader's number."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            state, _, _, session = (folder / "stat").read_text().rpartition(")")[2].split()[:4]
+        except OSError:  # it has ended meanwhile
+            continue
+        if int(session) == leader and state != "Z":
+            found.append(int(folder.name))
+    return found
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the processes of a group are read from /proc")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_dask_starts_ends_all_processes_without_a_traceback(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    """Ctrl-C reaches all processes of a terminal, a request to end the first one."""
+    (tmp_path / "study.py").write_text(DASK)
+    with subprocess.Popen(
+        [sys.executable, "study.py"], cwd=tmp_path, env=ENVIRONMENT, stderr=subprocess.PIPE, start_new_session=True,
+        preexec_fn=_take_signals,
+    ) as process:  # fmt: skip
+        while len(_group(process.pid)) < 2:  # the first worker's process
+            time.sleep(0.01)
+        (os.killpg if number == signal.SIGINT else os.kill)(process.pid, number)
+        assert process.stderr is not None
+        errors = process.stderr.read().decode()
+    assert (process.returncode, errors) == (128 + number, "")
+    for _ in range(300):  # processes that watch this one end a moment later
+        if not (left := _group(process.pid)):
+            break
+        time.sleep(0.1)
+    assert left == []
+
+
+# Streams -------------------------------------------------------------------------------------------------------------
+
+
+def run_in_shell(redirection: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Result of the command with a redirection of a POSIX shell."""
+    shell = ["sh", "-c", f'"$@" {redirection}', "sh", *MODULE, *arguments]
+    return subprocess.run(shell, env=ENVIRONMENT | environment, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("redirection", [">&-", "2>&-", "<&- >&- 2>&-", "2>&1 | true", "| head -1"])
+def test_a_command_whose_output_nobody_reads_does_its_work(workdir: Path, redirection: str) -> None:
+    done = run_in_shell(f"{redirection}; echo", "run", "short.toml", "--out", "out")
+    assert {p.name for p in (workdir / "out").iterdir()} >= {"summary.json", "flight.nc", "trajectory.png"}
+    assert "Traceback" not in done.stderr
+    assert "failed" not in done.stderr
+    assert run_in_shell("", "validate", "out/../short.toml").returncode == 0
+
+
+@pytest.mark.parametrize("redirection", [">&-", "2>&-", "| true"])
+def test_the_exit_status_does_not_depend_on_who_reads(workdir: Path, redirection: str) -> None:
+    done = run_in_shell(f"{redirection}", "validate", "none.toml")
+    assert done.returncode == (0 if "|" in redirection else 2)
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a system without a full device")
+@pytest.mark.parametrize("arguments", [("--help",), ("validate", "short.toml")])
+def test_an_output_that_is_full_is_named(workdir: Path, arguments: tuple[str, ...]) -> None:
+    done = run_in_shell("> /dev/full", *arguments)
+    assert (done.returncode, done.stderr) == (1, "failed: standard output: No space left on device\n")
+
+
+# Surroundings --------------------------------------------------------------------------------------------------------
+
+
+def test_a_terminal_without_unicode_shows_escapes(workdir: Path) -> None:
+    (workdir / "short.toml").rename(workdir / "kürz.toml")
+    ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    done = run_in_shell("", "run", "kürz.toml", "--out", "Läufe", **ascii_only)
+    assert done.returncode == 0, done.stderr
+    assert "H\\xf6he" in done.stdout
+    assert (workdir / "Läufe" / "summary.json").is_file()
+
+
+UNSHARED = ("unshare", "--user", "--map-user=54321", "--map-group=54321")
+
+
+@pytest.mark.skipif(
+    shutil.which("unshare") is None or subprocess.run([*UNSHARED, "true"], capture_output=True, check=False).returncode,
+    reason="no user can be made here that has no passwd entry",
+)
+def test_a_user_without_home_and_name_has_a_cache_that_is_found_again(workdir: Path) -> None:
+    kernels = "from sim_heating.base.kernels import jit; print(jit.numba.config.CACHE_DIR)"
+    environment = [f"PYTHONPATH={ROOT}", f"TMPDIR={workdir}"]
+    command = [*UNSHARED, "env", "-i", *environment, sys.executable, "-c", kernels]
+    first, second = (subprocess.run(command, capture_output=True, text=True, check=False) for _ in range(2))
+    assert (first.returncode, first.stderr) == (0, "")
+    assert first.stdout == second.stdout
+    assert Path(first.stdout.strip()).parent == workdir / "sim_heating-54321"
+    shutil.rmtree(workdir / "sim_heating-54321")
+    (workdir / "sim_heating-54321").mkdir(mode=0o777)
+    (workdir / "sim_heating-54321").chmod(0o777)  # another user's, who could put code into it
+    third = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert Path(third.stdout.strip()).name.startswith("sim_heating_kernels_")
