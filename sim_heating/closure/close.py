@@ -244,4 +244,4 @@ def write_closed_loop(closed: ClosedLoop, out: str | os.PathLike[str]) -> list[s
     with output_directory(out, COMMAND, inputs=[closed.report.record.directory]) as folder:
         write_closure(closed.report, folder)
         write_fit(closed.fitted, folder)
-    return files_written(out)
+    return sorted(files_written(out))

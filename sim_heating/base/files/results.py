@@ -174,13 +174,13 @@ def _read_marker(directory: Path) -> tuple[str, dict[str, str]] | None:
     return command, files
 
 
-def files_written(directory: str | os.PathLike[str]) -> list[str]:
+def files_written(directory: str | os.PathLike[str]) -> set[str]:
     """Names of the files that this program wrote to a directory, from its own list; empty without a list.
 
     raises : InputError where the list is damaged
     """
     found = _read_marker(Path(directory))
-    return [] if found is None else sorted(found[1])
+    return set() if found is None else set(found[1])
 
 
 def results_digest(directory: str | os.PathLike[str]) -> str | None:
@@ -206,23 +206,23 @@ def _results_to_replace(target: Path, command: str, names: Iterable[str]) -> dic
             f"{display_path(target)}: holds results of `{earlier}`, which `{command}` does not replace; choose another "
             "directory"
         )
-    there = [name for name in {*files, *names} if name != MARKER and os.path.lexists(target / name)]
+    there = [name for name in sorted({*files, *names} - {MARKER}) if os.path.lexists(target / name)]
     for name in {*files, *names}:
         require_plain(target, name)
-    foreign = sorted(name for name in there if name not in files)
+    foreign = [name for name in there if name not in files]
     if foreign:
         raise InputError(
             f"{display_path(target)}: {', '.join(foreign)} already exists and was not written by sim-heating; choose "
             "another directory"
         )
-    changed = sorted(n for n in there if not (target / n).is_file() or file_digest(target / n) != files[n])
+    changed = [n for n in there if not (target / n).is_file() or file_digest(target / n) != files[n]]
     if changed:
         raise InputError(
             f"{display_path(target)}: {', '.join(changed)} was changed after sim-heating wrote it and is not replaced; "
             "move it away or choose another directory"
         )
     own = {} if found is None else {MARKER: file_digest(target / MARKER)}
-    return {name: files[name] for name in there} | own
+    return own | {name: files[name] for name in there}
 
 
 def _refuse_inputs(target: Path, inputs: Iterable[str | os.PathLike[str] | None]) -> None:

@@ -289,7 +289,7 @@ def _read_journal(target: Path) -> tuple[str, dict[str, str], dict[str, str]]:
     return state, new, old
 
 
-def _finish(target: Path, new: Mapping[str, str], old: Mapping[str, str]) -> None:
+def _finish(target: Path, new: dict[str, str], old: Mapping[str, str]) -> None:
     """Carry out what the journal says; steps that were done before are passed over."""
     staging = target / STAGING
     for name, digest in old.items():
@@ -299,7 +299,7 @@ def _finish(target: Path, new: Mapping[str, str], old: Mapping[str, str]) -> Non
         if not _is(target / name, digest):
             raise _in_the_way(target, name)
         _move(target / name, staging / OLD / name)
-    for name in new:
+    for name in reversed(new):  # the list of results, whose name begins with a dot, comes last
         if (staging / NEW / name).exists():
             if os.path.lexists(target / name):
                 raise _in_the_way(target, name)

@@ -1,0 +1,347 @@
+"""Every command that writes, killed at every one of its file operations: what readers then see, and what is left.
+
+A forked child runs the writing part of a command and kills itself (SIGKILL) just before its n-th operation on a file
+below the folder of results: opening for writing, renaming, removing, creating or removing a directory. Then a reader
+comes, which must find the results of before or those of after, whole; then the same command runs again, and must leave
+exactly what it leaves where nothing was killed.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import sys
+import tempfile
+import warnings
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import click
+
+import sim_heating as sh
+from benchmarks.measure import Figure, save
+from sim_heating.base.files import file_digest, settle
+from sim_heating.base.files.package import data_folders
+
+POINT = "V09T9527"
+SCENARIO = f"""
+format = "scenario/1"
+title = "A POPU in a glide"
+vehicle = "orbiter"
+control_points = ["{POINT}"]
+[trajectory]
+source = "entry-3dof"
+[trajectory.initial]
+altitude_m = 74000.0
+velocity_m_s = {{velocity_m_s}}
+gamma_deg = -0.1
+heading_deg = 60.0
+latitude_deg = 10.0
+[trajectory.stop]
+time_s = 120.0
+[[trajectory.manoeuvre]]
+kind = "popu"
+at_time_s = 60.0
+down_deg = 5.0
+up_deg = 5.0
+[truth]
+parameters = {{{{ "ratio.scale" = -0.2 }}}}
+"""
+STUDY = f"""
+format = "study/1"
+title = "Twelve dispersed entries"
+vehicle = "orbiter"
+control_points = ["{POINT}"]
+scenario = "{{scenario}}"
+[dispersion]
+flights = 12
+scrambles = 3
+quantiles = [0.5]
+[[dispersion.input]]
+name = "stack.emissivity_factor"
+sigma = 0.02
+"""
+VELOCITIES_M_S = {"before": 6500.0, "after": 6800.0}
+
+
+# Killing ------------------------------------------------------------------------------------------------------------
+
+Action = Callable[[], object]
+
+
+def operations(action: Action, root: Path) -> list[str]:
+    """File operations below a folder of an action that runs to its end in a child process."""
+    status, found = _forked(action, root, None)
+    if status != 0:
+        raise RuntimeError("the action failed")
+    return found
+
+
+def killed(action: Action, root: Path, number: int) -> bool:
+    """Run an action in a child process that is killed before its file operation of this number; False where it ended.
+
+    number : 0 is the first
+    """
+    return _forked(action, root, number)[0] == -signal.SIGKILL
+
+
+def _forked(action: Action, root: Path, kill_at: int | None) -> tuple[int, list[str]]:
+    reading, writing = os.pipe()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of threads, none of which is needed in the child
+        child = os.fork()
+    if child == 0:
+        os.close(reading)
+        _run_in_child(action, os.path.realpath(root), kill_at, writing)
+    os.close(writing)
+    with os.fdopen(reading, encoding="utf-8") as stream:
+        found = stream.read().splitlines()
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), found
+
+
+def _run_in_child(action: Action, root: str, kill_at: int | None, report: int) -> None:
+    status, count, busy = 1, 0, False
+
+    def watch(event: str, arguments: tuple[Any, ...]) -> None:
+        nonlocal count, busy
+        if busy or event not in WATCHED or not (event != "open" or _writes(arguments)):
+            return
+        busy = True
+        path = _path_of(event, arguments)
+        busy = False
+        if path != root and not path.startswith(root + os.sep):
+            return
+        if count == kill_at:
+            os.kill(os.getpid(), signal.SIGKILL)
+        count += 1
+        os.write(report, f"{event} {os.path.relpath(path, root)}\n".encode())
+
+    try:
+        null = os.open(os.devnull, os.O_RDWR)
+        for stream in (1, 2):
+            os.dup2(null, stream)
+        sys.addaudithook(watch)
+        action()
+        status = 0
+    finally:
+        os._exit(status)
+
+
+WATCHED = {"open": 0, "os.rename": 0, "os.remove": 0, "os.mkdir": 0, "os.rmdir": 0, "os.chmod": 0, "os.link": 1}
+"""Audit event -> which of its arguments is the path."""
+DIRECTORY = {"os.remove": 1, "os.mkdir": 2, "os.rmdir": 1}
+"""Audit event -> which of its arguments is the directory that a relative path starts from."""
+
+
+def _writes(arguments: tuple[Any, ...]) -> bool:
+    return bool((arguments[2] or 0) & (os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC))
+
+
+def _path_of(event: str, arguments: tuple[Any, ...]) -> str:
+    path = arguments[WATCHED[event]]
+    if isinstance(path, int):
+        return ""
+    path = os.fsdecode(path)
+    at = arguments[DIRECTORY[event]] if event in DIRECTORY else -1
+    return os.path.join(os.readlink(f"/proc/self/fd/{at}") if at >= 0 else os.getcwd(), path)
+
+
+# Commands -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Case:
+    """A command that writes.
+
+    prepare : fills a folder with what is there before
+    act     : writes into it
+    results : folder below it that holds the results
+    fresh   : whether there are no results before
+    """
+
+    prepare: Callable[[Path], object]
+    act: Callable[[Path], object]
+    results: str = "out"
+    fresh: bool = False
+
+
+@cache
+def inputs() -> Path:
+    """A folder with a vehicle and, for both flights, scenario, study, record and estimate."""
+    home = Path(tempfile.mkdtemp(prefix="kills-"))
+    orbiter = next(p for p in data_folders("aircraft_data") if p.is_dir()) / "orbiter"
+    for name in ("vehicle.toml", f"control_points/{POINT}.toml", f"ratio_tables/{POINT}.csv", "guidance.toml"):
+        (home / "orbiter" / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(orbiter / name, home / "orbiter" / name)
+    for name in ("materials", "aero"):
+        shutil.copytree(orbiter / name, home / "orbiter" / name)
+    for name, velocity in VELOCITIES_M_S.items():
+        (home / f"{name}.toml").write_text(
+            SCENARIO.format(velocity_m_s=velocity).replace('"orbiter"', f'"{home / "orbiter"}"')
+        )
+        text = STUDY.format(scenario=home / f"{name}.toml")
+        (home / f"{name}_study.toml").write_text(text.replace('"orbiter"', f'"{home / "orbiter"}"'))
+        scenario = sh.load_scenario(home / f"{name}.toml")
+        sh.write_records(scenario, sh.synthesize(scenario), home / name)
+        sh.write_fit(sh.estimate([home / name], ["ratio.scale"]), home / f"{name}_fit")
+    return home
+
+
+def _writers() -> Mapping[str, Callable[[str], Callable[[Path], object]]]:
+    """Command -> which flight -> a function that writes its results, computed before, into a folder."""
+
+    def run(flight: str) -> Callable[[Path], object]:
+        result = sh.run(inputs() / f"{flight}.toml")
+        return lambda out: sh.write_run(result, out)
+
+    def synthesize(flight: str) -> Callable[[Path], object]:
+        scenario = sh.load_scenario(inputs() / f"{flight}.toml")
+        records = sh.synthesize(scenario)
+        return lambda out: sh.write_records(scenario, records, out)
+
+    def predict(flight: str) -> Callable[[Path], object]:
+        prediction = sh.predict(inputs() / flight)
+        return lambda out: sh.write_prediction(prediction, out)
+
+    def estimate(flight: str) -> Callable[[Path], object]:
+        fitted = sh.estimate([inputs() / flight], ["ratio.scale"])
+        return lambda out: sh.write_fit(fitted, out)
+
+    def close_loop(flight: str) -> Callable[[Path], object]:
+        closed = sh.close_loop(inputs() / flight)
+        return lambda out: sh.write_closed_loop(closed, out)
+
+    def plan(flight: str) -> Callable[[Path], object]:
+        return lambda out: sh.plan(inputs() / f"{flight}_study.toml", out, workers=1)
+
+    return {"run": run, "synthesize": synthesize, "predict": predict, "estimate": estimate,
+            "close-loop": close_loop, "plan": plan}  # fmt: skip
+
+
+COMMANDS = ("run", "synthesize", "predict", "estimate", "close-loop", "plan", "update-tables", "revert", "fmu export")
+
+
+@cache
+def case(command: str, fresh: bool = False) -> Case:
+    """A command as a case.
+
+    fresh : into a place where nothing is yet
+    """
+    writers = _writers()
+    if command in writers:
+        before, after = (writers[command](flight) for flight in VELOCITIES_M_S)
+
+        def prepare(folder: Path) -> None:
+            if not fresh:
+                before(folder / "out")
+                (folder / "out" / "notes.txt").write_text("mine")
+
+        return Case(prepare, lambda folder: after(folder / "out"), fresh=fresh)
+    if command == "fmu export":
+        vehicle = sh.load_vehicle(inputs() / "orbiter")
+        return Case(
+            lambda folder: None if fresh else sh.export_fmu(vehicle, folder / "out" / "a.fmu", fmi=2),
+            lambda folder: sh.export_fmu(vehicle, folder / "out" / "a.fmu", fmi=3),
+            fresh=fresh,
+        )
+
+    def revise(folder: Path) -> object:
+        return sh.update_tables(inputs() / "after_fit", folder / "out" / "orbiter")
+
+    def copy_vehicle(folder: Path) -> None:
+        shutil.copytree(inputs() / "orbiter", folder / "out" / "orbiter")
+        if command == "revert":
+            revise(folder)
+
+    def revert(folder: Path) -> None:
+        from sim_heating.cli import main
+
+        assert main(["update-tables", "--vehicle", str(folder / "out" / "orbiter"), "--revert", POINT]) == 0
+
+    return Case(copy_vehicle, revise if command == "update-tables" else revert, "out/orbiter")
+
+
+# Sweeps -------------------------------------------------------------------------------------------------------------
+
+
+def snapshot(folder: Path) -> dict[str, str]:
+    """Name -> digest of all files below a folder, hidden ones too; empty where it does not exist."""
+    return {p.relative_to(folder).as_posix(): file_digest(p) for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def without_ledger(files: Mapping[str, str]) -> dict[str, str]:
+    """The files that are results: finished batches of a study are kept whatever happens."""
+    return {name: digest for name, digest in files.items() if "batches" not in Path(name).parts}
+
+
+def kill_and_judge(chosen: Case, numbers: Sequence[int] | None, folder: Path) -> Counter[str]:
+    """Kill a case at file operations, and count what readers find and what the same command leaves then.
+
+    numbers : of the operations; all where None
+    folder  : empty, for the files
+    """
+
+    def begin(name: str) -> Path:
+        shutil.rmtree(folder / name, ignore_errors=True)
+        (folder / name).mkdir()
+        chosen.prepare(folder / name)
+        return folder / name
+
+    place = begin("whole")
+    before = without_ledger(snapshot(place))
+    found = operations(lambda: chosen.act(place), place)
+    after = snapshot(place)
+    counted: Counter[str] = Counter(operations=len(found))
+    prepared = begin("prepared")
+    for number in range(len(found)) if numbers is None else (n % len(found) for n in numbers):
+        shutil.rmtree(folder / "killed", ignore_errors=True)
+        place = shutil.copytree(prepared, folder / "killed", symlinks=True)
+        if not killed(lambda: chosen.act(place), place, number):  # noqa: B023
+            counted["not killed"] += 1
+            continue
+        counted["kills"] += 1
+        settle(place / chosen.results)
+        files = without_ledger(snapshot(place))
+        # A file that was being written under a temporary name is nobody's result; the next writer removes it.
+        seen = {
+            name: digest for name, digest in files.items() if ".partial-" not in name and not name.endswith(".lock")
+        }
+        kind = "before" if seen == before else "after" if seen == without_ledger(after) else "mixed"
+        counted[f"readers find: {kind}"] += 1
+        again = _forked(lambda: chosen.act(place), place, None)[0]  # noqa: B023
+        same = again == 0 and (snapshot(place) == after or (chosen.results != "out" and kind == "after"))
+        counted["again: same" if same else "again: differs or refused"] += 1
+    return counted
+
+
+def bad(counted: Mapping[str, int]) -> int:
+    """Kills after which a reader or the next command found anything but whole results."""
+    return sum(counted.get(name, 0) for name in ("readers find: mixed", "again: differs or refused", "not killed"))
+
+
+def run() -> list[Figure]:
+    """Kill all commands at all operations."""
+    rows: dict[str, dict[str, int]] = {}
+    with tempfile.TemporaryDirectory() as name:
+        for command in COMMANDS:
+            for fresh in (False, True) if command not in ("update-tables", "revert") else (False,):
+                folder = Path(name) / f"{len(rows)}"
+                folder.mkdir()
+                label = f"{command}, {'new' if fresh else 'existing'} directory"
+                rows[label] = dict(kill_and_judge(case(command, fresh), None, folder))
+                click.echo(f"{label}: {rows[label]}")
+    kills = sum(row["kills"] for row in rows.values())
+    figures = [
+        Figure("commands and kinds of directory", len(rows), ""),
+        Figure("kills, one at each file operation", kills, ""),
+        Figure("mixed results for a reader, or not the same results again", sum(map(bad, rows.values())), "", 0),
+    ]
+    save("kills", figures, {"commands": rows})
+    return figures
