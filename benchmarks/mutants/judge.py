@@ -83,18 +83,22 @@ def write_mutant(home: Path, folder: Path, subject: Subject, file: str, done: Da
     (folder / file).write_bytes(done.content)
 
 
-def run_numbers(home: Path, seed: int, numbers: Iterable[int], faults: Path | None = None) -> Iterator[Result]:
+def run_numbers(
+    home: Path, seed: int, numbers: Iterable[int], faults: Path | None = None, longest_s: float = LONGEST_S
+) -> Iterator[Result]:
     """Run mutants in a second process, a new one wherever it dies.
 
-    home   : the whole files
-    faults : where mutants that show a fault are kept, each in a folder with its reproduction
+    home      : the whole files
+    faults    : where mutants that show a fault are kept, each in a folder with its reproduction
+    longest_s : processor time that a command may take; where it is longer than LONGEST_S, the process does not run the
+                commands on whole files first, and includes the loading of kernels
     """
     context = multiprocessing.get_context("spawn")
     waiting = list(numbers)[::-1]
     while waiting:
         with tempfile.TemporaryDirectory(prefix="mutants_") as work:
             here, there = context.Pipe()
-            process = context.Process(target=_serve, args=(there, str(home), seed, work), daemon=False)
+            process = context.Process(target=_serve, args=(there, str(home), seed, work, longest_s), daemon=False)
             process.start()
             there.close()
             if not _is_ready(here):
@@ -161,7 +165,7 @@ def _answer(here: Connection, process: Any, home: Path, seed: int, number: int, 
     )
 
 
-def _serve(connection: Connection, home: str, seed: int, work: str) -> None:
+def _serve(connection: Connection, home: str, seed: int, work: str, longest_s: float) -> None:
     """Run the mutants whose numbers arrive, in this process, which has nothing else to do."""
     output = Path(work) / "output"
     with output.open("wb", buffering=0) as stream:
@@ -171,10 +175,11 @@ def _serve(connection: Connection, home: str, seed: int, work: str) -> None:
         temporary.mkdir()
         os.environ["TMPDIR"] = tempfile.tempdir = str(temporary)
         os.environ["MPLBACKEND"] = "Agg"
-        _warm_up(Path(home), Path(work))
+        if longest_s <= LONGEST_S:
+            _warm_up(Path(home), Path(work))
         connection.send(True)
         while (number := connection.recv()) is not None:
-            connection.send(_judge(Path(home), seed, number, Path(work), output))
+            connection.send(_judge(Path(home), seed, number, Path(work), output, longest_s))
         connection.close()
 
 
@@ -192,7 +197,7 @@ def _warm_up(home: Path, work: Path) -> None:
             shutil.rmtree(folder)
 
 
-def _judge(home: Path, seed: int, number: int, work: Path, output: Path) -> Result:
+def _judge(home: Path, seed: int, number: int, work: Path, output: Path, longest_s: float) -> Result:
     """Run one mutant and say what became of it."""
     subject, command, file, done = mutant(home, seed, number)
     folder = work / "case" / f"m{number}"
@@ -204,7 +209,7 @@ def _judge(home: Path, seed: int, number: int, work: Path, output: Path) -> Resu
     os.lseek(2, 0, os.SEEK_SET)
     begun = time.process_time()
     own = resource.getrusage(resource.RUSAGE_SELF)
-    limit = int(own.ru_utime + own.ru_stime + LONGEST_S + 1.0)
+    limit = int(own.ru_utime + own.ru_stime + longest_s + 1.0)
     resource.setrlimit(resource.RLIMIT_CPU, (limit, resource.RLIM_INFINITY))
     status: int | None = None
     trace = ""
@@ -219,7 +224,7 @@ def _judge(home: Path, seed: int, number: int, work: Path, output: Path) -> Resu
     sys.stderr.flush()
     seconds = time.process_time() - begun
     text = output.read_text(errors="replace")
-    outcome, message = _outcome(status, text, trace, seconds)
+    outcome, message = _outcome(status, text, trace, seconds > longest_s)
     if outcome == "refused" and not names_a_file(message.splitlines()[0], folder):
         outcome = "names no file"
     if outcome in GOOD:
@@ -244,14 +249,14 @@ def _judge(home: Path, seed: int, number: int, work: Path, output: Path) -> Resu
     )
 
 
-def _outcome(status: int | None, text: str, trace: str, seconds: float) -> tuple[str, str]:
+def _outcome(status: int | None, text: str, trace: str, too_long: bool) -> tuple[str, str]:
     """Outcome by exit status and printed text."""
     if trace or "Traceback (most recent call last)" in text:
         return "traceback", trace or text
     if "Warning: " in text:
         return "warning", next(line for line in text.splitlines() if "Warning: " in line)
-    if seconds > LONGEST_S:
-        return "too long", f"{seconds:.1f} s"
+    if too_long:
+        return "too long", "more processor time than it may take"
     if status == 0:
         return "accepted", ""
     mark = {1: "failed: ", 2: "error: "}.get(status or 0, "?")

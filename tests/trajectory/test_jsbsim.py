@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -360,6 +361,23 @@ def test_a_misspelt_property_is_refused_with_the_most_similar_one() -> None:
 def test_a_missing_aircraft_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="JSBSim cannot load it"):
         JSBSimHost(tmp_path, "nothing")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "hint"),
+    [
+        ("control/bank-rad", "control/bank-x-rad", "no such JSBSim property"),
+        ("<channel", "<channel name=$", "JSBSim cannot load it"),
+    ],
+)
+def test_an_attitude_control_that_cannot_be_flown_is_named(old: str, new: str, hint: str, tmp_path: Path) -> None:
+    copy = shutil.copytree(ORBITER, tmp_path / "orbiter")
+    control = copy / "jsbsim" / "attitude_control.xml"
+    text = control.read_text()
+    assert old in text
+    control.write_text(text.replace(old, new))
+    with pytest.raises(InputError, match=rf"orbiter/jsbsim/attitude_control\.xml: .*{hint}"):
+        jsbsim.JSBSimEntry(entry(), load_vehicle(copy))
 
 
 def test_an_aircraft_that_jsbsim_refuses_by_an_exception_of_its_library_is_refused(tmp_path: Path) -> None:

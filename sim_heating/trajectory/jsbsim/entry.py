@@ -7,13 +7,15 @@ them.
 
 from __future__ import annotations
 
-from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.errors import InputError, RunError, error_context
+from sim_heating.base.files import display_path
 from sim_heating.base.progress import Progress
 from sim_heating.heating.atmosphere import speed_of_sound_kernel, us76_kernel
 from sim_heating.trajectory.aero import Aero, flown_aero
 from sim_heating.trajectory.flight import REPORT_S, Flight, OnFrame, Sampler, VehicleData
 from sim_heating.trajectory.guidance import ALPHA_COMMAND, EntryGuidance, Observation, first_memory, resolve_guidance
 from sim_heating.trajectory.jsbsim.host import InitialState, open_vehicle
+from sim_heating.trajectory.jsbsim.model import control_path
 from sim_heating.trajectory.jsbsim.pilot import Commands, Observer
 from sim_heating.trajectory.manoeuvres import ManoeuvreScript
 from sim_heating.trajectory.spec import TrajectorySpec
@@ -71,8 +73,9 @@ class JSBSimEntry:
         self._initial = spec.initial
         self._guidance = EntryGuidance(guidance, spec.initial.bank_deg)
         self._script = ManoeuvreScript(spec.manoeuvre)
-        self._commands = Commands(self.host, aero, guidance, spec.vehicle)
-        self._observer = Observer(self.host)
+        with error_context(display_path(control_path(vehicle.directory))):  # whose properties these two need
+            self._commands = Commands(self.host, aero, guidance, spec.vehicle)
+            self._observer = Observer(self.host)
         self._sampler = Sampler(spec.sample_s, vehicle.reference_length_m)
         self._frames_a_sample = whole_frames(spec.sample_s * spec.rate_hz)
         self._start(aero)

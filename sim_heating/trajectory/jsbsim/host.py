@@ -22,11 +22,11 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import FRAME
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.files import suggestion
+from sim_heating.base.files import display_path, suggestion
 from sim_heating.base.kernels.jit import njit
 from sim_heating.heating.atmosphere import HIGHEST_M, us76_kernel
 from sim_heating.trajectory.aero import Aero, load_aero
-from sim_heating.trajectory.jsbsim.model import write_aircraft
+from sim_heating.trajectory.jsbsim.model import control_path, write_aircraft
 from sim_heating.trajectory.schedules import pack, scheduled
 from sim_heating.trajectory.spec import Dispersions
 
@@ -239,7 +239,11 @@ def open_vehicle(
     # JSBSim reads its files when it loads the model: they may be removed afterwards.
     with tempfile.TemporaryDirectory(prefix="sim_heating_jsbsim_") as folder:
         model = write_aircraft(aero or load_aero(vehicle_dir), vehicle_dir, Path(folder))
-        return JSBSimHost(Path(folder), model, rate_hz=rate_hz, dispersions=dispersions or Dispersions())
+        try:
+            return JSBSimHost(Path(folder), model, rate_hz=rate_hz, dispersions=dispersions or Dispersions())
+        except InputError as error:  # the vehicle's own file in place of the folder that is about to vanish
+            written, own = str(Path(folder) / model), display_path(control_path(vehicle_dir))
+            raise InputError(*(p.replace(written, own) for p in error.problems)) from error
 
 
 def _load(aircraft_path: Path, model: str, rate_hz: float) -> jsbsim.FGFDMExec:

@@ -39,6 +39,11 @@ ELEVON_VARIABLES = ("aero/alpha-deg", "fcs/elevon-pos-deg", "velocities/mach")
 BODYFLAP_VARIABLES = ("aero/alpha-deg", "fcs/bodyflap-pos-deg", "velocities/mach")
 
 
+def control_path(vehicle_dir: Path) -> Path:
+    """The attitude control of a vehicle, a system file of JSBSim."""
+    return Path(vehicle_dir) / "jsbsim" / CONTROL
+
+
 def write_aircraft(aero: Aero, vehicle_dir: Path, folder: Path) -> str:
     """Write the vehicle for JSBSim into a folder, for `set_aircraft_path`; returns the name for `load_model`.
 
@@ -46,7 +51,7 @@ def write_aircraft(aero: Aero, vehicle_dir: Path, folder: Path) -> str:
     vehicle_dir : its `jsbsim/attitude_control.xml` is copied
     raises      : InputError where the vehicle has no attitude control
     """
-    control = Path(vehicle_dir) / "jsbsim" / CONTROL
+    control = control_path(vehicle_dir)
     if not control.is_file():
         raise InputError(f"{control}: not found; a vehicle that JSBSim flies needs its attitude control there")
     systems = Path(folder) / MODEL / "Systems"
