@@ -23,14 +23,16 @@ from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.simulation.fmu_export.export import export_fmu, write_fmu
 from sim_heating.simulation.fmu_export.heating import heating_image, heating_units
 from sim_heating.simulation.fmu_export.library import (
-    BEGINS,
     HELD,
     INPUTS,
     INPUTS_NEXT,
     INPUTS_NOW,
+    MODE,
     N_INPUTS,
     NEXT,
     NOW,
+    START,
+    STEP,
     TARGETS,
     TIMING,
     link_inputs,
@@ -81,30 +83,30 @@ def _direct(model: Any, frames: np.ndarray) -> float:
     """Fastest step [s] of the compiled functions called from a compiled loop, without an FMU."""
     function, *called = [unit.compiled for unit in heating_units(model.effects)]
     move = function.ctypes
-    R, N = model.image.R.copy(), model.image.N.copy()
+    R, N, T = model.image.R.copy(), model.image.N.copy(), model.image.T.copy()
     N[TIMING] = HELD
     A = np.array([f.address for f in called], dtype=np.int64)
 
     @njit
-    def fly(R, N, A, frames, take):  # type: ignore[no-untyped-def]
+    def fly(R, N, A, T, frames, take):  # type: ignore[no-untyped-def]
         for i in range(take, take + 50):
             for k in range(N[N_INPUTS]):
                 value = frames[i, 1 + k] if k < frames.shape[1] - 1 else 0.0
                 R[N[INPUTS_NOW] + k] = R[N[INPUTS_NEXT] + k]
                 R[N[INPUTS_NEXT] + k] = value
             R[NEXT] = frames[i, 0]
-            move(R.ctypes, N.ctypes, A.ctypes)
+            move(R.ctypes, N.ctypes, A.ctypes, T.ctypes)
             R[NOW] = R[NEXT]
 
     R[NOW] = frames[0, 0]
     R[N[INPUTS] : N[INPUTS] + len(FRAME) - 1] = frames[0, 1:]
-    N[BEGINS] = 1
-    move(*(a.ctypes.data_as(t) for a, t in zip((R, N, A), move.argtypes, strict=True)))
-    N[BEGINS] = 0
+    N[MODE] = START
+    move(*(a.ctypes.data_as(t) for a, t in zip((R, N, A, T), move.argtypes, strict=True)))
+    N[MODE] = STEP
     best = np.inf
     for take in range(1, len(frames) - 50, 50):
         began = time.perf_counter()
-        fly(R, N, A, frames, take)
+        fly(R, N, A, T, frames, take)
         best = min(best, (time.perf_counter() - began) / 50)
     return best
 

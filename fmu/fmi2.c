@@ -171,7 +171,8 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real length, fmi2Boolean no_return) {
     (void)no_return;
-    return prepare_step(c, time, length) == OK ? (fmi2Status)finish_step(c) : fmi2Error;
+    if (!hold(c, "do step", STEPPING)) return fmi2Error;
+    return (fmi2Status)release(c, prepare_step(c, time, length) == OK ? finish_step(c) : ERROR);
 }
 
 fmi2Status fmi2CancelStep(fmi2Component c) { REFUSED(c, "fmi2CancelStep"); }
@@ -184,10 +185,10 @@ fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status 
 }
 
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
-    if (!allowed(c, "fmi2GetRealStatus", STEPPING | TERMINATED | FAILED) || !value) return fmi2Error;
-    if (kind != fmi2LastSuccessfulTime) return (fmi2Status)refuse(c, "fmi2GetRealStatus", "there is no number of this kind");
+    if (!value || !hold(c, "fmi2GetRealStatus", STEPPING | TERMINATED | FAILED)) return fmi2Error;
+    if (kind != fmi2LastSuccessfulTime) return (fmi2Status)release(c, refuse(c, "fmi2GetRealStatus", "there is no number of this kind"));
     *value = ((Instance *)c)->R[NOW];
-    return fmi2OK;
+    return (fmi2Status)release(c, OK);
 }
 
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {

@@ -25,7 +25,11 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
                                          fmi3Boolean logging, fmi3Boolean event_mode, fmi3Boolean early_return,
                                          const fmi3ValueReference required[], size_t n_required, fmi3InstanceEnvironment environment,
                                          fmi3LogMessageCallback log, fmi3IntermediateUpdateCallback update) {
-    (void)visible, (void)event_mode, (void)early_return, (void)required, (void)n_required;
+    (void)visible, (void)early_return, (void)required, (void)n_required;
+    if (event_mode) {
+        if (log) log(environment, fmi3Error, "logStatusError", "this FMU has no event mode; instantiate it with eventModeUsed = false");
+        return NULL;
+    }
     Instance *m = new_instance(name, token, resources, environment, (void *)log, report);
     if (m) m->logging = logging, m->update = (void *)update;
     return m;
@@ -88,6 +92,25 @@ fmi3Status fmi3SetInt64(fmi3Instance c, const fmi3ValueReference vr[], size_t n,
     return fmi3OK;
 }
 
+fmi3Status fmi3GetInt32(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Int32 values[], size_t n_values) {
+    if (!allowed(c, "fmi3GetInt32", ANY)) return fmi3Error;
+    if (n != n_values || (n > 0 && (!vr || !values))) return (fmi3Status)refuse(c, "fmi3GetInt32", "no array of that length is given");
+    for (size_t k = 0; k < n; k++) {
+        int64_t value;
+        if (get_integer(c, vr[k], &value) != OK) return fmi3Error;
+        values[k] = (fmi3Int32)value;
+    }
+    return fmi3OK;
+}
+
+fmi3Status fmi3SetInt32(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3Int32 values[], size_t n_values) {
+    if (!allowed(c, "fmi3SetInt32", SETTABLE)) return fmi3Error;
+    if (n != n_values || (n > 0 && (!vr || !values))) return (fmi3Status)refuse(c, "fmi3SetInt32", "no array of that length is given");
+    for (size_t k = 0; k < n; k++)
+        if (set_integer(c, vr[k], values[k]) != OK) return fmi3Error;
+    return fmi3OK;
+}
+
 fmi3Status fmi3GetString(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3String values[], size_t n_values) {
     if (!allowed(c, "fmi3GetString", ANY)) return fmi3Error;
     if (n != n_values || (n > 0 && (!vr || !values))) return (fmi3Status)refuse(c, "fmi3GetString", "no array of that length is given");
@@ -121,7 +144,6 @@ NO_VARIABLES(Int8)
 NO_VARIABLES(UInt8)
 NO_VARIABLES(Int16)
 NO_VARIABLES(UInt16)
-NO_VARIABLES(Int32)
 NO_VARIABLES(UInt32)
 NO_VARIABLES(UInt64)
 NO_VARIABLES(Boolean)
@@ -158,7 +180,7 @@ fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_
 /* The host may set inputs at the end of the step: the step is linear to them. */
 static void ask_for_inputs(Instance *m) {
     fmi3IntermediateUpdateCallback update = (fmi3IntermediateUpdateCallback)m->update;
-    if (!update || m->N[TIMING] != HELD) return;
+    if (!update || timing(m) != HELD) return;
     fmi3Boolean early = fmi3False;
     fmi3Float64 early_time = m->R[NEXT];
     m->mode = INTERMEDIATE;
@@ -174,13 +196,14 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 length, fmi3
     if (event) *event = fmi3False;
     if (terminate) *terminate = fmi3False;
     if (early) *early = fmi3False;
-    if (prepare_step(c, time, length) != OK) return fmi3Error;
+    if (!hold(c, "do step", STEPPING)) return fmi3Error;
     Instance *m = c;
-    if (last) *last = m->R[NOW];
-    ask_for_inputs(m);
-    if (m->mode != STEPPING || finish_step(m) != OK) return fmi3Error;
-    if (last) *last = m->R[NOW];
-    return fmi3OK;
+    Status status = prepare_step(m, time, length);
+    if (last && status == OK) *last = m->R[NOW];
+    if (status == OK) ask_for_inputs(m);
+    status = status == OK && m->mode == STEPPING ? finish_step(m) : ERROR;
+    if (last && status == OK) *last = m->R[NOW];
+    return (fmi3Status)release(m, status);
 }
 
 /* What this FMU has none of */

@@ -117,10 +117,15 @@ static bool read_rows(char *text, const char *reference, Rows *all, Locale local
     return true;
 }
 
-int64_t table_size(const double *table) {
+int64_t table_size(const double *table, int64_t most) {
     int64_t nodes = 1, size = VARIABLES;
-    for (int k = 0; k < VARIABLES; k++) size += (int64_t)table[k], nodes *= (int64_t)table[k];
-    return size + nodes;
+    if (most < VARIABLES) return 0;
+    for (int k = 0; k < VARIABLES; k++) {
+        if (!(table[k] >= 1.0 && table[k] <= (double)most) || table[k] != (double)(int64_t)table[k]) return 0;
+        size += (int64_t)table[k];
+        if ((nodes *= (int64_t)table[k]) > most) return 0;
+    }
+    return size + nodes <= most ? size + nodes : 0;
 }
 
 static size_t node_of(const Axis *axis, double value) {

@@ -2,8 +2,8 @@
    sanitizers see it:   fuzz RESOURCES TOKEN VARIABLES SEED CALLS
 
    No call may crash, leak or hang, and none may answer with a status that there is not. Ends with how many calls were made,
-   how many were refused and how many steps of a model ended well. Never called: functions of an instance or a state that has
-   been freed, which the standard forbids and nobody can detect. */
+   how many were refused and how many steps of a model ended well. Never called: functions of an instance that has been freed,
+   which the standard forbids and nobody can detect. */
 
 #include "fmi/fmi2Functions.h"
 #include "fmi/fmi3Functions.h"
@@ -152,6 +152,37 @@ static void states(Slot *s, bool two) {
     if (!two) took(fmi3GetFloat64(c, &ref, 1, &s->time, 1)); else took(fmi2GetReal(c, &ref, 1, &s->time));
 }
 
+/* States that are none of an instance's: every call that takes one refuses it. */
+static void wrong_states(Slot *s, const Slot *other, bool two) {
+    static void *freed[2];
+    void **own = &s->states[one_of(STATES)], *c = s->instance, *number = (void *)(uintptr_t)draw(), *state = NULL;
+    size_t size = 0;
+    fmi3Byte bytes[8];
+    if (!*own) return;
+    switch (one_of(5)) {
+    case 0: state = other->instance && other != s ? other->states[one_of(STATES)] : NULL; break;  /* of another instance */
+    case 1: state = own; break;                                                                   /* the address of a state */
+    case 2: state = number; break;
+    case 3: state = freed[s->version - 2]; break;
+    default:                                                                       /* a state where its address is due */
+        if ((two ? (int)fmi2FreeFMUstate(c, *own) : (int)fmi3FreeFMUState(c, *own)) == 0) exit(4);
+        if ((two ? (int)fmi2GetFMUstate(c, *own) : (int)fmi3GetFMUState(c, *own)) == 0) exit(4);
+        return;
+    }
+    if (!state) return;
+    void *given = state;
+    if ((two ? (int)fmi2SetFMUstate(c, state) : (int)fmi3SetFMUState(c, state)) == 0) exit(4);
+    if ((two ? (int)fmi2GetFMUstate(c, &given) : (int)fmi3GetFMUState(c, &given)) == 0) exit(4);
+    if ((two ? (int)fmi2FreeFMUstate(c, &given) : (int)fmi3FreeFMUState(c, &given)) == 0) exit(4);
+    if ((two ? (int)fmi2SerializedFMUstateSize(c, state, &size) : (int)fmi3SerializedFMUStateSize(c, state, &size)) == 0) exit(4);
+    if ((two ? (int)fmi2SerializeFMUstate(c, state, (fmi2Byte *)bytes, 8) : (int)fmi3SerializeFMUState(c, state, bytes, 8)) == 0) exit(4);
+    refused += 5;
+    if (one_of(4) == 0) {
+        freed[s->version - 2] = *own;
+        took(two ? (int)fmi2FreeFMUstate(c, own) : (int)fmi3FreeFMUState(c, own));
+    }
+}
+
 static void life(Slot *s, bool two) {
     void *c = one_of(100) ? s->instance : NULL;
     double start = one_of(10) ? 0.0 : any_number(), stop = one_of(10) ? 1e6 : any_number();
@@ -187,7 +218,8 @@ int main(int n, char *arguments[]) {
         bool two = s->version == 2;
         if (!s->instance) instantiate(s);
         else if (one_of(200) == 0) drop(s);
-        else switch (one_of(8)) {
+        else switch (one_of(9)) {
+        case 8: wrong_states(s, &slots[one_of(INSTANCES)], two); break;
         case 0: values(s, two); break;
         case 1: case 2: fly(s, two); break;
         case 3: case 4: step(s, two); break;

@@ -17,11 +17,14 @@ if TYPE_CHECKING:
 def _fmu_file(_: click.Context, __: click.Parameter, value: Path) -> Path:
     """Value of --out; a file that cannot be written is refused before any work."""
     from sim_heating.base.files import exclusive
+    from sim_heating.simulation.fmu_export.archive import require_replaceable
 
     if value.suffix != ".fmu":
         raise InputError(f"--out {value}: name a file that ends in .fmu")
     if value.is_dir():
         raise InputError(f"--out {value}: is a directory; name a file that ends in .fmu")
+    with error_context("--out"):
+        require_replaceable(value)
     with exclusive(value.parent):
         pass
     return value
@@ -60,8 +63,21 @@ def fmu() -> None:
     show_default=True,
     help="source of h_ref and H_r: the vehicle's reference heating, or inputs of the FMU",
 )
+@click.option(
+    "--input-timing",
+    type=click.Choice(["held", "reached"]),
+    default="held",
+    show_default=True,
+    help="default of the variable input_timing: inputs set before a step are values at its start, or at its end",
+)
 def export(
-    vehicle: str, out: Path, points: tuple[str, ...] | None, fmi: str, platforms: tuple[str, ...], reference: str
+    vehicle: str,
+    out: Path,
+    points: tuple[str, ...] | None,
+    fmi: str,
+    platforms: tuple[str, ...],
+    reference: str,
+    input_timing: str,
 ) -> None:
     """The heating plug-in of a vehicle as a co-simulation FMU."""
     from sim_heating.inputs.vehicle import load_vehicle
@@ -72,7 +88,10 @@ def export(
         progress(0.1, "compiling, unless compiled before")
         loaded = load_vehicle(vehicle)
         columns = reference == "columns"
-        image = export_fmu(loaded, out, points, fmi=int(fmi), platforms=platforms, columns=columns, progress=progress)
+        image = export_fmu(
+            loaded, out, points, fmi=int(fmi), platforms=platforms, columns=columns, input_timing=input_timing,
+            progress=progress,
+        )  # fmt: skip
     count = len(loaded.control_points if points is None else points)
     _print_export(out, image, fmi, platforms, f"{count} control points, ")
 

@@ -24,6 +24,7 @@ from sim_heating.trajectory import entry3dof
 from sim_heating.trajectory.flight import Flight
 from sim_heating.trajectory.fmu import flight as fmu
 from sim_heating.trajectory.spec import TrajectorySpec
+from tests.support.fmu_hosts import Host
 from tests.support.paths import ORBITER, ROOT
 
 VEHICLE = load_vehicle(ORBITER)
@@ -184,3 +185,29 @@ def test_the_example_heats_a_control_point_as_the_built_in_scenario_does(
     assert flown.flight.conditions.time_s[-1] > 1500.0
     surfaces = [r.points["V09T9527"].history.surface_K for r in (flown, expected)]
     assert np.array_equal(*surfaces)
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_outputs_change_with_no_command_before_the_next_step(fmi: int, entry: dict[int, Path]) -> None:
+    """Nor do their initial values; each command in turn, with the host as pilot."""
+    described = fmpy.read_model_description(entry[fmi])
+    assert all(not u.dependencies for u in described.outputs)
+    commands = [v.name for v in described.modelVariables if v.causality == "input"]
+    assert all(not {v.name for v in u.dependencies} & set(commands) for u in described.initialUnknowns)
+    outputs = [u.variable.name for u in described.outputs]
+    with Host(entry[fmi], timing=None) as host:
+        (host.fmu.setInt64 if host.three else host.fmu.setInteger)([host.refs["pilot"]], [2])
+        host.fmu.enterInitializationMode() if host.three else (
+            host.fmu.setupExperiment(),
+            host.fmu.enterInitializationMode(),
+        )
+        for moment in ("initialization", "between steps"):
+            before = host.get(*outputs)
+            for name in commands:
+                host.set({name: host.get(name)[0] + 0.1})
+                np.testing.assert_array_equal(host.get(*outputs), before, err_msg=f"{name}, {moment}")
+            if moment == "initialization":
+                host.fmu.exitInitializationMode()
+                host.fmu.doStep(currentCommunicationPoint=0.0, communicationStepSize=0.5)
+        host.fmu.doStep(currentCommunicationPoint=0.5, communicationStepSize=0.5)
+        assert host.get("alpha_deg")[0] != before[outputs.index("alpha_deg")]

@@ -24,18 +24,16 @@ from sim_heating.inputs.points import conditions_at_point
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.simulation.fmu_export.export import export_fmu
-from sim_heating.simulation.fmu_export.heating import MODEL, THERMAL_STEP, heating_image, heating_units
+from sim_heating.simulation.fmu_export.heating import MODEL, THERMAL_STEP
 from sim_heating.simulation.fmu_export.library import (
     TARGETS,
     CompilationUnit,
     compiler_command,
-    link_inputs,
     object_code,
-    wrapper_sources,
 )
 from sim_heating.simulation.plugin import HeatingPlugin
 from sim_heating.simulation.run import fly_scenario
-from tests.support.fmu_hosts import SOURCES, Host, compile_host, run_host
+from tests.support.fmu_hosts import SOURCES, Host, compile_host, link_model, run_host
 from tests.support.paths import ROOT, SCENARIOS, TESTS
 
 POINTS = ["V09T9527", "NOSECAP", "BODYFLAP"]
@@ -172,6 +170,40 @@ def test_held_input_is_late_by_half_a_step_and_an_interpolated_one_is_not(fmus, 
         assert abs(delay_s("updated", step_s)) < 0.02 * step_s
 
 
+def without_enumerations(path: Path, value: int, given: list[Frame]) -> np.ndarray:
+    """Temperatures in a host that drops enumerations and sets the integer in place of `input_timing`."""
+    with Host(path, timing=None) as host:
+        setter = host.fmu.setInt32 if host.three else host.fmu.setInteger
+        setter([host.refs["input_timing_integer"]], [value])
+        return fmu_temperatures(host, given)
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_host_without_enumerations_sets_the_timing_by_an_integer(fmus, flown, fmi):
+    given, found = frames(flown, 1.0, 200.0), {}
+    for name in ("held", "reached"):
+        with Host(fmus[fmi], timing=name) as host:
+            found[name] = fmu_temperatures(host, given)
+    assert np.max(np.abs(found["held"] - found["reached"])) > 0.1  # K
+    for value, name in ((0, "held"), (1, "held"), (2, "reached")):
+        np.testing.assert_array_equal(without_enumerations(fmus[fmi], value, given), found[name])
+    described = fmpy.read_model_description(fmus[fmi]).modelVariables
+    assert next(v for v in described if v.name == "input_timing_integer").type == ("Integer" if fmi == 2 else "Int32")
+    with Host(fmus[fmi], timing="reached") as host:  # a host that sets every start value, in whichever order
+        (host.fmu.setInt32 if host.three else host.fmu.setInteger)([host.refs["input_timing_integer"]], [0])
+        np.testing.assert_array_equal(fmu_temperatures(host, given), found["reached"])
+
+
+def test_the_export_chooses_the_timing_of_hosts_that_set_none(vehicle, flown, tmp_path):
+    out, given = tmp_path / "reached.fmu", frames(flown, 1.0, 200.0)
+    command = ["fmu", "export", "orbiter", "--control-points", ",".join(POINTS), "--input-timing", "reached"]
+    assert main([*command, "--out", str(out)]) == 0
+    with Host(out, timing=None) as host:
+        np.testing.assert_array_equal(fmu_temperatures(host, given), plugin_temperatures(vehicle, given))
+    with pytest.raises(InputError, match="input_timing = `reachd`; did you mean `reached`"):
+        export_fmu(vehicle, tmp_path / "x.fmu", POINTS, input_timing="reachd")
+
+
 def test_input_derivatives_of_fmi_2_interpolate(fmus, vehicle, flown):
     given = frames(flown, 1.0, 300.0)
     inputs = [n for n in FRAME if n != "time_s"]
@@ -211,7 +243,7 @@ def test_state_goes_back_and_through_bytes_to_another_instance(fmus, flown, fmi)
         host.drop(state)
 
 
-@pytest.mark.parametrize("words", [(1000,), (1000, 3000), (20, 21, 40000)])
+@pytest.mark.parametrize("words", [(1000,), (1000, 3000), (20, 21, 3200)])
 def test_damaged_state_is_refused_with_a_message(fmus, flown, words):
     """Highest bits too: a sum that is linear in the words loses two of them in each other."""
     with Host(fmus[3]) as host:
@@ -274,7 +306,8 @@ def test_invalid_value_is_rejected_with_a_message_and_reset_recovers(fmus, flown
     [
         (0.0, 5.0, 1.0, "the step begins at"),
         (0.0, 0.0, 0.0, "must be above 0"),
-        (0.0, 0.0, 601.0, "longer than 600 s"),
+        (0.0, 0.0, 601.0, "the step from 0 s to 601 s is longer than 600 s, the longest that this FMU takes"),
+        (50.0, 50.0, 700.0, "the step from 50 s to 750 s is longer than 600 s"),
         (1e9, 1e9, 1e-8, "lost in rounding"),
     ],
 )
@@ -284,6 +317,15 @@ def test_invalid_step_is_refused(fmus, flown, starts, time, length, hint):
         with pytest.raises(FMICallException):
             host.fmu.doStep(currentCommunicationPoint=time, communicationStepSize=length)
         assert hint in host.messages[-1]
+
+
+def test_event_mode_is_declined_when_the_instance_is_asked_for(fmus):
+    with Host(fmus[3]) as host:
+        first = host.fmu.component
+        with pytest.raises(Exception, match="Failed to instantiate"):
+            host.fmu.instantiate(eventModeUsed=True, logMessage=host._log3)
+        host.fmu.component = first
+        assert host.messages == ["this FMU has no event mode; instantiate it with eventModeUsed = false"]
 
 
 def test_held_input_out_of_range_is_reported_at_the_start_of_the_step(fmus, flown):
@@ -576,11 +618,7 @@ def test_no_compiler_is_needed_once_the_library_is_cached_and_a_missing_one_is_n
 @pytest.fixture(scope="module")
 def linked(vehicle, tmp_path_factory) -> tuple[Path, list[Path], int]:
     """A folder with an image of two points, what its library is linked from, and the number of its variables."""
-    folder = tmp_path_factory.mktemp("linked")
-    model = heating_image(vehicle, ["NOSECAP", "V09T9527"])
-    (folder / "model.bin").write_bytes(model.image.binary("{token}"))
-    made = [*link_inputs(heating_units(model.effects), TARGETS["linux"], folder), *wrapper_sources()]
-    return folder, made, len(model.image.variables)
+    return link_model(vehicle, tmp_path_factory.mktemp("linked"), ["NOSECAP", "V09T9527"])
 
 
 def test_random_legal_and_illegal_calls_neither_crash_nor_leak(linked):
@@ -649,3 +687,78 @@ def test_runs_in_libcosim_with_the_same_bits(fmus, vehicle):
     found = observer.last_real_values(slave, [refs[n] for n in SURFACES])
     given = [{"time_s": 0.5 * i, **inputs} for i in range(102)]
     np.testing.assert_array_equal(found, plugin_temperatures(vehicle, given)[-1])
+
+
+# Dependencies --------------------------------------------------------------------------------------------------------
+
+AT_POINT = {"time_s": 0.0, "altitude_m": 70e3, "velocity_m_s": 6500.0, "alpha_deg": 38.7, "beta_deg": 0.3,
+            "elevon_deg": 1.7, "bodyflap_deg": 8.3, "rho_kg_m3": 8e-5, "jets": 0.2}  # fmt: skip
+
+
+def declared(path: Path, initial: bool) -> dict[str, set[str]]:
+    """Names of the variables that each output depends on, as the description says."""
+    described = fmpy.read_model_description(path)
+    unknowns = described.initialUnknowns if initial else described.outputs
+    assert all(u.dependencies is not None for u in unknowns)
+    return {u.variable.name: {v.name for v in u.dependencies} for u in unknowns}
+
+
+def shifted(v: fmpy.model_description.ScalarVariable, value: float) -> float:
+    """Another value of a variable within its limits."""
+    more = value + 1e-2 * max(1.0, abs(value)) if v.unit != "kg/m3" else 1.01 * value
+    return more if v.max is None or more <= float(v.max) else value - 1e-2 * max(1e-3, abs(value))
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_initial_outputs_change_only_with_what_they_are_declared_to_depend_on(fmus, fmi):
+    """Each input and each parameter of a point in turn, in initialization mode."""
+    depends = declared(fmus[fmi], initial=True)
+    outputs, acts = list(depends), set()
+    known = [v for v in fmpy.read_model_description(fmus[fmi]).modelVariables
+             if v.causality == "input" or (v.name.startswith("NOSECAP.") and v.causality == "parameter")]  # fmt: skip
+    with Host(fmus[fmi], timing="held") as host:
+        host.fmu.enterInitializationMode() if host.three else (
+            host.fmu.setupExperiment(),
+            host.fmu.enterInitializationMode(),
+        )
+        host.set({n: v for n, v in AT_POINT.items() if n != "time_s"})
+        before = host.get(*outputs)
+        for v in known:
+            if v.dimensions or v.type == "String":
+                continue
+            value = host.get(v.name)[0]
+            host.set({v.name: shifted(v, value)})
+            changed = {name for name, a, b in zip(outputs, host.get(*outputs), before, strict=True) if a != b}
+            assert all(v.name in depends[name] for name in changed), (v.name, changed)
+            acts |= {(name, v.name) for name in changed}
+            host.set({v.name: value})
+        np.testing.assert_array_equal(host.get(*outputs), before)
+    for name in ("altitude_m", "velocity_m_s", "alpha_deg", "rho_kg_m3"):
+        assert ("NOSECAP.heating.convected_W_m2", name) in acts
+    assert ("NOSECAP.limit.surface_margin_K", "NOSECAP.limit.surface_K") in acts
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_state_dependent_outputs_are_declared_to_depend_on_no_input(fmus, fmi):
+    depends = declared(fmus[fmi], initial=False)
+    direct = {name for name, known in depends.items() if known}
+    assert direct == {f"{p}.heating.{what}" for p in POINTS for what in ("ratio", "convected_W_m2", "absorbed_W_m2")}
+    assert all({"altitude_m", "rho_kg_m3", "q_add_W_m2"} < depends[name] for name in direct)
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("timing", ["held", "reached"])
+def test_no_output_changes_with_an_input_between_two_steps(fmus, fmi, timing):
+    """Perturbed at a communication point; the step from there is what they act on."""
+    outputs = list(declared(fmus[fmi], initial=False))
+    with Host(fmus[fmi], timing=timing) as host:
+        host.start(AT_POINT)
+        for k in range(1, 20):
+            host.step(AT_POINT | {"time_s": 0.5 * k})
+        before = host.get(*outputs)
+        for name, value in AT_POINT.items():
+            if name != "time_s":
+                host.set({name: 1.01 * value})
+                np.testing.assert_array_equal(host.get(*outputs), before)
+        host.fmu.doStep(currentCommunicationPoint=host.time, communicationStepSize=0.5)
+        assert np.all(host.get(*SURFACES) != before[[outputs.index(name) for name in SURFACES]])

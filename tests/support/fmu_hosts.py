@@ -14,6 +14,9 @@ import numpy as np
 from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
 
+from sim_heating.inputs.vehicle import Vehicle
+from sim_heating.simulation.fmu_export.heating import heating_image, heating_units
+from sim_heating.simulation.fmu_export.library import TARGETS, link_inputs, wrapper_sources
 from tests.support.paths import ROOT
 
 SOURCES = ROOT / "fmu"
@@ -21,13 +24,21 @@ TIMING = {"held": 1, "reached": 2}
 
 
 class Host:
-    """An instance in FMPy; variables by their names, what the FMU logged in `messages`."""
+    """An instance in FMPy; variables by their names, what the FMU logged in `messages`.
 
-    def __init__(self, path: Path, parameters: Mapping[str, float] | None = None, timing: str = "reached") -> None:
+    timing : of the inputs; None leaves it as exported
+    like   : a host of the same FMU, whose loaded library this one shares
+    """
+
+    def __init__(
+        self, path: Path, parameters: Mapping[str, float] | None = None, timing: str | None = "reached",
+        like: Host | None = None,
+    ) -> None:  # fmt: skip
         described = fmpy.read_model_description(path, validate=False)
         self.three = described.fmiVersion.startswith("3")
         self.refs = {v.name: v.valueReference for v in described.modelVariables}
-        self.folder = fmpy.extract(path)
+        self.folder = fmpy.extract(path) if like is None else like.folder
+        self.owns = like is None
         self.messages: list[str] = []
         token = described.instantiationToken if self.three else described.guid
         slave = FMU3Slave if self.three else FMU2Slave
@@ -35,7 +46,8 @@ class Host:
                               modelIdentifier=described.coSimulation.modelIdentifier)  # fmt: skip
         self.fmu.instantiate(**({"logMessage": self._log3} if self.three else {"callbacks": self._callbacks()}))
         self.set({**(parameters or {})})
-        (self.fmu.setInt64 if self.three else self.fmu.setInteger)([self.refs["input_timing"]], [TIMING[timing]])
+        if timing is not None:
+            (self.fmu.setInt64 if self.three else self.fmu.setInteger)([self.refs["input_timing"]], [TIMING[timing]])
 
     def _log3(self, environment: object, status: int, category: bytes, message: bytes) -> None:
         self.messages.append(message.decode())
@@ -100,13 +112,24 @@ class Host:
 
     def close(self) -> None:
         self.fmu.freeInstance()
-        shutil.rmtree(self.folder)
+        if self.owns:
+            shutil.rmtree(self.folder)
 
     def __enter__(self) -> Host:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def link_model(vehicle: Vehicle, folder: Path, points: Sequence[str] | None = None) -> tuple[Path, list[Path], int]:
+    """A folder with the image of a vehicle for the token "{token}", what its library is linked from, and the number of
+    its variables.
+    """
+    model = heating_image(vehicle, points)
+    (folder / "model.bin").write_bytes(model.image.binary("{token}"))
+    made = [*link_inputs(heating_units(model.effects), TARGETS["linux"], folder), *wrapper_sources()]
+    return folder, made, len(model.image.variables)
 
 
 def compile_host(folder: Path) -> Path:

@@ -26,6 +26,7 @@ CAUSALITY = {
     Role.TUNABLE: ("parameter", "tunable"), Role.FIXED: ("parameter", "fixed"),
     Role.OUTPUT: ("output", "continuous"), Role.CONSTANT: ("local", "fixed"),
 }  # fmt: skip
+NUMBERS = (Kind.NUMBER, Kind.SHARED)
 CATEGORIES = (("logStatusError", "why a call was refused"),)
 
 
@@ -56,7 +57,7 @@ def _root(image: Image, token: str, version: str, token_name: str) -> ET.Element
 
 
 def _units(root: ET.Element, image: Image, fmi: int) -> None:
-    used = sorted({v.unit for _, v in variables_of(image, fmi) if v.kind is Kind.NUMBER and v.unit != "1"})
+    used = sorted({v.unit for _, v in variables_of(image, fmi) if v.kind in NUMBERS and v.unit != "1"})
     parent = ET.SubElement(root, "UnitDefinitions")
     for unit in used:
         element = ET.SubElement(parent, "Unit", name=unit)
@@ -71,7 +72,7 @@ def _limits(v: Variable) -> dict[str, str]:
     """Attributes min, max, nominal and unit, as far as the variable has them."""
     limits = {"min": v.lower, "max": v.upper, "nominal": v.nominal}
     attributes = {name: _number(x) for name, x in limits.items() if x is not None and np.isfinite(x)}
-    return attributes | ({} if v.unit == "1" or v.kind is not Kind.NUMBER else {"unit": v.unit})
+    return attributes | ({} if v.unit == "1" or v.kind not in NUMBERS else {"unit": v.unit})
 
 
 def _has_start(v: Variable) -> bool:
@@ -81,6 +82,19 @@ def _has_start(v: Variable) -> bool:
 def _start(image: Image, v: Variable) -> str:
     value = image.value(v)
     return value if isinstance(value, str) else str(value) if isinstance(value, int) else " ".join(map(_number, value))
+
+
+def _integer_limits(v: Variable) -> dict[str, str]:
+    return {"min": str(int(v.lower)), "max": str(int(v.upper))}
+
+
+def _dependencies(v: Variable, known: dict[str, int], initial: bool) -> str:
+    """Attribute `dependencies` of an output: references of the inputs, and for its initial value of the parameters.
+
+    known : reference by name; names that the version of FMI does not have are left out
+    """
+    names = [*v.depends, *(v.parameters if initial else ())]
+    return " ".join(str(known[name]) for name in names if name in known)
 
 
 def _categories_and_experiment(root: ET.Element, image: Image) -> None:
@@ -131,10 +145,12 @@ def _fmi3(image: Image, token: str) -> bytes:
     for i, v in variables_of(image, 3):
         _variable3(parent, image, i, v)
     structure = ET.SubElement(root, "ModelStructure")
+    known = {v.name: i for i, v in variables_of(image, 3)}
     for kind in ("Output", "InitialUnknown"):
         for i, v in variables_of(image, 3):
             if v.role is Role.OUTPUT:
-                ET.SubElement(structure, kind, valueReference=str(i))
+                needed = _dependencies(v, known, kind == "InitialUnknown")
+                ET.SubElement(structure, kind, valueReference=str(i), dependencies=needed)
     return _text(root)
 
 
@@ -151,6 +167,10 @@ def _variable3(parent: ET.Element, image: Image, i: int, v: Variable) -> None:
         attributes["initial"] = "calculated"
     if v.kind is Kind.TABLE:
         ET.SubElement(ET.SubElement(parent, "String", attributes), "Start", value=_start(image, v))
+        return
+    if v.kind is Kind.INTEGER and not v.choices:
+        # Of the integer types of FMI 3 the one that hosts of FMI 2 know as Integer.
+        ET.SubElement(parent, "Int32", attributes | _integer_limits(v), start=_start(image, v))
         return
     if v.kind is Kind.INTEGER:
         ET.SubElement(parent, "Enumeration", attributes, declaredType=f"{v.name}_type", start=_start(image, v))
@@ -186,9 +206,11 @@ def _fmi2(image: Image, token: str) -> bytes:
     for kind in ("Outputs", "InitialUnknowns"):
         unknowns = ET.SubElement(structure, kind)
         # FMI 2 refers to variables by their position in the list, counted from 1; FMI 3 by value reference.
+        known = {v.name: index for index, (_, v) in enumerate(listed, start=1)}
         for index, (_, v) in enumerate(listed, start=1):
             if v.role is Role.OUTPUT:
-                ET.SubElement(unknowns, "Unknown", index=str(index))
+                needed = _dependencies(v, known, kind == "InitialUnknowns")
+                ET.SubElement(unknowns, "Unknown", index=str(index), dependencies=needed)
     return _text(root)
 
 
@@ -200,6 +222,8 @@ def _variable2(parent: ET.Element, image: Image, i: int, v: Variable) -> None:
     start = {"start": _start(image, v)} if _has_start(v) else {}
     if v.kind is Kind.TABLE:
         ET.SubElement(element, "String", start)
+    elif v.kind is Kind.INTEGER and not v.choices:
+        ET.SubElement(element, "Integer", _integer_limits(v) | start)
     elif v.kind is Kind.INTEGER:
         ET.SubElement(element, "Enumeration", start, declaredType=f"{v.name}_type")
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,6 @@ from sim_heating.simulation.fmu_export import entry_kernel as k
 from sim_heating.simulation.fmu_export.export import write_fmu
 from sim_heating.simulation.fmu_export.image import Image, Problem, Role, identifier
 from sim_heating.simulation.fmu_export.library import (
-    INPUT_SLOPES,
     MODEL_SIGNATURE,
     REACHED,
     TIMING,
@@ -149,11 +149,15 @@ class _EntryPacker(ImagePacker):
         self._pack_blocks()
         self._pack_manoeuvres()
         self._pack_outputs()
+        # No input acts before the next step; the initial values are those of all parameters.
+        parameters = tuple(v.name for v in image.variables if v.role is Role.FIXED)
+        image.variables = [replace(v, parameters=parameters) if v.role is Role.OUTPUT else v for v in image.variables]
         image.set_integers([*self.head.items(), (TIMING, REACHED), (k.PILOT, k.INSIDE)])
+        image.kept_numbers = [(0, image.n_R)]
+        image.kept_integers += [(k.PILOT, 1), (self.head[k.CHOICES], k.CHOICES_EACH * self.head[k.MANOEUVRES])]
         row = self.head[k.ROW]
         outside = "is above the atmosphere's table (200 km); start slower or steeper"
         image.problems += [
-            Problem("the communication step", f"is longer than {k.LONGEST_COMMUNICATION_S:g} s"),
             Problem("altitude_m", outside, row + k.ALTITUDE_IN_ROW),
             Problem("altitude_m", "is below the ground; end the flight before", row + k.ALTITUDE_IN_ROW),
             Problem("the state", "is not a number; check start values and inputs"),
@@ -163,7 +167,6 @@ class _EntryPacker(ImagePacker):
         starts = np.zeros(len(INPUTS))
         starts[:2] = self.entry.state[[pm.ALPHA, pm.BANK]]
         self.add_inputs(INPUTS, starts)
-        self.head[INPUT_SLOPES] = self.image.add_numbers(np.zeros(len(INPUTS)))
         self.add_choice("pilot", Role.FIXED, k.PILOT, "who commands", PILOTS)
 
     def _pack_initial(self) -> None:
@@ -185,7 +188,7 @@ class _EntryPacker(ImagePacker):
             for name, place, lower, upper, unit in named:
                 text = name.split(".")[1].rsplit("_", 1)[0].replace("_", " ") + ", see docs/equations.md"
                 self.add_number(name, Role.FIXED, first + place, text, unit, lower, upper)
-        self.head |= {k.FLIGHT: flight, k.GUIDANCE: block, k.AERO: image.add_numbers(entry.tables, aligned=True)}
+        self.head |= {k.FLIGHT: flight, k.GUIDANCE: block, k.AERO: image.add_tables(entry.tables)}
 
     @staticmethod
     def _without_stop(flight: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The 3-DOF entry as a function of two arrays (library.py), made of the kernels that `trajectory.entry3dof` runs.
+"""The 3-DOF entry as a function of its arrays (library.py), made of the kernels that `trajectory.entry3dof` runs.
 
 A communication step is one frame of the entry, or several equal ones, each at most `frame_s` long. Angle of attack and
 bank are commanded by guidance and manoeuvres inside or, with PILOT = HOST, by the inputs, which are reached at the end
@@ -12,14 +12,17 @@ import math
 from sim_heating.base.kernels.jit import inline_always, njit
 from sim_heating.heating.atmosphere import HIGHEST_M
 from sim_heating.simulation.fmu_export.library import (
-    BEGINS,
     GOOD,
+    I_HEAD,
     INPUTS,
     INPUTS_NEXT,
     INPUTS_NOW,
+    MODE,
     N_INPUTS,
     NEXT,
     NOW,
+    RESUME,
+    START,
     at,
 )
 from sim_heating.trajectory.entry3dof import DEEPEST_M
@@ -36,9 +39,9 @@ from sim_heating.trajectory.point_mass import (
 
 (
     PILOT, MANOEUVRES, CHOICES, INITIAL, FLIGHT, GUIDANCE, SCRIPT, AERO, STATE, WORK, ROW, OPTIONS,
-) = range(8, 20)  # fmt: skip
+) = range(I_HEAD, I_HEAD + 12)  # fmt: skip
 """Integers of the model after those of library.py: who commands, the number of manoeuvres, and the places of arrays: of
-the choices (three a manoeuvre) in N, of all others in R."""
+the choices (three a manoeuvre) in N, of the aerodynamic tables in T, of all others in R."""
 N_MODEL = 24
 INSIDE, HOST = 1, 2
 """Values of PILOT: guidance and manoeuvres inside, or the host through the inputs."""
@@ -46,12 +49,11 @@ TRIGGER_CHOICE, CHANNEL_CHOICE, PITCH_CHOICE = range(3)
 CHOICES_EACH = 3
 FRAME_S = 0
 """Place in the options: longest frame [s]."""
-LONGEST_COMMUNICATION_S = 600.0
 
 IN_ALPHA, IN_BANK, IN_BETA, IN_ELEVON, IN_BODYFLAP, IN_JETS = range(6)
 """Inputs, in the order of their places."""
 
-TOO_LONG, TOO_HIGH, TOO_LOW, NOT_FINITE = range(4)
+TOO_HIGH, TOO_LOW, NOT_FINITE = range(3)
 """Problems of the image, by number."""
 ALTITUDE_IN_ROW, SPEED_IN_ROW = 1, 2
 
@@ -67,10 +69,10 @@ def _choose(R, N) -> None:  # type: ignore[no-untyped-def]
 
 
 @njit
-def _observe(R, N) -> int:  # type: ignore[no-untyped-def]
+def _observe(R, N, tables) -> int:  # type: ignore[no-untyped-def]
     """Write the frame and what guidance uses; its problem, GOOD without one."""
     row = at(R, N[ROW])
-    observe_kernel(at(R, N[STATE]), at(R, N[FLIGHT]), at(R, N[AERO]), at(R, N[WORK]), row)
+    observe_kernel(at(R, N[STATE]), at(R, N[FLIGHT]), at(tables, N[AERO]), at(R, N[WORK]), row)
     if not (math.isfinite(row[ALTITUDE_IN_ROW]) and math.isfinite(row[SPEED_IN_ROW])):
         return NOT_FINITE
     if row[ALTITUDE_IN_ROW] > HIGHEST_M:
@@ -81,7 +83,7 @@ def _observe(R, N) -> int:  # type: ignore[no-untyped-def]
 
 
 @njit
-def _follow_inputs(R, N, share: float, dt: float) -> None:  # type: ignore[no-untyped-def]
+def _follow_inputs(R, N, tables, share: float, dt: float) -> None:  # type: ignore[no-untyped-def]
     """One frame with the commands of the inputs, a share of the way through the communication step at its end."""
     state, before, after = at(R, N[STATE]), at(R, N[INPUTS_NOW]), at(R, N[INPUTS_NEXT])
     alpha = before[IN_ALPHA] + share * (after[IN_ALPHA] - before[IN_ALPHA])
@@ -95,11 +97,11 @@ def _follow_inputs(R, N, share: float, dt: float) -> None:  # type: ignore[no-un
         elevon, flap = after[IN_ELEVON], after[IN_BODYFLAP]
     state[JETS] = min(max(after[IN_JETS], 0.0), 1.0)
     controls = Controls(alpha, bank, beta, elevon, flap)
-    runge_kutta_step(state, at(R, N[FLIGHT]), at(R, N[AERO]), at(R, N[WORK]), dt, controls)
+    runge_kutta_step(state, at(R, N[FLIGHT]), at(tables, N[AERO]), at(R, N[WORK]), dt, controls)
 
 
 @inline_always
-def _start(R, N, A) -> int:  # type: ignore[no-untyped-def]
+def _start(R, N, tables) -> int:  # type: ignore[no-untyped-def]
     """Set the initial state on the schedule of guidance."""
     for k in range(N[N_INPUTS]):
         R[N[INPUTS_NEXT] + k] = R[N[INPUTS] + k]
@@ -108,35 +110,35 @@ def _start(R, N, A) -> int:  # type: ignore[no-untyped-def]
     first_state_kernel(at(R, N[INITIAL]), at(R, N[FLIGHT]), at(R, N[GUIDANCE]), N[MANOEUVRES], state)
     # A host may start at a time other than 0.
     state[T] = R[NOW]
-    return _observe(R, N)
+    return _observe(R, N, tables)
 
 
 @inline_always
-def _step(R, N, A) -> int:  # type: ignore[no-untyped-def]
+def _step(R, N, tables) -> int:  # type: ignore[no-untyped-def]
     """Advance the flight to the end of a communication step."""
     length = R[NEXT] - R[NOW]
-    if not length <= LONGEST_COMMUNICATION_S:
-        return TOO_LONG
     frames = max(math.ceil(length / R[N[OPTIONS] + FRAME_S] - 1e-9), 1)
     dt, outcome = length / frames, GOOD
     state = at(R, N[STATE])
     for frame in range(frames):
         if N[PILOT] == HOST:
-            _follow_inputs(R, N, (frame + 1.0) / frames, dt)
+            _follow_inputs(R, N, tables, (frame + 1.0) / frames, dt)
         else:
             flight, guidance, script = at(R, N[FLIGHT]), at(R, N[GUIDANCE]), at(R, N[SCRIPT])
-            advance_kernel(state, flight, guidance, script, at(R, N[AERO]), dt, at(R, N[WORK]))
+            advance_kernel(state, flight, guidance, script, at(tables, N[AERO]), dt, at(R, N[WORK]))
         # The host's own time, so that the rounding of the frames does not accumulate.
         if frame == frames - 1:
             state[T] = R[NEXT]
-        outcome = _observe(R, N)
+        outcome = _observe(R, N, tables)
         if outcome != GOOD:
             return outcome
     return outcome
 
 
-def advance(R, N, A) -> int:  # type: ignore[no-untyped-def]
-    """The model, as library.py describes it."""
-    if N[BEGINS] == 1:
-        return _start(R, N, A)
-    return _step(R, N, A)
+def advance(R, N, A, tables) -> int:  # type: ignore[no-untyped-def]
+    """The model, as library.py describes it; all of its R and N is kept, so that nothing is to be done to resume."""
+    if N[MODE] == RESUME:
+        return GOOD
+    if N[MODE] == START:
+        return _start(R, N, tables)
+    return _step(R, N, tables)

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import os
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
 from sim_heating.base.errors import InputError
+from sim_heating.base.files import exclusive
 from sim_heating.base.files.text import suggestion, write_bytes_atomic
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
+from sim_heating.simulation.fmu_export.archive import archive_bytes, require_replaceable
 from sim_heating.simulation.fmu_export.description import description
 from sim_heating.simulation.fmu_export.heating import compiling_objects, heating_image, heating_units
 from sim_heating.simulation.fmu_export.image import Image
 from sim_heating.simulation.fmu_export.library import TARGETS, CompilationUnit, Target, shared_library
-
-STAMP = (1980, 1, 1, 0, 0, 0)
-"""Time of the files in the archive: a model always gives the same bytes, except for the date in its description."""
 
 
 def export_fmu(
@@ -30,6 +27,7 @@ def export_fmu(
     fmi: int = 3,
     platforms: Sequence[str] = ("linux",),
     columns: bool = False,
+    input_timing: str = "held",
     progress: Progress = no_progress,
 ) -> Image:
     """Write the heating plug-in of a vehicle as a co-simulation FMU.
@@ -40,20 +38,23 @@ def export_fmu(
     fmi            : version, 2 or 3
     platforms      : keys of library.TARGETS
     columns        : h_ref and H_r are inputs, instead of the vehicle's reference heating
+    input_timing   : "held" or "reached", the start value of the variable `input_timing` (docs/fmu.md)
     progress       : called with the fraction done and a line of text
-    raises         : InputError for an unknown name, a platform without a compiler, a place that cannot be written
+    raises         : InputError for an unknown name, a platform without a compiler, a place that cannot be written, a
+                     file in that place that is not an unmodified export
 
     >>> from tempfile import TemporaryDirectory
     >>> import sim_heating as sh
     >>> with TemporaryDirectory() as folder:
     ...     image = sh.export_fmu("capsule", f"{folder}/capsule.fmu", ["FACE"])
     """
+    require_replaceable(out)
     vehicle = load_vehicle(vehicle)
     for name in control_points or ():
         vehicle.control_point(name)
     # Packing the vehicle overlaps with the compilation in a second process.
     with compiling_objects(targets_of(platforms, fmi)):
-        model = heating_image(vehicle, control_points, columns=columns)
+        model = heating_image(vehicle, control_points, columns=columns, input_timing=input_timing)
     write_fmu(Path(out), model.image, heating_units(model.effects), fmi, platforms, progress)
     return model.image
 
@@ -84,7 +85,9 @@ def write_fmu(
 
     units    : as `library` takes them
     progress : called with the fraction done and a line of text
+    raises   : InputError where `out` is a file that is not an unmodified export
     """
+    require_replaceable(out)
     targets = targets_of(platforms, fmi)
     # The token follows from the content, so that equal models are recognised as equal by a host.
     token = "{" + hashlib.sha256(image.binary("")).hexdigest()[:32] + "}"
@@ -95,12 +98,8 @@ def write_fmu(
         folder = target.fmi2 if fmi == 2 else target.fmi3
         path = shared_library(units, target)
         files[f"binaries/{folder}/{image.name}{target.suffix}"] = path.read_bytes()
-    write_bytes_atomic(out, _archive(files))
-
-
-def _archive(files: dict[str, bytes]) -> bytes:
-    memory = io.BytesIO()
-    with zipfile.ZipFile(memory, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, data in files.items():
-            archive.writestr(zipfile.ZipInfo(name, STAMP), data, zipfile.ZIP_DEFLATED)
-    return memory.getvalue()
+    data = archive_bytes(files)
+    with exclusive(out.parent):
+        # Again: another process may have put a file there meanwhile.
+        require_replaceable(out)
+        write_bytes_atomic(out, data)

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numba
@@ -16,15 +16,26 @@ import numpy as np
 
 from sim_heating.base.conditions import FRAME, RATIO_VARIABLES
 from sim_heating.base.errors import InputError
+from sim_heating.base.files.text import suggestion
 from sim_heating.base.kernels.block import (
     EFFECT_CODES,
     EFFECT_PARAMETERS,
     EFFECT_SLOTS,
     EFFECT_WIDTH,
+    END,
+    GAPS,
+    IN_DEPTH,
+    INTS_PER_NODE,
+    IS_FACE,
     LANES,
+    N_CONDITIONS,
+    N_NODES,
     N_PARAMETERS,
+    NODE_INTS,
     RATIO_TABLE,
     REFERENCE,
+    conditions_at,
+    node_row,
     parameters_at,
 )
 from sim_heating.base.kernels.jit import STEP_SIGNATURE, c_function
@@ -47,15 +58,14 @@ from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.point import PointModel, elements_of, kernel_effects, stack_values
 from sim_heating.simulation.fmu_export import heating_kernel as k
-from sim_heating.simulation.fmu_export.image import TEXT_BYTES, Image, Kind, Problem, Role, Variable, identifier
+from sim_heating.simulation.fmu_export.image import Image, Kind, Problem, Role, Variable, identifier
 from sim_heating.simulation.fmu_export.library import (
-    HELD,
-    INPUT_SLOPES,
     INPUTS_NEXT,
     INPUTS_NOW,
     MODEL_SIGNATURE,
     TARGETS,
     TIMING,
+    TIMING_INTEGER,
     CompilationUnit,
     Target,
     compiler_command,
@@ -122,18 +132,22 @@ class HeatingModel:
 
 
 def heating_image(vehicle: Vehicle, control_points: Sequence[str] | None = None, *, columns: bool = False,
-                  nodes: int | None = None) -> HeatingModel:  # fmt: skip
+                  nodes: int | None = None, input_timing: str = "held") -> HeatingModel:  # fmt: skip
     """The heating plug-in of a vehicle as an image.
 
     control_points : names; all by default
     columns        : h_ref and H_r are inputs, instead of the vehicle's reference heating
     nodes          : as in HeatingPlugin
+    input_timing   : start value of the variable of this name, one of TIMINGS
     raises         : InputError for an unknown name
     """
+    known_timings = [name for name, _ in TIMINGS]
+    if input_timing not in known_timings:
+        raise InputError(f"fmu: input_timing = `{input_timing}`{suggestion(input_timing, known_timings)}")
     plugin = HeatingPlugin(vehicle, control_points, nodes=nodes)
     known = _library_effects(plugin.ensemble.models)
     image = Image(f"{identifier(vehicle.name)}_heating", f"Heating of {vehicle.title}", 1.0)
-    _HeatingPacker(image, vehicle, plugin, known, columns).pack()
+    _HeatingPacker(image, vehicle, plugin, known, columns, known_timings.index(input_timing) + 1).pack()
     return HeatingModel(image, known)
 
 
@@ -221,7 +235,7 @@ def compiling_objects(targets: Sequence[Target]) -> Iterator[None]:
 
 
 def compile_in_second_process(platforms: Sequence[str]) -> None:
-    """What the second process of `making_objects` does."""
+    """What the second process of `compiling_objects` does."""
     targets = [TARGETS[name] for name in platforms]
     _compile_objects(_units_of_second_process(), targets)
     for target in targets:
@@ -243,9 +257,10 @@ def quoted(part: str) -> str:
 class _HeatingPacker(ImagePacker):
     """Packs the arrays of a plug-in into an image."""
 
-    def __init__(self, image: Image, vehicle: Vehicle, plugin: HeatingPlugin, known: tuple[Effect, ...], columns: bool):
+    def __init__(self, image: Image, vehicle: Vehicle, plugin: HeatingPlugin, known: tuple[Effect, ...], columns: bool,
+                 timing: int):  # fmt: skip
         super().__init__(image, k.N_MODEL)
-        self.vehicle, self.plugin, self.known, self.columns = vehicle, plugin, known, columns
+        self.vehicle, self.plugin, self.known, self.columns, self.timing = vehicle, plugin, known, columns, timing
         self.ensemble: Ensemble = plugin.ensemble
         self.inputs = [*FRAME[1:], "q_add_W_m2", *(("h_ref_kg_m2_s", "H_r_J_kg") if columns else ())]
 
@@ -258,19 +273,33 @@ class _HeatingPacker(ImagePacker):
             k.N_TABLE: len(e.table), k.N_INTS: len(e.ints),
             k.GROUPS: image.add_integers(e.groups), k.LANE_POINTS: image.add_integers(e.lanes),
             k.INTS: image.add_integers(self._integers()),
-            k.STATE: image.add_numbers(e.state, aligned=True), k.TABLE: image.add_numbers(e.table),
+            k.STATE: image.add_numbers(e.state, aligned=True), k.TABLE: image.add_tables(e.table),
             k.VECTORS: image.add_numbers(np.zeros((len(e.lanes), k.N_CONDITIONS))),
             k.FRAMES: image.add_numbers(np.zeros(len(FRAME))),
         }  # fmt: skip
+        self._keep_blocks()
         self._pack_host()
         self._pack_points()
         image.set_integers(list(self.head.items()))
         n = len(self.inputs)
         for first in (self.head[INPUTS_NEXT], self.head[INPUTS_NOW]):
             image.problems += [Problem(name, LIMITS[name][2], first + i) for i, name in enumerate(self.inputs)]
-        image.problems.append(Problem("the communication step", f"is longer than {k.LONGEST_COMMUNICATION_S:g} s"))
         image.problems += [Problem(m.name, "its thermal step did not converge; take shorter ones") for m in e.models]
-        assert len(image.problems) == 2 * n + 1 + len(e.models)
+        assert len(image.problems) == 2 * n + len(e.models)
+
+    def _keep_blocks(self) -> None:
+        """Declare the rows of the blocks, and the flags of the groups, that are the state of an instance."""
+        image, e = self.image, self.ensemble
+        for g, (first, _, ints, _) in enumerate(e.groups):
+            state, integers = self.head[k.STATE] + int(first), self.head[k.INTS] + int(ints)
+            n = int(e.integers(g)[N_NODES])
+            image.kept_numbers += [(state + row * LANES, LANES) for row in k.KEPT_ROWS]
+            image.kept_numbers.append((state + conditions_at(END, 0), LANES * N_CONDITIONS))
+            image.kept_numbers += [
+                (state + node_row(i, row).start, LANES) for i in range(n) for row in k.KEPT_NODE_ROWS
+            ]
+            image.kept_integers += [(integers + flag, 1) for flag in (IN_DEPTH, GAPS)]
+            image.kept_integers += [(integers + NODE_INTS + i * INTS_PER_NODE + IS_FACE, 1) for i in range(n)]
 
     def _integers(self) -> np.ndarray[Any, Any]:
         """The ensemble's integers with the codes that effects have in the library."""
@@ -290,15 +319,16 @@ class _HeatingPacker(ImagePacker):
         starts = [({**INPUT_STARTS, "rho_kg_m3": density}).get(name, 0.0) for name in self.inputs]
         self.add_inputs([Input(name, *INPUT_TEXTS[name], *LIMITS[name][:2]) for name in self.inputs], starts)
         self.head[k.RANGES] = self.image.add_numbers([LIMITS[name][:2] for name in self.inputs])
-        for place in (INPUT_SLOPES, k.INPUTS_AT_STATE):
-            self.head[place] = self.image.add_numbers(np.zeros(len(self.inputs)))
+        self.head[k.INPUTS_AT_STATE] = self.image.keep_numbers(np.zeros(len(self.inputs)))
 
     def _pack_options(self) -> None:
-        options = self.image.add_numbers([self.plugin.longest_step_s])
+        options = self.image.keep_numbers([self.plugin.longest_step_s])
         self.add_choice("input_timing", Role.TUNABLE, TIMING, "what the inputs of a step are", TIMINGS)
+        text = "in place of input_timing, for hosts without enumerations: 1 held, 2 reached, 0 as input_timing"
+        self.add_integer("input_timing_integer", Role.TUNABLE, TIMING_INTEGER, text, 0, len(TIMINGS))
         longest = "longest thermal step; a longer one of the host is divided"
         self.add_number("longest_step_s", Role.TUNABLE, options, longest, "s", 0.01, 60.0, 1.0)
-        self.head |= {k.OPTIONS: options, TIMING: HELD}
+        self.head |= {k.OPTIONS: options, TIMING: self.timing}
 
     def _pack_host(self) -> None:
         host = np.zeros(k.HOST_WIDTH)
@@ -309,7 +339,8 @@ class _HeatingPacker(ImagePacker):
 
     def _pack_points(self) -> None:
         e, image = self.ensemble, self.image
-        numbers = image.add_numbers(np.zeros(k.POINT_WIDTH * len(e.models)))
+        numbers = image.keep_numbers(np.zeros(k.POINT_WIDTH * len(e.models)))
+        written = image.add_numbers(np.zeros(k.PARAMETERS_WIDTH * len(e.models)))
         R, rows, sensors = np.zeros(k.POINT_WIDTH * len(e.models)), [], []
         for i, (point, model, mesh, place) in enumerate(
             zip(self.plugin.points, e.models, e.meshes, e.lane_offsets, strict=True)
@@ -333,15 +364,19 @@ class _HeatingPacker(ImagePacker):
                 image.add_numbers(elements.density_kg_m3),
                 place.temperature(mesh.bondline), elements.insulation, elements.bondline,
             ])  # fmt: skip
+            named = len(image.variables)
             self._name_point(point, model, numbers + k.POINT_WIDTH * i)
             sensors += self._pack_sensors(point, mesh, place)
             self._pack_ratio_table(point, place)
+            self._declare_direct_outputs(named, any(u.effect.mode == "emittance" for u in kernel_effects(model)))
         whole = image.R
         whole[numbers : numbers + len(R)] = R
+        own = R.reshape(-1, k.POINT_WIDTH)[:, : k.PARAMETERS_WIDTH]
+        whole[written : written + own.size] = own.ravel()
         image.set_numbers(whole)
         self.head |= {
             k.POINT_NUMBERS: numbers, k.POINT_INTS: image.add_integers(rows), k.N_SENSORS: len(sensors),
-            k.SENSOR_INTS: image.add_integers(sensors) if sensors else 0, k.CALIBRATIONS: 0,
+            k.SENSOR_INTS: image.add_integers(sensors) if sensors else 0, k.WRITTEN: written,
         }  # fmt: skip
 
     def _name_point(self, point: ControlPoint, model: PointModel, numbers: int) -> None:
@@ -351,9 +386,11 @@ class _HeatingPacker(ImagePacker):
         limits = {"limit.surface_margin_K": declared.surface_K, "limit.bondline_margin_K": declared.bondline_K}
         for i, (what, unit, lower, nominal, text) in enumerate(OUTPUTS):
             if what not in limits or limits[what] is not None:
+                compared = (f"{name}.{what.replace('_margin', '')}",) if what in limits else ()
                 self.add_number(
-                    f"{name}.{what}", Role.OUTPUT, numbers + k.P_OUT + i, text, unit, lower, nominal=nominal
-                )
+                    f"{name}.{what}", Role.OUTPUT, numbers + k.P_OUT + i, text, unit, lower, nominal=nominal,
+                    parameters=compared,
+                )  # fmt: skip
         for i, p in enumerate(RATIO):
             self._name_parameter(f"{name}.{p.name}", p, numbers + i)
         for i, p in enumerate(STACK):
@@ -374,6 +411,21 @@ class _HeatingPacker(ImagePacker):
         for slot, used in enumerate(uses):
             self._name_effect(name, used, uses[:slot], numbers + EFFECT_PARAMETERS + slot * EFFECT_WIDTH)
 
+    def _declare_direct_outputs(self, first: int, emitting: bool) -> None:
+        """Declare what the heating of a point depends on, whose variables begin at `first`; temperatures are the state.
+
+        emitting : whether it has effects on its emittance
+        """
+        variables = self.image.variables
+        after = {name for v in variables[first:] for name in v.parameters}  # limits and sensors change no heating
+        own = [v.name for v in variables[first:] if v.role in (Role.TUNABLE, Role.FIXED)]
+        parameters = tuple(name for name in own if name not in after)
+        for i, v in enumerate(variables[first:], start=first):
+            if v.role is Role.OUTPUT and ".heating." in v.name:
+                inside = v.name.endswith(".radiated_W_m2") and not emitting
+                inputs = () if inside else ("time", *self.inputs)
+                variables[i] = replace(v, depends=inputs, parameters=parameters)
+
     def _name_effect(self, name: str, used: EffectUse, before: Sequence[EffectUse], place: int) -> None:
         earlier = sum(u.effect.name == used.effect.name for u in before)
         which = quoted(used.effect.name) + (f"[{earlier + 1}]" if earlier else "")
@@ -390,11 +442,14 @@ class _HeatingPacker(ImagePacker):
             name = f"{quoted(point.name)}.sensor.{quoted(sensor.name)}"
             start = self.ensemble.state[place.temperature(node)]
             coefficients = calibration_coefficients(sensor)
-            numbers = self.image.add_numbers([1.0, 0.0, start])
+            numbers = self.image.keep_numbers([1.0, 0.0, start])
             rows.append([place.temperature(node), numbers, self.image.add_numbers(coefficients), len(coefficients)])
             about = f"thermocouple at {1e3 * sensor.depth_m:.4g} mm"
             text = f"{about}, without noise and quantisation"
-            self.add_number(f"{name}.indicated_K", Role.OUTPUT, numbers + k.S_INDICATED, text, "K", nominal=1000.0)
+            self.add_number(
+                f"{name}.indicated_K", Role.OUTPUT, numbers + k.S_INDICATED, text, "K", nominal=1000.0,
+                parameters=(f"{name}.gain", f"{name}.bias"),
+            )  # fmt: skip
             self._name_parameter(f"{name}.gain", SENSOR["gain"], numbers + k.S_GAIN)
             self._name_parameter(f"{name}.bias", SENSOR["bias"], numbers + k.S_BIAS)
         return rows
@@ -407,18 +462,18 @@ class _HeatingPacker(ImagePacker):
         places = self.head[k.INTS] + e.groups[place.group, 2] + RATIO_TABLE + lanes
         reference = self.image.add_text(self.vehicle.heating.reference)
         inside = int(e.integers(place.group)[RATIO_TABLE + lanes[0]])
-        about = [self.head[k.TABLE], reference, inside, len(places), *places]
-        first = self.image.add_integers([*np.zeros(TEXT_BYTES // 8), *about])
+        about = [reference, inside, len(places), *places]
+        first = self.image.add_integers(about)
         text = "path of a ratio table (CSV) in place of the one inside"
-        self.image.variables.append(Variable(f"{name}.file", Kind.TABLE, Role.FIXED, first, text))
-        self._name_table(name, point.ratio, self.head[k.TABLE] + inside)
+        self.image.variables.append(Variable(f"{name}.file", Kind.TABLE, Role.FIXED, first, text, integers=len(about)))
+        self._name_table(name, point.ratio, inside)
 
     def _name_table(self, name: str, table: RatioTable, at: int) -> None:
         shape = tuple(len(axis) for axis in table.axes)
         at += len(shape)
         for variable, axis, unit in zip(RATIO_VARIABLES, table.axes, UNITS, strict=True):
             text = "nodes of the ratio table"
-            self.add_number(f"{name}.{variable}", Role.CONSTANT, at, text, unit, shape=(len(axis),))
+            self.add_array(f"{name}.{variable}", Role.CONSTANT, at, text, unit, (len(axis),))
             at += len(axis)
         text = f"heating ratio at the nodes, {' x '.join(RATIO_VARIABLES)}"
-        self.add_number(f"{name}.ratio", Role.FIXED, at, text, "1", -1e3, 1e3, shape=shape)
+        self.add_array(f"{name}.ratio", Role.FIXED, at, text, "1", shape, -1e3, 1e3)

@@ -1,4 +1,4 @@
-"""The heating plug-in as a function of two arrays (library.py), made of the functions that the simulator runs.
+"""The heating plug-in as a function of its arrays (library.py), made of the functions that the simulator runs.
 
 Inputs are what a host gives in a frame (conditions.FRAME without the time), the added flux, and, where the reference
 heating is the host's own, h_ref and H_r. A step goes from the conditions at its start to those at its end. Where the
@@ -16,6 +16,11 @@ from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.conditions import FRAME
 from sim_heating.base.kernels.block import (
     ADDED,
+    BACK_EPS,
+    BACK_H,
+    BACK_T,
+    CURVE,
+    E_START,
     EMISSIVITY_TABLE,
     END,
     ENERGY_IN,
@@ -23,23 +28,35 @@ from sim_heating.base.kernels.block import (
     FACTOR_EPS,
     FAILED,
     FILM,
+    GAPS,
     H_REF,
     HEAD_ROWS,
     ITERATIONS,
+    LAG_PAST,
     LANES,
+    LAST_STEP,
     N_CONDITIONS,
     N_EMITTING,
+    N_NODES,
     N_PARAMETERS,
     NEGATIVE,
+    NET,
+    NODE_ROWS,
     OUTSIDE,
     Q_ADD,
+    RATE,
     RECOVERY_ENTHALPY,
+    SLOPE,
+    SOURCE,
     STAGE_IN,
+    STAGE_OUT,
+    SURFACE_SHARE,
     SURROUNDINGS4,
-    T,
 )
+from sim_heating.base.kernels.block import T as TEMPERATURE
 from sim_heating.base.kernels.jit import inline_always, njit
 from sim_heating.heating.film import emittance_factor
+from sim_heating.heating.ratio.lookup import invalidate_cells
 from sim_heating.heating.reference.models import COLUMNS
 from sim_heating.heating.surface_pressure import PRESSURE_WIDTH
 from sim_heating.inputs.sensor_model import indicated_kernel
@@ -52,35 +69,37 @@ from sim_heating.march.frames import (
     begin_groups,
 )
 from sim_heating.simulation.fmu_export.library import (
-    BEGINS,
     CHANGED,
     GOOD,
+    I_HEAD,
     INPUTS,
     INPUTS_NEXT,
     INPUTS_NOW,
+    MODE,
     N_INPUTS,
     NEXT,
     NOW,
+    RESUME,
+    START,
     at,
 )
 from sim_heating.simulation.plugin_kernel import CODE, F_TIME, derive_conditions
 from sim_heating.thermal.elements import EPS_BEHIND, Elements, set_point
 from sim_heating.thermal.faces import SIGMA, emittance
+from sim_heating.thermal.step import STAGE_ROWS
 
 # Integers of the model, after those of library.py: numbers of entries, and places of arrays in R or N.
 (
     N_POINTS, N_ROWS, N_GROUPS, N_STATE, N_TABLE, N_INTS, N_SENSORS,
     GROUPS, LANE_POINTS, INTS, POINT_INTS, SENSOR_INTS,
-    STATE, TABLE, VECTORS, PRESSURES, HOST, FRAMES, INPUTS_AT_STATE, RANGES, OPTIONS, POINT_NUMBERS, CALIBRATIONS,
-) = range(8, 31)  # fmt: skip
+    STATE, TABLE, VECTORS, PRESSURES, HOST, FRAMES, INPUTS_AT_STATE, RANGES, OPTIONS, POINT_NUMBERS, WRITTEN,
+) = range(I_HEAD, I_HEAD + 23)  # fmt: skip
 N_MODEL = 32
 LONGEST_STEP = 0
 """Place in the options: longest thermal step [s]."""
 F_Q_ADD, F_H_REF, F_H_R = len(FRAME), len(FRAME) + 1, len(FRAME) + 2
 FRAME_WIDTH = len(FRAME) + 3
 HOST_WIDTH = 16
-LONGEST_COMMUNICATION_S = 600.0
-"""Longest communication step [s]; longer ones are refused, as of a clock in other units."""
 
 # A point's integers: its group, first lane, number of lanes, number of elements, place of their layers in N, places of
 # their lengths and densities in R, place of the bondline in the state, layer of insulation, node of the bondline.
@@ -93,11 +112,23 @@ STACK_WIDTH = EPS_BEHIND + 1
 P_STACK = N_PARAMETERS
 P_SURFACE_LIMIT, P_BONDLINE_LIMIT = P_STACK + STACK_WIDTH, P_STACK + STACK_WIDTH + 1
 P_OUT = P_STACK + STACK_WIDTH + 2
+PARAMETERS_WIDTH = P_STACK + STACK_WIDTH
+"""First numbers of a point, whose copies at WRITTEN are those that its lanes hold."""
 SURFACE, BONDLINE, RATIO, CONVECTED, RADIATED, ABSORBED, SURFACE_MARGIN, BONDLINE_MARGIN = range(8)
 POINT_WIDTH = P_OUT + 8
 # A sensor's integers: its place in the state, places of its numbers (gain, bias, indication) and its calibration.
 S_PLACE, S_NUMBERS, S_CALIBRATION, S_COEFFICIENTS = range(4)
 S_GAIN, S_BIAS, S_INDICATED = range(3)
+
+KEPT_ROWS = (
+    *(row + 2 for row in STAGE_ROWS), SURROUNDINGS4, BACK_H, BACK_T, BACK_EPS, FACTOR_EPS, FAILED, ITERATIONS, OUTSIDE,
+    NEGATIVE, STAGE_IN, STAGE_OUT, ENERGY_IN, ENERGY_OUT, LAG_PAST, SURFACE_SHARE, LAST_STEP,
+)  # fmt: skip
+"""Scalar rows of a block that belong to the state: of a quantity with one row a stage that of the end of the step. The
+conditions of that stage are kept as well."""
+KEPT_NODE_ROWS = (TEMPERATURE, RATE, E_START, NET, CURVE)
+"""Rows of a node that belong to the state. All others follow from parameters, or are written in a step before they are
+read, or are caches with bounds."""
 
 
 @njit
@@ -110,13 +141,21 @@ def _first_out_of_range(values, ranges, n: int) -> int:  # type: ignore[no-untyp
 
 
 @inline_always
-def _write_group_parameters(R, N, B: FloatArray, J: IntArray, g: int) -> None:  # type: ignore[no-untyped-def]
-    """Write the parameters of all points of a group into its block."""
+def _write_group_parameters(R, N, B: FloatArray, J: IntArray, g: int, every: bool) -> None:  # type: ignore[no-untyped-def]
+    """Write the parameters of the points of a group into its block: of every point, or where they differ from those
+    that it holds.
+    """
     for i in range(N[N_POINTS]):
         point = at(N, N[POINT_INTS] + POINT_INTS_WIDTH * i)
         if point[P_GROUP] != g:
             continue
-        numbers = at(R, N[POINT_NUMBERS] + POINT_WIDTH * i)
+        numbers, written = at(R, N[POINT_NUMBERS] + POINT_WIDTH * i), at(R, N[WRITTEN] + PARAMETERS_WIDTH * i)
+        differs = every
+        for k in range(PARAMETERS_WIDTH):
+            differs = differs or written[k] != numbers[k]
+            written[k] = numbers[k]
+        if not differs:
+            continue
         n = point[P_ELEMENTS]
         layers = carray(at(N, point[P_LAYERS]), n)
         lengths, densities = carray(at(R, point[P_LENGTHS]), n), carray(at(R, point[P_DENSITIES]), n)
@@ -146,34 +185,34 @@ def _derive_vectors(R, N, inputs, time: float) -> None:  # type: ignore[no-untyp
 
 
 @njit
-def _begin(R, N, A, inputs, time: float) -> None:  # type: ignore[no-untyped-def]
+def _begin(R, N, A, T, inputs, time: float) -> None:  # type: ignore[no-untyped-def]
     _derive_vectors(R, N, inputs, time)
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
     state, ints = carray(at(R, N[STATE]), N[N_STATE]), carray(at(N, N[INTS]), N[N_INTS])
     vectors = carray(at(R, N[VECTORS]), (N[N_ROWS], N_CONDITIONS))
-    table = carray(at(R, N[TABLE]), N[N_TABLE])
+    table = carray(at(T, N[TABLE]), N[N_TABLE])
     begin_groups(state, ints, table, A[0], A[1], groups, vectors)
 
 
 @inline_always
-def _advance(R, N, A, inputs, time: float, dt: float) -> None:  # type: ignore[no-untyped-def]
+def _advance(R, N, A, T, inputs, time: float, dt: float) -> None:  # type: ignore[no-untyped-def]
     _derive_vectors(R, N, inputs, time)
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
     state, ints = carray(at(R, N[STATE]), N[N_STATE]), carray(at(N, N[INTS]), N[N_INTS])
     vectors = carray(at(R, N[VECTORS]), (N[N_ROWS], N_CONDITIONS))
     steps = max(math.ceil(dt / R[N[OPTIONS] + LONGEST_STEP] - 1e-9), 1)
-    table = carray(at(R, N[TABLE]), N[N_TABLE])
+    table = carray(at(T, N[TABLE]), N[N_TABLE])
     advance_groups(state, ints, table, A[0], A[1], groups, vectors, dt, steps)
 
 
 @njit
-def _write_parameters(R, N) -> None:  # type: ignore[no-untyped-def]
-    """Write the parameters into all groups."""
+def _write_parameters(R, N, every: bool) -> None:  # type: ignore[no-untyped-def]
+    """Write the parameters into all groups: of every point, or where they differ from those that the lanes hold."""
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
     state, ints = carray(at(R, N[STATE]), N[N_STATE]), carray(at(N, N[INTS]), N[N_INTS])
     for g in range(N[N_GROUPS]):
         B = state[groups[g, BLOCK_START] : groups[g, BLOCK_END]]
-        _write_group_parameters(R, N, B, ints[groups[g, INTS_START] : groups[g, INTS_END]], g)
+        _write_group_parameters(R, N, B, ints[groups[g, INTS_START] : groups[g, INTS_END]], g, every)
 
 
 @inline_always
@@ -188,7 +227,7 @@ def _clear_counts(R, N) -> None:  # type: ignore[no-untyped-def]
 
 
 @njit
-def _write_outputs(R, N, A) -> int:  # type: ignore[no-untyped-def]
+def _write_outputs(R, N, A, T) -> int:  # type: ignore[no-untyped-def]
     """Write the outputs; number of the first point whose step did not converge, GOOD where all did."""
     outcome = GOOD
     # From the last point to the first: the outcome that remains is the first point that failed.
@@ -199,10 +238,10 @@ def _write_outputs(R, N, A) -> int:  # type: ignore[no-untyped-def]
         first = N[GROUPS] + 4 * point[P_GROUP]
         block, ints = at(R, N[STATE] + N[first]), at(N, N[INTS] + N[first + INTS_START])
         B, J = at(block, point[P_LANE]), at(ints, point[P_LANE])
-        wall = B[(HEAD_ROWS + T) * LANES]
+        wall = B[(HEAD_ROWS + TEMPERATURE) * LANES]
         h_ref = R[N[VECTORS] + (point[P_GROUP] * LANES + point[P_LANE]) * N_CONDITIONS + H_REF]
         excess = wall * wall * wall * wall - B[SURROUNDINGS4 * LANES]
-        eps = B[FACTOR_EPS * LANES] * emittance(at(R, N[TABLE]), J[EMISSIVITY_TABLE], wall)
+        eps = B[FACTOR_EPS * LANES] * emittance(at(T, N[TABLE]), J[EMISSIVITY_TABLE], wall)
         if J[N_EMITTING] > 0:
             eps *= emittance_factor(block, ints, A[0], point[P_LANE], END, wall)
         out[SURFACE], out[BONDLINE] = wall, R[N[STATE] + point[P_BONDLINE]]
@@ -224,12 +263,12 @@ def _write_outputs(R, N, A) -> int:  # type: ignore[no-untyped-def]
     return outcome
 
 
-# Problems of the image, by number: an input out of range at the end of a step, at its start; a step too long; a point
-# whose step did not converge.
+# Problems of the image, by number: an input out of range at the end of a step, at its start; a point whose step did not
+# converge.
 
 
 @inline_always
-def _start(R, N, A) -> int:  # type: ignore[no-untyped-def]
+def _start(R, N, A, T) -> int:  # type: ignore[no-untyped-def]
     """Set the initial temperatures of the stacks, in the conditions of the inputs."""
     n = N[N_INPUTS]
     for k in range(n):
@@ -238,17 +277,17 @@ def _start(R, N, A) -> int:  # type: ignore[no-untyped-def]
     outside = _first_out_of_range(given, at(R, N[RANGES]), n)
     if outside != GOOD:
         return outside
-    _write_parameters(R, N)
+    _write_parameters(R, N, True)
     _clear_counts(R, N)
-    _begin(R, N, A, given, R[NOW])
+    _begin(R, N, A, T, given, R[NOW])
     for k in range(n):
         R[N[INPUTS_AT_STATE] + k] = given[k]
-    outcome = _write_outputs(R, N, A)
-    return GOOD if outcome == GOOD else 2 * n + 1 + outcome
+    outcome = _write_outputs(R, N, A, T)
+    return GOOD if outcome == GOOD else 2 * n + outcome
 
 
 @inline_always
-def _step(R, N, A) -> int:  # type: ignore[no-untyped-def]
+def _step(R, N, A, T) -> int:  # type: ignore[no-untyped-def]
     """Advance all points to the end of a step."""
     n, dt = N[N_INPUTS], R[NEXT] - R[NOW]
     now, then, ranges = at(R, N[INPUTS_NOW]), at(R, N[INPUTS_NEXT]), at(R, N[RANGES])
@@ -258,27 +297,46 @@ def _step(R, N, A) -> int:  # type: ignore[no-untyped-def]
     outside = _first_out_of_range(then, ranges, n)
     if outside != GOOD:
         return outside
-    # `not <=`: a step that is NaN is refused as well.
-    if not dt <= LONGEST_COMMUNICATION_S:
-        return 2 * n
     jumped = N[CHANGED] != 0
     if jumped:
-        _write_parameters(R, N)
+        _write_parameters(R, N, True)
     # Inputs that differ from those at the end of the last step are a jump: heat contents and net heat are evaluated
     # again.
     for k in range(n):
         jumped = jumped or R[N[INPUTS_AT_STATE] + k] != now[k]
     if jumped:
-        _begin(R, N, A, now, R[NOW])
-    _advance(R, N, A, then, R[NEXT], dt)
+        _begin(R, N, A, T, now, R[NOW])
+    _advance(R, N, A, T, then, R[NEXT], dt)
     for k in range(n):
         R[N[INPUTS_AT_STATE] + k] = then[k]
-    outcome = _write_outputs(R, N, A)
-    return GOOD if outcome == GOOD else 2 * n + 1 + outcome
+    outcome = _write_outputs(R, N, A, T)
+    return GOOD if outcome == GOOD else 2 * n + outcome
 
 
-def advance(R, N, A) -> int:  # type: ignore[no-untyped-def]
+@inline_always
+def _resume(R, N) -> int:  # type: ignore[no-untyped-def]
+    """Make the blocks agree with the kept rows of another instance (KEPT_ROWS, KEPT_NODE_ROWS)."""
+    # Property polynomials stay: they hold for temperatures between their bounds, whichever instance asks.
+    _write_parameters(R, N, False)
+    groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
+    for g in range(N[N_GROUPS]):
+        B = carray(at(R, N[STATE] + groups[g, BLOCK_START]), groups[g, BLOCK_END] - groups[g, BLOCK_START])
+        J = at(N, N[INTS] + groups[g, INTS_START])
+        # The instances may have different ratio tables.
+        invalidate_cells(B)
+        # Without gaps nobody writes the sources of inner nodes: they would remain those of an instance with gaps.
+        for i in range(J[N_NODES] if J[GAPS] == 0 else 0):
+            a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+            for lane in range(LANES):
+                B[a + SOURCE * LANES + lane] = 0.0
+                B[a + SLOPE * LANES + lane] = 0.0
+    return GOOD
+
+
+def advance(R, N, A, T) -> int:  # type: ignore[no-untyped-def]
     """The model, as library.py describes it."""
-    if N[BEGINS] == 1:
-        return _start(R, N, A)
-    return _step(R, N, A)
+    if N[MODE] == RESUME:
+        return _resume(R, N)
+    if N[MODE] == START:
+        return _start(R, N, A, T)
+    return _step(R, N, A, T)

@@ -1,12 +1,18 @@
-"""The image of a model: the two arrays that its function works on, the variables in them, and its error messages.
+"""The image of a model: the arrays that its function works on, the variables in them, and its error messages.
+
+R and N, numbers and integers, change in a step; T, its tables, does not and is shared by all instances. Of R and N only
+the runs that are declared kept are the state of an instance; all else is constant or is computed from them when a step
+begins.
 
 `model.bin`, little-endian, 8 bytes a number, no gaps:
 
-    16 bytes            "sim-heating-fmu2"
-    int64[7]            numbers in R and in N, variables, problems, bytes of text, place of the token, checksum
+    16 bytes            "sim-heating-fmu3"
+    int64[10]           numbers in R, in N and in T, variables, problems, kept runs of R and of N, bytes of text, place
+                        of the token, checksum
     variables           int64 kind, role, place, count, place of the name; float64 lower, upper
     problems            int64 place of the name and of the rule in the text, place of the value in R or -1
-    R, N                float64, int64
+    kept runs           int64 place and count, of R, then of N
+    R, N, T             float64, int64, float64
     text                UTF-8, each piece ended by a 0, padded with zeros to a whole number of words
 
 The checksum is the sum of all words after it, each mixed with its place, modulo 2^64 (`checksum`).
@@ -23,19 +29,22 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-MAGIC = b"sim-heating-fmu2"
+MAGIC = b"sim-heating-fmu3"
 LINE = 8
 """Numbers in a cache line, at which an aligned block begins."""
-TEXT_BYTES = 1024
-"""Bytes for the path of a table, with the 0 that ends it."""
 
 
 class Kind(IntEnum):
-    """What a variable is: a number (or an array of them) in R, an integer in N, the path of a ratio table in N."""
+    """What a variable is: a number in R, an integer in N, the path of a table, or an array in T of the last such table.
+
+    The place of a table's path is that of integers in N: place of the name of the reference heating in the text, of the
+    table in T, the number of lanes that use it, and the place in N of each lane's own.
+    """
 
     NUMBER = 0
     INTEGER = 1
     TABLE = 2
+    SHARED = 3
 
 
 class Role(IntEnum):
@@ -53,10 +62,13 @@ class Role(IntEnum):
 class Variable:
     """A variable of the FMU; its value reference is its place in the list.
 
-    place   : of its first entry in R or N
-    unit    : SI or degrees, "1" for a pure number
-    shape   : of an array, empty for one number
-    choices : name and text of each value 1, 2, ... of an enumeration
+    place      : of its first entry in R, N or T
+    unit       : SI or degrees, "1" for a pure number
+    shape      : of an array, empty for one number
+    choices    : name and text of each value 1, 2, ... of an enumeration; without any an integer is one
+    integers   : number of integers of a table's path
+    depends    : of an output, names of the inputs that it depends on at a communication point
+    parameters : of an output, names of the parameters that its initial value depends on
     """
 
     name: str
@@ -70,11 +82,14 @@ class Variable:
     nominal: float | None = None
     shape: tuple[int, ...] = ()
     choices: tuple[tuple[str, str], ...] = ()
+    integers: int = 1
+    depends: tuple[str, ...] = ()
+    parameters: tuple[str, ...] = ()
 
     @property
     def count(self) -> int:
         """Number of entries of its array that it takes."""
-        return TEXT_BYTES // 8 if self.kind is Kind.TABLE else int(np.prod(self.shape, dtype=int))
+        return self.integers if self.kind is Kind.TABLE else int(np.prod(self.shape, dtype=int))
 
 
 @dataclass(frozen=True)
@@ -95,6 +110,7 @@ class Image:
     step_s    : communication step recommended to hosts [s]
     variables : in the order of their value references
     problems  : in the order of the outcomes of the model
+    kept_numbers, kept_integers : (place, count) of the runs of R and of N that are the state of an instance
     """
 
     name: str
@@ -104,9 +120,13 @@ class Image:
     problems: list[Problem] = field(default_factory=list)
     _R: list[NDArray[np.float64]] = field(default_factory=list)
     _N: list[NDArray[np.int64]] = field(default_factory=list)
+    _T: list[NDArray[np.float64]] = field(default_factory=list)
+    kept_numbers: list[tuple[int, int]] = field(default_factory=list)
+    kept_integers: list[tuple[int, int]] = field(default_factory=list)
     _text: bytearray = field(default_factory=lambda: bytearray(1))
     n_R: int = 0
     n_N: int = 0
+    n_T: int = 0
 
     def add_numbers(self, values: ArrayLike, *, aligned: bool = False) -> int:
         """Add numbers to R, with `aligned` at the beginning of a cache line; the place of the first."""
@@ -117,6 +137,19 @@ class Image:
         self._R.append(added)
         self.n_R += len(added)
         return self.n_R - len(added)
+
+    def keep_numbers(self, values: ArrayLike) -> int:
+        """Add numbers to R that belong to the state of an instance; the place of the first."""
+        place = self.add_numbers(values)
+        self.kept_numbers.append((place, self.n_R - place))
+        return place
+
+    def add_tables(self, values: ArrayLike) -> int:
+        """Add numbers to T; the place of the first."""
+        added = np.array(values, dtype=np.float64).ravel()
+        self._T.append(added)
+        self.n_T += len(added)
+        return self.n_T - len(added)
 
     def add_integers(self, values: ArrayLike) -> int:
         """Add integers to N; the place of the first."""
@@ -139,6 +172,11 @@ class Image:
         """All integers (a copy)."""
         return np.concatenate(self._N)
 
+    @property
+    def T(self) -> NDArray[np.float64]:
+        """All numbers of the tables (a copy)."""
+        return np.concatenate(self._T)
+
     def set_integers(self, values: Sequence[tuple[int, int]]) -> None:
         """Set integers of N.
 
@@ -159,6 +197,8 @@ class Image:
             return ""
         if variable.kind is Kind.INTEGER:
             return int(self.N[variable.place])
+        if variable.kind is Kind.SHARED:
+            return self.T[variable.place : variable.place + variable.count]
         return self.R[variable.place : variable.place + variable.count]
 
     def binary(self, token: str) -> bytes:
@@ -175,15 +215,32 @@ class Image:
         )
         problems = b"".join(struct.pack("<3q", place(p.name), place(p.rule), p.place) for p in self.problems)
         text.extend(b"\0" * (-len(text) % 8))
-        body = variables + problems + self.R.astype("<f8").tobytes() + self.N.astype("<i8").tobytes() + bytes(text)
-        counts = (self.n_R, self.n_N, len(self.variables), len(self.problems), len(text), at)
-        return MAGIC + struct.pack("<6qQ", *counts, checksum(body)) + body
+        kept = _joined(self.kept_numbers), _joined(self.kept_integers)
+        runs = np.array([*kept[0], *kept[1]], dtype="<i8").tobytes()
+        arrays = self.R.astype("<f8").tobytes() + self.N.astype("<i8").tobytes() + self.T.astype("<f8").tobytes()
+        body = variables + problems + runs + arrays + bytes(text)
+        counts = (self.n_R, self.n_N, self.n_T, len(self.variables), len(self.problems), len(kept[0]), len(kept[1]))
+        return MAGIC + struct.pack("<9qQ", *counts, len(text), at, checksum(body)) + body
 
 
 def identifier(name: str) -> str:
     """A name as a C identifier."""
     plain = re.sub(r"\W", "_", name, flags=re.ASCII)
     return f"_{plain}" if plain[:1].isdigit() else plain
+
+
+def _joined(runs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Runs in the order of their places, those that touch as one.
+
+    runs : (place, count) of each
+    """
+    joined: list[tuple[int, int]] = []
+    for place, count in sorted(runs):
+        if joined and joined[-1][0] + joined[-1][1] == place:
+            joined[-1] = joined[-1][0], joined[-1][1] + count
+        else:
+            joined.append((place, count))
+    return joined
 
 
 def _append(text: bytearray, piece: str) -> int:

@@ -7,15 +7,19 @@ that allocates memory, prints or raises needs others and is refused.
 For x86-64 every function is compiled once for any processor and once for those with AVX2; the wrapper chooses. Results
 do not depend on it: the arithmetic is strict, without contraction to fused operations.
 
-A compiled model shares two arrays with the C wrapper (fmu/ at the top of the repository): its numbers `R` (float64) and
-its integers `N` (int64). The wrapper uses their first entries, below, and the place of each variable; all others belong
-to the model. A model is one function, as start and step have most of their code in common,
+A compiled model shares arrays with the C wrapper (fmu/ at the top of the repository): its numbers `R` (float64), its
+integers `N` (int64) and its tables `T` (float64), which never change. The wrapper uses the first entries of R and N,
+below, and the place of each variable; all others belong to the model. A model is one function, as start and step have
+most of their code in common,
 
-    advance(R, N, A) -> outcome   where N[BEGINS] is 1, set the initial state at R[NOW] from parameters and inputs;
-                                  else advance it from R[NOW] to R[NEXT], inputs linear from INPUTS_NOW to INPUTS_NEXT
+    advance(R, N, A, T) -> outcome   where N[MODE] is STEP, advance the state from R[NOW] to R[NEXT], inputs linear from
+                                     INPUTS_NOW to INPUTS_NEXT; where it is START, set the initial state at R[NOW] from
+                                     parameters and inputs; where it is RESUME, make good what depends on the kept runs
+                                     of R and N: those of one instance have replaced those of another
 
 with A the addresses of further compiled functions that it calls. An outcome is GOOD or the number of a problem of the
-image (image.py); after a problem the state is unchanged.
+image (image.py); after a problem the state is of no use. Instances work in turns in the same R and N: what is not kept
+(image.py) has to be constant, or to be written before it is read, or to be a cache that says what it holds.
 """
 
 from __future__ import annotations
@@ -50,21 +54,30 @@ GOOD = -1
 """Outcome of a model without a problem."""
 
 # First numbers of R.
-NOW, NEXT = 0, 1
-"""Times of the state and of the end of the step [s]."""
+NOW, NEXT, LONGEST = 0, 1, 2
+"""Times of the state and of the end of the step [s]; longest communication step [s]."""
 R_HEAD = 8
+LONGEST_COMMUNICATION_S = 600.0
+"""Longest communication step [s]; a longer one is refused, as that of a clock in other units."""
 
 # First integers of N: place of the inputs in R and their number; places of their values at the start and at the end of
-# a step, and of their slopes; 1 where a parameter has been set since the last step; timing of the inputs; 1 where the
-# model starts.
-INPUTS, N_INPUTS, INPUTS_NOW, INPUTS_NEXT, INPUT_SLOPES, CHANGED, TIMING, BEGINS = range(8)
-I_HEAD = 8
+# a step, and of their slopes; 1 where a parameter has been set since the last step; timing of the inputs; what the
+# model is to do; the timing again, 0 where the first one counts.
+INPUTS, N_INPUTS, INPUTS_NOW, INPUTS_NEXT, INPUT_SLOPES, CHANGED, TIMING, MODE, TIMING_INTEGER = range(9)
+I_HEAD = 9
+STEP, START, RESUME = 0, 1, 2
+"""Values of MODE."""
 HELD, REACHED = 1, 2
 """Timing of inputs: values at the start of a step, held over it unless the host gives derivatives or later values; or
 values at its end, reached along a straight line."""
 
-MODEL_SIGNATURE = types.int64(types.CPointer(types.float64), types.CPointer(types.int64), types.CPointer(types.int64))
-"""Signature of a model in C: addresses of R, N and A; its outcome."""
+MODEL_SIGNATURE = types.int64(
+    types.CPointer(types.float64),
+    types.CPointer(types.int64),
+    types.CPointer(types.int64),
+    types.CPointer(types.float64),
+)
+"""Signature of a model in C: addresses of R, N, A and T; its outcome."""
 
 
 at: Any = pointer_offset

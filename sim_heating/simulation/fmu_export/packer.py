@@ -9,7 +9,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sim_heating.simulation.fmu_export.image import Image, Kind, Role, Variable
-from sim_heating.simulation.fmu_export.library import INPUTS, INPUTS_NEXT, INPUTS_NOW, N_INPUTS, R_HEAD
+from sim_heating.simulation.fmu_export.library import (
+    CHANGED,
+    INPUT_SLOPES,
+    INPUTS,
+    INPUTS_NEXT,
+    INPUTS_NOW,
+    LONGEST,
+    LONGEST_COMMUNICATION_S,
+    N_INPUTS,
+    R_HEAD,
+    TIMING,
+    TIMING_INTEGER,
+)
 
 
 class Input(NamedTuple):
@@ -35,16 +47,32 @@ class ImagePacker:
     def __init__(self, image: Image, n_integers: int) -> None:
         self.image = image
         self.head: dict[int, int] = {}
-        image.add_numbers(np.zeros(R_HEAD))
+        first = np.zeros(R_HEAD)
+        first[LONGEST] = LONGEST_COMMUNICATION_S
+        image.keep_numbers(first)
         image.add_integers(np.zeros(n_integers))
+        image.kept_integers += [(place, 1) for place in (CHANGED, TIMING, TIMING_INTEGER)]
         self.add_number("time", Role.INDEPENDENT, 0, "time", "s")
 
     def add_number(
         self, name: str, role: Role, place: int, text: str, unit: str = "1",
-        lower: float = -np.inf, upper: float = np.inf, nominal: float | None = None, shape: tuple[int, ...] = (),
+        lower: float = -np.inf, upper: float = np.inf, nominal: float | None = None,
+        depends: tuple[str, ...] = (), parameters: tuple[str, ...] = (),
     ) -> None:  # fmt: skip
-        """Add a variable for a number, or an array of them, at a place of R."""
-        self.image.variables.append(Variable(name, Kind.NUMBER, role, place, text, unit, lower, upper, nominal, shape))
+        """Add a variable for a number at a place of R."""
+        self.image.variables.append(
+            Variable(
+                name, Kind.NUMBER, role, place, text, unit, lower, upper, nominal, depends=depends,
+                parameters=parameters,
+            )
+        )  # fmt: skip
+
+    def add_array(
+        self, name: str, role: Role, place: int, text: str, unit: str, shape: tuple[int, ...],
+        lower: float = -np.inf, upper: float = np.inf,
+    ) -> None:  # fmt: skip
+        """Add a variable for an array at a place of T, of the table whose path was added last."""
+        self.image.variables.append(Variable(name, Kind.SHARED, role, place, text, unit, lower, upper, shape=shape))
 
     def add_choice(self, name: str, role: Role, place: int, text: str, choices: tuple[tuple[str, str], ...]) -> None:
         """Add a variable for an integer at a place of N, from 1 to the number of choices."""
@@ -52,13 +80,18 @@ class ImagePacker:
             Variable(name, Kind.INTEGER, role, place, text, lower=1, upper=len(choices), choices=choices)
         )
 
+    def add_integer(self, name: str, role: Role, place: int, text: str, lower: int, upper: int) -> None:
+        """Add a variable for an integer at a place of N."""
+        self.image.variables.append(Variable(name, Kind.INTEGER, role, place, text, lower=lower, upper=upper))
+
     def add_inputs(self, inputs: Sequence[Input], starts: ArrayLike) -> None:
         """Add the inputs, and room for their values at the start and at the end of a step.
 
         starts : (input,) values before a host sets them
         """
-        place = self.image.add_numbers(starts)
+        place = self.image.keep_numbers(starts)
         for i, (name, unit, nominal, text, lower, upper) in enumerate(inputs):
             self.add_number(name, Role.INPUT, place + i, text, unit, lower, upper, nominal)
         self.head |= {INPUTS: place, N_INPUTS: len(inputs)}
-        self.head |= {copy: self.image.add_numbers(starts) for copy in (INPUTS_NOW, INPUTS_NEXT)}
+        self.head[INPUT_SLOPES] = self.image.keep_numbers(np.zeros(len(inputs)))
+        self.head |= {copy: self.image.keep_numbers(starts) for copy in (INPUTS_NOW, INPUTS_NEXT)}
