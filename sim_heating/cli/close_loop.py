@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sim_heating.base.errors import RunError
-from sim_heating.cli.console import CONSOLE, ERRORS, OUT, PATH, print_outputs, print_table, progress_line
+from sim_heating.cli.console import CONSOLE, ERRORS, OUT, PATH, ROOT, print_outputs, print_table, progress_line
 
 if TYPE_CHECKING:
     from sim_heating.closure.report import Closure, ParameterEstimate
@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 @OUT
 @click.option("--scheduler", metavar="ADDRESS", help="a Dask scheduler, as tcp://host:8786; default: local processes")
 @click.option("--workers", type=click.IntRange(1), help="number of local processes; default: one a core")
-def close_loop(records: tuple[Path, ...], out: Path, scheduler: str | None, workers: int | None) -> None:
+@ROOT
+def close_loop(
+    records: tuple[Path, ...], out: Path, scheduler: str | None, workers: int | None, root: Path | None
+) -> None:
     """Identify the effect that the declared model of flight RECORDS lacks; report errors before and after.
 
     RECORDS are directories of flight records, or directories that hold such; each record is treated by itself.
@@ -30,9 +33,9 @@ def close_loop(records: tuple[Path, ...], out: Path, scheduler: str | None, work
     from sim_heating.closure.close import close_loop as close_one
     from sim_heating.inputs.record import load_record
 
-    found = find_records(records)
+    found = find_records(records, root)
     if len(found) == 1:
-        record = load_record(found[0])
+        record = load_record(found[0], root=root)
         require_writable(out, "close-loop", expected=FILES, inputs=[record.directory])
         with progress_line(record.name) as progress:
             closed = close_one(record, progress=progress)
@@ -42,7 +45,7 @@ def close_loop(records: tuple[Path, ...], out: Path, scheduler: str | None, work
         print_outputs(out, names)
         return
     with progress_line("close-loop") as progress:
-        rows = close_all(found, out, scheduler=scheduler, workers=workers, progress=progress)
+        rows = close_all(found, out, root=root, scheduler=scheduler, workers=workers, progress=progress)
     _print_rows(rows)
     for row in rows:
         for line in row.get("fault_messages", ()):

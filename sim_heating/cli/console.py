@@ -67,6 +67,12 @@ def comma_list(_: click.Context, parameter: click.Parameter, value: str | None) 
 
 OUT = click.option("--out", required=True, callback=results_directory, help="directory for the results")
 PATH = click.Path(path_type=Path)
+ROOT = click.option(
+    "--root",
+    type=PATH,
+    metavar="DIR",
+    help="folder that files may name others in; default: the nearest above them with `scenarios`, or the current one",
+)
 
 
 @contextmanager

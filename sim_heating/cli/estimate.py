@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from sim_heating.base.errors import InputError, RunError, error_context
-from sim_heating.cli.console import CONSOLE, OUT, PATH, comma_list, print_outputs, print_table, progress_line
+from sim_heating.cli.console import CONSOLE, OUT, PATH, ROOT, comma_list, print_outputs, print_table, progress_line
 
 ESTIMATED = "estimated"
 """Value of an option for a level of noise that the fit is to find."""
@@ -152,6 +152,7 @@ def _level(text: str, hint: str) -> float:
 @click.option(
     "--segments", type=float, metavar="LENGTH_S", help="fit consecutive segments of this length [s] (one record)"
 )
+@ROOT
 def estimate(
     records: tuple[Path, ...],
     out: Path,
@@ -162,6 +163,7 @@ def estimate(
     node_noise: str | None,
     ratio_noise: str | None,
     segments: float | None,
+    root: Path | None,
 ) -> None:
     """Estimate heating and thermal parameters from the thermocouples of flight records, jointly, with bounds."""
     from sim_heating.base.files import require_writable
@@ -176,13 +178,13 @@ def estimate(
             raise InputError(
                 "--segments: each segment has its own start and reference; leave out --start and --reference"
             )
-        _estimate_trend(records, out, parameters, fit, segments)
+        _estimate_trend(records, out, parameters, fit, segments, root)
         return
     from sim_heating.estimation.fit import estimate as fit_records
     from sim_heating.estimation.report.report import estimate_contents, estimate_table, output_files, write_fit
     from sim_heating.inputs.record import load_record
 
-    loaded = [_with_fit(load_record(path), fit) for path in records]
+    loaded = [_with_fit(load_record(path, root=root), fit) for path in records]
     files = output_files(loaded, filtered=noise is not None)
     require_writable(out, "estimate", expected=files, inputs=[record.directory for record in loaded])
     with progress_line("estimate") as progress:
@@ -211,7 +213,12 @@ def _with_fit(record: Any, fit: list[list[float]]) -> Any:
 
 
 def _estimate_trend(
-    records: tuple[Path, ...], out: Path, parameters: tuple[str, ...] | None, fit: list[list[float]], length_s: float
+    records: tuple[Path, ...],
+    out: Path,
+    parameters: tuple[str, ...] | None,
+    fit: list[list[float]],
+    length_s: float,
+    root: Path | None,
 ) -> None:
     """Fit consecutive segments of one record, and print how many were fitted and omitted."""
     from sim_heating.base.files import require_writable
@@ -221,7 +228,7 @@ def _estimate_trend(
 
     if len(records) > 1:
         raise InputError(f"--segments: {len(records)} records are given; segments are fitted to one record at a time")
-    record = _with_fit(load_record(records[0]), fit)
+    record = _with_fit(load_record(records[0], root=root), fit)
     require_writable(out, "estimate", expected=TREND, inputs=[record.directory])
     with progress_line("estimate") as progress:
         found = trend(record, length_s, parameters, progress=progress)
@@ -260,6 +267,7 @@ def _print_errors(found: Any) -> None:
 @click.option(
     "--repetitions", type=click.IntRange(0), default=0, help="check the bounds against this many simulated fits"
 )
+@ROOT
 def design(
     scenario: Path,
     out: Path,
@@ -267,6 +275,7 @@ def design(
     criterion: str | None,
     evaluations: int | None,
     repetitions: int,
+    root: Path | None,
 ) -> None:
     """Design a scenario's manoeuvres: the bounds they would give, the most informative ones, other instruments."""
     from sim_heating.base.files import require_writable
@@ -275,7 +284,7 @@ def design(
     from sim_heating.inputs.scenario import load_scenario, with_design
 
     given = {"parameters": parameters and list(parameters), "criterion": criterion, "evaluations": evaluations}
-    loaded = with_design(load_scenario(scenario), {k: v for k, v in given.items() if v is not None})
+    loaded = with_design(load_scenario(scenario, root=root), {k: v for k, v in given.items() if v is not None})
     require_writable(out, "design", expected=FILES, inputs=loaded.files)
     with progress_line("design") as progress:
         designed = design_manoeuvres(loaded, repetitions=repetitions, progress=progress)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from sim_heating.base.errors import InputError, error_context
-from sim_heating.cli.console import CONSOLE, PATH, comma_list, progress_line
+from sim_heating.cli.console import CONSOLE, PATH, ROOT, comma_list, progress_line
 
 if TYPE_CHECKING:
     from sim_heating.simulation.fmu_export.image import Image
@@ -70,6 +70,7 @@ def fmu() -> None:
     show_default=True,
     help="default of the variable input_timing: inputs set before a step are values at its start, or at its end",
 )
+@ROOT
 def export(
     vehicle: str,
     out: Path,
@@ -78,6 +79,7 @@ def export(
     platforms: tuple[str, ...],
     reference: str,
     input_timing: str,
+    root: Path | None,
 ) -> None:
     """The heating plug-in of a vehicle as a co-simulation FMU."""
     from sim_heating.inputs.vehicle import load_vehicle
@@ -86,7 +88,7 @@ def export(
     targets_of(platforms, int(fmi))
     with progress_line("fmu export") as progress:
         progress(0.1, "compiling, unless compiled before")
-        loaded = load_vehicle(vehicle)
+        loaded = load_vehicle(vehicle, root=root)
         columns = reference == "columns"
         image = export_fmu(
             loaded, out, points, fmi=int(fmi), platforms=platforms, columns=columns, input_timing=input_timing,
@@ -101,14 +103,15 @@ def export(
 @FMU_OUT
 @FMI
 @PLATFORMS
-def trajectory(scenario: Path, out: Path, fmi: str, platforms: tuple[str, ...]) -> None:
+@ROOT
+def trajectory(scenario: Path, out: Path, fmi: str, platforms: tuple[str, ...], root: Path | None) -> None:
     """The built-in 3-DOF entry of a scenario as a co-simulation FMU."""
     from sim_heating.base.files import display_path
     from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation.fmu_export.entry import export_entry, require_entry_source
     from sim_heating.simulation.fmu_export.export import targets_of
 
-    loaded = load_scenario(scenario)
+    loaded = load_scenario(scenario, root=root)
     spec, vehicle = loaded.declared.trajectory, loaded.vehicle.directory
     with error_context(f"{display_path(scenario)}, [trajectory]"):
         require_entry_source(spec)

@@ -32,47 +32,48 @@ class CheckedPath:
     summary: str
 
 
-def check_path(path: str | os.PathLike[str]) -> CheckedPath:
+def check_path(path: str | os.PathLike[str], root: Path | None = None) -> CheckedPath:
     """Recognise a path by its content, and check all that it holds.
 
+    root   : folder in which files may name others
     raises : InputError with everything that is wrong, or that the path is not recognised
     """
     place = Path(path)
     if not os.path.lexists(place):
         if place.name == str(path) and place.name in vehicle_names():
-            return _vehicle(place)
+            return _vehicle(place, root)
         read_text(place)
     if place.is_dir():
-        return _directory(place)
+        return _directory(place, root)
     if place.suffix == ".toml":
-        return _toml(place)
-    return _csv(place)
+        return _toml(place, root)
+    return _csv(place, root)
 
 
-def _directory(place: Path) -> CheckedPath:
+def _directory(place: Path, root: Path | None) -> CheckedPath:
     names = sorted(p.name for p in place.iterdir())
     if DECLARATION in names and VEHICLE in names:
         raise InputError(
             f"{display_path(place)}: holds both {DECLARATION} and {VEHICLE}; a directory is one or the other"
         )
     if DECLARATION in names:
-        return CheckedPath("record", place, describe_record(load_record(place)))
+        return CheckedPath("record", place, describe_record(load_record(place, root=root)))
     if VEHICLE in names:
-        return _vehicle(place)
+        return _vehicle(place, root)
     found = f"; it holds {', '.join(names[:8])}" if names else "; it is empty"
     raise InputError(f"{display_path(place)}: is neither a record ({DECLARATION}) nor a vehicle ({VEHICLE}){found}")
 
 
-def _toml(place: Path) -> CheckedPath:
+def _toml(place: Path, root: Path | None) -> CheckedPath:
     if place.name in (DECLARATION, VEHICLE):
-        return _directory(place.parent)
+        return _directory(place.parent, root)
     data = read_toml_dict(place)
     if data.get("format") == "scenario/1":
-        return _scenario(place)
+        return _scenario(place, root)
     if data.get("format") == "study/1":
-        return _study(place)
+        return _study(place, root)
     if place.parent.name in ("control_points", "materials") and (place.parent.parent / VEHICLE).is_file():
-        return _vehicle(place.parent.parent)
+        return _vehicle(place.parent.parent, root)
     if "density_kg_m3" in data:
         read_toml(place, Material)
         return CheckedPath("material", place, f"material {place.stem}")
@@ -85,31 +86,31 @@ def _format_rule(found: object) -> str:
     return f"`format`: {found!r} is not a file of this kind{suggestion(str(found), FORMATS)}"
 
 
-def _csv(place: Path) -> CheckedPath:
+def _csv(place: Path, root: Path | None) -> CheckedPath:
     text = read_text(place)
     head = next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")
     columns = {name.strip() for name in head.split(",")}
     if "time_s" in columns and (place.parent / DECLARATION).is_file():
-        return _directory(place.parent)
+        return _directory(place.parent, root)
     if columns & {*RATIO_VARIABLES, "ratio"} and "time_s" not in columns:
         return CheckedPath("ratio table", place, describe_table(read_ratio_table(place)))
     kinds = "a ratio table has columns " + ", ".join((*RATIO_VARIABLES, "ratio"))
     raise InputError(f"{display_path(place)}: is not a record, vehicle, scenario or ratio table; {kinds}")
 
 
-def _vehicle(place: Path) -> CheckedPath:
-    vehicle = load_vehicle(place)
+def _vehicle(place: Path, root: Path | None) -> CheckedPath:
+    vehicle = load_vehicle(place, root=root)
     return CheckedPath("vehicle", place, f"vehicle {vehicle.name}: {len(vehicle.control_points)} control points")
 
 
-def _scenario(place: Path) -> CheckedPath:
-    return CheckedPath("scenario", place, f"scenario {load_scenario(place).title or place.stem}")
+def _scenario(place: Path, root: Path | None) -> CheckedPath:
+    return CheckedPath("scenario", place, f"scenario {load_scenario(place, root=root).title or place.stem}")
 
 
-def _study(place: Path) -> CheckedPath:
+def _study(place: Path, root: Path | None) -> CheckedPath:
     from sim_heating.planning.study import load_study
 
-    study = load_study(place)
+    study = load_study(place, root=root)
     if study.declared.dispersion is not None:
         from sim_heating.planning.dispersion.entry import DispersedEntry
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from sim_heating.base.errors import RunError
-from sim_heating.cli.console import CONSOLE, ERRORS, OUT, PATH, print_outputs, print_table, progress_line
+from sim_heating.cli.console import CONSOLE, ERRORS, OUT, PATH, ROOT, print_outputs, print_table, progress_line
 
 
 @click.command()
@@ -16,12 +16,15 @@ from sim_heating.cli.console import CONSOLE, ERRORS, OUT, PATH, print_outputs, p
 @click.option("--scheduler", metavar="ADDRESS", help="a Dask scheduler, as tcp://host:8786; default: local processes")
 @click.option("--workers", type=click.IntRange(1), help="number of local processes; default: one a core")
 @click.option("--vehicle", help="fly this vehicle, by name or directory, instead of the study's own")
-def plan(study: Path, out: Path, scheduler: str | None, workers: int | None, vehicle: str | None) -> None:
+@ROOT
+def plan(
+    study: Path, out: Path, scheduler: str | None, workers: int | None, vehicle: str | None, root: Path | None
+) -> None:
     """Plan missions with the tables: dispersions, envelopes, optimal entries of a study."""
     from sim_heating.planning.plan import plan as run_study
     from sim_heating.planning.study import load_study
 
-    loaded = load_study(study, vehicle)
+    loaded = load_study(study, vehicle, root=root)
     with progress_line(loaded.title) as progress:
         planned = run_study(loaded, out, scheduler=scheduler, workers=workers, progress=progress)
     for result in planned.results.values():

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.cli.console import CONSOLE, OUT, PATH, print_outputs, print_table, progress_line
+from sim_heating.cli.console import CONSOLE, OUT, PATH, ROOT, print_outputs, print_table, progress_line
 
 if TYPE_CHECKING:
     from sim_heating.base.report.table import Table
@@ -22,14 +22,15 @@ SHOWN_NAMES = 4
 @click.command()
 @click.argument("scenario", type=PATH)
 @OUT
-def run(scenario: Path, out: Path) -> None:
+@ROOT
+def run(scenario: Path, out: Path, root: Path | None) -> None:
     """Fly a scenario: trajectory, heating, temperatures, plots."""
     from sim_heating.base.files import require_writable
     from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation.results import run_table
     from sim_heating.simulation.run import files_of, rmse_by_point, run, summary, write_run
 
-    loaded = load_scenario(scenario)
+    loaded = load_scenario(scenario, root=root)
     require_writable(out, "run", expected=files_of(loaded), inputs=loaded.files)
     with progress_line(loaded.title) as progress:
         result = run(loaded, progress=progress)
@@ -85,7 +86,8 @@ def _print_range_warnings(points: dict[str, Any]) -> None:
 @click.command()
 @click.argument("scenario", type=PATH)
 @OUT
-def synthesize(scenario: Path, out: Path) -> None:
+@ROOT
+def synthesize(scenario: Path, out: Path, root: Path | None) -> None:
     """Fly a scenario and write it as flight records, with the sensor model applied."""
     import numpy as np
 
@@ -94,7 +96,7 @@ def synthesize(scenario: Path, out: Path) -> None:
     from sim_heating.simulation.synthesize import files_of, write_records
     from sim_heating.simulation.synthesize import synthesize as fly_and_measure
 
-    loaded = load_scenario(scenario)
+    loaded = load_scenario(scenario, root=root)
     if not any(loaded.vehicle.control_point(name).sensors for name in loaded.names):
         raise InputError(f"{scenario}: none of its control points has a sensor; choose one that has")
     require_writable(out, "synthesize", expected=files_of(loaded), inputs=loaded.files)
@@ -207,7 +209,8 @@ def _scenario_folder() -> Path:
 @click.argument("records", type=PATH, nargs=-1, required=True)
 @OUT
 @click.option("--vehicle", help="take ratio tables and effects of this vehicle in place of the records' own tables")
-def predict(records: tuple[Path, ...], out: Path, vehicle: str | None) -> None:
+@ROOT
+def predict(records: tuple[Path, ...], out: Path, vehicle: str | None, root: Path | None) -> None:
     """Predict the temperatures of flight records with their declared models, nothing fitted."""
     from sim_heating.base.files import require_writable
     from sim_heating.inputs.points import point_with_vehicle_table
@@ -217,8 +220,8 @@ def predict(records: tuple[Path, ...], out: Path, vehicle: str | None) -> None:
     from sim_heating.simulation.predict import predict as predict_record
     from sim_heating.simulation.results import prediction_table
 
-    loaded = [load_record(path) for path in records]
-    revised = None if vehicle is None else load_vehicle(vehicle)
+    loaded = [load_record(path, root=root) for path in records]
+    revised = None if vehicle is None else load_vehicle(vehicle, root=root)
     names = [record.name for record in loaded]
     require_distinct_records(names)
     folders = [out if len(loaded) == 1 else out / name for name in names]

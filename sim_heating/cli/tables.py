@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from sim_heating.base.errors import InputError
-from sim_heating.cli.console import CONSOLE, OUT, PATH, optional_directory, print_table, progress_line
+from sim_heating.cli.console import CONSOLE, OUT, PATH, ROOT, optional_directory, print_table, progress_line
 
 
 @click.command("update-tables")
@@ -25,6 +25,7 @@ from sim_heating.cli.console import CONSOLE, OUT, PATH, optional_directory, prin
 @click.option("--check", "checked", type=PATH, multiple=True, help="another record to predict before and after")
 @click.option("--dry-run", is_flag=True, help="show what would change and write nothing")
 @click.option("--revert", metavar="POINT", help="put table and effects of this point back to the parent revision")
+@ROOT
 def update_tables(
     fit: Path | None,
     vehicle: str,
@@ -34,19 +35,28 @@ def update_tables(
     checked: tuple[Path, ...],
     dry_run: bool,
     revert: str | None,
+    root: Path | None,
 ) -> None:
     """Write derivatives and effects of an estimate (FIT: an estimate.json or its directory) into the vehicle."""
     from sim_heating.closure.revise import report
     from sim_heating.closure.revise.revisions import point_path, revision_path
 
     if fit is None:
-        _revert_table(vehicle, revert, out is not None or dry_run)
+        _revert_table(vehicle, revert, out is not None or dry_run, root)
         return
     if revert is not None:
         raise InputError(f"--revert {revert}: takes no FIT; leave out {fit}")
     with progress_line("update-tables") as progress:
         updated = report.update_tables(
-            fit, vehicle, out, records=records, point=point, checks=checked, dry_run=dry_run, progress=progress
+            fit,
+            vehicle,
+            out,
+            records=records,
+            point=point,
+            checks=checked,
+            dry_run=dry_run,
+            root=root,
+            progress=progress,
         )
     for part in report.update_report(updated.update, updated.errors_K):
         if isinstance(part, str):
@@ -64,7 +74,7 @@ def update_tables(
     CONSOLE.print(line, soft_wrap=True)
 
 
-def _revert_table(vehicle: str, point: str | None, more: bool) -> None:
+def _revert_table(vehicle: str, point: str | None, more: bool, root: Path | None) -> None:
     from sim_heating.closure.revise.revisions import revert
     from sim_heating.closure.revise.update import check_target
     from sim_heating.inputs.vehicle import load_vehicle
@@ -74,13 +84,14 @@ def _revert_table(vehicle: str, point: str | None, more: bool) -> None:
         raise InputError("update-tables: give FIT, an estimate.json or its directory, or --revert POINT")
     if more:
         raise InputError(f"--revert {point}: takes no other option; leave out --out and --dry-run")
-    undone, now = revert(load_vehicle(vehicle), point)
+    undone, now = revert(load_vehicle(vehicle, root=root), point)
     CONSOLE.print(f"{point}: revision {undone} undone; revision {now} is in force, byte for byte")
 
 
 @click.command("ratio-tables")
 @click.argument("vehicles", nargs=-1, required=True)
-def ratio_tables(vehicles: tuple[str, ...]) -> None:
+@ROOT
+def ratio_tables(vehicles: tuple[str, ...], root: Path | None) -> None:
     """Write the heating-ratio tables of VEHICLES from the descriptions in their folders `ratio_sources`.
 
     VEHICLES are directories, or names of vehicles. A table that flight data revised is not overwritten.
@@ -89,14 +100,15 @@ def ratio_tables(vehicles: tuple[str, ...]) -> None:
     from sim_heating.inputs.ratio_sources import write_tables
 
     for vehicle in vehicles:
-        for path in write_tables(vehicle):
+        for path in write_tables(vehicle, root=root):
             CONSOLE.print(display_path(path), soft_wrap=True)
 
 
 @click.command("measured-records")
 @click.argument("scenario", type=PATH)
 @OUT
-def measured_records(scenario: Path, out: Path) -> None:
+@ROOT
+def measured_records(scenario: Path, out: Path, root: Path | None) -> None:
     """Write the measured histories that a SCENARIO compares with as flight records along its simulated flight.
 
     Each [[compare]] of the scenario becomes one record, named after its control point.
@@ -105,5 +117,5 @@ def measured_records(scenario: Path, out: Path) -> None:
     from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation.measured_records import write_compared_records
 
-    for path in write_compared_records(load_scenario(scenario), out):
+    for path in write_compared_records(load_scenario(scenario, root=root), out):
         CONSOLE.print(display_path(path), soft_wrap=True)

@@ -7,19 +7,20 @@ from pathlib import Path
 import click
 
 from sim_heating.base.errors import InputError
-from sim_heating.cli.console import CONSOLE, PATH
+from sim_heating.cli.console import CONSOLE, PATH, ROOT
 
 
 @click.command()
 @click.argument("paths", type=PATH, nargs=-1, required=True)
-def validate(paths: tuple[Path, ...]) -> None:
+@ROOT
+def validate(paths: tuple[Path, ...], root: Path | None) -> None:
     """Check records, scenarios, tables or vehicles, and report what is wrong."""
     from sim_heating.cli.path_check import check_path
 
     problems: list[str] = []
     for path in paths:
         try:
-            CONSOLE.print(f"{path}: good. {check_path(path).summary}", soft_wrap=True)
+            CONSOLE.print(f"{path}: good. {check_path(path, root).summary}", soft_wrap=True)
         except InputError as error:
             problems.extend(error.problems)
     if problems:

@@ -17,6 +17,7 @@ from sim_heating.base.files import (
     output_directory,
     require_writable,
     results_digest,
+    roots_of,
     write_csv,
     write_json,
 )
@@ -38,11 +39,13 @@ class Task:
 
     record: str
     out: str
+    root: str | None = None
 
 
-def find_records(paths: Sequence[Path]) -> list[Path]:
+def find_records(paths: Sequence[Path], root: Path | None = None) -> list[Path]:
     """Records among paths: a record's directory itself, or all directly below a directory.
 
+    root   : folder that symbolic links among them may lead to, as `load_record` takes it
     raises : InputError where a directory holds none, or two records have one name
     """
     found: list[Path] = []
@@ -51,6 +54,9 @@ def find_records(paths: Sequence[Path]) -> list[Path]:
             below = sorted(p.parent for p in path.glob(f"*/{DECLARATION}"))
             if not below:
                 raise InputError(f"{path}: holds neither {DECLARATION} nor directories that do; give flight records")
+            roots = roots_of(path / DECLARATION, root)
+            for record in below:
+                roots.check_link(record)
             found += below
         else:
             found.append(path)
@@ -62,6 +68,7 @@ def close_all(
     records: Sequence[Path],
     out: Path,
     *,
+    root: Path | None = None,
     scheduler: str | None = None,
     workers: int | None = None,
     progress: Progress = no_progress,
@@ -71,6 +78,7 @@ def close_all(
     A finished record is not done again while its inputs and the program are unchanged. One that fails has the reason in
     its row; the others go on.
 
+    root      : folder that symbolic links in the records may lead to, as `load_record` takes it
     scheduler : address of a Dask scheduler; None for local processes
     workers   : number of local processes; None for one a core
     returns   : one row of the summary for each record, in their order
@@ -78,7 +86,7 @@ def close_all(
     """
     from sim_heating.closure.close import COMMAND, FILES
 
-    jobs = [record_job(path, out / path.resolve().name) for path in records]
+    jobs = [record_job(path, out / path.resolve().name, root) for path in records]
     with exclusive(out):
         # Before the work: a place that cannot hold results must not be found out after it.
         for folder, names in ((out, SUMMARIES), *((job.task.out, FILES) for job in jobs)):
@@ -99,10 +107,10 @@ def close_all(
     return rows
 
 
-def record_job(record: Path, out: Path) -> Job:
+def record_job(record: Path, out: Path, root: Path | None = None) -> Job:
     """A record's job; its name depends on everything that its result depends on."""
     try:
-        inputs = inputs_hash(load_record(record))
+        inputs = inputs_hash(load_record(record, root=root))
     except InputError:  # the job itself reports it
         inputs = "unreadable"
     # Everything that the result depends on: a finished record is closed again after an update of the program or of a
@@ -110,14 +118,17 @@ def record_job(record: Path, out: Path) -> Job:
     digest = hashlib.sha256("|".join([inputs, package_version(), *sorted(effects())]).encode())
     for path in user_effect_files():
         digest.update(path.read_bytes())
-    return Job(f"{record.resolve().name}-{digest.hexdigest()[:12]}.json", Task(str(record), str(out)))
+    return Job(
+        f"{record.resolve().name}-{digest.hexdigest()[:12]}.json",
+        Task(str(record), str(out), None if root is None else str(root)),
+    )
 
 
 def _close_record(task: Task) -> bytes:
     """Close the loop on one record and write its folder; its summary row and the digest of the folder as JSON."""
     from sim_heating.closure.close import close_loop, write_closed_loop
 
-    closed = close_loop(load_record(task.record))
+    closed = close_loop(load_record(task.record, root=task.root))
     write_closed_loop(closed, Path(task.out))
     return json.dumps({"row": summary_row(closed.report), "results": results_digest(task.out)}).encode()
 

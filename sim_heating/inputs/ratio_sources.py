@@ -24,7 +24,16 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, error_context
-from sim_heating.base.files import Declared, LocatedError, display_path, read_csv_columns, read_toml, suggestion
+from sim_heating.base.files import (
+    Declared,
+    FileOfFolder,
+    LocatedError,
+    display_path,
+    read_csv_columns,
+    read_toml,
+    roots_of,
+    suggestion,
+)
 from sim_heating.base.kernels.axis import cells_of
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table, write_ratio_table
 from sim_heating.heating.ratio.tunnel_to_flight import (
@@ -87,7 +96,7 @@ class FileBase(Declared):
     trend sin(alpha) sqrt(cos(alpha)) continues.
     """
 
-    file: str = Field(description="CSV next to the source, with columns alpha_deg, log10_re and `column`")
+    file: FileOfFolder = Field(description="CSV next to the source, with columns alpha_deg, log10_re and `column`")
     column: str
     file_length_over_L: float = Field(gt=0.0, description="length that the file applies to, over the reference length")
     length: Literal["x_over_L", "running_length_m"] = Field(description="key of the control point file")
@@ -139,13 +148,17 @@ class RatioSource(Declared):
     scaling: Scaling | None = None
 
 
-def build_tables(vehicle: str | os.PathLike[str]) -> dict[str, RatioTable]:
+def build_tables(
+    vehicle: str | os.PathLike[str], *, root: str | os.PathLike[str] | None = None
+) -> dict[str, RatioTable]:
     """The ratio tables that a vehicle's ratio_sources describe, by control point.
 
+    root   : as `load_vehicle` takes it
     raises : InputError where there is no source, a source or a file that it names cannot be used, or two sources make
              one table
     """
     directory = vehicle_directory(vehicle)
+    roots_of(directory / "vehicle.toml", root).check_links(directory)
     file = read_toml(directory / "vehicle.toml", VehicleFile)
     sources = sorted((directory / "ratio_sources").glob("*.toml"))
     if not sources:
@@ -173,13 +186,14 @@ def build_tables(vehicle: str | os.PathLike[str]) -> dict[str, RatioTable]:
     return tables
 
 
-def write_tables(vehicle: str | os.PathLike[str]) -> list[Path]:
+def write_tables(vehicle: str | os.PathLike[str], *, root: str | os.PathLike[str] | None = None) -> list[Path]:
     """Build all tables of a vehicle and write them to the files that its control points name; returns those files.
 
+    root   : as `load_vehicle` takes it
     raises : InputError where one of them has been revised from flight data; nothing is written
     """
     directory = vehicle_directory(vehicle)
-    tables, written = build_tables(directory), []
+    tables, written = build_tables(directory, root=root), []
     for name in tables:
         _refuse_revised(directory / "ratio_tables" / f"{name}.csv")
     for name, table in tables.items():

@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Discriminator, Field, Tag, field_validator, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
 from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.conditions import HEATING, STATE, Conditions
@@ -31,10 +31,12 @@ from sim_heating.base.files import (
     Location,
     display_path,
     output_directory,
+    path_below,
     raise_problems,
     read_csv_columns,
     read_toml,
     repeated_name,
+    roots_of,
     suggestion,
     toml_text,
     write_csv,
@@ -52,35 +54,36 @@ DECLARATION = "record.toml"
 # The declaration -----------------------------------------------------------------------------------------------------
 
 
+NO_FILE = "is not a file of this record; name one inside its directory"
+
+
+def _not_the_declaration(file: str) -> str:
+    if PurePosixPath(file).name == DECLARATION:
+        raise ValueError(f"`{file}` {NO_FILE}")
+    return file
+
+
+FileOfRecord = Annotated[str, path_below(NO_FILE), AfterValidator(_not_the_declaration)]
+"""Type of a key that names a file of the record."""
+
+
 class FileReference(Declared):
     """A file of the record by its name."""
 
-    file: str = Field(min_length=1, description="a file name in the record's directory")
-
-    @field_validator("file")
-    @classmethod
-    def _check_file(cls, file: str) -> str:
-        return _path_in_record(file)
-
-
-def _path_in_record(file: str) -> str:
-    path = PurePosixPath(file)
-    if path.is_absolute() or ".." in path.parts or path.name in ("", DECLARATION) or not file.isprintable():
-        raise ValueError(f"`{file}` is not a file of this record; name one inside its directory")
-    return file
+    file: FileOfRecord = Field(min_length=1, description="a file name in the record's directory")
 
 
 class Thermocouples(FileReference):
     """The measurements and their sensors."""
 
-    file: str = Field(default="thermocouples.csv", min_length=1)
+    file: FileOfRecord = Field(default="thermocouples.csv", min_length=1)
     sensor: list[Sensor] = Field(min_length=1, description="[[thermocouples.sensor]], at least one")
 
 
 class ConditionsFile(FileReference):
     """The flight conditions."""
 
-    file: str = Field(default="conditions.csv", min_length=1)
+    file: FileOfRecord = Field(default="conditions.csv", min_length=1)
 
 
 class ConstantHeat(Declared):
@@ -109,12 +112,7 @@ class Heating(Declared):
         Annotated[Literal["equilibrium-air"], Tag("named")] | Annotated[ConstantHeat, Tag("constant")],
         Discriminator(_enthalpy_tag),
     ] = Field(description='{ cp_J_kgK = ... } or "equilibrium-air"')
-    ratio_table: str | None = Field(default=None, description="file of the declared heating ratio")
-
-    @field_validator("ratio_table")
-    @classmethod
-    def _check_file(cls, file: str | None) -> str | None:
-        return None if file is None else _path_in_record(file)
+    ratio_table: FileOfRecord | None = Field(default=None, description="file of the declared heating ratio")
 
     @model_validator(mode="after")
     def _check_lengths(self) -> Heating:
@@ -316,10 +314,11 @@ def require_distinct_records(names: Sequence[str]) -> None:
 # Reading -------------------------------------------------------------------------------------------------------------
 
 
-def load_record(directory: str | os.PathLike[str] | Record) -> Record:
+def load_record(directory: str | os.PathLike[str] | Record, *, root: str | os.PathLike[str] | None = None) -> Record:
     """Read and check a flight record.
 
     directory : of the record; a record that has been loaded is returned as it is
+    root      : folder that symbolic links in it may lead to; by default as docs/scenario_format.md states
     returns   : conditions, measurements and the declared model
     raises    : InputError with one line a problem, naming file, row and column or table and key
 
@@ -333,7 +332,12 @@ def load_record(directory: str | os.PathLike[str] | Record) -> Record:
     home = Path(directory)
     if not home.is_dir():
         raise InputError(f"{display_path(home)}: is not a directory; a record is a directory with a {DECLARATION}")
+    roots = roots_of(home / DECLARATION, root)
+    roots.check_link(home / DECLARATION)
     declared = read_toml(home / DECLARATION, RecordFile)
+    for name in (declared.conditions.file, declared.thermocouples.file, declared.heating.ratio_table):
+        if name is not None:
+            roots.check_link(home / name)
     reference = REFERENCE_COLUMNS if declared.heating.reference == "columns" else ()
     required = (*STATE, "p_surface_Pa", *reference)
     optional = (*(c for c in HEATING if c not in required), *OPTIONAL_COLUMNS)

@@ -33,6 +33,7 @@ from sim_heating.base.files import (
     read_csv_columns,
     read_toml,
     repeated_name,
+    roots_of,
     suggestion,
 )
 from sim_heating.base.parameters import MODEL
@@ -258,10 +259,12 @@ class Scenario:
         return tuple(use(e.name, e.parameters) for e in chosen if e.control_points is None or point in e.control_points)
 
 
-def load_scenario(path: str | os.PathLike[str] | Scenario) -> Scenario:
+def load_scenario(path: str | os.PathLike[str] | Scenario, *, root: str | os.PathLike[str] | None = None) -> Scenario:
     """Read and check a scenario with its vehicle and files.
 
     path    : of the scenario's TOML file; a scenario that has been loaded is returned as it is
+    root    : folder that it may name files in, beside its own, its vehicle's and the package's data; by default the
+              nearest folder above it that holds `scenarios`, or the working directory (docs/scenario_format.md)
     returns : the scenario with its vehicle
     raises  : InputError with one line a problem
 
@@ -273,20 +276,30 @@ def load_scenario(path: str | os.PathLike[str] | Scenario) -> Scenario:
         return path
     place = Path(path)
     declared = read_toml(place, ScenarioFile)
-    vehicle = load_vehicle(vehicle_place(place, declared.vehicle))
-    return make_scenario(place, declared, vehicle)
+    vehicle = load_vehicle(vehicle_place(place, declared.vehicle, root=root), root=root)
+    return make_scenario(place, declared, vehicle, root=root)
 
 
-def make_scenario(place: Path, declared: ScenarioFile, vehicle: Vehicle, error_file: Path | None = None) -> Scenario:
+def make_scenario(
+    place: Path,
+    declared: ScenarioFile,
+    vehicle: Vehicle,
+    error_file: Path | None = None,
+    *,
+    root: str | os.PathLike[str] | None = None,
+) -> Scenario:
     """A checked scenario from its declaration and a loaded vehicle.
 
     place      : the scenario's file, which other files are relative to
     error_file : file that messages name, where it is not the scenario's own
+    root       : as `load_scenario` takes it
     raises     : InputError as `load_scenario`
     """
+    roots = roots_of(place, root, vehicle.directory)
     file = declared.trajectory.file
     if file is not None:
-        if not (place.parent / file).is_file():
+        roots.named(file, "[trajectory]: `file`", code=declared.trajectory.source == "fmu")
+        if not os.path.isfile(place.parent / file):
             raise InputError(
                 f"{display_path(place)}, [trajectory]: `file`: there is no {display_path(place.parent / file)}"
             )
@@ -295,8 +308,11 @@ def make_scenario(place: Path, declared: ScenarioFile, vehicle: Vehicle, error_f
         )
     raise_problems([f"{display_path(error_file or place)}: {line}" for line in _problems(declared, vehicle)])
     names = tuple(declared.control_points or vehicle.control_points)
-    compare = tuple(_measured_history(vehicle, c) for c in declared.compare if c.control_point in names)
-    return Scenario(place, declared, vehicle, names, compare)
+    compare = []
+    for i, c in enumerate(declared.compare, start=1):
+        history = roots.named(c.file, f"[compare] {i}: `file`", vehicle.directory)
+        compare += [_measured_history(c, history)] if c.control_point in names else []
+    return Scenario(place, declared, vehicle, names, tuple(compare))
 
 
 def with_design(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
@@ -385,8 +401,8 @@ def _collect_problems(call: Callable[[Any], object], items: Iterable[Any]) -> li
     return lines
 
 
-def _measured_history(vehicle: Vehicle, compare: Compare) -> MeasuredHistory:
-    table = read_csv_columns(vehicle.directory / compare.file, ("time_s", "temperature_K", "sigma_K"))
+def _measured_history(compare: Compare, file: Path) -> MeasuredHistory:
+    table = read_csv_columns(file, ("time_s", "temperature_K", "sigma_K"))
     raise_problems([*table.order_problems(), *table.celsius_problems("temperature_K")])
     time = table["time_s"]
     until = np.inf if compare.until_s is None else compare.until_s

@@ -20,7 +20,7 @@ from typing import ParamSpec, TypeVar
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError, error_context
-from sim_heating.base.files import check, display_path, raise_problems, read_toml, read_toml_dict, suggestion
+from sim_heating.base.files import check, display_path, raise_problems, read_toml, read_toml_dict, roots_of, suggestion
 from sim_heating.base.files.package import data_folders
 from sim_heating.heating.effects import EffectUse, check_count, use
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table
@@ -122,11 +122,12 @@ class _Problems:
         self.lines.append(line)
 
 
-def load_vehicle(vehicle: str | os.PathLike[str] | Vehicle) -> Vehicle:
+def load_vehicle(vehicle: str | os.PathLike[str] | Vehicle, *, root: str | os.PathLike[str] | None = None) -> Vehicle:
     """Read a vehicle by name or by path and check all of it.
 
     vehicle : a directory with a vehicle.toml, or a name that `vehicle_directory` looks up; a vehicle that has been
               loaded is returned as it is
+    root    : folder that symbolic links in it may lead to; by default as docs/scenario_format.md states
     raises  : InputError with the problems of all files, one line each
 
     >>> import sim_heating as sh
@@ -136,6 +137,8 @@ def load_vehicle(vehicle: str | os.PathLike[str] | Vehicle) -> Vehicle:
     if isinstance(vehicle, Vehicle):
         return vehicle
     directory = vehicle_directory(vehicle)
+    # Once for all of its files: those of aerodynamics, guidance and attitude control are read when it flies.
+    roots_of(directory / "vehicle.toml", root).check_links(directory)
     problems = _Problems()
     file = problems.attempt(read_toml, directory / "vehicle.toml", VehicleFile)
     if file is not None and file.name != directory.resolve().name:
@@ -184,10 +187,20 @@ def vehicle_directory(vehicle: str | os.PathLike[str]) -> Path:
     raise InputError(f"vehicle `{text}`: unknown vehicle{suggestion(text, known, otherwise=directory)}")
 
 
-def vehicle_place(file: Path, vehicle: str) -> str | Path:
-    """Directory of a vehicle relative to the file that names it where it exists, else the vehicle's name."""
-    directory = file.parent / vehicle
-    return directory if (directory / "vehicle.toml").is_file() else vehicle
+def vehicle_place(
+    file: Path, vehicle: str, key: str = "`vehicle`", root: str | os.PathLike[str] | None = None
+) -> str | Path:
+    """A vehicle that a file names: its directory relative to the file or to the working directory, else its name.
+
+    key    : table and key that name it, for messages
+    root   : as `load_vehicle` takes it
+    raises : InputError where the directory is not in a folder that the file may name
+    """
+    if os.path.isfile(file.parent / vehicle / "vehicle.toml"):
+        return roots_of(file, root).named(vehicle, key)
+    if os.path.isfile(Path(vehicle) / "vehicle.toml"):
+        return roots_of(file, root).named(vehicle, key, Path())
+    return vehicle
 
 
 def vehicle_folders() -> list[Path]:

@@ -6,12 +6,11 @@ from the nose: x aft, y to starboard, z up.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag, field_validator, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
-from sim_heating.base.files import Declared, LocatedError, Location
+from sim_heating.base.files import Declared, LocatedError, Location, path_below
 from sim_heating.heating.surface_pressure import PressureModel
 from sim_heating.inputs.record import STAGNATION, ConstantHeat
 from sim_heating.thermal.stack import Material, Sensor, Stack, Table, sensor_problems
@@ -112,7 +111,9 @@ class ControlPointFile(Declared):
     position_m: list[float] = Field(min_length=3, max_length=3, description="[x aft, y starboard, z up] from the nose")
     x_over_L: float = Field(ge=0.0, description="distance from the nose over the reference length")
     running_length_m: float | None = Field(default=None, gt=0.0, description="length of the boundary layer in m")
-    ratio_table: str = Field(description="path below the vehicle directory")
+    ratio_table: Annotated[str, path_below("is outside the vehicle directory; give a path below it")] = Field(
+        description="path below the vehicle directory"
+    )
     source: str
     confidence: str
     note: str = ""
@@ -122,13 +123,6 @@ class ControlPointFile(Declared):
     pressure: PressureModel
     turbulent: Turbulent | None = None
     effect: list[DeclaredEffect] = Field(default=[])
-
-    @field_validator("ratio_table")
-    @classmethod
-    def _check_ratio_table(cls, path: str) -> str:
-        if Path(path).is_absolute() or ".." in Path(path).parts:
-            raise ValueError(f"`{path}` is outside the vehicle directory; give a path below it")
-        return path
 
     @model_validator(mode="after")
     def _check(self) -> ControlPointFile:

@@ -30,7 +30,7 @@ from typing import Any
 from pydantic import Field, model_validator
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import Declared, check, display_path, raise_problems, read_toml
+from sim_heating.base.files import Declared, check, display_path, raise_problems, read_toml, roots_of
 from sim_heating.heating.effects import user_effect_files
 from sim_heating.inputs.scenario import Scenario, ScenarioEffect, ScenarioFile, make_scenario
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_place
@@ -79,6 +79,7 @@ class Study:
     base   : the base entry with its vehicle
     points : its control points with their temperature limits
     hash   : of the study and all its inputs, HASH_LENGTH characters
+    root   : folder that its files may name others in, as it was given
     """
 
     path: Path
@@ -86,6 +87,7 @@ class Study:
     base: Scenario
     points: tuple[LimitedPoint, ...]
     hash: str
+    root: Path | None = None
 
     def __repr__(self) -> str:
         return f"<Study `{self.title}`: {self.stamp}>"
@@ -120,50 +122,58 @@ class Study:
         return optimal_study(check({**names, **given}, OptimalStudyFile, where), self.vehicle, where)
 
 
-def load_study(path: str | os.PathLike[str] | Study, vehicle: str | os.PathLike[str] | None = None) -> Study:
+def load_study(
+    path: str | os.PathLike[str] | Study,
+    vehicle: str | os.PathLike[str] | None = None,
+    *,
+    root: str | os.PathLike[str] | None = None,
+) -> Study:
     """Read and check a study and everything that it names.
 
     path    : of the study's TOML file; a study that has been loaded is returned as it is
     vehicle : name or directory of a vehicle to fly instead of the study's own; any revision of it is accepted
+    root    : folder that it may name files in, as `load_scenario` takes it
     raises  : InputError with one line a problem
     """
     if isinstance(path, Study):
-        return path if vehicle is None else load_study(path.path, vehicle)
+        return path if vehicle is None else load_study(path.path, vehicle, root=path.root)
     place = Path(path)
     declared = read_toml(place, StudyFile)
-    loaded = load_vehicle(vehicle_place(place, declared.vehicle) if vehicle is None else vehicle)
+    named = vehicle_place(place, declared.vehicle, root=root) if vehicle is None else vehicle
+    loaded = load_vehicle(named, root=root)
     # A study of another revision would answer another question; --vehicle asks for that on purpose.
     if vehicle is None and declared.revision not in (None, loaded.revision):
         raise InputError(
             f'{display_path(place)}: `revision`: the study needs "{declared.revision}" and {loaded.name} is at '
             f'"{loaded.revision}"; change one of them'
         )
-    base = _base(place, declared, loaded)
-    study = Study(place, declared, base, _limited_points(place, declared, base), _hash(place, declared, base))
+    base = _base(place, declared, loaded, root)
+    points, digest = _limited_points(place, declared, base), _hash(place, declared, base)
+    study = Study(place, declared, base, points, digest, None if root is None else Path(root).absolute())
     study.optimal()
     return study
 
 
-def _base(place: Path, declared: StudyFile, vehicle: Vehicle) -> Scenario:
+def _base(place: Path, declared: StudyFile, vehicle: Vehicle, root: str | os.PathLike[str] | None) -> Scenario:
     """The base entry as a scenario of the study's vehicle and control points."""
     given: dict[str, Any] = {"format": "scenario/1", "vehicle": declared.vehicle, "title": declared.title}
     source = place
     given |= {"control_points": declared.control_points, "effect": [e.model_dump() for e in declared.effect]}
     if declared.scenario is not None:
-        source = place.parent / declared.scenario
-        if not source.is_file():
+        source = roots_of(place, root, vehicle.directory).named(declared.scenario, "`scenario`")
+        if not os.path.isfile(source):
             raise InputError(f"{display_path(place)}: `scenario`: the file {display_path(source)} does not exist")
         flown = read_toml(source, ScenarioFile)
         copied = {"trajectory": flown.trajectory, "effect": [e.model_dump() for e in flown.effect]}
         own = {k: v for k, v in given.items() if k in ("format", "vehicle", "title")}
         # Checked by itself first, so that its own problems are reported with its path and all others with the study's.
-        make_scenario(source, check(own | copied, ScenarioFile, display_path(source)), vehicle)
+        make_scenario(source, check(own | copied, ScenarioFile, display_path(source)), vehicle, root=root)
         given["trajectory"] = flown.trajectory
         given["effect"] = [e.model_dump() for e in (*flown.effect, *declared.effect)]
     else:
         given["trajectory"] = declared.trajectory
     file = check({k: v for k, v in given.items() if v is not None}, ScenarioFile, display_path(place))
-    return make_scenario(source, file, vehicle, error_file=place)
+    return make_scenario(source, file, vehicle, error_file=place, root=root)
 
 
 def _limited_points(place: Path, declared: StudyFile, base: Scenario) -> tuple[LimitedPoint, ...]:

@@ -25,7 +25,7 @@ from pydantic import Field
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import Convertible, CsvTable, display_path, read_csv_columns, read_toml
+from sim_heating.base.files import Convertible, CsvTable, FileOfFolder, display_path, read_csv_columns, read_toml
 from sim_heating.base.kernels.axis import cell_of
 from sim_heating.base.kernels.jit import njit
 from sim_heating.trajectory.spec import Positive, TrajectorySpec
@@ -62,12 +62,12 @@ class Mass(Convertible):
     Ixz_kg_m2: float = 0.0
 
 
-class TableFiles(Convertible):
-    """File names of the tables; absent for a vehicle without elevon or body flap."""
+class FileOfFolders(Convertible):
+    """Files of the tables below the folder `aero`; absent for a vehicle without elevon or body flap."""
 
-    longitudinal: str
-    elevon: str | None = None
-    bodyflap: str | None = None
+    longitudinal: FileOfFolder
+    elevon: FileOfFolder | None = None
+    bodyflap: FileOfFolder | None = None
 
 
 class Surface(Convertible):
@@ -113,7 +113,7 @@ class AeroFile(Convertible):
     confidence: str
     reference: Reference
     mass: Mass
-    tables: TableFiles
+    tables: FileOfFolders
     elevon: Surface = Surface()
     bodyflap: Surface = Surface()
     cm_shift: CmShift = CmShift()

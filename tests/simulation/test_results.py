@@ -75,7 +75,7 @@ def test_the_summary_agrees_with_the_histories(out: Path, result: RunResult) -> 
 def test_the_conditions_of_a_run_can_be_flown_again_as_a_recorded_trajectory(out: Path, tmp_path: Path) -> None:
     head = SCENARIO[: SCENARIO.index("[trajectory]")]
     (tmp_path / "again.toml").write_text(f'{head}[trajectory]\nsource = "recorded"\nfile = "{out}/conditions.csv"\n')
-    again = run(load_scenario(tmp_path / "again.toml"))
+    again = run(load_scenario(tmp_path / "again.toml", root=out))
     table = pd.read_csv(out / "V09T9527" / "temperatures.csv")
     np.testing.assert_allclose(again.points["V09T9527"].history.surface_K, table["surface_K"], rtol=0.0, atol=1e-3)
 

@@ -17,6 +17,7 @@ from sim_heating.base.files.results import (
     results_digest,
     write_json,
 )
+from sim_heating.base.files.roots import FileOfFolder, Roots, path_below, roots_of
 from sim_heating.base.files.text import (
     nearest_name,
     raise_problems,
@@ -41,9 +42,10 @@ from sim_heating.base.files.toml import (
 from sim_heating.base.files.transaction import exclusive, replace_files, settle
 
 __all__ = [
-    "COLDEST_K", "MARKER", "Convertible", "CsvTable", "Declared", "Extensible", "LocatedError", "Location",
-    "celsius_rule", "check", "csv_text", "display_path", "exclusive", "file_digest", "files_written", "json_text",
-    "known_keys", "nearest_name", "output_directory", "raise_problems", "raw_text", "read_csv_columns", "read_json",
-    "read_text", "read_toml", "read_toml_dict", "repeated_name", "replace_files", "require_writable",
-    "results_digest", "settle", "suggestion", "toml_text", "write_csv", "write_json", "write_text_atomic",
+    "COLDEST_K", "MARKER", "Convertible", "CsvTable", "Declared", "Extensible", "FileOfFolder", "LocatedError",
+    "Location", "Roots", "celsius_rule", "check", "csv_text", "display_path", "exclusive", "file_digest",
+    "files_written", "json_text", "known_keys", "nearest_name", "output_directory", "path_below", "raise_problems",
+    "raw_text", "read_csv_columns", "read_json", "read_text", "read_toml", "read_toml_dict", "repeated_name",
+    "replace_files", "require_writable", "results_digest", "roots_of", "settle", "suggestion", "toml_text",
+    "write_csv", "write_json", "write_text_atomic",
 ]  # fmt: skip

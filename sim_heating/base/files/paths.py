@@ -10,7 +10,7 @@ from pathlib import Path
 def display_path(path: str | os.PathLike[str]) -> str:
     """A path for a message: relative where it lies below the working directory, else as given."""
     try:
-        return str(Path(path).resolve().relative_to(Path.cwd()))
+        return str(Path(os.path.realpath(path)).relative_to(Path.cwd()))  # resolve() raises on a loop of links
     except (ValueError, OSError):
         return str(path)
 

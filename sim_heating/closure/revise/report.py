@@ -84,6 +84,7 @@ def update_tables(
     point: str | None = None,
     checks: Sequence[Record | str | os.PathLike[str]] = (),
     dry_run: bool = False,
+    root: str | os.PathLike[str] | None = None,
     progress: Progress = no_progress,
 ) -> UpdatedTables:
     """Write the derivatives and effects of an estimate into a vehicle's tables, as a new revision with its evidence.
@@ -95,6 +96,8 @@ def update_tables(
     point   : the control point, where the estimate is of several
     checks  : further records to predict before and after
     dry_run : work everything out and write nothing
+    root    : folder that the estimate may name records in, as `load_scenario` takes it; records elsewhere are read
+              where they have the digest that the estimate states
     returns : the update, its errors before and after, what was written
     raises  : InputError where estimate and vehicle do not belong together, or the place cannot be written
 
@@ -112,9 +115,9 @@ def update_tables(
     target = None if out is None else Path(out)
     if not dry_run:
         check_target(vehicle, target)
-    update = prepare_update(fit, vehicle, records, point)
+    update = prepare_update(fit, vehicle, records, point, root)
     progress(0.1, "predicting with the table before and after")
-    errors = errors_before_and_after(update, [*update.records, *map(load_record, checks)])
+    errors = errors_before_and_after(update, [*update.records, *(load_record(check, root=root) for check in checks)])
     if dry_run:
         return UpdatedTables(update, errors)
     return UpdatedTables(update, errors, *write_update(update, target, errors, draw_update))

@@ -20,7 +20,7 @@ from scipy.sparse import csr_array
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import display_path, exclusive, read_text
+from sim_heating.base.files import Roots, display_path, exclusive, read_text, roots_of
 from sim_heating.base.files.package import data_folders, package_version
 from sim_heating.base.parameters import AT, EFFECT_PREFIX
 from sim_heating.closure.revise.effects import FittedEffects, effects_from_fit
@@ -127,6 +127,7 @@ def prepare_update(
     vehicle: str | os.PathLike[str],
     records: Sequence[str | os.PathLike[str]] = (),
     point_name: str | None = None,
+    root: str | os.PathLike[str] | None = None,
 ) -> TableUpdate:
     """The next revision of a vehicle's table and effects from an estimate.
 
@@ -134,13 +135,15 @@ def prepare_update(
     vehicle    : name or directory
     records    : directories of the estimate's records, where they are not where the estimate states
     point_name : the control point, where the estimate is of several
+    root       : folder that the estimate may name records in, as `load_scenario` takes it
     raises     : InputError where the two do not belong together or the estimate is already in the table
     """
     file = Path(fit) / NAME if Path(fit).is_dir() else Path(fit)
     whole = read_estimate(file)
     _check_weighable(whole, display_path(file))
-    estimate, loaded = _select_point(whole, _records(whole, file, records), point_name)
-    loaded_vehicle = load_vehicle(vehicle)
+    loaded_vehicle = load_vehicle(vehicle, root=root)
+    roots = roots_of(file, root, loaded_vehicle.directory)
+    estimate, loaded = _select_point(whole, _records(whole, roots, records, root), point_name)
     point = loaded_vehicle.control_point(loaded[0].declared.control_point)
     history = read_history(loaded_vehicle, point.name)
     used = tuple(_used_record(estimate, i, record) for i, record in enumerate(loaded))
@@ -176,23 +179,48 @@ def prepare_update(
     return update
 
 
-def _records(estimate: Estimate, file: Path, given: Sequence[str | os.PathLike[str]]) -> list[Record]:
+def _records(
+    estimate: Estimate,
+    roots: Roots,
+    given: Sequence[str | os.PathLike[str]],
+    root: str | os.PathLike[str] | None,
+) -> list[Record]:
     """The estimate's records: as given, else where it states, relative to here or to its own file."""
-    if given and len(given) != len(estimate.records):
+    if not given:
+        return [_stated_record(estimate, i, roots, root) for i in range(len(estimate.records))]
+    if len(given) != len(estimate.records):
         raise InputError(
             f"--record: {len(given)} given, the estimate is of {len(estimate.records)}; name each in order"
         )
-    found = []
-    for i, name in enumerate(estimate.records):
-        places = [Path(given[i])] if given else [Path(name), file.parent / name]
-        place = next((p for p in places if p.is_dir()), None)
-        if place is None:
-            raise InputError(
-                f"{display_path(file)}: its record `{given[i] if given else name}` does not exist; give its directory "
-                "with --record"
-            )
-        found.append(load_record(place))
-    return found
+    for place in given:
+        if not Path(place).is_dir():
+            raise _no_record(roots.file, os.fspath(place))
+    return [load_record(place, root=root) for place in given]
+
+
+def _stated_record(estimate: Estimate, i: int, roots: Roots, root: str | os.PathLike[str] | None) -> Record:
+    """A record where the estimate states, in a folder that it may name or with the files that were fitted."""
+    name = estimate.records[i]
+    folder = next((f for f in (Path(), roots.file.parent) if os.path.isdir(f / name)), None)
+    if folder is None:
+        raise _no_record(roots.file, name)
+    try:
+        place = roots.named(name, f"`records`, item {i + 1}", folder)
+    except InputError as outside:
+        # An estimate is often made of records elsewhere. The digest shows that whoever wrote it knew their content;
+        # nothing is said about files that do not have it.
+        try:
+            record = load_record(folder / name)
+            if estimate.inputs.get(name) == inputs_hash(record):
+                return record
+        except InputError:
+            pass
+        raise outside from None
+    return load_record(place, root=root)
+
+
+def _no_record(file: Path, name: str) -> InputError:
+    return InputError(f"{display_path(file)}: its record `{name}` does not exist; give its directory with --record")
 
 
 def _check_weighable(estimate: Estimate, name: str) -> None:

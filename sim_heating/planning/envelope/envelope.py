@@ -78,6 +78,7 @@ class _WorkerInput:
 
     path: Path
     vehicle: Path
+    root: Path | None
     key: str
     forecast: ForecastEvidence
 
@@ -90,7 +91,8 @@ def _evaluator(worker: _WorkerInput) -> MarginEvaluator:
     if worker.key not in _EVALUATORS:
         # A worker serves one run at a time; the models of an earlier one would only take memory.
         _EVALUATORS.clear()
-        _EVALUATORS[worker.key] = margin_evaluator(load_study(worker.path, worker.vehicle), worker.forecast)
+        study = load_study(worker.path, worker.vehicle, root=worker.root)
+        _EVALUATORS[worker.key] = margin_evaluator(study, worker.forecast)
     return _EVALUATORS[worker.key]
 
 
@@ -122,7 +124,8 @@ class StudyFlights:
         digests = {p: {n: _digest(e) for n, e in m.items()} for p, m in (forecast or {}).items()}
         key = hashlib.sha256(f"{study.hash} {program_digest()} {sorted(digests.items())}".encode()).hexdigest()[:12]
         self._ledger = engine.ledger / f"{FOLDER}-{key}"
-        self._worker = _WorkerInput(study.path.resolve(), study.vehicle.directory.resolve(), key, forecast or {})
+        path, vehicle = study.path.absolute(), study.vehicle.directory.absolute()
+        self._worker = _WorkerInput(path, vehicle, study.root, key, forecast or {})
         self._known: dict[Case, EvaluatedCase] = {}
 
     def fly(self, cases: Iterable[Case]) -> list[EvaluatedCase]:

@@ -153,7 +153,8 @@ def _compare_with_before(
 ) -> dict[str, Any]:
     """Fly the boundaries with the vehicle `before` and compare them with those of the study's own vehicle."""
     study, named = after.study, envelope.before or ""
-    other = load_study(study.path, vehicle_place(study.path, named))
+    place = vehicle_place(study.path, named, "[envelope]: `before`", study.root)
+    other = load_study(study.path, place, root=study.root)
     if other.hash == study.hash:
         output.notes.append(f"before: {named} is the vehicle of the study itself; fly another one with --vehicle")
         return {}

@@ -96,14 +96,15 @@ def without_limits(study: OptimalStudy) -> OptimalStudy:
     return replace(study, points=points, declared=study.declared.model_copy(update={"probability": None}))
 
 
-def load_optimal_study(path: str | os.PathLike[str]) -> OptimalStudy:
+def load_optimal_study(path: str | os.PathLike[str], *, root: str | os.PathLike[str] | None = None) -> OptimalStudy:
     """Read and check a study and its vehicle.
 
+    root   : folder that it may name a vehicle in, as `load_scenario` takes it
     raises : InputError with one line a problem
     """
     place = Path(path)
     declared = read_toml(place, OptimalStudyFile)
-    vehicle = load_vehicle(vehicle_place(place, declared.vehicle))
+    vehicle = load_vehicle(vehicle_place(place, declared.vehicle, root=root), root=root)
     return optimal_study(declared, vehicle, display_path(place))
 
 
