@@ -624,7 +624,6 @@ def _source(content: bytes, rng: random.Random) -> Damage:
         bad = (
             "raise ValueError('x\\ny')",
             "raise SystemExit(3)",
-            "raise KeyboardInterrupt",
             "import nowhere",
             "x = (",
             "print('x')",

@@ -310,13 +310,13 @@ SUBJECTS = (
     ),
     Subject(
         "revision_N.json",
-        ("revised", "fit", "record"),
+        ("revised", "later_fit", "later_record"),
         ("revised/orbiter/ratio_revisions/*/*.json", "revised/orbiter/ratio_revisions/*/*"),
         (_validate("revised/orbiter"),),
         (
             ("update-tables", "--revert", POINT, "--vehicle", "revised/orbiter"),
-            ("update-tables", "fit", "--vehicle", "revised/orbiter", "--out", "{out}"),
-            ("update-tables", "fit", "--vehicle", "revised/orbiter", "--dry-run"),
+            ("update-tables", "later_fit", "--vehicle", "revised/orbiter", "--out", "{out}"),
+            ("update-tables", "later_fit", "--vehicle", "revised/orbiter", "--dry-run"),
         ),
         ("revised/orbiter/*/*", "revised/orbiter/*/*/*"),
         share=1.5,
@@ -410,12 +410,15 @@ def make_inputs(home: Path, closed: bool = True) -> None:
     shutil.copytree(Path(jsbsim.get_default_root_dir()) / "aircraft" / "ball", home / "ball")
     rows = (ROOT / "scenarios" / "data" / "sts107_early_entry.csv").read_text().splitlines(keepends=True)
     (home / "trajectory.csv").write_text("".join(rows[:35]))
-    glide = home / "record.toml"
+    glide, later = home / "record.toml", home / "later.toml"
     whole, _, _ = texts["glide.toml"].replace("time_s = 60.0", "time_s = 160.0").partition("[[truth.effect]]")
     glide.write_text(whole)
+    later.write_text(whole.replace("altitude_m = 75000.0", "altitude_m = 72000.0").replace("seed = 10", "seed = 11"))
     steps = [
         ("synthesize", "record.toml", "--out", "record"),
         ("estimate", "record", "--out", "fit", "--parameters", "ratio.scale,ratio.d_alpha"),
+        ("synthesize", "later.toml", "--out", "later_record"),
+        ("estimate", "later_record", "--out", "later_fit", "--parameters", "ratio.scale"),
         ("update-tables", "fit", "--vehicle", "orbiter", "--out", "revised"),
         ("close-loop", "record", "--out", "closed"),
     ]
@@ -426,6 +429,7 @@ def make_inputs(home: Path, closed: bool = True) -> None:
             if main(list(step)) != 0:
                 raise RuntimeError(f"{' '.join(step)} failed")
     glide.unlink()
+    later.unlink()
     _fmu(home)
 
 

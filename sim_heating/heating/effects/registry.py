@@ -40,7 +40,9 @@ def _from_file(path: Path) -> Effect | None:
         spec.loader.exec_module(module)
     except InputError as error:
         raise InputError(*(f"{path}: {p}" for p in error.problems)) from None
-    except (Exception, SystemExit) as error:  # whatever a user's file does
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever a user's file does, sys.exit() included
         line = next(
             (f.lineno for f in reversed(traceback.extract_tb(error.__traceback__)) if f.filename == str(path)), 0
         )
