@@ -1,7 +1,7 @@
 """Tables of docs/reliability.md from the results of the benchmarks: `python -m benchmarks.reliability`.
 
-A table stands between `<!-- results of NAME -->` and `<!-- end -->`. Where results/NAME.json does not exist, the page says
-which command makes it.
+A table stands between `<!-- results of NAME -->` and `<!-- end -->`. Where results/NAME.json does not exist, the page
+says which command makes it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def _block(found: re.Match[str]) -> str:
 def figures(results: Mapping[str, Any]) -> str:
     """The figures of any benchmark."""
     rows = [
-        (f["what"], f"{f['value']:.6g} {f['unit']}".strip(), _bound(f), {"yes": "yes", "NO": "no"}.get(f["verdict"], ""))
+        (f["what"], f"{f['value']:.6g} {f['unit']}".strip(), _bound(f), f["verdict"].lower())
         for f in results["figures"]
     ]
     return _table(("what", "found", "to be", "met"), rows)
