@@ -214,6 +214,32 @@ def _fuzzing(vehicle: Vehicle, work: Path) -> Figure:
     return Figure("fuzzing with sanitizers: runs that crash, leak or hang", failed, "", 0.0, note=note)
 
 
+def _instances(vehicle: Vehicle, work: Path) -> list[Figure]:
+    """Memory of many instances of all points, and what their states cost, in a C host linked with the wrapper."""
+    folder = work / "instances"
+    folder.mkdir()
+    model = heating_image(vehicle)
+    (folder / "model.bin").write_bytes(model.image.binary("{counted}"))
+    made = [*link_inputs(heating_units(model.effects), TARGETS["linux"], folder), *wrapper_sources()]
+    source = Path(__file__).parent / "c_peer" / "instances.c"
+    command = ["gcc", "-std=gnu11", "-O2", f"-I{wrapper_folder()}", "-o", folder / "host", *made, source, "-lm"]
+    subprocess.run(list(map(str, command)), check=True)
+    done = subprocess.run([folder / "host", folder, "{counted}"], check=True, capture_output=True, text=True)
+    found = {name: float(value) for name, value in (line.split() for line in done.stdout.splitlines())}
+    points, step = f"{len(vehicle.control_points)} points", found["step_us"]
+    return [
+        Figure("memory of an instance", 1e-3 * found["instance_bytes"], "kB", 64.0, note=points),
+        Figure("a serialised state", 1e-3 * found["state_bytes"], "kB", 64.0, note=points),
+        Figure("a state taken, over a step", found["get_us"] / step, "x", 1.0, note=f"{found['get_us']:.1f} us"),
+        Figure(
+            "a state restored, over a step", found["set_us"] / step, "x", 1.0,
+            note=f"{found['set_us']:.1f} us with what the next step does for it",
+        ),
+        Figure("a step of two instances in turn", found["two_us"], "us", note=f"{step:.1f} us of one alone"),
+        Figure("a step of 40 instances in turn", found["many_us"], "us", note=f"{step:.1f} us of one alone"),
+    ]  # fmt: skip
+
+
 def run() -> list[Figure]:
     """Measure everything."""
     vehicle = load_vehicle("orbiter")
@@ -222,6 +248,7 @@ def run() -> list[Figure]:
         host = _host(work)
         figures = [
             *_stepping(vehicle, host, work),
+            *_instances(vehicle, work),
             *_exporting(work),
             _fuzzing(vehicle, work),
         ]
