@@ -386,8 +386,19 @@ def test_an_aircraft_that_jsbsim_refuses_by_an_exception_of_its_library_is_refus
     text = source.read_text().replace('<function name="', '<function name="javascript:')
     assert text != source.read_text()
     (tmp_path / "ball" / "ball.xml").write_text(text)
-    with pytest.raises(InputError, match=r"ball: JSBSim cannot load it: name may contain only"):
+    with pytest.raises(InputError, match=r"ball: JSBSim cannot load it, ball\.xml, line \d+: name may contain only"):
         JSBSimHost(tmp_path, "ball")
+
+
+def test_an_aircraft_with_a_wrong_number_is_refused_with_its_line_and_nothing_else_is_printed(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    source = Path(get_default_root_dir()) / "aircraft" / "ball" / "ball.xml"
+    (tmp_path / "ball").mkdir()
+    (tmp_path / "ball" / "ball.xml").write_text(source.read_text().replace("<y>", "<y> x", 1))
+    with pytest.raises(InputError, match=r"ball: JSBSim cannot load it, ball\.xml, line \d+: Expecting a numeric"):
+        JSBSimHost(tmp_path, "ball")
+    assert capfd.readouterr() == ("", "")
 
 
 def test_another_aircraft_is_read_by_its_own_property_names_and_leaves_no_file(

@@ -14,7 +14,7 @@ import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jsbsim
 import numpy as np
@@ -242,13 +242,43 @@ def open_vehicle(
         try:
             return JSBSimHost(Path(folder), model, rate_hz=rate_hz, dispersions=dispersions or Dispersions())
         except InputError as error:  # the vehicle's own file in place of the folder that is about to vanish
-            written, own = str(Path(folder) / model), display_path(control_path(vehicle_dir))
+            written, own = display_path(Path(folder) / model), display_path(control_path(vehicle_dir))
             raise InputError(*(p.replace(written, own) for p in error.problems)) from error
+
+
+class _Log(jsbsim.FGLogger):  # type: ignore[misc]  # untyped
+    """Keeps the last place in a file that JSBSim complained about, and writes nothing."""
+
+    def __init__(self) -> None:
+        self._place: tuple[str, int] | None = None
+
+    def where(self) -> str:
+        """`, file.xml, line 36` where a place is known, else nothing."""
+        return "" if self._place is None else f", {Path(self._place[0]).name}, line {self._place[1]}"
+
+    def file_location(self, filename: str, line: int) -> None:
+        """Note the place."""
+        self._place = filename, line
+
+    def set_level(self, level: Any) -> None:
+        """Nothing."""
+
+    def message(self, message: str) -> None:
+        """Nothing."""
+
+    def format(self, format: Any) -> None:
+        """Nothing."""
+
+    def flush(self) -> None:
+        """Nothing."""
 
 
 def _load(aircraft_path: Path, model: str, rate_hz: float) -> jsbsim.FGFDMExec:
     before = os.environ.get("JSBSIM_DEBUG")
     os.environ["JSBSIM_DEBUG"] = "0"  # read when the executive is made: silences its banner
+    place = display_path(aircraft_path / model)
+    logger_before, log = jsbsim.get_logger(), _Log()
+    jsbsim.set_logger(log)  # of this thread: JSBSim writes to stdout what it also raises
     try:
         fdm = jsbsim.FGFDMExec(None)
         fdm.set_debug_level(0)
@@ -256,14 +286,16 @@ def _load(aircraft_path: Path, model: str, rate_hz: float) -> jsbsim.FGFDMExec:
         fdm.set_dt(1.0 / rate_hz)  # before loading: control components keep the step that they were loaded with
         loaded = fdm.load_model(model)
     except JSBSIM_ERRORS as error:
-        raise InputError(f"{aircraft_path / model}: JSBSim cannot load it: {' '.join(str(error).split())}") from error
+        reason = " ".join(str(error).split())
+        raise InputError(f"{place}: JSBSim cannot load it{log.where()}: {reason}") from error
     finally:
+        jsbsim.set_logger(logger_before)
         if before is None:
             del os.environ["JSBSIM_DEBUG"]
         else:
             os.environ["JSBSIM_DEBUG"] = before
     if not loaded:
-        raise InputError(f"{aircraft_path / model}: JSBSim cannot load it")
+        raise InputError(f"{place}: JSBSim cannot load it{log.where()}")
     _discard_outputs(fdm)
     return fdm
 
