@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.errors import InputError, RunError, one_line
 from sim_heating.base.progress import EndingSignals
 from sim_heating.cli.console import ERRORS
 
@@ -80,7 +80,7 @@ def main(arguments: list[str] | None = None, signals: EndingSignals | None = Non
             return _interrupted(signals)
         if not isinstance(error, OSError):
             raise
-        ERRORS.print(f"failed: {error.filename or 'system'}: {error.strerror or error}")
+        ERRORS.print(one_line(f"failed: {error.filename or 'system'}: {error.strerror or error}"))
         return 1
     return signals.exit_status if signals.received else status
 

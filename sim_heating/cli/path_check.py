@@ -43,7 +43,7 @@ def check_path(path: str | os.PathLike[str], root: Path | None = None) -> Checke
         if place.name == str(path) and place.name in vehicle_names():
             return _vehicle(place, root)
         read_text(place)
-    if place.is_dir():
+    if os.path.isdir(place):
         return _directory(place, root)
     if place.suffix == ".toml":
         return _toml(place, root)

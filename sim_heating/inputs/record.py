@@ -330,7 +330,7 @@ def load_record(directory: str | os.PathLike[str] | Record, *, root: str | os.Pa
     if isinstance(directory, Record):
         return directory
     home = Path(directory)
-    if not home.is_dir():
+    if not os.path.isdir(home):
         raise InputError(f"{display_path(home)}: is not a directory; a record is a directory with a {DECLARATION}")
     roots = roots_of(home / DECLARATION, root)
     roots.check_link(home / DECLARATION)

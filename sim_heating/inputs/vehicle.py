@@ -172,15 +172,15 @@ def vehicle_directory(vehicle: str | os.PathLike[str]) -> Path:
     raises : InputError with the most similar vehicle
     """
     path = Path(vehicle)
-    if path.name == "vehicle.toml" and path.is_file():
+    if path.name == "vehicle.toml" and os.path.isfile(path):
         return path.parent
-    if (path / "vehicle.toml").is_file():
+    if os.path.isfile(path / "vehicle.toml"):  # Path.is_file raises where a name is too long for the system
         return path
     text = os.fspath(vehicle)
     if os.sep in text or "/" in text:
         raise InputError(f"{text}: not a vehicle; give a directory with a vehicle.toml")
     for folder in vehicle_folders():
-        if text and (folder / text / "vehicle.toml").is_file():
+        if text and os.path.isfile(folder / text / "vehicle.toml"):
             return folder / text
     known = vehicle_names()
     directory = f"; known: {', '.join(known) or 'none'}; or give a directory"
@@ -279,7 +279,7 @@ def _read_control_points(
 def _read_ratio(owner: Path, ratio_table: str, vehicle: VehicleFile | None) -> RatioTable:
     """The ratio table of a control point file, over the vehicle's own reference heating."""
     path = owner.parent.parent / ratio_table
-    if not path.is_file():
+    if not os.path.isfile(path):
         describe = "; write one, or describe it in ratio_sources and build it"
         hint = suggestion(path.name, sorted(p.name for p in path.parent.glob("*.csv")), otherwise=describe)
         raise InputError(f"{display_path(owner)}: `ratio_table`: there is no file `{ratio_table}`{hint}")

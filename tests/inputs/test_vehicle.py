@@ -233,6 +233,13 @@ def test_a_ratio_source_that_cannot_be_used_is_named(damaged, old, new, hint):
         build_tables(damaged)
 
 
+@pytest.mark.parametrize("name", ["x" * 5000, "./" + "x" * 5000, "a\0b", "a\nb"])
+def test_a_name_that_no_vehicle_can_have_is_refused_in_a_line(name):
+    with pytest.raises(InputError) as found:
+        load_vehicle(name)
+    assert str(found.value).isprintable()
+
+
 def test_a_vehicle_without_ratio_sources_has_no_tables_to_write(damaged):
     shutil.rmtree(damaged / "ratio_sources")
     with pytest.raises(InputError, match="ratio_sources: holds no description"):

@@ -138,7 +138,7 @@ def prepare_update(
     root       : folder that the estimate may name records in, as `load_scenario` takes it
     raises     : InputError where the two do not belong together or the estimate is already in the table
     """
-    file = Path(fit) / NAME if Path(fit).is_dir() else Path(fit)
+    file = Path(fit) / NAME if os.path.isdir(fit) else Path(fit)
     whole = read_estimate(file)
     _check_weighable(whole, display_path(file))
     loaded_vehicle = load_vehicle(vehicle, root=root)
@@ -193,7 +193,7 @@ def _records(
             f"--record: {len(given)} given, the estimate is of {len(estimate.records)}; name each in order"
         )
     for place in given:
-        if not Path(place).is_dir():
+        if not os.path.isdir(place):
             raise _no_record(roots.file, os.fspath(place))
     return [load_record(place, root=root) for place in given]
 

@@ -260,7 +260,7 @@ def read_estimate(path: str | os.PathLike[str]) -> Estimate:
     raises : InputError with one line for each problem, naming file, key and value
     """
     file = Path(path)
-    file = file / NAME if file.is_dir() else file
+    file = file / NAME if os.path.isdir(file) else file
     data = read_json(file)
     # both are in output directories and are easily confused
     if data.get("format") == "closure-report/1":
