@@ -16,6 +16,11 @@ def one_line(text: str) -> str:
     return line if len(line) <= LONGEST else f"{line[: LONGEST - TAIL]} ... {line[-TAIL:]}"
 
 
+def printable(text: str) -> str:
+    """A text of one or more lines with escapes for characters that do not print, such as those that move a cursor."""
+    return "\n".join(map(one_line, text.split("\n")))
+
+
 class InputError(ValueError):
     """A file, an argument or a flight condition that cannot be used.
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from importlib import import_module
 from typing import Any
 
@@ -15,7 +16,7 @@ import click
 
 from sim_heating.base.errors import InputError, RunError, one_line
 from sim_heating.base.progress import EndingSignals
-from sim_heating.cli.console import ERRORS
+from sim_heating.cli.console import ERRORS, show_warning
 
 COMMANDS = {
     "run": "simulate",
@@ -71,7 +72,9 @@ def main(arguments: list[str] | None = None, signals: EndingSignals | None = Non
     """
     signals = signals or EndingSignals()
     try:
-        status = _exit_status(arguments)
+        with warnings.catch_warnings():
+            warnings.showwarning = show_warning  # type: ignore[assignment]
+            status = _exit_status(arguments)
         sys.stdout.flush()
     except (KeyboardInterrupt, click.Abort):
         return _interrupted(signals)

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 from rich.console import Console
@@ -14,15 +14,32 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, one_line, printable
 
 if TYPE_CHECKING:
     from sim_heating.base.report.table import Table
 
 PLAIN_WIDTH = 110
 """Width in characters where the output is not a terminal."""
-CONSOLE = Console(width=None if sys.stdout.isatty() else PLAIN_WIDTH, markup=False, highlight=False)
-ERRORS = Console(stderr=True, soft_wrap=True, markup=False, highlight=False)
+
+
+class PlainConsole(Console):
+    """A console on which a text is what it says: markup has no effect, and control characters are shown as escapes."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(markup=False, highlight=False, emoji=False, **settings)
+
+    def print(self, *objects: Any, **settings: Any) -> None:
+        super().print(*(printable(o) if isinstance(o, str) else o for o in objects), **settings)
+
+
+CONSOLE = PlainConsole(width=None if sys.stdout.isatty() else PLAIN_WIDTH)
+ERRORS = PlainConsole(stderr=True, soft_wrap=True)
+
+
+def show_warning(message: Warning | str, *_: Any) -> None:
+    """Print a warning on one line, without the place in the program that Python adds."""
+    ERRORS.print(f"warning: {one_line(str(message))}")
 
 
 def results_directory(_: click.Context, __: click.Parameter, value: str) -> Path:
@@ -78,13 +95,15 @@ ROOT = click.option(
 @contextmanager
 def progress_line(title: str) -> Iterator[Callable[[float, str], None]]:
     """A progress line on the terminal; where the output is not a terminal, one line of text for each stage."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[text]}"), TimeElapsedColumn())
+    title = one_line(title)
+    texts = (TextColumn(field, markup=False) for field in ("{task.description}", "{task.fields[text]}"))
+    columns = (next(texts), BarColumn(), next(texts), TimeElapsedColumn())
     with Progress(*columns, console=ERRORS, transient=True, disable=not ERRORS.is_terminal) as bar:
         task = bar.add_task(title, total=1.0, text="starting")
         last = [""]
 
         def report_progress(fraction: float, text: str) -> None:
-            bar.update(task, completed=fraction, text=text)
+            bar.update(task, completed=fraction, text=one_line(text))
             stage = text.split(":")[0]
             if not ERRORS.is_terminal and stage != last[0]:
                 last[0] = stage
@@ -109,7 +128,7 @@ def print_table(table: Table, style: Callable[[int, int], str] | None = None) ->
 
     style : (row, column) -> style of the cell, as `red`; plain where not given
     """
-    rendered, texts = RichTable(title=table.title, title_justify="left"), table.texts
+    rendered, texts = RichTable(title=Text(printable(table.title)), title_justify="left"), table.texts
     natural = [max(map(len, cells)) for cells in zip([c.head for c in table.layout], *texts, strict=True)]
     wrap_heads = sum(natural) + 3 * len(natural) + 1 > CONSOLE.width  # before cells: a number stays on one line
     for i, column in enumerate(table.layout):
@@ -122,5 +141,7 @@ def print_table(table: Table, style: Callable[[int, int], str] | None = None) ->
             max_width=longest if wrap_heads and not column.is_text else None,
         )
     for i, row in enumerate(texts):
-        rendered.add_row(*(Text(cell, style="" if style is None else style(i, k)) for k, cell in enumerate(row)))
+        rendered.add_row(
+            *(Text(printable(cell), style="" if style is None else style(i, k)) for k, cell in enumerate(row))
+        )
     CONSOLE.print(rendered)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -298,7 +299,9 @@ def _comparison_section(found: Closure) -> Section:
     caption = "Each used sensor with its residuals below (measured minus predicted); held-out spans shaded."
     return Section(
         "Measured against predicted",
-        pictures=[Picture(comparison_figure(found.predicted, found.before, found.after, found.named), caption)],
+        pictures=[
+            Picture(partial(comparison_figure, found.predicted, found.before, found.after, found.named), caption)
+        ],
     )
 
 
@@ -335,7 +338,7 @@ def _candidates_section(found: Closure) -> Section:
         Column("RMSE held out, K", "holdout_rmse_K", ".2f"), Column("probability", "posterior", ".3f"),
     ]  # fmt: skip
     table = Table(caption, columns, rows, strong=marked)
-    figure = ranking_figure([c.name for c in ranked], [c.delta_bic for c in ranked], chosen)
+    figure = partial(ranking_figure, [c.name for c in ranked], [c.delta_bic for c in ranked], chosen)
     text = [found.false_alarm] if found.false_alarm else []
     picture = Picture(figure, "Blue: added effects. The axis is linear within 10.")
     return Section("Candidates", text, tables=[table], pictures=[picture])
@@ -352,8 +355,8 @@ def _heating_section(found: Closure) -> Section:
     variables = flight_variables(found.residual)
     order = [f.shape.variable for f in found.evidence.shape_fits]
     order += [n for n in variables if n not in order]
-    over_time = heating_figure(found.residual, found.residual_after, found.evidence)
-    over_variables = variables_figure(found.residual, variables, order)
+    over_time = partial(heating_figure, found.residual, found.residual_after, found.evidence)
+    over_variables = partial(variables_figure, found.residual, variables, order)
     pictures = [
         Picture(over_time, "Missing heating ratio against time."),
         Picture(over_variables, "Missing heating ratio against the variables that changed; bars: 1 sigma."),

@@ -20,6 +20,7 @@ from sim_heating.base.report.figure import (
     SURFACE,
     THERMOCOUPLE,
     new_figure,
+    replaced_if_undrawable,
     save_figure,
 )
 from sim_heating.march.history import PointHistory
@@ -61,6 +62,7 @@ def _twin(axes: Axes, x: FloatArray, y: FloatArray, label: str, color: str) -> N
     other.tick_params(axis="y", colors=color)
 
 
+@replaced_if_undrawable
 def draw_trajectory(path: Path | None, title: str, flown: Conditions, windows: Sequence[Window]) -> Figure:
     """Altitude, velocity, angles and dynamic pressure against time, manoeuvres shaded and named."""
     figure, axes = new_figure(9.0, 9.5, 4, sharex=True)
@@ -100,6 +102,7 @@ def _plot_angles(axes: Axes, flown: Conditions, names: Sequence[str]) -> None:
     axes.legend(loc="best", fontsize=8)
 
 
+@replaced_if_undrawable
 def draw_temperatures(
     path: Path | None, title: str, points: Sequence[PointHistory], windows: Sequence[Window]
 ) -> Figure:
@@ -135,6 +138,7 @@ def _plot_by_peak(
         axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=7.5, title="peak", title_fontsize=8)
 
 
+@replaced_if_undrawable
 def draw_manoeuvre(
     path: Path | None, title: str, flown: Conditions, points: Sequence[PointHistory], window: Window, variable: str
 ) -> Figure:
@@ -184,6 +188,7 @@ def _manoeuvre_title(flown: Conditions, window: Window) -> str:
     return f"{what[0].upper()}{what[1:]} at {V:.0f} m/s (Shuttle 'Mach' {V / SHUTTLE_MACH_M_S:.1f}, V/a {mach:.1f})"
 
 
+@replaced_if_undrawable
 def draw_comparison(
     path: Path | None,
     title: str,
@@ -212,6 +217,7 @@ def draw_comparison(
     return save_figure(figure, path, title, axes)
 
 
+@replaced_if_undrawable
 def draw_prediction(
     path: Path | None,
     title: str,

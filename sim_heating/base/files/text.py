@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files.paths import display_path, make_durable, os_error_reason, umask
 from sim_heating.base.files.transaction import STAGING, settle_above
 
@@ -116,7 +116,7 @@ def as_builtin(value: Any) -> Any:
 def write_text_atomic(path: str | os.PathLike[str], text: str) -> None:
     """Write a text file whole or not at all; missing parent directories are created.
 
-    raises : InputError where the place cannot be written
+    raises : InputError where the place cannot be written; RunError where it is full
     """
     write_bytes_atomic(path, text.encode("utf-8"))
 
@@ -129,7 +129,7 @@ def write_bytes_atomic(path: str | os.PathLike[str], data: bytes) -> None:
         handle, partial = tempfile.mkstemp(prefix=f".{target.name[:PARTIAL_NAME_LENGTH]}{PARTIAL}", dir=target.parent)
     except OSError as error:
         raise InputError(
-            f"{display_path(path)}: cannot be written ({os_error_reason(error)}); choose another place"
+            f"{display_path(result_path(path))}: cannot be written ({os_error_reason(error)}); choose another place"
         ) from None
     try:
         with os.fdopen(handle, "wb") as stream:
@@ -143,10 +143,18 @@ def write_bytes_atomic(path: str | os.PathLike[str], data: bytes) -> None:
             make_durable(target.parent)
     except OSError as error:
         Path(partial).unlink(missing_ok=True)
-        raise InputError(f"{display_path(path)}: cannot be written ({os_error_reason(error)})") from None
+        what = f"{display_path(result_path(path))}: cannot be written ({os_error_reason(error)})"
+        raise RunError(f"{what}; nothing is half-written: make room or choose another place") from None
     except BaseException:
         Path(partial).unlink(missing_ok=True)
         raise
+
+
+def result_path(path: str | os.PathLike[str]) -> Path:
+    """The path that a file of a result will have, when the directory that it is written in replaces the earlier one."""
+    parts = Path(path).parts
+    start = parts.index(STAGING) if STAGING in parts else len(parts)
+    return Path(*parts[:start], *parts[start + 2 :])
 
 
 def clear_partial_files(directory: str | os.PathLike[str], name: str = "") -> None:

@@ -1,16 +1,32 @@
-"""Common style of all figures: size, resolution, grid, legends, colours of frequent curves."""
+"""Common style of all figures: size, resolution, grid, legends, colours of frequent curves.
+
+A name is text in every figure: `$` and `\\` have no meaning. A figure that cannot be drawn is replaced by one that says
+why, and a warning names it; results in numbers are not affected.
+"""
 
 from __future__ import annotations
 
+import io
 import textwrap
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.ticker import FuncFormatter, LogFormatter
 
+from sim_heating.base.errors import InputError, RunError, printable
+from sim_heating.base.files.paths import display_path
+from sim_heating.base.files.text import result_path, write_bytes_atomic
+
+F = TypeVar("F", bound=Callable[..., object])
 DPI = 110
 ANGLES = {
     "alpha_deg": ("angle of attack", "tab:blue"),
@@ -49,28 +65,107 @@ def save_figure(figure: Figure, path: Path | None, title: str, axes: np.ndarray)
     add_grid_and_title(figure, title, axes)
     lay_out(figure)
     if path is not None:
-        figure.savefig(path, dpi=DPI)
+        _write_png(figure, path)
     return figure
+
+
+def _write_png(figure: Figure, path: Path) -> None:
+    write_bytes_atomic(path, picture_file(figure, "png", dpi=DPI))
+
+
+def picture_file(figure: Figure, kind: str, **settings: Any) -> bytes:
+    """The file of a figure, `png` or `svg`; settings as matplotlib's `savefig` takes them."""
+    buffer = io.BytesIO()
+    lay_out(figure)
+    with _boxes_for_missing_characters():
+        figure.savefig(buffer, format=kind, **settings)
+    return buffer.getvalue()
 
 
 def lay_out(figure: Figure) -> None:
     """Run the layout engine once and remove it: saving would run it twice, the first time in a trial drawing."""
     engine = figure.get_layout_engine()
     if engine is not None:
-        engine.execute(figure)
+        with _boxes_for_missing_characters():
+            engine.execute(figure)
         figure.set_layout_engine(None)
 
 
+@contextmanager
+def _boxes_for_missing_characters() -> Iterator[None]:
+    """No warning about a character that the font lacks: the box in its place says so."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing")
+        yield
+
+
 def add_grid_and_title(figure: Figure, title: str, axes: np.ndarray) -> None:
-    """Grid of all axes, and the title wrapped to the width of the figure, as far as it leaves room for the axes."""
+    """Grid of all axes, the title wrapped to the width of the figure, and all names as they are written."""
     for a in axes.ravel():
         a.grid(alpha=0.3)
         a.set_axisbelow(True)
     width = int(figure.get_figwidth() * 9.0)
     if title:
-        lines = [short for line in title.splitlines() for short in textwrap.wrap(line, width)]
-        more = ["..."] if len(lines) > TITLE_LINES else []
-        figure.suptitle("\n".join(lines[:TITLE_LINES] + more), fontsize=12)
+        figure.suptitle("\n".join(textwrap.fill(line, width) for line in title.splitlines()), fontsize=12)
+    _show_names_as_written(figure)
+
+
+def _show_names_as_written(figure: Figure) -> None:
+    """Show texts without mathematics, except powers of ten on a logarithmic axis, and control characters as escapes."""
+    axes = [axis for a in figure.axes for axis in (a.xaxis, a.yaxis)]
+    powers = {t for axis in axes if isinstance(axis.get_major_formatter(), LogFormatter) for t in axis.get_ticklabels()}
+    for formatter in (axis.get_major_formatter() for axis in axes):
+        if isinstance(formatter, FuncFormatter):  # of names given for ticks, which it writes again in each drawing
+            formatter.func = _printable_label(formatter.func)
+    for text in figure.findobj(Text):
+        assert isinstance(text, Text)
+        if text not in powers:
+            text.set_parse_math(False)
+            text.set_usetex(False)
+            text.set_text(printable(text.get_text()))
+
+
+def _printable_label(label: Callable[..., str]) -> Callable[..., str]:
+    return lambda *place: printable(label(*place))
+
+
+class PictureWarning(UserWarning):
+    """A picture that could not be drawn; the results in numbers are complete."""
+
+
+def replaced_if_undrawable(draw: F) -> F:
+    """Decorate a function that draws a file: where it fails, the file says why, and a PictureWarning is given.
+
+    draw : its first argument is the path of the file; where that is None, errors are raised
+    """
+
+    @wraps(draw)
+    def drawn(path: Path | None, *args: Any, **kwargs: Any) -> Any:
+        try:
+            return draw(path, *args, **kwargs)
+        except (InputError, RunError):  # the file cannot be written
+            raise
+        except Exception as error:  # whatever a library finds in names or numbers
+            if path is None:
+                raise
+            figure = explanation(display_path(result_path(path)), error)
+            _write_png(figure, path)
+            return figure
+
+    return cast(F, drawn)
+
+
+def explanation(name: str, error: Exception) -> Figure:
+    """A figure in place of one that could not be drawn, which is named and reported by a PictureWarning."""
+    reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    warnings.warn(
+        f"{name}: this picture could not be drawn ({reason}); the numbers are complete", PictureWarning, stacklevel=3
+    )
+    figure, axes = new_figure(9.0, 3.0, 1)
+    axes[0].set_axis_off()
+    axes[0].text(0.0, 0.5, textwrap.fill(f"This picture could not be drawn: {reason}", 90), va="center")
+    add_grid_and_title(figure, "", np.array([]))
+    return figure
 
 
 def legend_above(axes: Axes) -> None:

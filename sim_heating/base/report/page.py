@@ -8,8 +8,7 @@ The file is complete: style and figures are embedded, nothing is loaded.
 from __future__ import annotations
 
 import base64
-import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -20,7 +19,7 @@ from matplotlib.figure import Figure
 
 from sim_heating.base.files import write_text_atomic
 from sim_heating.base.files.package import package_version
-from sim_heating.base.report.figure import lay_out
+from sim_heating.base.report.figure import explanation, picture_file
 from sim_heating.base.report.table import Table
 
 TEMPLATE = "page.html.j2"
@@ -30,19 +29,22 @@ RASTER_DPI = 130
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure with its caption, which is also its alternative text."""
+    """A figure, or a function that draws it, with its caption, which is also its alternative text.
 
-    figure: Figure
+    A figure that cannot be drawn is replaced by one that says why.
+    """
+
+    figure: Figure | Callable[[], Figure]
     caption: str = ""
 
     @property
     def data_url(self) -> str:
         """The figure as a data URL: vector graphics, except for artists drawn as `rasterized`."""
-        buffer = io.BytesIO()
-        lay_out(self.figure)
-        with mpl.rc_context({"svg.hashsalt": TEMPLATE}):  # identifiers in the file are the same in each run
-            self.figure.savefig(buffer, format="svg", dpi=RASTER_DPI, metadata={"Date": None})
-        return _data_url("image/svg+xml", buffer.getvalue())
+        try:
+            drawing = _svg(self.figure if isinstance(self.figure, Figure) else self.figure())
+        except Exception as error:  # whatever a library finds in names or numbers
+            drawing = _svg(explanation(f"report, picture `{self.caption}`", error))
+        return _data_url("image/svg+xml", drawing)
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,11 @@ class SavedPicture:
     def data_url(self) -> str:
         """The file as a data URL."""
         return _data_url("image/png", self.path.read_bytes())
+
+
+def _svg(figure: Figure) -> bytes:
+    with mpl.rc_context({"svg.hashsalt": TEMPLATE}):  # identifiers in the file are the same in each run
+        return picture_file(figure, "svg", dpi=RASTER_DPI, metadata={"Date": None})
 
 
 def _data_url(media: str, content: bytes) -> str:

@@ -19,7 +19,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.parameters import EFFECT_PREFIX, SHORT_NAMES
 from sim_heating.base.progress import Progress, no_progress
-from sim_heating.base.report.figure import new_figure, save_figure
+from sim_heating.base.report.figure import new_figure, replaced_if_undrawable, save_figure
 from sim_heating.base.report.table import Column, Table
 from sim_heating.closure.revise.evidence import ratio_names
 from sim_heating.closure.revise.revisions import RevisionFile
@@ -230,6 +230,7 @@ def _cautions(update: TableUpdate) -> Iterator[str]:
         yield f"{negative} nodes become negative, by little more than correlation with distant ones; see the picture"
 
 
+@replaced_if_undrawable
 def draw_update(path: Path, update: TableUpdate) -> None:
     """One panel for each variable whose derivative was written (angle of attack where none was); bands are 2 sigma."""
     variables = panel_variables(update.flight.evidence.names)

@@ -18,7 +18,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.files import output_directory, write_json, write_text_atomic
 from sim_heating.base.files.package import package_version
 from sim_heating.base.progress import Progress, no_progress
-from sim_heating.base.report.figure import ANGLES, new_figure, save_figure
+from sim_heating.base.report.figure import ANGLES, new_figure, replaced_if_undrawable, save_figure
 from sim_heating.base.report.table import Column, Table
 from sim_heating.estimation.design.check import RepeatedFits, repeated_fits
 from sim_heating.estimation.design.information import PRESSURE, Experiment, design_criterion
@@ -267,6 +267,7 @@ LABELS = {
 }
 
 
+@replaced_if_undrawable
 def draw_design(path: Path, designed: DesignResult) -> None:
     """Draw the variable of each manoeuvre and the outermost thermocouple's temperature, as planned and optimal."""
     found, count = designed.found, len(designed.found.planned.manoeuvres)
@@ -304,6 +305,7 @@ def _around_window(
     return t[shown] - window.start_s, flown.conditions[variable][shown]
 
 
+@replaced_if_undrawable
 def draw_sweeps(path: Path, designed: DesignResult) -> None:
     """Draw the bounds along each varied number over those of the optimal design; open marks exceed a limit."""
     sweeps, best = designed.sweeps, designed.found.best_experiment.sigma(designed.wanted)
@@ -334,6 +336,7 @@ def draw_sweeps(path: Path, designed: DesignResult) -> None:
     save_figure(figure, path, title, axes)
 
 
+@replaced_if_undrawable
 def draw_instruments(path: Path, designed: DesignResult) -> None:
     """Draw the bounds with other instruments over those with the declared ones."""
     base, others = designed.instruments[0].sigma, designed.instruments[1:]

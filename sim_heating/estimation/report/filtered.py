@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.files import write_csv
-from sim_heating.base.report.figure import MEASURED, legend_above, new_figure, save_figure
+from sim_heating.base.report.figure import MEASURED, legend_above, new_figure, replaced_if_undrawable, save_figure
 from sim_heating.estimation.filter.innovations import Innovations
 from sim_heating.estimation.filter.smoother import Smoothed, smooth
 from sim_heating.estimation.record_fit import FittedChannel, RecordFit
@@ -106,6 +106,7 @@ def write_filtered(folder: Path, found: FilteredHistory) -> None:
     draw_filtered(folder / PICTURE, found)
 
 
+@replaced_if_undrawable
 def draw_filtered(path: Path, found: FilteredHistory) -> None:
     """Draw the temperatures of each sensor relative to the plain march, the ratio disturbance and the flight."""
     shown = sorted(found.sensors, key=lambda s: s.channel.sensor.depth_m)[:MOST_SENSORS]

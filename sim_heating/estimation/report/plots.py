@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.kernels.block import LOG10_RE
-from sim_heating.base.report.figure import ANGLES, MEASURED, legend_above, new_figure, save_figure
+from sim_heating.base.report.figure import (
+    ANGLES,
+    MEASURED,
+    legend_above,
+    new_figure,
+    replaced_if_undrawable,
+    save_figure,
+)
 from sim_heating.estimation.trend import Trend
 from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.inputs.record import Record, pooled_rmse_K
@@ -26,6 +33,7 @@ MARGIN = 0.2
 """Time shown on either side of the fitted samples, over their time span."""
 
 
+@replaced_if_undrawable
 def draw_fit(path: Path, before: Prediction, after: Prediction) -> None:
     """Draw each sensor with its residual below, declared and fitted, and the angles flown in the last panel.
 
@@ -100,6 +108,7 @@ def plot_flown(a: Axes, conditions: Conditions, start_s: float, end_s: float) ->
         legend_above(a)
 
 
+@replaced_if_undrawable
 def draw_trend(path: Path, trend: Trend) -> None:
     """Draw the heating ratio over short segments against time and Reynolds number, together with the declared table."""
     segments, record = trend.segments, trend.record

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.parameters import RATIO, SHORT_NAMES, UNITS
-from sim_heating.base.report.figure import new_figure, save_figure
+from sim_heating.base.report.figure import new_figure, replaced_if_undrawable, save_figure
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.record_fit import RecordFit
 from sim_heating.heating.ratio.uncertainty import declared_ratio, declared_sigma, estimated_ratio
@@ -74,6 +74,7 @@ def plot_flight(a: Axes, x: FloatArray, ratio: FloatArray, sigma: FloatArray) ->
     a.plot(x, ratio, color=FLOWN, linestyle="--", linewidth=1.6, label="flight estimate")
 
 
+@replaced_if_undrawable
 def draw_ratio(path: Path, fitted: FitResult, record_fit: RecordFit) -> bool:
     """Draw declared table and flight estimate of a record's control point, a panel for each derivative.
 

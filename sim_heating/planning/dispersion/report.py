@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 
 from sim_heating.base.files import write_text_atomic
 from sim_heating.base.progress import Progress
-from sim_heating.base.report.figure import new_figure, save_figure
+from sim_heating.base.report.figure import new_figure, replaced_if_undrawable, save_figure
 from sim_heating.base.report.table import Column, Table
 from sim_heating.planning.dispersion.march import QUANTITIES
 from sim_heating.planning.dispersion.results import (
@@ -158,6 +158,7 @@ BINS = 40
 HOLDS, FAILS = {"marker": "o", "color": "tab:green"}, {"marker": "X", "color": "tab:red"}
 
 
+@replaced_if_undrawable
 def draw_distributions(path: Path, title: str, result: DispersionResult) -> None:
     """Draw the distribution of each peak, one row a control point; surfaces left, bondlines right."""
     points = [p.point.name for p in result.entry.points]
@@ -203,6 +204,7 @@ def _distribution(ax: Axes, row: int, peak: PeakStatistics, values: np.ndarray, 
         ax.plot([peak.limit, peak.limit], [row - 0.42, row + 0.42], color="k", linewidth=1.6)
 
 
+@replaced_if_undrawable
 def draw_first_order(path: Path, title: str, result: DispersionResult) -> None:
     """Draw first-order quantiles less those counted [K], on the bounds of the counted ones."""
     figure, axes = new_figure(11.0, 2.2 + 0.5 * len(result.entry.points), 1, 2, sharey=True)
@@ -233,6 +235,7 @@ def draw_first_order(path: Path, title: str, result: DispersionResult) -> None:
     save_figure(figure, path, f"First order against counting, quantiles {named} from top to bottom\n{title}", axes)
 
 
+@replaced_if_undrawable
 def draw_drivers(path: Path, title: str, result: DispersionResult) -> None:
     """Draw the total Sobol' indices of every peak as a map."""
     peaks = [a for a in result.peaks if a.indices is not None]

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from sim_heating.base.arrays import BoolArray, FloatArray
-from sim_heating.base.report.figure import new_figure, save_figure
+from sim_heating.base.report.figure import new_figure, replaced_if_undrawable, save_figure
 from sim_heating.planning.envelope.boundary import END_OF_STUDY
 from sim_heating.planning.envelope.envelope import (
     CONSERVATIVE,
@@ -49,6 +49,7 @@ HEAD_WIDTH = 70
 """Characters of a line above one of several panels."""
 
 
+@replaced_if_undrawable
 def draw_map(path: Path, title: str, flown: FlownMap, sigmas: float) -> None:
     """Draw a map: over one axis the margins with their bands, over two the least margin and the name of its limit."""
     axes = flown.declared.axes
@@ -109,6 +110,7 @@ def _draw_plane_map(path: Path, title: str, flown: FlownMap) -> None:
     a.grid(visible=False)
 
 
+@replaced_if_undrawable
 def draw_boundaries(path: Path, title: str, boundaries: Mapping[str, FlownBoundary], sigmas: float) -> None:
     """Draw a boundary, or that of several revisions side by side; the colour of an edge is that of its limit.
 
@@ -190,6 +192,7 @@ def _ends(segments: Sequence[BoundarySegment], which: str) -> tuple[FloatArray, 
     return low, high
 
 
+@replaced_if_undrawable
 def draw_ranking(path: Path, title: str, ranked: Sequence[RankedManoeuvre]) -> None:
     """Draw the sigma of the temperatures at the edges of each boundary, now and after each manoeuvre."""
     names = [n for n in ranked[0].conservative_area if any(n in r.sigma_K for r in ranked)]

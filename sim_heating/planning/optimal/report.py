@@ -12,7 +12,7 @@ import numpy as np
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import write_csv
 from sim_heating.base.progress import Progress
-from sim_heating.base.report.figure import new_figure, save_figure
+from sim_heating.base.report.figure import new_figure, replaced_if_undrawable, save_figure
 from sim_heating.base.report.table import Column, Table
 from sim_heating.planning.optimal.search import ROUNDS, OptimalEntry, fly_optimal
 from sim_heating.planning.part import Engine, PartPicture, PartResult, StudyPart
@@ -81,6 +81,7 @@ STYLES = ("-", "--", ":")
 """Line styles of the entries in a picture."""
 
 
+@replaced_if_undrawable
 def draw_optimal(path: Path, title: str, entries: Mapping[str, OptimalEntry]) -> None:
     """Draw ground track, altitude, alpha and bank, and the temperatures of limited points, against time.
 
