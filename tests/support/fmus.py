@@ -1,4 +1,4 @@
-"""Small FMUs compiled from tests/support/fmu/glide.c, and the closed form of their flight."""
+"""Small FMUs compiled from tests/support/fmu: a glide with the closed form of its flight, and a feedthrough."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from pathlib import Path
 import fmpy
 import pytest
 
-SOURCES = sorted((Path(__file__).parent / "fmu").glob("*.c"))
+CODE = Path(__file__).parent / "fmu"
+SOURCES = {"glide": [CODE / "glide.c"], "feedthrough": sorted((CODE / "feedthrough").glob("*.c"))}
 COMPILER = shutil.which("gcc") or shutil.which("cc") or shutil.which("clang")
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler found")
 
@@ -36,23 +37,13 @@ def closed_form(t: float, sink: float = 50.0, drag: float = 1e-6) -> tuple[float
     return 70e3 - sink * (t + max(t - 10.0, 0.0)), 7000.0 / (1.0 + drag * 7000.0 * t)
 
 
-def library(folder: Path, *options: str) -> Path:
-    """glide.c as a shared library."""
+def library(folder: Path, *options: str, model: str = "glide") -> Path:
+    """glide.c or feedthrough.c as a shared library."""
     assert COMPILER is not None
-    target = folder / f"glide{fmpy.sharedLibraryExtension}"
+    target = folder / f"{model}{fmpy.sharedLibraryExtension}"
     headers = Path(fmpy.__file__).parent / "c-code"
-    command = [
-        COMPILER,
-        "-shared",
-        "-fPIC",
-        "-O1",
-        *options,
-        f"-I{headers}",
-        *map(str, SOURCES),
-        "-lm",
-        "-o",
-        str(target),
-    ]
+    sources = [str(path) for path in (*SOURCES[model], CODE / "unused.c")]
+    command = [COMPILER, "-shared", "-fPIC", "-O1", *options, f"-I{headers}", *sources, "-lm", "-o", str(target)]
     subprocess.run(command, check=True)
     return target
 
@@ -129,10 +120,35 @@ def pack(path: Path, text: str, binary: Path, folder: str) -> Path:
     """An FMU of a description and a library."""
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", text)
-        archive.write(binary, f"binaries/{folder}/glide{binary.suffix}")
+        archive.write(binary, f"binaries/{folder}/{binary.name}")
     return path
 
 
 def glide_fmu(path: Path, binary: Path, fmi: str = "2", kind: str = "CoSimulation") -> Path:
     """The glide as an FMU of a version and interface."""
     return pack(path, description(fmi, kind), binary, platform_folder(fmi))
+
+
+FEEDTHROUGH = ("altitude", "airspeed", "alpha", "beta")
+
+
+def feedthrough_fmu(path: Path, binary: Path, fmi: str = "2") -> Path:
+    """Four outputs in SI units and deg that are its inputs `set_<output>`; their start value is 0."""
+    inputs, outputs = [(f"set_{n}", i) for i, n in enumerate(FEEDTHROUGH)], [(n, i + 4) for i, n in enumerate(FEEDTHROUGH)]
+    units = dict(zip(FEEDTHROUGH, ("m", "m/s", "deg", "deg"), strict=True))
+    if fmi == "2":
+        one = '<ScalarVariable name="{}" valueReference="{}" causality="{}"><Real unit="{}"{}/></ScalarVariable>'
+        count = '<ScalarVariable name="count" valueReference="0" causality="input" variability="discrete"><Integer start="0"/></ScalarVariable>'  # noqa: E501
+        token = "guid"
+    else:
+        one = '<Float64 name="{}" valueReference="{}" causality="{}" unit="{}"{}/>'
+        count = '<Int32 name="count" valueReference="0" causality="input" start="0"/>'
+        token = "instantiationToken"
+    variables = [one.format(n, r, "input", units[n[4:]], ' start="0"') for n, r in inputs]
+    variables += [one.format(n, r, "output", units[n], "") for n, r in outputs]
+    text = (
+        f'<?xml version="1.0"?><fmiModelDescription fmiVersion="{fmi}.0" modelName="Feedthrough" {token}="x">'
+        f'<CoSimulation modelIdentifier="feedthrough"/><ModelVariables>{"".join(variables)}{count}</ModelVariables>'
+        "<ModelStructure/></fmiModelDescription>"
+    )
+    return pack(path, text, binary, platform_folder(fmi))

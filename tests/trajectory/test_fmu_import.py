@@ -25,7 +25,16 @@ from sim_heating.trajectory.fmu.model import read_fmu
 from sim_heating.trajectory.fmu.units import BaseUnit, conversion, known_unit, unit_of_fmu
 from sim_heating.trajectory.jsbsim.host import euler_angles
 from sim_heating.trajectory.spec import TrajectorySpec
-from tests.support.fmus import closed_form, description, glide_fmu, library, needs_compiler, pack, platform_folder
+from tests.support.fmus import (
+    closed_form,
+    description,
+    feedthrough_fmu,
+    glide_fmu,
+    library,
+    needs_compiler,
+    pack,
+    platform_folder,
+)
 from tests.support.paths import ORBITER
 
 VEHICLE = load_vehicle(ORBITER)
@@ -247,6 +256,41 @@ def test_an_input_follows_its_schedule_held_over_each_step(fmi: str, binary: Pat
     c = fly(path, inputs={"command": schedule}).conditions
     at_beginning = np.interp(c.time_s[1:] - 0.25, [0.0, 10.0], [0.5, 0.7])
     assert np.radians(c["alpha_deg"][1:]) == approx(at_beginning, rel=1e-12)
+
+
+@pytest.fixture(scope="module")
+def feedthrough(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return library(tmp_path_factory.mktemp("feedthrough"), model="feedthrough")
+
+
+@needs_compiler
+@pytest.mark.parametrize("fmi", ["2", "3"])
+def test_a_feedthrough_is_flown_by_schedules_from_its_first_frame_on(
+    fmi: str, feedthrough: Path, tmp_path: Path
+) -> None:
+    # Its outputs are its inputs: with their start values, 0, it would begin on the ground, at rest.
+    path = feedthrough_fmu(tmp_path / "feedthrough.fmu", feedthrough, fmi)
+    altitude, speed = [[0.0, 70e3], [20.0, 68e3]], [[0.0, 6500.0], [20.0, 6400.0]]
+    inputs: dict[str, Any] = {"set_altitude": {"schedule": altitude}, "set_airspeed": {"schedule": speed}}
+    inputs |= {"set_alpha": {"schedule": [[0.0, 40.0]]}, "count": {"schedule": [[0.0, 3]]}}
+    c = fly(path, {}, inputs=inputs).conditions
+    beginning = np.maximum(c.time_s - 0.25, 0.0)  # of the step that leads to a frame
+    assert c["altitude_m"] == approx(70e3 - 100.0 * beginning)
+    assert c["velocity_m_s"] == approx(6500.0 - 5.0 * beginning)
+    assert c["alpha_deg"] == approx(np.full(21, 40.0))
+    assert c["beta_deg"] == approx(np.zeros(21))
+
+
+@needs_compiler
+@pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
+def test_a_start_value_of_a_scheduled_input_holds_until_the_first_step(
+    kind: str, binary: Path, tmp_path: Path
+) -> None:
+    path = glide_fmu(tmp_path / "glide.fmu", binary, kind=kind)
+    schedule = {"command": {"schedule": [[0.0, 0.5]]}}
+    assert np.radians(fly(path, inputs=schedule).conditions["alpha_deg"]) == approx(np.full(21, 0.5))
+    c = fly(path, inputs=schedule, start={"command": 0.6}).conditions
+    assert np.radians(c["alpha_deg"][:2]) == approx([0.6, 0.5])
 
 
 @needs_compiler

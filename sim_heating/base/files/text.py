@@ -54,7 +54,12 @@ def suggestion(name: str, known: Iterable[str], otherwise: str | None = None, cu
 
 def repeated_name(names: Sequence[str]) -> str | None:
     """The first name that a list holds more than once, or None."""
-    return next((n for i, n in enumerate(names) if n in names[:i]), None)
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            return name
+        seen.add(name)
+    return None
 
 
 def raise_problems(problems: Sequence[str]) -> None:

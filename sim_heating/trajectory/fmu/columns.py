@@ -47,6 +47,9 @@ FORCES = ("drag_m_s2", "lift_m_s2", "net_gravity_m_s2")
 COLUMNS = (*FRAME[1:], *EXTRAS, *MOTION, *ATTITUDE, *FORCES)
 """Columns that a mapping may name; speed, path angle and heading are relative to the air, MOTION to the Earth."""
 
+FIRST_CAUSES = ("altitude_m", "velocity_m_s", "alpha_deg", "beta_deg")
+"""Columns of the frame from which an FMU that has none of the others can be flown."""
+
 AIR_PATH = ("velocity_m_s", "gamma_deg", "heading_deg")
 ANGLES = ("alpha_deg", "beta_deg", "bank_deg")
 DERIVED_FROM = ((set(MOTION[:3]), AIR_PATH), ({"mach"}, AIR_PATH[:1]), (set(ATTITUDE), ANGLES))
@@ -78,6 +81,7 @@ USUAL_NAMES = {
     "mach": ("mach", "machnumber"),
 }
 """Names under which a variable is found that the scenario does not map; lower case, letters only."""
+NOT_A_LETTER = re.compile("[^a-z]")
 
 
 def unit_of(column: str) -> str:
@@ -148,18 +152,22 @@ class ColumnsOfFmu:
         """
         # A column that follows from mapped ones is not looked for by name: two sources of one quantity may disagree.
         mapped = mapped.union(*(made for needed, made in DERIVED_FROM if needed <= mapped))
-        outputs = [v for v in model.description.modelVariables if v.causality == "output" and v.name not in taken]
-        names = {v.name: re.sub("[^a-z]", "", v.name.lower()) for v in outputs}
+        exact: set[str] = set()
+        usual: dict[str, list[str]] = {}
+        for v in model.description.modelVariables:
+            if v.causality == "output" and v.name not in taken:
+                exact.add(v.name)
+                usual.setdefault(NOT_A_LETTER.sub("", v.name.lower()), []).append(v.name)
         found = []
         for column in COLUMNS:
             if column in mapped:
                 continue
-            exact = [v for v in outputs if v.name == column]
-            chosen = exact or [v for v in outputs if names[v.name] in USUAL_NAMES.get(column, ())]
+            names = [n for usual_name in USUAL_NAMES.get(column, ()) for n in usual.get(usual_name, ())]
+            chosen = [column] if column in exact else names
             # A name that fits several outputs is left alone; a wrong guess would fly without a message.
             if len(chosen) != 1:
                 continue
-            name = chosen[0].name
+            (name,) = chosen
             try:
                 convert = model.conversion(model.number(name, column), None, unit_of(column), column)
             except InputError:
@@ -195,7 +203,7 @@ class Derivation:
     """The steps that complete a frame, selected once from the columns that an FMU provides.
 
     available : columns after all steps
-    raises    : InputError naming every column of conditions.FRAME that remains unknown
+    raises    : InputError, one line, naming the columns that remain unknown and from which the others follow
     """
 
     def __init__(self, given: set[str], spec: TrajectorySpec, vehicle_dir: Path) -> None:
@@ -207,11 +215,11 @@ class Derivation:
         self._choose_motion()
         self._choose({"altitude_m"}, ("rho_kg_m3",), self._standard_density, "density is that of US76")
         self._choose(set(), ("jets",), _no_jets, "")
+        # The other columns of the frame follow from these: to ask for them as well would hide the cause.
+        if missing := [column for column in FIRST_CAUSES if column not in self.available]:
+            raise InputError(_unknown_columns(missing))
         if not {"elevon_deg", "bodyflap_deg"} <= self.available:
             self._choose_trim(spec, vehicle_dir)
-        problems = [_unknown_column(column) for column in FRAME if column not in self.available]
-        if problems:
-            raise InputError(*problems)
 
     def __call__(self, frame: Frame) -> None:
         """Complete a frame in place."""
@@ -269,15 +277,16 @@ def _preserving(step: Step, names: list[str]) -> Step:
     return preserving_step
 
 
-def _unknown_column(column: str) -> str:
-    """The message about a column that is neither mapped nor derived."""
-    ways = {
-        "velocity_m_s": "map it, `mach`, or velocity_north_m_s, velocity_east_m_s, velocity_down_m_s",
-        "alpha_deg": "map it, or roll_deg, pitch_deg, yaw_deg and the velocity's components",
-        "beta_deg": "map it or its attitude as for alpha_deg, or give a number: beta_deg = 0.0",
+def _unknown_columns(missing: list[str]) -> str:
+    """The message about columns that are neither mapped nor derived."""
+    others = {
+        "velocity_m_s": "velocity_m_s also follows from mach, or from velocity_north_m_s, _east_m_s, _down_m_s",
+        "alpha_deg": "alpha_deg and beta_deg also follow from roll_deg, pitch_deg, yaw_deg and the velocity's components",
     }
-    way = ways.get(column, "map it to a variable or give a number")
-    return f"[trajectory.fmu.columns]: `{column}` is unknown; {way}"
+    names = ", ".join(f"`{column}`" for column in missing)
+    ways = [f'write {missing[0]} = "variable", or a number', *(others[c] for c in missing if c in others)]
+    verb = "is" if len(missing) == 1 else "are"
+    return f"[trajectory.fmu.columns]: {names} {verb} unknown; {'; '.join(ways)}"
 
 
 def _no_jets(f: Frame) -> None:

@@ -2,7 +2,8 @@
 
 The FMU runs in a separate process (`session`). [trajectory.fmu] defines the meaning of its variables (`columns`);
 temperature, pressure, Mach and Reynolds number are derived here as for every source. An input is constant over a step:
-a schedule is evaluated at the beginning of the step, a command is the value to be reached at its end.
+a schedule is evaluated at the beginning of the step, a command is the value to be reached at its end. A schedule's value at
+0 s is already set during initialisation, so that outputs that depend on inputs alone are right from the first frame on.
 
 Commands are those of the 3-DOF entry: guidance acts on the frame at the beginning of a step; manoeuvres start where
 speed, extrapolated to the end of the step, passes their trigger.
@@ -15,6 +16,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
+from fmpy.simulation import settable_in_instantiated
 
 from sim_heating.base.conditions import FRAME, Conditions
 from sim_heating.base.errors import InputError, RunError, error_context
@@ -25,7 +27,7 @@ from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, speed_of_sound_k
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory.flight import REPORT_S, ROW, Flight, OnFrame, Sampler, VehicleData, Window
 from sim_heating.trajectory.fmu.columns import ColumnsOfFmu, Frame, unit_of
-from sim_heating.trajectory.fmu.model import FmuModel, accepted_value, item_named, read_fmu
+from sim_heating.trajectory.fmu.model import FmuModel, Value, accepted_value, item_named, read_fmu
 from sim_heating.trajectory.fmu.session import Answer, FmuSession
 from sim_heating.trajectory.manoeuvres import ManoeuvreScript, commanded_variable
 from sim_heating.trajectory.schedules import pack, scheduled
@@ -55,8 +57,9 @@ class FmuFlight:
         events = [(0.0, note) for note in self.columns.notes]
         with FmuSession(self.model.path, spec.fmu.timeout_s) as session:
             # The stop time is rounded up to whole steps, since an FMU may refuse a step that crosses it.
+            access = [self.model.access(self.model.variables[name]) for name in self.columns.outputs]
             answer = session.start(
-                self.model.interface, self.start, self.inputs.names, self.columns.outputs,
+                self.model.process_description, self._start_by_mode(), self.inputs.access, access,
                 stop_s=math.ceil(spec.stop.time_s * spec.rate_hz - 1e-6) / spec.rate_hz, tolerance=spec.fmu.tolerance,
             )  # fmt: skip
             frame = self._frame(0.0, answer)
@@ -81,6 +84,22 @@ class FmuFlight:
         end_s = frame["time_s"]
         events += self.inputs.events(end_s)
         return Flight(self._conditions(), sorted(events, key=lambda e: e[0]), self.inputs.windows(end_s))
+
+    def _start_by_mode(self) -> dict[str, list[tuple[str, int, Value]]]:
+        """Start values by the mode of the FMU in which they are set, and in the second the scheduled inputs at 0 s."""
+        found: dict[str, list[tuple[str, int, Value]]] = {"instantiated": [], "initialization": []}
+        for name, value in self.start.items():
+            variable = self.model.variables[name]
+            # Some variables may be set in one mode only.
+            mode = "instantiated" if settable_in_instantiated(variable) else "initialization"
+            found[mode].append((*self.model.access(variable), value))
+        for name, first in self.inputs.at_start.items():
+            # A start value that the scenario gives for an input holds until the first step.
+            if name not in self.start:
+                kind, reference = self.model.access(self.model.variables[name])
+                value = first if kind.startswith(("Real", "Float")) else round(first)
+                found["initialization"].append((kind, reference, value))
+        return found
 
     def _frame(self, time_s: float, answer: Answer) -> Frame:
         """The columns of one answer.
@@ -204,20 +223,25 @@ def _observation(f: Frame, speed: float, mach: float) -> np.ndarray:
 
 
 class InputsOfFmu:
-    """The inputs of an FMU by name, and their values frame by frame.
+    """The inputs of an FMU, and their values frame by frame.
 
-    raises : InputError, all problems at once
+    access   : (type, value reference) of each input
+    at_start : input with a schedule -> its value at 0 s
+    raises   : InputError, all problems at once
     """
 
     def __init__(self, model: FmuModel, spec: TrajectorySpec, vehicle_dir: Path, available: set[str]) -> None:
-        self.names: list[str] = []
+        self.access: list[tuple[str, int]] = []
+        self.at_start: dict[str, float] = {}
         self._values: list[Callable[[Frame, Frame], float]] = []
         problems: list[str] = []
         for name, given in spec.fmu.inputs.items():
             source = given if isinstance(given, FmuInput) else FmuInput(command=given)
             try:
                 self._values.append(_input_value(model, name, source))
-                self.names.append(name)
+                self.access.append(model.access(model.variables[name]))
+                if source.command is None:
+                    self.at_start[model.variables[name].name] = self._values[-1]({"time_s": 0.0}, {})
             except InputError as error:
                 problems += error.problems
         problems += _pilot_problems(model, spec) + _uncommanded_manoeuvres(model, spec)
@@ -254,12 +278,12 @@ def _pilot_problems(model: FmuModel, spec: TrajectorySpec) -> list[str]:
 def _uncommanded_manoeuvres(model: FmuModel, spec: TrajectorySpec) -> list[str]:
     """Manoeuvres whose command is not an input of the FMU."""
     # Without this check a manoeuvre had its window in the results while the FMU never received its command.
-    inputs = [v.name for v in model.description.modelVariables if v.causality == "input"]
     unused = [
         (number, m.kind, commanded_variable(m))
         for number, m in enumerate(spec.manoeuvre, start=1)
         if commanded_variable(m) not in spec.fmu.commands
     ]
+    inputs = [v.name for v in model.description.modelVariables if v.causality == "input"] if unused else []
     return [
         f"manoeuvre {number} ({kind}): no input takes its {variable}; name one in [trajectory.fmu.inputs]"
         + (suggestion(f"command.{variable}", inputs) if inputs else f"; {model} has no inputs")

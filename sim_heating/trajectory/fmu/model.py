@@ -6,24 +6,28 @@ A variable takes, by its type, any number, whole numbers within a range, items o
 from __future__ import annotations
 
 import re
-import zipfile
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
 
 import fmpy
-from fmpy.model_description import ModelDescription, ModelVariable, ValidationError
+from fmpy.model_description import BaseUnit, ModelDescription, ModelVariable, ValidationError
 from fmpy.simulation import settable_in_initialization_mode, settable_in_instantiated
 
 from sim_heating.base.errors import InputError, error_context
-from sim_heating.base.files import display_path, suggestion
+from sim_heating.base.files import display_path, repeated_name, suggestion
+from sim_heating.trajectory.fmu.archive import DESCRIPTION, read_archive
 from sim_heating.trajectory.fmu.units import NO_DIMENSION, Conversion, Scale, conversion, known_unit, unit_of_fmu
 from sim_heating.trajectory.spec import FmuSource, FmuValue
 
-DESCRIPTION = "modelDescription.xml"
 VERSIONS = ("2.0", "3.")
+CO_SIMULATION, MODEL_EXCHANGE = "co-simulation", "model-exchange"
 NUMBERS = ("Real", "Float", "Integer", "Int", "UInt", "Boolean", "Enumeration")
-LISTED_NAMES = 12
-"""Most variables that an error lists where no name is similar."""
+IDENTIFIER = re.compile("[A-Za-z0-9_]+", re.ASCII)
+"""A modelIdentifier: it is the name of the library's file and the beginning of the names of its functions."""
+REFERENCES = 2**32
+"""A value reference is an unsigned number of 32 bits."""
 SCHEMA_PROBLEMS = 3
 """Most problems of an invalid description that an error lists."""
 
@@ -36,12 +40,34 @@ class FmuModel:
     description: ModelDescription
     interface: str
 
-    @property
+    @cached_property
     def variables(self) -> dict[str, ModelVariable]:
-        """Variables by name, including aliases."""
-        found = {v.name: v for v in self.description.modelVariables}
-        aliases = {a.name: v for v in self.description.modelVariables for a in v.aliases}
-        return aliases | found
+        """Variables by name in the order of the description, including aliases."""
+        # FMPy lists an alias of FMI 3 as a variable of its own, FMI 2 has none.
+        return {v.name: v for v in self.description.modelVariables}
+
+    @cached_property
+    def units(self) -> dict[str, BaseUnit | None]:
+        """Units that the FMU defines."""
+        return {u.name: u.baseUnit for u in self.description.unitDefinitions}
+
+    @property
+    def process_description(self) -> dict[str, Any]:
+        """What the process of the FMU (process.py) needs of the description besides variables."""
+        d = self.description
+        interface = d.coSimulation if self.interface == CO_SIMULATION else d.modelExchange
+        assert interface is not None
+        return {
+            "interface": self.interface, "version": d.fmiVersion, "token": d.guid,
+            "identifier": interface.modelIdentifier, "states": d.numberOfContinuousStates,
+            "indicators": d.numberOfEventIndicators,
+            "step_events": bool(getattr(interface, "needsCompletedIntegratorStep", False)),
+        }  # fmt: skip
+
+    def access(self, variable: ModelVariable) -> tuple[str, int]:
+        """The type under which FMPy gets and sets a variable, and its value reference."""
+        enumeration = "Integer" if self.description.fmiVersion == "2.0" else "Int64"
+        return enumeration if variable.type == "Enumeration" else str(variable.type), variable.valueReference
 
     def number(self, name: str, where: str) -> ModelVariable:
         """A scalar variable that is a number.
@@ -51,10 +77,13 @@ class FmuModel:
         variable = self.variables.get(name)
         if variable is None:
             known = [n for n, v in self.variables.items() if v.causality in ("output", "input", "parameter")]
-            raise InputError(f"{where}: {self} has no variable `{name}`{suggestion(name, known[:LISTED_NAMES])}")
+            raise InputError(f"{where}: {self} has no variable `{name}`{suggestion(name, known)}")
         if not str(variable.type).startswith(NUMBERS) or variable.shape:
             kind = "an array" if variable.shape else f"a {variable.type}"
             raise InputError(f"{where}: `{name}` of {self} is {kind}; name a variable that is one number")
+        if not 0 <= variable.valueReference < REFERENCES:
+            # The library would receive its last 32 bits: another variable.
+            raise InputError(f"{where}: `{name}` of {self} has the impossible valueReference {variable.valueReference}")
         return variable
 
     def scale(self, variable: ModelVariable, unit: str | None, where: str) -> Scale:
@@ -70,9 +99,8 @@ class FmuModel:
             if given is None:
                 raise InputError(f"{where}: `{variable.name}` of {self} has no unit; give `unit`")
             return given
-        definitions = {u.name: u.baseUnit for u in self.description.unitDefinitions}
         try:
-            own = unit_of_fmu(name, definitions.get(name))
+            own = unit_of_fmu(name, self.units.get(name))
         except InputError as error:
             if given is None:
                 raise InputError(f"{where}: `{variable.name}` of {self}: {error}") from None
@@ -105,7 +133,7 @@ class FmuModel:
         return found
 
     def start_values(self, source: FmuSource) -> dict[str, Value]:
-        """The scenario's start values in the FMU's units.
+        """The scenario's start values in the FMU's units, in the order of the FMU's variables.
 
         raises : InputError, all problems at once
         """
@@ -119,7 +147,7 @@ class FmuModel:
                 problems += error.problems
         if problems:
             raise InputError(*problems)
-        return found
+        return {name: found[name] for name in self.variables if name in found}
 
     def _start_value(self, name: str, value: Value | FmuValue, where: str) -> tuple[ModelVariable, Value]:
         variable = self.variables.get(name)
@@ -155,47 +183,55 @@ class FmuModel:
 def read_fmu(path: Path, interface: str | None = None) -> FmuModel:
     """Read an FMU's description and choose the interface.
 
-    raises : InputError where the file is not an FMU of a supported version, lacks the interface, or has no library for
-             this platform
+    raises : InputError where the file is not an FMU of a supported version, must not be unpacked, lacks the interface,
+             or has no library for this platform
     """
     name = display_path(path)
-    try:
-        with zipfile.ZipFile(path) as archive:
-            entries = archive.namelist()
-    except (OSError, zipfile.BadZipFile) as error:
-        raise InputError(f"{name}: is not an FMU ({error})") from None
-    if DESCRIPTION not in entries:
-        raise InputError(f"{name}: is not an FMU (it contains no {DESCRIPTION})")
-    # Names of both kinds of platform are checked: an archive made elsewhere is unpacked here.
-    if strays := [entry for entry in entries if _escapes_folder(entry)]:
-        raise InputError(f"{name}: contains `{strays[0]}`, a path outside the archive; nothing was unpacked")
-    description = _description(path)
-    for interface_of in (description.coSimulation, description.modelExchange):
-        if interface_of is not None and not interface_of.modelIdentifier:
-            raise InputError(f"{name}: {DESCRIPTION} is not valid: an interface has no modelIdentifier")
-    platforms = fmpy.supported_platforms(path)
+    archive = read_archive(path)
+    status = path.stat()
+    description = _description(path, (status.st_ino, status.st_size, status.st_mtime_ns))
     if not str(description.fmiVersion).startswith(VERSIONS):
         raise InputError(f"{name}: uses FMI {description.fmiVersion}; FMI 2.0 and 3.0 are supported")
-    has = {
-        "co-simulation": description.coSimulation is not None,
-        "model-exchange": description.modelExchange is not None,
-    }
-    chosen = interface or next((k for k, there in has.items() if there), "co-simulation")
-    if not has[chosen]:
-        others = [k for k, there in has.items() if there]
-        raise InputError(f"{name}: has no {chosen} interface" + (f"; it has {', '.join(others)}" if others else ""))
-    if fmpy.platform not in platforms:
-        found = ", ".join(p for p in platforms if p != "c-code") or "none"
-        raise InputError(f"{name}: has no library for this platform ({fmpy.platform}); platforms in it: {found}")
+    interfaces = {CO_SIMULATION: description.coSimulation, MODEL_EXCHANGE: description.modelExchange}
+    for one in interfaces.values():
+        _check_identifier(name, one)
+    has = [kind for kind, one in interfaces.items() if one is not None]
+    chosen = interface or (has[0] if has else CO_SIMULATION)
+    if chosen not in has:
+        raise InputError(f"{name}: has no {chosen} interface" + (f"; it has {', '.join(has)}" if has else ""))
+    if twice := repeated_name([v.name for v in description.modelVariables]):
+        raise InputError(f"{name}: {DESCRIPTION} is not valid: two variables are named `{twice}`")
+    _check_library(name, archive.libraries(), interfaces[chosen].modelIdentifier, str(description.fmiVersion))
     return FmuModel(path, description, chosen)
 
 
-def _escapes_folder(entry: str) -> bool:
-    """Whether an archive's entry would be unpacked outside its folder, on this or another platform."""
-    return ".." in PurePosixPath(entry).parts or entry.startswith("/") or "\\" in entry or ":" in entry
+def _check_identifier(name: str, interface: Any) -> None:
+    if interface is None:
+        return
+    identifier = interface.modelIdentifier
+    if not identifier:
+        raise InputError(f"{name}: {DESCRIPTION} is not valid: an interface has no modelIdentifier")
+    # FMPy joins it to a path and loads what is there: "../../../lib/x" would run code from outside the archive.
+    if IDENTIFIER.fullmatch(identifier) is None:
+        raise InputError(
+            f"{name}: {DESCRIPTION} is not valid: the modelIdentifier `{identifier[:80]}` may consist of letters, digits "
+            "and _ only"
+        )
 
 
-def _description(path: Path) -> ModelDescription:
+def _check_library(name: str, libraries: dict[str, list[str]], identifier: str, version: str) -> None:
+    folder = fmpy.platform if version == "2.0" else fmpy.platform_tuple
+    own = f"{identifier}{fmpy.sharedLibraryExtension}"
+    if folder not in libraries:
+        found = ", ".join(libraries) or "none"
+        raise InputError(f"{name}: has no library for this platform ({folder}); platforms in it: {found}")
+    if own not in libraries[folder]:
+        raise InputError(f"{name}: has no binaries/{folder}/{own}, the library of its modelIdentifier")
+
+
+@lru_cache(maxsize=1)
+def _description(path: Path, _: tuple[int, int, int]) -> ModelDescription:
+    """The description of a file of some inode, size and time of change; a large one takes seconds to read."""
     try:
         # Not validated at first, because FMPy rejects some valid descriptions; the schema is asked only why reading
         # failed.

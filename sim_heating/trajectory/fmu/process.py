@@ -4,9 +4,13 @@ An FMU is foreign machine code; whatever it breaks is confined to this process. 
 a script; it imports nothing else of the package. Output of the FMU goes to stderr.
 
     on start       {"ready": true}, when FMPy has been imported
-    first request  {"folder", "interface", "start", "inputs", "outputs", "start_s", "stop_s", "tolerance"}
+    first request  {"folder", "model", "start", "inputs", "outputs", "start_s", "stop_s", "tolerance"}
     each further   {"time_s", "step_s", "inputs": [...]}
     answer         {"time_s", "values": [...], "ended"}  or  {"error": "what went wrong"}
+
+`model` is FmuModel.process_description; inputs and outputs are (type, value reference), `start` is a list of these with a
+value for each of two modes, "instantiated" and "initialization". The description of the FMU is not read again: a large
+one takes seconds.
 
 `ended` is true where the FMU itself asks to end; time_s is then the time that it reached. The process is the first of
 its group and has its parent's id as its argument: when the parent ends it kills the group, whatever the FMU is doing.
@@ -22,16 +26,10 @@ import threading
 import time
 from typing import Any
 
-from fmpy import read_model_description
+from fmpy import model_description as fmi
 from fmpy.fmi1 import FMICallException
-from fmpy.simulation import (
-    apply_start_values,
-    instantiate_fmu,
-    settable_in_initialization_mode,
-    settable_in_instantiated,
-)
+from fmpy.simulation import instantiate_fmu
 
-INTERFACES = {"co-simulation": "CoSimulation", "model-exchange": "ModelExchange"}
 DISCARD = 2
 """fmi2Discard and fmi3Discard."""
 STATUS = dict(enumerate(("OK", "WARNING", "DISCARD", "ERROR", "FATAL", "PENDING")))
@@ -48,6 +46,16 @@ class Refusal(Exception):
     """A request that the FMU did not fulfil, with the reason."""
 
 
+def _accessors(verb: str, variables: list[tuple[str, int]]) -> list[tuple[str, list[int], list[int]]]:
+    """(method, value references, places in the list) of variables, one entry a type."""
+    found: dict[str, tuple[list[int], list[int]]] = {}
+    for place, (kind, reference) in enumerate(variables):
+        references, places = found.setdefault(verb + kind, ([], []))
+        references.append(reference)
+        places.append(place)
+    return [(method, references, places) for method, (references, places) in found.items()]
+
+
 class Instance:
     """An initialised FMU; subclasses advance it.
 
@@ -55,36 +63,35 @@ class Instance:
     """
 
     def __init__(self, request: dict[str, Any]) -> None:
-        self.model = read_model_description(request["folder"], validate=False)
-        self.three = self.model.fmiVersion.startswith("3.")
-        self.by_name = {v.name: v for v in self.model.modelVariables}
-        self.read = self._accessors("get", request["outputs"])
-        self.inputs = self._accessors("set", request["inputs"])
-        self.fmu = instantiate_fmu(request["folder"], self.model, INTERFACES[request["interface"]], logger=_log)
+        self.model = request["model"]
+        self.three = self.model["version"].startswith("3.")
+        self.read = _accessors("get", request["outputs"])
+        self.inputs = _accessors("set", request["inputs"])
+        self.fmu = self._instantiate(request["folder"])
         self._initialise(request)
 
-    def _accessors(self, verb: str, names: list[str]) -> list[tuple[str, list[int], list[int]]]:
-        """(method, value references, places in the list) of variables, one entry a type."""
-        found: dict[str, tuple[list[int], list[int]]] = {}
-        for place, name in enumerate(names):
-            variable = self.by_name[name]
-            kind = variable.type if variable.type != "Enumeration" else ("Int64" if self.three else "Integer")
-            references, places = found.setdefault(verb + kind, ([], []))
-            references.append(variable.valueReference)
-            places.append(place)
-        return [(method, references, places) for method, (references, places) in found.items()]
+    def _instantiate(self, folder: str) -> Any:
+        description = fmi.ModelDescription(fmiVersion=self.model["version"], instantiationToken=self.model["token"])
+        identifier = self.model["identifier"]
+        if self.model["interface"] == "co-simulation":
+            description.coSimulation = fmi.CoSimulation(modelIdentifier=identifier)
+        else:
+            description.modelExchange = fmi.ModelExchange(modelIdentifier=identifier)
+        return instantiate_fmu(folder, description, logger=_log)
 
     def _initialise(self, request: dict[str, Any]) -> None:
         times = {"tolerance": request["tolerance"], "startTime": request["start_s"], "stopTime": request["stop_s"]}
-        start = request["start"]
         # FMI 2 takes tolerance and times before the start values, FMI 3 on entering the initialization mode.
         if not self.three:
             self.fmu.setupExperiment(**times)
-        # Some variables may be set in one mode only: those that remain after the first call go into the second.
-        start = apply_start_values(self.fmu, self.model, start, settable_in_instantiated)
+        self._set("instantiated", request)
         self.fmu.enterInitializationMode(**(times if self.three else {}))
-        apply_start_values(self.fmu, self.model, start, settable_in_initialization_mode)
+        self._set("initialization", request)
         self.fmu.exitInitializationMode()
+
+    def _set(self, mode: str, request: dict[str, Any]) -> None:
+        for kind, reference, value in request["start"][mode]:
+            getattr(self.fmu, "set" + kind)([reference], [value])
 
     def values(self) -> list[float]:
         """The outputs as numbers, in the order asked for."""
@@ -175,8 +182,8 @@ class ModelExchange(Instance):
             raise Refusal("asked to end during its initialisation")
         derivatives = self.fmu.getContinuousStateDerivatives if self.three else self.fmu.getDerivatives
         self.solver = CVodeSolver(
-            nx=self.model.numberOfContinuousStates,
-            nz=self.model.numberOfEventIndicators,
+            nx=self.model["states"],
+            nz=self.model["indicators"],
             get_x=self.fmu.getContinuousStates,
             set_x=self.fmu.setContinuousStates,
             get_dx=derivatives,
@@ -212,7 +219,7 @@ class ModelExchange(Instance):
             event, time_s = self._solve(time_s, target_s)
             self.fmu.setTime(time_s)
             ended = False
-            if self.model.modelExchange.needsCompletedIntegratorStep:
+            if self.model["step_events"]:
                 step_event, ended = self.fmu.completedIntegratorStep()
                 event = event or step_event
             timed = self.next_event_s is not None and time_s >= self.next_event_s - SAME_TIME_S
@@ -243,7 +250,7 @@ def serve(requests: Any, answers: Any) -> None:
     answer(ready=True)
     try:
         request = json.loads(requests.readline())
-        kind = CoSimulation if request["interface"] == "co-simulation" else ModelExchange
+        kind = CoSimulation if request["model"]["interface"] == "co-simulation" else ModelExchange
         instance = kind(request)
         answer(time_s=request["start_s"], values=instance.values(), ended=False)
         for line in requests:

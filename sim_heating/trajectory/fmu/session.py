@@ -23,11 +23,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
 
-import fmpy
-
-from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.errors import RunError
 from sim_heating.base.files import display_path
 from sim_heating.base.files.text import os_error_reason
+from sim_heating.trajectory.fmu.archive import unpack
 
 PROCESS = Path(__file__).with_name("process.py")
 READY_S = 120.0
@@ -42,6 +41,10 @@ NO_ANSWER = b"\0\n"
 """Written by the watch in place of an answer that will not come."""
 CONTROL_CODES = re.compile(r"\x1b\[[0-9;?]*[@-~]|[\x00-\x1f\x7f-\x9f]")
 """Control codes that a terminal would execute."""
+
+
+Access = tuple[Any, ...]
+"""(type, value reference) of a variable, with a value where it is set once."""
 
 
 class Answer(NamedTuple):
@@ -84,7 +87,7 @@ class FmuSession:
         folder = tempfile.TemporaryDirectory(prefix="sim_heating_fmu_", ignore_cleanup_errors=True)
         self._folder = Path(undo.enter_context(folder))
         (self._folder / "run").mkdir()
-        self._unpack(self._folder / "fmu")
+        unpack(self.path, self._folder / "fmu")
         # A file and not a pipe: an FMU that prints much would fill a pipe and block.
         self._log = undo.enter_context((self._folder / "printed.txt").open("w+b"))
         # The write end stays open here as well, so that the watch can wake a reader whose process hangs.
@@ -101,14 +104,6 @@ class FmuSession:
         # Registered after the folder, so that the process has ended before its files are removed.
         undo.push(self._end)
         threading.Thread(target=self._watch, daemon=True).start()
-
-    def _unpack(self, place: Path) -> None:
-        try:
-            fmpy.extract(self.path, place)
-        except OSError:
-            raise
-        except Exception as error:  # FMPy raises plain Exceptions, zipfile and zlib their own
-            raise InputError(f"{display_path(self.path)}: cannot be unpacked ({error}); it is damaged") from None
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._undo.__exit__(kind, error, at)
@@ -135,12 +130,17 @@ class FmuSession:
                 self._process.kill()
 
     def start(
-        self, interface: str, start: Mapping[str, Any], inputs: Sequence[str], outputs: Sequence[str], *,
-        stop_s: float, tolerance: float | None,
+        self, model: Mapping[str, Any], start: Mapping[str, Sequence[Access]], inputs: Sequence[Access],
+        outputs: Sequence[Access], *, stop_s: float, tolerance: float | None,
     ) -> Answer:  # fmt: skip
-        """Instantiate and initialise at 0 s: start values by name, names of inputs and outputs; outputs at 0 s."""
+        """Instantiate and initialise at 0 s, and give the outputs at 0 s.
+
+        model           : FmuModel.process_description
+        start           : (type, value reference, value) to be set when "instantiated", and in "initialization" mode
+        inputs, outputs : (type, value reference) of the variables of each step
+        """
         request = {
-            "folder": str(self._folder / "fmu"), "interface": interface, "start": dict(start),
+            "folder": str(self._folder / "fmu"), "model": dict(model), "start": dict(start),
             "inputs": list(inputs), "outputs": list(outputs), "start_s": 0.0, "stop_s": stop_s, "tolerance": tolerance,
         }  # fmt: skip
         return self._request(request, "while it was instantiated and initialised")

@@ -1,0 +1,65 @@
+"""XML that another library reads: what would crash or flood that library is found before."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.parsers import expat
+
+from sim_heating.base.errors import InputError
+from sim_heating.base.files.paths import display_path, os_error_reason
+
+DEEPEST = 100
+"""Most elements within each other. Readers that call themselves for each one overflow their stack at some thousands."""
+LARGEST_BYTES = 256 * 1024 * 1024
+
+
+def check_xml(content: bytes, root: str) -> None:
+    """Check that XML is well formed, flat enough to be read, has no document type, and begins with an element.
+
+    raises : InputError with the line, without the name of the file
+    """
+    parser = expat.ParserCreate()
+    depth = 0
+
+    def begin(tag: str, _: dict[str, str]) -> None:
+        nonlocal depth
+        depth += 1
+        if depth == 1 and tag != root:
+            raise InputError(f"its root is `{tag[:40]}`, not `{root}`")
+        if depth > DEEPEST:
+            raise InputError(f"line {parser.CurrentLineNumber}: more than {DEEPEST} elements within each other")
+
+    def end(_: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    def document_type(*_: object) -> None:
+        # Entities are defined there: one of a few lines becomes gigabytes, another one reads a file of this machine.
+        raise InputError(f"line {parser.CurrentLineNumber}: a document type (<!DOCTYPE ...>) is not allowed; remove it")
+
+    parser.StartElementHandler, parser.EndElementHandler = begin, end
+    parser.StartDoctypeDeclHandler = document_type
+    try:
+        parser.Parse(content, True)
+    except expat.ExpatError as error:
+        raise InputError(f"line {error.lineno}: is not XML ({expat.ErrorString(error.code)})") from None
+
+
+def read_xml(path: Path, root: str, largest_bytes: int = LARGEST_BYTES) -> bytes:
+    """The bytes of an XML file that has passed `check_xml`.
+
+    raises : InputError, one line, where it cannot be read, is too large or does not pass
+    """
+    name = display_path(path)
+    try:
+        with path.open("rb") as file:
+            content = file.read(largest_bytes + 1)
+    except OSError as error:
+        raise InputError(f"{name}: cannot be read ({os_error_reason(error)})") from None
+    if len(content) > largest_bytes:
+        raise InputError(f"{name}: is larger than {largest_bytes / 2**20:.0f} MiB")
+    try:
+        check_xml(content, root)
+    except InputError as error:
+        raise InputError(f"{name}, {error}") from None
+    return content
