@@ -134,7 +134,10 @@ FEEDTHROUGH = ("altitude", "airspeed", "alpha", "beta")
 
 def feedthrough_fmu(path: Path, binary: Path, fmi: str = "2") -> Path:
     """Four outputs in SI units and deg that are its inputs `set_<output>`; their start value is 0."""
-    inputs, outputs = [(f"set_{n}", i) for i, n in enumerate(FEEDTHROUGH)], [(n, i + 4) for i, n in enumerate(FEEDTHROUGH)]
+    inputs, outputs = (
+        [(f"set_{n}", i) for i, n in enumerate(FEEDTHROUGH)],
+        [(n, i + 4) for i, n in enumerate(FEEDTHROUGH)],
+    )
     units = dict(zip(FEEDTHROUGH, ("m", "m/s", "deg", "deg"), strict=True))
     if fmi == "2":
         one = '<ScalarVariable name="{}" valueReference="{}" causality="{}"><Real unit="{}"{}/></ScalarVariable>'

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import os
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
+import fmpy
 import numpy as np
 import pytest
 from hypothesis import given
@@ -283,9 +285,7 @@ def test_a_feedthrough_is_flown_by_schedules_from_its_first_frame_on(
 
 @needs_compiler
 @pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
-def test_a_start_value_of_a_scheduled_input_holds_until_the_first_step(
-    kind: str, binary: Path, tmp_path: Path
-) -> None:
+def test_a_start_value_of_a_scheduled_input_holds_until_the_first_step(kind: str, binary: Path, tmp_path: Path) -> None:
     path = glide_fmu(tmp_path / "glide.fmu", binary, kind=kind)
     schedule = {"command": {"schedule": [[0.0, 0.5]]}}
     assert np.radians(fly(path, inputs=schedule).conditions["alpha_deg"]) == approx(np.full(21, 0.5))
@@ -315,6 +315,46 @@ def test_each_step_reaches_the_host_before_the_next_is_taken(glide: Path) -> Non
     frames: list[float] = []
     fmu.fly(spec(glide), VEHICLE, on_frame=lambda row: frames.append(float(row[0])))
     assert frames == approx(np.arange(81) / 4.0)
+
+
+@needs_compiler
+@pytest.mark.parametrize("fmi", ["2", "3"])
+def test_an_fmu_of_many_variables_is_read_once_and_flown(
+    fmi: str, binary: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read: list[Path] = []
+    original = fmpy.read_model_description
+
+    def counted(path: Path, **options: Any) -> Any:
+        read.append(path)
+        return original(path, **options)
+
+    monkeypatch.setattr(fmpy, "read_model_description", counted)
+    one = (
+        '<ScalarVariable name="body[{0}].q" valueReference="{1}" causality="output"><Real unit="m"/></ScalarVariable>'
+        if fmi == "2"
+        else '<Float64 name="body[{0}].q" valueReference="{1}" causality="output" unit="m"/>'
+    )
+    more = "".join(one.format(i, 100 + i) for i in range(20_000))
+    text = description(fmi).replace("</ModelVariables>", more + "</ModelVariables>")
+    path = pack(tmp_path / "glide.fmu", text, binary, platform_folder(fmi))
+    assert not fmu.fmu_problems(spec(path), VEHICLE)
+    assert fly(path, stop={"time_s": 1.0}).conditions["altitude_m"][-1] == approx(closed_form(1.0)[0])
+    assert read == [path]
+    os.utime(path, ns=(0, 0))
+    fly(path, stop={"time_s": 1.0})
+    assert read == [path, path]  # it may be another one
+
+
+@needs_compiler
+def test_a_variable_with_many_aliases_is_flown_by_one_of_them(binary: Path, tmp_path: Path) -> None:
+    aliases = "".join(f'<Alias name="height[{i}]"/>' for i in range(30_000))
+    text = description("3").replace(
+        'causality="output" unit="km"/>', f'causality="output" unit="km">{aliases}</Float64>'
+    )
+    path = pack(tmp_path / "glide.fmu", text, binary, platform_folder("3"))
+    c = fly(path, COLUMNS | {"altitude_m": "height[27777]"}, stop={"time_s": 1.0}).conditions
+    assert c["altitude_m"][-1] == approx(closed_form(1.0)[0])
 
 
 # ---- scenarios ----------------------------------------------------------------------------------------------------

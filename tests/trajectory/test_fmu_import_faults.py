@@ -6,12 +6,13 @@ import errno
 import os
 import re
 import signal
+import stat
 import subprocess
 import sys
 import tempfile
 import time
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from sim_heating.cli import main
 from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.trajectory.flight import Flight
 from sim_heating.trajectory.fmu import flight as fmu
+from sim_heating.trajectory.fmu.session import FmuSession
 from sim_heating.trajectory.spec import TrajectorySpec
 from tests.support.fmus import FAULTS, UNITS, description, glide_fmu, library, needs_compiler, pack, platform_folder
 from tests.support.paths import ORBITER
@@ -265,8 +267,8 @@ def test_an_unknown_column_is_reported_with_a_remedy(binary: Path, tmp_path: Pat
     # Density, jets, elevon and body flap follow from these: they are no causes.
     (problem,) = fmu.fmu_problems(TrajectorySpec.model_validate(table), VEHICLE)
     assert problem.startswith(
-        '[trajectory.fmu.columns]: `velocity_m_s`, `beta_deg` are unknown; write velocity_m_s = "variable", or a number; '
-        "velocity_m_s also follows from mach"
+        '[trajectory.fmu.columns]: `velocity_m_s`, `beta_deg` are unknown; write velocity_m_s = "variable", '
+        "or a number; velocity_m_s also follows from mach"
     )
 
 
@@ -430,6 +432,107 @@ DAMAGED = [
         r"contains `resources/\.\./.*`, a path outside the archive",
     ),
 ]
+
+
+# ---- archives and descriptions made to do harm ----------------------------------------------------------------------
+
+
+def problems(path: Path) -> Sequence[str]:
+    """What is found without running the FMU."""
+    table = {"source": "fmu", "file": str(path), "fmu": {"columns": COLUMNS}}
+    return fmu.fmu_problems(TrajectorySpec.model_validate(table), VEHICLE)
+
+
+def entry(name: str, content: bytes = b"", *, mode: int = 0, deflated: bool = False) -> tuple[zipfile.ZipInfo, bytes]:
+    """An entry of an archive with a file mode of Unix."""
+    info = zipfile.ZipInfo(name)
+    info.external_attr = mode << 16
+    info.compress_type = zipfile.ZIP_DEFLATED if deflated else zipfile.ZIP_STORED
+    return info, content
+
+
+HOSTILE_ENTRIES = [
+    ([entry("/etc/evil")], r"`/etc/evil`, a path outside the archive"),
+    ([entry("resources\\..\\evil")], r"a path outside the archive"),
+    ([entry("C:/evil")], r"`C:/evil`, a path outside the archive"),
+    ([entry("resources/link", b"/etc/passwd", mode=stat.S_IFLNK | 0o777)], r"`resources/link`, a link or a device"),
+    ([entry("resources/pipe", mode=stat.S_IFIFO | 0o666)], "a link or a device"),
+    ([entry("resources/a\x1b[31m")], r"a name with characters that do not print"),
+    ([entry("resources/\u202efdp.exe")], r"a name with characters that do not print"),
+    ([entry("resources/" + 300 * "a")], r"a name too long for a file"),
+    ([entry("modelDescription.xml", b"<other/>")], "contains two entries for `modelDescription.xml`"),
+    ([entry("./resources/a"), entry("resources//a")], "contains two entries for `resources/a`"),
+    ([entry("resources", b"file"), entry("resources/a")], "contains two entries for `resources`"),
+    ([entry(f"resources/{i}") for i in range(50_001)], "contains 50003 files, more than 50000"),
+    (
+        [entry("resources/zeros", bytes(260 * 2**20), deflated=True)],
+        r"would unpack from 0\.\d to 260 MiB, which no FMU needs; nothing was unpacked",
+    ),
+]
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+@pytest.mark.parametrize(("entries", "expected"), HOSTILE_ENTRIES)
+def test_an_archive_made_to_do_harm_is_refused_before_anything_is_unpacked(
+    entries: list[tuple[zipfile.ZipInfo, bytes]], expected: str, binary: Path, tmp_path: Path
+) -> None:
+    path = glide_fmu(tmp_path / "glide.fmu", binary)
+    with zipfile.ZipFile(path, "a") as archive:
+        for info, content in entries:
+            archive.writestr(info, content)
+    (problem,) = problems(path)
+    assert re.search(expected, problem)
+    with pytest.raises(InputError, match=expected), FmuSession(path, 30.0):
+        pytest.fail("an archive that was exchanged after its check has been unpacked")
+
+
+@pytest.mark.parametrize("identifier", ["../../../../lib/libc", "/lib/libc", "gli.de", "gli de", "glidé", "gli\\de"])
+@pytest.mark.parametrize("fmi", ["2", "3"])
+def test_a_model_identifier_that_is_not_one_is_refused(identifier: str, fmi: str, binary: Path, tmp_path: Path) -> None:
+    text = description(fmi).replace('modelIdentifier="glide"', f'modelIdentifier="{identifier}"')
+    with pytest.raises(InputError, match=r"the modelIdentifier `.*` may consist of letters, digits and _ only"):
+        fly(pack(tmp_path / "glide.fmu", text, binary, platform_folder(fmi)))
+
+
+def test_a_model_identifier_without_a_library_is_refused_before_the_flight(binary: Path, tmp_path: Path) -> None:
+    text = description("2").replace('modelIdentifier="glide"', 'modelIdentifier="slide"')
+    path = pack(tmp_path / "glide.fmu", text, binary, platform_folder("2"))
+    (problem,) = problems(path)
+    assert re.search(rf"has no binaries/{platform_folder('2')}/slide\..*, the library of its modelIdentifier", problem)
+
+
+def entities(text: str) -> str:
+    """A description with entities of which each is ten of the one before."""
+    lines = [f'<!ENTITY a{i} "{f"&a{i - 1};" * 10}">' for i in range(1, 12)]
+    head = f'<!DOCTYPE x [<!ENTITY a0 "haha">{"".join(lines)}]>'
+    return text.replace("<fmiModelDescription", f"{head}<fmiModelDescription").replace('"glide" ', '"&a11;" ', 1)
+
+
+HOSTILE_DESCRIPTIONS = [
+    (entities, r"a document type \(<!DOCTYPE \.\.\.>\) is not allowed"),
+    (
+        lambda text: text.replace(
+            "<fmiModelDescription", '<!DOCTYPE x [<!ENTITY e SYSTEM "file:///etc/passwd">]><fmiModelDescription'
+        ),
+        r"a document type",
+    ),
+    (
+        lambda text: text.replace("</ModelVariables>", "<a>" * 100_000 + "</a>" * 100_000 + "</ModelVariables>"),
+        "more than 100 elements within each other",
+    ),
+    (lambda text: text.replace('name="alpha"', 'name="h"'), "is not valid: two variables are named `h`"),
+    (
+        lambda text: text.replace('name="h" valueReference="0"', 'name="h" valueReference="4294967297"'),
+        "`h` of .* has the impossible valueReference 4294967297",
+    ),
+]
+
+
+@pytest.mark.parametrize(("damage", "expected"), HOSTILE_DESCRIPTIONS)
+def test_a_description_made_to_do_harm_is_refused(damage: Any, expected: str, binary: Path, tmp_path: Path) -> None:
+    text = damage(description("2"))
+    with pytest.raises(InputError, match=expected):
+        fly(pack(tmp_path / "glide.fmu", text, binary, platform_folder("2")))
 
 
 def pack_text(path: Path, text: str, *others: str) -> None:

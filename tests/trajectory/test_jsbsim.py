@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +16,16 @@ from sim_heating.base.conditions import FRAME
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.heating.atmosphere import us76
 from sim_heating.inputs.vehicle import load_vehicle
+from sim_heating.simulation.plugin import HeatingPlugin
+from sim_heating.simulation.plugin_jsbsim import JSBSimHeating
 from sim_heating.trajectory import entry3dof
 from sim_heating.trajectory.aero import Aero, load_aero
 from sim_heating.trajectory.entry3dof import low_speed_rows
 from sim_heating.trajectory.flight import Flight, Window
 from sim_heating.trajectory.jsbsim import entry as jsbsim
-from sim_heating.trajectory.jsbsim.host import FT_M, VEHICLE_READS, InitialState, JSBSimHost, PropertyRead, open_vehicle
+from sim_heating.trajectory.jsbsim.host import FT_M, InitialState, JSBSimHost, PropertyRead, Read, open_vehicle
 from sim_heating.trajectory.manoeuvres import polygon
-from sim_heating.trajectory.spec import TrajectorySpec
+from sim_heating.trajectory.spec import Dispersions, TrajectorySpec
 from tests.support.paths import ORBITER
 
 VEHICLE = load_vehicle(ORBITER)
@@ -401,20 +405,119 @@ def test_an_aircraft_with_a_wrong_number_is_refused_with_its_line_and_nothing_el
     assert capfd.readouterr() == ("", "")
 
 
-def test_another_aircraft_is_read_by_its_own_property_names_and_leaves_no_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+SHIPPED = Path(get_default_root_dir()) / "aircraft"
+
+
+@pytest.mark.parametrize("name", ["X15", "ball", "Shuttle"])
+def test_an_aircraft_that_jsbsim_ships_is_coupled_by_default_and_leaves_no_file(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    absent = PropertyRead("simulation/dt", 0.0)
-    reads = dict(VEHICLE_READS) | {"elevon_deg": absent, "bodyflap_deg": absent, "jets": absent}
-    host = JSBSimHost(Path(get_default_root_dir()) / "aircraft", "ball", reads=reads, rate_hz=100.0)
-    host.start(InitialState(30000.0, 2000.0, -10.0, 90.0, 0.0))
+    host = JSBSimHost(SHIPPED, name, rate_hz=100.0, dispersions=Dispersions())
+    heating = JSBSimHeating(host, HeatingPlugin(VEHICLE, ["V09T9527"]))
+    assert host.notes == [
+        "elevon_deg is read from fcs/elevator-pos-deg: this aircraft has no fcs/elevon-pos-deg",
+        "bodyflap_deg is 0: this aircraft has no fcs/bodyflap-pos-deg",
+        "jets is 0: this aircraft has no control/jet-firing",
+    ]
+    host.node("fcs/elevator-cmd-norm").set_double_value(0.2)
+    host.start(InitialState(60000.0, 5000.0, -10.0, 90.0, 0.0, alpha_deg=30.0))
     for _ in range(100):
         host.step()
+        heating.frame()
     frame = dict(zip(FRAME, host.read_frame(), strict=True))
     assert frame["time_s"] == 1.0
-    assert frame["altitude_m"] == approx(30000.0 - 2000.0 * math.sin(math.radians(10.0)), abs=10.0)
-    assert list(tmp_path.iterdir()) == []  # this one declares a CSV file of its own
+    assert frame["altitude_m"] == approx(60000.0 - 5000.0 * math.sin(math.radians(10.0)), abs=60.0)
+    assert frame["elevon_deg"] == (0.0 if name == "ball" else approx(math.degrees(host.fdm["fcs/elevator-pos-rad"])))
+    assert abs(frame["elevon_deg"]) > (-1.0 if name == "ball" else 5.0)
+    assert (frame["bodyflap_deg"], frame["jets"]) == (0.0, 0.0)
+    assert host.getter("heating/V09T9527/surface-K")() > 291.0
+    assert list(tmp_path.iterdir()) == []  # some declare files of their own
+
+
+def test_a_column_may_be_read_from_another_property_or_be_a_constant() -> None:
+    reads = {"elevon_deg": PropertyRead("fcs/elevator-pos-rad", 180.0 / math.pi), "bodyflap_deg": -5.0}
+    host = JSBSimHost(SHIPPED, "X15", reads=reads)
+    assert host.notes == ["jets is 0: this aircraft has no control/jet-firing"]
+    host.node("fcs/elevator-cmd-norm").set_double_value(0.2)
+    host.start(InitialState(60000.0, 5000.0, -1.0, 90.0, 0.0))
+    frame = dict(zip(FRAME, host.read_frame(), strict=True))
+    assert frame["elevon_deg"] == approx(math.degrees(host.fdm["fcs/elevator-pos-rad"]))
+    assert frame["bodyflap_deg"] == -5.0
+
+
+@pytest.mark.parametrize(
+    ("reads", "expected"),
+    [
+        ({"elevon": 0.0}, r"reads: unknown column `elevon`; did you mean `elevon_deg`"),
+        ({"jets": math.nan}, r"reads, `jets`: nan is not a finite number"),
+        ({"jets": PropertyRead("fcs/elevatr-pos-deg")}, r"reads, `jets`: .*did you mean `fcs/elevator-pos-deg`"),
+    ],
+)
+def test_wrong_reads_are_refused(reads: dict[str, Read], expected: str) -> None:
+    with pytest.raises(InputError, match=expected):
+        JSBSimHost(SHIPPED, "X15", reads=reads)
+
+
+def test_a_misspelt_aircraft_is_refused_with_the_most_similar_one() -> None:
+    with pytest.raises(InputError, match=r"there is no such aircraft, JSBSim cannot load it; did you mean `X15`"):
+        JSBSimHost(SHIPPED, "X-15")
+
+
+def damaged_control(tmp_path: Path, old: str, new: str) -> Path:
+    """The Orbiter with a text of its attitude control replaced."""
+    shutil.copytree(ORBITER, tmp_path / "orbiter")
+    file = tmp_path / "orbiter" / "jsbsim" / "attitude_control.xml"
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new, 1))
+    return tmp_path / "orbiter"
+
+
+BOMB = '<!DOCTYPE x [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]><system '
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("</system>", "<a>" * 70_000 + "</a>" * 70_000 + "</system>", "more than 100 elements within each other"),
+        ("<system ", BOMB, r"a document type \(<!DOCTYPE \.\.\.>\) is not allowed"),
+        ("</system>", "", r"line \d+: is not XML \(no element found"),
+        ("</system>", f"<!--{'x' * 2**20}--></system>", "is larger than 1 MiB"),
+    ],
+)
+def test_an_attitude_control_made_to_do_harm_is_refused(old: str, new: str, expected: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=rf"attitude_control\.xml: .*{expected}"):
+        open_vehicle(damaged_control(tmp_path, old, new))
+
+
+UNRESOLVED = (
+    '<channel name="x"><fcs_function name="x/y"><function name="x/z"><sum><property>no/such</property><value>1</value>'
+    "</sum></function></fcs_function></channel></system>"
+)
+
+
+def test_a_function_of_a_missing_property_does_not_end_the_program(tmp_path: Path) -> None:
+    """JSBSim evaluates its functions once more in its destructors, and ends the program where that fails."""
+    vehicle = damaged_control(tmp_path, "</system>", UNRESOLVED)
+    lines = [
+        "import gc, sys, pathlib",
+        "from sim_heating.base.errors import RunError",
+        "from sim_heating.trajectory.jsbsim.host import InitialState, open_vehicle",
+        "open_vehicle(pathlib.Path(sys.argv[1]))",  # never started
+        "host = open_vehicle(pathlib.Path(sys.argv[1]))",
+        "try: host.start(InitialState(74000.0, 6800.0, -0.1, 60.0, 10.0, alpha_deg=40.0))",
+        "except RunError as error: print(error)",
+        "del host",
+        "gc.collect()",
+        "print('alive')",
+    ]
+    done = subprocess.run(
+        [sys.executable, "-c", "\n".join(lines), str(vehicle)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "The property no/such does not exist" in done.stdout
+    assert done.stdout.splitlines()[-1] == "alive"
 
 
 def test_jsbsim_is_silent(capfd: pytest.CaptureFixture[str]) -> None:

@@ -13,9 +13,10 @@ DEEPEST = 100
 LARGEST_BYTES = 256 * 1024 * 1024
 
 
-def check_xml(content: bytes, root: str) -> None:
-    """Check that XML is well formed, flat enough to be read, has no document type, and begins with an element.
+def check_xml(content: bytes, root: str | None = None) -> None:
+    """Check that XML is well formed, flat enough to be read, and has no document type.
 
+    root   : name of its first element; None for any
     raises : InputError with the line, without the name of the file
     """
     parser = expat.ParserCreate()
@@ -24,7 +25,7 @@ def check_xml(content: bytes, root: str) -> None:
     def begin(tag: str, _: dict[str, str]) -> None:
         nonlocal depth
         depth += 1
-        if depth == 1 and tag != root:
+        if depth == 1 and root is not None and tag != root:
             raise InputError(f"its root is `{tag[:40]}`, not `{root}`")
         if depth > DEEPEST:
             raise InputError(f"line {parser.CurrentLineNumber}: more than {DEEPEST} elements within each other")
@@ -45,7 +46,7 @@ def check_xml(content: bytes, root: str) -> None:
         raise InputError(f"line {error.lineno}: is not XML ({expat.ErrorString(error.code)})") from None
 
 
-def read_xml(path: Path, root: str, largest_bytes: int = LARGEST_BYTES) -> bytes:
+def read_xml(path: Path, root: str | None = None, largest_bytes: int = LARGEST_BYTES) -> bytes:
     """The bytes of an XML file that has passed `check_xml`.
 
     raises : InputError, one line, where it cannot be read, is too large or does not pass
@@ -61,5 +62,5 @@ def read_xml(path: Path, root: str, largest_bytes: int = LARGEST_BYTES) -> bytes
     try:
         check_xml(content, root)
     except InputError as error:
-        raise InputError(f"{name}, {error}") from None
+        raise InputError(f"{name}: {error}") from None
     return content

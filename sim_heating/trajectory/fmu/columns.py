@@ -281,7 +281,7 @@ def _unknown_columns(missing: list[str]) -> str:
     """The message about columns that are neither mapped nor derived."""
     others = {
         "velocity_m_s": "velocity_m_s also follows from mach, or from velocity_north_m_s, _east_m_s, _down_m_s",
-        "alpha_deg": "alpha_deg and beta_deg also follow from roll_deg, pitch_deg, yaw_deg and the velocity's components",
+        "alpha_deg": "alpha_deg and beta_deg also follow from roll_deg, pitch_deg, yaw_deg and the velocity components",
     }
     names = ", ".join(f"`{column}`" for column in missing)
     ways = [f'write {missing[0]} = "variable", or a number', *(others[c] for c in missing if c in others)]

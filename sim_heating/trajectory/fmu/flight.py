@@ -2,8 +2,9 @@
 
 The FMU runs in a separate process (`session`). [trajectory.fmu] defines the meaning of its variables (`columns`);
 temperature, pressure, Mach and Reynolds number are derived here as for every source. An input is constant over a step:
-a schedule is evaluated at the beginning of the step, a command is the value to be reached at its end. A schedule's value at
-0 s is already set during initialisation, so that outputs that depend on inputs alone are right from the first frame on.
+a schedule is evaluated at the beginning of the step, a command is the value to be reached at its end. A schedule's
+value at 0 s is already set during initialisation, so that outputs that depend on inputs alone are right in the first
+frame.
 
 Commands are those of the 3-DOF entry: guidance acts on the frame at the beginning of a step; manoeuvres start where
 speed, extrapolated to the end of the step, passes their trigger.

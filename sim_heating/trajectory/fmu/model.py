@@ -214,8 +214,8 @@ def _check_identifier(name: str, interface: Any) -> None:
     # FMPy joins it to a path and loads what is there: "../../../lib/x" would run code from outside the archive.
     if IDENTIFIER.fullmatch(identifier) is None:
         raise InputError(
-            f"{name}: {DESCRIPTION} is not valid: the modelIdentifier `{identifier[:80]}` may consist of letters, digits "
-            "and _ only"
+            f"{name}: {DESCRIPTION} is not valid: the modelIdentifier `{identifier[:80]}` may consist of letters, "
+            "digits and _ only"
         )
 
 

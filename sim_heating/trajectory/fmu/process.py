@@ -8,8 +8,8 @@ a script; it imports nothing else of the package. Output of the FMU goes to stde
     each further   {"time_s", "step_s", "inputs": [...]}
     answer         {"time_s", "values": [...], "ended"}  or  {"error": "what went wrong"}
 
-`model` is FmuModel.process_description; inputs and outputs are (type, value reference), `start` is a list of these with a
-value for each of two modes, "instantiated" and "initialization". The description of the FMU is not read again: a large
+`model` is FmuModel.process_description; inputs and outputs are (type, value reference), `start` is a list of these with
+values for each of two modes, "instantiated" and "initialization". The description of the FMU is not read again: a large
 one takes seconds.
 
 `ended` is true where the FMU itself asks to end; time_s is then the time that it reached. The process is the first of

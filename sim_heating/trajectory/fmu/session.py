@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 from sim_heating.base.errors import RunError
 from sim_heating.base.files import display_path
-from sim_heating.base.files.text import os_error_reason
+from sim_heating.base.files.paths import os_error_reason
 from sim_heating.trajectory.fmu.archive import unpack
 
 PROCESS = Path(__file__).with_name("process.py")

@@ -7,6 +7,7 @@ to. Values read after a frame belong to that frame.
 
 from __future__ import annotations
 
+import ctypes
 import itertools
 import math
 import os
@@ -21,8 +22,9 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import FRAME
-from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.errors import InputError, RunError, error_context
 from sim_heating.base.files import display_path, suggestion
+from sim_heating.base.files.xml import read_xml
 from sim_heating.base.kernels.jit import njit
 from sim_heating.heating.atmosphere import HIGHEST_M, us76_kernel
 from sim_heating.trajectory.aero import Aero, load_aero
@@ -50,6 +52,9 @@ class PropertyRead(NamedTuple):
     factor: float = 1.0
 
 
+Read = PropertyRead | float
+"""Source of a column: a property, or a constant in the column's unit."""
+
 VEHICLE_READS: Mapping[str, PropertyRead] = MappingProxyType({
     "altitude_m": PropertyRead("position/h-sl-ft", FT_M),
     "velocity_m_s": PropertyRead("velocities/vt-fps", FT_M),
@@ -60,7 +65,15 @@ VEHICLE_READS: Mapping[str, PropertyRead] = MappingProxyType({
     "rho_kg_m3": PropertyRead("atmosphere/rho-slugs_ft3", SLUG_FT3_KG_M3),
     "jets": PropertyRead("control/jet-firing"),
 })  # fmt: skip
-"""Properties of the columns of conditions.FRAME in the models of this package; other aircraft name them differently."""
+"""Properties of the columns of conditions.FRAME in the models of this package."""
+
+OTHER_READS: Mapping[str, Read] = MappingProxyType({
+    "elevon_deg": PropertyRead("fcs/elevator-pos-deg"),
+    "bodyflap_deg": 0.0,
+    "jets": 0.0,
+})  # fmt: skip
+"""Controls of an aircraft that lacks the properties above: the elevator, which JSBSim gives every aircraft, is its
+elevon; what does not exist does not deflect or fire."""
 
 
 class InitialState(NamedTuple):
@@ -95,11 +108,22 @@ class JSBSimHost:
 
     aircraft_path : folder that holds <model>/<model>.xml
     rate_hz       : frames a second
-    reads         : properties of the columns of conditions.FRAME, except time_s
+    reads         : column of conditions.FRAME -> property or constant, where it is not that of VEHICLE_READS; a control
+                    that the aircraft does not have is that of OTHER_READS
     dispersions   : of the injected US76 atmosphere; None leaves JSBSim its own atmosphere and wind
+    notes         : a line for each control that is that of OTHER_READS
     raises        : InputError where the aircraft does not load or lacks a property of `reads`
 
     Use: `start(state)`, then `step()` and `read_frame(buffer)` in turn. Hosts in one process do not disturb each other.
+
+    >>> from pathlib import Path
+    >>> import jsbsim
+    >>> from sim_heating.trajectory.jsbsim.host import JSBSimHost, PropertyRead
+    >>> aircraft = Path(jsbsim.get_default_root_dir()) / "aircraft"
+    >>> x15 = JSBSimHost(aircraft, "X15", reads={"bodyflap_deg": PropertyRead("fcs/speedbrake-pos-deg")})
+    >>> print(*x15.notes, sep="\n")
+    elevon_deg is read from fcs/elevator-pos-deg: this aircraft has no fcs/elevon-pos-deg
+    jets is 0: this aircraft has no control/jet-firing
     """
 
     def __init__(
@@ -108,20 +132,47 @@ class JSBSimHost:
         model: str,
         *,
         rate_hz: float = 60.0,
-        reads: Mapping[str, PropertyRead] = VEHICLE_READS,
+        reads: Mapping[str, Read] = MappingProxyType({}),
         dispersions: Dispersions | None = None,
     ) -> None:
         self.rate_hz = rate_hz
         self.frames = 0
+        self.notes: list[str] = []
         self._published: list[str] = []
+        self._has_run = False
         self.fdm = _load(Path(aircraft_path), model, rate_hz)
         self.frame_values = np.zeros(len(FRAME))
         self._frame_view = self.frame_values.data.cast("B").cast("d")  # an array takes twice as long for a number
-        self._reads = [(i + 1, self.getter(reads[name].name), reads[name].factor) for i, name in enumerate(FRAME[1:])]
+        self._reads = [(i, *self._source(FRAME[i], reads)) for i in range(1, len(FRAME))]
+        if unknown := [name for name in reads if name not in FRAME[1:]]:
+            raise InputError(f"reads: unknown column `{unknown[0]}`{suggestion(unknown[0], FRAME[1:])}")
         self._altitude_ft = self.getter("position/h-sl-ft")
         self._climb_fps = self.getter("velocities/h-dot-fps")
         self._run = self.fdm.run
         self._air = None if dispersions is None else _AirInjection(self, dispersions)
+
+    def __del__(self) -> None:
+        # JSBSim's destructors evaluate its functions once more; one whose property does not exist ends the program
+        # (terminate). The first run finds such properties: before it an executive must not be destroyed.
+        if not getattr(self, "_has_run", True) and hasattr(self, "fdm"):
+            _keep(self.fdm)
+
+    def _source(self, column: str, reads: Mapping[str, Read]) -> tuple[Callable[[], float], float]:
+        """The reading function of a column, and its factor to SI units."""
+        source = reads.get(column)
+        if source is None:
+            source = VEHICLE_READS[column]
+            if column in OTHER_READS and self.fdm.get_property_manager().get_node(source.name) is None:
+                absent, source = source.name, OTHER_READS[column]
+                taken = f"read from {source.name}" if isinstance(source, PropertyRead) else f"{source:g}"
+                self.notes.append(f"{column} is {taken}: this aircraft has no {absent}")
+        if isinstance(source, PropertyRead):
+            with error_context(f"reads, `{column}`"):
+                return self.getter(source.name), source.factor
+        value = float(source)
+        if not math.isfinite(value):
+            raise InputError(f"reads, `{column}`: {value} is not a finite number")
+        return lambda: value, 1.0
 
     @property
     def time_s(self) -> float:
@@ -160,6 +211,7 @@ class JSBSimHost:
         for name, value in _initial_conditions(state, (0.0, 0.0) if air is None else air).items():
             self.node(f"ic/{name}").set_double_value(value)
         self._call_jsbsim(self.fdm.run_ic)
+        self._has_run = True
         self.frames = 0
 
     def step(self) -> None:
@@ -240,7 +292,10 @@ def open_vehicle(
     with tempfile.TemporaryDirectory(prefix="sim_heating_jsbsim_") as folder:
         model = write_aircraft(aero or load_aero(vehicle_dir), vehicle_dir, Path(folder))
         try:
-            return JSBSimHost(Path(folder), model, rate_hz=rate_hz, dispersions=dispersions or Dispersions())
+            # All properties by name: a control that the vehicle's system does not move is a fault of the vehicle.
+            return JSBSimHost(
+                Path(folder), model, rate_hz=rate_hz, reads=VEHICLE_READS, dispersions=dispersions or Dispersions()
+            )
         except InputError as error:  # the vehicle's own file in place of the folder that is about to vanish
             written, own = display_path(Path(folder) / model), display_path(control_path(vehicle_dir))
             raise InputError(*(p.replace(written, own) for p in error.problems)) from error
@@ -274,18 +329,24 @@ class _Log(jsbsim.FGLogger):  # type: ignore[misc]  # untyped
 
 
 def _load(aircraft_path: Path, model: str, rate_hz: float) -> jsbsim.FGFDMExec:
+    file = aircraft_path / model / f"{model}.xml"
+    if not file.is_file():
+        there = [p.name for p in aircraft_path.glob("*") if (p / f"{p.name}.xml").is_file()]
+        raise InputError(f"{file}: there is no such aircraft, JSBSim cannot load it{suggestion(model, there)}")
+    read_xml(file)
     before = os.environ.get("JSBSIM_DEBUG")
     os.environ["JSBSIM_DEBUG"] = "0"  # read when the executive is made: silences its banner
     place = display_path(aircraft_path / model)
     logger_before, log = jsbsim.get_logger(), _Log()
     jsbsim.set_logger(log)  # of this thread: JSBSim writes to stdout what it also raises
+    fdm = jsbsim.FGFDMExec(None)
     try:
-        fdm = jsbsim.FGFDMExec(None)
         fdm.set_debug_level(0)
         fdm.set_aircraft_path(str(aircraft_path))
         fdm.set_dt(1.0 / rate_hz)  # before loading: control components keep the step that they were loaded with
         loaded = fdm.load_model(model)
     except JSBSIM_ERRORS as error:
+        _keep(fdm)
         reason = " ".join(str(error).split())
         raise InputError(f"{place}: JSBSim cannot load it{log.where()}: {reason}") from error
     finally:
@@ -295,9 +356,15 @@ def _load(aircraft_path: Path, model: str, rate_hz: float) -> jsbsim.FGFDMExec:
         else:
             os.environ["JSBSIM_DEBUG"] = before
     if not loaded:
+        _keep(fdm)
         raise InputError(f"{place}: JSBSim cannot load it{log.where()}")
     _discard_outputs(fdm)
     return fdm
+
+
+def _keep(fdm: jsbsim.FGFDMExec) -> None:
+    """Keep an executive until the program ends, its destructor not called even then."""
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(fdm))
 
 
 def _discard_outputs(fdm: jsbsim.FGFDMExec) -> None:

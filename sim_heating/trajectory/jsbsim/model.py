@@ -11,7 +11,6 @@ polar in trim, so that deflections have moments there and no forces; moments sta
 from __future__ import annotations
 
 import math
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -21,6 +20,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
+from sim_heating.base.files.xml import read_xml
 from sim_heating.base.kernels.axis import cells_of
 from sim_heating.trajectory.aero import COEFFICIENTS, Aero, Damping, Grid, Lateral, Surface
 from sim_heating.trajectory.trimmed_aero import low_speed_rows
@@ -30,6 +30,8 @@ POLAR_ALPHA_DEG = 20.0
 """Angle of attack above which the polar is constant [deg]."""
 POLAR_STEP_DEG = 2.0
 CONTROL = "attitude_control.xml"
+LARGEST_CONTROL_BYTES = 2**20
+"""JSBSim takes minutes for a table of some megabytes."""
 INDENT = " " * 4
 SLUG_FT2_KG_M2 = 1.3558179483
 """JSBSim's own conversion from kg m2 is 9e-5 low."""
@@ -49,14 +51,15 @@ def write_aircraft(aero: Aero, vehicle_dir: Path, folder: Path) -> str:
 
     aero        : aerodynamics with the mass and centre of gravity to be flown
     vehicle_dir : its `jsbsim/attitude_control.xml` is copied
-    raises      : InputError where the vehicle has no attitude control
+    raises      : InputError where the vehicle has no attitude control, or JSBSim cannot read it
     """
     control = control_path(vehicle_dir)
     if not control.is_file():
         raise InputError(f"{control}: not found; a vehicle that JSBSim flies needs its attitude control there")
+    content = read_xml(control, "system", LARGEST_CONTROL_BYTES)
     systems = Path(folder) / MODEL / "Systems"
     systems.mkdir(parents=True)
-    shutil.copyfile(control, systems / CONTROL)
+    (systems / CONTROL).write_bytes(content)
     whole = with_low_speed(aero, low_speed_rows(vehicle_dir, aero.basic.mach[0]))
     (systems.parent / f"{MODEL}.xml").write_text(aircraft_xml(whole), encoding="utf-8")
     return MODEL
