@@ -182,7 +182,7 @@ def test_a_hanging_fmu_ends_with_the_process_that_flies_it(
             flying.kill()  # else the block waits for it
             raise
     assert gone(set(), its_own)
-    assert [p.name[:16] for p in own.iterdir() if p.name.startswith("sim_heating")] == temporary
+    assert [p.name[:16] for p in own.iterdir() if p.name.startswith("sim_heating_fmu_")] == temporary
 
 
 # ---- at the start -------------------------------------------------------------------------------------------------

@@ -371,7 +371,7 @@ def test_a_missing_aircraft_is_refused(tmp_path: Path) -> None:
     ("old", "new", "hint"),
     [
         ("control/bank-rad", "control/bank-x-rad", "no such JSBSim property"),
-        ("<channel", "<channel name=$", "JSBSim cannot load it"),
+        ("<channel", "<channel name=$", r"line \d+: is not XML"),
     ],
 )
 def test_an_attitude_control_that_cannot_be_flown_is_named(old: str, new: str, hint: str, tmp_path: Path) -> None:
