@@ -1,16 +1,16 @@
-"""Physical limits of flight conditions, in a file or from a host, with the rule that a message states beyond them.
+"""Physical limits of quantities, in a file, typed by a person or from a host, with the rule that a message states.
 
-The limits are wide: they catch values in another unit and damaged samples, not unusual flights.
+`LIMITS` holds the columns of flight conditions, `QUANTITIES` every number of a declared file, by its key or by the unit
+that the key ends in. The limits are wide: they catch values in another unit and damaged samples, not unusual vehicles
+or flights. Where a value outside would be usual in another unit, the message asks for it and states what to write.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-
-import numpy as np
-
-from sim_heating.base.files import CsvTable
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import count
 
 HOTTEST_K = 1e5
 """Upper limit of every temperature [K]."""
@@ -42,12 +42,175 @@ HIGH_SPEED_M_S, LOW_M = 3000.0, 1000.0
 """Speed [m/s] above which, and altitude [m] below which, nothing flies at the same time."""
 
 
+@dataclass(frozen=True)
+class Quantity:
+    """Range of a physical quantity in the unit of its key.
+
+    lowest, highest : ends of the range, both included
+    rule            : what a message states about a value outside, as in `8000 is not a position on a vehicle in m`
+    slips           : unit that a value may be in by mistake -> size of that unit in the unit of the key
+    usual           : range of values that a message may suggest in place of one in such a unit
+    reach           : the last x of a schedule over this quantity is at least so large; a lower one is in another unit
+    """
+
+    lowest: float
+    highest: float
+    rule: str
+    slips: Mapping[str, float] = field(default_factory=dict)
+    usual: tuple[float, float] = (-math.inf, math.inf)
+    reach: float = -math.inf
+
+    def problem(self, value: float) -> str | None:
+        """`value rule; is this UNIT? write NUMBER` for a value outside the range, else None."""
+        if self.lowest <= value <= self.highest:
+            return None
+        return f"{value:g} {self.rule}{self.suggestion(value)}"
+
+    def suggestion(self, value: float) -> str:
+        """`; is this UNIT? write NUMBER` where a value would be usual in another unit, else nothing."""
+        for unit, size in self.slips.items():
+            if self.usual[0] <= value * size <= self.usual[1]:
+                return f"; is this {unit}? write {value * size:.10g}"
+        return ""
+
+    def axis_problem(self, last: float) -> str | None:
+        """Problem of a schedule over this quantity whose last x is so low that it is in another unit, or None."""
+        if not 0.0 < last < self.reach or not (question := self.suggestion(last)):
+            return None
+        return f"the schedule ends at {last:g}, below {self.reach:g}{question}"
+
+
+def _range(lowest: float, highest: float, noun: str, slips: Mapping[str, float] | None = None,
+           usual: tuple[float, float] = (-math.inf, math.inf), reach: float = -math.inf) -> Quantity:  # fmt: skip
+    return Quantity(lowest, highest, f"is not {noun} ({lowest:g} to {highest:g})", slips or {}, usual, reach)
+
+
+KM, MM, PERCENT, KILO = {"km": 1e3}, {"mm": 1e-3}, {"%": 0.01}, 1e3
+SLOWEST_M_S = 20.0
+"""Speed [m/s] that a flight is not slower than: a body that falls from rest has it within 2 s."""
+
+_LENGTH = _range(-200.0, 200.0, "a length on a vehicle in m", MM, (-100.0, 100.0))
+_SIZE = _range(1e-5, 200.0, "a length on a vehicle in m", MM, (1e-3, 100.0))
+_SPEED = _range(SLOWEST_M_S, FASTEST_M_S, "a flight speed in m/s", {"km/s": 1e3}, (500.0, FASTEST_M_S))
+_MACH = _range(0.0, 60.0, "a Mach number of a flight")
+_TURN = _range(-360.0, 360.0, "an angle in degrees")
+_TRAVEL = _range(-60.0, 60.0, "a deflection of a control surface in degrees")
+_OFFSET = _range(0.0, 45.0, "a change of the angle of attack in degrees")
+_RATIO = _range(0.0, 5.0, "a relative standard deviation", PERCENT, (0.01, 2.0))
+_FACTOR = _range(1e-3, 1e3, "a factor on a property")
+_LIMIT_K = Quantity(200.0, HOTTEST_K, "is not a temperature limit in K (200 to 100000); a lower one looks like Celsius")
+_CLOCK = _range(LIMITS["time_s"][0], LIMITS["time_s"][1], "a time in seconds of a flight")
+_WAIT = _range(0.0, 1e6, "a duration in s", {"ms": 1e-3}, (0.0, 1e4))
+
+QUANTITIES: dict[str, Quantity] = {
+    **{name: Quantity(*limits) for name, limits in LIMITS.items()},
+    "altitude_m": Quantity(*LIMITS["altitude_m"], KM, (1e4, 2e6), reach=200.0),
+    "velocity_m_s": Quantity(*LIMITS["velocity_m_s"], {"km/s": 1e3}, (500.0, FASTEST_M_S), reach=SLOWEST_M_S),
+    # State, schedules and manoeuvres of a flight
+    "flight_speed_m_s": _SPEED, "at_velocity_m_s": _SPEED, "reversals_m_s": _SPEED,
+    "at_mach": _MACH, "below_mach": _MACH, "bodyflap_above_mach": _MACH,
+    "onset_log10_re": Quantity(*LIMITS["log10_re"]),
+    "gamma_deg": _range(-90.0, 90.0, "a path angle in degrees"),
+    "latitude_deg": _range(-90.0, 90.0, "a latitude in degrees"),
+    "bank_deg": _range(-180.0, 180.0, "a bank angle in degrees"),
+    "down_deg": _OFFSET, "up_deg": _OFFSET, "amplitude_deg": _TRAVEL, "from_deg": _TRAVEL, "to_deg": _TRAVEL,
+    "sideslip_amplitude_deg": _range(-30.0, 30.0, "an amplitude of sideslip in degrees"),
+    "wind_m_s": _range(-1e3, 1e3, "a wind in m/s"),
+    "density_factor": _range(0.0, 50.0, "a factor on the density of the atmosphere", PERCENT, (0.5, 5.0)),
+    "scale_height_m": _range(1e3, 1e5, "a scale height of an atmosphere in m", KM, (1e3, 1e5)),
+    "flare_altitude_m": _range(0.0, 1e4, "an altitude of a flare in m"),
+    "altitude_change_m": _range(0.0, 2e5, "a change of altitude in m"),
+    "sample_offset_s": _range(-1e6, 1e6, "a time of a sample after the start in s"),
+    "clock_skew_s": _range(-60.0, 60.0, "a skew of a recorder's clock in s", {"ms": 1e-3}, (-10.0, 10.0)),
+    **dict.fromkeys(("until_s", "gaps_s", "fit_s", "holdout_s"), _CLOCK),
+    **dict.fromkeys(("hold_s", "hold_down_s", "hold_up_s", "pause_s", "on_s", "off_s"),
+                    _range(0.0, 3600.0, "a part of a manoeuvre in s", {"ms": 1e-3}, (0.0, 100.0))),
+    # A vehicle and its parts
+    "mass_kg": _range(1e-3, 5e6, "a mass of a vehicle in kg"),
+    "nose_radius_m": _range(1e-5, 50.0, "a nose radius in m", MM, (1e-3, 10.0)),
+    **dict.fromkeys(("running_length_m", "reference_length_m", "length_m", "chord_m", "span_m"), _SIZE),
+    "position_m": _range(-200.0, 200.0, "a position on a vehicle in m", MM, (-100.0, 100.0)),
+    "x_over_L": _range(0.0, 2.0, "a distance over the reference length", PERCENT, (0.0, 1.2)),
+    "file_length_over_L": _range(0.0, 2.0, "a distance over the reference length", PERCENT, (0.0, 1.2)),
+    **dict.fromkeys(("relative_sigma", "method_sigma", "correction_sigma"), _RATIO),
+    "surface_K": _LIMIT_K, "bondline_K": _LIMIT_K,
+    # Derivatives whose keys end in the angle that they are per
+    "Cl_beta_deg": _range(-1.0, 1.0, "a rolling moment per degree"),
+    "Cn_beta_deg": _range(-1.0, 1.0, "a yawing moment per degree"),
+    "CY_beta_rad": _range(-50.0, 50.0, "a side force per radian"),
+    # Materials, layers and faces
+    "density_kg_m3": _range(1e-6, 2.3e4, "a density in kg/m3", {"g/cm3": KILO}, (100.0, 2.3e4)),
+    "specific_heat_J_kgK": _range(1e-2, 1e6, "a specific heat in J/(kg K)", {"kJ/(kg K)": KILO}, (20.0, 1e4)),
+    "specific_heat_from_100_K": _range(20.0, 1e6, "a specific heat in J/(kg K) from 100 K on", {"kJ/(kg K)": KILO},
+                                       (50.0, 2e4)),
+    "cp_J_kgK": _range(100.0, 2e4, "a specific heat of a gas in J/(kg K)", {"kJ/(kg K)": KILO}, (100.0, 2e4)),
+    "conductivity_W_mK": _range(1e-6, 1e5, "a conductivity in W/(m K)"),
+    "emissivity": _range(1e-3, 1.0, "an emissivity", PERCENT, (0.01, 1.0)),
+    "effective_emissivity": _range(0.0, 1.0, "an effective emissivity", PERCENT, (0.0, 1.0)),
+    "specific_heat_factor": _FACTOR, "conductivity_factor": _FACTOR,
+    "thickness_m": _range(1e-9, 5.0, "a thickness of a layer in m", MM, (1e-6, 1.0)),
+    "depth_m": _range(0.0, 5.0, "a depth in a wall in m", MM, (0.0, 1.0)),
+    "contact_m2K_W": _range(0.0, 1e3, "a contact resistance in m2 K/W"),
+    "p_Pa": _range(0.0, 1e10, "a pressure in Pa"),
+    "T_K": _range(0.0, HOTTEST_K, "a temperature in K"),
+    "initial_K": _range(0.0, HOTTEST_K, "a temperature in K"),
+    "noise_sigma_K": _range(0.0, 1e3, "a standard deviation of a temperature in K"),
+    "bias_K": _range(-2e3, 2e3, "an error of a temperature in K"),
+}  # fmt: skip
+"""Key of a declared file, or name that a model gives a number, -> its range."""
+
+UNITS: dict[str, Quantity] = {
+    "_kg_m2_s": _range(0.0, 1e4, "a film coefficient in kg/(m2 s)"),
+    "_kg_m3": _range(0.0, 2.3e4, "a density in kg/m3"),
+    "_kg_m2": _range(-1e12, 1e12, "a moment of inertia in kg m2"),
+    "_W_m2K": _range(0.0, 1e7, "a film coefficient in W/(m2 K)"),
+    "_m2K_W": _range(0.0, 1e3, "a contact resistance in m2 K/W"),
+    "_J_kgK": _range(1e-2, 1e6, "a specific heat in J/(kg K)"),
+    "_W_mK": _range(1e-6, 1e5, "a conductivity in W/(m K)"),
+    "_W_m2": _range(-1e10, 1e10, "a heat flux in W/m2"),
+    "_J_kg": _range(-1e11, 1e11, "an enthalpy in J/kg"),
+    "_deg_s": _range(1e-4, 200.0, "an angular rate in deg/s"),
+    "_rad_s": _range(0.0, 100.0, "an angular frequency in rad/s"),
+    "_m_s2": _range(0.0, 1e4, "an acceleration in m/s2"),
+    "_m_s": _range(-FASTEST_M_S, FASTEST_M_S, "a speed in m/s"),
+    "_m2": _range(1e-6, 1e5, "an area in m2", {"mm2": 1e-6}, (1e-3, 1e4)),
+    "_km": _range(-2e4, 2e4, "a distance in km"),
+    "_deg": _TURN,
+    "_Pa": _range(0.0, 1e10, "a pressure in Pa"),
+    "_hz": _range(1e-6, 1e6, "a rate in Hz"),
+    "_kg": _range(1e-3, 5e6, "a mass in kg"),
+    "_m": _LENGTH,
+    "_K": _range(-HOTTEST_K, HOTTEST_K, "a temperature in K"),
+    "_s": _WAIT,
+}
+"""Unit that a key ends in, longer ones first -> range of a number whose key has none of its own."""
+
+
+def quantity(name: str) -> Quantity | None:
+    """Range of a number by its key, else by the unit that the key ends in; None for a number without a unit."""
+    return QUANTITIES.get(name) or next((q for unit, q in UNITS.items() if name.endswith(unit)), None)
+
+
+def numbers_in(value: object) -> Iterator[tuple[tuple[int, ...], float]]:
+    """Location and value of each number of nested lists; of a number by itself, with the location ()."""
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        yield (), float(value)
+    elif isinstance(value, (list, tuple)):
+        for i, item in zip(count(), value, strict=False):
+            yield from (((i, *place), number) for place, number in numbers_in(item))
+
+
+def low_and_fast(altitude_m: float, velocity_m_s: float) -> bool:
+    """Whether nothing flies as fast at so low an altitude, as where km stand for m."""
+    return velocity_m_s >= HIGH_SPEED_M_S and abs(altitude_m) < LOW_M
+
+
 def frame_problem(frame: Mapping[str, float]) -> tuple[str, str] | None:
     """The first column of a frame whose value is impossible, with the rule that it violates, or None."""
     for name, value in frame.items():
         if name in LIMITS and out_of_range(name, value):
             return name, LIMITS[name][2]
-    if frame["velocity_m_s"] >= HIGH_SPEED_M_S and abs(frame["altitude_m"]) < LOW_M:
+    if low_and_fast(frame["altitude_m"], frame["velocity_m_s"]):
         return "altitude_m", LOW_RULE
     return None
 
@@ -61,25 +224,3 @@ def out_of_range(name: str, value: float) -> bool:
 def limit_message(name: str, value: float) -> str:
     """`value rule` for a value outside the limits of its column."""
     return f"{value:g} {LIMITS[name][2] if math.isfinite(value) else 'is not a finite number'}"
-
-
-def implausible_values(table: CsvTable) -> list[str]:
-    """One line for each column of conditions with an impossible value, or in another unit."""
-    problems = table.celsius_problems("T_inf_K") if "T_inf_K" in table.columns else []
-    for name, (lowest, highest, rule) in LIMITS.items():
-        if name in table.columns:
-            problems += table.problems_where_not(name, (table[name] >= lowest) & (table[name] <= highest), rule)
-    return problems + _energy_problems(table)
-
-
-def _energy_problems(table: CsvTable) -> list[str]:
-    """Fast flight with little enthalpy (kJ/kg instead of J/kg) or at little height (km instead of m)."""
-    speed = table["velocity_m_s"]
-    rule = "is below a hundredth of V^2/2 and looks like kJ/kg; give J/kg"
-    problems: list[str] = []
-    if "H_r_J_kg" in table.columns:
-        problems += table.problems_where_not(
-            "H_r_J_kg", (speed < 1000.0) | (table["H_r_J_kg"] >= 0.005 * speed**2), rule
-        )
-    high = (speed < HIGH_SPEED_M_S) | (np.abs(table["altitude_m"]) >= LOW_M)
-    return problems + table.problems_where_not("altitude_m", high, LOW_RULE)

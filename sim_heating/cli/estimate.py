@@ -20,7 +20,7 @@ LARGEST_NOISE = 1e4
 def _reference_condition(_: click.Context, __: click.Parameter, value: str | None) -> dict[str, float]:
     """Value of --reference, `alpha_deg=40,...`, by name of the variable."""
     from sim_heating.base.conditions import RATIO_VARIABLES
-    from sim_heating.base.files import suggestion
+    from sim_heating.base.files import plain_number, suggestion
     from sim_heating.base.limits import limit_message, out_of_range
 
     found = {}
@@ -33,7 +33,7 @@ def _reference_condition(_: click.Context, __: click.Parameter, value: str | Non
         if name not in RATIO_VARIABLES:
             raise InputError(f"--reference: `{name}` is not a ratio variable{suggestion(name, RATIO_VARIABLES)}")
         try:
-            found[name] = float(number)
+            found[name] = plain_number(number)
         except ValueError:
             raise InputError(f"--reference: {name}: `{number}` is not a number; write {name}=40") from None
         if out_of_range(name, found[name]):
@@ -43,10 +43,12 @@ def _reference_condition(_: click.Context, __: click.Parameter, value: str | Non
 
 def _fit_segments(_: click.Context, __: click.Parameter, value: tuple[str, ...]) -> list[list[float]]:
     """Values of --fit, each `640,760`, as [start, end] times [s]."""
+    from sim_heating.base.files import plain_number
+
     found = []
     for item in value:
         try:
-            start, end = (float(part) for part in item.split(","))
+            start, end = (plain_number(part) for part in item.split(","))
         except ValueError:
             raise InputError(f"--fit: `{item}` is not a segment; write --fit 640,760 (start and end in s)") from None
         if not -math.inf < start < end < math.inf:
@@ -57,7 +59,7 @@ def _fit_segments(_: click.Context, __: click.Parameter, value: tuple[str, ...])
 
 def _start(_: click.Context, __: click.Parameter, value: str) -> Any:
     """Value of --start, `declared` or `circuit:650` and the like, as a function that makes the initial state."""
-    from sim_heating.base.files import suggestion
+    from sim_heating.base.files import plain_number, suggestion
     from sim_heating.estimation.starts import STARTS
 
     if value == "declared":
@@ -66,7 +68,7 @@ def _start(_: click.Context, __: click.Parameter, value: str) -> Any:
     if kind not in STARTS:
         raise InputError(f"--start: `{kind}` is not a way to start{suggestion(kind, ['declared', *STARTS])}")
     try:
-        time_s = float(at)
+        time_s = plain_number(at)
     except ValueError:
         raise InputError(f"--start: `{at}` is not a time in s; write {kind}:650") from None
 
@@ -106,8 +108,10 @@ def _process_noise(nodes: str | None, ratio: str | None) -> Any:
 
 def _level(text: str, hint: str) -> float:
     """A number from 0 to LARGEST_NOISE; InputError with the hint for any other text."""
+    from sim_heating.base.files import plain_number
+
     try:
-        found = float(text)
+        found = plain_number(text)
     except ValueError:
         raise InputError(hint) from None
     if not 0.0 <= found <= LARGEST_NOISE:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
@@ -56,6 +56,8 @@ FORMATS = dict.fromkeys(RATIO_VARIABLES, "g") | {"ratio": ".5g", "sigma": ".2g"}
 
 class Curve(Declared):
     """A piecewise linear function of one variable."""
+
+    quantities: ClassVar = {"points": ("variable", None)}
 
     variable: Variable
     points: Points = Field(min_length=1, description="[[x, value], ...], x increasing")

@@ -15,7 +15,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,8 +42,9 @@ from sim_heating.base.files import (
     write_csv,
     write_text_atomic,
 )
-from sim_heating.base.limits import HOTTEST_K, implausible_values
+from sim_heating.base.limits import HOTTEST_K
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table, write_ratio_table
+from sim_heating.heating.recorded_columns import implausible_values
 from sim_heating.thermal.stack import Construction, Sensor, sensor_problems
 
 REFERENCE_COLUMNS = ("h_ref_kg_m2_s", "H_r_J_kg")
@@ -134,6 +135,8 @@ class ReferenceCondition(Declared):
 
 class Segments(Declared):
     """Times to fit and times to hold out, [[start, end], ...] in s, both ends included."""
+
+    quantities: ClassVar = {"fit": "time_s", "holdout": "time_s"}
 
     fit: list[list[float]] | None = Field(default=None, description="[[start_s, end_s], ...]")
     holdout: list[list[float]] = Field(default_factory=list, description="[[start_s, end_s], ...]")

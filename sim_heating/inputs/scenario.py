@@ -19,7 +19,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -52,6 +52,8 @@ class HeatingOptions(Declared):
 
 class ScenarioEffect(Declared):
     """An effect at the named control points, at all where none is named."""
+
+    quantities: ClassVar = {"parameters": None}
 
     name: str
     control_points: list[str] | None = None
@@ -91,6 +93,8 @@ class Measurements(Declared):
 class Truth(Declared):
     """Differences of the truth from the declared tables, written to truth.toml and not into the record."""
 
+    quantities: ClassVar = {"parameters": None}
+
     parameters: dict[str, float] = Field(default={}, description="dotted model parameters by name")
     effect: list[ScenarioEffect] = Field(default=[])
 
@@ -100,6 +104,9 @@ class Truth(Declared):
         for name in parameters:
             if name not in MODEL:
                 raise ValueError(f"unknown parameter `{name}`{suggestion(name, MODEL, otherwise='')}")
+            low, high = MODEL[name].lower, MODEL[name].upper
+            if not low <= parameters[name] <= high:
+                raise ValueError(f"{name}: {parameters[name]:g} is outside its bounds {low:g} to {high:g}")
         return parameters
 
 
@@ -116,6 +123,8 @@ class Compare(Declared):
 
 class DesignVariable(Declared):
     """A number of a manoeuvre that a design may change, between `low` and `high`."""
+
+    quantities: ClassVar = {"low": "key", "high": "key"}
 
     manoeuvre: int = Field(default=1, ge=1, description="number of the manoeuvre in the scenario, from 1")
     key: str = Field(description="key of the manoeuvre")
@@ -162,6 +171,8 @@ class Design(Declared):
     evaluations    : number of designs that the search evaluates
     flights        : numbers of equal flights for which bounds are reported
     """
+
+    quantities: ClassVar = {"prior": None}
 
     control_point: str | None = None
     parameters: list[str] | None = Field(default=None, min_length=1)

@@ -6,7 +6,7 @@ from the nose: x aft, y to starboard, z up.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
@@ -54,6 +54,8 @@ class VehicleFile(Declared):
 class DerivedMaterial(Declared):
     """A material derived from another one, with properties replaced or multiplied by a factor."""
 
+    quantities: ClassVar = {"emissivity": ("T_K", "emissivity")}
+
     based_on: str = Field(description="name of a material that is given whole")
     density_kg_m3: float | None = Field(default=None, gt=0.0, description="density in kg/m3, above 0")
     emissivity: Table | None = Field(default=None, description="[[T_K, value], ...], value above 0, up to 1")
@@ -96,6 +98,8 @@ class Turbulent(Declared):
 
 class DeclaredEffect(Declared):
     """An effect of the declared model of a control point, with the parameters that are not nominal."""
+
+    quantities: ClassVar = {"parameters": None}
 
     name: str = Field(description="name of an effect")
     parameters: dict[str, float] = Field(default={}, description="values by name; absent ones are nominal")

@@ -10,14 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.files import COLDEST_K, Declared, LocatedError, Location, celsius_rule, check, suggestion
-from sim_heating.base.limits import HOTTEST_K
+from sim_heating.base.limits import HOTTEST_K, QUANTITIES
 
 Table = list[list[float]]
 """[[T_K, value], ...]"""
@@ -26,6 +26,10 @@ THICKEST_M = 5.0
 """Thickness above which a value is taken to be in millimetres [m]."""
 
 TOO_HOT = f"too hot for a wall; give K, at most {HOTTEST_K:g}"
+
+LIGHTEST_KG_M3, LIGHT_KG_M3, LIGHT_CONDUCTIVITY_W_MK = 3.0, 25.0, 0.3
+"""Density of the lightest solids, aerogels, and of foams and batting, which conduct little: [kg/m3], [W/(m K)]. Every
+density in g/cm3 lies below the second one."""
 
 LEAST, MOST = 1e-9, 1e9
 """Limits of any property or thickness in its SI unit. A value outside them is in another unit."""
@@ -97,6 +101,8 @@ class PressureTable(Declared):
     How it is interpolated: docs/equations_thermal_step.md, equation 10.
     """
 
+    quantities: ClassVar = {"k": "conductivity_W_mK"}
+
     p_Pa: list[float] = Field(description="increasing pressures above 0")
     T_K: list[float] = Field(description="increasing temperatures")
     k: Table = Field(description="one row per T_K, one column per p_Pa, W/(m K)")
@@ -122,9 +128,17 @@ class PressureTable(Declared):
 class Material(Declared):
     """A material of a layer: density [kg/m3], specific heat [J/(kg K)], conductivity [W/(m K)], emissivity [-].
 
-    Only the outermost layer needs an emissivity. `source` and `confidence` are kept with the values.
+    Only the outermost layer needs an emissivity. `source` and `confidence` are kept with the values. The limits of a
+    solid are not those of a gas: a layer of gas, such as a gap, declares kind = "gas".
     """
 
+    quantities: ClassVar = {
+        "emissivity": ("T_K", "emissivity"),
+        "specific_heat_J_kgK": ("T_K", "specific_heat_J_kgK"),
+        "conductivity_W_mK": ("T_K", "conductivity_W_mK"),
+    }
+
+    kind: Literal["solid", "gas"] = "solid"
     density_kg_m3: float = Field(gt=0.0, le=MOST, description="density in kg/m3, above 0")
     emissivity: Table | None = Field(default=None, description="[[T_K, value], ...], value above 0, up to 1")
     specific_heat_J_kgK: Table = Field(description="[[T_K, value], ...] in J/(kg K)")
@@ -158,6 +172,30 @@ class Material(Declared):
         if not isinstance(table, PressureTable):
             _raise_located(_property_problems(table, "a conductivity"))
         return table
+
+    def implausible(self) -> list[tuple[Location, str]]:
+        """Properties that no material has, and those that only a gas has."""
+        return super().implausible() or [*self._density_problems(), *self._heat_problems()]
+
+    def _density_problems(self) -> list[tuple[Location, str]]:
+        """A density that neither a solid nor, with the conductivity of this one, a light solid has."""
+        if self.kind == "gas" or self.density_kg_m3 >= LIGHT_KG_M3:
+            return []
+        k = float(np.min(self.conductivity_grid()[2]))
+        if self.density_kg_m3 >= LIGHTEST_KG_M3 and k <= LIGHT_CONDUCTIVITY_W_MK:
+            return []
+        question = QUANTITIES["density_kg_m3"].suggestion(self.density_kg_m3)
+        rule = f"is no density of a solid that conducts {k:.3g} W/(m K) or more{question}"
+        return [(("density_kg_m3",), f'{self.density_kg_m3:g} {rule}; a layer of gas declares kind = "gas"')]
+
+    def _heat_problems(self) -> list[tuple[Location, str]]:
+        """A specific heat that none has except near absolute zero."""
+        known = QUANTITIES["specific_heat_from_100_K"]
+        return [
+            (("specific_heat_J_kgK", i, 1), text)
+            for i, (T_K, value) in enumerate(self.specific_heat_J_kgK)
+            if T_K >= COLDEST_K and (text := known.problem(value)) is not None
+        ]
 
     def conductivity_grid(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Conductivity on its grid of pressures and temperatures.
@@ -204,6 +242,8 @@ class BackFace(Declared):
     docs/equations_thermal_step.md, equation 15.
     """
 
+    quantities: ClassVar = {"emissivity": "effective_emissivity"}
+
     h_W_m2K: float = Field(default=0.0, ge=0.0, le=MOST, description="film coefficient in W/(m2 K)")
     T_K: float = Field(ge=0.0, le=HOTTEST_K, description="temperature behind the wall in K")
     emissivity: float = Field(default=0.0, ge=0.0, le=1.0, description="0 to 1")
@@ -215,6 +255,8 @@ def _is_back(value: Any) -> str:
 
 class Stack(Declared):
     """Layers from the outermost inward, with the initial temperature and the surroundings of the two faces."""
+
+    quantities: ClassVar = {"initial_profile": ("depth_m", "T_K")}
 
     nodes: int | None = Field(default=None, ge=3, le=10_000, description="a hint, 14 to 100 as a rule")
     surroundings_K: float = Field(default=0.0, ge=0.0, le=HOTTEST_K, description="temperature radiated to in K")

@@ -28,7 +28,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import read_toml
+from sim_heating.base.files import check, display_path, read_toml
 from sim_heating.base.kernels.jit import njit, pointer
 from sim_heating.trajectory.schedules import pack, schedule_positions, schedule_slope, scheduled
 from sim_heating.trajectory.spec import Approach, Guidance, GuidanceChanges
@@ -101,7 +101,7 @@ def resolve_guidance(changes: GuidanceChanges, vehicle_dir: Path) -> Guidance:
     missing = [k for k in ("alpha_deg", "drag_m_s2") if merged.get(k) is None]
     if missing:
         raise InputError(f"{path}: file not found; give {' and '.join(missing)} in [trajectory.guidance]")
-    return Guidance.model_validate(merged)
+    return check(merged, Guidance, f"{display_path(path)} with [trajectory.guidance]")
 
 
 class GuidanceFile(Guidance):

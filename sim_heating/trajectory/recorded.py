@@ -13,9 +13,9 @@ import numpy as np
 from sim_heating.base.conditions import EXTRAS, FRAME, HEATING, STATE, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import CsvTable, raise_problems, read_csv_columns
-from sim_heating.base.limits import implausible_values
 from sim_heating.base.progress import Progress
 from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, free_stream
+from sim_heating.heating.recorded_columns import implausible_values
 from sim_heating.trajectory.flight import Flight, OnFrame, VehicleData
 from sim_heating.trajectory.spec import TrajectorySpec
 

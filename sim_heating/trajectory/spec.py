@@ -8,12 +8,13 @@ true Mach number, V over the local speed of sound ('Mach 20' of the Shuttle's pa
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, Field, ValidationInfo, create_model, field_validator, model_validator
 
-from sim_heating.base.files import Convertible
+from sim_heating.base.files import Convertible, Location
+from sim_heating.base.limits import QUANTITIES, SLOWEST_M_S, low_and_fast
 
 Axis = Literal["mach", "velocity_m_s"]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -41,6 +42,12 @@ def _limits(pair: tuple[float, float]) -> tuple[float, float]:
 Limits = Annotated[tuple[float, float], AfterValidator(_limits)]
 
 
+SLIP_M_S = 1.0
+"""Speed [m/s] below which a state is at rest rather than in km/s."""
+HIGH_M, GROUND_M = (20e3, 400.0)
+"""Altitude [m] from which a flight below SLOWEST_M_S is one in km/s, and below which one of km in m."""
+
+
 class Initial(Convertible):
     """State at time 0: position on the WGS84 ellipsoid, velocity relative to the air (wind is added to it)."""
 
@@ -52,6 +59,31 @@ class Initial(Convertible):
     longitude_deg: float = 0.0
     bank_deg: float = Field(default=0.0, ge=-180.0, le=180.0)
 
+    def implausible(self) -> list[tuple[Location, str]]:
+        """Problems of the numbers, and of altitude and speed together."""
+        return [*super().implausible(), *state_problems(self.altitude_m, self.velocity_m_s)]
+
+
+def state_problems(altitude_m: float, velocity_m_s: float) -> list[tuple[Location, str]]:
+    """Problems of a state in free flight: a speed in km/s or an altitude in km, by what the other one is.
+
+    altitude_m, velocity_m_s : altitude [m] and speed [m/s]
+    returns                  : (key, text) of each problem
+
+    A body at rest at 20 km falls at 20 m/s after 2 s, so that a state between rest and this speed is not worth a flight
+    from there; within 400 m of the ground a flight at such a speed is over after seconds.
+    """
+    slow = SLIP_M_S <= velocity_m_s < SLOWEST_M_S
+    high, low = altitude_m >= HIGH_M, 10.0 <= altitude_m < GROUND_M
+    problems: list[tuple[Location, str]] = []
+    if low_and_fast(altitude_m, velocity_m_s) or (slow and low):
+        question = QUANTITIES["altitude_m"].suggestion(altitude_m)
+        problems.append((("altitude_m",), f"{altitude_m:g} m at {velocity_m_s:g} m/s is no entry{question}"))
+    if slow and (high or low):
+        question = QUANTITIES["velocity_m_s"].suggestion(velocity_m_s)
+        problems.append((("velocity_m_s",), f"{velocity_m_s:g} m/s at {altitude_m:g} m is no entry{question}"))
+    return problems
+
 
 MACH_COUNTS_BELOW_M = 90.0e3
 """Mach ends a flight below this altitude only: in the hot air above it is low."""
@@ -59,6 +91,8 @@ MACH_COUNTS_BELOW_M = 90.0e3
 
 class Stop(Convertible):
     """The flight ends at the first of these, each passed from above (time from below); Mach counts below 90 km."""
+
+    quantities: ClassVar = {"velocity_m_s": "flight_speed_m_s", "mach": "at_mach"}
 
     mach: Positive | None = None
     velocity_m_s: Positive | None = None
@@ -91,6 +125,8 @@ class VehicleState(Convertible):
     cm_shift    : flight-derived hypersonic pitching-moment shift: true for the vehicle's own value, or a number
     """
 
+    quantities: ClassVar = {"bodyflap_deg": ("bodyflap_against", "bodyflap_deg")}
+
     mass_kg: Positive | None = None
     cg_fraction: float | None = Field(default=None, gt=0.0, lt=1.0)
     bodyflap_deg: Schedule | None = None
@@ -104,6 +140,8 @@ class Approach(Convertible):
     qbar_Pa : reference dynamic pressure [[mach, Pa]]
     bank_deg: bank magnitude (a turn that ends where the heading error is zero, or steady without a target)
     """
+
+    quantities: ClassVar = {"qbar_Pa": ("at_mach", "qbar_Pa")}
 
     below_mach: Positive = 2.5
     qbar_Pa: Schedule
@@ -133,6 +171,8 @@ class Guidance(Convertible):
     bank_limits_deg : magnitude of bank, smallest and largest
     frequency_rad_s, damping, scale_height_m : the altitude-rate law of `guidance.py`
     """
+
+    quantities: ClassVar = {"alpha_deg": ("alpha_against", "alpha_deg"), "drag_m_s2": ("velocity_m_s", "drag_m_s2")}
 
     alpha_deg: Schedule
     alpha_against: Axis = "mach"
@@ -172,9 +212,17 @@ _OptionalGuidance: Any = _with_optional_fields(Guidance)
 class GuidanceChanges(_OptionalGuidance):
     """The keys of Guidance that a scenario replaces; all optional."""
 
+    quantities: ClassVar = Guidance.quantities
+
 
 class Dispersions(Convertible):
     """Differences of the atmosphere from US76: a density factor and a steady wind, over altitude."""
+
+    quantities: ClassVar = {
+        "density_factor": ("altitude_m", "density_factor"),
+        "wind_north_m_s": ("altitude_m", "wind_m_s"),
+        "wind_east_m_s": ("altitude_m", "wind_m_s"),
+    }
 
     density_factor: tuple[tuple[float, Positive], ...] | None = None
     wind_north_m_s: Schedule | None = None
@@ -283,6 +331,8 @@ class BodyflapSweep(_SurfaceSweep):
 class SideslipDoublet(_Triggered):
     """Sideslip to +amplitude, hold, to -amplitude, hold, and back."""
 
+    quantities: ClassVar = {"amplitude_deg": "sideslip_amplitude_deg"}
+
     kind: Literal["sideslip-doublet"]
     amplitude_deg: float = 2.0
     rate_deg_s: Positive = 0.5
@@ -329,6 +379,8 @@ class FmuInput(Convertible):
     unit : unit of the schedule, or of the input where the FMU declares none; a command is converted from its own
     """
 
+    quantities: ClassVar = {"schedule": None}
+
     command: Command | None = None
     schedule: Schedule | None = None
     unit: str | None = None
@@ -350,6 +402,8 @@ class FmuSource(Convertible):
     tolerance: relative tolerance of the solver
     timeout_s: longest time of one call into the FMU [s]
     """
+
+    quantities: ClassVar = {"columns": None, "start": None, "inputs": None}
 
     interface: Literal["co-simulation", "model-exchange"] | None = None
     columns: dict[str, str | Annotated[float, Field(strict=True)] | FmuVariable] = Field(default={})

@@ -320,7 +320,11 @@ def test_a_cache_that_cannot_be_written_is_reported_in_one_line(workdir: Path) -
     [
         ("[measurements]\nseed = -1\n", "`seed`: -1"),
         ("[measurements]\nrate_hz = 1e9\n", "`rate_hz`: "),
-        ("[measurements]\nclock_skew_s = 9999.0\n", "[measurements]: skew, offset, gaps and losses leave no sample"),
+        (
+            "[measurements]\nclock_skew_s = 150.0\n",
+            "clock in s (-60 to 60); is this ms? write 0.15",
+        ),
+        ("[measurements]\nsample_offset_s = 9999.0\n", "[measurements]: skew, offset, gaps and losses leave no sample"),
     ],
 )
 def test_impossible_measurements_are_refused_in_one_line(

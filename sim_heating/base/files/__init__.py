@@ -20,6 +20,7 @@ from sim_heating.base.files.results import (
 from sim_heating.base.files.roots import FileOfFolder, Roots, path_below, roots_of
 from sim_heating.base.files.text import (
     nearest_name,
+    plain_number,
     raise_problems,
     raw_text,
     read_text,
@@ -44,8 +45,8 @@ from sim_heating.base.files.transaction import exclusive, replace_files, settle
 __all__ = [
     "COLDEST_K", "MARKER", "Convertible", "CsvTable", "Declared", "Extensible", "FileOfFolder", "LocatedError",
     "Location", "Roots", "celsius_rule", "check", "csv_text", "display_path", "exclusive", "file_digest",
-    "files_written", "json_text", "known_keys", "nearest_name", "output_directory", "path_below", "raise_problems",
-    "raw_text", "read_csv_columns", "read_json", "read_text", "read_toml", "read_toml_dict", "repeated_name",
-    "replace_files", "require_writable", "results_digest", "roots_of", "settle", "suggestion", "toml_text",
-    "write_csv", "write_json", "write_text_atomic",
+    "files_written", "json_text", "known_keys", "nearest_name", "output_directory", "path_below", "plain_number",
+    "raise_problems", "raw_text", "read_csv_columns", "read_json", "read_text", "read_toml", "read_toml_dict",
+    "repeated_name", "replace_files", "require_writable", "results_digest", "roots_of", "settle", "suggestion",
+    "toml_text", "write_csv", "write_json", "write_text_atomic",
 ]  # fmt: skip

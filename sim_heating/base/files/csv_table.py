@@ -19,7 +19,9 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files.text import (
     abbreviated,
     display_path,
+    is_plain,
     nearest_name,
+    plain_number,
     raise_problems,
     read_text,
     write_text_atomic,
@@ -197,7 +199,7 @@ def _all_numbers(cells: Sequence[str]) -> FloatArray | None:
         values = np.array(cells, dtype=np.float64)
     except ValueError:
         return None
-    return values if np.all(np.isfinite(values)) and not any("_" in c for c in cells) else None
+    return values if np.all(np.isfinite(values)) and all(map(is_plain, cells)) else None
 
 
 def _number(cell: str, may_be_empty: bool) -> float | str:
@@ -206,10 +208,8 @@ def _number(cell: str, may_be_empty: bool) -> float | str:
     if not stripped:
         return math.nan if may_be_empty else "the cell is empty; give a number"
     try:
-        value = float(stripped) if "_" not in stripped else None
+        value = plain_number(stripped)
     except ValueError:
-        value = None
-    if value is None:
         return f"{abbreviated(stripped)} is not a number"
     if not math.isfinite(value):
         hint = "; leave the cell of a lost sample empty" if may_be_empty else ""

@@ -107,6 +107,21 @@ def _similar_file(path: Path) -> str:
     return f"; did you mean `{near}`?" if near else ""
 
 
+def is_plain(text: str) -> bool:
+    """Whether a text has none of what Python reads as a number and other programs do not: `1_000`, other digits."""
+    return "_" not in text and text.isascii()
+
+
+def plain_number(text: str) -> float:
+    """The number that a text stands for, in plain digits.
+
+    raises : ValueError where it is not a number, or one with `_` or with digits of another script
+    """
+    if not is_plain(text):
+        raise ValueError(f"{text} is not a number in plain digits")
+    return float(text)
+
+
 def abbreviated(value: Any) -> str:
     """A value for a message: on one line, cut after 60 characters."""
     text = json.dumps(value, default=str, ensure_ascii=False)

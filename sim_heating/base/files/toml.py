@@ -13,10 +13,10 @@ import tomllib
 import types
 import typing
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import tomlkit
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, model_validator
 
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files.text import (
@@ -26,21 +26,64 @@ from sim_heating.base.files.text import (
     read_text,
     suggestion,
 )
+from sim_heating.base.limits import Quantity, numbers_in, quantity
 
 Location = tuple[str | int, ...]
+_FROM_FILE = object()
+"""Context in which a model is made of what a person has typed."""
 M = TypeVar("M", bound=BaseModel)
 
 
 class Declared(BaseModel):
-    """Base of everything that is declared in a file: unknown keys, NaN, infinities and conversions are refused."""
+    """Base of everything that is declared in a file.
+
+    Unknown keys, NaN, infinities and conversions are refused; in what is read from a file also numbers outside the
+    range of their quantity: that of the field's name (`limits.quantity`), or the one that `quantities` names. A model
+    that is made in Python, for a limiting case, has the limits of its fields alone.
+
+    quantities : field -> name of its quantity; a name for each column where the value is a list of rows; None where the
+                 range is checked elsewhere. The name of another field with a text stands for that text: in a schedule
+                 `alpha_deg` over what `alpha_against` names, ("alpha_against", "alpha_deg").
+    """
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
+    quantities: ClassVar[Mapping[str, str | tuple[str | None, ...] | None]] = {}
+
+    @model_validator(mode="after")
+    def _check_plausible(self, info: ValidationInfo) -> Self:
+        problems = self.implausible() if info.context is _FROM_FILE else []
+        if problems:
+            raise LocatedError(*problems)
+        return self
+
+    def implausible(self) -> list[tuple[Location, str]]:
+        """Location and text of each number that is beyond its range, or does not fit the others."""
+        return [
+            ((name, *place), text)
+            for name in type(self).model_fields
+            for place, text in _quantity_problems(self, name, getattr(self, name))
+        ]
+
 
 class Convertible(Declared):
-    """A `Declared` whose values pydantic may convert without loss: a list to a tuple, a numeric text to a number."""
+    """A `Declared` whose values pydantic may convert without loss, such as a list to a tuple; a text is no number."""
 
     model_config = ConfigDict(strict=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_other_types(cls, data: Any) -> Any:
+        # Pydantic would take "12", "1_2", digits of other scripts, and true for a 1.
+        problems: list[tuple[Location, str]] = [
+            ((name, *place), f"{abbreviated(wrong)} is not a number; write a number without quotes")
+            for name, value in (data.items() if isinstance(data, dict) else ())
+            if name in cls.model_fields
+            for place, wrong in _not_numbers(value, _leaves(cls.model_fields[name].annotation))
+        ]
+        if problems:
+            raise LocatedError(*problems)
+        return data
 
 
 class Extensible(Declared):
@@ -58,6 +101,68 @@ class LocatedError(ValueError):
     def __init__(self, *problems: tuple[Location, str]) -> None:
         self.problems = problems
         super().__init__("; ".join(text for _, text in problems))
+
+
+def _quantity_problems(model: Declared, name: str, value: Any) -> list[tuple[Location, str]]:
+    """Problems of the numbers of one field: the place below the field, and the rule of the quantity."""
+    declared = model.quantities.get(name, name)
+    if declared is None or value is None:
+        return []
+    if isinstance(value, Mapping):
+        return [((key, *place), text) for key, v in value.items() for place, text in _range_problems(quantity(key), v)]
+    if isinstance(declared, str):
+        return _range_problems(quantity(_meant(model, declared)), value)
+    columns = [None if column is None else quantity(_meant(model, column)) for column in declared]
+    problems: list[tuple[Location, str]] = [
+        ((i, j), text)
+        for i, row in enumerate(value if isinstance(value, (list, tuple)) else ())
+        for j, (known, number) in enumerate(zip(columns, row, strict=False))
+        for _, text in _range_problems(known, number)
+    ]
+    return problems or _axis_problems(columns[0], value)
+
+
+def _meant(model: Declared, name: str) -> str:
+    """The name of a quantity, or the text of the field that has this name."""
+    text = getattr(model, name, None) if name in type(model).model_fields else None
+    return text if isinstance(text, str) else name
+
+
+def _range_problems(known: Quantity | None, value: Any) -> list[tuple[Location, str]]:
+    if known is None:
+        return []
+    return [(place, text) for place, number in numbers_in(value) if (text := known.problem(number)) is not None]
+
+
+def _axis_problems(known: Quantity | None, rows: Any) -> list[tuple[Location, str]]:
+    """A problem where a schedule of several rows ends so low that its x is in another unit."""
+    if known is None or not isinstance(rows, (list, tuple)) or len(rows) < 2:
+        return []
+    last = max(range(len(rows)), key=lambda i: rows[i][0])
+    text = known.axis_problem(rows[last][0])
+    return [] if text is None else [((last, 0), text)]
+
+
+def _leaves(annotation: Any) -> set[Any]:
+    """The types that an annotation consists of: those of a union, of the items of lists, and of literal values."""
+    if typing.get_origin(annotation) is typing.Literal:
+        return {type(value) for value in typing.get_args(annotation)}
+    parts = typing.get_args(annotation)
+    return set().union(*(_leaves(part) for part in parts)) if parts else {annotation}
+
+
+def _not_numbers(value: Any, allowed: set[Any]) -> list[tuple[Location, Any]]:
+    """Place and value of each number in quotes, and each true or false, in nested lists of numbers alone."""
+    if not allowed & {int, float} or str in allowed:
+        return []
+    if isinstance(value, (list, tuple)):
+        return [((i, *place), found) for i, item in enumerate(value) for place, found in _not_numbers(item, allowed)]
+    if isinstance(value, bool):
+        return [] if bool in allowed else [((), value)]
+    try:
+        return [((), value)] if isinstance(value, str) and math.isfinite(float(value)) else []
+    except ValueError:
+        return []
 
 
 def read_toml(path: str | os.PathLike[str], model: type[M]) -> M:
@@ -95,7 +200,7 @@ def check(data: Any, model: type[M], where: str) -> M:
     raises : InputError, all problems at once
     """
     try:
-        return model.model_validate(data)
+        return model.model_validate(data, context=_FROM_FILE)
     except ValidationError as error:
         # An unknown key is often the reason why another is missing, so it comes first. In a file of another format
         # every key is wrong, so the format alone is reported.

@@ -35,7 +35,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import product
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -65,6 +65,8 @@ class FlowState(Declared):
     wall_K                  : wall temperature [K]
     length_m, nose_radius_m : reference length of model or vehicle, radius of the reference sphere [m]
     """
+
+    quantities: ClassVar = {"velocity_m_s": "flight_speed_m_s"}
 
     velocity_m_s: float = Field(gt=0.0, description="free-stream speed in m/s")
     T_inf_K: float = Field(gt=0.0, description="free-stream temperature in K")

@@ -16,7 +16,7 @@ by itself, with correlated nodes (planning/ratio_table_modes.py).
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -51,6 +51,8 @@ LARGEST_SIGMAS = 5.0
 
 class DispersedInput(Declared):
     """One uncertain input: normal with `sigma`, or uniform from `low` to `high`; both as deviations."""
+
+    quantities: ClassVar = {"over": ("altitude_m", None)}
 
     name: str
     sigma: float | None = Field(default=None, gt=0.0, description="standard deviation, above 0")

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -91,6 +91,8 @@ class EnvelopeBoundary(Declared):
     inside   : place on `across` about which the interval is sought; by default the value of the base entry
     greatest : "cross_range_km": the greatest cross-range within the interval, in place of the interval itself
     """
+
+    quantities: ClassVar = {"at": "along", "values": "across", "inside": "across", "of": "family"}
 
     name: str = Field(pattern=r"^[\w-]+$", description="a name of letters, digits, - and _")
     title: str = ""

@@ -16,6 +16,7 @@ import math
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 from pydantic import Field, field_validator
 
@@ -28,6 +29,8 @@ from sim_heating.trajectory.spec import Initial, VehicleState
 
 class FinalState(Declared):
     """State at the end of the entry."""
+
+    quantities: ClassVar = {"velocity_m_s": "flight_speed_m_s"}
 
     altitude_m: float = Field(gt=0.0, description="altitude in m")
     velocity_m_s: float = Field(gt=0.0, description="speed in m/s")
