@@ -16,7 +16,7 @@ from sim_heating.inputs.vehicle import load_vehicle, vehicle_names
 from sim_heating.thermal.stack import Material
 
 VEHICLE = "vehicle.toml"
-FORMATS = ("flight-record/1", "vehicle/1", "scenario/1", "study/1")
+FORMATS = ("flight-record/1", "vehicle/1", "scenario/1", "study/1", "optimal-entry/1")
 
 
 @dataclass(frozen=True)
@@ -72,6 +72,8 @@ def _toml(place: Path, root: Path | None) -> CheckedPath:
         return _scenario(place, root)
     if data.get("format") == "study/1":
         return _study(place, root)
+    if data.get("format") == "optimal-entry/1":
+        return _optimal_study(place, root)
     if place.parent.name in ("control_points", "materials") and (place.parent.parent / VEHICLE).is_file():
         return _vehicle(place.parent.parent, root)
     if "density_kg_m3" in data:
@@ -99,23 +101,42 @@ def _csv(place: Path, root: Path | None) -> CheckedPath:
 
 
 def _vehicle(place: Path, root: Path | None) -> CheckedPath:
+    from sim_heating.simulation.scenario_check import check_vehicle  # trajectories are slow to import
+
     vehicle = load_vehicle(place, root=root)
+    check_vehicle(vehicle)
     return CheckedPath("vehicle", place, f"vehicle {vehicle.name}: {len(vehicle.control_points)} control points")
 
 
 def _scenario(place: Path, root: Path | None) -> CheckedPath:
-    return CheckedPath("scenario", place, f"scenario {load_scenario(place, root=root).title or place.stem}")
+    from sim_heating.simulation.scenario_check import check_scenario  # trajectories are slow to import
+
+    scenario = load_scenario(place, root=root)
+    check_scenario(scenario)
+    return CheckedPath("scenario", place, f"scenario {scenario.title or place.stem}")
 
 
 def _study(place: Path, root: Path | None) -> CheckedPath:
     from sim_heating.planning.study import load_study
+    from sim_heating.simulation.scenario_check import check_scenario, check_triggers
 
     study = load_study(place, root=root)
+    check_scenario(study.base)
+    candidates = study.declared.next_flight.manoeuvre if study.declared.next_flight is not None else []
+    for i, candidate in enumerate(candidates, start=1):
+        spec = study.base.declared.trajectory.model_copy(update={"manoeuvre": tuple(candidate.flown)})
+        check_triggers(spec, study.vehicle, f"{display_path(place)}, [next_flight.manoeuvre] {i}")
     if study.declared.dispersion is not None:
         from sim_heating.planning.dispersion.entry import DispersedEntry
 
         DispersedEntry(study).check()
     return CheckedPath("study", place, f"study of {study.stamp}: {study.title}")
+
+
+def _optimal_study(place: Path, root: Path | None) -> CheckedPath:
+    from sim_heating.planning.optimal.spec import load_optimal_study
+
+    return CheckedPath("study", place, f"study of an optimal entry: {load_optimal_study(place, root=root).title}")
 
 
 def describe_record(record: Record) -> str:

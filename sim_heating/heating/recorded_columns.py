@@ -56,8 +56,8 @@ PART_M = 5e3
 """Change of altitude of the parts of a flight over which it is compared with the path [m]."""
 RATE_SLACK_M_S = 100.0
 """Added to the speed where the change of altitude is compared with it [m/s]: winds, and rounded times."""
-MOSTLY = 0.5
-"""Part of the rows beyond which a relation is violated by the column and not by single samples."""
+SCATTER = 0.6
+"""Logarithm of the ratio by which a relation of one sample may be off beyond its limits: three times 20 %."""
 SAME = 2e-3
 """Relative difference of two columns that are the same but for rounding."""
 
@@ -92,12 +92,18 @@ def _energy_problems(table: CsvTable) -> list[str]:
 def _mostly_outside(
     table: CsvTable, column: str, ratio: FloatArray, used: BoolArray, limits: tuple[float, float]
 ) -> tuple[str, float] | None:
-    """Place of the first row outside limits and median ratio of such rows, where most of the used rows are outside."""
-    outside = used & ~((ratio >= limits[0]) & (ratio <= limits[1]))
-    if not np.any(used) or np.count_nonzero(outside) <= MOSTLY * np.count_nonzero(used):
+    """Place of the first row outside limits and median ratio of the used rows, where the median is outside; else None.
+
+    The limits of few rows are wider: their median has the scatter of single samples.
+    """
+    if not np.any(used):
         return None
-    first = int(np.flatnonzero(outside)[0])
-    return f"{display_path(table.path)}, row {table.lines[first]}, column {column}", float(np.median(ratio[outside]))
+    margin = np.exp(SCATTER / np.sqrt(np.count_nonzero(used)))
+    low, high, median = limits[0] / margin, limits[1] * margin, float(np.median(ratio[used]))
+    if low <= median <= high:
+        return None
+    first = int(np.flatnonzero(used & ~((ratio >= low) & (ratio <= high)))[0])
+    return f"{display_path(table.path)}, row {table.lines[first]}, column {column}", median
 
 
 def _has(table: CsvTable, *names: str) -> bool:
@@ -228,10 +234,10 @@ def clock_problems(table: CsvTable) -> list[str]:
     ballistic = work / lost
     if BALLISTIC_KG_M2[0] <= ballistic <= BALLISTIC_KG_M2[1]:
         return []
-    usual = {1e3: "ms", 1e6: "microseconds", 1e9: "ns", 1.0 / 60.0: "minutes", 1.0 / 3600.0: "hours"}
+    usual = {1e3: "milliseconds", 1e6: "microseconds", 1.0 / 60.0: "minutes", 1.0 / 3600.0: "hours"}
     close = [u for size, u in usual.items() if 50.0 <= ballistic / size <= 5e3]
-    hint = f"it looks like {close[0]}" if close else "check time, density and speed"
-    return [f"{where}: the flight slows as with {ballistic:.3g} kg/m2 of mass over drag area; {hint}, give s"]
+    hint = f"the clock of the flight conditions is in {close[0]}, give s" if close else "check time, density and speed"
+    return [f"{where}: the flight slows as with {ballistic:.3g} kg/m2 of mass over drag area; {hint}"]
 
 
 def swapped_problems(table: CsvTable) -> list[str]:

@@ -257,13 +257,14 @@ def manoeuvre_events(
     found = []
     for m, s in zip(manoeuvres, started_s, strict=True):
         if 0.0 <= s < until_s:
-            found.append((float(s), f"{m.kind} at {_trigger_text(m)}"))
+            found.append((float(s), f"{m.kind} at {trigger_text(m)}"))
         elif np.isfinite(until_s):
-            found.append((float(until_s), f"{m.kind} at {_trigger_text(m)}: {NOT_FLOWN}"))
+            found.append((float(until_s), f"{m.kind} at {trigger_text(m)}: {NOT_FLOWN}"))
     return sorted(found, key=lambda e: e[0])
 
 
-def _trigger_text(m: Manoeuvre) -> str:
+def trigger_text(m: Manoeuvre) -> str:
+    """What starts a manoeuvre, in words."""
     if m.at_velocity_m_s is not None:
         return f"{m.at_velocity_m_s:g} m/s"
     return f"Mach {m.at_mach:g}" if m.at_mach is not None else f"{m.at_time_s:g} s"

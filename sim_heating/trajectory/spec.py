@@ -7,6 +7,7 @@ true Mach number, V over the local speed of sound ('Mach 20' of the Shuttle's pa
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -15,6 +16,7 @@ from pydantic import AfterValidator, BaseModel, Field, ValidationInfo, create_mo
 
 from sim_heating.base.files import Convertible, Location
 from sim_heating.base.limits import QUANTITIES, SLOWEST_M_S, low_and_fast
+from sim_heating.heating.atmosphere import G0_M_S2
 
 Axis = Literal["mach", "velocity_m_s"]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -47,6 +49,10 @@ SLIP_M_S = 1.0
 HIGH_M, GROUND_M = (20e3, 400.0)
 """Altitude [m] from which a flight below SLOWEST_M_S is one in km/s, and below which one of km in m."""
 
+STRONGEST_WIND_M_S = 500.0
+SLOWEST_SOUND_M_S = 220.0
+"""Speed of sound of the coldest air that has been met, 120 K at the mesopause [m/s]."""
+
 
 class Initial(Convertible):
     """State at time 0: position on the WGS84 ellipsoid, velocity relative to the air (wind is added to it)."""
@@ -58,6 +64,11 @@ class Initial(Convertible):
     latitude_deg: float = Field(ge=-90.0, le=90.0)
     longitude_deg: float = 0.0
     bank_deg: float = Field(default=0.0, ge=-180.0, le=180.0)
+
+    @property
+    def highest_speed_m_s(self) -> float:
+        """Speed that an unpowered flight from here never exceeds [m/s]: that of a fall without drag, and a wind."""
+        return math.sqrt(self.velocity_m_s**2 + 2.0 * G0_M_S2 * self.altitude_m) + STRONGEST_WIND_M_S
 
     def implausible(self) -> list[tuple[Location, str]]:
         """Problems of the numbers, and of altitude and speed together."""
@@ -474,6 +485,22 @@ class TrajectorySpec(Convertible):
         if self.source != "recorded" and self.sample_s < 1.0 / self.rate_hz - 1e-9:
             raise ValueError(f"sample_s = {self.sample_s} is shorter than one frame, {1.0 / self.rate_hz:.4g} s")
         return self
+
+    def implausible(self) -> list[tuple[Location, str]]:
+        """Triggers of manoeuvres that a fall from the initial state never reaches."""
+        problems = super().implausible()
+        if self.initial is None:
+            return problems
+        fastest = self.initial.highest_speed_m_s
+        start = f"from {self.initial.velocity_m_s:g} m/s at {self.initial.altitude_m:g} m"
+        for i, m in enumerate(self.manoeuvre):
+            if m.at_velocity_m_s is not None and m.at_velocity_m_s > fastest:
+                problems.append((("manoeuvre", i, "at_velocity_m_s"), f"{m.at_velocity_m_s:g} is not reached {start}"))
+            if m.at_mach is not None and m.at_mach * SLOWEST_SOUND_M_S > fastest:
+                most = fastest / SLOWEST_SOUND_M_S
+                rule = f"Mach {m.at_mach:g} is not reached {start}, at most {most:.3g}"
+                problems.append((("manoeuvre", i, "at_mach"), rule))
+        return problems
 
     def _check_fmu(self) -> None:
         if self.file is None:

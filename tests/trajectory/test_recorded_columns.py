@@ -44,7 +44,7 @@ def swapped(a: str, b: str) -> Change:
     ("change", "expected"),
     [
         (times("time_s", 1e3), "column time_s: the flight slows as with"),
-        (times("time_s", 1e3), "it looks like ms, give s"),
+        (times("time_s", 1e3), "the clock of the flight conditions is in milliseconds, give s"),
         (times("time_s", 1e6), "column time_s"),
         (times("time_s", 1 / 60), "the time is not in s"),
         (times("time_s", 1 / 3600), "the time is not in s"),
@@ -102,7 +102,7 @@ def test_a_recorded_trajectory_needs_no_temperature_to_be_checked(
     density=st.floats(0.3, 3.0),
     seed=st.integers(0, 2**32 - 1),
 )
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_scatter_other_gases_other_densities_and_short_records_are_accepted(
     noise: float, first: int, length: int, gas: float, density: float, seed: int
 ) -> None:

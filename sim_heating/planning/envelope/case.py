@@ -25,7 +25,7 @@ from scipy.optimize import brentq
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.limits import LIMITS
+from sim_heating.base.limits import LIMITS, QUANTITIES
 from sim_heating.inputs.vehicle import Vehicle
 from sim_heating.trajectory import entry3dof
 from sim_heating.trajectory import point_mass as pm
@@ -81,7 +81,8 @@ class Case:
 
 OPEN_RANGES = {
     "alpha_stretch": (0.0, np.inf), "alpha_station": (0.0, np.inf), "drag_factor": (0.0, np.inf),
-    "cg_fraction": (0.0, 1.0), "mass_kg": (0.0, np.inf), "density_factor": (0.0, np.inf),
+    "cg_fraction": (0.0, 1.0), "mass_kg": (0.0, QUANTITIES["mass_kg"].highest),
+    "density_factor": (0.0, QUANTITIES["density_factor"].highest),
     "alpha_offset_deg": (-90.0, 90.0), "station_alpha_deg": LIMITS["alpha_deg"][:2],
     "bodyflap_deg": LIMITS["bodyflap_deg"][:2],
 }  # fmt: skip

@@ -65,6 +65,8 @@ def _require_rising(name: str, values: Values, fewest: int) -> None:
 class EnvelopeMap(Declared):
     """Peaks and margins of every control point over one axis or two, with other variables `fixed`."""
 
+    quantities: ClassVar = {"axes": None, "fixed": None}
+
     name: str = Field(pattern=r"^[\w-]+$", description="a name of letters, digits, - and _")
     title: str = ""
     axes: dict[str, Values] = Field(min_length=1, max_length=2)
@@ -92,7 +94,7 @@ class EnvelopeBoundary(Declared):
     greatest : "cross_range_km": the greatest cross-range within the interval, in place of the interval itself
     """
 
-    quantities: ClassVar = {"at": "along", "values": "across", "inside": "across", "of": "family"}
+    quantities: ClassVar = {"fixed": None}
 
     name: str = Field(pattern=r"^[\w-]+$", description="a name of letters, digits, - and _")
     title: str = ""

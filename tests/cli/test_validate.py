@@ -1,0 +1,105 @@
+"""`sim-heating validate` says what a run would find out: triggers that are never met, effects that do not compile."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from sim_heating.base.files import read_csv_columns, write_csv
+from sim_heating.cli import main
+from tests.support.gliding import gliding
+from tests.support.paths import ROOT, SCENARIOS
+
+SHORT = gliding(60.0, "V09T9527", vehicle="orbiter")
+POPU = '\n[[trajectory.manoeuvre]]\nkind = "popu"\n'
+RECORDED = """
+format = "scenario/1"
+title = "A recorded flight"
+vehicle = "orbiter"
+control_points = ["V09T9527"]
+[trajectory]
+source = "recorded"
+file = "flight.csv"
+"""
+BROKEN_EFFECT = '''
+"""Calls a function that does not exist."""
+from sim_heating import Effect, Parameter, njit
+
+
+@njit
+def broken(B, c, p, wall_K):
+    return undefined_function(B[p])
+
+
+EFFECT = Effect("broken", "add", (Parameter("growth", "1", 0.0, 0.2, -1.0, 2.0, "x"),), broken, source="test")
+'''
+
+
+@pytest.fixture(autouse=True)
+def workdir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("SIM_HEATING_AIRCRAFT_DATA", str(ROOT / "aircraft_data"))
+    return tmp_path
+
+
+def validated(text: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    """Exit status and error lines of validating a scenario."""
+    Path("scenario.toml").write_text(text)
+    return main(["validate", "scenario.toml"]), capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("trigger", "expected"),
+    [
+        ("at_time_s = 90.0", "manoeuvre 1: popu at 90 s: trigger never met; manoeuvre not flown; the flight goes from"),
+        ("at_mach = 3.0", "manoeuvre 1: popu at Mach 3: trigger never met"),
+        ("at_velocity_m_s = 7000.0", "manoeuvre 1: popu at 7000 m/s: trigger never met"),
+        ("at_mach = 40.0", "`at_mach`: Mach 40 is not reached from 6800 m/s at 75000 m, at most 33.7"),
+        ("at_velocity_m_s = 9000.0", "`at_velocity_m_s`: 9000 is not reached from 6800 m/s"),
+    ],
+)
+@pytest.mark.parametrize("source", ["entry-3dof", "jsbsim"])
+def test_a_trigger_that_is_never_met_is_an_error(
+    source: str, trigger: str, expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = SHORT.replace('source = "entry-3dof"', f'source = "{source}"')
+    status, error = validated(f"{text}{POPU}{trigger}\n", capsys)
+    assert status == 2
+    assert expected in error
+
+
+def test_a_trigger_that_is_met_is_good(capsys: pytest.CaptureFixture[str]) -> None:
+    assert validated(f"{SHORT}{POPU}at_time_s = 10.0\n", capsys) == (0, "")
+
+
+def test_a_flight_that_leaves_the_atmosphere_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
+    status, error = validated(SHORT.replace("velocity_m_s = 6800.0", "velocity_m_s = 12000.0")
+                              .replace("time_s = 60.0", "time_s = 3000.0"), capsys)  # fmt: skip
+    assert status == 2
+    assert "outside the atmosphere" in error
+
+
+def test_the_recorded_flight_that_a_scenario_names_is_read(capsys: pytest.CaptureFixture[str]) -> None:
+    flown = read_csv_columns(SCENARIOS / "data" / "sts107_early_entry.csv", ("time_s",)).columns
+    write_csv("flight.csv", flown)
+    assert validated(RECORDED, capsys) == (0, "")
+    write_csv("flight.csv", {**flown, "altitude_m": flown["altitude_m"] / 1e3})
+    status, error = validated(RECORDED, capsys)
+    assert status == 2
+    assert "flight.csv, row 2, column altitude_m" in error
+    assert "looks like km" in error
+
+
+def test_a_user_defined_effect_that_does_not_compile_is_an_error(
+    workdir: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (workdir / "effects").mkdir()
+    (workdir / "effects" / "broken.py").write_text(BROKEN_EFFECT)
+    monkeypatch.setenv("SIM_HEATING_EFFECTS", str(workdir / "effects"))
+    effect = '\n[[effect]]\nname = "broken"\nparameters = { growth = 0.1 }\n'
+    status, error = validated(SHORT + effect, capsys)
+    assert status == 2
+    assert "effect `broken` (effects/broken.py)" in error
+    assert "cannot be compiled" in error
+    assert "Traceback" not in error
