@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import json
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+from benchmarks.kills import Case, bad, kill_and_judge, killed, operations
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import (
+    MARKER,
+    file_digest,
     output_directory,
     read_csv_columns,
+    read_text,
+    replace_files,
+    require_writable,
     toml_text,
     write_csv,
     write_json,
@@ -132,3 +142,170 @@ def test_windows_line_ends_a_byte_order_mark_and_quotes_are_read(tmp_path: Path)
     assert table.header == {"source": "me"}
     assert table["x"].tolist() == [1.5, 2.0]
     assert table.lines.tolist() == [3, 4]
+
+
+# What is not replaced ------------------------------------------------------------------------------------------------
+
+
+def test_a_result_that_a_person_changed_is_not_replaced(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run(out, a="1", b="1")
+    (out / "b").write_text("mine")
+    with pytest.raises(InputError, match="b was changed after sim-heating wrote it and is not replaced"):
+        run(out, a="2")
+    assert (out / "a").read_text() == "1"
+    assert (out / "b").read_text() == "mine"
+
+
+def test_results_of_another_command_are_not_replaced(tmp_path: Path) -> None:
+    run(tmp_path / "out", a="1")
+    with (
+        pytest.raises(InputError, match="holds results of `run`, which `predict` does not replace"),
+        output_directory(tmp_path / "out", "predict"),
+    ):
+        pytest.fail("there is no work to be done")
+
+
+def test_a_list_of_results_is_no_permission_to_leave_the_directory(tmp_path: Path) -> None:
+    (tmp_path / "precious").write_text("mine")
+    out = tmp_path / "out"
+    out.mkdir()
+    for name in ("../precious", str(tmp_path / "precious"), "a/../../precious"):
+        files = {name: file_digest(tmp_path / "precious")}
+        marker = {"format": "sim_heating-output/2", "command": "run", "files": files}
+        (out / MARKER).write_text(json.dumps(marker))
+        with pytest.raises(InputError, match="is not the name of a file in it"):
+            run(out, a="2")
+    assert (tmp_path / "precious").read_text() == "mine"
+
+
+def test_a_symbolic_link_is_not_followed_to_replace_a_file(tmp_path: Path) -> None:
+    out, precious = tmp_path / "out", tmp_path / "precious"
+    run(out, a="1")
+    shutil.move(out / "a", precious)
+    (out / "a").symlink_to(precious)
+    with pytest.raises(InputError, match="is a symbolic link"):
+        run(out, a="2")
+    assert precious.read_text() == "1"
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{", '{"format": "sim_heating-output/1", "files": ["a"]}', "\0"])
+def test_a_list_of_results_that_cannot_be_verified_protects_everything(tmp_path: Path, text: str) -> None:
+    run(tmp_path / "out", a="1")
+    (tmp_path / "out" / MARKER).write_text(text)
+    with pytest.raises(InputError, match="lists no results of this program that can be verified"):
+        run(tmp_path / "out", a="2")
+    assert (tmp_path / "out" / "a").read_text() == "1"
+
+
+@pytest.mark.parametrize(
+    ("given", "relation"), [("record", "is the input"), (".", "contains"), ("record/results", "lies in")]
+)
+def test_results_never_go_where_their_input_is(tmp_path: Path, given: str, relation: str) -> None:
+    record = tmp_path / "record"
+    run(record, a="1")  # written by this program, unchanged, and still an input
+    with (
+        pytest.raises(InputError, match=relation),
+        output_directory(tmp_path / given, "run", inputs=[record]),
+    ):
+        pytest.fail("there is no work to be done")
+    linked = tmp_path / "linked"
+    linked.symlink_to(record)
+    with pytest.raises(InputError, match="is the input"):
+        require_writable(linked, "run", inputs=[record])
+    assert names(record) == {"a", MARKER}
+
+
+# One writer at a time, and kills -------------------------------------------------------------------------------------
+
+
+def test_a_second_process_is_refused_while_the_first_writes(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with output_directory(out, "run") as partial:
+        code = f"from sim_heating.base.files import require_writable; require_writable({str(out)!r}, 'run')"
+        second = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        assert "another sim-heating process is writing there; wait until it ends" in second.stderr
+        (partial / "a").write_text("1")
+    assert names(out) == {"a", MARKER}
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+    assert names(out) == {"a", MARKER}
+
+
+FIRST, SECOND = {"a": "1", "sub/b": "1", "sub/gone": "1"}, {"a": "2", "sub/b": "2", "new/c": "2"}
+
+
+def write_all(folder: Path, files: dict[str, str]) -> None:
+    with output_directory(folder, "run") as partial:
+        for name, text in files.items():
+            write_text_atomic(partial / name, text)
+
+
+def test_a_kill_at_any_file_operation_leaves_the_results_of_before_or_after(tmp_path: Path) -> None:
+    counted = kill_and_judge(
+        Case(lambda f: write_all(f / "out", FIRST), lambda f: write_all(f / "out", SECOND)), None, tmp_path
+    )
+    assert counted["kills"] > 20
+    assert counted["readers find: before"] > 5
+    assert counted["readers find: after"] > 5
+    assert bad(counted) == 0
+
+
+def test_a_kill_at_any_file_operation_of_a_replacement_in_place_leaves_all_or_nothing(tmp_path: Path) -> None:
+    """Files of a person, replaced because that is asked for: a table and the file of its control point."""
+
+    def prepare(folder: Path) -> None:
+        replace_files(folder / "out", {"table.csv": "1", "points/point.toml": "1", "kept": "1"})
+
+    def act(folder: Path) -> None:
+        replace_files(folder / "out", {"table.csv": "2", "points/point.toml": "2", "old/1.csv": "1"}, ["gone"])
+
+    counted = kill_and_judge(Case(prepare, act), None, tmp_path)
+    assert counted["readers find: before"] > 5
+    assert counted["readers find: after"] > 5
+    assert bad(counted) == 0
+
+
+def test_reading_a_file_finishes_the_replacement_that_a_kill_interrupted(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    write_all(out, FIRST)
+    found = operations(lambda: write_all(out, SECOND), out)
+    shutil.rmtree(out)
+    write_all(out, FIRST)
+    committed = max(i for i, line in enumerate(found) if line.startswith("os.rename") and "journal" in line)
+    assert killed(lambda: write_all(out, SECOND), out, committed + 3)
+    assert (out / ".sim_heating.partial").exists()
+    assert read_text(out / "sub" / "b") == "2"
+    assert read_text(out / "a") == "2"
+    assert not (out / "sub" / "gone").exists()
+    assert names(out) == {"a", "sub", "new", MARKER}
+
+
+def test_a_file_that_came_after_the_kill_is_kept(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    write_all(out, FIRST)
+    found = operations(lambda: write_all(tmp_path / "out", SECOND), out)
+    shutil.rmtree(out)
+    write_all(out, FIRST)
+    committed = max(i for i, line in enumerate(found) if line.startswith("os.rename") and "journal" in line)
+    assert killed(lambda: write_all(out, SECOND), out, committed + 1)
+    (out / "new").mkdir()
+    (out / "new" / "c").write_text("mine")
+    with pytest.raises(InputError, match="new/c: already exists and was not written by sim-heating"):
+        read_text(out / "a")
+    assert (out / "new" / "c").read_text() == "mine"
+    (out / "new" / "c").unlink()
+    assert read_text(out / "a") == "2"
+
+
+def test_a_damaged_journal_is_reported_and_nothing_is_removed(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    write_all(out, FIRST)
+    staging = out / ".sim_heating.partial"
+    (staging / "new").mkdir(parents=True)
+    (staging / "new" / "a").write_text("2")
+    for text in ("", "{}", '{"format": "sim_heating-journal/1", "state": "finish", "new": {"../x": "y"}, "old": {}}'):
+        (staging / "journal.json").write_text(text)
+        with pytest.raises(InputError, match=r"is damaged|is not the name of a file in it"):
+            read_text(out / "a")
+    assert (staging / "new" / "a").read_text() == "2"
+    assert (out / "a").read_text() == "1"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -44,13 +45,19 @@ def _number(value: float) -> str:
     return repr(float(value))
 
 
+def _generation_time() -> datetime:
+    """Now, or the second since 1970 of SOURCE_DATE_EPOCH, with which equal models give equal files."""
+    given = os.environ.get("SOURCE_DATE_EPOCH", "")
+    return datetime.fromtimestamp(int(given), UTC) if given.isdecimal() else datetime.now(UTC)
+
+
 def _root(image: Image, token: str, version: str, token_name: str) -> ET.Element:
     return ET.Element(
         "fmiModelDescription",
         {
             "fmiVersion": version, "modelName": image.name, token_name: token, "description": image.title,
             "version": package_version(), "generationTool": f"sim-heating {package_version()}",
-            "generationDateAndTime": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+            "generationDateAndTime": _generation_time().strftime("%Y-%m-%dT%H:%M:%SZ"),
             "variableNamingConvention": "structured" if all(v.name.isascii() for v in image.variables) else "flat",
         },
     )  # fmt: skip

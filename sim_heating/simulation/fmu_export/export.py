@@ -9,7 +9,7 @@ from pathlib import Path
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import exclusive
-from sim_heating.base.files.text import suggestion, write_bytes_atomic
+from sim_heating.base.files.text import clear_partial_files, suggestion, write_bytes_atomic
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.simulation.fmu_export.archive import archive_bytes, require_replaceable
@@ -102,4 +102,5 @@ def write_fmu(
     with exclusive(out.parent):
         # Again: another process may have put a file there meanwhile.
         require_replaceable(out)
+        clear_partial_files(out.parent, out.name)
         write_bytes_atomic(out, data)
