@@ -221,6 +221,10 @@ def out_of_range(name: str, value: float) -> bool:
     return not lowest <= value <= highest
 
 
+LONGEST_S = 1e6
+"""Longest flight in a file, twelve days [s]: a march of seconds through years would not end."""
+
+
 def limit_message(name: str, value: float) -> str:
     """`value rule` for a value outside the limits of its column."""
     return f"{value:g} {LIMITS[name][2] if math.isfinite(value) else 'is not a finite number'}"

@@ -176,6 +176,7 @@ CONDITIONS = {
     "T_inf in Celsius": (column("T_inf_K", celsius), "row 2, column T_inf_K: -68.15 is below 100 K and looks like Celsius"),
     "T_inf_C": (column("T_inf_K", celsius, "T_inf_C"), "there is no column `T_inf_K`; nearest in the file: `T_inf_C`"),
     "velocity in ft/s": (column("velocity_m_s", lambda v: f"{float(v) / 0.3048:.0f}"), "row 2, column velocity_m_s: 22310 is not a speed in m/s"),
+    "time in us": (column("time_s", lambda v: f"{float(v) * 1e6:.0f}"), "row 3, column time_s: 1e+07 is more than 1e+06 s after the first row and looks like ms or us; give s (and 20 more rows)"),
     "altitude in km": (column("altitude_m", lambda v: f"{float(v) / 1000}"), "row 2, column altitude_m: 75 is too low for its speed and looks like km"),
     "H_r in kJ/kg": (column("H_r_J_kg", lambda v: f"{float(v) / 1000}"), "row 2, column H_r_J_kg: 23325.9 is below a hundredth of V^2/2 and looks like kJ/kg"),
     "Re for its logarithm": (column("log10_re", lambda v: f"{10 ** float(v):.0f}"), "column log10_re: 637236 is not the base-10 logarithm of a Reynolds number"),
