@@ -62,15 +62,22 @@ SAME = 2e-3
 """Relative difference of two columns that are the same but for rounding."""
 
 
+LONGEST_S = 1e6
+"""Longest flight in a file, twelve days [s]: a march of seconds through years would not end."""
+
+
 def implausible_values(table: CsvTable) -> list[str]:
     """One line for each column of conditions with an impossible value, in another unit or in another's place.
 
-    table : columns of flight conditions, `altitude_m` and `velocity_m_s` among them; others may be absent
+    table : columns of flight conditions, `time_s`, `altitude_m` and `velocity_m_s` among them; others may be absent
     """
     problems = table.celsius_problems("T_inf_K") if "T_inf_K" in table.columns else []
     for name, (lowest, highest, rule) in LIMITS.items():
         if name in table.columns:
             problems += table.problems_where_not(name, (table[name] >= lowest) & (table[name] <= highest), rule)
+    lasting = table["time_s"] - table["time_s"][0]
+    rule = f"is more than {LONGEST_S:g} s after the first row and looks like ms or us; give s"
+    problems += table.problems_where_not("time_s", lasting <= LONGEST_S, rule)
     problems += _energy_problems(table)
     # A column that is impossible by itself would make every relation with it look wrong.
     return problems or [line for relation in RELATIONS for line in relation(table)]
