@@ -132,7 +132,8 @@ def test_units_as_fmus_write_them(unit: str, wanted: str, factor: float) -> None
     "unit",
     [
         "m.", "m*", "m-", "m/", "1/", "'m'", "(", "m)", "g0", "m,s", "slug/cu.ft", "1/s.m", "9**9**9", "m^9^9^9",
-        "10^3 m", "m^1000", "lambda()", "a" * 60 + "#",
+        "10^3 m", "m^1000", "lambda()", "a" * 60 + "#", "a" * 100_000,
+        "(" * 3000 + "m" + ")" * 3000,
     ],
 )  # fmt: skip
 def test_a_text_that_is_not_a_unit_is_unknown(unit: str) -> None:

@@ -32,6 +32,8 @@ NO_DIMENSION = ("", "1", "-")
 
 SUPERSCRIPTS = str.maketrans("·⁻⁰¹²³⁴⁵⁶⁷⁸⁹", ".-0123456789")
 """Characters of printed units, and the ASCII form that FMUs use."""
+LONGEST = 100
+"""Most characters of a unit; matching a text of 100,000 letters takes minutes."""
 POWER = r"(?:(?:\*\*|\^)?[+-]?[0-9]{1,2}|(?:\*\*|\^)\([+-]?[0-9]{1,2}\))(?!\w|\.[0-9])"
 UNIT_SYNTAX = re.compile(rf"(?:(?:[^\W\d]|[°%])++(?:{POWER})?|\)(?:{POWER})?|(?<![\w.])1(?![\w.])|[ .*/(])+")
 """Names with powers of at most two digits, parentheses, products, quotients, and 1: the only texts passed to pint."""
@@ -79,6 +81,8 @@ def known_unit(name: str) -> Scale | None:
         return Scale((), 1.0)
     plain = name.translate(SUPERSCRIPTS)
     # A plain grammar before pint, which takes `m,s` for a millisecond and fails on `m.` in its tokenizer.
+    if len(plain) > LONGEST:
+        return None
     if UNIT_SYNTAX.fullmatch(plain) is None or AMBIGUOUS.search(plain.replace("**", "^")) is not None:
         return None
     registry = _registry()
