@@ -12,7 +12,8 @@ import itertools
 import math
 import os
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -210,7 +211,8 @@ class JSBSimHost:
         air = None if self._air is None else self._air.write(state.altitude_m)
         for name, value in _initial_conditions(state, (0.0, 0.0) if air is None else air).items():
             self.node(f"ic/{name}").set_double_value(value)
-        self._call_jsbsim(self.fdm.run_ic)
+        with _logging_to(_Log()):
+            self._call_jsbsim(self.fdm.run_ic)
         self._has_run = True
         self.frames = 0
 
@@ -328,6 +330,17 @@ class _Log(jsbsim.FGLogger):  # type: ignore[misc]  # untyped
         """Nothing."""
 
 
+@contextmanager
+def _logging_to(log: _Log) -> Iterator[None]:
+    """JSBSim's log of this thread goes there: by default it writes to stdout what it also raises."""
+    before = jsbsim.get_logger()
+    jsbsim.set_logger(log)
+    try:
+        yield
+    finally:
+        jsbsim.set_logger(before)
+
+
 def _load(aircraft_path: Path, model: str, rate_hz: float) -> jsbsim.FGFDMExec:
     file = aircraft_path / model / f"{model}.xml"
     if not file.is_file():
@@ -337,20 +350,19 @@ def _load(aircraft_path: Path, model: str, rate_hz: float) -> jsbsim.FGFDMExec:
     before = os.environ.get("JSBSIM_DEBUG")
     os.environ["JSBSIM_DEBUG"] = "0"  # read when the executive is made: silences its banner
     place = display_path(aircraft_path / model)
-    logger_before, log = jsbsim.get_logger(), _Log()
-    jsbsim.set_logger(log)  # of this thread: JSBSim writes to stdout what it also raises
     fdm = jsbsim.FGFDMExec(None)
+    log = _Log()
     try:
         fdm.set_debug_level(0)
         fdm.set_aircraft_path(str(aircraft_path))
         fdm.set_dt(1.0 / rate_hz)  # before loading: control components keep the step that they were loaded with
-        loaded = fdm.load_model(model)
+        with _logging_to(log):
+            loaded = fdm.load_model(model)
     except JSBSIM_ERRORS as error:
         _keep(fdm)
         reason = " ".join(str(error).split())
         raise InputError(f"{place}: JSBSim cannot load it{log.where()}: {reason}") from error
     finally:
-        jsbsim.set_logger(logger_before)
         if before is None:
             del os.environ["JSBSIM_DEBUG"]
         else:
