@@ -19,8 +19,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.parameters import AT, CLOCK_SKEW, EFFECT_PREFIX, Parameter
+from sim_heating.base.parameters import AT, CLOCK_SKEW, EFFECT_PREFIX, SHORT_NAMES, Parameter
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.estimation.filter.innovations import Innovations, fit_innovations
 from sim_heating.estimation.filter.process_noise import ProcessNoise
@@ -376,9 +377,10 @@ def fit_bounds(samples: Sequence[PredictedSamples], fit: Fit) -> CramerRaoBounds
 
 
 def table_warnings(record_fits: Sequence[RecordFit]) -> list[str]:
-    """One line for each variable ([deg], [-]) that leaves the ratio table over the fit segments.
+    """One line for each variable ([deg], [-]) that leaves the ratio table over the fit segments, or has no slope in it.
 
     Outside, the table has its edge value, so that the estimate includes the difference (docs/equations.md, section 2).
+    A derivative against a variable with one node is estimated, but no revision of this table can hold it.
     """
     lines = []
     for record_fit in record_fits:
@@ -388,6 +390,13 @@ def table_warnings(record_fits: Sequence[RecordFit]) -> list[str]:
             f"{name}: {o.variable} is up to {o.farthest:.3g} outside its ratio table over the fit segments, from "
             f"{o.first_s:g} s on; the edge value is used there, and estimates include the difference"
             for o in table_excursions(record_fit.model, fitted)
+        ]
+        table = record_fit.model.ratio
+        lines += [
+            f"{name}: its ratio table has one node in {variable}, so that no revision of it can hold ratio.d_{short}; "
+            "add nodes to the table before update-tables"
+            for variable, short, axis in zip(RATIO_VARIABLES, SHORT_NAMES, table.axes if table else (), strict=False)
+            if len(axis) == 1 and f"ratio.d_{short}" in record_fit.march_names
         ]
     return lines
 
