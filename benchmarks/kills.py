@@ -174,7 +174,7 @@ class Case:
 
 @cache
 def inputs() -> Path:
-    """A folder with a vehicle and, for both flights, scenario, study, record and estimate."""
+    """A folder with a vehicle and, for both flights, scenario, study and record."""
     home = Path(tempfile.mkdtemp(prefix="kills-"))
     orbiter = next(p for p in data_folders("aircraft_data") if p.is_dir()) / "orbiter"
     for name in ("vehicle.toml", f"control_points/{POINT}.toml", f"ratio_tables/{POINT}.csv", "guidance.toml"):
@@ -190,8 +190,15 @@ def inputs() -> Path:
         (home / f"{name}_study.toml").write_text(text.replace('"orbiter"', f'"{home / "orbiter"}"'))
         scenario = sh.load_scenario(home / f"{name}.toml")
         sh.write_records(scenario, sh.synthesize(scenario), home / name)
-        sh.write_fit(sh.estimate([home / name], ["ratio.scale"]), home / f"{name}_fit")
     return home
+
+
+@cache
+def fit() -> Path:
+    """The estimate of the second flight."""
+    place = inputs() / "fit"
+    sh.write_fit(sh.estimate([inputs() / "after"], ["ratio.scale"]), place)
+    return place
 
 
 def _writers() -> Mapping[str, Callable[[str], Callable[[Path], object]]]:
@@ -254,7 +261,9 @@ def case(command: str, fresh: bool = False) -> Case:
         )
 
     def revise(folder: Path) -> object:
-        return sh.update_tables(inputs() / "after_fit", folder / "out" / "orbiter")
+        return sh.update_tables(fit(), folder / "out" / "orbiter")
+
+    fit()
 
     def copy_vehicle(folder: Path) -> None:
         shutil.copytree(inputs() / "orbiter", folder / "out" / "orbiter")

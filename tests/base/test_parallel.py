@@ -16,9 +16,11 @@ import pytest
 
 from sim_heating.base import parallel as batches
 from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.files import exclusive
 from sim_heating.base.parallel import Job, run_batches
 from tests.support import batch_jobs
 from tests.support.batch_jobs import jobs
+from tests.support.paths import ROOT
 
 pytest.importorskip("distributed", reason="many processes need Dask: pip install 'sim-heating[plan]'")
 
@@ -174,3 +176,35 @@ def test_a_lost_scheduler_is_one_line_and_finished_results_remain(tmp_path):
 def test_jobs_that_share_an_id_are_refused(tmp_path):
     with pytest.raises(InputError, match="is repeated"):
         run_batches([Job("a", 1), Job("a", 2)], _square, tmp_path, workers=1)
+
+
+@pytest.mark.parametrize("damage", [b"", b"1", b"\xff", None], ids=["empty", "another", "not UTF-8", "removed"])
+def test_a_finished_result_that_was_damaged_is_computed_again(tmp_path, damage):
+    first = contents_of(run_batches(jobs(3), _square, tmp_path, workers=1))
+    kept = (tmp_path / "job-000").stat().st_mtime_ns
+    if damage is None:
+        (tmp_path / ".job-001.sha256").unlink()
+    else:
+        (tmp_path / "job-001").write_bytes(damage)
+    assert contents_of(run_batches(jobs(3), _square, tmp_path, workers=1)) == first
+    assert (tmp_path / "job-000").stat().st_mtime_ns == kept
+
+
+def test_a_finished_result_that_no_longer_holds_is_computed_again(tmp_path):
+    run_batches(jobs(3), _square, tmp_path, workers=1)
+    kept = {job.id: (tmp_path / job.id).stat().st_mtime_ns for job in jobs(3)}
+    run_batches(jobs(3), _square, tmp_path, workers=1, is_current=lambda job, result: job.id != "job-002")
+    assert [job.id for job in jobs(3) if (tmp_path / job.id).stat().st_mtime_ns != kept[job.id]] == ["job-002"]
+
+
+def test_two_runs_on_one_ledger_are_not_mixed(tmp_path):
+    with exclusive(tmp_path):
+        code = (
+            f"from tests.support.batch_jobs import *; run_batches(jobs(3), square_but_three, Path({str(tmp_path)!r}))"
+        )
+        second = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert "another sim-heating process is writing there" in second.stderr
+
+
+def contents_of(outcome):
+    return {name: path.read_bytes() for name, path in outcome.done.items()}

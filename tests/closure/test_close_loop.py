@@ -201,7 +201,7 @@ def test_a_killed_run_over_many_records_is_resumed_and_a_damaged_record_stops_no
     command = [sys.executable, "-m", "sim_heating", "close-loop", str(records), "--out", str(out), "--workers", "1"]
     killed = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     finished = out / "finished"
-    while killed.poll() is None and not list(finished.glob("p06-*.json")):
+    while killed.poll() is None and not list(finished.glob(".p06-*.sha256")):
         time.sleep(0.05)
     killed.send_signal(signal.SIGKILL)
     killed.wait()
@@ -217,6 +217,14 @@ def test_a_killed_run_over_many_records_is_resumed_and_a_damaged_record_stops_no
     assert "failed" in rows["p99"]
     assert (out / "p07" / "closure.json").is_file()
     assert not (out / "p99").exists()
+    # What is in the list of finished records is not believed where the results are gone or the list is damaged.
+    closure = (out / "p07" / "closure.json").read_bytes()
+    shutil.rmtree(out / "p07")
+    next(finished.glob("p06-*.json")).write_bytes(b"\xff\xfe{")
+    again = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert "Traceback" not in again.stderr
+    assert (out / "p07" / "closure.json").read_bytes() == closure
+    assert {row["record"]: row for row in json.loads((out / "summary.json").read_text())["records"]} == rows
 
 
 @pytest.mark.parametrize("what", ["nothing here", "two of a name"])

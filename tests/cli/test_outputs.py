@@ -1,0 +1,108 @@
+"""No command removes or replaces a file that it did not write itself; two at once do not mix their results."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmarks.kills import bad, case, kill_and_judge, snapshot
+from sim_heating.cli import main
+from tests.support.gliding import gliding
+from tests.support.paths import PRACTICE, ROOT
+
+
+@pytest.fixture
+def workdir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working directory with a scenario, two records in a folder, and a record that `synthesize` wrote."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("SIM_HEATING_AIRCRAFT_DATA", str(ROOT / "aircraft_data"))
+    (tmp_path / "short.toml").write_text(gliding(60.0, "V09T9527", vehicle="orbiter"))
+    for name in ("p06", "p07"):
+        shutil.copytree(PRACTICE / name, tmp_path / "records" / name)
+    assert main(["synthesize", "short.toml", "--out", "flown"]) == 0
+    return tmp_path
+
+
+INPUTS = [
+    "predict flown --out flown",
+    "predict flown --out .",
+    "predict flown --out flown/predicted",
+    "predict records/p06 records/p07 --out records",
+    "predict records/p06 --out records",
+    "estimate flown --out flown",
+    "estimate records/p06 records/p07 --out records/p07",
+    "estimate flown --segments 20 --out flown",
+    "close-loop flown --out flown",
+    "close-loop records --out records",
+    "run short.toml --out .",
+    "synthesize short.toml --out .",
+    "measured-records short.toml --out .",
+    "design short.toml --out .",
+]
+
+
+@pytest.mark.parametrize("command", INPUTS)
+def test_results_are_refused_where_the_input_is_and_nothing_changes(
+    command: str, workdir: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = snapshot(workdir)
+    capsys.readouterr()
+    assert main(command.split()) == 2
+    errors = capsys.readouterr().err.splitlines()
+    assert len(errors) == 1, errors
+    assert "which results might replace; choose another directory" in errors[0]
+    assert snapshot(workdir) == before
+
+
+def test_one_command_does_not_replace_the_results_of_another(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = snapshot(workdir)
+    assert main(["predict", "records/p06", "--out", "flown"]) == 2
+    assert "flown: holds results of `synthesize`, which `predict` does not replace" in capsys.readouterr().err
+    assert snapshot(workdir) == before
+
+
+def test_a_changed_result_is_a_persons_file(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    record = workdir / "flown" / "record.toml"
+    record.write_text(record.read_text() + "# checked by me\n")
+    before = snapshot(workdir)
+    assert main(["synthesize", "short.toml", "--out", "flown"]) == 2
+    assert "record.toml was changed after sim-heating wrote it and is not replaced" in capsys.readouterr().err
+    assert snapshot(workdir) == before
+
+
+def test_of_two_commands_at_once_into_one_directory_none_mixes_its_results_with_the_other(workdir: Path) -> None:
+    runs = [
+        subprocess.Popen(
+            [sys.executable, "-m", "sim_heating", "predict", f"records/{name}", "--out", "out"],
+            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        )
+        for name in ("p06", "p07")
+    ]  # fmt: skip
+    ended = [(run.communicate()[1], run.returncode) for run in runs]
+    assert {status for _, status in ended} <= {0, 2}
+    done = [name for name, (_, status) in zip(("p06", "p07"), ended, strict=True) if status == 0]
+    assert done
+    for error, status in ended:
+        assert status == 0 or "another sim-heating process is writing there" in error
+    alone = []
+    for name in done:
+        assert main(["predict", f"records/{name}", "--out", f"alone_{name}"]) == 0
+        alone.append(snapshot(workdir / f"alone_{name}"))
+    assert snapshot(workdir / "out") in alone
+
+
+@pytest.mark.parametrize(
+    ("command", "fresh", "moments"),
+    [("predict", False, (3, 17, 27, 35, 42)), ("synthesize", True, (9, 38, 46)), ("fmu export", False, (2, 5, 8))],
+)
+def test_a_command_killed_at_a_file_operation_leaves_whole_results_and_can_be_repeated(
+    command: str, fresh: bool, moments: tuple[int, ...], tmp_path: Path
+) -> None:
+    """A sample; `python -m benchmarks kills` goes through all commands and all operations."""
+    counted = kill_and_judge(case(command, fresh), moments, tmp_path)
+    assert counted["kills"] == len(moments)
+    assert bad(counted) == 0, counted
