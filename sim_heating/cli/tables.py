@@ -75,16 +75,17 @@ def update_tables(
 
 
 def _revert_table(vehicle: str, point: str | None, more: bool, root: Path | None) -> None:
-    from sim_heating.closure.revise.revisions import revert
+    from sim_heating.closure.revise.revisions import revert, revising
     from sim_heating.closure.revise.update import check_target
-    from sim_heating.inputs.vehicle import load_vehicle
+    from sim_heating.inputs.vehicle import load_vehicle, vehicle_directory
 
     check_target(vehicle, None)
     if point is None:
         raise InputError("update-tables: give FIT, an estimate.json or its directory, or --revert POINT")
     if more:
         raise InputError(f"--revert {point}: takes no other option; leave out --out and --dry-run")
-    undone, now = revert(load_vehicle(vehicle, root=root), point)
+    with progress_line("update-tables") as progress, revising(vehicle_directory(vehicle), progress):
+        undone, now = revert(load_vehicle(vehicle, root=root), point)
     CONSOLE.print(f"{point}: revision {undone} undone; revision {now} is in force, byte for byte")
 
 

@@ -29,13 +29,15 @@ from sim_heating.base.files import (
     FileOfFolder,
     LocatedError,
     display_path,
+    exclusive,
     read_csv_columns,
     read_toml,
+    replace_files,
     roots_of,
     suggestion,
 )
 from sim_heating.base.kernels.axis import cells_of
-from sim_heating.heating.ratio.table import RatioTable, read_ratio_table, write_ratio_table
+from sim_heating.heating.ratio.table import RatioTable, ratio_table_text, read_ratio_table
 from sim_heating.heating.ratio.tunnel_to_flight import (
     REFERENCE,
     Scaling,
@@ -192,16 +194,16 @@ def write_tables(vehicle: str | os.PathLike[str], *, root: str | os.PathLike[str
     """Build all tables of a vehicle and write them to the files that its control points name; returns those files.
 
     root   : as `load_vehicle` takes it
-    raises : InputError where one of them has been revised from flight data; nothing is written
+    raises : InputError where one of them has been revised from flight data, or another process is writing to the
+             vehicle; nothing is written
     """
     directory = vehicle_directory(vehicle)
-    tables, written = build_tables(directory, root=root), []
-    for name in tables:
-        _refuse_revised(directory / "ratio_tables" / f"{name}.csv")
-    for name, table in tables.items():
-        written.append(directory / "ratio_tables" / f"{name}.csv")
-        write_ratio_table(written[-1], table, FORMATS)
-    return written
+    with exclusive(directory):
+        tables = {f"ratio_tables/{name}.csv": table for name, table in build_tables(directory, root=root).items()}
+        for name in tables:
+            _refuse_revised(directory / name)
+        replace_files(directory, {name: ratio_table_text(table, FORMATS) for name, table in tables.items()})
+    return [directory / name for name in tables]
 
 
 def _refuse_revised(path: Path) -> None:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ParamSpec, TypeVar
@@ -20,7 +21,16 @@ from typing import ParamSpec, TypeVar
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError, error_context
-from sim_heating.base.files import check, display_path, raise_problems, read_toml, read_toml_dict, roots_of, suggestion
+from sim_heating.base.files import (
+    check,
+    display_path,
+    raise_problems,
+    read_toml,
+    read_toml_dict,
+    roots_of,
+    settle,
+    suggestion,
+)
 from sim_heating.base.files.package import data_folders
 from sim_heating.heating.effects import EffectUse, check_count, use
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table
@@ -34,6 +44,8 @@ P = ParamSpec("P")
 FOLDER = "aircraft_data"
 ENVIRONMENT = "SIM_HEATING_AIRCRAFT_DATA"
 """Environment variable that names a folder of vehicles."""
+READINGS = 20
+"""How often a vehicle is read that other processes change during the reading."""
 
 
 @dataclass(frozen=True)
@@ -130,6 +142,8 @@ def load_vehicle(vehicle: str | os.PathLike[str] | Vehicle, *, root: str | os.Pa
     root    : folder that symbolic links in it may lead to; by default as docs/scenario_format.md states
     raises  : InputError with the problems of all files, one line each
 
+    Files that another process replaces in the meantime, as `update-tables` does, are read again.
+
     >>> import sim_heating as sh
     >>> len(sh.load_vehicle("orbiter").control_points)
     18
@@ -139,6 +153,30 @@ def load_vehicle(vehicle: str | os.PathLike[str] | Vehicle, *, root: str | os.Pa
     directory = vehicle_directory(vehicle)
     # Once for all of its files: those of aerodynamics, guidance and attitude control are read when it flies.
     roots_of(directory / "vehicle.toml", root).check_links(directory)
+    for _ in range(READINGS):
+        settle(directory)
+        before = _change_times(directory)
+        try:
+            found = _load(directory)
+        except InputError:
+            if _change_times(directory) == before:
+                raise
+        else:
+            if _change_times(directory) == before:
+                return found
+    raise InputError(f"{display_path(directory)}: other processes keep changing it; wait until they end")
+
+
+def _change_times(directory: Path) -> list[int]:
+    """When files came into or went out of the folders of a vehicle, as they do where a revision is written [ns]."""
+    with suppress(OSError):
+        folders = [p for p in sorted(directory.iterdir()) if p.is_dir() and not p.name.startswith(".")]
+        return [p.stat().st_mtime_ns for p in folders]
+    return []
+
+
+def _load(directory: Path) -> Vehicle:
+    """A vehicle from its files, all of it checked."""
     problems = _Problems()
     file = problems.attempt(read_toml, directory / "vehicle.toml", VehicleFile)
     if file is not None and file.name != directory.resolve().name:

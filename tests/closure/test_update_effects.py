@@ -55,7 +55,8 @@ def flown_records(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "effect.coating-thickness.coating_factor", "clock.skew",
     ]  # fmt: skip
     fit = estimate_contents(estimate([load_record(home / "first")], names, effects=(use("transition", start),)))
-    write_estimate(home / "first.json", fit.model_copy(update={"records": ["first"], "inputs": {}}))
+    inputs = {"first": fit.inputs[str(home / "first")]}
+    write_estimate(home / "first.json", fit.model_copy(update={"records": ["first"], "inputs": inputs}))
     return home
 
 

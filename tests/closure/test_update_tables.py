@@ -17,14 +17,20 @@ import pytest
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import check, read_json
+from sim_heating.base.files import check, read_json, with_digest
 from sim_heating.base.parameters import MODEL
 from sim_heating.cli import main
 from sim_heating.closure.revise.evidence import flight_evidence
 from sim_heating.closure.revise.report import draw_update
 from sim_heating.closure.revise.revisions import revert
 from sim_heating.closure.revise.update import TableUpdate, prepare_update, write_update
-from sim_heating.estimation.report.estimate_file import Estimate, correlations, read_estimate, write_estimate
+from sim_heating.estimation.report.estimate_file import (
+    Estimate,
+    correlations,
+    inputs_hash,
+    read_estimate,
+    write_estimate,
+)
 from sim_heating.heating.ratio.table import read_ratio_table, write_ratio_table
 from sim_heating.inputs.points import point_of_record, reference_of_record
 from sim_heating.inputs.ratio_sources import write_tables
@@ -122,6 +128,7 @@ def estimate_of(record: Record, values: Mapping[str, float], covariance: FloatAr
             for (n, v), s in zip(values.items(), sigma, strict=True)
         },
         "correlation": correlations(names, covariance),
+        "inputs": {record.name: inputs_hash(record)},
     }
     return check(data | more, Estimate, "estimate")
 
@@ -218,6 +225,7 @@ def test_the_evidence_recovers_a_product_term_by_which_a_table_differs(workdir: 
 def test_more_samples_of_the_same_path_add_no_information(workdir: Path) -> None:
     one = prepare_update("first.json", "./orbiter")
     edit(workdir / "first" / "thermocouples.csv", lambda t: "\n".join(_every_second(t.splitlines())) + "\n")
+    with_values(inputs={"first": inputs_hash(load_record("first"))})()
     other = prepare_update("first.json", "./orbiter")
     assert len(other.flight.path.x) < 0.6 * len(one.flight.path.x)
     np.testing.assert_allclose(other.after.sigma, one.after.sigma, rtol=0.02)
@@ -264,6 +272,7 @@ def test_a_joint_estimate_of_several_points_updates_the_one_that_is_named(workdi
     )
     both = alone.model_dump() | {
         "records": ["elsewhere", "first"],
+        "inputs": alone.inputs | {"elsewhere": inputs_hash(load_record("elsewhere"))},
         "parameters": {
             f"{n}@{p}": q.model_dump() | {"value": q.value * (p == POINT)}
             for p in ("B", POINT)
@@ -334,13 +343,15 @@ def test_reverting_twice_gives_back_the_vehicle_byte_for_byte(workdir: Path, lin
     assert contents(workdir / "orbiter") == start
 
 
-def test_an_update_interrupted_before_its_last_step_leaves_the_old_table_in_force(
-    workdir: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("at", [f"{POINT}.csv", "revision_2.json"])
+def test_an_update_interrupted_while_it_writes_leaves_the_vehicle_as_it_was(
+    at: str, workdir: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before, real = table_of(workdir / "orbiter").read_bytes(), os.replace
+    before, real, interruptions = contents(workdir / "orbiter"), os.replace, [at]
 
     def interrupted(old: Any, new: Any) -> None:
-        if Path(new).name == f"{POINT}.csv":
+        if Path(new).name in interruptions:
+            interruptions.clear()
             raise KeyboardInterrupt
         real(old, new)
 
@@ -349,8 +360,7 @@ def test_an_update_interrupted_before_its_last_step_leaves_the_old_table_in_forc
         patched.setattr(os, "replace", interrupted)
         with pytest.raises(KeyboardInterrupt):
             write_update(update, None, {}, draw_update)
-    assert table_of(workdir / "orbiter").read_bytes() == before
-    assert not list((workdir / "orbiter" / "ratio_tables").glob(".*"))
+    assert contents(workdir / "orbiter") == before
     update_and_write()
     assert read_ratio_table(table_of(workdir / "orbiter")).header["revision"] == "2"
 
@@ -399,8 +409,23 @@ WITH_PRIOR = {"ratio.scale": {"value": -0.1, "sigma": 0.01, "unit": "1", "prior_
 
 
 def with_values(**changes: Any) -> Callable[[], None]:
-    """The estimate with other contents."""
+    """An estimate with other contents, as if estimated so."""
+    return lambda: edit(Path("first.json"), lambda text: json.dumps(with_digest(json.loads(text) | changes)))
+
+
+def by_hand(**changes: Any) -> Callable[[], None]:
+    """The estimate edited by a person."""
     return lambda: edit(Path("first.json"), lambda text: json.dumps(json.loads(text) | changes))
+
+
+def without(key: str) -> Callable[[], None]:
+    """The estimate with a key removed, as if written so."""
+
+    def changed(text: str) -> str:
+        kept = {k: v for k, v in json.loads(text).items() if k != key}
+        return json.dumps(kept if key == "digest" else with_digest(kept))
+
+    return lambda: edit(Path("first.json"), changed)
 
 
 def in_file(name: str, old: str, new: str) -> Callable[[], None]:
@@ -455,7 +480,7 @@ def scale(**changes: float) -> Callable[[], None]:
     def changed(text: str) -> str:
         found = json.loads(text)
         found["parameters"]["ratio.scale"] |= changes
-        return json.dumps(found)
+        return json.dumps(with_digest(found))
 
     return lambda: edit(Path("first.json"), changed)
 
@@ -475,6 +500,17 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
         with_values(reference_condition=dict.fromkeys(RATIO_VARIABLES, 0.0) | {"alpha_deg": 1e308}),
         "first.json, [reference_condition]: `alpha_deg`: 1e+308 is not an angle of attack in degrees (-180 to 180)",
     ),
+    "edited by hand": (by_hand(iterations=5), "first.json: was changed after it was written"),
+    "of an earlier version": (without("digest"), "first.json: has no `digest`"),
+    "without the hashes of its records": (without("inputs"), "first.json: `inputs` has no entry for its record first"),
+    "about a condition that was not flown": (
+        with_values(excursions={"alpha_deg": {"min": 50.0, "max": 55.0}}),
+        "lies outside the 50 to 55 that were flown; estimate again with a --reference within them",
+    ),
+    "one parameter twice": (
+        with_values(correlation={"ratio.scale|ratio.d_alpha": 1.0}),
+        "[correlation]: is not positive definite (a combination of ratio.scale and ratio.d_alpha",
+    ),
     "no ratio parameter": (with_values(parameters={}, correlation={}), "no ratio parameter"),
     "cut off": (lambda: edit(Path("first.json"), lambda text: text[:300]), "cut off"),
     "no such record": (with_values(records=["fitrs"]), "its record `fitrs` does not exist"),
@@ -488,7 +524,7 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "other wall enthalpy": (in_file(VEHICLE, '"equilibrium-air"', "{ cp_J_kgK = 1004.5 }"), "cp = 1004.5"),
     "table without sigma": (without_sigma, "has no sigma column"),
     "flown outside the table": (only_high_alpha, "alpha_deg lay outside its 45 to 50"),
-    "revision that is no number": (in_file(TABLE, "revision: 1", "revision: A"), "'A' is not a whole number"),
+    "revision that is no number": (in_file(TABLE, "revision: 1", "revision: A"), '"A" is not a whole number'),
     "the same flight again": (update_and_write, "is in revision 2 already"),
     "table edited after its revision": (edited_after_its_revision, "was changed after"),
     "earlier revision in force": (earlier_revision_in_force, "an earlier revision"),

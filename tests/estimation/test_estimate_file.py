@@ -60,13 +60,6 @@ def test_an_estimate_reads_back_equal_from_its_file_or_its_directory(tmp_path: P
     assert json.loads((tmp_path / "estimate.json").read_text())["studied_by"] == "hand"
 
 
-def test_a_former_key_is_read_under_its_present_name() -> None:
-    bounds = {"ratio.d_alpha": {"larger_sigma": 5e-5, "longer_sigma": 7e-5}}
-    former, present = (check(good(**{key: bounds}), Estimate, "here") for key in ("would_buy", "sensitivity_to_effort"))
-    assert former == present
-    assert former.model_extra == {"sensitivity_to_effort": bounds}
-
-
 def test_an_estimate_is_shown_in_one_line_with_its_values() -> None:
     shown = repr(check(good(), Estimate, "here"))
     assert shown.startswith("Estimate(tile: ratio.scale=-0.1 +- 0.02 1, ratio.d_alpha=0.001 +- 0.0001 1/deg, ")
@@ -120,6 +113,36 @@ def test_a_damaged_estimate_is_refused_in_one_line(name: str, tmp_path: Path) ->
     assert hint in caught.value.problems[0]
     assert "estimate.json" in caught.value.problems[0]
     assert all("\n" not in line for line in caught.value.problems)
+
+
+def test_an_estimate_that_was_changed_after_it_was_written_is_refused(tmp_path: Path) -> None:
+    """Any entry, those that nothing reads included."""
+    write_estimate(tmp_path / "estimate.json", check(good(studied_by="hand"), Estimate, "here"))
+    whole = json.loads((tmp_path / "estimate.json").read_text())
+    for key in whole:
+        written(tmp_path, json.dumps({k: v for k, v in whole.items() if k != key}))
+        with pytest.raises(InputError, match=r"was changed after it was written|is missing|has no `digest`|not among"):
+            read_estimate(tmp_path)
+    nearly = whole["parameters"]["ratio.scale"]["value"] + 1e-16
+    whole["parameters"]["ratio.scale"]["value"] = nearly
+    with pytest.raises(InputError, match=r"estimate\.json: was changed after it was written"):
+        read_estimate(written(tmp_path, json.dumps(whole)))
+
+
+def test_another_layout_of_the_file_is_the_same_estimate(tmp_path: Path) -> None:
+    """Other order of keys, line ends, whole numbers without their decimal point, as other programs write them."""
+    estimate = check(good(), Estimate, "here")
+    write_estimate(tmp_path / "estimate.json", estimate)
+    whole = json.loads((tmp_path / "estimate.json").read_text())
+    whole["reference_condition"] = {k: int(v) if v == int(v) else v for k, v in whole["reference_condition"].items()}
+    text = json.dumps(dict(reversed(whole.items())), indent=4).replace("\n", "\r\n")
+    assert text != (tmp_path / "estimate.json").read_text()
+    assert read_estimate(written(tmp_path, text)) == estimate
+
+
+def test_an_estimate_without_a_digest_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"has no `digest`, .* estimate again"):
+        read_estimate(written(tmp_path, json.dumps(good())))
 
 
 def test_a_directory_without_an_estimate_is_refused(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.figure import new_figure, replaced_if_undrawable, save_figure
 from sim_heating.base.report.table import Column, Table
 from sim_heating.closure.revise.evidence import ratio_names
-from sim_heating.closure.revise.revisions import RevisionFile
+from sim_heating.closure.revise.revisions import RevisionFile, revising
 from sim_heating.closure.revise.update import (
     MIN_P_VALUE,
     TableUpdate,
@@ -45,6 +46,7 @@ from sim_heating.estimation.report.ratio_plot import (
 )
 from sim_heating.heating.ratio.uncertainty import Posterior, estimated_ratio, node_weights
 from sim_heating.inputs.record import Record, load_record
+from sim_heating.inputs.vehicle import vehicle_directory
 
 MAX_ROWS = 16
 """Nodes that are shown; the revision's file contains all."""
@@ -98,6 +100,7 @@ def update_tables(
     dry_run : work everything out and write nothing
     root    : folder that the estimate may name records in, as `load_scenario` takes it; records elsewhere are read
               where they have the digest that the estimate states
+    progress: called with the stage of the work, and where another process that revises the vehicle is waited for
     returns : the update, its errors before and after, what was written
     raises  : InputError where estimate and vehicle do not belong together, or the place cannot be written
 
@@ -115,12 +118,17 @@ def update_tables(
     target = None if out is None else Path(out)
     if not dry_run:
         check_target(vehicle, target)
-    update = prepare_update(fit, vehicle, records, point, root)
-    progress(0.1, "predicting with the table before and after")
-    errors = errors_before_and_after(update, [*update.records, *(load_record(check, root=root) for check in checks)])
-    if dry_run:
-        return UpdatedTables(update, errors)
-    return UpdatedTables(update, errors, *write_update(update, target, errors, draw_update))
+    in_place = not dry_run and target is None
+    # Locked from the reading of the tables on: whoever comes second starts from what the first one has written.
+    with revising(vehicle_directory(vehicle), progress) if in_place else nullcontext():
+        update = prepare_update(fit, vehicle, records, point, root)
+        progress(0.1, "predicting with the table before and after")
+        errors = errors_before_and_after(
+            update, [*update.records, *(load_record(check, root=root) for check in checks)]
+        )
+        if dry_run:
+            return UpdatedTables(update, errors)
+        return UpdatedTables(update, errors, *write_update(update, target, errors, draw_update))
 
 
 def update_report(update: TableUpdate, errors: dict[str, dict[str, Any]]) -> Iterator[Table | str]:

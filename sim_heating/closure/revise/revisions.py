@@ -6,31 +6,65 @@
     ratio_revisions/P/revision_2.png       and its picture, where nodes changed
     ratio_revisions/P/revision_1.toml      control_points/P.toml before revision 2, where that wrote effects
 
-The table is replaced last and in one step; a failure before leaves the vehicle as it was. A program killed between the
-two files is detected by `read_history`. Evidence is kept as a whole: a later update starts from the table before the
-first one and takes all of it together.
+All files of a revision appear together, or go together when it is reverted, also where the program is killed; one
+process at a time revises a vehicle. Evidence is kept as a whole: a later update starts from the table before the first
+one and takes all of it together. A revision's file carries a digest of its content.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
+from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import Declared, check, display_path, json_text, raw_text, read_json, write_text_atomic
-from sim_heating.estimation.report.estimate_file import EstimatedParameter
+from sim_heating.base.files import (
+    DIGEST,
+    Declared,
+    LocatedError,
+    Location,
+    check,
+    digest_matches,
+    display_path,
+    exclusive,
+    json_text,
+    raw_text,
+    read_json,
+    repeated_name,
+    replace_files,
+    suggestion,
+    with_digest,
+)
+from sim_heating.base.files.text import abbreviated
+from sim_heating.base.parameters import RATIO
+from sim_heating.base.progress import Progress, no_progress
+from sim_heating.closure.revise.checks import MIN_SIGMA
+from sim_heating.estimation.report.estimate_file import EstimatedParameter, is_correlation
 from sim_heating.heating.ratio.table import RatioTable, ratio_table_text, read_ratio_table
 from sim_heating.heating.ratio.uncertainty import Evidence, Posterior, posterior
 from sim_heating.inputs.vehicle import Vehicle
 
 FOLDER = "ratio_revisions"
+WAIT_S = 3600.0
+"""Longest wait for another process that revises the same vehicle [s]; its predictions may take minutes."""
+RATIO_TOLERANCE, SIGMA_TOLERANCE = 1e-5, 2e-3
+"""Relative differences of ratio and sigma by which a table may be away from what its evidence makes it: it is rounded
+to 6 and 4 digits."""
+LARGEST = 1e9
+"""Largest weight, value or covariance that evidence is taken to have."""
+ROUNDING = 1e-6
+"""Difference that counts as rounding, relative to the largest value of a table."""
 
 
 class UsedRecord(Declared):
@@ -39,6 +73,13 @@ class UsedRecord(Declared):
     record: str
     inputs: str
     segments: list[list[float]]
+
+    @model_validator(mode="after")
+    def _check(self) -> UsedRecord:
+        wrong = [i for i, s in enumerate(self.segments) if len(s) != 2 or s[0] > s[1]]
+        if wrong:
+            raise LocatedError(*((("segments", i), f"{self.segments[i]} is not [start_s, end_s]") for i in wrong))
+        return self
 
 
 class StoredEvidence(Declared):
@@ -50,10 +91,53 @@ class StoredEvidence(Declared):
     value: list[float]
     covariance: list[list[float]]
 
+    @model_validator(mode="after")
+    def _check(self) -> StoredEvidence:
+        known, k, m = [p.name for p in RATIO], len(self.names), len(self.nodes)
+        problems: list[tuple[Location, str]] = [
+            (("names", i), f"`{n}` is not a parameter of the ratio{suggestion(n, known)}")
+            for i, n in enumerate(self.names)
+            if n not in known
+        ]
+        if repeated_name(self.names) is not None:
+            problems.append((("names",), f"`{repeated_name(self.names)}` occurs twice"))
+        if any(a >= b for a, b in pairwise([-1, *self.nodes])):
+            problems.append((("nodes",), "must be the numbers of nodes, 0 or above, each larger than the one before"))
+        problems += _shape_problems("H", self.H, k, m) + _shape_problems("covariance", self.covariance, k, k)
+        if len(self.value) != k:
+            problems.append((("value",), f"has {len(self.value)} values for {k} names"))
+        numbers = {"H": chain(*self.H), "value": self.value, "covariance": chain(*self.covariance)}
+        for key, largest in ((key, max(map(abs, values), default=0.0)) for key, values in numbers.items()):
+            if largest > LARGEST:
+                problems.append(((key,), f"contains {largest:g}, beyond {LARGEST:g}, which no flight gives"))
+        if not problems and (rule := _covariance_rule(np.array(self.covariance).reshape(k, k))):
+            problems.append((("covariance",), rule))
+        if problems:
+            raise LocatedError(*problems)
+        return self
+
     def arrays(self) -> Evidence:
         """The evidence as arrays, for the update."""
         nodes = np.array(self.nodes, dtype=np.int64)
         return Evidence(tuple(self.names), nodes, np.array(self.H), np.array(self.value), np.array(self.covariance))
+
+
+def _shape_problems(key: str, rows: list[list[float]], height: int, width: int) -> list[tuple[Location, str]]:
+    """Why a list of rows is not a matrix of this shape."""
+    if len(rows) != height:
+        return [((key,), f"has {len(rows)} rows for {height} names")]
+    ragged = [(i, row) for i, row in enumerate(rows) if len(row) != width]
+    return [((key, i), f"has {len(row)} values where there must be {width}") for i, row in ragged]
+
+
+def _covariance_rule(covariance: FloatArray) -> str | None:
+    """Why a square matrix is not a covariance; None where it is one."""
+    if not np.allclose(covariance, covariance.T, rtol=1e-9, atol=0.0):
+        return "is not symmetric"
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    if np.any(sigma < MIN_SIGMA) or not is_correlation(covariance / np.outer(sigma, sigma)):
+        return "is not positive definite"
+    return None
 
 
 class WrittenEffect(Declared):
@@ -103,6 +187,13 @@ class RevisionFile(Declared):
     errors_K: dict[str, dict[str, Any]] = Field(description="record -> fit, holdout -> before, after")
     changed: dict[str, list[float]]
 
+    @model_validator(mode="after")
+    def _check(self) -> RevisionFile:
+        if self.parent != self.revision - 1:
+            rule = f"{self.parent} is not the revision before {self.revision}, which is {self.revision - 1}"
+            raise LocatedError((("parent",), rule))
+        return self
+
 
 @dataclass(frozen=True)
 class TableHistory:
@@ -141,34 +232,90 @@ def table_path(vehicle: Vehicle, point: str) -> Path:
 def read_history(vehicle: Vehicle, point: str) -> TableHistory:
     """The table of a control point and the revisions behind it.
 
-    raises : InputError where its number is not a whole one, or the table was changed after its revision was written
+    raises : InputError where its number is not a whole one, a revision was changed after it was written, or the table
+             is not the one that its revisions make
     """
     path = table_path(vehicle, point)
     raw = raw_text(path)
     table = read_ratio_table(path)
     number = table.header.get("revision", "")
-    if not number.isdecimal():
-        raise InputError(f"{display_path(path)}, header `revision`: {number!r} is not a whole number; number the table")
+    if re.fullmatch("[0-9]{1,9}", number) is None:
+        raise InputError(
+            f"{display_path(path)}, header `revision`: {abbreviated(number)} is not a whole number; number the table"
+        )
     revisions: list[RevisionFile] = []
-    base, text, at = path, raw, int(number)
+    tables = [path]
+    text, at = raw, int(number)
     while (made := revision_path(vehicle.directory, point, at, "json")).is_file():
-        revision = check(read_json(made), RevisionFile, display_path(made))
+        revision = _read_revision(made, point, at)
         # A table that was edited no longer is what its evidence made it, and further updates would build on both.
         if revision.table_hash != content_hash(text):
             raise InputError(
-                f"{display_path(base)}: was changed after {display_path(made)} was written; revert the change, or "
-                f"give the table a "
-                "new `revision`"
+                f"{display_path(tables[0])}: was changed after {display_path(made)} was written; revert the change, or "
+                "give the table a new `revision`"
             )
-        base = revision_path(vehicle.directory, point, revision.parent, "csv")
-        text, at = raw_text(base), revision.parent
+        tables.insert(0, revision_path(vehicle.directory, point, revision.parent, "csv"))
+        text, at = raw_text(tables[0]), revision.parent
         if revision.parent_hash != content_hash(text):
             raise InputError(
-                f"{display_path(base)}: is not the table that {display_path(made)} was made from; restore it"
+                f"{display_path(tables[0])}: is not the table that {display_path(made)} was made from; restore it"
             )
         revisions.insert(0, revision)
     _refuse_half_written(vehicle.directory, point, int(number))
-    return TableHistory(path, raw, table, int(number), read_ratio_table(base), tuple(revisions))
+    history = TableHistory(path, raw, table, int(number), read_ratio_table(tables[0]), tuple(revisions))
+    _check_evidence(vehicle.directory, history, tables[1:])
+    return history
+
+
+def _read_revision(file: Path, point: str, number: int) -> RevisionFile:
+    """A revision's file, unchanged since it was written.
+
+    raises : InputError where it was changed, or is that of another point or revision
+    """
+    data, name = read_json(file), display_path(file)
+    revision = check({k: v for k, v in data.items() if k != DIGEST}, RevisionFile, name)
+    if (revision.control_point, revision.revision) != (point, number):
+        raise InputError(
+            f"{name}: is revision {revision.revision} of {abbreviated(revision.control_point)}; this must be revision "
+            f"{number} of {point}; restore the file"
+        )
+    # Files of earlier versions have none; their evidence is compared with their table instead.
+    if DIGEST in data and not digest_matches(data):
+        raise InputError(
+            f"{name}: was changed after it was written (its content is not that of its `{DIGEST}`); restore it"
+        )
+    return revision
+
+
+def _check_evidence(directory: Path, history: TableHistory, tables: Sequence[Path]) -> None:
+    """Check that the evidence of the revisions is on nodes of the table, and makes the tables that are there.
+
+    tables : of the revisions, in their order
+    raises : InputError naming the revision
+    """
+    base = history.base
+    for k, (revision, path) in enumerate(zip(history.revisions, tables, strict=True)):
+        name = display_path(revision_path(directory, revision.control_point, revision.revision, "json"))
+        if max(revision.evidence.nodes, default=-1) >= base.ratio.size:
+            raise InputError(
+                f"{name}, [evidence]: `nodes`: {max(revision.evidence.nodes)} is not a node of the table, which has "
+                f"{base.ratio.size}; restore the file"
+            )
+        made = posterior(base, [r.evidence.arrays() for r in history.revisions[: k + 1]])
+        table = read_ratio_table(path)
+        agrees = (
+            table.sigma is not None
+            and table.ratio.shape == made.ratio.shape
+            and (
+                np.allclose(table.ratio, made.ratio, rtol=RATIO_TOLERANCE, atol=ROUNDING * np.abs(made.ratio).max())
+                and np.allclose(table.sigma, made.sigma, rtol=SIGMA_TOLERANCE, atol=ROUNDING * made.sigma.max())
+            )
+        )
+        if not agrees:
+            raise InputError(
+                f"{name}: its evidence does not make the table {display_path(path)}; restore both files, or give the "
+                "table a new `revision`"
+            )
 
 
 def table_posterior(vehicle: Vehicle, point: str) -> Posterior | None:
@@ -184,11 +331,14 @@ def table_posterior(vehicle: Vehicle, point: str) -> Posterior | None:
 
 
 def _refuse_half_written(directory: Path, point: str, number: int) -> None:
-    """Refuse a vehicle with the effects of the next revision and the table of this one."""
+    """Refuse a vehicle with the effects of the next revision and the table of this one.
+
+    An update of an earlier version, which replaced one file after the other, left that when it was killed.
+    """
     made, file = revision_path(directory, point, number + 1, "json"), point_path(directory, point)
     if not made.is_file():
         return
-    revision = check(read_json(made), RevisionFile, display_path(made))
+    revision = _read_revision(made, point, number + 1)
     if revision.point_hash is not None and revision.point_hash == content_hash(raw_text(file)):
         kept = revision_path(directory, point, number, "toml")
         raise InputError(
@@ -201,45 +351,79 @@ def content_hash(text: str) -> str:
     return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
 
 
-def write_revision(
-    vehicle: Vehicle, history: TableHistory, table: RatioTable, made: Mapping[str, Any], point_text: str | None = None
-) -> RevisionFile:
-    """Write the next revision: the old files kept, its record of origin, the effects, then the table itself.
+@contextmanager
+def revising(directory: str | os.PathLike[str], progress: Progress = no_progress) -> Iterator[None]:
+    """Keep other processes from revising a vehicle, from the reading of its tables to the writing of the next ones.
 
-    made       : the fields of a RevisionFile that do not follow from the files
-    point_text : the new text of the control point's file, None where it stays
+    progress : called where another process has to be waited for
+    raises   : InputError where that does not end, or the vehicle cannot be written
     """
-    file = point_path(vehicle.directory, made["control_point"])
-    old_point = raw_text(file)
-    text = ratio_table_text(table, _short_axes(table))
-    data = {
-        **made,
-        "table": history.path.relative_to(vehicle.directory).as_posix(),
-        "revision": history.revision + 1,
-        "parent": history.revision,
-        "parent_hash": content_hash(history.raw),
-        "table_hash": content_hash(text),
-        "point_parent_hash": None if point_text is None else content_hash(old_point),
-        "point_hash": None if point_text is None else content_hash(point_text),
-    }
-    revision = check(data, RevisionFile, f"revision {history.revision + 1}")
-    point = revision.control_point
-    # The table in force is replaced last: whatever ends the program before leaves the old revision valid.
-    write_text_atomic(revision_path(vehicle.directory, point, history.revision, "csv"), history.raw)
-    if point_text is not None:
-        write_text_atomic(revision_path(vehicle.directory, point, history.revision, "toml"), old_point)
-    write_text_atomic(
-        revision_path(vehicle.directory, point, revision.revision, "json"), json_text(revision.model_dump())
-    )
-    try:
-        if point_text is not None:
-            write_text_atomic(file, point_text)
-        write_text_atomic(history.path, text)
-    except BaseException:
-        if point_text is not None:
-            write_text_atomic(file, old_point)
-        raise
+    text = f"waiting for another process that revises {display_path(directory)}"
+    with exclusive(directory, wait_s=WAIT_S, waiting=lambda: progress(0.0, text)):
+        yield
+
+
+def write_revision(
+    vehicle: Vehicle,
+    history: TableHistory,
+    table: RatioTable,
+    made: Mapping[str, Any],
+    point_texts: tuple[str, str],
+    picture: bytes | None = None,
+) -> RevisionFile:
+    """Write the next revision, all files of it together: the old ones kept, its origin, the effects, and the table.
+
+    history     : as the table is now
+    made        : the fields of a RevisionFile that do not follow from the files
+    point_texts : the control point's file as it is now and as it is to be
+    picture     : of the update; None where there is none
+    raises      : InputError where table or control point are no longer the given ones; nothing is written then
+    """
+    point, number = str(made["control_point"]), history.revision + 1
+    before, after = point_texts
+    with revising(vehicle.directory):
+        _check_unchanged(vehicle, history, point, before)
+        text, effects = ratio_table_text(table, _short_axes(table)), after != before
+        data = {
+            **made,
+            "table": history.path.relative_to(vehicle.directory).as_posix(),
+            "revision": number,
+            "parent": history.revision,
+            "parent_hash": content_hash(history.raw),
+            "table_hash": content_hash(text),
+            "point_parent_hash": content_hash(before) if effects else None,
+            "point_hash": content_hash(after) if effects else None,
+        }
+        revision = check(data, RevisionFile, f"revision {number}")
+        new: dict[Path, str | bytes] = {
+            revision_path(Path(), point, history.revision, "csv"): history.raw,
+            revision_path(Path(), point, number, "json"): json_text(with_digest(revision.model_dump())),
+            Path(revision.table): text,
+        }
+        if picture is not None:
+            new[revision_path(Path(), point, number, "png")] = picture
+        if effects:
+            new[revision_path(Path(), point, history.revision, "toml")] = before
+            new[point_path(Path(), point)] = after
+        # What an update of an earlier version left when it was interrupted is not part of this revision.
+        stale = {revision_path(Path(), point, number, "png"), revision_path(Path(), point, history.revision, "toml")}
+        replace_files(
+            vehicle.directory, {p.as_posix(): c for p, c in new.items()}, [p.as_posix() for p in stale - new.keys()]
+        )
     return revision
+
+
+def _check_unchanged(vehicle: Vehicle, history: TableHistory, point: str, point_text: str) -> None:
+    """Check that table, revisions and control point are still those that an update was worked out from."""
+    now = read_history(vehicle, point)
+    file = point_path(vehicle.directory, point)
+    same = (now.raw, now.revisions, raw_text(file)) == (history.raw, history.revisions, point_text)
+    if not same:
+        changed = history.path if now.raw != history.raw else file
+        raise InputError(
+            f"{display_path(changed)}: was changed while the update was worked out from revision {history.revision}; "
+            "nothing was written, update again"
+        )
 
 
 def _short_axes(table: RatioTable) -> dict[str, str]:
@@ -249,32 +433,33 @@ def _short_axes(table: RatioTable) -> dict[str, str]:
 
 
 def revert(vehicle: Vehicle, point: str) -> tuple[int, int]:
-    """Restore the parent of the newest revision, byte for byte.
+    """Restore the parent of the newest revision, byte for byte, and remove the revision's files.
 
     returns : numbers of the revision undone and of the one in force
     raises  : InputError where there is no revision from flight data, or the control point's file was changed since
     """
-    history = read_history(vehicle, point)
-    if not history.revisions:
-        raise InputError(
-            f"{display_path(history.path)}: revision {history.revision} was not made from flight data; kept"
-        )
-    undone = history.revisions[-1]
-    kept = revision_path(vehicle.directory, point, undone.parent, "csv")
-    old_point = revision_path(vehicle.directory, point, undone.parent, "toml")
-    if undone.point_hash is not None:
-        _revert_point(point_path(vehicle.directory, point), old_point, undone)
-    write_text_atomic(history.path, raw_text(kept))
-    made = (revision_path(vehicle.directory, point, undone.revision, kind) for kind in ("json", "png"))
-    for path in (kept, old_point, *made):
-        path.unlink(missing_ok=True)
-    if not any(kept.parent.iterdir()):
-        kept.parent.rmdir()
+    with revising(vehicle.directory):
+        history = read_history(vehicle, point)
+        if not history.revisions:
+            raise InputError(
+                f"{display_path(history.path)}: revision {history.revision} was not made from flight data; kept"
+            )
+        undone = history.revisions[-1]
+        kept, point_kept = (revision_path(Path(), point, undone.parent, kind) for kind in ("csv", "toml"))
+        made = (revision_path(Path(), point, undone.revision, kind) for kind in ("json", "png"))
+        restored = {history.path.relative_to(vehicle.directory).as_posix(): raw_text(vehicle.directory / kept)}
+        if undone.point_hash is not None:
+            file = point_path(vehicle.directory, point)
+            restored[point_path(Path(), point).as_posix()] = _point_before(file, vehicle.directory / point_kept, undone)
+        replace_files(vehicle.directory, restored, [p.as_posix() for p in (kept, point_kept, *made)])
     return undone.revision, undone.parent
 
 
-def _revert_point(file: Path, kept: Path, undone: RevisionFile) -> None:
-    """Restore a control point's file, unless a person has changed it since."""
+def _point_before(file: Path, kept: Path, undone: RevisionFile) -> str:
+    """The control point's file before a revision.
+
+    raises : InputError where a person has changed it since
+    """
     text = raw_text(kept)
     if content_hash(text) != undone.point_parent_hash:
         raise InputError(
@@ -286,7 +471,7 @@ def _revert_point(file: Path, kept: Path, undone: RevisionFile) -> None:
             f"{display_path(file)}: was changed after revision {undone.revision}, which wrote effects into it; "
             "undo the change first, or it would be lost"
         )
-    write_text_atomic(file, text)
+    return text
 
 
 def point_path(directory: Path, point: str) -> Path:

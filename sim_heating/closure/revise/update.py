@@ -22,7 +22,10 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import Roots, display_path, exclusive, read_text, roots_of
 from sim_heating.base.files.package import data_folders, package_version
+from sim_heating.base.files.paths import make_durable, os_error_reason
+from sim_heating.base.files.transaction import LOCK, STAGING, staged
 from sim_heating.base.parameters import AT, EFFECT_PREFIX
+from sim_heating.closure.revise.checks import check_estimate
 from sim_heating.closure.revise.effects import FittedEffects, effects_from_fit
 from sim_heating.closure.revise.evidence import FlightEvidence, flight_evidence, is_effect
 from sim_heating.closure.revise.revisions import (
@@ -38,7 +41,6 @@ from sim_heating.closure.revise.revisions import (
 )
 from sim_heating.estimation.report.estimate_file import (
     NAME,
-    PAIR,
     Estimate,
     EstimatedParameter,
     correlations,
@@ -55,8 +57,6 @@ from sim_heating.simulation.predict import predict
 
 RATIO_DIGITS, SIGMA_DIGITS = 6, 4
 """Significant digits of a changed node, far below any sigma."""
-MIN_SIGMA, MAX_VALUE = 1e-12, 1e3
-"""Least sigma and largest value of an estimated ratio parameter that are accepted."""
 MIN_P_VALUE = 1e-3
 """p-value of the evidence under the table's own sigma below which the report warns."""
 
@@ -140,13 +140,14 @@ def prepare_update(
     """
     file = Path(fit) / NAME if os.path.isdir(fit) else Path(fit)
     whole = read_estimate(file)
-    _check_weighable(whole, display_path(file))
+    check_estimate(whole, display_path(file))
     loaded_vehicle = load_vehicle(vehicle, root=root)
     roots = roots_of(file, root, loaded_vehicle.directory)
     estimate, loaded = _select_point(whole, _records(whole, roots, records, root), point_name)
     point = loaded_vehicle.control_point(loaded[0].declared.control_point)
     history = read_history(loaded_vehicle, point.name)
-    used = tuple(_used_record(estimate, i, record) for i, record in enumerate(loaded))
+    used = tuple(_used_record(estimate, display_path(file), i, record) for i, record in enumerate(loaded))
+    _check_not_repeated(used)
     _check_not_used(history, used)
     flight = flight_evidence(estimate, loaded, loaded_vehicle, point)
     earlier = [r.evidence.arrays() for r in history.revisions]
@@ -223,32 +224,6 @@ def _no_record(file: Path, name: str) -> InputError:
     return InputError(f"{display_path(file)}: its record `{name}` does not exist; give its directory with --record")
 
 
-def _check_weighable(estimate: Estimate, name: str) -> None:
-    """Check that every ratio parameter has a plausible value and sigma, and all correlations.
-
-    raises : InputError naming the parameter and the limit
-    """
-    labels = [label for label in estimate.parameters if label.startswith("ratio.")]
-    for label in labels:
-        value, sigma = estimate.parameters[label].value, estimate.parameters[label].sigma
-        where = f"{name}, [parameters.{label}]"
-        if abs(value) > MAX_VALUE:
-            raise InputError(
-                f"{where}: `value`: {value:g} is beyond {MAX_VALUE:g}, which is no heating ratio; estimate it again"
-            )
-        if label.partition(AT)[0] == "ratio.scale" and value <= -1.0:
-            raise InputError(f"{where}: `value`: {value:g} leaves no heating (-1 removes all of it); estimate it again")
-        if not MIN_SIGMA <= sigma <= MAX_VALUE:
-            span = f"{MIN_SIGMA:g} to {MAX_VALUE:g}"
-            raise InputError(f"{where}: `sigma`: {sigma:g} is not within {span}; estimate it again")
-    of_one_point = [(a, b) for a, b in combinations(labels, 2) if a.partition(AT)[2] == b.partition(AT)[2]]
-    pairs = [(f"{a}{PAIR}{b}", f"{b}{PAIR}{a}") for a, b in of_one_point]
-    missing = [pair for pair, turned in pairs if not {pair, turned} & estimate.correlation.keys()]
-    if missing:
-        found = f"{len(missing)} of {len(pairs)} pairs are missing, `{missing[0]}` first"
-        raise InputError(f"{name}, [correlation]: {found}; estimate it again, or write 0 for what is uncorrelated")
-
-
 def _select_point(estimate: Estimate, records: Sequence[Record], name: str | None) -> tuple[Estimate, list[Record]]:
     """Parameters and records of one control point; a parameter `a@P` of a joint fit is `a` of P.
 
@@ -290,17 +265,42 @@ def _plain_names(estimate: Estimate, point: str, alone: bool) -> dict[str, str]:
     return names
 
 
-def _used_record(estimate: Estimate, i: int, record: Record) -> UsedRecord:
-    """A record by hash and fitted times.
+def _used_record(estimate: Estimate, name: str, i: int, record: Record) -> UsedRecord:
+    """A record by hash and fitted times; `name` is that of the estimate's file.
 
-    raises : InputError where its files are not those that were fitted
+    raises : InputError where its files are not those that were fitted, or the estimate does not state which they were
     """
     found, stated = inputs_hash(record), estimate.inputs.get(estimate.records[i])
-    if stated is not None and stated != found:
+    if stated is None:
+        raise InputError(
+            f"{name}: `inputs` has no entry for its record {estimate.records[i]}, so that nothing shows whether it is "
+            "still the one that was fitted; estimate again"
+        )
+    if stated != found:
         raise InputError(f"{display_path(record.directory)}: was changed since the estimate; estimate it again")
     segments = estimate.segments[i] if estimate.segments is not None else record.declared.segments.fit
     whole = [[float(record.time_s[0]), float(record.time_s[-1])]]
     return UsedRecord(record=record.name, inputs=found, segments=whole if segments is None else segments)
+
+
+def _shared(one: UsedRecord, other: UsedRecord) -> str | None:
+    """Times of one record that are also of another, in words; None where they are of other files or times."""
+    pairs = ((a, b) for a in one.segments for b in other.segments)
+    shared = [a for a, b in pairs if a[0] <= b[1] and b[0] <= a[1]]
+    return f"{shared[0][0]:g} to {shared[0][1]:g} s" if shared and one.inputs == other.inputs else None
+
+
+def _check_not_repeated(used: Sequence[UsedRecord]) -> None:
+    """Check that no two records of the estimate are copies: their data would count twice.
+
+    raises : InputError naming both and the times
+    """
+    for one, other in combinations(used, 2):
+        if times := _shared(one, other):
+            raise InputError(
+                f"records {one.record} and {other.record} of the estimate are copies; {times} would count twice: "
+                "estimate again with one of them"
+            )
 
 
 def _check_not_used(history: TableHistory, used: Sequence[UsedRecord]) -> None:
@@ -311,9 +311,7 @@ def _check_not_used(history: TableHistory, used: Sequence[UsedRecord]) -> None:
     for revision in history.revisions:
         for old in revision.records:
             for new in used:
-                shared = [s for s in new.segments for o in old.segments if s[0] <= o[1] and o[0] <= s[1]]
-                if new.inputs == old.inputs and shared:
-                    times = f"{shared[0][0]:g} to {shared[0][1]:g} s"
+                if times := _shared(new, old):
                     raise InputError(
                         f"{display_path(history.path)}: {new.record}, {times}, is in revision {revision.revision} "
                         "already and would count twice; revert that first"
@@ -401,17 +399,17 @@ def check_target(vehicle: str | os.PathLike[str], out: Path | None) -> None:
     directory = vehicle_directory(vehicle)
     if out is not None:
         if (out / directory.resolve().name).exists():
-            copy = display_path(out / directory.resolve().name)
-            raise InputError(
-                f"--out {display_path(out)}: already contains {copy}; revise that one with --vehicle {copy}"
-            )
+            raise _exists(out, directory.resolve().name)
         return
     (installed, checkout), home = data_folders(VEHICLES), directory.resolve().parent
     by_name = directory.is_absolute() and Path(vehicle).name == os.fspath(vehicle)
     if home == installed or (home == checkout and by_name):
         raise InputError(f"vehicle {directory.name}: came with the package; name a folder for your copy with --out")
-    with exclusive(directory):  # refused before the work where it cannot be written
-        pass
+
+
+def _exists(out: Path, name: str) -> InputError:
+    copy = display_path(out / name)
+    return InputError(f"--out {display_path(out)}: already contains {copy}; revise that one with --vehicle {copy}")
 
 
 def write_update(
@@ -423,44 +421,53 @@ def write_update(
     errors  : as `errors_before_and_after` gives them
     draw    : draws the picture of the update into a file; without one there is no picture
     returns : the vehicle's directory, and what was written
-    raises  : InputError where the place cannot be written; nothing is left half-written
+    raises  : InputError where the place cannot be written, or the vehicle was changed since the update was prepared;
+              nothing is written then
     """
-    source = update.vehicle.directory
+    picture = _picture(update, draw)
     try:
         if out is None:
-            return source, _write(update, update.vehicle, update.history, errors, draw)
-        return _write_copy(update, out / source.resolve().name, errors, draw)
+            return update.vehicle.directory, _write(update, update.vehicle, errors, picture)
+        return _write_copy(update, out, errors, picture)
     except OSError as error:
-        raise InputError(f"{error.filename}: cannot be written ({error.strerror}); choose another place") from None
+        place = display_path(error.filename or out or update.vehicle.directory)
+        raise InputError(f"{place}: cannot be written ({os_error_reason(error)}); choose another place") from None
+
+
+def _picture(update: TableUpdate, draw: Draw | None) -> bytes | None:
+    """The picture of an update; None where no node changes."""
+    if draw is None or not np.any(update.changed):
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        draw(Path(folder) / "picture.png", update)
+        return (Path(folder) / "picture.png").read_bytes()
 
 
 def _write_copy(
-    update: TableUpdate, target: Path, errors: dict[str, dict[str, Any]], draw: Draw | None
+    update: TableUpdate, out: Path, errors: dict[str, dict[str, Any]], picture: bytes | None
 ) -> tuple[Path, RevisionFile]:
-    """Revise a copy of the vehicle, made in a temporary folder and renamed as a whole."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    partial = Path(tempfile.mkdtemp(prefix=f".{target.name}.partial-", dir=target.parent))
-    try:
-        # Renamed as a whole at the end, so that no half-made vehicle is left.
-        copy = load_vehicle(shutil.copytree(update.vehicle.directory, partial / target.name))
-        made = _write(update, copy, read_history(copy, update.point.name), errors, draw)
-        os.replace(partial / target.name, target)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-    return target, made
+    """Revise a copy of the vehicle, made in a staging directory and renamed as a whole."""
+    source = update.vehicle.directory.resolve()
+    with exclusive(out) as folder, staged(folder) as staging:
+        copy = staging / source.name
+        shutil.copytree(source, copy, ignore=shutil.ignore_patterns(LOCK, STAGING))
+        made = _write(update, load_vehicle(copy), errors, picture)
+        for path in (*copy.rglob("*"), copy):
+            make_durable(path)
+        if os.path.lexists(folder / source.name):
+            raise _exists(out, source.name)
+        os.replace(copy, folder / source.name)
+        make_durable(folder)
+    return out / source.name, made
 
 
 def _write(
-    update: TableUpdate, vehicle: Vehicle, history: TableHistory, errors: dict[str, dict[str, Any]], draw: Draw | None
+    update: TableUpdate, vehicle: Vehicle, errors: dict[str, dict[str, Any]], picture: bytes | None
 ) -> RevisionFile:
-    """Draw the picture and write the revision."""
-    picture = revision_path(vehicle.directory, update.point.name, history.revision + 1, "png")
-    picture.parent.mkdir(parents=True, exist_ok=True)
-    if draw is not None and np.any(update.changed):
-        draw(picture, update)
-    effects = update.effects
-    point_text = effects.text if effects.text != effects.raw else None
-    return write_revision(vehicle, history, update.table, _revision_content(update, errors), point_text)
+    """Write the revision into a vehicle, which may be a copy of the one that the update is of."""
+    history = replace(update.history, path=vehicle.directory / update.point.declared.ratio_table)
+    texts = (update.effects.raw, update.effects.text)
+    return write_revision(vehicle, history, update.table, _revision_content(update, errors), texts, picture)
 
 
 def _revision_content(update: TableUpdate, errors: dict[str, dict[str, Any]]) -> dict[str, Any]:

@@ -2,17 +2,20 @@
 
 The keys are those of the format "estimate/1", and in addition what a later reader needs to use the result: the control
 point, the segments that were fitted, the excursions that were flown in them, the program, and a hash of each record's
-files. Further keys are kept. The covariance is C_ij = rho_ij sigma_i sigma_j
-(docs/estimation_statistics.md, equation 18); a pair that is not listed is uncorrelated.
+files. Further keys are kept. The covariance is C_ij = rho_ij sigma_i sigma_j (docs/estimation_statistics.md,
+equation 18); a pair that is not listed is uncorrelated.
+
+The `digest` is that of all other keys: an estimate that was changed after it was written is not read, since its numbers
+would go into tables as if a flight had given them.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -21,13 +24,16 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import (
+    DIGEST,
     Extensible,
     LocatedError,
     Location,
     check,
+    digest_matches,
     display_path,
     read_json,
     suggestion,
+    with_digest,
     write_json,
 )
 from sim_heating.base.limits import limit_message, out_of_range
@@ -39,8 +45,7 @@ PAIR = "|"
 """Between the two names of a correlation."""
 SLACK = 1e-6
 """Negative eigenvalue of a correlation matrix that is accepted as rounding [-]."""
-FORMER_KEYS = {"would_buy": "sensitivity_to_effort"}
-"""Former key -> present key: files written before are read under the present one."""
+NOT_A_CORRELATION = "is not a correlation matrix (it has a negative eigenvalue)"
 
 
 class EstimatedParameter(Extensible):
@@ -156,11 +161,6 @@ class Estimate(Extensible):
         names = ", ".join(Path(record).name for record in self.records)
         return f"Estimate({names}: {values}; {'converged' if self.converged else 'not converged'})"
 
-    @model_validator(mode="before")
-    @classmethod
-    def _present_keys(cls, data: Any) -> Any:
-        return {FORMER_KEYS.get(k, k): v for k, v in data.items()} if isinstance(data, Mapping) else data
-
     @model_validator(mode="after")
     def _check(self) -> Estimate:
         problems = [*self._parameter_problems(), *self._correlation_problems()]
@@ -175,8 +175,8 @@ class Estimate(Extensible):
         if problems:
             raise LocatedError(*problems)
         # a table update weighs the estimate by its covariance, which must not have a negative variance in any direction
-        if np.linalg.eigvalsh(self.correlation_matrix(tuple(self.parameters))).min(initial=1.0) < -SLACK:
-            raise LocatedError((("correlation",), "is not a correlation matrix (it has a negative eigenvalue)"))
+        if not is_correlation(self.correlation_matrix(tuple(self.parameters))):
+            raise LocatedError((("correlation",), NOT_A_CORRELATION))
         return self
 
     def _parameter_problems(self) -> list[tuple[Location, str]]:
@@ -235,6 +235,11 @@ class Estimate(Extensible):
         return self.correlation_matrix(names) * np.outer(sigma, sigma)
 
 
+def is_correlation(rho: FloatArray) -> bool:
+    """Whether a symmetric (n, n) matrix with unit diagonal gives no combination a negative variance, to rounding."""
+    return bool(np.linalg.eigvalsh(rho).min(initial=1.0) >= -SLACK)
+
+
 def correlations(names: Sequence[str], covariance: FloatArray) -> dict[str, float]:
     """Entries of `correlation` for a covariance matrix: each pair of names once, in their order.
 
@@ -257,24 +262,36 @@ def correlations(names: Sequence[str], covariance: FloatArray) -> dict[str, floa
 def read_estimate(path: str | os.PathLike[str]) -> Estimate:
     """Read an estimate.json, or the one in a directory.
 
-    raises : InputError with one line for each problem, naming file, key and value
+    raises : InputError with one line for each problem, naming file, key and value; also where the file was changed
+             after it was written, or carries no digest by which that could be seen
     """
     file = Path(path)
     file = file / NAME if os.path.isdir(file) else file
-    data = read_json(file)
+    data, name = read_json(file), display_path(file)
     # both are in output directories and are easily confused
-    if data.get("format") == "closure-report/1":
-        raise InputError(f"{display_path(file)}: is a closure report; give an estimate.json")
-    return check(data, Estimate, display_path(file))
+    if str(data.get("format")).startswith("closure-report/"):
+        raise InputError(f"{name}: is a closure report; give an estimate.json")
+    estimate = check({k: v for k, v in data.items() if k != DIGEST}, Estimate, name)
+    if DIGEST not in data:
+        raise InputError(
+            f"{name}: has no `{DIGEST}`, by which a change of the file could be seen (an earlier version wrote none); "
+            "estimate again"
+        )
+    if not digest_matches(data):
+        raise InputError(
+            f"{name}: was changed after it was written (its content is not that of its `{DIGEST}`); undo the change, "
+            "or estimate again"
+        )
+    return estimate
 
 
 def write_estimate(path: str | os.PathLike[str], estimate: Estimate) -> None:
-    """Write an estimate to a file, atomically; it reads back equal. Empty optional keys are omitted."""
+    """Write an estimate with its digest, atomically; it reads back equal. Empty optional keys are omitted."""
     data = estimate.model_dump()
     data["parameters"] = {n: {k: v for k, v in p.items() if v is not None} for n, p in data["parameters"].items()}
     optional = ("control_point", "vehicle", "segments", "excursions", "inputs", "effects", "program")
     data["effects"] = [{k: v for k, v in e.items() if v is not None} for e in data["effects"]]
-    write_json(path, {k: v for k, v in data.items() if k not in optional or v not in (None, {}, [])})
+    write_json(path, with_digest({k: v for k, v in data.items() if k not in optional or v not in (None, {}, [])}))
 
 
 def inputs_hash(record: Record) -> str:

@@ -1,0 +1,78 @@
+"""What an estimate must be for a table to take it: values that are heating ratios, with a covariance that can be
+weighed, about a condition that was flown.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.errors import InputError
+from sim_heating.base.parameters import AT, SHORT_NAMES
+from sim_heating.estimation.report.estimate_file import PAIR, Estimate
+
+MIN_SIGMA, MAX_VALUE = 1e-12, 1e3
+"""Least sigma and largest value of an estimated ratio parameter that are accepted."""
+MIN_EIGENVALUE = 1e-12
+"""Least eigenvalue [-] of the correlation of ratio parameters: below it a combination of them is known exactly."""
+ROUNDING = 1e-6
+"""By how much a reference condition may lie outside what was flown [deg, -]: the rounding of a mean."""
+
+
+def check_estimate(estimate: Estimate, name: str) -> None:
+    """Check that the ratio parameters of an estimate can be weighed against a table.
+
+    name   : the estimate's file, for messages
+    raises : InputError naming the parameter and the limit
+    """
+    labels = [label for label in estimate.parameters if label.startswith("ratio.")]
+    for label in labels:
+        _check_value(estimate, label, name)
+    _check_correlation(estimate, labels, name)
+    _check_reference(estimate, labels, name)
+
+
+def _check_value(estimate: Estimate, label: str, name: str) -> None:
+    """A plausible value with a plausible sigma."""
+    value, sigma = estimate.parameters[label].value, estimate.parameters[label].sigma
+    where = f"{name}, [parameters.{label}]"
+    if abs(value) > MAX_VALUE:
+        raise InputError(
+            f"{where}: `value`: {value:g} is beyond {MAX_VALUE:g}, which is no heating ratio; estimate it again"
+        )
+    if label.partition(AT)[0] == "ratio.scale" and value <= -1.0:
+        raise InputError(f"{where}: `value`: {value:g} leaves no heating (-1 removes all of it); estimate it again")
+    if not MIN_SIGMA <= sigma <= MAX_VALUE:
+        span = f"{MIN_SIGMA:g} to {MAX_VALUE:g}"
+        raise InputError(f"{where}: `sigma`: {sigma:g} is not within {span}; estimate it again")
+
+
+def _check_correlation(estimate: Estimate, labels: list[str], name: str) -> None:
+    """All correlations within each control point, and a positive definite matrix of them."""
+    of_one_point = [(a, b) for a, b in combinations(labels, 2) if a.partition(AT)[2] == b.partition(AT)[2]]
+    pairs = [(f"{a}{PAIR}{b}", f"{b}{PAIR}{a}") for a, b in of_one_point]
+    missing = [pair for pair, turned in pairs if not {pair, turned} & estimate.correlation.keys()]
+    if missing:
+        found = f"{len(missing)} of {len(pairs)} pairs are missing, `{missing[0]}` first"
+        raise InputError(f"{name}, [correlation]: {found}; estimate it again")
+    values, vectors = np.linalg.eigh(estimate.correlation_matrix(tuple(labels)))
+    if labels and values[0] < MIN_EIGENVALUE:
+        alike = " and ".join(label for label, v in zip(labels, vectors[:, 0], strict=True) if abs(v) > 0.3)
+        raise InputError(
+            f"{name}, [correlation]: is not positive definite (a combination of {alike} would have no error at all); "
+            "estimate fewer parameters"
+        )
+
+
+def _check_reference(estimate: Estimate, labels: list[str], name: str) -> None:
+    """A reference condition that was flown, in the variables that an estimated derivative multiplies."""
+    terms = {part for label in labels for part in label.partition(AT)[0].rstrip("2").split("_")[1:]}
+    for short, variable in zip(SHORT_NAMES, RATIO_VARIABLES, strict=True):
+        flown, about = estimate.excursions.get(variable), getattr(estimate.reference_condition, variable)
+        if short in terms and flown is not None and not flown.min - ROUNDING <= about <= flown.max + ROUNDING:
+            raise InputError(
+                f"{name}, [reference_condition]: `{variable}`: {about:g} lies outside the {flown.min:g} to "
+                f"{flown.max:g} that were flown; estimate again with a --reference within them"
+            )

@@ -1,0 +1,198 @@
+"""Revision files that were damaged or edited: refused in one line, whatever is wrong with them."""
+
+from __future__ import annotations
+
+import copy
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import read_json, with_digest
+from sim_heating.cli import main
+from sim_heating.closure.revise.revisions import read_history
+from sim_heating.inputs.vehicle import Vehicle, load_vehicle
+from tests.closure.test_update_tables import POINT, edit, flown_records, table_of, update_and_write
+
+__all__ = ["flown_records"]
+
+REVISIONS = Path(f"orbiter/ratio_revisions/{POINT}")
+
+
+@pytest.fixture
+def revised(workdir: Path) -> Path:
+    """The vehicle with two revisions from two flights; the directory of their files."""
+    for fit in ("first.json", "second.json"):
+        update_and_write(fit)
+    return workdir / REVISIONS
+
+
+def rewritten(file: Path, change: Callable[[dict[str, Any]], object], sealed: bool = False) -> None:
+    """A revision's file with other contents: with a fitting digest, or without one as an earlier version wrote it."""
+    data = read_json(file)
+    change(data)
+    content = {k: v for k, v in data.items() if k != "digest"}
+    file.write_text(json.dumps(with_digest(content) if sealed else content))
+
+
+def put(*where: str | int, value: Any) -> Callable[[dict[str, Any]], object]:
+    """Another value at a place of the file."""
+
+    def change(data: Any) -> None:
+        for key in where[:-1]:
+            data = data[key]
+        data[where[-1]] = value
+
+    return change
+
+
+def indefinite(data: dict[str, Any]) -> None:
+    C = np.array(data["evidence"]["covariance"])
+    C[0, 1] = C[1, 0] = 1.5 * np.sqrt(C[0, 0] * C[1, 1])
+    data["evidence"]["covariance"] = C.tolist()
+
+
+DAMAGED: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
+    "its own parent": (put("parent", value=3), "`parent`: 3 is not the revision before 3, which is 2"),
+    "a later parent": (put("parent", value=7), "`parent`: 7 is not the revision before 3"),
+    "another revision": (lambda d: d.update(revision=2, parent=1), f"is revision 2 of \"{POINT}\"; this must be"),
+    "another point": (put("control_point", value="V07T9999"), "is revision 3 of \"V07T9999\"; this must be"),
+    "no such node": (put("evidence", "nodes", -1, value=10**6), "`nodes`: 1000000 is not a node of the table"),
+    "negative node": (put("evidence", "nodes", 0, value=-3), "must be the numbers of nodes"),
+    "a node twice": (lambda d: put("evidence", "nodes", 1, value=d["evidence"]["nodes"][0])(d), "must be the numbers"),
+    "too few nodes": (lambda d: d["evidence"]["nodes"].pop(), "`H`, row 1: has "),
+    "no row": (put("evidence", "H", value=[]), "`H`: has 0 rows for 2 names"),
+    "empty row": (put("evidence", "H", 0, value=[]), "`H`, row 1: has 0 values where there must be"),
+    "ragged rows": (lambda d: d["evidence"]["H"][1].pop(), "`H`, row 2: has"),
+    "unknown parameter": (put("evidence", "names", 0, value="ratio.scael"), "did you mean `ratio.scale`"),
+    "one parameter twice": (put("evidence", "names", 0, value="ratio.d_alpha"), "`ratio.d_alpha` occurs twice"),
+    "too few values": (lambda d: d["evidence"]["value"].pop(), "`value`: has 1 values for 2 names"),
+    "asymmetric covariance": (put("evidence", "covariance", 0, 1, value=1e-7), "`covariance`: is not symmetric"),
+    "negative variance": (put("evidence", "covariance", 0, 0, value=-1.0), "`covariance`: is not positive definite"),
+    "indefinite covariance": (indefinite, "`covariance`: is not positive definite"),
+    "covariance of one": (put("evidence", "covariance", value=[[1e-6]]), "`covariance`: has 1 rows for 2 names"),
+    "another value": (put("evidence", "value", 0, value=0.5), "its evidence does not make the table"),
+    "wider bounds": (
+        lambda d: put("evidence", "covariance", value=(9.0 * np.array(d["evidence"]["covariance"])).tolist())(d),
+        "its evidence does not make the table",
+    ),
+    "half a segment": (put("records", 0, "segments", value=[[3.0]]), "[3.0] is not [start_s, end_s]"),
+    "no records": (put("records", value="first"), "`records`: \"first\" is not a list"),
+    "infinite": (put("chi_square", value=1e400), "contains Infinity"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_a_damaged_revision_is_refused_in_one_line(
+    name: str, revised: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    change, hint = DAMAGED[name]
+    rewritten(revised / "revision_3.json", change)
+    assert main(["update-tables", "--vehicle", "./orbiter", "--revert", POINT]) == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.strip()]
+    assert hint in lines[0]
+    assert f"{REVISIONS}/revision_3.json" in lines[0]
+    assert len(lines) <= 2, lines
+
+
+@pytest.mark.parametrize("revision", ["2", "3"])
+def test_a_revision_edited_by_hand_is_refused(revised: Path, revision: str) -> None:
+    edit(revised / f"revision_{revision}.json", lambda text: text.replace('"chi_square": ', '"chi_square": 1'))
+    with pytest.raises(InputError, match=rf"revision_{revision}\.json: was changed after it was written"):
+        read_history(load_vehicle("./orbiter"), POINT)
+
+
+def test_revisions_of_an_earlier_version_are_read_without_a_digest(revised: Path) -> None:
+    known = read_history(load_vehicle("./orbiter"), POINT).revisions
+    for n in (2, 3):
+        rewritten(revised / f"revision_{n}.json", lambda _: None)
+    assert read_history(load_vehicle("./orbiter"), POINT).revisions == known
+
+
+NUMBERS = {"wide": "\uff12", "negative": "-1", "long": "9" * 5000, "real": "1.0", "none": ""}
+
+
+@pytest.mark.parametrize("number", NUMBERS.values(), ids=NUMBERS)
+def test_a_table_needs_a_whole_number_in_plain_digits(number: str, workdir: Path) -> None:
+    edit(table_of(workdir / "orbiter"), lambda text: text.replace("# revision: 1\n", f"# revision: {number}\n"))
+    with pytest.raises(InputError, match=r"header `revision`: .* is not a whole number"):
+        read_history(load_vehicle("./orbiter"), POINT)
+
+
+# Whatever is changed --------------------------------------------------------------------------------------------------
+
+
+def places(value: Any, here: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    """All places of a JSON value, those in long lists by their ends."""
+    if here:
+        yield here
+    if isinstance(value, dict):
+        for key, v in value.items():
+            yield from places(v, (*here, key))
+    if isinstance(value, list):
+        for i in sorted({0, 1, len(value) - 1} & set(range(len(value)))):
+            yield from places(value[i], (*here, i))
+
+
+OTHERS = st.sampled_from(
+    [None, True, 0, 1, -1, 2, 3, 10**30, 0.5, -1e300, 5e-324, "", "x", POINT, "../..", "\x1b[2J\n", [], [[]], [[], []],
+     [0], [1, 1], {}, {"a": 1}, {"": []}]
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def vehicle(flown_records: Path, tmp_path_factory: pytest.TempPathFactory) -> Vehicle:
+    """A vehicle with two revisions, for many readings."""
+    home = tmp_path_factory.mktemp("revised")
+    shutil.copytree(flown_records, home, dirs_exist_ok=True)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.chdir(home)
+        for fit in ("first.json", "second.json"):
+            update_and_write(fit)
+    return load_vehicle(home / "orbiter")
+
+
+@settings(max_examples=100)
+@given(data=st.data())
+def test_any_change_of_a_revision_is_refused_or_does_not_matter(data: st.DataObject, vehicle: Vehicle) -> None:
+    """With the digest of the file as it was: refused. With none, as of an earlier version, or a fitting one: refused,
+    or of no weight in what follows from the evidence."""
+    number, kind = data.draw(st.sampled_from([2, 3])), data.draw(st.sampled_from(["as it was", "none", "fitting"]))
+    how, other = data.draw(st.sampled_from(["replace", "remove", "repeat", "scale"])), data.draw(OTHERS)
+    file = vehicle.directory / "ratio_revisions" / POINT / f"revision_{number}.json"
+    whole, known = file.read_text(), read_history(vehicle, POINT)
+    content = json.loads(whole)
+    changed = copy.deepcopy(content)
+    place = data.draw(st.sampled_from([p for p in places(content) if p != ("digest",)]))
+    parent: Any = changed
+    for key in place[:-1]:
+        parent = parent[key]
+    if how == "remove":
+        del parent[place[-1]]
+    elif how == "repeat" and isinstance(parent, list):
+        parent.insert(int(place[-1]), copy.deepcopy(parent[int(place[-1])]))
+    elif how == "scale" and isinstance(parent[place[-1]], float):
+        parent[place[-1]] *= 1.01
+    else:
+        parent[place[-1]] = other
+    plain = {k: v for k, v in changed.items() if k != "digest"}
+    refused: tuple[str, ...] = ()
+    try:
+        file.write_text(json.dumps({"as it was": changed, "none": plain, "fitting": with_digest(plain)}[kind]))
+        found = read_history(vehicle, POINT)
+    except InputError as error:
+        refused = error.problems
+    finally:
+        file.write_text(whole)
+    assert all(line.isprintable() and file.name in line for line in refused)
+    if not refused:
+        assert kind != "as it was" or changed == content
+        for one, other in zip(found.revisions, known.revisions, strict=True):
+            np.testing.assert_allclose(one.evidence.arrays().value, other.evidence.arrays().value, rtol=0.02, atol=1e-9)
