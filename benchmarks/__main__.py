@@ -13,7 +13,7 @@ NAMES = (
     "c_loop", "work_precision", "frames", "coupling", "fmu", "optimal", "envelope",
     "covariance", "end_to_end", "ground_step", "skew", "initial", "design", "estimator_speed",
     "estimator_null", "estimator_statistics", "process_noise", "residual", "sts96", "kaowool", "dispersion",
-    "practice", "closure", "mutants", "kills",
+    "practice", "closure", "mutants", "kills", "concurrency",
 )  # fmt: skip
 
 
