@@ -2,23 +2,36 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 LONGEST = 600
 """Characters of one problem; of a longer one, such as a library's own text, the middle is left out."""
 TAIL = 150
+CONTROLS = ("Cc", "Cs", "Cn", "Zl", "Zp")
+"""Categories of characters without a glyph: controls, halves of a pair, unassigned, separators of lines."""
+DIRECTIONS = ("LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI")
+"""Classes of characters that change the direction of writing."""
+
+
+def printable(text: str) -> str:
+    """A text whose control characters are shown as escapes; line breaks and tabs are kept.
+
+    A terminal would obey some of them, a browser drops some, and overrides of the direction of writing make a name read
+    as another.
+    """
+    return "".join(c if c in "\n\t" or not _is_control(c) else repr(c)[1:-1] for c in text)
+
+
+def _is_control(c: str) -> bool:
+    return unicodedata.category(c) in CONTROLS or unicodedata.bidirectional(c) in DIRECTIONS
 
 
 def one_line(text: str) -> str:
     """A problem as one printable line: other characters (a line break in a key) as escapes, a long one cut."""
     line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text.strip())
     return line if len(line) <= LONGEST else f"{line[: LONGEST - TAIL]} ... {line[-TAIL:]}"
-
-
-def printable(text: str) -> str:
-    """A text of one or more lines with escapes for characters that do not print, such as those that move a cursor."""
-    return "\n".join(map(one_line, text.split("\n")))
 
 
 class InputError(ValueError):

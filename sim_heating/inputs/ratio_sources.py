@@ -46,7 +46,7 @@ from sim_heating.heating.ratio.tunnel_to_flight import (
     windward_trend,
 )
 from sim_heating.inputs.vehicle import vehicle_directory
-from sim_heating.inputs.vehicle_files import ControlPointFile, VehicleFile
+from sim_heating.inputs.vehicle_files import NAME, ControlPointFile, VehicleFile
 
 Variable = Literal["alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg"]
 Points = list[list[float]]
@@ -137,7 +137,9 @@ class RatioSource(Declared):
     """Contents of ratio_sources/<NAME>.toml."""
 
     format: Literal["ratio-source/1"]
-    control_points: list[str] = Field(min_length=1, description="control points that get a table")
+    control_points: list[Annotated[str, Field(pattern=f"^{NAME}$", description="name of a control point")]] = Field(
+        min_length=1, description="control points that get a table"
+    )
     source: str
     confidence: str
     revision: str

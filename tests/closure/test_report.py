@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 import subprocess
 from dataclasses import replace
 from functools import cache
@@ -35,6 +34,7 @@ from sim_heating.closure.search.ranking import posteriors
 from sim_heating.estimation.fit import estimate
 from sim_heating.heating.effects import use
 from sim_heating.inputs.record import pooled_rmse_K
+from tests.support.browser import CHROMIUM, assert_harmless, hostile, needs_browser
 from tests.support.missing import record_with
 
 ONSET = use("impingement-onset", {"alpha_onset_deg": 41.0, "slope": 0.002})
@@ -197,10 +197,7 @@ def test_a_figure_has_the_same_bytes_each_time():
     assert picture() == picture()
 
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-
-
-@pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
+@needs_browser
 def test_a_browser_shows_the_page_with_all_its_pictures(tmp_path: Path):
     write_closure(closed(), tmp_path)
     page = (tmp_path / "report.html").as_uri()
@@ -214,3 +211,38 @@ def test_a_browser_shows_the_page_with_all_its_pictures(tmp_path: Path):
     assert np.count_nonzero(inked) > 300
     coloured = np.ptp(pixels, axis=2) > 0.2
     assert np.mean(coloured) > 0.003
+
+
+@needs_browser
+@pytest.mark.filterwarnings("ignore:constrained_layout not applied")  # the names are longer than a picture is high
+def test_no_name_of_a_record_or_effect_runs_in_the_report(tmp_path: Path):
+    """Names of every field of a record's declaration, of its directory, of an effect and its parameters, of faults."""
+    found = closed()
+    declared = found.record.declared
+    sensors = [
+        s.model_copy(update={"name": hostile(f"sensor-{i}")}) for i, s in enumerate(declared.thermocouples.sensor)
+    ]
+    named = declared.model_copy(
+        update={
+            "title": hostile("title"), "vehicle": hostile("vehicle"), "control_point": hostile("control-point"),
+            "thermocouples": declared.thermocouples.model_copy(update={"sensor": sensors}),
+        }
+    )  # fmt: skip
+    record = replace(found.record, declared=named, directory=Path(hostile("directory", without="/")))
+    effect = replace(
+        found.effects[0],
+        name=hostile("effect"),
+        parameters={hostile("parameter"): next(iter(found.parameters.values()))},
+    )
+    report = replace(
+        found, record=record, effects=[effect], parameters={hostile(n): p for n, p in found.parameters.items()},
+        predicted=replace(found.predicted, record=record), before=replace(found.before, record=record),
+        after=replace(found.after, record=record), false_alarm=hostile("false-alarm"),
+        candidates=[replace(c, name=hostile(f"candidate-{i}")) for i, c in enumerate(found.candidates)],
+    )  # fmt: skip
+    html = page_html(closure_page(report))
+    for where in ("directory", "control-point", "effect", "parameter", "candidate-0"):
+        assert f"{where} &lt;script&gt;" in html  # shown, and as a text
+    assert_harmless(html, tmp_path)
+    fault = DataFault(hostile("fault"), hostile("message"), hostile("sensor"))
+    assert_harmless(page_html(closure_page(replace(report, faults=(fault,)))), tmp_path)

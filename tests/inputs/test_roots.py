@@ -18,7 +18,7 @@ from sim_heating.cli import main
 from sim_heating.closure.batch import find_records
 from sim_heating.closure.revise.update import prepare_update
 from sim_heating.estimation.report.estimate_file import inputs_hash
-from sim_heating.inputs.ratio_sources import build_tables
+from sim_heating.inputs.ratio_sources import build_tables, write_tables
 from sim_heating.inputs.record import load_record
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import load_vehicle
@@ -301,6 +301,16 @@ def test_the_file_of_a_ratio_source_is_in_its_folder(place):
         source.write_text(text.replace('"lower_surface.csv"', '"../../../elsewhere/lower_surface.csv"'))
     with pytest.raises(InputError, match=r"\[base\]: `file`: .* is not a file of this folder"):
         build_tables(orbiter)
+
+
+def test_a_ratio_source_writes_tables_of_the_vehicle_alone(place):
+    capsule = place.project / "capsule"
+    source = capsule / "ratio_sources" / "face.toml"
+    source.write_text(source.read_text().replace('"FACE"', '"../../elsewhere/capsule/control_points/FACE"'))
+    before = sorted(p.relative_to(place.elsewhere) for p in place.elsewhere.rglob("*"))
+    with pytest.raises(InputError, match=r"face\.toml.*`control_points`, row 1"):
+        write_tables(capsule)
+    assert sorted(p.relative_to(place.elsewhere) for p in place.elsewhere.rglob("*")) == before
 
 
 # Records of an estimate ----------------------------------------------------------------------------------------------

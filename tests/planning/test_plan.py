@@ -25,6 +25,7 @@ from threadpoolctl import threadpool_limits
 from sim_heating import cli
 from sim_heating.base import parallel as batches
 from sim_heating.planning.study import load_study
+from tests.support.browser import assert_harmless, hostile, needs_browser
 from tests.support.studies import entry_3dof
 
 STUDY = f"""
@@ -294,3 +295,20 @@ def test_an_envelope_without_a_possible_flight_fails_with_the_reason(study, tmp_
     assert "outside the atmosphere" in errors[0]
     assert errors[1] == "failed: envelope: no result"
     assert list(json.loads((out / "study.json").read_text())["failed"]) == ["envelope"]
+
+
+@needs_browser
+@pytest.mark.filterwarnings("ignore:constrained_layout not applied")  # the texts are longer than a picture is high
+def test_no_text_of_a_study_runs_in_its_report(tmp_path):
+    """Every free text of a study file, also in its warnings and pictures, in the page that the command writes."""
+    study, out = tmp_path / "study.toml", tmp_path / "out"
+    text = STUDY.format(more="").replace("flights = 48", "flights = 12")
+    text = text.replace('"Entry for a test"', json.dumps(hostile("title")))
+    text = text.replace('"Forty-eight flights."', json.dumps(hostile("note")))
+    text += ENVELOPE.replace('name = "alpha"', f'name = "alpha"\ntitle = {json.dumps(hostile("map"))}')
+    study.write_text(text)
+    assert cli.main(["plan", str(study), "--out", str(out), "--workers", "1"]) == 0
+    html = (out / "report.html").read_text()
+    for where in ("title", "note", "map"):
+        assert f"{where} &lt;script&gt;" in html
+    assert_harmless(html, tmp_path)

@@ -2,7 +2,8 @@
 
     write_page(path, Page("Title", "what it is", [Section("Errors", tables=[Table(...)], figures=[...])]))
 
-The file is complete: style and figures are embedded, nothing is loaded.
+The file is complete: style and figures are embedded, nothing is loaded. Every text is escaped, and the page's own
+policy forbids scripts and addresses elsewhere: names in it come from input files, and other people open it.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import jinja2
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from sim_heating.base.errors import printable
 from sim_heating.base.files import write_text_atomic
 from sim_heating.base.files.package import package_version
 from sim_heating.base.report.figure import explanation, picture_file
@@ -110,6 +112,7 @@ def write_page(path: Path, page: Page) -> None:
 def _template() -> jinja2.Template:
     loader = jinja2.FileSystemLoader(Path(__file__).parent)
     environment = jinja2.Environment(
-        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
+        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        finalize=lambda value: printable(value) if isinstance(value, str) else value,
+    )  # fmt: skip
     return environment.get_template(TEMPLATE)

@@ -1,0 +1,93 @@
+"""A real browser for the pages of the program, and texts that try to run a script in it."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium, which is not installed")
+
+CANARY = "document.documentElement.setAttribute(`data-ran`,`{where}`)"
+ATTACKS = (
+    "<script>{canary}</script>",
+    '"><img src=x onerror="{canary}">',
+    "'><svg/onload={canary}>",
+    "</title></style></script><script>{canary}</script>",
+    '" onmouseover="{canary}" autofocus onfocus="{canary}" x="',
+    "<a href='javascript:{canary}'>javascript:{canary}</a>",
+    "<iframe srcdoc='<script>parent.{canary}</script>'></iframe>",
+    "<meta http-equiv=refresh content='0;url=javascript:{canary}'><base href='https://elsewhere.invalid/'>",
+    "&lt;script&gt;{canary}&lt;/script&gt; &#60;script>{canary}&#60;/script>",
+    "{{ 7 * 7 }} {% include 'page.html.j2' %} ]]> --> <!--",
+    "$x^$ \x1b[31m \x07 \u202etxt.exe\u202c \x9b",
+)
+"""Texts that run a script, or change what a page says, where a page does not escape them."""
+POLICY = re.compile(r'<meta http-equiv="Content-Security-Policy"[^>]*>\n?')
+EVERY_EVENT = """<script>
+for (const e of document.querySelectorAll("*")) {
+  for (const kind of ["click", "mouseover", "focus", "load", "error"]) e.dispatchEvent(new Event(kind));
+  if (e.href) e.click();
+}
+</script>"""
+"""What a reader may do, added by a test to a page without its policy: every element is touched, every link followed."""
+CONTENT = {
+    "html", "head", "meta", "title", "style", "body", "main", "header", "h1", "h2", "p", "div", "strong", "nav", "a",
+    "section", "ul", "li", "table", "caption", "thead", "tbody", "tr", "th", "td", "figure", "img", "figcaption",
+    "footer",
+}  # fmt: skip
+ATTRIBUTES = {"lang", "charset", "name", "content", "class", "id", "href", "scope", "role", "src", "alt", "http-equiv"}
+
+
+def hostile(where: str, without: str = "") -> str:
+    """A text with all attacks; its script would leave `where` in the page.
+
+    without : characters that the field does not take
+    """
+    text = f"{where} " + " ".join(ATTACKS).replace("{canary}", CANARY.replace("{where}", where))
+    return "".join(c for c in text if c not in without)
+
+
+def shown(page: Path) -> str:
+    """The page as the browser has it after its scripts, as HTML."""
+    assert CHROMIUM is not None
+    profile = page.parent / "profile"
+    command = [
+        CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--user-data-dir={profile}",
+        "--virtual-time-budget=2000", "--dump-dom", page.as_uri(),
+    ]  # fmt: skip
+    done = subprocess.run(command, check=True, timeout=300, capture_output=True)
+    return done.stdout.decode()
+
+
+def assert_harmless(html: str, folder: Path) -> None:
+    """Nothing runs on a page, though its own policy is taken out and all its elements are touched."""
+    assert len(POLICY.findall(html)) == 1
+    (folder / "unprotected.html").write_text(POLICY.sub("", html).replace("</body>", EVERY_EVENT + "</body>"))
+    dom = shown(folder / "unprotected.html")
+    assert re.findall(r'data-ran="([^"]*)"', dom) == []
+    assert dom.count("<script") == 1  # that of this test
+    elements = _Elements(html)
+    assert elements.tags <= CONTENT
+    assert elements.attributes <= ATTRIBUTES
+    assert all(re.match(r"#s\d+$|data:image/(svg\+xml|png);base64,", address) for address in elements.addresses)
+    assert not re.search("[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\u202a-\\u202e]", html)
+
+
+class _Elements(HTMLParser):
+    """Elements, attributes and addresses of a page."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags, self.attributes, self.addresses = set[str](), set[str](), list[str]()
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        self.attributes |= {name for name, _ in attrs}
+        self.addresses += [value or "" for name, value in attrs if name in ("href", "src")]
