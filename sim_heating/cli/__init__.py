@@ -59,6 +59,10 @@ class LazyGroup(click.Group):
 @click.version_option(package_name="sim-heating", prog_name="sim-heating")
 def cli() -> None:
     """Aerodynamic heating alongside a flight simulator: temperatures from a trajectory, and back."""
+    try:
+        os.getcwd()
+    except OSError:
+        raise InputError("the working directory was removed; change to one that exists") from None
     if os.environ.get("SIM_HEATING_EFFECTS"):  # the import is slow, and help should not wait for it
         from sim_heating.heating.effects import user_effect_files
 

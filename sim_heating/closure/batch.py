@@ -22,6 +22,7 @@ from sim_heating.base.files import (
     write_json,
 )
 from sim_heating.base.files.package import package_version
+from sim_heating.base.files.paths import real_path
 from sim_heating.base.parallel import Job, run_batches
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.estimation.report.estimate_file import inputs_hash
@@ -60,7 +61,7 @@ def find_records(paths: Sequence[Path], root: Path | None = None) -> list[Path]:
             found += below
         else:
             found.append(path)
-    require_distinct_records([p.resolve().name for p in found])
+    require_distinct_records([real_path(p).name for p in found])
     return found
 
 
@@ -86,7 +87,7 @@ def close_all(
     """
     from sim_heating.closure.close import COMMAND, FILES
 
-    jobs = [record_job(path, out / path.resolve().name, root) for path in records]
+    jobs = [record_job(path, out / real_path(path).name, root) for path in records]
     with exclusive(out):
         # Before the work: a place that cannot hold results must not be found out after it.
         for folder, names in ((out, SUMMARIES), *((job.task.out, FILES) for job in jobs)):
@@ -100,7 +101,7 @@ def close_all(
             if job.id in outcome.done:
                 rows.append(json.loads(outcome.done[job.id].read_text(encoding="utf-8"))["row"])
             else:
-                rows.append({"record": path.resolve().name, "failed": outcome.failed[job.id]})
+                rows.append({"record": real_path(path).name, "failed": outcome.failed[job.id]})
         with output_directory(out, COMMAND, inputs=records) as folder:
             write_json(folder / JSON, {"format": "closure-summary/1", "records": rows})
             _write_summary_csv(folder / CSV, rows)
@@ -119,7 +120,7 @@ def record_job(record: Path, out: Path, root: Path | None = None) -> Job:
     for path in user_effect_files():
         digest.update(path.read_bytes())
     return Job(
-        f"{record.resolve().name}-{digest.hexdigest()[:12]}.json",
+        f"{real_path(record).name}-{digest.hexdigest()[:12]}.json",
         Task(str(record), str(out), None if root is None else str(root)),
     )
 

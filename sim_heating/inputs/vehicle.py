@@ -32,6 +32,7 @@ from sim_heating.base.files import (
     suggestion,
 )
 from sim_heating.base.files.package import data_folders
+from sim_heating.base.files.paths import real_path
 from sim_heating.heating.effects import EffectUse, check_count, use
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table
 from sim_heating.heating.surface_pressure import PressureModel, surface_pressure
@@ -179,12 +180,12 @@ def _load(directory: Path) -> Vehicle:
     """A vehicle from its files, all of it checked."""
     problems = _Problems()
     file = problems.attempt(read_toml, directory / "vehicle.toml", VehicleFile)
-    if file is not None and file.name != directory.resolve().name:
+    if file is not None and file.name != real_path(directory).name:
         problems.add(
             f'{display_path(directory / "vehicle.toml")}: `name`: "{file.name}" is not the name of its directory'
         )
-    materials = _read_materials(directory, problems)
-    points = _read_control_points(directory, materials, file, problems)
+    materials, invalid = _read_materials(directory, problems)
+    points = _read_control_points(directory, materials, invalid, file, problems)
     raise_problems(problems.lines)
     assert file is not None  # else there was a problem
     return Vehicle(
@@ -260,22 +261,27 @@ def _files(directory: Path, pattern: str, problems: _Problems) -> Iterator[Path]
     yield from found
 
 
-def _read_materials(directory: Path, problems: _Problems) -> dict[str, Material]:
-    """All materials of a vehicle, derived ones evaluated; invalid ones are reported and omitted."""
+def _read_materials(directory: Path, problems: _Problems) -> tuple[dict[str, Material], frozenset[str]]:
+    """All materials of a vehicle, derived ones evaluated, and the names of invalid ones, which are reported."""
     whole: dict[str, Material] = {}
     derived: dict[str, tuple[Path, DerivedMaterial]] = {}
+    invalid: set[str] = set()
     for path in _files(directory, "materials/*.toml", problems):
         read = problems.attempt(_read_material, path)
         if isinstance(read, Material):
             whole[path.stem] = read
         elif read is not None:
             derived[path.stem] = (path, read)
+        else:
+            invalid.add(path.stem)
     evaluated = {}
     for name, (path, material) in derived.items():
-        made = problems.attempt(_derive, path, material, whole)
-        if made is not None:
+        made = None if material.based_on in invalid else problems.attempt(_derive, path, material, whole)
+        if made is None:
+            invalid.add(name)
+        else:
             evaluated[name] = made
-    return dict(sorted((whole | evaluated).items()))
+    return dict(sorted((whole | evaluated).items())), frozenset(invalid)
 
 
 def _read_material(path: Path) -> Material | DerivedMaterial:
@@ -295,8 +301,13 @@ def _derive(path: Path, material: DerivedMaterial, whole: Mapping[str, Material]
 
 
 def _read_control_points(
-    directory: Path, materials: Mapping[str, Material], vehicle: VehicleFile | None, problems: _Problems
+    directory: Path,
+    materials: Mapping[str, Material],
+    invalid: frozenset[str],
+    vehicle: VehicleFile | None,
+    problems: _Problems,
 ) -> dict[str, ControlPoint]:
+    """All control points of a vehicle; of one with an invalid material, only the material's problem is reported."""
     points: dict[str, ControlPoint] = {}
     for path in _files(directory, "control_points/*.toml", problems):
         file = problems.attempt(read_toml, path, ControlPointFile)
@@ -304,7 +315,9 @@ def _read_control_points(
             continue
         if file.name != path.stem:
             problems.add(f'{display_path(path)}: `name`: "{file.name}" is not the name of the file')
-        construction = problems.attempt(construct, file.stack, materials, display_path(path))
+        construction = None
+        if invalid.isdisjoint(layer.material for layer in file.stack.layer):
+            construction = problems.attempt(construct, file.stack, materials, display_path(path))
         ratio = problems.attempt(_read_ratio, path, file.ratio_table, vehicle)
         effects = problems.attempt(_effects, path, file)
         if construction is not None and ratio is not None and effects is not None:

@@ -114,8 +114,13 @@ DAMAGED = {
     "two triggers": (SHORT + POPU + "at_mach = 20.0\nat_time_s = 3.0\n", "exactly one of"),
     "unknown manoeuvre": (SHORT + '[[trajectory.manoeuvre]]\nkind = "popo"\nat_time_s = 3.0\n', "did you mean `popu`"),
     "manoeuvre of no kind": (SHORT + "[[trajectory.manoeuvre]]\nat_time_s = 3.0\n", "key `kind` is missing"),
+    "key of other manoeuvres": (
+        SHORT + POPU + "at_time_s = 3.0\namplitude_deg = 2.0\n", '"sideslip-doublet", not to kind = "popu", which takes'
+    ),
+    "misspelt key of a manoeuvre": (SHORT + POPU + "at_time_s = 3.0\nrate_deg = 2.0\n", "did you mean `rate_deg_s`"),
     "manoeuvre backwards": (SHORT + POPU + "at_time_s = 3.0\nrate_deg_s = -1.0\n", "must be above 0"),
     "unknown effect": (SHORT + '[[effect]]\nname = "transitoin"\n', "did you mean `transition`"),
+    "effect of nobody": (SHORT + '[[effect]]\nname = "swirl"\n', "your own are read from the folders in SIM_HEATING"),
     "effect out of bounds": (
         SHORT + '[[effect]]\nname = "transition"\nparameters = { factor = 50.0 }\n', "1 to 20"
     ),

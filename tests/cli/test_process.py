@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -13,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.gliding import gliding
-from tests.support.paths import ROOT
+from tests.support.paths import ROOT, TILE
 
 MODULE = (sys.executable, "-m", "sim_heating")
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "SIM_HEATING_AIRCRAFT_DATA": str(ROOT / "aircraft_data")}
@@ -188,3 +189,64 @@ def test_a_user_without_home_and_name_has_a_cache_that_is_found_again(workdir: P
     (workdir / "sim_heating-54321").chmod(0o777)  # another user's, who could put code into it
     third = subprocess.run(command, capture_output=True, text=True, check=False)
     assert Path(third.stdout.strip()).name.startswith("sim_heating_kernels_")
+
+
+# Files that are none -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", ["validate", "run", "predict", "close-loop", "estimate", "plan"])
+def test_a_loop_of_links_is_refused_in_one_line(workdir: Path, command: str) -> None:
+    (workdir / "loop").symlink_to("loop")
+    done = run_in_shell("", command, "loop", *([] if command == "validate" else ["--out", "out"]))
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stderr.startswith("error: loop")
+
+
+@pytest.mark.parametrize(("name", "what"), [("pipe.toml", "a pipe"), ("/dev/zero", "a device"), (".", "record")])
+def test_what_is_no_regular_file_is_not_opened(workdir: Path, name: str, what: str) -> None:
+    os.mkfifo(workdir / "pipe.toml")
+    done = run_in_shell("", "validate", name)
+    assert done.returncode == 2
+    assert what in done.stderr
+
+
+def test_a_pipe_within_a_record_is_refused_by_all_that_read_records(workdir: Path) -> None:
+    shutil.copytree(TILE, "record")
+    (workdir / "record" / "conditions.csv").unlink()
+    os.mkfifo(workdir / "record" / "conditions.csv")
+    for command in ("validate", "predict", "close-loop"):
+        done = run_in_shell("", command, "record", *([] if command == "validate" else ["--out", "out"]))
+        assert (done.returncode, done.stderr) == (2, "error: record/conditions.csv: is a pipe; give a text file\n")
+
+
+def test_a_text_of_terabytes_is_refused_by_its_size(workdir: Path) -> None:
+    with (workdir / "huge.toml").open("wb") as file:
+        file.truncate(10**12)  # a hole: it takes no space
+    done = run_in_shell("", "validate", "huge.toml")
+    assert done.returncode == 2
+    assert "huge.toml: has 1000000 MB" in done.stderr
+
+
+def test_a_working_directory_that_was_removed_is_named(workdir: Path) -> None:
+    (workdir / "gone").mkdir()
+    shell = ["sh", "-c", 'cd gone && rmdir ../gone && "$@"', "sh", *MODULE, "validate", "x.toml"]
+    done = subprocess.run(shell, env=ENVIRONMENT, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (
+        2, "error: the working directory was removed; change to one that exists\n"
+    )  # fmt: skip
+
+
+def test_a_disk_that_is_full_names_the_file_and_keeps_the_earlier_result(workdir: Path) -> None:
+    """A limit on the size of files acts as a full disk does: the system refuses to write on."""
+    assert run_in_shell("", "run", "short.toml", "--out", "out").returncode == 0
+    before = {p.name: p.read_bytes() for p in (workdir / "out").iterdir() if p.is_file()}
+    limit = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000))"
+    code = f"{limit}; from sim_heating.__main__ import main; sys.exit(main())"
+    command = [sys.executable, "-c", code, "run", "short.toml", "--out", "out"]
+    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert re.match(
+        r"failed: out/(flight\.nc|trajectory\.png): cannot be written \(File too large\)", done.stderr.splitlines()[-1]
+    )
+    assert {p.name: p.read_bytes() for p in (workdir / "out").iterdir() if p.is_file()} == before

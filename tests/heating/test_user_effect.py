@@ -165,6 +165,18 @@ def test_a_file_that_cannot_be_run_is_reported_with_its_line(effects_folder, cap
     assert "Traceback" not in message
 
 
+def test_the_line_is_named_where_the_folder_is_relative_and_left_out_where_there_is_none(effects_folder, monkeypatch):
+    monkeypatch.chdir(effects_folder)
+    monkeypatch.setenv("SIM_HEATING_EFFECTS", ".")
+    (effects_folder / "wrong.py").write_text("\nimport no_such_module\n")
+    with pytest.raises(InputError, match=r"^wrong.py, line 2: ModuleNotFoundError"):
+        effects()
+    (effects_folder / "wrong.py").unlink()
+    (effects_folder / "binary.py").write_bytes(b"x = '\0'\n")
+    with pytest.raises(InputError, match=r"^binary.py: SyntaxError"):
+        effects()
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -58,6 +59,18 @@ def refusal(directory: Path) -> InputError:
         load_vehicle(directory)
     assert all("\n" not in line for line in caught.value.problems)
     return caught.value
+
+
+def test_a_broken_material_file_is_one_problem_not_one_for_each_point(damaged: Path) -> None:
+    used = next(m for p in sorted((damaged / "control_points").glob("*.toml")) for m in _materials_of(p))
+    path = damaged / "materials" / f"{used}.toml"
+    edit(path, "density_kg_m3", "densty_kg_m3")
+    problems = refusal(damaged).problems
+    assert all(f"{used}.toml" in line for line in problems), problems
+
+
+def _materials_of(control_point: Path) -> list[str]:
+    return re.findall(r'material = "(\w+)"', control_point.read_text())
 
 
 def conditions(**columns: object) -> Conditions:

@@ -10,9 +10,14 @@ from pathlib import Path
 def display_path(path: str | os.PathLike[str]) -> str:
     """A path for a message: relative where it lies below the working directory, else as given."""
     try:
-        return str(Path(os.path.realpath(path)).relative_to(Path.cwd()))  # resolve() raises on a loop of links
+        return str(real_path(path).relative_to(Path.cwd()))
     except (ValueError, OSError):
         return str(path)
+
+
+def real_path(path: str | os.PathLike[str]) -> Path:
+    """The absolute path with symbolic links followed, as far as they lead; `Path.resolve` fails on a loop of them."""
+    return Path(os.path.realpath(path))
 
 
 def os_error_reason(error: Exception) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 import os
+import stat
 import tempfile
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -22,6 +23,12 @@ PARTIAL = ".partial-"
 PARTIAL_NAME_LENGTH, RANDOM_LENGTH = 50, 8
 """Characters of a file's name repeated in its temporary one, which would else exceed the system's limit; and those
 after it."""
+LARGEST_TEXT_BYTES = 1_000_000_000
+"""Largest text that is read: a record of 50 columns for an hour at 500 samples a second has about this size."""
+_OTHER_KINDS = (
+    (stat.S_ISDIR, "a directory"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"),
+    (stat.S_ISSOCK, "a socket"),
+)  # fmt: skip
 NAMES_LISTED = 24
 """Known names that a message lists."""
 
@@ -71,12 +78,15 @@ def raise_problems(problems: Sequence[str]) -> None:
 def read_text(path: str | os.PathLike[str]) -> str:
     """The text of a file; where a killed process was replacing it, that is finished or undone first.
 
-    raises : InputError, one line, where it is missing, a directory, unreadable, empty, binary or not UTF-8
+    raises : InputError, one line, where it is missing, not a regular file, unreadable, empty, binary, not UTF-8, or
+             larger than LARGEST_TEXT_BYTES
     """
     settle_above(path)
     name = display_path(path)
     try:
-        raw = Path(path).read_bytes()
+        raw = _regular_file(Path(path), name)
+    except InputError:
+        raise
     except FileNotFoundError:
         raise InputError(f"{name}: there is no such file{_similar_file(Path(path))}") from None
     except (OSError, ValueError) as error:
@@ -91,6 +101,20 @@ def read_text(path: str | os.PathLike[str]) -> str:
         line = raw.count(b"\n", 0, error.start) + 1
         bad = f"byte 0x{raw[error.start]:02x}"
         raise InputError(f"{name}, line {line}: {bad} is not UTF-8 text; save the file as UTF-8") from None
+
+
+def _regular_file(path: Path, name: str) -> bytes:
+    """The bytes of a file; a pipe or a device, which may never end, is not opened."""
+    kind, size = path.stat().st_mode, path.stat().st_size
+    if not stat.S_ISREG(kind):
+        found = next((words for test, words in _OTHER_KINDS if test(kind)), "not a regular file")
+        raise InputError(f"{name}: is {found}; give a text file")
+    if size > LARGEST_TEXT_BYTES:
+        raise InputError(
+            f"{name}: has {size / 1e6:.0f} MB, above the {LARGEST_TEXT_BYTES / 1e6:.0f} MB that a text may have; "
+            "split or thin it"
+        )
+    return path.read_bytes()
 
 
 def raw_text(path: str | os.PathLike[str]) -> str:

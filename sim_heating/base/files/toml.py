@@ -346,7 +346,7 @@ def _error_rule(error: Any, loc: Location, model: type[BaseModel]) -> str:
     kind, value, ctx = error["type"], error["input"], error.get("ctx", {})
     key = str(loc[-1]) if loc else ""
     if kind == "extra_forbidden":
-        return f"unknown key `{key}`{suggestion(key, known_keys(model, loc[:-1]))}"
+        return _unknown_key_rule(key, model, loc[:-1], error["loc"])
     description = _description(model, loc)
     if kind == "missing":
         return f"key `{key}` is missing{_in_parentheses(description)}"
@@ -369,6 +369,32 @@ def _error_rule(error: Any, loc: Location, model: type[BaseModel]) -> str:
         return f"has {ctx['actual_length']} values, takes {words} {limit}{_in_parentheses(description)}"
     text = str(ctx["error"]) if "error" in ctx else error["msg"]
     return f"{text}{_in_parentheses(description)}" if kind != "value_error" else text
+
+
+def _unknown_key_rule(key: str, model: type[BaseModel], table: Location, tagged: Location) -> str:
+    """The rule for an unknown key; where its table is one of several kinds, for the kind that it states.
+
+    tagged : pydantic's location, which holds the kind before the key
+    """
+    kinds = {m: tag for m in _models_at(model, table) if (tag := _kind(m)) is not None}
+    stated = next((m for m, (_, names) in kinds.items() if len(tagged) > 1 and tagged[-2] in names), None)
+    if stated is None:
+        return f"unknown key `{key}`{suggestion(key, known_keys(model, table))}"
+    field, own = kinds[stated][0], list(stated.model_fields)
+    others = [name for m, (_, names) in kinds.items() if key in m.model_fields for name in names]
+    if others:
+        keys = ", ".join(f"`{name}`" for name in own if name != field)
+        owners = ", ".join(f'"{name}"' for name in others)
+        return f'`{key}` belongs to {field} = {owners}, not to {field} = "{tagged[-2]}", which takes {keys}'
+    return f"unknown key `{key}`{suggestion(key, own)}"
+
+
+def _kind(model: type[BaseModel]) -> tuple[str, tuple[Any, ...]] | None:
+    """The key that states the kind of a table, and its values, for one of several kinds; else None."""
+    for name, info in model.model_fields.items():
+        if typing.get_origin(info.annotation) is typing.Literal and info.is_required():
+            return name, typing.get_args(info.annotation)
+    return None
 
 
 def _tag_rule(ctx: Any, table: Any) -> str:

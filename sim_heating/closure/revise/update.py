@@ -22,7 +22,7 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import Roots, display_path, exclusive, read_text, roots_of
 from sim_heating.base.files.package import data_folders, package_version
-from sim_heating.base.files.paths import make_durable, os_error_reason
+from sim_heating.base.files.paths import make_durable, os_error_reason, real_path
 from sim_heating.base.files.transaction import LOCK, STAGING, staged
 from sim_heating.base.parameters import AT, EFFECT_PREFIX
 from sim_heating.closure.revise.checks import check_estimate
@@ -398,10 +398,10 @@ def check_target(vehicle: str | os.PathLike[str], out: Path | None) -> None:
     """
     directory = vehicle_directory(vehicle)
     if out is not None:
-        if (out / directory.resolve().name).exists():
-            raise _exists(out, directory.resolve().name)
+        if (out / real_path(directory).name).exists():
+            raise _exists(out, real_path(directory).name)
         return
-    (installed, checkout), home = data_folders(VEHICLES), directory.resolve().parent
+    (installed, checkout), home = data_folders(VEHICLES), real_path(directory).parent
     by_name = directory.is_absolute() and Path(vehicle).name == os.fspath(vehicle)
     if home == installed or (home == checkout and by_name):
         raise InputError(f"vehicle {directory.name}: came with the package; name a folder for your copy with --out")
@@ -447,7 +447,7 @@ def _write_copy(
     update: TableUpdate, out: Path, errors: dict[str, dict[str, Any]], picture: bytes | None
 ) -> tuple[Path, RevisionFile]:
     """Revise a copy of the vehicle, made in a staging directory and renamed as a whole."""
-    source = update.vehicle.directory.resolve()
+    source = real_path(update.vehicle.directory)
     with exclusive(out) as folder, staged(folder) as staging:
         copy = staging / source.name
         shutil.copytree(source, copy, ignore=shutil.ignore_patterns(LOCK, STAGING))

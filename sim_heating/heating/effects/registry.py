@@ -43,15 +43,19 @@ def _from_file(path: Path) -> Effect | None:
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # whatever a user's file does, sys.exit() included
-        line = next(
-            (f.lineno for f in reversed(traceback.extract_tb(error.__traceback__)) if f.filename == str(path)), 0
-        )
-        line = getattr(error, "lineno", None) or line
-        raise InputError(f"{path}, line {line}: {type(error).__name__}: {error}{_remedy(error)}") from None
+        raise InputError(f"{path}{_line(path, error)}: {type(error).__name__}: {error}{_remedy(error)}") from None
     found = getattr(module, "EFFECT", None)
     if found is not None and not isinstance(found, Effect):
         raise InputError(f"{path}: EFFECT is a {type(found).__name__}; it must be an Effect")
     return found
+
+
+def _line(path: Path, error: BaseException) -> str:
+    """`, line 3` of a user's file where an error was raised; empty where no line of it is concerned."""
+    own = {str(path), os.path.abspath(path)}
+    lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename in own]
+    line = getattr(error, "lineno", None) or (lines[-1] if lines else None)
+    return f", line {line}" if line else ""
 
 
 def _remedy(error: BaseException) -> str:
@@ -78,7 +82,7 @@ def user_effect_files() -> tuple[Path, ...]:
     for folder in map(Path, filter(None, os.environ.get(FOLDERS_VARIABLE, "").split(os.pathsep))):
         if not folder.is_dir():
             raise InputError(f"{FOLDERS_VARIABLE}: {folder} is not a directory; name one that holds effects")
-        found += sorted(folder.glob("*.py"))
+        found += sorted(path for path in folder.glob("*.py") if path.is_file())
     return tuple(found)
 
 
@@ -116,7 +120,9 @@ def effect(name: str) -> Effect:
     """
     known = effects()
     if name not in known:
-        raise InputError(f"unknown effect `{name}`{suggestion(name, sorted(known))}")
+        folders = os.environ.get(FOLDERS_VARIABLE) or "not set"
+        own = f" (your own are read from the folders in {FOLDERS_VARIABLE}, which is {folders})"
+        raise InputError(f"unknown effect `{name}`{suggestion(name, sorted(known))}{own}")
     return known[name]
 
 
