@@ -39,12 +39,17 @@ if TYPE_CHECKING:
     from sim_heating.planning.plan import plan as plan
     from sim_heating.simulation.fmu_export.export import export_fmu as export_fmu
     from sim_heating.simulation.plugin import HeatingPlugin as HeatingPlugin
+    from sim_heating.simulation.plugin_jsbsim import JSBSimHeating as JSBSimHeating
     from sim_heating.simulation.predict import predict as predict
     from sim_heating.simulation.predict import write_prediction as write_prediction
     from sim_heating.simulation.run import run as run
     from sim_heating.simulation.run import write_run as write_run
     from sim_heating.simulation.synthesize import synthesize as synthesize
     from sim_heating.simulation.synthesize import write_records as write_records
+    from sim_heating.trajectory.jsbsim.host import InitialState as InitialState
+    from sim_heating.trajectory.jsbsim.host import JSBSimHost as JSBSimHost
+    from sim_heating.trajectory.jsbsim.host import PropertyRead as PropertyRead
+    from sim_heating.trajectory.spec import Dispersions as Dispersions
 
     __version__: str
 
@@ -59,6 +64,12 @@ _HOME = {
     "predict": "simulation.predict",
     "HeatingPlugin": "simulation.plugin",
     "export_fmu": "simulation.fmu_export.export",
+    # any aircraft of JSBSim, with the heating alongside
+    "JSBSimHost": "trajectory.jsbsim.host",
+    "JSBSimHeating": "simulation.plugin_jsbsim",
+    "InitialState": "trajectory.jsbsim.host",
+    "PropertyRead": "trajectory.jsbsim.host",
+    "Dispersions": "trajectory.spec",
     # estimate, and close the loop
     "estimate": "estimation.fit",
     "design": "estimation.design.report",
