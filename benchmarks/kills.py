@@ -326,7 +326,9 @@ def kill_and_judge(chosen: Case, numbers: Sequence[int] | None, folder: Path) ->
         kind = "before" if seen == before else "after" if seen == without_ledger(after) else "mixed"
         counted[f"readers find: {kind}"] += 1
         again = _forked(lambda: chosen.act(place), place, None)[0]  # noqa: B023
-        same = again == 0 and (snapshot(place) == after or (chosen.results != "out" and kind == "after"))
+        # What has been done to a vehicle is refused a second time: evidence would count twice.
+        done = chosen.results != "out" and kind == "after"
+        same = (again == 0 or done) and snapshot(place) == after
         counted["again: same" if same else "again: differs or refused"] += 1
     return counted
 

@@ -335,6 +335,7 @@ def load_record(directory: str | os.PathLike[str] | Record, *, root: str | os.Pa
     home = Path(directory)
     if not os.path.isdir(home):
         raise InputError(f"{display_path(home)}: is not a directory; a record is a directory with a {DECLARATION}")
+    _refuse_folder_of_records(home)
     roots = roots_of(home / DECLARATION, root)
     roots.check_link(home / DECLARATION)
     declared = read_toml(home / DECLARATION, RecordFile)
@@ -351,6 +352,17 @@ def load_record(directory: str | os.PathLike[str] | Record, *, root: str | os.Pa
     )
     table = None if declared.heating.ratio_table is None else read_ratio_table(home / declared.heating.ratio_table)
     return _check_record(declared, conditions, thermocouples, table, home)
+
+
+def _refuse_folder_of_records(home: Path) -> None:
+    """Refuse a directory that contains records and is not one itself, as that of `synthesize` for several points."""
+    inside = [] if os.path.lexists(home / DECLARATION) else sorted(p.parent for p in home.glob(f"*/{DECLARATION}"))
+    if inside:
+        more = f" and {len(inside) - 2} more" if len(inside) > 2 else ""
+        raise InputError(
+            f"{display_path(home)}: is a folder of records, not a record; name the records, such as "
+            f"{' '.join(map(display_path, inside[:2]))}{more}"
+        )
 
 
 def make_record(

@@ -355,6 +355,16 @@ def test_a_directory_of_unknown_kind_is_reported_with_its_contents(tmp_path: Pat
         check_path(tmp_path)
 
 
+def test_a_folder_of_records_is_answered_with_the_names_of_records(tile: Path) -> None:
+    for name in ("other", "third"):
+        shutil.copytree(tile, tile.parent / name)
+    with pytest.raises(
+        InputError, match=r"is a folder of records, not a record; name the records, such as .*other"
+    ) as e:
+        load_record(tile.parent)
+    assert len(e.value.problems) == 1
+
+
 def test_a_missing_path_is_answered_with_the_most_similar_one(tile: Path) -> None:
     with pytest.raises(InputError, match=r"tyle: there is no such file; did you mean `tile`\?"):
         check_path(tile.parent / "tyle")
