@@ -32,9 +32,9 @@ from sim_heating.base.files import (
     exclusive,
     read_csv_columns,
     read_toml,
-    replace_files,
     roots_of,
     suggestion,
+    write_own_files,
 )
 from sim_heating.base.kernels.axis import cells_of
 from sim_heating.heating.ratio.table import RatioTable, ratio_table_text, read_ratio_table
@@ -138,7 +138,7 @@ class RatioSource(Declared):
 
     format: Literal["ratio-source/1"]
     control_points: list[Annotated[str, Field(pattern=f"^{NAME}$", description="name of a control point")]] = Field(
-        min_length=1, description="control points that get a table"
+        min_length=1, description="names of control points: letters, digits and _, no digit first"
     )
     source: str
     confidence: str
@@ -196,16 +196,17 @@ def write_tables(vehicle: str | os.PathLike[str], *, root: str | os.PathLike[str
     """Build all tables of a vehicle and write them to the files that its control points name; returns those files.
 
     root   : as `load_vehicle` takes it
-    raises : InputError where one of them has been revised from flight data, or another process is writing to the
-             vehicle; nothing is written
+    raises : InputError where one of them has been revised from flight data, is another than this function wrote, or
+             another process is writing to the vehicle; nothing is written
     """
     directory = vehicle_directory(vehicle)
     with exclusive(directory):
-        tables = {f"ratio_tables/{name}.csv": table for name, table in build_tables(directory, root=root).items()}
-        for name in tables:
-            _refuse_revised(directory / name)
-        replace_files(directory, {name: ratio_table_text(table, FORMATS) for name, table in tables.items()})
-    return [directory / name for name in tables]
+        folder, tables = directory / "ratio_tables", build_tables(directory, root=root)
+        texts = {f"{name}.csv": ratio_table_text(table, FORMATS) for name, table in tables.items()}
+        for name in texts:
+            _refuse_revised(folder / name)
+        write_own_files(folder, "ratio-tables", texts)
+    return [folder / name for name in texts]
 
 
 def _refuse_revised(path: Path) -> None:

@@ -233,7 +233,7 @@ def test_two_sources_of_one_table_are_reported(damaged):
     ("old", "new", "hint"),
     [
         ("alpha_deg = [0.0, 10.0, 20.0, 30.0]", "alpha_deg = [0.0, 20.0, 10.0]", r"\[axes\]: `alpha_deg`: .* sort the"),
-        ('["FACE"]', '["../../elsewhere"]', r"the vehicle has no control point `\.\./\.\./elsewhere`"),
+        ('["FACE"]', '["../../elsewhere"]', r'"\.\./\.\./elsewhere" is not names of control points'),
         ("0.98", "-0.98", "the ratio of FACE falls to"),
     ],
 )
@@ -251,6 +251,19 @@ def test_a_name_that_no_vehicle_can_have_is_refused_in_a_line(name):
     with pytest.raises(InputError) as found:
         load_vehicle(name)
     assert str(found.value).isprintable()
+
+
+def test_tables_of_a_changed_source_replace_those_written_before_and_never_an_edited_one(damaged):
+    source, tables = damaged / "ratio_sources/face.toml", damaged / "ratio_tables"
+    source.write_text(source.read_text().replace("relative_sigma = ", "relative_sigma = 1.5 # "))
+    before = (tables / "FACE.csv").read_bytes()
+    write_tables(damaged)
+    assert (tables / "FACE.csv").read_bytes() != before
+    edited = "# checked: by me\n" + (tables / "FACE.csv").read_text()
+    (tables / "FACE.csv").write_text(edited)
+    with pytest.raises(InputError, match=r"FACE\.csv was not written by `ratio-tables`, or was changed since"):
+        write_tables(damaged)
+    assert (tables / "FACE.csv").read_text() == edited
 
 
 def test_a_vehicle_without_ratio_sources_has_no_tables_to_write(damaged):

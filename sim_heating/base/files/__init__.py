@@ -17,6 +17,7 @@ from sim_heating.base.files.results import (
     require_writable,
     results_digest,
     write_json,
+    write_own_files,
 )
 from sim_heating.base.files.roots import FileOfFolder, Roots, path_below, roots_of
 from sim_heating.base.files.text import (
@@ -48,6 +49,7 @@ __all__ = [
     "LocatedError", "Location", "Roots", "celsius_rule", "check", "csv_text", "digest_matches", "display_path",
     "exclusive", "file_digest", "files_written", "json_text", "known_keys", "nearest_name", "output_directory",
     "path_below", "plain_number", "raise_problems", "raw_text", "read_csv_columns", "read_json", "read_text",
-    "read_toml", "read_toml_dict", "repeated_name", "replace_files", "require_writable", "results_digest", "roots_of",
-    "settle", "suggestion", "toml_text", "with_digest", "write_csv", "write_json", "write_text_atomic",
+    "read_toml", "read_toml_dict", "repeated_name", "replace_files", "require_writable", "results_digest",
+    "roots_of", "settle", "suggestion", "toml_text", "with_digest", "write_csv", "write_json", "write_own_files",
+    "write_text_atomic",
 ]  # fmt: skip

@@ -38,6 +38,11 @@ def file_digest(path: str | os.PathLike[str]) -> str:
         return f"sha256:{hashlib.file_digest(stream, 'sha256').hexdigest()}"
 
 
+def text_digest(text: str) -> str:
+    """`sha256:...` of a text as UTF-8."""
+    return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
+
+
 def make_durable(path: str | os.PathLike[str]) -> None:
     """Have the system write a file, or the names in a directory, to its storage before this returns.
 

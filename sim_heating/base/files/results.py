@@ -13,9 +13,18 @@ from typing import Any
 import numpy as np
 
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.files.paths import display_path, file_digest
+from sim_heating.base.files.paths import display_path, file_digest, text_digest
 from sim_heating.base.files.text import abbreviated, as_builtin, read_text, write_text_atomic
-from sim_heating.base.files.transaction import NEW, STAGING, commit, exclusive, files_below, require_plain, staged
+from sim_heating.base.files.transaction import (
+    NEW,
+    STAGING,
+    commit,
+    exclusive,
+    files_below,
+    replace_files,
+    require_plain,
+    staged,
+)
 
 MARKER = ".sim_heating.json"
 """File of an output directory that lists the files this program wrote there, with their digests."""
@@ -191,6 +200,34 @@ def results_digest(directory: str | os.PathLike[str]) -> str | None:
         return file_digest(Path(directory) / MARKER) if whole else None
     except (OSError, InputError):
         return None
+
+
+def write_own_files(directory: str | os.PathLike[str], command: str, texts: Mapping[str, str]) -> None:
+    """Write files into a directory that people keep others in, all or none; the list of results names these alone.
+
+    A file that is there already is replaced only if it is one of the list, unchanged, or is what would be written.
+
+    raises : InputError, nothing written, where another file has one of the names
+    """
+    with exclusive(directory) as target:
+        found = _read_marker(target)
+        listed = {} if found is None else found[1]
+        kept = {name: text for name, text in texts.items() if _has_digest(target / name, text_digest(text))}
+        new = {name: text for name, text in texts.items() if name not in kept}
+        foreign = [n for n in new if os.path.lexists(target / n) and not _has_digest(target / n, listed.get(n, ""))]
+        if foreign:
+            raise InputError(
+                f"{display_path(target)}: {', '.join(foreign)} was not written by `{command}`, or was changed since, "
+                "and is not replaced; move it away"
+            )
+        digests = {**listed, **{name: text_digest(text) for name, text in texts.items()}}
+        marker = json_text({"format": MARKER_FORMAT, "command": command, "files": digests})
+        if new or found is None or digests != listed:
+            replace_files(target, {**new, MARKER: marker})
+
+
+def _has_digest(path: Path, digest: str) -> bool:
+    return path.is_file() and file_digest(path) == digest
 
 
 def _results_to_replace(target: Path, command: str, names: Iterable[str]) -> dict[str, str]:
