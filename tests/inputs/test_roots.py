@@ -5,7 +5,6 @@ Every file that is refused is one that the program could read: without the rule 
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from collections.abc import Callable
@@ -14,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from sim_heating.base.errors import InputError
+from sim_heating.base.files import with_digest, write_json
 from sim_heating.cli import main
 from sim_heating.closure.batch import find_records
 from sim_heating.closure.revise.update import prepare_update
@@ -328,7 +328,7 @@ def test_records_of_an_estimate_elsewhere_are_read_with_their_digest_alone(place
     estimate = place.project / "estimate.json"
 
     def message(inputs: dict[str, str], root: Path | None = None) -> str:
-        estimate.write_text(json.dumps(data | {"inputs": inputs}))
+        write_json(estimate, with_digest(data | {"inputs": inputs}))
         with pytest.raises(InputError) as caught:  # the record is of no point of the capsule
             prepare_update(estimate, place.project / "capsule", root=root)
         return str(caught.value)
