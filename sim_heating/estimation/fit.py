@@ -239,7 +239,10 @@ def _check_records(records: Sequence[Record]) -> None:
     require_distinct_records([r.name for r in records])
     models = {r.declared.heating.reference for r in records}
     if len(models) > 1:
-        raise InputError(f"records: ratios over different reference heatings ({', '.join(sorted(models))}) are not one")
+        raise InputError(
+            f"records: their ratios are over different reference heatings ({', '.join(sorted(models))}) and have no "
+            "common derivatives; estimate each record by itself"
+        )
 
 
 def _first_values(problem: FitProblem, given: Mapping[str, float]) -> FloatArray:

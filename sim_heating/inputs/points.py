@@ -121,7 +121,7 @@ def check_reference(record: Record, vehicle: Vehicle, point: ControlPoint) -> No
     if wall_enthalpy_of(heating.wall_enthalpy) != wall_enthalpy_of(required.wall_enthalpy):
         raise InputError(
             f"{record.name}: its wall enthalpy is {_enthalpy(heating.wall_enthalpy)}, that of {vehicle.name} "
-            f"{_enthalpy(required.wall_enthalpy)}; the ratios cannot be compared"
+            f"{_enthalpy(required.wall_enthalpy)}, so the ratios differ in meaning; give the record the vehicle's"
         )
     flown, ours = conditions_of_record(record), conditions_at_point(vehicle, point, record.conditions)
     weight = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
@@ -130,7 +130,7 @@ def check_reference(record: Record, vehicle: Vehicle, point: ControlPoint) -> No
         if not apart < HEATING_TOLERANCE:
             raise InputError(
                 f"{record.name}: its {column} is {apart:.1%} from that of `{required.reference}` on {vehicle.name}; "
-                "ratios over the two cannot be compared"
+                "reduce the record with the vehicle's reference heating, or correct its conditions"
             )
 
 

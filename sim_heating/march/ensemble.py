@@ -568,7 +568,10 @@ class Ensemble:
             raise RunError(f"{', '.join(away)}: {MOISTURE_RUNAWAY}")
         bad = [model.name for model, failed in zip(self.models, self.failed(), strict=True) if failed]
         if bad:
-            raise RunError(f"{', '.join(bad)}: the thermal step did not converge; try a smaller longest_step_s")
+            raise RunError(
+                f"{', '.join(bad)}: the thermal step did not converge; check the layers' properties and "
+                "the heating, or take a smaller longest_step_s from Python"
+            )
 
 
 def aligned_zeros(count: int) -> FloatArray:

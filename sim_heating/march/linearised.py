@@ -303,7 +303,10 @@ class LinearMarch:
     @staticmethod
     def _checked(track: Track, result: Linearised | None) -> Linearised:
         if result is None:
-            raise RunError(f"{track.model.name}: a temperature or sensitivity is not a number")
+            raise RunError(
+                f"{track.model.name}: a temperature or sensitivity of the march is not a number; "
+                "start from values nearer to the declared ones, or fit fewer parameters"
+            )
         return result
 
     def attempt(

@@ -86,7 +86,7 @@ class PointModel:
             raise InputError(f"{self.name}, wall_enthalpy: cp {self.wall_enthalpy:g} J/(kg K) must be above 0")
         # A lane has one memory for a lag.
         if sum(use.effect.lags for use in self.effects) > 1:
-            raise InputError(f"{self.name}: two effects with a lag; one at most at one control point")
+            raise InputError(f"{self.name}: two effects with a lag, and one control point takes one; remove the other")
         if self.ratio is not None and self.parameters.get("ratio.d0", 0.0) != 0.0:
             raise InputError(f"{self.name}: ratio.d0 is 0 where there is a ratio table; use ratio.scale")
         # Last: it reads `values`, which are valid only after the checks above.

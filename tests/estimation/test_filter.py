@@ -450,7 +450,7 @@ def test_interpreted_and_compiled_filters_agree_bit_for_bit():
     [
         ({"time_s": TIME_S[::-1]}, "in order of time"),
         ({"time_s": TIME_S + 1.0}, "1 .* lie outside the march"),
-        ({"node": np.full(STEPS + 1, 9)}, "the mesh has not"),
+        ({"node": np.full(STEPS + 1, 9)}, "the mesh does not have"),
         ({"variance_K2": np.zeros(STEPS + 1)}, "noise_sigma_K"),
     ],
 )

@@ -97,14 +97,18 @@ def flight_evidence(
               are not those of the estimate
     """
     if not estimate.converged:
-        raise InputError("the estimate did not converge; nothing of it is written into a table")
+        raise InputError(
+            "the estimate did not converge, so nothing of it goes into a table; estimate again with fewer parameters"
+        )
     if point.ratio.sigma is None:
         raise InputError(f"{point.declared.ratio_table}: has no sigma column to weigh the flight against; add one")
     names = ratio_names(estimate)
     others = [n for n in estimate.parameters if n not in names]
     effects = any(is_effect(n) for n in others)
     if not names and not effects:
-        raise InputError("the estimate holds no ratio parameter and no effect, so nothing of it concerns the vehicle")
+        raise InputError(
+            "the estimate holds no ratio parameter and no effect, and a vehicle's tables take nothing else; estimate one"
+        )
     # The table enters the update by its own sigma; as the prior of the fit it would count twice.
     with_prior = next((n for n in names if estimate.parameters[n].prior_sigma is not None), None)
     if with_prior is not None:

@@ -95,7 +95,8 @@ class DesignSearch:
         self.planned = planner.fly(self.manoeuvres)
         if "manoeuvres reached" in self.planned.margins:
             raise InputError(
-                f"{planner.scenario.path}: a manoeuvre is never triggered in the 3-DOF flight; change its trigger"
+                f"{planner.scenario.path}, [[trajectory.manoeuvre]]: a trigger is never met in the 3-DOF flight; "
+                "change it, or [trajectory.stop]"
             )
         # checked on the planned flight: the search would otherwise compare bounds that are all infinite
         constant = constant_variables(planner.wanted, [planner.record(self.planned, planner.instruments)[0]])

@@ -395,7 +395,7 @@ def _check(point: FilterTrack, time_s: FloatArray) -> None:
     if outside:
         raise InputError(f"{name}: {outside} readings lie outside the march; leave them out")
     if np.any((s.node < 0) | (s.node >= point.mesh.nodes)):
-        raise InputError(f"{name}: a reading is of a node that the mesh has not (0 to {point.mesh.nodes - 1})")
+        raise InputError(f"{name}: a reading is of a node that the mesh does not have (0 to {point.mesh.nodes - 1})")
     # Without noise the variance of an innovation is 0 where the state is known, and the update divides by it.
     read = ~np.isnan(s.lower_K)
     if not np.all(s.variance_K2[read] > 0.0):

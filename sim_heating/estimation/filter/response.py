@@ -131,7 +131,10 @@ class ResponseMarch(FilterMarch):
             step,
         )  # fmt: skip
         if not np.all(np.isfinite(found.read_K)):
-            raise RunError(f"{point.model.name}: a temperature is not a number")
+            raise RunError(
+                f"{point.model.name}: a filtered temperature is not a number; "
+                "declare a larger noise_sigma_K, or start from values nearer to the declared ones"
+            )
         return found
 
 
