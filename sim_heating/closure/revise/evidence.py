@@ -107,7 +107,7 @@ def flight_evidence(
     effects = any(is_effect(n) for n in others)
     if not names and not effects:
         raise InputError(
-            "the estimate holds no ratio parameter and no effect, and a vehicle's tables take nothing else; estimate one"
+            "the estimate holds no ratio parameter and no effect, and a vehicle's tables take no other; estimate one"
         )
     # The table enters the update by its own sigma; as the prior of the fit it would count twice.
     with_prior = next((n for n in names if estimate.parameters[n].prior_sigma is not None), None)
