@@ -19,6 +19,7 @@ from sim_heating.base.report.figure import (
     MEASURED,
     SURFACE,
     THERMOCOUPLE,
+    legend_label,
     new_figure,
     replaced_if_undrawable,
     save_figure,
@@ -132,7 +133,7 @@ def _plot_by_peak(
 ) -> None:
     for name in sorted(lines, key=lambda n: -float(np.max(lines[n][1]))):
         t, T = lines[name]
-        axes.plot(t, T, label=f"{name}  {np.max(T):.0f} K", **style[name])
+        axes.plot(t, T, label=legend_label(f"{name}  {np.max(T):.0f} K"), **style[name])
     axes.set_ylabel(f"{what} temperature, K")
     if lines:
         axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=7.5, title="peak", title_fontsize=8)
@@ -230,7 +231,7 @@ def draw_prediction(
     figure, axes = new_figure(9.5, 7.0, 2, sharex=True, height_ratios=[2, 1])
     for i, name in enumerate(names):
         axes[0].plot(time_s, measured_K[i], ".", color=f"C{i}", markersize=2.5, alpha=0.5)
-        axes[0].plot(time_s, predicted_K[i], color=f"C{i}", linewidth=1.2, label=name)
+        axes[0].plot(time_s, predicted_K[i], color=f"C{i}", linewidth=1.2, label=legend_label(name))
         axes[1].plot(time_s, measured_K[i] - predicted_K[i], ".", color=f"C{i}", markersize=2.5)
     axes[0].set_ylabel("temperature at the sensor, K")
     axes[0].legend(title="line: predicted\ndots: measured", fontsize=8, title_fontsize=8)

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from sim_heating.base.errors import InputError, printable
-from sim_heating.base.report.figure import PictureWarning, new_figure, replaced_if_undrawable, save_figure
+from sim_heating.base.report.figure import PictureWarning, legend_label, new_figure, replaced_if_undrawable, save_figure
 from sim_heating.base.report.page import Picture
 from sim_heating.cli import main
 from tests.support.paths import TILE
@@ -25,7 +25,7 @@ NAMES = st.text(st.sampled_from("$\\^_{}%#&~<>'\"abfrc \x1b\u0394\u70ed"), min_s
 
 def drawn(path: Path | None, name: str) -> Figure:
     figure, axes = new_figure(4.0, 3.0, 1)
-    axes[0].plot([0.0, 1.0], [1.0, 100.0], label=name)
+    axes[0].plot([0.0, 1.0], [1.0, 100.0], label=legend_label(name))
     axes[0].set_yscale("log")
     axes[0].set_xticks([0.0, 1.0], [name, "b"])
     axes[0].set_xlabel(name)
@@ -34,6 +34,7 @@ def drawn(path: Path | None, name: str) -> Figure:
 
 
 @settings(max_examples=10)
+@example("_")
 @example("$$")
 @example("\x1b--\u70ed")
 @example("$x^$")

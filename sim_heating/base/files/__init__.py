@@ -7,7 +7,7 @@ a file are reported at once.
 
 from sim_heating.base.files.csv_table import COLDEST_K, CsvTable, celsius_rule, csv_text, read_csv_columns, write_csv
 from sim_heating.base.files.digest import DIGEST, digest_matches, with_digest
-from sim_heating.base.files.paths import display_path, file_digest
+from sim_heating.base.files.paths import display_path, file_digest, text_digest
 from sim_heating.base.files.results import (
     MARKER,
     files_written,
@@ -50,6 +50,6 @@ __all__ = [
     "exclusive", "file_digest", "files_written", "json_text", "known_keys", "nearest_name", "output_directory",
     "path_below", "plain_number", "raise_problems", "raw_text", "read_csv_columns", "read_json", "read_text",
     "read_toml", "read_toml_dict", "repeated_name", "replace_files", "require_writable", "results_digest",
-    "roots_of", "settle", "suggestion", "toml_text", "with_digest", "write_csv", "write_json", "write_own_files",
-    "write_text_atomic",
+    "roots_of", "settle", "suggestion", "text_digest", "toml_text", "with_digest", "write_csv", "write_json",
+    "write_own_files", "write_text_atomic",
 ]  # fmt: skip

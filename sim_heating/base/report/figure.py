@@ -168,6 +168,11 @@ def explanation(name: str, error: Exception) -> Figure:
     return figure
 
 
+def legend_label(name: str) -> str:
+    """A name as the label of a curve; matplotlib leaves labels that begin with an underscore out of a legend."""
+    return f" {name}" if name.startswith("_") else name
+
+
 def legend_above(axes: Axes) -> None:
     """A legend in rows above the axes, where it covers no curve."""
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=8, frameon=False, borderaxespad=0.1)

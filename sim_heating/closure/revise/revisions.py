@@ -13,7 +13,6 @@ one and takes all of it together. A revision's file carries a digest of its cont
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -44,6 +43,7 @@ from sim_heating.base.files import (
     repeated_name,
     replace_files,
     suggestion,
+    text_digest,
     with_digest,
 )
 from sim_heating.base.files.text import abbreviated
@@ -249,14 +249,14 @@ def read_history(vehicle: Vehicle, point: str) -> TableHistory:
     while (made := revision_path(vehicle.directory, point, at, "json")).is_file():
         revision = _read_revision(made, point, at)
         # A table that was edited no longer is what its evidence made it, and further updates would build on both.
-        if revision.table_hash != content_hash(text):
+        if revision.table_hash != text_digest(text):
             raise InputError(
                 f"{display_path(tables[0])}: was changed after {display_path(made)} was written; revert the change, or "
                 "give the table a new `revision`"
             )
         tables.insert(0, revision_path(vehicle.directory, point, revision.parent, "csv"))
         text, at = raw_text(tables[0]), revision.parent
-        if revision.parent_hash != content_hash(text):
+        if revision.parent_hash != text_digest(text):
             raise InputError(
                 f"{display_path(tables[0])}: is not the table that {display_path(made)} was made from; restore it"
             )
@@ -339,16 +339,11 @@ def _refuse_half_written(directory: Path, point: str, number: int) -> None:
     if not made.is_file():
         return
     revision = _read_revision(made, point, number + 1)
-    if revision.point_hash is not None and revision.point_hash == content_hash(raw_text(file)):
+    if revision.point_hash is not None and revision.point_hash == text_digest(raw_text(file)):
         kept = revision_path(directory, point, number, "toml")
         raise InputError(
             f"{display_path(file)}: an update ended before its table was written; copy {display_path(kept)} over it"
         )
-
-
-def content_hash(text: str) -> str:
-    """`sha256:...` of a text as UTF-8."""
-    return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
 
 
 @contextmanager
@@ -389,10 +384,10 @@ def write_revision(
             "table": history.path.relative_to(vehicle.directory).as_posix(),
             "revision": number,
             "parent": history.revision,
-            "parent_hash": content_hash(history.raw),
-            "table_hash": content_hash(text),
-            "point_parent_hash": content_hash(before) if effects else None,
-            "point_hash": content_hash(after) if effects else None,
+            "parent_hash": text_digest(history.raw),
+            "table_hash": text_digest(text),
+            "point_parent_hash": text_digest(before) if effects else None,
+            "point_hash": text_digest(after) if effects else None,
         }
         revision = check(data, RevisionFile, f"revision {number}")
         new: dict[Path, str | bytes] = {
@@ -461,12 +456,12 @@ def _point_before(file: Path, kept: Path, undone: RevisionFile) -> str:
     raises : InputError where a person has changed it since
     """
     text = raw_text(kept)
-    if content_hash(text) != undone.point_parent_hash:
+    if text_digest(text) != undone.point_parent_hash:
         raise InputError(
             f"{display_path(kept)}: is not the file that revision {undone.revision} was made from; restore it"
         )
     # A change made by hand since then would be lost.
-    if content_hash(raw_text(file)) not in (undone.point_hash, undone.point_parent_hash):
+    if text_digest(raw_text(file)) not in (undone.point_hash, undone.point_parent_hash):
         raise InputError(
             f"{display_path(file)}: was changed after revision {undone.revision}, which wrote effects into it; "
             "undo the change first, or it would be lost"

@@ -20,7 +20,14 @@ from scipy.sparse import csr_array
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import Roots, display_path, exclusive, read_text, roots_of
+from sim_heating.base.files import (
+    Roots,
+    display_path,
+    exclusive,
+    read_text,
+    roots_of,
+    text_digest,
+)
 from sim_heating.base.files.package import data_folders, package_version
 from sim_heating.base.files.paths import make_durable, os_error_reason, real_path
 from sim_heating.base.files.transaction import LOCK, STAGING, staged
@@ -33,7 +40,6 @@ from sim_heating.closure.revise.revisions import (
     RevisionFile,
     TableHistory,
     UsedRecord,
-    content_hash,
     point_path,
     read_history,
     revision_path,
@@ -163,7 +169,7 @@ def prepare_update(
         loaded_vehicle,
         point,
         estimate,
-        content_hash(read_text(file)),
+        text_digest(read_text(file)),
         tuple(loaded),
         used,
         history,

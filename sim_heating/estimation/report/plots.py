@@ -16,6 +16,7 @@ from sim_heating.base.report.figure import (
     ANGLES,
     MEASURED,
     legend_above,
+    legend_label,
     new_figure,
     replaced_if_undrawable,
     save_figure,
@@ -57,11 +58,12 @@ def fit_figure(record: Record, curves: Sequence[tuple[Prediction, str, str]]) ->
     for k, i in enumerate(sensors):
         upper, lower = axes[2 * k], axes[2 * k + 1]
         upper.plot(t, record.temperatures_K()[i][shown], label="measured", rasterized=True, **MEASURED)
-        for prediction, color, label in curves:
+        for prediction, color, name in curves:
             residual = prediction.residual_K[i]
             found = pooled_rmse_K(residual, fitted)
             error = "" if found is None else f", RMSE {found['rmse_K']:.2f} K"
-            upper.plot(t, prediction.indicated_K[i][shown], color=color, linewidth=1.3, label=f"{label}{error}")
+            label = legend_label(f"{name}{error}")
+            upper.plot(t, prediction.indicated_K[i][shown], color=color, linewidth=1.3, label=label)
             lower.plot(t, residual[shown], ".", color=color, markersize=2.5, rasterized=True)
         lower.axhline(0.0, color="0.3", linewidth=0.8)
         scale = curves[1 if len(curves) > 2 else 0][0].residual_K[i][fitted]
