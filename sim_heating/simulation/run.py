@@ -11,7 +11,8 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.files import output_directory, write_csv, write_json
+from sim_heating.base.errors import error_context
+from sim_heating.base.files import display_path, output_directory, write_csv, write_json
 from sim_heating.base.files.package import package_version
 from sim_heating.base.files.text import write_bytes_atomic
 from sim_heating.base.progress import Progress, no_progress
@@ -125,9 +126,10 @@ class Comparison:
 
 
 def fly_scenario(scenario: Scenario, *, progress: Progress = no_progress, on_frame: OnFrame | None = None) -> Flight:
-    """Fly the trajectory of a scenario with its source."""
+    """Fly the trajectory of a scenario with its source; what its numbers make impossible is reported with its file."""
     spec = scenario.declared.trajectory
-    return SOURCES[spec.source](spec, scenario.vehicle, on_frame=on_frame, progress=progress)
+    with error_context(display_path(scenario.path)):
+        return SOURCES[spec.source](spec, scenario.vehicle, on_frame=on_frame, progress=progress)
 
 
 def models_of(

@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sim_heating.base.errors import InputError
 from sim_heating.inputs.scenario import Scenario, load_scenario
 from sim_heating.simulation.run import RunResult, compare, fly_scenario, run, summary
 from sim_heating.simulation.synthesize import synthesize
+from tests.support.gliding import gliding
 from tests.support.paths import SCENARIOS
 
 approx = pytest.approx
@@ -134,3 +136,10 @@ def test_the_recorded_flight_keeps_the_published_altitudes_of_sts107() -> None:
         there = flown.at([time_s])
         assert there["altitude_m"][0] == approx(altitude_m, abs=60.0)  # m; the file has every 10 s
         assert there["velocity_m_s"][0] == approx(velocity_m_s, abs=3.0)
+
+
+def test_what_a_flight_finds_wrong_is_reported_with_the_scenario(tmp_path):
+    path = tmp_path / "aft.toml"
+    path.write_text(gliding(20.0, "V09T9527") + "[trajectory.vehicle]\ncg_fraction = 0.4\n")
+    with pytest.raises(InputError, match=r"aft\.toml: cg_fraction: 0\.4 is outside"):
+        run(path)
