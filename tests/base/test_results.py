@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 import shutil
 import subprocess
 import sys
@@ -114,8 +115,13 @@ def test_a_directory_of_a_longer_name_is_refused_before_the_work(tmp_path: Path)
 
 def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     write_text_atomic(tmp_path / "a", "old")
-    with pytest.raises(UnicodeEncodeError):
-        write_text_atomic(tmp_path / "a", "new \ud800")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, limits[1]))  # which acts as a full disk
+    try:
+        with pytest.raises(RunError, match=r"a: cannot be written \(File too large\)"):
+            write_text_atomic(tmp_path / "a", "new" * 1000)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert (tmp_path / "a").read_text() == "old"
     assert names(tmp_path) == {"a"}
 
