@@ -348,7 +348,7 @@ def test_a_control_point_named_twice_is_refused(workdir: Path, capsys: pytest.Ca
 
 
 def test_a_manoeuvre_whose_trigger_is_never_met_is_reported(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (workdir / "fast.toml").write_text(SHORT + POPU + "at_velocity_m_s = 20000.0\n")
+    (workdir / "fast.toml").write_text(SHORT + POPU + "at_velocity_m_s = 3000.0\n")
     assert main(["run", "fast.toml", "--out", "out"]) == 0
     assert "trigger never met; manoeuvre not flown" in capsys.readouterr().out
 

@@ -206,7 +206,7 @@ def test_a_file_without_a_valid_effect_is_rejected(effects_folder, text, message
     ("old", "new", "hint"),
     [
         ("0.0, 0.2, -1.0, 2.0", "None, 0.2, -1.0, 2.0", "value=None.*the others numbers"),
-        ("0.0, 0.2, -1.0, 2.0", "0.0, 0.2, float('nan'), 2.0", "lower=nan"),
+        ("0.0, 0.2, -1.0, 2.0", "0.0, 0.2, float('nan'), 2.0", "bounds nan to 2"),
         ("0.0, 0.2, -1.0, 2.0", "5.0, 0.2, -1.0, 2.0", "the value within its bounds"),
         ('physics="test"', "physics=3", "`physics`: 3 is not a text"),
         ('physics="test"', "neutral=1.5", "`neutral`: 1.5 is not numbers by parameter"),

@@ -110,6 +110,12 @@ class Effect:
             raise InputError(
                 f'effect {self.name}: mode "model" takes parameters of the model; make each with model_parameter(...)'
             )
+        for p in self.parameters:
+            if not (p.lower <= p.value <= p.upper and p.sigma >= 0.0):
+                raise InputError(
+                    f"effect {self.name}, parameter {p.name}: value {p.value:g}, sigma {p.sigma:g}, bounds {p.lower:g} "
+                    f"to {p.upper:g}; sigma must be 0 or above, and the value within its bounds"
+                )
         self._check_names(self.neutral, "neutral")
         for column in self.needs:
             if column not in NEEDED_COLUMNS:
@@ -174,7 +180,7 @@ class Effect:
             "kernel": "a function of @njit, or None" if not (self.kernel is None or callable(self.kernel)) else "",
             "needs": "names of columns in a tuple" if not _all_are(self.needs, str) else "",
             "neutral": "numbers by parameter"
-            if not (isinstance(self.neutral, Mapping) and all(map(is_number, self.neutral.values())))
+            if not (isinstance(self.neutral, Mapping) and all(is_number(v) and v == v for v in self.neutral.values()))
             else "",
             "search_starts": "a function" if not (self.search_starts is None or callable(self.search_starts)) else "",
             "physics": "a text" if not isinstance(self.physics, str) else "",
