@@ -29,7 +29,9 @@ def _block(found: re.Match[str]) -> str:
     if not path.is_file():
         return f"{found[1]}Not run yet: `python -m benchmarks {name}`.\n{found[3]}"
     results = json.loads(path.read_text())
-    text = {"formats": by_format, "slips": slips, "faults": faults}.get(part, figures)(results)
+    text = {"formats": by_format, "slips": slips, "faults": faults, "commands": kills, "pairs": pairs}.get(
+        part, figures
+    )(results)
     return f"{found[1]}{text}{found[3]}"
 
 
@@ -72,6 +74,21 @@ def faults(results: Mapping[str, Any]) -> str:
     """Every fault."""
     rows = [(r["number"], r["file"], r["what"][:60], r["outcome"], r["message"][-120:]) for r in results["faults"]]
     return _table(("number", "file", "damage", "fault", "message"), rows) if rows else "None.\n"
+
+
+def kills(results: Mapping[str, Any]) -> str:
+    """Kills of each command, what a reader found after them, and what the same command left when it ran again."""
+    columns = ("kills", "readers find: before", "readers find: after", "readers find: mixed", "again: same",
+               "again: differs or refused")  # fmt: skip
+    rows = [(name, *(row.get(c, 0) for c in columns)) for name, row in results["commands"].items()]
+    return _table(("command", *columns), rows)
+
+
+def pairs(results: Mapping[str, Any]) -> str:
+    """How often two commands at once ended in which way."""
+    ways = sorted({how for row in results["pairs"].values() for how in row})
+    rows = [(name, *(row.get(how, 0) for how in ways)) for name, row in results["pairs"].items()]
+    return _table(("pair", *ways), rows)
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
