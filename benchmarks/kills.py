@@ -22,10 +22,11 @@ from pathlib import Path
 from typing import Any
 
 import click
+import xarray as xr
 
 import sim_heating as sh
 from benchmarks.measure import Figure, save
-from sim_heating.base.files import file_digest, settle
+from sim_heating.base.files import MARKER, file_digest, results_digest, settle
 from sim_heating.base.files.package import data_folders
 
 POINT = "V09T9527"
@@ -286,6 +287,19 @@ def snapshot(folder: Path) -> dict[str, str]:
     return {p.relative_to(folder).as_posix(): file_digest(p) for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
+def state(folder: Path) -> dict[str, str]:
+    """As `snapshot`, but netCDF, which holds the time of writing, by its values, and lists of results by their truth."""
+    files = snapshot(folder)
+    for name in files:
+        path = folder / name
+        if path.name == MARKER:
+            files[name] = "not whole" if results_digest(path.parent) is None else "whole"
+        elif path.suffix == ".nc":
+            with xr.open_dataset(path) as data:
+                files[name] = data.load().to_dict().__repr__()
+    return files
+
+
 def without_ledger(files: Mapping[str, str]) -> dict[str, str]:
     """The files that are results: finished batches of a study are kept whatever happens."""
     return {name: digest for name, digest in files.items() if "batches" not in Path(name).parts}
@@ -305,9 +319,9 @@ def kill_and_judge(chosen: Case, numbers: Sequence[int] | None, folder: Path) ->
         return folder / name
 
     place = begin("whole")
-    before = without_ledger(snapshot(place))
+    before = without_ledger(state(place))
     found = operations(lambda: chosen.act(place), place)
-    after = snapshot(place)
+    after = state(place)
     counted: Counter[str] = Counter(operations=len(found))
     prepared = begin("prepared")
     for number in range(len(found)) if numbers is None else (n % len(found) for n in numbers):
@@ -318,7 +332,7 @@ def kill_and_judge(chosen: Case, numbers: Sequence[int] | None, folder: Path) ->
             continue
         counted["kills"] += 1
         settle(place / chosen.results)
-        files = without_ledger(snapshot(place))
+        files = without_ledger(state(place))
         # A file that was being written under a temporary name is nobody's result; the next writer removes it.
         seen = {
             name: digest for name, digest in files.items() if ".partial-" not in name and not name.endswith(".lock")
@@ -328,7 +342,7 @@ def kill_and_judge(chosen: Case, numbers: Sequence[int] | None, folder: Path) ->
         again = _forked(lambda: chosen.act(place), place, None)[0]  # noqa: B023
         # What has been done to a vehicle is refused a second time: evidence would count twice.
         done = chosen.results != "out" and kind == "after"
-        same = (again == 0 or done) and snapshot(place) == after
+        same = (again == 0 or done) and state(place) == after
         counted["again: same" if same else "again: differs or refused"] += 1
     return counted
 
