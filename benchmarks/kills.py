@@ -288,7 +288,7 @@ def snapshot(folder: Path) -> dict[str, str]:
 
 
 def state(folder: Path) -> dict[str, str]:
-    """As `snapshot`, but netCDF, which holds the time of writing, by its values, and lists of results by their truth."""
+    """As `snapshot`, but netCDF, which holds the time of writing, by its values, lists of results by their truth."""
     files = snapshot(folder)
     for name in files:
         path = folder / name
