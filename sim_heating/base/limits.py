@@ -51,6 +51,7 @@ class Quantity:
     slips           : unit that a value may be in by mistake -> size of that unit in the unit of the key
     usual           : range of values that a message may suggest in place of one in such a unit
     reach           : the last x of a schedule over this quantity is at least so large; a lower one is in another unit
+    span            : several nodes over this quantity differ by at least so much from first to last
     """
 
     lowest: float
@@ -59,6 +60,7 @@ class Quantity:
     slips: Mapping[str, float] = field(default_factory=dict)
     usual: tuple[float, float] = (-math.inf, math.inf)
     reach: float = -math.inf
+    span: float = 0.0
 
     def problem(self, value: float) -> str | None:
         """`value rule; is this UNIT? write NUMBER` for a value outside the range, else None."""
@@ -73,8 +75,13 @@ class Quantity:
                 return f"; is this {unit}? write {value * size:.10g}"
         return ""
 
-    def axis_problem(self, last: float) -> str | None:
-        """Problem of a schedule over this quantity whose last x is so low that it is in another unit, or None."""
+    def axis_problem(self, first: float, last: float) -> str | None:
+        """Problem of nodes from `first` to `last` that are so low, or so close, that they are in another unit; or None.
+
+        A schedule of one node has first = last.
+        """
+        if first != last and abs(last - first) < self.span:
+            return f"the nodes are {first:g} to {last:g}, closer together than {self.span:g}; check their unit"
         if not 0.0 < last < self.reach or not (question := self.suggestion(last)):
             return None
         return f"the schedule ends at {last:g}, below {self.reach:g}{question}"
@@ -106,6 +113,15 @@ QUANTITIES: dict[str, Quantity] = {
     **{name: Quantity(*limits) for name, limits in LIMITS.items()},
     "altitude_m": Quantity(*LIMITS["altitude_m"], KM, (1e4, 2e6), reach=200.0),
     "velocity_m_s": Quantity(*LIMITS["velocity_m_s"], {"km/s": 1e3}, (500.0, FASTEST_M_S), reach=SLOWEST_M_S),
+    **{name: Quantity(*LIMITS[name], span=0.1)
+       for name in ("alpha_deg", "beta_deg", "elevon_deg", "bodyflap_deg")},
+    "deflection_deg": Quantity(*LIMITS["elevon_deg"], span=0.1),
+    "log10_re": Quantity(*LIMITS["log10_re"], span=0.02),
+    # Tables of heating ratios: 300 is the ratio of a sphere of 10 micrometres to one of 1 m
+    "heating_ratio": _range(0.0, 300.0, "a ratio of film coefficients"),
+    "ratio_factor": _range(-1e3, 1e3, "a factor on a heating ratio"),
+    "mach_of_table": Quantity(0.0, 60.0, "is not a Mach number of a flight (0 to 60)", span=0.05),
+    "coefficient": _range(-1e3, 1e3, "an aerodynamic coefficient"),
     # State, schedules and manoeuvres of a flight
     "flight_speed_m_s": _SPEED, "at_velocity_m_s": _SPEED, "reversals_m_s": _SPEED,
     "at_mach": _MACH, "below_mach": _MACH, "bodyflap_above_mach": _MACH,

@@ -28,8 +28,10 @@ from sim_heating.base.files import (
     Declared,
     FileOfFolder,
     LocatedError,
+    Location,
     display_path,
     exclusive,
+    raise_problems,
     read_csv_columns,
     read_toml,
     roots_of,
@@ -37,7 +39,8 @@ from sim_heating.base.files import (
     write_own_files,
 )
 from sim_heating.base.kernels.axis import cells_of
-from sim_heating.heating.ratio.table import RatioTable, ratio_table_text, read_ratio_table
+from sim_heating.base.limits import QUANTITIES
+from sim_heating.heating.ratio.table import RatioTable, range_problems, ratio_table_text, read_ratio_table
 from sim_heating.heating.ratio.tunnel_to_flight import (
     REFERENCE,
     Scaling,
@@ -59,7 +62,7 @@ FORMATS = dict.fromkeys(RATIO_VARIABLES, "g") | {"ratio": ".5g", "sigma": ".2g"}
 class Curve(Declared):
     """A piecewise linear function of one variable."""
 
-    quantities: ClassVar = {"points": ("variable", None)}
+    quantities: ClassVar = {"points": ("variable", "ratio_factor")}
 
     variable: Variable
     points: Points = Field(min_length=1, description="[[x, value], ...], x increasing")
@@ -77,6 +80,12 @@ class Curve(Declared):
         """Values at x, constant beyond the ends."""
         xs, values = np.array(self.points).T
         return np.interp(x, xs, values)
+
+
+class SigmaCurve(Curve):
+    """A part of the relative standard deviation."""
+
+    quantities: ClassVar = {"points": ("variable", "relative_sigma")}
 
 
 class CurveFactor(Curve):
@@ -124,6 +133,15 @@ class Axes(Declared):
             raise LocatedError(*(((n,), f"{getattr(self, n)} {rule}") for n in unsorted))
         return self
 
+    def implausible(self) -> list[tuple[Location, str]]:
+        """Nodes outside the range of their variable, or too close together."""
+        close: list[tuple[Location, str]] = [
+            ((n,), text)
+            for n in RATIO_VARIABLES
+            if (text := QUANTITIES[n].axis_problem(getattr(self, n)[0], getattr(self, n)[-1])) is not None
+        ]
+        return super().implausible() or close
+
     def arrays(self) -> tuple[FloatArray, ...]:
         """The five axes in the order of a ratio table."""
         return tuple(np.array(getattr(self, name), dtype=float) for name in RATIO_VARIABLES)
@@ -150,7 +168,7 @@ class RatioSource(Declared):
         Field(description="a file or a curve")
     )
     factor: list[Annotated[CurveFactor | DeflectionFactor, Field(discriminator="kind")]] = Field(default=[])
-    sigma: list[Curve] = Field(default=[])
+    sigma: list[SigmaCurve] = Field(default=[])
     scaling: Scaling | None = None
 
 
@@ -235,6 +253,8 @@ def _build(source: RatioSource, path: Path, point: ControlPointFile, vehicle: Ve
     }
     if np.any(ratio <= 0.0):
         raise InputError(f"the ratio of {point.name} falls to {ratio.min():g}; it must be above 0")
+    if (too_high := QUANTITIES["heating_ratio"].problem(float(ratio.max()))) is not None:
+        raise InputError(f"the ratio of {point.name} rises to {too_high}; check base and factors")
     table = RatioTable(axes, ratio, relative * ratio, header)
     return table if source.scaling is None else scale_table(table, source.scaling)
 
@@ -254,6 +274,7 @@ def _base(
 def _from_file(base: FileBase, path: Path, alpha_deg: FloatArray, log10_re: FloatArray) -> FloatArray:
     """The file's ratio, bilinear in alpha and log10_re; constant beyond its ends, windward trend at low alpha."""
     table = read_csv_columns(path, ("alpha_deg", "log10_re", base.column))
+    raise_problems([p for name in ("alpha_deg", "log10_re") for p in range_problems(table, name, QUANTITIES[name])])
     a, re = np.unique(table["alpha_deg"]), np.unique(table["log10_re"])
     values = np.full((len(a), len(re)), np.nan)
     values[np.searchsorted(a, table["alpha_deg"]), np.searchsorted(re, table["log10_re"])] = table[base.column]

@@ -11,6 +11,7 @@ Positions are in m from the nose: x aft, y to starboard, z up.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
@@ -45,6 +46,8 @@ P = ParamSpec("P")
 FOLDER = "aircraft_data"
 ENVIRONMENT = "SIM_HEATING_AIRCRAFT_DATA"
 """Environment variable that names a folder of vehicles."""
+FAR, NEAR_NOSE = 100.0, 0.02
+"""Factor between distances from the nose that is no rounding of a place, and x_over_L below which they say nothing."""
 READINGS = 20
 """How often a vehicle is read that other processes change during the reading."""
 
@@ -315,6 +318,9 @@ def _read_control_points(
             continue
         if file.name != path.stem:
             problems.add(f'{display_path(path)}: `name`: "{file.name}" is not the name of the file')
+        if vehicle is not None:
+            for line in _position_problems(path, file, vehicle):
+                problems.add(line)
         construction = None
         if invalid.isdisjoint(layer.material for layer in file.stack.layer):
             construction = problems.attempt(construct, file.stack, materials, display_path(path))
@@ -325,6 +331,16 @@ def _read_control_points(
     for line in _repeated_sensors(directory, points):
         problems.add(line)
     return points
+
+
+def _position_problems(path: Path, file: ControlPointFile, vehicle: VehicleFile) -> list[str]:
+    """A position far from the distance from the nose that x_over_L states."""
+    away, L = math.hypot(*file.position_m), vehicle.reference_length_m
+    along = file.x_over_L * L
+    if away <= FAR * max(along, L) and (file.x_over_L < NEAR_NOSE or along <= FAR * away):
+        return []
+    stated = f"{away:g} m from the nose, x_over_L = {file.x_over_L:g} of reference_length_m = {L:g} is {along:g} m"
+    return [f"{display_path(path)}: `position_m`: {stated}; correct one of the three"]
 
 
 def _read_ratio(owner: Path, ratio_table: str, vehicle: VehicleFile | None) -> RatioTable:

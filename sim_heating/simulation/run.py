@@ -24,7 +24,7 @@ from sim_heating.march.point import PointModel
 from sim_heating.simulation.plugin import HeatingPlugin
 from sim_heating.simulation.results import histories_dataset, write_temperatures_csv
 from sim_heating.trajectory import entry3dof, recorded
-from sim_heating.trajectory.flight import Flight, OnFrame, VehicleData, Window
+from sim_heating.trajectory.flight import Flight, OnFrame, VehicleData, Window, check_samples
 from sim_heating.trajectory.jsbsim import entry as jsbsim
 from sim_heating.trajectory.spec import TrajectorySpec
 
@@ -129,7 +129,11 @@ def fly_scenario(scenario: Scenario, *, progress: Progress = no_progress, on_fra
     """Fly the trajectory of a scenario with its source; what its numbers make impossible is reported with its file."""
     spec = scenario.declared.trajectory
     with error_context(display_path(scenario.path)):
-        return SOURCES[spec.source](spec, scenario.vehicle, on_frame=on_frame, progress=progress)
+        flight = SOURCES[spec.source](spec, scenario.vehicle, on_frame=on_frame, progress=progress)
+        if spec.source != "recorded":
+            with error_context("[trajectory]"):
+                check_samples(flight, spec.sample_s)
+    return flight
 
 
 def models_of(

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.errors import InputError, RunError, error_context
 from sim_heating.base.files import display_path, raise_problems
 from sim_heating.heating.effects import Effect
 from sim_heating.heating.effects.compiled import compiled_kernel
 from sim_heating.inputs.scenario import Scenario
 from sim_heating.inputs.vehicle import Vehicle
 from sim_heating.trajectory import entry3dof, recorded
-from sim_heating.trajectory.flight import Flight, VehicleData
+from sim_heating.trajectory.flight import Flight, VehicleData, check_samples
 from sim_heating.trajectory.manoeuvres import NOT_FLOWN, trigger_text
 from sim_heating.trajectory.spec import TrajectorySpec
 
@@ -69,7 +69,9 @@ def check_triggers(spec: TrajectorySpec, vehicle: VehicleData, where: str) -> No
         "source": "entry-3dof", "rate_hz": FRAME_RATE_HZ, "sample_s": max(spec.sample_s, 1.0 / FRAME_RATE_HZ),
     })  # fmt: skip
     try:
-        flight = entry3dof.fly(light, vehicle)
+        with error_context(where):
+            flight = entry3dof.fly(light, vehicle)
+            check_samples(flight, spec.sample_s)
     except RunError as error:
         raise InputError(f"{where}: {error}") from None
     events = {text for _, text in flight.events}

@@ -31,6 +31,11 @@ LIGHTEST_KG_M3, LIGHT_KG_M3, LIGHT_CONDUCTIVITY_W_MK = 3.0, 25.0, 0.3
 """Density of the lightest solids, aerogels, and of foams and batting, which conduct little: [kg/m3], [W/(m K)]. Every
 density in g/cm3 lies below the second one."""
 
+DENSE_KG_M3, DENSE_CONDUCTS_W_MK = 1000.0, 5e-3
+"""Every solid of this density conducts more than the second one [W/(m K)] above 100 K: the least known is 0.05."""
+CONDUCTED_W_M2_KKG, WARM_K = 2.0, 200.0
+"""Conductivity over density [W m2/(K kg)] that no material exceeds from this temperature on: diamond has 1.4."""
+
 LEAST, MOST = 1e-9, 1e9
 """Limits of any property or thickness in its SI unit. A value outside them is in another unit."""
 
@@ -175,7 +180,8 @@ class Material(Declared):
 
     def implausible(self) -> list[tuple[Location, str]]:
         """Properties that no material has, and those that only a gas has."""
-        return super().implausible() or [*self._density_problems(), *self._heat_problems()]
+        own = [*self._density_problems(), *self._heat_problems()]
+        return super().implausible() or own or self._conductivity_problems()
 
     def _density_problems(self) -> list[tuple[Location, str]]:
         """A density that neither a solid nor, with the conductivity of this one, a light solid has."""
@@ -196,6 +202,18 @@ class Material(Declared):
             for i, (T_K, value) in enumerate(self.specific_heat_J_kgK)
             if T_K >= COLDEST_K and (text := known.problem(value)) is not None
         ]
+
+    def _conductivity_problems(self) -> list[tuple[Location, str]]:
+        """A conductivity that no material of this density has."""
+        _, T_K, k = self.conductivity_grid()
+        rho = self.density_kg_m3
+        text, highest = "", CONDUCTED_W_M2_KKG * max(rho, LIGHT_KG_M3)
+        if self.kind == "solid" and rho >= DENSE_KG_M3 and np.any(bad := k[T_K >= COLDEST_K] < DENSE_CONDUCTS_W_MK):
+            text = f"{k[T_K >= COLDEST_K][bad][0]:g} is no conductivity in W/(m K) of a solid"
+        elif np.any(bad := k[T_K >= WARM_K] > highest):
+            text = f"{k[T_K >= WARM_K][bad][0]:g} is no conductivity in W/(m K) of a material"
+        hint = "correct one of them; milliwatts and kilowatts differ from W by a factor of 1000"
+        return [(("conductivity_W_mK",), f"{text} of {rho:g} kg/m3; {hint}")] if text else []
 
     def conductivity_grid(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Conductivity on its grid of pressures and temperatures.
@@ -339,6 +357,10 @@ class Stack(Declared):
         return -slack <= depth_m <= self.thickness_m + slack
 
 
+LEAST_DEPTH_M, LEAST_NOISE_K = 1e-6, 1e-5
+"""Least depth of a sensor below a surface, and least noise of a thermocouple, above 0."""
+
+
 class Sensor(Declared):
     """A thermocouple: its depth [m], and what its recorder does to the temperature (docs/equations.md, section 5)."""
 
@@ -352,6 +374,19 @@ class Sensor(Declared):
     used: bool = True
     rate_hz: float | None = Field(default=None, gt=0.0, description="samples a second")
     sample_offset_s: float = Field(default=0.0, description="time of the first sample in s")
+
+    def implausible(self) -> list[tuple[Location, str]]:
+        """A depth or a noise above 0 that is smaller than any sensor's, and a span of a recorder in another unit."""
+        problems = super().implausible()
+        if 0.0 < self.depth_m < LEAST_DEPTH_M:
+            rule = f"is above 0 and less than {LEAST_DEPTH_M:g} m, thinner than any junction; give m, 0 at the surface"
+            problems.append((("depth_m",), f"{self.depth_m:g} {rule}"))
+        if 0.0 < (self.noise_sigma_K or 0.0) < LEAST_NOISE_K:
+            rule = f"is above 0 and less than {LEAST_NOISE_K:g} K, as no thermocouple's; give K"
+            problems.append((("noise_sigma_K",), f"{self.noise_sigma_K:g} {rule}"))
+        if self.range_K is not None and self.range_K[1] < COLDEST_K:
+            problems.append((("range_K", 1), f"{self.range_K[1]:g} {celsius_rule()}"))
+        return problems
 
     @field_validator("range_K")
     @classmethod

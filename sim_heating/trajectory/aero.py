@@ -25,15 +25,35 @@ from pydantic import Field
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import Convertible, CsvTable, FileOfFolder, display_path, read_csv_columns, read_toml
+from sim_heating.base.files import (
+    Convertible,
+    CsvTable,
+    FileOfFolder,
+    Location,
+    display_path,
+    raise_problems,
+    read_csv_columns,
+    read_toml,
+)
 from sim_heating.base.kernels.axis import cell_of
 from sim_heating.base.kernels.jit import njit
+from sim_heating.base.limits import QUANTITIES
+from sim_heating.heating.ratio.table import range_problems
+from sim_heating.heating.recorded_columns import BALLISTIC_KG_M2
 from sim_heating.trajectory.spec import Positive, TrajectorySpec
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 Span = tuple[float, float]
 
 COEFFICIENTS = ("CN", "CA", "Cm")
+
+LENGTH_RATIO = 100.0
+"""Largest ratio of two reference lengths; a slender missile has 20."""
+AREA_RANGE = (3e-4, 10.0)
+"""Reference area over the square of the longest reference length: a rod of 40 calibres has 5e-4."""
+FORCE_RANGE = {"CN": (1e-6, 100.0), "CA": (1e-7, 10.0)}
+"""Largest force coefficient times area over the square of the longest length. Newtonian flow gives less than 2 on the
+area that it sees, which is less than 40 squares of a diameter."""
 
 SCHEDULE_SOUND_M_S = 300.0
 """Speed of sound that converts an alpha schedule over velocity to one over Mach, for the body flap alone."""
@@ -47,6 +67,19 @@ class Reference(Convertible):
     span_m: Positive
     length_m: Positive
     moment_reference_fraction: Fraction
+
+    def implausible(self) -> list[tuple[Location, str]]:
+        """Lengths and areas that no body has together."""
+        lengths = {name: getattr(self, name) for name in ("length_m", "chord_m", "span_m")}
+        shortest, longest = min(lengths, key=lengths.__getitem__), max(lengths, key=lengths.__getitem__)
+        problems = super().implausible()
+        if lengths[longest] > LENGTH_RATIO * lengths[shortest]:
+            rule = f"is more than {LENGTH_RATIO:g} times {shortest} = {lengths[shortest]:g}; correct one of them"
+            problems.append(((longest,), f"{lengths[longest]:g} {rule}"))
+        elif not AREA_RANGE[0] <= self.area_m2 / lengths[longest] ** 2 <= AREA_RANGE[1]:
+            rule = f"m2 is no reference area of a body with {longest} = {lengths[longest]:g}; correct one of them"
+            problems.append((("area_m2",), f"{self.area_m2:g} {rule}"))
+        return problems
 
 
 class Mass(Convertible):
@@ -291,7 +324,7 @@ def load_aero(vehicle_dir: Path) -> Aero:
     """
     folder = Path(vehicle_dir) / "aero"
     file = read_toml(folder / "aero.toml", AeroFile)
-    return Aero(
+    aero = Aero(
         file=file,
         basic=_read_grid(folder / file.tables.longitudinal, deflected=False),
         elevon=_read_control(folder, file.tables.elevon),
@@ -299,6 +332,33 @@ def load_aero(vehicle_dir: Path) -> Aero:
         mass_kg=file.mass.mass_kg,
         cg_fraction=file.mass.cg_fraction,
     )
+    raise_problems([*_force_problems(aero, folder / file.tables.longitudinal), *_mass_problems(aero, folder)])
+    return aero
+
+
+def _force_problems(aero: Aero, path: Path) -> list[str]:
+    """Force coefficients that no flow gives on a body of the reference lengths."""
+    ref, lines = aero.file.reference, []
+    for column, (low, high) in FORCE_RANGE.items():
+        largest = float(np.max(np.abs(aero.basic.values[..., COEFFICIENTS.index(column)])))
+        force = largest * ref.area_m2 / max(ref.length_m, ref.chord_m, ref.span_m) ** 2
+        if force > high or 0.0 < force < low:
+            rule = f"its largest value is {largest:g}, which no flow gives over the area and lengths of aero.toml"
+            lines.append(f"{display_path(path)}, column {column}: {rule}; correct one of them")
+    return lines
+
+
+def _mass_problems(aero: Aero, folder: Path) -> list[str]:
+    """A mass that does not belong to a vehicle of this area: tonnes, or grams."""
+    ref = aero.file.reference
+    force = float(np.max(np.hypot(aero.basic.values[..., 0], aero.basic.values[..., 1])))
+    if force == 0.0:
+        return []
+    loading = aero.mass_kg / (ref.area_m2 * force)
+    if BALLISTIC_KG_M2[0] <= loading <= BALLISTIC_KG_M2[1]:
+        return []
+    rule = f"{aero.mass_kg:g} kg is {loading:.3g} kg/m2 of mass over the largest area of drag, as no vehicle has"
+    return [f"{display_path(folder / 'aero.toml')}, [mass]: `mass_kg`: {rule}; give kg, and the area in m2"]
 
 
 def flown_aero(spec: TrajectorySpec, vehicle_dir: Path) -> Aero:
@@ -324,6 +384,9 @@ def _read_grid(path: Path, *, deflected: bool) -> Grid:
     mach, alpha, deflection = (np.unique(p) for p in points)
     values = np.full((mach.size, alpha.size, deflection.size, 3), np.nan)
     where = tuple(np.searchsorted(axis, p) for axis, p in zip((mach, alpha, deflection), points, strict=True))
+    known = {"mach": QUANTITIES["mach_of_table"]} | {a: QUANTITIES[a] for a in axes[1:]}
+    known |= dict.fromkeys(COEFFICIENTS, QUANTITIES["coefficient"])
+    raise_problems([line for name, limits in known.items() for line in range_problems(table, name, limits)])
     # Of a repeated point the last row would silently be taken.
     _check_repeated_points(table, where, values.shape[:3])
     values[where] = np.stack([table[c] for c in COEFFICIENTS], axis=-1)

@@ -58,6 +58,22 @@ class Flight:
     windows: list[Window] = field(default_factory=list)
 
 
+def check_samples(flight: Flight, sample_s: float) -> None:
+    """Check that the samples of a flown trajectory cover it.
+
+    sample_s : interval between the samples [s]
+    raises   : InputError where the flight is shorter than the interval, or a manoeuvre begins after the last sample
+    """
+    time_s = flight.conditions.time_s
+    if len(time_s) < 2:
+        rule = "is longer than the flight, of which one sample is left; give a shorter interval"
+        raise InputError(f"`sample_s`: {sample_s:g} s {rule}")
+    late = [w for w in flight.windows if w.start_s > time_s[-1]]
+    if late:
+        rule = f"leaves the last sample at {time_s[-1]:g} s, before {late[0].kind} at {late[0].start_s:.4g} s"
+        raise InputError(f"`sample_s`: {sample_s:g} s {rule}; give a shorter interval")
+
+
 def conditions_from_rows(rows: FloatArray, length_m: float) -> Conditions:
     """Conditions in the contract's columns from (time, len(ROW)) rows.
 

@@ -81,8 +81,8 @@ def test_a_mistyped_axis_value_is_reported_with_its_row(tmp_path: Path) -> None:
         ("alpha_deg", "alpha", "there is no column `alpha_deg`; nearest in the file: `alpha`"),
         ("ratio,sigma", "ratio,sigm", "unknown column `sigm`; did you mean `sigma`?"),
         ("ratio,sigma", "ratio,mach", "unknown column `mach`; known: `alpha_deg`"),
-        ("30,0,5,5", "30,0,1e5,5", "row 7, column log10_re: 100000 must lie within -20 to 20"),
-        ("30,0,5,5", "300,0,5,5", "row 7, column alpha_deg: 300 must lie within -180 to 180"),
+        ("30,0,5,5", "30,0,1e5,5", "row 7, column log10_re: 100000 is not the base-10 logarithm of a Reynolds number"),
+        ("30,0,5,5", "300,0,5,5", "row 7, column alpha_deg: 300 is not an angle of attack in degrees"),
     ],
 )
 def test_a_damaged_cell_or_column_name_is_reported(tmp_path: Path, old: str, new: str, expected: str) -> None:
@@ -103,7 +103,11 @@ def test_inconsistent_axes_and_ratios_are_rejected() -> None:
         RatioTable(table.axes, table.ratio * np.nan)
 
 
-axis = st.lists(st.floats(-19.0, 19.0), min_size=1, max_size=3, unique=True).map(sorted)
+axis = (
+    st.lists(st.floats(-9.0, 19.0), min_size=1, max_size=3, unique=True)
+    .map(sorted)
+    .filter(lambda x: len(x) == 1 or x[-1] - x[0] >= 0.1)
+)
 
 
 @settings(max_examples=40, deadline=None)
@@ -112,7 +116,7 @@ def test_any_table_is_read_back_as_it_was_written(
     tmp_path_factory: pytest.TempPathFactory, axes: tuple[list[float], ...], seed: int, with_sigma: bool
 ) -> None:
     shape = tuple(len(a) for a in axes)
-    ratio, sigma = np.random.default_rng(seed).random((2, *shape))
+    ratio, sigma = 0.1 + np.random.default_rng(seed).random((2, *shape))
     table = RatioTable(tuple(np.array(a) for a in axes), ratio, sigma if with_sigma else None, {"source": "made up"})
     path = tmp_path_factory.mktemp("table") / "a.csv"
     write_ratio_table(path, table)

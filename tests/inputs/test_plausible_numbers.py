@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+import shutil
 import typing
 from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from pydantic.fields import FieldInfo
 
@@ -15,10 +19,19 @@ import sim_heating
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import Declared, check
 from sim_heating.base.limits import QUANTITIES, UNITS, quantity
-from sim_heating.inputs.scenario import Truth
+from sim_heating.heating.ratio.table import RatioTable, read_ratio_table, write_ratio_table
+from sim_heating.inputs.ratio_sources import build_tables
+from sim_heating.inputs.scenario import Truth, load_scenario
+from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.inputs.vehicle_files import ControlPointFile
-from sim_heating.thermal.stack import Material
+from sim_heating.simulation.run import fly_scenario
+from sim_heating.simulation.scenario_check import check_scenario
+from sim_heating.thermal.stack import Material, Sensor
+from sim_heating.trajectory.aero import load_aero
 from sim_heating.trajectory.spec import TrajectorySpec
+
+ROOT = Path(sim_heating.__file__).parents[1]
+VEHICLE = ROOT / "aircraft_data" / "orbiter"
 
 ENTRY = {
     "altitude_m": 120e3, "velocity_m_s": 7500.0, "gamma_deg": -1.2, "heading_deg": 60.0, "latitude_deg": 0.0,
@@ -198,3 +211,208 @@ def test_a_position_in_millimetres_is_answered_with_metres():
 def test_a_true_parameter_stays_within_the_bounds_of_the_model():
     line = refused({"parameters": {"stack.coating.thickness_factor": 1000.0}}, Truth)
     assert "stack.coating.thickness_factor: 1000 is outside its bounds 0.001 to 10" in line
+
+
+# Tables and what relates one number to another -----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def orbiter(tmp_path_factory) -> Path:
+    """A copy of the Orbiter, whose files a test damages and restores."""
+    folder = tmp_path_factory.mktemp("vehicle") / "orbiter"
+    shutil.copytree(VEHICLE, folder)
+    return folder
+
+
+@contextmanager
+def scaled(path: Path, name: str, factor: float, row: int | None = None) -> Iterator[None]:
+    """A CSV file with a column, or one cell of it, multiplied by a factor, until the end of the block."""
+    before = path.read_text()
+    head = [line for line in before.splitlines() if line.startswith("#")]
+    names, *rows = (line.split(",") for line in before.splitlines()[len(head) :])
+    for i, cells in enumerate(rows):
+        if row is None or i == row:
+            cells[names.index(name)] = repr(float(cells[names.index(name)]) * factor)
+    path.write_text("\n".join([*head, *(",".join(cells) for cells in [names, *rows])]) + "\n")
+    try:
+        yield
+    finally:
+        path.write_text(before)
+
+
+@contextmanager
+def replaced(path: Path, old: str, new: str) -> Iterator[None]:
+    """A file with a text replaced, until the end of the block."""
+    before = path.read_text()
+    assert before.count(old) == 1
+    path.write_text(before.replace(old, new))
+    try:
+        yield
+    finally:
+        path.write_text(before)
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "row", "expected"),
+    [
+        ("alpha_deg", 1e3, None, "is not an angle of attack in degrees"),
+        ("alpha_deg", 1e-3, None, "closer together than 0.1"),
+        ("beta_deg", 1e3, None, "is not a sideslip angle"),
+        ("beta_deg", 1e-6, None, "closer together than 0.1"),
+        ("log10_re", 1e3, None, "is not the base-10 logarithm"),
+        ("log10_re", 1e-3, None, "closer together than 0.02"),
+        ("ratio", 1e4, None, "is not a ratio of film coefficients"),
+        ("ratio", 1e-6, None, "the largest ratio is"),
+        ("ratio", 1e-3, 40, "off the ratios at all nodes next to it"),
+        ("ratio", 200.0, 40, "off the ratios at all nodes next to it"),
+        ("sigma", 1e3, None, "times the largest ratio"),
+        ("sigma", 1e-6, None, "no heating is known so well"),
+    ],
+)
+def test_a_ratio_table_in_another_unit_is_refused(orbiter, name, factor, row, expected):
+    table = orbiter / "ratio_tables" / "LOWER_MID.csv"
+    with scaled(table, name, factor, row), pytest.raises(InputError, match=expected):
+        read_ratio_table(table)
+
+
+def test_a_table_of_one_ratio_and_of_ratios_of_zero_is_accepted(tmp_path):
+    for values in ([[0.0]], [[1.0]], [[1e-3], [1.0]]):
+        ratio = np.array(values)[:, :, None, None, None]
+        axes = (np.arange(float(len(values))), *[np.zeros(1)] * 4)
+        write_ratio_table(tmp_path / "t.csv", RatioTable(axes, ratio, np.zeros_like(ratio)))
+        assert np.array_equal(read_ratio_table(tmp_path / "t.csv").ratio, ratio)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("alpha_deg = [0.0, 10.0, 20.0, 25.0, 30.0, 35.0, 40.0, 45.0, 50.0]", "alpha_deg = [0.0, 1e-5, 2e-5]",
+         "`alpha_deg`: the nodes are 0 to 2e-05"),
+        ("log10_re = [2.0, 6.075, 6.236, 6.546, 6.773, 8.4]", "log10_re = [2e-3, 8.4e-3]", "closer together than 0.02"),
+        ("points = [[-4.0, 1.02], [0.0, 1.0], [4.0, 1.02]]", "points = [[-4e-6, 1.0], [4e-6, 1.0]]", "closer together"),
+        ("points = [[-4.0, 1.02], [0.0, 1.0], [4.0, 1.02]]", "points = [[-4.0, 1020.0], [4.0, 1020.0]]",
+         "is not a factor on a heating ratio"),
+        ("points = [[-4.0, 1.02], [0.0, 1.0], [4.0, 1.02]]", "points = [[-4.0, 990.0], [4.0, 990.0]]", "rises to"),
+        ("[[2.0, 0.5], [6.075, 0.0], [6.773, 0.0], [8.4, 0.5]]", "[[2.0, 500.0]]", "relative standard deviation"),
+    ],
+)  # fmt: skip
+def test_a_source_of_ratios_in_another_unit_is_refused(orbiter, old, new, expected):
+    with replaced(orbiter / "ratio_sources" / "windward.toml", old, new), pytest.raises(InputError, match=expected):
+        build_tables(orbiter)
+
+
+@pytest.mark.parametrize(
+    ("file", "name", "factor", "expected"),
+    [
+        ("longitudinal.csv", "mach", 1e3, "is not a Mach number"),
+        ("longitudinal.csv", "mach", 1e-3, "closer together than 0.05"),
+        ("longitudinal.csv", "alpha_deg", 1e-3, "closer together than 0.1"),
+        ("longitudinal.csv", "alpha_deg", 1e3, "is not an angle of attack"),
+        ("longitudinal.csv", "CA", 1e3, "column CA: its largest value"),
+        ("longitudinal.csv", "CA", 1e-6, "column CA: its largest value"),
+        ("longitudinal.csv", "CN", 1e3, "column CN: its largest value|is not an aerodynamic coefficient"),
+        ("longitudinal.csv", "CN", 1e-6, "column CN: its largest value"),
+        ("longitudinal.csv", "Cm", 1e6, "is not an aerodynamic coefficient"),
+        ("elevon.csv", "deflection_deg", 1e-3, "closer together than 0.1"),
+        ("bodyflap.csv", "deflection_deg", 1e3, "is not a deflection in degrees"),
+    ],
+)
+def test_aerodynamic_tables_in_another_unit_are_refused(orbiter, file, name, factor, expected):
+    with scaled(orbiter / "aero" / file, name, factor), pytest.raises(InputError, match=expected):
+        load_aero(orbiter)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("mass_kg = 92079.0", "mass_kg = 92.079", "`mass_kg`: 92.079 kg is"),
+        ("mass_kg = 92079.0", "mass_kg = 92079000.0", "is not a mass of a vehicle in kg"),
+        ("span_m = 23.79147", "span_m = 0.02379147", "more than 100 times span_m"),
+        ("chord_m = 12.05992", "chord_m = 0.01205992", "more than 100 times chord_m"),
+        ("area_m2 = 249.9092", "area_m2 = 0.2499092", "`area_m2`: 0.249909 m2 is no reference area"),
+        ("area_m2 = 249.9092", "area_m2 = 99000.0", "`area_m2`: 99000 m2 is no reference area"),
+    ],
+)
+def test_reference_quantities_that_no_vehicle_has_together_are_refused(orbiter, old, new, expected):
+    with replaced(orbiter / "aero" / "aero.toml", old, new), pytest.raises(InputError, match=expected):
+        load_aero(orbiter)
+
+
+@pytest.mark.parametrize("length", ["0.03277362", "199.0 # m", "0.01"])
+def test_a_reference_length_far_from_the_places_of_the_control_points_is_refused(orbiter, length):
+    file = orbiter / "vehicle.toml"
+    if float(length.split()[0]) > 1.0:  # six times too long: no place is impossible
+        with replaced(file, "reference_length_m = 32.77362", f"reference_length_m = {length}"):
+            load_vehicle(orbiter)
+        return
+    with (
+        replaced(file, "reference_length_m = 32.77362", f"reference_length_m = {length}"),
+        pytest.raises(InputError, match=r"`position_m`: .* correct one of the three"),
+    ):
+        load_vehicle(orbiter)
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"density_kg_m3": 2770.0, "conductivity_W_mK": [[300.0, 1.5e-4]]}, "0.00015 is no conductivity in W/(m K)"),
+        ({"density_kg_m3": 1650.0, "conductivity_W_mK": [[300.0, 9e-4]]}, "of a solid of 1650 kg/m3"),
+        ({"density_kg_m3": 144.0, "conductivity_W_mK": [[300.0, 0.1], [1000.0, 320.0]]}, "of a material of 144 kg/m3"),
+    ],
+)
+def test_a_conductivity_that_no_material_of_its_density_has_is_refused(changes, expected):
+    assert expected in refused({**TILE, **changes}, Material)
+
+
+@pytest.mark.parametrize(
+    "material",
+    [
+        {"density_kg_m3": 9000.0, "conductivity_W_mK": [[300.0, 0.05]]},  # disordered tungsten diselenide
+        {"density_kg_m3": 50.0, "conductivity_W_mK": [[300.0, 2e-5]]},  # multilayer insulation in a vacuum
+        {"density_kg_m3": 3515.0, "conductivity_W_mK": [[80.0, 2e4], [300.0, 2300.0]]},  # diamond
+        {"density_kg_m3": 500.0, "conductivity_W_mK": [[300.0, 150.0]]},  # foam of graphite
+        {"density_kg_m3": 1100.0, "conductivity_W_mK": [[4.0, 1e-3], [300.0, 0.2]]},  # a polymer down to liquid helium
+    ],
+)
+def test_a_conductivity_that_exists_is_accepted(material):
+    check({**TILE, **material}, Material, "file.toml")
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"depth_m": 3.8e-10}, "`depth_m`: 3.8e-10 is above 0 and less than"),
+        ({"depth_m": 20.0}, "is this mm? write 0.02"),
+        ({"noise_sigma_K": 1.5e-6}, "`noise_sigma_K`: 1.5e-06 is above 0 and less than"),
+        ({"noise_sigma_K": 1500.0}, "is not a standard deviation of a temperature"),
+        ({"range_K": [0.255, 1.6], "bits": 8}, "`range_K`, row 2: 1.6 is below 100 K"),
+    ],
+)
+def test_a_thermocouple_in_another_unit_is_refused(changes, expected):
+    assert expected in refused({"name": "T1", "column": "T1_K", "depth_m": 0.001, **changes}, Sensor)
+
+
+@pytest.mark.parametrize("changes", [{"depth_m": 0.0}, {"depth_m": 2e-6}, {"noise_sigma_K": 0.0}])
+def test_a_thermocouple_at_the_surface_and_without_noise_is_accepted(changes):
+    check({"name": "T1", "column": "T1_K", "depth_m": 0.001, **changes}, Sensor, "file.toml")
+
+
+def test_an_interval_of_samples_longer_than_the_flight_names_scenario_and_key(tmp_path):
+    text = (ROOT / "scenarios" / "entry_3dof.toml").read_text()
+    assert "[trajectory]" in text
+    lines = [line for line in text.splitlines() if not line.startswith("sample_s")]
+    lines.insert(lines.index("[trajectory]") + 1, "sample_s = 68000.0")
+    (tmp_path / "coarse.toml").write_text("\n".join(lines))
+    scenario = load_scenario(tmp_path / "coarse.toml", root=ROOT)
+    for deed in (check_scenario, fly_scenario):
+        with pytest.raises(InputError, match=r"coarse\.toml.*\[trajectory\]: `sample_s`: 68000 s") as error:
+            deed(scenario)
+        assert len(error.value.problems) == 1
+
+
+def test_what_a_check_flight_refuses_names_the_scenario(tmp_path):
+    text = (ROOT / "scenarios" / "entry_3dof.toml").read_text()
+    (tmp_path / "cg.toml").write_text(text + "\n[trajectory.vehicle]\ncg_fraction = 6.67e-7\n")
+    scenario = load_scenario(tmp_path / "cg.toml", root=ROOT)
+    with pytest.raises(InputError, match=r"cg\.toml.*cg_fraction: 6.67e-07 is outside"):
+        check_scenario(scenario)

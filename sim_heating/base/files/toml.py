@@ -135,11 +135,12 @@ def _range_problems(known: Quantity | None, value: Any) -> list[tuple[Location, 
 
 
 def _axis_problems(known: Quantity | None, rows: Any) -> list[tuple[Location, str]]:
-    """A problem where a schedule of several rows ends so low that its x is in another unit."""
+    """A problem where the x of several rows are so low, or so close together, that they are in another unit."""
     if known is None or not isinstance(rows, (list, tuple)) or len(rows) < 2:
         return []
-    last = max(range(len(rows)), key=lambda i: rows[i][0])
-    text = known.axis_problem(rows[last][0])
+    order = sorted(range(len(rows)), key=lambda i: float(rows[i][0]))
+    last = order[-1]
+    text = known.axis_problem(rows[order[0]][0], rows[last][0])
     return [] if text is None else [((last, 0), text)]
 
 

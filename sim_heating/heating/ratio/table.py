@@ -30,6 +30,14 @@ from sim_heating.base.files import (
     suggestion,
     write_text_atomic,
 )
+from sim_heating.base.limits import QUANTITIES, Quantity
+
+LARGEST_SIGMA, SMALLEST_SIGMA = 10.0, 1e-5
+"""Largest sigma over the largest ratio of a table, and smallest median of sigma over ratio."""
+LEAST_RATIO = 1e-5
+"""Largest ratio of a table, at least: sheltered places have 1e-3 of the stagnation point's."""
+SPIKE = 100.0
+"""Factor between a ratio and those at all nodes next to it that no flow has: shocks that meet give 20."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +79,8 @@ def read_ratio_table(path: str | os.PathLike[str]) -> RatioTable:
 
     path    : CSV file; columns alpha_deg, beta_deg, log10_re, elevon_deg, bodyflap_deg, ratio [-], optionally sigma [-]
     returns : the table on its grid, header included
-    raises  : InputError with row and column: not a number, an angle beyond 180, a log10_re beyond 20, a negative sigma,
-              an unknown column, a repeated or missing node
+    raises  : InputError with row and column: not a number, a value outside the limits of its column, a negative sigma,
+              an unknown column, a repeated or missing node; nodes, ratios or sigma in another unit
     """
     table = read_csv_columns(path, (*RATIO_VARIABLES, "ratio"), ("sigma",))
     raise_problems(_column_problems(table))
@@ -80,7 +88,9 @@ def read_ratio_table(path: str | os.PathLike[str]) -> RatioTable:
     index = tuple(np.searchsorted(axis, table[name]) for axis, name in zip(axes, RATIO_VARIABLES, strict=True))
     # Repeated nodes first: with one of them the number of missing nodes would mislead.
     raise_problems(_repeated_nodes(table, index) or _missing_nodes(table, axes, index))
-    return RatioTable(axes, _on_grid(table, "ratio", axes, index), _sigma(table, axes, index), table.header)
+    ratio = _on_grid(table, "ratio", axes, index)
+    raise_problems(_spikes(table, ratio, index))
+    return RatioTable(axes, ratio, _sigma(table, axes, index), table.header)
 
 
 def write_ratio_table(
@@ -115,13 +125,69 @@ def _column_problems(table: CsvTable) -> list[str]:
         if name not in known
     ]
     for name in RATIO_VARIABLES:
-        limit = 20.0 if name == "log10_re" else 180.0
-        problems += table.problems_where_not(
-            name, np.abs(table[name]) <= limit, f"must lie within -{limit:g} to {limit:g}"
-        )
+        problems += range_problems(table, name, QUANTITIES[name])
+    highest = QUANTITIES["heating_ratio"].highest
+    rule = f"is not a ratio of film coefficients (to {highest:g})"
+    problems += table.problems_where_not("ratio", table["ratio"] <= highest, rule)
+    if 0.0 < (largest := float(table["ratio"].max())) < LEAST_RATIO:
+        text = f"the largest ratio is {largest:g}, below that of any place on a vehicle; check its unit"
+        problems.append(f"{display_path(table.path)}, column ratio: {text}")
     if "sigma" in table.columns:
         problems += table.problems_where_not("sigma", table["sigma"] >= 0.0, "is not a standard deviation (0 or above)")
-    return problems
+    return problems or _sigma_problems(table)
+
+
+def range_problems(table: CsvTable, name: str, known: Quantity) -> list[str]:
+    """Problems of a column of nodes: a value outside the range of its quantity, or nodes too close together."""
+    x = table[name]
+    inside = (x >= known.lowest) & (x <= known.highest)
+    if not np.all(inside):
+        return table.problems_where_not(name, inside, known.rule)
+    text = known.axis_problem(float(x.min()), float(x.max()))
+    return [] if text is None else [f"{display_path(table.path)}, column {name}: {text}"]
+
+
+def _sigma_problems(table: CsvTable) -> list[str]:
+    """Problems of a sigma that is no uncertainty of the ratios next to it."""
+    if "sigma" not in table.columns:
+        return []
+    largest = float(np.max(np.abs(table["ratio"])))
+    rule = f"is more than {LARGEST_SIGMA:g} times the largest ratio, {largest:g}; give sigma in the unit of the ratio"
+    problems = table.problems_where_not("sigma", (table["sigma"] <= LARGEST_SIGMA * largest) | (largest == 0.0), rule)
+    used = (table["sigma"] > 0.0) & (table["ratio"] > 0.0)
+    if problems or not np.any(used):
+        return problems
+    median = float(np.median(table["sigma"][used] / table["ratio"][used]))
+    if median >= SMALLEST_SIGMA:
+        return []
+    text = f"is {median:.2g} of the ratio, and no heating is known so well; give sigma in the unit of the ratio"
+    return [f"{display_path(table.path)}, column sigma: {text}"]
+
+
+def _spikes(table: CsvTable, values: FloatArray, index: tuple[NDArray[np.intp], ...]) -> list[str]:
+    """A problem where a ratio is far above, or far below, the ratios at all of the nodes next to it.
+
+    values : ratio on the grid;  index : node of each row
+    """
+    positive = values > 0.0
+    log = np.log(np.where(positive, values, 1.0))
+    count = np.zeros(values.shape, dtype=np.int64)
+    low, high = np.full(values.shape, np.inf), np.full(values.shape, np.inf)
+    for axis, size in enumerate(values.shape):
+        before = [slice(None)] * values.ndim
+        after = [slice(None)] * values.ndim
+        before[axis], after[axis] = slice(0, size - 1), slice(1, size)
+        step = np.diff(log, axis=axis)
+        for here, rise in ((tuple(before), -step), (tuple(after), step)):
+            count[here] += 1
+            high[here] = np.minimum(high[here], rise)
+            low[here] = np.minimum(low[here], -rise)
+    far = positive & (count >= 2) & (np.maximum(low, high) > np.log(SPIKE))
+    rows = np.flatnonzero(far[index])
+    if not np.all(positive) or rows.size == 0:
+        return []
+    rule = f"is more than {SPIKE:g} times off the ratios at all nodes next to it; correct the row"
+    return [table.problem(int(rows[0]), "ratio", rule)]
 
 
 def _repeated_nodes(table: CsvTable, index: tuple[NDArray[np.intp], ...]) -> list[str]:
