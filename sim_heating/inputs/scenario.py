@@ -36,6 +36,7 @@ from sim_heating.base.files import (
     roots_of,
     suggestion,
 )
+from sim_heating.base.limits import HOTTEST_K
 from sim_heating.base.parameters import MODEL
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.inputs.record import Segments
@@ -414,7 +415,9 @@ def _collect_problems(call: Callable[[Any], object], items: Iterable[Any]) -> li
 
 def _measured_history(compare: Compare, file: Path) -> MeasuredHistory:
     table = read_csv_columns(file, ("time_s", "temperature_K", "sigma_K"))
-    raise_problems([*table.order_problems(), *table.celsius_problems("temperature_K")])
+    rule = f"K is no temperature of a surface; give K, at most {HOTTEST_K:g}"
+    hot = table.problems_where_not("temperature_K", table["temperature_K"] <= HOTTEST_K, rule)
+    raise_problems([*table.order_problems(), *table.celsius_problems("temperature_K"), *hot])
     time = table["time_s"]
     until = np.inf if compare.until_s is None else compare.until_s
     inside = time <= until

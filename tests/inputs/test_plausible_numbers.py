@@ -416,3 +416,14 @@ def test_what_a_check_flight_refuses_names_the_scenario(tmp_path):
     scenario = load_scenario(tmp_path / "cg.toml", root=ROOT)
     with pytest.raises(InputError, match=r"cg\.toml.*cg_fraction: 6.67e-07 is outside"):
         check_scenario(scenario)
+
+
+def test_a_measured_history_in_millikelvin_is_refused(tmp_path):
+    scenario = ROOT / "scenarios" / "sts96.toml"
+    compared = next(c.file for c in load_scenario(scenario).declared.compare)
+    folder = tmp_path / "orbiter"
+    shutil.copytree(VEHICLE, folder)
+    text = scenario.read_text().replace('vehicle = "orbiter"', 'vehicle = "orbiter/"')
+    (tmp_path / "sts96.toml").write_text(text)
+    with scaled(folder / compared, "temperature_K", 1e3), pytest.raises(InputError, match="no temperature of a surface"):
+        load_scenario(tmp_path / "sts96.toml", root=tmp_path)

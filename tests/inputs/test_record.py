@@ -236,8 +236,8 @@ sensors = st.builds(
     dict,
     name=st.text(st.characters(codec="utf-8"), min_size=1, max_size=8),
     column=st.from_regex(r"[A-Za-z0-9_ ,\"]{0,8}x_K", fullmatch=True).filter(lambda s: s == s.strip()),
-    depth_m=st.floats(0.0, 0.04438),
-    noise_sigma_K=st.floats(0.0, 10.0),
+    depth_m=st.just(0.0) | st.floats(1e-6, 0.04438),
+    noise_sigma_K=st.just(0.0) | st.floats(1e-5, 10.0),
     used=st.booleans(),
     sample_offset_s=st.floats(-1.0, 1.0),
 )
