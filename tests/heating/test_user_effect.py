@@ -17,7 +17,7 @@ from sim_heating.base.files import read_csv_columns
 from sim_heating.cli import main
 from sim_heating.closure.batch import record_job
 from sim_heating.closure.search.candidates import candidates
-from sim_heating.heating.effects import effects, flight
+from sim_heating.heating.effects import Effect, effects, flight, model_parameter
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import load_record
 from sim_heating.inputs.scenario import load_scenario
@@ -221,6 +221,14 @@ def test_a_field_of_the_wrong_kind_is_refused_with_the_file(effects_folder, old,
     (effects_folder / "steep.py").write_text(SOURCE.replace(old, new))
     with pytest.raises(InputError, match=rf"steep\.py.*{hint}"):
         effects()
+
+
+def test_lists_in_place_of_tuples_make_the_same_effect():
+    values = {"name": "growth", "mode": "model"}
+    parameter = model_parameter("factor", "stack.emissivity_factor")
+    made = Effect(**values, parameters=[parameter], needs=["mach"])
+    assert made == Effect(**values, parameters=(parameter,), needs=("mach",))
+    assert len({made, made}) == 1
 
 
 def test_a_missing_folder_is_reported(monkeypatch, tmp_path, capsys):

@@ -99,6 +99,8 @@ class Effect:
 
     def __post_init__(self) -> None:
         self._check_kinds()
+        for name in ("parameters", "needs"):  # lists cannot be hashed
+            object.__setattr__(self, name, tuple(getattr(self, name)))
         if len(self.parameters) > EFFECT_WIDTH:
             raise InputError(f"effect {self.name}: {len(self.parameters)} parameters; {EFFECT_WIDTH} at most")
         if (self.mode == "model") != (self.kernel is None):
