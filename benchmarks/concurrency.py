@@ -21,7 +21,7 @@ from benchmarks.kills import POINT, fit, inputs, snapshot
 from benchmarks.measure import Figure, save
 from sim_heating.base.files import MARKER, results_digest
 
-REPETITIONS = 6
+REPETITIONS = 4
 DELAY_S = 0.4
 """Delay of the second process, times the number of the repetition [s]."""
 REFUSED = "another sim-heating process is writing there"

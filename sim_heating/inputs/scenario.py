@@ -352,11 +352,18 @@ def _problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
             for f in declared.measurements.fault
             if f.sensor not in sensors
         ),
+        *_repeated_labels(declared.compare),
         *(["control_points: the list is empty; omit it for all"] if declared.control_points == [] else []),
         *_selection_problems(declared, vehicle),
         *_fmu_problems(declared.trajectory, vehicle),
         *_design_problems(declared),
     ]
+
+
+def _repeated_labels(compare: Sequence[Compare]) -> list[str]:
+    """Results of a comparison are listed under its label."""
+    label = repeated_name([c.label for c in compare])
+    return [] if label is None else [f"[[compare]]: the label `{label}` is repeated; give each history its own"]
 
 
 def _fmu_problems(spec: TrajectorySpec, vehicle: Vehicle) -> Sequence[str]:

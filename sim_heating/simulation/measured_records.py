@@ -19,7 +19,7 @@ import numpy as np
 
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import display_path, output_directory
+from sim_heating.base.files import display_path, output_directory, repeated_name
 from sim_heating.inputs.points import conditions_at_point
 from sim_heating.inputs.record import Record, make_record, write_record
 from sim_heating.inputs.scenario import MeasuredHistory, Scenario
@@ -41,6 +41,12 @@ def compared_records(
     """
     if not scenario.compare:
         raise InputError(f"{display_path(scenario.path)}: compares with no measured history; add a [[compare]]")
+    point = repeated_name([m.control_point for m in scenario.compare])
+    if point is not None:
+        raise InputError(
+            f"{display_path(scenario.path)}, [[compare]]: {point} is compared with several histories, and a record is "
+            "named after its control point; leave one of them"
+        )
     if flown is None:
         flown = fly_scenario(scenario).conditions
     flown = flown.with_columns(time_s=shift_s + stretch * flown.time_s)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from sim_heating.base.errors import InputError
 from sim_heating.inputs.scenario import Scenario, load_scenario
+from sim_heating.simulation.measured_records import compared_records
 from sim_heating.simulation.run import RunResult, compare, fly_scenario, run, summary
 from sim_heating.simulation.synthesize import synthesize
 from tests.support.gliding import gliding
@@ -143,3 +145,17 @@ def test_what_a_flight_finds_wrong_is_reported_with_the_scenario(tmp_path):
     path.write_text(gliding(20.0, "V09T9527") + "[trajectory.vehicle]\ncg_fraction = 0.4\n")
     with pytest.raises(InputError, match=r"aft\.toml: cg_fraction: 0\.4 is outside"):
         run(path)
+
+
+def test_histories_of_one_label_or_one_point_are_not_mixed(tmp_path):
+    """Results are listed by label, records by control point: one of two would be lost."""
+    text = (FOLDER / "sts96.toml").read_text()
+    label = re.findall(r'label = "(.*)"', text)
+    (tmp_path / "a.toml").write_text(text.replace(label[1], label[0]))
+    with pytest.raises(InputError, match=re.escape(f"[[compare]]: the label `{label[0]}` is repeated")):
+        load_scenario(tmp_path / "a.toml")
+    points = re.findall(r'\[\[compare\]\]\ncontrol_point = "(.*)"', text)
+    first, second = (f'[[compare]]\ncontrol_point = "{name}"' for name in points[:2])
+    (tmp_path / "b.toml").write_text(text.replace(second, first))
+    with pytest.raises(InputError, match=f"{points[0]} is compared with several histories"):
+        compared_records(load_scenario(tmp_path / "b.toml"))
