@@ -24,7 +24,6 @@ from sim_heating.base.files import MARKER, results_digest
 REPETITIONS = 4
 DELAY_S = 0.4
 """Delay of the second process, times the number of the repetition [s]."""
-REFUSED = "another sim-heating process is writing there"
 
 
 def pairs() -> dict[str, tuple[str, str]]:
