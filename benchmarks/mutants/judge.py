@@ -74,6 +74,17 @@ def mutant(home: Path, seed: int, number: int) -> tuple[Subject, Command, str, D
     return subject, command, file, damage(file, (home / file).read_bytes(), rng)
 
 
+def _result(
+    drawn: tuple[Subject, Command, str, Damage], number: int, outcome: str, message: str, seconds: float
+) -> Result:
+    """What became of a mutant, as `mutant` drew it."""
+    subject, command, file, done = drawn
+    return Result(
+        number, subject.format, file, done.kind, done.what, done.quantity, done.factor, command_text(command),
+        outcome, message, seconds,
+    )  # fmt: skip
+
+
 def write_mutant(home: Path, folder: Path, subject: Subject, file: str, done: Damage) -> None:
     """The files of a subject with one damaged, in a new folder."""
     folder.mkdir(parents=True)
@@ -149,20 +160,7 @@ def _answer(here: Connection, process: Any, home: Path, seed: int, number: int, 
         too_long = process.exitcode == -24  # SIGXCPU
         outcome = "too long" if too_long else "died"
         message = f"{LONGEST_S:g} s of processor time" if too_long else f"exit code {process.exitcode}: {_tail(work)}"
-    subject, command, file, done = mutant(home, seed, number)
-    return Result(
-        number,
-        subject.format,
-        file,
-        done.kind,
-        done.what,
-        done.quantity,
-        done.factor,
-        command_text(command),
-        outcome,
-        message,
-        LONGEST_S,
-    )
+    return _result(mutant(home, seed, number), number, outcome, message, LONGEST_S)
 
 
 def _serve(connection: Connection, home: str, seed: int, work: str, longest_s: float) -> None:
@@ -199,7 +197,8 @@ def _warm_up(home: Path, work: Path) -> None:
 
 def _judge(home: Path, seed: int, number: int, work: Path, output: Path, longest_s: float) -> Result:
     """Run one mutant and say what became of it."""
-    subject, command, file, done = mutant(home, seed, number)
+    drawn = mutant(home, seed, number)
+    subject, command, file, done = drawn
     folder = work / "case" / f"m{number}"
     write_mutant(home, folder, subject, file, done)
     before = digests(folder)
@@ -234,19 +233,7 @@ def _judge(home: Path, seed: int, number: int, work: Path, output: Path, longest
     shutil.rmtree(work / "case", ignore_errors=True)
     for left in (work / "tmp").iterdir():
         shutil.rmtree(left) if left.is_dir() else left.unlink()
-    return Result(
-        number,
-        subject.format,
-        file,
-        done.kind,
-        done.what,
-        done.quantity,
-        done.factor,
-        command_text(command),
-        outcome,
-        message[-1500:],
-        round(seconds, 3),
-    )
+    return _result(drawn, number, outcome, message[-1500:], round(seconds, 3))
 
 
 def _outcome(status: int | None, text: str, trace: str, too_long: bool) -> tuple[str, str]:

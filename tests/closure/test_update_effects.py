@@ -21,7 +21,7 @@ from sim_heating.inputs.record import load_record
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.simulation.synthesize import synthesize, write_records
-from tests.closure.test_update_tables import GLIDE, POINT, contents, edit, one_point_orbiter
+from tests.closure.test_update_tables import POINT, contents, edit, one_point_orbiter, popu_in_a_glide
 
 TRANSITION = {"log10_re_onset": 6.0, "alpha_sens": 0.0, "width": 0.05, "factor": 1.6, "alpha_0_deg": 38.0}
 COATING = 1.6
@@ -46,7 +46,7 @@ def flown_records(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("first", {"altitude_m": 74000.0, "velocity_m_s": 6800.0, "sweep_deg": 5.0}),
         ("second", {"altitude_m": 72000.0, "velocity_m_s": 6300.0, "sweep_deg": 3.0}),
     ):
-        (home / f"{name}.toml").write_text(GLIDE.format(**flight) + HIDDEN)
+        (home / f"{name}.toml").write_text(popu_in_a_glide(**flight) + HIDDEN)
         scenario = load_scenario(home / f"{name}.toml")
         write_records(scenario, synthesize(scenario), home / name)
     start = {**TRANSITION, "log10_re_onset": 6.02, "factor": 1.3}

@@ -39,33 +39,24 @@ from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.simulation.predict import predict
 from sim_heating.simulation.synthesize import synthesize, write_records
+from tests.support.gliding import gliding
 from tests.support.paths import ROOT
 
 POINT = "V09T9527"
 TRUTH = {"ratio.scale": -0.2, "ratio.d_alpha": 0.001}
 
-GLIDE = """
-format = "scenario/1"
-title = "A POPU in a glide"
-vehicle = "orbiter"
-control_points = ["V09T9527"]
-[trajectory]
-source = "entry-3dof"
-[trajectory.initial]
-altitude_m = {altitude_m}
-velocity_m_s = {velocity_m_s}
-gamma_deg = -0.1
-heading_deg = 60.0
-latitude_deg = 10.0
-[trajectory.stop]
-time_s = 160.0
-[[trajectory.manoeuvre]]
+
+def popu_in_a_glide(altitude_m: float, velocity_m_s: float, sweep_deg: float) -> str:
+    """Text of a scenario whose truth differs from the tables; more tables may be added to it."""
+    flight = gliding(160.0, POINT, altitude_m=altitude_m, velocity_m_s=velocity_m_s, vehicle="orbiter")
+    parameters = ", ".join(f'"{name}" = {value}' for name, value in TRUTH.items())
+    return f"""{flight}[[trajectory.manoeuvre]]
 kind = "popu"
 at_time_s = 90.0
 down_deg = {sweep_deg}
 up_deg = {sweep_deg}
 [truth]
-parameters = {{ "ratio.scale" = -0.2, "ratio.d_alpha" = 0.001 }}
+parameters = {{ {parameters} }}
 """
 
 
@@ -91,7 +82,7 @@ def flown_records(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("first", {"altitude_m": 74000.0, "velocity_m_s": 6800.0, "sweep_deg": 5.0}),
         ("second", {"altitude_m": 70000.0, "velocity_m_s": 6000.0, "sweep_deg": 3.0}),
     ):
-        (home / f"{name}.toml").write_text(GLIDE.format(**flight))
+        (home / f"{name}.toml").write_text(popu_in_a_glide(**flight))
         scenario = load_scenario(home / f"{name}.toml")
         write_records(scenario, synthesize(scenario), home / name)
         write_estimate(home / f"{name}.json", least_squares(load_record(home / name), tuple(TRUTH)))
