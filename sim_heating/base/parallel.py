@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.files.paths import bytes_digest
 from sim_heating.base.files.text import clear_partial_files, repeated_name, write_bytes_atomic, write_text_atomic
 from sim_heating.base.files.transaction import exclusive
 from sim_heating.base.progress import Progress, no_progress, signals_deferred
@@ -149,7 +150,7 @@ def _store_result(out: Path, job_id: str, result: bytes | BaseException) -> None
     else:
         write_bytes_atomic(out / job_id, result)
         # Written after the result: one that a kill leaves without its digest is computed again.
-        write_text_atomic(_digest_path(out, job_id), _digest(result))
+        write_text_atomic(_digest_path(out, job_id), f"{bytes_digest(result)}\n")
         error.unlink(missing_ok=True)
 
 
@@ -157,14 +158,10 @@ def _stored_result(out: Path, job_id: str) -> bytes | None:
     """A job's result of an earlier run; None where there is none, or it is not what was written."""
     try:
         result = (out / job_id).read_bytes()
-        whole = _digest_path(out, job_id).read_bytes() == _digest(result).encode()
+        whole = _digest_path(out, job_id).read_bytes() == f"{bytes_digest(result)}\n".encode()
     except OSError:
         return None
     return result if whole else None
-
-
-def _digest(result: bytes) -> str:
-    return f"sha256:{hashlib.sha256(result).hexdigest()}\n"
 
 
 def _digest_path(out: Path, job_id: str) -> Path:

@@ -44,7 +44,7 @@ def show_warning(message: Warning | str, *_: Any) -> None:
 
 def results_directory(_: click.Context, __: click.Parameter, value: str) -> Path:
     """Value of an option --out; a directory that cannot be made or written is refused before any work."""
-    from sim_heating.base.files import display_path, exclusive
+    from sim_heating.base.files import display_path, require_exclusive
     from sim_heating.base.files.text import abbreviated, os_error_reason
 
     if not value.strip():
@@ -58,8 +58,7 @@ def results_directory(_: click.Context, __: click.Parameter, value: str) -> Path
         ) from None
     if not existing.is_dir():
         raise InputError(f"--out {value}: {display_path(existing)} is a file; name a directory for the results")
-    with exclusive(path):  # refuses a place that cannot be written
-        pass
+    require_exclusive(path)
     return path
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def _fmu_file(_: click.Context, __: click.Parameter, value: Path) -> Path:
     """Value of --out; a file that cannot be written is refused before any work."""
-    from sim_heating.base.files import exclusive
+    from sim_heating.base.files import require_exclusive
     from sim_heating.simulation.fmu_export.archive import require_replaceable
 
     if value.suffix != ".fmu":
@@ -25,8 +25,7 @@ def _fmu_file(_: click.Context, __: click.Parameter, value: Path) -> Path:
         raise InputError(f"--out {value}: is a directory; name a file that ends in .fmu")
     with error_context("--out"):
         require_replaceable(value)
-    with exclusive(value.parent):
-        pass
+    require_exclusive(value.parent)
     return value
 
 

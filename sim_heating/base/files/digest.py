@@ -6,11 +6,11 @@ number has a decimal point. It is a guard against accidents and edits by hand, n
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from typing import Any
 
+from sim_heating.base.files.paths import text_digest
 from sim_heating.base.files.results import json_text
 
 DIGEST = "digest"
@@ -24,7 +24,7 @@ def content_digest(data: Mapping[str, Any]) -> str:
     """
     content = json.loads(json.dumps({k: v for k, v in data.items() if k != DIGEST}), parse_int=float)
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
-    return f"sha256:{hashlib.sha256(text.encode('ascii')).hexdigest()}"
+    return text_digest(text)
 
 
 def with_digest(data: Mapping[str, Any]) -> dict[str, Any]:

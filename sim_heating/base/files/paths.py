@@ -38,9 +38,19 @@ def file_digest(path: str | os.PathLike[str]) -> str:
         return f"sha256:{hashlib.file_digest(stream, 'sha256').hexdigest()}"
 
 
+def has_digest(path: str | os.PathLike[str], digest: str) -> bool:
+    """Whether a path is a file of this digest."""
+    return os.path.isfile(path) and file_digest(path) == digest
+
+
+def bytes_digest(data: bytes) -> str:
+    """`sha256:...` of bytes."""
+    return f"sha256:{hashlib.sha256(data).hexdigest()}"
+
+
 def text_digest(text: str) -> str:
     """`sha256:...` of a text as UTF-8."""
-    return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
+    return bytes_digest(text.encode())
 
 
 def make_durable(path: str | os.PathLike[str]) -> None:

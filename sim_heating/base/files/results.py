@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.files.paths import display_path, file_digest, text_digest
+from sim_heating.base.files.paths import display_path, file_digest, has_digest, real_path, text_digest
 from sim_heating.base.files.text import abbreviated, as_builtin, read_text, write_text_atomic
 from sim_heating.base.files.transaction import (
     NEW,
@@ -122,7 +122,7 @@ def output_directory(
         with _part_of_results(Path(path), command) as folder:
             yield folder
         return
-    _refuse_inputs(Path(os.path.realpath(path)), inputs)
+    _refuse_inputs(real_path(path), inputs)
     with exclusive(path) as target:
         _results_to_replace(target, command, expected)
         with staged(target) as folder:
@@ -143,7 +143,7 @@ def require_writable(
 
     raises : InputError as `output_directory` does before the work
     """
-    _refuse_inputs(Path(os.path.realpath(path)), inputs)
+    _refuse_inputs(real_path(path), inputs)
     with exclusive(path) as target:
         _results_to_replace(target, command, expected)
 
@@ -196,7 +196,7 @@ def results_digest(directory: str | os.PathLike[str]) -> str | None:
     """Digest of all results in a directory; None where one is missing, was changed, or there are none."""
     try:
         found = _read_marker(Path(directory))
-        whole = found is not None and all(file_digest(Path(directory) / n) == d for n, d in found[1].items())
+        whole = found is not None and all(has_digest(Path(directory) / n, d) for n, d in found[1].items())
         return file_digest(Path(directory) / MARKER) if whole else None
     except (OSError, InputError):
         return None
@@ -212,9 +212,9 @@ def write_own_files(directory: str | os.PathLike[str], command: str, texts: Mapp
     with exclusive(directory) as target:
         found = _read_marker(target)
         listed = {} if found is None else found[1]
-        kept = {name: text for name, text in texts.items() if _has_digest(target / name, text_digest(text))}
+        kept = {name: text for name, text in texts.items() if has_digest(target / name, text_digest(text))}
         new = {name: text for name, text in texts.items() if name not in kept}
-        foreign = [n for n in new if os.path.lexists(target / n) and not _has_digest(target / n, listed.get(n, ""))]
+        foreign = [n for n in new if os.path.lexists(target / n) and not has_digest(target / n, listed.get(n, ""))]
         if foreign:
             raise InputError(
                 f"{display_path(target)}: {', '.join(foreign)} was not written by `{command}`, or was changed since, "
@@ -224,10 +224,6 @@ def write_own_files(directory: str | os.PathLike[str], command: str, texts: Mapp
         marker = json_text({"format": MARKER_FORMAT, "command": command, "files": digests})
         if new or found is None or digests != listed:
             replace_files(target, {**new, MARKER: marker})
-
-
-def _has_digest(path: Path, digest: str) -> bool:
-    return path.is_file() and file_digest(path) == digest
 
 
 def _results_to_replace(target: Path, command: str, names: Iterable[str]) -> dict[str, str]:
@@ -252,7 +248,7 @@ def _results_to_replace(target: Path, command: str, names: Iterable[str]) -> dic
             f"{display_path(target)}: {', '.join(foreign)} already exists and was not written by sim-heating; choose "
             "another directory"
         )
-    changed = [n for n in there if not (target / n).is_file() or file_digest(target / n) != files[n]]
+    changed = [n for n in there if not has_digest(target / n, files[n])]
     if changed:
         raise InputError(
             f"{display_path(target)}: {', '.join(changed)} was changed after sim-heating wrote it and is not replaced; "
@@ -267,7 +263,7 @@ def _refuse_inputs(target: Path, inputs: Iterable[str | os.PathLike[str] | None]
     for given in inputs:
         if given is None or not os.path.exists(given):
             continue
-        path = Path(os.path.realpath(given))
+        path = real_path(given)
         relation = (
             "is" if path == target
             else "contains" if target in path.parents

@@ -19,7 +19,7 @@ from pydantic import AfterValidator
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files.package import data_folders
-from sim_heating.base.files.paths import display_path
+from sim_heating.base.files.paths import display_path, real_path
 from sim_heating.base.files.text import abbreviated, raise_problems
 
 DATA = ("aircraft_data", "scenarios")
@@ -114,7 +114,7 @@ class Roots:
 
     def _problems(self, path: Path, name: str, code: bool) -> Iterator[str]:
         try:
-            real = Path(os.path.realpath(path))
+            real = real_path(path)
         except (OSError, ValueError) as error:
             yield f"{abbreviated(name)} is not a path ({error})"
             return
@@ -143,18 +143,18 @@ def roots_of(
     vehicle : folder of the file's vehicle, where it has another one than the file's
     raises  : InputError where `root` is no directory
     """
-    own = _real(Path(file).parent)
+    own = real_path(Path(file).parent)
     given = () if root is None else (_given_root(root),)
     places = (own, *given) if given else (own, *_default_root(own))
-    more = () if vehicle is None else (_real(Path(vehicle)),)
-    data = (_real(folder) for name in DATA for folder in data_folders(name) if folder.is_dir())
+    more = () if vehicle is None else (real_path(Path(vehicle)),)
+    data = (real_path(folder) for name in DATA for folder in data_folders(name) if folder.is_dir())
     return Roots(Path(file), _outermost((*places, *more, *data)), _outermost((own, *given)))
 
 
 def _given_root(root: str | os.PathLike[str]) -> Path:
     if not os.fspath(root) or not os.path.isdir(root):
         raise InputError(f"--root {os.fspath(root)}: is not a directory; name the folder that files may be read from")
-    return _real(Path(root))
+    return real_path(Path(root))
 
 
 def _default_root(own: Path) -> tuple[Path, ...]:
@@ -162,13 +162,9 @@ def _default_root(own: Path) -> tuple[Path, ...]:
     if marked is not None:
         return (marked,)
     try:
-        return (_real(Path.cwd()),)
+        return (real_path(Path.cwd()),)
     except OSError:  # the working directory has been removed
         return ()
-
-
-def _real(path: Path) -> Path:
-    return Path(os.path.realpath(path))
 
 
 def _within(path: Path, folders: tuple[Path, ...]) -> bool:

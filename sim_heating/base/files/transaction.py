@@ -20,7 +20,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.files.paths import display_path, file_digest, make_durable, os_error_reason
+from sim_heating.base.files.paths import display_path, file_digest, has_digest, make_durable, os_error_reason, real_path
 
 if TYPE_CHECKING:
     from filelock import BaseFileLock
@@ -59,7 +59,7 @@ def exclusive(
     returns : the directory, symbolic links resolved
     raises  : InputError where another process keeps the lock, or the directory cannot be created or written
     """
-    target = Path(os.path.realpath(directory))
+    target = real_path(directory)
     if target in _held():
         yield target
         return
@@ -75,6 +75,12 @@ def exclusive(
             (target / LOCK).unlink()
         lock.release()
         _remove_empty(created)
+
+
+def require_exclusive(directory: str | os.PathLike[str]) -> None:
+    """Check before any work that a directory can be written and that nobody else does; raises as `exclusive`."""
+    with exclusive(directory):
+        pass
 
 
 def _acquire(
@@ -155,7 +161,7 @@ def commit(target: Path, old: Mapping[str, str]) -> None:
     for name in {*new, *old}:
         require_plain(target, name)
         expected = old.get(name)
-        if os.path.lexists(target / name) and (expected is None or not _is(target / name, expected)):
+        if os.path.lexists(target / name) and (expected is None or not has_digest(target / name, expected)):
             raise _in_the_way(target, name)
     for path in sorted((target / STAGING / NEW).rglob("*"), reverse=True):
         make_durable(path)
@@ -231,7 +237,7 @@ def settle(directory: str | os.PathLike[str]) -> None:
 
     raises : InputError where a replacement in progress does not end, or an interrupted one cannot be finished
     """
-    target = Path(os.path.realpath(directory))
+    target = real_path(directory)
     if target in _held() or not os.path.lexists(target / STAGING):
         return
     in_progress = (target / STAGING / JOURNAL).exists()
@@ -296,7 +302,7 @@ def _finish(target: Path, new: dict[str, str], old: Mapping[str, str]) -> None:
         came = name in new and not (staging / NEW / name).exists()
         if came or (staging / OLD / name).exists() or not os.path.lexists(target / name):
             continue
-        if not _is(target / name, digest):
+        if not has_digest(target / name, digest):
             raise _in_the_way(target, name)
         _move(target / name, staging / OLD / name)
     for name in reversed(new):  # the list of results, whose name begins with a dot, comes last
@@ -315,17 +321,13 @@ def _undo(target: Path, new: Mapping[str, str]) -> None:
     staging = target / STAGING
     for name, digest in new.items():
         arrived = not (staging / NEW / name).exists()
-        if arrived and _is(target / name, digest):
+        if arrived and has_digest(target / name, digest):
             _move(target / name, staging / NEW / name)
     for name in files_below(staging / OLD):
         if os.path.lexists(target / name):
             raise _in_the_way(target, name)
         _move(staging / OLD / name, target / name)
     _discard(target, new)
-
-
-def _is(path: Path, digest: str) -> bool:
-    return path.is_file() and file_digest(path) == digest
 
 
 def _in_the_way(target: Path, name: str) -> InputError:
