@@ -36,3 +36,5 @@ mach = block.MACH
 """Mach number [-], speed over the local speed of sound."""
 time_s = block.TIME
 """Time [s]."""
+H_r_rise_J_kg = block.RECOVERY_RISE
+"""Rise of the recovery enthalpy [J/kg] from laminar to fully turbulent flow; 0 where no edge is declared."""

@@ -69,7 +69,8 @@ def condition_history(conditions: Conditions) -> FloatArray:
 
     conditions : of one flight; each column keeps its unit ([deg], [Pa], [J/kg] ...)
 
-    Columns that a flight may lack (additional flux, jets) are 0. Source: docs/equations_march.md, equation 1.
+    Columns that a flight may lack (additional flux, jets, rise of the recovery enthalpy) are 0.
+    Source: docs/equations_march.md, equation 1.
     """
     columns = [conditions[c] if c in conditions else np.zeros(len(conditions)) for c in CONDITION_COLUMNS]
     return np.ascontiguousarray(np.column_stack(columns))

@@ -40,6 +40,7 @@ from sim_heating.base.kernels.block import (
     P_SURFACE,
     RATE,
     RECOVERY_ENTHALPY,
+    RECOVERY_RISE,
     TIME,
     T,
 )
@@ -191,7 +192,7 @@ def derive_conditions(
         vectors[i, P_SURFACE] = pressure_below_rise(
             p_inf, rise, alpha, cos_beta, frame[F_ELEVON], frame[F_BODYFLAP], point
         )
-        vectors[i, H_REF], vectors[i, RECOVERY_ENTHALPY] = h_ref, H_r
+        vectors[i, H_REF], vectors[i, RECOVERY_ENTHALPY], vectors[i, RECOVERY_RISE] = h_ref, H_r, 0.0
         vectors[i, JETS], vectors[i, MACH], vectors[i, TIME] = frame[F_JETS], mach, frame[F_TIME]
 
 

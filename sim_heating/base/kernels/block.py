@@ -24,11 +24,12 @@ would be compiled a second time."""
 # Flight conditions of a lane, in contract units (base/conditions.py); the first five are the variables of a ratio
 # table.
 ALPHA, BETA, LOG10_RE, ELEVON, BODYFLAP = 0, 1, 2, 3, 4
-P_SURFACE, H_REF, RECOVERY_ENTHALPY, Q_ADD, JETS, MACH, TIME = 5, 6, 7, 8, 9, 10, 11
-N_CONDITIONS = 12
+P_SURFACE, H_REF, RECOVERY_ENTHALPY, Q_ADD, JETS, MACH, TIME, RECOVERY_RISE = 5, 6, 7, 8, 9, 10, 11, 12
+N_CONDITIONS = 13
 CONDITION_COLUMNS = (
     "alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg",
     "p_surface_Pa", "h_ref_kg_m2_s", "H_r_J_kg", "q_add_W_m2", "jets", "mach", "time_s",
+    "H_r_rise_J_kg",
 )  # fmt: skip
 
 # Heating parameters of a lane: the linear model about a reference condition (docs/equations.md, section 2: 5 first and
