@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from benchmarks.verification.exact import semi_infinite_flux, semi_infinite_linear_flux
 from sim_heating.base.files import read_csv_columns
 from sim_heating.closure.clues.residual_heating import ResidualHeating, residual_heating, write_residual_heating
 from sim_heating.estimation.filter.heating_input import UnknownInput, unknown_input
@@ -18,7 +19,6 @@ from sim_heating.heating.effects import use
 from sim_heating.inputs.record import Record
 from sim_heating.march.mesh_choice import pack
 from sim_heating.march.point import PointModel
-from tests.support.analytic import semi_infinite_flux, semi_infinite_linear_flux
 from tests.support.missing import record_with
 from tests.support.walls import flight, material, wall
 

@@ -1,6 +1,5 @@
 """The free stream: US Standard Atmosphere 1976, viscosity, speed of sound, derived flight conditions."""
 
-import csv
 import math
 
 import numpy as np
@@ -8,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.verification.published import published_atmosphere
 from sim_heating.base.errors import InputError
 from sim_heating.heating.atmosphere import (
     EARTH_RADIUS_M,
@@ -21,17 +21,11 @@ from sim_heating.heating.atmosphere import (
     us76,
     us76_kernel,
 )
-from tests.support.paths import DATA
 
 compiling = settings(deadline=None)  # the first example waits for the compiler
 
 
-def published() -> list[dict[str, float]]:
-    lines = [x for x in (DATA / "us76_published.csv").read_text().splitlines() if not x.startswith("#")]
-    return [{k: float(v) for k, v in row.items()} for row in csv.DictReader(lines)]
-
-
-@pytest.mark.parametrize("row", published(), ids=lambda row: f"{row['altitude_m'] / 1000:g} km")
+@pytest.mark.parametrize("row", published_atmosphere(), ids=lambda row: f"{row['altitude_m'] / 1000:g} km")
 def test_the_standard_atmosphere_has_its_published_values(row):
     T, p, rho = us76_kernel(row["altitude_m"])
     if not math.isnan(row["T_K"]):

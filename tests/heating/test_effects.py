@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.draw_effects import page
+from benchmarks.verification.exact import SIGMA
 from sim_heating.base.errors import InputError
 from sim_heating.closure.search.candidates import candidates
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
@@ -24,7 +25,6 @@ from sim_heating.inputs.points import conditions_of_record
 from sim_heating.march.ensemble import condition_history
 from sim_heating.march.mesh_choice import pack
 from sim_heating.march.point import PointModel
-from tests.support.analytic import SIGMA
 from tests.support.paths import ROOT
 from tests.support.walls import flight, heat, material, orders, practice_model, practice_record, wall
 

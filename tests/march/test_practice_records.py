@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.verification import method_of_lines
 from sim_heating.inputs.record import pooled_rmse_K
 from sim_heating.march.ensemble import condition_history
 from sim_heating.march.mesh_choice import pack
 from sim_heating.march.point import PointModel
-from tests.support import method_of_lines
 from tests.support.walls import practice_model, practice_record
 
 NAMES = ["p06", "p07"]

@@ -1,4 +1,4 @@
-"""Walls and flights that the thermal tests heat: the shortest way from numbers to temperatures."""
+"""Walls and flights that the thermal tests heat, and those of the practice records."""
 
 from __future__ import annotations
 
@@ -10,46 +10,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim_heating.base.conditions import Conditions
-from sim_heating.heating import flight_variables
+from benchmarks.verification.walls import BLACK_TO_NOTHING as BLACK_TO_NOTHING
+from benchmarks.verification.walls import even_mesh as even_mesh
+from benchmarks.verification.walls import flight as flight
+from benchmarks.verification.walls import from_the_first_instant as from_the_first_instant
+from benchmarks.verification.walls import heat as heat
+from benchmarks.verification.walls import material as material
+from benchmarks.verification.walls import wall as wall
 from sim_heating.inputs.record import Record, load_record
-from sim_heating.march.ensemble import Ensemble, condition_history
-from sim_heating.march.mesh_choice import pack
+from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.point import PointModel
-from sim_heating.thermal.mesh import Mesh
-from sim_heating.thermal.stack import Construction, Layer, Material, Stack
+from sim_heating.thermal.stack import Material
 from tests.support.paths import PRACTICE
 
 FloatArray = NDArray[np.float64]
-BLACK_TO_NOTHING = 1e-9
-"""The least emissivity that a material may declare."""
-
-
-def material(k: Any = 1.0, c: Any = 1000.0, rho: float = 1000.0, emissivity: float = BLACK_TO_NOTHING) -> Material:
-    """A material; k and c are numbers or tables."""
-    return Material(
-        density_kg_m3=rho,
-        emissivity=[[300.0, emissivity]],
-        specific_heat_J_kgK=[[300.0, c]] if isinstance(c, float) else c,
-        conductivity_W_mK=[[300.0, k]] if isinstance(k, float) else k,
-    )
-
-
-def wall(*layers: tuple[Material, float], contact: float = 0.0, **stack: Any) -> Construction:
-    """Layers (material, thickness [m]) from outside inward, a contact resistance below the first one."""
-    declared = [
-        Layer(material=f"m{i}", thickness_m=thickness, contact_m2K_W=contact if i == 0 else 0.0)
-        for i, (_, thickness) in enumerate(layers)
-    ]
-    whole: dict[str, Any] = {"initial_K": 300.0, "back": "adiabatic"} | stack
-    return Construction(stack=Stack(layer=declared, **whole), materials={f"m{i}": m for i, (m, _) in enumerate(layers)})
-
-
-def flight(time_s: ArrayLike, **columns: ArrayLike) -> FloatArray:
-    """(1, time, condition) of contract columns; scalars hold throughout."""
-    time = np.asarray(time_s, dtype=float)
-    full = {name: np.broadcast_to(np.asarray(v, dtype=float), time.shape) for name, v in columns.items()}
-    return condition_history(Conditions({"time_s": time} | full))[np.newaxis]
 
 
 @cache
@@ -92,30 +66,6 @@ def enthalpy(m: Material, temperature_K: float) -> float:
     points = np.array(m.specific_heat_J_kgK)
     T = np.unique(np.concatenate(([0.0, temperature_K], points[points[:, 0] < temperature_K, 0])))
     return float(np.trapezoid(np.interp(T, points[:, 0], points[:, 1]), T))
-
-
-def heat(
-    construction: Construction,
-    history: FloatArray,
-    depths_m: tuple[float, ...] = (),
-    nodes: int | None = 100,
-    step_s: float = 1.0,
-    **model: Any,
-) -> tuple[Ensemble, FloatArray]:
-    """A single wall marched through a flight: the ensemble, and (time, surface | bondline | sensors) [K]."""
-    ensemble = pack([PointModel("wall", construction, depths_m, nodes=nodes, **model)], step_s)
-    return ensemble, ensemble.march(history[0, :, flight_variables.time_s], history)
-
-
-def even_mesh(length_m: float, elements: int) -> Mesh:
-    """Equal elements of one layer."""
-    depth = np.linspace(0.0, length_m, elements + 1)
-    return Mesh(np.full(elements, length_m / elements), np.zeros(elements, dtype=np.int64), depth, (), 0)
-
-
-def from_the_first_instant(end_s: float, steps: int = 400) -> FloatArray:
-    """0 and times that grow by a constant factor to the end: a jump in heating is resolved from its start."""
-    return np.concatenate(([0.0], np.geomspace(1e-5 * end_s, end_s, steps)))
 
 
 def orders(errors: ArrayLike) -> FloatArray:

@@ -13,6 +13,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.verification.exact import (
+    coated_surface,
+    cosine_decay,
+    semi_infinite_film,
+    semi_infinite_flux,
+    semi_infinite_linear_flux,
+    slab_flux,
+)
 from sim_heating.base.kernels.block import RECOVERY_ENTHALPY
 from sim_heating.march.ensemble import Ensemble, condition_history
 from sim_heating.march.mesh_choice import pack
@@ -21,14 +29,6 @@ from sim_heating.thermal.assembly import BIN_K, BINS, PIECE_HEAD
 from sim_heating.thermal.mesh import build_mesh, halve_elements
 from sim_heating.thermal.stack import Material
 from sim_heating.thermal.tables import TableStore
-from tests.support.analytic import (
-    coated_surface,
-    cosine_decay,
-    semi_infinite_film,
-    semi_infinite_flux,
-    semi_infinite_linear_flux,
-    slab_flux,
-)
 from tests.support.walls import (
     even_mesh,
     flight,

@@ -1,0 +1,1 @@
+"""Verification: what the program computes against exact, published and independently computed values."""
