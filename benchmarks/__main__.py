@@ -12,8 +12,8 @@ from benchmarks.measure import Figure, table
 NAMES = (
     "c_loop", "work_precision", "frames", "coupling", "fmu", "optimal", "envelope",
     "covariance", "end_to_end", "ground_step", "skew", "initial", "design", "estimator_speed",
-    "estimator_null", "estimator_statistics", "process_noise", "residual", "sts96", "kaowool", "dispersion",
-    "practice", "closure", "mutants", "kills", "concurrency",
+    "estimator_null", "estimator_statistics", "process_noise", "residual", "sts96", "tile_phases",
+    "kaowool", "dispersion", "practice", "closure", "mutants", "kills", "concurrency",
 )  # fmt: skip
 
 
