@@ -3,7 +3,7 @@
  * TR-BDF2 for the heat content, linear elements with the mass shared (SHARE = 1/6), Kirchhoff's variable, Newton to 1e-4 K
  * lane by lane with the same first guesses, eight control points side by side. It is written for speed, not as a copy:
  * evaluation and elimination go in one sweep, what crosses an element is computed once, the explicit part of a step comes
- * from the balance of the step before (no evaluation), bins of one polynomial are merged to segments, and the corners of
+ * from the balance of the step before (no evaluation), properties are polynomials between declared points, and the corners of
  * the ratio-table cell that a lane is in lie beside it.
  *
  * Compiled by benchmarks/c_peer/build.py, strictly (IEEE, no contraction) and with -Ofast.

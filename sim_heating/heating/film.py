@@ -111,12 +111,26 @@ def _pressure_columns(B: FloatArray, J: IntArray, table: FloatArray, stage: int)
         B[(k.PFRAC + stage) * LANES + lane] = min(max(fraction(B, PRESSURE, lane), 0.0), 1.0)
 
 
+@inline_always
+def _air_places(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> None:
+    """Place [-] of the pressure of each lane on the axis of its enthalpy of air, from log10 of the pressure in CELL_X.
+
+    The axis is even in log10 p, so that its column is found without a search; it is constant outside.
+    """
+    for lane in range(LANES):
+        first = J[k.ENTHALPY_TABLE + lane]
+        place = (B[(k.CELL_X + PRESSURE) * LANES + lane] - table[first]) * table[first + 1]
+        # In this order a place that is no number becomes 0: it is to be an index.
+        place = place if place > 0.0 else 0.0
+        B[(k.AIR_PLACE + stage) * LANES + lane] = place if place < table[first + 2] else table[first + 2]
+
+
 @njit
 def heat_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int) -> None:  # type: ignore[no-untyped-def]
     """Film coefficient, recovery enthalpy, added flux and pressure column of all lanes at one stage.
 
     B, J  : block of the lane group and its integers; rows FILM [kg/(m2 s)], RECOVERY [J/kg], ADDED [W/m2],
-            PCOL, PFRAC [-] of the stage are written, OUTSIDE counts the samples off the axes of the ratio table
+            PCOL, PFRAC, AIR_PLACE [-] of the stage are written, OUTSIDE counts samples off the axes of the ratio table
     table : property and ratio tables;  dispatcher : the compiled effects;  stage : 0 start, 1 middle, 2 end of the step
     Source: docs/equations.md, equations 5 to 8.
     """
@@ -125,6 +139,7 @@ def heat_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage:
     for lane in range(LANES):
         B[(k.CELL_X + PRESSURE) * LANES + lane] = B[c + (lane * k.N_CONDITIONS + k.P_SURFACE)]
     _pressure_columns(B, J, table, stage)
+    _air_places(B, J, table, stage)
     # Only the end of the step is counted: it is a sample of the record, the other stages lie between two.
     if stage == 2:
         for lane in range(LANES):

@@ -94,7 +94,7 @@ FAR = 1e300
 BIN_K = 5.0
 """Width of a property-table bin [K]."""
 BINS = 600
-"""Bins of a property table; the last one has no upper end."""
+"""Bins by which a piece of a property table is found; the last one has no upper end."""
 REDUCED: Any = np.bool_(True)
 WHOLE_ROWS: Any = np.bool_(False)
 """Whether `assemble` eliminates the rows as well. Plain True and False would be types of their own to numba, and
@@ -126,8 +126,11 @@ def _gather_polynomials(
 
     returns : offset of the piece in the table
     """
-    piece = int(table[offset + property_bin(B[a + T * LANES + lane])])
-    row = offset + BINS + piece * (PIECE_HEAD + 3 + 3 * J[N_PRESSURES + lane])
+    t, width = B[a + T * LANES + lane], PIECE_HEAD + 3 + 3 * J[N_PRESSURES + lane]
+    row = offset + BINS + int(table[offset + property_bin(t)]) * width
+    # From the piece at the foot of the bin to that of the temperature: most bins lie in one piece. The last has no end.
+    while t >= table[row + 1]:
+        row += width
     column = row + PIECE_HEAD + 3 + 3 * int(B[COLUMN * LANES + lane])
     B[a + into * LANES + lane] = table[row + 2]
     for k in range(3):

@@ -15,6 +15,7 @@ from sim_heating.base.kernels.block import (
     ADDED,
     AIR,
     AIR_FOOT,
+    AIR_PLACE,
     BACK_EPS,
     BACK_H,
     BACK_NODE,
@@ -35,10 +36,7 @@ from sim_heating.base.kernels.block import (
     N_CONDITIONS,
     N_EMITTING,
     N_NODES,
-    N_PRESSURES,
     NODE_ROWS,
-    PCOL,
-    PFRAC,
     R_BASE,
     RECOVERY,
     SLOPE,
@@ -58,6 +56,9 @@ from sim_heating.thermal.assembly import BIN_K, BINS, FAR, property_bin
 
 SIGMA = 5.670374419e-8
 """Stefan-Boltzmann constant [W/(m2 K4)], CODATA 2018."""
+AIR_HEAD = 4
+"""Numbers before the bins of an enthalpy of air: log10 of its first pressure [Pa], columns in a decade, its last place,
+just below the last column [-], number of columns."""
 WALL_DIFFERENCE_K = 0.01
 """Half the step [K] of the difference in an effect's dependence on the wall temperature, used in the matrix only. It
 has to be small against the width of any effect for a sensitivity good to 1e-9."""
@@ -95,9 +96,9 @@ def _air_enthalpy(h_a: float, cp_a: float, h_b: float, cp_b: float, f: float, t:
 
 
 @njit
-def _air_row(B: FloatArray, J: IntArray, lane: int, stage: int, j: int) -> int:
-    """Offset in the tables of bin j of a lane's enthalpy of air, at the pressure of a stage."""
-    return J[ENTHALPY_TABLE + lane] + 2 * (j * J[N_PRESSURES + lane] + int(B[(PCOL + stage) * LANES + lane]))
+def _air_row(table: FloatArray, first: int, j: int, column: int) -> int:
+    """Offset in the tables of bin j and a pressure column of the enthalpy of air whose table begins at `first`."""
+    return first + AIR_HEAD + 2 * (j * int(table[first + 3]) + column)
 
 
 @inline_always
@@ -105,9 +106,9 @@ def _wall_enthalpy(
     B: FloatArray, J: IntArray, table: FloatArray, lane: int, stage: int, T_K: float
 ) -> tuple[float, float]:
     """Enthalpy of air [J/kg] at a temperature and the pressure of a stage, and its specific heat [J/(kg K)]."""
-    j = property_bin(T_K)
-    row = _air_row(B, J, lane, stage, j)
-    f = B[(PFRAC + stage) * LANES + lane]
+    j, place = property_bin(T_K), B[(AIR_PLACE + stage) * LANES + lane]
+    row = _air_row(table, J[ENTHALPY_TABLE + lane], j, int(place))
+    f = place - int(place)
     return _air_enthalpy(table[row], table[row + 1], table[row + 2], table[row + 3], f, T_K - BIN_K * j)
 
 
@@ -189,13 +190,14 @@ def _evaluate_gaps(B: FloatArray, J: IntArray, table: FloatArray, stage: int) ->
 @inline_always
 def _cache_wall(B: FloatArray, J: IntArray, table: FloatArray, lane: int, stage: int) -> None:
     """Cache the pieces of emittance and air enthalpy that contain the surface temperature of a lane, and their ends."""
+    column = int(B[(AIR_PLACE + stage) * LANES + lane])
     wall = B[(HEAD_ROWS + T) * LANES + lane]
     low, high, foot, eps, slope = emittance_piece(table, J[EMISSIVITY_TABLE + lane], wall)
     j = property_bin(wall)
-    row = _air_row(B, J, lane, stage, j)
+    row = _air_row(table, J[ENTHALPY_TABLE + lane], j, column)
     B[WALL_LOW * LANES + lane] = low if j == 0 else max(low, BIN_K * j)
     B[WALL_HIGH * LANES + lane] = high if j == BINS - 1 else min(high, BIN_K * (j + 1))
-    B[WALL_COLUMN * LANES + lane] = B[(PCOL + stage) * LANES + lane]
+    B[WALL_COLUMN * LANES + lane] = float(column)
     B[EPS_FOOT * LANES + lane], B[EPS_AT_FOOT * LANES + lane], B[EPS_SLOPE * LANES + lane] = foot, eps, slope
     B[AIR_FOOT * LANES + lane] = BIN_K * j
     for k in range(4):
@@ -212,7 +214,8 @@ def _write_surface_balance(
     """
     a = HEAD_ROWS * LANES + lane
     wall, share, factor = B[a + T * LANES], B[SURFACE_SHARE * LANES + lane], B[FACTOR_EPS * LANES + lane]
-    f, t = B[(PFRAC + stage) * LANES + lane], wall - B[AIR_FOOT * LANES + lane]
+    f = B[(AIR_PLACE + stage) * LANES + lane] - B[WALL_COLUMN * LANES + lane]
+    t = wall - B[AIR_FOOT * LANES + lane]
     h_a, cp_a, h_b, cp_b = (
         B[AIR * LANES + lane], B[(AIR + 1) * LANES + lane], B[(AIR + 2) * LANES + lane], B[(AIR + 3) * LANES + lane],
     )  # fmt: skip
@@ -248,7 +251,8 @@ def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, 
     outside = lanes_outside(B, (HEAD_ROWS + T) * LANES, WALL_LOW * LANES, WALL_HIGH * LANES)
     affected = 0
     for lane in range(LANES):
-        outside += 0 if B[(PCOL + stage) * LANES + lane] == B[WALL_COLUMN * LANES + lane] else 1
+        f = B[(AIR_PLACE + stage) * LANES + lane] - B[WALL_COLUMN * LANES + lane]
+        outside += 0 if (f >= 0.0) & (f < 1.0) else 1
         affected += J[N_EMITTING + lane] + J[WALL_EFFECTS + lane]
     # The count is of pairs of lanes and does not identify one: all eight are looked up again.
     if outside > 0:

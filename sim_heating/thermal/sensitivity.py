@@ -27,6 +27,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.kernels.block import (
+    AIR_PLACE,
     BACK_NODE,
     C_LEFT,
     C_RIGHT,
@@ -198,7 +199,7 @@ def assemble_perturbed(
             given = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
             for c in range(N_CONDITIONS):
                 X[to + c] = B[given + c]
-            for pressure in (PCOL, PFRAC):
+            for pressure in (PCOL, PFRAC, AIR_PLACE):
                 X[start + (pressure + END) * LANES + s] = B[(pressure + stage) * LANES + lane]
         x, j = pointer(X[start : groups[g, 1]]), pointer(J[ints : groups[g, 3]])
         assembly = perturbed.rows if g < perturbed.whole else perturbed.faces

@@ -29,6 +29,7 @@ from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.kernels.block import (
     ACTIVE,
     ADDED,
+    AIR_PLACE,
     BACK_NODE,
     C_LEFT,
     C_RIGHT,
@@ -46,6 +47,7 @@ from sim_heating.base.kernels.block import (
     FILM,
     GAPS,
     HEAD_ROWS,
+    HIGH,
     ITERATIONS,
     LAG_INPUT,
     LAG_PAST,
@@ -53,6 +55,7 @@ from sim_heating.base.kernels.block import (
     LANES,
     LARGEST,
     LAST_STEP,
+    LOW,
     MOVES,
     N_CONDITIONS,
     N_NODES,
@@ -91,8 +94,13 @@ BDF_WEIGHT = EXPLICIT_WEIGHT / STAGE_WEIGHT
 """w / d, weight of the first stage's gain of heat in the second [-]."""
 NEWTON_TOLERANCE_K = 1e-4
 """Largest update at which a lane stops [K]. Convergence is quadratic, so that the remaining error is below 1e-9 K."""
-NEWTON_LIMIT = 25
+NEWTON_LIMIT = 60
 """Iterations after which a stage counts as failed; one is enough for most steps of an entry."""
+FREE_ITERATIONS = 6
+"""Iterations after which an update ends where the next piece of a property begins. At a narrow peak of specific heat
+Newton's method would go to and fro over the peak for ever."""
+BELOW = 1.0 - 1e-12
+"""Factor on the lower end of a piece [-] that gives a temperature in the piece below."""
 COLDEST_K = 1.0
 """Floor of every iterate [K]. A NaN is set to it as well, and is reported as a failure since its update is NaN too."""
 MAX_EXTRAPOLATION = 2.0
@@ -100,7 +108,7 @@ MAX_EXTRAPOLATION = 2.0
 rounding."""
 EVALUATE_START = 0.0
 """Length [s] of a frame that only evaluates the start."""
-STAGE_ROWS = (FILM, RECOVERY, ADDED, PCOL, PFRAC, R_BASE, LAG_VALUE, LAG_INPUT)
+STAGE_ROWS = (FILM, RECOVERY, ADDED, PCOL, PFRAC, AIR_PLACE, R_BASE, LAG_VALUE, LAG_INPUT)
 """First rows of the quantities that have one row for each of the three stages."""
 
 
@@ -263,6 +271,21 @@ def _substitute_back(B: FloatArray, n: int) -> None:
 
 
 @inline_always
+def _end_in_next_piece(B: FloatArray, n: int) -> None:
+    """Take back updates of iterating lanes to the end of the piece of the properties that they began in.
+
+    Heat content grows with temperature, so that the solution is beyond that end, if not within the piece.
+    """
+    for i in range(n):
+        a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+        for lane in range(LANES):
+            if B[ACTIVE * LANES + lane] > 0.0:
+                t, low, high = B[a + T * LANES + lane], B[a + LOW * LANES + lane], B[a + HIGH * LANES + lane]
+                t = low * BELOW if t < low else t
+                B[a + T * LANES + lane] = high if t > high else t
+
+
+@inline_always
 def _stop_converged_lanes(B: FloatArray) -> int:
     """Stop the iteration of lanes whose update was small.
 
@@ -287,7 +310,7 @@ def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stag
     select_pressure(B, J, stage)
     for lane in range(LANES):
         B[ACTIVE * LANES + lane] = 1.0
-    for _ in range(NEWTON_LIMIT):
+    for iteration in range(NEWTON_LIMIT):
         evaluate_faces(B, J, table, dispatcher, stage)
         assemble(B, J, table, STAGE_WEIGHT * dt, REDUCED)
         for lane in range(LANES):
@@ -295,6 +318,8 @@ def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stag
             B[behind + MOVES * LANES + lane] = B[ACTIVE * LANES + lane]
             B[behind + LARGEST * LANES + lane] = 0.0
         _substitute_back(B, n)
+        if iteration >= FREE_ITERATIONS:
+            _end_in_next_piece(B, n)
         _record_face_heat(B, J)
         if _stop_converged_lanes(B) == 0:
             return

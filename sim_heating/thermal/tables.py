@@ -1,10 +1,9 @@
-"""Property tables as the kernel reads them: bins of BIN_K kelvin, columns of pressure, one flat float64 array.
+"""Property tables as the kernel reads them: pieces between declared points, columns of pressure, one flat array.
 
-A property that is linear between the points of its file is sampled at the bin edges and is linear between those, with
-its integral (heat content, Kirchhoff's variable) exact for the sampled property (docs/equations_thermal_step.md,
-equation 9). Where the points of the file are on bin edges this is exact; otherwise a corner is cut within the 5 K bin
-that contains it. Neighbouring bins without a change of slope in any property of a material form one piece with one
-polynomial.
+Between two points of its file a property is linear, and its integral (heat content, Kirchhoff's variable) is a
+parabola, exact to rounding (docs/equations_thermal_step.md, equation 9). A piece of a material lies between two
+neighbouring points of either property, wherever these are. Bins of BIN_K kelvin hold the number of the piece at their
+foot, from which the kernel steps to the piece of a temperature.
 """
 
 from __future__ import annotations
@@ -24,11 +23,15 @@ from sim_heating.thermal.stack import Material, pairs
 EDGES_K = BIN_K * np.arange(BINS + 1)
 """Edges of the bins [K]."""
 STRAIGHT = 1e-11
-"""Relative change of a property [-] by a change of slope over one bin, below which the two bins form one piece."""
+"""Relative change of a property at a point [-] below which the point is on the line through its neighbours."""
 KEPT = 256
 """Number of tables that are cached from one ensemble to the next."""
-ENTHALPY_PRESSURES_PA = np.logspace(0.0, 6.0, 7)
-"""Pressures at which the enthalpy of equilibrium air is tabulated [Pa]."""
+AIR_PER_DECADE = 8
+"""Columns of the enthalpy of equilibrium air in a decade of pressure: linear in log10 p between them it is within
+0.05 % of the equilibrium; one a decade is 2.8 % off where oxygen dissociates (docs/equations_thermal_step.md,
+section 2)."""
+AIR_LOG10_PA = np.linspace(0.0, 6.0, 6 * AIR_PER_DECADE + 1)
+"""log10 of the pressures [Pa] at which the enthalpy of equilibrium air is tabulated."""
 
 WallEnthalpy = float | str
 """A constant specific heat [J/(kg K)], or the name of a gas model of reference_heating.gas."""
@@ -55,6 +58,7 @@ class TableStore:
     """Tables of many points in one flat array, each table made once.
 
     A point's tables have columns at the pressures of its own materials, so that they do not depend on its neighbours.
+    The enthalpy of air has an axis of its own.
     """
 
     def __init__(self) -> None:
@@ -97,7 +101,7 @@ class TableStore:
         return self._points[key]
 
     def _add(self, layers: Sequence[Material], contact: Material, wall_enthalpy: WallEnthalpy) -> PointTables:
-        log10_p = _pressure_columns(layers, wall_enthalpy)
+        log10_p = _pressure_columns(layers)
         grid = log10_p.tobytes()
         outer = layers[0].emissivity or [[0.0, 1.0]]
         return PointTables(
@@ -108,7 +112,7 @@ class TableStore:
                 for m in (*layers, contact)
             ),
             self.place(("emissivity", str(outer)), lambda: _point_table(outer)),
-            self.place(("enthalpy", wall_enthalpy, grid), lambda: _known_enthalpy(wall_enthalpy, grid)),
+            self.place(("enthalpy", wall_enthalpy), lambda: _enthalpy_table(wall_enthalpy)),
         )
 
 
@@ -118,73 +122,71 @@ def _known_table(material: str, grid: bytes) -> FloatArray:
     return _material_table(Material.model_validate_json(material), np.frombuffer(grid))
 
 
-@lru_cache(KEPT)
-def _known_enthalpy(wall_enthalpy: WallEnthalpy, grid: bytes) -> FloatArray:
-    return _enthalpy_table(wall_enthalpy, np.frombuffer(grid))
-
-
 def _point_table(table: list[list[float]]) -> FloatArray:
     """Number of points, their temperatures, their values."""
     T_K, values = pairs(table)
     return np.concatenate([[float(len(T_K))], T_K, values])
 
 
-def _pieces(at_edges: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Integral from 0 K, value and slope at the foot of each bin of a property given at the bin edges (equation 9)."""
-    integral = np.concatenate(([0.0], np.cumsum(0.5 * BIN_K * (at_edges[1:] + at_edges[:-1]))))
-    slope = np.diff(at_edges) / BIN_K
-    # The last bin has no upper edge: the property is constant in it.
-    slope[-1] = 0.0
-    return integral[:-1], at_edges[:-1], slope
-
-
 def _material_table(material: Material, log10_p: FloatArray) -> FloatArray:
-    """Index of the piece of each bin, then each piece: its ends and foot; h, c, slope of c; theta, k, slope of k.
+    """Piece at the foot of each bin, then each piece: its ends and foot; h, c, slope of c; theta, k, slope of k.
 
     The last three are repeated for each pressure; all values are those at the foot of the piece.
     """
-    table = np.empty((BINS, 3 + 3 * len(log10_p)))
-    table[:, 0], table[:, 1], table[:, 2] = _pieces(np.interp(EDGES_K, *pairs(material.specific_heat_J_kgK)))
-    p_Pa, T_K, k = material.conductivity_grid()
-    for j, x in enumerate(log10_p):
+    c_at_K, c = pairs(material.specific_heat_J_kgK)
+    p_Pa, k_at_K, k = material.conductivity_grid()
+    points = np.unique(np.concatenate([[0.0], c_at_K, k_at_K]))
+    columns = [np.interp(points, c_at_K, c)]
+    for x in log10_p:
         at_p = np.array([np.interp(x, np.log10(p_Pa), row) for row in k])
-        columns = slice(3 + 3 * j, 6 + 3 * j)
-        table[:, columns] = np.column_stack(_pieces(np.interp(EDGES_K, T_K, at_p)))
-    first = _first_of_pieces(table[:, 1::3], table[:, 2::3])
-    piece = np.cumsum(np.isin(np.arange(BINS), first)) - 1.0
-    low = np.where(first == 0, -FAR, BIN_K * first)
-    high = np.append(BIN_K * first[1:], FAR)
-    return np.concatenate([piece, np.column_stack([low, high, BIN_K * first, table[first]]).ravel()])
+        columns.append(np.interp(points, k_at_K, at_p))
+    properties = np.column_stack(columns)
+    bent = _bends(points, properties)
+    foot, properties = points[bent], properties[bent]
+    table = [np.append(-FAR, foot[1:]), np.append(foot[1:], FAR), foot]
+    for values in properties.T:
+        table += _integrals(foot, values)
+    piece = np.searchsorted(foot, EDGES_K[:-1], side="right") - 1.0
+    return np.concatenate([piece, np.column_stack(table).ravel()])
 
 
-def _first_of_pieces(values: FloatArray, slopes: FloatArray) -> NDArray[np.int64]:
-    """First bins of the pieces: those whose slope differs from that of the bin before."""
-    bent = np.abs(np.diff(slopes, axis=0)) * BIN_K > STRAIGHT * np.abs(values[1:])
-    return np.concatenate(([0], np.flatnonzero(np.any(bent, axis=1)) + 1))
+def _bends(T_K: FloatArray, properties: FloatArray) -> NDArray[np.bool_]:
+    """(point,) whether a point is needed: 0 K, and where a property (point, property) leaves its line."""
+    slope = np.diff(properties, axis=0, append=properties[-1:]) / np.append(np.diff(T_K), 1.0)[:, np.newaxis]
+    width = np.diff(T_K)
+    # Without the point, the line between its neighbours misses it by the change of slope times this length.
+    arm = width * np.append(width[1:] / (width[1:] + width[:-1]), 1.0)
+    missed = np.abs(np.diff(slope, axis=0)) * arm[:, np.newaxis]
+    return np.append(True, np.any(missed > STRAIGHT * np.abs(properties[1:]), axis=1))
 
 
-def _enthalpy_at_edges(wall_enthalpy: WallEnthalpy, log10_p: FloatArray) -> FloatArray:
-    """(BINS + 1, P) enthalpy of air at the wall temperature [J/kg], zero at 0 K."""
-    if not isinstance(wall_enthalpy, str):
-        return np.repeat((wall_enthalpy * EDGES_K)[:, np.newaxis], len(log10_p), axis=1)
-    above_zero = wall_enthalpy_grid(wall_enthalpy, EDGES_K[1:], ENTHALPY_PRESSURES_PA)
-    given = np.log10(ENTHALPY_PRESSURES_PA)
-    at_p = np.array([np.interp(log10_p, given, row) for row in above_zero])
-    return np.vstack([np.zeros(len(log10_p)), at_p])
+def _integrals(T_K: FloatArray, values: FloatArray) -> list[FloatArray]:
+    """Integral from 0 K, value and slope at each foot of a property, constant beyond the last (equation 9)."""
+    width = np.diff(T_K)
+    integral = np.concatenate(([0.0], np.cumsum(0.5 * width * (values[1:] + values[:-1]))))
+    return [integral, values, np.append(np.diff(values) / width, 0.0)]
 
 
-def _enthalpy_table(wall_enthalpy: WallEnthalpy, log10_p: FloatArray) -> FloatArray:
-    """(BINS, P, 2): H_w at the foot of a bin and cp within it, for each pressure."""
-    enthalpy = _enthalpy_at_edges(wall_enthalpy, log10_p)
-    return np.stack([enthalpy[:-1], np.diff(enthalpy, axis=0) / BIN_K], axis=2)
+@lru_cache(KEPT)
+def _enthalpy_table(wall_enthalpy: WallEnthalpy) -> FloatArray:
+    """Axis of pressure (faces.AIR_HEAD), then (bin, pressure, 2): H_w at the foot of a bin and cp within it."""
+    if isinstance(wall_enthalpy, str):
+        log10_p, per_decade = AIR_LOG10_PA, float(AIR_PER_DECADE)
+        above_zero = wall_enthalpy_grid(wall_enthalpy, EDGES_K[1:], 10.0**log10_p)
+        enthalpy = np.vstack([np.zeros(len(log10_p)), above_zero])
+    else:
+        # The kernel interpolates between a pair of columns, and equal ones at one place give a constant.
+        log10_p, per_decade = np.zeros(2), 0.0
+        enthalpy = np.repeat((wall_enthalpy * EDGES_K)[:, np.newaxis], 2, axis=1)
+    last = np.nextafter(len(log10_p) - 1.0, 0.0)
+    head = np.array([log10_p[0], per_decade, last, len(log10_p)])
+    return np.append(head, np.stack([enthalpy[:-1], np.diff(enthalpy, axis=0) / BIN_K], axis=2))
 
 
-def _pressure_columns(materials: Sequence[Material], wall_enthalpy: WallEnthalpy) -> FloatArray:
-    """log10 of all pressures at which any property has a point; every property is linear between them."""
+def _pressure_columns(materials: Sequence[Material]) -> FloatArray:
+    """log10 of all pressures at which any conductivity has a point; each is linear between them."""
     grids = [m.conductivity_grid()[0] for m in materials]
     points = [np.log10(p) for p in grids if len(p) > 1]
-    if isinstance(wall_enthalpy, str):
-        points.append(np.log10(ENTHALPY_PRESSURES_PA))
     # Two columns always: the kernel interpolates between a pair, and equal columns give a constant.
     if not points:
         return np.array([0.0, 1.0])

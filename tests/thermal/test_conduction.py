@@ -7,8 +7,6 @@ is left is the second-order error of the mesh, about 2e-4 of the rise in tempera
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,14 +19,10 @@ from benchmarks.verification.exact import (
     semi_infinite_linear_flux,
     slab_flux,
 )
-from sim_heating.base.kernels.block import RECOVERY_ENTHALPY
 from sim_heating.march.ensemble import Ensemble, condition_history
 from sim_heating.march.mesh_choice import pack
 from sim_heating.march.point import PointModel
-from sim_heating.thermal.assembly import BIN_K, BINS, PIECE_HEAD
 from sim_heating.thermal.mesh import build_mesh, halve_elements
-from sim_heating.thermal.stack import Material
-from sim_heating.thermal.tables import TableStore
 from tests.support.walls import (
     even_mesh,
     flight,
@@ -244,102 +238,3 @@ def test_entry_with_its_property_tables_is_second_order_in_space(entry):
     runs = [Ensemble([model], [mesh]).march(t, history) for mesh in meshes]
     errors = [np.max(np.abs(run - runs[-1])) for run in runs[:-1]]
     np.testing.assert_allclose(orders(errors)[0], 2.0, atol=0.15)
-
-
-# Property tables -----------------------------------------------------------------------------------------------------
-
-
-def tabulated(m: Material, T: np.ndarray, column: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """c and k as the kernel reads them, at temperatures [K] and a pressure column."""
-    store = TableStore()
-    point = store.add_point([m], m, CP_J_KGK)
-    table = store.values[point.materials[0] :]
-    width = PIECE_HEAD + 3 + 3 * point.columns
-    piece = table[np.minimum((T / BIN_K).astype(int), BINS - 1)].astype(int)
-    rows = np.array([table[BINS + i * width : BINS + (i + 1) * width] for i in piece])
-    t, k = T - rows[:, 2], PIECE_HEAD + 4 + 3 * column
-    return rows[:, PIECE_HEAD + 1] + t * rows[:, PIECE_HEAD + 2], rows[:, k] + t * rows[:, k + 1]
-
-
-def declared(m: Material, T: np.ndarray, column: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    p_Pa, T_k, k = m.conductivity_grid()
-    return np.interp(T, *np.array(m.specific_heat_J_kgK).T), np.interp(T, T_k, k[:, min(column, len(p_Pa) - 1)])
-
-
-def with_points_at(m: Material, place: Callable[[float], float], emitted: float = 1.0) -> Material:
-    """A material whose tables have their points at other temperatures; emissivity times a factor."""
-
-    def shifted(table: list[list[float]], factor: float = 1.0) -> list[list[float]]:
-        return [[place(T), factor * value] for T, value in table]
-
-    k = m.conductivity_W_mK
-    shifted_k = shifted(k) if isinstance(k, list) else k.model_copy(update={"T_K": [place(T) for T in k.T_K]})
-    eps = None if m.emissivity is None else shifted(m.emissivity, emitted)
-    changed = {"specific_heat_J_kgK": shifted(m.specific_heat_J_kgK), "conductivity_W_mK": shifted_k, "emissivity": eps}
-    return m.model_copy(update=changed)
-
-
-def off_the_edges(T_K: float) -> float:
-    """The nearest of 12, 32, 52 ... K: two fifths into a bin of 5 K, where it is cut most; times 5/4 on an edge."""
-    return 20.0 * round((T_K - 12.0) / 20.0) + 12.0
-
-
-TEMPERATURES_K = np.linspace(1.0, 3500.0, 10_001)
-
-
-@pytest.mark.parametrize("name", ["rcg", "li900", "rtv", "sip", "al2024"])
-def test_tables_with_points_on_bin_edges_are_exact(name):
-    m = practice_model("p06").construction.materials[name]
-    for column in range(len(m.conductivity_grid()[0])):
-        for stored, stated in zip(
-            tabulated(m, TEMPERATURES_K, column), declared(m, TEMPERATURES_K, column), strict=True
-        ):
-            np.testing.assert_allclose(stored, stated, rtol=1e-12)
-
-
-@pytest.mark.parametrize("name", ["rcg", "li900", "rtv", "sip", "al2024"])
-def test_corner_within_a_bin_is_cut_by_less_than_one_percent(name):
-    # by 6/5 K times the change of slope: 0.9 % of c of LI-900 at 112 K, 0.6 % of k of SIP at 252 K, else below 0.3 %
-    m = with_points_at(practice_model("p06").construction.materials[name], off_the_edges)
-    for stored, stated in zip(tabulated(m, TEMPERATURES_K), declared(m, TEMPERATURES_K), strict=True):
-        assert np.max(np.abs(stored / stated - 1.0)) < 0.01
-
-
-def cut_K(entry, of_layers: Callable[[float], float], of_emissivity: Callable[[float], float]) -> float:
-    """Largest error [K] that tables with points at these places bring into an entry.
-
-    With T' = 5/4 T the same wall has its points on bin edges, where tables are exact: k and c at the place of T, fluxes
-    times 5/4, emissivity over (5/4)^3. On one mesh and with points on edges in both, the two agree to 1e-12 K.
-    """
-    model, t, history = entry
-    mesh, grow, warm = pack([model]).meshes[0], 1.25, history.copy()
-    warm[..., RECOVERY_ENTHALPY] *= grow
-
-    def run(times: float, flown: np.ndarray) -> np.ndarray:
-        c = model.construction
-        materials = {n: with_points_at(m, lambda T: times * of_layers(T)) for n, m in c.materials.items()}
-        outer = with_points_at(c.layer_materials()[0], lambda T: times * of_emissivity(T), times**-3)
-        name = c.stack.layer[0].material
-        materials[name] = materials[name].model_copy(update={"emissivity": outer.emissivity})
-        stack = c.stack.model_copy(update={"initial_K": times * c.stack.initial_K})
-        point = replace(model, construction=c.model_copy(update={"stack": stack, "materials": materials}))
-        return Ensemble([point], [mesh]).march(t, flown) / times
-
-    return float(np.max(np.abs(run(1.0, history) - run(grow, warm))))
-
-
-def on_the_edges(T_K: float) -> float:
-    """The nearest of 0, 20, 40 ... K: on an edge, and on one when times 5/4."""
-    return 20.0 * round(T_K / 20.0)
-
-
-def test_tables_with_points_on_bin_edges_cause_no_error_in_an_entry(entry):
-    assert cut_K(entry, on_the_edges, on_the_edges) < 1e-9
-
-
-def test_cut_corners_of_k_and_c_move_temperatures_by_less_than_a_hundredth_of_a_kelvin(entry):
-    assert cut_K(entry, off_the_edges, on_the_edges) < 0.01
-
-
-def test_corners_of_the_emissivity_move_temperatures_by_less_than_a_hundredth_of_a_kelvin(entry):
-    assert cut_K(entry, on_the_edges, off_the_edges) < 0.01

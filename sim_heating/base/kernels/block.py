@@ -50,7 +50,9 @@ STAGE_IN, STAGE_OUT, ENERGY_IN, ENERGY_OUT = 29, 30, 31, 32
 # The lag of a ratio, one row a stage: its value m and the ratio that it follows (docs/effects.md, equation 19); whether
 # it has a past. Fraction of the film that is spent at the surface, not in gaps. The length of the last step [s].
 LAG_VALUE, LAG_INPUT, LAG_PAST, SURFACE_SHARE, LAST_STEP = 33, 36, 39, 40, 41
-C_STAGES = 42
+# Place of the pressure on the axis of the enthalpy of air, one row a stage [-]: column and fraction to the next.
+AIR_PLACE = 42
+C_STAGES = 45
 PARAMETERS = C_STAGES + 3 * N_CONDITIONS
 # The cell that each lane is in, of its ratio table and of the pressures of its property tables: the five variables and
 # log10 of the pressure [Pa], the ends of the cell (infinite at the edges of the table), its foot and the reciprocal of
@@ -62,8 +64,8 @@ CELL_LOW, CELL_HIGH, CELL_FOOT, CELL_INVERSE = (CELL_X + k * CELL_AXES for k in 
 CORNERS = CELL_X + 5 * CELL_AXES
 CELL_WORK = CORNERS + 32
 OFF_AXES, CELL_COLUMN = CELL_WORK + 24, CELL_WORK + 25
-# Surface properties about the wall temperature, valid from WALL_LOW to WALL_HIGH [K] in the pressure column
-# WALL_COLUMN: emittance at a foot [-] and its slope [1/K]; at another foot enthalpy of air [J/kg] and specific heat
+# Surface properties about the wall temperature, valid from WALL_LOW to WALL_HIGH [K] in the column WALL_COLUMN of the
+# enthalpy of air: emittance at a foot [-] and its slope [1/K]; at another foot enthalpy of air [J/kg] and specific heat
 # [J/(kg K)], in two pressure columns.
 WALL_LOW, WALL_HIGH, WALL_COLUMN = (CELL_COLUMN + k for k in range(1, 4))
 EPS_FOOT, EPS_AT_FOOT, EPS_SLOPE = (WALL_COLUMN + k for k in range(1, 4))
