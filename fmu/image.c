@@ -80,13 +80,15 @@ static bool whole(const Image *im, size_t size) {
 
 static bool within(int64_t place, int64_t count, int64_t end) { return place >= 0 && count >= 1 && count <= end && place <= end - count; }
 
-/* True where the path of a table is followed by the integers of one: its name, its place in T and the places of its lanes. */
+/* True where the path of a table is followed by the integers of one: names, its place in T and the places of its lanes. */
 static bool names_table(const Image *im, const Variable *v) {
     const int64_t *own = im->N + v->place;
-    if (v->count < 3 || own[2] != v->count - 3 || !within(own[0], 1, im->n_text) || !within(own[1], 1, im->n_T)) return false;
-    for (int64_t k = 3; k < v->count; k++)
+    if (v->count < TABLE_LANES || own[TABLE_LANES - 1] != v->count - TABLE_LANES) return false;
+    for (int64_t k = 0; k < TABLE_INSIDE; k++)
+        if (!within(own[k], 1, im->n_text)) return false;
+    for (int64_t k = TABLE_LANES; k < v->count; k++)
         if (!within(own[k], 1, im->n_N)) return false;
-    return table_size(im->T + own[1], im->n_T - own[1]) > 0;
+    return within(own[TABLE_INSIDE], 1, im->n_T) && table_size(im->T + own[TABLE_INSIDE], im->n_T - own[TABLE_INSIDE]) > 0;
 }
 
 /* True where every variable, problem, run and text lies within its array. */
@@ -99,7 +101,7 @@ static bool consistent(const Image *im) {
         if (!within(v->place, v->count, end) || !within(v->name, 1, im->n_text)) return false;
         if (v->kind == KIND_TABLE && !names_table(im, table = v)) return false;
         if (v->kind == KIND_SHARED) {
-            int64_t inside = table ? im->N[table->place + 1] : im->n_T;
+            int64_t inside = table ? im->N[table->place + TABLE_INSIDE] : im->n_T;
             if (v->place < inside || !within(v->place - inside, v->count, table_size(im->T + inside, im->n_T - inside))) return false;
         }
     }

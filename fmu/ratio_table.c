@@ -77,18 +77,32 @@ static bool read_row(char *line, int count, const int columns[], Locale locale, 
     return true;
 }
 
-/* True where a header line agrees with the reference heating that the model has. */
-static bool same_reference(const char *line, const char *reference, char *why, size_t size) {
+/* Value of a header line with this key, NULL where it has another one. */
+static const char *header_value(const char *line, const char *key) {
     line += strspn(line, "# \t");
-    if (strncmp(line, "reference:", 10) != 0) return true;
-    line += 10 + strspn(line + 10, " \t");
-    size_t length = strcspn(line, " \t\r");
-    if (length == strlen(reference) && strncmp(line, reference, length) == 0) return true;
-    return snprintf(why, size, "is over %.*s; this model's ratios are over %s", NAME, line, reference), false;
+    size_t length = strlen(key);
+    return strncmp(line, key, length) == 0 ? line + length + strspn(line + length, " \t") : NULL;
 }
 
-static bool read_rows(char *text, const char *reference, Rows *all, Locale locale, char *why, size_t size) {
+static bool is_name(const char *value, const char *name) {
+    size_t length = strcspn(value, " \t\r");
+    return length == strlen(name) && strncmp(value, name, length) == 0;
+}
+
+/* True where a header line agrees with what the model's ratios are over; `stated` where it names the recovery enthalpy. */
+static bool same_basis(const char *line, RatioBasis basis, bool *stated, char *why, size_t size) {
+    const char *reference = header_value(line, "reference:"), *recovery = header_value(line, "recovery:");
+    if (reference && !is_name(reference, basis.reference))
+        return snprintf(why, size, "is over %.*s; this model's ratios are over %s", NAME, reference, basis.reference), false;
+    if (recovery && *recovery && *recovery != '\r') *stated = true;
+    if (recovery && *stated && !is_name(recovery, basis.recovery))
+        return snprintf(why, size, "is reduced with recovery %.*s; this model's ratios with %s", NAME, recovery, basis.recovery), false;
+    return true;
+}
+
+static bool read_rows(char *text, RatioBasis basis, Rows *all, Locale locale, char *why, size_t size) {
     int columns[COLUMNS], count = 0, number = 0;
+    bool stated = false;
     char reason[160] = "";
     for (char *line = text, *next; line; line = next) {
         next = strchr(line, '\n');
@@ -99,7 +113,7 @@ static bool read_rows(char *text, const char *reference, Rows *all, Locale local
         if (blank) {
             good = (snprintf(reason, sizeof reason, "is blank"), false);
         } else if (line[0] == '#' && count == 0) {
-            good = same_reference(line, reference, reason, sizeof reason);
+            good = same_basis(line, basis, &stated, reason, sizeof reason);
         } else if (count == 0) {
             good = (count = read_names(line, columns, reason, sizeof reason)) > 0;
         } else {
@@ -114,7 +128,9 @@ static bool read_rows(char *text, const char *reference, Rows *all, Locale local
         if (!good) return snprintf(why, size, "row %d: %s", number, reason), false;
     }
     if (all->count == 0) return snprintf(why, size, "has no rows"), false;
-    return true;
+    if (stated || strcmp(basis.unstated, basis.recovery) == 0) return true;
+    return snprintf(why, size, "states no recovery, which means %s; this model's ratios are reduced with %s", basis.unstated,
+                    basis.recovery), false;
 }
 
 int64_t table_size(const double *table, int64_t most) {
@@ -182,7 +198,7 @@ static double *pack(const Rows *all, int64_t *count, char *why, size_t size) {
     return table;
 }
 
-double *read_ratio_table(const char *path, const char *reference, int64_t *count, char *why, size_t size) {
+double *read_ratio_table(const char *path, RatioBasis basis, int64_t *count, char *why, size_t size) {
     size_t length;
     char *text = read_file(path, &length), reason[256] = "cannot be read";
     Locale locale = plain_locale();
@@ -192,7 +208,7 @@ double *read_ratio_table(const char *path, const char *reference, int64_t *count
         snprintf(reason, sizeof reason, "is not text");
     } else if (text) {
         bool marked = strncmp(text, "\xef\xbb\xbf", 3) == 0;
-        if (read_rows(text + (marked ? 3 : 0), reference, &all, locale, reason, sizeof reason))
+        if (read_rows(text + (marked ? 3 : 0), basis, &all, locale, reason, sizeof reason))
             table = pack(&all, count, reason, sizeof reason);
     }
     if (!table) snprintf(why, size, "%.500s: %s", path, reason);

@@ -183,16 +183,12 @@ Status release(Instance *m, Status status) {
 
 /* Tables ---------------------------------------------------------------------------------------------------------- */
 
-/* Integers of N for a table: place of the name of the reference heating, place in T, number of lanes that use it, and the
-   place in N of each lane's table. Lanes count tables from the beginning of T. */
-enum { REFERENCE_NAME, INSIDE, N_LANES, LANES };
-
 static const int64_t *table_integers(const Image *im, int64_t table) { return im->N + im->variables[im->tables[table]].place; }
 
-static const double *inside(const Image *im, int64_t table) { return im->T + table_integers(im, table)[INSIDE]; }
+static const double *inside(const Image *im, int64_t table) { return im->T + table_integers(im, table)[TABLE_INSIDE]; }
 
 static int64_t inside_size(const Image *im, int64_t table) {
-    return table_size(inside(im, table), im->n_T - table_integers(im, table)[INSIDE]);
+    return table_size(inside(im, table), im->n_T - table_integers(im, table)[TABLE_INSIDE]);
 }
 
 static Table *new_table(const double *values, int64_t count, const char *path) {
@@ -230,8 +226,8 @@ static void place_tables(Instance *m) {
         const int64_t *about = table_integers(im, k);
         const Table *own = m->own[k].file ? m->own[k].file : m->own[k].array;
         /* Own tables lie outside T: lanes reach them by their distance, of either sign. */
-        int64_t place = own ? ((intptr_t)own->values - (intptr_t)im->T) / (intptr_t)sizeof(double) : about[INSIDE];
-        for (int64_t lane = 0; lane < about[N_LANES]; lane++) m->N[about[LANES + lane]] = place;
+        int64_t place = own ? ((intptr_t)own->values - (intptr_t)im->T) / (intptr_t)sizeof(double) : about[TABLE_INSIDE];
+        for (int64_t lane = 0; lane < about[TABLE_N_LANES]; lane++) m->N[about[TABLE_LANES + lane]] = place;
     }
 }
 
@@ -240,7 +236,7 @@ static const double *numbers(const Instance *m, const Variable *v) {
     if (v->kind == KIND_NUMBER) return m->R + v->place;
     int64_t table = m->image->table_of[v - m->image->variables];
     const Table *own = m->own[table].array;
-    return own ? own->values + (v->place - table_integers(m->image, table)[INSIDE]) : m->image->T + v->place;
+    return own ? own->values + (v->place - table_integers(m->image, table)[TABLE_INSIDE]) : m->image->T + v->place;
 }
 
 /* The same to write into: an array is copied before it is first written. NULL where out of memory. */
@@ -256,7 +252,7 @@ static double *writable(Instance *m, const Variable *v) {
     }
     drop_table(&m->own[k].file);                               /* the last setting takes effect */
     place_tables(m);
-    return m->own[k].array->values + (v->place - table_integers(m->image, k)[INSIDE]);
+    return m->own[k].array->values + (v->place - table_integers(m->image, k)[TABLE_INSIDE]);
 }
 
 /* Instances ------------------------------------------------------------------------------------------------------- */
@@ -464,7 +460,10 @@ Status set_text(Instance *m, uint32_t ref, const char *value) {
     Table *table = NULL;
     if (value[0]) {
         char why[800];
-        double *read = read_ratio_table(value, m->image->text + table_integers(m->image, k)[REFERENCE_NAME], &count, why, sizeof why);
+        const char *text = m->image->text;
+        const int64_t *about = table_integers(m->image, k);
+        RatioBasis basis = {text + about[TABLE_REFERENCE], text + about[TABLE_RECOVERY], text + about[TABLE_UNSTATED]};
+        double *read = read_ratio_table(value, basis, &count, why, sizeof why);
         if (!read) return fail(m, "%s: %s", name, why);
         table = new_table(read, count, value);
         free(read);

@@ -87,8 +87,16 @@ uint64_t checksum_from(const void *bytes, size_t size, size_t before);
 /* A file's whole contents, with a 0 after them; NULL where it cannot be read. The path is UTF-8. */
 char *read_file(const char *path, size_t *size);
 
+/* Integers of N for a table: places of the names of its basis, place in T, number of lanes that use it, and the place in N of
+   each lane's table. Lanes count tables from the beginning of T. */
+enum { TABLE_REFERENCE, TABLE_RECOVERY, TABLE_UNSTATED, TABLE_INSIDE, TABLE_N_LANES, TABLE_LANES };
+
+/* What the ratios of a model are over: its reference heating, the recovery enthalpy that they are reduced with, and the one
+   that a file means that states none. */
+typedef struct { const char *reference, *recovery, *unstated; } RatioBasis;
+
 /* Nodes and ratios of a heating-ratio table (a contract CSV), packed as the kernel reads it; NULL, with the reason. */
-double *read_ratio_table(const char *path, const char *reference, int64_t *count, char *why, size_t size);
+double *read_ratio_table(const char *path, RatioBasis basis, int64_t *count, char *why, size_t size);
 
 /* Number of doubles of a packed table; 0 where its axis lengths are not valid or it has more than `most`. */
 int64_t table_size(const double *table, int64_t most);

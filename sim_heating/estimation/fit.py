@@ -243,6 +243,12 @@ def _check_records(records: Sequence[Record]) -> None:
             f"records: their ratios are over different reference heatings ({', '.join(sorted(models))}) and have no "
             "common derivatives; estimate each record by itself"
         )
+    recoveries = {r.declared.heating.recovery_of_point.kind for r in records}
+    if len(recoveries) > 1:
+        raise InputError(
+            f"records: their ratios are reduced with different recovery enthalpies ({', '.join(sorted(recoveries))}) "
+            "and have no common derivatives; estimate each record by itself"
+        )
 
 
 def _first_values(problem: FitProblem, given: Mapping[str, float]) -> FloatArray:

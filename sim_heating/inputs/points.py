@@ -10,7 +10,7 @@ import numpy as np
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.heating.effects import EffectUse
-from sim_heating.heating.reference.models import reference_heating
+from sim_heating.heating.reference.models import point_heating
 from sim_heating.inputs.record import ConstantHeat, Record
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.march.point import PointModel
@@ -52,14 +52,15 @@ def point_of_vehicle(
 
 
 def conditions_at_point(vehicle: Vehicle, point: ControlPoint, flown: Conditions) -> Conditions:
-    """Conditions of a flight with the surface pressure and reference heating of one control point."""
-    h_ref, H_r = reference_heating(
+    """Conditions of a flight with surface pressure, reference heating and recovery enthalpy of one control point."""
+    heating = point_heating(
         vehicle.heating.reference,
         flown,
         nose_radius_m=vehicle.heating.nose_radius_m or 1.0,
         running_length_m=point.running_length_m,
+        recovery=point.recovery,
     )
-    return flown.with_columns(p_surface_Pa=point.surface_pressure(flown), h_ref_kg_m2_s=h_ref, H_r_J_kg=H_r)
+    return flown.with_columns(p_surface_Pa=point.surface_pressure(flown), **heating)
 
 
 def reference_of_record(record: Record) -> tuple[float, ...]:
@@ -93,19 +94,21 @@ def point_of_record(
 
 
 def conditions_of_record(record: Record) -> Conditions:
-    """Conditions of a record with its reference heating as columns."""
+    """Conditions of a record with reference heating and recovery enthalpy of its control point as columns."""
     heating = record.declared.heating
-    h_ref, H_r = reference_heating(
+    columns = point_heating(
         heating.reference,
         record.conditions,
         nose_radius_m=heating.nose_radius_m or 1.0,
         running_length_m=heating.running_length_m,
+        recovery=heating.recovery_of_point,
     )
-    return record.conditions.with_columns(h_ref_kg_m2_s=h_ref, H_r_J_kg=H_r)
+    return record.conditions.with_columns(**columns)
 
 
 def check_reference(record: Record, vehicle: Vehicle, point: ControlPoint) -> None:
-    """Refuse a record whose ratio is over another reference heating than the vehicle's tables.
+    """Refuse a record whose ratio is over another reference heating, or reduced with another recovery enthalpy, than
+    the vehicle's table of the control point.
 
     raises : InputError with both, by name where the record names a model, else by value
     """
@@ -117,6 +120,12 @@ def check_reference(record: Record, vehicle: Vehicle, point: ControlPoint) -> No
         raise InputError(
             f"{record.name}: its ratio is over `{named}`, the tables of {vehicle.name} over `{required.reference}`; "
             "fit the record over the vehicle's reference heating"
+        )
+    own = heating.recovery_of_point.kind
+    if own != point.recovery.kind:
+        raise InputError(
+            f"{record.name}: its ratio is reduced with recovery `{own}`, the table of {point.name} with "
+            f"`{point.recovery.kind}`; fit the record with the recovery enthalpy of the control point"
         )
     if wall_enthalpy_of(heating.wall_enthalpy) != wall_enthalpy_of(required.wall_enthalpy):
         raise InputError(

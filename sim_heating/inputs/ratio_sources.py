@@ -48,7 +48,8 @@ from sim_heating.heating.ratio.tunnel_to_flight import (
     scale_table,
     windward_trend,
 )
-from sim_heating.inputs.vehicle import vehicle_directory
+from sim_heating.heating.reference.recovery import RecoveryName
+from sim_heating.inputs.vehicle import recovery_of, vehicle_directory
 from sim_heating.inputs.vehicle_files import NAME, ControlPointFile, VehicleFile
 
 Variable = Literal["alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg"]
@@ -161,6 +162,7 @@ class RatioSource(Declared):
     source: str
     confidence: str
     revision: str
+    recovery: RecoveryName | None = Field(default=None, description="enthalpy that the ratio is reduced with")
     relative_sigma: float = Field(gt=0.0, description="one standard deviation over the ratio, above 0")
     note: str = ""
     axes: Axes
@@ -170,6 +172,20 @@ class RatioSource(Declared):
     factor: list[Annotated[CurveFactor | DeflectionFactor, Field(discriminator="kind")]] = Field(default=[])
     sigma: list[SigmaCurve] = Field(default=[])
     scaling: Scaling | None = None
+
+    @property
+    def scaling_to_flight(self) -> Scaling:
+        """The scaling, its flight state reduced with the recovery enthalpy of the source."""
+        assert self.scaling is not None
+        flight = self.scaling.flight.model_copy(update={"recovery": self.recovery})
+        return self.scaling.model_copy(update={"flight": flight})
+
+    @model_validator(mode="after")
+    def _check_recovery(self) -> RatioSource:
+        if self.scaling is not None and self.scaling.flight.recovery not in (None, self.recovery):
+            rule = f"`{self.scaling.flight.recovery}` is not the `recovery` of the source; remove it"
+            raise LocatedError((("scaling", "flight", "recovery"), rule))
+        return self
 
 
 def build_tables(
@@ -249,6 +265,7 @@ def _build(source: RatioSource, path: Path, point: ControlPointFile, vehicle: Ve
         "confidence": source.confidence,
         "revision": source.revision,
         "reference": vehicle.heating.reference,
+        **_stated(source.recovery if source.scaling is None else source.scaling.tunnel.recovery),
         "made_from": f"ratio_sources/{path.name}",
     }
     if np.any(ratio <= 0.0):
@@ -256,7 +273,16 @@ def _build(source: RatioSource, path: Path, point: ControlPointFile, vehicle: Ve
     if (too_high := QUANTITIES["heating_ratio"].problem(float(ratio.max()))) is not None:
         raise InputError(f"the ratio of {point.name} rises to {too_high}; check base and factors")
     table = RatioTable(axes, ratio, relative * ratio, header)
-    return table if source.scaling is None else scale_table(table, source.scaling)
+    if source.scaling is not None:
+        table = scale_table(table, source.scaling_to_flight)
+    expected = recovery_of(point, vehicle.heating.reference).kind
+    if differs := table.recovery_problem(expected, vehicle.heating.reference):
+        raise InputError(f"{point.name}: {differs} of the control point; give both the same `recovery`")
+    return table
+
+
+def _stated(recovery: str | None) -> dict[str, str]:
+    return {} if recovery is None else {"recovery": recovery}
 
 
 def _base(

@@ -45,6 +45,8 @@ from sim_heating.base.files import (
 from sim_heating.base.limits import HOTTEST_K
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table, write_ratio_table
 from sim_heating.heating.recorded_columns import implausible_values
+from sim_heating.heating.reference.models import reference_model
+from sim_heating.heating.reference.recovery import Recovery, RecoveryName
 from sim_heating.thermal.stack import Construction, Sensor, sensor_problems
 
 REFERENCE_COLUMNS = ("h_ref_kg_m2_s", "H_r_J_kg")
@@ -97,6 +99,41 @@ def _enthalpy_tag(value: Any) -> str:
     return "constant" if isinstance(value, (dict, ConstantHeat)) else "named"
 
 
+LocalAngle = Annotated[
+    float | None, Field(ge=-90.0, le=90.0, description="angle of the surface against the x axis in degrees")
+]
+"""Type of the key for the angle of a local surface with a known edge."""
+
+
+def edge_problems(recovery: RecoveryName | None, local_angle_deg: float | None) -> list[tuple[Location, str]]:
+    """Problems of a declared recovery enthalpy: an edge without an angle, or an angle without a recovery enthalpy."""
+    if recovery in (None, "total") or local_angle_deg is not None:
+        unused = recovery is None and local_angle_deg is not None
+        rule = 'is that of an edge; give `recovery` = "edge-laminar" or "edge-turbulent"'
+        return [(("local_angle_deg",), rule)] if unused else []
+    return [(("recovery",), f'"{recovery}" needs `local_angle_deg`, the angle that is added to alpha; add it')]
+
+
+def declared_recovery(
+    recovery: RecoveryName | None,
+    local_angle_deg: float | None,
+    reference: str,
+    elevon_factor: float = 0.0,
+    bodyflap_factor: float = 0.0,
+) -> Recovery:
+    """Recovery enthalpy of a control point: as declared, else that of the reference heating.
+
+    recovery, local_angle_deg      : as declared, angle [deg]; None where not
+    reference                      : name of the reference heating
+    elevon_factor, bodyflap_factor : part of a deflection that turns the surface [-]
+    """
+    if recovery is None:
+        return reference_model(reference).recovery
+    if recovery == "total":
+        return Recovery()
+    return Recovery(recovery, local_angle_deg or 0.0, elevon_factor, bodyflap_factor)
+
+
 STAGNATION = ("sutton-graves", "detra-kemp-riddell", "fay-riddell")
 FLAT_PLATE = ("eckert-laminar", "eckert-turbulent")
 
@@ -114,6 +151,26 @@ class Heating(Declared):
         Discriminator(_enthalpy_tag),
     ] = Field(description='{ cp_J_kgK = ... } or "equilibrium-air"')
     ratio_table: FileOfRecord | None = Field(default=None, description="file of the declared heating ratio")
+    recovery: RecoveryName | None = Field(default=None, description="enthalpy that the ratio is reduced with")
+    local_angle_deg: LocalAngle = None
+    elevon_factor: float = Field(default=0.0, ge=-1.0, le=1.0, description="part of the elevon that turns the surface")
+    bodyflap_factor: float = Field(default=0.0, ge=-1.0, le=1.0, description="part of the flap that turns the surface")
+
+    @property
+    def recovery_of_point(self) -> Recovery:
+        """Recovery enthalpy of the control point: as declared, else that of the reference heating."""
+        return declared_recovery(
+            self.recovery, self.local_angle_deg, self.reference, self.elevon_factor, self.bodyflap_factor
+        )
+
+    @model_validator(mode="after")
+    def _check_edge(self) -> Heating:
+        if problems := edge_problems(self.recovery, self.local_angle_deg):
+            raise LocatedError(*problems)
+        if self.local_angle_deg is None and (self.elevon_factor or self.bodyflap_factor):
+            key = "elevon_factor" if self.elevon_factor else "bodyflap_factor"
+            raise LocatedError(((key,), "turns the surface of an edge; give `recovery` and `local_angle_deg` as well"))
+        return self
 
     @model_validator(mode="after")
     def _check_lengths(self) -> Heating:
@@ -481,10 +538,20 @@ def _segment_problems(declared: RecordFile, thermocouples: CsvTable, home: Path)
 
 
 def _table_problems(heating: Heating, table: RatioTable | None, home: Path) -> list[str]:
-    """A ratio table over an unknown reference heating, or over another one than the record's."""
-    if table is None or table.reference is None:
+    """A ratio table over another reference heating than the record's, or reduced with another recovery enthalpy."""
+    if table is None:
         return []
     file = display_path(home / str(heating.ratio_table))
+    differs = table.recovery_problem(heating.recovery_of_point.kind, heating.reference)
+    return _reference_problems(heating, table, file) or (
+        [] if differs is None else [f"{file}, {differs} of the record"]
+    )
+
+
+def _reference_problems(heating: Heating, table: RatioTable, file: str) -> list[str]:
+    """A ratio table over an unknown reference heating, or over another one than the record's."""
+    if table.reference is None:
+        return []
     known = (*STAGNATION, *FLAT_PLATE)
     if table.reference not in known:
         rule = f"unknown reference heating `{table.reference}`{suggestion(table.reference, known)}"

@@ -36,7 +36,9 @@ from sim_heating.base.files.package import data_folders
 from sim_heating.base.files.paths import real_path
 from sim_heating.heating.effects import EffectUse, check_count, use
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table
-from sim_heating.heating.surface_pressure import PressureModel, surface_pressure
+from sim_heating.heating.reference.recovery import Recovery
+from sim_heating.heating.surface_pressure import ModifiedNewtonian, PressureModel, surface_pressure
+from sim_heating.inputs.record import declared_recovery
 from sim_heating.inputs.vehicle_files import ControlPointFile, DerivedMaterial, Limits, ReferenceHeating, VehicleFile
 from sim_heating.thermal.stack import Construction, Material, Sensor, construct
 
@@ -59,6 +61,7 @@ class ControlPoint:
     construction     : layer stack with its materials
     sensors          : thermocouples, in the order of the file
     ratio            : heating ratio over the vehicle's reference heating
+    recovery         : enthalpy that the ratio is reduced with, and the surface that its edge follows from
     running_length_m : length of the boundary layer up to the point [m], None where it has no meaning (leeside)
     turbulent_factor : turbulent over laminar film coefficient [-], None where not declared
     effects          : effects of the declared model, usually none
@@ -75,6 +78,7 @@ class ControlPoint:
     limits: Limits
     pressure: PressureModel
     ratio: RatioTable
+    recovery: Recovery
     turbulent_factor: float | None
     effects: tuple[EffectUse, ...]
     declared: ControlPointFile
@@ -324,10 +328,11 @@ def _read_control_points(
         construction = None
         if invalid.isdisjoint(layer.material for layer in file.stack.layer):
             construction = problems.attempt(construct, file.stack, materials, display_path(path))
-        ratio = problems.attempt(_read_ratio, path, file.ratio_table, vehicle)
+        recovery = recovery_of(file, None if vehicle is None else vehicle.heating.reference)
+        ratio = problems.attempt(_read_ratio, path, file.ratio_table, vehicle, recovery)
         effects = problems.attempt(_effects, path, file)
         if construction is not None and ratio is not None and effects is not None:
-            points[file.name] = _control_point(file, construction, ratio, effects)
+            points[file.name] = _control_point(file, construction, ratio, recovery, effects)
     for line in _repeated_sensors(directory, points):
         problems.add(line)
     return points
@@ -343,8 +348,18 @@ def _position_problems(path: Path, file: ControlPointFile, vehicle: VehicleFile)
     return [f"{display_path(path)}: `position_m`: {stated}; correct one of the three"]
 
 
-def _read_ratio(owner: Path, ratio_table: str, vehicle: VehicleFile | None) -> RatioTable:
-    """The ratio table of a control point file, over the vehicle's own reference heating."""
+def recovery_of(file: ControlPointFile, reference: str | None) -> Recovery:
+    """Recovery enthalpy of a control point; a control surface turns with the deflection as in its pressure model.
+
+    reference : name of the vehicle's reference heating, None where unknown
+    """
+    pressure = file.pressure
+    turns = (pressure.elevon_factor, pressure.bodyflap_factor) if isinstance(pressure, ModifiedNewtonian) else ()
+    return declared_recovery(file.recovery, file.local_angle_deg, reference or "none", *turns)
+
+
+def _read_ratio(owner: Path, ratio_table: str, vehicle: VehicleFile | None, recovery: Recovery) -> RatioTable:
+    """The ratio table of a control point file, over the vehicle's own reference heating and the point's recovery."""
     path = owner.parent.parent / ratio_table
     if not os.path.isfile(path):
         describe = "; write one, or describe it in ratio_sources and build it"
@@ -358,6 +373,8 @@ def _read_ratio(owner: Path, ratio_table: str, vehicle: VehicleFile | None) -> R
             f"{display_path(path)}, header `reference`: {stated}; the vehicle's tables are over "
             f"`{vehicle.heating.reference}`"
         )
+    if vehicle is not None and (differs := table.recovery_problem(recovery.kind, vehicle.heating.reference)):
+        raise InputError(f"{display_path(path)}, {differs} of the control point")
     return table
 
 
@@ -370,7 +387,11 @@ def _effects(path: Path, file: ControlPointFile) -> tuple[EffectUse, ...]:
 
 
 def _control_point(
-    file: ControlPointFile, construction: Construction, ratio: RatioTable, effects: tuple[EffectUse, ...]
+    file: ControlPointFile,
+    construction: Construction,
+    ratio: RatioTable,
+    recovery: Recovery,
+    effects: tuple[EffectUse, ...],
 ) -> ControlPoint:
     x, y, z = file.position_m
     return ControlPoint(
@@ -384,6 +405,7 @@ def _control_point(
         limits=file.limits,
         pressure=file.pressure,
         ratio=ratio,
+        recovery=recovery,
         turbulent_factor=None if file.turbulent is None else file.turbulent.factor,
         effects=effects,
         declared=file,

@@ -11,8 +11,9 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from sim_heating.base.files import Declared, LocatedError, Location, path_below
+from sim_heating.heating.reference.recovery import RecoveryName
 from sim_heating.heating.surface_pressure import PressureModel
-from sim_heating.inputs.record import STAGNATION, ConstantHeat
+from sim_heating.inputs.record import STAGNATION, ConstantHeat, LocalAngle, edge_problems
 from sim_heating.thermal.stack import Material, Sensor, Stack, Table, sensor_problems
 
 NAME = r"[A-Za-z_][A-Za-z0-9_]*"
@@ -118,6 +119,8 @@ class ControlPointFile(Declared):
     ratio_table: Annotated[str, path_below("is outside the vehicle directory; give a path below it")] = Field(
         description="path below the vehicle directory"
     )
+    recovery: RecoveryName | None = Field(default=None, description="enthalpy that the ratio is reduced with")
+    local_angle_deg: LocalAngle = None
     source: str
     confidence: str
     note: str = ""
@@ -133,6 +136,7 @@ class ControlPointFile(Declared):
         problems: list[tuple[Location, str]] = [
             (("sensor", *location), text) for location, text in sensor_problems(self.stack, self.sensor)
         ]
+        problems += edge_problems(self.recovery, self.local_angle_deg)
         if self.limits.bondline_K is not None and len(self.stack.layer) == 1:
             problems.append((("limits", "bondline_K"), "a stack of one layer has no bondline; remove it"))
         if problems:

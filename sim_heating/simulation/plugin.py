@@ -74,7 +74,7 @@ class HeatingPlugin:
     effects        : effects by control point, in addition to those that the vehicle declares
 
     Attributes: `names` of the control points; `outputs`, (control point, `surface`, `bondline` or sensor) of each of
-    `temperatures()`; `ensemble`, whose state is that at `heated_s`; `pressures`, (point, PRESSURE_WIDTH + 1) as
+    `temperatures()`; `ensemble`, whose state is that at `heated_s`; `pressures`, (point, POINT_WIDTH) as
     simulation/plugin_kernel.py takes them.
 
     >>> import sim_heating as sh
@@ -246,12 +246,14 @@ class HeatingPlugin:
 
 
 def point_numbers(vehicle: Vehicle, points: Sequence[ControlPoint]) -> FloatArray:
-    """(point, PRESSURE_WIDTH + 1) pressure model and running length [m] of control points, as
+    """(point, plugin_kernel.POINT_WIDTH) pressure model, recovery and running length [m] of control points, as
     plugin_kernel.derive_conditions takes them; a length that the reference heating does not use is 1."""
     on_plate = reference_model(vehicle.heating.reference).on_plate
     # Without a flat plate all points get one length, so that the kernel computes the reference heating once a frame.
     lengths = [p.running_length_m or 1.0 if on_plate else 1.0 for p in points]
-    numbers = [[*p.pressure.parameters(), length] for p, length in zip(points, lengths, strict=True)]
+    numbers = [
+        [*p.pressure.parameters(), *p.recovery.parameters(), length] for p, length in zip(points, lengths, strict=True)
+    ]
     return np.array(numbers, dtype=float)
 
 

@@ -48,6 +48,7 @@ from sim_heating.base.kernels.jit import njit
 from sim_heating.base.limits import LIMITS
 from sim_heating.heating.atmosphere import free_stream_kernel
 from sim_heating.heating.reference.models import reference_kernel
+from sim_heating.heating.reference.recovery import RECOVERY_WIDTH, point_recovery_kernel
 from sim_heating.heating.reference.stagnation import COLD_WALL_K
 from sim_heating.heating.surface_pressure import PRESSURE_WIDTH, pressure_below_rise, stagnation_pressure_coefficient
 from sim_heating.march.frames import BLOCK_START, LaneGroups, advance_groups, begin_groups
@@ -59,6 +60,10 @@ THERMAL_FRAME, SLOPE, HOST_SIZE = (LAST_FRAME + k * len(FRAME) for k in (1, 2, 3
 longest wait for one [s]. Changing: 1 after the first frame, number of density spikes, time of the last one [s], wait
 for the next thermal step [s], the last frame, the frame that the thermal model is at, and the rates of change of the
 frame's values over the last thermal step [1/s]."""
+RECOVERY_AT = PRESSURE_WIDTH
+RUNNING_LENGTH = RECOVERY_AT + RECOVERY_WIDTH
+POINT_WIDTH = RUNNING_LENGTH + 1
+"""Numbers of a control point: its pressure model, its recovery enthalpy from RECOVERY_AT on, its running length [m]."""
 CURRENT, VALUE, LINEAR, QUADRATIC = range(4)
 """Rows of the published array: the temperatures now [K], and their parabola: T_h [K], s [K/s], c [K/s2]."""
 
@@ -166,7 +171,7 @@ def derive_conditions(
     """Derive the conditions of all lanes from one frame of the host.
 
     host    : (HOST_SIZE,), of which the reference model, reference length and nose radius are read
-    points  : (point, PRESSURE_WIDTH + 1) pressure model and running length of each point
+    points  : (point, POINT_WIDTH) pressure model, recovery and running length of each point
     lanes   : the point in each lane; a lane that fills a group up repeats the one before it
     vectors : (lane, condition), filled
     """
@@ -174,7 +179,7 @@ def derive_conditions(
     code = int(host[CODE])
     T_inf, p_inf, mach, log10_re = free_stream_kernel(frame[F_ALTITUDE], V, rho, host[LENGTH])
     radius, length = host[RADIUS], -1.0
-    h_ref, H_r = 0.0, 0.0
+    h_ref, H_0 = 0.0, 0.0
     rise, cos_beta = 0.5 * rho * V * V * stagnation_pressure_coefficient(mach), math.cos(math.radians(beta))
     for i in range(len(lanes)):
         # Lanes that fill a group repeat its last point.
@@ -184,15 +189,18 @@ def derive_conditions(
             continue
         point = points[lanes[i]]
         # The reference heating is the largest part of a frame; it differs between points by their running length alone.
-        if point[PRESSURE_WIDTH] != length:
-            length = point[PRESSURE_WIDTH]
-            h_ref, H_r = reference_kernel(code, rho, V, T_inf, alpha, radius, length, COLD_WALL_K)
+        if point[RUNNING_LENGTH] != length:
+            length = point[RUNNING_LENGTH]
+            h_ref, H_0 = reference_kernel(code, rho, V, T_inf, alpha, radius, length, COLD_WALL_K)
         vectors[i, ALPHA], vectors[i, BETA], vectors[i, LOG10_RE] = alpha, beta, log10_re
         vectors[i, ELEVON], vectors[i, BODYFLAP] = frame[F_ELEVON], frame[F_BODYFLAP]
         vectors[i, P_SURFACE] = pressure_below_rise(
             p_inf, rise, alpha, cos_beta, frame[F_ELEVON], frame[F_BODYFLAP], point
         )
-        vectors[i, H_REF], vectors[i, RECOVERY_ENTHALPY], vectors[i, RECOVERY_RISE] = h_ref, H_r, 0.0
+        vectors[i, H_REF] = h_ref
+        vectors[i, RECOVERY_ENTHALPY], vectors[i, RECOVERY_RISE] = point_recovery_kernel(
+            H_0, V, alpha, frame[F_ELEVON], frame[F_BODYFLAP], point, RECOVERY_AT
+        )
         vectors[i, JETS], vectors[i, MACH], vectors[i, TIME] = frame[F_JETS], mach, frame[F_TIME]
 
 

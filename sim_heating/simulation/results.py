@@ -126,5 +126,6 @@ def histories_dataset(
 
 
 def _attributes(name: str) -> dict[str, str]:
-    unit = UNITS.get(name, "K" if name.endswith("_K") else "1")
+    of_point = next((unit for column, unit in UNITS.items() if name.endswith(f"_{column}")), None)
+    unit = UNITS.get(name, of_point or ("K" if name.endswith("_K") else "1"))
     return {"units": unit} | ({"long_name": LONG_NAMES[name]} if name in LONG_NAMES else {})

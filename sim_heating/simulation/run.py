@@ -100,7 +100,7 @@ class RunResult:
         sensors = {name: vehicle.control_point(name).sensors for name in self.points}
         about = {"title": self.scenario.title, "vehicle": vehicle.name, "vehicle_revision": vehicle.revision}
         histories = [p.history for p in self.points.values()]
-        return histories_dataset(with_reference_heating(self)[0], histories, sensors, about)
+        return histories_dataset(with_reference_heating(self), histories, sensors, about)
 
     def plot(self) -> Figure:
         """Surface and bondline temperatures of all control points against time."""
@@ -271,8 +271,7 @@ def write_run(result: RunResult, out: str | os.PathLike[str], *, progress: Progr
     """Write all files of a run, all together or not at all; returns their names within the directory."""
     with output_directory(out, "run", inputs=result.scenario.files) as folder:
         write_json(folder / SUMMARY, summary(result))
-        flown, notes = with_reference_heating(result)
-        write_csv(folder / CONDITIONS, flown.columns, ".12g", notes)
+        write_csv(folder / CONDITIONS, with_reference_heating(result).columns, ".12g")
         _write_histories(result, folder)
         progress(0.92, "drawing")
         draw_run(result, folder)
@@ -281,19 +280,22 @@ def write_run(result: RunResult, out: str | os.PathLike[str], *, progress: Progr
     return names
 
 
-def with_reference_heating(result: RunResult) -> tuple[Conditions, dict[str, str]]:
-    """The flight's conditions with h_ref and H_r where these are common to all control points.
+def with_reference_heating(result: RunResult) -> Conditions:
+    """The flight's conditions with h_ref and H_r of its control points.
 
-    returns : conditions, and notes for the head of their file on columns left out (h_ref of a flat plate depends on the
-              running length of the control point)
+    returns : a column each where it is the same for all points, else a column a point, such as V09T9527_H_r_J_kg: the
+              film coefficient of a flat plate depends on the running length, the recovery enthalpy of an edge on the
+              local angle
     """
-    columns = {name: [p.conditions[name] for p in result.points.values()] for name in ("h_ref_kg_m2_s", "H_r_J_kg")}
-    # One column can stand for all points only if it is the same for all; a flat plate has one film coefficient for each
-    # running length.
-    common = {name: c[0] for name, c in columns.items() if all(np.array_equal(other, c[0]) for other in c)}
-    reference = result.scenario.vehicle.heating.reference
-    why = f"left out, as `{reference}` differs between control points with their running length"
-    return result.flight.conditions.with_columns(**common), {name: why for name in columns if name not in common}
+    columns: dict[str, FloatArray] = {}
+    for name in ("h_ref_kg_m2_s", "H_r_J_kg"):
+        of_points = {point: p.conditions[name] for point, p in result.points.items()}
+        first = next(iter(of_points.values()))
+        if all(np.array_equal(other, first) for other in of_points.values()):
+            columns[name] = first
+        else:
+            columns |= {f"{point}_{name}": values for point, values in of_points.items()}
+    return result.flight.conditions.with_columns(**columns)
 
 
 def _write_histories(result: RunResult, folder: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import check, output_directory, toml_text, write_text_atomic
 from sim_heating.base.progress import Progress, no_progress
+from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.inputs.points import mean_condition
 from sim_heating.inputs.record import DECLARATION, Record, RecordFile, make_record, write_record
 from sim_heating.inputs.scenario import Scenario, load_scenario
@@ -103,7 +105,17 @@ def _record(
                 f"{scenario.path}, [measurements]: skew, offset, gaps and losses leave no sample of {sensor.name} "
                 f"within the flight ({span}); change them"
             )
-    return make_record(declaration(scenario, point, point.sensors), conditions, columns, point.ratio, point.name)
+    return make_record(
+        declaration(scenario, point, point.sensors), conditions, columns, ratio_table_of(point), point.name
+    )
+
+
+def ratio_table_of(point: ControlPoint) -> RatioTable:
+    """Ratio table of a control point as its record holds it: it states the recovery enthalpy, which in a vehicle may
+    follow from the reference heating alone."""
+    if point.recovery.kind == "total":
+        return point.ratio
+    return replace(point.ratio, header={**point.ratio.header, "recovery": point.recovery.kind})
 
 
 def point_declaration(vehicle: Vehicle, point: ControlPoint, title: str, sensors: Sequence[Sensor]) -> dict[str, Any]:
@@ -122,6 +134,16 @@ def point_declaration(vehicle: Vehicle, point: ControlPoint, title: str, sensors
     }
 
 
+def _recovery_keys(point: ControlPoint) -> dict[str, Any]:
+    """Keys of [heating] that state the recovery enthalpy of a control point; none for the total enthalpy."""
+    own = point.recovery
+    if own.kind == "total":
+        return {}
+    turns = {"elevon_factor": own.elevon_factor, "bodyflap_factor": own.bodyflap_factor}
+    turned = {key: factor for key, factor in turns.items() if factor != 0.0}
+    return {"recovery": own.kind, "local_angle_deg": own.local_angle_deg, **turned}
+
+
 def declaration(scenario: Scenario, point: ControlPoint, sensors: Sequence[Sensor]) -> RecordFile:
     """Content of record.toml for a control point with these sensors."""
     vehicle = scenario.vehicle
@@ -131,6 +153,7 @@ def declaration(scenario: Scenario, point: ControlPoint, sensors: Sequence[Senso
         "nose_radius_m": vehicle.heating.nose_radius_m,
         "wall_enthalpy": vehicle.heating.model_dump()["wall_enthalpy"],
         "ratio_table": TABLE,
+        **_recovery_keys(point),
     }
     data |= {
         "conditions": {"file": CONDITIONS},

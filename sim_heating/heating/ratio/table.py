@@ -1,6 +1,6 @@
 """Heating-ratio table of a control point as a CSV file: long form, one row per node of a full rectangular grid.
 
-    # source: ...            optional `# key: value` lines: source, confidence, revision, reference
+    # source: ...            optional `# key: value` lines: source, confidence, revision, reference, recovery
     alpha_deg,beta_deg,log10_re,elevon_deg,bodyflap_deg,ratio[,sigma]
     10,-4,4.5,-10,-10,0.0033
 
@@ -31,6 +31,8 @@ from sim_heating.base.files import (
     write_text_atomic,
 )
 from sim_heating.base.limits import QUANTITIES, Quantity
+from sim_heating.heating.reference.models import recovery_name
+from sim_heating.heating.reference.recovery import RECOVERIES
 
 LARGEST_SIGMA, SMALLEST_SIGMA = 10.0, 1e-5
 """Largest sigma over the largest ratio of a table, and smallest median of sigma over ratio."""
@@ -47,7 +49,7 @@ class RatioTable:
     axes   : increasing node values of alpha_deg, beta_deg [deg], log10_re [-], elevon_deg, bodyflap_deg [deg]
     ratio  : (alpha, beta, log10_re, elevon, bodyflap) film coefficient over the reference film coefficient [-]
     sigma  : one standard deviation of the ratio [-], same shape, or None where the file gives none
-    header : source, confidence, revision, reference and other entries of the file's header
+    header : source, confidence, revision, reference, recovery and other entries of the file's header
     raises : InputError where shapes disagree, an axis does not increase, or a ratio is not finite
     """
 
@@ -73,6 +75,24 @@ class RatioTable:
         """Name of the reference heating that the ratio is over; None where the file states none."""
         return self.header.get("reference") or None
 
+    @property
+    def recovery(self) -> str | None:
+        """Name of the recovery enthalpy that the ratio is reduced with, a key of RECOVERIES; None where the file states
+        none (`models.recovery_name` then says which)."""
+        return self.header.get("recovery") or None
+
+    def recovery_problem(self, expected: str, reference: str) -> str | None:
+        """Why the ratio does not belong to a recovery enthalpy, as the end of a message; None where it does.
+
+        expected  : the recovery enthalpy that it is used with, a key of RECOVERIES
+        reference : the reference heating that it is used with, for a table that states no recovery enthalpy
+        """
+        own = recovery_name(self.recovery, reference)
+        if own == expected:
+            return None
+        stated = f"is `{own}`" if self.recovery else f"is not stated, which means `{own}`"
+        return f"header `recovery`: {stated}; it must agree with `{expected}`"
+
 
 def read_ratio_table(path: str | os.PathLike[str]) -> RatioTable:
     """Read and check a heating-ratio table; rows may be in any order.
@@ -83,7 +103,7 @@ def read_ratio_table(path: str | os.PathLike[str]) -> RatioTable:
               an unknown column, a repeated or missing node; nodes, ratios or sigma in another unit
     """
     table = read_csv_columns(path, (*RATIO_VARIABLES, "ratio"), ("sigma",))
-    raise_problems(_column_problems(table))
+    raise_problems([*_header_problems(table), *_column_problems(table)])
     axes = tuple(np.unique(table[name]) for name in RATIO_VARIABLES)
     index = tuple(np.searchsorted(axis, table[name]) for axis, name in zip(axes, RATIO_VARIABLES, strict=True))
     # Repeated nodes first: with one of them the number of missing nodes would mislead.
@@ -114,6 +134,15 @@ def ratio_table_text(table: RatioTable, formats: Mapping[str, str] | None = None
     if table.sigma is not None:
         columns["sigma"] = table.sigma.ravel()
     return csv_text(columns, formats, table.header)
+
+
+def _header_problems(table: CsvTable) -> list[str]:
+    """Message about a recovery enthalpy that there is not."""
+    stated = table.header.get("recovery")
+    if not stated or stated in RECOVERIES:
+        return []
+    text = f"unknown recovery enthalpy `{stated}`{suggestion(stated, RECOVERIES)}"
+    return [f"{display_path(table.path)}, header `recovery`: {text}"]
 
 
 def _column_problems(table: CsvTable) -> list[str]:

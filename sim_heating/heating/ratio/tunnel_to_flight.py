@@ -16,16 +16,25 @@ Transitional flow is a blend by intermittency,
 
 with f turbulent over laminar theory. The blend is divided out of the tunnel's ratio and applied in flight with the
 flight's onset.
+A film coefficient goes with the enthalpy that its flux was divided by. Where the flight table is to be reduced with the
+enthalpy of an edge, H_r (heating/reference/recovery.py), a ratio that the tunnel reduced with H is multiplied there by
+
+    (H - H_w) / (H_aw - H_w),    H_aw = H_0 - (1 - r) u_e^2/2,  r by intermittency from Pr^1/2 to Pr^1/3
+
+before it is scaled, and by (H_aw - H_w) / (H_r - H_w) of the flight state after it; the latter is 1 where H_r is that
+of the regime.
 A node of the flight table at log10_re takes the tunnel's ratio at the same Reynolds number, or at the nearest one that
 the tunnel reached.
 
 Assumptions: model and vehicle are similar and the reference sphere is scaled with them; modified Newtonian pressure and
-edge speed V cos(angle) in both; equilibrium air and a fully catalytic wall in flight; one wall temperature each.
+edge speed V cos(angle) in both; equilibrium air and a fully catalytic wall in flight; one wall temperature each; where
+a ratio stays reduced with the total enthalpy, the change of H_0 - H_w over H_aw - H_w (7 to 10 %) is neglected.
 Sigma, as a fraction of the ratio, grows in quadrature by `method_sigma` (the method as such), by `correction_sigma`
 times the logarithm of the correction, and for transitional flow by the effect of `onset_sigma` decades of both onsets.
 
 Valid for attached windward flow. Leeside and impingement regions have no better theory; choose their method_sigma
-accordingly. Equations: docs/equations.md, equations 10 to 14.
+accordingly. Equations: docs/equations.md, equations 10 to 14;
+docs/equations_reference_heating.md, equations 19 and 20.
 Sources: Eckert, Trans. ASME 78 (1956) 1273; Fay & Riddell, J. Aero. Sci. 25 (1958) 73; that wind-tunnel data must be
 scaled, transitional flow above all: Hodge, Phillips & Audley, NASA CP-2283 (1983). The method is engineering practice.
 """
@@ -46,7 +55,10 @@ from sim_heating.base.files import Declared, LocatedError
 from sim_heating.base.kernels.axis import cells_of
 from sim_heating.heating.atmosphere import sutherland_kernel
 from sim_heating.heating.ratio.table import RatioTable
-from sim_heating.heating.reference.flat_plate import eckert_kernel
+from sim_heating.heating.reference.flat_plate import eckert_kernel, windward_edge_kernel
+from sim_heating.heating.reference.gas import air_kernel
+from sim_heating.heating.reference.models import total_enthalpy_kernel
+from sim_heating.heating.reference.recovery import Recovery, RecoveryName, point_recovery_kernel
 from sim_heating.heating.reference.stagnation import COLD_WALL_K, NO_LEWIS, fay_riddell_kernel
 
 ALPHA, LOG10_RE = 0, 2
@@ -64,6 +76,7 @@ class FlowState(Declared):
     velocity_m_s, T_inf_K   : free-stream speed [m/s] and temperature [K]
     wall_K                  : wall temperature [K]
     length_m, nose_radius_m : reference length of model or vehicle, radius of the reference sphere [m]
+    recovery                : enthalpy that the ratio is reduced with in this state; the total one where absent
     """
 
     quantities: ClassVar = {"velocity_m_s": "flight_speed_m_s"}
@@ -73,6 +86,7 @@ class FlowState(Declared):
     wall_K: float = Field(gt=0.0, description="wall temperature in K")
     length_m: float = Field(gt=0.0, description="reference length of model or vehicle in m")
     nose_radius_m: float = Field(gt=0.0, description="radius of the reference sphere, scaled with the model, in m")
+    recovery: RecoveryName | None = Field(default=None, description="enthalpy that the ratio is reduced with")
 
     def density(self, log10_re: float) -> float:
         """Free-stream density rho = Re mu(T_inf) / (V L) [kg/m3] at a Reynolds number.
@@ -145,6 +159,17 @@ class Scaling(Declared):
         # At 90 deg the edge speed V cos(angle), and the theoretical ratio with it, would be 0.
         return min(max(angle, SHALLOWEST_DEG), 89.0)
 
+    def intermittencies(self, tunnel_log10_re: float, flight_log10_re: float) -> tuple[float, float]:
+        """Turbulent fraction [-] of the boundary layer in the tunnel and in flight; 0 or 1 in one regime.
+
+        tunnel_log10_re, flight_log10_re : log10 of the free-stream Reynolds numbers [-]
+        Source: docs/equations.md, equation 11.
+        """
+        if self.tunnel_transition is None or self.flight_transition is None:
+            return (1.0, 1.0) if self.regime == "turbulent" else (0.0, 0.0)
+        tunnel, flight = self.tunnel_transition, self.flight_transition
+        return tunnel.intermittency(tunnel_log10_re), flight.intermittency(flight_log10_re)
+
 
 def theoretical_ratio(state: FlowState, log10_re: float, angle_deg: float, x_over_L: float, turbulent: bool) -> float:
     """Flat-plate film coefficient on a windward surface over that of the reference sphere [-].
@@ -161,6 +186,33 @@ def theoretical_ratio(state: FlowState, log10_re: float, angle_deg: float, x_ove
     return plate / fay_riddell_kernel(rho, V, T, state.nose_radius_m, COLD_WALL_K, NO_LEWIS)
 
 
+def driving_enthalpy(
+    state: FlowState, log10_re: float, angle_deg: float, recovery: RecoveryName | None, intermittency: float = 0.0
+) -> float:
+    """Recovery less wall enthalpy, H - H_w [J/kg], that a flux in a flow state is divided by for a film coefficient.
+
+    state         : flow state of tunnel or flight
+    log10_re      : log10 of the free-stream Reynolds number on `state.length_m` [-]
+    angle_deg     : angle of the local surface against the flow [deg], 0 to 90
+    recovery      : a key of RECOVERIES; None for the adiabatic wall of the boundary layer as it is
+    intermittency : turbulent fraction of that boundary layer [-]
+    raises        : InputError where the wall is hotter than the adiabatic wall
+    Source: docs/equations_reference_heating.md, equations 19 and 20.
+    """
+    rho, V, T = state.density(log10_re), state.velocity_m_s, state.T_inf_K
+    p_e, _, _ = windward_edge_kernel(rho, V, T, angle_deg)
+    H_w, H_0 = air_kernel(state.wall_K, p_e)[0], total_enthalpy_kernel(V, T)
+    kind: RecoveryName = "edge-laminar" if recovery is None else recovery
+    H, rise = point_recovery_kernel(H_0, V, angle_deg, 0.0, 0.0, Recovery(kind).parameters(), 0)
+    driving = H - H_w if recovery is not None else H + intermittency * rise - H_w
+    if driving <= 0.0:
+        raise InputError(
+            f"[scaling]: a wall of {state.wall_K:g} K is hotter than the adiabatic wall at {V:g} m/s and {T:g} K, and "
+            "a film coefficient has no meaning; correct wall_K or velocity_m_s"
+        )
+    return float(driving)
+
+
 def scale_table(table: RatioTable, scaling: Scaling, log10_re: FloatArray | None = None) -> RatioTable:
     """Scale a heating-ratio table measured in a wind tunnel to flight.
 
@@ -168,7 +220,8 @@ def scale_table(table: RatioTable, scaling: Scaling, log10_re: FloatArray | None
     scaling  : flow states, place, regime and uncertainties
     log10_re : nodes of the flight table [-], increasing; those of the tunnel where absent
     returns  : table of ratio and sigma [-] at the same alpha, beta and deflections; its header states the assumptions
-    raises   : InputError where the table is over another reference or states no sigma
+    raises   : InputError where the table is over another reference, reduced with another recovery enthalpy than the
+               tunnel state names, or states no sigma
     Reynolds numbers beyond the tunnel's take its nearest ratio, scaled from there.
     Source: docs/equations.md, equations 10 to 12.
     """
@@ -176,6 +229,9 @@ def scale_table(table: RatioTable, scaling: Scaling, log10_re: FloatArray | None
         raise InputError("ratio table: has no column `sigma`, to which scaling adds; give one")
     if table.reference not in (None, REFERENCE):
         raise InputError(f"ratio table: is over `{table.reference}`; scaling takes ratios over `{REFERENCE}`")
+    reduced = scaling.tunnel.recovery or "total"
+    if (differs := table.recovery_problem(reduced, REFERENCE)) is not None:
+        raise InputError(f"ratio table: {differs} of [scaling.tunnel]")
     nodes = table.axes[LOG10_RE] if log10_re is None else np.asarray(log10_re, dtype=float)
     # No extrapolation of the measured trend: beyond the tunnel's Reynolds numbers theory alone carries it.
     at_tunnel = np.clip(nodes, table.axes[LOG10_RE][0], table.axes[LOG10_RE][-1])
@@ -207,8 +263,9 @@ def correction(
 
     alpha_deg        : angle of attack [deg], the same in both
     tunnel_log10_re, flight_log10_re : log10 of the free-stream Reynolds numbers [-]
-    returns          : Theta(flight) / Theta(tunnel), with the transitional blend where both onsets are given; sigma
-    Source: docs/equations.md, equations 10 to 12.
+    returns          : Theta(flight) / Theta(tunnel), with the transitional blend where both onsets are given, and with
+                       the recovery enthalpies of both states where that of flight is an edge's; sigma
+    Source: docs/equations.md, equations 10 to 12; docs/equations_reference_heating.md, equation 20.
     """
     angle = scaling.angle_deg(alpha_deg)
     ends = ((scaling.tunnel, tunnel_log10_re), (scaling.flight, flight_log10_re))
@@ -228,7 +285,22 @@ def correction(
         factor = laminar[1] / laminar[0] * parts[1][0] / parts[0][0]
         steps += [part[1] for part in parts]
     steps.append(scaling.correction_sigma * math.log(factor))
-    return factor, math.hypot(*steps)
+    # Exact where the edge is; its uncertainty is that of the method.
+    return factor * _enthalpy_factor(scaling, angle, tunnel_log10_re, flight_log10_re), math.hypot(*steps)
+
+
+def _enthalpy_factor(scaling: Scaling, angle_deg: float, tunnel_log10_re: float, flight_log10_re: float) -> float:
+    """Factor [-] on a ratio for the enthalpies that it is reduced with in tunnel and flight (equation 20)."""
+    if {scaling.tunnel.recovery or "total", scaling.flight.recovery or "total"} == {"total"}:
+        return 1.0
+    ends = ((scaling.tunnel, tunnel_log10_re), (scaling.flight, flight_log10_re))
+    gammas = scaling.intermittencies(tunnel_log10_re, flight_log10_re)
+    tunnel, flight = (
+        driving_enthalpy(state, re, angle_deg, state.recovery or "total")
+        / driving_enthalpy(state, re, angle_deg, None, gamma)
+        for (state, re), gamma in zip(ends, gammas, strict=True)
+    )
+    return tunnel / flight
 
 
 def _blend(transition: Transition, log10_re: float, f: float, onset_sigma: float) -> tuple[float, float]:
@@ -260,6 +332,8 @@ def _header(table: RatioTable, scaling: Scaling, added: FloatArray) -> dict[str,
     ends = (("tunnel", scaling.tunnel_transition), ("flight", scaling.flight_transition))
     onsets = [f"{name} {t.onset_log10_re:g} (width {t.width:g})" for name, t in ends if t is not None]
     header = {**table.header, "reference": REFERENCE, "scaled": assumptions}
+    if scaling.flight.recovery is not None or table.recovery is not None:
+        header["recovery"] = scaling.flight.recovery or "total"
     if onsets:
         header["scaled_onset_log10_re"] = ", ".join(onsets) + f", each +-{scaling.onset_sigma:g}"
     return header | {"scaled_sigma_added": f"{added.min():.3f} to {added.max():.3f} of the ratio, in quadrature"}

@@ -23,6 +23,7 @@ from sim_heating.heating.reference.gas import (
     air_temperature_kernel,
     viscosity_kernel,
 )
+from sim_heating.heating.reference.recovery import edge_speed, recovery_factor
 from sim_heating.heating.reference.stagnation import SLOWEST_M_S, stagnation_kernel
 
 LAMINAR_C = 0.332
@@ -53,12 +54,9 @@ def windward_edge_kernel(
     The edge speed is at least 1 m/s, also at 90 deg. Source: docs/equations_reference_heating.md, equation 18.
     """
     V = max(velocity_m_s, SLOWEST_M_S)
-    alpha = math.radians(alpha_deg)
     p_0, h_0, _, p = stagnation_kernel(rho_kg_m3, V, T_inf_K)
     # Newtonian pressure acts on the windward side only.
-    sine = max(math.sin(alpha), 0.0)
-    # Not 0, for Re* and with it the laminar law C_h ~ Re*^-1/2 would have no value.
-    u_e = max(V * abs(math.cos(alpha)), SLOWEST_M_S)
+    sine, u_e = max(math.sin(math.radians(alpha_deg)), 0.0), edge_speed(V, alpha_deg)
     return p + (p_0 - p) * sine * sine, h_0 - 0.5 * u_e * u_e, u_e
 
 
@@ -82,8 +80,7 @@ def reference_enthalpy(h_e: float, h_w: float, u_e: float, turbulent: bool) -> f
     turbulent : recovery factor r = Pr^1/3 where true, Pr^1/2 otherwise
     Source: Eckert 1956 (Trans. ASME 78, 1273); docs/equations_reference_heating.md, equation 15.
     """
-    recovery = PRANDTL ** (1.0 / 3.0) if turbulent else math.sqrt(PRANDTL)
-    h_aw = h_e + 0.5 * recovery * u_e * u_e
+    h_aw = h_e + 0.5 * recovery_factor(turbulent) * u_e * u_e
     return 0.28 * h_e + 0.5 * h_w + 0.22 * h_aw
 
 

@@ -1,7 +1,8 @@
 """Reference heating by name: film coefficient h_ref [kg/(m2 s)] and recovery enthalpy H_r [J/kg] of a flight.
 
 One compiled kernel evaluates a frame of a host and, in a loop, a whole flight. A heating ratio is defined over one of
-these models; the header of its table names it. Equations: docs/equations_reference_heating.md, section 3.
+these models and reduced with one recovery enthalpy; the header of its table names both.
+Equations: docs/equations_reference_heating.md, sections 3 and 5.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import cast
 
 import numpy as np
 
@@ -19,6 +21,7 @@ from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.jit import njit
 from sim_heating.heating.atmosphere import CP_AIR
 from sim_heating.heating.reference.flat_plate import eckert_kernel
+from sim_heating.heating.reference.recovery import Recovery, RecoveryName, point_recovery
 from sim_heating.heating.reference.stagnation import (
     COLD_WALL_K,
     NO_LEWIS,
@@ -30,6 +33,9 @@ from sim_heating.heating.reference.stagnation import (
 NONE, COLUMNS, SUTTON_GRAVES, DETRA_KEMP_RIDDELL, FAY_RIDDELL, ECKERT_LAMINAR, ECKERT_TURBULENT = range(7)
 
 
+_TOTAL = Recovery("total")
+
+
 @dataclass(frozen=True)
 class ReferenceModel:
     """One reference heating: its name in files, its number in the kernel and the conditions that it reads.
@@ -39,6 +45,8 @@ class ReferenceModel:
     title    : short description with the publication
     needs    : columns of the conditions that it reads
     on_plate : True where it also needs a running length [m]
+    recovery : enthalpy that a ratio over it is reduced with where nothing else is stated; the Eckert models are a
+               surface at the angle of attack with its boundary layer
     """
 
     name: str
@@ -46,6 +54,7 @@ class ReferenceModel:
     title: str
     needs: tuple[str, ...] = ("rho_kg_m3", "velocity_m_s", "T_inf_K")
     on_plate: bool = False
+    recovery: Recovery = _TOTAL
 
 
 _PLATE = ("rho_kg_m3", "velocity_m_s", "T_inf_K", "alpha_deg")
@@ -55,12 +64,29 @@ _ALL = (
     ReferenceModel("sutton-graves", SUTTON_GRAVES, "sphere, Sutton & Graves, NASA TR R-376 (1971)"),
     ReferenceModel("detra-kemp-riddell", DETRA_KEMP_RIDDELL, "sphere, Detra, Kemp & Riddell (1957)"),
     ReferenceModel("fay-riddell", FAY_RIDDELL, "sphere, equilibrium air, Fay & Riddell (1958), Lewis number 1"),
-    ReferenceModel("eckert-laminar", ECKERT_LAMINAR, "windward flat plate, Eckert (1956), laminar", _PLATE, True),
-    ReferenceModel("eckert-turbulent", ECKERT_TURBULENT, "windward flat plate, Eckert (1956), turbulent", _PLATE, True),
+    ReferenceModel(
+        "eckert-laminar",
+        ECKERT_LAMINAR,
+        "windward flat plate, Eckert (1956), laminar",
+        _PLATE,
+        True,
+        Recovery("edge-laminar"),
+    ),
+    ReferenceModel(
+        "eckert-turbulent",
+        ECKERT_TURBULENT,
+        "windward flat plate, Eckert (1956), turbulent",
+        _PLATE,
+        True,
+        Recovery("edge-turbulent"),
+    ),
 )
 
 REFERENCE_MODELS: Mapping[str, ReferenceModel] = MappingProxyType({model.name: model for model in _ALL})
 """Every reference heating by the name that files use."""
+
+HEATING_COLUMNS = ("h_ref_kg_m2_s", "H_r_J_kg", "H_r_rise_J_kg")
+"""Columns that `point_heating` computes."""
 
 
 def reference_model(name: str) -> ReferenceModel:
@@ -75,12 +101,25 @@ def reference_model(name: str) -> ReferenceModel:
     raise InputError(f"heating.reference: unknown reference heating `{name}`{hint}")
 
 
+def recovery_name(stated: str | None, reference: str | None) -> RecoveryName:
+    """Enthalpy that a ratio is reduced with.
+
+    stated    : a key of RECOVERIES, None where none is stated
+    reference : name of the reference heating that the ratio is over, None where unknown
+    returns   : what is stated, else that of the reference heating, else `total`
+    """
+    if stated is not None:
+        return cast(RecoveryName, stated)
+    model = REFERENCE_MODELS.get(reference or "")
+    return "total" if model is None else model.recovery.kind
+
+
 @njit
-def recovery_enthalpy_kernel(velocity_m_s: float, T_inf_K: float) -> float:
-    """Recovery enthalpy H_r = V^2/2 + cp T_inf [J/kg], cp = 1004.5 [J/(kg K)], zero at 0 K.
+def total_enthalpy_kernel(velocity_m_s: float, T_inf_K: float) -> float:
+    """Total enthalpy H_0 = V^2/2 + cp T_inf [J/kg], cp = 1004.5 [J/(kg K)], zero at 0 K.
 
     velocity_m_s, T_inf_K : free-stream speed [m/s] and temperature [K]
-    It is the total enthalpy for every reference model: a recovery factor below 1 is part of the heating ratio.
+    It is the recovery enthalpy of a point without a known edge (heating/reference/recovery.py).
     Source: docs/equations_reference_heating.md, equation 9.
     """
     return 0.5 * velocity_m_s * velocity_m_s + CP_AIR * T_inf_K
@@ -97,7 +136,7 @@ def reference_kernel(
     running_length_m: float,
     wall_temperature_K: float,
 ) -> tuple[float, float]:
-    """Reference film coefficient h_ref [kg/(m2 s)] and recovery enthalpy H_r [J/kg] of one flight condition.
+    """Reference film coefficient h_ref [kg/(m2 s)] and total enthalpy H_0 [J/kg] of one flight condition.
 
     code               : `ReferenceModel.code`; NONE and COLUMNS give h_ref = 0
     rho_kg_m3, velocity_m_s, T_inf_K : free-stream density [kg/m3], speed [m/s], temperature [K]
@@ -108,7 +147,7 @@ def reference_kernel(
     Density, temperature, radius and length above 0; nothing is checked here.
     Source: docs/equations_reference_heating.md, equations 9 to 18, by model.
     """
-    H_r = recovery_enthalpy_kernel(velocity_m_s, T_inf_K)
+    H_0 = total_enthalpy_kernel(velocity_m_s, T_inf_K)
     h_ref = 0.0
     if code == SUTTON_GRAVES:
         h_ref = sutton_graves_kernel(rho_kg_m3, velocity_m_s, T_inf_K, nose_radius_m)
@@ -121,7 +160,7 @@ def reference_kernel(
         h_ref = eckert_kernel(
             rho_kg_m3, velocity_m_s, T_inf_K, alpha_deg, running_length_m, wall_temperature_K, turbulent, False
         )
-    return h_ref, H_r
+    return h_ref, H_0
 
 
 @njit
@@ -133,11 +172,11 @@ def _reference_loop(
     alpha_deg: FloatArray,
     geometry: tuple[float, float, float],
     h_ref: FloatArray,
-    H_r: FloatArray,
+    H_0: FloatArray,
 ) -> None:
     radius, length, T_w = geometry
     for i in range(len(V)):
-        h_ref[i], H_r[i] = reference_kernel(code, rho[i], V[i], T_inf[i], alpha_deg[i], radius, length, T_w)
+        h_ref[i], H_0[i] = reference_kernel(code, rho[i], V[i], T_inf[i], alpha_deg[i], radius, length, T_w)
 
 
 def _check_geometry(model: ReferenceModel, nose_radius_m: float, running_length_m: float | None, T_w_K: float) -> None:
@@ -152,10 +191,12 @@ def _check_geometry(model: ReferenceModel, nose_radius_m: float, running_length_
         raise InputError(*problems)
 
 
-def _check_columns(model: ReferenceModel, conditions: Conditions) -> None:
-    missing = [name for name in model.needs if name not in conditions]
+def _check_columns(model: ReferenceModel, recovery: Recovery, conditions: Conditions) -> None:
+    needed = dict.fromkeys(model.needs, f"reference heating `{model.name}`")
+    needed |= {name: f"recovery `{recovery.kind}`" for name in recovery.needs if name not in needed}
+    missing = [name for name in needed if name not in conditions]
     if missing:
-        raise InputError(f"conditions: column {missing[0]} is missing; reference heating `{model.name}` needs it")
+        raise InputError(f"conditions: column {missing[0]} is missing; {needed[missing[0]]} needs it")
     for name in {"rho_kg_m3", "T_inf_K"} & set(model.needs):
         bad = np.flatnonzero(conditions[name] <= 0.0)
         if bad.size:
@@ -170,6 +211,7 @@ def reference_heating(
     nose_radius_m: float = 0.3048,
     running_length_m: float | None = None,
     wall_temperature_K: float = COLD_WALL_K,
+    recovery: Recovery | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Reference film coefficient and recovery enthalpy along a flight.
 
@@ -179,25 +221,57 @@ def reference_heating(
     nose_radius_m      : of the reference sphere [m]
     running_length_m   : of the Eckert models [m]
     wall_temperature_K : of the reference wall [K]; 300, the definition, unless a table states another
-    returns            : h_ref (time,) [kg/(m2 s)], H_r (time,) [J/kg], H_r = V^2/2 + cp T_inf
+    recovery           : of the point; by default that of the reference: the total enthalpy, or the adiabatic wall of
+                         an Eckert model at the angle of attack. Columns are those of the point and taken as given
+    returns            : h_ref (time,) [kg/(m2 s)], H_r (time,) [J/kg]
     raises             : InputError for an unknown name, a missing column, a density, temperature or length not above 0
 
     Valid from 2 to 8 km/s below about 90 km; continued outside.
-    Source: docs/equations_reference_heating.md, equations 9 to 18 (Sutton and Graves 1971; Detra et al. 1957;
+    Source: docs/equations_reference_heating.md, equations 9 to 19 (Sutton and Graves 1971; Detra et al. 1957;
     Fay and Riddell 1958; Eckert 1956).
     """
+    h_ref, H_r, _ = point_heating(
+        name,
+        conditions,
+        nose_radius_m=nose_radius_m,
+        running_length_m=running_length_m,
+        wall_temperature_K=wall_temperature_K,
+        recovery=recovery,
+    ).values()
+    return h_ref, H_r
+
+
+def point_heating(
+    name: str,
+    conditions: Conditions,
+    *,
+    nose_radius_m: float = 0.3048,
+    running_length_m: float | None = None,
+    wall_temperature_K: float = COLD_WALL_K,
+    recovery: Recovery | None = None,
+) -> dict[str, FloatArray]:
+    """Heating of a point along a flight as columns of its conditions.
+
+    name ... recovery : as in `reference_heating`
+    returns           : (time,) h_ref_kg_m2_s, H_r_J_kg and, in this order, H_r_rise_J_kg, the rise of the recovery
+                        enthalpy from laminar to fully turbulent flow
+    raises            : as `reference_heating`
+    Source: docs/equations_reference_heating.md, equations 9 to 19.
+    """
     model = reference_model(name)
+    of_point = model.recovery if recovery is None else recovery
     _check_geometry(model, nose_radius_m, running_length_m, wall_temperature_K)
-    _check_columns(model, conditions)
+    _check_columns(model, of_point, conditions)
     # Copies, so that a change of the result does not change the record.
     if model.code == COLUMNS:
-        return conditions["h_ref_kg_m2_s"].copy(), conditions["H_r_J_kg"].copy()
+        h_ref, H_r = conditions["h_ref_kg_m2_s"].copy(), conditions["H_r_J_kg"].copy()
+        return dict(zip(HEATING_COLUMNS, (h_ref, H_r, point_recovery(of_point, H_r, conditions)[1]), strict=True))
     absent = np.zeros(len(conditions))
     # The kernel has one signature; a column that the model does not read is given as zeros.
     inputs = [conditions[n] if n in model.needs else absent for n in _PLATE]
     # Copies: to numba a read-only column is another type, for which the loop would be compiled a second time.
     rho, V, T_inf, alpha = (np.array(a, dtype=float) for a in inputs)
-    h_ref, H_r = np.empty(len(conditions)), np.empty(len(conditions))
+    h_ref, H_0 = np.empty(len(conditions)), np.empty(len(conditions))
     geometry = (float(nose_radius_m), float(running_length_m or 1.0), float(wall_temperature_K))
-    _reference_loop(model.code, rho, V, T_inf, alpha, geometry, h_ref, H_r)
-    return h_ref, H_r
+    _reference_loop(model.code, rho, V, T_inf, alpha, geometry, h_ref, H_0)
+    return dict(zip(HEATING_COLUMNS, (h_ref, *point_recovery(of_point, H_0, conditions)), strict=True))

@@ -52,7 +52,7 @@ from sim_heating.heating.effects.compiled import (
     kernel_file,
 )
 from sim_heating.heating.ratio.table import RatioTable
-from sim_heating.heating.reference.models import COLUMNS
+from sim_heating.heating.reference.models import COLUMNS, recovery_name
 from sim_heating.inputs.sensor_model import calibration_coefficients
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.march.ensemble import Ensemble
@@ -92,7 +92,7 @@ INPUT_TEXTS = {
     "jets": ("1", 1.0, "share of the reaction jets that fire"),
     "q_add_W_m2": ("W/m2", 1e4, "known additional flux absorbed by every surface"),
     "h_ref_kg_m2_s": ("kg/(m2 s)", 0.05, "reference film coefficient"),
-    "H_r_J_kg": ("J/kg", 2e7, "recovery enthalpy"),
+    "H_r_J_kg": ("J/kg", 2e7, "total enthalpy; a point with a declared edge recovers less of it"),
 }
 """Unit, nominal value and meaning of each input."""
 TIMINGS = (
@@ -460,9 +460,10 @@ class _HeatingPacker(ImagePacker):
         i = self.plugin.points.index(point)
         lanes = np.flatnonzero(e.lanes[place.group * LANES : (place.group + 1) * LANES] == i)
         places = self.head[k.INTS] + e.groups[place.group, 2] + RATIO_TABLE + lanes
-        reference = self.image.add_text(self.vehicle.heating.reference)
+        reference = self.vehicle.heating.reference
+        basis = [self.image.add_text(t) for t in (reference, point.recovery.kind, recovery_name(None, reference))]
         inside = int(e.integers(place.group)[RATIO_TABLE + lanes[0]])
-        about = [reference, inside, len(places), *places]
+        about = [*basis, inside, len(places), *places]
         first = self.image.add_integers(about)
         text = "path of a ratio table (CSV) in place of the one inside"
         self.image.variables.append(Variable(f"{name}.file", Kind.TABLE, Role.FIXED, first, text, integers=len(about)))

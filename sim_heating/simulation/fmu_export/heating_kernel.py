@@ -46,6 +46,7 @@ from sim_heating.base.kernels.block import (
     Q_ADD,
     RATE,
     RECOVERY_ENTHALPY,
+    RECOVERY_RISE,
     SLOPE,
     SOURCE,
     STAGE_IN,
@@ -58,7 +59,7 @@ from sim_heating.base.kernels.jit import inline_always, njit
 from sim_heating.heating.film import emittance_factor
 from sim_heating.heating.ratio.lookup import invalidate_cells
 from sim_heating.heating.reference.models import COLUMNS
-from sim_heating.heating.surface_pressure import PRESSURE_WIDTH
+from sim_heating.heating.reference.recovery import point_recovery_kernel
 from sim_heating.inputs.sensor_model import indicated_kernel
 from sim_heating.march.frames import (
     BLOCK_END,
@@ -83,7 +84,17 @@ from sim_heating.simulation.fmu_export.library import (
     START,
     at,
 )
-from sim_heating.simulation.plugin_kernel import CODE, F_TIME, derive_conditions
+from sim_heating.simulation.plugin_kernel import (
+    CODE,
+    F_ALPHA,
+    F_BODYFLAP,
+    F_ELEVON,
+    F_TIME,
+    F_VELOCITY,
+    RECOVERY_AT,
+    derive_conditions,
+)
+from sim_heating.simulation.plugin_kernel import POINT_WIDTH as POINT_CONSTANTS
 from sim_heating.thermal.elements import EPS_BEHIND, Elements, set_point
 from sim_heating.thermal.faces import SIGMA, emittance
 from sim_heating.thermal.step import STAGE_ROWS
@@ -175,13 +186,18 @@ def _derive_vectors(R, N, inputs, time: float) -> None:  # type: ignore[no-untyp
     for k in range(len(FRAME) - 1):
         frame[1 + k] = inputs[k]
     vectors = carray(at(R, N[VECTORS]), (n, N_CONDITIONS))
-    points = carray(at(R, N[PRESSURES]), (N[N_POINTS], PRESSURE_WIDTH + 1))
+    points = carray(at(R, N[PRESSURES]), (N[N_POINTS], POINT_CONSTANTS))
     host = carray(at(R, N[HOST]), HOST_WIDTH)
     derive_conditions(frame, host, points, carray(at(N, N[LANE_POINTS]), n), vectors)
     for i in range(n):
         vectors[i, Q_ADD] = inputs[F_Q_ADD - 1]
         if host[CODE] == COLUMNS:
-            vectors[i, H_REF], vectors[i, RECOVERY_ENTHALPY] = inputs[F_H_REF - 1], inputs[F_H_R - 1]
+            vectors[i, H_REF] = inputs[F_H_REF - 1]
+            # The host's enthalpy is that of the flow; a point with an edge recovers less of it.
+            vectors[i, RECOVERY_ENTHALPY], vectors[i, RECOVERY_RISE] = point_recovery_kernel(
+                inputs[F_H_R - 1], frame[F_VELOCITY], frame[F_ALPHA], frame[F_ELEVON], frame[F_BODYFLAP],
+                points[at(N, N[LANE_POINTS])[i]], RECOVERY_AT,
+            )  # fmt: skip
 
 
 @njit

@@ -1,0 +1,148 @@
+"""Recovery enthalpy of a point of the surface: the enthalpy at which the flow neither heats nor cools it.
+
+    H_r = H_0 - (1 - r) u_e^2 / 2,    u_e = V |cos(angle)|,    r = Pr^1/2 laminar, Pr^1/3 turbulent
+
+Behind a boundary layer it is below the total enthalpy H_0 = V^2/2 + cp T_inf, by 9 % of the total at 40 deg, laminar.
+A film coefficient goes with the enthalpy that its flux was divided by, q = h (H_r - H_w). The difference between two
+of them depends on the wall temperature and on the speed, so that no heating ratio can stand for it.
+
+A nose, a leeward side or a pod has no known edge: its heating ratio is reduced with the total enthalpy.
+Equations: docs/equations_reference_heating.md, equations 15, 18 and 19.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal, get_args
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.kernels.jit import njit
+from sim_heating.heating.reference.gas import PRANDTL
+from sim_heating.heating.reference.stagnation import SLOWEST_M_S
+
+RecoveryName = Literal["total", "edge-laminar", "edge-turbulent"]
+"""Enthalpy that a heating ratio is reduced with, by the name that files use."""
+TOTAL, EDGE_LAMINAR, EDGE_TURBULENT = 0.0, 1.0, 2.0
+RECOVERIES: Mapping[str, float] = MappingProxyType(
+    dict(zip(get_args(RecoveryName), (TOTAL, EDGE_LAMINAR, EDGE_TURBULENT), strict=True))
+)
+"""Every recovery by name, with its number in the kernel."""
+RECOVERY_WIDTH = 4
+"""Length of the parameter block of a recovery: kind, local angle [deg], elevon and body-flap factor [-]."""
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """Enthalpy that the heating ratio of a point is reduced with, and the surface that its edge speed follows from.
+
+    kind            : `total`, `edge-laminar` or `edge-turbulent`
+    local_angle_deg : angle of the local surface against the vehicle's x axis [deg], added to alpha
+    elevon_factor   : part of the elevon deflection that turns the surface [-]
+    bodyflap_factor : part of the body-flap deflection that turns the surface [-]
+    """
+
+    kind: RecoveryName = "total"
+    local_angle_deg: float = 0.0
+    elevon_factor: float = 0.0
+    bodyflap_factor: float = 0.0
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Columns of the conditions that it reads."""
+        if self.kind == "total":
+            return ()
+        turned = {"elevon_deg": self.elevon_factor, "bodyflap_deg": self.bodyflap_factor}
+        return ("velocity_m_s", "alpha_deg", *(name for name, factor in turned.items() if factor != 0.0))
+
+    def parameters(self) -> FloatArray:
+        """(RECOVERY_WIDTH,) block of `point_recovery_kernel`: kind, local angle [deg], elevon and flap factor [-]."""
+        return np.array([RECOVERIES[self.kind], self.local_angle_deg, self.elevon_factor, self.bodyflap_factor])
+
+
+@njit
+def recovery_factor(turbulent: bool) -> float:
+    """Recovery factor r [-] of a boundary layer: Pr^1/3 where turbulent, Pr^1/2 where laminar; Pr = 0.71.
+
+    Source: Eckert 1956 (Trans. ASME 78, 1273); docs/equations_reference_heating.md, equation 15.
+    """
+    return PRANDTL ** (1.0 / 3.0) if turbulent else math.sqrt(PRANDTL)
+
+
+@njit
+def edge_speed(velocity_m_s: float, angle_deg: float) -> float:
+    """Speed u_e = V |cos(angle)| at the edge of the boundary layer on a flat windward surface [m/s], at least 1 m/s.
+
+    velocity_m_s : free-stream speed [m/s];  angle_deg : angle of the surface against the flow [deg]
+    Newtonian flow keeps the part of the velocity that is parallel to the surface; sideslip is not considered.
+    Source: docs/equations_reference_heating.md, equation 18.
+    """
+    # Not 0, for Re* and with it the laminar law C_h ~ Re*^-1/2 would have no value.
+    return max(velocity_m_s * abs(math.cos(math.radians(angle_deg))), SLOWEST_M_S)
+
+
+@njit
+def point_recovery_kernel(
+    total_J_kg: float,
+    velocity_m_s: float,
+    alpha_deg: float,
+    elevon_deg: float,
+    bodyflap_deg: float,
+    numbers: FloatArray,
+    first: int,
+) -> tuple[float, float]:
+    """Recovery enthalpy H_r of a point and its rise from laminar to fully turbulent flow [J/kg].
+
+        H_r = H_0 - (1 - r) u_e^2/2,    rise = (Pr^1/3 - Pr^1/2) u_e^2/2 for edge-laminar, else 0
+
+    total_J_kg                          : total enthalpy H_0 [J/kg]
+    velocity_m_s                        : free-stream speed [m/s]
+    alpha_deg, elevon_deg, bodyflap_deg : angle of attack and deflections [deg]
+    numbers, first                      : array that holds `Recovery.parameters()` from this place on
+    Source: docs/equations_reference_heating.md, equations 15, 18 and 19.
+    """
+    kind = numbers[first]
+    if kind == TOTAL:
+        return total_J_kg, 0.0
+    angle = alpha_deg + numbers[first + 1] + numbers[first + 2] * elevon_deg + numbers[first + 3] * bodyflap_deg
+    u_e = edge_speed(velocity_m_s, angle)
+    kinetic, turbulent = 0.5 * u_e * u_e, recovery_factor(True)
+    if kind == EDGE_TURBULENT:
+        return total_J_kg - (1.0 - turbulent) * kinetic, 0.0
+    laminar = recovery_factor(False)
+    return total_J_kg - (1.0 - laminar) * kinetic, (turbulent - laminar) * kinetic
+
+
+@njit
+def _point_recovery_loop(
+    total: FloatArray, V: FloatArray, alpha: FloatArray, elevon: FloatArray, bodyflap: FloatArray, numbers: FloatArray,
+    H_r: FloatArray, rise: FloatArray,
+) -> None:  # fmt: skip
+    for i in range(len(total)):
+        H_r[i], rise[i] = point_recovery_kernel(total[i], V[i], alpha[i], elevon[i], bodyflap[i], numbers, 0)
+
+
+def point_recovery(recovery: Recovery, total_J_kg: FloatArray, flown: Conditions) -> tuple[FloatArray, FloatArray]:
+    """Recovery enthalpy of a point along a flight, and its rise from laminar to fully turbulent flow.
+
+    recovery   : of the point
+    total_J_kg : (time,) total enthalpy [J/kg]
+    flown      : conditions with the columns of `recovery.needs`
+    returns    : H_r (time,) and rise (time,) [J/kg]
+    raises     : KeyError where one of these columns is missing
+    Source: docs/equations_reference_heating.md, equation 19.
+    """
+    H_r, rise = np.array(total_J_kg, dtype=float), np.zeros(len(flown))
+    if recovery.kind == "total":
+        return H_r, rise
+    names = ("velocity_m_s", "alpha_deg", "elevon_deg", "bodyflap_deg")
+    # Copies: to numba a read-only column is another type, for which the loop would be compiled a second time.
+    columns = [np.array(flown[n], dtype=float) if n in recovery.needs else np.zeros(len(flown)) for n in names]
+    V, alpha, elevon, bodyflap = columns
+    _point_recovery_loop(H_r.copy(), V, alpha, elevon, bodyflap, recovery.parameters(), H_r, rise)
+    return H_r, rise
