@@ -253,8 +253,8 @@ def point_heating(
     """Heating of a point along a flight as columns of its conditions.
 
     name ... recovery : as in `reference_heating`
-    returns           : (time,) h_ref_kg_m2_s, H_r_J_kg and, in this order, H_r_rise_J_kg, the rise of the recovery
-                        enthalpy from laminar to fully turbulent flow
+    returns           : (time,) h_ref_kg_m2_s [kg/(m2 s)], H_r_J_kg [J/kg] and, in this order, H_r_rise_J_kg [J/kg], the
+                        rise of the recovery enthalpy from laminar to fully turbulent flow
     raises            : as `reference_heating`
     Source: docs/equations_reference_heating.md, equations 9 to 19.
     """
