@@ -1,7 +1,8 @@
 """Heating of a wall under flight conditions, compiled: film coefficient, recovery enthalpy and pressure at each stage
 of the time step.
 
-    film = r h_ref,    r = ratio of the linear model, then effects that add, then a lag, then effects that multiply.
+    film = r h_ref,    r = ratio of the linear model, then effects that add, then a lag, then effects that multiply;
+    H_r = H_r,laminar + Gamma H_r,rise,    Gamma the intermittency where a point has transition (equation 6b).
 
 A lag makes the ratio r' = (1 - f) r + f m, dm/dt = (r - m) / tau, integrated exactly for a ratio that is linear in
 time over a step; it starts without history, m = r (docs/equations.md, equations 5 to 8).
@@ -17,6 +18,7 @@ from sim_heating.base.kernels import block as k
 from sim_heating.base.kernels.block import LANES
 from sim_heating.base.kernels.elementary import exp, log10
 from sim_heating.base.kernels.jit import call_dispatcher, inline_always, njit
+from sim_heating.heating.effects.transition import intermittency
 from sim_heating.heating.ratio.lookup import (
     VARIABLES,
     cache_axis_cell,
@@ -31,25 +33,32 @@ PRESSURE = VARIABLES
 
 
 @njit
-def ratio_with_effects(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, r: float, wall_K: float) -> float:  # type: ignore[no-untyped-def]
-    """Heating ratio [-] of a lane after its effects: r = L[r_lin + sum a_k] prod m_k, L the lag.
+def ratio_with_effects(  # type: ignore[no-untyped-def]
+    B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, r: float, wall_K: float, first: int, end: int
+) -> float:
+    """Heating ratio [-] of a lane after some of its effects: r = L[r_lin + sum a_k] prod m_k, L the lag.
 
-    B, J   : block of the lane group and its integers;  dispatcher : the compiled effects
-    lane   : its number;  stage : 0 start, 1 middle, 2 end of the time step
-    r      : ratio of the linear model [-];  wall_K : wall temperature that the effects are evaluated at [K]
-    Where the lane has a lag, its state at the stage is written into B.
+    B, J       : block of the lane group and its integers;  dispatcher : the compiled effects
+    lane       : its number;  stage : 0 start, 1 middle, 2 end of the time step
+    r          : ratio before them, of the linear model where `first` is 0 [-]
+    wall_K     : wall temperature that the effects are evaluated at [K]
+    first, end : slots of the effects, from `first` to before `end`; from 0, or from where all that follow multiply
+    The lag comes with slot 0; its state at the stage is written into B, and so is the ratio that each factor finds.
     Source: docs/equations.md, equations 6 and 8.
     """
+    if end == first:
+        return r
     c = k.C_STAGES * LANES + (stage * LANES + lane) * k.N_CONDITIONS
     p = k.PARAMETERS * LANES + lane * k.N_PARAMETERS + k.EFFECT_PARAMETERS
     adding = J[k.N_ADDING + lane]
-    for slot in range(adding):
+    for slot in range(first, min(adding, end)):
         r += call_dispatcher(
             dispatcher, J[k.EFFECT_CODES + lane * k.EFFECT_SLOTS + slot], B, c, p + slot * k.EFFECT_WIDTH, wall_K
         )
-    if J[k.LAG_SLOT + lane] != k.NONE:
+    if first == 0 and J[k.LAG_SLOT + lane] != k.NONE:
         r = _lagged_ratio(B, lane, stage, p + J[k.LAG_SLOT + lane] * k.EFFECT_WIDTH, r)
-    for slot in range(adding, J[k.N_EFFECTS + lane]):
+    for slot in range(max(adding, first), end):
+        B[k.RATIO_FOUND * LANES + lane] = r
         r *= call_dispatcher(
             dispatcher, J[k.EFFECT_CODES + lane * k.EFFECT_SLOTS + slot], B, c, p + slot * k.EFFECT_WIDTH, wall_K
         )
@@ -73,6 +82,18 @@ def _lagged_ratio(B: FloatArray, lane: int, stage: int, p: int, r: float) -> flo
     B[(k.LAG_VALUE + stage) * LANES + lane] = m
     B[(k.LAG_INPUT + stage) * LANES + lane] = r
     return r + B[p + 1] * (m - r)
+
+
+@inline_always
+def _recovery_rise(B: FloatArray, J: IntArray, lane: int, c: int, p: int) -> float:
+    """Rise of the recovery enthalpy [J/kg] of a lane by transition, Gamma (H_turbulent - H_laminar); 0 without it.
+
+    c, p : where the conditions of the stage and the parameters of the lane begin. docs/equations.md, equation 6b.
+    """
+    slot = J[k.TRANSITION_SLOT + lane]
+    if slot == k.NONE or B[c + k.RECOVERY_RISE] == 0.0:
+        return 0.0
+    return B[c + k.RECOVERY_RISE] * intermittency(B, c, p + k.EFFECT_PARAMETERS + slot * k.EFFECT_WIDTH)
 
 
 @njit
@@ -154,19 +175,23 @@ def heat_perturbed_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatch
             of the stage are written, NEGATIVE counts the end-of-step ratios below 0
     table : property and ratio tables;  dispatcher : the compiled effects;  stage : 0 start, 1 middle, 2 end of the step
     Used alone for perturbed lanes, whose pressure is that of their nominal lane.
-    Source: docs/equations.md, equations 5 to 8, film = r h_ref.
+    Source: docs/equations.md, equations 5 to 8 and 6b, film = r h_ref.
     """
     table_ratios(B, J, table, stage)
     for lane in range(LANES):
         c = k.C_STAGES * LANES + (stage * LANES + lane) * k.N_CONDITIONS
         p = k.PARAMETERS * LANES + lane * k.N_PARAMETERS
         r = linear_ratio(B, p, c, B[k.CELL_WORK * LANES + lane])
-        # Kept without effects: effects that depend on wall temperature are evaluated again at every Newton iterate.
-        B[(k.R_BASE + stage) * LANES + lane] = r
+        H_r = B[c + k.RECOVERY_ENTHALPY]
         if J[k.N_EFFECTS + lane] > 0:
-            r = ratio_with_effects(B, J, dispatcher, lane, stage, r, B[(k.HEAD_ROWS + k.T) * LANES + lane])
+            wall, first = B[(k.HEAD_ROWS + k.T) * LANES + lane], J[k.FIRST_AT_WALL + lane]
+            r = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall, 0, first)
+            # Effects that depend on the wall temperature are evaluated again, from here, at every Newton iterate.
+            B[(k.R_BASE + stage) * LANES + lane] = r
+            r = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall, first, J[k.N_EFFECTS + lane])
+            H_r += _recovery_rise(B, J, lane, c, p)
         B[(k.FILM + stage) * LANES + lane] = r * B[c + k.H_REF]
-        B[(k.RECOVERY + stage) * LANES + lane] = B[c + k.RECOVERY_ENTHALPY]
+        B[(k.RECOVERY + stage) * LANES + lane] = H_r
         B[(k.ADDED + stage) * LANES + lane] = B[c + k.Q_ADD]
         if stage == 2:
             B[k.NEGATIVE * LANES + lane] += 1.0 if r < 0.0 else 0.0

@@ -5,7 +5,7 @@
     B[c + flight.mach]      Mach number of the lane whose conditions begin at B[c]
 
 Each name is an offset from `c`. The values are those at the stage of the time step at which the kernel is evaluated. A
-column that a flight does not have is 0.
+column that a flight does not have is 0, `turbulent_ratio` 1.
 """
 
 from __future__ import annotations
@@ -38,3 +38,9 @@ time_s = block.TIME
 """Time [s]."""
 H_r_rise_J_kg = block.RECOVERY_RISE
 """Rise of the recovery enthalpy [J/kg] from laminar to fully turbulent flow; 0 where no edge is declared."""
+turbulent_ratio = block.TURBULENT_RATIO
+"""Turbulent over laminar heating ratio of the declared tables [-]; 1 where no turbulent table is declared."""
+log10_re_theta_m = block.LOG10_RE_THETA_M
+"""log10 of laminar Re_theta over edge Mach number [-]; 0 where no criterion in it is declared."""
+dissociation_J_kg = block.DISSOCIATION
+"""Heat of dissociation of the flow at the edge of the boundary layer [J/kg]; 0 where no recombination is declared."""

@@ -24,6 +24,7 @@ from sim_heating.base.kernels.block import CONDITION_COLUMNS, LANES, N_CONDITION
 from sim_heating.base.kernels.jit import address_of
 from sim_heating.heating.effects import Effect
 from sim_heating.heating.effects.compiled import effect_dispatcher
+from sim_heating.heating.effects.transition import TRANSITION
 from sim_heating.heating.ratio.lookup import pack_table
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.march.frames import (
@@ -52,6 +53,8 @@ from sim_heating.thermal.stack import Material
 from sim_heating.thermal.step import LaneGroup, compiled
 from sim_heating.thermal.tables import PointTables, TableStore
 
+ABSENT = {"turbulent_ratio": 1.0}
+"""Values of columns that a flight may lack, where not 0."""
 CONTACT = Material(density_kg_m3=1.0, specific_heat_J_kgK=[[300.0, 1.0]], conductivity_W_mK=[[300.0, 1.0]])
 """Material of a contact resistance: an element without mass, of conductivity 1, whose "length" is the resistance."""
 CACHE_LINE = 64
@@ -69,10 +72,11 @@ def condition_history(conditions: Conditions) -> FloatArray:
 
     conditions : of one flight; each column keeps its unit ([deg], [Pa], [J/kg] ...)
 
-    Columns that a flight may lack (additional flux, jets, rise of the recovery enthalpy) are 0.
-    Source: docs/equations_march.md, equation 1.
+    Columns that a flight may lack (additional flux, jets, rise of the recovery enthalpy ...) are 0, a turbulent over
+    laminar ratio is 1. Source: docs/equations_march.md, equation 1.
     """
-    columns = [conditions[c] if c in conditions else np.zeros(len(conditions)) for c in CONDITION_COLUMNS]
+    n = len(conditions)
+    columns = [conditions[c] if c in conditions else np.full(n, ABSENT.get(c, 0.0)) for c in CONDITION_COLUMNS]
     return np.ascontiguousarray(np.column_stack(columns))
 
 
@@ -238,11 +242,14 @@ class Ensemble:
         J = self.integers(place.group)
         modes = [u.effect.mode for u in uses]
         lagging = [k for k, u in enumerate(uses) if u.effect.lags]
+        turning = [k for k, u in enumerate(uses) if u.effect.name == TRANSITION]
+        on_ratio = len(uses) - modes.count("emittance")
         for row, value in (
             (block.RATIO_TABLE, self._add_ratio_table(self.models[i].ratio)), (block.N_ADDING, modes.count("add")),
-            (block.N_EMITTING, modes.count("emittance")), (block.N_EFFECTS, len(uses) - modes.count("emittance")),
-            (block.WALL_EFFECTS, any(u.effect.needs_wall and u.effect.mode != "emittance" for u in uses)),
+            (block.N_EMITTING, modes.count("emittance")), (block.N_EFFECTS, on_ratio),
+            (block.FIRST_AT_WALL, _first_at_wall([u.effect for u in uses[:on_ratio]])),
             (block.LAG_SLOT, lagging[0] if lagging else block.NONE),
+            (block.TRANSITION_SLOT, turning[0] if turning else block.NONE),
         ):  # fmt: skip
             J[row + place.lane : row + place.end] = value
         for lane in range(place.lane, place.end):
@@ -583,6 +590,14 @@ def aligned_zeros(count: int) -> FloatArray:
     memory = np.zeros(count + CACHE_LINE // 8)
     first = (-memory.ctypes.data % CACHE_LINE) // 8
     return memory[first : first + count]
+
+
+def _first_at_wall(on_ratio: Sequence[Effect]) -> int:
+    """First of the effects on a ratio, in their order, that are evaluated again at each wall temperature."""
+    # What follows an effect that adds passes through the lag and every factor: all are evaluated again.
+    if any(effect.needs_wall and effect.mode == "add" for effect in on_ratio):
+        return 0
+    return next((k for k, effect in enumerate(on_ratio) if effect.needs_wall), len(on_ratio))
 
 
 def _distinct_effects(models: Iterable[PointModel]) -> tuple[Effect, ...]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -164,7 +164,7 @@ class PointModel:
         """
         if name.startswith(EFFECT_PREFIX):
             use, k = self._effect_parameter(name)
-            return self.effects[use].effect.parameters[k]
+            return self.effects[use].definitions[k]
         if name not in MODEL:
             raise InputError(_unknown(self.name, name, MODEL))
         if name.startswith(COATING_PREFIX) and insulation_layer(self.construction) == 0:
@@ -214,7 +214,7 @@ class PointModel:
                 parameters[name] = value
         # Not dataclasses.replace: that would check bounds, which a difference may have to exceed.
         other = copy.copy(self)
-        used = tuple(EffectUse(u.effect, tuple(v)) for u, v in zip(self.effects, effects, strict=True))
+        used = tuple(replace(u, values=tuple(v)) for u, v in zip(self.effects, effects, strict=True))
         other.__dict__.pop("values", None)
         object.__setattr__(other, "parameters", parameters)
         object.__setattr__(other, "effects", used)
@@ -233,11 +233,14 @@ def elements_of(construction: Construction, mesh: Mesh) -> Elements:
 def kernel_effects(model: PointModel) -> list[EffectUse]:
     """Effects of a point that have a kernel, in the order in which they act.
 
-    First those that add to the ratio [-], then factors on it [-], then factors on the emittance [-].
+    First those that add to the ratio [-], then factors on it [-], those that depend on the wall temperature last, then
+    factors on the emittance [-].
 
     Effects without a kernel act through parameters of the model. Order: docs/equations.md, section 2.
     """
-    return sorted((u for u in model.effects if u.effect.kernel), key=lambda u: MODES.index(u.effect.mode))
+    return sorted(
+        (u for u in model.effects if u.effect.kernel), key=lambda u: (MODES.index(u.effect.mode), u.effect.needs_wall)
+    )
 
 
 def heating_vector(model: PointModel) -> FloatArray:

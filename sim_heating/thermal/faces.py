@@ -28,12 +28,14 @@ from sim_heating.base.kernels.block import (
     EPS_SLOPE,
     FACTOR_EPS,
     FILM,
+    FIRST_AT_WALL,
     GAP,
     GAPS,
     H_REF,
     HEAD_ROWS,
     LANES,
     N_CONDITIONS,
+    N_EFFECTS,
     N_EMITTING,
     N_NODES,
     NODE_ROWS,
@@ -44,7 +46,6 @@ from sim_heating.base.kernels.block import (
     SURFACE_SHARE,
     SURROUNDINGS4,
     WALL_COLUMN,
-    WALL_EFFECTS,
     WALL_HIGH,
     WALL_LOW,
     T,
@@ -69,10 +70,11 @@ def _film_and_slope(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: in
     """Film coefficient [kg/(m2 s)] of a lane whose effects depend on the wall temperature, and its slope against it."""
     h_ref = B[C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS + H_REF]
     r = B[(R_BASE + stage) * LANES + lane]
-    above = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall + WALL_DIFFERENCE_K)
-    below = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall - WALL_DIFFERENCE_K)
+    first, end = J[FIRST_AT_WALL + lane], J[N_EFFECTS + lane]
+    above = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall + WALL_DIFFERENCE_K, first, end)
+    below = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall - WALL_DIFFERENCE_K, first, end)
     slope = (above - below) * (0.5 / WALL_DIFFERENCE_K)
-    return h_ref * ratio_with_effects(B, J, dispatcher, lane, stage, r, wall), h_ref * slope
+    return h_ref * ratio_with_effects(B, J, dispatcher, lane, stage, r, wall, first, end), h_ref * slope
 
 
 @inline_always
@@ -253,7 +255,7 @@ def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, 
     for lane in range(LANES):
         f = B[(AIR_PLACE + stage) * LANES + lane] - B[WALL_COLUMN * LANES + lane]
         outside += 0 if (f >= 0.0) & (f < 1.0) else 1
-        affected += J[N_EMITTING + lane] + J[WALL_EFFECTS + lane]
+        affected += J[N_EMITTING + lane] + J[N_EFFECTS + lane] - J[FIRST_AT_WALL + lane]
     # The count is of pairs of lanes and does not identify one: all eight are looked up again.
     if outside > 0:
         for lane in range(LANES):
@@ -276,7 +278,7 @@ def _balance_with_effects(B: FloatArray, J: IntArray, dispatcher, lane: int, sta
         factor, factor_slope = _factor_and_slope(B, J, dispatcher, lane, stage, wall)
         eps, eps_slope = eps * factor, eps_slope * factor + eps * factor_slope
     film, film_slope = B[(FILM + stage) * LANES + lane], 0.0
-    if J[WALL_EFFECTS + lane] > 0:
+    if J[N_EFFECTS + lane] > J[FIRST_AT_WALL + lane]:
         film, film_slope = _film_and_slope(B, J, dispatcher, lane, stage, wall)
     _write_surface_balance(B, lane, stage, eps, eps_slope, film, film_slope)
 

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from benchmarks.draw_effects import page
 from benchmarks.verification.exact import SIGMA
 from sim_heating.base.errors import InputError
+from sim_heating.base.kernels.block import EFFECT_SLOTS
 from sim_heating.closure.search.candidates import candidates
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.estimation.side_by_side import JointMarch
@@ -210,8 +211,8 @@ def test_misspelt_parameter_and_value_out_of_bounds_are_named():
 
 
 def test_more_effects_than_a_lane_has_slots_are_rejected():
-    with pytest.raises(InputError, match="5 effects with a kernel; 4 at most"):
-        PointModel("p", wall((material(), 0.01)), effects=(use("jet-interaction"),) * 5)
+    with pytest.raises(InputError, match=f"{EFFECT_SLOTS + 1} effects with a kernel; {EFFECT_SLOTS} at most"):
+        PointModel("p", wall((material(), 0.01)), effects=(use("jet-interaction"),) * (EFFECT_SLOTS + 1))
 
 
 def write_user_effect(folder):

@@ -25,24 +25,26 @@ would be compiled a second time."""
 # table.
 ALPHA, BETA, LOG10_RE, ELEVON, BODYFLAP = 0, 1, 2, 3, 4
 P_SURFACE, H_REF, RECOVERY_ENTHALPY, Q_ADD, JETS, MACH, TIME, RECOVERY_RISE = 5, 6, 7, 8, 9, 10, 11, 12
-N_CONDITIONS = 13
+TURBULENT_RATIO, LOG10_RE_THETA_M, DISSOCIATION = 13, 14, 15
+N_CONDITIONS = 16
 CONDITION_COLUMNS = (
     "alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg",
     "p_surface_Pa", "h_ref_kg_m2_s", "H_r_J_kg", "q_add_W_m2", "jets", "mach", "time_s",
-    "H_r_rise_J_kg",
+    "H_r_rise_J_kg", "turbulent_ratio", "log10_re_theta_m", "dissociation_J_kg",
 )  # fmt: skip
 
 # Heating parameters of a lane: the linear model about a reference condition (docs/equations.md, section 2: 5 first and
 # 15 second derivatives, the reference, the highest order in use), then the parameters of its effects, slot by slot.
 SCALE, D0, FIRST, SECOND, REFERENCE, ORDER = 0, 1, 2, 7, 22, 27
 EFFECT_PARAMETERS = 28
-EFFECT_SLOTS, EFFECT_WIDTH = 4, 10
+EFFECT_SLOTS, EFFECT_WIDTH = 6, 10
 N_PARAMETERS = EFFECT_PARAMETERS + EFFECT_SLOTS * EFFECT_WIDTH
 
 # Scalar rows. The first six have one row a stage, at t_n, t_n + gamma dt, t_n + dt: film coefficient [kg/(m2 s)],
-# recovery enthalpy [J/kg], added flux [W/m2], pressure column and fraction [-], ratio before effects [-]. Then T_sur^4
-# [K4], back face and emittance factor; whether a lane iterates, its failures and iterations, the pressure column of its
-# polynomials, samples outside a table and with a negative ratio; heat [W/m2] and energy [J/m2] at the faces.
+# recovery enthalpy [J/kg], added flux [W/m2], pressure column and fraction [-], ratio before the effects that depend on
+# the wall temperature [-]. Then T_sur^4 [K4], back face and emittance factor; whether a lane iterates, its failures and
+# iterations, the pressure column of its polynomials, samples outside a table and with a negative ratio; heat [W/m2] and
+# energy [J/m2] at the faces.
 FILM, RECOVERY, ADDED, PCOL, PFRAC, R_BASE = 0, 3, 6, 9, 12, 15
 SURROUNDINGS4, BACK_H, BACK_T, BACK_EPS, FACTOR_EPS = 18, 19, 20, 21, 22
 ACTIVE, FAILED, ITERATIONS, COLUMN, OUTSIDE, NEGATIVE = 23, 24, 25, 26, 27, 28
@@ -50,9 +52,10 @@ STAGE_IN, STAGE_OUT, ENERGY_IN, ENERGY_OUT = 29, 30, 31, 32
 # The lag of a ratio, one row a stage: its value m and the ratio that it follows (docs/effects.md, equation 19); whether
 # it has a past. Fraction of the film that is spent at the surface, not in gaps. The length of the last step [s].
 LAG_VALUE, LAG_INPUT, LAG_PAST, SURFACE_SHARE, LAST_STEP = 33, 36, 39, 40, 41
-# Place of the pressure on the axis of the enthalpy of air, one row a stage [-]: column and fraction to the next.
-AIR_PLACE = 42
-C_STAGES = 45
+# Place of the pressure on the axis of the enthalpy of air, one row a stage [-]: column and fraction to the next. The
+# ratio that an effect which multiplies it finds [-].
+AIR_PLACE, RATIO_FOUND = 42, 45
+C_STAGES = 46
 PARAMETERS = C_STAGES + 3 * N_CONDITIONS
 # The cell that each lane is in, of its ratio table and of the pressures of its property tables: the five variables and
 # log10 of the pressure [Pa], the ends of the cell (infinite at the edges of the table), its foot and the reciprocal of
@@ -111,12 +114,12 @@ INVALID_HIGH_K = -1e30
 
 # Integers of a group: node count; then one a lane: number of pressure columns of its property tables, offsets of their
 # pressures, of its emissivity, wall-enthalpy and ratio tables, number of its effects that add and of all on the ratio,
-# whether any of them depends on the wall temperature, the code of each, the node at the back face (nodes behind it are
-# padding, to the node count of the group: they have heat capacity and exchange no heat), number of effects on the
-# emittance (their codes follow those of the ratio) and the slot of the effect that lags, or NONE; then two flags of the
-# group, whether any lane has moisture or radiation in depth and whether any has gaps. Then for each node two flags,
-# whether its two elements differ in material in any lane and whether heat enters it from outside in any lane, and the
-# material-table offset of the element to its right in each lane.
+# the first of those that are evaluated again at each wall temperature, the code of each, the node at the back face
+# (nodes behind it are padding, to the node count of the group: they have heat capacity and exchange no heat), number of
+# effects on the emittance (their codes follow those of the ratio), the slots of the effect that lags and of transition,
+# or NONE; then two flags of the group, whether any lane has moisture or radiation in depth and whether any has gaps.
+# Then for each node two flags, whether its two elements differ in material in any lane and whether heat enters it from
+# outside in any lane, and the material-table offset of the element to its right in each lane.
 N_NODES = 0
 N_PRESSURES = 1
 PRESSURE_TABLE = N_PRESSURES + LANES
@@ -125,19 +128,20 @@ ENTHALPY_TABLE = EMISSIVITY_TABLE + LANES
 RATIO_TABLE = ENTHALPY_TABLE + LANES
 N_ADDING = RATIO_TABLE + LANES
 N_EFFECTS = N_ADDING + LANES
-WALL_EFFECTS = N_EFFECTS + LANES
-EFFECT_CODES = WALL_EFFECTS + LANES
+FIRST_AT_WALL = N_EFFECTS + LANES
+EFFECT_CODES = FIRST_AT_WALL + LANES
 BACK_NODE = EFFECT_CODES + EFFECT_SLOTS * LANES
 N_EMITTING = BACK_NODE + LANES
 LAG_SLOT = N_EMITTING + LANES
-IN_DEPTH = LAG_SLOT + LANES
+TRANSITION_SLOT = LAG_SLOT + LANES
+IN_DEPTH = TRANSITION_SLOT + LANES
 GAPS = IN_DEPTH + 1
 NODE_INTS = GAPS + 1
 IS_INTERFACE, IS_FACE, MATERIAL_TABLE = 0, 1, 2
 INTS_PER_NODE = MATERIAL_TABLE + LANES
 
 NONE = -1
-"""LAG_SLOT of a lane without an effect that lags."""
+"""LAG_SLOT of a lane without an effect that lags, TRANSITION_SLOT of one without transition."""
 NO_TABLE = -1
 """Ratio-table offset of a lane without a table; its tabulated ratio is 0 [-]."""
 

@@ -7,7 +7,7 @@ their parameters are those of the record.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -117,10 +117,12 @@ def _searched_parameters(starts: Sequence[SearchStart]) -> frozenset[str]:
 
 def _candidate_at(effect: Effect, start: SearchStart, searched: Collection[str]) -> Candidate:
     """The candidate of an effect at one start, its values within their bounds."""
-    limits = {p.name: (p.lower, p.upper) for p in effect.parameters}
+    definitions = effect.search_definitions()
+    limits = {p.name: (p.lower, p.upper) for p in definitions}
     used = use(
         effect.name, {name: min(max(value, limits[name][0]), limits[name][1]) for name, value in start.values.items()}
     )
+    used = replace(used, declared=definitions)
     values = dict(zip((p.name for p in effect.parameters), used.values, strict=True))
     prefix = f"{EFFECT_PREFIX}{effect.name}."
     first = {f"{prefix}{p}": values[p] for p in start.names}

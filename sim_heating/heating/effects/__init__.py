@@ -19,6 +19,7 @@ from sim_heating.heating.effects.definition import (
     ModelParameter,
     SearchStart,
     check_count,
+    combined_uses,
     model_parameter,
 )
 from sim_heating.heating.effects.registry import effect, effects, use, user_effect_files
@@ -29,6 +30,7 @@ __all__ = [
     "ModelParameter",
     "SearchStart",
     "check_count",
+    "combined_uses",
     "effect",
     "effects",
     "flight",

@@ -73,6 +73,7 @@ class Effect:
                     parameters
     search_starts : starts of the search for it in data, for a flight's conditions; by default one, with all parameters
                     that have a prior, from their nominal values
+    search_bounds : narrower bounds of some parameters in the search for it
     physics       : the physical process, in a line
     source        : publication or flight in which it was seen
     raises        : InputError where parameters are too many, mode and kernel or parameters contradict each other, or
@@ -94,6 +95,7 @@ class Effect:
     needs: tuple[str, ...] = ()
     neutral: Mapping[str, float] = field(default_factory=dict, compare=False)
     search_starts: Callable[[Conditions], Sequence[SearchStart]] | None = field(default=None, compare=False)
+    search_bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict, compare=False)
     physics: str = ""
     source: str = ""
 
@@ -119,6 +121,7 @@ class Effect:
                     f"to {p.upper:g}; sigma must be 0 or above, and the value within its bounds"
                 )
         self._check_names(self.neutral, "neutral")
+        self._check_names(self.search_bounds, "search_bounds")
         for column in self.needs:
             if column not in NEEDED_COLUMNS:
                 raise InputError(
@@ -148,6 +151,14 @@ class Effect:
         returns    : name in the effect; None where the effect does not set this parameter
         """
         return dict(zip(self.model_parameters, (p.name for p in self.parameters), strict=False)).get(model_name)
+
+    def search_definitions(self) -> tuple[Parameter, ...]:
+        """Definitions of the parameters in the search for the effect, within `search_bounds`."""
+        bounds = self.search_bounds
+        return tuple(
+            replace(p, lower=bounds[p.name][0], upper=bounds[p.name][1]) if p.name in bounds else p
+            for p in self.parameters
+        )
 
     def starts_for(self, flown: Conditions) -> Sequence[SearchStart]:
         """Starts of the search for this effect in a flight's data.
@@ -208,10 +219,25 @@ def _all_are(values: object, kind: type) -> bool:
 
 @dataclass(frozen=True)
 class EffectUse:
-    """An effect with the values of its parameters, each in its unit, in the order of `effect.parameters`."""
+    """An effect with the values of its parameters, each in its unit, in the order of `effect.parameters`.
+
+    declared : definitions of the parameters where a file declares the effect with its own sigma; else the effect's
+    """
 
     effect: Effect
     values: tuple[float, ...]
+    declared: tuple[Parameter, ...] = ()
+
+    @property
+    def definitions(self) -> tuple[Parameter, ...]:
+        """Definitions of the parameters, as declared or as the effect has them, in the order of the values."""
+        return self.declared or self.effect.parameters
+
+
+def combined_uses(declared: Iterable[EffectUse], more: Iterable[EffectUse]) -> tuple[EffectUse, ...]:
+    """Effects of a point: those declared, each replaced by one of the same name among `more`, then the other ones."""
+    new = {u.effect.name: u for u in more}
+    return (*(new.pop(u.effect.name, u) for u in declared), *new.values())
 
 
 def check_count(uses: tuple[EffectUse, ...], where: str) -> None:

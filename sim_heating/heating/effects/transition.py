@@ -13,33 +13,56 @@ from sim_heating.base.kernels.jit import njit
 from sim_heating.base.parameters import Parameter
 from sim_heating.heating.effects import Effect, SearchStart, flight
 
-ONSET, ALPHA_SENSITIVITY, WIDTH, FACTOR, ALPHA_0, SPOTS = range(6)
+TRANSITION = "transition"
+"""Name of the effect; a point with it takes its recovery enthalpy by intermittency (heating/film.py)."""
+ONSET, ALPHA_SENSITIVITY, WIDTH, FACTOR, ALPHA_0, SPOTS, BY_TABLE, BY_RE_THETA = range(8)
 NARASIMHA = 0.412
 """Constant of the intermittency 1 - exp(-0.412 x^2) [-], with which `width` is the distance between a quarter and three
 quarters of the rise (Dhawan and Narasimha 1958)."""
 
 
 @njit
-def transition_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
-    """Factor of boundary-layer transition on the heating ratio [-], from 1 (laminar) to `factor` (turbulent).
+def intermittency(B: FloatArray, c: int, p: int) -> float:
+    """Fraction of the time that the flow is turbulent, from 0 (laminar) to 1.
 
-        f = 1 + (factor - 1) Gamma(x),    x = (log10_re - onset + alpha_sens (alpha - alpha_0)) / width
         Gamma = (1 - spots) / (1 + exp(-x)) + spots (1 - exp(-0.412 max(x, 0)^2))
+        x = (log10_re - onset + alpha_sens (alpha - alpha_0)) / width
+
+    with log10(Re_theta / M_e) in place of log10_re where `by_re_theta` is 1.
 
     B       : block of the lane group; B[c] flight conditions with alpha [deg] and log10_re [-], B[p] the parameters
-    wall_K  : wall temperature [K], not used
-    returns : factor [-]; Gamma is the fraction of the time that the flow is turbulent
+    returns : Gamma [-]
 
     Source: `spots`, Dhawan and Narasimha (1958), J. Fluid Mech. 3, 418, there in distance; docs/effects.md,
     equations 23 and 24.
     """
-    past = B[c + flight.log10_re] - B[p + ONSET] + B[p + ALPHA_SENSITIVITY] * (B[c + flight.alpha_deg] - B[p + ALPHA_0])
+    at = B[c + flight.log10_re]
+    if B[p + BY_RE_THETA] != 0.0:
+        at = B[c + flight.log10_re_theta_m]
+    past = at - B[p + ONSET] + B[p + ALPHA_SENSITIVITY] * (B[c + flight.alpha_deg] - B[p + ALPHA_0])
     x = past / B[p + WIDTH]
     turbulent = logistic(x)
     if B[p + SPOTS] > 0.0:
         from_onset = max(x, 0.0)
         turbulent += B[p + SPOTS] * (1.0 - exp(-NARASIMHA * from_onset * from_onset) - turbulent)
-    return 1.0 + (B[p + FACTOR] - 1.0) * turbulent
+    return turbulent
+
+
+@njit
+def transition_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
+    """Factor of boundary-layer transition on the heating ratio [-], from 1 (laminar) to turbulent over laminar.
+
+        f = 1 + (F - 1) Gamma,    F = factor (1 + by_table (r_turbulent / r_laminar - 1))
+
+    B       : block of the lane group; B[c] flight conditions with the ratio of the tables [-], B[p] the parameters
+    wall_K  : wall temperature [K], not used
+    returns : factor [-]; Gamma is that of `intermittency`
+
+    Source: docs/effects.md, equation 23.
+    """
+    turbulent = B[p + FACTOR]
+    turbulent *= 1.0 + B[p + BY_TABLE] * (B[c + flight.turbulent_ratio] - 1.0)
+    return 1.0 + (turbulent - 1.0) * intermittency(B, c, p)
 
 
 def search_starts(flown: Conditions) -> Sequence[SearchStart]:
@@ -64,22 +87,26 @@ def search_starts(flown: Conditions) -> Sequence[SearchStart]:
 
 
 EFFECT = Effect(
-    name="transition",
+    name=TRANSITION,
     mode="multiply",
     parameters=(
         Parameter(
-            "log10_re_onset", "1", 6.7, 0.4, 4.0, 9.0, "log10 Re of half the rise, with spots of its start, at alpha_0"
+            "log10_re_onset", "1", 6.7, 0.4, 1.0, 9.0, "log10 Re of half the rise, with spots of its start, at alpha_0"
         ),
         Parameter("alpha_sens", "1/deg", 0.0, 0.05, -0.5, 0.5, "fall of the onset log10 Re with angle of attack"),
         Parameter("width", "1", 0.03, 0.03, 1e-4, 1.0, "width of the rise in log10 Re"),
-        Parameter("factor", "1", 3.5, 1.0, 1.0, 20.0, "turbulent over laminar heating ratio"),
+        Parameter("factor", "1", 3.5, 1.0, 0.1, 20.0, "turbulent over laminar heating ratio"),
         Parameter("alpha_0_deg", "deg", 40.0, 0.0, -90.0, 90.0, "angle of attack of the onset"),
         Parameter("spots", "1", 0.0, 0.0, 0.0, 1.0, "1 for the form of turbulent spots, which begins at the onset"),
+        Parameter("by_table", "1", 0.0, 0.0, 0.0, 1.0, "1 where `factor` is on the turbulent over laminar table"),
+        Parameter("by_re_theta", "1", 0.0, 0.0, 0.0, 1.0, "1 where the onset is one of log10 (Re_theta / M_e)"),
     ),
     kernel=transition_factor,
     needs=("log10_re",),
     neutral={"factor": 1.0},
     search_starts=search_starts,
+    # A declared one may heat less than its table; what is looked for as transition heats more.
+    search_bounds={"factor": (1.0, 20.0)},
     physics="The boundary layer turns turbulent past a Reynolds number, earlier at higher angle of attack.",
     source="STS-4 Mach 12 manoeuvre in 'Trends in Shuttle Entry Heating from the Correlation of Flight Test "
     "Maneuvers'; spots: Dhawan & Narasimha, J. Fluid Mech. 3 (1958) 418",
