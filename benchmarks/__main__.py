@@ -10,7 +10,7 @@ import click
 from benchmarks.measure import Figure, table
 
 NAMES = (
-    "c_loop", "work_precision", "frames", "coupling", "fmu", "optimal", "envelope",
+    "verification", "c_loop", "work_precision", "frames", "coupling", "fmu", "optimal", "envelope",
     "covariance", "end_to_end", "ground_step", "skew", "initial", "design", "estimator_speed",
     "estimator_null", "estimator_statistics", "process_noise", "residual", "sts96", "tile_phases",
     "kaowool", "dispersion", "practice", "closure", "mutants", "kills", "concurrency",

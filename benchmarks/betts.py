@@ -15,8 +15,10 @@ from sim_heating.planning.optimal import dynamics as od
 from sim_heating.planning.optimal.collocation import (
     Motion,
     OptimalControlProblem,
+    Transcription,
     UpperBounds,
     ca,
+    refined_mesh,
     require_casadi,
     straight_guess,
 )
@@ -25,6 +27,10 @@ FT_M = 0.3048
 MASS_SLUG = 203000.0 / 32.174
 AREA_FT2 = 2690.0
 PLANET = od.Planet(20902900.0 * FT_M, 1.4076539e16 * FT_M**3)
+MESH_TOLERANCE = 1e-6
+"""Error of every interval of the last mesh."""
+FIRST_INTERVALS = 30
+BEND = np.array([0.05, 0.3])
 HEATING_LIMIT = 70.0
 """Heating of the wing leading edge [Btu/(ft2 s)]."""
 PUBLISHED = {"free": (34.1412, 2008.59), "limited": (30.6255, 2198.67)}
@@ -77,3 +83,13 @@ def betts_guess(problem: OptimalControlProblem) -> Motion:
 def betts_bounds(limited: bool) -> UpperBounds:
     """Heating up to its limit, or free."""
     return UpperBounds(path=(1.0 if limited else np.inf,))
+
+
+def solve_betts(case: str) -> list[Motion]:
+    """Betts' problem, "free" or "limited", on one mesh after another until every interval's error is small."""
+    problem = betts_problem()
+    mesh, motions = np.linspace(0.0, 1.0, FIRST_INTERVALS + 1), [betts_guess(problem)]
+    while len(motions) == 1 or np.max(motions[-1].errors) > MESH_TOLERANCE:
+        motions.append(Transcription(problem, mesh).solve(motions[-1], betts_bounds(case == "limited")))
+        mesh = refined_mesh(motions[-1], MESH_TOLERANCE, BEND)
+    return motions[1:]

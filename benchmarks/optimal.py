@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.betts import PUBLISHED, betts_bounds, betts_guess, betts_problem
+from benchmarks.betts import MESH_TOLERANCE, PUBLISHED, solve_betts
 from benchmarks.measure import Figure, save
-from sim_heating.planning.optimal.collocation import Motion, Transcription, refined_mesh
 from sim_heating.planning.optimal.report import draw_optimal
 from sim_heating.planning.optimal.search import OptimalEntry, fly_optimal
 from sim_heating.planning.optimal.spec import load_optimal_study, without_limits
@@ -17,25 +16,12 @@ from sim_heating.planning.optimal.spec import load_optimal_study, without_limits
 ROOT = Path(__file__).parent.parent
 STUDIES = ROOT / "scenarios" / "studies"
 PICTURE = ROOT / "docs" / "images" / "optimal_entry.png"
-MESH_TOLERANCE = 1e-6
-FIRST_INTERVALS = 30
-BEND = np.array([0.05, 0.3])
-
-
-def _betts(case: str) -> list[Motion]:
-    """Betts' problem on one mesh after another, until every interval's error is small."""
-    problem = betts_problem()
-    mesh, motions = np.linspace(0.0, 1.0, FIRST_INTERVALS + 1), [betts_guess(problem)]
-    while len(motions) == 1 or np.max(motions[-1].errors) > MESH_TOLERANCE:
-        motions.append(Transcription(problem, mesh).solve(motions[-1], betts_bounds(case == "limited")))
-        mesh = refined_mesh(motions[-1], MESH_TOLERANCE, BEND)
-    return motions[1:]
 
 
 def _betts_figures(case: str) -> list[Figure]:
     latitude_deg, time_s = PUBLISHED[case]
     start = time.perf_counter()
-    motions = _betts(case)
+    motions = solve_betts(case)
     last, took = motions[-1], time.perf_counter() - start
     reached = float(np.degrees(last.goal))
     note = f"{reached:.4f} deg in {last.duration_s:.2f} s; published {latitude_deg} deg in {time_s} s"

@@ -1,1 +1,75 @@
-"""Verification: what the program computes against exact, published and independently computed values."""
+"""Verification: what the program computes against exact, published and independently computed values.
+
+    python -m benchmarks verification
+
+prints one table, reference | expected | got | error | limit, writes it into docs/verification.md and all digits into
+results/verification.json. The exit status is 1 where an error exceeds its limit. A reference is a closed form, a number
+that others published, or a solution by methods and code that share nothing with the package.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+
+import click
+
+from benchmarks.measure import Figure, save
+from benchmarks.page import DOCS, fill, markdown_table
+from benchmarks.verification import (
+    atmosphere,
+    conduction,
+    gas,
+    optimum,
+    sensors,
+    stack,
+    surface,
+    trajectories,
+    trim,
+)
+from benchmarks.verification.row import Row, cells, text_table
+
+PAGE = DOCS / "verification.md"
+LEAST_ROWS = 60
+SUBJECTS: Mapping[str, Callable[[], list[Row]]] = {
+    "Conduction": conduction.rows,
+    "Surface": surface.rows,
+    "Whole stack, estimates": stack.rows,
+    "Atmosphere": atmosphere.rows,
+    "Equilibrium air and shocks": gas.rows,
+    "Trajectories": trajectories.rows,
+    "Trim": trim.rows,
+    "Optimal entry": optimum.rows,
+    "Sensors": sensors.rows,
+}
+
+
+def run() -> list[Figure]:
+    """Compute all rows, print and write the table."""
+    found: dict[str, list[Row]] = {}
+    start = time.perf_counter()
+    for subject, rows in SUBJECTS.items():
+        found[subject] = rows()
+        click.echo(f"\n{subject}\n{text_table(found[subject])}")
+    click.echo("")
+    everything = [row for rows in found.values() for row in rows]
+    figures = [
+        Figure("rows", len(everything), "", LEAST_ROWS, at_least=True),
+        Figure("rows with an error beyond its limit", sum(not row.kept for row in everything), "", 0),
+        Figure("time", time.perf_counter() - start, "s"),
+    ]
+    listed = [{"subject": name, **asdict(row), "error": row.error} for name, rows in found.items() for row in rows]
+    save("verification", figures, {"rows": listed})
+    fill(PAGE, lambda _: page_table(found))
+    return figures
+
+
+def page_table(found: Mapping[str, list[Row]]) -> str:
+    """The table of the page; a line with the subject's name before its rows."""
+    head = ("reference", "expected", "got", "error", "limit", "where expected value and limit come from")
+    lines: list[tuple[str, ...]] = []
+    for subject, rows in found.items():
+        lines.append((f"**{subject}**", "", "", "", "", ""))
+        lines += [(*cells(row), f"{row.source}; limit: {row.limit_is}") for row in rows]
+    return markdown_table(head, lines)

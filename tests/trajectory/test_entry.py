@@ -6,13 +6,22 @@ import math
 import os
 import subprocess
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.verification.trajectories import (
+    SCALE_M,
+    STS107,
+    VACUUM,
+    allen_eggers_speed,
+    ballistic_entry,
+    orbit_integrals,
+    spec,
+    vacuum_orbit,
+)
 from sim_heating.base.conditions import EXTRAS, FRAME
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.heating.atmosphere import G0_M_S2
@@ -20,7 +29,7 @@ from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.trajectory import entry3dof, recorded
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import point_mass as pm
-from sim_heating.trajectory.aero import Grid, flown_aero, load_aero
+from sim_heating.trajectory.aero import flown_aero, load_aero
 from sim_heating.trajectory.entry3dof import Entry
 from sim_heating.trajectory.flight import ROW, Sampler
 from sim_heating.trajectory.guidance import EntryGuidance, Observation, resolve_guidance
@@ -31,21 +40,6 @@ from tests.support.paths import ORBITER, ROOT
 
 VEHICLE = load_vehicle(ORBITER)
 AERO = load_aero(ORBITER)
-VACUUM = {"density_factor": [[0.0, 1e-30]]}
-STS107 = {
-    "altitude_m": 120399.0, "velocity_m_s": 7486.0, "gamma_deg": -1.15, "heading_deg": 63.7,
-    "latitude_deg": 30.83, "longitude_deg": -167.56,
-}  # fmt: skip
-"""Entry interface of STS-107: position and 'Mach' 24.56 (V / 1000 ft/s) published, path angle and heading fitted."""
-
-
-def spec(source="entry-3dof", **changes):
-    """A Shuttle entry with some keys of its [trajectory] table replaced."""
-    table = {
-        "source": source, "initial": STS107, "stop": {"velocity_m_s": 100.0, "altitude_m": 0.0},
-        "vehicle": {"mass_kg": 105600.0},
-    }  # fmt: skip
-    return TrajectorySpec.model_validate(table | changes)
 
 
 def crossing(c, speed, name):
@@ -62,24 +56,6 @@ def nominal():
 
 
 # ---- conserved quantities and order -------------------------------------------------------------------------------
-
-
-def vacuum_orbit(rate_hz, seconds):
-    """States of an orbit without air, first and last."""
-    rising = STS107 | {"gamma_deg": 0.3}
-    entry = Entry(spec(rate_hz=rate_hz, dispersions=VACUUM, initial=rising, sample_s=100.0), ORBITER)
-    first = entry.state.copy()
-    entry.run(round(seconds * rate_hz))
-    return first, entry.state
-
-
-def orbit_integrals(state):
-    """Energy in the rotating frame [J/kg] and axial angular momentum [m2/s] about an oblate Earth."""
-    r, v = state[pm.X : pm.VX], state[pm.VX : pm.VX + 3]
-    w, radius = pm.WGS84_ROTATION_RAD_S, np.linalg.norm(r)
-    oblate = 1.0 - 0.5 * pm.WGS84_J2 * (pm.WGS84_RADIUS_M / radius) ** 2 * (3.0 * (r[2] / radius) ** 2 - 1.0)
-    energy = 0.5 * v @ v - 0.5 * w**2 * (r[0] ** 2 + r[1] ** 2) - pm.WGS84_MU_M3_S2 / radius * oblate
-    return energy, r[0] * (v[1] + w * r[0]) - r[1] * (v[0] - w * r[1])
 
 
 def test_an_orbit_without_air_keeps_its_energy_and_axial_angular_momentum():
@@ -109,32 +85,6 @@ def test_geodetic_position_comes_back_from_cartesian(latitude, longitude, altitu
 
 
 # ---- closed-form entries -------------------------------------------------------------------------------------------
-
-
-SCALE_M, RHO0, BETA_KG_M2 = 7000.0, 1.4, 2000.0
-
-
-def ballistic_entry(rate_hz):
-    """Rows of a vertical fall of a body without lift through an exponential atmosphere, no gravity, no rotation."""
-    entry = Entry(spec(rate_hz=rate_hz, guidance={"alpha_deg": [[0.0, 0.0]]}), ORBITER)
-    point, none = np.zeros(1), Grid(np.zeros(1), np.zeros(1), np.zeros(1), np.zeros((1, 1, 1, 3)))
-    drag_only = np.zeros((1, 1, 1, 3))
-    drag_only[..., 1] = entry.flight[pm.MASS] / entry.flight[pm.AREA] / BETA_KG_M2
-    body = replace(AERO, basic=Grid(point, point, point, drag_only), elevon=none, bodyflap=none)
-    entry.tables = aero_block(body, np.zeros((0, 5)))
-    z = np.arange(0.0, 120001.0, 50.0)
-    exponential = [(h, RHO0 * math.exp(-h / SCALE_M) / pm.us76_kernel(h)[2]) for h in z]
-    own = entry.flight[: pm.DENSITY].copy()
-    own[[pm.MU, pm.J2, pm.ROTATION, pm.FLATTENING]] = 0.0
-    entry.flight = entry3dof.pack(own, [exponential, (), (), ()])
-    down = Initial(altitude_m=120000.0, velocity_m_s=7000.0, gamma_deg=-90.0, heading_deg=0.0, latitude_deg=0.0)
-    entry.state = entry3dof.first_state(down, entry.flight, entry.block, 0)
-    return entry.run(100000)[0]
-
-
-def allen_eggers_speed(altitude_m):
-    """V = V_e exp(-rho H / (2 beta sin gamma)); Allen and Eggers, NACA TR 1381 (1958), with gamma = 90 deg."""
-    return 7000.0 * np.exp(-RHO0 * np.exp(-altitude_m / SCALE_M) * SCALE_M / (2.0 * BETA_KG_M2))
 
 
 def test_a_ballistic_entry_slows_down_as_allen_and_eggers_derived():

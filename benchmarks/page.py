@@ -1,0 +1,24 @@
+"""Tables that benchmarks write into pages of docs, between `<!-- results of NAME -->` and `<!-- end -->`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from benchmarks.measure import RESULTS
+
+DOCS = RESULTS.parents[1] / "docs"
+MARKED = re.compile(r"(<!-- results of ([\w, ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+def fill(page: Path, text_of: Callable[[str], str]) -> None:
+    """Replace each marked part of a page by the text that belongs to its name."""
+    page.write_text(MARKED.sub(lambda found: f"{found[1]}{text_of(found[2])}{found[3]}", page.read_text()))
+
+
+def markdown_table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """A table of a page; cells are escaped."""
+    cells = [[str(c).replace("|", "\\|").replace("\n", " ").replace("<", "&lt;") for c in row] for row in (head, *rows)]
+    lines = ["| " + " | ".join(row) + " |" for row in cells]
+    return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]]) + "\n"

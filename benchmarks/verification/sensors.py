@@ -1,0 +1,55 @@
+"""Thermocouples and recorders, and what an estimate makes of them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from benchmarks.verification.row import Row, within
+from sim_heating.inputs.sensor_model import indicated_temperature, measure, quantise
+from sim_heating.thermal.stack import Sensor
+
+SPAN_K = [255.0, 1644.0]
+
+
+def sensor(**declared: object) -> Sensor:
+    """A thermocouple at the surface."""
+    return Sensor.model_validate({"name": "V09T9527", "column": "V09T9527_K", "depth_m": 0.0} | declared)
+
+
+def recorder() -> list[Row]:
+    """Recorder words, calibration and noise."""
+    word = sensor(bits=8, range_K=SPAN_K)
+    lsb = (SPAN_K[1] - SPAN_K[0]) / 255.0
+    T = np.linspace(SPAN_K[0], SPAN_K[1], 2_000_001)
+    error = quantise(word, T) - T
+    rms = float(np.sqrt(np.mean(error**2)))
+    word_of, tried = "8 bits over 255 to 1644 K", "2e6 temperatures"
+    rows = [
+        Row(f"{word_of}: least step", lsb, word.lsb_K, 1e-12, "K", "span / (2^8 - 1)", "rounding"),
+        within(1e-5, f"{word_of}: rms error", lsb / math.sqrt(12.0), rms, "K", "LSB / sqrt(12)", tried),
+        Row(f"{word_of}: largest error", 0.5 * lsb, float(np.max(np.abs(error))), 1e-3, "K", "LSB / 2", tried),
+    ]  # fmt: skip
+    curved = sensor(calibration=[2.0, 0.99, 1e-5])
+    got = float(indicated_temperature(curved, np.array([1000.0]))[0])
+    rows.append(
+        Row("calibration 2 + 0.99 T + 1e-5 T^2 at 1000 K", 1002.0, got, 1e-9, "K", "the polynomial", "rounding")
+    )
+    noisy = sensor(noise_sigma_K=1.5, bits=8, range_K=SPAN_K)
+    n = 200_000
+    steady = np.linspace(900.0, 1000.0, n)
+    got = float(np.std(measure(noisy, steady, np.random.default_rng(1)) - steady))
+    expected = math.hypot(1.5, lsb / math.sqrt(12.0))
+    source, is_ = "sqrt(sigma^2 + LSB^2 / 12)", f"3 sigma of {n} readings: 3 / sqrt(2 n)"
+    rows.append(
+        within(
+            3.0 / math.sqrt(2.0 * n), "noise of 1.5 K and 8 bits: scatter of readings", expected, got, "K", source, is_
+        )
+    )
+    return rows
+
+
+def rows() -> list[Row]:
+    """All of this subject."""
+    return recorder()

@@ -1,0 +1,118 @@
+"""Balance at the surface: radiation, films, coated and radiating solids, and jumps of heating as they are run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from scipy.optimize import brentq
+
+from benchmarks.verification import exact
+from benchmarks.verification.conduction import CP_J_KGK, RATIO_ONE
+from benchmarks.verification.row import Row
+from benchmarks.verification.volterra import surface_temperature
+from benchmarks.verification.walls import FloatArray, flight, from_the_first_instant, heat, material, wall
+from sim_heating.march.mesh_choice import TOLERANCE_K
+from sim_heating.thermal.stack import Construction
+
+EPS, START_K, THIN_M = 0.85, 300.0, 0.001
+LONG_S = np.linspace(0.0, 4000.0, 401)
+RCG, TILE = material(1.0, 1100.0, 1666.0, EPS), material(0.06, 1100.0, 144.0, EPS)
+RCG_M, TILE_M = 0.00038, 0.08
+
+
+def equilibrium() -> list[Row]:
+    """Temperatures at which a wall emits what it absorbs."""
+    w, settled = wall((material(emissivity=EPS), THIN_M)), "settled after 4000 s: rounding"
+    rows = []
+    for q in (1e4, 1e6):
+        _, out = heat(w, flight(LONG_S, q_add_W_m2=q), nodes=14)
+        T = exact.radiation_equilibrium(q, EPS)
+        rows.append(
+            Row(f"radiation equilibrium at {q:g} W/m2", T, out[-1, 0], 1e-6, "K", "(q / eps sigma)^(1/4)", settled)
+        )
+    w = wall((material(emissivity=EPS), THIN_M), surroundings_K=500.0)
+    _, out = heat(w, flight(LONG_S, q_add_W_m2=1e4), nodes=14)
+    T, source = exact.radiation_equilibrium(1e4, EPS, 500.0), "eps sigma (T^4 - 500^4) = q"
+    rows.append(Row("the same in surroundings of 500 K, 1e4 W/m2", T, out[-1, 0], 1e-6, "K", source, settled))
+    film, H_r = 0.01, 1.5e7
+    w = wall((material(emissivity=EPS), THIN_M))
+    _, out = heat(w, flight(LONG_S, h_ref_kg_m2_s=film, H_r_J_kg=H_r), nodes=14, parameters=RATIO_ONE)
+    T = float(brentq(lambda T: film * (H_r - CP_J_KGK * T) - EPS * exact.SIGMA * T**4, 300.0, 3000.0, xtol=1e-10))
+    rows.append(
+        Row("film and radiation in balance", T, out[-1, 0], 1e-6, "K", "h (H_r - cp T) = eps sigma T^4", settled)
+    )
+    w = wall((material(emissivity=1e-9), THIN_M))
+    _, out = heat(w, flight(LONG_S, h_ref_kg_m2_s=0.1, H_r_J_kg=CP_J_KGK * 1500.0), nodes=14, parameters=RATIO_ONE)
+    rows.append(Row("film alone: recovery temperature", 1500.0, out[-1, 0], 1e-5, "K", "H_r / cp", "emittance of 1e-9"))
+    return rows
+
+
+def lumped() -> list[Row]:
+    """Thin plates that radiate: heating by a constant flux, and cooling."""
+    rho, c, delta, q = 1666.0, 1200.0, 0.00038, 2e5
+    T_r = exact.radiation_equilibrium(q, EPS)
+    w = wall((material(1e4, c, rho, EPS), delta), (material(1e-6, 1.0, 1.0), 0.01))
+    rows = []
+    for share in (0.6, 0.95):
+        start = np.array([START_K / T_r])
+        at = float(exact.radiating_mass_time(np.array([share]), start[0], rho * c * delta, EPS, T_r)[0])
+        _, out = heat(w, flight(from_the_first_instant(at, 800), q_add_W_m2=q), nodes=14)
+        source = "rho c d dT/dt = q - eps sigma T^4: atanh and atan"
+        is_ = "steps of 1.5 % of the time elapsed; thin layer behind"
+        name = f"radiating coating, 2e5 W/m2: after {at:.2f} s"
+        rows.append(Row(name, share * T_r, out[-1, 0], 0.02, "K", source, is_))
+    delta, t = 0.0005, np.linspace(0.0, 60.0, 1201)
+    w = wall((material(1e4, emissivity=EPS), delta), initial_K=1500.0)
+    _, out = heat(w, flight(t), nodes=14)
+    T = (1500.0**-3 + 3.0 * EPS * exact.SIGMA * 60.0 / (1e6 * delta)) ** (-1.0 / 3.0)
+    source, is_ = "1/T^3 = 1/T_0^3 + 3 eps sigma t / (rho c d)", "second order at steps of 0.05 s"
+    rows.append(Row("plate cooling from 1500 K by radiation: at 60 s", T, out[-1, 0], 0.05, "K", source, is_))
+    return rows
+
+
+def half_spaces() -> list[Row]:
+    """Radiating half spaces, coated and bare, after a jump of flux: resolved, and as the program runs them."""
+    e_coat, e_tile = (math.sqrt(k * rho * 1100.0) for k, rho in ((1.0, 1666.0), (0.06, 144.0)))
+    a_coat = 1.0 / (1666.0 * 1100.0)
+
+    def coated(t: FloatArray) -> FloatArray:
+        # One time after another: the number of terms that matter grows with time.
+        return np.concatenate(
+            [exact.coated_surface(1.0, e_coat, a_coat, e_tile, RCG_M, at) for at in np.split(t, len(t))]
+        )
+
+    def bare(t: FloatArray) -> FloatArray:
+        return 2.0 * np.sqrt(t / math.pi) / e_tile
+
+    tile = (TILE, TILE_M)
+    return [
+        *_after_a_jump("RCG on an insulator", coated, wall((RCG, RCG_M), tile), 1.0e5),
+        *_after_a_jump("bare insulator", bare, wall(tile), 5.0e4),
+    ]
+
+
+def _after_a_jump(
+    name: str, response: Callable[[FloatArray], FloatArray], construction: Construction, q: float
+) -> list[Row]:
+    def net(T: float, _: float) -> float:
+        return q - EPS * exact.SIGMA * T**4
+
+    rows = []
+    source = "integral equation of the half space, own solution"
+    for end in (2.0, 20.0, 100.0):
+        T = surface_temperature(response, net, START_K, end, 400)
+        at = f"{name}, {q:g} W/m2 from 0 s on, radiating: {end:g} s"
+        _, out = heat(construction, flight(from_the_first_instant(end), q_add_W_m2=q), nodes=200)
+        limit = 2e-4 * (T - START_K)
+        rows.append(Row(at, T, out[-1, 0], limit, "K", source, "second-order error of 200 nodes, 2e-4 of the rise"))
+        _, out = heat(construction, flight(np.arange(0.0, end + 1.0), q_add_W_m2=q), nodes=None)
+        is_ = "tolerance of the choice of the mesh"
+        rows.append(Row(f"{at}, mesh and steps as chosen", T, out[-1, 0], TOLERANCE_K, "K", source, is_))
+    return rows
+
+
+def rows() -> list[Row]:
+    """All of this subject."""
+    return [row for part in (equilibrium, lumped, half_spaces) for row in part()]
