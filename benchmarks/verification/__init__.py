@@ -19,8 +19,10 @@ from benchmarks.measure import Figure, save
 from benchmarks.page import DOCS, fill, markdown_table
 from benchmarks.verification import (
     atmosphere,
+    chosen,
     conduction,
     gas,
+    heating,
     optimum,
     sensors,
     stack,
@@ -35,9 +37,11 @@ LEAST_ROWS = 60
 SUBJECTS: Mapping[str, Callable[[], list[Row]]] = {
     "Conduction": conduction.rows,
     "Surface": surface.rows,
+    "Mesh and steps as chosen": chosen.rows,
     "Whole stack, estimates": stack.rows,
     "Atmosphere": atmosphere.rows,
     "Equilibrium air and shocks": gas.rows,
+    "Reference heating": heating.rows,
     "Trajectories": trajectories.rows,
     "Trim": trim.rows,
     "Optimal entry": optimum.rows,
