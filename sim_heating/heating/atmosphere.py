@@ -347,7 +347,7 @@ def sutherland_viscosity(T_K: ArrayLike) -> FloatArray:
     raises  : InputError where T is not a number above 0
 
     The Reynolds number of a record is defined with this law at every temperature. For hot gas use
-    `heating.reference.gas.viscosity`. Source: US Standard Atmosphere 1976, eq. 51.
+    `heating.reference.gas.transport`. Source: US Standard Atmosphere 1976, eq. 51.
     """
     T = _checked_positive("T_K", T_K)
     mu = np.empty(T.size)

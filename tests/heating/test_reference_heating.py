@@ -20,15 +20,13 @@ from sim_heating.heating.reference.flat_plate import (
     windward_edge_kernel,
 )
 from sim_heating.heating.reference.gas import (
-    JOIN_K,
     PRANDTL,
     R_TABLE,
     air_density_kernel,
     air_kernel,
     air_temperature_kernel,
     enthalpy,
-    viscosity,
-    viscosity_kernel,
+    air_transport_kernel,
     wall_enthalpy_grid,
 )
 from sim_heating.heating.reference.models import REFERENCE_MODELS, reference_heating, reference_kernel
@@ -117,17 +115,6 @@ def test_outside_the_table_composition_is_constant_and_density_follows_pressure(
     assert air_kernel(100.0, 1e3)[0] == pytest.approx(0.5 * air_kernel(200.0, 1e3)[0])
 
 
-def test_viscosity_is_sutherlands_in_cold_air_and_15_percent_above_it_in_hot_air():
-    assert viscosity([200.0, 300.0, 600.0]) == pytest.approx(sutherland_viscosity([200.0, 300.0, 600.0]), rel=1e-15)
-    excess = viscosity([1000.0, 2000.0, 3000.0, 4000.0]) / sutherland_viscosity([1000.0, 2000.0, 3000.0, 4000.0]) - 1
-    assert excess == pytest.approx([0.03, 0.08, 0.145, 0.19], abs=0.025)  # mixture transport: 3, 8, 13-16, 19 %
-
-
-def test_the_two_viscosity_laws_join_without_a_jump_and_are_the_published_fit():
-    assert viscosity_kernel(JOIN_K) == pytest.approx(viscosity_kernel(math.nextafter(JOIN_K, 9e9)), rel=1e-13)
-    assert viscosity([3000.0]) == pytest.approx(4.12e-7 * 3000.0**0.671, rel=1e-4)
-
-
 def test_constant_cp_gives_exactly_cp_times_T():
     T, p = np.array([300.0, 1234.5]), np.array([10.0, 1e4])
     for kind in (1004.5, {"cp_J_kgK": 1004.5}):
@@ -203,29 +190,36 @@ def test_stagnation_heating_along_sts107_agrees_with_independent_values(row):
     assert sutton_graves == pytest.approx(row["q_SG_1ft_kWm2"], rel=5e-4)
     detra_kemp_riddell = detra_kemp_riddell_kernel(rho, V, T_inf, ONE_FOOT_M) * to_flux
     assert detra_kemp_riddell == pytest.approx(row["q_DKR_1ft_kWm2"], rel=5e-4)
-    # 1.5 % low: the given values have a viscosity 4.6 % higher at 5900 K (to the power 0.4), and 0.94 for 0.937
+    # The given values took 3.35e-7 T^0.70 at the edge and at the wall, 0.94 for 0.937, and equilibrium air interpolated
+    # between points 250 K apart: 0.5 %
+    p_0, h_0, _, _ = stagnation_kernel(rho, V, T_inf)
+    states = ((300.0, 0.1), (air_temperature_kernel(h_0, p_0), 0.4))
+    hotter = math.prod((air_transport_kernel(T, p_0)[1] / estimate_viscosity(T)) ** power for T, power in states)
     fay_riddell = fay_riddell_kernel(rho, V, T_inf, ONE_FOOT_M, 300.0, 1.0) * to_flux
-    assert fay_riddell == pytest.approx(0.985 * row["q_FR_1ft_kWm2"], rel=2e-3)
+    assert fay_riddell == pytest.approx(0.937 / 0.94 * hotter * row["q_FR_1ft_kWm2"], rel=6e-3)
 
 
-def test_the_formulas_spread_by_6_percent_about_fay_riddell_at_peak_heating_and_betts_fit_lies_among_them():
+def test_fay_riddell_is_the_highest_of_the_formulas_at_peak_heating_and_they_spread_by_12_percent():
     rho, V, T_inf = 7.04e-5, 7081.0, 217.2
     to_flux = 0.5 * V**2 + 1004.5 * (T_inf - 300.0)
     fay_riddell = fay_riddell_kernel(rho, V, T_inf, ONE_FOOT_M, 300.0, 1.0) * to_flux
     betts = 17700.0 * math.sqrt(rho / SLUG_FT3_KG_M3) * (1e-4 * V / 0.3048) ** 3.07 * BTU_FT2_S_W_M2
     # Betts (2010), heating fit of the Shuttle re-entry problem; 987 was computed at a density of 3 digits
     assert betts / 1e3 == pytest.approx(987.0, rel=2e-3)
-    assert betts / fay_riddell == pytest.approx(1.0, abs=0.02)
-    assert sutton_graves_kernel(rho, V, T_inf, ONE_FOOT_M) * to_flux / fay_riddell == pytest.approx(0.95, abs=0.015)
+    assert betts / fay_riddell == pytest.approx(0.926, abs=0.005)
+    assert sutton_graves_kernel(rho, V, T_inf, ONE_FOOT_M) * to_flux / fay_riddell == pytest.approx(0.882, abs=0.005)
     detra_kemp_riddell = detra_kemp_riddell_kernel(rho, V, T_inf, ONE_FOOT_M) * to_flux
-    assert detra_kemp_riddell / fay_riddell == pytest.approx(1.075, abs=0.015)
+    assert detra_kemp_riddell / fay_riddell == pytest.approx(0.997, abs=0.005)
 
 
-def test_a_lewis_number_of_1_4_adds_a_tenth_at_7_km_s():
+def test_a_lewis_number_of_1_4_adds_an_eighth_at_7_km_s():
     one, full = (fay_riddell_kernel(7e-5, 7000.0, 217.0, ONE_FOOT_M, 300.0, lewis) for lewis in (1.0, 1.4))
     h_D_over_h_0 = air_kernel(5860.0, 3.4e3)[2] / (0.5 * 7000.0**2 + 217e3)
     assert full / one == pytest.approx(1.0 + (1.4**0.52 - 1.0) * h_D_over_h_0, rel=0.01)
-    assert full / one == pytest.approx(1.1, abs=0.03)
+    for altitude_m, added in ((80e3, 0.132), (75e3, 0.130), (60e3, 0.123)):
+        T_inf, _, rho = us76_kernel(altitude_m)
+        one, full = (fay_riddell_kernel(rho, 7000.0, T_inf, ONE_FOOT_M, 300.0, lewis) for lewis in (1.0, 1.4))
+        assert full / one - 1.0 == pytest.approx(added, abs=0.001)
 
 
 @compiling
@@ -266,18 +260,31 @@ def test_a_correlation_is_q_over_the_enthalpy_difference_down_to_850_m_s():
 ESTIMATE = rows("lower_surface_ratio_estimate.csv")[::5]
 
 
+def estimate_viscosity(T_K: float) -> float:
+    """Viscosity of the estimates [Pa s], by their own statement."""
+    return 3.35e-7 * T_K**0.70
+
+
 @pytest.mark.parametrize("row", ESTIMATE, ids=lambda r: f"{r['case']} {r['alpha_deg']} deg x/L {r['x_over_L']}")
 def test_windward_surface_ratios_equal_the_estimate_under_its_assumptions(row):
     V, alpha, x = float(row["v_mps"]), float(row["alpha_deg"]), float(row["x_over_L"]) * L_ORBITER_M
     T_inf, _, rho = us76_kernel(float(row["altitude_m"]))
     _, h_e, u_e = windward_edge_kernel(rho, V, T_inf, alpha)
+    p_0, h_0, _, _ = stagnation_kernel(rho, V, T_inf)
     reference = fay_riddell_kernel(rho, V, T_inf, ONE_FOOT_M, 300.0, 1.0)
+    for T, power in ((300.0, 0.1), (air_temperature_kernel(h_0, p_0), 0.4)):
+        reference *= (estimate_viscosity(T) / air_transport_kernel(T, p_0)[1]) ** power
     p_e = float(row["p_edge_Pa"])  # Newtonian with the Cp_max of gamma 1.4, as the estimate has it
-    laminar = DIVERGING_LAMINAR * eckert_film(p_e, h_e, u_e, x, 1100.0, False) / reference
-    turbulent = DIVERGING_TURBULENT * eckert_film(p_e, h_e, u_e, x, 1100.0, True) / reference
-    # What is left: the reference is 1.5 % lower here, and the viscosity up to 3 % lower at 2500 K (see the data file)
-    assert laminar == pytest.approx(float(row["h_over_href_laminar"]), rel=0.01)
-    assert turbulent == pytest.approx(float(row["h_over_href_turbulent"]), rel=0.02)
+    h_w = air_kernel(1100.0, p_e)[0]
+    # The laws go with mu*^1/2 and mu*^1/5; their constants and 0.94 for 0.937 are what remains.
+    for turbulent, name, factor, power, rel in (
+        (False, "h_over_href_laminar", DIVERGING_LAMINAR, 0.5, 0.01),
+        (True, "h_over_href_turbulent", DIVERGING_TURBULENT, 0.2, 0.02),
+    ):
+        T_star = air_temperature_kernel(reference_enthalpy(h_e, h_w, u_e, turbulent), p_e)
+        film = factor * eckert_film(p_e, h_e, u_e, x, 1100.0, turbulent)
+        film *= (estimate_viscosity(T_star) / air_transport_kernel(T_star, p_e)[1]) ** power
+        assert film / reference == pytest.approx(float(row[name]), rel=rel)
     # linear in 1/T between the estimate's table points 250 K apart
     assert air_temperature_kernel(h_e, p_e) == pytest.approx(float(row["T_edge_K"]), rel=0.015)
 
@@ -299,7 +306,7 @@ def test_a_slow_cool_plate_has_blasius_friction_through_reynolds_analogy():
     # No dissipation, wall as hot as the gas: C_h Pr^2/3 = c_f/2 = 0.332 Re^-1/2 (Blasius) and 0.0296 Re^-1/5 (Prandtl)
     T, p, u, x = 300.0, 1e5, 10.0, 0.5
     h, rho = air_kernel(T, p)[0], air_density_kernel(T, p)
-    re = rho * u * x / viscosity_kernel(T)
+    re = rho * u * x / air_transport_kernel(T, p)[1]
     half_friction = {False: 0.332 * re**-0.5, True: 0.0296 * re**-0.2}
     for turbulent, c_f_half in half_friction.items():
         film = eckert_film(p, h, u, x, T, turbulent)
@@ -309,7 +316,7 @@ def test_a_slow_cool_plate_has_blasius_friction_through_reynolds_analogy():
 def test_far_down_a_plate_turbulent_friction_is_schultz_grunows():
     T, p, u, x = 300.0, 1e5, 20.0, 50.0
     h, rho = air_kernel(T, p)[0], air_density_kernel(T, p)
-    re = rho * u * x / viscosity_kernel(T)
+    re = rho * u * x / air_transport_kernel(T, p)[1]
     assert re > 2e7
     film = eckert_film(p, h, u, x, T, True)
     assert film / (rho * u) * PRANDTL ** (2 / 3) == pytest.approx(0.185 * math.log10(re) ** -2.584, rel=1e-3)

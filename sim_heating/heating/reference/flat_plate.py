@@ -18,10 +18,8 @@ import math
 from sim_heating.base.kernels.jit import njit
 from sim_heating.heating.reference.gas import (
     PRANDTL,
-    air_density_kernel,
     air_kernel,
-    air_temperature_kernel,
-    viscosity_kernel,
+    air_state_kernel,
 )
 from sim_heating.heating.reference.recovery import edge_speed, recovery_factor
 from sim_heating.heating.reference.stagnation import SLOWEST_M_S, stagnation_kernel
@@ -95,8 +93,7 @@ def eckert_film(p_e: float, h_e: float, u_e: float, length_m: float, T_w_K: floa
     Source: Eckert 1956 (Trans. ASME 78, 1273); docs/equations_reference_heating.md, equations 15 to 17.
     """
     h_w = air_kernel(T_w_K, p_e)[0]
-    T = air_temperature_kernel(reference_enthalpy(h_e, h_w, u_e, turbulent), p_e)
-    rho, mu = air_density_kernel(T, p_e), viscosity_kernel(T)
+    rho, mu = air_state_kernel(reference_enthalpy(h_e, h_w, u_e, turbulent), p_e)
     re = rho * u_e * length_m / mu
     c = _turbulent_c(re) if turbulent else LAMINAR_C / math.sqrt(re)
     return rho * u_e * c * PRANDTL ** (-2.0 / 3.0)

@@ -4,6 +4,7 @@ The enthalpies are zero at 0 K. The table is `data/equilibrium_air.csv` (its sou
 1 Pa to 1 MPa, linear in T and in log10 p. Outside in pressure the composition of the edge is kept (the density still
 follows p); below 200 K the enthalpy runs linearly to zero at 0 K; above 12000 K the edge value is returned. Between
 its points the table is within 0.4 % in h, 0.2 % in Z and 15 K in T(h, p) of the equilibrium it was computed from.
+Viscosity is Sutherland's up to 700 K; above, it is Sutherland's times the table's ratio to it.
 Equations: docs/equations_reference_heating.md, equations 5 to 8.
 """
 
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,24 +32,41 @@ MOLAR_MASS_N2_O2 = 28.85064
 R_TABLE = MOLAR_GAS_CONSTANT / MOLAR_MASS_N2_O2
 """Gas constant of the undissociated mixture [J/(kg K)]."""
 PRANDTL = 0.71
-"""Frozen Prandtl number of air [-]; 0.67 to 0.72 up to 5000 K."""
+"""Prandtl number of air in the reference heatings [-]: the one of Fay and Riddell's correlation. Published frozen values
+scatter about it, 0.68 to 0.78 from 1000 to 6000 K (docs/equations_reference_heating.md, section 2)."""
 ENTHALPY_BIN, ENTHALPY_BINS = 2.5e5, 160
 """Width [J/kg] and number of the bins of enthalpy that start the search for a temperature; the last has no end."""
-POWER_LAW_EXPONENT = 0.671
-JOIN_K = 633.0
-"""Temperature [K] at which the power law replaces Sutherland's law: the two cross there."""
-POWER_LAW_PA_S = float(sutherland_viscosity(JOIN_K)) / JOIN_K**POWER_LAW_EXPONENT
-"""4.12e-7 within a relative 4e-5, so that the two laws meet exactly. 4.12e-7 T^0.671 Pa s is within -3/+10 %
-of the mixture transport of equilibrium air from 500 to 6000 K, 100 Pa to 100 kPa (Cantera, species transport of
-gri30.yaml)."""
+JOIN_K = 700.0
+"""Temperature [K] up to which the viscosity is Sutherland's; the table's differs from it by 0.2 % there."""
 
 
-def _load_grid() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Axes log10 p [Pa] and T [K], and h [J/kg], Z [-] and dissociation enthalpy [J/kg] as (pressure, temperature)."""
+class Grid(NamedTuple):
+    """The table of equilibrium air: axes log10 p [Pa] and T [K], and columns as (pressure, temperature).
+
+    h, Z, dissociation : enthalpy above 0 K [J/kg], compressibility [-], dissociation enthalpy [J/kg]
+    viscosity_ratio    : viscosity over Sutherland's [-], 1 up to JOIN_K
+    viscosity_sigma, prandtl, prandtl_sigma : relative sigma of the viscosity, frozen Prandtl number, its sigma [-]
+    """
+
+    log_p: FloatArray
+    T: FloatArray
+    h: FloatArray
+    Z: FloatArray
+    dissociation: FloatArray
+    viscosity_ratio: FloatArray
+    viscosity_sigma: FloatArray
+    prandtl: FloatArray
+    prandtl_sigma: FloatArray
+
+
+def _load_grid() -> Grid:
     table = read_package_table("heating/data/equilibrium_air.csv")
     log_p, T = np.unique(table["log10_p_Pa"]), np.unique(table["T_K"])
-    h, Z, h_D = (table[name].reshape(len(log_p), len(T)) for name in ("h_J_kg", "Z", "dissociation_J_kg"))
-    return log_p, T, h, Z, h_D
+    table["viscosity_ratio"] = np.where(
+        table["T_K"] > JOIN_K, table["viscosity_Pa_s"] / sutherland_viscosity(table["T_K"]), 1.0
+    )
+    names = ("h_J_kg", "Z", "dissociation_J_kg", *Grid._fields[5:])
+    return Grid(log_p, T, *(table[name].reshape(len(log_p), len(T)) for name in names))
 
 
 @njit
@@ -69,7 +88,7 @@ _GRID = _load_grid()
 
 
 def _make_lookup() -> Callable[[float, float], tuple[float, float, float]]:
-    log_p, T_axis, h_grid, Z_grid, D_grid = _GRID
+    log_p, T_axis, h_grid, Z_grid, D_grid = _GRID[:5]
     p_first, p_step, p_count = log_p[0], log_p[1] - log_p[0], len(log_p)
     T_first, T_step, T_count = T_axis[0], T_axis[1] - T_axis[0], len(T_axis)
 
@@ -84,8 +103,30 @@ def _make_lookup() -> Callable[[float, float], tuple[float, float, float]]:
     return lookup
 
 
-def _make_inverse() -> Callable[[float, float], tuple[float, float]]:
-    log_p, T_axis, h_grid, Z_grid, _ = _GRID
+def _make_cell() -> Callable[[float, float], tuple[int, float, int, float]]:
+    log_p, T_axis = _GRID.log_p, _GRID.T
+    p_first, p_step, p_count = log_p[0], log_p[1] - log_p[0], len(log_p)
+    T_first, T_step, T_count = T_axis[0], T_axis[1] - T_axis[0], len(T_axis)
+
+    @njit
+    def cell(T_K: float, p_Pa: float) -> tuple[int, float, int, float]:
+        i, w = _uniform_cell(math.log10(p_Pa), p_first, p_step, p_count)
+        j, s = _uniform_cell(T_K, T_first, T_step, T_count)
+        return i, w, j, s
+
+    return cell
+
+
+def _make_column(grid: FloatArray) -> Callable[[int, float, int, float], float]:
+    @njit
+    def column(i: int, w: float, j: int, s: float) -> float:
+        return _blend(grid, i, w, j, s)
+
+    return column
+
+
+def _make_inverse() -> Callable[[float, float], tuple[float, int, float, int, float]]:
+    log_p, T_axis, h_grid = _GRID[:3]
     p_first, p_step, p_count = log_p[0], log_p[1] - log_p[0], len(log_p)
     T_first, T_step, last = T_axis[0], T_axis[1] - T_axis[0], len(T_axis) - 1
     # First temperature of the search for each bin of enthalpy: not above the answer at either pressure of the cell.
@@ -94,12 +135,12 @@ def _make_inverse() -> Callable[[float, float], tuple[float, float]]:
     begin = np.minimum(below[:-1], below[1:])
 
     @njit
-    def inverse(h_J_kg: float, p_Pa: float) -> tuple[float, float]:
+    def inverse(h_J_kg: float, p_Pa: float) -> tuple[float, int, float, int, float]:
         i, w = _uniform_cell(math.log10(p_Pa), p_first, p_step, p_count)
         h_first = (1.0 - w) * h_grid[i, 0] + w * h_grid[i + 1, 0]
         # Below the table the straight line to 0 K of the lookup, of which this is the inverse.
         if h_J_kg <= h_first:
-            return T_first * h_J_kg / h_first, _blend(Z_grid, i, w, 0, 0.0)
+            return T_first * h_J_kg / h_first, i, w, 0, 0.0
         bin_ = h_J_kg * (1.0 / ENTHALPY_BIN)
         # From the foot of its bin a temperature is a few cells away; bisection over the whole axis takes eight steps.
         low = begin[i, int(bin_) if bin_ < ENTHALPY_BINS else ENTHALPY_BINS - 1]
@@ -108,7 +149,7 @@ def _make_inverse() -> Callable[[float, float], tuple[float, float]]:
         h_low = (1.0 - w) * h_grid[i, low] + w * h_grid[i + 1, low]
         h_high = (1.0 - w) * h_grid[i, low + 1] + w * h_grid[i + 1, low + 1]
         s = min((h_J_kg - h_low) / (h_high - h_low), 1.0)
-        return T_first + T_step * (low + s), _blend(Z_grid, i, w, low, s)
+        return T_first + T_step * (low + s), i, w, low, s
 
     return inverse
 
@@ -116,8 +157,15 @@ def _make_inverse() -> Callable[[float, float], tuple[float, float]]:
 # These closures hold arrays and numbers only: a compiled kernel in one would change the cache key at every start.
 air_kernel = _make_lookup()
 """air_kernel(T_K, p_Pa) -> h [J/kg], Z [-], dissociation enthalpy [J/kg] of equilibrium air; p above 0."""
+_air_cell = _make_cell()
+"""_air_cell(T_K, p_Pa) -> i, w, j, s: cell of the table in p and fraction of it, cell in T and fraction of it."""
 _air_inverse = _make_inverse()
-"""_air_inverse(h_J_kg, p_Pa) -> T [K], Z [-]: the exact inverse of the table's h(T, p); 12000 K above the table."""
+"""_air_inverse(h_J_kg, p_Pa) -> T [K] and its cell: the exact inverse of the table's h(T, p); 12000 K above the table."""
+_compressibility = _make_column(_GRID.Z)
+_viscosity_ratio = _make_column(_GRID.viscosity_ratio)
+_viscosity_sigma = _make_column(_GRID.viscosity_sigma)
+_prandtl = _make_column(_GRID.prandtl)
+_prandtl_sigma = _make_column(_GRID.prandtl_sigma)
 
 
 @njit
@@ -144,8 +192,8 @@ def air_density_of_enthalpy_kernel(h_J_kg: float, p_Pa: float) -> float:
     Equal to `air_density_kernel` at the temperature of h, with one table search instead of two.
     Source: docs/equations_reference_heating.md, equations 5 and 6.
     """
-    T_K, Z = _air_inverse(h_J_kg, p_Pa)
-    return _density(p_Pa, Z, T_K)
+    T_K, i, w, j, s = _air_inverse(h_J_kg, p_Pa)
+    return _density(p_Pa, _compressibility(i, w, j, s), T_K)
 
 
 @njit
@@ -159,15 +207,32 @@ def air_density_kernel(T_K: float, p_Pa: float) -> float:
 
 
 @njit
-def viscosity_kernel(T_K: float) -> float:
-    """Viscosity of air [Pa s]: Sutherland's law up to 633 K, mu = 4.12e-7 T^0.671 above.
-
-    T_K : temperature [K], above 0; nothing is checked. `viscosity` states the accuracy.
-    Source: docs/equations_reference_heating.md, equation 7 (US76 eq. 51 below 633 K).
-    """
+def _cell_viscosity(T_K: float, i: int, w: float, j: int, s: float) -> float:
     if T_K <= JOIN_K:
         return sutherland_kernel(T_K)
-    return POWER_LAW_PA_S * T_K**POWER_LAW_EXPONENT
+    return sutherland_kernel(T_K) * _viscosity_ratio(i, w, j, s)
+
+
+@njit
+def air_transport_kernel(T_K: float, p_Pa: float) -> tuple[float, float]:
+    """Density [kg/m3] and viscosity [Pa s] of equilibrium air at a temperature and a pressure.
+
+    T_K : temperature [K], above 0;  p_Pa : pressure [Pa], above 0; nothing is checked. `transport` states the accuracy.
+    Source: docs/equations_reference_heating.md, equations 5 and 7.
+    """
+    i, w, j, s = _air_cell(T_K, p_Pa)
+    return _density(p_Pa, _compressibility(i, w, j, s), T_K), _cell_viscosity(T_K, i, w, j, s)
+
+
+@njit
+def air_state_kernel(h_J_kg: float, p_Pa: float) -> tuple[float, float]:
+    """Density [kg/m3] and viscosity [Pa s] of equilibrium air at an enthalpy and a pressure, with one table search.
+
+    h_J_kg : enthalpy above 0 K [J/kg];  p_Pa : pressure [Pa], above 0
+    Source: docs/equations_reference_heating.md, equations 5 to 7.
+    """
+    T_K, i, w, j, s = _air_inverse(h_J_kg, p_Pa)
+    return _density(p_Pa, _compressibility(i, w, j, s), T_K), _cell_viscosity(T_K, i, w, j, s)
 
 
 @njit
@@ -178,9 +243,14 @@ def _enthalpy_grid(T_K: FloatArray, p_Pa: FloatArray, out: FloatArray) -> None:
 
 
 @njit
-def _viscosity_loop(T_K: FloatArray, out: FloatArray) -> None:
-    for i in range(len(T_K)):
-        out[i] = viscosity_kernel(T_K[i])
+def _transport_grid(T_K: FloatArray, p_Pa: FloatArray, out: FloatArray) -> None:
+    for m in range(len(T_K)):
+        for n in range(len(p_Pa)):
+            i, w, j, s = _air_cell(T_K[m], p_Pa[n])
+            out[0, m, n] = _cell_viscosity(T_K[m], i, w, j, s)
+            out[1, m, n] = _viscosity_sigma(i, w, j, s)
+            out[2, m, n] = _prandtl(i, w, j, s)
+            out[3, m, n] = _prandtl_sigma(i, w, j, s)
 
 
 def _grid(name: str, values: ArrayLike) -> FloatArray:
@@ -192,20 +262,34 @@ def _grid(name: str, values: ArrayLike) -> FloatArray:
     return np.ascontiguousarray(a)
 
 
-def viscosity(T_K: ArrayLike) -> FloatArray:
-    """Viscosity of air valid to entry conditions [Pa s].
-
-    T_K     : (n,) temperature [K], 100 to 6000 (power law continued above: 11 % high at 8000 K)
-    returns : (n,) viscosity [Pa s]
-    raises  : InputError where T is not positive, or not one row of values
-
-    Sutherland's law (US76 eq. 51) to 633 K, 4.12e-7 T^0.671 above; Sutherland alone is 13-20 % low at 3000-5000 K
-    against mixture transport of equilibrium air. Source: docs/equations_reference_heating.md, equation 7.
+class AirTransport(NamedTuple):
+    """Transport properties of equilibrium air on a grid (T, p): viscosity [Pa s], its relative sigma [-], frozen
+    Prandtl number [-], its relative sigma [-].
     """
-    T = _grid("T_K", T_K)
-    out = np.empty_like(T)
-    _viscosity_loop(T, out)
-    return out
+
+    viscosity_Pa_s: FloatArray
+    viscosity_sigma: FloatArray
+    prandtl: FloatArray
+    prandtl_sigma: FloatArray
+
+
+def transport(T_K: ArrayLike, p_Pa: ArrayLike) -> AirTransport:
+    """Viscosity and frozen Prandtl number of equilibrium air, with sigma, on a grid of temperatures and pressures.
+
+    T_K     : (T,) temperature [K]; Sutherland's viscosity to 700, the table to 12000; above, Sutherland's times its edge
+    p_Pa    : (p,) pressure [Pa], 1 to 1e6; outside, the composition of the edge
+    returns : (T, p) viscosity [Pa s] and Prandtl number [-], each with the relative standard deviation of the two sets
+              of data that it is the mean of
+    raises  : InputError where T or p is not positive, or not one row of values
+
+    Viscosity is within 3 % (one sigma) where at most 1 % of the particles are electrons; above, air is ionised, and the
+    sigma grows to 50 %. The Prandtl number leaves electrons and reactions out.
+    Source: docs/equations_reference_heating.md, equation 7: CEA (NASA RP-1311) and Blottner et al. (SC-RR-70-754).
+    """
+    T, p = _grid("T_K", T_K), _grid("p_Pa", p_Pa)
+    out = np.empty((4, len(T), len(p)))
+    _transport_grid(T, p, out)
+    return AirTransport(*out)
 
 
 def enthalpy(T_K: ArrayLike, p_Pa: ArrayLike) -> FloatArray:

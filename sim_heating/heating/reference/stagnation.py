@@ -20,11 +20,11 @@ from sim_heating.heating.atmosphere import CP_AIR, GAMMA
 from sim_heating.heating.reference.gas import (
     PRANDTL,
     R_TABLE,
-    air_density_kernel,
     air_density_of_enthalpy_kernel,
     air_kernel,
+    air_state_kernel,
     air_temperature_kernel,
-    viscosity_kernel,
+    air_transport_kernel,
 )
 
 COLD_WALL_K = 300.0
@@ -201,15 +201,15 @@ def fay_riddell_film(
     nose_radius_m   : R of the sphere [m];  T_w_K : wall temperature [K];  lewis : Lewis number Le [-]
     Source: Fay and Riddell (1958), J. Aero. Sci. 25, 73, eq. 63; docs/equations_reference_heating.md, equation 14.
     """
-    T_0 = air_temperature_kernel(h_0, p_0)
-    wall = air_density_kernel(T_w_K, p_0) * viscosity_kernel(T_w_K)
+    _, mu_0 = air_state_kernel(h_0, p_0)
+    rho_w, mu_w = air_transport_kernel(T_w_K, p_0)
     # At rest rounding can leave p_0 below p_inf.
     gradient = math.sqrt(2.0 * max(p_0 - p_inf, 0.0) / rho_0) / nose_radius_m
-    film = FAY_RIDDELL * PRANDTL**-0.6 * wall**0.1 * (rho_0 * viscosity_kernel(T_0)) ** 0.4 * math.sqrt(gradient)
+    film = FAY_RIDDELL * PRANDTL**-0.6 * (rho_w * mu_w) ** 0.1 * (rho_0 * mu_0) ** 0.4 * math.sqrt(gradient)
     # The reference model, without the table lookup that h_D takes.
     if lewis == NO_LEWIS:
         return film
-    return film * (1.0 + (lewis**LEWIS_EXPONENT - 1.0) * air_kernel(T_0, p_0)[2] / h_0)
+    return film * (1.0 + (lewis**LEWIS_EXPONENT - 1.0) * air_kernel(air_temperature_kernel(h_0, p_0), p_0)[2] / h_0)
 
 
 @njit
@@ -222,7 +222,7 @@ def fay_riddell_kernel(
     nose_radius_m, T_w_K             : radius of the sphere [m], wall temperature [K], 300 in the reference model
     lewis                            : Lewis number [-], 1 in the reference model
 
-    Stagnation state of equilibrium air behind a normal shock; viscosity of `gas.viscosity`; Pr = 0.71, so that
+    Stagnation state of equilibrium air behind a normal shock; viscosity of `gas.transport`; Pr = 0.71, so that
     0.763 Pr^-0.6 = 0.937. Valid for an equilibrium boundary layer (or a frozen one with a fully catalytic wall), 1.5 to
     8 km/s, continuum (below about 90 km); continued outside.
     Source: Fay and Riddell (1958), J. Aero. Sci. 25, 73; docs/equations_reference_heating.md, equations 13 and 14.

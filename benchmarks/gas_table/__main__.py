@@ -1,0 +1,93 @@
+"""`python -m benchmarks.gas_table`: compute heating/data/equilibrium_air.csv again; needs Cantera 3, takes a minute."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import numpy as np
+
+from benchmarks.gas_table.transport import SPECIES, Transport, transport
+from sim_heating.base.files.package import PACKAGE
+from sim_heating.heating.reference.gas import JOIN_K, MOLAR_MASS_N2_O2
+
+TABLE = PACKAGE / "heating" / "data" / "equilibrium_air.csv"
+AIR = "N2:0.79, O2:0.21"
+FROZEN_K = 700.0
+"""Below, the composition is that of cold air: its dissociation is below 1e-12."""
+H_298_K = {"N2": 8670.0e3, "O2": 8683.0e3}
+"""Enthalpy at 298.15 K above 0 K [J/kmol], JANAF Thermochemical Tables (1998)."""
+FORMATION = {"O": 246.790e6, "N": 470.818e6, "NO": 89.775e6}
+"""Heats of formation at 0 K [J/kmol]."""
+LOG_P = np.arange(0.0, 6.01, 0.25)
+T_AXIS = np.arange(200.0, 12001.0, 50.0)
+
+
+class Air:
+    """Equilibrium air of Cantera's airNASA9.yaml: composition, thermodynamics, and transport of `transport`."""
+
+    def __init__(self) -> None:
+        import cantera
+
+        self.gas = cantera.Solution("airNASA9.yaml")
+        self.offset = 0.79 * H_298_K["N2"] + 0.21 * H_298_K["O2"]
+
+    def fractions(self, T_K: float, p_Pa: float) -> dict[str, float]:
+        """Mole fraction of each species [-] in equilibrium at T [K] and p [Pa]; the gas is left in that state."""
+        self.gas.TPX = T_K, p_Pa, AIR
+        if T_K >= FROZEN_K:
+            self.gas.equilibrate("TP", rtol=1e-10)
+        return dict(zip(self.gas.species_names, map(float, self.gas.X), strict=True))
+
+    def thermodynamics(self, T_K: float, p_Pa: float) -> tuple[float, float, float]:
+        """Enthalpy above 0 K [J/kg], compressibility [-] and dissociation enthalpy [J/kg]."""
+        x = self.fractions(T_K, p_Pa)
+        mass = float(self.gas.mean_molecular_weight)
+        formation = sum(x[s] * value for s, value in FORMATION.items()) / mass
+        return float(self.gas.enthalpy_mass) + self.offset / MOLAR_MASS_N2_O2, MOLAR_MASS_N2_O2 / mass, formation
+
+    def transport(self, T_K: float, p_Pa: float) -> Transport:
+        """Viscosity and frozen Prandtl number; the specific heats are those of Cantera's NASA-9 polynomials."""
+        x = self.fractions(T_K, p_Pa)
+        partial = dict(zip(self.gas.species_names, self.gas.partial_molar_cp, strict=True))
+        return transport(x, np.array([partial[s] for s in SPECIES]), T_K, p_Pa)
+
+
+def lines(air: Air) -> Iterator[str]:
+    """Rows of the table."""
+    for log_p in LOG_P:
+        p = float(10.0**log_p)
+        for T in map(float, T_AXIS):
+            h, Z, formation = air.thermodynamics(T, p)
+            t = air.transport(T, p)
+            yield (
+                f"{log_p:.2f},{T:.0f},{h:.0f},{Z:.6f},{formation:.0f},"
+                f"{t.viscosity_Pa_s:.4e},{t.viscosity_sigma:.3f},{t.prandtl:.3f},{t.prandtl_sigma:.3f}"
+            )
+
+
+HEAD = f"""\
+# title: Equilibrium air: enthalpy above 0 K, compressibility, dissociation enthalpy, viscosity and frozen Prandtl number against temperature and pressure
+# source: python -m benchmarks.gas_table, with Cantera 3.2.0 and its airNASA9.yaml (NASA-9 polynomials, McBride, Zehe & Gordon, NASA/TP-2002-211556), species N2 O2 NO N O N2+ O2+ NO+ N+ O+ e-, fixed T and p; below {FROZEN_K:.0f} K undissociated
+# composition: 79/21 N2/O2 by mole, no argon; molar mass undissociated {MOLAR_MASS_N2_O2} kg/kmol
+# h_J_kg: zero at 0 K (sensible 300.6 kJ/kg at 298.15 K); Z: moles over undissociated moles, rho = p M0/(Z R T); dissociation_J_kg: heats of formation at 0 K of O, N and NO (246.790, 470.818, 89.775 kJ/mol)
+# viscosity_Pa_s: mean of two sets mixed by Wilke's rule, CEA (NASA RP-1311, N and O after Levin et al. 1990) and Blottner et al. (SC-RR-70-754, 1971), times the change by ionisation of NASA RP-1232; used above {JOIN_K:.0f} K, Sutherland's law below
+# viscosity_sigma: standard deviation of the two sets over their mean, not below 0.01, and half of the change by ionisation
+# prandtl: mean of the frozen Prandtl numbers of the two sets, with conductivities of CEA and of Eucken; heavy particles only; prandtl_sigma: their standard deviation over the mean, not below 0.05
+# confidence: A of h, Z and dissociation (agree to the digits with an earlier coarser table of the same tool, tests/data/equilibrium_air_coarse.csv, 10 Pa to 100 kPa, 200 to 8000 K); B of viscosity and Prandtl number to 8000 K, C above, where air is ionised
+# grid: full rectangle, log10(p_Pa) from 0 to 6 by 0.25, T_K from 200 to 12000 by 50
+log10_p_Pa,T_K,h_J_kg,Z,dissociation_J_kg,viscosity_Pa_s,viscosity_sigma,prandtl,prandtl_sigma
+"""
+
+
+@click.command(help="Compute the table of equilibrium air that ships with the package.")
+@click.option("--out", type=click.Path(path_type=Path), default=TABLE, show_default=True)
+def main(out: Path) -> None:
+    """Compute and write."""
+    out.write_text(HEAD + "\n".join(lines(Air())) + "\n", encoding="utf-8")
+    click.echo(out)
+
+
+if __name__ == "__main__":
+    main()

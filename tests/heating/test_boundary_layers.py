@@ -1,0 +1,73 @@
+"""Fay-Riddell and Eckert against own solutions of the laminar boundary layer in equilibrium air."""
+
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks.verification.boundary_layer import Isobar, plate, solve, stagnation_film
+from sim_heating.heating.atmosphere import us76_kernel
+from sim_heating.heating.reference.flat_plate import eckert_film, windward_edge_kernel
+from sim_heating.heating.reference.gas import PRANDTL, air_temperature_kernel
+from sim_heating.heating.reference.stagnation import fay_riddell_film, stagnation_kernel
+
+RADIUS_M, LENGTH_M = 0.3048, 5.0
+
+
+def constant_air(prandtl: float) -> Isobar:
+    return Isobar(np.ones_like, np.ones_like, lambda h: np.full_like(h, prandtl), lambda T: T)
+
+
+def test_with_constant_properties_the_solver_gives_the_classical_solutions():
+    blasius = solve(constant_air(1.0), 1.0, 0.0, 0.0, h_w=0.5)
+    assert blasius.flux / 0.5 == pytest.approx(0.469600, rel=1e-5)  # f''(0), Reynolds' analogy
+    sphere = solve(constant_air(0.71), 1.0, 0.0, 0.5, h_w=0.99)
+    assert sphere.flux / 0.01 * math.sqrt(2.0) == pytest.approx(0.763 * 0.71**-0.6, rel=0.01)  # Sibulkin, 0.763
+    insulated = solve(constant_air(0.72), 1.0, 1.0, 0.0, h_w=None)
+    assert 2.0 * (insulated.h_w - 1.0) == pytest.approx(0.8477, abs=2e-4)  # Pohlhausen's recovery factor at 0.72
+
+
+def stagnation_ratio(altitude_m: float, V: float, T_w: float, prandtl: float | None = PRANDTL) -> float:
+    """Fay-Riddell over the own solution."""
+    T_inf, _, rho = us76_kernel(altitude_m)
+    p_0, h_0, rho_0, p = stagnation_kernel(rho, V, T_inf)
+    gradient = math.sqrt(2.0 * (p_0 - p) / rho_0) / RADIUS_M
+    own = stagnation_film(p_0, air_temperature_kernel(h_0, p_0), T_w, gradient, prandtl)
+    return fay_riddell_film(p_0, h_0, rho_0, p, RADIUS_M, T_w, 1.0) / own
+
+
+SPHERES = [(75e3, 7000.0), (70e3, 6000.0), (60e3, 4500.0), (50e3, 3000.0), (40e3, 2000.0)]
+
+
+@pytest.mark.parametrize(("altitude_m", "V"), SPHERES)
+def test_fay_riddell_is_within_3_percent_of_the_boundary_layer_at_a_heated_wall(altitude_m, V):
+    for T_w in (800.0, 1200.0):
+        assert stagnation_ratio(altitude_m, V, T_w) == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.parametrize(("altitude_m", "V"), SPHERES)
+def test_fay_riddell_is_2_to_5_percent_above_the_boundary_layer_at_its_wall_of_300_K(altitude_m, V):
+    # Its exponent of rho_w mu_w was fitted with Sutherland's law at the edge: rho mu varied more across the layer.
+    assert 0.02 < stagnation_ratio(altitude_m, V, 300.0) - 1.0 < 0.055
+
+
+PLATES = [(70e3, 7000.0, 25.0), (70e3, 6300.0, 40.0), (66e3, 5500.0, 40.0), (57e3, 3900.0, 40.0), (49e3, 2650.0, 40.0)]
+
+
+@pytest.mark.parametrize(("altitude_m", "V", "alpha_deg"), [*PLATES, (40e3, 2000.0, 25.0), (30e3, 1000.0, 5.0)])
+def test_eckert_is_within_3_percent_of_the_laminar_plate(altitude_m, V, alpha_deg):
+    T_inf, _, rho = us76_kernel(altitude_m)
+    p_e, h_e, u_e = windward_edge_kernel(rho, V, T_inf, alpha_deg)
+    for T_w in (300.0, 1100.0):
+        own = plate(p_e, air_temperature_kernel(h_e, p_e), u_e, LENGTH_M, T_w, PRANDTL)
+        assert eckert_film(p_e, h_e, u_e, LENGTH_M, T_w, False) == pytest.approx(own.film, rel=0.03)
+        assert own.recovery == pytest.approx(math.sqrt(PRANDTL), rel=0.01)
+
+
+def test_the_frozen_prandtl_number_of_air_lowers_the_film_by_2_to_4_percent():
+    for altitude_m, V, alpha_deg in PLATES[1:4]:
+        T_inf, _, rho = us76_kernel(altitude_m)
+        p_e, h_e, u_e = windward_edge_kernel(rho, V, T_inf, alpha_deg)
+        T_e = air_temperature_kernel(h_e, p_e)
+        constant, frozen = (plate(p_e, T_e, u_e, LENGTH_M, 1100.0, prandtl).film for prandtl in (PRANDTL, None))
+        assert 0.02 < 1.0 - frozen / constant < 0.04
