@@ -1,4 +1,7 @@
-"""`python -m benchmarks.gas_table`: compute heating/data/equilibrium_air.csv again; needs Cantera 3, takes a minute."""
+"""`python -m benchmarks.gas_table`: compute heating/data/equilibrium_air.csv again; needs Cantera 3.
+
+The file's first lines are `head.txt`.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ import numpy as np
 
 from benchmarks.gas_table.transport import SPECIES, Transport, transport
 from sim_heating.base.files.package import PACKAGE
-from sim_heating.heating.reference.gas import JOIN_K, MOLAR_MASS_N2_O2
+from sim_heating.heating.reference.gas import MOLAR_MASS_N2_O2
 
 TABLE = PACKAGE / "heating" / "data" / "equilibrium_air.csv"
 AIR = "N2:0.79, O2:0.21"
@@ -67,25 +70,12 @@ def lines(air: Air) -> Iterator[str]:
             )
 
 
-HEAD = f"""\
-# title: Equilibrium air: enthalpy above 0 K, compressibility, dissociation enthalpy, viscosity and frozen Prandtl number against temperature and pressure
-# source: python -m benchmarks.gas_table, with Cantera 3.2.0 and its airNASA9.yaml (NASA-9 polynomials, McBride, Zehe & Gordon, NASA/TP-2002-211556), species N2 O2 NO N O N2+ O2+ NO+ N+ O+ e-, fixed T and p; below {FROZEN_K:.0f} K undissociated
-# composition: 79/21 N2/O2 by mole, no argon; molar mass undissociated {MOLAR_MASS_N2_O2} kg/kmol
-# h_J_kg: zero at 0 K (sensible 300.6 kJ/kg at 298.15 K); Z: moles over undissociated moles, rho = p M0/(Z R T); dissociation_J_kg: heats of formation at 0 K of O, N and NO (246.790, 470.818, 89.775 kJ/mol)
-# viscosity_Pa_s: mean of two sets mixed by Wilke's rule, CEA (NASA RP-1311, N and O after Levin et al. 1990) and Blottner et al. (SC-RR-70-754, 1971), times the change by ionisation of NASA RP-1232; used above {JOIN_K:.0f} K, Sutherland's law below
-# viscosity_sigma: standard deviation of the two sets over their mean, not below 0.01, and half of the change by ionisation
-# prandtl: mean of the frozen Prandtl numbers of the two sets, with conductivities of CEA and of Eucken; heavy particles only; prandtl_sigma: their standard deviation over the mean, not below 0.05
-# confidence: A of h, Z and dissociation (agree to the digits with an earlier coarser table of the same tool, tests/data/equilibrium_air_coarse.csv, 10 Pa to 100 kPa, 200 to 8000 K); B of viscosity and Prandtl number to 8000 K, C above, where air is ionised
-# grid: full rectangle, log10(p_Pa) from 0 to 6 by 0.25, T_K from 200 to 12000 by 50
-log10_p_Pa,T_K,h_J_kg,Z,dissociation_J_kg,viscosity_Pa_s,viscosity_sigma,prandtl,prandtl_sigma
-"""
-
-
 @click.command(help="Compute the table of equilibrium air that ships with the package.")
 @click.option("--out", type=click.Path(path_type=Path), default=TABLE, show_default=True)
 def main(out: Path) -> None:
     """Compute and write."""
-    out.write_text(HEAD + "\n".join(lines(Air())) + "\n", encoding="utf-8")
+    head = (Path(__file__).parent / "head.txt").read_text(encoding="utf-8")
+    out.write_text(head + "\n".join(lines(Air())) + "\n", encoding="utf-8")
     click.echo(out)
 
 

@@ -31,7 +31,7 @@ ATMOSPHERE_PA = 101325.0
 LEAST_SIGMA = 0.01
 """Relative sigma [-] of a viscosity where the two sets happen to agree: a guess, the accuracy of Wilke's rule."""
 LEAST_PRANDTL_SIGMA = 0.05
-"""Relative sigma [-] of a Prandtl number where the two sets agree: a guess, as textbooks give 0.69 at 1500 K, they 0.76."""
+"""Relative sigma [-] of a Prandtl number where the two sets agree: a guess: a textbook has 0.69 at 1500 K, not 0.76."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ CROSS_SECTIONS = {
 def _cea(species: str, quantity: str, T_K: float) -> float:
     """A fit of CEA, ln y = A ln T + B/T + C/T^2 + D, in the units of its file."""
     fits = CEA_FITS[species, quantity]
-    _, A, B, C, D = next((fit for fit in fits if T_K <= fit[0]), fits[-1])
+    _, A, B, C, D = next((fit for fit in fits if fit[0] >= T_K), fits[-1])
     return math.exp(A * math.log(T_K) + B / T_K + C / T_K**2 + D)
 
 
@@ -136,9 +136,7 @@ def cross_section_viscosity(fractions: Mapping[str, float], T_K: float, electron
         return 3.2 * speed * cross_section(i, j, T_K, logarithm)
 
     present = [s for s, x in fractions.items() if x > 0.0]
-    return sum(
-        mass[i] / avogadro * fractions[i] / sum(fractions[j] * delta(i, j) for j in present) for i in present
-    )
+    return sum(mass[i] / avogadro * fractions[i] / sum(fractions[j] * delta(i, j) for j in present) for i in present)
 
 
 def _as_neutrals(fractions: Mapping[str, float]) -> FloatArray:
@@ -166,7 +164,8 @@ def transport(fractions: Mapping[str, float], cp_molar: FloatArray, T_K: float, 
 
     fractions : mole fraction of each species, ions and electrons (`e-`) included [-]
     cp_molar  : (5,) specific heat of SPECIES [J/(kmol K)];  T_K, p_Pa : temperature [K] and pressure [Pa]
-    Sutherland's viscosity up to JOIN_K. The Prandtl number is that of the heavy particles. Half of the change by ionisation is added to the sigma: a guess.
+    Sutherland's viscosity up to JOIN_K. The Prandtl number is that of the heavy particles. Half of the change by
+    ionisation is added to the sigma: a guess.
     """
     x = _as_neutrals(fractions)
     cp = float(x @ cp_molar) / float(x @ MOLAR_MASS)
@@ -181,5 +180,6 @@ def transport(fractions: Mapping[str, float], cp_molar: FloatArray, T_K: float, 
     )
     factor = ionisation_factor(fractions, T_K, p_Pa)
     mu, sigma = _mean(*mixed, LEAST_SIGMA)
-    Pr, Pr_sigma = _mean(*(m * cp / k for m, k in zip(mixed, conductivity, strict=True)), LEAST_PRANDTL_SIGMA)
+    prandtl = (mixed[0] * cp / conductivity[0], mixed[1] * cp / conductivity[1])
+    Pr, Pr_sigma = _mean(*prandtl, LEAST_PRANDTL_SIGMA)
     return Transport(mu * factor, math.hypot(sigma, 0.5 * (1.0 - factor)), Pr, Pr_sigma)

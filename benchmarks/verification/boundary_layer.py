@@ -115,9 +115,7 @@ def solve(
     return Layer(float(found.y[3, 0]) * h_e, float(found.y[4, 0]) * h_e)
 
 
-def stagnation_film(
-    p_0: float, T_0: float, T_w_K: float, gradient_1_s: float, prandtl: float | None = None
-) -> float:
+def stagnation_film(p_0: float, T_0: float, T_w_K: float, gradient_1_s: float, prandtl: float | None = None) -> float:
     """Film coefficient q/(h_0 - h_w) [kg/(m2 s)] at the stagnation point of a sphere.
 
     p_0, T_0 : stagnation pressure [Pa], temperature [K];  T_w_K : wall temperature [K]

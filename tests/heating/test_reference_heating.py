@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError
-from sim_heating.heating.atmosphere import sutherland_viscosity, us76, us76_kernel
+from sim_heating.heating.atmosphere import us76, us76_kernel
 from sim_heating.heating.reference.flat_plate import (
     DIVERGING_LAMINAR,
     DIVERGING_TURBULENT,
@@ -25,8 +25,8 @@ from sim_heating.heating.reference.gas import (
     air_density_kernel,
     air_kernel,
     air_temperature_kernel,
-    enthalpy,
     air_transport_kernel,
+    enthalpy,
     wall_enthalpy_grid,
 )
 from sim_heating.heating.reference.models import REFERENCE_MODELS, reference_heating, reference_kernel

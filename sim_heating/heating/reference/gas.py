@@ -32,7 +32,7 @@ MOLAR_MASS_N2_O2 = 28.85064
 R_TABLE = MOLAR_GAS_CONSTANT / MOLAR_MASS_N2_O2
 """Gas constant of the undissociated mixture [J/(kg K)]."""
 PRANDTL = 0.71
-"""Prandtl number of air in the reference heatings [-]: the one of Fay and Riddell's correlation. Published frozen values
+"""Prandtl number of air in the reference heatings [-]: that of Fay and Riddell's correlation. Published frozen values
 scatter about it, 0.68 to 0.78 from 1000 to 6000 K (docs/equations_reference_heating.md, section 2)."""
 ENTHALPY_BIN, ENTHALPY_BINS = 2.5e5, 160
 """Width [J/kg] and number of the bins of enthalpy that start the search for a temperature; the last has no end."""
@@ -160,7 +160,7 @@ air_kernel = _make_lookup()
 _air_cell = _make_cell()
 """_air_cell(T_K, p_Pa) -> i, w, j, s: cell of the table in p and fraction of it, cell in T and fraction of it."""
 _air_inverse = _make_inverse()
-"""_air_inverse(h_J_kg, p_Pa) -> T [K] and its cell: the exact inverse of the table's h(T, p); 12000 K above the table."""
+"""_air_inverse(h_J_kg, p_Pa) -> T [K] and its cell: exact inverse of the table's h(T, p); 12000 K above the table."""
 _compressibility = _make_column(_GRID.Z)
 _viscosity_ratio = _make_column(_GRID.viscosity_ratio)
 _viscosity_sigma = _make_column(_GRID.viscosity_sigma)
@@ -276,7 +276,7 @@ class AirTransport(NamedTuple):
 def transport(T_K: ArrayLike, p_Pa: ArrayLike) -> AirTransport:
     """Viscosity and frozen Prandtl number of equilibrium air, with sigma, on a grid of temperatures and pressures.
 
-    T_K     : (T,) temperature [K]; Sutherland's viscosity to 700, the table to 12000; above, Sutherland's times its edge
+    T_K     : (T,) temperature [K]; Sutherland's viscosity to 700, the table to 12000, continued above
     p_Pa    : (p,) pressure [Pa], 1 to 1e6; outside, the composition of the edge
     returns : (T, p) viscosity [Pa s] and Prandtl number [-], each with the relative standard deviation of the two sets
               of data that it is the mean of
@@ -325,7 +325,7 @@ def wall_enthalpy_grid(
     T, p = _grid("T_grid_K", T_grid_K), _grid("p_grid_Pa", p_grid_Pa)
     if cp is not None:
         return np.repeat((cp * T)[:, None], len(p), axis=1)
-    log_p, T_axis, h, _, _ = _GRID
+    log_p, T_axis, h = _GRID[:3]
     smooth = _cubic_weights(T, T_axis) @ h.T @ _cubic_weights(np.log10(p), log_p).T
     # As everywhere below the table h is proportional to T.
     return smooth * np.minimum(T / T_axis[0], 1.0)[:, None]
