@@ -19,6 +19,7 @@ import numpy as np
 
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.files import write_text_atomic
+from sim_heating.base.kernels.lag import lag_columns
 from sim_heating.base.report.figure import ANGLES, new_figure, save_figure
 from sim_heating.heating.effects import Effect, effects, use
 from sim_heating.inputs.points import conditions_at_point, mean_condition, point_of_vehicle
@@ -45,6 +46,7 @@ DRAWN: Mapping[str, Mapping[str, float]] = {
     "moisture": {"latent_J_kg": 4e4, "boil_K": 373.0},
     "nonisothermal-wall": {"lag_s": 5.0, "lag_fraction": 0.6, "overshoot": 0.15},
     "radiative-conduction": {"k_rad": 0.05},
+    "sensor-lag": {"tau_s": 3.0},
     "sideslip": {"slope_abs_beta": 0.002},
     "time-skew": {"skew_s": 3.0},
     "transition": {"log10_re_onset": 6.6, "factor": 2.5},
@@ -75,8 +77,8 @@ def main() -> None:
     (given.docs / "images").mkdir(exist_ok=True)
     for name, values in DRAWN.items():
         pair = [march(model, at_point) for model in (bare, replace(bare, effects=(use(name, values),)))]
-        if known[name].acts_on_clock:
-            pair[1] = with_clock_skew(pair[0], values["skew_s"])
+        if known[name].acts_on_readings:
+            pair[1] = as_recorded(pair[0], **values)
         draw(given.docs / "images" / f"effect_{name}.png", known[name], values, pair, point.sensors, flown)
     file = given.docs / "effects.md"
     write_text_atomic(file, page(file.read_text()))
@@ -87,10 +89,11 @@ def march(model: PointModel, flown: Conditions) -> PointHistory:
     return march_points([model], [flown])[0]
 
 
-def with_clock_skew(history: PointHistory, skew_s: float) -> PointHistory:
-    """Temperatures as recorded with a clock that lags: recorded T(t) = true T(t - skew)."""
+def as_recorded(history: PointHistory, skew_s: float = 0.0, tau_s: float = 0.0) -> PointHistory:
+    """Temperatures of thermocouples with a lag, as recorded with a clock that lags: recorded T(t) = true T(t - skew)."""
     t = history.time_s
-    return replace(history, sensors_K=np.array([np.interp(t - skew_s, t, T) for T in history.sensors_K]))
+    behind = lag_columns(t, np.ascontiguousarray(history.sensors_K.T), tau_s, True).T
+    return replace(history, sensors_K=np.array([np.interp(t - skew_s, t, T) for T in behind]))
 
 
 def draw(

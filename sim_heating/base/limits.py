@@ -137,6 +137,7 @@ QUANTITIES: dict[str, Quantity] = {
     "flare_altitude_m": _range(0.0, 1e4, "an altitude of a flare in m"),
     "altitude_change_m": _range(0.0, 2e5, "a change of altitude in m"),
     "sample_offset_s": _range(-1e6, 1e6, "a time of a sample after the start in s"),
+    "tau_s": _range(0.0, 600.0, "a time constant of a thermocouple in s", {"ms": 1e-3}, (0.0, 100.0)),
     "clock_skew_s": _range(-60.0, 60.0, "a skew of a recorder's clock in s", {"ms": 1e-3}, (-10.0, 10.0)),
     **dict.fromkeys(("until_s", "gaps_s", "fit_s", "holdout_s"), _CLOCK),
     **dict.fromkeys(("hold_s", "hold_down_s", "hold_up_s", "pause_s", "on_s", "off_s"),

@@ -28,8 +28,10 @@ from sim_heating.estimation.inference.newton import Evaluation
 from sim_heating.estimation.inference.noise import estimate_noise
 from sim_heating.estimation.record_fit import (
     LONGEST_STEP_S,
+    SKEW_SPAN_S,
     PredictedSamples,
     RecordFit,
+    Sensed,
     Start,
     StartMaker,
     correct_mesh,
@@ -51,8 +53,6 @@ from sim_heating.march.point import PointModel
 from sim_heating.thermal.mesh import Mesh
 
 THREADS = os.cpu_count() or 1
-SKEW_SPAN_S = 5.0
-"""Bounds of an estimated skew [s]; samples this near the ends of the conditions are then omitted."""
 
 
 @dataclass(frozen=True)
@@ -277,7 +277,7 @@ class FitProblem:
         return [
             samples
             for record_fit, found in zip(self.groups[k], self._march_group(k, vector), strict=True)
-            for samples in self._samples_of_record(record_fit, record_fit.with_mesh_correction(found), vector)
+            for samples in self._samples_of_record(record_fit, record_fit.corrected(found, vector), vector)
         ]
 
     def _march_group(self, k: int, vector: FloatArray) -> Sequence[Linearised]:
@@ -318,9 +318,7 @@ class FitProblem:
         """Whether an evaluation at a parameter vector (parameter,) needs no march."""
         return all(cached == vector.tobytes() for cached, _ in self._last)
 
-    def _samples_of_record(
-        self, record_fit: RecordFit, found: Linearised, vector: FloatArray
-    ) -> list[PredictedSamples]:
+    def _samples_of_record(self, record_fit: RecordFit, found: Sensed, vector: FloatArray) -> list[PredictedSamples]:
         """The channels of a record at a parameter vector."""
         values, samples = record_fit.values(vector), []
         for c in record_fit.channels:
@@ -368,7 +366,7 @@ class FitProblem:
         """Log likelihood of the samples of a record; NaN where its march failed."""
         if marched is None:
             return np.nan
-        found, values, total = record_fit.with_mesh_correction(marched), record_fit.values(vector), 0.0
+        found, values, total = record_fit.corrected(marched, vector), record_fit.values(vector), 0.0
         for c in record_fit.channels:
             mean, _ = indications(c, found, (), values, 0)
             total += scores(c.intervals, mean, record_fit.sigma_K[c.number])[0]

@@ -8,7 +8,8 @@ A sensor indicates
     indicated = c0 + c1 T' + c2 T'^2 + ...,    T' = gain T(t - skew) + bias        (inputs/sensor_model.py)
 
 so that d indicated = (c1 + 2 c2 T' + ...) (gain dT + T dgain + dbias - gain dT/dt dskew);
-docs/estimation_statistics.md, equations 1 and 2.
+docs/estimation_statistics.md, equations 1 and 2. Where a thermocouple lags, T is the temperature of the thermocouple,
+and the march is read at its steps as well, since a lag remembers what lies between samples (`RecordFit.sensed`).
 
 Meshes are of second order. With T_k the temperatures on the mesh whose elements are halved k times,
 
@@ -34,7 +35,8 @@ from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.block import LANES
-from sim_heating.base.parameters import CLOCK_SKEW, SENSOR, SENSOR_PREFIX, Parameter
+from sim_heating.base.kernels.lag import lag_columns, lag_per_constant
+from sim_heating.base.parameters import CLOCK_SKEW, COMMON_LAG, RECORD_PARAMETERS, SENSOR, SENSOR_PREFIX, Parameter
 from sim_heating.estimation.inference.likelihood import ReadingIntervals, reading_intervals
 from sim_heating.inputs.record import Record
 from sim_heating.inputs.sensor_model import SensorErrors, indicated_temperature
@@ -52,6 +54,10 @@ LEAST_SIGMA_K = 0.02
 # equation 21)
 LEAST_OF_LSB = 0.05
 """Least noise of a sensor over its recorder's step [-]."""
+SKEW_SPAN_S = 5.0
+"""Bounds of an estimated skew [s]; samples this near the ends of the conditions are then omitted."""
+LAG_NAME = ".tau_s"
+"""End of the names of time constants of thermocouples."""
 SMALL_CORRECTION_K = 1.0
 """Size of a correction [K] below which the first one is accurate to some hundredths of a kelvin."""
 SETTLED_K = 0.1
@@ -70,11 +76,11 @@ class RecordFit:
     conditions : flight conditions of the record, reference heating included
     march_names  : dotted names of the unknowns of the march;  sensor_names : of clock and sensors
     index      : (unknown of the record,) index of each in the parameter vector: march, start, clock and sensors
-    time_s     : (step,) times of the march [s];  sample_s : (sample,) times that are read [s]
+    time_s     : (step,) times of the march [s];  sample_s : (sample,) times that are fitted [s]
     channels   : fitted samples by sensor
     sigma_K    : noise [K] by number of the sensor
-    correction_K : (sensor, sample) difference [K] of the limit of fine meshes from the march, which
-                   FitProblem.correct_meshes sets
+    correction_K : (sensor, sample) difference [K] of the limit of fine meshes from the march at the thermocouples,
+                   which FitProblem.correct_meshes sets
     mesh_warning : warning about the mesh, or empty
     """
 
@@ -135,9 +141,45 @@ class RecordFit:
         """
         names = self.march_names if sensitive else ()
         if self.start is None:
-            return Track(self.model, self.mesh, names, self.sample_s)
+            return Track(self.model, self.mesh, names, self.read_s)
         columns = self.start.columns if sensitive else None
-        return Track(self.model, self.mesh, names, self.sample_s, None, self.initial_K(vector), columns)
+        return Track(self.model, self.mesh, names, self.read_s, None, self.initial_K(vector), columns)
+
+    @cached_property
+    def lags(self) -> bool:
+        """Whether a thermocouple of the record lags, or its lag is unknown."""
+        return any(s.tau_s > 0.0 for s in self.record.sensors) or any(n.endswith(LAG_NAME) for n in self.sensor_names)
+
+    @cached_property
+    def read_s(self) -> FloatArray:
+        """(read,) times that the march is read at [s]: the samples, and its steps up to the last of them where a
+        thermocouple lags.
+
+        With an unknown skew steps near the ends are left out, so that shifted times stay within the march.
+        """
+        if not self.lags:
+            return self.sample_s
+        slack = SKEW_SPAN_S if CLOCK_SKEW.name in self.names else 0.0
+        steps = self.time_s[(self.time_s >= self.time_s[0] + slack) & (self.time_s < self.sample_s[-1])]
+        return np.union1d(steps, self.sample_s)
+
+    def sensed(self, march: Linearised, vector: FloatArray) -> Sensed:
+        """Temperatures of the thermocouples at the samples: the march at their places, behind their lags.
+
+        march  : read at `read_s`, [K], [K/s]
+        vector : (parameter,)
+
+        A thermocouple is at the temperature of its place at the first row of the conditions, and on a steady ramp where
+        the march begins later. Source: docs/estimation_statistics.md, equation 2a.
+        """
+        if not self.lags:
+            return Sensed(march.temperature_K, march.rate_K_s, march.sensitivity, np.zeros((len(march.rate_K_s), 1)))
+        at, values = np.searchsorted(self.read_s, self.sample_s), self.values(vector)
+        at_rest = self.start is None and self.read_s[0] == self.time_s[0]
+        channels = [
+            _behind_lag(self.read_s, march, i, lag_s(s, values), at_rest) for i, s in enumerate(self.record.sensors)
+        ]
+        return Sensed(*(np.array([c[k][at] for c in channels]) for k in range(4)))
 
     def initial_K(self, vector: FloatArray | None) -> FloatArray | None:
         """(node,) temperatures [K] at the start, profile + columns @ unknowns; None for those that the stack declares.
@@ -164,12 +206,53 @@ class RecordFit:
         # only the change by the unknowns is interpolated; the profile itself is known on the fine mesh
         return self.start.refined + interpolate_profile(initial - self.start.profile, self.mesh, fine)
 
-    def with_mesh_correction(self, march: Linearised) -> Linearised:
-        """March with the correction for its mesh [K] added to its temperatures; sensitivities remain those of the mesh.
+    def corrected(self, march: Linearised, vector: FloatArray) -> Sensed:
+        """`sensed` with the correction for the mesh [K] added to its temperatures; sensitivities are those of the mesh.
 
         Source: docs/estimation_statistics.md, equation 31.
         """
-        return replace(march, temperature_K=march.temperature_K + self.correction_K)
+        found = self.sensed(march, vector)
+        return replace(found, temperature_K=found.temperature_K + self.correction_K)
+
+    def lag_offset(self, vector: FloatArray, *, sensitive: bool = True) -> Sensed | None:
+        """What the lags of the thermocouples add to the plain march, and its derivatives; None where none lags.
+
+        vector    : (parameter,)
+        sensitive : whether with sensitivities to the unknowns of march and start
+        raises    : RunError where the march failed
+
+        Used where a filter predicts the temperature of the place: docs/filter.md, equation 7a.
+        """
+        if not self.lags:
+            return None
+        march = LinearMarch([self.track(vector, sensitive=sensitive)], self.time_s, self.history(self.time_s))
+        plain = march.march(*set_parameters(march, [self], [vector]))[0]
+        found, at = self.sensed(plain, vector), np.searchsorted(self.read_s, self.sample_s)
+        return Sensed(
+            found.temperature_K - plain.temperature_K[:, at], found.rate_K_s - plain.rate_K_s[:, at],
+            found.sensitivity - plain.sensitivity[:, at], found.per_lag_K_s,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Sensed(Linearised):
+    """Temperatures of thermocouples at the samples, behind their lags, and their derivatives.
+
+    per_lag_K_s : (sensor, sample) derivative to the time constant [K/s]; (sensor, 1) zeros where none lags
+    """
+
+    per_lag_K_s: FloatArray
+
+
+def _behind_lag(
+    time_s: FloatArray, march: Linearised, i: int, tau_s: float, at_rest: bool
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """(read,) temperature [K], rate [K/s], (read, parameter) sensitivities, and dT/dtau [K/s] of one thermocouple."""
+    T, rate = march.temperature_K[i], march.rate_K_s[i]
+    # a lag is linear: whatever moves the history of the place goes through it as the history does
+    lagging = lag_columns(time_s, np.column_stack([T, rate, march.sensitivity[i]]), tau_s, at_rest)
+    per_lag = lag_per_constant(time_s, T, lagging[:, 0], tau_s, at_rest)
+    return lagging[:, 0], lagging[:, 1], lagging[:, 2:], per_lag
 
 
 @dataclass(frozen=True, eq=False)
@@ -341,13 +424,13 @@ def fitted_channels(record: Record, time_s: FloatArray, mask: NDArray[np.bool_])
 
 
 def indications(
-    channel: FittedChannel, march: Linearised, names: Sequence[str], values: Mapping[str, float], march_columns: int
+    channel: FittedChannel, march: Sensed, names: Sequence[str], values: Mapping[str, float], march_columns: int
 ) -> tuple[FloatArray, FloatArray]:
     """Indications of a channel and their sensitivities to the parameters.
 
         indicated = c0 + c1 T' + ...,   T' = gain T(t - skew) + bias
 
-    march   : temperatures [K], sensitivities and rates [K/s]
+    march   : temperatures of the thermocouples [K], sensitivities and rates [K/s]
     names   : (parameter,) of the record: first the columns of the march, then clock and sensors
     values  : dotted name -> value
     march_columns : number of columns of the march that are read
@@ -368,6 +451,8 @@ def indications(
             jacobian[:, k] = 1.0
         elif name == sensor_parameter(sensor, "gain"):
             jacobian[:, k] = T
+        elif name in (COMMON_LAG.name, sensor_parameter(sensor, "tau_s")):
+            jacobian[:, k] = errors.gain * march.per_lag_K_s[channel.number, channel.samples]
     # most sensors have no curve: this saves a polynomial for every sample of every evaluation
     if sensor.calibration is None:
         return errors.gain * T + errors.bias_K, jacobian
@@ -377,20 +462,30 @@ def indications(
 
 
 def sensor_errors(sensor: Sensor, values: Mapping[str, float]) -> SensorErrors:
-    """Bias [K] and gain [-] of a sensor at parameter values; 0 and 1 where these do not include them.
+    """Bias [K], gain [-] and lag [s] of a sensor at parameter values; 0, 1 and as declared where these lack them.
 
     values : dotted name -> value
 
     Used in docs/estimation_statistics.md, equation 1.
     """
     bias, gain = (values.get(sensor_parameter(sensor, what), SENSOR[what].value) for what in ("bias", "gain"))
-    return SensorErrors(bias, gain)
+    return SensorErrors(bias, gain, lag_s(sensor, values))
+
+
+def lag_s(sensor: Sensor, values: Mapping[str, float]) -> float:
+    """Time constant of a sensor [s] at parameter values: its own or the declared one, and that of all in common.
+
+    values : dotted name -> value
+
+    Tau of docs/estimation_statistics.md, equation 2a.
+    """
+    return values.get(sensor_parameter(sensor, "tau_s"), sensor.tau_s) + values.get(COMMON_LAG.name, 0.0)
 
 
 def sensor_parameter(sensor: Sensor, what: str) -> str:
-    """Dotted name of a parameter of a sensor: `sensor.NAME.bias` [K] or `sensor.NAME.gain` [-].
+    """Dotted name of a parameter of a sensor: `sensor.NAME.bias` [K], `sensor.NAME.gain` [-], `sensor.NAME.tau_s` [s].
 
-    Parameters b and g of docs/estimation_statistics.md, equation 1.
+    Parameters b, g and tau of docs/estimation_statistics.md, equation 1.
     """
     return f"{SENSOR_PREFIX}{sensor.name}.{what}"
 
@@ -398,22 +493,22 @@ def sensor_parameter(sensor: Sensor, what: str) -> str:
 def sensor_definition(record: Record, name: str) -> Parameter | None:
     """Definition of a parameter of a clock or sensor by its dotted name; None for any other name.
 
-    returns : prior, bounds and unit (skew [s], bias [K], gain [-])
+    returns : prior, bounds and unit (skew [s], bias [K], gain [-], lag [s])
     raises  : InputError where the record has no such sensor, or a sensor no such parameter
 
     Parameters s, b and g of docs/estimation_statistics.md, equation 1.
     """
-    if name == CLOCK_SKEW.name:
-        return CLOCK_SKEW
+    if name in RECORD_PARAMETERS:
+        return RECORD_PARAMETERS[name]
     if not name.startswith(SENSOR_PREFIX):
         return None
     sensor, _, what = name.removeprefix(SENSOR_PREFIX).rpartition(".")
-    known = [s.name for s in record.used_sensors]
+    known = {s.name: s for s in record.used_sensors}
     if sensor not in known:
         raise InputError(f"{record.name}: `{name}`: unknown or unused sensor `{sensor}`{suggestion(sensor, known)}")
     if what not in SENSOR:
         raise InputError(f"{record.name}: `{name}`: unknown sensor parameter `{what}`{suggestion(what, SENSOR)}")
-    return SENSOR[what]
+    return replace(SENSOR[what], value=known[sensor].tau_s) if what == "tau_s" else SENSOR[what]
 
 
 def least_sigma_K(sensor: Sensor) -> float:
@@ -487,10 +582,10 @@ def mesh_error_K(record_fit: RecordFit, vector: FloatArray) -> FloatArray:
 def _temperatures_K(
     record_fit: RecordFit, vector: FloatArray, meshes: Sequence[tuple[Mesh, FloatArray | None]]
 ) -> list[FloatArray]:
-    """(sensor, sample) temperatures [K] of the march on each mesh, from the initial temperatures [K] paired with it."""
+    """(sensor, sample) temperatures [K] of the thermocouples on each mesh, from its paired initial temperatures [K]."""
     tracks = [
-        Track(record_fit.model_at(vector), mesh, (), record_fit.sample_s, initial_K=initial) for mesh, initial in meshes
+        Track(record_fit.model_at(vector), mesh, (), record_fit.read_s, initial_K=initial) for mesh, initial in meshes
     ]
     history = record_fit.history(record_fit.time_s)
     found = LinearMarch(tracks, record_fit.time_s, history).march([record_fit.shift_s(vector)] * len(tracks))
-    return [f.temperature_K for f in found]
+    return [record_fit.sensed(f, vector).temperature_K for f in found]

@@ -16,9 +16,13 @@ from __future__ import annotations
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.kernels import block as k
 from sim_heating.base.kernels.block import LANES
-from sim_heating.base.kernels.elementary import exp, log10
+from sim_heating.base.kernels.elementary import log10
 from sim_heating.base.kernels.jit import call_dispatcher, inline_always, njit
+<<<<<<< HEAD
 from sim_heating.heating.effects.transition import intermittency
+=======
+from sim_heating.base.kernels.lag import lag_step
+>>>>>>> 6044451 (wip)
 from sim_heating.heating.ratio.lookup import (
     VARIABLES,
     cache_axis_cell,
@@ -69,16 +73,14 @@ def ratio_with_effects(  # type: ignore[no-untyped-def]
 def _lagged_ratio(B: FloatArray, lane: int, stage: int, p: int, r: float) -> float:
     """Ratio [-] with its lag at a stage; time constant [s] and lagging part [-] are B[p] and B[p + 1].
 
-    m_1 = r_1 - b + (m_0 - r_0 + b) exp(-x), x = dt / tau, b = (r_1 - r_0) / x (docs/equations.md, equation 8).
+    Exact for a linear ratio: docs/equations.md, equation 8.
     """
     now = k.C_STAGES * LANES + (stage * LANES + lane) * k.N_CONDITIONS + k.TIME
     start = k.C_STAGES * LANES + lane * k.N_CONDITIONS + k.TIME
     m = r
     if B[k.LAG_PAST * LANES + lane] > 0.0 and B[now] > B[start]:
-        # Exact for a linear ratio, so that time constants far below the step need no substeps.
-        x = (B[now] - B[start]) / B[p]
-        behind = (r - B[k.LAG_INPUT * LANES + lane]) / x
-        m = r - behind + (B[k.LAG_VALUE * LANES + lane] - B[k.LAG_INPUT * LANES + lane] + behind) * exp(-x)
+        steps = (B[now] - B[start]) / B[p]
+        m = lag_step(B[k.LAG_VALUE * LANES + lane], B[k.LAG_INPUT * LANES + lane], r, steps)
     B[(k.LAG_VALUE + stage) * LANES + lane] = m
     B[(k.LAG_INPUT + stage) * LANES + lane] = r
     return r + B[p + 1] * (m - r)

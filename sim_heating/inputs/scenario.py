@@ -62,11 +62,12 @@ class ScenarioEffect(Declared):
 
 
 class SensorFault(Declared):
-    """A sensor's offset and gain error."""
+    """A sensor's offset, gain error, and a lag that is not the declared one."""
 
     sensor: str
     bias_K: float = 0.0
     gain: float = Field(default=1.0, gt=0.0, description="gain, above 0")
+    tau_s: float | None = Field(default=None, ge=0.0, description="true time constant in s, in place of the declared")
 
 
 class Measurements(Declared):

@@ -1,14 +1,15 @@
 """Sensor model: from the temperature at a thermocouple to the reading that its recorder stores.
 
-    T_ind = c0 + c1 T' + c2 T'^2 + ...,   T' = gain T + bias,   T = temperature at the sensor at t - skew,
+    T_ind = c0 + c1 T' + c2 T'^2 + ...,   T' = gain T_tc + bias,   dT_tc/dt = (T - T_tc) / tau at t - skew,
 
-then Gaussian noise, then the recorder word: codes 0 .. 2^bits - 1 over range_K, rounded to the nearest and clipped at
-the ends. Equations: docs/equations.md, section 5.
+T the temperature at the sensor, then Gaussian noise, then the recorder word: codes 0 .. 2^bits - 1 over range_K, rounded
+to the nearest and clipped at the ends. The lag is applied where temperatures are marched (march/history.py). Equations:
+docs/equations.md, section 5.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,20 +23,23 @@ from sim_heating.thermal.stack import Sensor
 
 @dataclass(frozen=True)
 class SensorErrors:
-    """Systematic errors of one sensor, in addition to its noise: T' = gain T + bias.
+    """Systematic errors of one sensor, in addition to its noise: T' = gain T_tc + bias, T_tc behind a lag.
 
     bias_K : added to the temperature, positive where the sensor reads too high [K]
     gain   : indicated over true temperature, 1 without error [-]
+    tau_s  : time constant of its first-order lag [s]; None for the declared one
     """
 
     bias_K: float = 0.0
     gain: float = 1.0
+    tau_s: float | None = None
 
 
 def indicated_temperature(sensor: Sensor, temperature_K: FloatArray, errors: SensorErrors | None = None) -> FloatArray:
     """Indicated temperature of a sensor before noise and quantisation, T_ind = c0 + c1 T' + c2 T'^2 + ...
 
-    temperature_K : (sample,) true temperature at the sensor [K], at the sample times less the clock skew
+    temperature_K : (sample,) temperature of the thermocouple [K], behind its lag, at the sample times less the clock
+                    skew
     errors        : bias [K] and gain [-] in T' = gain T + bias; none by default
     returns       : (sample,) indicated temperature [K]
 
@@ -45,6 +49,17 @@ def indicated_temperature(sensor: Sensor, temperature_K: FloatArray, errors: Sen
     return indicated_kernel(
         np.asarray(temperature_K, dtype=float), wrong.gain, wrong.bias_K, calibration_coefficients(sensor)
     )
+
+
+def lags_s(sensors: Sequence[Sensor], errors: Mapping[str, SensorErrors]) -> tuple[float, ...]:
+    """Time constants of sensors [s]: as declared, where their errors have no other one.
+
+    errors : by the name of the sensor
+
+    Source: docs/equations.md, section 5.
+    """
+    wrong = [errors.get(s.name, SensorErrors()).tau_s for s in sensors]
+    return tuple(s.tau_s if tau is None else tau for s, tau in zip(sensors, wrong, strict=True))
 
 
 def calibration_coefficients(sensor: Sensor) -> FloatArray:
@@ -124,7 +139,7 @@ def measure(
 ) -> FloatArray:
     """Readings of a thermocouple: calibration with systematic errors, Gaussian noise, recorder word, lost samples.
 
-    temperature_K : (sample,) true temperature at the sensor at the sample times [K]
+    temperature_K : (sample,) temperature of the thermocouple, behind its lag, at the sample times [K]
     rng           : generator of the noise, of standard deviation noise_sigma_K [K] (0 where none is declared)
     errors        : bias and gain of the sensor; none by default
     lost          : (sample,) which samples the telemetry loses

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
+from sim_heating.base.kernels.lag import lag_columns
 from sim_heating.march.ensemble import Ensemble, histories
 from sim_heating.march.mesh_choice import pack
 from sim_heating.march.point import PointModel
@@ -23,7 +24,8 @@ class PointHistory:
 
     time_s     : (time,) [s]
     surface_K, bondline_K : (time,) [K]; the bondline is the outer face of the last layer
-    sensors_K  : (sensor, time) temperature at each sensor [K], without sensor errors, noise and quantisation
+    sensors_K  : (sensor, time) temperature of each thermocouple [K], behind its lag, without its errors, noise and
+                 quantisation
     ratio      : (time,) heating ratio with all corrections and effects [-]; NaN where h_ref is 0
     """
 
@@ -101,9 +103,17 @@ def _point_histories(
         own = out[:, column : column + count].T
         h_ref = flown[i]["h_ref_kg_m2_s"]
         ratio = np.divide(out[:, first_film + i], h_ref, out=np.full(len(time), np.nan), where=h_ref > 0.0)
-        points.append(PointHistory(model.name, time, own[0], own[1], own[2:], ratio))
+        points.append(PointHistory(model.name, time, own[0], own[1], _sensed(model, time, own[2:]), ratio))
         column += count
     return points
+
+
+def _sensed(model: PointModel, time: FloatArray, temperature_K: FloatArray) -> FloatArray:
+    """(sensor, time) temperatures of the thermocouples [K], which start at that of their places."""
+    if not any(model.lags_s):
+        return temperature_K
+    sensors = zip(temperature_K, model.lags_s, strict=True)
+    return np.array([lag_columns(time, T[:, np.newaxis], tau, True)[:, 0] for T, tau in sensors])
 
 
 def values_at(history_s: FloatArray, values: FloatArray, time_s: FloatArray) -> FloatArray:

@@ -5,8 +5,13 @@ that a lane takes from them.
 from __future__ import annotations
 
 import copy
+<<<<<<< HEAD
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+=======
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+>>>>>>> 6044451 (wip)
 from functools import cached_property
 
 import numpy as np
@@ -47,6 +52,7 @@ class PointModel:
     name          : for messages and columns
     construction  : stack and materials
     depths_m      : depths of the sensors from the outer surface [m]; each gets a node
+    lags_s        : time constants of the sensors' first-order lags [s], in the order of the depths; empty for none
     ratio         : declared ratio table [-], or None for ratio.d0 alone
     wall_enthalpy : constant cp [J/(kg K)] or the name of a gas model
     nodes         : number of nodes, or None to have it chosen
@@ -62,6 +68,7 @@ class PointModel:
     name: str
     construction: Construction
     depths_m: tuple[float, ...] = ()
+    lags_s: tuple[float, ...] = ()
     ratio: RatioTable | None = None
     wall_enthalpy: WallEnthalpy = 1004.5
     nodes: int | None = None
@@ -84,6 +91,10 @@ class PointModel:
                 raise InputError(f"{self.name}: a sensor at {depth:g} m is outside the stack (0 to {thickness:g} m)")
         if not isinstance(self.wall_enthalpy, str) and not 0.0 < self.wall_enthalpy < np.inf:
             raise InputError(f"{self.name}, wall_enthalpy: cp {self.wall_enthalpy:g} J/(kg K) must be above 0")
+        if any(self.lags_s) and len(self.lags_s) != len(self.depths_m):
+            raise InputError(
+                f"{self.name}: {len(self.lags_s)} lags for {len(self.depths_m)} sensors; give one for each"
+            )
         # A lane has one memory for a lag.
         if sum(use.effect.lags for use in self.effects) > 1:
             raise InputError(f"{self.name}: two effects with a lag, and one control point takes one; remove the other")
@@ -212,12 +223,26 @@ class PointModel:
             else:
                 self.definition(name)
                 parameters[name] = value
+        used = tuple(EffectUse(u.effect, tuple(v)) for u, v in zip(self.effects, effects, strict=True))
+        return self._unchecked(parameters=parameters, effects=used)
+
+    def with_lags(self, lags_s: Sequence[float]) -> PointModel:
+        """Copy of the point with other time constants of its sensors [s]; parameters beyond their bounds stay so.
+
+        Lag: docs/equations.md, section 5.
+        """
+        return self._unchecked(lags_s=tuple(lags_s))
+
+    def _unchecked(self, **changes: object) -> PointModel:
         # Not dataclasses.replace: that would check bounds, which a difference may have to exceed.
         other = copy.copy(self)
+<<<<<<< HEAD
         used = tuple(replace(u, values=tuple(v)) for u, v in zip(self.effects, effects, strict=True))
+=======
+>>>>>>> 6044451 (wip)
         other.__dict__.pop("values", None)
-        object.__setattr__(other, "parameters", parameters)
-        object.__setattr__(other, "effects", used)
+        for name, value in changes.items():
+            object.__setattr__(other, name, value)
         return other
 
 

@@ -16,7 +16,7 @@ from sim_heating.base.files import output_directory, write_json
 from sim_heating.base.files.package import package_version
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record, load_record, pooled_rmse_K
-from sim_heating.inputs.sensor_model import SensorErrors, indicated_temperature
+from sim_heating.inputs.sensor_model import SensorErrors, indicated_temperature, lags_s
 from sim_heating.march.history import (
     PointHistory,
     TableExcursion,
@@ -101,7 +101,7 @@ def predict(
 
     record : a flight record, or its directory
     model  : another model than the declared one
-    skew_s : by how much the thermocouples' clock lags [s];  errors : gain and bias errors of sensors, by name
+    skew_s : by how much the thermocouples' clock lags [s];  errors : gain, bias and lag of sensors, by name
     raises : InputError where no sample lies within the conditions, RunError where a step did not converge
 
     >>> import sim_heating as sh
@@ -109,7 +109,8 @@ def predict(
     <Prediction of p06: 2 sensors, RMSE 9.57 K>
     """
     record = load_record(record)
-    model = point_of_record(record) if model is None else model
+    model, faults = point_of_record(record) if model is None else model, errors or {}
+    model = model.with_lags(lags_s(record.sensors, faults))
     conditions = conditions_of_record(record)
     t, span = record.time_s - skew_s, conditions.time_s[[0, -1]]
     within = t[(t >= span[0]) & (t <= span[1])]
@@ -118,7 +119,6 @@ def predict(
     marched = march_points([model], [conditions], extra_times_s=within)[0]
     history = replace(_resampled(marched, t), time_s=record.time_s)
     pairs = zip(record.sensors, history.sensors_K, strict=True)
-    faults = errors or {}
     indicated = np.array([indicated_temperature(sensor, values, faults.get(sensor.name)) for sensor, values in pairs])
     residual = record.temperatures_K() - indicated
     return Prediction(record, history, indicated, residual, tuple(table_excursions(model, conditions)))

@@ -18,7 +18,7 @@ from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.inputs.points import mean_condition
 from sim_heating.inputs.record import DECLARATION, Record, RecordFile, make_record, write_record
 from sim_heating.inputs.scenario import Scenario, load_scenario
-from sim_heating.inputs.sensor_model import SensorErrors, lost_samples, measure, sample_times
+from sim_heating.inputs.sensor_model import SensorErrors, lags_s, lost_samples, measure, sample_times
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.march.history import PointHistory, march_points, values_at
 from sim_heating.simulation.run import fly_scenario, models_of
@@ -62,7 +62,7 @@ def synthesize(
     # A clock skew moves the instants that are measured, not the times that are recorded.
     true_times = [_within(clock - measurements.clock_skew_s, flown) for clock in clocks]
     histories = march_points(
-        [m for _, m, _ in measurable],
+        [m.with_lags(lags_s(p.sensors, _faults(scenario))) for p, m, _ in measurable],
         [c for _, _, c in measurable],
         extra_times_s=np.unique(np.concatenate(true_times)),
         longest_step_s=scenario.declared.heating.longest_step_s,
@@ -81,6 +81,10 @@ def _clock(scenario: Scenario, point: ControlPoint, flown: Conditions) -> FloatA
     return sample_times(point.sensors, start, end, rate_hz=measurements.rate_hz, offset_s=measurements.sample_offset_s)
 
 
+def _faults(scenario: Scenario) -> dict[str, SensorErrors]:
+    return {f.sensor: SensorErrors(f.bias_K, f.gain, f.tau_s) for f in scenario.declared.measurements.fault}
+
+
 def _within(time_s: FloatArray, flown: Conditions) -> FloatArray:
     return time_s[(time_s >= flown.time_s[0]) & (time_s <= flown.time_s[-1])]
 
@@ -91,7 +95,7 @@ def _record(
     measurements = scenario.declared.measurements
     # Seeded by the name of the point: its record stays the same when others are added to the scenario.
     rng = np.random.default_rng([measurements.seed, *point.name.encode()])
-    faults = {f.sensor: SensorErrors(f.bias_K, f.gain) for f in measurements.fault}
+    faults = _faults(scenario)
     true = values_at(history.time_s, history.sensors_K, clock - measurements.clock_skew_s)
     columns: dict[str, FloatArray] = {"time_s": clock}
     for sensor, temperature in zip(point.sensors, true, strict=True):

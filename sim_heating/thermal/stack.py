@@ -371,6 +371,7 @@ class Sensor(Declared):
     bits: int | None = Field(default=None, ge=1, le=32, description="bits of the recorder word")
     range_K: list[float] | None = Field(default=None, description="[lowest, highest] in K")
     calibration: list[float] | None = Field(default=None, min_length=2, description="[c0, c1, ...], indicated K")
+    tau_s: float = Field(default=0.0, ge=0.0, description="time constant of a first-order lag in s")
     used: bool = True
     rate_hz: float | None = Field(default=None, gt=0.0, description="samples a second")
     sample_offset_s: float = Field(default=0.0, description="time of the first sample in s")

@@ -152,7 +152,7 @@ def test_a_user_defined_clock_effect_is_looked_for_and_its_parameter_has_its_own
     (found,) = (c for c in candidates(record, conditions_of_record(record)) if c.name == "recorder-lag")
     assert found.names == ("clock.skew",)
     effect = effects()["recorder-lag"]
-    assert effect.acts_on_clock
+    assert effect.acts_on_readings
     assert effect.own_name("clock.skew") == "recorder_lag_s"
 
 

@@ -153,8 +153,9 @@ def residual_heating(
     shift, channels = own.shift_s(values), [c for c in own.channels if c.sensor.name != without]
     # At the times shifted by the clock and with the correction for the mesh: what these explain is not missing heating.
     samples, order = filter_samples(
-        channels, own.sample_s + shift, own.mesh, own.sigma_K, own.values(values), own.correction_K
-    )
+        channels, own.sample_s + shift, own.mesh, own.sigma_K, own.values(values), own.correction_K,
+        lag=own.lag_offset(values, sensitive=False),
+    )  # fmt: skip
     track = FilterTrack(own.model_at(values), own.mesh, samples, (), own.initial_K(values))
     history = condition_history(own.conditions.at(own.time_s))[np.newaxis]
     smoothed = unknown_input(track, own.time_s, history, disturbance)

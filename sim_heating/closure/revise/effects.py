@@ -24,7 +24,7 @@ from tomlkit.exceptions import TOMLKitError
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import check, display_path, raw_text
-from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, SENSOR_PREFIX
+from sim_heating.base.parameters import EFFECT_PREFIX, RECORD_PARAMETERS, SENSOR_PREFIX
 from sim_heating.closure.revise.evidence import FlightEvidence, is_effect
 from sim_heating.estimation.report.estimate_file import Estimate
 from sim_heating.heating.effects import EffectUse, check_count, effect, use
@@ -93,7 +93,7 @@ def effects_from_fit(
     fitted, not_written = [], _record_parameters(estimate)
     for name in dict.fromkeys((*in_force, *estimated)):
         used = use(name, in_force.get(name, {}) | estimated.get(name, {}))
-        if used.effect.acts_on_clock:
+        if used.effect.acts_on_readings:
             not_written[f"{EFFECT_PREFIX}{name}"] = OF_RECORD
         elif name not in estimated:
             not_written[f"{EFFECT_PREFIX}{name}"] = "was in the fit, but nothing of it was estimated"
@@ -159,7 +159,7 @@ def _parameters_by_effect(values: Mapping[str, float]) -> dict[str, dict[str, fl
 
 def _record_parameters(estimate: Estimate) -> dict[str, str]:
     """Parameters of clocks and sensors, which are not written, with the reason."""
-    stems = (CLOCK_SKEW.name, SENSOR_PREFIX)
+    stems = (*RECORD_PARAMETERS, SENSOR_PREFIX)
     return dict.fromkeys((n for n in estimate.parameters if n.startswith(stems)), OF_RECORD)
 
 

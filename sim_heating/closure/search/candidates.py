@@ -13,13 +13,15 @@ from typing import NamedTuple
 import numpy as np
 
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, SENSOR, SENSOR_PREFIX
+from sim_heating.base.parameters import EFFECT_PREFIX, SENSOR, SENSOR_PREFIX
 from sim_heating.estimation.inference.observability import CONSTANT_BELOW, constant_variables
 from sim_heating.heating.effects import Effect, EffectUse, SearchStart, effects, use
 from sim_heating.inputs.record import Record
 
-SENSOR_EFFECT = "sensor-bias"
-"""Name in a closure report of a wrong bias or gain of a thermocouple."""
+SENSOR_EFFECT, LAG_EFFECT = "sensor-bias", "sensor-lag"
+"""Names in a closure report of a wrong bias or gain of a thermocouple, and of a lag of one or of all of them."""
+BIASES, LAGS = (("bias",), ("gain",), ("bias", "gain")), (("tau_s",),)
+"""Parameters of a sensor that are estimated together."""
 CONSTANT = 1e-3
 """Standard deviation below which a flight condition other than the ratio variables counts as constant, in its unit."""
 
@@ -77,8 +79,9 @@ def candidates(record: Record, flown: Conditions, taken: Sequence[str] = ()) -> 
     for name, effect in effects().items():
         if name not in taken and not (effect.lags and lag_taken) and all(_varies(v, flown) for v in effect.needs):
             found += _effect_candidates(effect, record, flown)
-    if SENSOR_EFFECT not in taken:
-        found += _sensor_candidates(record)
+    for name, forms in ((SENSOR_EFFECT, BIASES), (LAG_EFFECT, LAGS)):
+        if name not in taken:
+            found += _sensor_candidates(record, name, forms)
     return found
 
 
@@ -89,8 +92,8 @@ def _varies(variable: str, flown: Conditions) -> bool:
 
 def _effect_candidates(effect: Effect, record: Record, flown: Conditions) -> list[Candidate]:
     """The candidates of one effect, without those of parameters that the record cannot identify."""
-    if effect.acts_on_clock:
-        names = (CLOCK_SKEW.name,)
+    if effect.acts_on_readings:
+        names = effect.model_parameters
         return [Candidate(effect.name, (), names, {}, active=names, with_prior=names)]
     starts = effect.starts_for(flown)
     searched = _searched_parameters(starts)
@@ -131,12 +134,14 @@ def _candidate_at(effect: Effect, start: SearchStart, searched: Collection[str])
     return Candidate(effect.name, (used,), tuple(first), first, active, with_prior)
 
 
-def _sensor_candidates(record: Record) -> list[Candidate]:
-    """Bias, gain, or both, of each used sensor; none for a single one, whose errors resemble heating."""
+def _sensor_candidates(record: Record, effect: str, forms: Sequence[tuple[str, ...]]) -> list[Candidate]:
+    """Errors of each used sensor by itself; none for a single one, whose bias resembles heating, and whose lag is that
+    of all."""
     found = []
     for sensor in record.used_sensors if len(record.used_sensors) > 1 else []:
-        for errors in (("bias",), ("gain",), ("bias", "gain")):
-            start = {f"{SENSOR_PREFIX}{sensor.name}.{error}": SENSOR[error].value for error in errors}
-            names = tuple(start)
-            found.append(Candidate(SENSOR_EFFECT, (), names, start, active=names, with_prior=names))
+        for errors in forms:
+            names = tuple(f"{SENSOR_PREFIX}{sensor.name}.{error}" for error in errors)
+            # a lag starts from the declared one
+            start = {n: SENSOR[e].value for n, e in zip(names, errors, strict=True) if e != "tau_s"}
+            found.append(Candidate(effect, (), names, start, active=names, with_prior=names))
     return found

@@ -152,7 +152,7 @@ def _thinning_error(full: FitProblem, thinned: FitProblem, start: Mapping[str, f
     at, part = start_values(full, start), full.record_fits[0]
     full.correct_meshes(at)
     try:
-        exact, coarse = (p.record_fits[0].with_mesh_correction(p.marched(at)[0]).temperature_K for p in (full, thinned))
+        exact, coarse = (p.record_fits[0].corrected(p.marched(at)[0], at).temperature_K for p in (full, thinned))
     except RunError:  # a model so wrong that it cannot be marched everywhere: no correction
         return np.zeros((len(part.mesh.sensors), len(part.sample_s))), part.sample_s
     return exact - coarse, part.sample_s

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
-from sim_heating.base.parameters import CLOCK_SKEW, SENSOR_PREFIX, Parameter
+from sim_heating.base.parameters import RECORD_PARAMETERS, SENSOR_PREFIX, Parameter
 from sim_heating.estimation.inference.identifiability import covariance
 from sim_heating.estimation.inference.likelihood import expected_information
 from sim_heating.estimation.inference.observability import variables_of
@@ -42,7 +42,7 @@ PRESSURE_STEP = 0.05
 """Relative step to either side at which the pressure is marched for its sensitivity."""
 LEVELS = 8
 """Number of levels between two codes of a word over which an unknown temperature is averaged."""
-PRIVATE = ("initial.", CLOCK_SKEW.name, SENSOR_PREFIX)
+PRIVATE = ("initial.", *RECORD_PARAMETERS, SENSOR_PREFIX)
 """Prefixes of the names of unknowns that one flight does not share with another."""
 
 

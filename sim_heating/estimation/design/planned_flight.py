@@ -12,7 +12,8 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files import display_path
-from sim_heating.base.parameters import CLOCK_SKEW, SENSOR_PREFIX, SHORT_NAMES
+from sim_heating.base.kernels.lag import lag_columns
+from sim_heating.base.parameters import CLOCK_SKEW, RECORD_PARAMETERS, SENSOR_PREFIX, SHORT_NAMES
 from sim_heating.estimation.design.information import PRESSURE, Experiment, experiment
 from sim_heating.estimation.inference.observability import constant_variables
 from sim_heating.estimation.problem import SKEW_SPAN_S
@@ -121,7 +122,7 @@ class Planner:
         """Check that names are those of unknowns of a design."""
         model = point_of_vehicle(self.scenario.vehicle, self.point, effects=self.scenario.effects(self.point.name))
         for name in names:
-            if name not in (CLOCK_SKEW.name, PRESSURE.name) and not name.startswith((SENSOR_PREFIX, "initial.")):
+            if name not in (*RECORD_PARAMETERS, PRESSURE.name) and not name.startswith((SENSOR_PREFIX, "initial.")):
                 model.definition(name)
 
     # Flight ----------------------------------------------------------------------------------------------------------
@@ -275,7 +276,10 @@ class Planner:
         track = Track(model, mesh, (), np.concatenate([[begin_s], clock]), tuple(range(mesh.nodes)))
         history = condition_history(flown.at(times))[np.newaxis]
         T = LinearMarch([track], times, history).march()[0].temperature_K
-        return free_start(begin_s, T[:, 0], model, mesh), T[list(mesh.sensors), 1:]
+        at_sensors = T[list(mesh.sensors)]
+        for i, sensor in enumerate(sensors):
+            at_sensors[i] = lag_columns(track.sample_s, at_sensors[i][:, np.newaxis], sensor.tau_s, False)[:, 0]
+        return free_start(begin_s, T[:, 0], model, mesh), at_sensors[:, 1:]
 
     def experiment(
         self,

@@ -275,8 +275,9 @@ class Innovations:
         values, time_s = part.values(vector), part.sample_s + part.shift_s(vector)
         sigma = {c.number: levels.sigma_K.get((k, c.number), part.sigma_K[c.number]) for c in part.channels}
         samples, order = filter_samples(
-            part.channels, time_s, part.mesh, sigma, values, part.correction_K, part.names if sensitive else ()
-        )
+            part.channels, time_s, part.mesh, sigma, values, part.correction_K, part.names if sensitive else (),
+            part.lag_offset(vector, sensitive=sensitive),
+        )  # fmt: skip
         start, noise = part.start, levels.noise
         columns = np.zeros((part.mesh.nodes, len(part.names) - len(part.march_names)))
         if start is not None:

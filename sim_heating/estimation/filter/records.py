@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
-from sim_heating.base.parameters import CLOCK_SKEW
+from sim_heating.base.parameters import CLOCK_SKEW, COMMON_LAG
 from sim_heating.estimation.filter.heating_input import most_likely_disturbance
 from sim_heating.estimation.filter.kernel import CONSTANT, PER_RATE, PER_TEMPERATURE
 from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, Samples
 from sim_heating.estimation.record_fit import (
     FittedChannel,
+    RecordFit,
+    Sensed,
     Start,
     fitted_channels,
     least_sigma_K,
@@ -60,6 +62,7 @@ def calibration_line(sensor: Sensor, read_K: FloatArray) -> tuple[FloatArray, Fl
 def filter_samples(
     found: Sequence[FittedChannel], time_s: FloatArray, mesh: Mesh, sigma_K: Mapping[int, float],
     values: Mapping[str, float] | None = None, added_K: FloatArray | float = 0.0, names: Sequence[str] = (),
+    lag: Sensed | None = None,
 ) -> tuple[Samples, NDArray[np.int64]]:  # fmt: skip
     """Channels as the filter reads them: linear readings of a node, in the order of time.
 
@@ -72,11 +75,14 @@ def filter_samples(
     values  : parameters of clock and sensors (bias, gain)
     added_K : (sensor, sample) correction on top of the march [K], 0 by default
     names   : parameters of the filter, of which clock and sensors act on the readings themselves
+    lag     : what the lags of the thermocouples add to the march (RecordFit.lag_offset), or None
     returns : readings of all channels, and the place of each among those of the channels one after the other
 
     Source: docs/estimation_statistics.md, equations 1, 2 and 4.
     """
     rows, added = [], np.zeros((len(mesh.sensors), len(time_s))) + added_K
+    if lag is not None:
+        added = added + lag.temperature_K
     direct = []
     for channel in found:
         low, high = channel.intervals.lower_K, channel.intervals.upper_K
@@ -86,6 +92,8 @@ def filter_samples(
         wrong, own = sensor_errors(channel.sensor, values or {}), added[channel.number, channel.samples]
         constant = constant + slope * (wrong.gain * own + wrong.bias_K)
         direct.append(_direct(channel.sensor, names, slope, wrong.gain, own))
+        if lag is not None:
+            direct[-1][..., CONSTANT] += (slope * wrong.gain)[:, np.newaxis] * _through_lag(channel, names, lag)
         variance, node = (np.full(len(low), x) for x in (sigma_K[channel.number] ** 2, mesh.sensors[channel.number]))
         rows.append(np.array([time_s[channel.samples], node, low, high, variance, slope * wrong.gain, constant]))
     t, node, low, high, variance, gain, constant = np.concatenate(rows, axis=1)
@@ -114,6 +122,21 @@ def _direct(sensor: Sensor, names: Sequence[str], slope: FloatArray, gain: float
     return found
 
 
+def _through_lag(channel: FittedChannel, names: Sequence[str], lag: Sensed) -> FloatArray:
+    """(reading, parameter) derivatives of what the lag of a channel adds to the temperature of its place [K]."""
+    i, at = channel.number, channel.samples
+    found = np.zeros((len(at), len(names)))
+    # the unknowns of march and start come first
+    columns = min(lag.sensitivity.shape[2], len(names))
+    found[:, :columns] = lag.sensitivity[i, at, :columns]
+    for k, name in enumerate(names):
+        if name == CLOCK_SKEW.name:
+            found[:, k] = -lag.rate_K_s[i, at]
+        elif name in (COMMON_LAG.name, sensor_parameter(channel.sensor, "tau_s")):
+            found[:, k] = lag.per_lag_K_s[i, at]
+    return found
+
+
 def track_of_record(
     record: Record, model: PointModel, mesh: Mesh, end_s: float | None = None
 ) -> tuple[FilterTrack, FloatArray, FloatArray]:
@@ -134,11 +157,12 @@ def track_of_record(
     if not found:
         raise InputError(f"{record.name}: no used sensor is read between {begin:g} and {end:g} s; nothing to filter")
     sigma = {c.number: max(c.sensor.noise_sigma_K or UNDECLARED_SIGMA_K, least_sigma_K(c.sensor)) for c in found}
-    samples, _ = filter_samples(found, t[chosen], mesh, sigma)
     # fully correlated: a wall that has soaked is off as a whole, not node by node
     covariance = np.full((mesh.nodes, mesh.nodes), START_SIGMA_K**2)
     steps = march_times(conditions, begin, end)
     steps = np.append(steps[steps < end], end)
+    part = RecordFit(record, model, mesh, None, conditions, (), (), time_s=steps, sample_s=t[chosen])
+    samples, _ = filter_samples(found, t[chosen], mesh, sigma, lag=part.lag_offset(np.zeros(0)))
     history = condition_history(conditions.at(steps))[np.newaxis]
     return FilterTrack(model, mesh, samples, covariance_K2=covariance), steps, history
 

@@ -10,7 +10,7 @@ from sim_heating.base.conditions import EXTRAS, HEATING, STATE, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import raise_problems, suggestion
 from sim_heating.base.kernels.block import EFFECT_SLOTS, EFFECT_WIDTH
-from sim_heating.base.parameters import CLOCK_SKEW, MODEL, Parameter, is_number
+from sim_heating.base.parameters import MODEL, RECORD_PARAMETERS, Parameter, is_number
 
 NEEDED_COLUMNS = (*STATE, *HEATING, "q_add_W_m2", "jets", "qbar_Pa", *EXTRAS)
 """Columns of the flight conditions that an effect may need: those of every flight, and the optional ones."""
@@ -50,7 +50,7 @@ def model_parameter(name: str, stands_for: str, text: str = "", **changes: float
     changes    : `value`, `sigma`, `lower` or `upper` where the effect needs another than the model
     raises     : InputError with the nearest known name where the model has no such parameter
     """
-    known = {**MODEL, CLOCK_SKEW.name: CLOCK_SKEW}
+    known = {**MODEL, **RECORD_PARAMETERS}
     if stands_for not in known:
         raise InputError(f"parameter `{name}`: the model has no `{stands_for}`{suggestion(stands_for, known)}")
     model = known[stands_for]
@@ -140,9 +140,9 @@ class Effect:
         return tuple(p.stands_for for p in self.parameters if isinstance(p, ModelParameter))
 
     @property
-    def acts_on_clock(self) -> bool:
-        """Whether it changes the times of a record's readings: such an effect has no part in the march."""
-        return CLOCK_SKEW.name in self.model_parameters
+    def acts_on_readings(self) -> bool:
+        """Whether it changes a record's readings alone, its clock or a lag: such an effect has no part in the march."""
+        return any(name in RECORD_PARAMETERS for name in self.model_parameters)
 
     def own_name(self, model_name: str) -> str | None:
         """Name within this effect of a parameter of the model, such as `skew_s` of `clock.skew`.

@@ -241,4 +241,4 @@ class LaneMarch:
 
 def model_without_sensors(vehicle: Vehicle, limited: LimitedPoint, effects: Sequence[EffectUse]) -> PointModel:
     """Model of a control point without its sensors, whose nodes a peak does not need."""
-    return replace(point_of_vehicle(vehicle, limited.point, effects=tuple(effects)), depths_m=(), nodes=None)
+    return replace(point_of_vehicle(vehicle, limited.point, effects=tuple(effects)), depths_m=(), lags_s=(), nodes=None)

@@ -156,7 +156,7 @@ def _on_thin_wall(model: PointModel) -> PointModel:
     layer = Layer(material=stack.layer[0].material, thickness_m=THIN_WALL_M)
     bare = stack.model_copy(update={"layer": [layer], "initial_profile": None, "initial_K": 300.0, "back": "adiabatic"})
     construction = Construction(stack=bare, materials=model.construction.materials)
-    return replace(model, construction=construction, depths_m=(), nodes=3)
+    return replace(model, construction=construction, depths_m=(), lags_s=(), nodes=3)
 
 
 def _alphas(study: OptimalStudy) -> FloatArray:
