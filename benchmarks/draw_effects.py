@@ -90,7 +90,7 @@ def march(model: PointModel, flown: Conditions) -> PointHistory:
 
 
 def as_recorded(history: PointHistory, skew_s: float = 0.0, tau_s: float = 0.0) -> PointHistory:
-    """Temperatures of thermocouples with a lag, as recorded with a clock that lags: recorded T(t) = true T(t - skew)."""
+    """Temperatures of thermocouples behind a lag, recorded with a clock that lags: recorded T(t) = true T(t - skew)."""
     t = history.time_s
     behind = lag_columns(t, np.ascontiguousarray(history.sensors_K.T), tau_s, True).T
     return replace(history, sensors_K=np.array([np.interp(t - skew_s, t, T) for T in behind]))

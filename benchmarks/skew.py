@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.measure import Figure, save
 from benchmarks.tile import NOISE_8_BIT, Tile, record
-from sim_heating.base.parameters import CLOCK_SKEW, MODEL
+from sim_heating.base.parameters import CLOCK_SKEW, COMMON_LAG, MODEL
 from sim_heating.base.report.figure import new_figure, save_figure
 from sim_heating.estimation.fit import FitResult, estimate
 
@@ -26,6 +26,7 @@ COATING = "stack.coating.thickness_factor"
 NAMES = ("ratio.d0", "ratio.d_alpha", COATING)
 FLAT = {COATING: replace(MODEL[COATING], sigma=math.inf)}
 COLORS = ("tab:blue", "tab:orange", "tab:green")
+DOUBLETS_S = (40.0, 20.0)
 LAGS_S = (-0.25, 0.25, 0.5)
 THIN = 0.12
 """Thickness factor below which leads are not taken further."""
@@ -83,6 +84,14 @@ def both_estimated() -> FitResult:
     return estimate([record(replace(NOISE_8_BIT, skew_s=0.3))], (*NAMES, CLOCK_SKEW.name))
 
 
+def lag_and_skew(period_s: float) -> FitResult:
+    """A lag of 2 s estimated with a skew, both without prior, from a noisy record of a doublet of a period [s]."""
+    tile = replace(NOISE_8_BIT, tau_s=2.0, period_s=period_s)
+    bounded = (replace(CLOCK_SKEW, lower=-5.0, upper=5.0), replace(COMMON_LAG, upper=10.0))
+    flat = {p.name: replace(p, sigma=math.inf) for p in bounded}
+    return estimate([record(tile)], ("ratio.d0", "ratio.d_alpha", *flat), priors=flat)
+
+
 def draw(path: Path, curves: list[Curve]) -> None:
     """A panel a temperature: fitted coating against skew, extrapolated to zero thickness."""
     figure, axes = new_figure(11.0, 4.2, 1, len(SURFACES_K), sharey=True)
@@ -119,5 +128,10 @@ def run() -> list[Figure]:
         f"skew {value:.2f} +- {sigma:.2f} s for 0.30, factor {fit.fit.values[i]:.2f} +- {fit.bounds.sigma[i]:.2f} for 1"
     )
     figures.append(Figure("both with priors: correlation of coating and skew", fit.correlation[i, j], "", note=note))
+    for period_s in DOUBLETS_S:
+        fit = lag_and_skew(period_s)
+        i, j = (fit.labels.index(p.name) for p in (CLOCK_SKEW, COMMON_LAG))
+        note = f"lag {fit.fit.values[j]:.2f} s for 2, correlation with the skew {fit.correlation[i, j]:.2f}"
+        figures.append(Figure(f"{period_s:g} s doublet: sigma of the lag", fit.bounds.sigma[j], "s", note=note))
     save("skew", figures)
     return figures

@@ -19,7 +19,7 @@ from sim_heating.base.conditions import Conditions
 from sim_heating.base.files import check
 from sim_heating.inputs.points import point_of_record
 from sim_heating.inputs.record import Record, RecordFile, load_record, make_record
-from sim_heating.inputs.sensor_model import measure
+from sim_heating.inputs.sensor_model import SensorErrors, measure
 from sim_heating.simulation.predict import predict
 
 FloatArray = NDArray[np.float64]
@@ -44,6 +44,8 @@ class Tile:
     coating_mil : coating, and depth of the thermocouple beneath
     surface_K   : radiation equilibrium before the manoeuvre
     skew_s      : by how much the thermocouple's clock lags, unstated
+    tau_s       : time constant of its first-order lag, unstated
+    period_s    : of the doublet
     offset_s    : time after the whole second at which it samples, stated
     noise_K     : its noise; bits : of its recorder, over 255 to 1644 K
     """
@@ -51,6 +53,8 @@ class Tile:
     coating_mil: float = 15.0
     surface_K: float = 1100.0
     skew_s: float = 0.0
+    tau_s: float = 0.0
+    period_s: float = PERIOD_S
     offset_s: float = 0.0
     noise_K: float = 0.0
     bits: int | None = None
@@ -66,7 +70,9 @@ def _practice() -> Record:
 def conditions(tile: Tile) -> Conditions:
     """Constant but for the doublet of the angle of attack."""
     t = np.arange(0.0, END_S + 1.0)
-    phase = (t - POPU_S) / PERIOD_S
+    if tile.period_s < PERIOD_S:
+        t = np.union1d(t, np.arange(POPU_S, POPU_S + tile.period_s, 0.25))
+    phase = (t - POPU_S) / tile.period_s
     doublet = np.where((phase > 0.0) & (phase < 1.0), np.sin(2.0 * np.pi * phase), 0.0)
     flux = EMITTANCE * SIGMA_BOLTZMANN * tile.surface_K**4
     h_ref = flux / (RATIO * (H_R_J_KG - CP_J_KGK * tile.surface_K))
@@ -97,7 +103,7 @@ def record(tile: Tile) -> Record:
     bare = make_record(declared, flown, {"time_s": t, "TC_K": np.full(len(t), 300.0)}, None, "tile")
     truth = {"ratio.d0": RATIO, "ratio.d_alpha": D_ALPHA, **tile.truth}
     model = replace(point_of_record(bare, truth), nodes=FINE_NODES)
-    exact = predict(bare, model, skew_s=tile.skew_s).indicated_K[0]
+    exact = predict(bare, model, skew_s=tile.skew_s, errors={"TC": SensorErrors(tau_s=tile.tau_s)}).indicated_K[0]
     read = exact
     if tile.noise_K > 0.0:
         read = measure(bare.sensors[0], exact, np.random.default_rng(tile.seed))

@@ -116,7 +116,7 @@ BOUNDARY = (
 CLOCK_SKEW = Parameter("clock.skew", "s", 0.0, 0.5, -10.0, 10.0, "recorded T(t) = true T(t - skew): above 0, it lags")
 """Skew of the thermocouple clock of a record."""
 
-COMMON_LAG = Parameter("sensors.tau_s", "s", 0.0, 0.5, 0.0, 60.0, "added to the lag of each thermocouple, first order")
+COMMON_LAG = Parameter("sensors.tau_s", "s", 0.0, 0.5, 0.0, 20.0, "added to the lag of each thermocouple, first order")
 """Time constant that all thermocouples of a record have in addition to their declared ones."""
 RECORD_PARAMETERS = {p.name: p for p in (CLOCK_SKEW, COMMON_LAG)}
 """Parameters of a record's readings as a whole, by name."""
@@ -125,7 +125,7 @@ SENSOR_PREFIX = "sensor."
 SENSOR = {
     "bias": Parameter("bias", "K", 0.0, 5.0, -500.0, 500.0, "what a thermocouple reads too much"),
     "gain": Parameter("gain", "1", 1.0, 0.01, 0.2, 5.0, "indicated over true temperature"),
-    "tau_s": Parameter("tau_s", "s", 0.0, 0.5, 0.0, 60.0, "time constant of its first-order lag"),
+    "tau_s": Parameter("tau_s", "s", 0.0, 0.5, 0.0, 20.0, "time constant of its first-order lag"),
 }
 """Parameters of a thermocouple: `sensor.NAME.bias`, `sensor.NAME.gain` and `sensor.NAME.tau_s`."""
 

@@ -18,11 +18,8 @@ from sim_heating.base.kernels import block as k
 from sim_heating.base.kernels.block import LANES
 from sim_heating.base.kernels.elementary import log10
 from sim_heating.base.kernels.jit import call_dispatcher, inline_always, njit
-<<<<<<< HEAD
-from sim_heating.heating.effects.transition import intermittency
-=======
 from sim_heating.base.kernels.lag import lag_step
->>>>>>> 6044451 (wip)
+from sim_heating.heating.effects.transition import intermittency
 from sim_heating.heating.ratio.lookup import (
     VARIABLES,
     cache_axis_cell,

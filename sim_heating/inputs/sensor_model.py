@@ -2,9 +2,9 @@
 
     T_ind = c0 + c1 T' + c2 T'^2 + ...,   T' = gain T_tc + bias,   dT_tc/dt = (T - T_tc) / tau at t - skew,
 
-T the temperature at the sensor, then Gaussian noise, then the recorder word: codes 0 .. 2^bits - 1 over range_K, rounded
-to the nearest and clipped at the ends. The lag is applied where temperatures are marched (march/history.py). Equations:
-docs/equations.md, section 5.
+T the temperature at the sensor, then Gaussian noise, then the recorder word: codes 0 .. 2^bits - 1 over range_K,
+rounded to the nearest and clipped at the ends. The lag is applied where temperatures are marched (march/history.py).
+Equations: docs/equations.md, section 5.
 """
 
 from __future__ import annotations

@@ -5,13 +5,8 @@ that a lane takes from them.
 from __future__ import annotations
 
 import copy
-<<<<<<< HEAD
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
-=======
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
->>>>>>> 6044451 (wip)
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -52,13 +47,13 @@ class PointModel:
     name          : for messages and columns
     construction  : stack and materials
     depths_m      : depths of the sensors from the outer surface [m]; each gets a node
-    lags_s        : time constants of the sensors' first-order lags [s], in the order of the depths; empty for none
     ratio         : declared ratio table [-], or None for ratio.d0 alone
     wall_enthalpy : constant cp [J/(kg K)] or the name of a gas model
     nodes         : number of nodes, or None to have it chosen
     parameters    : dotted name -> value, in the unit of the parameter, where not nominal
     reference     : values of the five ratio variables about which derivatives are defined [deg, deg, -, deg, deg]
     effects       : effects with their parameters
+    lags_s        : time constants of the sensors' first-order lags [s], in the order of the depths; empty for none
     raises        : InputError for unknown parameters and values out of bounds, sensors outside the stack, cp not above
                     0, two effects with a lag, ratio.d0 with a table, moisture without a unique temperature
 
@@ -68,13 +63,13 @@ class PointModel:
     name: str
     construction: Construction
     depths_m: tuple[float, ...] = ()
-    lags_s: tuple[float, ...] = ()
     ratio: RatioTable | None = None
     wall_enthalpy: WallEnthalpy = 1004.5
     nodes: int | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     reference: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
     effects: tuple[EffectUse, ...] = ()
+    lags_s: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         check_count(self.effects, self.name)
@@ -223,7 +218,7 @@ class PointModel:
             else:
                 self.definition(name)
                 parameters[name] = value
-        used = tuple(EffectUse(u.effect, tuple(v)) for u, v in zip(self.effects, effects, strict=True))
+        used = tuple(replace(u, values=tuple(v)) for u, v in zip(self.effects, effects, strict=True))
         return self._unchecked(parameters=parameters, effects=used)
 
     def with_lags(self, lags_s: Sequence[float]) -> PointModel:
@@ -236,10 +231,6 @@ class PointModel:
     def _unchecked(self, **changes: object) -> PointModel:
         # Not dataclasses.replace: that would check bounds, which a difference may have to exceed.
         other = copy.copy(self)
-<<<<<<< HEAD
-        used = tuple(replace(u, values=tuple(v)) for u, v in zip(self.effects, effects, strict=True))
-=======
->>>>>>> 6044451 (wip)
         other.__dict__.pop("values", None)
         for name, value in changes.items():
             object.__setattr__(other, name, value)
