@@ -20,6 +20,9 @@ STATE = (
 HEATING = ("p_surface_Pa", "h_ref_kg_m2_s", "H_r_J_kg")
 """Columns that the heating of one control point needs in addition to STATE."""
 
+DERIVED = ("H_r_rise_J_kg", "turbulent_ratio", "log10_re_theta_m", "dissociation_J_kg")
+"""Columns of one control point that follow from the others and from its declaration; no file holds them."""
+
 RATIO_VARIABLES = ("alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg")
 """The variables of a heating-ratio table, in the order of its axes."""
 

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
 from sim_heating.base.arrays import BoolArray, FloatArray
-from sim_heating.base.conditions import HEATING, STATE, Conditions
+from sim_heating.base.conditions import DERIVED, HEATING, STATE, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import (
     CsvTable,
@@ -580,7 +580,8 @@ def write_record(
     declared = record.declared
     with output_directory(directory, "write_record") as folder:
         write_text_atomic(folder / DECLARATION, toml_text(declared.model_dump(exclude_unset=True), comment))
-        write_csv(folder / declared.conditions.file, record.conditions.columns, formats)
+        conditions = {name: values for name, values in record.conditions.columns.items() if name not in DERIVED}
+        write_csv(folder / declared.conditions.file, conditions, formats)
         write_csv(folder / declared.thermocouples.file, record.thermocouples, formats)
         if record.ratio_table is not None and declared.heating.ratio_table is not None:
             write_ratio_table(folder / declared.heating.ratio_table, record.ratio_table, formats)

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.conditions import HEATING, RATIO_VARIABLES, STATE
+from sim_heating.base.conditions import DERIVED, HEATING, RATIO_VARIABLES, STATE
 from sim_heating.base.threads import one_thread
 from sim_heating.closure.clues.axial_force import AxialStep, axial_steps
 from sim_heating.closure.clues.hysteresis import HysteresisLoop, hysteresis_loops
@@ -229,7 +229,7 @@ def flight_variables(residual: ResidualHeating) -> dict[str, FloatArray]:
     """
     record, t = residual.record, residual.time_s
     flown = conditions_of_record(record).at(t)
-    known = {*STATE, *HEATING, "q_add_W_m2"} - {"mach"}
+    known = {*STATE, *HEATING, *DERIVED, "q_add_W_m2"} - {"mach"}
     names = [*RATIO_VARIABLES, *(n for n in flown.names if n not in known and n not in RATIO_VARIABLES)]
     wall = np.interp(t, residual.march_s, residual.input.temperature_K[:, 0])
     kind = wall_enthalpy_of(record.declared.heating.wall_enthalpy)
