@@ -107,7 +107,7 @@ def recovery() -> list[Row]:
 def slow_plate() -> list[Row]:
     """A slow flat plate as hot as the air: friction through Reynolds' analogy."""
     T, p = 300.0, 1e5
-    h, rho, mu = gas.air_kernel(T, p)[0], gas.air_density_kernel(T, p), gas.viscosity([T])[0]
+    h, rho, mu = gas.air_kernel(T, p)[0], gas.air_density_kernel(T, p), gas.air_transport_kernel(T, p)[1]
     rows = []
     for name, u, x, turbulent, friction, source in (
         ("laminar", 10.0, 0.5, False, lambda re: 0.332057 / math.sqrt(re), "Blasius: c_f/2 = 0.332057 Re^-1/2"),

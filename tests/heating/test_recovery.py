@@ -15,7 +15,7 @@ from sim_heating.heating.atmosphere import us76
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table, write_ratio_table
 from sim_heating.heating.ratio.tunnel_to_flight import FlowState, Scaling, scale_table
 from sim_heating.heating.reference.flat_plate import eckert_film, windward_edge_kernel
-from sim_heating.heating.reference.gas import air_density_kernel, air_kernel, air_temperature_kernel, viscosity_kernel
+from sim_heating.heating.reference.gas import air_kernel, air_state_kernel
 from sim_heating.heating.reference.models import point_heating, reference_heating
 from sim_heating.heating.reference.recovery import Recovery
 from sim_heating.heating.reference.stagnation import NO_LEWIS, fay_riddell_kernel
@@ -48,8 +48,7 @@ def laminar_plate(V: float, z: float, alpha: float, wall_K: float | None) -> tup
     p_e, h_e, u_e = edge(V, z, alpha)
 
     def rho_mu(h: float) -> float:
-        T = air_temperature_kernel(h, p_e)
-        return air_density_kernel(T, p_e) * viscosity_kernel(T)
+        return math.prod(air_state_kernel(h, p_e))
 
     levels = np.linspace(1e5, 1.3 * (h_e + 0.5 * u_e**2), 400)
     products = np.array([rho_mu(h) for h in levels]) / rho_mu(h_e)
