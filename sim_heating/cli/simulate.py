@@ -58,6 +58,8 @@ def _print_run_warnings(found: dict[str, Any]) -> None:
         if event["what"].endswith(NOT_FLOWN):
             CONSOLE.print(event["what"], style="red")
     _print_range_warnings(found["control_points"])
+    if found["beyond_reference"]:
+        CONSOLE.print(found["beyond_reference"])
     difference = found["plugin_apart_K"]
     if difference:
         CONSOLE.print(
@@ -240,4 +242,7 @@ def predict(records: tuple[Path, ...], out: Path, vehicle: str | None, root: Pat
     summaries = {p.record.name: summary(p) for p in predictions}
     print_table(prediction_table(list(summaries.values())))
     _print_range_warnings(summaries)
+    for name, found in summaries.items():
+        if found["beyond_reference"]:
+            CONSOLE.print(f"{name}: {found['beyond_reference']}")
     CONSOLE.print(f"Wrote {out}: temperatures.csv, summary.json, prediction.png for each record")

@@ -246,14 +246,25 @@ def sutherland_kernel(T_K: float) -> float:
 
 
 @njit
-def speed_of_sound_kernel(T_K: float) -> float:
-    """Speed of sound of undissociated air, a = sqrt(gamma R T) [m/s], gamma = 1.4, R = 287.05287 [J/(kg K)].
+def speed_of_sound_kernel(p_Pa: float, rho_kg_m3: float) -> float:
+    """Speed of sound a = sqrt(gamma p / rho) [m/s], gamma = 1.4; p / rho = R* T / M has the mean molar mass M in it.
 
-    T_K : temperature [K]. The standard defines the speed of sound to 86 km; this is continued above, as Mach number
-    needs it, with the gas constant of sea level.
-    Source: US Standard Atmosphere 1976, eq. 50.
+    p_Pa, rho_kg_m3 : pressure [Pa] and density [kg/m3], above 0
+    The standard defines the speed of sound to 86 km. It is continued above, as Mach number needs it. There gamma
+    neglects atomic oxygen, with which the speed of sound would be 1 % higher at 120 km.
+    Source: US Standard Atmosphere 1976, eq. 50; docs/equations_reference_heating.md, equation 2.
     """
-    return math.sqrt(GAMMA * R_AIR * T_K)
+    return math.sqrt(GAMMA * p_Pa / rho_kg_m3)
+
+
+@njit
+def standard_sound_kernel(altitude_m: float) -> float:
+    """Speed of sound of the standard atmosphere [m/s] at a geometric altitude [m].
+
+    Source: US Standard Atmosphere 1976, eq. 50, continued above 86 km as in `speed_of_sound_kernel`.
+    """
+    _, p, rho = us76_kernel(altitude_m)
+    return speed_of_sound_kernel(p, rho)
 
 
 @njit
@@ -262,7 +273,7 @@ def free_stream_kernel(
 ) -> tuple[float, float, float, float]:
     """Free-stream temperature [K], pressure [Pa], Mach number [-] and log10 Re [-] of one frame.
 
-        T = T_US76(z),  p = rho p_US76(z) / rho_US76(z),  M = V / sqrt(gamma R T),  Re = rho V L / mu(T)
+        T = T_US76(z),  p = rho p_US76(z) / rho_US76(z),  M = V / sqrt(gamma p / rho),  Re = rho V L / mu(T)
 
     altitude_m, velocity_m_s, rho_kg_m3 : of the frame [m], [m/s], [kg/m3]; density above 0
     reference_length_m                  : L [m]
@@ -272,7 +283,7 @@ def free_stream_kernel(
     T, p_standard, rho_standard = us76_kernel(altitude_m)
     # The ratio of the standard has the mean molar mass at this altitude in it, so that none has to be tabulated.
     p = rho_kg_m3 * p_standard / rho_standard
-    mach = velocity_m_s / speed_of_sound_kernel(T)
+    mach = velocity_m_s / speed_of_sound_kernel(p_standard, rho_standard)
     re = rho_kg_m3 * velocity_m_s * reference_length_m / sutherland_kernel(T)
     return T, p, mach, math.log10(max(re, SLOWEST_RE))
 
@@ -287,12 +298,6 @@ def _us76_loop(altitude_m: FloatArray, T: FloatArray, p: FloatArray, rho: FloatA
 def _sutherland_loop(T: FloatArray, mu: FloatArray) -> None:
     for i in range(len(T)):
         mu[i] = sutherland_kernel(T[i])
-
-
-@njit
-def _speed_of_sound_loop(T: FloatArray, speed: FloatArray) -> None:
-    for i in range(len(T)):
-        speed[i] = speed_of_sound_kernel(T[i])
 
 
 @njit
@@ -355,18 +360,16 @@ def sutherland_viscosity(T_K: ArrayLike) -> FloatArray:
     return mu.reshape(T.shape)
 
 
-def speed_of_sound(T_K: ArrayLike) -> FloatArray:
-    """Speed of sound of undissociated air, a = sqrt(gamma R T) [m/s], gamma = 1.4, R = 287.05287 [J/(kg K)].
+def standard_speed_of_sound(altitude_m: ArrayLike) -> FloatArray:
+    """Speed of sound of the US Standard Atmosphere 1976, a = sqrt(gamma p / rho) [m/s], gamma = 1.4.
 
-    T_K     : temperature [K], any shape
-    returns : speed of sound [m/s], in that shape
-    raises  : InputError where T is not a number above 0
-    Source: US Standard Atmosphere 1976, eq. 50.
+    altitude_m : geometric altitude [m], any shape, -5000 to 200000
+    returns    : speed of sound [m/s], in that shape
+    raises     : InputError outside that range or where not a number
+    Source: US Standard Atmosphere 1976, eq. 50, continued above 86 km with the mean molar mass there.
     """
-    T = _checked_positive("T_K", T_K)
-    speed = np.empty(T.size)
-    _speed_of_sound_loop(T.ravel(), speed)
-    return speed.reshape(T.shape)
+    _, p, rho = us76(altitude_m)
+    return np.sqrt(GAMMA * p / rho)
 
 
 def free_stream(
@@ -374,7 +377,7 @@ def free_stream(
 ) -> dict[str, FloatArray]:
     """Free-stream temperature, pressure, Mach and Reynolds number from altitude, velocity and density.
 
-        T = T_US76(z);  p = rho R T, R of US76's mean molar mass at z;  M = V / sqrt(gamma R T);  Re = rho V L / mu(T)
+        T = T_US76(z);  p = rho R T, R of US76's mean molar mass at z;  M = V / sqrt(gamma p / rho);  Re = rho V L / mu
 
     altitude_m, velocity_m_s, rho_kg_m3 : (time,) [m], [m/s], [kg/m3]; the density is kept as given (dispersions)
     reference_length_m : L [m], of the vehicle

@@ -6,16 +6,16 @@ Two models, both tending to the free-stream pressure as the speed falls (docs/eq
         theta = alpha + inclination + elevon_factor * elevon + bodyflap_factor * bodyflap
     fraction of stagnation, leeward  p = p_inf + fraction q_inf cp_max
 
-with cp_max the stagnation pressure coefficient behind a normal shock (Rayleigh pitot, gamma 1.4), below Mach 1 the
-isentropic one. `p_inf` is therefore the lowest value: the expansion of a leeward surface below free-stream
-pressure (at most 70 % of p_inf in the limit of high Mach numbers) is not modelled.
+with cp_max the stagnation pressure coefficient behind a normal shock in equilibrium air, below Mach 1 the isentropic
+one. `p_inf` is therefore the lowest value: the expansion of a leeward surface below free-stream pressure (at most
+70 % of p_inf in the limit of high Mach numbers) is not modelled.
 
 Sign of the inclination: the slope of the local surface against the vehicle's x axis, positive where it meets the flow
 more steeply at positive alpha (a lower surface that faces forward; a nose stagnation point has 90 - alpha).
 
 Accurate to some 10 % on windward surfaces above Mach 3; elsewhere only the limits are right. Conductivity
 goes with about the fifth root of pressure, so 10 % of pressure is 2 % of conductivity.
-Sources: Lees, "Hypersonic flow", 1955 (modified Newtonian); NACA Report 1135, eq. 100 (Rayleigh pitot formula).
+Sources: Lees, "Hypersonic flow", 1955 (modified Newtonian); equilibrium shock as for the reference heating.
 """
 
 from __future__ import annotations
@@ -28,9 +28,10 @@ from pydantic import Field
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
+from sim_heating.base.errors import InputError
 from sim_heating.base.files import Declared
 from sim_heating.base.kernels.jit import njit
-from sim_heating.heating.atmosphere import GAMMA
+from sim_heating.heating.reference.stagnation import SLOWEST_M_S, stagnation_kernel
 
 NEWTONIAN = 0.0
 FRACTION = 1.0
@@ -74,31 +75,23 @@ PressureModel = Annotated[ModifiedNewtonian | FractionOfStagnation, Field(discri
 
 
 @njit
-def stagnation_pressure_coefficient(mach: float) -> float:
-    """Largest pressure coefficient cp_max = (p_0 / p_inf - 1) / (gamma M^2 / 2) [-] of a body in air with gamma 1.4.
+def stagnation_rise(state: tuple[float, float, float, float]) -> float:
+    """Pressure rise at the stagnation point, q_inf cp_max = p_0 - p_inf [Pa], not below 0.
 
-    mach : free-stream Mach number [-], 0 or above
-    Above Mach 1 the Rayleigh pitot formula (1.276 at Mach 1, 1.839 in the limit), below it the isentropic one
-    (1 in the limit of 0); both meet at Mach 1. Dissociation would raise the limit to about 1.93.
-    Source: NACA Report 1135, equation 100; docs/equations.md, equation 32.
+    state : result of `stagnation_kernel`: equilibrium air behind a normal shock, isentropic below Mach 1
+    cp_max is 1 at rest, 1.28 at Mach 1, 1.84 at 2 km/s, 1.91 at 4 km/s and 1.95 at 7.5 km/s; a gas with gamma 1.4 has
+    1.839 in the limit. Source: docs/equations.md, equation 32.
     """
-    m2 = mach * mach
-    # Below Mach 0.01 the difference (ratio - 1) loses its digits; the series 1 + M^2/4 is 1 to 3e-5 there.
-    if m2 < 1e-4:
-        return 1.0
-    if m2 <= 1.0:
-        ratio = (1.0 + 0.5 * (GAMMA - 1.0) * m2) ** (GAMMA / (GAMMA - 1.0))
-    else:
-        shock = (GAMMA + 1.0) ** 2 * m2 / (4.0 * GAMMA * m2 - 2.0 * (GAMMA - 1.0))
-        ratio = shock ** (GAMMA / (GAMMA - 1.0)) * (2.0 * GAMMA * m2 - (GAMMA - 1.0)) / (GAMMA + 1.0)
-    return (ratio - 1.0) / (0.5 * GAMMA * m2)
+    # At rest rounding can leave p_0 below p_inf.
+    return max(state[0] - state[3], 0.0)
 
 
 @njit
 def surface_pressure_kernel(
     p_inf: float,
-    q_inf: float,
-    mach: float,
+    rho_kg_m3: float,
+    velocity_m_s: float,
+    T_inf_K: float,
     alpha_deg: float,
     beta_deg: float,
     elevon_deg: float,
@@ -107,14 +100,15 @@ def surface_pressure_kernel(
 ) -> float:
     """Surface pressure [Pa] of one point at one time, by modified Newtonian theory or as a fraction of stagnation.
 
-    p_inf, q_inf             : free-stream static and dynamic pressure [Pa]
-    mach                     : true Mach number [-]
+    p_inf                    : free-stream static pressure [Pa]
+    rho_kg_m3, velocity_m_s, T_inf_K : free-stream density [kg/m3], speed [m/s], temperature [K]
     alpha_deg, beta_deg      : angle of attack and sideslip [deg]
     elevon_deg, bodyflap_deg : deflections [deg]
     model                    : `parameters()` of a pressure model, at least (PRESSURE_WIDTH,)
-    Source: docs/equations.md, equations 30 to 32 (Lees 1955; NACA Report 1135, eq. 100).
+    Source: docs/equations.md, equations 30 to 32 (Lees 1955).
     """
-    rise, cos_beta = q_inf * stagnation_pressure_coefficient(mach), math.cos(math.radians(beta_deg))
+    rise = stagnation_rise(stagnation_kernel(rho_kg_m3, max(velocity_m_s, SLOWEST_M_S), T_inf_K))
+    cos_beta = math.cos(math.radians(beta_deg))
     return pressure_below_rise(p_inf, rise, alpha_deg, cos_beta, elevon_deg, bodyflap_deg, model)
 
 
@@ -149,12 +143,12 @@ def pressure_below_rise(
 
 @njit
 def _surface_pressures(
-    p_inf: FloatArray, q_inf: FloatArray, mach: FloatArray, alpha_deg: FloatArray, beta_deg: FloatArray,
+    p_inf: FloatArray, rho: FloatArray, V: FloatArray, T_inf: FloatArray, alpha_deg: FloatArray, beta_deg: FloatArray,
     elevon_deg: FloatArray, bodyflap_deg: FloatArray, model: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
     for i in range(len(out)):
         out[i] = surface_pressure_kernel(
-            p_inf[i], q_inf[i], mach[i], alpha_deg[i], beta_deg[i], elevon_deg[i], bodyflap_deg[i], model
+            p_inf[i], rho[i], V[i], T_inf[i], alpha_deg[i], beta_deg[i], elevon_deg[i], bodyflap_deg[i], model
         )
 
 
@@ -164,13 +158,17 @@ def surface_pressure(model: ModifiedNewtonian | FractionOfStagnation, conditions
     model      : pressure model of the control point
     conditions : flight conditions with the columns of `conditions.STATE`
     returns    : (time,) surface pressure [Pa]
-    raises     : KeyError where a column is missing
+    raises     : KeyError where a column is missing, InputError where density or temperature is not above 0
     Source: docs/equations.md, equations 30 to 32.
     """
     c = conditions
+    for name in ("rho_kg_m3", "T_inf_K"):
+        bad = np.flatnonzero(c[name] <= 0.0)
+        if bad.size:
+            raise InputError(f"conditions, row {bad[0] + 1}, column {name}: {c[name][bad[0]]} (must be above 0)")
     out = np.empty(len(c))
     _surface_pressures(
-        c["p_inf_Pa"], 0.5 * c["rho_kg_m3"] * c["velocity_m_s"] ** 2, c["mach"], c["alpha_deg"], c["beta_deg"],
+        c["p_inf_Pa"], c["rho_kg_m3"], c["velocity_m_s"], c["T_inf_K"], c["alpha_deg"], c["beta_deg"],
         c["elevon_deg"], c["bodyflap_deg"], model.parameters(), out,
     )  # fmt: skip
     return out

@@ -47,10 +47,10 @@ from sim_heating.base.kernels.block import (
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.limits import LIMITS
 from sim_heating.heating.atmosphere import free_stream_kernel
-from sim_heating.heating.reference.models import reference_kernel
+from sim_heating.heating.reference.models import reference_film_kernel, total_enthalpy_kernel
 from sim_heating.heating.reference.recovery import RECOVERY_WIDTH, point_recovery_kernel
-from sim_heating.heating.reference.stagnation import COLD_WALL_K
-from sim_heating.heating.surface_pressure import PRESSURE_WIDTH, pressure_below_rise, stagnation_pressure_coefficient
+from sim_heating.heating.reference.stagnation import COLD_WALL_K, SLOWEST_M_S, stagnation_kernel
+from sim_heating.heating.surface_pressure import PRESSURE_WIDTH, pressure_below_rise, stagnation_rise
 from sim_heating.march.frames import BLOCK_START, LaneGroups, advance_groups, begin_groups
 
 F_TIME, F_ALTITUDE, F_VELOCITY, F_ALPHA, F_BETA, F_ELEVON, F_BODYFLAP, F_RHO, F_JETS = range(len(FRAME))
@@ -179,8 +179,10 @@ def derive_conditions(
     code = int(host[CODE])
     T_inf, p_inf, mach, log10_re = free_stream_kernel(frame[F_ALTITUDE], V, rho, host[LENGTH])
     radius, length = host[RADIUS], -1.0
-    h_ref, H_0 = 0.0, 0.0
-    rise, cos_beta = 0.5 * rho * V * V * stagnation_pressure_coefficient(mach), math.cos(math.radians(beta))
+    h_ref, H_0 = 0.0, total_enthalpy_kernel(V, T_inf)
+    # One shock for the surface pressures and the reference heating.
+    state = stagnation_kernel(rho, max(V, SLOWEST_M_S), T_inf)
+    rise, cos_beta = stagnation_rise(state), math.cos(math.radians(beta))
     for i in range(len(lanes)):
         # Lanes that fill a group repeat its last point.
         if i > 0 and lanes[i] == lanes[i - 1]:
@@ -191,7 +193,7 @@ def derive_conditions(
         # The reference heating is the largest part of a frame; it differs between points by their running length alone.
         if point[RUNNING_LENGTH] != length:
             length = point[RUNNING_LENGTH]
-            h_ref, H_0 = reference_kernel(code, rho, V, T_inf, alpha, radius, length, COLD_WALL_K)
+            h_ref = reference_film_kernel(code, rho, V, T_inf, alpha, radius, length, COLD_WALL_K, state)
         vectors[i, ALPHA], vectors[i, BETA], vectors[i, LOG10_RE] = alpha, beta, log10_re
         vectors[i, ELEVON], vectors[i, BODYFLAP] = frame[F_ELEVON], frame[F_BODYFLAP]
         vectors[i, P_SURFACE] = pressure_below_rise(

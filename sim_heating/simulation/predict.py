@@ -14,6 +14,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import output_directory, write_json
 from sim_heating.base.files.package import package_version
+from sim_heating.heating.reference.models import beyond_range
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record, load_record, pooled_rmse_K
 from sim_heating.inputs.sensor_model import SensorErrors, indicated_temperature, lags_s
@@ -156,6 +157,7 @@ def summary(prediction: Prediction) -> dict[str, object]:
         "noise_floor_K": None if floor is None or not np.isfinite(floor) else floor,
         "sensors": by_sensor,
         "outside_table": [vars(o) for o in prediction.outside],
+        "beyond_reference": beyond_range(record.declared.heating.reference, record.conditions),
         "negative_ratio_s": negative_ratio_s(prediction.history),
     }
 

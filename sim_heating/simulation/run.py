@@ -16,6 +16,7 @@ from sim_heating.base.files import display_path, output_directory, write_csv, wr
 from sim_heating.base.files.package import package_version
 from sim_heating.base.files.text import write_bytes_atomic
 from sim_heating.base.progress import Progress, no_progress
+from sim_heating.heating.reference.models import beyond_range
 from sim_heating.inputs.points import conditions_at_point, mean_condition, point_of_vehicle
 from sim_heating.inputs.record import pooled_rmse_K
 from sim_heating.inputs.scenario import MeasuredHistory, Scenario, load_scenario
@@ -249,6 +250,7 @@ def summary(result: RunResult) -> dict[str, object]:
         "events": [{"time_s": t, "what": text} for t, text in result.flight.events],
         "manoeuvres": [vars(w) for w in result.flight.windows],
         "control_points": points,
+        "beyond_reference": beyond_range(scenario.vehicle.heating.reference, flown),
         "compared": {c.measured.label: c.statistics for c in compare(result)},
         "plugin_apart_K": result.plugin_apart_K,
     }

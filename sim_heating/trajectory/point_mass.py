@@ -19,7 +19,12 @@ from typing import NamedTuple
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.kernels.jit import njit, pointer
-from sim_heating.heating.atmosphere import G0_M_S2, speed_of_sound_kernel, us76_kernel
+from sim_heating.heating.atmosphere import (
+    G0_M_S2,
+    speed_of_sound_kernel,
+    standard_sound_kernel,
+    us76_kernel,
+)
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import manoeuvres as mv
 from sim_heating.trajectory.guidance import clip, first_memory_kernel, guidance_kernel
@@ -130,9 +135,9 @@ def air_at(x: float, y: float, z: float, vx: float, vy: float, vz: float, flight
     wind = (-se * east - up[2] * ce * north, ce * east - up[2] * se * north, cp * north)
     u = (vx - wind[0], vy - wind[1], vz - wind[2])
     speed = max(math.sqrt(dot(u, u)), 1e-6)
-    temperature, _, rho = us76_kernel(altitude)
-    rho *= scheduled(flight, DENSITY, altitude)
-    return Air(altitude, up, wind, u, speed, rho, speed / speed_of_sound_kernel(temperature))
+    _, p_standard, rho_standard = us76_kernel(altitude)
+    mach = speed / speed_of_sound_kernel(p_standard, rho_standard)
+    return Air(altitude, up, wind, u, speed, rho_standard * scheduled(flight, DENSITY, altitude), mach)
 
 
 @njit
@@ -261,7 +266,7 @@ def first_state_kernel(
     state[X], state[Y], state[Z] = position_kernel(initial, flight)
     state[VX], state[VY], state[VZ] = velocity_kernel(initial, flight)
     speed = initial[SPEED_0]
-    mach = speed / speed_of_sound_kernel(us76_kernel(initial[ALTITUDE_0])[0])
+    mach = speed / standard_sound_kernel(initial[ALTITUDE_0])
     first_memory_kernel(block, state, MEMORY, mach, speed)
     state[ALPHA], state[BANK] = state[MEMORY + gd.ALPHA_COMMAND], state[MEMORY + gd.BANK_COMMAND]
     state[LAST_SPEED] = state[EXPECTED_SPEED] = speed

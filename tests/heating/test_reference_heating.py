@@ -223,33 +223,24 @@ def test_a_lewis_number_of_1_4_adds_an_eighth_at_7_km_s():
 
 
 @compiling
-@given(densities, st.floats(50.0, 9000.0), temperatures)
-def test_heating_of_a_sphere_scales_with_the_inverse_root_of_its_radius(rho, V, T_inf):
-    for name in ("sutton-graves", "detra-kemp-riddell", "fay-riddell"):
-        code = REFERENCE_MODELS[name].code
-        small, large = (reference_kernel(code, rho, V, T_inf, 0.0, R, 1.0, 300.0)[0] for R in (0.25, 1.0))
-        assert small / large == pytest.approx(2.0, rel=1e-12)
+@given(densities, st.floats(1000.0, 9000.0), temperatures)
+def test_continuum_heating_of_a_sphere_scales_with_the_inverse_root_of_its_radius(rho, V, T_inf):
+    for film in (sutton_graves_kernel, detra_kemp_riddell_kernel):
+        assert film(rho, V, T_inf, 0.25) / film(rho, V, T_inf, 1.0) == pytest.approx(2.0, rel=1e-12)
+    small, large = (fay_riddell_kernel(rho, V, T_inf, R, 300.0, 1.0) for R in (0.25, 1.0))
+    assert small / large == pytest.approx(2.0, rel=1e-12)
 
 
 @compiling
-@given(speeds, temperatures, st.floats(-9.0, -0.2))
+@given(st.floats(1000.0, 9000.0), temperatures, st.floats(-9.0, -0.2))
 def test_the_correlations_scale_with_the_root_of_density(V, T_inf, log_rho):
     for film in (sutton_graves_kernel, detra_kemp_riddell_kernel):
         thin, thick = film(10.0**log_rho, V, T_inf, 1.0), film(4.0 * 10.0**log_rho, V, T_inf, 1.0)
         assert thick / thin == pytest.approx(2.0, rel=1e-12)
 
 
-@pytest.mark.parametrize("speed_m_s", [850.0, 550.0])
-@pytest.mark.parametrize("T_inf", [150.0, 220.0, 400.0])
-def test_film_coefficients_are_smooth_where_the_low_speed_rule_begins(speed_m_s, T_inf):
-    for film in (sutton_graves_kernel, detra_kemp_riddell_kernel):
-        h = [film(1e-2, speed_m_s + dv, T_inf, 1.0) for dv in (-2.0, -1.0, 0.0, 1.0, 2.0)]
-        slopes = np.diff(h)
-        assert slopes[2] == pytest.approx(slopes[1], rel=0.02)  # curvature over 1 m/s, no step in slope
-
-
-def test_a_correlation_is_q_over_the_enthalpy_difference_down_to_850_m_s():
-    for V in (850.0, 1200.0, 7000.0):
+def test_a_correlation_is_its_flux_over_the_enthalpy_difference_to_a_cold_wall():
+    for V in (1000.0, 2500.0, 7000.0):
         q = 1.7415e-4 * math.sqrt(1e-2 / 0.5) * V**3
         assert sutton_graves_kernel(1e-2, V, 220.0, 0.5) == pytest.approx(q / (0.5 * V**2 + 1004.5 * (220.0 - 300.0)))
 
@@ -401,9 +392,14 @@ def test_a_whole_entry_peaks_where_shuttles_were_hottest():
 def test_records_of_an_independent_program_have_the_sutton_graves_film_coefficient_to_their_digits(record):
     columns = np.genfromtxt(PRACTICE / record / "conditions.csv", delimiter=",", names=True)
     c = Conditions({name: columns[name].copy() for name in columns.dtype.names})
+    states = zip(c["rho_kg_m3"], c["velocity_m_s"], c["T_inf_K"], strict=True)
+    continuum = np.array([sutton_graves_kernel(*state, ONE_FOOT_M) for state in states])
+    assert continuum == pytest.approx(c["h_ref_kg_m2_s"], rel=2e-5)  # 890 to 7700 m/s; rho printed to 6 digits
     h_ref, H_r = reference_heating("sutton-graves", c)
-    assert h_ref == pytest.approx(c["h_ref_kg_m2_s"], rel=2e-5)  # 890 to 7700 m/s; rho printed to 6 digits
     assert H_r == pytest.approx(c["H_r_J_kg"], rel=2e-5)
+    # Their program has no bridging and no hand-over at low speed: equal where neither acts.
+    inside = (c["velocity_m_s"] > 2000.0) & (c["altitude_m"] < 75e3)
+    assert h_ref[inside] == pytest.approx(c["h_ref_kg_m2_s"][inside], rel=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,6 @@ from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.surface_pressure import (
     FractionOfStagnation,
     ModifiedNewtonian,
-    stagnation_pressure_coefficient,
     surface_pressure,
 )
 from sim_heating.inputs.ratio_sources import build_tables, write_tables
@@ -277,35 +276,32 @@ def test_a_vehicle_without_ratio_sources_has_no_tables_to_write(damaged):
 
 def test_windward_pressure_is_that_of_the_lower_surface_estimate(orbiter):
     t = ESTIMATE
-    _, p_inf, rho = us76(t["altitude_m"])
-    flight = conditions(
-        alpha_deg=t["alpha_deg"], mach=t["mach"], velocity_m_s=t["velocity_m_s"], rho_kg_m3=rho, p_inf_Pa=p_inf
-    )
+    T_inf, p_inf, rho = us76(t["altitude_m"])
+    V = t["velocity_m_s"]
+    flight = conditions(alpha_deg=t["alpha_deg"], velocity_m_s=V, rho_kg_m3=rho, p_inf_Pa=p_inf, T_inf_K=T_inf)
     p = orbiter.control_point("V09T9527").surface_pressure(flight)
-    np.testing.assert_allclose(p, t["p_edge_Pa"], rtol=0.01)
-
-
-def test_stagnation_pressure_is_that_of_naca_report_1135():
-    # NACA 1135, table II: p_t2 / p_1 at Mach 1, 2, 5, 10 is 1.893, 5.640, 32.65, 129.2
-    for mach, ratio in ((1.0, 1.893), (2.0, 5.640), (5.0, 32.65), (10.0, 129.2)):
-        assert 1.0 + 0.7 * mach**2 * stagnation_pressure_coefficient(mach) == pytest.approx(ratio, rel=5e-4)
+    # The estimate has the stagnation pressure of gamma 1.4, equilibrium air 1.88 to 1.94 for 1.84 at these speeds.
+    real = np.interp(V, [2500.0, 3000.0, 4000.0, 5000.0, 6000.0, 7000.0], [1.867, 1.892, 1.912, 1.921, 1.934, 1.943])
+    np.testing.assert_allclose(p, t["p_edge_Pa"] * real / 1.839, rtol=0.01)
 
 
 @settings(deadline=None)  # the first example compiles the kernel
-@given(st.floats(0.0, 40.0), st.floats(-180.0, 180.0), st.floats(-90.0, 90.0), st.floats(-40.0, 40.0))
-def test_surface_pressure_lies_between_freestream_and_stagnation(mach, alpha, inclination, elevon):
-    q = 0.7 * 100.0 * mach**2
-    state = {"mach": mach, "p_inf_Pa": 100.0, "rho_kg_m3": 2.0 * q, "velocity_m_s": 1.0}
-    flight = conditions(alpha_deg=alpha, elevon_deg=elevon, **state)
-    top = 100.0 + q * stagnation_pressure_coefficient(mach)
+@given(st.floats(0.0, 9000.0), st.floats(-180.0, 180.0), st.floats(-90.0, 90.0), st.floats(-40.0, 40.0))
+def test_surface_pressure_lies_between_freestream_and_stagnation(speed_m_s, alpha, inclination, elevon):
+    rho, T_inf = 1e-3, 230.0
+    p_inf = rho * 287.05287 * T_inf
+    flight = conditions(
+        alpha_deg=alpha, elevon_deg=elevon, p_inf_Pa=p_inf, rho_kg_m3=rho, velocity_m_s=speed_m_s, T_inf_K=T_inf
+    )
+    top = p_inf + 1.96 * 0.5 * rho * max(speed_m_s, 1.0) ** 2  # the largest coefficient of equilibrium air
     windward = ModifiedNewtonian(model="modified-newtonian", inclination_deg=inclination, elevon_factor=1.0)
     leeward = FractionOfStagnation(model="fraction-of-stagnation", fraction=0.01)
     for model in (windward, leeward):
-        assert 100.0 <= surface_pressure(model, flight)[0] <= top * (1 + 1e-12)
+        assert p_inf <= surface_pressure(model, flight)[0] <= top * (1 + 1e-12)
 
 
 def test_a_deflected_elevon_sees_the_pressure_of_a_steeper_surface(orbiter):
-    common = {"mach": 20.0, "p_inf_Pa": 5.0, "rho_kg_m3": 8e-5, "velocity_m_s": 6000.0}
+    common = {"p_inf_Pa": 5.0, "rho_kg_m3": 8e-5, "velocity_m_s": 6000.0, "T_inf_K": 220.0}
     deflected = conditions(alpha_deg=40.0, elevon_deg=5.0, **common)
     steeper = conditions(alpha_deg=45.0, **common)
     elevon = orbiter.control_point("V07T9730")

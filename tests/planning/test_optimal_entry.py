@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import check
-from sim_heating.heating.atmosphere import speed_of_sound, us76
+from sim_heating.heating.atmosphere import standard_speed_of_sound, us76
 from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
 from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.march.history import march_points
@@ -147,8 +147,8 @@ def test_the_optimal_entry_integrated_with_the_tables_themselves_ends_close_by(l
     aero = tables.aerodynamics(limited_flight.study)
 
     def accelerations(altitude_m, speed_m_s, alpha_deg):
-        T, _, rho = us76(altitude_m)
-        CL, CD, *_ = aero.at(float(speed_m_s / speed_of_sound(T)), float(alpha_deg), float(speed_m_s))
+        rho, sound = us76(altitude_m)[2], standard_speed_of_sound(altitude_m)
+        CL, CD, *_ = aero.at(float(speed_m_s / sound), float(alpha_deg), float(speed_m_s))
         per_mass = 0.5 * float(rho) * speed_m_s**2 * aero.area_m2 / aero.mass_kg
         return per_mass * CL, per_mass * CD
 

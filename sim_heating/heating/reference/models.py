@@ -21,12 +21,16 @@ from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.jit import njit
 from sim_heating.heating.atmosphere import CP_AIR
 from sim_heating.heating.reference.flat_plate import eckert_kernel
+from sim_heating.heating.reference.low_speed import CORRELATION_M_S, correlation_share
+from sim_heating.heating.reference.rarefied import bridged_film
 from sim_heating.heating.reference.recovery import Recovery, RecoveryName, point_recovery
 from sim_heating.heating.reference.stagnation import (
     COLD_WALL_K,
     NO_LEWIS,
+    SLOWEST_M_S,
     detra_kemp_riddell_kernel,
-    fay_riddell_kernel,
+    fay_riddell_of_state,
+    stagnation_kernel,
     sutton_graves_kernel,
 )
 
@@ -47,6 +51,8 @@ class ReferenceModel:
     on_plate : True where it also needs a running length [m]
     recovery : enthalpy that a ratio over it is reduced with where nothing else is stated; the Eckert models are a
                surface at the angle of attack with its boundary layer
+    holds_m_s : lowest and highest speed [m/s] at which the published form holds; Fay-Riddell replaces a correlation
+               below the lowest, every form is continued above the highest, which `beyond_range` reports
     """
 
     name: str
@@ -55,32 +61,34 @@ class ReferenceModel:
     needs: tuple[str, ...] = ("rho_kg_m3", "velocity_m_s", "T_inf_K")
     on_plate: bool = False
     recovery: Recovery = _TOTAL
+    holds_m_s: tuple[float, float] = (0.0, np.inf)
 
 
 _PLATE = ("rho_kg_m3", "velocity_m_s", "T_inf_K", "alpha_deg")
 _ALL = (
     ReferenceModel("none", NONE, "h_ref = 0: only the added flux heats", ("velocity_m_s", "T_inf_K")),
     ReferenceModel("columns", COLUMNS, "columns h_ref_kg_m2_s and H_r_J_kg as given", ("h_ref_kg_m2_s", "H_r_J_kg")),
-    ReferenceModel("sutton-graves", SUTTON_GRAVES, "sphere, Sutton & Graves, NASA TR R-376 (1971)"),
-    ReferenceModel("detra-kemp-riddell", DETRA_KEMP_RIDDELL, "sphere, Detra, Kemp & Riddell (1957)"),
-    ReferenceModel("fay-riddell", FAY_RIDDELL, "sphere, equilibrium air, Fay & Riddell (1958), Lewis number 1"),
     ReferenceModel(
-        "eckert-laminar",
-        ECKERT_LAMINAR,
-        "windward flat plate, Eckert (1956), laminar",
-        _PLATE,
-        True,
-        Recovery("edge-laminar"),
+        "sutton-graves", SUTTON_GRAVES, "sphere, Sutton & Graves, NASA TR R-376 (1971)",
+        holds_m_s=(CORRELATION_M_S, 15000.0),
     ),
     ReferenceModel(
-        "eckert-turbulent",
-        ECKERT_TURBULENT,
-        "windward flat plate, Eckert (1956), turbulent",
-        _PLATE,
-        True,
-        Recovery("edge-turbulent"),
+        "detra-kemp-riddell", DETRA_KEMP_RIDDELL, "sphere, Detra, Kemp & Riddell (1957)",
+        holds_m_s=(CORRELATION_M_S, 8000.0),
     ),
-)
+    ReferenceModel(
+        "fay-riddell", FAY_RIDDELL, "sphere, equilibrium air, Fay & Riddell (1958), Lewis number 1",
+        holds_m_s=(0.0, 8000.0),
+    ),
+    ReferenceModel(
+        "eckert-laminar", ECKERT_LAMINAR, "windward flat plate, Eckert (1956), laminar", _PLATE, True,
+        Recovery("edge-laminar"), (0.0, 8000.0),
+    ),
+    ReferenceModel(
+        "eckert-turbulent", ECKERT_TURBULENT, "windward flat plate, Eckert (1956), turbulent", _PLATE, True,
+        Recovery("edge-turbulent"), (0.0, 8000.0),
+    ),
+)  # fmt: skip
 
 REFERENCE_MODELS: Mapping[str, ReferenceModel] = MappingProxyType({model.name: model for model in _ALL})
 """Every reference heating by the name that files use."""
@@ -126,6 +134,44 @@ def total_enthalpy_kernel(velocity_m_s: float, T_inf_K: float) -> float:
 
 
 @njit
+def reference_film_kernel(
+    code: int,
+    rho_kg_m3: float,
+    velocity_m_s: float,
+    T_inf_K: float,
+    alpha_deg: float,
+    nose_radius_m: float,
+    running_length_m: float,
+    wall_temperature_K: float,
+    state: tuple[float, float, float, float],
+) -> float:
+    """Reference film coefficient h_ref [kg/(m2 s)] of one flight condition whose stagnation state is known.
+
+    state : result of `stagnation_kernel` at this density, temperature and speed (at least SLOWEST_M_S); a frame
+            computes it once, for the film coefficient and for the surface pressures
+    The other arguments are those of `reference_kernel`.
+    Source: docs/equations_reference_heating.md, equations 9 to 18, 31 and 32, by model.
+    """
+    if code in (NONE, COLUMNS):
+        return 0.0
+    V = max(velocity_m_s, SLOWEST_M_S)
+    if code in (ECKERT_LAMINAR, ECKERT_TURBULENT):
+        turbulent = code == ECKERT_TURBULENT
+        return eckert_kernel(rho_kg_m3, V, T_inf_K, alpha_deg, running_length_m, wall_temperature_K, turbulent, False)
+    share = 0.0 if code == FAY_RIDDELL else correlation_share(V)
+    film = 0.0
+    if share < 1.0:
+        film = fay_riddell_of_state(state, V, T_inf_K, nose_radius_m, wall_temperature_K, NO_LEWIS)
+    if share > 0.0:
+        if code == SUTTON_GRAVES:
+            correlation = sutton_graves_kernel(rho_kg_m3, V, T_inf_K, nose_radius_m)
+        else:
+            correlation = detra_kemp_riddell_kernel(rho_kg_m3, V, T_inf_K, nose_radius_m)
+        film += share * (correlation - film)
+    return bridged_film(film, rho_kg_m3, V)
+
+
+@njit
 def reference_kernel(
     code: int,
     rho_kg_m3: float,
@@ -145,21 +191,16 @@ def reference_kernel(
     wall_temperature_K : of the reference wall [K], 300 by definition; read by Fay-Riddell and Eckert (the two
                          correlations have theirs built in)
     Density, temperature, radius and length above 0; nothing is checked here.
-    Source: docs/equations_reference_heating.md, equations 9 to 18, by model.
+    Source: docs/equations_reference_heating.md, equations 9 to 18, 31 and 32, by model.
     """
     H_0 = total_enthalpy_kernel(velocity_m_s, T_inf_K)
-    h_ref = 0.0
-    if code == SUTTON_GRAVES:
-        h_ref = sutton_graves_kernel(rho_kg_m3, velocity_m_s, T_inf_K, nose_radius_m)
-    elif code == DETRA_KEMP_RIDDELL:
-        h_ref = detra_kemp_riddell_kernel(rho_kg_m3, velocity_m_s, T_inf_K, nose_radius_m)
-    elif code == FAY_RIDDELL:
-        h_ref = fay_riddell_kernel(rho_kg_m3, velocity_m_s, T_inf_K, nose_radius_m, wall_temperature_K, NO_LEWIS)
-    elif code in (ECKERT_LAMINAR, ECKERT_TURBULENT):
-        turbulent = code == ECKERT_TURBULENT
-        h_ref = eckert_kernel(
-            rho_kg_m3, velocity_m_s, T_inf_K, alpha_deg, running_length_m, wall_temperature_K, turbulent, False
-        )
+    # These two read no density, and without one there is no stagnation state.
+    if code in (NONE, COLUMNS):
+        return 0.0, H_0
+    state = stagnation_kernel(rho_kg_m3, max(velocity_m_s, SLOWEST_M_S), T_inf_K)
+    h_ref = reference_film_kernel(
+        code, rho_kg_m3, velocity_m_s, T_inf_K, alpha_deg, nose_radius_m, running_length_m, wall_temperature_K, state
+    )
     return h_ref, H_0
 
 
@@ -226,9 +267,11 @@ def reference_heating(
     returns            : h_ref (time,) [kg/(m2 s)], H_r (time,) [J/kg]
     raises             : InputError for an unknown name, a missing column, a density, temperature or length not above 0
 
-    Valid from 2 to 8 km/s below about 90 km; continued outside.
-    Source: docs/equations_reference_heating.md, equations 9 to 19 (Sutton and Graves 1971; Detra et al. 1957;
-    Fay and Riddell 1958; Eckert 1956).
+    Stagnation heating holds from rest to free-molecular flow: below 2 km/s Fay-Riddell takes over from a correlation,
+    thin air is bridged (Matting 1971). Eckert's plate is for continuum flow, below about 90 km. `ReferenceModel`
+    states the speeds, `beyond_range` what a flight does outside of them.
+    Source: docs/equations_reference_heating.md, equations 9 to 19, 31 and 32 (Sutton and Graves 1971; Detra et al.
+    1957; Fay and Riddell 1958; Eckert 1956; Matting 1971).
     """
     h_ref, H_r, _ = point_heating(
         name,
@@ -275,3 +318,20 @@ def point_heating(
     geometry = (float(nose_radius_m), float(running_length_m or 1.0), float(wall_temperature_K))
     _reference_loop(model.code, rho, V, T_inf, alpha, geometry, h_ref, H_0)
     return dict(zip(HEATING_COLUMNS, (h_ref, *point_recovery(of_point, H_0, conditions)), strict=True))
+
+
+def beyond_range(name: str, conditions: Conditions) -> str | None:
+    """One line on the part of a flight that is faster than a reference heating holds; None where there is none.
+
+    name       : a key of REFERENCE_MODELS
+    conditions : of the flight, with velocity_m_s
+    """
+    fastest, speed = reference_model(name).holds_m_s[1], conditions["velocity_m_s"]
+    beyond = speed > fastest
+    if not np.any(beyond):
+        return None
+    first, highest = float(conditions.time_s[beyond][0]), float(np.max(speed))
+    return (
+        f"reference heating `{name}` holds to {fastest / 1e3:g} km/s; it is continued to {highest / 1e3:.2f} km/s from "
+        f"{first:g} s on, and radiation of the shock layer is not modelled"
+    )

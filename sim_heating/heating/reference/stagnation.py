@@ -1,14 +1,14 @@
-"""Stagnation-point heating of a sphere as a film coefficient: Fay-Riddell, Detra-Kemp-Riddell, Sutton-Graves.
+"""Stagnation heating as a film coefficient: Fay-Riddell on a sphere or cylinder, Detra-Kemp-Riddell, Sutton-Graves.
 
 The film coefficient is h_ref = q_ref / (h_0 - h_w) [kg/(m2 s)] for a cold wall of 300 K; it is used with the recovery
 enthalpy H_r = V^2/2 + cp T_inf. The three models differ by about 12 % in q between 6 and 7.5 km/s, so that a heating
 ratio is valid only with the model over which it was formed.
 
-In the two correlations h_0 - h_w is V^2/2 + cp (T_inf - 300 K), which changes sign at about 400 m/s in cold air. Below
-850 m/s the film coefficient is therefore taken from the formula's own speed group, q_ref / (V^2/2), times a factor that
-leaves its value at 850 m/s with a continuous slope and is constant below 550 m/s. Fay-Riddell has no such singularity.
-A body at rest is heated as at 1 m/s: natural convection is not modelled, a positive film coefficient is.
-Equations: docs/equations_reference_heating.md, equations 9 to 14.
+Each function here is a published formula in continuum flow. `low_speed` says where the two correlations end and
+Fay-Riddell takes over, `rarefied` bridges all of them to free-molecular flow; `models` applies both.
+Fay-Riddell holds from rest on: its velocity gradient is that of Newtonian pressure in supersonic flow and that of
+potential flow in subsonic flow. A body at rest is heated as at 1 m/s: natural convection is not modelled.
+Equations: docs/equations_reference_heating.md, equations 9 to 14 and 31.
 """
 
 from __future__ import annotations
@@ -31,13 +31,6 @@ COLD_WALL_K = 300.0
 """Wall temperature of the reference heat flux [K]."""
 SLOWEST_M_S = 1.0
 """Speed [m/s] below which a body is heated as at this speed."""
-SPEED_EXACT_M_S = 850.0
-"""Speed [m/s] from which the film coefficient is q_ref/(h_0 - h_w) exactly."""
-SPEED_CONSTANT_M_S = 550.0
-"""Speed [m/s] below which the ratio (V^2/2) / (h_0 - h_w) is constant."""
-SPEED_OF_CONSTANT_M_S = 0.5 * (SPEED_EXACT_M_S + SPEED_CONSTANT_M_S)
-"""Speed [m/s] at which that constant ratio is taken: 700 m/s joins the two with a continuous slope."""
-
 SUTTON_GRAVES = 1.7415e-4
 """K of q = K sqrt(rho/R) V^3 in SI; Sutton & Graves, NASA TR R-376 (1971), for air."""
 DKR_W_M2 = 1.1035e8
@@ -47,6 +40,11 @@ DKR_EXPONENT = 3.15
 """Detra, Kemp & Riddell (1957): 17 600 Btu/(ft2 s) at 26 000 ft/s and sea-level density on R = 1 ft."""
 FAY_RIDDELL = 0.763
 """Constant of Fay & Riddell (1958), eq. 63, axisymmetric, equilibrium boundary layer."""
+
+SPHERE = (1.5, 0.252, 0.0175, 1.0, 1.4)
+CYLINDER = (2.0, 0.416, 0.164, 0.8, 1.1)
+"""Velocity gradient of a body in subsonic flow, R/V du_e/dx = K (1 - a M^2 - b M^4), as K, a, b, and the Mach numbers
+between which it gives way to that of Newtonian pressure. Source: White, Viscous Fluid Flow (1991), section 7-4."""
 LEWIS_EXPONENT = 0.52
 NO_LEWIS = 1.0
 """Lewis number of the reference model: 1, the diffusion term left out (1.4 adds 12 to 13 % at 7 km/s)."""
@@ -61,16 +59,9 @@ SHOCK_TOLERANCE = 1.0e-10
 
 
 @njit
-def _enthalpy_factor(V: float, T_inf_K: float) -> float:
-    """(V^2/2) / (h_0 - h_w300) [-], constant below 550 m/s, joined smoothly (docs/equations_reference_heating.md,
-    equation 12).
-    """
-    v = V
-    if V < SPEED_EXACT_M_S:
-        above = max(V - SPEED_CONSTANT_M_S, 0.0)
-        v = SPEED_OF_CONSTANT_M_S + 0.5 * above * above / (SPEED_EXACT_M_S - SPEED_CONSTANT_M_S)
-    kinetic = 0.5 * v * v
-    return kinetic / (kinetic + CP_AIR * (T_inf_K - COLD_WALL_K))
+def _over_cold_wall(q_W_m2: float, V: float, T_inf_K: float) -> float:
+    """q / (h_0 - h_w) [kg/(m2 s)], h_0 - h_w = V^2/2 + cp (T_inf - 300 K), positive above 650 m/s at 100 K and more."""
+    return q_W_m2 / (0.5 * V * V + CP_AIR * (T_inf_K - COLD_WALL_K))
 
 
 @njit
@@ -79,11 +70,11 @@ def sutton_graves_kernel(rho_kg_m3: float, velocity_m_s: float, T_inf_K: float, 
 
     rho_kg_m3, velocity_m_s, T_inf_K : free-stream density [kg/m3], speed [m/s], temperature [K], above 100
     nose_radius_m                    : R of the sphere [m]
-    Valid for equilibrium air, 2 to 8 km/s. Below 850 m/s h_ref is 2 K sqrt(rho/R) V times a bounded factor.
-    Source: Sutton and Graves, NASA TR R-376 (1971); docs/equations_reference_heating.md, equations 10 and 12.
+    Valid for equilibrium air, 2.3 to 116 MJ/kg, which is 2 to 15 km/s. Not for use below 1 km/s.
+    Source: Sutton and Graves, NASA TR R-376 (1971); docs/equations_reference_heating.md, equation 10.
     """
-    V = max(velocity_m_s, SLOWEST_M_S)
-    return 2.0 * SUTTON_GRAVES * math.sqrt(rho_kg_m3 / nose_radius_m) * V * _enthalpy_factor(V, T_inf_K)
+    V = velocity_m_s
+    return _over_cold_wall(SUTTON_GRAVES * math.sqrt(rho_kg_m3 / nose_radius_m) * V * V * V, V, T_inf_K)
 
 
 @njit
@@ -94,13 +85,12 @@ def detra_kemp_riddell_kernel(rho_kg_m3: float, velocity_m_s: float, T_inf_K: fl
 
     rho_kg_m3, velocity_m_s, T_inf_K : free-stream density [kg/m3], speed [m/s], temperature [K], above 100
     nose_radius_m                    : R of the sphere [m]
-    Valid from 2 to 8 km/s; below 850 m/s q / (V^2/2) times a bounded factor.
-    Source: Detra, Kemp and Riddell (1957), Jet Propulsion 27, 1256; equations 11 and 12 of
-    docs/equations_reference_heating.md.
+    Valid from 2 to 8 km/s. Not for use below 1 km/s.
+    Source: Detra, Kemp and Riddell (1957), Jet Propulsion 27, 1256; docs/equations_reference_heating.md, equation 11.
     """
-    V = max(velocity_m_s, SLOWEST_M_S)
+    V = velocity_m_s
     q = DKR_W_M2 * math.sqrt(rho_kg_m3 / (DKR_RHO_KG_M3 * nose_radius_m)) * (V / DKR_V_M_S) ** DKR_EXPONENT
-    return q / (0.5 * V * V) * _enthalpy_factor(V, T_inf_K)
+    return _over_cold_wall(q, V, T_inf_K)
 
 
 @njit
@@ -176,7 +166,7 @@ def stagnation_kernel(rho_kg_m3: float, velocity_m_s: float, T_inf_K: float) -> 
     h_0 = h + 0.5 * velocity_m_s * velocity_m_s
     p_2, h_2, rho_2 = p, h, rho_kg_m3
     # gamma 1.4 only decides whether there is a shock: near Mach 1 it is weak, and both branches give nearly one state.
-    if velocity_m_s * velocity_m_s > GAMMA * R_TABLE * T_inf_K:
+    if mach_of_table_gas(velocity_m_s, T_inf_K) > 1.0:
         eps = shock_density_ratio(rho_kg_m3, velocity_m_s, p, h)
         p_2, h_2 = _behind_shock(eps, rho_kg_m3, velocity_m_s, p, h)
         rho_2 = rho_kg_m3 / eps
@@ -189,23 +179,54 @@ def stagnation_kernel(rho_kg_m3: float, velocity_m_s: float, T_inf_K: float) -> 
 
 
 @njit
-def fay_riddell_film(
-    p_0: float, h_0: float, rho_0: float, p_inf: float, nose_radius_m: float, T_w_K: float, lewis: float
-) -> float:
-    """Film coefficient of Fay and Riddell [kg/(m2 s)] from the stagnation state of equilibrium air.
+def smooth_share(x: float, low: float, high: float) -> float:
+    """Share 3 s^2 - 2 s^3 [-] of a blend, s the place of x between low and high: 0 and 1 with zero slope at the ends.
+
+    Source: the cubic step of docs/equations_reference_heating.md, equation 12; a choice.
+    """
+    s = min(max((x - low) / (high - low), 0.0), 1.0)
+    return s * s * (3.0 - 2.0 * s)
+
+
+@njit
+def velocity_gradient(
+    p_0: float, rho_0: float, p_inf: float, velocity_m_s: float, mach: float, radius_m: float,
+    body: tuple[float, float, float, float, float],
+) -> float:  # fmt: skip
+    """Gradient du_e/dx [1/s] of the edge speed at a sphere's stagnation point or a cylinder's stagnation line.
+
+        supersonic  du_e/dx = (1/R) sqrt(2 (p_0 - p_inf) / rho_0)       (Newtonian pressure)
+        subsonic    du_e/dx = (V/R) K (1 - a M^2 - b M^4)               (potential flow; K 3/2 sphere, 2 cylinder)
+
+    p_0, rho_0, p_inf  : stagnation pressure [Pa] and density [kg/m3], free-stream pressure [Pa]
+    velocity_m_s, mach : of the free stream [m/s], [-];  radius_m : R [m];  body : SPHERE or CYLINDER
+    The two cross near Mach 1.2 (sphere) and 1 (cylinder), where one gives way to the other with a continuous slope.
+    Source: docs/equations_reference_heating.md, equations 14 and 31 (Fay and Riddell 1958; White 1991).
+    """
+    K, a, b, low, high = body
+    share = smooth_share(mach, low, high)
+    slow = fast = 0.0
+    if share < 1.0:
+        m2 = mach * mach
+        slow = velocity_m_s * K * (1.0 - m2 * (a + b * m2))
+    if share > 0.0:
+        fast = math.sqrt(2.0 * (p_0 - p_inf) / rho_0)
+    return (slow + share * (fast - slow)) / radius_m
+
+
+@njit
+def fay_riddell_film(p_0: float, h_0: float, rho_0: float, gradient_1_s: float, T_w_K: float, lewis: float) -> float:
+    """Film coefficient of Fay and Riddell [kg/(m2 s)] from the stagnation state of equilibrium air, axisymmetric.
 
         h = 0.763 Pr^-0.6 (rho_w mu_w)^0.1 (rho_e mu_e)^0.4 [1 + (Le^0.52 - 1) h_D/h_0] (du_e/dx)^0.5
-        du_e/dx = (1/R) sqrt(2 (p_0 - p_inf) / rho_0)   (Newtonian pressure)
 
-    p_0, h_0, rho_0 : stagnation pressure [Pa], enthalpy [J/kg], density [kg/m3];  p_inf : free-stream pressure [Pa]
-    nose_radius_m   : R of the sphere [m];  T_w_K : wall temperature [K];  lewis : Lewis number Le [-]
+    p_0, h_0, rho_0 : stagnation pressure [Pa], enthalpy [J/kg], density [kg/m3]
+    gradient_1_s    : du_e/dx [1/s];  T_w_K : wall temperature [K];  lewis : Lewis number Le [-]
     Source: Fay and Riddell (1958), J. Aero. Sci. 25, 73, eq. 63; docs/equations_reference_heating.md, equation 14.
     """
     _, mu_0 = air_state_kernel(h_0, p_0)
     rho_w, mu_w = air_transport_kernel(T_w_K, p_0)
-    # At rest rounding can leave p_0 below p_inf.
-    gradient = math.sqrt(2.0 * max(p_0 - p_inf, 0.0) / rho_0) / nose_radius_m
-    film = FAY_RIDDELL * PRANDTL**-0.6 * (rho_w * mu_w) ** 0.1 * (rho_0 * mu_0) ** 0.4 * math.sqrt(gradient)
+    film = FAY_RIDDELL * PRANDTL**-0.6 * (rho_w * mu_w) ** 0.1 * (rho_0 * mu_0) ** 0.4 * math.sqrt(gradient_1_s)
     # The reference model, without the table lookup that h_D takes.
     if lewis == NO_LEWIS:
         return film
@@ -213,20 +234,46 @@ def fay_riddell_film(
 
 
 @njit
+def mach_of_table_gas(velocity_m_s: float, T_inf_K: float) -> float:
+    """Mach number V / sqrt(1.4 R T) [-] of the undissociated gas of the equilibrium table, for branches and blends.
+
+    velocity_m_s, T_inf_K : of the free stream [m/s], [K]
+    Source: docs/equations_reference_heating.md, equation 2.
+    """
+    return velocity_m_s / math.sqrt(GAMMA * R_TABLE * T_inf_K)
+
+
+@njit
+def fay_riddell_of_state(
+    state: tuple[float, float, float, float], velocity_m_s: float, T_inf_K: float, nose_radius_m: float, T_w_K: float,
+    lewis: float,
+) -> float:  # fmt: skip
+    """Film coefficient of Fay and Riddell [kg/(m2 s)] on a sphere, from the result of `stagnation_kernel`.
+
+    state : stagnation pressure [Pa], enthalpy [J/kg], density [kg/m3], free-stream pressure [Pa]
+    velocity_m_s, T_inf_K, nose_radius_m, T_w_K, lewis : as `fay_riddell_kernel` takes them; speed above 0
+    Source: docs/equations_reference_heating.md, equations 14 and 31.
+    """
+    p_0, h_0, rho_0, p = state
+    mach = mach_of_table_gas(velocity_m_s, T_inf_K)
+    gradient = velocity_gradient(p_0, rho_0, p, velocity_m_s, mach, nose_radius_m, SPHERE)
+    return fay_riddell_film(p_0, h_0, rho_0, gradient, T_w_K, lewis)
+
+
+@njit
 def fay_riddell_kernel(
     rho_kg_m3: float, velocity_m_s: float, T_inf_K: float, nose_radius_m: float, T_w_K: float, lewis: float
 ) -> float:
-    """Film coefficient h_ref [kg/(m2 s)] of Fay and Riddell on a sphere in a given free stream.
+    """Film coefficient h_ref [kg/(m2 s)] of Fay and Riddell on a sphere in a given free stream, continuum.
 
     rho_kg_m3, velocity_m_s, T_inf_K : free-stream density [kg/m3], speed [m/s], temperature [K]
     nose_radius_m, T_w_K             : radius of the sphere [m], wall temperature [K], 300 in the reference model
     lewis                            : Lewis number [-], 1 in the reference model
 
     Stagnation state of equilibrium air behind a normal shock; viscosity of `gas.transport`; Pr = 0.71, so that
-    0.763 Pr^-0.6 = 0.937. Valid for an equilibrium boundary layer (or a frozen one with a fully catalytic wall), 1.5 to
-    8 km/s, continuum (below about 90 km); continued outside.
-    Source: Fay and Riddell (1958), J. Aero. Sci. 25, 73; docs/equations_reference_heating.md, equations 13 and 14.
+    0.763 Pr^-0.6 = 0.937. Valid for an equilibrium boundary layer (or a frozen one with a fully catalytic wall), from
+    rest to 8 km/s; continued above.
+    Source: Fay and Riddell (1958), J. Aero. Sci. 25, 73; docs/equations_reference_heating.md, equations 13, 14 and 31.
     """
     V = max(velocity_m_s, SLOWEST_M_S)
-    p_0, h_0, rho_0, p = stagnation_kernel(rho_kg_m3, V, T_inf_K)
-    return fay_riddell_film(p_0, h_0, rho_0, p, nose_radius_m, T_w_K, lewis)
+    return fay_riddell_of_state(stagnation_kernel(rho_kg_m3, V, T_inf_K), V, T_inf_K, nose_radius_m, T_w_K, lewis)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
-from sim_heating.heating.atmosphere import G0_M_S2, speed_of_sound, us76
+from sim_heating.heating.atmosphere import G0_M_S2, standard_speed_of_sound, us76
 from sim_heating.inputs.points import conditions_at_point
 from sim_heating.march.history import march_points
 from sim_heating.march.point import PointModel
@@ -74,8 +74,8 @@ def conditions_along(
     states   : (6, time) as dynamics.py orders them;  controls : (2, time) angle of attack and bank [deg]
     """
     h, V, alpha = states[od.ALTITUDE], states[od.SPEED], controls[od.ALPHA]
-    T, _, rho = us76(h)
-    mach = V / speed_of_sound(T)
+    rho = us76(h)[2]
+    mach = V / standard_speed_of_sound(h)
     flown = np.array([aero.at(*at) for at in zip(mach.tolist(), alpha.tolist(), V.tolist(), strict=True)])
     drag_g = 0.5 * rho * V**2 * aero.area_m2 / aero.mass_kg / G0_M_S2
     columns = {
@@ -101,8 +101,8 @@ def atmosphere_splines() -> AtmosphereSplines:
     """US76 as splines."""
     z = np.arange(0.0, HIGHEST_M + 1.0, ALTITUDE_STEP_M)
     # Logarithm of the density, which is nearly linear in altitude and stays positive between the nodes.
-    T, _, rho = us76(z)
-    return AtmosphereSplines(_spline("ln_density", [z], np.log(rho)), _spline("sound", [z], speed_of_sound(T)))
+    rho = us76(z)[2]
+    return AtmosphereSplines(_spline("ln_density", [z], np.log(rho)), _spline("sound", [z], standard_speed_of_sound(z)))
 
 
 def lift_drag(study: OptimalStudy, aero: Aerodynamics) -> Any:

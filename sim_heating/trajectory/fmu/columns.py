@@ -26,7 +26,7 @@ import numpy as np
 from sim_heating.base.conditions import EXTRAS, FRAME
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import suggestion
-from sim_heating.heating.atmosphere import speed_of_sound_kernel, us76_kernel
+from sim_heating.heating.atmosphere import standard_sound_kernel
 from sim_heating.trajectory import point_mass as pm
 from sim_heating.trajectory.aero import flown_aero
 from sim_heating.trajectory.entry3dof import flight_block
@@ -294,7 +294,7 @@ def _no_jets(f: Frame) -> None:
 
 
 def _from_mach(f: Frame) -> None:
-    f["velocity_m_s"] = f["mach"] * speed_of_sound_kernel(us76_kernel(f["altitude_m"])[0])
+    f["velocity_m_s"] = f["mach"] * standard_sound_kernel(f["altitude_m"])
 
 
 def _from_rate(f: Frame) -> None:
@@ -346,7 +346,7 @@ class _Trim:
 
     def __call__(self, f: Frame) -> None:
         speed = f["velocity_m_s"]
-        mach = speed / speed_of_sound_kernel(us76_kernel(f["altitude_m"])[0])
+        mach = speed / standard_sound_kernel(f["altitude_m"])
         flap = f.get("bodyflap_deg", np.nan)
         if math.isnan(flap):
             flap = pm.flap_kernel(self._flight, mach, speed, 0.0)

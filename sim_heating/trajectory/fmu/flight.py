@@ -24,7 +24,7 @@ from sim_heating.base.errors import InputError, RunError, error_context
 from sim_heating.base.files import suggestion
 from sim_heating.base.limits import frame_problem
 from sim_heating.base.progress import Progress
-from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, speed_of_sound_kernel, us76_kernel
+from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, standard_sound_kernel
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory.flight import REPORT_S, ROW, Flight, OnFrame, Sampler, VehicleData, Window
 from sim_heating.trajectory.fmu.columns import ColumnsOfFmu, Frame, unit_of
@@ -135,7 +135,7 @@ class FmuFlight:
             on_frame(row[: len(FRAME)])
 
     def _ended(self, f: Frame) -> bool:
-        mach = f["velocity_m_s"] / speed_of_sound_kernel(us76_kernel(f["altitude_m"])[0])
+        mach = f["velocity_m_s"] / standard_sound_kernel(f["altitude_m"])
         return self.spec.stop.passed(f["time_s"], f["altitude_m"], f["velocity_m_s"], mach)
 
     def _conditions(self) -> Conditions:
@@ -189,7 +189,7 @@ class Pilot:
     def commands(self, f: Frame, step_s: float) -> Frame:
         """Commands to be reached at the end of the step that begins with a frame."""
         speed = f["velocity_m_s"]
-        mach = speed / speed_of_sound_kernel(us76_kernel(f["altitude_m"])[0])
+        mach = speed / standard_sound_kernel(f["altitude_m"])
         if self._memory is None:
             self._memory = gd.first_memory(self._block, mach, speed)
             self._before = (speed, mach)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from sim_heating.base.errors import InputError, RunError, error_context
 from sim_heating.base.files import display_path
 from sim_heating.base.progress import Progress
-from sim_heating.heating.atmosphere import speed_of_sound_kernel, us76_kernel
+from sim_heating.heating.atmosphere import standard_sound_kernel
 from sim_heating.trajectory.aero import Aero, flown_aero
 from sim_heating.trajectory.flight import REPORT_S, Flight, OnFrame, Sampler, VehicleData
 from sim_heating.trajectory.guidance import ALPHA_COMMAND, EntryGuidance, Observation, first_memory, resolve_guidance
@@ -83,7 +83,7 @@ class JSBSimEntry:
     def _start(self, aero: Aero) -> None:
         initial = self._initial
         V = initial.velocity_m_s
-        mach = V / speed_of_sound_kernel(us76_kernel(initial.altitude_m)[0])
+        mach = V / standard_sound_kernel(initial.altitude_m)
         alpha = float(first_memory(self._guidance.block, mach, V)[ALPHA_COMMAND])
         elevon = aero.trim_elevon_deg(mach, alpha, self._commands.bodyflap_deg(mach, V))
         # Commands before the start: JSBSim evaluates the attitude control, lags included, when it initialises the
