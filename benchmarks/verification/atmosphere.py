@@ -6,7 +6,7 @@ import math
 
 from benchmarks.verification.published import published_atmosphere
 from benchmarks.verification.row import Row, within
-from sim_heating.heating.atmosphere import free_stream, gravity, speed_of_sound, sutherland_viscosity, us76
+from sim_heating.heating.atmosphere import free_stream, gravity, standard_speed_of_sound, sutherland_viscosity, us76
 
 US76 = "US Standard Atmosphere 1976, NOAA-S/T 76-1562"
 SHOWN_KM = (0, 11, 20, 50, 80, 86, 93.5, 99.5, 105, 127, 143)
@@ -39,7 +39,7 @@ def states() -> list[Row]:
             )
             rows.append(Row(f"{name} at {at}", printed, got, limit, unit, f"{US76}, Table I", is_))
         if not math.isnan(row["sound_m_s"]):
-            a = float(speed_of_sound(T))
+            a = float(standard_speed_of_sound(z))
             rows.append(
                 Row(
                     f"speed of sound at {at}", row["sound_m_s"], a, 0.006, "m/s", f"{US76}, Table III", "digits printed"
