@@ -2,8 +2,8 @@
 
 Every molecule that meets the stagnation point in free-molecular flow gives up its energy (accommodation 1). The flux is
 q_fm = rho V (h_0 - h_w), 0.5 rho V^3 in hypersonic flow, and the film coefficient h_fm = rho V. Matting's relation
-joins it to the continuum value, which it leaves exponentially: on a sphere of 1 ft at 7.5 km/s it takes off less than
-0.01 % below 75 km, 0.15 % at 80 km, 6 % at 90 km, 31 % at 100 km and 79 % at 120 km.
+joins it to the continuum value, which it leaves exponentially: on a sphere of 1 ft at 7.5 km/s it takes less than
+0.02 % off Fay-Riddell up to 75 km, 0.24 % at 80 km, 7 % at 90 km, 34 % at 100 km and 80 % at 120 km.
 Equation: docs/equations_reference_heating.md, equation 32.
 """
 
