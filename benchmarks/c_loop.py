@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from benchmarks.c_peer.build import FAST, STRICT, Peer, compile_peer, compiler
 from benchmarks.measure import Figure, Times, in_turn, one_thread, save
 from benchmarks.problems import NOTHING, ensemble_of, entry, points
-from sim_heating.base.kernels.block import ADDED, FILM, LANES, PCOL, PFRAC, RECOVERY
+from sim_heating.base.kernels.block import ADDED, FILM, LANES, N_NODES, PCOL, PFRAC, RECOVERY, STEPPING
 from sim_heating.base.kernels.jit import njit, pointer
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.frames import BLOCK_END, BLOCK_START, INTS_END, INTS_START
-from sim_heating.thermal.step import step
+from sim_heating.thermal.step import close_step, step
 
 FloatArray = NDArray[np.float64]
 
@@ -31,6 +31,8 @@ HEATED = (FILM, RECOVERY, ADDED, PCOL, PFRAC)
 def march_heated(B, J, table, dispatcher, time_s, heating) -> None:  # type: ignore[no-untyped-def]
     """A group through an entry with its heating given, (time, 2, 5, LANES): stages 1 and 2 of the step to a time."""
     b, j, t = pointer(B), pointer(J), pointer(table)
+    for lane in range(LANES):
+        B[STEPPING * LANES + lane] = 1.0
     for k in range(1, len(time_s)):
         for r in range(5):
             row = HEATED[r]
@@ -39,6 +41,7 @@ def march_heated(B, J, table, dispatcher, time_s, heating) -> None:  # type: ign
                 B[(row + 1) * LANES + lane] = heating[k, 0, r, lane]
                 B[(row + 2) * LANES + lane] = heating[k, 1, r, lane]
         step(b, j, t, dispatcher, time_s[k] - time_s[k - 1])
+        close_step(b, j[N_NODES], time_s[k] - time_s[k - 1])
 
 
 def _heating(ensemble: Ensemble, time_s: FloatArray, history: FloatArray) -> FloatArray:

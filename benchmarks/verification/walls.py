@@ -12,6 +12,7 @@ from sim_heating.heating import flight_variables
 from sim_heating.march.ensemble import Ensemble, condition_history
 from sim_heating.march.mesh_choice import pack
 from sim_heating.march.point import PointModel
+from sim_heating.thermal.frame import STEP_TOLERANCE_K
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.stack import Construction, Layer, Material, Stack
 
@@ -53,10 +54,11 @@ def heat(
     depths_m: tuple[float, ...] = (),
     nodes: int | None = 100,
     step_s: float = 1.0,
+    tolerance_K: float = STEP_TOLERANCE_K,
     **model: Any,
 ) -> tuple[Ensemble, FloatArray]:
     """A single wall marched through a flight: the ensemble, and (time, surface | bondline | sensors) [K]."""
-    ensemble = pack([PointModel("wall", construction, depths_m, nodes=nodes, **model)], step_s)
+    ensemble = pack([PointModel("wall", construction, depths_m, nodes=nodes, **model)], step_s, tolerance_K)
     return ensemble, ensemble.march(history[0, :, flight_variables.time_s], history)
 
 

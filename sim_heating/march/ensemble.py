@@ -48,9 +48,10 @@ from sim_heating.march.point import (
     stack_values,
 )
 from sim_heating.thermal.elements import set_point, set_temperatures
+from sim_heating.thermal.frame import STEP_TOLERANCE_K, compiled
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.stack import Material
-from sim_heating.thermal.step import LaneGroup, compiled
+from sim_heating.thermal.step import LaneGroup
 from sim_heating.thermal.tables import PointTables, TableStore
 
 ABSENT = {"turbulent_ratio": 1.0}
@@ -60,7 +61,8 @@ CONTACT = Material(density_kg_m3=1.0, specific_heat_J_kgK=[[300.0, 1.0]], conduc
 CACHE_LINE = 64
 """Length of a line of the processor's cache [bytes]."""
 COUNTERS = (
-    block.FAILED, block.ITERATIONS, block.OUTSIDE, block.NEGATIVE, block.ENERGY_IN, block.ENERGY_OUT, block.LAG_PAST,
+    block.FAILED, block.ITERATIONS, block.STEPS, block.OUTSIDE, block.NEGATIVE, block.ENERGY_IN, block.ENERGY_OUT,
+    block.LAG_PAST,
 )  # fmt: skip
 """Rows that a march begins with 0."""
 THREADED_POINT_STEPS = 20_000
@@ -117,6 +119,8 @@ class Ensemble:
     step_s : the longest time step that a march takes [s]
     share_tables_with : an ensemble of points with the same tables and effects, whose tables this one shares
     kinds  : (point,) numbers; points of different kinds share no group, those of the lowest come first
+    tolerance_K : largest error of a time step at any node [K], for which a point divides its steps; from
+             NOT_CONTROLLED_K on no step is divided
     raises : InputError where there is no point
 
     Attributes: `meshes`, `table` with all property and ratio tables, and `state`, which holds everything that changes.
@@ -129,11 +133,12 @@ class Ensemble:
         step_s: float = 1.0,
         share_tables_with: Ensemble | None = None,
         kinds: Sequence[int] | None = None,
+        tolerance_K: float = STEP_TOLERANCE_K,
     ) -> None:
         if not models:
             raise InputError("no control point was given; give at least one")
         self.models = list(models)
-        self.step_s = step_s
+        self.step_s, self.tolerance_K = step_s, tolerance_K
         self.meshes = tuple(meshes)
         self._effects = _distinct_effects(self.models)
         self._dispatcher = effect_dispatcher(self._effects)
@@ -207,6 +212,7 @@ class Ensemble:
         J = self.integers(g)
         members = list(dict.fromkeys(self.lanes[g * LANES : (g + 1) * LANES]))
         J[block.N_NODES] = self.meshes[members[0]].nodes
+        self.block(g)[block.scalar_row(block.TOLERANCE)] = self.tolerance_K
         for i in members:
             self._pack_stack(i)
             self._pack_heating(i)
@@ -401,6 +407,11 @@ class Ensemble:
         return self._scalars(block.ITERATIONS)
 
     @property
+    def steps(self) -> FloatArray:
+        """(point,) time steps taken since the last reset [-]: docs/equations_thermal_step.md, section 9."""
+        return self._scalars(block.STEPS)
+
+    @property
     def steps_outside_table(self) -> FloatArray:
         """(point,) number of steps that ended outside the ratio table since the last reset [-].
 
@@ -455,7 +466,7 @@ class Ensemble:
         begin_groups(*self.lane_groups, vectors)
 
     def advance(self, then: FloatArray, dt: float) -> None:
-        """Advance all points by one frame in one TR-BDF2 step, with conditions linear in time over the frame.
+        """Advance all points by one frame, conditions linear in time over it, each in as many steps as its error needs.
 
         then   : (point, condition) at the end of the frame, in the units of the condition columns
         dt     : length of the frame [s]

@@ -12,7 +12,8 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.kernels.block import C_STAGES, LANES, N_CONDITIONS
 from sim_heating.base.kernels.jit import call_step, force_inline, njit, pointer
-from sim_heating.thermal.step import EVALUATE_START, LaneGroup, shift_conditions
+from sim_heating.thermal.frame import EVALUATE_START, shift_conditions
+from sim_heating.thermal.step import LaneGroup
 
 BLOCK_START, BLOCK_END, INTS_START, INTS_END = range(4)
 """Columns of the group array: offsets of a group's block and integers."""

@@ -15,6 +15,7 @@ from sim_heating.base.kernels.lag import lag_columns
 from sim_heating.march.ensemble import Ensemble, histories
 from sim_heating.march.mesh_choice import pack
 from sim_heating.march.point import PointModel
+from sim_heating.thermal.frame import STEP_TOLERANCE_K
 from sim_heating.thermal.mesh import Mesh, halve_elements
 
 
@@ -59,6 +60,7 @@ def march_points(
     *,
     extra_times_s: ArrayLike = (),
     longest_step_s: float = 1.0,
+    tolerance_K: float = STEP_TOLERANCE_K,
     halvings: int = 0,
 ) -> list[PointHistory]:
     """Temperature histories of control points along their flights, from the initial temperatures of their stacks.
@@ -66,6 +68,7 @@ def march_points(
     models         : control points;  flights : flight conditions of each, on common times
     extra_times_s  : further times within the flight to step to [s]; conditions are linear to them
     longest_step_s : longest time step [s]
+    tolerance_K    : largest error of a time step at any node [K]; a point divides its steps for it
     halvings       : how often every element of the chosen meshes is halved; each halving quarters the mesh error
     returns        : one history for each point, at the flight's times and the extra ones
     raises         : RunError where a step did not converge
@@ -73,9 +76,10 @@ def march_points(
     The heating ratio is recovered as film coefficient over h_ref. Derived in docs/equations_march.md, equations 1, 16
     and 18.
     """
-    ensemble = pack(models, longest_step_s)
+    ensemble = pack(models, longest_step_s, tolerance_K)
     if halvings > 0:
-        ensemble = Ensemble(models, [halve_repeatedly(mesh, halvings) for mesh in ensemble.meshes], longest_step_s)
+        meshes = [halve_repeatedly(mesh, halvings) for mesh in ensemble.meshes]
+        ensemble = Ensemble(models, meshes, longest_step_s, tolerance_K=tolerance_K)
     time = np.union1d(flights[0].time_s, np.asarray(extra_times_s, dtype=float))
     # Interpolated only where a time was added: the samples themselves are taken as they are.
     flown = [f.at(time) for f in flights] if len(time) > len(flights[0]) else list(flights)

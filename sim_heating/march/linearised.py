@@ -22,6 +22,7 @@ from sim_heating.base.parameters import EFFECT_PREFIX, NONLINEAR, RATIO
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.frames import Flights, set_flight_conditions
 from sim_heating.march.point import PointModel, initial_temperatures
+from sim_heating.thermal.frame import EVALUATE_START, NOT_CONTROLLED_K, shift_conditions
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.sensitivity import (
     ACTS_ALONG_GAP,
@@ -42,7 +43,7 @@ from sim_heating.thermal.sensitivity import (
     second_right_hand_side,
     solve_columns,
 )
-from sim_heating.thermal.step import EVALUATE_START, STAGE_WEIGHT, LaneGroup, shift_conditions
+from sim_heating.thermal.step import STAGE_WEIGHT, LaneGroup
 
 PERTURBATION = 1e-5
 """Perturbation, over its scale, of a parameter in which the heat balance is not affine, to either side: curvature
@@ -206,7 +207,10 @@ class LinearMarch:
         self.tracks = tuple(tracks)
         self.time_s = np.ascontiguousarray(time_s, dtype=float)
         self.histories = np.ascontiguousarray(histories, dtype=float)
-        self.nominal = Ensemble([t.model for t in self.tracks], [t.mesh for t in self.tracks])
+        # The steps are those of `time_s`: perturbed lanes and sensitivities follow them.
+        self.nominal = Ensemble(
+            [t.model for t in self.tracks], [t.mesh for t in self.tracks], tolerance_K=NOT_CONTROLLED_K
+        )
         self._lanes = [lane for i, track in enumerate(self.tracks) for lane in _perturbed_lanes(i, track)]
         self.perturbed = self._ensemble() if self._lanes else None
         self._cached_offsets: dict[tuple[int, int], PerturbedOffsets] = {}

@@ -19,6 +19,7 @@ from sim_heating.base.kernels.block import CONDITION_COLUMNS, P_SURFACE, Q_ADD
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.faces import SIGMA
+from sim_heating.thermal.frame import STEP_TOLERANCE_K
 from sim_heating.thermal.mesh import Mesh, build_mesh, fewest_nodes, halve_elements
 from sim_heating.thermal.stack import pairs
 
@@ -34,15 +35,16 @@ NOMINAL_SURFACE_K = 1300.0
 """Surface temperature of the pulse where the first layer names no highest temperature of use."""
 
 
-def pack(models: Sequence[PointModel], step_s: float = 1.0) -> Ensemble:
+def pack(models: Sequence[PointModel], step_s: float = 1.0, tolerance_K: float = STEP_TOLERANCE_K) -> Ensemble:
     """Ensemble of control points on meshes chosen for them.
 
     models : control points;  step_s : longest time step [s] of the marches to come
+    tolerance_K : largest error of a time step [K]
     raises : RunError where a trial march on a mesh did not converge
 
     Error estimates of docs/equations_march.md, equation 16, are below 0.3 K.
     """
-    return Ensemble(models, [mesh for mesh, _ in choose_meshes(models, step_s)], step_s)
+    return Ensemble(models, [mesh for mesh, _ in choose_meshes(models, step_s)], step_s, tolerance_K=tolerance_K)
 
 
 def choose_meshes(models: Sequence[PointModel], step_s: float = 1.0) -> list[tuple[Mesh, float | None]]:

@@ -22,10 +22,13 @@ from sim_heating.inputs.sensor_model import SensorErrors, lags_s, lost_samples, 
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.march.history import PointHistory, march_points, values_at
 from sim_heating.simulation.run import fly_scenario, models_of
+from sim_heating.thermal.frame import STEP_TOLERANCE_K
 from sim_heating.thermal.stack import Sensor
 from sim_heating.trajectory.flight import Flight
 
 TRUTH = "truth.toml"
+SYNTHESIS_TOLERANCE_K = 0.1 * STEP_TOLERANCE_K
+"""Largest error of a time step of the truth [K]: a tenth of that of the march that will fit the record."""
 CONDITIONS, THERMOCOUPLES, TABLE = "conditions.csv", "thermocouples.csv", "ratio_table.csv"
 
 
@@ -66,6 +69,7 @@ def synthesize(
         [c for _, _, c in measurable],
         extra_times_s=np.unique(np.concatenate(true_times)),
         longest_step_s=scenario.declared.heating.longest_step_s,
+        tolerance_K=SYNTHESIS_TOLERANCE_K,
         halvings=halvings,
     )
     progress(0.9, "measuring")

@@ -22,18 +22,17 @@ Plain Python on floats: interpreted (NUMBA_DISABLE_JIT=1) it is its own slow ref
 from __future__ import annotations
 
 import math
-from functools import cache
 from typing import Any, NamedTuple
 
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.kernels.block import (
     ACTIVE,
-    ADDED,
-    AIR_PLACE,
     BACK_NODE,
+    BEFORE_FACES,
+    BEFORE_FAILED,
+    BEND2,
     C_LEFT,
     C_RIGHT,
-    C_STAGES,
     CURVE,
     DELTA,
     E_LEFT,
@@ -44,45 +43,37 @@ from sim_heating.base.kernels.block import (
     ENERGY_IN,
     ENERGY_OUT,
     FAILED,
-    FILM,
     GAPS,
     HEAD_ROWS,
     HIGH,
     ITERATIONS,
-    LAG_INPUT,
-    LAG_PAST,
-    LAG_VALUE,
     LANES,
     LARGEST,
     LAST_STEP,
     LOW,
     MOVES,
-    N_CONDITIONS,
     N_NODES,
     NET,
     NODE_ROWS,
-    PCOL,
-    PFRAC,
-    R_BASE,
     RATE,
-    RECOVERY,
     RESIDUAL,
+    SCALAR_ROWS,
     SLOPE,
     SOURCE,
     STAGE_IN,
     STAGE_LEFT,
     STAGE_OUT,
     STAGE_RIGHT,
+    STEPPING,
+    STEPS,
     T_STAGE,
     T_START,
     UPPER,
     T,
 )
-from sim_heating.base.kernels.jit import STEP_SIGNATURE, c_function, force_inline, inline_always, njit
-from sim_heating.heating.film import heat_lanes
-from sim_heating.heating.ratio.lookup import invalidate_cells
+from sim_heating.base.kernels.jit import force_inline, inline_always, njit
 from sim_heating.thermal.assembly import REDUCED, WHOLE_ROWS, assemble, heat_content, select_pressure
-from sim_heating.thermal.faces import evaluate_faces, invalidate_walls
+from sim_heating.thermal.faces import evaluate_faces
 
 GAMMA = 2.0 - math.sqrt(2.0)
 """Fraction of a step at which the middle stage is [-]. This value gives both stages the same matrix."""
@@ -106,10 +97,6 @@ COLDEST_K = 1.0
 MAX_EXTRAPOLATION = 2.0
 """Multiple of the last step's length over which its curvature is extrapolated [-]: that of a very short step is mostly
 rounding."""
-EVALUATE_START = 0.0
-"""Length [s] of a frame that only evaluates the start."""
-STAGE_ROWS = (FILM, RECOVERY, ADDED, PCOL, PFRAC, AIR_PLACE, R_BASE, LAG_VALUE, LAG_INPUT)
-"""First rows of the quantities that have one row for each of the three stages."""
 
 
 class LaneGroup(NamedTuple):
@@ -118,7 +105,7 @@ class LaneGroup(NamedTuple):
     B, J       : block of the group and its integers (base/kernels/block.py)
     table      : property and ratio tables
     dispatcher : address of the effect dispatcher (heating/effects/compiled.py), or the function where interpreted
-    advance    : address of `advance`, or the function where interpreted
+    advance    : address of frame.advance, or the function where interpreted
     """
 
     B: FloatArray
@@ -196,10 +183,15 @@ def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, dispatcher) ->
                     B[a + NET * LANES + lane] = B[a + E_START * LANES + lane] - residual
 
 
-@njit
-def _extrapolation_time(B: FloatArray, dt: float) -> float:
-    """Time [s] over which the curvature of the last step is extrapolated into a step of dt; 0 where there was none."""
-    return min(dt, MAX_EXTRAPOLATION * B[LAST_STEP * LANES])
+@inline_always
+def _write_extrapolation_times(B: FloatArray, dt: float) -> None:
+    """Write into the ghost node the square of the time [s2] over which the last step's curvature is extrapolated.
+
+    0 where there was no step. Lanes may have divided their last frame differently: each has a last step of its own.
+    """
+    for lane in range(LANES):
+        time = min(dt, MAX_EXTRAPOLATION * B[LAST_STEP * LANES + lane])
+        B[(SCALAR_ROWS + BEND2) * LANES + lane] = time * time
 
 
 @inline_always
@@ -208,47 +200,68 @@ def _begin_first_stage(B: FloatArray, n: int, dt: float) -> None:
 
     docs/equations_thermal_step.md, equations 19 and 24.
     """
-    ahead, bend = GAMMA * dt, (GAMMA * _extrapolation_time(B, dt)) ** 2
+    ahead = GAMMA * dt
+    _write_extrapolation_times(B, dt)
     for i in range(n):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+        left = a - NODE_ROWS * LANES
         for lane in range(LANES):
             content, net = B[a + E_START * LANES + lane], B[a + NET * LANES + lane]
             B[a + E_STAR * LANES + lane] = content + STAGE_WEIGHT * dt * net
             temperature = B[a + T * LANES + lane]
             B[a + T_START * LANES + lane] = temperature
-            change = ahead * B[a + RATE * LANES + lane] + bend * B[a + CURVE * LANES + lane]
+            bend = B[left + BEND2 * LANES + lane]
+            B[a + BEND2 * LANES + lane] = bend
+            change = ahead * B[a + RATE * LANES + lane] + (GAMMA * GAMMA * bend) * B[a + CURVE * LANES + lane]
             B[a + T * LANES + lane] = temperature + change
 
 
-@inline_always
-def _close_step(B: FloatArray, n: int, dt: float) -> None:
-    """E_(n+1), F_(n+1) = (E_(n+1) - E*) / (d dt), and the parabola through start, stage and end.
+@force_inline
+def close_node(B: FloatArray, a: int, lane: int, dt: float) -> None:
+    """End of a step at a node of a lane: E_(n+1), F_(n+1) = (E_(n+1) - E*) / (d dt), the parabola of the step.
 
-    docs/equations_thermal_step.md, equations 22 and 23.
+    a : offset of the node in the block;  dt : length of the step [s]
+
+    Source: docs/equations_thermal_step.md, equations 22 and 23.
     """
-    to_stage, from_stage = GAMMA * dt, (1.0 - GAMMA) * dt
+    content = heat_content(B, a + lane, STAGE_LEFT, STAGE_RIGHT)
+    B[a + NET * LANES + lane] = (content - B[a + E_STAR * LANES + lane]) * (1.0 / (STAGE_WEIGHT * dt))
+    B[a + E_START * LANES + lane] = content
+    middle = B[a + T_STAGE * LANES + lane]
+    before = (middle - B[a + T_START * LANES + lane]) * (1.0 / (GAMMA * dt))
+    after = (B[a + T * LANES + lane] - middle) * (1.0 / ((1.0 - GAMMA) * dt))
+    # Second divided difference of the three points: half the second derivative.
+    curve = (after - before) * (1.0 / dt)
+    B[a + CURVE * LANES + lane] = curve
+    B[a + RATE * LANES + lane] = after + curve * ((1.0 - GAMMA) * dt)
+
+
+@inline_always
+def close_step(B: FloatArray, n: int, dt: float) -> None:
+    """End a step of all lanes: what `step` found is the start of the next one.
+
+    n : number of nodes;  dt : length of the step [s]
+
+    Source: docs/equations_thermal_step.md, equations 22 and 23.
+    """
     for lane in range(LANES):
         B[LAST_STEP * LANES + lane] = dt
+        B[STEPS * LANES + lane] += 1.0
     for i in range(n):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
         for lane in range(LANES):
-            content = heat_content(B, a + lane, STAGE_LEFT, STAGE_RIGHT)
-            B[a + NET * LANES + lane] = (content - B[a + E_STAR * LANES + lane]) * (1.0 / (STAGE_WEIGHT * dt))
-            B[a + E_START * LANES + lane] = content
-            middle = B[a + T_STAGE * LANES + lane]
-            before = (middle - B[a + T_START * LANES + lane]) * (1.0 / to_stage)
-            after = (B[a + T * LANES + lane] - middle) * (1.0 / from_stage)
-            # Second divided difference of the three points: half the second derivative.
-            curve = (after - before) * (1.0 / dt)
-            B[a + CURVE * LANES + lane] = curve
-            B[a + RATE * LANES + lane] = after + curve * from_stage
+            close_node(B, a, lane, dt)
 
 
 @inline_always
-def _substitute_back(B: FloatArray, n: int) -> None:
+def substitute_back(B: FloatArray, n: int) -> None:
     """Back substitution; lanes that are active (MOVES is 1, else 0) are updated, and their heat contents with them.
 
+    B : block of the lane group, its rows eliminated; T [K], STAGE_LEFT, STAGE_RIGHT [J/m2] and LARGEST [K] change
+    n : number of nodes
+
     The choice is arithmetic, exact for 1 and 0: a masked store would cost more than all the rest.
+    Source: docs/equations_thermal_step.md, equations 29 and 30.
     """
     for i in range(n - 1, -1, -1):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
@@ -309,7 +322,7 @@ def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stag
     behind = (HEAD_ROWS + n * NODE_ROWS) * LANES
     select_pressure(B, J, stage)
     for lane in range(LANES):
-        B[ACTIVE * LANES + lane] = 1.0
+        B[ACTIVE * LANES + lane] = B[STEPPING * LANES + lane]
     for iteration in range(NEWTON_LIMIT):
         evaluate_faces(B, J, table, dispatcher, stage)
         assemble(B, J, table, STAGE_WEIGHT * dt, REDUCED)
@@ -317,7 +330,7 @@ def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stag
             # Passed from node to node through the rows, from the ghost behind: constant distances, no alias checks.
             B[behind + MOVES * LANES + lane] = B[ACTIVE * LANES + lane]
             B[behind + LARGEST * LANES + lane] = 0.0
-        _substitute_back(B, n)
+        substitute_back(B, n)
         if iteration >= FREE_ITERATIONS:
             _end_in_next_piece(B, n)
         _record_face_heat(B, J)
@@ -333,36 +346,52 @@ def _begin_second_stage(B: FloatArray, n: int, dt: float) -> None:
 
     docs/equations_thermal_step.md, equations 20 and 24.
     """
-    bend = (1.0 - GAMMA) * _extrapolation_time(B, dt) ** 2
+    _write_extrapolation_times(B, dt)
     for i in range(n):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+        left = a - NODE_ROWS * LANES
         for lane in range(LANES):
             start = B[a + E_START * LANES + lane]
             content = heat_content(B, a + lane, STAGE_LEFT, STAGE_RIGHT)
             B[a + E_STAR * LANES + lane] = start + BDF_WEIGHT * (content - start)
             cold, warm = B[a + T_START * LANES + lane], B[a + T * LANES + lane]
             B[a + T_STAGE * LANES + lane] = warm
-            B[a + T * LANES + lane] = cold + (warm - cold) * (1.0 / GAMMA) + bend * B[a + CURVE * LANES + lane]
+            bend = B[left + BEND2 * LANES + lane]
+            B[a + BEND2 * LANES + lane] = bend
+            curved = (1.0 - GAMMA) * bend * B[a + CURVE * LANES + lane]
+            B[a + T * LANES + lane] = cold + (warm - cold) * (1.0 / GAMMA) + curved
+
+
+@inline_always
+def _note_start(B: FloatArray) -> None:
+    """Note what a lane returns to if its step is repeated, beyond the rows of its nodes, which a step leaves."""
+    for k in range(4 * LANES):
+        B[BEFORE_FACES * LANES + k] = B[STAGE_IN * LANES + k]
+    for lane in range(LANES):
+        B[BEFORE_FAILED * LANES + lane] = B[FAILED * LANES + lane]
 
 
 @njit
 def step(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -> None:  # type: ignore[no-untyped-def]
-    """Advance the node temperatures of one lane group by dt [s] with the stage inputs that the scalar rows hold.
+    """Solve both stages of a step of dt [s] with the stage inputs that the scalar rows hold; `close_step` ends it.
 
         E(Y1) = E_n + d dt (F_n + F(Y1)),    E(Y2) = E_n + (w/d) (E(Y1) - E_n) + d dt F(Y2)
 
-    B          : block of the group; T [K], RATE [K/s], ENERGY_IN and ENERGY_OUT [J/m2], ITERATIONS and FAILED change
+    B          : block of the group; T [K], ENERGY_IN and ENERGY_OUT [J/m2], ITERATIONS and FAILED change in the lanes
+                 that take part (STEPPING)
     J          : its integers
     table      : property and ratio tables
     dispatcher : address of the effect dispatcher (heating/effects/compiled.py)
     dt         : length of the step [s], above 0
 
+    What the step began with is left as it was (T_START, E_START, NET, RATE, CURVE), so that it can be repeated.
     Heat contents and net heat at the start are those that the last step left, since the method's last stage is its end;
-    after a change of temperatures, parameters or conditions from outside, `advance` with EVALUATE_START has to evaluate
-    them again. A lane that does not converge in NEWTON_LIMIT iterations is counted in FAILED; nothing is raised.
-    Source: Hosea and Shampine (1996); docs/equations_thermal_step.md, equations 19 to 24.
+    after a change of temperatures, parameters or conditions from outside, frame.advance with EVALUATE_START has to
+    evaluate them again. A lane that does not converge in NEWTON_LIMIT iterations is counted in FAILED; nothing is
+    raised. Source: Hosea and Shampine (1996); docs/equations_thermal_step.md, equations 19 to 24.
     """
     n = J[N_NODES]
+    _note_start(B)
     # The start's share in the energies (equation 21): STAGE_IN and STAGE_OUT still hold the end of the last step.
     _add_energy(B, EXPLICIT_WEIGHT * dt)
     _begin_first_stage(B, n, dt)
@@ -371,68 +400,3 @@ def step(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -
             _begin_second_stage(B, n, dt)
         _solve_stage(B, J, table, dispatcher, stage, dt)
         _add_energy(B, (EXPLICIT_WEIGHT if stage == 1 else STAGE_WEIGHT) * dt)
-    _close_step(B, n, dt)
-
-
-@inline_always
-def _evaluate_now(B: FloatArray, J: IntArray, table: FloatArray, dispatcher) -> None:  # type: ignore[no-untyped-def]
-    """Take the condition vectors of stage 2 as those of the present time, and evaluate heat contents and flows."""
-    invalidate_cells(B)
-    invalidate_walls(B)
-    for lane in range(LANES):
-        B[LAG_PAST * LANES + lane] = 0.0
-    heat_lanes(B, J, table, dispatcher, END)
-    evaluate_start(B, J, table, dispatcher)
-
-
-@inline_always
-def _advance_frame(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -> None:  # type: ignore[no-untyped-def]
-    """Advance by dt [s] from the conditions of stage 0 (now) to those of stage 2 (then), linear between.
-
-    Before it the caller shifts the vectors of stage 2 to stage 0 (`shift_conditions`) and writes new ones.
-    """
-    span = LANES * N_CONDITIONS
-    first = C_STAGES * LANES
-    for k in range(span):
-        now, then = B[first + k], B[first + 2 * span + k]
-        B[first + span + k] = now + GAMMA * (then - now)
-    # The end of the last frame is the start of this one: nothing is evaluated twice.
-    for row in STAGE_ROWS:
-        for lane in range(LANES):
-            B[row * LANES + lane] = B[(row + 2) * LANES + lane]
-    for lane in range(LANES):
-        B[LAG_PAST * LANES + lane] = 1.0
-    for stage in range(1, 3):
-        heat_lanes(B, J, table, dispatcher, stage)
-    step(B, J, table, dispatcher, dt)
-
-
-def advance(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -> None:  # type: ignore[no-untyped-def]
-    """Advance a lane group by a frame of dt [s], or, with dt = EVALUATE_START, evaluate the start of a march.
-
-    B     : block of the group, with the conditions of stages 0 and 2 written
-    J     : its integers;  table : property and ratio tables;  dispatcher : address of the effect dispatcher
-    dt    : [s]; EVALUATE_START at the start and after any change from outside, else above 0
-
-    One function for both, as they share most of their code, which is compiled once this way.
-    Source: docs/equations_thermal_step.md, equations 19 to 24.
-    """
-    if dt == EVALUATE_START:
-        _evaluate_now(B, J, table, dispatcher)
-    else:
-        _advance_frame(B, J, table, dispatcher, dt)
-
-
-@njit
-def shift_conditions(B: FloatArray) -> None:
-    """Shift the conditions at the end of the last frame to the start of the next: stage 2 becomes stage 0."""
-    span = LANES * N_CONDITIONS
-    first = C_STAGES * LANES
-    for k in range(span):
-        B[first + k] = B[first + 2 * span + k]
-
-
-@cache
-def compiled() -> Any:
-    """`advance` as a C function, compiled when first asked for; jit.address_of gives what kernels take of it."""
-    return c_function(STEP_SIGNATURE, advance)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.point import PointModel
+from sim_heating.thermal.frame import NOT_CONTROLLED_K
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.step import GAMMA
 
@@ -43,7 +44,8 @@ def linear_step(model: PointModel, mesh: Mesh, vectors: FloatArray, dt: float, d
     n = mesh.nodes
 
     def stepped(z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        ensemble = Ensemble([model.with_parameters({"ratio.d0": model.value("ratio.d0") + z[n]})], [mesh])
+        moved = model.with_parameters({"ratio.d0": model.value("ratio.d0") + z[n]})
+        ensemble = Ensemble([moved], [mesh], tolerance_K=NOT_CONTROLLED_K)
         ensemble.set_profile(0, z[:n])
         ensemble.begin(vectors[:1])
         ensemble.advance(vectors[1:], dt)

@@ -22,6 +22,7 @@ from benchmarks.verification.exact import (
 from sim_heating.march.ensemble import Ensemble, condition_history
 from sim_heating.march.mesh_choice import pack
 from sim_heating.march.point import PointModel
+from sim_heating.thermal.frame import NOT_CONTROLLED_K
 from sim_heating.thermal.mesh import build_mesh, halve_elements
 from tests.support.walls import (
     even_mesh,
@@ -168,7 +169,7 @@ def test_profile_between_insulated_faces_evens_out_mode_by_mode():
 
 def cosine_error(mesh, step_s: float) -> float:
     """Largest error [K] of a decaying 100 K cosine after 5 s."""
-    ensemble = Ensemble([PointModel("wall", wall((material(), 0.01)))], [mesh], step_s)
+    ensemble = Ensemble([PointModel("wall", wall((material(), 0.01)))], [mesh], step_s, tolerance_K=NOT_CONTROLLED_K)
     ensemble.set_profile(0, 1000.0 + 100.0 * cosine_decay(A, 0.01, 1, mesh.depth_m, 0.0))
     t = np.array([0.0, 5.0])
     ensemble.march(t, flight(t))
@@ -210,7 +211,10 @@ def test_order_in_time_is_two_with_boundary_conditions_that_change():
     t = np.linspace(0.0, 400.0, 51)
     history = flight(t, q_add_W_m2=1e5 * np.sin(np.pi * t / 400.0) ** 2, h_ref_kg_m2_s=2e-5 * t, H_r_J_kg=4e6)
     model = PointModel("wall", wall((material(emissivity=0.85), 0.02)), nodes=30, parameters={"ratio.d0": 1.0})
-    ends = [pack([model]).march(t, history, longest_step_s=step)[:, 0] for step in (4.0, 2.0, 1.0, 0.5, 0.0625)]
+    ends = [
+        pack([model], tolerance_K=NOT_CONTROLLED_K).march(t, history, longest_step_s=step)[:, 0]
+        for step in (4.0, 2.0, 1.0, 0.5, 0.0625)
+    ]
     errors = [np.max(np.abs(end - ends[-1])) for end in ends[:-1]]
     np.testing.assert_allclose(orders(errors), 2.0, atol=0.15)
 
@@ -224,7 +228,10 @@ def entry():
 def test_entry_with_its_property_tables_is_second_order_in_time(entry):
     model, t, history = entry
     t, history = t[::4], history[:, ::4]
-    runs = [pack([model]).march(t, history, longest_step_s=step) for step in (4.0, 2.0, 1.0, 0.0625)]
+    runs = [
+        pack([model], tolerance_K=NOT_CONTROLLED_K).march(t, history, longest_step_s=step)
+        for step in (4.0, 2.0, 1.0, 0.0625)
+    ]
     errors = np.array([np.max(np.abs(run - runs[-1])) for run in runs[:-1]])
     assert np.all(orders(errors) > 1.7)  # 1.85: corners of tables and of the flight are not smooth
     assert errors[-1] < 0.03  # K at 1 s

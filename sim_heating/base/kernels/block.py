@@ -55,8 +55,16 @@ LAG_VALUE, LAG_INPUT, LAG_PAST, SURFACE_SHARE, LAST_STEP = 33, 36, 39, 40, 41
 # Place of the pressure on the axis of the enthalpy of air, one row a stage [-]: column and fraction to the next. The
 # ratio that an effect which multiplies it finds [-].
 AIR_PLACE, RATIO_FOUND = 42, 45
-C_STAGES = 46
-PARAMETERS = C_STAGES + 3 * N_CONDITIONS
+# Control of the time step (thermal/frame.py): tolerated error of a step [K]; steps taken; whether a lane takes part in
+# the step and whether its error is tolerated; the part of the frame that it has done [1/FINEST]. What a lane that
+# repeats a step returns to: heat and energy at the faces in the order of STAGE_IN to ENERGY_OUT, failures, the lag at
+# the end of the step. Counters at the end of a frame: OUTSIDE and NEGATIVE.
+TOLERANCE, STEPS, STEPPING, TOLERATED, DONE = 46, 47, 48, 49, 50
+BEFORE_FACES, BEFORE_FAILED, BEFORE_LAG, COUNTED = 51, 55, 56, 58
+C_STAGES = 60
+# After the conditions of the three stages those at the start and at the end of a frame that is divided.
+FRAME_START, FRAME_END = 3, 4
+PARAMETERS = C_STAGES + 5 * N_CONDITIONS
 # The cell that each lane is in, of its ratio table and of the pressures of its property tables: the five variables and
 # log10 of the pressure [Pa], the ends of the cell (infinite at the edges of the table), its foot and the reciprocal of
 # its width, the ratio at its 32 corners, the work of the interpolation between them, the number of variables outside
@@ -82,16 +90,17 @@ T, RATE, T_START, M_LEFT, M_RIGHT, G = 0, 1, 2, 3, 4, 5
 # ... heat content [J/m2] and capacity [J/(m2 K)] of the half elements on either side, heat that enters from outside
 # [W/m2] and its slope [W/(m2 K)] ...
 E_LEFT, E_RIGHT, C_LEFT, C_RIGHT, SOURCE, SLOPE = 6, 7, 8, 9, 10, 11
-# ... heat content at the start of the step [J/m2]; net heat there [W/m2], then E* [J/m2]; heat contents of a converged
-# stage ...
-E_START, NET, E_STAR, STAGE_LEFT, STAGE_RIGHT = 12, 13, 13, 14, 15
+# ... heat content at the start of the step [J/m2]; net heat there [W/m2]; heat contents of a converged stage ...
+E_START, NET, STAGE_LEFT, STAGE_RIGHT = 12, 13, 14, 15
 # ... Kirchhoff's variable [W/m], until the right neighbour is assembled; then the matrix entry right of the diagonal (u
-# in docs/equations_thermal_step.md, equation 27); then the largest update of this node and those behind it. The entry
+# in docs/equations_thermal_step.md, equation 27); then the largest update of this node and those behind it, or the
+# largest excess of the error over its bound of this node and those before it. The entry
 # left of the diagonal in the row of the right neighbour (l) ...
-THETA_RIGHT, ENTRY, LARGEST, LOWER = 16, 16, 16, 17
+THETA_RIGHT, ENTRY, LARGEST, EXCESS, LOWER = 16, 16, 16, 16, 17
 # ... diagonal and residual of the row of the linear system, then the eliminated row (equation 29); the fraction between
-# pressure columns, then whether a lane is updated, both passed from node to node ...
-DIAGONAL, UPPER, RESIDUAL, DELTA, FRACTION, MOVES = 18, 18, 19, 19, 20, 20
+# pressure columns, then whether a lane is updated, then the square of the time over which its curvature is extrapolated
+# [s2], all passed from node to node ...
+DIAGONAL, UPPER, RESIDUAL, DELTA, FRACTION, MOVES, BEND2 = 18, 18, 19, 19, 20, 20, 20
 # ... and the property polynomials about its temperature, valid from LOW to HIGH [K] (equation 9): foot of the piece,
 # then h, c, half its slope, theta, k, half its slope in one pressure column, and the differences of the last three to
 # the next column, for the element to the right and to the left.
@@ -106,7 +115,9 @@ T_STAGE, K_RAD, WET_LEFT, WET_RIGHT, GAP = 43, 44, 45, 46, 47
 RADIATES_FROM, LATENT, BOIL, DEPOSIT, CONDENSE, PHASE_RATE, VAPOUR = 48, 49, 50, 51, 52, 53, 54
 # Curvature of the parabola through the last step, half its second derivative [K/s2]; RATE is its slope at the end.
 CURVE = 55
-NODE_ROWS = 56
+# E* of the stage [J/m2], and its copy while the error of a step is found.
+E_STAR, STAR_COPY = 56, 57
+NODE_ROWS = 58
 HEAD_ROWS = SCALAR_ROWS + NODE_ROWS
 """A ghost node of zeros before the first and one behind the last end the recurrences along the nodes."""
 INVALID_HIGH_K = -1e30

@@ -28,6 +28,7 @@ from sim_heating.heating.ratio.lookup import VARIABLES
 from sim_heating.inputs.points import point_of_vehicle
 from sim_heating.inputs.vehicle import Vehicle
 from sim_heating.march.ensemble import Ensemble
+from sim_heating.march.mesh_choice import TOLERANCE_K
 from sim_heating.march.point import PointModel, heating_vector, kernel_effects, stack_values
 from sim_heating.planning.dispersion.flight import COMPLETED, SampledFlights, condition_kernel
 from sim_heating.planning.limited_point import LimitedPoint
@@ -41,6 +42,8 @@ SOAK_STEP_S = 20.0
 """Longest step of the soak [s]; it begins in steps of the flight."""
 SOAK_BEGINS_S = 60.0
 """Part of the soak that is marched in steps of the flight [s]."""
+STEP_TOLERANCE_K = TOLERANCE_K
+"""Largest error of a step [K]: no finer than the meshes, which are the coarsest of the same error."""
 _STACK = {p.name: k for k, p in enumerate(STACK)}
 _RATIO = {p.name: k for k, p in enumerate(RATIO)}
 
@@ -105,7 +108,10 @@ class LaneMarch:
             m if m.ratio is None else replace(m, ratio=replace(m.ratio)) for m in self.models for _ in range(LANES)
         ]
         # Packed once for the whole study; every march restores the initial state and writes what is dispersed.
-        self.ensemble = Ensemble(lanes, [mesh for mesh in meshes for _ in range(LANES)], max(step_s, SOAK_STEP_S))
+        self.ensemble = Ensemble(
+            lanes, [mesh for mesh in meshes for _ in range(LANES)], max(step_s, SOAK_STEP_S),
+            tolerance_K=STEP_TOLERANCE_K,
+        )  # fmt: skip
         self._initial_state = self.ensemble.snapshot()
         self._groups = [self.ensemble.lane_offsets[p * LANES].group for p in range(len(points))]
         self._tables = [self._ratio_nodes(p) for p in range(len(points))]

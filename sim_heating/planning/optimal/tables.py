@@ -23,6 +23,7 @@ from sim_heating.march.point import PointModel
 from sim_heating.planning.optimal import dynamics as od
 from sim_heating.planning.optimal.collocation import ca
 from sim_heating.planning.optimal.spec import OptimalStudy
+from sim_heating.thermal.frame import NOT_CONTROLLED_K
 from sim_heating.thermal.stack import Construction, Layer
 from sim_heating.trajectory import point_mass as pm
 from sim_heating.trajectory.entry3dof import Entry
@@ -126,7 +127,7 @@ def wall_temperatures(study: OptimalStudy, aero: Aerodynamics, models: Sequence[
     V = _nodes(0.6 * file.end.velocity_m_s, file.initial.velocity_m_s * 1.08, WALL_SPEED_STEP_M_S)
     alpha = _alphas(study)
     # One march through all nodes of the grid: from neighbour to neighbour the wall has little to change and is in
-    # equilibrium at each node.
+    # equilibrium at each node. Errors of the steps between do not matter: every step ends in equilibrium.
     order = _neighbours(len(h), len(V), len(alpha))
     nodes = np.array([g.ravel()[order] for g in np.meshgrid(h, V, alpha, indexing="ij")])
     count = nodes.shape[1]
@@ -135,7 +136,9 @@ def wall_temperatures(study: OptimalStudy, aero: Aerodynamics, models: Sequence[
     time = np.linspace(0.0, NODE_S * (count - 1), count)
     grid = conditions_along(study, aero, time, states, controls)
     flights = [conditions_at_point(study.vehicle, p.point, grid) for p in study.points]
-    walls = march_points([_on_thin_wall(m) for m in models], flights, longest_step_s=WALL_STEP_S)
+    walls = march_points(
+        [_on_thin_wall(m) for m in models], flights, longest_step_s=WALL_STEP_S, tolerance_K=NOT_CONTROLLED_K
+    )
     flat = np.empty((len(models), len(order)))
     flat[:, order] = [w.surface_K / 1e3 for w in walls]
     return _spline("wall", [h, V, alpha], flat.reshape(len(models), len(h), len(V), len(alpha)))

@@ -75,8 +75,8 @@ from sim_heating.simulation.fmu_export.library import (
 )
 from sim_heating.simulation.fmu_export.packer import ImagePacker, Input
 from sim_heating.simulation.plugin import HeatingPlugin
+from sim_heating.thermal.frame import compiled
 from sim_heating.thermal.mesh import Mesh
-from sim_heating.thermal.step import compiled
 
 START_ALTITUDE_M = 122e3
 INPUT_STARTS = {"altitude_m": START_ALTITUDE_M, "velocity_m_s": 7600.0, "alpha_deg": 40.0}

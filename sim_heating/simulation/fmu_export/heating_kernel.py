@@ -51,6 +51,7 @@ from sim_heating.base.kernels.block import (
     SOURCE,
     STAGE_IN,
     STAGE_OUT,
+    STEPS,
     SURFACE_SHARE,
     SURROUNDINGS4,
 )
@@ -97,7 +98,7 @@ from sim_heating.simulation.plugin_kernel import (
 from sim_heating.simulation.plugin_kernel import POINT_WIDTH as POINT_CONSTANTS
 from sim_heating.thermal.elements import EPS_BEHIND, Elements, set_point
 from sim_heating.thermal.faces import SIGMA, emittance
-from sim_heating.thermal.step import STAGE_ROWS
+from sim_heating.thermal.frame import STAGE_ROWS
 
 # Integers of the model, after those of library.py: numbers of entries, and places of arrays in R or N.
 (
@@ -134,6 +135,7 @@ S_GAIN, S_BIAS, S_INDICATED = range(3)
 KEPT_ROWS = (
     *(row + 2 for row in STAGE_ROWS), SURROUNDINGS4, BACK_H, BACK_T, BACK_EPS, FACTOR_EPS, FAILED, ITERATIONS, OUTSIDE,
     NEGATIVE, STAGE_IN, STAGE_OUT, ENERGY_IN, ENERGY_OUT, LAG_PAST, SURFACE_SHARE, LAST_STEP,
+    STEPS,
 )  # fmt: skip
 """Scalar rows of a block that belong to the state: of a quantity with one row a stage that of the end of the step. The
 conditions of that stage are kept as well."""
@@ -237,7 +239,7 @@ def _clear_counts(R, N) -> None:  # type: ignore[no-untyped-def]
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
     for g in range(N[N_GROUPS]):
         B = at(R, N[STATE] + groups[g, BLOCK_START])
-        for row in (FAILED, ITERATIONS, OUTSIDE, NEGATIVE, ENERGY_IN, ENERGY_OUT):
+        for row in (FAILED, ITERATIONS, STEPS, OUTSIDE, NEGATIVE, ENERGY_IN, ENERGY_OUT):
             for lane in range(LANES):
                 B[row * LANES + lane] = 0.0
 
