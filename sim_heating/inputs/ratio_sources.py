@@ -40,12 +40,16 @@ from sim_heating.base.files import (
 )
 from sim_heating.base.kernels.axis import cells_of
 from sim_heating.base.limits import QUANTITIES
+from sim_heating.heating.atmosphere import us76_kernel
 from sim_heating.heating.ratio.table import RatioTable, range_problems, ratio_table_text, read_ratio_table
 from sim_heating.heating.ratio.tunnel_to_flight import (
     REFERENCE,
+    FlowState,
     Scaling,
     deflection_factor,
     scale_table,
+    surface_angle_deg,
+    theoretical_ratio,
     windward_trend,
 )
 from sim_heating.heating.reference.recovery import RecoveryName
@@ -117,6 +121,28 @@ class FileBase(Declared):
     length_exponent: float = Field(description="-0.5 laminar, -0.2 turbulent")
 
 
+class TheoryState(Declared):
+    """A flight state that theory is evaluated at."""
+
+    quantities: ClassVar = {"velocity_m_s": "flight_speed_m_s"}
+
+    altitude_m: float = Field(description="altitude in the standard atmosphere in m")
+    velocity_m_s: float = Field(gt=0.0, description="speed in m/s, above 0")
+
+
+class TheoryBase(Declared):
+    """Ratios by theory: Eckert's flat plate on a windward surface over the vehicle's reference sphere.
+
+    Evaluated at the table's angles of attack, plus the control point's `local_angle_deg`, and at the flight states;
+    between these linear in log10_re and constant beyond them (`tunnel_to_flight.theoretical_ratio`).
+    """
+
+    theory: Literal["eckert-laminar", "eckert-turbulent"]
+    length: Literal["x_over_L", "running_length_m"] = Field(description="key of the control point file")
+    wall_K: float = Field(gt=0.0, description="wall temperature in K, above 0")
+    flight: list[TheoryState] = Field(min_length=1, description="[{ altitude_m, velocity_m_s }, ...], in any order")
+
+
 class Axes(Declared):
     """Nodes of the table."""
 
@@ -149,7 +175,10 @@ class Axes(Declared):
 
 
 def _base_kind(value: Any) -> str:
-    return "file" if isinstance(value, FileBase) or (isinstance(value, dict) and "file" in value) else "curve"
+    """Tag of a base; tags are no keys of the file, so that the place of a problem leaves them out."""
+    kinds = {"file": FileBase, "theory": TheoryBase}
+    of = (k for k, model in kinds.items() if isinstance(value, model) or (isinstance(value, dict) and k in value))
+    return f"by {next(of, 'curve')}"
 
 
 class RatioSource(Declared):
@@ -166,9 +195,12 @@ class RatioSource(Declared):
     relative_sigma: float = Field(gt=0.0, description="one standard deviation over the ratio, above 0")
     note: str = ""
     axes: Axes
-    base: Annotated[Annotated[FileBase, Tag("file")] | Annotated[Curve, Tag("curve")], Discriminator(_base_kind)] = (
-        Field(description="a file or a curve")
-    )
+    base: Annotated[
+        Annotated[FileBase, Tag("by file")]
+        | Annotated[TheoryBase, Tag("by theory")]
+        | Annotated[Curve, Tag("by curve")],
+        Discriminator(_base_kind),
+    ] = Field(description="a file, a curve or a theory")
     factor: list[Annotated[CurveFactor | DeflectionFactor, Field(discriminator="kind")]] = Field(default=[])
     sigma: list[SigmaCurve] = Field(default=[])
     scaling: Scaling | None = None
@@ -185,6 +217,12 @@ class RatioSource(Declared):
         if self.scaling is not None and self.scaling.flight.recovery not in (None, self.recovery):
             rule = f"`{self.scaling.flight.recovery}` is not the `recovery` of the source; remove it"
             raise LocatedError((("scaling", "flight", "recovery"), rule))
+        if isinstance(self.base, TheoryBase):
+            if self.scaling is not None:
+                raise LocatedError((("scaling",), "a base by theory holds in flight; remove one of them"))
+            if self.recovery in (None, "total"):
+                rule = f"`{self.base.theory}` goes with the enthalpy of an edge; give edge-laminar or edge-turbulent"
+                raise LocatedError((("recovery",), rule))
         return self
 
 
@@ -207,9 +245,10 @@ def build_tables(
     points = sorted(p.stem for p in (directory / "control_points").glob("*.toml"))
     for path in sources:
         source = read_toml(path, RatioSource)
-        if source.scaling is not None and file.heating.reference != REFERENCE:
+        part = "[base]" if isinstance(source.base, TheoryBase) else "[scaling]" if source.scaling is not None else None
+        if part is not None and file.heating.reference != REFERENCE:
             raise InputError(
-                f"{display_path(path)}, [scaling]: takes ratios over `{REFERENCE}`, not {file.heating.reference}"
+                f"{display_path(path)}, {part}: takes ratios over `{REFERENCE}`, not {file.heating.reference}"
             )
         for name in source.control_points:
             if name in tables:
@@ -255,7 +294,7 @@ def _refuse_revised(path: Path) -> None:
 def _build(source: RatioSource, path: Path, point: ControlPointFile, vehicle: VehicleFile) -> RatioTable:
     axes = source.axes.arrays()
     grid = dict(zip(RATIO_VARIABLES, np.meshgrid(*axes, indexing="ij"), strict=True))
-    ratio = _base(source.base, path, point, vehicle.reference_length_m, grid)
+    ratio = _base(source.base, path, point, vehicle, grid)
     for factor in source.factor:
         ratio = ratio * _factor(factor, grid)
     relative = np.sqrt(source.relative_sigma**2 + sum(s.at(grid[s.variable]) ** 2 for s in source.sigma))
@@ -286,15 +325,56 @@ def _stated(recovery: str | None) -> dict[str, str]:
 
 
 def _base(
-    base: FileBase | Curve, path: Path, point: ControlPointFile, reference_length_m: float, grid: dict[str, FloatArray]
+    base: FileBase | TheoryBase | Curve,
+    path: Path,
+    point: ControlPointFile,
+    vehicle: VehicleFile,
+    grid: dict[str, FloatArray],
 ) -> FloatArray:
     if isinstance(base, Curve):
         return base.at(grid[base.variable])
-    length = point.x_over_L if base.length == "x_over_L" else (point.running_length_m or 0.0) / reference_length_m
+    length = (
+        point.x_over_L if base.length == "x_over_L" else (point.running_length_m or 0.0) / vehicle.reference_length_m
+    )
     if length <= 0.0:
         raise InputError(f"[base]: `length`: {point.name} has no {base.length} above 0; give one")
+    if isinstance(base, TheoryBase):
+        return _from_theory(base, length, point.local_angle_deg or 0.0, vehicle, grid["alpha_deg"], grid["log10_re"])
     at_length = (length / base.file_length_over_L) ** base.length_exponent
     return at_length * _from_file(base, path.parent / base.file, grid["alpha_deg"], grid["log10_re"])
+
+
+def _from_theory(
+    base: TheoryBase,
+    x_over_L: float,
+    local_angle_deg: float,
+    vehicle: VehicleFile,
+    alpha_deg: FloatArray,
+    log10_re: FloatArray,
+) -> FloatArray:
+    """Theory's ratio at the angles and, linear in log10_re, between the flight states; constant beyond them."""
+    radius = vehicle.heating.nose_radius_m
+    assert radius is not None, "the reference of theory is a sphere"
+    states = []
+    for flown in base.flight:
+        T, _, rho = us76_kernel(flown.altitude_m)
+        state = FlowState(
+            velocity_m_s=flown.velocity_m_s,
+            T_inf_K=T,
+            wall_K=base.wall_K,
+            length_m=vehicle.reference_length_m,
+            nose_radius_m=radius,
+        )
+        states.append((state.log10_re(rho), state))
+    states.sort(key=lambda pair: pair[0])
+    turbulent = base.theory == "eckert-turbulent"
+    ratio = np.empty_like(alpha_deg)
+    for alpha in np.unique(alpha_deg):
+        angle = surface_angle_deg(float(alpha) + local_angle_deg)
+        values = [theoretical_ratio(state, re, angle, x_over_L, turbulent) for re, state in states]
+        here = alpha_deg == alpha
+        ratio[here] = np.interp(log10_re[here], [re for re, _ in states], values)
+    return ratio
 
 
 def _from_file(base: FileBase, path: Path, alpha_deg: FloatArray, log10_re: FloatArray) -> FloatArray:

@@ -70,6 +70,15 @@ SHALLOWEST_DEG = 3.0
 REFERENCE = "fay-riddell"
 
 
+def surface_angle_deg(angle_deg: float) -> float:
+    """Angle of a surface against the flow [deg] within the limits of the theory, 3 to 89.
+
+    angle_deg : angle of the surface [deg]
+    Source: docs/equations.md, equation 10; below 3 deg Newtonian pressure vanishes, at 90 deg the edge speed.
+    """
+    return min(max(angle_deg, SHALLOWEST_DEG), 89.0)
+
+
 class FlowState(Declared):
     """A free stream and the body in it; its density follows from the Reynolds number on `length_m`.
 
@@ -95,6 +104,14 @@ class FlowState(Declared):
         Source: docs/equations_reference_heating.md, equations 2 and 3.
         """
         return 10.0**log10_re * sutherland_kernel(self.T_inf_K) / (self.velocity_m_s * self.length_m)
+
+    def log10_re(self, rho_kg_m3: float) -> float:
+        """log10 of the Reynolds number on `length_m` [-], the inverse of `density`.
+
+        rho_kg_m3 : free-stream density [kg/m3]
+        Source: docs/equations_reference_heating.md, equations 2 and 3.
+        """
+        return math.log10(rho_kg_m3 / self.density(0.0))
 
 
 class Transition(Declared):
@@ -155,9 +172,8 @@ class Scaling(Declared):
 
         alpha_deg : angle of attack [deg]; without effect where `fixed_angle_deg` is given
         """
-        angle = alpha_deg + self.inclination_deg if self.fixed_angle_deg is None else self.fixed_angle_deg
-        # At 90 deg the edge speed V cos(angle), and the theoretical ratio with it, would be 0.
-        return min(max(angle, SHALLOWEST_DEG), 89.0)
+        fixed = self.fixed_angle_deg
+        return surface_angle_deg(alpha_deg + self.inclination_deg if fixed is None else fixed)
 
     def intermittencies(self, tunnel_log10_re: float, flight_log10_re: float) -> tuple[float, float]:
         """Turbulent fraction [-] of the boundary layer in the tunnel and in flight; 0 or 1 in one regime.
