@@ -7,7 +7,11 @@ import math
 import numpy as np
 
 from benchmarks.verification.row import Row, within
+from benchmarks.verification.walls import material, wall
+from sim_heating.base.conditions import Conditions
 from sim_heating.inputs.sensor_model import indicated_temperature, measure, quantise
+from sim_heating.march.history import march_points
+from sim_heating.march.point import PointModel
 from sim_heating.thermal.stack import Sensor
 
 SPAN_K = [255.0, 1644.0]
@@ -50,6 +54,19 @@ def recorder() -> list[Row]:
     return rows
 
 
+def lag() -> list[Row]:
+    """A thermocouple behind a first-order lag, on a plate that warms steadily."""
+    tau, t = 4.0, np.arange(0.0, 41.0)
+    plate = PointModel("plate", wall((material(1e4), 0.001)), (0.001,), nodes=14, lags_s=(tau,))
+    lamp = Conditions({"time_s": t}).with_columns(q_add_W_m2=5e3, h_ref_kg_m2_s=0.0, H_r_J_kg=0.0)
+    sensed = march_points([plate], [lamp])[0].sensors_K[0]
+    rate = 5e3 / (1e6 * 0.001)
+    source, is_ = "behind a ramp: r (t - tau (1 - exp(-t/tau)))", "the plate's own profile: q d / 3k"
+    name = "thermocouple of tau 4 s on a plate that warms by 5 K/s"
+    expected = {at: 300.0 + rate * (at - tau * (1.0 - math.exp(-at / tau))) for at in (2, 40)}
+    return [Row(f"{name}: at {at} s", T, float(sensed[at]), 1e-3, "K", source, is_) for at, T in expected.items()]
+
+
 def rows() -> list[Row]:
     """All of this subject."""
-    return recorder()
+    return [*recorder(), *lag()]

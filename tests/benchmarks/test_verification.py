@@ -8,11 +8,12 @@ import math
 import pytest
 
 from benchmarks.measure import RESULTS
-from benchmarks.verification import LEAST_ROWS, PAGE, atmosphere, gas, sensors, surface, trim
+from benchmarks.verification import LEAST_ROWS, PAGE, atmosphere, gas, heating, sensors, surface, trim
 from benchmarks.verification.row import Row, number, text_table
 
 SAMPLE = (
-    atmosphere.states, atmosphere.transport, gas.published, gas.perfect_gas, surface.lumped, trim.rows, sensors.rows,
+    atmosphere.states, atmosphere.transport, gas.published, gas.viscosity, gas.perfect_gas, heating.rows,
+    surface.lumped, trim.rows, sensors.rows,
 )  # fmt: skip
 
 
