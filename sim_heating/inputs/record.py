@@ -45,11 +45,13 @@ from sim_heating.base.files import (
 from sim_heating.base.limits import HOTTEST_K
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table, write_ratio_table
 from sim_heating.heating.recorded_columns import implausible_values
-from sim_heating.heating.reference.models import reference_model
-from sim_heating.heating.reference.recovery import Recovery, RecoveryName
+from sim_heating.heating.reference.models import reference_model, total_enthalpy_kernel
+from sim_heating.heating.reference.recovery import Recovery, RecoveryName, point_recovery
 from sim_heating.thermal.stack import Construction, Sensor, sensor_problems
 
 REFERENCE_COLUMNS = ("h_ref_kg_m2_s", "H_r_J_kg")
+LEAST_DEFECT = 0.3
+"""Part of the difference of total and recovery enthalpy that a column of the latter shows at least."""
 OPTIONAL_COLUMNS = ("q_add_W_m2", "jets")
 DECLARATION = "record.toml"
 
@@ -486,7 +488,24 @@ def _condition_problems(table: CsvTable, heating: Heating) -> list[str]:
     absent = _missing_columns(table, heating)
     if absent:
         return absent
-    return table.order_problems() + implausible_values(table)
+    problems = table.order_problems() + implausible_values(table)
+    return problems or _recovery_problems(table, heating)
+
+
+def _recovery_problems(table: CsvTable, heating: Heating) -> list[str]:
+    """A column of the total enthalpy where the ratio is reduced with that of an edge."""
+    if heating.reference != "columns" or heating.recovery_of_point.kind == "total":
+        return []
+    flown = Conditions(table.columns)
+    total = np.vectorize(total_enthalpy_kernel, otypes=[float])(flown["velocity_m_s"], flown["T_inf_K"])
+    defect = total - point_recovery(heating.recovery_of_point, total, flown)[0]
+    # A column from another gas or with rounded digits is near the edge's; the total enthalpy lacks all of the defect.
+    weight = flown["h_ref_kg_m2_s"] * defect
+    if np.sum(weight * (total - flown["H_r_J_kg"])) >= LEAST_DEFECT * np.sum(weight * defect):
+        return []
+    rule = f'is the total enthalpy; recovery = "{heating.recovery}" needs that of the point, H_0 - (1 - r) u_e^2 / 2'
+    hint = 'correct the column, or state recovery = "total" where the ratio is reduced with it'
+    return [f"{display_path(table.path)}, column H_r_J_kg: {rule}; {hint}"]
 
 
 def _missing_columns(table: CsvTable, heating: Heating) -> list[str]:

@@ -18,7 +18,7 @@ from sim_heating.cli import main
 from sim_heating.heating.reference.recovery import Recovery
 from sim_heating.inputs.points import check_reference, conditions_at_point, conditions_of_record
 from sim_heating.inputs.ratio_sources import write_tables
-from sim_heating.inputs.record import load_record
+from sim_heating.inputs.record import load_record, make_record
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.simulation.fmu_export.export import export_fmu
@@ -228,6 +228,15 @@ def test_a_record_whose_table_is_of_another_enthalpy_is_refused(scenario, result
         InputError, match="header `recovery`: is `edge-laminar`; it must agree with `total` of the record"
     ):
         load_record(file.parent)
+
+
+def test_a_record_of_an_edge_with_the_total_enthalpy_in_its_column_is_refused(scenario, result, tmp_path):
+    record = synthesize(scenario, flight=result.flight)["V09T9527"]
+    flown = record.conditions
+    total = flown.with_columns(H_r_J_kg=0.5 * flown["velocity_m_s"] ** 2 + 1004.5 * flown["T_inf_K"])
+    message = r'column H_r_J_kg: is the total enthalpy; recovery = "edge-laminar" needs that of the point'
+    with pytest.raises(InputError, match=message):
+        make_record(record.declared, total, record.thermocouples, record.ratio_table)
 
 
 def test_ratio_tables_state_the_enthalpy_of_their_source(tmp_path):

@@ -33,6 +33,8 @@ RECOVERIES: Mapping[str, float] = MappingProxyType(
     dict(zip(get_args(RecoveryName), (TOTAL, EDGE_LAMINAR, EDGE_TURBULENT), strict=True))
 )
 """Every recovery by name, with its number in the kernel."""
+# Constants, for a host asks for them at every frame and point.
+_LAMINAR, _TURBULENT = math.sqrt(PRANDTL), PRANDTL ** (1.0 / 3.0)
 RECOVERY_WIDTH = 4
 """Length of the parameter block of a recovery: kind, local angle [deg], elevon and body-flap factor [-]."""
 
@@ -71,7 +73,7 @@ def recovery_factor(turbulent: bool) -> float:
 
     Source: Eckert 1956 (Trans. ASME 78, 1273); docs/equations_reference_heating.md, equation 15.
     """
-    return PRANDTL ** (1.0 / 3.0) if turbulent else math.sqrt(PRANDTL)
+    return _TURBULENT if turbulent else _LAMINAR
 
 
 @njit
