@@ -12,8 +12,8 @@ from benchmarks.verification import LEAST_ROWS, PAGE, atmosphere, gas, heating, 
 from benchmarks.verification.row import Row, number, text_table
 
 SAMPLE = (
-    atmosphere.states, atmosphere.transport, gas.published, gas.viscosity, gas.perfect_gas, heating.rows,
-    surface.lumped, trim.rows, sensors.rows,
+    atmosphere.states, atmosphere.transport, gas.published, gas.viscosity, gas.perfect_gas,
+    gas.partition_functions, heating.rows, surface.lumped, trim.rows, sensors.rows,
 )  # fmt: skip
 
 
