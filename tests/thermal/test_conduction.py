@@ -19,6 +19,7 @@ from benchmarks.verification.exact import (
     semi_infinite_linear_flux,
     slab_flux,
 )
+from benchmarks.verification.numerics import cosine_error
 from sim_heating.march.ensemble import Ensemble, condition_history
 from sim_heating.march.mesh_choice import pack
 from sim_heating.march.point import PointModel
@@ -165,16 +166,6 @@ def test_profile_between_insulated_faces_evens_out_mode_by_mode():
     ensemble.set_profile(0, profile(0.0))
     ensemble.march(t, flight(t))
     np.testing.assert_allclose(ensemble.node_temperatures(0), profile(20.0), rtol=0.0, atol=1e-3)
-
-
-def cosine_error(mesh, step_s: float) -> float:
-    """Largest error [K] of a decaying 100 K cosine after 5 s."""
-    ensemble = Ensemble([PointModel("wall", wall((material(), 0.01)))], [mesh], step_s, tolerance_K=NOT_CONTROLLED_K)
-    ensemble.set_profile(0, 1000.0 + 100.0 * cosine_decay(A, 0.01, 1, mesh.depth_m, 0.0))
-    t = np.array([0.0, 5.0])
-    ensemble.march(t, flight(t))
-    exact = 1000.0 + 100.0 * cosine_decay(A, 0.01, 1, mesh.depth_m, 5.0)
-    return float(np.max(np.abs(ensemble.node_temperatures(0) - exact)))
 
 
 def test_order_in_time_is_two_on_a_decaying_mode():

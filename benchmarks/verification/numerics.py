@@ -1,0 +1,92 @@
+"""Properties of the method: orders of convergence, conservation of energy, sensitivities."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from benchmarks.problems import RECORD
+from benchmarks.verification import exact
+from benchmarks.verification.conduction import CARSLAW, A
+from benchmarks.verification.row import Row, within
+from benchmarks.verification.walls import even_mesh, flight, material, wall
+from sim_heating.inputs.points import conditions_of_record, point_of_record
+from sim_heating.inputs.record import load_record
+from sim_heating.march.ensemble import Ensemble, condition_history
+from sim_heating.march.linearised import LinearMarch, Track
+from sim_heating.march.mesh_choice import choose_meshes, pack
+from sim_heating.march.point import PointModel
+from sim_heating.thermal.frame import NOT_CONTROLLED_K
+from sim_heating.thermal.mesh import Mesh, build_mesh, halve_elements
+
+
+def cosine_error(mesh: Mesh, step_s: float) -> float:
+    """Largest error [K] of a decaying 100 K cosine after 5 s, at fixed steps."""
+    model = PointModel("wall", wall((material(), 0.01)))
+    ensemble = Ensemble([model], [mesh], step_s, tolerance_K=NOT_CONTROLLED_K)
+    ensemble.set_profile(0, 1000.0 + 100.0 * exact.cosine_decay(A, 0.01, 1, mesh.depth_m, 0.0))
+    t = np.array([0.0, 5.0])
+    ensemble.march(t, flight(t))
+    expected = 1000.0 + 100.0 * exact.cosine_decay(A, 0.01, 1, mesh.depth_m, 5.0)
+    return float(np.max(np.abs(ensemble.node_temperatures(0) - expected)))
+
+
+def orders() -> list[Row]:
+    """Orders at which the error of a decaying mode falls."""
+    fine, graded = even_mesh(0.01, 128), build_mesh(wall((material(), 0.01)), np.array([]), 14)
+    finer = halve_elements(graded)
+    cases = (
+        ("in time", 2.0, cosine_error(fine, 0.25), cosine_error(fine, 0.125)),
+        ("in space, equal elements", 4.0, *(cosine_error(even_mesh(0.01, n), 0.005) for n in (8, 16))),
+        ("in space, graded mesh", 2.0, cosine_error(finer, 0.005), cosine_error(halve_elements(finer), 0.005)),
+    )  # fmt: skip
+    is_ = "next term of the expansion"
+    return [
+        Row(f"order of convergence {name}", order, math.log2(coarse / half), 0.05, "-", f"{CARSLAW}, 3.3", is_)
+        for name, order, coarse, half in cases
+    ]
+
+
+def energy() -> list[Row]:
+    """Heat gained by a radiating wall of constant properties, and heat that entered it."""
+    w = wall((material(2.0, 900.0, 1500.0, 0.85), 0.02), back={"h_W_m2K": 20.0, "T_K": 280.0, "emissivity": 0.8})
+    ensemble, t = pack([PointModel("wall", w)]), np.linspace(0.0, 600.0, 301)
+    before = ensemble.node_temperatures(0).copy()
+    ensemble.march(t, flight(t, q_add_W_m2=8e4 * np.sin(np.pi * t / 600.0)))
+    rise = ensemble.node_temperatures(0) - before
+    gained = 1500.0 * 900.0 * float(np.sum(0.5 * ensemble.meshes[0].length_m * (rise[1:] + rise[:-1])))
+    entered = float(ensemble.absorbed_J_m2[0] - ensemble.emitted_J_m2[0])
+    source, is_ = "rho c times the rise, by nodes", "rounding and Newton's last update over 300 steps"
+    return [within(1e-10, "heat that entered a wall, emission and back included", gained, entered, "J/m2", source, is_)]
+
+
+def sensitivities() -> list[Row]:
+    """Derivatives of a thermocouple at the end of an entry, against differences of the march itself."""
+    record = load_record(RECORD)
+    model, conditions = point_of_record(record), conditions_of_record(record)
+    mesh, time_s = choose_meshes([model])[0][0], conditions.time_s
+    history, samples = condition_history(conditions)[np.newaxis], np.array([900.0])
+    steps = {"ratio.scale": 0.01, "ratio.d_alpha": 1e-4, "stack.emissivity_factor": 0.01}
+    steps["stack.coating.thickness_factor"] = 0.02
+    found = LinearMarch([Track(model, mesh, tuple(steps), samples)], time_s, history).march()[0].sensitivity[0, 0]
+
+    def temperature(name: str, value: float) -> float:
+        moved = model.with_parameters({name: value})
+        ensemble = Ensemble([moved], [mesh], tolerance_K=NOT_CONTROLLED_K)
+        return float(ensemble.march(time_s, history)[int(np.searchsorted(time_s, samples[0])), 2])
+
+    rows = []
+    for (name, h), got in zip(steps.items(), found, strict=True):
+        at = {k: temperature(name, model.value(name) + k * h) for k in (-2, -1, 1, 2)}
+        difference = (8.0 * (at[1] - at[-1]) - (at[2] - at[-2])) / (12.0 * h)
+        source, is_ = "central differences of fourth order", "corners of property tables within the difference"
+        rows.append(
+            within(1e-5, f"derivative of a thermocouple at 900 s to {name}", difference, float(got), "K", source, is_)
+        )
+    return rows
+
+
+def rows() -> list[Row]:
+    """All of this subject."""
+    return [*orders(), *energy(), *sensitivities()]
