@@ -35,10 +35,10 @@ def cosine_error(mesh: Mesh, step_s: float) -> float:
 def orders() -> list[Row]:
     """Orders at which the error of a decaying mode falls."""
     fine, graded = even_mesh(0.01, 128), build_mesh(wall((material(), 0.01)), np.array([]), 14)
-    finer = halve_elements(graded)
+    equal, finer = even_mesh(0.01, 8), halve_elements(graded)
     cases = (
         ("in time", 2.0, cosine_error(fine, 0.25), cosine_error(fine, 0.125)),
-        ("in space, equal elements", 4.0, *(cosine_error(even_mesh(0.01, n), 0.005) for n in (8, 16))),
+        ("in space, equal elements", 4.0, cosine_error(equal, 0.005), cosine_error(halve_elements(equal), 0.005)),
         ("in space, graded mesh", 2.0, cosine_error(finer, 0.005), cosine_error(halve_elements(finer), 0.005)),
     )  # fmt: skip
     is_ = "next term of the expansion"
