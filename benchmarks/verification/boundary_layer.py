@@ -9,6 +9,7 @@ the enthalpy with the frozen Prandtl number:
     d eta/dy = rho (2 du_e/dx / (rho_e mu_e))^1/2,  beta = 1/2, u_e = 0     at the stagnation point of a sphere
     d eta/dy = rho (u_e / (2 rho_e mu_e x))^1/2,    beta = 0                on a flat plate
 
+Turbulent friction is van Driest's, a transformation of the incompressible plate's.
 Source: Lees, Jet Propulsion 26 (1956) 259; Anderson, Hypersonic and High-Temperature Gas Dynamics, 6.3 to 6.5.
 """
 
@@ -154,3 +155,24 @@ def plate(p_e: float, T_e: float, u_e: float, length_m: float, T_w_K: float, pra
     rho_mu = float(air.density(np.array(h_e)) * air.viscosity(np.array(h_e)))
     q = layer.flux * math.sqrt(rho_mu * u_e / (2.0 * length_m))
     return Plate(q / (insulated.h_w - h_w), q, (insulated.h_w - h_e) / kinetic)
+
+
+def van_driest_friction(
+    h_e: float, h_w: float, u_e: float, viscosity_ratio: float, re: float, recovery: float
+) -> float:
+    """Half the turbulent friction coefficient of a flat plate [-] by van Driest's second transformation.
+
+        c_f/2 = 0.0296 (F_x Re)^-1/5 / F_c,   F_x = (mu_e/mu_w) / F_c,   F_c = r m / (asin alpha + asin beta)^2
+
+    with alpha = (2 A^2 - B)/D, beta = B/D, D = (4 A^2 + B^2)^1/2, A^2 = r m/F, B = (1 + r m - F)/F.
+
+    h_e, h_w, u_e   : edge and wall enthalpy [J/kg], edge speed [m/s]; m = u_e^2/(2 h_e) and F = h_w/h_e stand for the
+                      perfect gas's 0.2 M^2 and T_w/T_e
+    viscosity_ratio : mu_e/mu_w [-];  re : rho_e u_e x/mu_e [-];  recovery : factor r [-]
+    Source: van Driest, Aero. Eng. Review 15 (1956) 26; form of Hopkins & Inouye, AIAA J. 9 (1971) 993.
+    """
+    m, F = 0.5 * recovery * u_e * u_e / h_e, h_w / h_e
+    B = (1.0 + m - F) / F
+    D = math.sqrt(4.0 * m / F + B * B)
+    F_c = m / (math.asin((2.0 * m / F - B) / D) + math.asin(B / D)) ** 2
+    return float(0.0296 * (re * viscosity_ratio / F_c) ** -0.2 / F_c)

@@ -1,14 +1,20 @@
-"""Fay-Riddell and Eckert against own solutions of the laminar boundary layer in equilibrium air."""
+"""Fay-Riddell and Eckert against own solutions of the boundary layer in equilibrium air, and van Driest's friction."""
 
 import math
 
 import numpy as np
 import pytest
 
-from benchmarks.verification.boundary_layer import Isobar, plate, solve, stagnation_film
+from benchmarks.verification.boundary_layer import Isobar, plate, solve, stagnation_film, van_driest_friction
 from sim_heating.heating.atmosphere import us76_kernel
 from sim_heating.heating.reference.flat_plate import eckert_film, windward_edge_kernel
-from sim_heating.heating.reference.gas import PRANDTL, air_temperature_kernel
+from sim_heating.heating.reference.gas import (
+    PRANDTL,
+    air_kernel,
+    air_state_kernel,
+    air_temperature_kernel,
+    air_transport_kernel,
+)
 from sim_heating.heating.reference.stagnation import fay_riddell_film, stagnation_kernel
 
 RADIUS_M, LENGTH_M = 0.3048, 5.0
@@ -33,7 +39,7 @@ def stagnation_ratio(altitude_m: float, V: float, T_w: float, prandtl: float | N
     p_0, h_0, rho_0, p = stagnation_kernel(rho, V, T_inf)
     gradient = math.sqrt(2.0 * (p_0 - p) / rho_0) / RADIUS_M
     own = stagnation_film(p_0, air_temperature_kernel(h_0, p_0), T_w, gradient, prandtl)
-    return fay_riddell_film(p_0, h_0, rho_0, p, RADIUS_M, T_w, 1.0) / own
+    return fay_riddell_film(p_0, h_0, rho_0, gradient, T_w, 1.0) / own
 
 
 SPHERES = [(75e3, 7000.0), (70e3, 6000.0), (60e3, 4500.0), (50e3, 3000.0), (40e3, 2000.0)]
@@ -71,3 +77,30 @@ def test_the_frozen_prandtl_number_of_air_lowers_the_film_by_2_to_4_percent():
         T_e = air_temperature_kernel(h_e, p_e)
         constant, frozen = (plate(p_e, T_e, u_e, LENGTH_M, 1100.0, prandtl).film for prandtl in (PRANDTL, None))
         assert 0.02 < 1.0 - frozen / constant < 0.04
+
+
+def turbulent_ratio(p_e: float, h_e: float, u_e: float, re: float, T_w: float) -> float:
+    """Eckert's turbulent friction, by Reynolds' analogy, over van Driest's."""
+    rho, mu = air_state_kernel(h_e, p_e)
+    mu_w = air_transport_kernel(T_w, p_e)[1]
+    friction = van_driest_friction(h_e, air_kernel(T_w, p_e)[0], u_e, mu / mu_w, re, PRANDTL ** (1.0 / 3.0))
+    film = eckert_film(p_e, h_e, u_e, re * mu / (rho * u_e), T_w, True)
+    return film * PRANDTL ** (2.0 / 3.0) / (rho * u_e) / friction
+
+
+@pytest.mark.parametrize(("altitude_m", "V", "alpha_deg"), PLATES[1:])
+def test_turbulent_eckert_is_within_7_percent_of_van_driest_on_the_windward_side(altitude_m, V, alpha_deg):
+    T_inf, _, rho = us76_kernel(altitude_m)
+    p_e, h_e, u_e = windward_edge_kernel(rho, V, T_inf, alpha_deg)
+    for T_w in (300.0, 1100.0):
+        assert turbulent_ratio(p_e, h_e, u_e, 1e6, T_w) == pytest.approx(1.0, abs=0.07)
+
+
+def test_turbulent_eckert_is_below_van_driest_at_an_insulated_wall_and_more_so_at_higher_mach():
+    # Known of the two methods (Hopkins & Inouye 1971): 5 % at Mach 2, 14 % at Mach 5, in cold air
+    p_e, T_e = 1e4, 220.0
+    h_e, a = air_kernel(T_e, p_e)[0], math.sqrt(1.4 * 287.05 * T_e)
+    for mach, ratio in ((2.0, 0.95), (5.0, 0.86)):
+        h_aw = h_e + PRANDTL ** (1.0 / 3.0) * 0.5 * (mach * a) ** 2
+        T_aw = air_temperature_kernel(h_aw, p_e)
+        assert turbulent_ratio(p_e, h_e, mach * a, 5e6, T_aw) == pytest.approx(ratio, abs=0.01)
