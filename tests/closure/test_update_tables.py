@@ -377,8 +377,7 @@ def test_out_revises_a_copy_and_leaves_the_vehicle_alone(workdir: Path) -> None:
 def test_sources_do_not_overwrite_a_table_that_flight_data_revised(workdir: Path) -> None:
     source = ROOT / "aircraft_data" / "orbiter" / "ratio_sources"
     (workdir / "orbiter" / "ratio_sources").mkdir()
-    for name in ("lower_surface.csv", "windward.toml"):
-        shutil.copy(source / name, workdir / "orbiter" / "ratio_sources" / name)
+    shutil.copy(source / "windward.toml", workdir / "orbiter" / "ratio_sources" / "windward.toml")
     edit(
         workdir / "orbiter" / "ratio_sources" / "windward.toml",
         lambda t: re.sub(r"(?s)^control_points = \[.*?\]", f'control_points = ["{POINT}"]', t, flags=re.MULTILINE),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -21,12 +23,16 @@ from sim_heating.heating.ratio.tunnel_to_flight import (
     theoretical_ratio,
     windward_trend,
 )
-from tests.support.paths import ORBITER
 
-ESTIMATE = read_csv_columns(
-    ORBITER / "ratio_sources" / "lower_surface.csv",
-    ("velocity_m_s", "altitude_m", "log10_re", "alpha_deg", "ratio_laminar", "ratio_turbulent"),
-)
+ESTIMATE = {
+    name: column[::7]  # of the seven rows of a state and angle, that at x/L = 0.05
+    for name, column in read_csv_columns(
+        Path(__file__).parent.parent / "data" / "lower_surface_ratio_estimate.csv",
+        ("x_over_L", "v_mps", "altitude_m", "log10_Re_L", "alpha_deg", "h_over_href_laminar", "h_over_href_turbulent"),
+        keep_other=False,
+    ).columns.items()
+}
+assert set(ESTIMATE["x_over_L"]) == {0.05}
 
 TUNNEL = FlowState(velocity_m_s=1160.0, T_inf_K=52.0, wall_K=310.0, length_m=0.5735, nose_radius_m=0.3048 * 0.0175)
 """Mach 8 with 720 K total temperature, 1.75 % model."""
@@ -58,8 +64,8 @@ def states() -> list[tuple[FlowState, float, int]]:
     t = ESTIMATE
     T, _, _ = us76(t["altitude_m"])
     return [
-        (FLIGHT.model_copy(update={"velocity_m_s": t["velocity_m_s"][i], "T_inf_K": T[i]}), t["log10_re"][i], i)
-        for i in range(len(t))
+        (FLIGHT.model_copy(update={"velocity_m_s": t["v_mps"][i], "T_inf_K": T[i]}), t["log10_Re_L"][i], i)
+        for i in range(len(T))
     ]
 
 
@@ -67,10 +73,10 @@ def states() -> list[tuple[FlowState, float, int]]:
 
 
 @pytest.mark.parametrize(
-    ("turbulent", "column", "tolerance"), [(False, "ratio_laminar", 0.03), (True, "ratio_turbulent", 0.06)]
+    ("turbulent", "column", "tolerance"), [(False, "h_over_href_laminar", 0.03), (True, "h_over_href_turbulent", 0.06)]
 )
 def test_theoretical_ratio_agrees_with_the_lower_surface_estimate(turbulent, column, tolerance):
-    # the estimate has cp_max 1.84 and mu = 3.35e-7 T^0.70, the program equilibrium air and 4.12e-7 T^0.671
+    # the estimate has cp_max 1.84 and mu = 3.35e-7 T^0.70, the program equilibrium air and its transport
     for state, log10_re, i in states():
         mine = theoretical_ratio(state, log10_re, ESTIMATE["alpha_deg"][i], 0.05, turbulent)
         assert mine == pytest.approx(ESTIMATE[column][i], rel=tolerance)

@@ -6,6 +6,7 @@ Every file that is refused is one that the program could read: without the rule 
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -295,10 +296,17 @@ def test_tables_of_a_vehicle_are_named_below_its_folders(place):
 
 def test_the_file_of_a_ratio_source_is_in_its_folder(place):
     orbiter = Path(shutil.copytree(AIRCRAFT / "orbiter", place.project / "orbiter"))
-    shutil.move(orbiter / "ratio_sources" / "lower_surface.csv", place.elsewhere / "lower_surface.csv")
-    for source in (orbiter / "ratio_sources").glob("*.toml"):
-        text = source.read_text()
-        source.write_text(text.replace('"lower_surface.csv"', '"../../../elsewhere/lower_surface.csv"'))
+    estimate = Path(__file__).parent.parent / "data" / "lower_surface_ratio_estimate.csv"
+    shutil.copy(estimate, place.elsewhere / "lower_surface.csv")
+    source = orbiter / "ratio_sources" / "nosecap.toml"
+    base = """[base]
+file = "../../../elsewhere/lower_surface.csv"
+column = "h_over_href_laminar"
+file_length_over_L = 0.05
+length = "x_over_L"
+length_exponent = -0.5
+"""
+    source.write_text(re.sub(r"\[base\]\n(?:[^\n\[].*\n)+", base, source.read_text()))
     with pytest.raises(InputError, match=r"\[base\]: `file`: .* is not a file of this folder"):
         build_tables(orbiter)
 
