@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from benchmarks.verification.boundary_layer import plate, stagnation_film
+from benchmarks.verification.boundary_layer import plate, stagnation_film, van_driest_friction
 from benchmarks.verification.conduction import CP_J_KGK, RATIO_ONE
 from benchmarks.verification.gas import cantera_air, shock_by_cantera
 from benchmarks.verification.row import Row, within
@@ -157,6 +157,21 @@ def plate_layers() -> list[Row]:
     return rows
 
 
+def turbulent_plate() -> list[Row]:
+    """Turbulent reference enthalpy against van Driest's second transformation, through Reynolds' analogy."""
+    rows = []
+    source, is_ = "van Driest (1956), form of Hopkins & Inouye (1971)", "spread of methods there: 10 %"
+    for V, rho, T_inf in ((6300.0, 8e-5, 217.0), (2650.0, 8e-4, 265.0)):
+        p_e, h_e, u_e = windward_edge_kernel(rho, V, T_inf, 40.0)
+        rho_e, mu_e = gas.air_state_kernel(h_e, p_e)
+        mu_w, h_w, re = gas.air_transport_kernel(1100.0, p_e)[1], gas.air_kernel(1100.0, p_e)[0], 1e6
+        expected = van_driest_friction(h_e, h_w, u_e, mu_e / mu_w, re, recovery_factor(True))
+        got = eckert_film(p_e, h_e, u_e, re * mu_e / (rho_e * u_e), 1100.0, True) / (rho_e * u_e)
+        name = f"turbulent plate, {V:g} m/s, 40 deg, wall 1100 K, Re 1e6: C_h Pr^(2/3)"
+        rows.append(within(0.1, name, expected, got * gas.PRANDTL ** (2.0 / 3.0), "-", source, is_))
+    return rows
+
+
 def slow_sphere() -> list[Row]:
     """Spheres below the speeds of the correlations: they hand over to Fay and Riddell, with a subsonic limit."""
     rows = []
@@ -213,7 +228,7 @@ def pressure() -> list[Row]:
 
 def rows() -> list[Row]:
     """All of this subject; without Cantera, what needs no equilibrium of another program."""
-    found = [*correlations(), *recovery(), *slow_plate(), *rarefied()]
+    found = [*correlations(), *recovery(), *slow_plate(), *turbulent_plate(), *rarefied()]
     if cantera_air() is not None:
         found += [*stagnation_layers(), *plate_layers(), *slow_sphere(), *pressure()]
     return found
