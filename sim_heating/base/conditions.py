@@ -36,6 +36,15 @@ EXTRAS = ("bank_deg", "gamma_deg", "heading_deg", "latitude_deg", "longitude_deg
 """Columns that a source adds to FRAME in each row. `axial_accel_g`: sensed acceleration along the body axis, positive
 aft, CA qbar S / (m g0). Bank, path angle and heading are those of the velocity relative to the air."""
 
+LINE_TOLERANCE = {
+    "velocity_m_s": 0.0, "alpha_deg": 0.02, "beta_deg": 0.02, "elevon_deg": 0.05, "bodyflap_deg": 0.05,
+    "rho_kg_m3": 0.0, "jets": 0.02,
+}  # fmt: skip
+LINE_TOLERANCE_SHARE = {"velocity_m_s": 0.002, "rho_kg_m3": 0.002}
+"""Distance from a straight line in time that heating does not notice, in the unit of the variable, plus a share of its
+value: what samples of a flight, linear between them, may leave out, and how far a host may bend within a thermal step.
+With them plug-in and march stay within 0.02 K of each other over an entry. Altitude acts through density."""
+
 
 @dataclass(frozen=True)
 class Conditions:
@@ -79,6 +88,11 @@ class Conditions:
     def time_s(self) -> FloatArray:
         """(time,) sample times [s], strictly increasing."""
         return self.columns["time_s"]
+
+    @property
+    def duration_s(self) -> FloatArray:
+        """(time,) time that each sample stands for [s], half of the interval to either side; a single one has 1 s."""
+        return np.gradient(self.time_s) if len(self) > 1 else np.ones(1)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -442,6 +442,8 @@ def joint_reference(records: Sequence[Record], given: Mapping[str, float] | None
     for variable in RATIO_VARIABLES:
         own = None if declared is None else getattr(declared, variable)
         rows = np.concatenate([r.conditions[variable][mask] for r, mask in fitted])
-        mean = np.mean(rows) if len(rows) else np.mean(records[0].conditions[variable])
+        times = np.concatenate([r.conditions.duration_s[mask] for r, mask in fitted])
+        first = records[0].conditions
+        mean = np.average(rows, weights=times) if len(rows) else np.average(first[variable], weights=first.duration_s)
         values.append(float((given or {}).get(variable, mean if own is None else own)))
     return tuple(values)

@@ -26,8 +26,8 @@ def wall_enthalpy_of(declared: ConstantHeat | str) -> WallEnthalpy:
 
 
 def mean_condition(conditions: Conditions) -> tuple[float, ...]:
-    """Means of the five ratio variables over all samples."""
-    return tuple(float(np.mean(conditions[v])) for v in RATIO_VARIABLES)
+    """Means of the five ratio variables over time."""
+    return tuple(float(np.average(conditions[v], weights=conditions.duration_s)) for v in RATIO_VARIABLES)
 
 
 def point_of_vehicle(
@@ -65,12 +65,12 @@ def conditions_at_point(vehicle: Vehicle, point: ControlPoint, flown: Conditions
 
 
 def reference_of_record(record: Record) -> tuple[float, ...]:
-    """Reference condition of a record's derivatives: as declared, else means over the fit segments."""
+    """Reference condition of a record's derivatives: as declared, else means over the time of the fit segments."""
     fitted = record.fit_mask(record.conditions.time_s)
     declared = record.declared.reference_condition
     chosen = fitted if np.any(fitted) else np.ones(len(record.conditions), dtype=bool)
     return tuple(
-        float(np.mean(record.conditions[v][chosen]))
+        float(np.average(record.conditions[v][chosen], weights=record.conditions.duration_s[chosen]))
         if declared is None or getattr(declared, v) is None
         else float(getattr(declared, v))
         for v in RATIO_VARIABLES

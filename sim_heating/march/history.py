@@ -148,8 +148,7 @@ def table_excursions(model: PointModel, flown: Conditions) -> list[TableExcursio
     """
     if model.ratio is None:
         return []
-    # Half of the interval to either side is the time that a sample stands for.
-    span = np.gradient(flown.time_s) if len(flown) > 1 else np.zeros(1)
+    span = flown.duration_s if len(flown) > 1 else np.zeros(1)
     found = []
     for variable, axis in zip(RATIO_VARIABLES, model.ratio.axes, strict=True):
         x = flown[variable]

@@ -23,7 +23,7 @@ import math
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray, IntArray
-from sim_heating.base.conditions import FRAME
+from sim_heating.base.conditions import FRAME, LINE_TOLERANCE, LINE_TOLERANCE_SHARE
 from sim_heating.base.kernels.block import (
     ALPHA,
     BETA,
@@ -73,13 +73,10 @@ TARGET_SHARE = 0.5
 """Share of TOLERANCE_K that the next wait is chosen for."""
 LARGEST_GROWTH = 2.0
 """Largest ratio of the next wait to the last step."""
-# Distances and TOLERANCE_K are those of decision 0007: with them plug-in and march stay within 0.02 K of each other
-# over an entry. A distance of 0 leaves the relative tolerance below.
-_BEND_DISTANCE = {"velocity_m_s": 0.0, "alpha_deg": 0.02, "beta_deg": 0.02, "elevon_deg": 0.05, "bodyflap_deg": 0.05,
-            "rho_kg_m3": 0.0, "jets": 0.02}  # fmt: skip
-BEND_TOLERANCE = np.array([_BEND_DISTANCE.get(name, np.inf) for name in FRAME])
+# With these distances and TOLERANCE_K (decision 0007) plug-in and march stay within 0.02 K of each other over an entry.
+BEND_TOLERANCE = np.array([LINE_TOLERANCE.get(name, np.inf) for name in FRAME])
 """Distance of a value from its line that counts as a bend; altitude acts through density."""
-BEND_TOLERANCE_SHARE = np.array([0.002 if name in ("velocity_m_s", "rho_kg_m3") else 0.0 for name in FRAME])
+BEND_TOLERANCE_SHARE = np.array([LINE_TOLERANCE_SHARE.get(name, 0.0) for name in FRAME])
 """Further distance that is tolerated, as a share of the value itself."""
 
 _LOWEST, _HIGHEST = (np.array([LIMITS[name][i] for name in FRAME]) for i in (0, 1))

@@ -205,9 +205,12 @@ class _PluginAlongside:
     def differences_K(self, histories: list[PointHistory]) -> dict[str, float]:
         """Largest difference of surface temperature from a march [K], by control point."""
         self.plugin.check()
-        surface = np.array(self._surface)
-        count = min(len(surface), len(histories[0].time_s))
-        differences = (np.abs(h.surface_K[:count] - surface[:count, i]) for i, h in enumerate(histories))
+        time, surface = np.array(self._times), np.array(self._surface)
+        # The march has frames between the samples, too.
+        marched = histories[0].time_s
+        common = time <= marched[-1] + 1e-6
+        at = np.searchsorted(marched, time[common] - 1e-6)
+        differences = (np.abs(h.surface_K[at] - surface[common, i]) for i, h in enumerate(histories))
         return {h.name: float(np.max(d)) for h, d in zip(histories, differences, strict=True)}
 
 

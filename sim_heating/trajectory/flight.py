@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.conditions import EXTRAS, FRAME, STATE, Conditions
+from sim_heating.base.conditions import EXTRAS, FRAME, LINE_TOLERANCE, LINE_TOLERANCE_SHARE, STATE, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.heating.atmosphere import free_stream
 
@@ -21,6 +21,9 @@ ROW = FRAME + EXTRAS
 
 ANGLE_COLUMNS = tuple(ROW.index(name) for name in ("bank_deg", "heading_deg", "longitude_deg"))
 """Columns of angles that wrap at 360 deg."""
+_WATCHED = [ROW.index(name) for name in LINE_TOLERANCE]
+_DISTANCE = np.array(list(LINE_TOLERANCE.values()))
+_SHARE = np.array([LINE_TOLERANCE_SHARE.get(name, 0.0) for name in LINE_TOLERANCE])
 REPORT_S = 20.0
 """Flight time between two progress reports [s]; events are known to the second."""
 _TOLERANCE_S = 1e-7  # a host that sums its frame time is 1e-9 s off after 1000 s
@@ -93,6 +96,8 @@ def conditions_from_rows(rows: FloatArray, length_m: float) -> Conditions:
 class Sampler:
     """Samples a source's frames at 0, sample_s, 2 sample_s, ... after the first one, linear between frames.
 
+    Where a straight line between two samples misses a frame by more than LINE_TOLERANCE, as in a fast manoeuvre, frames
+    between the samples are kept as well, as few as it takes (Douglas and Peucker 1973).
     Pass every frame to `add` as a float64 array in the order of ROW; it is copied where it is stored.
     """
 
@@ -100,6 +105,8 @@ class Sampler:
         self.sample_s = sample_s
         self.length_m = length_m
         self._rows: list[FloatArray] = []
+        self._between: list[FloatArray] = []
+        self._samples = 0
         self._before = np.empty(len(ROW))
         self._next_s = -np.inf
 
@@ -107,24 +114,54 @@ class Sampler:
         """Add one frame; frames must be in order of time."""
         if row[0] >= self._next_s - _TOLERANCE_S:
             self._store(row)
+        # A frame at the time of a sample is that sample.
+        if row[0] > self._rows[-1][0] + _TOLERANCE_S:
+            self._between.append(row.copy())
         self._before[:] = row
 
     def _store(self, row: FloatArray) -> None:
         if not self._rows:
             self._start_s = float(row[0])
             self._rows.append(row.copy())
+            self._samples = 1
         else:
             while self._next_s <= row[0] + _TOLERANCE_S:
-                self._rows.append(_interpolate_row(self._before, row, self._next_s))
+                sample = _interpolate_row(self._before, row, self._next_s)
+                self._rows += [*_frames_off_the_line(self._rows[-1], self._between, sample), sample]
+                self._between, self._samples = [], self._samples + 1
                 # Multiples of the interval and not a running sum, whose rounding would drift over a long flight.
-                self._next_s = self._start_s + len(self._rows) * self.sample_s
-        self._next_s = self._start_s + len(self._rows) * self.sample_s
+                self._next_s = self._start_s + self._samples * self.sample_s
+        self._next_s = self._start_s + self._samples * self.sample_s
 
     def conditions(self) -> Conditions:
-        """All samples so far."""
+        """All samples so far, and the frames that were kept between them."""
         if not self._rows:
             raise InputError("trajectory: no frame was flown; the flight ends where it starts, change the stop")
         return conditions_from_rows(np.array(self._rows), self.length_m)
+
+
+def _frames_off_the_line(first: FloatArray, between: list[FloatArray], last: FloatArray) -> list[FloatArray]:
+    """Frames between two samples without which linear interpolation would miss one by more than LINE_TOLERANCE."""
+    # A frame a rounding before the sample is the sample.
+    frames = [row for row in between if row[0] < last[0] - _TOLERANCE_S]
+    if not frames:
+        return []
+    rows = np.array([first, *frames, last])
+    time, values = rows[:, 0], rows[:, _WATCHED]
+    allowed = np.maximum(_DISTANCE + _SHARE * np.abs(values), np.finfo(float).tiny)
+    kept, open_ends = [], [(0, len(rows) - 1)]
+    while open_ends:
+        i, j = open_ends.pop()
+        if j - i < 2:
+            continue
+        share = ((time[i + 1 : j] - time[i]) / (time[j] - time[i]))[:, None]
+        line = values[i] + share * (values[j] - values[i])
+        distance = np.max(np.abs(values[i + 1 : j] - line) / allowed[i + 1 : j], axis=1)
+        k = i + 1 + int(np.argmax(distance))
+        if distance[k - i - 1] > 1.0:
+            kept.append(k)
+            open_ends += [(i, k), (k, j)]
+    return [rows[k] for k in sorted(kept)]
 
 
 def _interpolate_row(before: FloatArray, after: FloatArray, time_s: float) -> FloatArray:

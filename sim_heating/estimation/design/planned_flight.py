@@ -325,4 +325,4 @@ def _mean_condition(planned: PlannedFlight, design: Design) -> FloatArray:
     for window in planned.flight.windows:
         start, end = _span(window, flown, design)
         read |= (flown.time_s >= start) & (flown.time_s <= end)
-    return np.array([np.mean(flown[v][read]) for v in RATIO_VARIABLES])
+    return np.array([np.average(flown[v][read], weights=flown.duration_s[read]) for v in RATIO_VARIABLES])

@@ -124,8 +124,11 @@ def mean_ratio(record: Record) -> float:
     """
     if record.ratio_table is None:
         return float("nan")
-    x = np.column_stack([record.conditions[v] for v in RATIO_VARIABLES])[fitted_rows(record)]
-    return float(np.mean(table_ratios_at(record.ratio_table, x))) if len(x) else float("nan")
+    rows = fitted_rows(record)
+    x = np.column_stack([record.conditions[v] for v in RATIO_VARIABLES])[rows]
+    if not len(x):
+        return float("nan")
+    return float(np.average(table_ratios_at(record.ratio_table, x), weights=record.conditions.duration_s[rows]))
 
 
 def least_determined(

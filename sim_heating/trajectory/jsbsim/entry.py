@@ -128,7 +128,8 @@ class JSBSimEntry:
         host.step()
         if on_frame is not None:
             on_frame(host.read_frame())
-        if host.frames % self._frames_a_sample == 0:
+        # Commands change the flight at their own rate, and the sampler sees what they do between samples.
+        if host.frames % self._frames_a_sample == 0 or host.frames % self.frames_a_command == 0:
             self._sampler.add(self._observer.row())
 
     def done(self) -> float:
