@@ -135,8 +135,9 @@ def test_the_step_may_change_from_frame_to_frame(plugin: HeatingPlugin) -> None:
 def test_a_long_frame_is_divided_into_thermal_steps(plugin: HeatingPlugin) -> None:
     at_once = run(plugin, [frame(0.0), frame(30.0, alpha_deg=44.0)])
     frames = [frame(t, alpha_deg=40.0 + 4.0 * t / 30.0) for t in np.linspace(0.0, 30.0, 31)]
-    # what is linear between frames is what was derived at them, surface pressure among it: 0.0002 K here
-    np.testing.assert_allclose(at_once, run(plugin, frames), rtol=0.0, atol=1e-3)
+    # what is linear between frames is what was derived at them: surface pressure, 0.0002 K here, and the recovery
+    # enthalpy, which goes with the square of the cosine of the angle, 0.002 K
+    np.testing.assert_allclose(at_once, run(plugin, frames), rtol=0.0, atol=5e-3)
 
 
 def test_values_of_a_frame_are_reached_linearly_at_its_end(plugin: HeatingPlugin) -> None:
