@@ -50,6 +50,7 @@ from sim_heating.inputs.record import Record
 from sim_heating.march.linearised import Linearised, LinearMarch
 from sim_heating.march.mesh_choice import choose_meshes
 from sim_heating.march.point import PointModel
+from sim_heating.thermal.frame import STEP_TOLERANCE_K
 from sim_heating.thermal.mesh import Mesh
 
 THREADS = os.cpu_count() or 1
@@ -80,6 +81,7 @@ class FitOptions:
     starts         : by record, start of its march, how that is made, or None for the declared one
     sample_masks   : (sample,) of each record, which of its samples are fitted; by default those of the fit segments
     longest_step_s : limit on the steps of the march [s]
+    tolerance_K    : largest error of a step [K]; steps are divided for it once, at the values that the fit starts from
     """
 
     effects: Sequence[EffectUse] = ()
@@ -89,6 +91,7 @@ class FitOptions:
     starts: Sequence[Start | StartMaker | None] | None = None
     sample_masks: Sequence[NDArray[np.bool_]] | None = None
     longest_step_s: float = LONGEST_STEP_S
+    tolerance_K: float = STEP_TOLERANCE_K
 
 
 DEFAULT_OPTIONS = FitOptions()
@@ -127,6 +130,7 @@ class FitProblem:
         self.unknowns = self._index_parameters()
         for i, record_fit in enumerate(self.record_fits):
             self._choose_samples(record_fit, None if options.sample_masks is None else options.sample_masks[i])
+        self._divide_steps()
         self._group()
 
     # Parameters ------------------------------------------------------------------------------------------------------
@@ -207,6 +211,17 @@ class FitProblem:
         record_fit.time_s = march_times(
             record_fit.conditions, begin, float(record_fit.sample_s[-1]) + slack, self.options.longest_step_s
         )
+
+    def _divide_steps(self) -> None:
+        """Divide the steps of each record where their error asks for it; the division holds while parameters change.
+
+        Records on common times are marched side by side: they keep common times, with the steps that any of them needs.
+        """
+        for group in lane_groups(self.record_fits):
+            found = [record_fit.divided_times(self.options.tolerance_K) for record_fit in group]
+            time_s = np.unique(np.concatenate(found))
+            for record_fit in group:
+                record_fit.time_s = time_s
 
     def _group(self) -> None:
         self.groups = lane_groups(self.record_fits)

@@ -43,6 +43,8 @@ from sim_heating.inputs.sensor_model import SensorErrors, indicated_temperature
 from sim_heating.march.ensemble import condition_history
 from sim_heating.march.linearised import Linearised, LinearMarch, Track
 from sim_heating.march.point import PointModel, initial_temperatures
+from sim_heating.march.schedule import divided_times
+from sim_heating.thermal.frame import STEP_TOLERANCE_K
 from sim_heating.thermal.mesh import Mesh, halve_elements, interpolate_profile
 from sim_heating.thermal.stack import Sensor
 
@@ -125,6 +127,17 @@ class RecordFit:
     def history(self, time_s: FloatArray) -> FloatArray:
         """(1, time, condition) flight conditions at the times of a march [s], as a march takes them."""
         return condition_history(self.conditions.at(time_s))[np.newaxis]
+
+    def divided_times(self, tolerance_K: float = STEP_TOLERANCE_K) -> FloatArray:
+        """(step,) times of the march [s] with the ends of the steps into which its error divides its intervals.
+
+        tolerance_K : largest error of a step [K], at the values that are not estimated
+
+        Source: docs/equations_thermal_step.md, section 9.
+        """
+        # not `track`: the times at which it reads may depend on the steps
+        track = Track(self.model, self.mesh, (), np.zeros(0), initial_K=self.initial_K(None))
+        return divided_times(track, self.time_s, self.history(self.time_s), tolerance_K)
 
     def shift_s(self, vector: FloatArray) -> float:
         """Time [s] that is added to the recorded times: recorded T(t) = true T(t - skew), so it is minus the skew.

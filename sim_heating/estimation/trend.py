@@ -191,7 +191,7 @@ def state_at(record_fit: RecordFit, values: FloatArray, time_s: float) -> tuple[
         if profile is None:
             profile = initial_temperatures(record_fit.model.construction, record_fit.mesh)
         return profile, columns
-    time = march_times(record_fit.conditions, begin, time_s)
+    time = _steps_to(record_fit, time_s)
     declared = record_fit.track(values)
     nodes = tuple(range(record_fit.mesh.nodes))
     track = Track(
@@ -214,10 +214,16 @@ def refined_at(record_fit: RecordFit, values: FloatArray, time_s: float) -> Floa
     begin = record_fit.begin_s
     if time_s <= begin:
         return initial_temperatures(record_fit.model.construction, mesh) if initial is None else initial
-    time = march_times(record_fit.conditions, begin, time_s)
+    time = _steps_to(record_fit, time_s)
     track = Track(record_fit.model_at(values), mesh, (), np.array([time_s]), tuple(range(mesh.nodes)), initial)
     found = LinearMarch([track], time, record_fit.history(time)).march()[0]
     return found.temperature_K[:, 0]
+
+
+def _steps_to(record_fit: RecordFit, time_s: float) -> FloatArray:
+    """(step,) times of the march of a record [s] up to a time: those of its fit, and its samples beyond them."""
+    plain = march_times(record_fit.conditions, record_fit.begin_s, time_s)
+    return np.union1d(plain, record_fit.time_s[record_fit.time_s < plain[-1]])
 
 
 def _segment(record: Record, problem: FitProblem, fit: Fit, begin: float, end: float, count: int) -> Segment:

@@ -151,7 +151,7 @@ def march_group(group: LaneGroup, flights: Flights, longest_step_s: float, store
     for k in range(1, len(time_s)):
         span = time_s[k] - time_s[k - 1]
         # Without the 1e-9 an interval that is a multiple of the longest step but for rounding would take a step more.
-        steps = int(np.ceil(span / longest_step_s - 1e-9))
+        steps = max(int(np.ceil(span / longest_step_s - 1e-9)), 1)
         for s in range(1, steps + 1):
             shift_conditions(b)
             f = s / steps

@@ -28,6 +28,7 @@ from sim_heating.heating.effects import EffectUse
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.simulation.predict import Prediction
+from sim_heating.thermal.frame import NOT_CONTROLLED_K
 
 AGREEMENT = 0.25
 """Part of the sample interval within which two recorders' clocks are taken to agree."""
@@ -106,11 +107,11 @@ def base_trial(before: FitResult) -> TrialFit:
     # A third of the nodes, and as few conditions as are linear to tolerance: only the last fit is on the whole record.
     thin = thin_record(whole.record, max(int(NODE_FRACTION * whole.mesh.nodes), MIN_NODES))
     full = _declared_problem(before, whole.record, fitted | held_out)
-    thinned = _declared_problem(before, thin, fitted | held_out, longest_step_s=MAX_STEP_S)
+    thinned = _declared_problem(before, thin, fitted | held_out, **THINNED_STEPS)
     error_K, at_s = _thinning_error(full, thinned, start)
 
     def problem_over(chosen: NDArray[np.bool_]) -> FitProblem:
-        problem = _declared_problem(before, thin, chosen, longest_step_s=MAX_STEP_S)
+        problem = _declared_problem(before, thin, chosen, **THINNED_STEPS)
         part = problem.record_fits[0]
         part.correction_K = error_K[:, np.isin(at_s, part.sample_s)]
         return problem
@@ -189,7 +190,7 @@ def candidate_problem(
     priors: dict[str, Parameter] = dict(base.problem.priors)
     if CLOCK_SKEW.name in candidate.names:
         priors[CLOCK_SKEW.name] = replace(CLOCK_SKEW, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)
-    more |= {"effects": uses, "priors": priors, "longest_step_s": MAX_STEP_S}
+    more |= {"effects": uses, "priors": priors, **THINNED_STEPS}
     problem = FitProblem([part.record], names, base.problem.reference, FitOptions(**more))
     # The noise of the base: likelihoods of candidates are compared, and noise fitted to each would absorb what one of
     # them explains.
@@ -220,6 +221,9 @@ def sample_count(problem: FitProblem) -> int:
 
 MAX_STEP_S = 2.0
 """Longest interval between samples that are kept [s]."""
+THINNED_STEPS: dict[str, Any] = {"longest_step_s": MAX_STEP_S, "tolerance_K": NOT_CONTROLLED_K}
+"""Steps of the marches of thinned records. They are not divided: the difference to the whole record is taken out, and
+candidates are compared on the same steps."""
 TOLERANCES = {
     "alpha_deg": 0.1, "beta_deg": 0.1, "log10_re": 0.01, "elevon_deg": 0.2, "bodyflap_deg": 0.2, "jets": 0.02,
 }  # fmt: skip

@@ -162,6 +162,7 @@ def track_of_record(
     steps = march_times(conditions, begin, end)
     steps = np.append(steps[steps < end], end)
     part = RecordFit(record, model, mesh, None, conditions, (), (), time_s=steps, sample_s=t[chosen])
+    steps = part.time_s = part.divided_times()
     samples, _ = filter_samples(found, t[chosen], mesh, sigma, lag=part.lag_offset(np.zeros(0)))
     history = condition_history(conditions.at(steps))[np.newaxis]
     return FilterTrack(model, mesh, samples, covariance_K2=covariance), steps, history
