@@ -14,11 +14,14 @@ from benchmarks import cvodes
 from benchmarks.measure import RESULTS, Figure, one_thread, save
 from benchmarks.ode import FloatArray, System, arguments, jacobian, rate, rate_in_numpy, system_of
 from benchmarks.problems import entry, mesh_of, plug, prescribed
-from sim_heating.base.kernels.block import TIME
+from sim_heating.base.kernels.block import CONDITION_COLUMNS, H_REF, P_SURFACE, RECOVERY_ENTHALPY, TIME
 from sim_heating.march.ensemble import Ensemble
+from sim_heating.march.mesh_choice import choose_meshes
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.assembly import SHARE
+from sim_heating.thermal.frame import NOT_CONTROLLED_K, STEP_TOLERANCE_K
 from sim_heating.thermal.mesh import Mesh
+from sim_heating.thermal.stack import Construction, Layer, Stack
 
 NODES = 24
 OUTPUT_S = 20.0
@@ -34,7 +37,11 @@ SCIPY = {
 }
 """Name -> method, whether right-hand side and matrix are compiled, tolerances."""
 REFERENCE_TOLERANCE = 1e-10
-OWN = "TR-BDF2 (this)"
+OWN = "TR-BDF2 (this), undivided steps"
+CONTROLLED = "TR-BDF2 (this), steps of 1 s divided to a tolerance"
+STEP_TOLERANCES_K = (0.1, STEP_TOLERANCE_K, 0.005, 0.001)
+JUMP_FILM_KG_M2_S, JUMP_H_R_J_KG, JUMP_S = 0.02, 6e6, 60.0
+"""A film that stands over bare insulation from the first instant, for a minute."""
 
 
 @dataclass(frozen=True)
@@ -56,12 +63,17 @@ def _timed(call: Callable[[], FloatArray], repeats: int) -> tuple[FloatArray, fl
 
 
 def _march(
-    model: PointModel, mesh: Mesh, history: FloatArray, step_s: float, nodes: list[int] | None = None
+    model: PointModel,
+    mesh: Mesh,
+    history: FloatArray,
+    step_s: float,
+    nodes: list[int] | None = None,
+    tolerance_K: float = NOT_CONTROLLED_K,
 ) -> tuple[Callable[[], FloatArray], int]:
-    """The march of one point at a step, and how many of its samples lie between outputs."""
+    """The march of one point at a step, undivided or divided to a tolerance, and its samples from output to output."""
     time_s = history[0, :, TIME]
     thin = max(round(step_s / (time_s[1] - time_s[0])), 1)
-    ensemble = Ensemble([model], [mesh], step_s)
+    ensemble = Ensemble([model], [mesh], step_s, tolerance_K=tolerance_K)
     keep = ensemble.node_offsets(0, nodes or None)
     samples, driving = time_s[::thin].copy(), history[:, ::thin].copy()
 
@@ -104,6 +116,11 @@ def _in_time() -> tuple[dict[str, list[Run]], float]:
         march, every = _march(model, mesh, driven, step_s)
         out, seconds = _timed(march, 30)
         runs[OWN].append(Run(step_s, float(np.max(np.abs(out[every::every] - reference))), seconds))
+    runs[CONTROLLED] = []
+    for tolerance in STEP_TOLERANCES_K:
+        march, every = _march(model, mesh, driven, DEFAULT_STEP_S, tolerance_K=tolerance)
+        out, seconds = _timed(march, 30)
+        runs[CONTROLLED].append(Run(tolerance, float(np.max(np.abs(out[every::every] - reference))), seconds))
     for name, (method, compiled, tolerances) in SCIPY.items():
         runs[name] = []
         for tolerance in tolerances:
@@ -125,6 +142,27 @@ def _cvodes(system: System, outputs_s: FloatArray, reference: FloatArray) -> dic
             out, seconds = _timed(partial(solve, tolerance), 3)
             runs[name].append(Run(tolerance, float(np.max(np.abs(out - exact))), seconds))
     return runs
+
+
+def _after_a_jump() -> dict[float, float]:
+    """Largest error of time integration at any node [K] by tolerance [K]: a jump of heating onto bare insulation."""
+    base = plug()
+    tile = base.construction.materials["li900"].model_copy(update={"emissivity": [[300.0, 0.85]]})
+    stack = Stack(layer=[Layer(material="li900", thickness_m=0.05)], initial_K=300.0, back="adiabatic")
+    construction = Construction(stack=stack, materials={"li900": tile})
+    model = PointModel("bare", construction, (0.004,), wall_enthalpy=base.wall_enthalpy, parameters={"ratio.d0": 1.0})
+    mesh = choose_meshes([model], DEFAULT_STEP_S)[0][0]
+    time_s = np.arange(0.0, JUMP_S + 0.5 * DEFAULT_STEP_S, DEFAULT_STEP_S)
+    history = np.zeros((1, len(time_s), len(CONDITION_COLUMNS)))
+    history[0, :, [TIME]] = time_s
+    for column, value in ((H_REF, JUMP_FILM_KG_M2_S), (RECOVERY_ENTHALPY, JUMP_H_R_J_KG), (P_SURFACE, 1000.0)):
+        history[..., column] = value
+    reference = _scipy(system_of(model, mesh, history), "LSODA", REFERENCE_TOLERANCE, time_s[1:])
+    found = {}
+    for tolerance in (NOT_CONTROLLED_K, STEP_TOLERANCE_K):
+        march, _ = _march(model, mesh, history, DEFAULT_STEP_S, tolerance_K=tolerance)
+        found[tolerance] = float(np.max(np.abs(march()[1:] - reference)))
+    return found
 
 
 def _in_space_and_time() -> dict[str, list[Run]]:
@@ -178,13 +216,22 @@ def run() -> list[Figure]:
     with one_thread():
         in_time, apart = _in_time()
         in_both = _in_space_and_time()
-    own = next(r for r in in_time[OWN] if r.setting == DEFAULT_STEP_S)
+        jump = _after_a_jump()
+    own = next(r for r in in_time[CONTROLLED] if r.setting == STEP_TOLERANCE_K)
+    undivided = next(r for r in in_time[OWN] if r.setting == DEFAULT_STEP_S)
     figures = [
         Figure("two references (LSODA 1e-10, BDF 1e-8) apart", apart, "K", 0.01),
         Figure(f"this scheme at {DEFAULT_STEP_S:g} s: error of time integration", own.error_K, "K", 0.2),
+        Figure("the same with undivided steps", undivided.error_K, "K"),
+        Figure("jump of heating onto bare insulation: error of time integration", jump[STEP_TOLERANCE_K], "K", 0.1),
+        Figure("the same with undivided steps", jump[NOT_CONTROLLED_K], "K"),
         Figure("one point, a whole entry", own.time_s * 1e3, "ms", note="7 of 8 lanes idle"),
     ]
-    ratios = {name: _equal_error(runs, own.error_K) / own.time_s for name, runs in in_time.items() if name != OWN}
+    ratios = {
+        name: _equal_error(runs, own.error_K) / own.time_s
+        for name, runs in in_time.items()
+        if name not in (OWN, CONTROLLED)
+    }
     peers = [ratios[name] for name in ratios if name.startswith("CVODES")]
     figures += [
         Figure(f"{name} / this scheme, at that error", r, "x", 100.0 if name == "scipy BDF" else None, True)

@@ -118,7 +118,7 @@ class Peer:
     """
 
     def __init__(self, library: ctypes.CDLL, ensemble: Ensemble) -> None:
-        self._library = library
+        self._library, self._tolerance_K = library, ensemble.tolerance_K
         layers = ensemble.models[0].construction.layer_materials()
         if any(m.construction is not ensemble.models[0].construction for m in ensemble.models):
             raise ValueError("the C peer takes points of one construction")
@@ -186,7 +186,7 @@ class Peer:
         for group in self._groups:
             function(
                 ctypes.c_void_p(group[1]), ctypes.c_void_p(_address(time_s)), ctypes.c_void_p(_address(driving)),
-                ctypes.c_long(len(time_s)), None,
+                ctypes.c_long(len(time_s)), ctypes.c_double(self._tolerance_K), None,
             )  # fmt: skip
 
     def node_temperatures(self, g: int) -> FloatArray:

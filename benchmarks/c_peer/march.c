@@ -1,10 +1,10 @@
-/* The same march as sim_heating/march/frames.py and thermal/step.py, written by hand in C: the peer of the benchmark.
+/* The same march as sim_heating/march/frames.py, thermal/frame.py and step.py, written by hand in C: the peer of the benchmark.
  *
  * TR-BDF2 for the heat content, linear elements with the mass shared (SHARE = 1/6), Kirchhoff's variable, Newton to 1e-4 K
  * lane by lane with the same first guesses, eight control points side by side. It is written for speed, not as a copy:
  * evaluation and elimination go in one sweep, what crosses an element is computed once, the explicit part of a step comes
  * from the balance of the step before (no evaluation), properties are polynomials between declared points, and the corners of
- * the ratio-table cell that a lane is in lie beside it.
+ * the ratio-table cell that a lane is in lie beside it. Steps are divided where their error asks for it, as in thermal/frame.py.
  *
  * Compiled by benchmarks/c_peer/build.py, strictly (IEEE, no contraction) and with -Ofast.
  */
@@ -30,6 +30,7 @@ static const double COLDEST_K = 1.0;
 static const int NEWTON_LIMIT = 25;
 static const double BIN_K = 5.0;
 static const int BINS = 600;
+#define FINEST 1024
 
 typedef double row[L] __attribute__((aligned(32)));
 
@@ -50,7 +51,7 @@ typedef struct {
 typedef struct {
     row t, rate, t_start, m_left, m_right, g;
     row e_left, e_right, theta_left, theta_right, stage_left, stage_right, c_left, c_right;
-    row e_start, e_star, gain, upper, lower, diagonal, residual, delta;
+    row e_start, e_star, star_copy, gain, upper, lower, diagonal, residual, delta;
     row foot, top, right[PROPERTIES], left[PROPERTIES];
     long right_of[L];
     long interface;
@@ -62,11 +63,12 @@ typedef struct {
     row in_column, surroundings4, back_h, back_t, back_eps, factor_eps;
     row scale, d0, first[VARIABLES], reference[VARIABLES];
     row active, failed, iterations, largest, stage_in, stage_out, energy_in, energy_out;
+    row stepping, tolerated, done, per, last_dt, before[5];
+    row frame_start[CONDITIONS], frame_end[CONDITIONS];
     row source, slope, back_source, back_slope;
     cell ratio;
     long ratio_table[L], surface_table[L];
     long nodes, pressures, columns, fresh;
-    double last_dt;
     const double *table;
     const material *materials;
     node node[];
@@ -272,7 +274,7 @@ static void update(group *G) {
 
 static void solve_stage(group *G, int stage, double dt) {
     select_pressure(G, stage);
-    LANES G->active[l] = 1.0;
+    LANES G->active[l] = G->stepping[l];
     for (int k = 0; k < NEWTON_LIMIT; k++) {
         surface(G, stage);
         back(G);
@@ -338,15 +340,18 @@ static void start_fresh(group *G) {
     }
 }
 
-static void step(group *G, double dt) {
+/* Both stages of a step; what it began with stays as it was (t_start, e_start, gain, rate, before). */
+static void solve_step(group *G, double dt) {
     long n = G->nodes;
     if (G->fresh) start_fresh(G);
-    double per = G->fresh ? D * dt : dt / G->last_dt;
+    const double *rows[] = {G->stage_in, G->stage_out, G->energy_in, G->energy_out, G->failed};
+    for (int k = 0; k < 5; k++) memcpy(G->before[k], rows[k], sizeof(row));
+    LANES G->per[l] = G->fresh ? D * dt : dt / G->last_dt[l];
     add_energy(G, W * dt);
     for (long i = 0; i < n; i++) {
         node *x = &G->node[i];
         LANES {
-            x->e_star[l] = x->e_start[l] + per * x->gain[l];
+            x->e_star[l] = x->e_start[l] + G->per[l] * x->gain[l];
             x->t_start[l] = x->t[l];
             x->t[l] += GAMMA * dt * x->rate[l];
         }
@@ -364,7 +369,10 @@ static void step(group *G, double dt) {
     }
     solve_stage(G, 2, dt);
     add_energy(G, D * dt);
-    for (long i = 0; i < n; i++) {
+}
+
+static void close_step(group *G, double dt) {
+    for (long i = 0; i < G->nodes; i++) {
         node *x = &G->node[i];
         content(G, i, x->e_start);
         LANES {
@@ -373,7 +381,86 @@ static void step(group *G, double dt) {
         }
     }
     G->fresh = 0;
-    G->last_dt = dt;
+    LANES G->last_dt[l] = dt;
+}
+
+/* Control of the step ---------------------------------------------------------------------------------------------- */
+
+/* Error of the heat content of a node by the embedded formula: 4 w / 3 dt F_n - (E* - E_n) / (3 w) + 2 / 3 (E - E*). */
+static inline void content_error(const group *G, long i, row out) {
+    const node *x = &G->node[i];
+    content(G, i, out);
+    LANES out[l] = 4.0 / 3.0 * W / D * G->per[l] * x->gain[l] - (x->e_star[l] - x->e_start[l]) * (1.0 / (3.0 * W)) +
+                   2.0 / 3.0 * (out[l] - x->e_star[l]);
+}
+
+/* Which lanes tolerate the step; how many of those that took part do not. */
+static int judge(group *G, double dt, double tolerance_K, int last) {
+    row excess, error;
+    LANES G->tolerated[l] = G->stepping[l], excess[l] = 0.0;
+    if (last) return 0;
+    for (long i = 0; i < G->nodes; i++) {
+        const node *x = &G->node[i];
+        content_error(G, i, error);
+        LANES {
+            double over = fabs(error[l]) * x->t[l] - tolerance_K * (x->stage_left[l] + x->stage_right[l]);
+            excess[l] = over > excess[l] ? over : excess[l];
+        }
+    }
+    int doubtful = 0;
+    for (int l = 0; l < L; l++)
+        if (G->stepping[l] > 0.0 && G->before[4][l] == 0.0 && (!(excess[l] <= 0.0) || G->failed[l] > 0.0))
+            G->tolerated[l] = 0.0, doubtful++;
+    if (!doubtful) return 0;
+    /* With E* and the error for E*, Newton's update at the end of the step is the error in temperature. */
+    for (long i = 0; i < G->nodes; i++) {
+        node *x = &G->node[i];
+        content_error(G, i, error);
+        LANES x->star_copy[l] = x->e_star[l], x->e_star[l] += error[l];
+    }
+    surface(G, 2);
+    back(G);
+    eliminate(G, G->fraction[2], D * dt);
+    LANES G->active[l] = 0.0;
+    update(G);
+    for (long i = 0; i < G->nodes; i++) memcpy(G->node[i].e_star, G->node[i].star_copy, sizeof(row));
+    for (int l = 0; l < L; l++)
+        if (G->stepping[l] > G->tolerated[l] && G->failed[l] == 0.0 && G->largest[l] <= tolerance_K)
+            G->tolerated[l] = 1.0, doubtful--;
+    return doubtful;
+}
+
+/* Close the step in the lanes that tolerate it, take it back in the others. */
+static void settle(group *G, double dt, double end) {
+    double *rows[] = {G->stage_in, G->stage_out, G->energy_in, G->energy_out, G->failed};
+    for (int l = 0; l < L; l++) {
+        if (G->tolerated[l] > 0.0)
+            G->done[l] = end;
+        else
+            for (int k = 0; k < 5; k++) rows[k][l] = G->before[k][l];
+    }
+    for (long i = 0; i < G->nodes; i++) {
+        node *x = &G->node[i];
+        row heat_content;
+        content(G, i, heat_content);
+        for (int l = 0; l < L; l++) {
+            if (G->tolerated[l] > 0.0) {
+                x->e_start[l] = heat_content[l];
+                x->gain[l] = heat_content[l] - x->e_star[l];
+                x->rate[l] = (x->t[l] - x->t_start[l]) * (1.0 / dt);
+            } else {
+                x->t[l] = x->t_start[l];
+                if (G->fresh) x->gain[l] *= D;
+            }
+        }
+    }
+    /* The gain of a fresh start is that of one second, all others are D times that of the last step. */
+    for (int l = 0; l < L; l++)
+        if (G->tolerated[l] > 0.0)
+            G->last_dt[l] = dt;
+        else if (G->fresh)
+            G->last_dt[l] = 1.0;
+    G->fresh = 0;
 }
 
 /* Heating ---------------------------------------------------------------------------------------------------------- */
@@ -464,25 +551,67 @@ static void hold(group *G) {
     for (int k = 0; k < 5; k++) memcpy(rows[k][0], rows[k][2], sizeof(row));
 }
 
-/* A group through a flight: ratio and pressure from the conditions. history: (times, CONDITIONS). */
-void march(group *G, const double *time_s, const double *history, long times, double *surface_K) {
+static void solve_interval(group *G, double dt) {
+    for (int c = 0; c < CONDITIONS; c++) LANES G->middle[c][l] = G->now[c][l] + GAMMA * (G->then[c][l] - G->now[c][l]);
+    heat(G, 1, G->middle);
+    heat(G, 2, G->then);
+    solve_step(G, dt);
+}
+
+/* The parts of a frame as the nodes of a binary tree, in order of time; a lane takes part in those that begin where it stands. */
+static void divide(group *G, double dt, double tolerance_K) {
+    memcpy(G->frame_start, G->now, sizeof G->now);
+    memcpy(G->frame_end, G->then, sizeof G->then);
+    LANES G->done[l] = 0.0;
+    settle(G, dt, FINEST);
+    for (long begin = 0, length = FINEST / 2; begin < FINEST;) {
+        double before = begin * (1.0 / FINEST), after = (begin + length) * (1.0 / FINEST), part = dt * (length * (1.0 / FINEST));
+        for (int l = 0; l < L; l++) {
+            G->stepping[l] = G->done[l] == begin ? 1.0 : 0.0;
+            if (G->done[l] != begin) continue;
+            for (int c = 0; c < CONDITIONS; c++) {
+                double change = G->frame_end[c][l] - G->frame_start[c][l];
+                G->now[c][l] = G->frame_start[c][l] + before * change;
+                G->then[c][l] = begin + length == FINEST ? G->frame_end[c][l] : G->frame_start[c][l] + after * change;
+            }
+        }
+        solve_interval(G, part);
+        int again = judge(G, part, tolerance_K, length == 1);
+        settle(G, part, (double)(begin + length));
+        if (again) {
+            length /= 2;
+        } else {
+            begin += length;
+            length = begin & -begin;
+        }
+    }
+    memcpy(G->then, G->frame_end, sizeof G->then);
+    LANES G->stepping[l] = 1.0;
+}
+
+/* A group through a flight: ratio and pressure from the conditions, steps divided to a tolerance [K].
+ * history: (times, CONDITIONS). */
+void march(group *G, const double *time_s, const double *history, long times, double tolerance_K, double *surface_K) {
     take(G->then, history);
     memset(&G->ratio, 0, sizeof G->ratio);
     heat(G, 2, G->then);
     if (surface_K) memcpy(surface_K, G->node[0].t, sizeof(row));
     for (long k = 1; k < times; k++) {
+        double dt = time_s[k] - time_s[k - 1];
         hold(G);
         take(G->then, history + k * CONDITIONS);
-        for (int c = 0; c < CONDITIONS; c++) LANES G->middle[c][l] = G->now[c][l] + GAMMA * (G->then[c][l] - G->now[c][l]);
-        heat(G, 1, G->middle);
-        heat(G, 2, G->then);
-        step(G, time_s[k] - time_s[k - 1]);
+        solve_interval(G, dt);
+        if (judge(G, dt, tolerance_K, 0))
+            divide(G, dt, tolerance_K);
+        else
+            close_step(G, dt);
         if (surface_K) memcpy(surface_K + k * L, G->node[0].t, sizeof(row));
     }
 }
 
-/* The same with what the surface takes computed beforehand: heating is (times, 2, 5, L), stages 1 and 2 of the step to a time. */
-void march_heated(group *G, const double *time_s, const double *heating, long times, double *surface_K) {
+/* The same with what the surface takes computed beforehand, in the steps that are given: heating is (times, 2, 5, L), stages 1 and 2 of the step to a time. */
+void march_heated(group *G, const double *time_s, const double *heating, long times, double tolerance_K, double *surface_K) {
+    (void)tolerance_K;
     row *rows[] = {G->film, G->recovery, G->added, G->column, G->fraction};
     for (int k = 0; k < 5; k++) memcpy(rows[k][2], heating + (5 + k) * L, sizeof(row));
     if (surface_K) memcpy(surface_K, G->node[0].t, sizeof(row));
@@ -493,7 +622,8 @@ void march_heated(group *G, const double *time_s, const double *heating, long ti
             memcpy(rows[r][1], h + r * L, sizeof(row));
             memcpy(rows[r][2], h + (5 + r) * L, sizeof(row));
         }
-        step(G, time_s[k] - time_s[k - 1]);
+        solve_step(G, time_s[k] - time_s[k - 1]);
+        close_step(G, time_s[k] - time_s[k - 1]);
         if (surface_K) memcpy(surface_K + k * L, G->node[0].t, sizeof(row));
     }
 }
@@ -506,7 +636,8 @@ void march_heated(group *G, const double *time_s, const double *heating, long ti
 void set_up(group *G, long nodes, long pressures, const double *table, const material *materials, const double *rows,
             const long *which, const double *scalars, const long *tables) {
     memset(G, 0, group_size(nodes));
-    G->nodes = nodes, G->pressures = pressures, G->table = table, G->materials = materials, G->fresh = 1, G->last_dt = 1.0;
+    G->nodes = nodes, G->pressures = pressures, G->table = table, G->materials = materials, G->fresh = 1;
+    LANES G->last_dt[l] = G->stepping[l] = 1.0;
     for (long i = 0; i < nodes; i++) {
         node *x = &G->node[i];
         double *into[] = {x->t, x->m_left, x->m_right, x->g};

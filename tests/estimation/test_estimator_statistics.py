@@ -14,10 +14,11 @@ from scipy.stats import binom
 
 from benchmarks.estimator_cases import CASES, record_of, repeatable
 from benchmarks.estimator_statistics import Repetitions, repeat
-from sim_heating.estimation.problem import FitProblem, joint_reference
+from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.estimation.record_fit import LONGEST_STEP_S, march_times
 from sim_heating.estimation.trend import state_at
 from sim_heating.inputs.record import Record
+from sim_heating.thermal.frame import NOT_CONTROLLED_K
 from sim_heating.thermal.mesh import halve_elements, interpolate_profile
 from tests.support.walls import practice_record
 
@@ -87,7 +88,9 @@ def mid_entry(nodes: int, at_s: float, profile: int) -> FitProblem:
     begun = declared(record, nodes=nodes, initial="profile", initial_profile=start)
     flown = record.conditions.at(np.append(at_s, record.conditions.time_s[record.conditions.time_s > at_s]))
     fitted = replace(begun, conditions=flown).with_fit([[at_s + 1.0, at_s + 250.0]])
-    return FitProblem([fitted], ["ratio.scale"], joint_reference([record]))
+    # meshes are compared on the same steps: division would follow the mesh
+    options = FitOptions(tolerance_K=NOT_CONTROLLED_K)
+    return FitProblem([fitted], ["ratio.scale"], joint_reference([record]), options)
 
 
 @pytest.mark.parametrize("nodes", [8, 10, 14])
