@@ -15,6 +15,7 @@ format is described in docs/vehicle_format.md. A description always gives the sa
 from __future__ import annotations
 
 import os
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -55,6 +56,7 @@ from sim_heating.heating.ratio.tunnel_to_flight import (
 from sim_heating.heating.reference.recovery import RecoveryName
 from sim_heating.inputs.vehicle import recovery_of, vehicle_directory
 from sim_heating.inputs.vehicle_files import NAME, ControlPointFile, VehicleFile
+from sim_heating.trajectory.spec import state_problems
 
 Variable = Literal["alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg"]
 Points = list[list[float]]
@@ -126,8 +128,12 @@ class TheoryState(Declared):
 
     quantities: ClassVar = {"velocity_m_s": "flight_speed_m_s"}
 
-    altitude_m: float = Field(description="altitude in the standard atmosphere in m")
+    altitude_m: float = Field(ge=0.0, le=200e3, description="altitude in the standard atmosphere in m, 0 to 200 km")
     velocity_m_s: float = Field(gt=0.0, description="speed in m/s, above 0")
+
+    def implausible(self) -> list[tuple[Location, str]]:
+        """Numbers beyond their ranges, and km where m are asked for."""
+        return [*super().implausible(), *state_problems(self.altitude_m, self.velocity_m_s)]
 
 
 class TheoryBase(Declared):
@@ -367,6 +373,12 @@ def _from_theory(
         )
         states.append((state.log10_re(rho), state))
     states.sort(key=lambda pair: pair[0])
+    for (a, first), (b, second) in pairwise(states):
+        if b - a < 1e-3:
+            raise InputError(
+                f"[base]: `flight`: the states at {first.velocity_m_s:g} and {second.velocity_m_s:g} m/s have one "
+                f"log10_re, {a:.3f}; remove one"
+            )
     turbulent = base.theory == "eckert-turbulent"
     ratio = np.empty_like(alpha_deg)
     for alpha in np.unique(alpha_deg):

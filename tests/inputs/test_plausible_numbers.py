@@ -288,12 +288,15 @@ def test_a_table_of_one_ratio_and_of_ratios_of_zero_is_accepted(tmp_path):
     [
         ("alpha_deg = [0.0, 10.0, 20.0, 25.0, 30.0, 35.0, 40.0, 45.0, 50.0]", "alpha_deg = [0.0, 1e-5, 2e-5]",
          "`alpha_deg`: the nodes are 0 to 2e-05"),
-        ("log10_re = [2.0, 6.075, 6.236, 6.546, 6.773, 8.4]", "log10_re = [2e-3, 8.4e-3]", "closer together than 0.02"),
+        ("log10_re = [2.0, 5.21, 5.66, 6.075, 6.236, 6.546, 6.773, 7.1, 7.44, 7.65, 8.4]", "log10_re = [2e-3, 8.4e-3]",
+         "closer together than 0.02"),
         ("points = [[-4.0, 1.02], [0.0, 1.0], [4.0, 1.02]]", "points = [[-4e-6, 1.0], [4e-6, 1.0]]", "closer together"),
         ("points = [[-4.0, 1.02], [0.0, 1.0], [4.0, 1.02]]", "points = [[-4.0, 1020.0], [4.0, 1020.0]]",
          "is not a factor on a heating ratio"),
         ("points = [[-4.0, 1.02], [0.0, 1.0], [4.0, 1.02]]", "points = [[-4.0, 990.0], [4.0, 990.0]]", "rises to"),
-        ("[[2.0, 0.5], [6.075, 0.0], [6.773, 0.0], [8.4, 0.5]]", "[[2.0, 500.0]]", "relative standard deviation"),
+        ("[[2.0, 0.5], [5.21, 0.2], [6.075, 0.0], [6.773, 0.0], [7.65, 0.3], [8.4, 0.5]]", "[[2.0, 500.0]]",
+         "relative standard deviation"),
+        ("altitude_m = 70e3, velocity_m_s = 6300.0", "altitude_m = 70, velocity_m_s = 6300.0", "write 70000"),
     ],
 )  # fmt: skip
 def test_a_source_of_ratios_in_another_unit_is_refused(orbiter, old, new, expected):

@@ -86,6 +86,8 @@ def test_the_surface_is_steeper_by_the_local_angle_of_the_point(orbiter):
         ("velocity_m_s = 3900.0", "velocity_m_s = 3.9", "write 3900"),
         ('"eckert-laminar"', '"eckert"', "theory"),
         ("wall_K = 1100.0\n", "", "wall_K"),
+        ("altitude_m = 57e3", "altitude_m = 300e3", "altitude_m"),
+        ("altitude_m = 57e3, velocity_m_s = 3900.0", "altitude_m = 70e3, velocity_m_s = 6301.0", "have one log10_re"),
     ],
 )
 def test_a_theory_that_cannot_be_evaluated_is_refused_in_one_line(orbiter, old, new, message):
