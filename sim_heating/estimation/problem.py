@@ -48,7 +48,7 @@ from sim_heating.heating.effects import EffectUse
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.march.linearised import Linearised, LinearMarch
-from sim_heating.march.mesh_choice import choose_meshes
+from sim_heating.march.mesh_choice import meshes_on_flights
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.frame import STEP_TOLERANCE_K
 from sim_heating.thermal.mesh import Mesh
@@ -119,9 +119,12 @@ class FitProblem:
         self.reference, self.options = reference, options
         self.priors = dict(options.priors or {})
         models = [replace(point_of_record(r, options.fixed, options.effects), reference=reference) for r in records]
-        # the mesh is chosen once, at the declared parameters: a likelihood with another mesh at each step would not be
-        # smooth
-        meshes = [mesh for mesh, _ in choose_meshes(models, options.longest_step_s)]
+        # the mesh is chosen once, for the declared model: a likelihood with another mesh at each step would not be
+        # smooth, and those of two models could not be compared
+        meshes = [
+            meshes_on_flights([point_of_record(r)], [conditions_of_record(r)], options.longest_step_s)[0][0]
+            for r in records
+        ]
         begin = list(options.starts) if options.starts is not None else [None] * len(records)
         self.record_fits = [
             self._record_fit(record, model, mesh, start(record, model, mesh) if callable(start) else start, names)

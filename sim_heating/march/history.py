@@ -13,7 +13,7 @@ from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.lag import lag_columns
 from sim_heating.march.ensemble import Ensemble, histories
-from sim_heating.march.mesh_choice import pack
+from sim_heating.march.mesh_choice import meshes_on_flights
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.frame import STEP_TOLERANCE_K
 from sim_heating.thermal.mesh import Mesh, halve_elements
@@ -28,6 +28,8 @@ class PointHistory:
     sensors_K  : (sensor, time) temperature of each thermocouple [K], behind its lag, without its errors, noise and
                  quantisation
     ratio      : (time,) heating ratio with all corrections and effects [-]; NaN where h_ref is 0
+    nodes      : number of nodes of the mesh
+    mesh_error_K : estimate of the largest error that the mesh leaves in a temperature [K]
     """
 
     name: str
@@ -36,6 +38,8 @@ class PointHistory:
     bondline_K: FloatArray
     sensors_K: FloatArray
     ratio: FloatArray
+    nodes: int
+    mesh_error_K: float
 
 
 @dataclass(frozen=True)
@@ -76,15 +80,15 @@ def march_points(
     The heating ratio is recovered as film coefficient over h_ref. Derived in docs/equations_march.md, equations 1, 16
     and 18.
     """
-    ensemble = pack(models, longest_step_s, tolerance_K)
-    if halvings > 0:
-        meshes = [halve_repeatedly(mesh, halvings) for mesh in ensemble.meshes]
-        ensemble = Ensemble(models, meshes, longest_step_s, tolerance_K=tolerance_K)
+    chosen = meshes_on_flights(models, flights, longest_step_s)
+    meshes = [halve_repeatedly(mesh, halvings) for mesh, _ in chosen]
+    errors_K = [0.25**halvings * error for _, error in chosen]
+    ensemble = Ensemble(models, meshes, longest_step_s, tolerance_K=tolerance_K)
     time = np.union1d(flights[0].time_s, np.asarray(extra_times_s, dtype=float))
     # Interpolated only where a time was added: the samples themselves are taken as they are.
     flown = [f.at(time) for f in flights] if len(time) > len(flights[0]) else list(flights)
     out = ensemble.march(time, histories(flown), keep=np.concatenate([ensemble.outputs(), ensemble.film_offsets()]))
-    return _point_histories(ensemble, time, out, flown)
+    return _point_histories(ensemble, time, out, flown, errors_K)
 
 
 def halve_repeatedly(mesh: Mesh, halvings: int) -> Mesh:
@@ -98,7 +102,7 @@ def halve_repeatedly(mesh: Mesh, halvings: int) -> Mesh:
 
 
 def _point_histories(
-    ensemble: Ensemble, time: FloatArray, out: FloatArray, flown: Sequence[Conditions]
+    ensemble: Ensemble, time: FloatArray, out: FloatArray, flown: Sequence[Conditions], mesh_errors_K: Sequence[float]
 ) -> list[PointHistory]:
     points, column = [], 0
     first_film = out.shape[1] - len(ensemble.models)
@@ -107,7 +111,8 @@ def _point_histories(
         own = out[:, column : column + count].T
         h_ref = flown[i]["h_ref_kg_m2_s"]
         ratio = np.divide(out[:, first_film + i], h_ref, out=np.full(len(time), np.nan), where=h_ref > 0.0)
-        points.append(PointHistory(model.name, time, own[0], own[1], _sensed(model, time, own[2:]), ratio))
+        sensed, nodes = _sensed(model, time, own[2:]), ensemble.meshes[i].nodes
+        points.append(PointHistory(model.name, time, own[0], own[1], sensed, ratio, nodes, mesh_errors_K[i]))
         column += count
     return points
 
@@ -208,4 +213,6 @@ def point_summary(
         "bondline_margin_K": None if bondline_limit is None else bondline_limit - bondline,
         "outside_table": [vars(o) for o in outside],
         "negative_ratio_s": negative_ratio_s(history),
+        "nodes": history.nodes,
+        "mesh_error_K": history.mesh_error_K,
     }

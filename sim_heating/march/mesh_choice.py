@@ -1,38 +1,57 @@
-"""Choice of the mesh of a stack: a trial heating pulse marched on a mesh and on its refinement.
+"""Choice of the mesh of a stack: trial heatings, and the flight where it is known, on a mesh and its refinement.
 
-The pulse resembles an entry: the surface is driven towards a radiation equilibrium near its highest use temperature
-in 300 s, held there with a doublet of 15 % in flux, and left to cool. The change when every element is halved, times
-4/3 for a second-order method, estimates the error of the coarser mesh; the coarsest mesh below the tolerance is
-taken. Equations: docs/equations_march.md, equations 16 and 17.
+Two trial heatings resemble entries with steps of heating. In one a flux drives the surface towards a radiation
+equilibrium near its highest temperature of use. In the other a film whose recovery temperature is that temperature
+drives it, since a surface of low emittance meets heating that has nothing to do with what it radiates. The change when
+every element is halved, times 4/3 for a second-order method and a factor of safety, estimates the error of the coarser
+mesh; the coarsest mesh below the tolerance is taken. Where the conditions of a flight are known, that mesh is confirmed
+on them, or refined until it is. Equations: docs/equations_march.md, equations 16 and 17.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.kernels.block import CONDITION_COLUMNS, P_SURFACE, Q_ADD
-from sim_heating.march.ensemble import Ensemble
-from sim_heating.march.point import PointModel
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.kernels.block import CONDITION_COLUMNS, H_REF, P_SURFACE, Q_ADD, RECOVERY_ENTHALPY
+from sim_heating.heating.effects import Effect
+from sim_heating.heating.ratio.lookup import pack_table
+from sim_heating.march.ensemble import Ensemble, condition_history
+from sim_heating.march.point import PointModel, heating_vector, kernel_effects, stack_values
 from sim_heating.thermal.faces import SIGMA
 from sim_heating.thermal.frame import STEP_TOLERANCE_K
 from sim_heating.thermal.mesh import Mesh, build_mesh, fewest_nodes, halve_elements
 from sim_heating.thermal.stack import pairs
 
 TOLERANCE_K = 0.3
-"""Error estimate of the automatic mesh at surface, bondline and sensors [K], on a pulse to the highest
-temperature of use; a flight that heats less has a smaller error."""
-NODE_COUNTS = (14, 16, 20, 24, 28, 32, 40, 48, 64, 80, 100)
+"""Error estimate of the automatic mesh at surface, bondline and sensors [K], on the trial heatings to the highest
+temperature of use, and on the flight where it is known."""
+NODE_COUNTS = (14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 72, 80, 100, 128, 160, 200)
 """Node counts tried; few different ones, so that points share lane groups."""
-PULSE_TIME_S = np.array([0.0, 300.0, 440.0, 450.0, 460.0, 470.0, 600.0, 900.0, 1200.0])
-PULSE_SHAPE = np.array([0.0, 1.0, 1.0, 0.85, 1.15, 1.0, 0.9, 0.1, 0.0])
+SAFETY = 1.1
+"""Factor on the estimate [-], so that errors of higher order do not make the true error larger: they are 1 to 2 % in
+the walls and heatings of tests/march/test_mesh_choice.py."""
+RULED_OUT = 4.0
+"""An error of second order that would be this many times the tolerance on a larger mesh rules out that mesh [-]."""
+PULSE_TIME_S = np.array([0.0, 300.0, 440.0, 441.0, 470.0, 471.0, 600.0, 900.0, 1200.0])
+PULSE_SHAPE = np.array([0.0, 1.0, 1.0, 0.5, 0.5, 1.0, 0.9, 0.1, 0.0])
+"""Shape of both trial heatings [-]: an entry, with steps of half of the heating within a second."""
 PULSE_PRESSURE_PA = 1000.0
 NOMINAL_SURFACE_K = 1300.0
-"""Surface temperature of the pulse where the first layer names no highest temperature of use."""
+"""Surface temperature of the trial where the first layer names no highest temperature of use."""
+FILM_EMITTANCE = 0.85
+"""The film of the trial heats a cold wall with what a surface of this emittance radiates at the temperature of use."""
+FILM_CP_J_KGK = 1004.5
+"""Specific heat of the air of the film [J/(kg K)]; it divides out of the flux."""
+COMPARED_K = 0.1 * STEP_TOLERANCE_K
+"""Largest error of a time step of the marches that are compared [K]: their difference is to be that of the meshes."""
+KEPT = 1000
+"""Number of meshes chosen on flights that are kept."""
 
 
 def pack(models: Sequence[PointModel], step_s: float = 1.0, tolerance_K: float = STEP_TOLERANCE_K) -> Ensemble:
@@ -48,20 +67,55 @@ def pack(models: Sequence[PointModel], step_s: float = 1.0, tolerance_K: float =
 
 
 def choose_meshes(models: Sequence[PointModel], step_s: float = 1.0) -> list[tuple[Mesh, float | None]]:
-    """Mesh of each control point with its error estimate, eps = 4/3 max |T_h - T_(h/2)| on the trial pulse.
+    """Mesh of each control point with its error estimate on trial heatings, eps = 4/3 F max |T_h - T_(h/2)|.
 
     models  : control points;  step_s : longest time step of the marches to come [s], which also grades the mesh
-    returns : (mesh, error [K]) of each point, the first of 14, 16, 20 ... 100 nodes whose estimate is below 0.3 K, else
+    returns : (mesh, error [K]) of each point, of 14, 16, 20 ... 200 nodes the first whose estimate is below 0.3 K, else
               the largest; None for the error where the point prescribes its node count
+    raises  : RunError where a trial march did not converge
 
-    Surface, bondline and sensors are compared. The estimate is for a pulse to the highest temperature of use: a flight
-    that heats more may have a larger error. Results are cached for each stack, sensors, node count and step.
-    Derived in docs/equations_march.md, equations 16 and 17.
+    Surface, bondline and sensors are compared. The trials heat to the highest temperature of use, with steps of half of
+    the heating: a flight that heats more, or at once, may have a larger error (`meshes_on_flights`). Results are cached
+    for each stack, sensors, node count and step. Derived in docs/equations_march.md, equations 16 and 17.
     """
     new = {key: m for key, m in ((_key(m, step_s), m) for m in models) if key not in _CHOSEN}
-    _CHOSEN.update({key: (_prescribed_mesh(m, step_s), None) for key, m in new.items() if m.nodes is not None})
-    _CHOSEN.update(_refine_until_accurate({key: m for key, m in new.items() if m.nodes is None}, step_s))
+    _CHOSEN.update({key: (mesh_of_nodes(m, m.nodes, step_s), None) for key, m in new.items() if m.nodes is not None})
+    _CHOSEN.update(_refine_on_trials({key: m for key, m in new.items() if m.nodes is None}, step_s))
     return [_CHOSEN[_key(m, step_s)] for m in models]
+
+
+def meshes_on_flights(
+    models: Sequence[PointModel], flights: Sequence[Conditions], step_s: float = 1.0
+) -> list[tuple[Mesh, float]]:
+    """Mesh of each control point with its error estimate on its own flight, eps = 4/3 F max |T_h - T_(h/2)|.
+
+    models  : control points;  flights : conditions of each, on common times
+    step_s  : longest time step of the marches to come [s]
+    returns : (mesh, error [K]) of each point: the mesh of `choose_meshes`, refined where its error on the flight is not
+              below 0.3 K; one of a prescribed node count is kept
+    raises  : RunError where a march did not converge
+
+    Results are cached for each point and flight. Derived in docs/equations_march.md, equation 16.
+    """
+    meshes = [mesh for mesh, _ in choose_meshes(models, step_s)]
+    time_s, histories = flights[0].time_s, [condition_history(flight) for flight in flights]
+    keys = [_flown_key(m, mesh, step_s, time_s, h) for m, mesh, h in zip(models, meshes, histories, strict=True)]
+    found = {key: _CONFIRMED[key] for key in keys if key in _CONFIRMED}
+    trying = {i: mesh for i, (key, mesh) in enumerate(zip(keys, meshes, strict=True)) if key not in found}
+    while trying:
+        flown = np.stack([histories[i] for i in trying])
+        errors = _mesh_errors([models[i] for i in trying], list(trying.values()), step_s, time_s, flown)
+        again: dict[int, Mesh] = {}
+        for (i, mesh), error in zip(trying.items(), errors, strict=True):
+            found[keys[i]] = (mesh, error)
+            nodes = _next_count(mesh.nodes, error) if models[i].nodes is None else None
+            if nodes is not None:
+                again[i] = mesh_of_nodes(models[i], nodes, step_s)
+        trying = again
+    _CONFIRMED.update(found)
+    while len(_CONFIRMED) > KEPT:
+        _CONFIRMED.pop(next(iter(_CONFIRMED)), None)
+    return [found[key] for key in keys]
 
 
 _Key = tuple[str, tuple[float, ...], int | None, float]
@@ -70,10 +124,6 @@ _CHOSEN: dict[_Key, tuple[Mesh, float | None]] = {}
 
 def _key(model: PointModel, step_s: float) -> _Key:
     return model.construction.model_dump_json(), model.depths_m, model.nodes, step_s
-
-
-def _prescribed_mesh(model: PointModel, step_s: float) -> Mesh:
-    return mesh_of_nodes(model, model.nodes or 0, step_s)
 
 
 def mesh_of_nodes(model: PointModel, nodes: int, step_s: float) -> Mesh:
@@ -91,46 +141,88 @@ def mesh_of_nodes(model: PointModel, nodes: int, step_s: float) -> Mesh:
 Key = TypeVar("Key")
 
 
-def _refine_until_accurate(models: Mapping[Key, PointModel], step_s: float) -> dict[Key, tuple[Mesh, float | None]]:
-    """Refine all models together, eight in a lane group, until the error of each is below the tolerance."""
-    # Without ratio, parameters and effects: the pulse is a prescribed flux, and the mesh depends on the stack alone.
-    bare = {key: PointModel(m.name, m.construction, m.depths_m) for key, m in models.items()}
-    fewest = {key: fewest_nodes(m.construction, np.array(m.depths_m)) for key, m in bare.items()}
+def _next_count(nodes: int, error_K: float) -> int | None:
+    """The node count to try after one with an error; None where that is below the tolerance, or after the last.
+
+    Counts that the second order of the error rules out by far are passed over.
+    """
+    larger = [count for count in NODE_COUNTS if count > nodes]
+    if error_K < TOLERANCE_K or not larger:
+        return None
+    hopeless = nodes * np.sqrt(error_K / (RULED_OUT * TOLERANCE_K))
+    return next((count for count in larger if count >= hopeless), larger[-1])
+
+
+def _refine_on_trials(models: Mapping[Key, PointModel], step_s: float) -> dict[Key, tuple[Mesh, float | None]]:
+    """Refine all models together, eight in a lane group, until the errors on the trials are below the tolerance."""
+    fewest = {key: fewest_nodes(m.construction, np.array(m.depths_m)) for key, m in models.items()}
+    counts = {key: next((n for n in NODE_COUNTS if n >= least), least) for key, least in fewest.items()}
     done: dict[Key, tuple[Mesh, float | None]] = {}
-    for nodes in NODE_COUNTS:
-        trying = [key for key in bare if key not in done and (fewest[key] <= nodes or nodes == NODE_COUNTS[-1])]
-        if not trying:
-            continue
-        points = [bare[key] for key in trying]
-        meshes = [_prescribed_mesh(replace(point, nodes=nodes), step_s) for point in points]
-        errors = _mesh_errors(points, meshes, step_s)
-        for key, mesh, error in zip(trying, meshes, errors, strict=True):
-            if error < TOLERANCE_K or nodes == NODE_COUNTS[-1]:
-                done[key] = (mesh, error)
+    while counts:
+        trying = [models[key] for key in counts]
+        meshes = [mesh_of_nodes(m, n, step_s) for m, n in zip(trying, counts.values(), strict=True)]
+        errors = _trial_errors(trying, meshes, step_s)
+        again: dict[Key, int] = {}
+        for key, mesh, error in zip(counts, meshes, errors, strict=True):
+            done[key] = (mesh, error)
+            nodes = _next_count(mesh.nodes, error)
+            if nodes is not None:
+                again[key] = nodes
+        counts = again
     return done
 
 
-def _mesh_errors(points: Sequence[PointModel], meshes: Sequence[Mesh], step_s: float) -> list[float]:
-    """Largest change of surface, bondline and sensor temperatures when every element is halved, times 4/3 [K]."""
-    coarse = _march_pulse(points, meshes, step_s)
-    fine = _march_pulse(points, [halve_elements(mesh) for mesh in meshes], step_s)
+_FlownKey = tuple[bytes, tuple[Effect, ...]]
+_CONFIRMED: dict[_FlownKey, tuple[Mesh, float]] = {}
+
+
+def _flown_key(model: PointModel, mesh: Mesh, step_s: float, time_s: FloatArray, history: FloatArray) -> _FlownKey:
+    """Digest of all numbers that the temperatures of a point on a flight depend on, and its effects."""
+    parts = [mesh.length_m, stack_values(model), heating_vector(model), time_s, history]
+    if model.ratio is not None:
+        parts.append(pack_table(model.ratio))
+    digest = hashlib.sha256(repr((_key(model, step_s), model.wall_enthalpy)).encode())
+    for part in parts:
+        digest.update(np.ascontiguousarray(part).tobytes())
+    return digest.digest(), tuple(use.effect for use in kernel_effects(model))
+
+
+def _mesh_errors(
+    points: Sequence[PointModel], meshes: Sequence[Mesh], step_s: float, time_s: FloatArray, histories: FloatArray
+) -> list[float]:
+    """Largest change of surface, bondline and sensor temperatures when every element is halved, times 4/3 F [K].
+
+    histories : (point, time, condition)
+    """
+    coarse, fine = (
+        Ensemble(points, m, step_s, tolerance_K=COMPARED_K).march(time_s, histories, range(len(points)))
+        for m in (meshes, [halve_elements(mesh) for mesh in meshes])
+    )
     change = np.max(np.abs(coarse - fine), axis=0)
     ends = np.cumsum([2 + len(point.depths_m) for point in points])
-    return [float(4.0 / 3.0 * np.max(part)) for part in np.split(change, ends[:-1])]
+    return [float(SAFETY * 4.0 / 3.0 * np.max(part)) for part in np.split(change, ends[:-1])]
 
 
-def _pulse_flux(point: PointModel) -> float:
-    """Flux [W/m2] that the surface radiates at its highest temperature of use."""
-    outer = point.construction.layer_materials()[0]
-    hottest = outer.max_use_K or NOMINAL_SURFACE_K
-    return float(np.interp(hottest, *pairs(outer.emissivity or [[hottest, 1.0]])) * SIGMA * hottest**4)
-
-
-def _march_pulse(points: Sequence[PointModel], meshes: Sequence[Mesh], step_s: float) -> FloatArray:
-    # A short step would cost time and change nothing: both meshes are marched in the same steps.
+def _trial_errors(models: Sequence[PointModel], meshes: Sequence[Mesh], step_s: float) -> list[float]:
+    """The larger of the errors [K] of each mesh on the two trial heatings."""
+    # Without ratio, parameters and effects: the trial is a prescribed heating, and the mesh depends on the stack alone.
+    bare = [
+        PointModel(m.name, m.construction, m.depths_m, parameters={"ratio.d0": 1.0}, wall_enthalpy=FILM_CP_J_KGK)
+        for m in models
+    ]
+    # A short step would cost time and change nothing: steps are divided where their error asks for it.
     step = max(step_s, 1.0)
-    time = np.linspace(0.0, PULSE_TIME_S[-1], int(np.ceil(PULSE_TIME_S[-1] / step)) + 1)
-    history = np.zeros((len(points), len(time), len(CONDITION_COLUMNS)))
-    history[:, :, Q_ADD] = np.outer([_pulse_flux(p) for p in points], np.interp(time, PULSE_TIME_S, PULSE_SHAPE))
-    history[:, :, P_SURFACE] = PULSE_PRESSURE_PA
-    return Ensemble(points, meshes, step).march(time, history, range(len(points)), longest_step_s=step)
+    time_s = np.linspace(0.0, PULSE_TIME_S[-1], int(np.ceil(PULSE_TIME_S[-1] / step)) + 1)
+    shape = np.interp(time_s, PULSE_TIME_S, PULSE_SHAPE)
+    histories = np.zeros((2, len(models), len(time_s), len(CONDITION_COLUMNS)))
+    histories[..., P_SURFACE] = PULSE_PRESSURE_PA
+    for i, point in enumerate(bare):
+        outer = point.construction.layer_materials()[0]
+        hottest_K = outer.max_use_K or NOMINAL_SURFACE_K
+        black_W_m2, recovery_J_kg = SIGMA * hottest_K**4, FILM_CP_J_KGK * hottest_K
+        histories[0, i, :, Q_ADD] = shape * np.interp(hottest_K, *pairs(outer.emissivity or [[0.0, 1.0]])) * black_W_m2
+        histories[1, i, :, H_REF] = shape * FILM_EMITTANCE * black_W_m2 / recovery_J_kg
+        histories[1, i, :, RECOVERY_ENTHALPY] = recovery_J_kg
+    both = histories.reshape(-1, *histories.shape[2:])
+    errors = _mesh_errors([*bare, *bare], [*meshes, *meshes], step, time_s, both)
+    return np.max(np.reshape(errors, (2, -1)), axis=0).tolist()

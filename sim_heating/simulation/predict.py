@@ -159,6 +159,8 @@ def summary(prediction: Prediction) -> dict[str, object]:
         "outside_table": [vars(o) for o in prediction.outside],
         "beyond_reference": beyond_range(record.declared.heating.reference, record.conditions),
         "negative_ratio_s": negative_ratio_s(prediction.history),
+        "nodes": prediction.history.nodes,
+        "mesh_error_K": prediction.history.mesh_error_K,
     }
 
 

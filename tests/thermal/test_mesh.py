@@ -1,4 +1,4 @@
-"""Meshes: a node wherever one is asked for, nothing lost in between, and an honest estimate of the error."""
+"""Meshes: a node wherever one is asked for, and nothing lost in between."""
 
 from __future__ import annotations
 
@@ -8,13 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.kernels.block import CONDITION_COLUMNS, P_SURFACE, Q_ADD
-from sim_heating.march.ensemble import Ensemble, condition_history
-from sim_heating.march.mesh_choice import PULSE_PRESSURE_PA, PULSE_SHAPE, PULSE_TIME_S, TOLERANCE_K, choose_meshes
-from sim_heating.march.point import PointModel
 from sim_heating.thermal.mesh import build_mesh, fewest_nodes, halve_elements
 from sim_heating.thermal.stack import Construction
-from tests.support.walls import material, practice_model, practice_record, wall
+from tests.support.walls import material, practice_model, wall
 
 NO_DEPTHS = np.array([])
 thicknesses = st.floats(-5.0, -0.7).map(lambda x: 10.0**x)
@@ -102,42 +98,3 @@ def test_mesh_is_finest_at_the_surface_in_each_material():
     mesh = build_mesh(practice_model("p06").construction, NO_DEPTHS, 40)
     for layer in (0, 1):
         assert np.all(np.diff(mesh.length_m[mesh.layer == layer]) >= 0.0)
-
-
-def test_automatic_mesh_of_a_tile_stays_between_14_and_100_nodes():
-    (mesh, error), (other, _) = choose_meshes([practice_model("p06"), practice_model("p07")])
-    assert 14 <= mesh.nodes <= 100
-    assert 14 <= other.nodes <= 100
-    assert error < TOLERANCE_K
-
-
-def test_a_prescribed_node_count_is_used():
-    assert choose_meshes([practice_model("p06", nodes=23)])[0][0].nodes == 23
-
-
-def on_pulse(model: PointModel, mesh) -> np.ndarray:
-    """(time, output) of the pulse that the estimate is made on."""
-    t = np.linspace(0.0, PULSE_TIME_S[-1], 1201)
-    history = np.zeros((1, len(t), len(CONDITION_COLUMNS)))
-    history[0, :, Q_ADD] = 1.4e5 * np.interp(t, PULSE_TIME_S, PULSE_SHAPE)
-    history[0, :, P_SURFACE] = PULSE_PRESSURE_PA
-    return Ensemble([model], [mesh]).march(t, history)
-
-
-@pytest.mark.parametrize("name", ["p06", "p07"])
-def test_estimate_of_the_mesh_error_bounds_the_error_on_its_pulse(name):
-    model = practice_model(name, ratio=None, parameters={})
-    mesh, estimate = choose_meshes([model])[0]
-    true = np.max(np.abs(on_pulse(model, mesh) - on_pulse(model, halve_elements(halve_elements(mesh)))))
-    assert estimate / 1.5 < true < 1.5 * estimate
-
-
-@pytest.mark.parametrize("name", ["p06", "p07"])
-def test_mesh_error_on_a_whole_entry_is_below_one_and_a_half_estimates(name):
-    model, conditions = practice_model(name), practice_record(name)[0].conditions
-    mesh, estimate = choose_meshes([model])[0]
-    history = condition_history(conditions)[np.newaxis]
-    coarse, fine = (
-        Ensemble([model], [m]).march(conditions.time_s, history) for m in (mesh, halve_elements(halve_elements(mesh)))
-    )
-    assert np.max(np.abs(coarse - fine)) < 1.5 * estimate
